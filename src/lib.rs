@@ -1,0 +1,36 @@
+//! **cophase** reads defocused images of a star and says, separately, what the segments of a telescope's mirror and
+//! what the non-common path aberrations (NCPA) behind its adaptive optics are doing: in nanometres, with error bars.
+//!
+//! # Conventions, the same in every language
+//!
+//! * **Units** stand in the names. Wavefronts and mode coefficients are `_nm` of optical path difference (wavefront, not
+//!   mirror surface), lengths `_m`, time `_s`, angles on the sky `_mas`, signal `_e` (electrons). Phase exists only
+//!   inside the imaging chains.
+//! * **Arrays** are `[row = y, col = x]` in C order. A pupil grid of N samples over `width_m` has
+//!   `x_j = (j − (N−1)/2)·width_m/N`: the axis lies between the two central samples.
+//! * **Sign**: field `E = A·exp(+i·2π·W/λ)`, `W` the wavefront plus the diversity; focal field = forward Fourier
+//!   transform (kernel `exp(−2πi·u·x)`). A wavefront that grows along +x moves the spot along +column.
+//! * **Image**: the optical axis is on pixel `[M/2, M/2]`; `samples_per_lambda_over_d` counts pixels per λ/`grid_m`.
+//!   The PSF over an unbounded detector sums to 1; an image is `flux·PSF + background`, in electrons.
+//! * **Modes**: a segment-piston coefficient is nm of piston of that segment; a Zernike or Karhunen-Loève coefficient is
+//!   nm RMS over the pupil. The segment part is reported with zero mean piston over the pupil.
+//!
+//! # Rooms
+//!
+//! See `ARCHITECTURE.md`: each module uses only those to the left of it.
+
+pub mod device;
+pub mod error;
+pub mod estimate;
+pub mod fourier;
+pub mod grid;
+pub mod imaging;
+pub mod io;
+pub mod metrics;
+pub mod modes;
+pub mod optimize;
+pub mod plot;
+pub mod pupil;
+pub mod scene;
+
+pub use error::{Error, Result};

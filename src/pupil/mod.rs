@@ -1,0 +1,46 @@
+//! The telescope's pupil: its glass, which segment owns what, and the weights with which the model samples it.
+
+use crate::grid::Grid;
+use ndarray::Array2;
+
+/// One mirror segment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Segment {
+    /// Centre of the segment, m, +x along columns.
+    pub x_m: f64,
+    /// Centre of the segment, m, +y along rows.
+    pub y_m: f64,
+}
+
+/// A pupil on a grid.
+#[derive(Debug, Clone)]
+pub struct Pupil {
+    /// Where the samples are.
+    pub grid: Grid,
+    /// Fraction of each sample's area that is glass, `[y, x]`, in [0, 1].
+    pub amplitude: Array2<f64>,
+    /// Segment that owns the centre of each sample, `[y, x]`; −1 where none does. A sample with glass always has an
+    /// owner (the segment with the largest share where its centre falls into a gap).
+    pub owner: Array2<i32>,
+    /// The segments, in the project's order (ring by ring, counter-clockwise from +x).
+    pub segments: Vec<Segment>,
+}
+
+/// How strongly each segment shows in each lit sample: `E_p = e^{ikψ_p} Σ_s w_ps e^{ik c_s}`. Compressed rows over
+/// the lit samples.
+#[derive(Debug, Clone)]
+pub struct SegmentWeights {
+    /// Number of segments.
+    pub segments: usize,
+    /// Flat grid index `y·samples + x` of each lit sample, ascending.
+    pub lit: Vec<u32>,
+    /// Row starts into `segment` and `weight`; `lit.len() + 1` entries.
+    pub offsets: Vec<u32>,
+    /// Segment of each entry.
+    pub segment: Vec<u32>,
+    /// Weight of each entry (may be negative for a band-limited pupil).
+    pub weight: Vec<f64>,
+    /// Σ over the aperture of amplitude², in units of this grid's samples, of the unfiltered pupil: the energy that
+    /// normalises the PSF to a sum of 1 over an unbounded detector.
+    pub energy: f64,
+}
