@@ -1,1 +1,25 @@
-//! (under construction)
+//! From mode coefficients to a likelihood and its exact gradient, stage by stage.
+//!
+//! ```text
+//!  coefficients ──field──▶ pupil field ──fourier──▶ focal field ──detector──▶ objective
+//!  gradient     ◀─field── pupil field̄ ◀─fourier── focal field̄ ◀─detector──┘
+//! ```
+//!
+//! Each stage's file holds the forward step and its adjoint side by side; [`Chain`] composes them, and is the only
+//! place that knows on which device and in which precision they run. The f64 CPU chain is the judge of all others.
+
+pub mod chain;
+pub mod cpu;
+mod detector;
+mod field;
+mod optics;
+mod phasor;
+
+pub use chain::{Chain, Precision};
+pub use cpu::CpuChain;
+pub use detector::{Evaluation, Exposure, Photometry};
+pub use phasor::Polynomial;
+pub use optics::{Mode, Optics, OpticsParts};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,194 @@
+//! The chain on the CPU: one image per thread at a time, in f64 (the judge) or f32.
+
+use super::detector::{Evaluation, Exposure, Loaded};
+use super::field::{Field, FieldState};
+use super::optics::Optics;
+use super::phasor::Polynomial;
+use crate::fourier::{Transform, Workspace};
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView1, ArrayView2};
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex};
+
+/// Forward model and adjoint on the CPU, for a batch of images.
+pub struct CpuChain<T: Polynomial> {
+    optics: Arc<Optics>,
+    field: Field<T>,
+    transform: Transform<T>,
+    images: Vec<Loaded<T>>,
+    /// Memory of threads that are not evaluating now: taken, used, put back.
+    idle: Mutex<Vec<Memory<T>>>,
+}
+
+/// What one thread needs for one evaluation.
+struct Memory<T: Polynomial> {
+    field: FieldState<T>,
+    pupil: Vec<T>,
+    pupil_bar: Vec<T>,
+    focus: Vec<T>,
+    psf: Vec<T>,
+    workspace: Workspace<T>,
+}
+
+impl<T: Polynomial> CpuChain<T> {
+    /// A chain for `optics` with the transform that is cheaper for its sampling.
+    pub fn new(optics: Arc<Optics>) -> Self {
+        let transform = Transform::choose(optics.sampling());
+        Self::with_transform(optics, transform)
+    }
+
+    /// A chain with a given transform.
+    pub fn with_transform(optics: Arc<Optics>, transform: Transform<T>) -> Self {
+        let field = Field::new(&optics);
+        Self { optics, field, transform, images: Vec::new(), idle: Mutex::new(Vec::new()) }
+    }
+
+    /// The model.
+    pub fn optics(&self) -> &Arc<Optics> {
+        &self.optics
+    }
+
+    /// Replaces the batch of images.
+    ///
+    /// # Errors
+    /// As [`Exposure::check`].
+    pub fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
+        exposures.iter().try_for_each(|exposure| exposure.check(self.optics.sampling().pixels))?;
+        self.images = exposures.iter().map(Loaded::new).collect();
+        Ok(())
+    }
+
+    /// Replaces one image of the batch.
+    ///
+    /// # Errors
+    /// As [`Exposure::check`], and [`Error::Shape`] where there is no such image.
+    pub fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()> {
+        exposure.check(self.optics.sampling().pixels)?;
+        let count = self.images.len();
+        let slot = self.images.get_mut(image).ok_or_else(|| no_image(image, count))?;
+        *slot = Loaded::new(exposure);
+        Ok(())
+    }
+
+    /// Objectives and gradients of `images` at `coefficients_nm` (`[image, mode]`, nm), in that order.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the arrays do not fit the batch and the model.
+    pub fn evaluate(&self, images: &[usize], coefficients_nm: ArrayView2<f64>) -> Result<Vec<Evaluation>> {
+        check_batch(images, coefficients_nm, self.images.len(), self.optics.modes())?;
+        let pixels = self.optics.sampling().pixels;
+        Ok((0..images.len())
+            .into_par_iter()
+            .map(|i| {
+                let mut memory = self.take();
+                let image = &self.images[images[i]];
+                let mut evaluation = vectorised(|| {
+                    self.field.forward(coefficients_nm.row(i), &mut memory.field, &mut memory.pupil);
+                    self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
+                    Loaded::intensity(&memory.focus, &mut memory.psf, pixels);
+                    let evaluation = image.forward(&memory.psf);
+                    image.adjoint(&evaluation, &memory.psf, &mut memory.focus, pixels);
+                    evaluation
+                });
+                evaluation.gradient = vec![0.0; self.optics.modes()];
+                vectorised(|| {
+                    self.transform.adjoint(&memory.focus, &mut memory.pupil_bar, &mut memory.workspace);
+                    self.field.adjoint(&memory.pupil_bar, &mut memory.field, &mut evaluation.gradient);
+                });
+                self.put_back(memory);
+                evaluation
+            })
+            .collect())
+    }
+
+    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at `coefficients_nm`.
+    pub fn psf(&self, coefficients_nm: ArrayView1<f64>) -> Vec<T> {
+        let mut memory = self.take();
+        let pixels = self.optics.sampling().pixels;
+        vectorised(|| {
+            self.field.forward(coefficients_nm, &mut memory.field, &mut memory.pupil);
+            self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
+            Loaded::intensity(&memory.focus, &mut memory.psf, pixels);
+        });
+        let psf = memory.psf.clone();
+        self.put_back(memory);
+        psf
+    }
+
+    /// The PSF and its derivative with respect to every coefficient, `[mode, pixel]`, per nm.
+    pub fn jacobian(&self, coefficients_nm: ArrayView1<f64>) -> (Vec<T>, Array2<T>) {
+        let psf = self.psf(coefficients_nm);
+        let mut jacobian = Array2::from_elem((self.optics.modes(), psf.len()), T::zero());
+        let modes = &self.optics.parts().modes;
+        let rows: Vec<_> = jacobian.outer_iter_mut().zip(modes).collect();
+        rows.into_par_iter().for_each(|(mut row, &mode)| {
+            let mut memory = self.take();
+            let pixels = self.optics.sampling().pixels;
+            self.field.forward(coefficients_nm, &mut memory.field, &mut memory.pupil);
+            self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
+            let field = memory.focus.clone();
+            memory.pupil.fill(T::zero());
+            self.field.derivative(mode, &memory.field, &mut memory.pupil);
+            self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
+            for (v, (at, along)) in
+                field.chunks_exact(2 * pixels).zip(memory.focus.chunks_exact(2 * pixels)).enumerate()
+            {
+                for u in 0..pixels {
+                    let real = at[u] * along[u] + at[pixels + u] * along[pixels + u];
+                    row[v * pixels + u] = real + real;
+                }
+            }
+            self.put_back(memory);
+        });
+        (psf, jacobian)
+    }
+
+    fn take(&self) -> Memory<T> {
+        let idle = self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop();
+        idle.unwrap_or_else(|| {
+            let (n, m) = (self.optics.sampling().samples, self.optics.sampling().pixels);
+            Memory {
+                field: self.field.state(),
+                pupil: vec![T::zero(); 2 * n * n],
+                pupil_bar: vec![T::zero(); 2 * n * n],
+                focus: vec![T::zero(); 2 * m * m],
+                psf: vec![T::zero(); m * m],
+                workspace: self.transform.workspace(),
+            }
+        })
+    }
+
+    fn put_back(&self, memory: Memory<T>) {
+        self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(memory);
+    }
+}
+
+/// Runs `work` compiled for the widest vectors that this processor has.
+#[inline(always)]
+fn vectorised<R>(work: impl FnOnce() -> R) -> R {
+    pulp::Arch::new().dispatch(work)
+}
+
+/// That a call's images and coefficients fit the batch and the model.
+pub(super) fn check_batch(
+    images: &[usize],
+    coefficients_nm: ArrayView2<f64>,
+    loaded: usize,
+    modes: usize,
+) -> Result<()> {
+    if coefficients_nm.dim() != (images.len(), modes) {
+        let (rows, columns) = coefficients_nm.dim();
+        return Err(Error::Shape(format!(
+            "coefficients of shape {rows}x{columns} were given where {} images of {modes} modes were wanted",
+            images.len()
+        )));
+    }
+    match images.iter().find(|&&image| image >= loaded) {
+        Some(&image) => Err(no_image(image, loaded)),
+        None => Ok(()),
+    }
+}
+
+fn no_image(image: usize, count: usize) -> Error {
+    Error::Shape(format!("image {image} was asked for, but {count} are loaded"))
+}

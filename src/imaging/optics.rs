@@ -1,0 +1,127 @@
+//! What light meets: the immutable model of one scene, in double precision, from which every chain is made.
+
+use crate::fourier::Sampling;
+use crate::pupil::SegmentWeights;
+use crate::{Error, Result};
+use ndarray::Array2;
+
+/// What one coefficient moves. Its unit is nm of OPD.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Piston of a segment.
+    Piston(usize),
+    /// Tilt of a segment along x, unit RMS over the segment.
+    Tip(usize),
+    /// Tilt of a segment along y, unit RMS over the segment.
+    Tilt(usize),
+    /// Row of the smooth basis.
+    Smooth(usize),
+}
+
+/// The plain arrays that make an [`Optics`].
+#[derive(Debug, Clone)]
+pub struct OpticsParts {
+    /// Shapes of pupil and image.
+    pub sampling: Sampling,
+    /// Wavelength, nm.
+    pub wavelength_nm: f64,
+    /// How the segments show in the lit samples.
+    pub weights: SegmentWeights,
+    /// Coordinates of each entry of `weights` on its segment along x and y, scaled to unit RMS over the segment; needed
+    /// only where a mode is a segment's tip or tilt.
+    pub slopes: Option<(Vec<f64>, Vec<f64>)>,
+    /// Diversity at the lit samples, nm.
+    pub diversity_nm: Vec<f64>,
+    /// Smooth modes at the lit samples, `[mode, lit]`, nm per nm.
+    pub basis: Array2<f64>,
+    /// What each coefficient moves.
+    pub modes: Vec<Mode>,
+}
+
+/// The model of one scene: pupil, diversity, modes, sampling. Immutable, and shared by all chains and threads.
+#[derive(Debug, Clone)]
+pub struct Optics {
+    parts: OpticsParts,
+}
+
+impl Optics {
+    /// Checks that the parts fit each other.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Value`], naming the part.
+    pub fn new(parts: OpticsParts) -> Result<Self> {
+        let lit = parts.weights.lit.len();
+        let entries = parts.weights.weight.len();
+        let samples = parts.sampling.samples;
+        if !(parts.wavelength_nm.is_finite() && parts.wavelength_nm > 0.0) {
+            return Err(Error::Value(format!("a wavelength of {} nm is impossible", parts.wavelength_nm)));
+        }
+        if lit == 0 || !(parts.weights.energy.is_finite() && parts.weights.energy > 0.0) {
+            return Err(Error::Value("the pupil holds no glass: no sample is lit".into()));
+        }
+        if parts.weights.lit.iter().any(|&p| p as usize >= samples * samples) {
+            return Err(Error::Shape(format!("a lit sample lies outside the {samples}x{samples} pupil grid")));
+        }
+        let fits = parts.weights.offsets.len() == lit + 1
+            && parts.weights.segment.len() == entries
+            && parts.weights.offsets.last() == Some(&(entries as u32))
+            && parts.weights.segment.iter().all(|&s| (s as usize) < parts.weights.segments);
+        if !fits {
+            return Err(Error::Shape("the segment weights do not describe the lit samples".into()));
+        }
+        for (what, length) in [("diversity", parts.diversity_nm.len()), ("smooth basis", parts.basis.ncols())] {
+            if length != lit {
+                return Err(Error::Shape(format!("the {what} has {length} samples, the pupil {lit} lit ones")));
+            }
+        }
+        let finite = parts.diversity_nm.iter().chain(&parts.basis).chain(&parts.weights.weight).all(|v| v.is_finite());
+        if !finite {
+            return Err(Error::Value("the diversity, a mode or the pupil holds a value that is not finite".into()));
+        }
+        for mode in &parts.modes {
+            let ok = match *mode {
+                Mode::Smooth(row) => row < parts.basis.nrows(),
+                Mode::Piston(segment) => segment < parts.weights.segments,
+                Mode::Tip(segment) | Mode::Tilt(segment) => {
+                    segment < parts.weights.segments
+                        && parts.slopes.as_ref().is_some_and(|(x, y)| x.len() == entries && y.len() == entries)
+                }
+            };
+            if !ok {
+                return Err(Error::Shape(format!("{mode:?} names a segment or a basis row that the model does not have")));
+            }
+        }
+        Ok(Self { parts })
+    }
+
+    /// The arrays inside.
+    pub fn parts(&self) -> &OpticsParts {
+        &self.parts
+    }
+
+    /// Number of coefficients.
+    pub fn modes(&self) -> usize {
+        self.parts.modes.len()
+    }
+
+    /// Shapes of pupil and image.
+    pub fn sampling(&self) -> Sampling {
+        self.parts.sampling
+    }
+
+    /// Factor on |U|² that makes the PSF sum to 1 over an unbounded detector: 1/((n·q)²·ΣA²) by Parseval.
+    pub fn intensity_scale(&self) -> f64 {
+        self.parts.sampling.step().powi(2) / self.parts.weights.energy
+    }
+
+    /// The diversity in turns, reduced to [−½, ½]: the same field, with its digits where single precision can see them.
+    pub fn diversity_turns(&self) -> Vec<f64> {
+        let turns = |nm: &f64| nm / self.parts.wavelength_nm;
+        self.parts.diversity_nm.iter().map(turns).map(|t| t - t.round()).collect()
+    }
+
+    /// Whether any coefficient tilts a segment.
+    pub fn tilts_segments(&self) -> bool {
+        self.parts.modes.iter().any(|mode| matches!(mode, Mode::Tip(_) | Mode::Tilt(_)))
+    }
+}
