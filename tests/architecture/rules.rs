@@ -1,0 +1,134 @@
+//! The rules, read from the tables of `ARCHITECTURE.md`, which is their only home.
+
+use crate::source::Source;
+use std::collections::{BTreeMap, BTreeSet};
+
+type Names = BTreeSet<String>;
+
+/// A row of "Rooms".
+#[derive(Debug)]
+pub struct Room {
+    /// The map shows it, the sources do not have it yet.
+    pub to_come: bool,
+    uses: Names,
+}
+
+/// All tables. A place is a room, or the start of a path under `src` where it holds a slash: `imaging/gpu` is
+/// `imaging/gpu.rs`, `imaging/gpu_batch.rs` and all of `imaging/gpu/`.
+#[derive(Debug, Default)]
+pub struct Rules {
+    pub rooms: BTreeMap<String, Room>,
+    /// Places, and the rooms that they may use besides those of their own room's row.
+    exceptions: Vec<(Names, Names)>,
+    /// Names from outside the crate, and the only places where they may stand.
+    confined: Vec<(Names, Names)>,
+}
+
+/// The file's room: its first folder, or itself. `file` is relative to `src`, without `.rs`.
+pub fn room_of(file: &str) -> &str {
+    file.split('/').next().unwrap_or(file)
+}
+
+fn lies_in(file: &str, place: &str) -> bool {
+    if place.contains('/') { file.starts_with(place) } else { room_of(file) == place }
+}
+
+/// What stands between backticks.
+fn quoted(cell: &str) -> Names {
+    cell.split('`').skip(1).step_by(2).map(String::from).collect()
+}
+
+impl Rules {
+    pub fn parse(markdown: &str) -> Self {
+        let mut rules = Self::default();
+        let mut section = "";
+        for line in markdown.lines() {
+            if let Some(title) = line.strip_prefix("## ") {
+                section = title;
+            }
+            let cells: Vec<&str> = line.split('|').collect();
+            // The head of a table and the line below it quote nothing.
+            if cells.len() < 5 || quoted(cells[1]).is_empty() {
+                continue;
+            }
+            match section {
+                "Rooms" => rules.rooms.extend(
+                    quoted(cells[1])
+                        .into_iter()
+                        .map(|name| (name, Room { to_come: cells[1].contains("(to come)"), uses: quoted(cells[3]) })),
+                ),
+                "Exceptions" => rules.exceptions.push((quoted(cells[1]), quoted(cells[2]))),
+                "Names that stay in their room" => rules.confined.push((quoted(cells[1]), quoted(cells[2]))),
+                _ => {}
+            }
+        }
+        rules
+    }
+
+    /// Every arrow of the map, exceptions included, from the user to the used.
+    fn arrows(&self) -> BTreeMap<&str, BTreeSet<&str>> {
+        let mut arrows: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+        for (name, room) in &self.rooms {
+            arrows.entry(name).or_default().extend(room.uses.iter().map(String::as_str));
+        }
+        for (places, uses) in &self.exceptions {
+            for place in places {
+                arrows.entry(room_of(place)).or_default().extend(uses.iter().map(String::as_str));
+            }
+        }
+        arrows
+    }
+
+    /// What is wrong with the map itself: names of rooms that have no row, and cycles.
+    pub fn faults(&self) -> Vec<String> {
+        let mut arrows = self.arrows();
+        let places = self.confined.iter().flat_map(|(_, places)| places).map(|place| room_of(place));
+        let named = arrows.iter().flat_map(|(room, uses)| uses.iter().chain([room])).copied().chain(places);
+        let mut faults: Vec<String> = named
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .filter(|name| !self.rooms.contains_key(*name))
+            .map(|name| format!("the map names the room `{name}`, which has no row"))
+            .collect();
+        // Take away the rooms that use none of those left, until nothing changes: what stays uses itself in a circle.
+        loop {
+            let left: BTreeSet<&str> = arrows.keys().copied().collect();
+            arrows.retain(|_, uses| uses.iter().any(|used| left.contains(used)));
+            if arrows.len() == left.len() {
+                break;
+            }
+        }
+        if !arrows.is_empty() {
+            faults.push(format!("the map runs in a circle through {:?}", arrows.keys().collect::<Vec<_>>()));
+        }
+        faults
+    }
+
+    /// What `file` does against the rules; one sentence each. `exported` gives the room of each name that `lib.rs`
+    /// re-exports.
+    pub fn violations(&self, file: &str, source: &Source, exported: &BTreeMap<String, String>) -> Vec<String> {
+        let room = room_of(file);
+        let mut violations = Vec::new();
+        // lib.rs is the door: it names every room.
+        if room != "lib" {
+            let Some(row) = self.rooms.get(room) else {
+                return vec![format!("src/{file}.rs: the room `{room}` has no row in ARCHITECTURE.md")];
+            };
+            let excepted = self.exceptions.iter().filter(|(places, _)| places.iter().any(|place| lies_in(file, place)));
+            let allowed: BTreeSet<&String> = row.uses.iter().chain(excepted.flat_map(|(_, uses)| uses)).collect();
+            for name in &source.uses {
+                let used = exported.get(name).unwrap_or(name);
+                if used != room && !allowed.contains(used) {
+                    violations.push(format!("src/{file}.rs: `{room}` may not use `crate::{name}`"));
+                }
+            }
+        }
+        for (names, places) in &self.confined {
+            if !places.iter().any(|place| lies_in(file, place)) {
+                let strays = names.intersection(&source.outside);
+                violations.extend(strays.map(|name| format!("src/{file}.rs: `{name}` belongs in {places:?} only")));
+            }
+        }
+        violations
+    }
+}
