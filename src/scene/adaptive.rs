@@ -1,7 +1,7 @@
 //! `[mirror]`, `[turbulence]`, `[wavefront_sensor]` and `[control]`: the adaptive optics and what they correct.
 
 use super::table::{Check, Reader, default, section, unset};
-use super::value::{ANY, above, at_least, between, even, inside};
+use super::value::{ANY, above, at_least, below, between, even, inside};
 use super::words::{ControlBasis, Fill, Influence, Loop, SensorDetector, SensorKind, SensorMask};
 use crate::Result;
 
@@ -21,11 +21,7 @@ section! {
     }
 }
 
-impl Check for MirrorScene {
-    fn check(&mut self, _: &Reader) -> Result<()> {
-        Ok(())
-    }
-}
+impl Check for MirrorScene {}
 
 section! {
     /// The turbulence; its statistics order the Karhunen-Loève modes.
@@ -102,14 +98,10 @@ section! {
     }
 }
 
-impl Check for SensorScene {
-    fn check(&mut self, _: &Reader) -> Result<()> {
-        Ok(())
-    }
-}
+impl Check for SensorScene {}
 
 section! {
-    /// The control of the AO loop; needs [wavefront_sensor].
+    /// The control of the AO loop; needs a wavefront sensor.
     ControlScene = "control" {
         /// The space in which the slopes are inverted.
         basis: ControlBasis, ANY, default(ControlBasis::Zonal);
@@ -124,7 +116,7 @@ section! {
         /// Gain of the integrator.
         gain: f64, above(0.0, 2.0), default(0.3);
         /// Share of the command that leaks away in a frame.
-        leak: f64, between(0.0, 1.0), default(0.0);
+        leak: f64, below(0.0, 1.0), default(0.0);
         /// Frames per second.
         frame_rate_hz: f64, above(0.0, 1e6), default(1054.0);
         /// Frames from a measurement to its correction.

@@ -64,7 +64,11 @@ fn known_key<'k>(sections: &[SectionKeys], key: &'k str) -> Result<(&'k str, &'k
 }
 
 fn set(document: &mut DocumentMut, section: &str, name: &str, value: &str) -> Result<()> {
-    let table = document.as_table_mut().entry(section).or_insert_with(toml_edit::table);
+    let document = document.as_table_mut();
+    if value.is_empty() && !document.contains_key(section) {
+        return Ok(()); // nothing to take out, and an empty section would say more than none
+    }
+    let table = document.entry(section).or_insert_with(toml_edit::table);
     let Some(table) = table.as_table_like_mut() else {
         return Err(Error::Internal(format!("[{section}] of a valid scene is no section")));
     };

@@ -75,8 +75,4 @@ section! {
     }
 }
 
-impl Check for EstimateScene {
-    fn check(&mut self, _: &Reader) -> Result<()> {
-        Ok(())
-    }
-}
+impl Check for EstimateScene {}

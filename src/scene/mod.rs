@@ -191,8 +191,12 @@ impl Scene {
     /// As [`Scene::preset`].
     pub fn preset_text(name: &str) -> Result<&'static str> {
         PRESETS.iter().find(|(known, _)| *known == name).map(|(_, text)| *text).ok_or_else(|| {
-            let known = Self::preset_names().join(", ");
-            Error::Scene(format!("no scene is called '{name}'{}; there are {known}", suggestion(name, PRESET_NAMES)))
+            let known = Self::preset_names().join(" and ");
+            Error::Scene(format!(
+                "no scene is called '{}', there are {known}{}",
+                shown(name),
+                suggestion(name, PRESET_NAMES)
+            ))
         })
     }
 

@@ -38,7 +38,7 @@ pub(super) fn unset<T>(instead: &'static str) -> Preset<Option<T>> {
 impl<T: FromToml> Preset<T> {
     pub(super) fn describe(&self) -> String {
         match self {
-            Self::Required => "required".into(),
+            Self::Required => "none, it is required".into(),
             Self::Is(value) => value.to_toml(),
             Self::Unset(_, instead) => (*instead).into(),
         }
@@ -58,7 +58,9 @@ pub(super) trait Section: Sized {
 /// What a section refuses that no key refuses by itself.
 pub(super) trait Check {
     /// Fills in what follows from other keys, and refuses keys that contradict each other.
-    fn check(&mut self, reader: &Reader) -> Result<()>;
+    fn check(&mut self, _reader: &Reader) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// Declares a section: `key: type, range, default;` with the doc comment as the text of the reference.

@@ -28,6 +28,11 @@ pub(super) const fn above(low: f64, high: f64) -> Range {
     Range { open_low: true, ..between(low, high) }
 }
 
+/// `low ≤ x < high`.
+pub(super) const fn below(low: f64, high: f64) -> Range {
+    Range { open_high: true, ..between(low, high) }
+}
+
 /// `low < x < high`.
 pub(super) const fn inside(low: f64, high: f64) -> Range {
     Range { open_high: true, ..above(low, high) }
