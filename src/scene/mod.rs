@@ -1,1 +1,331 @@
-//! (under construction)
+//! What is being looked at: a scene, from TOML text, validated as a whole before anything is built from it.
+//!
+//! A scene names what is there; nothing that it does not name is modelled. Its fields have the names of the TOML keys.
+//!
+//! ```
+//! use cophase::scene::Scene;
+//!
+//! let scene = Scene::preset("keck-artificial")?;
+//! assert_eq!(scene.image.pixels, 480);
+//! let faint = scene.with(&[("image.peak_snr", "50")])?;
+//! assert_eq!(faint.image.peak_snr, Some(50.0));
+//! # Ok::<(), cophase::Error>(())
+//! ```
+
+mod adaptive;
+mod edit;
+mod fit;
+mod reference;
+mod table;
+mod telescope;
+mod value;
+mod words;
+
+pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
+pub use edit::split_setting;
+pub use fit::{EstimateScene, ModesScene};
+pub use reference::reference;
+pub use telescope::{AberrationScene, ImageScene, PupilScene};
+pub use words::{
+    Aperture, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optimizer, Precision,
+    PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting, Zernikes,
+};
+
+use crate::{Error, Result};
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use table::{Check, Key, Reader, Section, Source, nearest};
+use toml_edit::{Document, Item};
+
+/// A validated scene that cannot change: it dereferences to its [`Sections`], which hand out their fields for reading.
+/// Vary one with [`Scene::with`]. Cloning is cheap.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    content: Arc<Content>,
+}
+
+#[derive(Debug)]
+struct Content {
+    sections: Sections,
+    text: String,
+    /// What messages call the scene.
+    name: String,
+    directory: PathBuf,
+}
+
+/// Declares the sections of a scene: their structs, their order, and which may be absent.
+macro_rules! sections {
+    ($($(#[$doc:meta])+ $name:ident: $type:ty;)+) => {
+        /// The sections of a scene.
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct Sections { $($(#[$doc])+ pub $name: $type,)+ }
+
+        impl Sections {
+            fn read(source: Source, document: &toml_edit::Table) -> Result<Self> {
+                Ok(Self { $($name: <$type>::read_checked(source, document.get(stringify!($name)))?,)+ })
+            }
+        }
+
+        /// The table of all keys, section by section.
+        fn directory_of_keys() -> Vec<SectionKeys> {
+            vec![$(<$type>::listing()),+]
+        }
+    };
+}
+
+sections! {
+    /// The telescope's pupil.
+    pupil: PupilScene;
+    /// The camera and its images.
+    image: ImageScene;
+    /// The truth of a simulated image.
+    aberrations: Option<AberrationScene>;
+    /// The modes that are estimated.
+    modes: ModesScene;
+    /// The deformable mirror.
+    mirror: MirrorScene;
+    /// The turbulence.
+    turbulence: TurbulenceScene;
+    /// The wavefront sensor of the AO loop.
+    wavefront_sensor: Option<SensorScene>;
+    /// The control of the AO loop.
+    control: Option<ControlScene>;
+    /// How the modes are estimated.
+    estimate: EstimateScene;
+}
+
+/// One section in the table of all keys.
+struct SectionKeys {
+    name: &'static str,
+    about: &'static str,
+    keys: Vec<Key>,
+}
+
+/// A section as a field of [`Sections`]: one that is always there, from its defaults if need be, or an optional one.
+trait Entry: Sized {
+    fn listing() -> SectionKeys;
+    fn read_checked(source: Source, item: Option<&Item>) -> Result<Self>;
+}
+
+impl<S: Section + Check> Entry for S {
+    fn listing() -> SectionKeys {
+        SectionKeys { name: S::NAME, about: S::ABOUT, keys: S::keys() }
+    }
+
+    fn read_checked(source: Source, item: Option<&Item>) -> Result<Self> {
+        let reader = Reader { source, section: S::NAME, item };
+        let mut section = S::read(&reader)?;
+        section.check(&reader)?;
+        Ok(section)
+    }
+}
+
+impl<S: Section + Check> Entry for Option<S> {
+    fn listing() -> SectionKeys {
+        S::listing()
+    }
+
+    fn read_checked(source: Source, item: Option<&Item>) -> Result<Self> {
+        item.map(|item| S::read_checked(source, Some(item))).transpose()
+    }
+}
+
+/// The scenes that come with the program: name and text.
+const PRESETS: [(&str, &str); 2] = [
+    ("keck-artificial", include_str!("presets/keck-artificial.toml")),
+    ("keck-onsky", include_str!("presets/keck-onsky.toml")),
+];
+
+/// Names of the presets, in the order of [`PRESETS`].
+const PRESET_NAMES: [&str; PRESETS.len()] = {
+    let mut names = [""; PRESETS.len()];
+    let mut i = 0;
+    while i < PRESETS.len() {
+        names[i] = PRESETS[i].0;
+        i += 1;
+    }
+    names
+};
+
+/// Longest scene file that is read: a thousand times a preset, so a wrong file is refused before it fills the memory.
+const LONGEST_FILE_BYTES: u64 = 2 << 20;
+
+impl Scene {
+    /// Parses and validates a scene; the files that it names are looked for in `directory`.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] with the line, the key, its value and what is accepted.
+    pub fn from_text(text: &str, directory: &Path) -> Result<Self> {
+        Self::parse("scene", text, directory)
+    }
+
+    /// Reads a scene from a file; the files that it names are looked for beside it.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the file cannot be read as text, and as [`Scene::from_text`].
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let size = std::fs::metadata(path).map_err(|error| Error::file(path, error))?.len();
+        if size > LONGEST_FILE_BYTES {
+            let reason = format!("{size} bytes are too many for a scene; at most {LONGEST_FILE_BYTES} are accepted");
+            return Err(Error::file(path, reason));
+        }
+        let bytes = std::fs::read(path).map_err(|error| Error::file(path, error))?;
+        let text = std::str::from_utf8(&bytes)
+            .map_err(|error| Error::file(path, format_args!("not a text in UTF-8 (byte {})", error.valid_up_to())))?;
+        Self::parse(&path.display().to_string(), text, path.parent().unwrap_or(Path::new("")))
+    }
+
+    /// One of the scenes that come with the program; files that it is made to name are relative to the working directory.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for a name that is not in [`Scene::preset_names`].
+    pub fn preset(name: &str) -> Result<Self> {
+        Self::parse(name, Self::preset_text(name)?, Path::new(""))
+    }
+
+    /// The text of a preset.
+    ///
+    /// # Errors
+    /// As [`Scene::preset`].
+    pub fn preset_text(name: &str) -> Result<&'static str> {
+        PRESETS.iter().find(|(known, _)| *known == name).map(|(_, text)| *text).ok_or_else(|| {
+            let known = Self::preset_names().join(" and ");
+            Error::Scene(format!(
+                "no scene is called '{}', there are {known}{}",
+                shown(name),
+                suggestion(name, PRESET_NAMES)
+            ))
+        })
+    }
+
+    /// Names of the scenes that come with the program.
+    pub fn preset_names() -> &'static [&'static str] {
+        &PRESET_NAMES
+    }
+
+    /// The scene as TOML, comments and all.
+    pub fn text(&self) -> &str {
+        &self.content.text
+    }
+
+    /// What messages call the scene: its file or its preset.
+    pub fn name(&self) -> &str {
+        &self.content.name
+    }
+
+    /// Where the files are looked for that the scene names.
+    pub fn directory(&self) -> &Path {
+        &self.content.directory
+    }
+
+    /// Path of a file that the scene names: relative ones start at [`Scene::directory`].
+    pub fn resolve(&self, file: impl AsRef<Path>) -> PathBuf {
+        self.content.directory.join(file)
+    }
+
+    fn parse(name: &str, text: &str, directory: &Path) -> Result<Self> {
+        let source = Source { name, text };
+        let document = Document::parse(text).map_err(|error| {
+            let message = error.message().lines().collect::<Vec<_>>().join("; ");
+            Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))
+        })?;
+        refuse_unknown(source, document.as_table())?;
+        let sections = Sections::read(source, document.as_table())?;
+        sections.check_together(source, document.as_table())?;
+        let (text, name, directory) = (text.to_string(), name.to_string(), directory.to_path_buf());
+        Ok(Self { content: Arc::new(Content { sections, text, name, directory }) })
+    }
+}
+
+impl Deref for Scene {
+    type Target = Sections;
+
+    fn deref(&self) -> &Sections {
+        &self.content.sections
+    }
+}
+
+impl Sections {
+    /// Refuses sections that contradict each other.
+    fn check_together(&self, source: Source, document: &toml_edit::Table) -> Result<()> {
+        let reader = |section| Reader { source, section, item: document.get(section) };
+        let samples = self.pupil.samples;
+        if let Some(truth) = self.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples)
+            && truth < samples
+        {
+            let sentence = format!(
+                "aberrations.truth_samples = {truth} is not accepted; at least the estimator's pupil.samples = {samples} is needed"
+            );
+            return Err(reader("aberrations").error("truth_samples", sentence));
+        }
+        if self.control.is_some() && self.wavefront_sensor.is_none() {
+            let sentence = "[control] has nothing to work on; a section [wavefront_sensor] is needed";
+            return Err(reader("control").error("", sentence));
+        }
+        Ok(())
+    }
+}
+
+/// Refuses sections and keys that do not exist, and says what may have been meant.
+fn refuse_unknown(source: Source, document: &toml_edit::Table) -> Result<()> {
+    let sections = directory_of_keys();
+    for (name, item) in document.iter() {
+        let reader = |section| Reader { source, section, item: Some(item) };
+        let Some(section) = sections.iter().find(|section| section.name == name) else {
+            return Err(Error::Scene(format!(
+                "{}: {}",
+                place(source, document, name),
+                unknown_section(&sections, name)
+            )));
+        };
+        let Some(table) = item.as_table_like() else {
+            let at = place(source, document, name);
+            return Err(Error::Scene(format!("{at}: '{name}' is not a section; write [{name}] with its keys below")));
+        };
+        if let Some((key, _)) = table.iter().find(|(key, _)| section.keys.iter().all(|known| known.name != *key)) {
+            return Err(reader(section.name).error(key, unknown_key(&sections, section, key)));
+        }
+    }
+    Ok(())
+}
+
+/// Where an entry of the document stands.
+fn place(source: Source, document: &toml_edit::Table, name: &str) -> String {
+    source.at(document.get_key_value(name).and_then(|(key, item)| key.span().or_else(|| item.span())))
+}
+
+fn unknown_section(sections: &[SectionKeys], name: &str) -> String {
+    // A key above every header is the commoner slip than a section that nobody knows.
+    if let Some(home) = sections.iter().find(|section| section.keys.iter().any(|key| key.name == name)) {
+        return format!("'{}' stands outside its section; it belongs in [{}]", shown(name), home.name);
+    }
+    let names = || sections.iter().map(|section| section.name);
+    match nearest(name, names()) {
+        Some(_) => format!("unknown section '{}'{}", shown(name), suggestion(name, names())),
+        None => format!("unknown section '{}'; there are {}", shown(name), names().collect::<Vec<_>>().join(", ")),
+    }
+}
+
+fn unknown_key(sections: &[SectionKeys], section: &SectionKeys, key: &str) -> String {
+    let names = || section.keys.iter().map(|key| key.name);
+    let unknown = format!("unknown key '{}.{}'", section.name, shown(key));
+    if let Some(home) = sections.iter().find(|other| other.keys.iter().any(|known| known.name == key)) {
+        return format!("{unknown}; it belongs in [{}]", home.name);
+    }
+    match nearest(key, names()) {
+        Some(_) => unknown + &suggestion(key, names()),
+        None => format!("{unknown}; [{}] has {}", section.name, names().collect::<Vec<_>>().join(", ")),
+    }
+}
+
+/// `; did you mean 'x'?`, or nothing.
+fn suggestion<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) -> String {
+    nearest(word, known).map(|name| format!("; did you mean '{name}'?")).unwrap_or_default()
+}
+
+/// A key as a message shows it: TOML allows any text, of any length, in quotes.
+fn shown(key: &str) -> String {
+    key.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect()
+}

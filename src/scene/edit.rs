@@ -1,0 +1,112 @@
+//! Varying a scene: other values for some of its keys, with the comments kept.
+
+use super::{Scene, SectionKeys, directory_of_keys, unknown_key, unknown_section};
+use crate::{Error, Result};
+use toml_edit::{DocumentMut, Item, TableLike, Value};
+
+impl Scene {
+    /// This scene with other values: pairs of `section.key` and a value as TOML writes it, words and file names with or
+    /// without quotes; an empty value takes the key out of the scene. All pairs are set before anything is validated, so
+    /// `[("image.peak_snr", ""), ("image.flux_e", "1e6")]` replaces one by the other. The text follows, comments kept.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for a key that does not exist, or a value that the scene does not accept.
+    pub fn with(&self, settings: &[(&str, &str)]) -> Result<Self> {
+        let mut document: DocumentMut = self
+            .text()
+            .parse()
+            .map_err(|error| Error::Internal(format!("the text of a valid scene is no TOML: {error}")))?;
+        let sections = directory_of_keys();
+        for &(key, value) in settings {
+            let (section, name) = known_key(&sections, key)?;
+            set(&mut document, section, name, value.trim())?;
+        }
+        Self::parse(self.name(), &document.to_string(), self.directory())
+    }
+
+    /// [`Scene::with`] one other value.
+    ///
+    /// # Errors
+    /// As [`Scene::with`].
+    pub fn with_override(&self, key: &str, value: &str) -> Result<Self> {
+        self.with(&[(key, value)])
+    }
+}
+
+/// Splits `section.key=value`, as a command line gives it.
+///
+/// # Errors
+/// [`Error::Scene`] where there is no `=`.
+pub fn split_setting(setting: &str) -> Result<(&str, &str)> {
+    setting.split_once('=').map(|(key, value)| (key.trim(), value.trim())).ok_or_else(|| {
+        Error::Scene(format!(
+            "setting '{setting}' has no value; section.key=value is needed, such as image.peak_snr=50"
+        ))
+    })
+}
+
+/// Section and name of a dotted key that exists.
+fn known_key<'k>(sections: &[SectionKeys], key: &'k str) -> Result<(&'k str, &'k str)> {
+    let Some((section, name)) = key.split_once('.') else {
+        let home = sections.iter().find(|section| section.keys.iter().any(|known| known.name == key));
+        let example = home.map_or("image.peak_snr".into(), |home| format!("{}.{key}", home.name));
+        return Err(Error::Scene(format!(
+            "setting '{key}' names no section; section.key is needed, such as {example}"
+        )));
+    };
+    let Some(keys) = sections.iter().find(|known| known.name == section) else {
+        return Err(Error::Scene(format!("setting '{key}': {}", unknown_section(sections, section))));
+    };
+    if keys.keys.iter().all(|known| known.name != name) {
+        return Err(Error::Scene(format!("setting '{key}': {}", unknown_key(sections, keys, name))));
+    }
+    Ok((section, name))
+}
+
+fn set(document: &mut DocumentMut, section: &str, name: &str, value: &str) -> Result<()> {
+    let document = document.as_table_mut();
+    if value.is_empty() && !document.contains_key(section) {
+        return Ok(()); // nothing to take out, and an empty section would say more than none
+    }
+    let table = document.entry(section).or_insert_with(toml_edit::table);
+    let Some(table) = table.as_table_like_mut() else {
+        return Err(Error::Internal(format!("[{section}] of a valid scene is no section")));
+    };
+    if value.is_empty() {
+        table.remove(name);
+    } else {
+        replace(table, name, word_or_value(value));
+    }
+    Ok(())
+}
+
+/// Sets a value and keeps the blanks and the comment around the old one.
+fn replace(table: &mut dyn TableLike, name: &str, mut value: Value) {
+    match table.get_mut(name).and_then(Item::as_value_mut) {
+        Some(old) => {
+            *value.decor_mut() = old.decor().clone();
+            *old = value;
+        }
+        None => {
+            table.insert(name, Item::Value(value));
+        }
+    }
+}
+
+/// A value as TOML writes it; what is no TOML is a word without its quotes.
+fn word_or_value(text: &str) -> Value {
+    text.parse().unwrap_or_else(|_| Value::from(text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_need_no_quotes() {
+        assert_eq!(word_or_value("opencl:0:1").as_str(), Some("opencl:0:1"));
+        assert_eq!(word_or_value("\"kl\"").as_str(), Some("kl"));
+        assert_eq!(word_or_value("50").as_integer(), Some(50));
+        assert_eq!(word_or_value("[4, 18]").as_array().map(toml_edit::Array::len), Some(2));
+    }
+}

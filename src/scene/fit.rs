@@ -1,0 +1,78 @@
+//! `[modes]` and `[estimate]`: what is estimated, and how.
+
+use super::table::{Check, Reader, default, section, unset};
+use super::value::{ANY, above, between};
+use super::words::{
+    DeviceChoice, Method, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes, Weighting, Zernikes,
+};
+use crate::Result;
+use std::path::PathBuf;
+
+section! {
+    /// The modes that are estimated.
+    ModesScene = "modes" {
+        /// Motions of the segments; "none" unless named where modes come from a file.
+        segment: SegmentModes, ANY, default(SegmentModes::Piston);
+        /// Basis of the non-common path aberrations.
+        ncpa: NcpaBasis, ANY, default(NcpaBasis::Kl);
+        /// Modes of that basis; "zernike" counts from Noll 2.
+        ncpa_count: usize, between(1.0, 10_000.0), default(66usize);
+        /// FITS modes in place of a basis: image BASIS [mode, y, x] and table MODES (name, group).
+        file: Option<PathBuf>, ANY, unset("the basis, as ncpa says");
+        /// First and last Noll index of Zernikes added exactly to the NCPA group; [] unless named where ncpa = "none".
+        exact_zernikes: Zernikes, between(2.0, 1000.0), default(Zernikes::Span { first: 2, last: 21 });
+    }
+}
+
+impl Check for ModesScene {
+    fn check(&mut self, reader: &Reader) -> Result<()> {
+        if let Some(file) = &self.file {
+            reader.not_both("ncpa", "file")?;
+            reader.refuse(&["ncpa_count"], "where modes come from a file")?;
+            self.ncpa = NcpaBasis::File(file.clone());
+            if !reader.named("segment") {
+                self.segment = SegmentModes::None;
+            }
+        }
+        if self.ncpa == NcpaBasis::None {
+            if !reader.named("exact_zernikes") {
+                self.exact_zernikes = Zernikes::None;
+            }
+            if self.segment == SegmentModes::None && self.exact_zernikes == Zernikes::None {
+                let sentence = "modes.segment and modes.ncpa are both \"none\": nothing is left to estimate; name a basis for one of them";
+                return Err(reader.error("ncpa", sentence));
+            }
+        }
+        Ok(())
+    }
+}
+
+section! {
+    /// How the modes are estimated. What is unset follows from the optimizer's recipe.
+    EstimateScene = "estimate" {
+        /// The recipe: "bfgs" is the paper's method as a whole (hard-edged pupil, no exact_zernikes, no weights).
+        optimizer: Optimizer, ANY, default(Optimizer::GaussNewton);
+        /// Weight of each pixel.
+        weighting: Option<Weighting>, ANY, unset("as the recipe does");
+        /// Whether a constant background is fitted.
+        fit_background: Option<bool>, ANY, unset("as the recipe does");
+        /// Whether the star's flux is fitted; otherwise it is the sum of the image.
+        fit_flux: Option<bool>, ANY, unset("as the recipe does");
+        /// Whether the image is first moved to the optical axis.
+        recentre: Option<bool>, ANY, unset("as the recipe does");
+        /// The pixels that the fit compares.
+        sampling: Sampling, ANY, default(Sampling::Auto);
+        /// Most evaluations of the objective for one image.
+        max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
+        /// The fit stops where a step is shorter than this, RMS over the pupil.
+        step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("as the recipe does");
+        /// The estimator.
+        method: Method, ANY, default(Method::Modal);
+        /// Where it runs.
+        device: DeviceChoice, ANY, default(DeviceChoice::Auto);
+        /// Precision of the imaging chain.
+        precision: Precision, ANY, default(Precision::F64);
+    }
+}
+
+impl Check for EstimateScene {}

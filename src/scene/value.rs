@@ -1,0 +1,209 @@
+//! How the value of a key is read from TOML, checked against what the key accepts, and written back.
+
+use std::fmt::{self, Display};
+use std::path::PathBuf;
+use toml_edit::Value;
+
+/// Which numbers a key accepts; in a list, each item.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Range {
+    low: f64,
+    high: f64,
+    open_low: bool,
+    open_high: bool,
+    even: bool,
+}
+
+/// Every finite number, and every value of a key that is no number.
+pub(super) const ANY: Range =
+    Range { low: f64::NEG_INFINITY, high: f64::INFINITY, open_low: false, open_high: false, even: false };
+
+/// `low ≤ x ≤ high`.
+pub(super) const fn between(low: f64, high: f64) -> Range {
+    Range { low, high, ..ANY }
+}
+
+/// `low < x ≤ high`.
+pub(super) const fn above(low: f64, high: f64) -> Range {
+    Range { open_low: true, ..between(low, high) }
+}
+
+/// `low ≤ x < high`.
+pub(super) const fn below(low: f64, high: f64) -> Range {
+    Range { open_high: true, ..between(low, high) }
+}
+
+/// `low < x < high`.
+pub(super) const fn inside(low: f64, high: f64) -> Range {
+    Range { open_high: true, ..above(low, high) }
+}
+
+/// `x ≥ low`.
+pub(super) const fn at_least(low: f64) -> Range {
+    between(low, f64::INFINITY)
+}
+
+/// `low ≤ x ≤ high`, and even.
+pub(super) const fn even(low: f64, high: f64) -> Range {
+    Range { even: true, ..between(low, high) }
+}
+
+impl Range {
+    fn holds(&self, x: f64) -> bool {
+        x.is_finite()
+            && (if self.open_low { x > self.low } else { x >= self.low })
+            && (if self.open_high { x < self.high } else { x <= self.high })
+            && (!self.even || x % 2.0 == 0.0)
+    }
+}
+
+impl Display for Range {
+    /// The range in words, after a noun: ` from 0 to 1`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { open_low, open_high, .. } = *self;
+        let (low, high) = (brief(self.low), brief(self.high));
+        match (self.low.is_finite(), self.high.is_finite()) {
+            (false, false) => Ok(()),
+            (true, false) if open_low => write!(f, " above {low}"),
+            (true, false) => write!(f, " of {low} or more"),
+            (false, true) => write!(f, " of {high} or less"),
+            (true, true) => match (open_low, open_high) {
+                (false, false) => write!(f, " from {low} to {high}"),
+                (true, false) => write!(f, " above {low} and up to {high}"),
+                (true, true) => write!(f, " above {low} and below {high}"),
+                (false, true) => write!(f, " from {low} to below {high}"),
+            },
+        }
+    }
+}
+
+/// A bound without a row of zeros.
+fn brief(x: f64) -> String {
+    if x.abs() >= 1e6 { format!("{x:e}") } else { x.to_string() }
+}
+
+/// A type that the value of a key can have.
+pub(super) trait FromToml: Sized {
+    /// What is accepted, in words.
+    fn accepted(range: &Range) -> String;
+    /// The value, or `None` where it is not of this type or not in this range.
+    fn from_toml(value: &Value, range: &Range) -> Option<Self>;
+    /// As a scene would say it.
+    fn to_toml(&self) -> String;
+}
+
+/// The number that a TOML integer or float stands for: `4` is accepted where `4.0` is meant.
+fn number(value: &Value) -> Option<f64> {
+    value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
+}
+
+impl FromToml for f64 {
+    fn accepted(range: &Range) -> String {
+        format!("a number{range}")
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        number(value).filter(|&x| range.holds(x))
+    }
+    fn to_toml(&self) -> String {
+        format!("{self:?}")
+    }
+}
+
+impl FromToml for u64 {
+    fn accepted(range: &Range) -> String {
+        format!("{}{range}", if range.even { "an even integer" } else { "an integer" })
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        let integer = value.as_integer().filter(|&i| range.holds(i as f64))?;
+        u64::try_from(integer).ok()
+    }
+    fn to_toml(&self) -> String {
+        self.to_string()
+    }
+}
+
+impl FromToml for usize {
+    fn accepted(range: &Range) -> String {
+        u64::accepted(range)
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        usize::try_from(u64::from_toml(value, range)?).ok()
+    }
+    fn to_toml(&self) -> String {
+        self.to_string()
+    }
+}
+
+impl FromToml for bool {
+    fn accepted(_: &Range) -> String {
+        "true or false".into()
+    }
+    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
+        value.as_bool()
+    }
+    fn to_toml(&self) -> String {
+        self.to_string()
+    }
+}
+
+impl FromToml for PathBuf {
+    fn accepted(_: &Range) -> String {
+        "a file name in quotes, relative to the scene".into()
+    }
+    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
+        value.as_str().filter(|s| !s.trim().is_empty() && !s.contains('\0')).map(PathBuf::from)
+    }
+    fn to_toml(&self) -> String {
+        format!("{:?}", self.display().to_string())
+    }
+}
+
+impl FromToml for Vec<f64> {
+    fn accepted(range: &Range) -> String {
+        format!("a list of numbers{}", if range.low.is_finite() { format!(", each{range}") } else { String::new() })
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        value.as_array()?.iter().map(|item| f64::from_toml(item, range)).collect()
+    }
+    fn to_toml(&self) -> String {
+        format!("{self:?}")
+    }
+}
+
+impl<T: FromToml> FromToml for Option<T> {
+    fn accepted(range: &Range) -> String {
+        T::accepted(range)
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        T::from_toml(value, range).map(Some)
+    }
+    fn to_toml(&self) -> String {
+        self.as_ref().map_or_else(|| "unset".into(), T::to_toml)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_hold_what_their_words_say() {
+        assert!(between(0.0, 1.0).holds(0.0) && between(0.0, 1.0).holds(1.0));
+        assert!(!above(0.0, 1.0).holds(0.0) && above(0.0, 1.0).holds(1.0));
+        assert!(!inside(0.0, 1.0).holds(1.0) && inside(0.0, 1.0).holds(0.5));
+        assert!(!even(8.0, 12.0).holds(9.0) && even(8.0, 12.0).holds(10.0));
+        assert!(!ANY.holds(f64::NAN) && !ANY.holds(f64::INFINITY) && ANY.holds(-1e300));
+        assert_eq!(f64::accepted(&above(0.0, 1.0)), "a number above 0 and up to 1");
+        assert_eq!(usize::accepted(&even(8.0, 12.0)), "an even integer from 8 to 12");
+        assert_eq!(f64::accepted(&at_least(0.0)), "a number of 0 or more");
+    }
+
+    #[test]
+    fn an_integer_is_a_float_but_not_the_other_way_round() {
+        let (four, four_point) = (Value::from(4), Value::from(4.0));
+        assert_eq!(f64::from_toml(&four, &ANY), Some(4.0));
+        assert_eq!(usize::from_toml(&four, &ANY), Some(4));
+        assert_eq!(usize::from_toml(&four_point, &ANY), None);
+        assert_eq!(usize::from_toml(&Value::from(-4), &ANY), None);
+    }
+}

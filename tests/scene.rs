@@ -1,0 +1,402 @@
+//! Scenes: what is accepted, what is refused and in which words, and that no text makes the parser panic.
+
+use cophase::Error;
+use cophase::scene::*;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::path::{Path, PathBuf};
+
+/// A scene where everything comes from files.
+const FROM_FILES: &str = r#"
+[pupil]
+file    = "pupil.fits"     # relative to this file
+grid_m  = 10.95
+
+[image]
+wavelength_nm = 2168.6
+samples_per_lambda_over_d = 2
+pixels  = 240
+diversity_file = "diversity.fits"
+read_noise_e = 120.0
+
+[modes]
+file    = "modes.fits"
+"#;
+
+/// Other values for keys, as `Scene::with` takes them.
+type Settings<'a> = &'a [(&'a str, &'a str)];
+
+const SMALLEST: &str = "[image]\nwavelength_nm = 2000\npixels = 240\n";
+
+fn parse(text: &str) -> cophase::Result<Scene> {
+    Scene::from_text(text, Path::new("/scenes"))
+}
+
+/// The message of a refusal, after checks that hold for each: status 1, one line, not empty.
+#[track_caller]
+fn refusal(text: &str) -> String {
+    let error = parse(text).expect_err("the text should be refused");
+    assert!(matches!(error, Error::Scene(_)) && error.status() == 1, "{error:?}");
+    let message = error.to_string();
+    assert!(!message.is_empty() && !message.contains('\n'), "{message:?}");
+    message
+}
+
+/// The message of a preset with other values.
+#[track_caller]
+fn refused_setting(preset: &str, settings: Settings) -> String {
+    Scene::preset(preset).unwrap().with(settings).expect_err("the setting should be refused").to_string()
+}
+
+#[test]
+fn the_presets_say_what_they_say() {
+    assert_eq!(Scene::preset_names(), ["keck-artificial", "keck-onsky"]);
+    let scene = Scene::preset("keck-artificial").unwrap();
+    assert_eq!(scene.pupil.aperture, Aperture::Keck);
+    assert_eq!(scene.pupil.grid_m, Some(10.95));
+    assert_eq!(scene.pupil.model, Some(PupilModel::BandLimited));
+    assert!(!scene.pupil.central_segment);
+    assert_eq!((scene.image.pixels, scene.image.samples_per_lambda_over_d), (480, 4.0));
+    assert_eq!((scene.image.peak_snr, scene.image.flux_e), (Some(500.0), None));
+    let aberrations = scene.aberrations.as_ref().unwrap();
+    assert_eq!(aberrations.ncpa_zernikes, Zernikes::Span { first: 4, last: 18 });
+    assert_eq!(aberrations.truth_samples, Some(960));
+    assert_eq!((&scene.modes.segment, &scene.modes.ncpa), (&SegmentModes::Piston, &NcpaBasis::Kl));
+    assert_eq!(scene.modes.exact_zernikes.indices(), 2..22);
+    assert!(scene.control.is_none() && scene.wavefront_sensor.is_none() && scene.turbulence.fractions.is_empty());
+
+    let scene = Scene::preset("keck-onsky").unwrap();
+    assert_eq!((scene.image.count, scene.image.interval_s), (200, 0.3));
+    assert_eq!(scene.turbulence.fractions.len(), 7);
+    let control = scene.control.as_ref().unwrap();
+    assert_eq!((control.r#loop, control.filtered_modes, control.leak), (Loop::Closed, Some(2), 0.0));
+    assert_eq!(scene.wavefront_sensor.as_ref().unwrap().mask, SensorMask::None);
+    assert_eq!(scene.mirror.stroke_limit_nm, None);
+}
+
+#[test]
+fn everything_may_come_from_files() {
+    let scene = parse(FROM_FILES).unwrap();
+    assert_eq!(scene.pupil.aperture, Aperture::File("pupil.fits".into()));
+    assert_eq!((scene.pupil.model, scene.pupil.extent_m()), (None, None));
+    assert_eq!(scene.modes.ncpa, NcpaBasis::File("modes.fits".into()));
+    assert_eq!(scene.modes.segment, SegmentModes::None);
+    assert_eq!(scene.image.diversity_focus_waves_rms, 0.0);
+    assert_eq!(scene.resolve("pupil.fits"), PathBuf::from("/scenes/pupil.fits"));
+    assert_eq!(scene.resolve("/data/pupil.fits"), PathBuf::from("/data/pupil.fits"));
+    assert!(scene.aberrations.is_none());
+    assert_eq!(scene.text(), FROM_FILES);
+}
+
+#[test]
+fn defaults_fill_in_what_a_scene_leaves_out() {
+    let scene = parse(SMALLEST).unwrap();
+    assert_eq!((scene.image.samples_per_lambda_over_d, scene.image.diversity_focus_waves_rms), (2.0, 1.5));
+    assert_eq!((scene.image.peak_snr, scene.image.crop_pixels, scene.image.count), (Some(500.0), Crop::Auto, 1));
+    assert_eq!((scene.pupil.samples, scene.pupil.grid_m), (120, None));
+    assert_eq!((scene.estimate.optimizer, scene.estimate.weighting), (Optimizer::GaussNewton, None));
+    assert_eq!((scene.estimate.device, scene.estimate.precision), (DeviceChoice::Auto, Precision::F64));
+    assert!(parse(&format!("{SMALLEST}[pupil]\naperture = \"hexagonal\"")).unwrap().pupil.central_segment);
+    let flux = parse(&format!("{SMALLEST}flux_e = 1e6")).unwrap();
+    assert_eq!((flux.image.peak_snr, flux.image.flux_e), (None, Some(1e6)));
+}
+
+#[test]
+fn the_extent_of_the_keck_pupil() {
+    let mut text = format!("{SMALLEST}[pupil]\nrings = 3\nsegment_side_m = 0.9\nsegment_gap_m = 0.003\n");
+    // By hand: 3 rings of centres √3·0.9 + 0.003 = 1.5618457 m apart along y, and half a hexagon's height, 0.7794229 m,
+    // on either side: 2·(3·1.5618457 + 0.7794229) = 10.9299200; along x it is 2·(3·1.5618457·0.8660254 + 0.9) = 9.9155.
+    let extent_m = parse(&text).unwrap().pupil.extent_m().unwrap();
+    assert!((extent_m - 10.929_920_0).abs() < 2e-7, "{extent_m}"); // seven decimals above
+    text += "grid_m = 10.92";
+    let message = refusal(&text);
+    assert_eq!(
+        message,
+        "scene line 8: pupil.grid_m = 10.92 is not accepted; 3 rings of hexagons of side 0.9 m are 10.9299 m across and need a grid that holds them"
+    );
+    // One hexagon is widest along x.
+    let one = parse(&format!("{SMALLEST}[pupil]\nrings = 0\ncentral_segment = true\nsegment_side_m = 2")).unwrap();
+    assert_eq!(one.pupil.extent_m(), Some(4.0));
+}
+
+#[test]
+fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
+    let cases = [
+        (
+            "[image]\nwavelenght_nm = 2000",
+            "scene line 2: unknown key 'image.wavelenght_nm'; did you mean 'wavelength_nm'?",
+        ),
+        ("\n[imag]\npixels = 2", "scene line 2: unknown section 'imag'; did you mean 'image'?"),
+        ("pixels = 2", "scene line 1: 'pixels' stands outside its section; it belongs in [image]"),
+        ("[pupil]\npixels = 2", "scene line 2: unknown key 'pupil.pixels'; it belongs in [image]"),
+        ("[[image]]\npixels = 2", "scene line 1: 'image' is not a section; write [image] with its keys below"),
+        (
+            "[image]\npixels = 240",
+            "scene line 1: 'image.wavelength_nm' is missing; a number from 100 to 100000 is needed",
+        ),
+        (
+            "[image]\nwavelength_nm = \"K\"\npixels = 240",
+            "scene line 2: image.wavelength_nm = \"K\" is not accepted; a number from 100 to 100000 is needed",
+        ),
+        (
+            "[image]\nwavelength_nm = 2000\npixels = 241",
+            "scene line 3: image.pixels = 241 is not accepted; an even integer from 8 to 8192 is needed",
+        ),
+        (
+            "[image]\nwavelength_nm = 2000\npixels = 240.0",
+            "scene line 3: image.pixels = 240.0 is not accepted; an even integer from 8 to 8192 is needed",
+        ),
+        (
+            "[image]\nwavelength_nm = nan\npixels = 240",
+            "scene line 2: image.wavelength_nm = nan is not accepted; a number from 100 to 100000 is needed",
+        ),
+        (
+            "[modes]\nncpa = \"zernikes\"\n[image]\nwavelength_nm = 2000\npixels = 240",
+            "scene line 2: modes.ncpa = \"zernikes\" is not accepted; \"kl\", \"zernike\" or \"none\" is needed",
+        ),
+        (
+            "[estimate]\nmethod = \"full-phase\"\n[image]\nwavelength_nm = 2000\npixels = 240",
+            "scene line 2: estimate.method = \"full-phase\" is not accepted; \"modal\" (\"full-phase\" is not available in this version) is needed",
+        ),
+    ];
+    for (text, message) in cases {
+        assert_eq!(refusal(text), message);
+    }
+    for broken in ["[image]\npixels = 2\npixels = 4", "[image]\npixels = ", "[image]\n[pupil]\n[image]"] {
+        let message = refusal(broken);
+        let line = broken.lines().count();
+        assert!(message.starts_with(&format!("scene line {line}: not TOML: ")), "{message}");
+    }
+}
+
+#[test]
+fn contradictions_are_refused() {
+    let cases: [(&str, Settings, &str); 26] = [
+        ("keck-artificial", &[("image.flux_e", "1e6")], "'image.peak_snr' and 'image.flux_e' are both given"),
+        ("keck-artificial", &[("image.diversity_file", "d.fits")], "'image.diversity_file' are both given"),
+        ("keck-artificial", &[("image.crop_pixels", "482")], "image.crop_pixels = 482"),
+        ("keck-artificial", &[("image.crop_pixels", "95")], "\"auto\" or an even integer"),
+        ("keck-onsky", &[("image.interval_s", "0.001")], "image.interval_s = 0.001"),
+        ("keck-artificial", &[("pupil.file", "p.fits")], "'pupil.aperture' and 'pupil.file' are both given"),
+        ("keck-artificial", &[("pupil.file", "p.fits"), ("pupil.aperture", "")], "'pupil.rings' has no meaning"),
+        ("keck-artificial", &[("pupil.segment_side_m", "0")], "pupil.segment_side_m = 0"),
+        ("keck-artificial", &[("pupil.segment_side_m", "-1")], "a number above 0"),
+        ("keck-artificial", &[("pupil.segment_gap_m", "0.9")], "less than segment_side_m = 0.9"),
+        ("keck-artificial", &[("pupil.rings", "4")], "14.05"),
+        ("keck-artificial", &[("pupil.rings", "0")], "leaves no segment"),
+        ("keck-artificial", &[("pupil.central_obscuration_m", "11")], "hides the whole pupil"),
+        ("keck-artificial", &[("pupil.band_pass_cycles", "60")], "less than half of samples = 120"),
+        (
+            "keck-artificial",
+            &[("pupil.band_pass_cycles", "50"), ("pupil.band_stop_cycles", "40")],
+            "band_stop_cycles = 40",
+        ),
+        ("keck-artificial", &[("pupil.band_pass_cycles", "50"), ("pupil.model", "area")], "is not \"band-limited\""),
+        ("keck-artificial", &[("aberrations.truth_samples", "100")], "pupil.samples = 120"),
+        ("keck-artificial", &[("aberrations.ncpa_zernikes", "[18, 4]")], "first not after last"),
+        ("keck-artificial", &[("aberrations.ncpa_zernikes", "[0, 4]")], "ncpa_zernikes = [0, 4]"),
+        ("keck-artificial", &[("aberrations.ncpa_file", "n.fits")], "'aberrations.ncpa_rms_nm' has no meaning"),
+        ("keck-artificial", &[("modes.ncpa", "none"), ("modes.segment", "none")], "nothing is left to estimate"),
+        ("keck-artificial", &[("mirror.coupling", "1")], "above 0 and below 1"),
+        (
+            "keck-onsky",
+            &[("turbulence.wind_m_s", "[6.8]")],
+            "turbulence.wind_m_s has 1 values but turbulence.fractions has 7",
+        ),
+        ("keck-onsky", &[("turbulence.fractions", "[0.5, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05]")], "sum to 0.9500"),
+        ("keck-onsky", &[("control.condition_number", "300")], "'control.condition_number' are both given"),
+        ("keck-artificial", &[("control.gain", "0.2")], "a section [wavefront_sensor] is needed"),
+    ];
+    for (preset, settings, part) in cases {
+        let message = refused_setting(preset, settings);
+        assert!(
+            message.contains(part) && message.starts_with(preset) && !message.contains('\n'),
+            "{settings:?}: {message}"
+        );
+    }
+    assert!(
+        refusal("[pupil]\nfile = \"p.fits\"\n[image]\nwavelength_nm = 2000\npixels = 8")
+            .contains("'pupil.grid_m' is missing")
+    );
+}
+
+#[test]
+fn a_scene_varies_by_overrides_and_its_text_follows() {
+    let scene = Scene::preset("keck-artificial").unwrap();
+    let varied = scene
+        .with(&[
+            ("image.peak_snr", ""),
+            ("image.flux_e", "1e6"),
+            ("modes.ncpa", "zernike"),
+            ("modes.exact_zernikes", "none"),
+            ("estimate.device", "opencl:0:1"),
+            ("estimate.optimizer", "\"bfgs\""),
+        ])
+        .unwrap();
+    assert_eq!((varied.image.peak_snr, varied.image.flux_e), (None, Some(1e6)));
+    assert_eq!((&varied.modes.ncpa, varied.modes.exact_zernikes), (&NcpaBasis::Zernike, Zernikes::None));
+    assert_eq!(varied.estimate.device, DeviceChoice::OpenClDevice { platform: 0, device: 1 });
+    assert_eq!(varied.estimate.optimizer, Optimizer::Bfgs);
+    assert!(varied.text().contains("wavelength_nm = 2168.6     # Br gamma"), "comments are kept");
+    assert_eq!(*parse(varied.text()).unwrap(), *varied, "the text says what the scene is");
+    assert_eq!(scene.image.peak_snr, Some(500.0), "the first scene is as it was");
+
+    // Taking a key out of a section that is not there changes nothing.
+    assert_eq!(scene.with_override("control.gain", "").unwrap().text(), scene.text());
+
+    // Every way to write a section can be overridden.
+    for text in ["image = {wavelength_nm = 2000, pixels = 240}", "image.wavelength_nm = 2000\nimage.pixels = 240"] {
+        assert_eq!(parse(text).unwrap().with_override("image.pixels", "96").unwrap().image.pixels, 96);
+    }
+}
+
+#[test]
+fn settings_that_name_nothing_are_refused() {
+    assert_eq!(split_setting("image.peak_snr = 50").unwrap(), ("image.peak_snr", "50"));
+    assert!(split_setting("image.peak_snr").is_err());
+    let cases = [
+        ("peak_snr", "setting 'peak_snr' names no section; section.key is needed, such as image.peak_snr"),
+        ("image.peak_sn", "setting 'image.peak_sn': unknown key 'image.peak_sn'; did you mean 'peak_snr'?"),
+        ("images.pixels", "setting 'images.pixels': unknown section 'images'; did you mean 'image'?"),
+    ];
+    for (key, message) in cases {
+        assert_eq!(refused_setting("keck-artificial", &[(key, "1")]), message);
+    }
+    let error = Scene::preset("keck-onski").unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "no scene is called 'keck-onski', there are keck-artificial and keck-onsky; did you mean 'keck-onsky'?"
+    );
+}
+
+#[test]
+fn files_are_read_beside_the_scene_or_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mine.toml");
+    std::fs::write(&path, FROM_FILES).unwrap();
+    let scene = Scene::from_file(&path).unwrap();
+    assert_eq!(scene.resolve("pupil.fits"), folder.path().join("pupil.fits"));
+
+    std::fs::write(&path, "[image]\nmodes = 3").unwrap();
+    let message = Scene::from_file(&path).unwrap_err().to_string();
+    assert!(message.contains("mine.toml line 2: unknown key 'image.modes'"), "{message}");
+
+    std::fs::write(&path, b"[image]\n\xff").unwrap();
+    let message = Scene::from_file(&path).unwrap_err().to_string();
+    assert!(message.ends_with("mine.toml: not a text in UTF-8 (byte 8)"), "{message}");
+    assert_eq!(Scene::from_file(folder.path().join("absent.toml")).unwrap_err().status(), 2);
+    assert_eq!(Scene::from_file(folder.path()).unwrap_err().status(), 2, "a folder is no scene");
+}
+
+#[test]
+fn devices_are_read_alike_everywhere() {
+    assert_eq!("opencl".parse::<DeviceChoice>().unwrap(), DeviceChoice::OpenCl);
+    for word in
+        ["", "gpu", "opencl:", "opencl:0", "opencl:0:", "opencl:+1:0", "opencl:0:1:2", "opencl:99999999999999999999:0"]
+    {
+        assert!(word.parse::<DeviceChoice>().is_err(), "{word}");
+    }
+}
+
+#[test]
+fn the_reference_describes_every_key_of_the_presets() {
+    let reference = reference();
+    for line in Scene::preset_names().iter().flat_map(|name| Scene::preset_text(name).unwrap().lines()) {
+        if let Some((key, _)) =
+            line.split_once(" = ").or_else(|| line.split_once("= ")).filter(|_| !line.starts_with('#'))
+        {
+            let key = key.trim().trim_end_matches('=').trim_end();
+            assert!(
+                reference.lines().any(|l| l.starts_with(&format!("  {key}:")) || l.starts_with(&format!("  {key} ("))),
+                "{key}"
+            );
+        }
+    }
+    assert!(reference.contains("[wavefront_sensor]") && reference.contains("default: none, it is required"));
+}
+
+/// One random change to a text: bytes deleted, replaced or inserted, lines deleted, doubled or swapped.
+fn mutate(text: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
+    const FRAGMENTS: [&[u8]; 14] = [
+        b"=",
+        b"\"",
+        b"[",
+        b"]",
+        b"\n",
+        b"{",
+        b"}",
+        b".",
+        b"-",
+        b"nan",
+        b"1e999",
+        b"9223372036854775807",
+        b"'''",
+        "π".as_bytes(),
+    ];
+    if text.is_empty() {
+        return text.extend(FRAGMENTS[rng.random_range(0..FRAGMENTS.len())]);
+    }
+    let at = rng.random_range(0..text.len());
+    match rng.random_range(0..6) {
+        0 => drop(text.drain(at..(at + rng.random_range(1..8)).min(text.len()))),
+        1 => text[at] = (rng.next_u32() & 0x7f) as u8,
+        2 => drop(text.splice(at..at, FRAGMENTS[rng.random_range(0..FRAGMENTS.len())].iter().copied())),
+        kind => {
+            let mut lines: Vec<Vec<u8>> = text.split(|&b| b == b'\n').map(<[u8]>::to_vec).collect();
+            let (one, other) = (rng.random_range(0..lines.len()), rng.random_range(0..lines.len()));
+            match kind {
+                3 => drop(lines.remove(one)),
+                4 => lines.insert(other, lines[one].clone()),
+                _ => lines.swap(one, other),
+            }
+            *text = lines.join(&b'\n');
+        }
+    }
+}
+
+#[test]
+fn no_text_makes_the_parser_panic() {
+    let mut rng = ChaCha8Rng::seed_from_u64(20);
+    let (mut accepted, mut refused) = (0, 0);
+    for round in 0..6000 {
+        let seed =
+            [Scene::preset_text("keck-artificial").unwrap(), Scene::preset_text("keck-onsky").unwrap(), FROM_FILES]
+                [round % 3];
+        let mut text = seed.as_bytes().to_vec();
+        for _ in 0..rng.random_range(1..6) {
+            mutate(&mut text, &mut rng);
+        }
+        let text = String::from_utf8_lossy(&text);
+        match parse(&text) {
+            Ok(scene) => {
+                accepted += 1;
+                // A scene that is accepted can be varied, and keeps saying what it is.
+                let again =
+                    scene.with(&[("image.read_noise_e", "7")]).unwrap_or_else(|error| panic!("{error}\n{text}"));
+                assert_eq!(again.image.read_noise_e, 7.0);
+            }
+            Err(error) => {
+                refused += 1;
+                let message = error.to_string();
+                assert!(
+                    matches!(error, Error::Scene(_)) && !message.contains('\n') && message.len() < 1200,
+                    "{message}"
+                );
+            }
+        }
+    }
+    // The mutations are mild enough to reach the checks behind the parser, and wild enough to be refused.
+    assert!(accepted > 500 && refused > 500, "{accepted} accepted, {refused} refused");
+}
+
+#[test]
+fn depth_and_length_do_not_hurt() {
+    for text in [
+        "[".repeat(100_000),
+        format!("a = {}", "[".repeat(100_000)),
+        format!("a{} = 1", ".a".repeat(100_000)),
+        "{".repeat(9_999),
+    ] {
+        refusal(&text);
+    }
+}
