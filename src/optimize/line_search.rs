@@ -99,10 +99,8 @@ impl LineSearch {
     pub fn tell(&mut self, value: f64, slope: f64) -> Verdict {
         let here = Sample { alpha: self.alpha, value, slope };
         let finite = value.is_finite() && slope.is_finite();
-        if let Some(kept) = self.kept {
-            if !finite || value >= kept.value {
-                return Verdict::AcceptKept;
-            }
+        if self.kept.is_some_and(|kept| !finite || value >= kept.value) {
+            return Verdict::AcceptKept;
         }
         if !finite {
             return self.halve();

@@ -44,7 +44,7 @@ impl Metric {
         let (values, vectors) = (eigen.S().column_vector(), eigen.U());
         // In ascending order.
         let (smallest, largest) = (values[0], values[n - 1]);
-        if !(largest > 0.0) {
+        if largest.is_nan() || largest <= 0.0 {
             return Err(Error::Value(format!(
                 "the Gauss-Newton matrix has {largest:e} as its largest eigenvalue where a positive number is needed"
             )));
@@ -141,4 +141,49 @@ fn check(matrix: &Array2<f64>, relative_floor: f64) -> Result<usize> {
         }
     }
     Ok(rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whitening_makes_the_gauss_newton_matrix_the_identity() {
+        // Hilbert's matrix of order 4: eigenvalues from 1e-4 to 1.5.
+        let n = 4;
+        let h = Array2::from_shape_fn((n, n), |(i, j)| 1.0 / (i + j + 1) as f64);
+        let metric = Metric::from_gauss_newton(&h, 1e-12).unwrap();
+        assert_eq!((metric.rank(), metric.null_directions().nrows()), (n, 0));
+        let mut columns = Vec::new();
+        for k in 0..metric.rank() {
+            let z: Vec<f64> = (0..metric.rank()).map(|i| f64::from(u8::from(i == k))).collect();
+            let mut x = vec![0.0; n];
+            metric.to_x(&z, &mut x);
+            columns.push(ndarray::Array1::from(x));
+        }
+        for (i, a) in columns.iter().enumerate() {
+            let image = h.dot(a);
+            let mut z = vec![0.0; metric.rank()];
+            // gradient_to_z is the transpose of to_x, so this is column i of Tᵀ H T.
+            metric.gradient_to_z(image.as_slice().unwrap(), &mut z);
+            for (j, b) in columns.iter().enumerate() {
+                let expected = f64::from(u8::from(i == j));
+                // Eigenvalues down to 1e-4 of the largest are good to some 1e-15/1e-4; a hundred times that.
+                assert!((image.dot(b) - expected).abs() < 1e-9, "[{i}, {j}]: {}", image.dot(b));
+                assert!((z[j] - image.dot(b)).abs() < 1e-12, "{} {}", z[j], image.dot(b));
+            }
+        }
+    }
+
+    #[test]
+    fn a_matrix_that_is_no_gauss_newton_matrix_is_refused_with_a_sentence() {
+        let message = |h: Array2<f64>, floor: f64| Metric::from_gauss_newton(&h, floor).unwrap_err().to_string();
+        assert!(message(Array2::zeros((2, 3)), 1e-12).contains("2 by 3"));
+        assert!(message(Array2::zeros((0, 0)), 1e-12).contains("0 by 0"));
+        assert!(message(Array2::zeros((2, 2)), 1e-12).contains("largest eigenvalue"));
+        assert!(message(Array2::eye(2), 0.0).contains("between 0 and 1"));
+        assert!(message(Array2::from_diag_elem(2, f64::NAN), 1e-12).contains("[0, 0]"));
+        assert!(message(ndarray::array![[1.0, 2.0], [2.0, 1.0]], 1e-12).contains("eigenvalue -1"));
+        assert!(message(ndarray::array![[1.0, 0.5], [0.0, 1.0]], 1e-12).contains("[1, 0]"));
+    }
 }

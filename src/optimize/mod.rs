@@ -12,13 +12,19 @@ mod metric;
 mod pairs;
 mod quasi_newton;
 mod reference;
+mod settings;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 pub use metric::Metric;
-pub use quasi_newton::{Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Scaling, Settings, minimize};
+pub use quasi_newton::{Progress, QuasiNewton, minimize};
 pub use reference::{ArgminBfgs, argmin_bfgs};
+pub use settings::{RESOLUTION_F32, RESOLUTION_F64, Scaling, Settings};
+
+/// A function to minimise: at a point, its value and its gradient. Values that are not finite are allowed; an error ends
+/// the run.
+pub type Objective<'a> = dyn FnMut(&[f64]) -> crate::Result<(f64, Vec<f64>)> + 'a;
 
 /// A flag that whoever waits may raise; it is read once per evaluation.
 pub type CancelFlag = Arc<AtomicBool>;

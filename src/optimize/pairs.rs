@@ -55,7 +55,7 @@ impl Pairs {
             y[i] = after[i] - before[i];
         }
         let curvature = dot(s, y);
-        if !(curvature > LEAST_COSINE * (dot(s, s) * dot(y, y)).sqrt()) {
+        if curvature.is_nan() || curvature <= LEAST_COSINE * (dot(s, s) * dot(y, y)).sqrt() {
             return;
         }
         self.rho[self.head] = 1.0 / curvature;

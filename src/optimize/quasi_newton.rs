@@ -2,97 +2,13 @@
 
 use super::line_search::{LineSearch, Verdict};
 use super::pairs::{Pairs, dot};
-use super::{CancelFlag, Metric, Outcome, StopReason, is_cancelled};
+use super::settings::{Scaling, Settings};
+use super::{Metric, Objective, Outcome, StopReason, is_cancelled};
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// [`Settings::resolution`] of a sum of about a million terms in f64, accumulated in blocks: some 50 roundings.
-pub const RESOLUTION_F64: f64 = 1e-14;
-/// [`Settings::resolution`] of a sum of squares whose terms come from f32 transforms: some 10 roundings.
-pub const RESOLUTION_F32: f64 = 1e-6;
-
 /// Inverse curvature of J = Σ w r² in coordinates whitened by its Gauss-Newton matrix: the Hessian is 2·I.
 const WHITENED: f64 = 0.5;
-
-/// What stands in for the Hessian in directions that no pair has explored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Scaling {
-    /// The metric's own: 2·I in whitened coordinates. Falls back on [`Adaptive`](Self::Adaptive) where the metric is
-    /// the identity.
-    Metric,
-    /// s·y / y·y of the newest pair.
-    #[default]
-    Adaptive,
-}
-
-/// When to stop, and how far to trust the model.
-#[derive(Debug, Clone)]
-pub struct Settings {
-    /// Evaluations of objective and gradient, in all, over restarts too; at least 1.
-    pub max_evaluations: usize,
-    /// Stop when the largest |component| of the proposed step, in the caller's units, is below this; 0 turns it off.
-    pub step_tolerance: f64,
-    /// Stop when the predicted decrease −g·d/2 (half the squared Newton decrement) is below this, in the units of
-    /// the objective; 0 turns it off. For a χ² one unit is one standard deviation along one direction.
-    pub decrement_tolerance: f64,
-    /// The same, as a fraction of |f|; 0 turns it off.
-    pub relative_decrement_tolerance: f64,
-    /// Pairs that L-BFGS remembers; 0 is steepest descent in whitened coordinates.
-    pub memory: usize,
-    /// Smallest change of the objective that means something, as a fraction of |f|: [`RESOLUTION_F64`],
-    /// [`RESOLUTION_F32`].
-    pub resolution: f64,
-    /// The same as a number in the units of the objective, added to the former: for objectives that fall to zero.
-    pub resolution_floor: f64,
-    /// Largest |component|, in the caller's units, of the displacement from one accepted point to any point evaluated
-    /// on the way to the next; infinite for no bound.
-    pub max_step: f64,
-    /// The Hessian in unexplored directions.
-    pub scaling: Scaling,
-    /// Read once per evaluation.
-    pub cancel: Option<CancelFlag>,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        Settings {
-            max_evaluations: 200,
-            step_tolerance: 0.0,
-            decrement_tolerance: 0.0,
-            relative_decrement_tolerance: 1e-10,
-            memory: 20,
-            resolution: RESOLUTION_F64,
-            resolution_floor: 0.0,
-            max_step: f64::INFINITY,
-            scaling: Scaling::default(),
-            cancel: None,
-        }
-    }
-}
-
-impl Settings {
-    /// # Errors
-    /// [`Error::Value`] for the first setting out of range.
-    fn check(&self) -> Result<()> {
-        if self.max_evaluations == 0 {
-            return Err(Error::Value("max_evaluations is 0, where 1 or more is needed".into()));
-        }
-        let non_negative = [
-            ("step_tolerance", self.step_tolerance),
-            ("decrement_tolerance", self.decrement_tolerance),
-            ("relative_decrement_tolerance", self.relative_decrement_tolerance),
-            ("resolution", self.resolution),
-            ("resolution_floor", self.resolution_floor),
-        ];
-        if let Some((name, value)) = non_negative.iter().find(|(_, v)| !(*v >= 0.0 && v.is_finite())) {
-            return Err(Error::Value(format!("{name} is {value}, where a finite number of 0 or more is needed")));
-        }
-        if !(self.max_step > 0.0) {
-            return Err(Error::Value(format!("max_step is {}, where a positive number is needed", self.max_step)));
-        }
-        Ok(())
-    }
-}
 
 /// Whether to go on asking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -163,8 +79,7 @@ impl QuasiNewton {
             kept_f: f64::NAN,
             kept_gradient_x: vec![0.0; n],
             kept_gradient_z: vec![0.0; rank],
-            // More pairs than directions would repeat themselves.
-            pairs: Pairs::new(rank, settings.memory.min(rank)),
+            pairs: Pairs::new(rank, settings.memory),
             search: LineSearch::new(f64::NAN, f64::NAN, 0.0, 0.0, 0.0, false),
             phase: Phase::Anchor,
             forgot: false,
@@ -280,17 +195,18 @@ impl QuasiNewton {
     /// Finds the direction from the iterate and sets its first point; the reason, if there is nothing to follow.
     fn follow_new_direction(&mut self) -> Option<StopReason> {
         let mut slope = self.find_direction();
-        if !(slope < 0.0) && !self.pairs.is_empty() {
+        // A memory that overflows or does not point down is worth nothing.
+        if !self.pairs.is_empty() && (!slope.is_finite() || slope >= 0.0) {
             self.pairs.clear();
             slope = self.find_direction();
-        }
-        if !(slope < 0.0) {
-            // Without memory −g·g/2 is zero only where the gradient is (or where its square underflows).
-            return Some(StopReason::DecrementBelowTolerance);
         }
         let step = self.direction_x.iter().fold(0.0_f64, |m, d| m.max(d.abs()));
         if !(slope.is_finite() && step.is_finite()) {
             return Some(StopReason::NotFinite);
+        }
+        if slope >= 0.0 {
+            // Without memory the slope is zero only where the gradient is (or where its square underflows).
+            return Some(StopReason::DecrementBelowTolerance);
         }
         let decrease = -0.5 * slope;
         let scale = self.outcome.f.abs();
@@ -325,9 +241,11 @@ impl QuasiNewton {
             Scaling::Metric => own.or(seen),
             Scaling::Adaptive => seen.or(own),
         };
-        // Where nothing is known of the curvature: a step of length one, from which the line search learns.
-        let inverse_curvature =
-            inverse_curvature.unwrap_or_else(|| 1.0 / dot(&self.gradient_z, &self.gradient_z).sqrt());
+        let inverse_curvature = inverse_curvature.unwrap_or_else(|| {
+            // Where nothing is known of the curvature: a step of length one, from which the line search learns.
+            let norm = dot(&self.gradient_z, &self.gradient_z).sqrt();
+            if norm > 0.0 { 1.0 / norm } else { 1.0 }
+        });
         for (d, g) in self.direction_z.iter_mut().zip(&self.gradient_z) {
             *d = -g;
         }
@@ -393,12 +311,7 @@ pub(super) fn check_start(start: &[f64]) -> Result<()> {
 ///
 /// # Errors
 /// Those of [`QuasiNewton::new`], those of `problem`, and [`Error::Shape`] for a gradient of another length.
-pub fn minimize(
-    problem: &mut dyn FnMut(&[f64]) -> Result<(f64, Vec<f64>)>,
-    metric: Arc<Metric>,
-    start: &[f64],
-    settings: Settings,
-) -> Result<Outcome> {
+pub fn minimize(problem: &mut Objective, metric: Arc<Metric>, start: &[f64], settings: Settings) -> Result<Outcome> {
     let mut optimizer = QuasiNewton::new(metric, start, settings)?;
     loop {
         let (f, gradient) = problem(optimizer.ask())?;

@@ -3,7 +3,7 @@
 //! be compared with, not to be fast.
 
 use super::quasi_newton::{check_gradient, check_start};
-use super::{CancelFlag, Outcome, StopReason, is_cancelled};
+use super::{CancelFlag, Objective, Outcome, StopReason, is_cancelled};
 use crate::{Error, Result};
 use argmin::core::{CostFunction, Executor, Gradient};
 use argmin::solver::linesearch::MoreThuenteLineSearch;
@@ -29,12 +29,7 @@ pub struct ArgminBfgs {
 ///
 /// # Errors
 /// Those of [`ArgminBfgs::minimize`].
-pub fn argmin_bfgs(
-    problem: &mut dyn FnMut(&[f64]) -> Result<(f64, Vec<f64>)>,
-    start: &[f64],
-    tolerance: f64,
-    max_evaluations: usize,
-) -> Result<Outcome> {
+pub fn argmin_bfgs(problem: &mut Objective, start: &[f64], tolerance: f64, max_evaluations: usize) -> Result<Outcome> {
     ArgminBfgs {
         gradient_tolerance: tolerance,
         cost_tolerance: tolerance,
@@ -52,11 +47,7 @@ impl ArgminBfgs {
     /// # Errors
     /// [`Error::Value`] for a start that is not finite or a setting out of range, [`Error::Shape`] for a gradient that
     /// is not as long as `start`, and those of `problem`.
-    pub fn minimize(
-        &self,
-        problem: &mut dyn FnMut(&[f64]) -> Result<(f64, Vec<f64>)>,
-        start: &[f64],
-    ) -> Result<Outcome> {
+    pub fn minimize(&self, problem: &mut Objective, start: &[f64]) -> Result<Outcome> {
         self.check(start)?;
         let ledger = RefCell::new(Ledger {
             problem,
@@ -135,7 +126,7 @@ enum Stop {
 
 /// What was evaluated, beside argmin's own state, which is lost where its line search fails.
 struct Ledger<'a> {
-    problem: &'a mut dyn FnMut(&[f64]) -> Result<(f64, Vec<f64>)>,
+    problem: &'a mut Objective<'a>,
     cancel: Option<&'a CancelFlag>,
     max_evaluations: usize,
     /// The last point, its value and gradient: argmin asks for the two one after the other.
@@ -174,8 +165,7 @@ impl Ledger<'_> {
         if !f.is_finite() || gradient.iter().any(|g| !g.is_finite()) {
             return Err(Stop::Reason(StopReason::NotFinite));
         }
-        // The first comparison is with NaN.
-        if !(f >= self.best.f) {
+        if self.best.f.is_nan() || f < self.best.f {
             self.best.f = f;
             self.best.x.copy_from_slice(x);
             self.best.gradient.copy_from_slice(&gradient);
