@@ -1,0 +1,189 @@
+//! The coordinates in which a least-squares problem looks round.
+
+use crate::{Error, Result};
+use faer::{Mat, Side};
+use ndarray::{Array2, ArrayView2};
+
+/// A Gauss-Newton matrix that is this asymmetric, relative to its largest entry, is somebody's mistake. Accumulating
+/// Jᵀ W J in f32 leaves about 1e-7 per product and at most 1e-4 over a million pixels.
+const ASYMMETRY: f64 = 1e-4;
+
+/// Whitening from a Gauss-Newton matrix H = Jᵀ W J = V Λ Vᵀ: a displacement in the caller's coordinates is
+/// δx = V Λ^(−1/2) z, so that J = Σ w r² has the Hessian 2·I in z wherever the linearisation holds.
+///
+/// Directions whose eigenvalue is too small to be told from zero are **null**: they have no coordinate in z, so an
+/// optimiser that works in z never moves along them.
+#[derive(Debug, Clone)]
+pub struct Metric {
+    dimension: usize,
+    /// `V Λ^(−1/2)`, `[dimension, rank]`; `None` is the identity.
+    whitening: Option<Array2<f64>>,
+    /// Unit vectors, `[nullity, dimension]`.
+    null_directions: Array2<f64>,
+}
+
+impl Metric {
+    /// The caller's own coordinates, about whose curvature nothing is known.
+    pub fn identity(dimension: usize) -> Self {
+        Metric { dimension, whitening: None, null_directions: Array2::zeros((0, dimension)) }
+    }
+
+    /// Whitening from `gauss_newton` = Jᵀ W J, `[n, n]`, symmetric and positive semi-definite (the lower triangle is
+    /// read). Directions with an eigenvalue below `relative_floor` times the largest are null: 1e-12 suits a matrix
+    /// accumulated in f64, 1e-6 one accumulated in f32, where rounding fills the null space to about 1e-7.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] if the matrix is not square or is empty; [`Error::Value`] if an entry is not finite, if it is
+    /// not symmetric, has a negative eigenvalue beyond the floor, or is zero, or if the floor is not in (0, 1).
+    pub fn from_gauss_newton(gauss_newton: &Array2<f64>, relative_floor: f64) -> Result<Self> {
+        let n = check(gauss_newton, relative_floor)?;
+        let matrix = Mat::from_fn(n, n, |i, j| gauss_newton[[i, j]]);
+        let eigen = matrix
+            .self_adjoint_eigen(Side::Lower)
+            .map_err(|e| Error::Value(format!("the eigenvalues of the Gauss-Newton matrix cannot be found: {e:?}")))?;
+        let (values, vectors) = (eigen.S().column_vector(), eigen.U());
+        // In ascending order.
+        let (smallest, largest) = (values[0], values[n - 1]);
+        if largest.is_nan() || largest <= 0.0 {
+            return Err(Error::Value(format!(
+                "the Gauss-Newton matrix has {largest:e} as its largest eigenvalue where a positive number is needed"
+            )));
+        }
+        let floor = relative_floor * largest;
+        if smallest < -floor {
+            return Err(Error::Value(format!(
+                "the Gauss-Newton matrix has the eigenvalue {smallest:e}, where {:e} or more is accepted",
+                -floor
+            )));
+        }
+        let nullity = (0..n).take_while(|&k| values[k] < floor).count();
+        // The strongest direction first: z[0] is what the data see best.
+        let whitening =
+            Array2::from_shape_fn((n, n - nullity), |(i, k)| vectors[(i, n - 1 - k)] / values[n - 1 - k].sqrt());
+        let null_directions = Array2::from_shape_fn((nullity, n), |(k, i)| vectors[(i, k)]);
+        Ok(Metric { dimension: n, whitening: Some(whitening), null_directions })
+    }
+
+    /// Length of x.
+    pub fn dimension(&self) -> usize {
+        self.dimension
+    }
+
+    /// Length of z: the directions that the data see.
+    pub fn rank(&self) -> usize {
+        self.whitening.as_ref().map_or(self.dimension, |w| w.ncols())
+    }
+
+    /// The directions that are never moved: unit vectors, `[nullity, dimension]`, the weakest first.
+    pub fn null_directions(&self) -> ArrayView2<'_, f64> {
+        self.null_directions.view()
+    }
+
+    /// Whether curvature stands behind these coordinates, so that a step of length one along −g/2 means something.
+    pub fn is_whitened(&self) -> bool {
+        self.whitening.is_some()
+    }
+
+    /// `x = V Λ^(−1/2) z`: a displacement `z` of length [`rank`](Self::rank) in the caller's coordinates.
+    pub fn to_x(&self, z: &[f64], x: &mut [f64]) {
+        match &self.whitening {
+            None => x.copy_from_slice(z),
+            Some(whitening) => {
+                for (x, row) in x.iter_mut().zip(whitening.rows()) {
+                    *x = row.iter().zip(z).map(|(w, z)| w * z).sum();
+                }
+            }
+        }
+    }
+
+    /// `g_z = Λ^(−1/2) Vᵀ g_x`: a gradient in whitened coordinates.
+    pub fn gradient_to_z(&self, gradient_x: &[f64], gradient_z: &mut [f64]) {
+        match &self.whitening {
+            None => gradient_z.copy_from_slice(gradient_x),
+            Some(whitening) => {
+                gradient_z.fill(0.0);
+                for (&g, row) in gradient_x.iter().zip(whitening.rows()) {
+                    for (z, w) in gradient_z.iter_mut().zip(row) {
+                        *z += w * g;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The size of a matrix that may be a Gauss-Newton matrix.
+fn check(matrix: &Array2<f64>, relative_floor: f64) -> Result<usize> {
+    let (rows, columns) = matrix.dim();
+    if rows != columns || rows == 0 {
+        return Err(Error::Shape(format!(
+            "the Gauss-Newton matrix is {rows} by {columns}, where a square matrix of one row or more is needed"
+        )));
+    }
+    if !(relative_floor > 0.0 && relative_floor < 1.0) {
+        return Err(Error::Value(format!(
+            "the floor of the eigenvalues is {relative_floor}, where a number between 0 and 1 is needed"
+        )));
+    }
+    if let Some(((i, j), value)) = matrix.indexed_iter().find(|(_, v)| !v.is_finite()) {
+        return Err(Error::Value(format!(
+            "entry [{i}, {j}] of the Gauss-Newton matrix is {value}, not a finite number"
+        )));
+    }
+    let largest = matrix.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    for ((i, j), &value) in matrix.indexed_iter().filter(|((i, j), _)| j < i) {
+        let mirrored = matrix[[j, i]];
+        if (value - mirrored).abs() > ASYMMETRY * largest {
+            return Err(Error::Value(format!(
+                "the Gauss-Newton matrix holds {value:e} at [{i}, {j}] but {mirrored:e} at [{j}, {i}], where a \
+                 symmetric matrix is needed"
+            )));
+        }
+    }
+    Ok(rows)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whitening_makes_the_gauss_newton_matrix_the_identity() {
+        // Hilbert's matrix of order 4: eigenvalues from 1e-4 to 1.5.
+        let n = 4;
+        let h = Array2::from_shape_fn((n, n), |(i, j)| 1.0 / (i + j + 1) as f64);
+        let metric = Metric::from_gauss_newton(&h, 1e-12).unwrap();
+        assert_eq!((metric.rank(), metric.null_directions().nrows()), (n, 0));
+        let mut columns = Vec::new();
+        for k in 0..metric.rank() {
+            let z: Vec<f64> = (0..metric.rank()).map(|i| f64::from(u8::from(i == k))).collect();
+            let mut x = vec![0.0; n];
+            metric.to_x(&z, &mut x);
+            columns.push(ndarray::Array1::from(x));
+        }
+        for (i, a) in columns.iter().enumerate() {
+            let image = h.dot(a);
+            let mut z = vec![0.0; metric.rank()];
+            // gradient_to_z is the transpose of to_x, so this is column i of Tᵀ H T.
+            metric.gradient_to_z(image.as_slice().unwrap(), &mut z);
+            for (j, b) in columns.iter().enumerate() {
+                let expected = f64::from(u8::from(i == j));
+                // Eigenvalues down to 1e-4 of the largest are good to some 1e-15/1e-4; a hundred times that.
+                assert!((image.dot(b) - expected).abs() < 1e-9, "[{i}, {j}]: {}", image.dot(b));
+                assert!((z[j] - image.dot(b)).abs() < 1e-12, "{} {}", z[j], image.dot(b));
+            }
+        }
+    }
+
+    #[test]
+    fn a_matrix_that_is_no_gauss_newton_matrix_is_refused_with_a_sentence() {
+        let message = |h: Array2<f64>, floor: f64| Metric::from_gauss_newton(&h, floor).unwrap_err().to_string();
+        assert!(message(Array2::zeros((2, 3)), 1e-12).contains("2 by 3"));
+        assert!(message(Array2::zeros((0, 0)), 1e-12).contains("0 by 0"));
+        assert!(message(Array2::zeros((2, 2)), 1e-12).contains("largest eigenvalue"));
+        assert!(message(Array2::eye(2), 0.0).contains("between 0 and 1"));
+        assert!(message(Array2::from_diag_elem(2, f64::NAN), 1e-12).contains("[0, 0]"));
+        assert!(message(ndarray::array![[1.0, 2.0], [2.0, 1.0]], 1e-12).contains("eigenvalue -1"));
+        assert!(message(ndarray::array![[1.0, 0.5], [0.0, 1.0]], 1e-12).contains("[1, 0]"));
+    }
+}

@@ -1,0 +1,152 @@
+//! The curvature that an optimiser remembers: L-BFGS pairs and the two-loop product.
+
+/// A pair counts only if the angle between step and change of gradient says so: s·y > this·|s||y|. Below, the pair is
+/// rounding or negative curvature, and would make the inverse Hessian indefinite or huge.
+const LEAST_COSINE: f64 = 1e-8;
+
+/// The last `capacity` pairs s = z₁ − z₀, y = g₁ − g₀ in a ring, and the room that the product needs.
+#[derive(Debug, Clone)]
+pub(super) struct Pairs {
+    dimension: usize,
+    capacity: usize,
+    steps: Vec<f64>,
+    changes: Vec<f64>,
+    /// 1 / s·y.
+    rho: Vec<f64>,
+    alpha: Vec<f64>,
+    len: usize,
+    /// Where the next pair goes.
+    head: usize,
+}
+
+impl Pairs {
+    pub fn new(dimension: usize, capacity: usize) -> Self {
+        Pairs {
+            dimension,
+            capacity,
+            steps: vec![0.0; dimension * capacity],
+            changes: vec![0.0; dimension * capacity],
+            rho: vec![0.0; capacity],
+            alpha: vec![0.0; capacity],
+            len: 0,
+            head: 0,
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    pub fn clear(&mut self) {
+        self.len = 0;
+        self.head = 0;
+    }
+
+    /// Remembers the step `length · direction` and the change of gradient `after − before` over it, if they show
+    /// positive curvature.
+    pub fn push(&mut self, length: f64, direction: &[f64], before: &[f64], after: &[f64]) {
+        if self.capacity == 0 {
+            return;
+        }
+        let range = self.range(self.head);
+        let (s, y) = (&mut self.steps[range.clone()], &mut self.changes[range]);
+        for i in 0..self.dimension {
+            s[i] = length * direction[i];
+            y[i] = after[i] - before[i];
+        }
+        let curvature = dot(s, y);
+        if curvature.is_nan() || curvature <= LEAST_COSINE * (dot(s, s) * dot(y, y)).sqrt() {
+            return;
+        }
+        self.rho[self.head] = 1.0 / curvature;
+        self.head = (self.head + 1) % self.capacity;
+        self.len = (self.len + 1).min(self.capacity);
+    }
+
+    /// s·y / y·y of the newest pair: an inverse curvature (Nocedal & Wright, *Numerical Optimization*, eq. 7.20).
+    pub fn newest_inverse_curvature(&self) -> Option<f64> {
+        let newest = self.newest_first().next()?;
+        let y = &self.changes[self.range(newest)];
+        Some(1.0 / (self.rho[newest] * dot(y, y)))
+    }
+
+    /// `vector` ← H·`vector`, H the inverse Hessian that the pairs make of `inverse_curvature`·I (Nocedal & Wright,
+    /// algorithm 7.4).
+    pub fn apply(&mut self, inverse_curvature: f64, vector: &mut [f64]) {
+        for age in 0..self.len {
+            let k = self.slot(age);
+            let alpha = self.rho[k] * dot(&self.steps[self.range(k)], vector);
+            self.alpha[k] = alpha;
+            add_scaled(vector, -alpha, &self.changes[self.range(k)]);
+        }
+        vector.iter_mut().for_each(|v| *v *= inverse_curvature);
+        for age in (0..self.len).rev() {
+            let k = self.slot(age);
+            let beta = self.rho[k] * dot(&self.changes[self.range(k)], vector);
+            add_scaled(vector, self.alpha[k] - beta, &self.steps[self.range(k)]);
+        }
+    }
+
+    /// The slot of the pair of this age, 0 the newest.
+    fn slot(&self, age: usize) -> usize {
+        (self.head + self.capacity - 1 - age) % self.capacity
+    }
+
+    fn newest_first(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.len).map(|age| self.slot(age))
+    }
+
+    fn range(&self, slot: usize) -> std::ops::Range<usize> {
+        slot * self.dimension..(slot + 1) * self.dimension
+    }
+}
+
+/// a·b.
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// a ← a + scale·b.
+fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
+    a.iter_mut().zip(b).for_each(|(a, b)| *a += scale * b);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// With n independent pairs of a quadratic, conjugate to one another, H is the inverse Hessian itself.
+    #[test]
+    fn conjugate_pairs_of_a_quadratic_invert_its_hessian() {
+        let hessian = [[4.0, 1.0], [1.0, 3.0]];
+        let times =
+            |v: &[f64]| [hessian[0][0] * v[0] + hessian[0][1] * v[1], hessian[1][0] * v[0] + hessian[1][1] * v[1]];
+        // The second direction is H-conjugate to the first: e0·H·d1 = 4·1 + 1·(−4) = 0.
+        let directions = [[1.0, 0.0], [1.0, -4.0]];
+        let mut pairs = Pairs::new(2, 3);
+        for d in &directions {
+            let step: Vec<f64> = d.iter().map(|v| 0.5 * v).collect();
+            pairs.push(0.5, d, &[0.0, 0.0], &times(&step));
+        }
+        let v = [0.7, -1.3];
+        let mut product = times(&v);
+        // Any initial scale is forgotten.
+        pairs.apply(17.0, &mut product);
+        // Five products of numbers below 100 in f64: 1e-13 is a hundred roundings of room.
+        assert!((product[0] - v[0]).abs() < 1e-13 && (product[1] - v[1]).abs() < 1e-13, "{product:?}");
+    }
+
+    #[test]
+    fn a_pair_of_negative_curvature_is_not_remembered_and_the_ring_turns() {
+        let mut pairs = Pairs::new(1, 2);
+        pairs.push(1.0, &[1.0], &[0.0], &[-1.0]);
+        assert!(pairs.is_empty());
+        pairs.push(1.0, &[1.0], &[0.0], &[f64::NAN]);
+        assert!(pairs.is_empty());
+        for curvature in [2.0, 4.0, 8.0] {
+            pairs.push(1.0, &[1.0], &[0.0], &[curvature]);
+            assert_eq!(pairs.newest_inverse_curvature(), Some(1.0 / curvature));
+        }
+        assert_eq!(pairs.len, 2);
+    }
+}
