@@ -1,0 +1,206 @@
+//! The gradient against central differences and the derivative against the dot test, on a small case without any
+//! symmetry: overlapping segment weights, an off-centre pupil, bad pixels, an image wider than the pupil or narrower.
+
+use super::*;
+use crate::fourier::{Sampling, Transform};
+use crate::pupil::SegmentWeights;
+use ndarray::{Array1, Array2};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+fn random(count: usize, scale: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
+    (0..count).map(|_| scale * (2.0 * rng.random::<f64>() - 1.0)).collect()
+}
+
+/// Three overlapping segments on a lopsided pupil, two smooth modes, every kind of mode.
+fn optics(samples: usize, pixels: usize, per_lambda_over_d: f64) -> Arc<Optics> {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let lit: Vec<u32> = (0..(samples * samples) as u32).filter(|p| p % 7 != 0 && p % 5 != 1).collect();
+    let (mut offsets, mut segment, mut weight) = (vec![0], Vec::new(), Vec::new());
+    for &p in &lit {
+        for s in 0..3 {
+            if (p + s) % 3 != 0 {
+                segment.push(s);
+                weight.push(rng.random::<f64>() - 0.2);
+            }
+        }
+        offsets.push(weight.len() as u32);
+    }
+    let (count, entries) = (lit.len(), weight.len());
+    let energy = weight.iter().map(|w| w * w).sum();
+    let slopes = Some((random(entries, 1.7, &mut rng), random(entries, 1.7, &mut rng)));
+    let mut modes: Vec<Mode> = (0..3).flat_map(|s| [Mode::Piston(s), Mode::Tip(s), Mode::Tilt(s)]).collect();
+    modes.extend([Mode::Smooth(1), Mode::Smooth(0)]);
+    Arc::new(
+        Optics::new(OpticsParts {
+            sampling: Sampling::new(samples, pixels, per_lambda_over_d).unwrap(),
+            wavelength_nm: 2168.6,
+            weights: SegmentWeights { segments: 3, lit, offsets, segment, weight, energy },
+            slopes,
+            diversity_nm: random(count, 4000.0, &mut rng),
+            basis: Array2::from_shape_vec((2, count), random(2 * count, 2.0, &mut rng)).unwrap(),
+            modes,
+        })
+        .unwrap(),
+    )
+}
+
+fn exposures(pixels: usize) -> Vec<Exposure> {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let photometries = [
+        Photometry::Fixed { flux_e: 3e4, background_e: 2.0 },
+        Photometry::FitFlux { background_e: 1.0 },
+        Photometry::FitBoth,
+    ];
+    photometries
+        .map(|photometry| Exposure {
+            data_e: (0..pixels * pixels).map(|i| 100.0 * rng.random::<f64>() + (i % 11) as f64).collect(),
+            // One pixel in nine is bad.
+            weight: (0..pixels * pixels).map(|i| if i % 9 == 4 { 0.0 } else { 0.01 + rng.random::<f64>() }).collect(),
+            photometry,
+        })
+        .to_vec()
+}
+
+fn coefficients(images: usize, modes: usize) -> Array2<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    Array2::from_shape_vec((images, modes), random(images * modes, 150.0, &mut rng)).unwrap()
+}
+
+#[test]
+fn the_gradient_is_the_central_difference() {
+    for (samples, pixels, q) in [(10, 14, 1.9), (12, 8, 2.0), (8, 16, 2.0)] {
+        let optics = optics(samples, pixels, q);
+        for transform in [Some(Transform::matrix(optics.sampling())), Transform::fft(optics.sampling())] {
+            let Some(transform) = transform else { continue };
+            let mut chain = CpuChain::<f64>::with_transform(optics.clone(), transform);
+            chain.load(&exposures(pixels)).unwrap();
+            let c = coefficients(3, optics.modes());
+            let at = chain.evaluate(&[0, 1, 2], c.view()).unwrap();
+            // Truncation of the central difference is (2πh/λ·mode)²/6 ≈ 1e-9 of the gradient's size at h = 0.01 nm (modes
+            // reach 2); rounding is 2e-16·J/h, about 1e-9 of the gradient too. 1e-6 of its norm bounds both.
+            let h = 0.01;
+            for image in 0..3 {
+                let norm = Array1::from(at[image].gradient.clone()).mapv(|g| g * g).sum().sqrt();
+                for mode in 0..optics.modes() {
+                    let shifted = |by: f64| {
+                        let mut c = c.slice(ndarray::s![image..=image, ..]).to_owned();
+                        c[[0, mode]] += by;
+                        chain.evaluate(&[image], c.view()).unwrap()[0].objective
+                    };
+                    let difference = (shifted(h) - shifted(-h)) / (2.0 * h);
+                    let error = (difference - at[image].gradient[mode]).abs();
+                    assert!(error < 1e-6 * norm, "image {image} mode {mode}: {error:e} of {norm:e}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_jacobian_and_the_gradient_are_adjoint() {
+    let optics = optics(10, 14, 1.9);
+    let mut chain = CpuChain::<f64>::new(optics.clone());
+    let exposures = exposures(14);
+    chain.load(&exposures).unwrap();
+    let c = coefficients(3, optics.modes());
+    let evaluations = chain.evaluate(&[0, 1, 2], c.view()).unwrap();
+    for (image, evaluation) in evaluations.iter().enumerate() {
+        let (psf, jacobian) = chain.jacobian(c.row(image));
+        let residual: Array1<f64> = (0..psf.len())
+            .map(|i| {
+                let model = evaluation.flux_e * psf[i] + evaluation.background_e;
+                2.0 * evaluation.flux_e * exposures[image].weight[i] * (model - exposures[image].data_e[i])
+            })
+            .collect();
+        let gradient = jacobian.dot(&residual);
+        // Sums of 196 products with both signs: 1e-16 times the sum of sizes; 1e-12 of the norm leaves a wide margin.
+        let norm = gradient.mapv(|g| g * g).sum().sqrt();
+        for (a, b) in gradient.iter().zip(&evaluation.gradient) {
+            assert!((a - b).abs() < 1e-12 * norm, "{a} {b}");
+        }
+    }
+}
+
+#[test]
+fn fitted_photometry_minimises_the_objective() {
+    let optics = optics(10, 14, 1.9);
+    let mut chain = CpuChain::<f64>::new(optics.clone());
+    let c = coefficients(1, optics.modes());
+    let mut exposure = exposures(14).remove(2);
+    chain.load(&[exposure.clone()]).unwrap();
+    let best = chain.evaluate(&[0], c.view()).unwrap().remove(0);
+    for (flux, background) in [(1.001, 1.0), (0.999, 1.0), (1.0, 1.001), (1.0, 0.999)] {
+        let (flux_e, background_e) = (best.flux_e * flux, best.background_e * background);
+        exposure.photometry = Photometry::Fixed { flux_e, background_e };
+        chain.replace(0, &exposure).unwrap();
+        assert!(chain.evaluate(&[0], c.view()).unwrap()[0].objective > best.objective);
+    }
+}
+
+#[test]
+fn single_precision_agrees_and_batches_do_not_matter() {
+    let optics = optics(12, 16, 2.0);
+    let (mut wide, mut narrow) = (CpuChain::<f64>::new(optics.clone()), CpuChain::<f32>::new(optics.clone()));
+    wide.load(&exposures(16)).unwrap();
+    narrow.load(&exposures(16)).unwrap();
+    let c = coefficients(3, optics.modes());
+    let (a, b) = (wide.evaluate(&[0, 1, 2], c.view()).unwrap(), narrow.evaluate(&[0, 1, 2], c.view()).unwrap());
+    for (a, b) in a.iter().zip(&b) {
+        // The contract of numerics: 1e-5 in f32, for objective and gradient.
+        assert!((a.objective - b.objective).abs() < 1e-5 * a.objective);
+        let (mut error, mut norm) = (0.0, 0.0);
+        for (a, b) in a.gradient.iter().zip(&b.gradient) {
+            (error, norm) = (error + (a - b).powi(2), norm + a * a);
+        }
+        assert!(error.sqrt() < 1e-5 * norm.sqrt(), "{:e}", (error / norm).sqrt());
+    }
+    for image in 0..3 {
+        let alone = wide.evaluate(&[image], c.slice(ndarray::s![image..=image, ..])).unwrap();
+        assert_eq!(alone[0].objective.to_bits(), a[image].objective.to_bits());
+        assert_eq!(alone[0].gradient, a[image].gradient);
+    }
+}
+
+#[test]
+fn a_wavefront_that_grows_along_x_moves_the_spot_along_columns() {
+    let (samples, pixels) = (16, 16);
+    let lit: Vec<u32> = (0..256).collect();
+    let tilt: Vec<f64> = lit.iter().map(|p| f64::from(p % 16) - 7.5).collect();
+    let optics = Optics::new(OpticsParts {
+        sampling: Sampling::new(samples, pixels, 2.0).unwrap(),
+        wavelength_nm: 1000.0,
+        weights: SegmentWeights {
+            segments: 1,
+            offsets: (0..=256).collect(),
+            segment: vec![0; 256],
+            weight: vec![1.0; 256],
+            energy: 256.0,
+            lit,
+        },
+        slopes: None,
+        diversity_nm: vec![0.0; 256],
+        basis: Array2::from_shape_vec((1, 256), tilt).unwrap(),
+        modes: vec![Mode::Smooth(0)],
+    })
+    .unwrap();
+    let chain = CpuChain::<f64>::new(Arc::new(optics));
+    // Three pixels: 3 turns over the 32 samples of the padded grid.
+    let psf = chain.psf(Array1::from(vec![3.0 * 1000.0 / 32.0]).view());
+    let brightest = (0..256).max_by(|&a, &b| psf[a].total_cmp(&psf[b])).unwrap();
+    assert_eq!((brightest / 16, brightest % 16), (8, 11));
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let optics = optics(8, 6, 2.0);
+    let mut chain = CpuChain::<f64>::new(optics.clone());
+    assert!(chain.load(&exposures(8)).is_err());
+    chain.load(&exposures(6)).unwrap();
+    assert!(chain.evaluate(&[3], coefficients(1, optics.modes()).view()).is_err());
+    assert!(chain.evaluate(&[0], coefficients(1, 2).view()).is_err());
+    let mut parts = optics.parts().clone();
+    parts.modes.push(Mode::Smooth(2));
+    assert!(Optics::new(parts).is_err());
+}
