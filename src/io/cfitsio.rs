@@ -3,6 +3,9 @@
 //! The vendored library is built re-entrant and a handle never leaves the call that opened it, so nothing is shared
 //! between threads but cfitsio's own locked tables. A file is opened with its "disk file" entry points only: no
 //! brackets, filters, URLs or pipes in a name are ever interpreted.
+//!
+//! The `anynul` argument of cfitsio's readers is always given: its manual calls it optional, and `fffi2r8` and its
+//! siblings write through it regardless.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::os::unix::ffi::OsStrExt;
@@ -111,13 +114,13 @@ impl Handle {
     pub fn image(&mut self, axes: usize, pixels: usize, integers: bool) -> Outcome<Vec<f64>> {
         let mut data = allocate(pixels, 0.0)?;
         let mut first = vec![1_i64; axes];
-        let mut nan = f64::NAN;
+        let (mut nan, mut any) = (f64::NAN, 0);
         // With a null value cfitsio also rewrites infinities and denormals of floating images: none is given there.
         let null = if integers { (&raw mut nan).cast() } else { ptr::null_mut() };
         // SAFETY: `data` holds `pixels` values, `first` one per axis.
         self.call(|file, status| unsafe {
             let (first, data) = (first.as_mut_ptr(), data.as_mut_ptr().cast());
-            sys::ffgpxvll(file, sys::TDOUBLE as c_int, first, pixels as i64, null, data, ptr::null_mut(), status)
+            sys::ffgpxvll(file, sys::TDOUBLE as c_int, first, pixels as i64, null, data, &mut any, status)
         })?;
         Ok(data)
     }
@@ -135,9 +138,10 @@ impl Handle {
         let mut data = allocate(rows, 0.0)?;
         // 0 asks for no check: floating columns keep their NaN and infinities as they are.
         let null = if integers { f64::NAN } else { 0.0 };
+        let mut any = 0;
         // SAFETY: `data` holds `rows` values.
         self.call(|file, status| unsafe {
-            sys::ffgcvd(file, column, 1, 1, rows as i64, null, data.as_mut_ptr(), ptr::null_mut(), status)
+            sys::ffgcvd(file, column, 1, 1, rows as i64, null, data.as_mut_ptr(), &mut any, status)
         })?;
         Ok(data)
     }
@@ -145,9 +149,10 @@ impl Handle {
     /// An integer column of `rows` scalars.
     pub fn column_i64(&mut self, column: c_int, rows: usize) -> Outcome<Vec<i64>> {
         let mut data = allocate(rows, 0_i64)?;
+        let mut any = 0;
         // SAFETY: `data` holds `rows` values.
         self.call(|file, status| unsafe {
-            sys::ffgcvjj(file, column, 1, 1, rows as i64, 0, data.as_mut_ptr(), ptr::null_mut(), status)
+            sys::ffgcvjj(file, column, 1, 1, rows as i64, 0, data.as_mut_ptr(), &mut any, status)
         })?;
         Ok(data)
     }
@@ -158,11 +163,11 @@ impl Handle {
         let total = rows.checked_mul(stride).ok_or("the text column is larger than memory")?;
         let mut bytes = allocate(total, 0_u8)?;
         let mut starts: Vec<*mut c_char> = bytes.chunks_exact_mut(stride).map(|row| row.as_mut_ptr().cast()).collect();
-        let mut null = [0 as c_char];
+        let (mut null, mut any) = ([0 as c_char], 0);
         // SAFETY: one pointer per row, each to `width` bytes and a NUL.
         self.call(|file, status| unsafe {
             let (null, starts) = (null.as_mut_ptr(), starts.as_mut_ptr());
-            sys::ffgcvs(file, column, 1, 1, rows as i64, null, starts, ptr::null_mut(), status)
+            sys::ffgcvs(file, column, 1, 1, rows as i64, null, starts, &mut any, status)
         })?;
         let text = |row: &[u8]| {
             let end = row.iter().position(|&byte| byte == 0).unwrap_or(width);

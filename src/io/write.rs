@@ -273,7 +273,7 @@ enum Data {
 impl Data {
     fn new(values: impl Iterator<Item = f64>, pixel: Pixel, name: &str) -> Result<Self> {
         let refusal =
-            |value: f64, kind: &str| Error::Value(format!("the value {value} of image `{name}` is not {kind}"));
+            |value: f64, kind: &str| Error::Value(format!("the value {value:?} of image `{name}` is not {kind}"));
         match pixel {
             Pixel::F64 => Ok(Data::F64(values.collect())),
             Pixel::F32 => {
