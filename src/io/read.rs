@@ -1,0 +1,323 @@
+//! Reading: one file opened once, then its images, maps, tables and cards.
+
+use std::ffi::CString;
+use std::fs::File;
+use std::io::{Cursor, Read, Seek};
+use std::path::{Path, PathBuf};
+
+use ndarray::{Array2, Array3};
+
+use super::Card;
+use super::card;
+use super::cfitsio::{Handle, Outcome};
+use super::layout::{self, Hdu, Kind, Layout};
+use super::mend;
+use crate::{Error, Result};
+
+/// Most bytes that a `.gz` file may unpack to: a small file can ask for a thousand times its size.
+const MAX_UNPACKED: u64 = 4 << 30;
+
+/// Longest name that cfitsio opens by itself (FLEN_FILENAME of fitsio.h, less a margin); longer ones go by memory.
+const MAX_NAME: usize = 1000;
+
+/// cfitsio's code of a text column.
+const TSTRING: i32 = 16;
+
+/// A FITS file open for reading. The file itself is never written or touched.
+///
+/// Standard files are read from the disk; `.gz` and sloppy ones from a mended copy in memory, see
+/// [`FitsReader::repaired`].
+pub struct FitsReader {
+    path: PathBuf,
+    handle: Handle,
+    layout: Layout,
+}
+
+impl FitsReader {
+    /// Opens `path`, a plain file name: nothing in it is interpreted.
+    ///
+    /// # Errors
+    /// [`Error::File`] for a file that is missing, empty, truncated, or not FITS, with the byte and the reason.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let refused = |reason: String| Error::file(path, reason);
+        let mut file = open_plain(path)?;
+        let mut magic = [0; 2];
+        let packed = file.read(&mut magic).is_ok_and(|got| got == 2 && magic == [0x1f, 0x8b]);
+        file.rewind().map_err(|error| refused(format!("cannot be read: {error}")))?;
+        if packed {
+            let mut source = Cursor::new(unpack(file).map_err(refused)?);
+            return Self::from_source(path, &mut source, None).map_err(refused);
+        }
+        let direct = (path.as_os_str().len() <= MAX_NAME).then_some(path);
+        Self::from_source(path, &mut file, direct).map_err(refused)
+    }
+
+    /// Reads `source`; cfitsio opens `direct` by itself where that is given and standard.
+    fn from_source(path: &Path, source: &mut (impl Read + Seek), direct: Option<&Path>) -> Outcome<Self> {
+        let length = source.seek(std::io::SeekFrom::End(0)).map_err(|error| format!("cannot be read: {error}"))?;
+        let layout = layout::scan(source, length)?;
+        let handle = match direct.filter(|_| layout.notes.sentence().is_none()) {
+            Some(plain) => Handle::open(plain)?,
+            None => Handle::from_bytes(&mend::standard_file(&layout, source)?)?,
+        };
+        Ok(Self { path: path.to_path_buf(), handle, layout })
+    }
+
+    /// The file as the caller named it.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What was mended in a file that is not standard FITS, as one sentence.
+    pub fn repaired(&self) -> Option<String> {
+        self.layout.notes.sentence()
+    }
+
+    /// Names of all HDUs, upper case; `PRIMARY` for the first, empty for another without a name.
+    pub fn names(&self) -> Vec<String> {
+        self.layout.hdus.iter().map(|hdu| hdu.name.clone()).collect()
+    }
+
+    /// A map `[y, x]`: HDU `hdu`, or the first image with data. BLANK pixels are NaN.
+    ///
+    /// # Errors
+    /// [`Error::File`] where that HDU is missing, not an image, or not 2-D.
+    pub fn map(&mut self, hdu: Option<&str>) -> Result<Array2<f64>> {
+        let index = hdu.map_or_else(|| self.first_image(&[]), |name| self.find(name, Kind::Image))?;
+        self.planes(index, &[2])?.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))
+    }
+
+    /// A cube `[image, y, x]`: image HDU `hdu`; a 2-D one is a cube of one image. BLANK pixels are NaN.
+    ///
+    /// # Errors
+    /// [`Error::File`] where that HDU is missing, not an image, or neither 2-D nor 3-D.
+    pub fn cube(&mut self, hdu: &str) -> Result<Array3<f64>> {
+        let index = self.find(hdu, Kind::Image)?;
+        self.cube_at(index)
+    }
+
+    pub(super) fn cube_at(&mut self, index: usize) -> Result<Array3<f64>> {
+        let data = self.planes(index, &[2, 3])?;
+        let data = if data.ndim() == 2 { data.insert_axis(ndarray::Axis(0)) } else { data };
+        data.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))
+    }
+
+    /// A column of real numbers of table `hdu`; undefined ones are NaN.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the table or the column is missing, or the column is not one number a row.
+    pub fn f64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<f64>> {
+        let found = self.column(hdu, column)?;
+        found.needs_scalar(self, found.code.abs() != TSTRING && !found.is_complex(), "a column of numbers")?;
+        self.handle.column_f64(found.number, found.rows, !found.is_real()).map_err(|reason| self.refuse(reason))
+    }
+
+    /// A column of integers of table `hdu`.
+    ///
+    /// # Errors
+    /// As [`FitsReader::f64_column`]; a column of real numbers is refused rather than rounded.
+    pub fn i64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<i64>> {
+        let found = self.column(hdu, column)?;
+        let integral = found.code.abs() != TSTRING && !found.is_complex() && !found.is_real();
+        found.needs_scalar(self, integral, "a column of integers")?;
+        self.handle.column_i64(found.number, found.rows).map_err(|reason| self.refuse(reason))
+    }
+
+    /// A column of text of table `hdu`, without trailing blanks.
+    ///
+    /// # Errors
+    /// As [`FitsReader::f64_column`].
+    pub fn text_column(&mut self, hdu: &str, column: &str) -> Result<Vec<String>> {
+        let found = self.column(hdu, column)?;
+        if found.code != TSTRING || found.width != found.repeat {
+            return Err(self.refuse(format!("column `{column}` of `{hdu}` is not a column of text")));
+        }
+        self.handle.column_text(found.number, found.rows, found.width as usize).map_err(|reason| self.refuse(reason))
+    }
+
+    /// The card `key` of HDU `hdu` (`None`: the primary one); `None` where it is absent or has no value.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the HDU is missing; [`Error::Value`] for a keyword that FITS does not allow.
+    pub fn card(&mut self, hdu: Option<&str>, key: &str) -> Result<Option<Card>> {
+        let index = hdu.map_or(Ok(0), |name| self.find_any(name))?;
+        self.card_at(index, key)
+    }
+
+    pub(super) fn card_at(&mut self, index: usize, key: &str) -> Result<Option<Card>> {
+        let key = super::checked_keyword(key)?;
+        let Some(value) = self.layout.hdus[index].value(&key).map(str::to_owned) else { return Ok(None) };
+        if value.starts_with('\'') {
+            let name = CString::new(key).map_err(|error| Error::Internal(error.to_string()))?;
+            self.move_to(index)?;
+            return self
+                .handle
+                .long_text(&name)
+                .map(|text| Some(Card::Text(text)))
+                .map_err(|reason| self.refuse(reason));
+        }
+        Ok(Card::parse(&value))
+    }
+
+    /// Index of the first image with data whose name is not in `besides`.
+    pub(super) fn first_image(&self, besides: &[&str]) -> Result<usize> {
+        let holds =
+            |hdu: &Hdu| hdu.kind == Kind::Image && !hdu.axes.is_empty() && !besides.contains(&hdu.name.as_str());
+        self.layout.hdus.iter().position(holds).ok_or_else(|| self.refuse(format!("holds no image: {}", self.listed())))
+    }
+
+    /// Index of HDU `name` of kind `kind`.
+    pub(super) fn find(&self, name: &str, kind: Kind) -> Result<usize> {
+        let same = |hdu: &Hdu| hdu.name.eq_ignore_ascii_case(name.trim());
+        if let Some(index) = self.layout.hdus.iter().position(|hdu| same(hdu) && hdu.kind == kind) {
+            return Ok(index);
+        }
+        let index = self.find_any(name)?;
+        let (wanted, held) = match (kind, self.layout.hdus[index].kind) {
+            (_, Kind::Compressed) => ("a plain HDU", "a tile-compressed image (unpack the file with funpack first)"),
+            (Kind::Image, _) => ("an image", "a table"),
+            _ => ("a table", "no table"),
+        };
+        Err(self.refuse(format!("HDU `{name}` holds {held}, where {wanted} is needed")))
+    }
+
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.find_any(name).is_ok()
+    }
+
+    fn find_any(&self, name: &str) -> Result<usize> {
+        let found = self.layout.hdus.iter().position(|hdu| hdu.name.eq_ignore_ascii_case(name.trim()));
+        found.ok_or_else(|| self.refuse(format!("has no HDU `{name}`: {}", self.listed())))
+    }
+
+    fn listed(&self) -> String {
+        let names: Vec<_> = self.layout.hdus.iter().map(|hdu| hdu.described()).collect();
+        format!("there are {}", names.join(", "))
+    }
+
+    pub(super) fn name_of(&self, index: usize) -> &str {
+        &self.layout.hdus[index].name
+    }
+
+    /// The image at `index`, its axes in C order; it must have one of the `ranks`.
+    fn planes(&mut self, index: usize, ranks: &[usize]) -> Result<ndarray::ArrayD<f64>> {
+        let hdu = &self.layout.hdus[index];
+        let shape: Vec<usize> = hdu.axes.iter().rev().map(|&size| size as usize).collect();
+        let what = hdu.described();
+        if !ranks.contains(&shape.len()) {
+            let accepted = if ranks.len() == 1 { "2-D (y, x) is" } else { "2-D (y, x) or 3-D (image, y, x) is" };
+            return Err(self.refuse(format!("the image {what} is {}-D, where {accepted} accepted", shape.len())));
+        }
+        if shape.contains(&0) {
+            return Err(self.refuse(format!("the image {what} has no pixels: its shape is {shape:?}")));
+        }
+        let integers = hdu.bitpix > 0;
+        self.move_to(index)?;
+        let pixels = shape.iter().product();
+        let data = self.handle.image(shape.len(), pixels, integers).map_err(|reason| self.refuse(reason))?;
+        ndarray::ArrayD::from_shape_vec(shape, data).map_err(|error| Error::Internal(error.to_string()))
+    }
+
+    fn column(&mut self, hdu: &str, column: &str) -> Result<Column> {
+        let index = self.find(hdu, Kind::Table)?;
+        let names = self.layout.hdus[index].columns();
+        let Some(place) = names.iter().position(|name| name.trim().eq_ignore_ascii_case(column.trim())) else {
+            let listed = names.join(", ");
+            return Err(self.refuse(format!("table `{hdu}` has no column `{column}`: there are {listed}")));
+        };
+        let rows = self.layout.hdus[index].axes[1] as usize;
+        self.move_to(index)?;
+        let number = place as i32 + 1;
+        let (code, repeat, width) = self.handle.column_type(number).map_err(|reason| self.refuse(reason))?;
+        // No column is wider than its row, whatever its TFORM says: the row is what the file's size was checked for.
+        if width < 1 || width as u64 > self.layout.hdus[index].axes[0] {
+            return Err(self.refuse(format!(
+                "column `{column}` of `{hdu}` has elements of {width} bytes, which its rows do not hold"
+            )));
+        }
+        Ok(Column { name: column.to_string(), number, rows, code, repeat, width })
+    }
+
+    fn move_to(&mut self, index: usize) -> Result<()> {
+        self.handle.move_to(index).map_err(|reason| self.refuse(reason))
+    }
+
+    pub(super) fn refuse(&self, reason: impl std::fmt::Display) -> Error {
+        Error::file(&self.path, reason)
+    }
+}
+
+/// A column that was found.
+struct Column {
+    name: String,
+    number: i32,
+    rows: usize,
+    code: i32,
+    repeat: i64,
+    width: i64,
+}
+
+impl Column {
+    /// TFLOAT and TDOUBLE of fitsio.h.
+    fn is_real(&self) -> bool {
+        matches!(self.code, 42 | 82)
+    }
+
+    /// TCOMPLEX and TDBLCOMPLEX of fitsio.h.
+    fn is_complex(&self) -> bool {
+        matches!(self.code, 83 | 163)
+    }
+
+    /// Refuses vectors, variable-length columns (negative codes) and what `fits` does not allow.
+    fn needs_scalar(&self, file: &FitsReader, fits: bool, wanted: &str) -> Result<()> {
+        if fits && self.code > 0 && self.repeat == 1 {
+            return Ok(());
+        }
+        Err(file.refuse(format!("column `{}` is not {wanted}, one in each row", self.name)))
+    }
+}
+
+/// Opens a regular file.
+fn open_plain(path: &Path) -> Result<File> {
+    let refused = |error: std::io::Error| match error.kind() {
+        std::io::ErrorKind::NotFound => Error::file(path, "there is no such file"),
+        _ => Error::file(path, format!("cannot be opened: {error}")),
+    };
+    // Asked before opening: opening a pipe would wait for its writer.
+    let metadata = std::fs::metadata(path).map_err(refused)?;
+    if metadata.is_dir() {
+        return Err(Error::file(path, "is a directory, where a FITS file is needed"));
+    }
+    if !metadata.is_file() {
+        return Err(Error::file(path, "is a device or a pipe, where a plain FITS file is needed"));
+    }
+    File::open(path).map_err(refused)
+}
+
+/// The bytes of a gzip file, at most [`MAX_UNPACKED`].
+fn unpack(file: File) -> Outcome<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let unpacked = flate2::read::MultiGzDecoder::new(file).take(MAX_UNPACKED + 1).read_to_end(&mut bytes);
+    unpacked.map_err(|error| format!("the gzip stream is damaged after {} unpacked bytes: {error}", bytes.len()))?;
+    if bytes.len() as u64 > MAX_UNPACKED {
+        return Err(format!("unpacks to more than {MAX_UNPACKED} bytes, the most that is read"));
+    }
+    Ok(bytes)
+}
+
+impl Card {
+    /// The value of a card that is not a quoted string; `None` where it is undefined.
+    fn parse(value: &str) -> Option<Self> {
+        match value {
+            "" => None,
+            "T" => Some(Card::Logical(true)),
+            "F" => Some(Card::Logical(false)),
+            // Fortran writes the exponent of a double with a D.
+            _ => value.parse().map(Card::Integer).ok().or_else(|| {
+                let real = value.replace(['D', 'd'], "E").parse().map(Card::Real);
+                Some(real.unwrap_or_else(|_| Card::Text(card::text(value))))
+            }),
+        }
+    }
+}

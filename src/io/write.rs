@@ -1,0 +1,388 @@
+//! Writing: a file is composed in memory and appears at its path whole, or not at all.
+
+use std::ffi::{CString, c_char, c_int, c_void};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use fitsio::sys;
+use ndarray::{ArrayRef, Dimension};
+
+use super::Card;
+use super::cfitsio::Handle;
+use crate::{Error, Result};
+
+/// How the pixels of an image are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pixel {
+    /// 32-bit real (BITPIX −32).
+    F32,
+    /// 64-bit real (BITPIX −64).
+    F64,
+    /// 32-bit integer (BITPIX 32): the values must be whole numbers in its range.
+    I32,
+}
+
+/// A column of a table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Column {
+    name: String,
+    unit: String,
+    values: Values,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Values {
+    F64(Vec<f64>),
+    I64(Vec<i64>),
+    Text(Vec<String>),
+}
+
+impl Column {
+    /// Real numbers in `unit` (empty for none); NaN is allowed.
+    pub fn f64(name: &str, unit: &str, values: Vec<f64>) -> Self {
+        Self { name: name.into(), unit: unit.into(), values: Values::F64(values) }
+    }
+
+    /// Integers.
+    pub fn i64(name: &str, values: Vec<i64>) -> Self {
+        Self { name: name.into(), unit: String::new(), values: Values::I64(values) }
+    }
+
+    /// Text. FITS holds printable ASCII: other characters are written as `?`, tabs as blanks, and trailing blanks are lost.
+    pub fn text(name: &str, values: impl IntoIterator<Item = impl AsRef<str>>) -> Self {
+        let values = values.into_iter().map(|text| ascii(text.as_ref())).collect();
+        Self { name: name.into(), unit: String::new(), values: Values::Text(values) }
+    }
+
+    fn len(&self) -> usize {
+        match &self.values {
+            Values::F64(values) => values.len(),
+            Values::I64(values) => values.len(),
+            Values::Text(values) => values.len(),
+        }
+    }
+
+    /// TFORM of the column.
+    fn form(&self) -> String {
+        match &self.values {
+            Values::F64(_) => "1D".into(),
+            Values::I64(_) => "1K".into(),
+            Values::Text(values) => format!("{}A", values.iter().map(String::len).max().unwrap_or(0).max(1)),
+        }
+    }
+}
+
+/// A FITS file being composed, in memory. Nothing is at `path` until [`FitsWriter::finish`] renames a finished temporary
+/// file onto it; dropped before that, it leaves nothing behind.
+///
+/// The primary HDU is empty and carries the header cards of the file; images and tables are named extensions.
+pub struct FitsWriter {
+    path: PathBuf,
+    handle: Handle,
+    /// Names of the HDUs, the primary one first.
+    names: Vec<String>,
+}
+
+impl FitsWriter {
+    /// Starts the file that will be `path`; one that is there will be replaced.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the directory is missing or cannot be written, or `path` is not a plain file: said now, not
+    /// after hours of work.
+    pub fn create(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref().to_path_buf();
+        let target = Target::of(&path)?;
+        // Made and removed at once: only `finish` may leave something.
+        drop(target.temporary()?);
+        let mut handle = Handle::create().map_err(|reason| Error::file(&path, reason))?;
+        // SAFETY: no axes, so none are read.
+        let made = handle.call(|file, status| unsafe { sys::ffcrimll(file, 8, 0, std::ptr::null_mut(), status) });
+        made.map_err(|reason| Error::file(&path, reason))?;
+        Ok(Self { path, handle, names: vec!["PRIMARY".into()] })
+    }
+
+    /// Adds an image: `array[.., y, x]`, x fastest in the file, in `unit` (empty for none).
+    ///
+    /// # Errors
+    /// [`Error::Value`] where a value does not fit `pixel`, or the name is taken or not FITS text; [`Error::Shape`] for
+    /// an array without elements.
+    pub fn image<A, D>(&mut self, name: &str, array: &ArrayRef<A, D>, pixel: Pixel, unit: &str) -> Result<()>
+    where
+        A: Copy + Into<f64>,
+        D: Dimension,
+    {
+        let name = self.new_name(name)?;
+        if array.is_empty() || array.ndim() == 0 {
+            return Err(Error::Shape(format!(
+                "image `{name}` has the shape {:?}: every axis needs 1 or more",
+                array.shape()
+            )));
+        }
+        let values = array.iter().map(|&value| value.into());
+        let mut axes: Vec<i64> = array.shape().iter().rev().map(|&size| size as i64).collect();
+        let bitpix = match pixel {
+            Pixel::F32 => -32,
+            Pixel::F64 => -64,
+            Pixel::I32 => 32,
+        };
+        let mut data = Data::new(values, pixel, &name)?;
+        let (count, code, start) = data.raw();
+        let mut first = vec![1_i64; axes.len()];
+        self.call(|file, status| unsafe {
+            // SAFETY: one size and one first pixel per axis; `start` holds `count` values of type `code`.
+            sys::ffcrimll(file, bitpix, axes.len() as c_int, axes.as_mut_ptr(), status);
+            sys::ffppxll(file, code, first.as_mut_ptr(), count as i64, start, status)
+        })?;
+        self.names.push(name.clone());
+        self.card(&name, "EXTNAME", name.as_str(), "name of this extension")?;
+        if unit.is_empty() { Ok(()) } else { self.card(&name, "BUNIT", unit, "unit of the pixels") }
+    }
+
+    /// Adds a binary table; all columns have the same length.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for columns of different lengths or none; [`Error::Value`] for a name that is taken or not FITS
+    /// text.
+    pub fn table(&mut self, name: &str, columns: &[Column]) -> Result<()> {
+        let name = self.new_name(name)?;
+        let rows =
+            columns.first().map(Column::len).ok_or_else(|| Error::Shape(format!("table `{name}` has no columns")))?;
+        if let Some(odd) = columns.iter().find(|column| column.len() != rows) {
+            let (first, odd, length) = (&columns[0].name, &odd.name, odd.len());
+            return Err(Error::Shape(format!(
+                "table `{name}` has {rows} rows in `{first}` and {length} in `{odd}`: one length is needed"
+            )));
+        }
+        let names = columns.iter().map(|column| c_text(&column.name)).collect::<Result<Vec<_>>>()?;
+        let units = columns.iter().map(|column| c_text(&column.unit)).collect::<Result<Vec<_>>>()?;
+        let forms = columns.iter().map(|column| c_text(&column.form())).collect::<Result<Vec<_>>>()?;
+        let title = c_text(&name)?;
+        let (mut ttype, mut tform, mut tunit) = (pointers(&names), pointers(&forms), pointers(&units));
+        self.call(|file, status| unsafe {
+            // SAFETY: one NUL-terminated text per column in each list; cfitsio only reads them.
+            let (ttype, tform, tunit) = (ttype.as_mut_ptr(), tform.as_mut_ptr(), tunit.as_mut_ptr());
+            let fields = columns.len() as c_int;
+            sys::ffcrtb(
+                file,
+                sys::BINARY_TBL as c_int,
+                rows as i64,
+                fields,
+                ttype,
+                tform,
+                tunit,
+                title.as_ptr(),
+                status,
+            )
+        })?;
+        self.names.push(name);
+        for (i, column) in columns.iter().enumerate().filter(|_| rows > 0) {
+            self.fill(i as c_int + 1, column)?;
+        }
+        Ok(())
+    }
+
+    /// Adds a table with one column `LINE`: the lines of `text`, as [`Column::text`] writes them.
+    ///
+    /// # Errors
+    /// As [`FitsWriter::table`].
+    pub fn text(&mut self, name: &str, text: &str) -> Result<()> {
+        self.table(name, &[Column::text("LINE", text.lines())])
+    }
+
+    /// Sets a card of HDU `hdu` (`PRIMARY`, or the name of one that was added). A real number that is not finite, which
+    /// FITS cannot hold, is written as a card without value.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a keyword that FITS does not allow, or an HDU that is not there.
+    pub fn card(&mut self, hdu: &str, key: &str, value: impl Into<Card>, comment: &str) -> Result<()> {
+        let key = c_text(&super::checked_keyword(key)?)?;
+        let comment = c_text(comment)?;
+        let index = self.names.iter().position(|name| name.eq_ignore_ascii_case(hdu)).ok_or_else(|| {
+            Error::Value(format!("there is no HDU `{hdu}` to take a card: there are {}", self.names.join(", ")))
+        })?;
+        self.handle.move_to(index).map_err(|reason| Error::file(&self.path, reason))?;
+        let value = value.into();
+        let text = c_text(if let Card::Text(text) = &value { text } else { "" })?;
+        let (key, comment) = (key.as_ptr(), comment.as_ptr());
+        // SAFETY: all texts are NUL-terminated and outlive the call.
+        self.call(|file, status| unsafe {
+            match &value {
+                Card::Text(_) => sys::ffukls(file, key, text.as_ptr(), comment, status),
+                Card::Integer(n) => sys::ffukyj(file, key, *n, comment, status),
+                Card::Real(x) if x.is_finite() => sys::ffukyd(file, key, *x, -digits(*x), comment, status),
+                Card::Real(_) => sys::ffukyu(file, key, comment, status),
+                Card::Logical(b) => sys::ffukyl(file, key, c_int::from(*b), comment, status),
+            }
+        })
+    }
+
+    /// Writes the file to a temporary name beside its path, on the disk, and renames it onto the path.
+    ///
+    /// # Errors
+    /// [`Error::File`] where that fails, for instance on a full disk: then nothing is left, and what was at the path
+    /// before is still there.
+    pub fn finish(self) -> Result<()> {
+        let Self { path, handle, names } = self;
+        let bytes = handle.into_bytes(names.len()).map_err(|reason| Error::file(&path, reason))?;
+        Target::of(&path)?.write(&bytes)
+    }
+
+    fn fill(&mut self, number: c_int, column: &Column) -> Result<()> {
+        let rows = column.len() as i64;
+        let texts = match &column.values {
+            Values::Text(values) => values.iter().map(|value| c_text(value)).collect::<Result<Vec<_>>>()?,
+            _ => Vec::new(),
+        };
+        let mut starts = pointers(&texts);
+        let (code, start): (u32, *mut c_void) = match &column.values {
+            Values::F64(values) => (sys::TDOUBLE, values.as_ptr().cast_mut().cast()),
+            Values::I64(values) => (sys::TLONGLONG, values.as_ptr().cast_mut().cast()),
+            Values::Text(_) => (sys::TSTRING, starts.as_mut_ptr().cast()),
+        };
+        // SAFETY: `start` holds `rows` values of type `code`; cfitsio only reads them.
+        self.call(|file, status| unsafe { sys::ffpcl(file, code as c_int, number, 1, 1, rows, start, status) })
+    }
+
+    fn call(&mut self, function: impl FnOnce(*mut sys::fitsfile, *mut c_int) -> c_int) -> Result<()> {
+        self.handle.call(function).map_err(|reason| Error::file(&self.path, reason))
+    }
+
+    /// `name` in capitals, if it is free and FITS text.
+    fn new_name(&self, name: &str) -> Result<String> {
+        let upper = name.trim().to_ascii_uppercase();
+        // 60: EXTNAME then fits its card without continuation.
+        if upper.is_empty() || upper.len() > 60 || upper != ascii(&upper) {
+            return Err(Error::Value(format!(
+                "`{name}` cannot name an HDU: 1 to 60 printable ASCII characters are accepted"
+            )));
+        }
+        if self.names.contains(&upper) {
+            return Err(Error::Value(format!("HDU `{upper}` is there already: names must differ")));
+        }
+        Ok(upper)
+    }
+}
+
+/// Pixels in the type in which they are stored.
+enum Data {
+    F32(Vec<f32>),
+    F64(Vec<f64>),
+    I32(Vec<i32>),
+}
+
+impl Data {
+    fn new(values: impl Iterator<Item = f64>, pixel: Pixel, name: &str) -> Result<Self> {
+        let refusal =
+            |value: f64, kind: &str| Error::Value(format!("the value {value:?} of image `{name}` is not {kind}"));
+        match pixel {
+            Pixel::F64 => Ok(Data::F64(values.collect())),
+            Pixel::F32 => {
+                let narrow = |value: f64| {
+                    let fits = !value.is_finite() || (value as f32).is_finite();
+                    if fits { Ok(value as f32) } else { Err(refusal(value, "within the range of a 32-bit real")) }
+                };
+                values.map(narrow).collect::<Result<_>>().map(Data::F32)
+            }
+            Pixel::I32 => {
+                let whole = |value: f64| {
+                    let fits = value.fract() == 0.0 && (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&value);
+                    if fits { Ok(value as i32) } else { Err(refusal(value, "a 32-bit integer")) }
+                };
+                values.map(whole).collect::<Result<_>>().map(Data::I32)
+            }
+        }
+    }
+
+    /// How many, their cfitsio type, and where.
+    fn raw(&mut self) -> (usize, c_int, *mut c_void) {
+        match self {
+            Data::F32(values) => (values.len(), sys::TFLOAT as c_int, values.as_mut_ptr().cast()),
+            Data::F64(values) => (values.len(), sys::TDOUBLE as c_int, values.as_mut_ptr().cast()),
+            Data::I32(values) => (values.len(), sys::TINT as c_int, values.as_mut_ptr().cast()),
+        }
+    }
+}
+
+/// Where a finished file goes.
+struct Target {
+    path: PathBuf,
+    /// `path` with symbolic links followed: renaming onto a link would replace the link.
+    real: PathBuf,
+}
+
+impl Target {
+    fn of(path: &Path) -> Result<Self> {
+        let real = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+        match std::fs::metadata(&real) {
+            Ok(metadata) if metadata.is_dir() => Err(Error::file(path, "is a directory, where a file name is needed")),
+            Ok(metadata) if !metadata.is_file() => {
+                Err(Error::file(path, "is a device or a pipe: only plain files are replaced"))
+            }
+            _ => Ok(Self { path: path.to_path_buf(), real }),
+        }
+    }
+
+    fn directory(&self) -> &Path {
+        self.real.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    }
+
+    /// A temporary file beside the target; it is removed when dropped.
+    fn temporary(&self) -> Result<tempfile::NamedTempFile> {
+        use std::os::unix::fs::PermissionsExt;
+        let mut builder = tempfile::Builder::new();
+        // What a new file gets otherwise: the umask takes its part.
+        builder.prefix(".cophase-").suffix(".tmp").permissions(std::fs::Permissions::from_mode(0o666));
+        builder.tempfile_in(self.directory()).map_err(|error| {
+            let directory = self.directory().display();
+            match error.kind() {
+                std::io::ErrorKind::NotFound => {
+                    Error::file(&self.path, format!("its directory {directory} does not exist"))
+                }
+                _ => Error::file(&self.path, format!("its directory {directory} cannot be written: {}", cause(&error))),
+            }
+        })
+    }
+
+    fn write(&self, bytes: &[u8]) -> Result<()> {
+        let failed = |error: std::io::Error| {
+            Error::file(&self.path, format!("cannot be written: {}; nothing was left behind", cause(&error)))
+        };
+        let mut temporary = self.temporary()?;
+        temporary.write_all(bytes).map_err(failed)?;
+        temporary.as_file().sync_all().map_err(failed)?;
+        temporary.persist(&self.real).map_err(|error| failed(error.error))?;
+        // The rename is on the disk once the directory is; a file system that cannot do this has still renamed.
+        let _ = std::fs::File::open(self.directory()).and_then(|directory| directory.sync_all());
+        Ok(())
+    }
+}
+
+/// The operating system's reason, without the temporary name that `tempfile` adds.
+fn cause(error: &std::io::Error) -> String {
+    use std::error::Error;
+    error.source().map_or_else(|| error.to_string(), ToString::to_string)
+}
+
+/// Fewest significant digits, 15 to 17, that read back as `x`: 0.1 stays 0.1.
+fn digits(x: f64) -> c_int {
+    let exact = |digits: &usize| format!("{x:.*e}", digits - 1).parse() == Ok(x);
+    (15..17).find(exact).unwrap_or(17) as c_int
+}
+
+/// `text` in the printable ASCII that FITS holds.
+fn ascii(text: &str) -> String {
+    let plain = |c: char| match c {
+        ' '..='~' => c,
+        '\t' => ' ',
+        _ => '?',
+    };
+    text.chars().map(plain).collect()
+}
+
+fn c_text(text: &str) -> Result<CString> {
+    CString::new(ascii(text)).map_err(|error| Error::Internal(error.to_string()))
+}
+
+fn pointers(texts: &[CString]) -> Vec<*mut c_char> {
+    texts.iter().map(|text| text.as_ptr().cast_mut()).collect()
+}
