@@ -1,9 +1,10 @@
 //! The picture of an estimate: maps, coefficients and the image it explains.
 
 use super::bars;
-use super::canvas::{self, Rect};
+use super::canvas::Rect;
 use super::colour::Shade;
-use super::frame::{MARGIN, PAGE_W, heading, heading_height};
+use super::frame::{LEFT, MARGIN, PAGE_W, heading, heading_height};
+use super::page;
 use super::panel::{Extent, MapPanel, draw_row, rms, rms_text, root_mean_square, row_height};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -113,8 +114,8 @@ impl EstimatePicture {
         let images_h = if images.is_empty() { 0.0 } else { row_height(cell_w(&images)) + GAP };
         let height = heading_h + maps_h + bars_h + images_h + GAP;
 
-        canvas::draw(path.as_ref(), (PAGE_W as u32, height.ceil() as u32), |canvas| {
-            heading(canvas, PAGE_W, &self.title, &self.subtitle);
+        page::draw(path.as_ref(), (PAGE_W as u32, height.ceil() as u32), |canvas| {
+            heading(canvas, MARGIN / 2.0 + LEFT, PAGE_W, &self.title, &self.subtitle);
             let mut y = heading_h;
             for row in &rows {
                 draw_row(canvas, row, PAGE_W, cell_w(row), y);

@@ -8,6 +8,7 @@ use super::font::{self, Ink};
 pub(super) const TITLE_EM: f64 = 34.0;
 pub(super) const SUBTITLE_EM: f64 = 20.0;
 pub(super) const PANEL_EM: f64 = 22.0;
+const FIGURE_EM: f64 = 19.0;
 pub(super) const LABEL_EM: f64 = 19.0;
 pub(super) const TICK_EM: f64 = 17.0;
 
@@ -29,25 +30,25 @@ pub(super) fn heading_height(lines: usize) -> f64 {
     MARGIN + TITLE_EM + 8.0 + lines as f64 * SUBTITLE_EM * 1.4 + 18.0
 }
 
-/// Draws the title and the subtitle at the top of a page `page_w` wide.
-pub(super) fn heading(canvas: &mut Canvas, page_w: f64, title: &str, subtitle: &[String]) {
-    let room = page_w - 2.0 * MARGIN;
+/// Draws the title and the subtitle at the top of a page `page_w` wide, from `x`, where its plots begin.
+pub(super) fn heading(canvas: &mut Canvas, x: f64, page_w: f64, title: &str, subtitle: &[String]) {
+    let room = page_w - MARGIN - x;
     let mut y = MARGIN + 0.8 * TITLE_EM;
-    canvas.text((MARGIN, y), &font::fitted(title, TITLE_EM, room), Ink::new(TITLE_EM, INK));
+    canvas.text((x, y), &font::fitted(title, TITLE_EM, room), Ink::new(TITLE_EM, INK));
     y += 8.0;
     for line in subtitle {
         y += SUBTITLE_EM * 1.4;
-        canvas.text((MARGIN, y), &font::fitted(line, SUBTITLE_EM, room), Ink::new(SUBTITLE_EM, MUTED));
+        canvas.text((x, y), &font::fitted(line, SUBTITLE_EM, room), Ink::new(SUBTITLE_EM, MUTED));
     }
 }
 
 /// The name of a panel above `plot`, and a figure at the right of the same line; the name gives way.
 pub(super) fn panel_title(canvas: &mut Canvas, plot: Rect, name: &str, figure: &str) {
     let y = plot.y - 13.0;
-    let figure = font::fitted(figure, PANEL_EM - 2.0, plot.w);
-    let taken = if figure.is_empty() { 0.0 } else { font::width(&figure, PANEL_EM - 2.0) + 14.0 };
+    let figure = font::fitted(figure, FIGURE_EM, plot.w);
+    let taken = if figure.is_empty() { 0.0 } else { font::width(&figure, FIGURE_EM) + 14.0 };
     canvas.text((plot.x, y), &font::fitted(name, PANEL_EM, plot.w - taken), Ink::new(PANEL_EM, INK));
-    canvas.text((plot.right(), y), &figure, Ink::new(PANEL_EM - 2.0, MUTED).end());
+    canvas.text((plot.right(), y), &figure, Ink::new(FIGURE_EM, MUTED).end());
 }
 
 /// A plot: its rectangle and its two axes.
@@ -98,7 +99,7 @@ impl Frame {
     }
 
     fn y_count(&self) -> usize {
-        (self.plot.h / 55.0) as usize
+        ((self.plot.h / 46.0) as usize).max(3)
     }
 
     /// Ticks, numbers and label of the x axis.
