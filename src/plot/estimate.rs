@@ -152,7 +152,7 @@ impl MapTriple {
     /// Estimate, truth, residual; estimate and 1σ where there is no truth.
     fn panels<'a>(&'a self, part: &str, difference: Option<&'a Array2<f64>>) -> Vec<MapPanel<'a>> {
         let panel = |what: &str, values: ArrayView2<'a, f64>, shade: Shade, figure: String| MapPanel {
-            name: format!("{part} {what}"),
+            name: format!("{part} {what}").trim_end().to_string(),
             figure,
             values,
             shade,
@@ -164,7 +164,9 @@ impl MapTriple {
             [Some(&self.estimate), self.truth.as_ref()].into_iter().flatten().map(|map| map.view()).collect();
         let shade = Shade::diverging(&shared, 0.0);
 
-        let mut panels = vec![panel("estimate", self.estimate.view(), shade.clone(), rms_of(&self.estimate))];
+        // Alone, it needs no word to tell it from the truth.
+        let estimate = if self.truth.is_some() { "estimate" } else { "" };
+        let mut panels = vec![panel(estimate, self.estimate.view(), shade.clone(), rms_of(&self.estimate))];
         if let Some(truth) = &self.truth {
             panels.push(panel("truth", truth.view(), shade, rms_of(truth)));
         }
@@ -215,7 +217,7 @@ impl ImageTriple {
             extent: Extent::Pixels,
             unit,
         };
-        let shade = Shade::stretched(&[self.data.view(), self.model.view()]);
+        let shade = Shade::stretched(&[self.data.view(), self.model.view()], self.model.view());
         let residual = self.residual_in_sigma.view();
         let figure = rms_text(root_mean_square(residual.iter().copied()), "σ");
         vec![

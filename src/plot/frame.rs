@@ -1,6 +1,6 @@
 //! What every panel shares: the sizes of type, axes with ticks and labels, the heading of a page.
 
-use super::axis::Axis;
+use super::axis::{Axis, Tick};
 use super::canvas::{Canvas, Pen, Rect};
 use super::colour::{AXIS, GRID, INK, MUTED};
 use super::font::{self, Ink};
@@ -83,7 +83,7 @@ impl Frame {
 
     /// Vertical grid lines at the ticks.
     pub fn x_grid(&self, canvas: &mut Canvas) {
-        for tick in self.x.ticks(self.x_count()) {
+        for tick in self.x_ticks() {
             let x = self.x_at(tick.value);
             canvas.line((x, self.plot.y), (x, self.plot.bottom()), GRID_LINE);
         }
@@ -94,8 +94,15 @@ impl Frame {
         canvas.frame(self.plot, LINE);
     }
 
-    fn x_count(&self) -> usize {
-        (self.plot.w / 95.0) as usize
+    /// As many ticks as leave their numbers apart, at most ten.
+    fn x_ticks(&self) -> Vec<Tick> {
+        let apart = |pair: &[Tick]| {
+            let halves = (font::width(&pair[0].label, TICK_EM) + font::width(&pair[1].label, TICK_EM)) / 2.0;
+            self.x_at(pair[1].value) - self.x_at(pair[0].value) > halves + 14.0
+        };
+        let most = ((self.plot.w / 50.0) as usize).clamp(3, 10);
+        let fitting = (2..=most).rev().map(|count| self.x.ticks(count)).find(|ticks| ticks.windows(2).all(apart));
+        fitting.unwrap_or_default()
     }
 
     fn y_count(&self) -> usize {
@@ -105,15 +112,10 @@ impl Frame {
     /// Ticks, numbers and label of the x axis.
     pub fn x_axis(&self, canvas: &mut Canvas, label: &str) {
         let bottom = self.plot.bottom();
-        let mut free_from = f64::NEG_INFINITY;
-        for tick in self.x.ticks(self.x_count()) {
+        for tick in self.x_ticks() {
             let x = self.x_at(tick.value);
             x_tick(canvas, x, bottom, TICK_LENGTH);
-            let half = font::width(&tick.label, TICK_EM) / 2.0;
-            if x - half > free_from {
-                x_number(canvas, x, bottom, &tick.label);
-                free_from = x + half + 8.0;
-            }
+            x_number(canvas, x, bottom, &tick.label);
         }
         for value in self.x.minor_ticks() {
             x_tick(canvas, self.x_at(value), bottom, TICK_LENGTH * 0.6);
@@ -140,7 +142,9 @@ impl Frame {
             let y = self.y_at(value);
             canvas.line((x - TICK_LENGTH * 0.6, y), (x, y), LINE);
         }
-        let at = (x - TICK_LENGTH - 5.0 - widest - 12.0, self.plot.y + self.plot.h / 2.0);
+        // Numbers too long for their room push the label no further than the edge of the page.
+        let left = (x - TICK_LENGTH - 5.0 - widest - 12.0).max(LABEL_EM);
+        let at = (left, self.plot.y + self.plot.h / 2.0);
         canvas.text_upwards(at, &font::fitted(label, LABEL_EM, self.plot.h), Ink::new(LABEL_EM, INK).middle());
     }
 }

@@ -101,7 +101,7 @@ impl CaptionedMap {
         let shade = match self.scale {
             MapScale::Diverging => Shade::diverging(&[values], 0.0),
             MapScale::Sequential => Shade::sequential(&[values]),
-            MapScale::Stretched => Shade::stretched(&[values]),
+            MapScale::Stretched => Shade::stretched(&[values], values),
         };
         let extent = self.width_m.map_or(Extent::Pixels, Extent::Metres);
         MapPanel { name: self.caption.clone(), figure: String::new(), values, shade, extent, unit: &self.unit }
