@@ -196,8 +196,8 @@ impl<'a> Group<'a> {
         if self.with_truth {
             let rms = root_mean_square(self.modes.iter().filter_map(Mode::residual));
             let text = format!("residual {}", rms_text(rms, "nm"));
-            if let Some(x) = place(&text, 0.0) {
-                canvas.text((x, y), &text, Ink::new(LABEL_EM, MUTED));
+            if place(&text, 0.0).is_some() {
+                canvas.text((plot.right(), y), &text, Ink::new(LABEL_EM, MUTED).end());
             }
             if let Some(x) = place("truth", 22.0) {
                 canvas.text((x, y), "truth", Ink::new(LABEL_EM, INK));
