@@ -15,10 +15,12 @@ fn folder() -> PathBuf {
     folder
 }
 
-/// A number in −1..1 from `i`, the same at every run.
+/// A number in −1..1 from `i`, the same at every run: SplitMix64's finaliser (Steele, Lea and Flood, OOPSLA 2014).
 fn noise(i: usize) -> f64 {
-    // Weyl's sequence of √2 through a fast sine: uncorrelated enough to look at.
-    (((i as f64 + 1.0) * std::f64::consts::SQRT_2).fract() * 977.0).sin()
+    let mut z = (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    (z ^ (z >> 31)) as f64 / u64::MAX as f64 * 2.0 - 1.0
 }
 
 const SAMPLES: usize = 256;
@@ -114,7 +116,7 @@ fn star() -> ImageTriple {
     });
     let residual = Array2::from_shape_fn((side, side), |(i, j)| {
         let sum: f64 = (0..6).map(|k| noise(6 * (i * side + j) + k)).sum();
-        if j == 20 { f64::NAN } else { sum / 3f64.sqrt() }
+        if j == 20 { f64::NAN } else { sum / 2f64.sqrt() }
     });
     let data = &model + &(&residual * &model.mapv(|v| (v + 100.0).sqrt()));
     ImageTriple { data, model, residual_in_sigma: residual }

@@ -100,7 +100,12 @@ impl Axis {
     pub fn ticks(&self, count: usize) -> Vec<Tick> {
         let count = count.max(2);
         match self.scale {
-            Scale::Linear => linear_ticks(self.low, self.high, count),
+            // A coarse step may leave one tick, which says nothing of the scale: then a finer one.
+            Scale::Linear => [count, 2 * count, 4 * count]
+                .map(|count| linear_ticks(self.low, self.high, count))
+                .into_iter()
+                .find(|ticks| ticks.len() > 1)
+                .unwrap_or_default(),
             Scale::Log => log_ticks(self.low, self.high, count),
             Scale::Asinh { .. } => self.asinh_ticks(count),
         }

@@ -5,7 +5,7 @@ use super::canvas::{Canvas, Pen, Rect};
 use super::colour::{AXIS, INK, MUTED, Rgb};
 use super::estimate::{ModalBars, ModeGroup};
 use super::font::{self, Ink};
-use super::frame::{ABOVE, BELOW, Frame, LABEL_EM, LEFT, TICK_EM, panel_title, x_number, x_tick};
+use super::frame::{ABOVE, BELOW, Frame, LABEL_EM, LEFT, PANEL_EM, TICK_EM, panel_title, x_number, x_tick};
 use super::panel::{rms_text, root_mean_square};
 
 const BAR: Rgb = Rgb(0x9d, 0xc3, 0xe0);
@@ -180,29 +180,36 @@ impl<'a> Group<'a> {
         }
     }
 
-    /// At the right of the panel's name: what bars, error bars and diamonds are, and the RMS of what is left.
+    /// At the right of the panel's name, from the right and as far as there is room: the RMS of what is left, then what
+    /// diamonds, bars and error bars are. (A panel too narrow for all has a wider neighbour that says it.)
     fn legend(&self, canvas: &mut Canvas, plot: Rect) {
         let y = plot.y - 13.0;
-        let mut x = plot.right();
-        let residuals = || self.modes.iter().filter_map(Mode::residual);
-        if self.with_truth && residuals().next().is_some() {
-            let text = format!("residual {}", rms_text(root_mean_square(residuals()), "nm"));
-            canvas.text((x, y), &text, Ink::new(LABEL_EM, MUTED).end());
-            x -= font::width(&text, LABEL_EM) + 26.0;
-            canvas.text((x, y), "truth", Ink::new(LABEL_EM, INK).end());
-            x -= font::width("truth", LABEL_EM) + 14.0;
-            diamond(canvas, (x, y - 6.5), 6.0);
-            x -= 26.0;
+        let leftmost = plot.x + font::width(self.name, PANEL_EM) + 24.0;
+        let mut end = plot.right();
+        // Where the entry starts, if it fits with its symbol.
+        let mut place = |text: &str, symbol: f64| {
+            let start = end - font::width(text, LABEL_EM);
+            let fits = start - symbol >= leftmost;
+            end = if fits { start - symbol - 22.0 } else { f64::NEG_INFINITY };
+            fits.then_some(start)
+        };
+        if self.with_truth {
+            let rms = root_mean_square(self.modes.iter().filter_map(Mode::residual));
+            let text = format!("residual {}", rms_text(rms, "nm"));
+            if place(&text, 0.0).is_some() {
+                canvas.text((plot.right(), y), &text, Ink::new(LABEL_EM, MUTED).end());
+            }
+            if let Some(x) = place("truth", 22.0) {
+                canvas.text((x, y), "truth", Ink::new(LABEL_EM, INK));
+                diamond(canvas, (x - 15.0, y - 6.5), 6.0);
+            }
         }
         let text = "estimate ± 1σ";
-        let start = x - font::width(text, LABEL_EM);
-        // A narrow panel keeps its name; the wider one beside it has the legend.
-        if start - 30.0 < plot.x + font::width(self.name, super::frame::PANEL_EM) + 20.0 {
-            return;
+        if let Some(x) = place(text, 26.0) {
+            canvas.text((x, y), text, Ink::new(LABEL_EM, INK));
+            canvas.fill(Rect { x: x - 25.0, y: y - 15.0, w: 14.0, h: 16.0 }, BAR, 1.0);
+            canvas.line((x - 18.0, y - 19.0), (x - 18.0, y - 10.0), Pen::solid(ERROR, 2.0));
         }
-        canvas.text((x, y), text, Ink::new(LABEL_EM, INK).end());
-        canvas.fill(Rect { x: start - 24.0, y: y - 15.0, w: 14.0, h: 16.0 }, BAR, 1.0);
-        canvas.line((start - 17.0, y - 19.0), (start - 17.0, y - 10.0), Pen::solid(ERROR, 2.0));
     }
 }
 

@@ -5,18 +5,16 @@
 
 use super::colour::Rgb;
 use super::font::{self, Anchor, Ink};
+use super::page::{base64, png};
 use crate::{Error, Result};
-use image::ImageEncoder;
-use plotters::backend::{BitMapBackend, DrawingBackend, SVGBackend};
+use plotters::backend::DrawingBackend;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use plotters::style::{FontTransform, RGBAColor, RGBColor, ShapeStyle, TextStyle};
+use plotters::style::{Color, FontDesc, FontFamily, FontStyle, FontTransform, RGBAColor, ShapeStyle, TextStyle};
 use std::fmt::Write as _;
-use std::io::Write as _;
-use std::path::Path;
 
 /// Device units per logical pixel. 2 halves the steps of a slanted line and of the glyphs' integer advances; 3 costs
 /// twice the memory and shows no difference.
-const SCALE: usize = 2;
+pub(super) const SCALE: usize = 2;
 
 /// A rectangle in logical pixels, y down.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -65,6 +63,7 @@ trait Surface {
     fn polyline(&mut self, points: &[Point], colour: RGBAColor, width: u32) -> Outcome;
     fn polygon(&mut self, points: &[Point], colour: RGBAColor) -> Outcome;
     fn disc(&mut self, centre: Point, radius: u32, colour: RGBAColor) -> Outcome;
+    fn pixel(&mut self, at: Point, colour: RGBAColor) -> Outcome;
     fn text(&mut self, text: &str, style: &TextStyle, at: Point) -> Outcome;
     fn blit(&mut self, at: Point, size: (u32, u32), rgb: &[u8]) -> Outcome;
 }
@@ -90,6 +89,10 @@ impl<B: DrawingBackend> Surface for B {
         self.draw_circle(centre, radius, &shape(colour, 1), true).map_err(|e| e.to_string())
     }
 
+    fn pixel(&mut self, at: Point, colour: RGBAColor) -> Outcome {
+        self.draw_pixel(at, colour.to_backend_color()).map_err(|e| e.to_string())
+    }
+
     fn text(&mut self, text: &str, style: &TextStyle, at: Point) -> Outcome {
         self.draw_text(text, style, at).map_err(|e| e.to_string())
     }
@@ -104,8 +107,7 @@ fn shape(colour: RGBAColor, width: u32) -> ShapeStyle {
 }
 
 fn rgba(colour: Rgb, alpha: f64) -> RGBAColor {
-    let RGBColor(r, g, b) = RGBColor(colour.0, colour.1, colour.2);
-    RGBAColor(r, g, b, alpha)
+    RGBAColor(colour.0, colour.1, colour.2, alpha)
 }
 
 /// Nearest device unit.
@@ -225,36 +227,30 @@ impl Canvas<'_> {
         self.write(at, text, ink, true);
     }
 
-    fn write(&mut self, (x, y): (f64, f64), text: &str, ink: Ink, upwards: bool) {
+    fn write(&mut self, at: (f64, f64), text: &str, ink: Ink, upwards: bool) {
         let text = font::printable(text);
         if self.vector {
-            return self.write_run((x, y), &text, ink, upwards);
-        }
-        let runs = font::runs(&text);
-        if let [(only, 1.0, _)] = runs.as_slice() {
-            return self.write_run((x, y), only, ink, upwards);
-        }
-        let mut along = -font::width(&text, ink.em) * ink.anchor.fraction();
-        for (run, size, rise) in runs {
-            let (ahead, up) = (along, rise * ink.em);
-            let at = if upwards { (x - up, y - ahead) } else { (x + ahead, y - up) };
-            let small = Ink { em: ink.em * size, anchor: Anchor::Start, ..ink };
-            self.write_run(at, run, small, upwards);
-            along += font::width(run, small.em);
+            self.write_element(at, &text, ink, upwards);
+        } else {
+            self.write_pixels(at, &text, ink, upwards);
         }
     }
 
-    fn write_run(&mut self, (x, y): (f64, f64), text: &str, ink: Ink, upwards: bool) {
-        let em = ink.em * SCALE as f64;
-        // plotters' two backends take different sizes for one em, and each has its own idea of the top of a line;
-        // both distances from top to baseline are known, so the baseline is where we want it.
-        let (size, ascent) = if self.vector {
-            (em * font::SVG_SIZE_PER_EM, em * font::SVG_TOP_TO_BASELINE)
-        } else {
-            let size = 2.0 * (em * font::LINE_PER_EM / 2.0).round();
-            (size, size / 2.0)
-        };
-        let ascent = ascent.round() as i32;
+    fn write_pixels(&mut self, (x, y): (f64, f64), text: &str, ink: Ink, upwards: bool) {
+        let before = font::width(text, ink.em) * ink.anchor.fraction();
+        let (x, y) = if upwards { (device(x), device(y + before)) } else { (device(x - before), device(y)) };
+        font::rasterise(text, ink.em * SCALE as f64, |u, v, coverage| {
+            let at = if upwards { (x + v, y - 1 - u) } else { (x + u, y + v) };
+            // A light face loses weight when it is averaged down: its edges count a little more than they cover.
+            let done = self.surface.pixel(at, rgba(ink.colour, coverage.clamp(0.0, 1.0).powf(0.7)));
+            self.note(done);
+        });
+    }
+
+    fn write_element(&mut self, (x, y): (f64, f64), text: &str, ink: Ink, upwards: bool) {
+        let em = ink.em * font::SVG_EM * SCALE as f64;
+        // The backend's middle and bottom depend on the viewer's face; its top does not.
+        let ascent = (em * font::SVG_TOP_TO_BASELINE).round() as i32;
         let (turn, at) = if upwards {
             (FontTransform::Rotate270, (device(x) - ascent, device(y)))
         } else {
@@ -265,8 +261,9 @@ impl Canvas<'_> {
             Anchor::Middle => HPos::Center,
             Anchor::End => HPos::Right,
         };
-        let style = font::description(size).transform(turn).color(&rgba(ink.colour, 1.0));
-        let done = self.surface.text(text, &style.pos(Pos::new(h_pos, VPos::Top)), at);
+        let face = FontDesc::new(FontFamily::Name(font::FAMILY), em * font::SVG_SIZE_PER_EM, FontStyle::Normal);
+        let style = face.transform(turn).color(&rgba(ink.colour, 1.0)).pos(Pos::new(h_pos, VPos::Top));
+        let done = self.surface.text(text, &style, at);
         self.note(done);
     }
 
@@ -330,25 +327,12 @@ fn dashes(points: &[(f64, f64)], dash: (f64, f64)) -> Vec<Vec<(f64, f64)>> {
     pieces
 }
 
-/// Draws a page of `size` logical pixels with `paint` and writes it to `path`, whole or not at all.
-///
-/// # Errors
-/// [`Error::File`] for an extension that is neither `png` nor `svg`, or a file that cannot be written.
-pub(super) fn draw(path: &Path, size: (u32, u32), paint: impl FnOnce(&mut Canvas)) -> Result<()> {
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-    font::register()?;
-    let bytes = match extension.as_str() {
-        "png" => to_png(size, paint)?,
-        "svg" => to_svg(size, paint)?,
-        _ => {
-            let given = if extension.is_empty() { "no extension".into() } else { format!("extension `{extension}`") };
-            return Err(Error::file(path, format!("a picture with {given} is unknown: name it .png or .svg")));
-        }
-    };
-    write_atomically(path, &bytes).map_err(|e| Error::file(path, format!("the picture cannot be written: {e}")))
-}
-
-fn paint_on(surface: &mut dyn Surface, vector: bool, paint: impl FnOnce(&mut Canvas)) -> Result<String> {
+/// Runs `paint` on a backend; returns the `<image>` elements that an SVG is to lay under the rest.
+pub(super) fn paint_on<B: DrawingBackend>(
+    surface: &mut B,
+    vector: bool,
+    paint: impl FnOnce(&mut Canvas),
+) -> Result<String> {
     let mut canvas = Canvas { surface, vector, images: String::new(), fault: None };
     paint(&mut canvas);
     match canvas.fault {
@@ -357,91 +341,9 @@ fn paint_on(surface: &mut dyn Surface, vector: bool, paint: impl FnOnce(&mut Can
     }
 }
 
-fn to_png((w, h): (u32, u32), paint: impl FnOnce(&mut Canvas)) -> Result<Vec<u8>> {
-    let (wide, high) = (w as usize * SCALE, h as usize * SCALE);
-    let mut fine = vec![255u8; 3 * wide * high];
-    paint_on(&mut BitMapBackend::with_buffer(&mut fine, (wide as u32, high as u32)), false, paint)?;
-    let mut rgb = Vec::with_capacity(fine.len() / (SCALE * SCALE));
-    let samples = (SCALE * SCALE) as u32;
-    for y in 0..h as usize {
-        for x in 0..w as usize {
-            for channel in 0..3 {
-                let cell = (0..SCALE).flat_map(|v| (0..SCALE).map(move |u| (v, u)));
-                let sum: u32 =
-                    cell.map(|(v, u)| u32::from(fine[3 * ((y * SCALE + v) * wide + x * SCALE + u) + channel])).sum();
-                rgb.push(((sum + samples / 2) / samples) as u8);
-            }
-        }
-    }
-    png(&rgb, (w, h))
-}
-
-fn png(rgb: &[u8], (w, h): (u32, u32)) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut bytes)
-        .write_image(rgb, w, h, image::ColorType::Rgb8)
-        .map_err(|e| Error::Internal(format!("a picture could not be encoded ({e})")))?;
-    Ok(bytes)
-}
-
-fn to_svg((w, h): (u32, u32), paint: impl FnOnce(&mut Canvas)) -> Result<Vec<u8>> {
-    let (wide, high) = (w * SCALE as u32, h * SCALE as u32);
-    let mut drawn = String::new();
-    let images = {
-        let mut backend = SVGBackend::with_string(&mut drawn, (wide, high));
-        let images = paint_on(&mut backend, true, paint)?;
-        backend.present().map_err(|e| Error::Internal(format!("a picture could not be closed ({e})")))?;
-        images
-    };
-    // The backend's own first line declares device units as the page size: ours keeps the viewBox, sets the page to
-    // logical pixels, and lays white and the rasters under the rest.
-    let body = drawn.split_once('\n').map_or("", |(_, body)| body);
-    Ok(format!(
-        "<svg width=\"{w}\" height=\"{h}\" viewBox=\"0 0 {wide} {high}\" xmlns=\"http://www.w3.org/2000/svg\" \
-         xmlns:xlink=\"http://www.w3.org/1999/xlink\">\n<rect width=\"{wide}\" height=\"{high}\" fill=\"#FFFFFF\"/>\n\
-         {images}{body}"
-    )
-    .into_bytes())
-}
-
-fn base64(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let word = (0..3).fold(0u32, |word, i| word << 8 | u32::from(*chunk.get(i).unwrap_or(&0)));
-        for i in 0..4 {
-            let digit = DIGITS[(word >> (18 - 6 * i) & 63) as usize] as char;
-            text.push(if i <= chunk.len() { digit } else { '=' });
-        }
-    }
-    text
-}
-
-fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".cophase-").suffix(".tmp");
-    // tempfile defaults to 0600; a picture gets what the umask allows, like any other file.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder)?;
-    file.write_all(bytes)?;
-    file.persist(path).map_err(|e| e.error)?;
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn base64_matches_the_vectors_of_rfc_4648() {
-        let vectors =
-            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
-        for (plain, coded) in vectors {
-            assert_eq!(base64(plain.as_bytes()), coded);
-        }
-    }
 
     #[test]
     fn dashes_keep_their_rhythm_round_a_corner() {

@@ -102,9 +102,12 @@ impl Shade {
         Self { stops: &SEQUENTIAL, clipped: beyond(maps, &axis), axis }
     }
 
-    /// For images: asinh from the darkest to the brightest.
-    pub fn stretched(maps: &[ArrayView2<f64>]) -> Self {
-        let (low, high) = bounds(maps);
+    /// For images: asinh from the darkest of `maps` to the brightest, or a little above the brightest of `model`, lest a
+    /// cosmic ray dim the star.
+    pub fn stretched(maps: &[ArrayView2<f64>], model: ArrayView2<f64>) -> Self {
+        let (low, brightest) = bounds(maps);
+        let signal = bounds(&[model]).1 - low;
+        let high = if signal > 0.0 { brightest.min(low + 1.1 * signal) } else { brightest };
         let range = positive_or_one(high - low);
         let axis = Axis::exact(low, low + range, Scale::Asinh { knee: KNEE * range });
         Self { stops: &LIGHT, clipped: beyond(maps, &axis), axis }
@@ -199,9 +202,17 @@ mod tests {
     #[test]
     fn a_faint_ring_is_seen_in_the_stretch() {
         let map = array![[0.0, 0.02, 1.0]];
-        let shade = Shade::stretched(&[map.view()]);
+        let shade = Shade::stretched(&[map.view()], map.view());
         // asinh(1)/asinh(50) = 0.19 of the way up, against 0.02 on a linear scale.
         assert!((shade.axis().fraction(0.02) - 0.191).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_cosmic_ray_does_not_dim_the_star() {
+        let (data, model) = (array![[0.0, 95.0, 1e6]], array![[0.0, 100.0, 5.0]]);
+        let shade = Shade::stretched(&[data.view(), model.view()], model.view());
+        assert!((shade.axis().high() - 110.0).abs() < 1e-9, "{:?}", shade.axis());
+        assert_eq!(shade.clipped(), (false, true));
     }
 
     #[test]
@@ -210,7 +221,7 @@ mod tests {
             for shade in [
                 Shade::diverging(&[map.view()], 0.0),
                 Shade::sequential(&[map.view()]),
-                Shade::stretched(&[map.view()]),
+                Shade::stretched(&[map.view()], map.view()),
             ] {
                 let axis = shade.axis();
                 assert!(axis.low().is_finite() && axis.high() > axis.low(), "{map}: {axis:?}");

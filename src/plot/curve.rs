@@ -1,10 +1,11 @@
 //! Series with error bars: residual against defocus amplitude, error against samples.
 
 use super::axis::{Axis, usable};
-use super::canvas::{self, Canvas, Pen, Rect};
+use super::canvas::{Canvas, Pen, Rect};
 use super::colour::{GRID, INK, MUTED, Rgb, SERIES, WHITE};
 use super::font::{self, Ink};
 use super::frame::{Frame, LABEL_EM, MARGIN, heading, heading_height};
+use super::page;
 use crate::{Error, Result};
 use std::path::Path;
 
@@ -105,8 +106,8 @@ impl CurvePicture {
         self.series.iter().try_for_each(Series::check)?;
         let lines: Vec<Line> = self.series.iter().enumerate().map(|(i, series)| self.line(i, series)).collect();
         let frame = self.frame(&lines);
-        canvas::draw(path.as_ref(), PAGE, |canvas| {
-            heading(canvas, f64::from(PAGE.0), &self.title, &[]);
+        page::draw(path.as_ref(), PAGE, |canvas| {
+            heading(canvas, frame.plot.x, f64::from(PAGE.0), &self.title, &[]);
             frame.x_grid(canvas);
             frame.y_grid(canvas);
             let mut taken = self.marks(canvas, &frame);

@@ -1,9 +1,10 @@
 //! The picture of an estimate: maps, coefficients and the image it explains.
 
 use super::bars;
-use super::canvas::{self, Rect};
+use super::canvas::Rect;
 use super::colour::Shade;
-use super::frame::{MARGIN, PAGE_W, heading, heading_height};
+use super::frame::{LEFT, MARGIN, PAGE_W, heading, heading_height};
+use super::page;
 use super::panel::{Extent, MapPanel, draw_row, rms, rms_text, root_mean_square, row_height};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -113,8 +114,8 @@ impl EstimatePicture {
         let images_h = if images.is_empty() { 0.0 } else { row_height(cell_w(&images)) + GAP };
         let height = heading_h + maps_h + bars_h + images_h + GAP;
 
-        canvas::draw(path.as_ref(), (PAGE_W as u32, height.ceil() as u32), |canvas| {
-            heading(canvas, PAGE_W, &self.title, &self.subtitle);
+        page::draw(path.as_ref(), (PAGE_W as u32, height.ceil() as u32), |canvas| {
+            heading(canvas, MARGIN / 2.0 + LEFT, PAGE_W, &self.title, &self.subtitle);
             let mut y = heading_h;
             for row in &rows {
                 draw_row(canvas, row, PAGE_W, cell_w(row), y);
@@ -151,7 +152,7 @@ impl MapTriple {
     /// Estimate, truth, residual; estimate and 1σ where there is no truth.
     fn panels<'a>(&'a self, part: &str, difference: Option<&'a Array2<f64>>) -> Vec<MapPanel<'a>> {
         let panel = |what: &str, values: ArrayView2<'a, f64>, shade: Shade, figure: String| MapPanel {
-            name: format!("{part} {what}"),
+            name: format!("{part} {what}").trim_end().to_string(),
             figure,
             values,
             shade,
@@ -163,7 +164,9 @@ impl MapTriple {
             [Some(&self.estimate), self.truth.as_ref()].into_iter().flatten().map(|map| map.view()).collect();
         let shade = Shade::diverging(&shared, 0.0);
 
-        let mut panels = vec![panel("estimate", self.estimate.view(), shade.clone(), rms_of(&self.estimate))];
+        // Alone, it needs no word to tell it from the truth.
+        let estimate = if self.truth.is_some() { "estimate" } else { "" };
+        let mut panels = vec![panel(estimate, self.estimate.view(), shade.clone(), rms_of(&self.estimate))];
         if let Some(truth) = &self.truth {
             panels.push(panel("truth", truth.view(), shade, rms_of(truth)));
         }
@@ -214,7 +217,7 @@ impl ImageTriple {
             extent: Extent::Pixels,
             unit,
         };
-        let shade = Shade::stretched(&[self.data.view(), self.model.view()]);
+        let shade = Shade::stretched(&[self.data.view(), self.model.view()], self.model.view());
         let residual = self.residual_in_sigma.view();
         let figure = rms_text(root_mean_square(residual.iter().copied()), "σ");
         vec![

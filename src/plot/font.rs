@@ -1,16 +1,16 @@
 //! The one typeface of the pictures (Ubuntu Light, embedded: no system font is needed) and its measures.
 
 use super::colour::Rgb;
-use crate::{Error, Result};
+use ab_glyph::{Font, FontRef, Glyph, GlyphId, PxScale, ScaleFont, point};
 use epaint_default_fonts::UBUNTU_LIGHT;
-use plotters::style::{FontDesc, FontFamily, FontStyle};
 use std::sync::LazyLock;
 
-/// A CSS list: an SVG viewer takes the first that it has. Also the name under which the bytes are registered.
-const FAMILY: &str = "Ubuntu, Helvetica, Arial, sans-serif";
+/// What an SVG asks for: its viewer takes the first family that it has.
+pub(super) const FAMILY: &str = "Ubuntu, Helvetica, Arial, sans-serif";
 
-/// Line height of Ubuntu Light, em: `hhea` ascender 932, descender −189 of 1000 units. plotters' bitmap text is sized by it.
-pub(super) const LINE_PER_EM: f64 = 1.121;
+/// An SVG's text is set this much smaller, because the families that stand in for Ubuntu Light run wider than it, by
+/// which the layout is measured (Arial by 5 %, DejaVu Sans by 13 %).
+pub(super) const SVG_EM: f64 = 0.92;
 /// plotters' SVG text divides the size by this.
 pub(super) const SVG_SIZE_PER_EM: f64 = 1.24;
 /// Where plotters' SVG puts the baseline below the top, em.
@@ -62,18 +62,6 @@ impl Ink {
     }
 }
 
-/// Makes the typeface known to plotters, once.
-pub(super) fn register() -> Result<()> {
-    static DONE: LazyLock<bool> =
-        LazyLock::new(|| plotters::style::register_font(FAMILY, FontStyle::Normal, UBUNTU_LIGHT).is_ok());
-    if *DONE { Ok(()) } else { Err(Error::Internal("the embedded typeface cannot be read".into())) }
-}
-
-/// The typeface at `size`, in plotters' sense of the word.
-pub(super) fn description(size: f64) -> FontDesc<'static> {
-    FontDesc::new(FontFamily::Name(FAMILY), size, FontStyle::Normal)
-}
-
 /// `text` without the control characters that XML forbids.
 pub(super) fn printable(text: &str) -> String {
     text.chars().map(|c| if c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}') { ' ' } else { c }).collect()
@@ -96,13 +84,51 @@ pub(super) fn runs(text: &str) -> Vec<(&str, f64, f64)> {
     runs
 }
 
+/// The typeface; `None` only if the embedded bytes were damaged, in which case the pictures have no text.
+static FACE: LazyLock<Option<FontRef<'static>>> = LazyLock::new(|| FontRef::try_from_slice(UBUNTU_LIGHT).ok());
+
 /// Width of `text` at `em`, logical pixels.
 pub(super) fn width(text: &str, em: f64) -> f64 {
-    // plotters measures in whole pixels: measure large, then scale.
-    const LARGE: f64 = 1000.0;
-    let large = description(LARGE * LINE_PER_EM);
-    let one = |run: &str| large.layout_box(run).map_or(0.0, |((x0, _), (x1, _))| f64::from(x1 - x0));
-    runs(text).iter().map(|(run, size, _)| one(run) * size * em / LARGE).sum()
+    runs(text).iter().map(|(run, size, _)| set(run, size * em, |_, _| ())).sum()
+}
+
+/// Places the glyphs of `run` along a baseline that starts at 0: `place(glyph, x)`. Returns the width.
+fn set(run: &str, em: f64, mut place: impl FnMut(GlyphId, f64)) -> f64 {
+    let Some(face) = FACE.as_ref() else { return 0.0 };
+    let scaled = face.as_scaled(scale(face, em));
+    let (mut x, mut before) = (0.0, None);
+    for glyph in run.chars().map(|c| face.glyph_id(c)) {
+        x += before.map_or(0.0, |before| f64::from(scaled.kern(before, glyph)));
+        place(glyph, x);
+        x += f64::from(scaled.h_advance(glyph));
+        before = Some(glyph);
+    }
+    x
+}
+
+fn scale(face: &FontRef, em: f64) -> PxScale {
+    // ab_glyph counts the line, ascender to descender, where typography counts the em.
+    let line_per_em = face.height_unscaled() / face.units_per_em().unwrap_or(1000.0);
+    PxScale::from(em as f32 * line_per_em)
+}
+
+/// Rasterises `text` at `em` pixels, its baseline from (0, 0) along +x: `paint(x, y, coverage)`, y down.
+///
+/// plotters' own text leaves out each glyph's left bearing and rounds its advance, which shows as uneven spacing.
+pub(super) fn rasterise(text: &str, em: f64, mut paint: impl FnMut(i32, i32, f64)) {
+    let Some(face) = FACE.as_ref() else { return };
+    let mut start = 0.0;
+    for (run, size, rise) in runs(text) {
+        let (scale, y) = (scale(face, size * em), -(rise * em) as f32);
+        start += set(run, size * em, |id, x| {
+            let glyph = Glyph { id, scale, position: point((start + x) as f32, y) };
+            let Some(outline) = face.outline_glyph(glyph) else { return };
+            let corner = outline.px_bounds().min;
+            outline.draw(|u, v, coverage| {
+                paint(corner.x as i32 + u as i32, corner.y as i32 + v as i32, f64::from(coverage));
+            });
+        });
+    }
 }
 
 /// `text`, cut with an ellipsis where it would be wider than `room`.
@@ -127,7 +153,6 @@ mod tests {
 
     #[test]
     fn text_is_measured_and_cut_to_its_room() {
-        register().unwrap();
         let full = width("Phasing residual", 20.0);
         // A sans-serif letter is about half an em wide.
         assert!((80.0..240.0).contains(&full), "{full}");
@@ -135,6 +160,21 @@ mod tests {
         assert!(short.starts_with("Ph") && short.ends_with('…'), "{short}");
         assert!(width(&short, 20.0) <= full / 2.0);
         assert_eq!(fitted("Phasing", 20.0, 1e4), "Phasing");
+    }
+
+    #[test]
+    fn glyphs_stand_on_the_baseline_within_the_measured_width() {
+        let (mut top, mut bottom, mut left, mut right) = (0, i32::MIN, i32::MAX, 0);
+        rasterise("HIH", 100.0, |x, y, coverage| {
+            if coverage > 0.5 {
+                (top, bottom, left, right) = (top.min(y), bottom.max(y), left.min(x), right.max(x));
+            }
+        });
+        // A capital is 69.3 pixels high at 100 pixels an em and stands on y = 0.
+        assert!((-70..=-68).contains(&top) && bottom == -1, "{top} {bottom}");
+        // H has the same bearing on both sides: the text is centred in its width.
+        let margin = width("HIH", 100.0) - f64::from(right + 1);
+        assert!(left > 2 && (f64::from(left) - margin).abs() < 2.0, "{left} {margin}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What every panel shares: the sizes of type, axes with ticks and labels, the heading of a page.
 
-use super::axis::Axis;
+use super::axis::{Axis, Tick};
 use super::canvas::{Canvas, Pen, Rect};
 use super::colour::{AXIS, GRID, INK, MUTED};
 use super::font::{self, Ink};
@@ -8,6 +8,7 @@ use super::font::{self, Ink};
 pub(super) const TITLE_EM: f64 = 34.0;
 pub(super) const SUBTITLE_EM: f64 = 20.0;
 pub(super) const PANEL_EM: f64 = 22.0;
+const FIGURE_EM: f64 = 19.0;
 pub(super) const LABEL_EM: f64 = 19.0;
 pub(super) const TICK_EM: f64 = 17.0;
 
@@ -29,25 +30,25 @@ pub(super) fn heading_height(lines: usize) -> f64 {
     MARGIN + TITLE_EM + 8.0 + lines as f64 * SUBTITLE_EM * 1.4 + 18.0
 }
 
-/// Draws the title and the subtitle at the top of a page `page_w` wide.
-pub(super) fn heading(canvas: &mut Canvas, page_w: f64, title: &str, subtitle: &[String]) {
-    let room = page_w - 2.0 * MARGIN;
+/// Draws the title and the subtitle at the top of a page `page_w` wide, from `x`, where its plots begin.
+pub(super) fn heading(canvas: &mut Canvas, x: f64, page_w: f64, title: &str, subtitle: &[String]) {
+    let room = page_w - MARGIN - x;
     let mut y = MARGIN + 0.8 * TITLE_EM;
-    canvas.text((MARGIN, y), &font::fitted(title, TITLE_EM, room), Ink::new(TITLE_EM, INK));
+    canvas.text((x, y), &font::fitted(title, TITLE_EM, room), Ink::new(TITLE_EM, INK));
     y += 8.0;
     for line in subtitle {
         y += SUBTITLE_EM * 1.4;
-        canvas.text((MARGIN, y), &font::fitted(line, SUBTITLE_EM, room), Ink::new(SUBTITLE_EM, MUTED));
+        canvas.text((x, y), &font::fitted(line, SUBTITLE_EM, room), Ink::new(SUBTITLE_EM, MUTED));
     }
 }
 
 /// The name of a panel above `plot`, and a figure at the right of the same line; the name gives way.
 pub(super) fn panel_title(canvas: &mut Canvas, plot: Rect, name: &str, figure: &str) {
     let y = plot.y - 13.0;
-    let figure = font::fitted(figure, PANEL_EM - 2.0, plot.w);
-    let taken = if figure.is_empty() { 0.0 } else { font::width(&figure, PANEL_EM - 2.0) + 14.0 };
+    let figure = font::fitted(figure, FIGURE_EM, plot.w);
+    let taken = if figure.is_empty() { 0.0 } else { font::width(&figure, FIGURE_EM) + 14.0 };
     canvas.text((plot.x, y), &font::fitted(name, PANEL_EM, plot.w - taken), Ink::new(PANEL_EM, INK));
-    canvas.text((plot.right(), y), &figure, Ink::new(PANEL_EM - 2.0, MUTED).end());
+    canvas.text((plot.right(), y), &figure, Ink::new(FIGURE_EM, MUTED).end());
 }
 
 /// A plot: its rectangle and its two axes.
@@ -82,7 +83,7 @@ impl Frame {
 
     /// Vertical grid lines at the ticks.
     pub fn x_grid(&self, canvas: &mut Canvas) {
-        for tick in self.x.ticks(self.x_count()) {
+        for tick in self.x_ticks() {
             let x = self.x_at(tick.value);
             canvas.line((x, self.plot.y), (x, self.plot.bottom()), GRID_LINE);
         }
@@ -93,26 +94,28 @@ impl Frame {
         canvas.frame(self.plot, LINE);
     }
 
-    fn x_count(&self) -> usize {
-        (self.plot.w / 95.0) as usize
+    /// As many ticks as leave their numbers apart, at most ten.
+    fn x_ticks(&self) -> Vec<Tick> {
+        let apart = |pair: &[Tick]| {
+            let halves = (font::width(&pair[0].label, TICK_EM) + font::width(&pair[1].label, TICK_EM)) / 2.0;
+            self.x_at(pair[1].value) - self.x_at(pair[0].value) > halves + 14.0
+        };
+        let most = ((self.plot.w / 50.0) as usize).clamp(3, 10);
+        let fitting = (2..=most).rev().map(|count| self.x.ticks(count)).find(|ticks| ticks.windows(2).all(apart));
+        fitting.unwrap_or_default()
     }
 
     fn y_count(&self) -> usize {
-        (self.plot.h / 55.0) as usize
+        ((self.plot.h / 46.0) as usize).max(3)
     }
 
     /// Ticks, numbers and label of the x axis.
     pub fn x_axis(&self, canvas: &mut Canvas, label: &str) {
         let bottom = self.plot.bottom();
-        let mut free_from = f64::NEG_INFINITY;
-        for tick in self.x.ticks(self.x_count()) {
+        for tick in self.x_ticks() {
             let x = self.x_at(tick.value);
             x_tick(canvas, x, bottom, TICK_LENGTH);
-            let half = font::width(&tick.label, TICK_EM) / 2.0;
-            if x - half > free_from {
-                x_number(canvas, x, bottom, &tick.label);
-                free_from = x + half + 8.0;
-            }
+            x_number(canvas, x, bottom, &tick.label);
         }
         for value in self.x.minor_ticks() {
             x_tick(canvas, self.x_at(value), bottom, TICK_LENGTH * 0.6);
@@ -139,7 +142,9 @@ impl Frame {
             let y = self.y_at(value);
             canvas.line((x - TICK_LENGTH * 0.6, y), (x, y), LINE);
         }
-        let at = (x - TICK_LENGTH - 5.0 - widest - 12.0, self.plot.y + self.plot.h / 2.0);
+        // Numbers too long for their room push the label no further than the edge of the page.
+        let left = (x - TICK_LENGTH - 5.0 - widest - 12.0).max(LABEL_EM);
+        let at = (left, self.plot.y + self.plot.h / 2.0);
         canvas.text_upwards(at, &font::fitted(label, LABEL_EM, self.plot.h), Ink::new(LABEL_EM, INK).middle());
     }
 }

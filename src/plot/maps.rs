@@ -1,8 +1,9 @@
 //! A grid of captioned maps.
 
-use super::canvas;
+use super::canvas::Rect;
 use super::colour::Shade;
-use super::frame::{MARGIN, PAGE_W, heading, heading_height};
+use super::frame::{LEFT, MARGIN, PAGE_W, heading, heading_height};
+use super::page;
 use super::panel::{Extent, MapPanel, row_height};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -79,10 +80,10 @@ impl MapsPicture {
                 "{maps} maps in {columns} columns need a page {height:.0} pixels high: at most {MOST_HEIGHT:.0} are drawn"
             )));
         }
-        canvas::draw(path.as_ref(), (page_w.ceil() as u32, height.ceil() as u32), |canvas| {
-            heading(canvas, page_w, &self.title, &[]);
+        page::draw(path.as_ref(), (page_w.ceil() as u32, height.ceil() as u32), |canvas| {
+            heading(canvas, MARGIN / 2.0 + LEFT, page_w, &self.title, &[]);
             for (i, panel) in panels.iter().enumerate() {
-                let cell = canvas::Rect {
+                let cell = Rect {
                     x: MARGIN / 2.0 + (i % self.columns) as f64 * cell_w,
                     y: heading_h + (i / self.columns) as f64 * row_h,
                     w: cell_w,
@@ -100,7 +101,7 @@ impl CaptionedMap {
         let shade = match self.scale {
             MapScale::Diverging => Shade::diverging(&[values], 0.0),
             MapScale::Sequential => Shade::sequential(&[values]),
-            MapScale::Stretched => Shade::stretched(&[values]),
+            MapScale::Stretched => Shade::stretched(&[values], values),
         };
         let extent = self.width_m.map_or(Extent::Pixels, Extent::Metres);
         MapPanel { name: self.caption.clone(), figure: String::new(), values, shade, extent, unit: &self.unit }

@@ -16,6 +16,7 @@ mod estimate;
 mod font;
 mod frame;
 mod maps;
+mod page;
 mod panel;
 
 pub use curve::{CurvePicture, Marker, Series, SeriesStyle, Stroke};

@@ -104,7 +104,7 @@ impl MapPanel<'_> {
             arrow(canvas, bar, bar.bottom(), bar.bottom() + ARROW - 2.0, self.shade.at(0.0));
         }
         let frame = Frame { plot: bar, x: Axis::exact(0.0, 1.0, Scale::Linear), y: self.shade.axis().clone() };
-        for tick in self.shade.axis().ticks((bar.h / 60.0) as usize) {
+        for tick in self.shade.axis().ticks(((bar.h / 50.0) as usize).max(3)) {
             let y = frame.y_at(tick.value);
             canvas.line((bar.right(), y), (bar.right() + 5.0, y), Pen::solid(AXIS, 1.5));
             canvas.text_centred((bar.right() + 9.0, y), &tick.label, Ink::new(TICK_EM, INK));
