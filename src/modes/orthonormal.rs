@@ -3,7 +3,7 @@
 use super::{Samples, SmoothBasis, Zernikes};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array2, s};
+use ndarray::{Array2, Axis};
 
 /// Modes with zero mean and unit RMS over a pupil (weight A), orthogonal to each other, and what was left out.
 #[derive(Debug, Clone)]
@@ -137,13 +137,13 @@ impl Cholesky {
     fn inverse(&self, modes: usize) -> Array2<f64> {
         let mut inverse = Array2::<f64>::zeros((self.kept.len(), modes));
         for (i, row) in self.rows.iter().enumerate() {
-            let (above, mut below) = inverse.view_mut().split_at(ndarray::Axis(0), i);
+            let (above, mut below) = inverse.view_mut().split_at(Axis(0), i);
             let mut current = below.row_mut(0);
             for (factor, known) in row.iter().zip(above.rows()) {
                 current.scaled_add(-factor, &known);
             }
             current[self.kept[i]] += 1.0;
-            current.slice_mut(s![..]).mapv_inplace(|value| value / row[i]);
+            current /= row[i];
         }
         inverse
     }

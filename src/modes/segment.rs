@@ -3,7 +3,7 @@
 use super::{Basis, Group};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array3, ArrayViewMut2, Axis};
+use ndarray::{Array3, ArrayViewMut2};
 
 /// What each segment may do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,8 +69,8 @@ impl SegmentModes {
             }
         }
         let names = self.names(segments);
-        for mode in segments..maps.len_of(Axis(0)) {
-            normalise(maps.index_axis_mut(Axis(0), mode), pupil, mode % segments, &names[mode])?;
+        for (mode, (map, name)) in maps.outer_iter_mut().zip(&names).enumerate().skip(segments) {
+            normalise(map, pupil, mode % segments, name)?;
         }
         Basis::from_cube(names, vec![Group::Segment; segments * self.per_segment()], maps)
     }
