@@ -1,1 +1,39 @@
-//! (under construction)
+//! The bases: what the segments may do, and what the optics behind them may do.
+//!
+//! Two kinds. A [`SmoothBasis`] (Zernike, Karhunen-Loève, or both) is made of functions and can be evaluated at any
+//! point; a [`Basis`] (segment modes, modes from a file) is a cube of maps on the pupil's grid. A coefficient is nm of
+//! piston of a segment, or nm RMS over the pupil (weight A).
+//!
+//! ```text
+//! Zernikes ───────────┐                     ┌ zernike_basis
+//!                     ├ SmoothBasis ────────┼ karhunen_loeve (VonKarman) ── join_exact ── .sampled(pupil) ┐
+//! InfluenceFunctions ─┘                     └ orthonormalise                                              ├ Basis
+//! SegmentModes, files ────────────────────────────────────────────────────────────────────────────────────┘
+//! ```
+//!
+//! [`Degeneracy`] says which combinations of modes a Gram or Fisher matrix cannot tell apart.
+
+mod basis;
+mod influence;
+mod karhunen_loeve;
+mod linalg;
+mod orthonormal;
+mod report;
+mod samples;
+mod segment;
+mod smooth;
+mod von_karman;
+mod zernike;
+
+pub use basis::{Basis, Group};
+pub use influence::{InfluenceFunctions, Mirror};
+pub use karhunen_loeve::{KarhunenLoeve, karhunen_loeve};
+pub use orthonormal::{Dropped, Orthonormal, join_exact, orthonormalise, zernike_basis};
+pub use report::{Degeneracy, Direction, NULL_BELOW, WEAK_BELOW};
+pub use samples::Samples;
+pub use segment::SegmentModes;
+pub use smooth::{Functions, SmoothBasis};
+pub use von_karman::{R0_WAVELENGTH_NM, VonKarman};
+pub use zernike::{LARGEST_NOLL, Zernikes, noll_orders};
+
+use smooth::same_length;

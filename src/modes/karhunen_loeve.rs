@@ -1,0 +1,285 @@
+//! Karhunen-Loève modes of a deformable mirror: the combinations of its influence functions that turbulence excites
+//! independently, strongest first.
+//!
+//! Double diagonalisation (E. Gendron's thesis, 1995; as in OOMAO): the eigenvectors of the geometric covariance of the
+//! piston-removed influence functions make an orthonormal basis of what the mirror can do over the pupil; in it, the
+//! eigenvectors of the covariance of the turbulent wavefront's projections are the modes.
+//!
+//! The statistics are computed on the pupil's own grid where that is neither too coarse nor needlessly fine for the
+//! mirror, and on one of their own elsewhere; the modes are then made exactly orthonormal over the pupil as given.
+
+use super::linalg::symmetric_eigen;
+use super::orthonormal::orthonormalise;
+use super::{InfluenceFunctions, Samples, SmoothBasis, VonKarman};
+use crate::grid::Grid;
+use crate::pupil::Pupil;
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView1, ArrayViewMut1, Axis};
+use num_complex::Complex64;
+use rustfft::{Fft, FftPlanner};
+use std::sync::Arc;
+
+/// Samples per actuator pitch below which a grid of its own is taken. A Gaussian of 15 % coupling has σ = 0.51 pitch,
+/// here 1.5 samples: its spectrum has fallen to exp(−(π·1.5)²/2) = 1e-5 where the samples fold it.
+const ENOUGH_PER_PITCH: f64 = 3.0;
+
+/// Samples per pitch of that grid, where it stays within [`USUAL_GRID`]. The functions need no more than 3; the edge of
+/// the pupil does: at 3 the span of 66 modes turns by up to 0.5 degrees and their variances change by 0.3 %.
+const GOOD_PER_PITCH: f64 = 6.0;
+
+/// A grid above this many samples a side is only as fine as need be (time and memory go as actuators × samples).
+const USUAL_GRID: f64 = 256.0;
+
+/// The largest working grid, samples a side: 170 actuators across.
+const LARGEST_GRID: f64 = 512.0;
+
+/// Combinations of influence functions whose RMS over the pupil is below this fraction of the strongest one's are
+/// left out: they are differences of actuators beyond the edge, which only rounding distinguishes (in the
+/// covariance this is 1e-9, six digits above the eigen-solver's error).
+const SMALLEST_RMS: f64 = 3e-5;
+
+/// The first Karhunen-Loève modes of a mirror.
+#[derive(Debug, Clone)]
+pub struct KarhunenLoeve {
+    /// The modes, `kl-00`, `kl-01` …: piston-free and orthonormal over the pupil (weight A), by falling variance.
+    pub basis: SmoothBasis,
+    /// Variance of each mode in turbulence, nm².
+    pub variances_nm2: Vec<f64>,
+    /// How many combinations of influence functions were left out because they hardly move the pupil.
+    pub truncated: usize,
+}
+
+/// The first `count` Karhunen-Loève modes of `influence` over `pupil` under `turbulence`.
+///
+/// # Errors
+/// Those of [`Samples::of`]; [`Error::Value`] where `count` is 0 or more than the mirror can make, or the grid is too
+/// wide for the pitch.
+pub fn karhunen_loeve(
+    influence: &InfluenceFunctions,
+    pupil: &Pupil,
+    turbulence: &VonKarman,
+    count: usize,
+) -> Result<KarhunenLoeve> {
+    let working = working_pupil(pupil, influence.mirror().pitch_m())?;
+    let samples = Samples::of(&working)?;
+    let mut values = influence.evaluate(&samples.xs_m, &samples.ys_m)?;
+    let weights = ndarray::aview1(&samples.weights);
+    let mean = values.dot(&weights);
+    values -= &mean.view().insert_axis(Axis(1));
+    let weighted = &values * &weights;
+
+    let (orthonormal, truncated) = geometric_modes(&weighted.dot(&values.t()))?;
+    let available = orthonormal.ncols();
+    if count == 0 || count > available {
+        let text = format!("{count} Karhunen-Loève modes were asked for: this mirror makes 1 to {available}");
+        return Err(Error::Value(text));
+    }
+    let statistical = statistical_covariance(&weighted, &samples, &working.grid, turbulence);
+    let (variances, vectors) = symmetric_eigen(&orthonormal.t().dot(&statistical).dot(&orthonormal))?;
+    let strongest: Vec<usize> = (0..available).rev().take(count).collect();
+    let mut combination = orthonormal.dot(&vectors.select(Axis(1), &strongest)).reversed_axes();
+    combination.rows_mut().into_iter().for_each(fix_sign);
+
+    let width = (count - 1).to_string().len().max(2);
+    let names = (0..count).map(|mode| format!("kl-{mode:0width$}")).collect();
+    let raw = SmoothBasis::influence(influence.clone()).combined(names, &combination, &mean);
+    let modes = orthonormalise(&raw, pupil, 1e-3)?;
+    if let Some(lost) = modes.dropped.first() {
+        let text = format!("the pupil's samples are too few to tell {} from the modes before it", lost.name);
+        return Err(Error::Value(text));
+    }
+    let variances_nm2 = strongest.iter().map(|&mode| variances[mode]).collect();
+    Ok(KarhunenLoeve { basis: modes.basis, variances_nm2, truncated })
+}
+
+/// An eigenvector's sign is arbitrary: make the strongest actuator push, so that runs agree.
+fn fix_sign(mut mode: ArrayViewMut1<f64>) {
+    let strongest = mode.iter().fold(0f64, |best, &value| if value.abs() > best.abs() { value } else { best });
+    if strongest < 0.0 {
+        mode.mapv_inplace(|value| -value);
+    }
+}
+
+/// Columns that combine the influence functions into functions orthonormal over the pupil, and how many are missing.
+fn geometric_modes(covariance: &Array2<f64>) -> Result<(Array2<f64>, usize)> {
+    let (strengths, vectors) = symmetric_eigen(covariance)?;
+    let strongest = strengths.last().copied().unwrap_or(0.0);
+    let smallest = strongest * SMALLEST_RMS.powi(2);
+    let kept: Vec<usize> = (0..strengths.len()).filter(|&i| strengths[i] > smallest).collect();
+    let mut combination = vectors.select(Axis(1), &kept);
+    for (mut column, &i) in combination.columns_mut().into_iter().zip(&kept) {
+        column /= strengths[i].sqrt();
+    }
+    Ok((combination, strengths.len() - kept.len()))
+}
+
+/// The pupil itself where its grid suits the mirror, or its amplitude averaged over the cells of one that does.
+fn working_pupil(pupil: &Pupil, pitch_m: f64) -> Result<Pupil> {
+    // Checks the amplitude's shape before it is indexed.
+    Samples::of(pupil)?;
+    let width_m = pupil.grid.width_m();
+    let enough = ENOUGH_PER_PITCH * width_m / pitch_m;
+    if enough > LARGEST_GRID {
+        let text = format!(
+            "a pitch of {pitch_m} m on a grid of {width_m} m needs {enough:.0} working samples: {LARGEST_GRID} are accepted"
+        );
+        return Err(Error::Value(text));
+    }
+    let good = (GOOD_PER_PITCH * width_m / pitch_m).min(USUAL_GRID.max(enough));
+    // A third more than good is not worth another grid.
+    if (enough..=good * 4.0 / 3.0).contains(&(pupil.grid.samples() as f64)) {
+        return Ok(pupil.clone());
+    }
+    // Even, so that its padded double has small prime factors more often.
+    let size = (good.ceil() as usize).next_multiple_of(2);
+    let from = pupil.grid.samples();
+    // Share of each of the pupil's samples within each cell, per cell: rows sum to 1.
+    let share = Array2::from_shape_fn((size, from), |(cell, sample)| {
+        let (scale, cell, sample) = (from as f64 / size as f64, cell as f64, sample as f64);
+        let overlap = ((cell + 1.0) * scale).min(sample + 1.0) - (cell * scale).max(sample);
+        overlap.max(0.0) / scale
+    });
+    let amplitude = share.dot(&pupil.amplitude).dot(&share.t());
+    let owner = Array2::from_elem((size, size), -1);
+    Ok(Pupil { grid: Grid::new(size, width_m)?, amplitude, owner, segments: vec![] })
+}
+
+/// Covariance of the turbulent wavefront's projections on functions: Σ_pq f_p w_p B(p − q) w_q g_q for all pairs, nm².
+/// `weighted` is `[functions, samples]` and already holds the weights; each function has zero mean.
+///
+/// B is replaced by −D/2: they differ by a constant, which functions without piston do not see, and D stays finite and
+/// small where B(0) is large or, for Kolmogorov, infinite.
+fn statistical_covariance(
+    weighted: &Array2<f64>,
+    samples: &Samples,
+    grid: &Grid,
+    turbulence: &VonKarman,
+) -> Array2<f64> {
+    let mut convolution = Convolution::new(samples, grid, turbulence);
+    let mut spread = Array2::zeros(weighted.dim());
+    // Two real functions ride in one complex transform.
+    for first in (0..weighted.nrows()).step_by(2) {
+        let second = (first + 1).min(weighted.nrows() - 1);
+        convolution.apply(weighted.row(first), weighted.row(second));
+        for (point, value) in convolution.values().enumerate() {
+            spread[[second, point]] = value.im;
+            spread[[first, point]] = value.re;
+        }
+    }
+    let covariance = weighted.dot(&spread.t());
+    (&covariance + &covariance.t()) * 0.5
+}
+
+/// Convolution with −D/2 over the samples of a grid, by transforms of twice its size.
+struct Convolution {
+    /// Where each sample lies in the padded square.
+    places: Vec<usize>,
+    /// Transform of the kernel over the padded square, with the scale of the transforms.
+    kernel: Vec<f64>,
+    forward: Arc<dyn Fft<f64>>,
+    inverse: Arc<dyn Fft<f64>>,
+    field: Vec<Complex64>,
+}
+
+impl Convolution {
+    fn new(samples: &Samples, grid: &Grid, turbulence: &VonKarman) -> Self {
+        let (size, padded) = (grid.samples(), 2 * grid.samples());
+        let mut planner = FftPlanner::new();
+        let (forward, inverse) = (planner.plan_fft_forward(padded), planner.plan_fft_inverse(padded));
+        let offset_m = |i: usize| i.min(padded - i) as f64 * grid.pitch_m();
+        let kernel = |i: usize| -0.5 * turbulence.structure_nm2(offset_m(i / padded).hypot(offset_m(i % padded)));
+        let mut field: Vec<Complex64> = (0..padded * padded).map(|i| kernel(i).into()).collect();
+        transform(&*forward, &mut field);
+        let scale = 1.0 / (padded * padded) as f64;
+        Self {
+            places: samples.indices.iter().map(|i| i / size * padded + i % size).collect(),
+            // The kernel is even, so its transform is real.
+            kernel: field.iter().map(|value| value.re * scale).collect(),
+            forward,
+            inverse,
+            field,
+        }
+    }
+
+    /// Convolves two functions, as the real and imaginary parts of one.
+    fn apply(&mut self, real: ArrayView1<f64>, imaginary: ArrayView1<f64>) {
+        self.field.fill(Complex64::default());
+        for ((&place, &re), &im) in self.places.iter().zip(real).zip(imaginary) {
+            self.field[place] = Complex64::new(re, im);
+        }
+        transform(&*self.forward, &mut self.field);
+        self.field.iter_mut().zip(&self.kernel).for_each(|(value, kernel)| *value *= kernel);
+        transform(&*self.inverse, &mut self.field);
+    }
+
+    /// The result of the last [`apply`](Self::apply) at the samples.
+    fn values(&self) -> impl Iterator<Item = Complex64> + '_ {
+        self.places.iter().map(|&place| self.field[place])
+    }
+}
+
+/// Transforms a square along both axes: rows, transpose, rows, transpose.
+fn transform(fft: &dyn Fft<f64>, field: &mut [Complex64]) {
+    let size = fft.len();
+    for _ in 0..2 {
+        fft.process(field);
+        for row in 1..size {
+            for column in 0..row {
+                field.swap(row * size + column, column * size + row);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array1;
+
+    #[test]
+    fn the_transforms_give_the_double_sum() {
+        // An odd number of uneven functions on an uneven pupil, against the definition.
+        let grid = Grid::new(6, 3.0).unwrap();
+        let amplitude = Array2::from_shape_fn((6, 6), |(y, x)| if x + 2 * y > 4 { 0.5 + 0.1 * x as f64 } else { 0.0 });
+        let owner = Array2::from_elem((6, 6), 0);
+        let samples = Samples::of(&Pupil { grid, amplitude, owner, segments: vec![] }).unwrap();
+        let weights = Array1::from(samples.weights.clone());
+        let turbulence = VonKarman::new(0.2, 20.0).unwrap();
+        let mut functions = Array2::from_shape_fn((3, weights.len()), |(k, p)| {
+            (samples.xs_m[p] * (k + 1) as f64 + samples.ys_m[p].powi(2)).sin()
+        });
+        for mut function in functions.rows_mut() {
+            function -= function.dot(&weights);
+        }
+        functions *= &weights;
+        let fast = statistical_covariance(&functions, &samples, &grid, &turbulence);
+        for ((i, j), &value) in fast.indexed_iter() {
+            let (mut slow, mut size) = (0.0, 0.0);
+            for p in 0..weights.len() {
+                for q in 0..weights.len() {
+                    let r_m = (samples.xs_m[p] - samples.xs_m[q]).hypot(samples.ys_m[p] - samples.ys_m[q]);
+                    // The definition, with B itself: the piston-free functions must not tell it from −D/2.
+                    let term = functions[[i, p]] * functions[[j, q]] * turbulence.covariance_nm2(r_m);
+                    slow += term;
+                    size += term.abs();
+                }
+            }
+            // A thousand terms summed in another order, relative to their sizes: 1e-16 · √1000 and a margin of ten.
+            assert!((value - slow).abs() < 5e-14 * size, "[{i}, {j}]: {value} against {slow}");
+        }
+    }
+
+    #[test]
+    fn the_working_pupil_keeps_the_area_whatever_the_sampling() {
+        for (n, size) in [(7, 120), (59, 120), (61, 61), (160, 160), (161, 120)] {
+            let grid = Grid::new(n, 10.0).unwrap();
+            let amplitude = Array2::from_shape_fn((n, n), |(y, x)| ((3 * x + 5 * y) % 7) as f64 / 6.0);
+            let mean = amplitude.mean().unwrap();
+            let owner = Array2::from_elem((n, n), 0);
+            let working = working_pupil(&Pupil { grid, amplitude, owner, segments: vec![] }, 0.5).unwrap();
+            assert_eq!(working.grid.samples(), size);
+            // Means of some 1e4 cells, each of a few products: rounding only.
+            assert!((working.amplitude.mean().unwrap() / mean - 1.0).abs() < 1e-13);
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Segment modes: names for every model, and maps for the plain one in which a sample belongs to one segment.
+
+use super::{Basis, Group};
+use crate::pupil::Pupil;
+use crate::{Error, Result};
+use ndarray::{Array3, ArrayViewMut2};
+
+/// What each segment may do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SegmentModes {
+    /// Piston: 1 on the segment, 0 elsewhere.
+    Piston,
+    /// Piston, then tip (along x) and tilt (along y) about the segment's centre of light, unit RMS over the segment.
+    PistonTipTilt,
+}
+
+/// The kinds of motion, in the order of their modes.
+const MOTIONS: [&str; 3] = ["piston", "tip", "tilt"];
+
+impl SegmentModes {
+    /// Modes of one segment.
+    pub fn per_segment(self) -> usize {
+        match self {
+            SegmentModes::Piston => 1,
+            SegmentModes::PistonTipTilt => 3,
+        }
+    }
+
+    /// Names of the modes: all the pistons (`segment-00-piston`, `segment-01-piston` …), then all the tips, then all
+    /// the tilts.
+    pub fn names(self, segments: usize) -> Vec<String> {
+        // Zero-padded, so that an alphabetic list is in order.
+        let width = segments.saturating_sub(1).to_string().len().max(2);
+        let motions = &MOTIONS[..self.per_segment()];
+        let name = |motion| (0..segments).map(move |segment| format!("segment-{segment:0width$}-{motion}"));
+        motions.iter().flat_map(name).collect()
+    }
+
+    /// The modes as maps on the pupil's grid by its owner map, in the order of [`names`](Self::names).
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the pupil's arrays do not fit its grid; [`Error::Value`] for an owner that is no segment,
+    /// a pupil without segments, or a segment too small on this grid to show its mode.
+    pub fn maps(self, pupil: &Pupil) -> Result<Basis> {
+        let (n, segments) = (pupil.grid.samples(), pupil.segments.len());
+        for shape in [pupil.amplitude.dim(), pupil.owner.dim()] {
+            if shape != (n, n) {
+                return Err(Error::Shape(format!(
+                    "a pupil array of shape {shape:?} was given: {:?} is needed",
+                    (n, n)
+                )));
+            }
+        }
+        if segments == 0 {
+            return Err(Error::Value("the pupil has no segments: segment modes need at least one".into()));
+        }
+        if let Some(owner) = pupil.owner.iter().find(|&&owner| owner >= segments as i32 || owner < -1) {
+            let text = format!("the owner map names segment {owner}: −1 to {} are accepted", segments - 1);
+            return Err(Error::Value(text));
+        }
+        let mut maps = Array3::zeros((segments * self.per_segment(), n, n));
+        for ((row, column), &owner) in pupil.owner.indexed_iter() {
+            if owner >= 0 {
+                maps[[owner as usize, row, column]] = 1.0;
+                if self == SegmentModes::PistonTipTilt {
+                    maps[[segments + owner as usize, row, column]] = pupil.grid.coordinate_m(column);
+                    maps[[2 * segments + owner as usize, row, column]] = pupil.grid.coordinate_m(row);
+                }
+            }
+        }
+        let names = self.names(segments);
+        for (mode, (map, name)) in maps.outer_iter_mut().zip(&names).enumerate().skip(segments) {
+            normalise(map, pupil, mode % segments, name)?;
+        }
+        Basis::from_cube(names, vec![Group::Segment; segments * self.per_segment()], maps)
+    }
+}
+
+/// Removes the mean over `segment` and scales to unit RMS over it, both weighted by the amplitude.
+fn normalise(mut map: ArrayViewMut2<f64>, pupil: &Pupil, segment: usize, name: &str) -> Result<()> {
+    let own = |index: (usize, usize)| pupil.owner[index] == segment as i32;
+    let weighted = |map: &ArrayViewMut2<f64>, power: i32| -> f64 {
+        let term = |(index, value): ((usize, usize), &f64)| pupil.amplitude[index] * value.powi(power);
+        map.indexed_iter().filter(|(index, _)| own(*index)).map(term).sum()
+    };
+    let light = weighted(&map, 0);
+    let mean = weighted(&map, 1) / light;
+    map.indexed_iter_mut().filter(|(index, _)| own(*index)).for_each(|(_, value)| *value -= mean);
+    let rms = (weighted(&map, 2) / light).sqrt();
+    // Two samples apart already give half a pitch; rounding of the mean gives 1e-16 of the grid's width.
+    if !(light > 0.0 && rms > 1e-9 * pupil.grid.width_m()) {
+        return Err(Error::Value(format!(
+            "{name} does not show on this grid: the segment needs at least two lit samples"
+        )));
+    }
+    map.mapv_inplace(|value| value / rms);
+    Ok(())
+}
