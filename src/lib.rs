@@ -32,5 +32,7 @@ pub mod optimize;
 pub mod plot;
 pub mod pupil;
 pub mod scene;
+pub mod source;
+pub mod telescope;
 
 pub use error::{Error, Result};

@@ -1,0 +1,171 @@
+//! Drawing the aberrations.
+
+use crate::io;
+use crate::modes::{SmoothBasis, Zernikes, noll_orders};
+use crate::scene::{Scene, Zernikes as Span};
+use crate::telescope::{MapOnGrid, Telescope};
+use crate::{Error, Result};
+use ndarray::{Array2, Array3};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// The aberrations of a simulated image.
+pub struct Truth {
+    /// Piston of each segment, nm, with zero mean over the pupil.
+    pub piston_nm: Vec<f64>,
+    /// Tilt of each segment along x and y, nm RMS over the segment.
+    pub tip_tilt_nm: Vec<[f64; 2]>,
+    /// Segment errors on the scene's grid, nm, `[y, x]`, NaN outside the pupil.
+    pub phasing_nm: Array2<f64>,
+    /// Non-common path aberrations likewise.
+    pub ncpa_nm: Array2<f64>,
+    ncpa: Ncpa,
+}
+
+enum Ncpa {
+    None,
+    Zernikes { basis: SmoothBasis, coefficients_nm: Vec<f64>, offset_nm: f64 },
+    Map(MapOnGrid),
+}
+
+impl Truth {
+    /// Draws the aberrations of `scene`.
+    ///
+    /// Pistons are normal, brought to zero mean and exactly the stated RMS over the segments. The NCPA are Noll
+    /// polynomials on the circle around the pupil, the variance of each as its radial order to the stated power,
+    /// brought to exactly the stated RMS over the pupil (weight A, piston removed).
+    ///
+    /// # Errors
+    /// [`Error::File`] for an NCPA map that cannot be read.
+    pub fn draw(scene: &Scene, telescope: &Telescope, rng: &mut impl Rng) -> Result<Self> {
+        let segments = telescope.pupil.segments.len();
+        let Some(aberrations) = &scene.aberrations else {
+            let nothing = (vec![0.0; segments], vec![[0.0; 2]; segments]);
+            return Self::assemble(telescope, nothing.0, nothing.1, Ncpa::None);
+        };
+        let mut normal = || -> f64 { StandardNormal.sample(rng) };
+        let areas = telescope.pupil.segment_areas();
+        let whole: f64 = areas.iter().sum();
+        let mean = |values: &[f64]| values.iter().zip(&areas).map(|(v, a)| v * a).sum::<f64>() / whole;
+        let mut piston_nm: Vec<f64> = (0..segments).map(|_| normal()).collect();
+        let centre = mean(&piston_nm);
+        piston_nm.iter_mut().for_each(|p| *p -= centre);
+        let square: Vec<f64> = piston_nm.iter().map(|p| p * p).collect();
+        scale_to(&mut piston_nm, mean(&square).sqrt(), aberrations.segment_piston_rms_nm);
+        let mut tilts: Vec<f64> = (0..2 * segments).map(|_| normal()).collect();
+        let square: Vec<f64> = tilts.chunks(2).map(|t| t[0] * t[0] + t[1] * t[1]).collect();
+        scale_to(&mut tilts, mean(&square).sqrt(), aberrations.segment_tip_tilt_rms_nm);
+        let tip_tilt_nm = tilts.chunks(2).map(|t| [t[0], t[1]]).collect();
+        let ncpa = if let Some(file) = &aberrations.ncpa_file {
+            let path = scene.resolve(file);
+            let map = MapOnGrid::new(io::read_map(&path, None)?, telescope.pupil.grid.width_m());
+            Ncpa::Map(map.map_err(|error| Error::file(&path, error))?)
+        } else {
+            draw_zernikes(aberrations.ncpa_zernikes, aberrations.ncpa_power_law, aberrations.ncpa_rms_nm, telescope, normal)?
+        };
+        Self::assemble(telescope, piston_nm, tip_tilt_nm, ncpa)
+    }
+
+    fn assemble(telescope: &Telescope, piston_nm: Vec<f64>, tip_tilt_nm: Vec<[f64; 2]>, ncpa: Ncpa) -> Result<Self> {
+        let pupil = &telescope.pupil;
+        let outside = Array2::from_elem(pupil.amplitude.dim(), f64::NAN);
+        let mut truth = Self { piston_nm, tip_tilt_nm, phasing_nm: outside.clone(), ncpa_nm: outside, ncpa };
+        let unit = segment_radius_rms(telescope);
+        for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
+            let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
+            truth.phasing_nm[[y, x]] = truth.segment_nm(telescope, owner as usize, unit, x_m, y_m);
+        }
+        let mut points = Vec::new();
+        for ((y, x), _) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
+            points.push((y, x));
+        }
+        let at = |(y, x): (usize, usize)| (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
+        let (xs, ys): (Vec<f64>, Vec<f64>) = points.iter().copied().map(at).unzip();
+        for (&(y, x), value) in points.iter().zip(truth.ncpa_at(&xs, &ys)?) {
+            truth.ncpa_nm[[y, x]] = value;
+        }
+        Ok(truth)
+    }
+
+    /// The NCPA at points of the pupil plane, nm.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for lists of unequal length.
+    pub fn ncpa_at(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Vec<f64>> {
+        Ok(match &self.ncpa {
+            Ncpa::None => vec![0.0; xs_m.len()],
+            Ncpa::Map(map) => xs_m.iter().zip(ys_m).map(|(&x, &y)| map.at(x, y)).collect(),
+            Ncpa::Zernikes { basis, coefficients_nm, offset_nm } => {
+                let coefficients = ndarray::ArrayView1::from(coefficients_nm);
+                (coefficients.dot(&basis.evaluate(xs_m, ys_m)?) + *offset_nm).to_vec()
+            }
+        })
+    }
+
+    /// The error of `segment` at a point, nm; `unit_m` is [`segment_radius_rms`].
+    pub(super) fn segment_nm(&self, telescope: &Telescope, segment: usize, unit_m: f64, x_m: f64, y_m: f64) -> f64 {
+        let centre = telescope.pupil.segments[segment];
+        let [tip, tilt] = self.tip_tilt_nm[segment];
+        self.piston_nm[segment] + (tip * (x_m - centre.x_m) + tilt * (y_m - centre.y_m)) / unit_m
+    }
+
+    /// Whether any segment is tilted.
+    pub(super) fn tilts_segments(&self) -> bool {
+        self.tip_tilt_nm.iter().flatten().any(|&tilt| tilt != 0.0)
+    }
+
+    /// Both maps as a cube, phasing first.
+    pub fn maps_nm(&self) -> Array3<f64> {
+        ndarray::stack![ndarray::Axis(0), self.phasing_nm, self.ncpa_nm]
+    }
+}
+
+/// RMS of x over a segment, m: √(5/24) of the side for a hexagon; measured, so that it holds for any segment.
+pub(super) fn segment_radius_rms(telescope: &Telescope) -> f64 {
+    let pupil = &telescope.pupil;
+    let (mut weight, mut square) = (0.0, 0.0);
+    for (((y, x), &owner), &a) in pupil.owner.indexed_iter().zip(&pupil.amplitude).filter(|((_, owner), _)| **owner >= 0) {
+        let centre = pupil.segments[owner as usize];
+        let (x, y) = (pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m);
+        (weight, square) = (weight + a, square + a * (x * x + y * y) / 2.0);
+    }
+    (square / weight).sqrt()
+}
+
+fn scale_to(values: &mut [f64], rms: f64, wanted: f64) {
+    let factor = if rms > 0.0 { wanted / rms } else { 0.0 };
+    values.iter_mut().for_each(|value| *value *= factor);
+}
+
+fn draw_zernikes(
+    span: Span,
+    power: f64,
+    rms_nm: f64,
+    telescope: &Telescope,
+    mut normal: impl FnMut() -> f64,
+) -> Result<Ncpa> {
+    // Piston (Noll 1) is not seen by anything.
+    let nolls: Vec<usize> = span.indices().filter(|&noll| noll > 1).collect();
+    if nolls.is_empty() || rms_nm == 0.0 {
+        return Ok(Ncpa::None);
+    }
+    let mut coefficients_nm = Vec::with_capacity(nolls.len());
+    for &noll in &nolls {
+        let (order, _) = noll_orders(noll)?;
+        coefficients_nm.push(normal() * f64::from(order).powf(power / 2.0));
+    }
+    let pupil = &telescope.pupil;
+    let radius_m = pupil
+        .amplitude
+        .indexed_iter()
+        .filter(|(_, a)| **a > 0.0)
+        .map(|((y, x), _)| pupil.grid.coordinate_m(x).hypot(pupil.grid.coordinate_m(y)))
+        .fold(0.0, f64::max);
+    let basis = SmoothBasis::zernike(Zernikes::new(nolls, radius_m)?);
+    let samples = crate::modes::Samples::of(pupil)?;
+    let map = ndarray::ArrayView1::from(&coefficients_nm).dot(&basis.evaluate(&samples.xs_m, &samples.ys_m)?);
+    let mean: f64 = map.iter().zip(&samples.weights).map(|(m, w)| m * w).sum();
+    let rms = map.iter().zip(&samples.weights).map(|(m, w)| w * (m - mean).powi(2)).sum::<f64>().sqrt();
+    scale_to(&mut coefficients_nm, rms, rms_nm);
+    Ok(Ncpa::Zernikes { basis, coefficients_nm, offset_nm: -mean * rms_nm / rms })
+}

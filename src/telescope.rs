@@ -1,0 +1,265 @@
+//! What a scene says of the telescope, built: its pupil on any grid, how a model samples it, its mirror, its air.
+//!
+//! Shared by whatever makes images and whatever reads them, so that both mean the same telescope; how each samples it
+//! is its own affair.
+
+use crate::grid::Grid;
+use crate::io;
+use crate::modes::{InfluenceFunctions, Mirror, VonKarman};
+use crate::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, Pupil, SegmentWeights};
+use crate::scene::{Aperture as SceneAperture, PupilModel, Scene};
+use crate::{Error, Result};
+use ndarray::Array2;
+
+/// Where the glass is known from.
+enum Glass {
+    /// Geometry: exact on any grid.
+    Exact(Aperture),
+    /// Maps finer than the model's grid.
+    Fine(FinePupil),
+    /// Maps on the model's own grid, used as they are.
+    Coarse,
+}
+
+/// The telescope of a scene, on the scene's grid.
+pub struct Telescope {
+    /// The pupil on the scene's grid (`pupil.samples` over `pupil.grid_m`), on which maps are reported.
+    pub pupil: Pupil,
+    glass: Glass,
+}
+
+impl Telescope {
+    /// Builds the telescope of `scene`, reading its pupil's file if it names one.
+    ///
+    /// # Errors
+    /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible one.
+    pub fn of(scene: &Scene) -> Result<Self> {
+        if let SceneAperture::File(file) = &scene.pupil.aperture {
+            return Self::from_file(scene, &scene.resolve(file));
+        }
+        let pupil = &scene.pupil;
+        let aperture = Aperture::hexagonal(&HexagonalParameters {
+            rings: pupil.rings,
+            segment_side_m: pupil.segment_side_m,
+            gap_m: pupil.segment_gap_m,
+            central_segment: pupil.central_segment,
+            obscuration_diameter_m: pupil.central_obscuration_m,
+            spider_width_m: pupil.spider_width_m,
+            spider_angles_deg: if pupil.spider_width_m > 0.0 { pupil.spider_angles_deg.clone() } else { Vec::new() },
+        })?;
+        let grid = Grid::new(pupil.samples, pupil.grid_m.unwrap_or(aperture.width_m()))?;
+        Ok(Self { pupil: aperture.pupil(&grid)?, glass: Glass::Exact(aperture) })
+    }
+
+    fn from_file(scene: &Scene, path: &std::path::Path) -> Result<Self> {
+        let mut file = io::FitsReader::open(path)?;
+        let named = |file: &io::FitsReader, name: &str| file.names().iter().any(|n| n == name).then(|| name.to_string());
+        let amplitude_name = named(&file, "PUPIL");
+        let amplitude = file.map(amplitude_name.as_deref())?;
+        let labels = match named(&file, "SEGMENT") {
+            Some(name) => Some(file.map(Some(&name))?.mapv(|label| label as i32)),
+            None => None,
+        };
+        let size = amplitude.nrows();
+        if amplitude.ncols() != size || size % 2 != 0 {
+            let (rows, columns) = amplitude.dim();
+            return Err(Error::file(
+                path,
+                format_args!("the pupil has {columns}x{rows} samples; a square with an even side is needed"),
+            ));
+        }
+        let width_m = scene.pupil.grid_m.ok_or_else(|| Error::Scene("'pupil.grid_m' is missing".into()))?;
+        let in_file = |error: Error| Error::file(path, error);
+        if size >= 2 * scene.pupil.samples && scene.pupil.model != Some(PupilModel::Hard) {
+            let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels).map_err(in_file)?;
+            let pupil = binned(&fine, Grid::new(scene.pupil.samples, width_m)?)?;
+            return Ok(Self { pupil, glass: Glass::Fine(fine) });
+        }
+        let pupil = Pupil::from_maps(Grid::new(size, width_m)?, amplitude, labels).map_err(in_file)?;
+        Ok(Self { pupil, glass: Glass::Coarse })
+    }
+
+    /// Whether the pupil is known finely enough to be band-limited.
+    pub fn is_fine(&self) -> bool {
+        !matches!(self.glass, Glass::Coarse)
+    }
+
+    /// The pupil on another grid: exact or averaged; a coarse map has only its own.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where a coarse map is asked for another grid.
+    pub fn pupil_on(&self, grid: Grid) -> Result<Pupil> {
+        match &self.glass {
+            _ if grid == self.pupil.grid => Ok(self.pupil.clone()),
+            Glass::Exact(aperture) => aperture.pupil(&grid),
+            Glass::Fine(fine) if grid == fine.grid => Pupil::from_maps(fine.grid, fine.amplitude.clone(), Some(fine.labels.clone())),
+            Glass::Fine(fine) if fine.resolves(&grid) => binned(fine, grid),
+            _ => Err(Error::Value(format!(
+                "the pupil is a map of {} samples a side and cannot be refined to {}",
+                self.pupil.grid.samples(),
+                grid.samples()
+            ))),
+        }
+    }
+
+    /// How the segments show in the samples of `grid` when edges are not filtered: by exact area where the geometry is
+    /// known, by the owner of each sample elsewhere.
+    ///
+    /// # Errors
+    /// As [`Telescope::pupil_on`].
+    pub fn area_weights(&self, grid: Grid) -> Result<SegmentWeights> {
+        match &self.glass {
+            Glass::Exact(aperture) => SegmentWeights::area(aperture, &grid),
+            _ => Ok(SegmentWeights::hard(&self.pupil_on(grid)?)),
+        }
+    }
+
+    /// Low-passed weights on `grid`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a coarse pupil map, or an impossible `limit`.
+    pub fn band_limited_weights(&self, grid: Grid, limit: &BandLimit) -> Result<SegmentWeights> {
+        match &self.glass {
+            Glass::Exact(aperture) => SegmentWeights::band_limited(aperture, &grid, limit),
+            Glass::Fine(fine) => SegmentWeights::band_limited_maps(fine, &grid, limit),
+            Glass::Coarse => Err(Error::Value("a coarse pupil map cannot be band-limited: give a finer one".into())),
+        }
+    }
+
+    /// The influence functions of the scene's mirror that matter on this pupil.
+    ///
+    /// # Errors
+    /// Those of [`Mirror::new`] and [`Mirror::near`].
+    pub fn influence(&self, scene: &Scene) -> Result<InfluenceFunctions> {
+        Mirror::new(scene.mirror.actuators_across, scene.mirror.pitch_m, scene.mirror.coupling)?
+            .near(&self.pupil, Mirror::DEFAULT_MARGIN_PITCHES)
+    }
+
+    /// The statistics of the scene's turbulence.
+    ///
+    /// # Errors
+    /// Those of [`VonKarman::new`].
+    pub fn turbulence(scene: &Scene) -> Result<VonKarman> {
+        VonKarman::new(scene.turbulence.r0_m, scene.turbulence.outer_scale_m)
+    }
+}
+
+/// A fine map averaged onto a coarser grid over the same axis; a sample belongs to the segment with most glass in it.
+fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
+    let n = grid.samples();
+    let cell = |j: usize| {
+        let index = fine.grid.coordinate_m(j) / grid.pitch_m() + n as f64 / 2.0;
+        (index >= 0.0 && index < n as f64).then_some(index as usize)
+    };
+    let share = (fine.grid.pitch_m() / grid.pitch_m()).powi(2);
+    let mut amplitude = Array2::<f64>::zeros((n, n));
+    let mut glass = vec![std::collections::BTreeMap::<i32, f64>::new(); n * n];
+    for (((y, x), &a), &label) in fine.amplitude.indexed_iter().zip(&fine.labels) {
+        if let (Some(v), Some(u), true) = (cell(y), cell(x), label >= 0) {
+            amplitude[[v, u]] += a * share;
+            *glass[v * n + u].entry(label).or_default() += a;
+        }
+    }
+    // Fine cells that do not tile a coarse one exactly can overfill it by a fraction of a cell.
+    amplitude.mapv_inplace(|a| a.min(1.0));
+    let owner = |glass: &std::collections::BTreeMap<i32, f64>| {
+        glass.iter().filter(|(_, a)| **a > 0.0).max_by(|a, b| a.1.total_cmp(b.1)).map_or(-1, |(label, _)| *label)
+    };
+    let owners = Array2::from_shape_vec((n, n), glass.iter().map(owner).collect())
+        .map_err(|error| Error::Internal(error.to_string()))?;
+    Ok(Pupil { grid, amplitude, owner: owners, segments: fine.segments.clone() })
+}
+
+/// A map over the pupil grid's width that can be read at any point.
+pub struct MapOnGrid {
+    values: Array2<f64>,
+    width_m: f64,
+}
+
+impl MapOnGrid {
+    /// A map `[y, x]` whose samples tile `width_m`; values that are not finite count as 0.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a map that is not square.
+    pub fn new(values: Array2<f64>, width_m: f64) -> Result<Self> {
+        if values.nrows() != values.ncols() || values.is_empty() {
+            let (rows, columns) = values.dim();
+            return Err(Error::Shape(format!("a map over the pupil has {columns}x{rows} samples; a square is needed")));
+        }
+        Ok(Self { values: values.mapv(|v| if v.is_finite() { v } else { 0.0 }), width_m })
+    }
+
+    /// Samples along a side.
+    pub fn samples(&self) -> usize {
+        self.values.nrows()
+    }
+
+    /// Bilinear interpolation at (x, y), m; beyond the outermost samples, their values.
+    pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
+        let n = self.values.nrows();
+        let index = |c: f64| (c / self.width_m * n as f64 + (n as f64 - 1.0) / 2.0).clamp(0.0, n as f64 - 1.0);
+        let (x, y) = (index(x_m), index(y_m));
+        let (u, v) = ((x as usize).min(n.saturating_sub(2)), (y as usize).min(n.saturating_sub(2)));
+        let (right, up) = ((u + 1).min(n - 1), (v + 1).min(n - 1));
+        let (fx, fy) = (x - u as f64, y - v as f64);
+        let row = |v: usize| self.values[[v, u]] * (1.0 - fx) + self.values[[v, right]] * fx;
+        row(v) * (1.0 - fy) + row(up) * fy
+    }
+}
+
+/// The diversity of a scene, known at any point of the pupil plane.
+pub enum Diversity {
+    /// `factor·(x² + y²) + offset`, nm.
+    Focus {
+        /// nm per m².
+        factor_nm_m2: f64,
+        /// nm.
+        offset_nm: f64,
+    },
+    /// A map.
+    Map(MapOnGrid),
+}
+
+impl Diversity {
+    /// The diversity of `scene` over `pupil`: focus of the stated RMS over the pupil (weight A, zero mean, positive at
+    /// the edge), or the map of its file.
+    ///
+    /// # Errors
+    /// [`Error::File`] for a map that cannot be read.
+    pub fn of(scene: &Scene, pupil: &Pupil) -> Result<Self> {
+        if let Some(file) = &scene.image.diversity_file {
+            let path = scene.resolve(file);
+            let values = io::read_map(&path, None)?;
+            return Ok(Self::Map(MapOnGrid::new(values, pupil.grid.width_m()).map_err(|e| Error::file(&path, e))?));
+        }
+        let (mut weight, mut mean, mut square) = (0.0, 0.0, 0.0);
+        for ((y, x), &a) in pupil.amplitude.indexed_iter() {
+            let r2 = pupil.grid.coordinate_m(x).powi(2) + pupil.grid.coordinate_m(y).powi(2);
+            (weight, mean, square) = (weight + a, mean + a * r2, square + a * r2 * r2);
+        }
+        let (mean, square) = (mean / weight, square / weight);
+        let rms_nm = scene.image.diversity_focus_waves_rms * scene.image.wavelength_nm;
+        let factor_nm_m2 = rms_nm / (square - mean * mean).sqrt();
+        Ok(Self::Focus { factor_nm_m2, offset_nm: -factor_nm_m2 * mean })
+    }
+
+    /// Its value at (x, y) m, nm.
+    pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
+        match self {
+            Self::Focus { factor_nm_m2, offset_nm } => factor_nm_m2 * (x_m * x_m + y_m * y_m) + offset_nm,
+            Self::Map(map) => map.at(x_m, y_m),
+        }
+    }
+
+    /// Steepest slope over the pupil, nm/m: it says how far the light spreads.
+    pub fn steepest_nm_m(&self, pupil: &Pupil) -> f64 {
+        let h = pupil.grid.pitch_m();
+        let lit = pupil.amplitude.indexed_iter().filter(|(_, a)| **a > 0.0).map(|(at, _)| at);
+        lit.map(|(y, x)| {
+            let (x, y) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
+            let slope = |dx: f64, dy: f64| (self.at(x + dx, y + dy) - self.at(x - dx, y - dy)) / (2.0 * h);
+            slope(h, 0.0).hypot(slope(0.0, h))
+        })
+        .fold(0.0, f64::max)
+    }
+}
