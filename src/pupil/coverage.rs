@@ -104,11 +104,13 @@ fn edge(j: usize, grid: &Grid) -> f64 {
     (j as f64 - grid.samples() as f64 / 2.0) * grid.pitch_m()
 }
 
-/// The cells that a range of coordinates touches; one more at most, by rounding.
+/// The cells that a range of coordinates touches, one at least; by rounding, perhaps one more. Empty for an empty range.
 fn cells((low, high): (f64, f64), grid: &Grid) -> std::ops::Range<usize> {
-    let position = |x: f64| (x / grid.pitch_m() + grid.samples() as f64 / 2.0).clamp(0.0, grid.samples() as f64);
     if low > high {
         return 0..0;
     }
-    position(low).floor() as usize..position(high).ceil() as usize
+    let samples = grid.samples();
+    let position = |x: f64| (x / grid.pitch_m() + samples as f64 / 2.0).clamp(0.0, samples as f64);
+    let first = (position(low).floor() as usize).min(samples - 1);
+    first..(position(high).ceil() as usize).max(first + 1)
 }

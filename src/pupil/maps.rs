@@ -9,31 +9,32 @@ use ndarray::Array2;
 const RIM: usize = 2;
 
 /// A pupil on a grid finer than the model's, with the segment of each sample: what a band-limited pupil is made of.
+/// Its maps have been checked, and stay as they are.
 #[derive(Debug, Clone)]
-pub struct FinePupil {
-    /// Where the samples are.
-    pub grid: Grid,
-    /// Fraction of each sample's area that is glass, `[y, x]`, in [0, 1].
-    pub amplitude: Array2<f64>,
-    /// Segment of each sample, `[y, x]`; −1 where there is no glass.
-    pub labels: Array2<i32>,
-    /// The segments: centroids of their glass.
-    pub segments: Vec<Segment>,
-}
+pub struct FinePupil(Pupil);
 
 impl FinePupil {
-    /// Checks and keeps the maps: see [`Pupil::from_maps`], which accepts the same.
+    /// Checks and keeps the maps `[y, x]`: see [`Pupil::from_maps`], which accepts the same.
     ///
     /// # Errors
     /// Those of [`Pupil::from_maps`].
     pub fn new(grid: Grid, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
-        let Pupil { grid, amplitude, owner, segments } = Pupil::from_maps(grid, amplitude, labels)?;
-        Ok(Self { grid, amplitude, labels: owner, segments })
+        Ok(Self(Pupil::from_maps(grid, amplitude, labels)?))
+    }
+
+    /// The maps.
+    pub fn pupil(&self) -> &Pupil {
+        &self.0
+    }
+
+    /// Where their samples are.
+    pub fn grid(&self) -> &Grid {
+        &self.0.grid
     }
 
     /// Whether the maps are fine enough to be band-limited onto `grid`: at least twice its sampling.
     pub fn resolves(&self, grid: &Grid) -> bool {
-        self.grid.pitch_m() <= grid.pitch_m() / 2.0 * (1.0 + 1e-12)
+        self.grid().pitch_m() <= grid.pitch_m() / 2.0 * (1.0 + 1e-12)
     }
 }
 
