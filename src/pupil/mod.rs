@@ -1,5 +1,17 @@
 //! The telescope's pupil: its glass, which segment owns what, and the weights with which the model samples it.
 
+mod aperture;
+mod band_limit;
+mod coverage;
+mod fit;
+mod maps;
+mod polygon;
+mod weights;
+
+pub use aperture::{Aperture, HexagonalParameters};
+pub use band_limit::BandLimit;
+pub use maps::FinePupil;
+
 use crate::grid::Grid;
 use ndarray::Array2;
 

@@ -1,0 +1,81 @@
+//! Which segment shows how strongly in each sample: the plain ways. `band_limit` has the good one.
+
+use super::{Aperture, Pupil, SegmentWeights};
+use crate::Result;
+use crate::grid::Grid;
+use ndarray::Array2;
+
+impl SegmentWeights {
+    /// The textbook model: each sample belongs to its owner alone, with the pupil's amplitude. The energy is Σ A².
+    pub fn hard(pupil: &Pupil) -> Self {
+        let mut columns = vec![Vec::new(); pupil.segments.len()];
+        for (cell, (&amplitude, &owner)) in pupil.amplitude.iter().zip(&pupil.owner).enumerate() {
+            if amplitude > 0.0 && owner >= 0 {
+                columns[owner as usize].push((cell as u32, amplitude));
+            }
+        }
+        let energy = pupil.amplitude.iter().map(|a| a * a).sum();
+        Self::from_columns(pupil.grid.samples(), &columns, energy)
+    }
+
+    /// The share of each sample's area that each segment covers, exactly. The energy is the mirror's area in samples.
+    ///
+    /// # Errors
+    /// Those of [`Aperture::pupil`].
+    pub fn area(aperture: &Aperture, grid: &Grid) -> Result<Self> {
+        Ok(Self::from_columns(grid.samples(), &aperture.shares(grid)?, aperture.energy(grid)))
+    }
+
+    /// The entries of each lit sample, in the order of `lit`: (flat grid index, segments, weights).
+    pub fn rows(&self) -> impl Iterator<Item = (usize, &[u32], &[f64])> + '_ {
+        self.lit.iter().zip(self.offsets.windows(2)).map(|(&cell, ends)| {
+            let entries = ends[0] as usize..ends[1] as usize;
+            (cell as usize, &self.segment[entries.clone()], &self.weight[entries])
+        })
+    }
+
+    /// The weights of one segment as a map `[y, x]` on a grid of `samples` a side; 0 where it does not show.
+    pub fn map(&self, segment: usize, samples: usize) -> Array2<f64> {
+        let mut map = Array2::zeros((samples, samples));
+        for (cell, segments, weights) in self.rows() {
+            for (_, weight) in segments.iter().zip(weights).filter(|(s, _)| **s as usize == segment) {
+                map[[cell / samples, cell % samples]] += weight;
+            }
+        }
+        map
+    }
+
+    /// Gathers per-segment lists of `(y·samples + x, weight)` into rows over the lit samples.
+    pub(super) fn from_columns(samples: usize, columns: &[Vec<(u32, f64)>], energy: f64) -> Self {
+        let mut count = vec![0u32; samples * samples];
+        for &(cell, _) in columns.iter().flatten() {
+            count[cell as usize] += 1;
+        }
+        let lit: Vec<u32> = (0..).zip(&count).filter(|(_, count)| **count > 0).map(|(cell, _)| cell).collect();
+        let mut offsets = Vec::with_capacity(lit.len() + 1);
+        let mut next = vec![0u32; samples * samples];
+        let mut total = 0;
+        for &cell in &lit {
+            offsets.push(total);
+            next[cell as usize] = total;
+            total += count[cell as usize];
+        }
+        offsets.push(total);
+        let mut segment = vec![0; total as usize];
+        let mut weight = vec![0.0; total as usize];
+        for (index, &(cell, value)) in (0u32..).zip(columns).flat_map(|(s, list)| list.iter().map(move |e| (s, e))) {
+            let at = &mut next[cell as usize];
+            segment[*at as usize] = index;
+            weight[*at as usize] = value;
+            *at += 1;
+        }
+        Self { segments: columns.len(), lit, offsets, segment, weight, energy }
+    }
+}
+
+impl Aperture {
+    /// Area of the glass in samples of `grid`: Σ amplitude² of a mirror that reflects all or nothing.
+    pub(super) fn energy(&self, grid: &Grid) -> f64 {
+        self.segment_areas_m2().iter().sum::<f64>() / grid.pitch_m().powi(2)
+    }
+}

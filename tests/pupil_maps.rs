@@ -1,0 +1,123 @@
+//! Pupils given as maps, and least squares over a pupil.
+
+use cophase::Error;
+use cophase::grid::Grid;
+use cophase::pupil::{Aperture, Pupil};
+use ndarray::{Array2, array};
+
+/// Two columns of glass beside a dark one, on a 3 m grid.
+fn two_segments() -> (Grid, Array2<f64>, Array2<i32>) {
+    let amplitude = array![[1.0, 0.0, 0.5], [1.0, 0.0, 1.0], [1.0, 0.0, 0.5]];
+    let labels = array![[0, -1, 1], [0, -1, 1], [0, -1, 1]];
+    (Grid::new(3, 3.0).unwrap(), amplitude, labels)
+}
+
+#[test]
+fn maps_of_a_pupil_are_its_pupil() {
+    let aperture = Aperture::keck();
+    let pupil = aperture.pupil(&Grid::new(120, 10.95).unwrap()).unwrap();
+    let read = Pupil::from_maps(pupil.grid, pupil.amplitude.clone(), Some(pupil.owner.clone())).unwrap();
+    assert_eq!((&read.amplitude, &read.owner), (&pupil.amplitude, &pupil.owner));
+    for (read, exact) in read.segments.iter().zip(aperture.segments()) {
+        // A cell on a border belongs to one segment: up to half a row of cells changes hands at two opposite edges,
+        // 0.046 m · 0.9 m each, 0.78 m from the centre of 2.1 m².
+        assert!((read.x_m - exact.x_m).hypot(read.y_m - exact.y_m) < 0.031, "{read:?} against {exact:?}");
+    }
+}
+
+#[test]
+fn without_labels_the_telescope_is_monolithic() {
+    let (grid, amplitude, _) = two_segments();
+    let pupil = Pupil::from_maps(grid, amplitude, None).unwrap();
+    assert_eq!(pupil.segments.len(), 1);
+    assert_eq!((pupil.segments[0].x_m, pupil.segments[0].y_m), (-0.2, 0.0));
+    assert_eq!(pupil.owner, array![[0, -1, 0], [0, -1, 0], [0, -1, 0]]);
+    assert_eq!(pupil.segment_areas(), [5.0]);
+}
+
+#[test]
+fn a_rim_without_labels_joins_its_neighbour() {
+    let (grid, amplitude, mut labels) = two_segments();
+    labels[[0, 2]] = -1;
+    // A label without glass under it is of no consequence.
+    labels[[1, 1]] = 7;
+    let pupil = Pupil::from_maps(grid, amplitude, Some(labels)).unwrap();
+    assert_eq!(pupil.owner, array![[0, -1, 1], [0, -1, 1], [0, -1, 1]]);
+}
+
+#[test]
+fn broken_maps_are_refused_with_the_place_and_the_value() {
+    let (grid, amplitude, labels) = two_segments();
+    for value in [f64::NAN, f64::INFINITY, -0.1, 1.5] {
+        let mut broken = amplitude.clone();
+        broken[[1, 2]] = value;
+        let message = Pupil::from_maps(grid, broken, None).unwrap_err().to_string();
+        assert!(message.contains("row 1, column 2") && message.contains(&value.to_string()), "{message}");
+    }
+    let refused = |amplitude: &Array2<f64>, labels: Option<Array2<i32>>| {
+        Pupil::from_maps(grid, amplitude.clone(), labels).unwrap_err()
+    };
+    assert!(matches!(refused(&Array2::zeros((3, 3)), None), Error::Value(_)));
+    assert!(matches!(refused(&Array2::ones((3, 4)), None), Error::Shape(_)));
+    assert!(matches!(refused(&amplitude, Some(Array2::zeros((2, 3)))), Error::Shape(_)));
+    // Labels with a hole, from 1 instead of 0, absurdly large, and glass far from any.
+    for (from, to) in [(1, 2), (0, 2), (1, i32::MAX)] {
+        let renamed = labels.mapv(|label| if label == from { to } else { label });
+        assert!(matches!(refused(&amplitude, Some(renamed)), Error::Value(_)), "{from} → {to}");
+    }
+    let far = Grid::new(9, 9.0).unwrap();
+    let mut corner = Array2::from_elem((9, 9), -1);
+    corner[[0, 0]] = 0;
+    let message = Pupil::from_maps(far, Array2::ones((9, 9)), Some(corner)).unwrap_err().to_string();
+    assert!(message.contains("row 0, column 3"), "{message}");
+}
+
+#[test]
+fn piston_tip_and_tilt_leave_nothing_of_a_plane() {
+    let pupil = Aperture::keck().pupil(&Grid::new(120, 10.95).unwrap()).unwrap();
+    let at = |j| pupil.grid.coordinate_m(j);
+    let plane = Array2::from_shape_fn((120, 120), |(y, x)| 40.0 + 30.0 * at(x) - 70.0 * at(y));
+    let flat = pupil.remove_piston_tip_tilt(plane.view()).unwrap();
+    // A few hundred nm to start with, 1e-16 relative, some 1e4 terms.
+    assert!(pupil.rms(flat.view()).unwrap() < 1e-11);
+    assert!(flat.indexed_iter().all(|(at, value)| value.is_nan() == (pupil.amplitude[at] == 0.0)));
+    // The best fit to a cubic leaves a residual without weighted overlap with 1, x or y.
+    let cubic = Array2::from_shape_fn((120, 120), |(y, x)| at(x).powi(3) + at(y) * at(x) - 3.0);
+    let rest = pupil.remove_piston_tip_tilt(cubic.view()).unwrap();
+    for power in [(0, 0), (1, 0), (0, 1)] {
+        let overlap =
+            |((y, x), a): ((usize, usize), &f64)| a * rest[[y, x]] * at(x).powi(power.0) * at(y).powi(power.1);
+        let sum: f64 = pupil.amplitude.indexed_iter().filter(|(_, a)| **a > 0.0).map(overlap).sum();
+        // The overlap that was removed, Σ A x⁴, is 1e6; a sum of 1e4 terms rounds to some 100 epsilons of it, twice.
+        assert!(sum.abs() < 1e-7, "{power:?}: {sum:e}");
+    }
+}
+
+#[test]
+fn statistics_are_weighted_and_bad_maps_refused() {
+    let (grid, amplitude, labels) = two_segments();
+    let pupil = Pupil::from_maps(grid, amplitude, Some(labels)).unwrap();
+    assert_eq!(pupil.weight_sum(), 5.0);
+    assert_eq!(pupil.segment_areas(), [3.0, 2.0]);
+    let map = array![[1.0, f64::NAN, 4.0], [1.0, f64::NAN, 2.0], [1.0, f64::NAN, 4.0]];
+    // (3·1 + 2·0.5·16 + 4) / 5
+    assert!((pupil.rms(map.view()).unwrap().powi(2) - 23.0 / 5.0).abs() < 1e-14);
+    let mean = (3.0 + 4.0 + 2.0) / 5.0;
+    assert!((pupil.remove_piston(map.view()).unwrap()[[0, 2]] - (4.0 - mean)).abs() < 1e-14);
+    let mut broken = map.clone();
+    broken[[0, 0]] = f64::NAN;
+    assert!(pupil.rms(broken.view()).unwrap_err().to_string().contains("row 0, column 0"));
+    assert!(matches!(pupil.remove_piston(Array2::zeros((2, 3)).view()), Err(Error::Shape(_))));
+}
+
+#[test]
+fn a_pupil_of_one_line_keeps_its_undetermined_tilt_alone() {
+    let grid = Grid::new(3, 3.0).unwrap();
+    let line = array![[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]];
+    let pupil = Pupil::from_maps(grid, line, None).unwrap();
+    let map = array![[0.0, 0.0, 0.0], [1.0, 4.0, 1.0], [0.0, 0.0, 0.0]];
+    let rest = pupil.remove_piston_tip_tilt(map.view()).unwrap();
+    for (value, expected) in rest.row(1).iter().zip([-1.0, 2.0, -1.0]) {
+        assert!((value - expected).abs() < 1e-15);
+    }
+}
