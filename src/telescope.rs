@@ -53,7 +53,8 @@ impl Telescope {
 
     fn from_file(scene: &Scene, path: &std::path::Path) -> Result<Self> {
         let mut file = io::FitsReader::open(path)?;
-        let named = |file: &io::FitsReader, name: &str| file.names().iter().any(|n| n == name).then(|| name.to_string());
+        let named =
+            |file: &io::FitsReader, name: &str| file.names().iter().any(|n| n == name).then(|| name.to_string());
         let amplitude_name = named(&file, "PUPIL");
         let amplitude = file.map(amplitude_name.as_deref())?;
         let labels = match named(&file, "SEGMENT") {
@@ -92,7 +93,7 @@ impl Telescope {
         match &self.glass {
             _ if grid == self.pupil.grid => Ok(self.pupil.clone()),
             Glass::Exact(aperture) => aperture.pupil(&grid),
-            Glass::Fine(fine) if grid == fine.grid => Pupil::from_maps(fine.grid, fine.amplitude.clone(), Some(fine.labels.clone())),
+            Glass::Fine(fine) if grid == *fine.grid() => Ok(fine.pupil().clone()),
             Glass::Fine(fine) if fine.resolves(&grid) => binned(fine, grid),
             _ => Err(Error::Value(format!(
                 "the pupil is a map of {} samples a side and cannot be refined to {}",
@@ -148,13 +149,13 @@ impl Telescope {
 fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
     let n = grid.samples();
     let cell = |j: usize| {
-        let index = fine.grid.coordinate_m(j) / grid.pitch_m() + n as f64 / 2.0;
+        let index = fine.grid().coordinate_m(j) / grid.pitch_m() + n as f64 / 2.0;
         (index >= 0.0 && index < n as f64).then_some(index as usize)
     };
-    let share = (fine.grid.pitch_m() / grid.pitch_m()).powi(2);
+    let share = (fine.grid().pitch_m() / grid.pitch_m()).powi(2);
     let mut amplitude = Array2::<f64>::zeros((n, n));
     let mut glass = vec![std::collections::BTreeMap::<i32, f64>::new(); n * n];
-    for (((y, x), &a), &label) in fine.amplitude.indexed_iter().zip(&fine.labels) {
+    for (((y, x), &a), &label) in fine.pupil().amplitude.indexed_iter().zip(&fine.pupil().owner) {
         if let (Some(v), Some(u), true) = (cell(y), cell(x), label >= 0) {
             amplitude[[v, u]] += a * share;
             *glass[v * n + u].entry(label).or_default() += a;
@@ -167,7 +168,7 @@ fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
     };
     let owners = Array2::from_shape_vec((n, n), glass.iter().map(owner).collect())
         .map_err(|error| Error::Internal(error.to_string()))?;
-    Ok(Pupil { grid, amplitude, owner: owners, segments: fine.segments.clone() })
+    Ok(Pupil { grid, amplitude, owner: owners, segments: fine.pupil().segments.clone() })
 }
 
 /// A map over the pupil grid's width that can be read at any point.

@@ -1,1 +1,143 @@
-//! (under construction)
+//! From images to what the segments and the NCPA are doing, in nm, with error bars.
+//!
+//! ```text
+//! Scene ─ Recipe ─ Model ┐
+//!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ Estimate
+//! frames ────────────────┘
+//! ```
+//!
+//! [`Estimator::new`] pays every cost that does not depend on the images; [`Estimator::estimate`] takes a cube of them.
+
+mod combine;
+mod file;
+mod fisher;
+mod fit;
+mod model;
+mod prepare;
+mod recipe;
+
+pub use combine::{Combined, Estimate, ImageReport, Status};
+pub use file::write;
+pub use fit::Watch;
+pub use model::Model;
+pub use prepare::{Frame, Preparation, Prepared};
+pub use recipe::Recipe;
+
+use crate::imaging::{Chain, CpuChain, Precision};
+use crate::optimize::CancelFlag;
+use crate::scene::Scene;
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView1, ArrayView3};
+
+/// Reads images of one scene.
+pub struct Estimator {
+    scene: Scene,
+    recipe: Recipe,
+    model: Model,
+    /// The f64 CPU chain: metric, weights, χ² and error bars come from it whatever chain fits.
+    judge: CpuChain<f64>,
+}
+
+impl Estimator {
+    /// Builds the model of `scene`.
+    ///
+    /// `native` forbids the reduction to Nyquist sampling: needed where pixels are bad, because they would ring.
+    ///
+    /// # Errors
+    /// Those of building the telescope, its modes and its pupil; see [`Model::of`].
+    pub fn new(scene: &Scene, native: bool) -> Result<Self> {
+        let recipe = Recipe::of(scene);
+        let model = Model::of(scene, &recipe, native)?;
+        let judge = CpuChain::new(model.optics.clone());
+        Ok(Self { scene: scene.clone(), recipe, model, judge })
+    }
+
+    /// The model that is compared with the images.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// How it is fitted.
+    pub fn recipe(&self) -> &Recipe {
+        &self.recipe
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The f64 CPU chain of this model.
+    pub fn judge(&self) -> &CpuChain<f64> {
+        &self.judge
+    }
+
+    /// Estimates the static wavefront behind a cube of images (`[image, y, x]`, electrons) on `chain`.
+    ///
+    /// Images that cannot be used are reported with their reason and left out. `watch` is told how many images are done.
+    ///
+    /// # Errors
+    /// [`Error::Image`] where no image can be used, [`Error::Shape`] where they have another size than the scene says,
+    /// [`Error::Interrupted`] where `cancel` went up, [`Error::Device`] where the device failed.
+    pub fn estimate(
+        &self,
+        chain: &mut Chain,
+        images_e: ArrayView3<f64>,
+        bad: ArrayView3<bool>,
+        read_noise_e: Option<f64>,
+        cancel: Option<&CancelFlag>,
+        watch: &mut Watch,
+    ) -> Result<Estimate> {
+        let started = std::time::Instant::now();
+        let read_noise_e = read_noise_e.unwrap_or(self.scene.image.read_noise_e);
+        let prepare = |(data_e, bad)| self.model.preparation.prepare(Frame { data_e, bad, read_noise_e }, &self.recipe);
+        let frames = images_e.outer_iter().zip(bad.outer_iter());
+        let prepared: Vec<Result<Prepared>> = frames.map(prepare).collect();
+        let mut usable = Vec::new();
+        let mut first_error = None;
+        for (image, prepared) in prepared.iter().enumerate() {
+            match prepared {
+                Ok(prepared) => usable.push((image, prepared.clone())),
+                // A wrong size is the same for all: say it, rather than once per image.
+                Err(error @ Error::Shape(_)) => return Err(error.clone()),
+                Err(error) => {
+                    first_error.get_or_insert(error.clone());
+                }
+            }
+        }
+        if usable.is_empty() {
+            return Err(first_error.unwrap_or_else(|| Error::Image("there is no image to estimate from".into())));
+        }
+        let (indices, ready): (Vec<usize>, Vec<Prepared>) = usable.into_iter().unzip();
+        let minima = fit::fit(&self.model, &self.judge, chain, &ready, &self.recipe, cancel, watch)?;
+        let refused = prepared.into_iter().map(|prepared| prepared.err()).collect();
+        let mut estimate = combine::combine(self, refused, &indices, &ready, minima)?;
+        estimate.seconds = started.elapsed().as_secs_f64();
+        estimate.device = chain.device_name();
+        estimate.precision = match chain.precision() {
+            Precision::F32 => "f32",
+            Precision::F64 => "f64",
+        };
+        Ok(estimate)
+    }
+
+    /// The variance that each mode would have at best, nm² (Cramér-Rao), for one image of a star of `flux_e` with the
+    /// scene's read noise at the given wavefront; null directions carry none. Pistons are about their mean.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where no mode is seen at all.
+    pub fn bound(&self, coefficients_nm: ArrayView1<f64>, flux_e: f64, background_e: f64) -> Result<Array2<f64>> {
+        let ratio = self.model.preparation.frame_pixels as f64 / self.model.preparation.reduced_pixels as f64;
+        let floor = (self.scene.image.read_noise_e.powi(2) + background_e) * ratio * ratio;
+        let psf = self.judge.psf(coefficients_nm);
+        let weight: Vec<f64> = psf.iter().map(|h| 1.0 / (flux_e * h + floor)).collect();
+        let variance: Vec<f64> = weight.iter().map(|w| 1.0 / w).collect();
+        let photometry = match (self.recipe.fit_flux, self.recipe.fit_background) {
+            (true, true) => crate::imaging::Photometry::FitBoth,
+            (true, false) => crate::imaging::Photometry::FitFlux { background_e },
+            (false, _) => crate::imaging::Photometry::Fixed { flux_e, background_e },
+        };
+        let sensitivity = fisher::Sensitivity::at(&self.judge, coefficients_nm, flux_e, &weight, photometry);
+        combine::about_mean_piston(&self.model, sensitivity.covariance(&variance)?)
+    }
+}

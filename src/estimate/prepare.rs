@@ -71,11 +71,11 @@ impl Preparation {
         let floor_variance_e2: Vec<f64> = bad.iter().map(|&bad| if bad { f64::INFINITY } else { floor }).collect();
         let brightest = data.iter().zip(&bad).filter(|(_, bad)| !**bad).fold(0.0f64, |m, (&d, _)| m.max(d));
         let weight = match recipe.weighting {
-            Weighting::Noise => data.iter().zip(&floor_variance_e2).map(|(d, floor)| 1.0 / (d.max(0.0) + floor)).collect(),
-            // Scaled by the brightest pixel, so that a tolerance means the same for a bright and for a faint star.
-            Weighting::None => {
-                bad.iter().map(|&bad| if bad { 0.0 } else { 1.0 / (brightest * brightest) }).collect()
+            Weighting::Noise => {
+                data.iter().zip(&floor_variance_e2).map(|(d, floor)| 1.0 / (d.max(0.0) + floor)).collect()
             }
+            // Scaled by the brightest pixel, so that a tolerance means the same for a bright and for a faint star.
+            Weighting::None => bad.iter().map(|&bad| if bad { 0.0 } else { 1.0 / (brightest * brightest) }).collect(),
         };
         let photometry = match (recipe.fit_flux, recipe.fit_background) {
             (true, true) => Photometry::FitBoth,
@@ -148,7 +148,9 @@ fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>) -> Result<()> {
     let (level, _) = border(data, bad);
     let flux: f64 = good.iter().map(|d| d - level).sum();
     if flux <= 0.0 {
-        return refuse(&format!("holds no star: its flux above the border's level is {flux:.3e}, and must be positive"));
+        return refuse(&format!(
+            "holds no star: its flux above the border's level is {flux:.3e}, and must be positive"
+        ));
     }
     Ok(())
 }
@@ -157,9 +159,10 @@ fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>) -> Result<()> {
 fn border(data: &Array2<f64>, bad: &Array2<bool>) -> (f64, f64) {
     let size = data.nrows();
     let inner = size / 8..size - size / 8;
-    let outside = data.indexed_iter().zip(bad).filter(|((at, _), bad)| {
-        !**bad && !(inner.contains(&at.0) && inner.contains(&at.1))
-    });
+    let outside = data
+        .indexed_iter()
+        .zip(bad)
+        .filter(|((at, _), bad)| !**bad && !(inner.contains(&at.0) && inner.contains(&at.1)));
     let mut values: Vec<f64> = outside.map(|((_, &d), _)| d).collect();
     let level = median(&mut values);
     let mut deviations: Vec<f64> = values.iter().map(|d| (d - level).abs()).collect();

@@ -20,7 +20,9 @@ pub use matrix::MatrixTransform;
 use crate::{Error, Result};
 
 /// The floating-point types that the chains run in.
-pub trait Real: faer::traits::RealField + num_traits::Float + num_traits::FloatConst + rustfft::FftNum + Default {
+pub trait Real:
+    faer::traits::RealField + num_traits::Float + num_traits::FloatConst + rustfft::FftNum + Default
+{
     /// `value` in this precision.
     fn of(value: f64) -> Self;
     /// This value in double precision.

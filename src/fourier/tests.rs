@@ -55,9 +55,8 @@ fn the_fft_has_the_intensity_of_the_definition() {
         let mut focus = vec![f64::NAN; 2 * m * m];
         transform.forward(&pupil, &mut focus, &mut transform.workspace());
         let truth = definition::forward(sampling, &pupil);
-        let intensity = |field: &[f64], v: usize, u: usize| {
-            field[2 * m * v + u].powi(2) + field[2 * m * v + m + u].powi(2)
-        };
+        let intensity =
+            |field: &[f64], v: usize, u: usize| field[2 * m * v + u].powi(2) + field[2 * m * v + m + u].powi(2);
         for v in 0..m {
             for u in 0..m {
                 // Squares of sums of n² terms of size 1.

@@ -64,7 +64,9 @@ impl Exposure {
             )));
         }
         if self.data_e.iter().any(|d| !d.is_finite()) || self.weight.iter().any(|w| !(w.is_finite() && *w >= 0.0)) {
-            return Err(Error::Value("an exposure's data must be finite, and its weights finite and not negative".into()));
+            return Err(Error::Value(
+                "an exposure's data must be finite, and its weights finite and not negative".into(),
+            ));
         }
         Ok(())
     }
@@ -112,9 +114,7 @@ impl<T: Polynomial> Loaded<T> {
         let (flux_e, background_e) = self.photometry(psf);
         let (flux, background) = (T::of(flux_e), T::of(background_e));
         let mut lanes = [0.0; LANES];
-        for ((psf, data), weight) in
-            psf.chunks(LANES).zip(self.data.chunks(LANES)).zip(self.weight.chunks(LANES))
-        {
+        for ((psf, data), weight) in psf.chunks(LANES).zip(self.data.chunks(LANES)).zip(self.weight.chunks(LANES)) {
             for i in 0..psf.len() {
                 let residual = psf[i].mul_add(flux, background - data[i]);
                 lanes[i] += (weight[i] * residual * residual).wide();
@@ -129,9 +129,7 @@ impl<T: Polynomial> Loaded<T> {
             return (flux_e, background_e);
         }
         let (mut wh, mut whh, mut whd) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        for ((psf, data), weight) in
-            psf.chunks(LANES).zip(self.data.chunks(LANES)).zip(self.weight.chunks(LANES))
-        {
+        for ((psf, data), weight) in psf.chunks(LANES).zip(self.data.chunks(LANES)).zip(self.weight.chunks(LANES)) {
             for i in 0..psf.len() {
                 let product = weight[i] * psf[i];
                 wh[i] += product.wide();
@@ -140,7 +138,7 @@ impl<T: Polynomial> Loaded<T> {
             }
         }
         let [wh, whh, whd] = [wh, whh, whd].map(|lanes| lanes.iter().sum::<f64>());
-        solve_photometry(self.photometry, self.sum_w, self.sum_wd, wh, whh, whd)
+        self.photometry.solve(self.sum_w, self.sum_wd, wh, whh, whd)
     }
 
     /// Ū on the row-planar grid, written over the focal field.
@@ -162,20 +160,22 @@ impl<T: Polynomial> Loaded<T> {
     }
 }
 
-/// Flux and background that minimise J, from its sums. A PSF that carries nothing where the weights are (a
-/// determinant of rounding size) leaves the flux at 0.
-pub(super) fn solve_photometry(how: Photometry, w: f64, wd: f64, wh: f64, whh: f64, whd: f64) -> (f64, f64) {
-    match how {
-        Photometry::Fixed { flux_e, background_e } => (flux_e, background_e),
-        Photometry::FitFlux { background_e } => {
-            (if whh > 0.0 { (whd - background_e * wh) / whh } else { 0.0 }, background_e)
-        }
-        Photometry::FitBoth => {
-            let determinant = w * whh - wh * wh;
-            if determinant <= 1e-14 * w * whh {
-                return (0.0, if w > 0.0 { wd / w } else { 0.0 });
+impl Photometry {
+    /// Flux and background that minimise J, from its sums Σw, Σwd, Σwh, Σwh², Σwhd. A PSF that carries nothing where the
+    /// weights are (a determinant of rounding size) leaves the flux at 0.
+    pub fn solve(self, w: f64, wd: f64, wh: f64, whh: f64, whd: f64) -> (f64, f64) {
+        match self {
+            Photometry::Fixed { flux_e, background_e } => (flux_e, background_e),
+            Photometry::FitFlux { background_e } => {
+                (if whh > 0.0 { (whd - background_e * wh) / whh } else { 0.0 }, background_e)
             }
-            ((w * whd - wh * wd) / determinant, (whh * wd - wh * whd) / determinant)
+            Photometry::FitBoth => {
+                let determinant = w * whh - wh * wh;
+                if determinant <= 1e-14 * w * whh {
+                    return (0.0, if w > 0.0 { wd / w } else { 0.0 });
+                }
+                ((w * whd - wh * wd) / determinant, (whh * wd - wh * whd) / determinant)
+            }
         }
     }
 }

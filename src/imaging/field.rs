@@ -69,7 +69,11 @@ impl<T: Polynomial> Field<T> {
         Self {
             samples,
             lit: weights.lit.len(),
-            place: weights.lit.iter().map(|&p| 2 * (p / samples as u32) * samples as u32 + p % samples as u32).collect(),
+            place: weights
+                .lit
+                .iter()
+                .map(|&p| 2 * (p / samples as u32) * samples as u32 + p % samples as u32)
+                .collect(),
             diversity_turns: optics.diversity_turns().into_iter().map(T::of).collect(),
             basis: parts.basis.iter().map(|&b| T::of(b * turns_per_nm)).collect(),
             weight: order.iter().map(|&e| T::of(weights.weight[e] * amplitude)).collect(),

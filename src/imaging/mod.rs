@@ -18,8 +18,8 @@ mod phasor;
 pub use chain::{Chain, Precision};
 pub use cpu::CpuChain;
 pub use detector::{Evaluation, Exposure, Photometry};
-pub use phasor::Polynomial;
 pub use optics::{Mode, Optics, OpticsParts};
+pub use phasor::Polynomial;
 
 #[cfg(test)]
 mod tests;

@@ -88,7 +88,9 @@ impl Optics {
                 }
             };
             if !ok {
-                return Err(Error::Shape(format!("{mode:?} names a segment or a basis row that the model does not have")));
+                return Err(Error::Shape(format!(
+                    "{mode:?} names a segment or a basis row that the model does not have"
+                )));
             }
         }
         Ok(Self { parts })

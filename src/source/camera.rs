@@ -53,7 +53,8 @@ impl<'a> Camera<'a> {
         let mut sum = Array2::zeros((image.pixels, image.pixels));
         for i in 0..WAVELENGTHS_OF_A_BAND {
             let place = (i as f64 + 0.5) / WAVELENGTHS_OF_A_BAND as f64 - 0.5;
-            sum += &self.monochromatic(truth, &opd_nm, image.wavelength_nm * (1.0 + place * image.bandwidth_fraction))?;
+            sum +=
+                &self.monochromatic(truth, &opd_nm, image.wavelength_nm * (1.0 + place * image.bandwidth_fraction))?;
         }
         Ok(sum / WAVELENGTHS_OF_A_BAND as f64)
     }
@@ -80,7 +81,7 @@ impl<'a> Camera<'a> {
         let per_lambda_over_d = image.samples_per_lambda_over_d * wavelength_nm / image.wavelength_nm;
         let sampling = Sampling::new(self.grid.samples(), image.pixels, per_lambda_over_d)?;
         let (n, m) = (sampling.samples, sampling.pixels);
-        let mut field = vec![0.0; 2 * n * n];
+        let mut field = vec![0.0f64; 2 * n * n];
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
         let pistons: Vec<(f64, f64)> = truth.piston_nm.iter().map(|&nm| phasor(nm)).collect();
         let unit = segment_radius_rms(self.telescope);
@@ -101,7 +102,7 @@ impl<'a> Camera<'a> {
             field[place + n] = re * sin + im * cos;
         }
         let transform = Transform::matrix(sampling);
-        let mut focus = vec![0.0; 2 * m * m];
+        let mut focus = vec![0.0f64; 2 * m * m];
         transform.forward(&field, &mut focus, &mut transform.workspace());
         let scale = sampling.step().powi(2) / self.weights.energy;
         Ok(Array2::from_shape_fn((m, m), |(v, u)| {
@@ -128,11 +129,8 @@ impl<'a> Camera<'a> {
         psf.mapv(|h| {
             let mean = flux_e * h + image.background_e;
             // A mean of 0 draws nothing; `Poisson` wants a positive one.
-            let photons = if image.photon_noise {
-                Poisson::new(mean).map_or(0.0, |poisson| poisson.sample(rng))
-            } else {
-                mean
-            };
+            let photons =
+                if image.photon_noise { Poisson::new(mean).map_or(0.0, |poisson| poisson.sample(rng)) } else { mean };
             let noise: f64 = StandardNormal.sample(rng);
             photons + image.read_noise_e * noise
         })

@@ -61,7 +61,13 @@ impl Truth {
             let map = MapOnGrid::new(io::read_map(&path, None)?, telescope.pupil.grid.width_m());
             Ncpa::Map(map.map_err(|error| Error::file(&path, error))?)
         } else {
-            draw_zernikes(aberrations.ncpa_zernikes, aberrations.ncpa_power_law, aberrations.ncpa_rms_nm, telescope, normal)?
+            draw_zernikes(
+                aberrations.ncpa_zernikes,
+                aberrations.ncpa_power_law,
+                aberrations.ncpa_rms_nm,
+                telescope,
+                normal,
+            )?
         };
         Self::assemble(telescope, piston_nm, tip_tilt_nm, ncpa)
     }
@@ -124,7 +130,9 @@ impl Truth {
 pub(super) fn segment_radius_rms(telescope: &Telescope) -> f64 {
     let pupil = &telescope.pupil;
     let (mut weight, mut square) = (0.0, 0.0);
-    for (((y, x), &owner), &a) in pupil.owner.indexed_iter().zip(&pupil.amplitude).filter(|((_, owner), _)| **owner >= 0) {
+    for (((y, x), &owner), &a) in
+        pupil.owner.indexed_iter().zip(&pupil.amplitude).filter(|((_, owner), _)| **owner >= 0)
+    {
         let centre = pupil.segments[owner as usize];
         let (x, y) = (pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m);
         (weight, square) = (weight + a, square + a * (x * x + y * y) / 2.0);
@@ -152,7 +160,7 @@ fn draw_zernikes(
     let mut coefficients_nm = Vec::with_capacity(nolls.len());
     for &noll in &nolls {
         let (order, _) = noll_orders(noll)?;
-        coefficients_nm.push(normal() * f64::from(order).powf(power / 2.0));
+        coefficients_nm.push(normal() * (order as f64).powf(power / 2.0));
     }
     let pupil = &telescope.pupil;
     let radius_m = pupil

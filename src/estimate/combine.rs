@@ -1,0 +1,379 @@
+//! From the minima of single images to one estimate: statuses, mean, error bars, maps.
+
+use super::Estimator;
+use super::fisher::Sensitivity;
+use super::fit::{Minimum, reduced_chi2, variance};
+use super::model::Model;
+use super::prepare::Prepared;
+use crate::modes::{Degeneracy, Group, WEAK_BELOW};
+use crate::optimize::StopReason;
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+use rayon::prelude::*;
+
+/// What became of one image.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Status {
+    /// Fitted, and the model explains it.
+    Ok,
+    /// Fitted, but the residual is larger than the noise: the modes do not span what is there, or the model is off.
+    /// Error bars are scaled up by √χ².
+    Misfit,
+    /// The residual is so large that the fit probably sits in a wrong minimum.
+    WrongMinimum,
+    /// The optimiser gave up before it converged.
+    NotConverged(StopReason),
+    /// The image could not be used.
+    Unusable(String),
+}
+
+impl Status {
+    /// One word for tables.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Status::Ok => "ok",
+            Status::Misfit => "misfit",
+            Status::WrongMinimum => "wrong-minimum",
+            Status::NotConverged(_) => "not-converged",
+            Status::Unusable(_) => "unusable",
+        }
+    }
+}
+
+/// Reduced χ² above which a fit is called a misfit. Its expectation is 1 with a scatter of √(2/9000) = 0.015; an
+/// unmodelled error of one standard deviation in every pixel makes it 2.
+const MISFIT: f64 = 2.0;
+/// Reduced χ² above which a wrong minimum is suspected: a basis that misses part of the NCPA gives 17 at a peak SNR of
+/// 500, wrong minima 900 to 5,000.
+const WRONG_MINIMUM: f64 = 300.0;
+
+/// The report on one image.
+#[derive(Debug, Clone)]
+pub struct ImageReport {
+    /// What became of it.
+    pub status: Status,
+    /// Evaluations of objective and gradient.
+    pub evaluations: usize,
+    /// χ² per degree of freedom.
+    pub reduced_chi2: f64,
+    /// Electrons of the star.
+    pub flux_e: f64,
+    /// Electrons per native pixel.
+    pub background_e: f64,
+    /// Tilt of the fitted wavefront and of the shift onto the axis, along x and y, nm RMS over the pupil.
+    pub tip_tilt_nm: [f64; 2],
+    /// Pixels of the fitted part that were bad.
+    pub bad_pixels: usize,
+}
+
+/// The static wavefront.
+#[derive(Debug, Clone)]
+pub struct Combined {
+    /// Every mode, nm; pistons have zero mean over the pupil.
+    pub coefficients_nm: Vec<f64>,
+    /// Its covariance, nm².
+    pub covariance_nm2: Array2<f64>,
+}
+
+impl Combined {
+    /// Standard deviation of each mode, nm.
+    pub fn sigma_nm(&self) -> Vec<f64> {
+        self.covariance_nm2.diag().iter().map(|v| v.max(0.0).sqrt()).collect()
+    }
+}
+
+/// Images of one estimate: what was compared, for pictures. `[y, x]`, electrons at the model's sampling.
+#[derive(Debug, Clone)]
+pub struct Compared {
+    /// The data; NaN where bad.
+    pub data_e: Array2<f64>,
+    /// The fitted model.
+    pub model_e: Array2<f64>,
+    /// (data − model) in standard deviations; NaN where bad.
+    pub residual_sigma: Array2<f64>,
+}
+
+/// What [`Estimator::estimate`] found.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// One report per image, in order.
+    pub images: Vec<ImageReport>,
+    /// Coefficients of each image, `[image, mode]`, nm; NaN for unusable ones.
+    pub image_coefficients_nm: Array2<f64>,
+    /// Mean over the images that were used.
+    pub combined: Combined,
+    /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
+    pub phasing_nm: Array2<f64>,
+    /// Non-common path aberrations likewise.
+    pub ncpa_nm: Array2<f64>,
+    /// Error bar of each map, 1σ, nm.
+    pub phasing_sigma_nm: Array2<f64>,
+    /// Likewise.
+    pub ncpa_sigma_nm: Array2<f64>,
+    /// The first image that was used, beside its model.
+    pub compared: Compared,
+    /// Which combinations of modes the images do not see, or hardly.
+    pub degeneracy: Degeneracy,
+    /// Wall-clock time of the estimate, without building the model.
+    pub seconds: f64,
+    /// Where it ran.
+    pub device: String,
+    /// In which precision.
+    pub precision: &'static str,
+}
+
+impl Estimate {
+    /// Number of images that went into the mean.
+    pub fn used(&self) -> usize {
+        self.images.iter().filter(|image| used(&image.status)).count()
+    }
+
+    /// Median reduced χ² of the images that were used.
+    pub fn reduced_chi2(&self) -> f64 {
+        let mut values: Vec<f64> =
+            self.images.iter().filter(|image| used(&image.status)).map(|image| image.reduced_chi2).collect();
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    }
+
+    /// The worst status among the images.
+    pub fn status(&self) -> &Status {
+        let rank = |status: &Status| match status {
+            Status::Ok => 0,
+            Status::Misfit => 1,
+            Status::WrongMinimum => 2,
+            Status::NotConverged(_) => 3,
+            Status::Unusable(_) => 4,
+        };
+        let worst = self.images.iter().map(|image| &image.status).max_by_key(|status| rank(status));
+        worst.unwrap_or(&Status::Ok)
+    }
+}
+
+/// Whether an image counts in the mean: anything that was fitted to its minimum. A wrong minimum is left out below,
+/// unless nothing better is there.
+fn used(status: &Status) -> bool {
+    matches!(status, Status::Ok | Status::Misfit | Status::WrongMinimum)
+}
+
+/// Judges one minimum: its report, and its covariance.
+fn judge(
+    estimator: &Estimator,
+    prepared: &Prepared,
+    minimum: &Minimum,
+) -> Result<(ImageReport, Array2<f64>, Compared)> {
+    let model = &estimator.model;
+    let at = ArrayView1::from(&minimum.coefficients_nm);
+    let psf = estimator.judge.psf(at);
+    let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
+    let exposure = &minimum.exposure;
+    let sensitivity = Sensitivity::at(&estimator.judge, at, minimum.flux_e, &exposure.weight, exposure.photometry);
+    let covariance = about_mean_piston(model, sensitivity.covariance(&variance_e2)?)?;
+    let reduced_chi2 = reduced_chi2(&psf, minimum, &variance_e2, model.optics.modes());
+    let status = match minimum.reason {
+        reason if !reason.converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
+        _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
+        _ if reduced_chi2 > MISFIT => Status::Misfit,
+        _ => Status::Ok,
+    };
+    let ratio = model.preparation.frame_pixels as f64 / model.preparation.reduced_pixels as f64;
+    let report = ImageReport {
+        status,
+        evaluations: minimum.evaluations,
+        reduced_chi2,
+        flux_e: minimum.flux_e,
+        background_e: minimum.background_e / (ratio * ratio),
+        tip_tilt_nm: tip_tilt(model, prepared, &minimum.coefficients_nm),
+        bad_pixels: prepared.bad_pixels,
+    };
+    Ok((report, covariance * reduced_chi2.max(1.0), compared(model, &psf, minimum, &variance_e2)))
+}
+
+fn compared(model: &Model, psf: &[f64], minimum: &Minimum, variance_e2: &[f64]) -> Compared {
+    let size = model.preparation.pixels;
+    let pixel = |(v, u): (usize, usize)| v * size + u;
+    let model_e = Array2::from_shape_fn((size, size), |at| minimum.flux_e * psf[pixel(at)] + minimum.background_e);
+    let data_e = Array2::from_shape_fn((size, size), |at| {
+        if variance_e2[pixel(at)].is_finite() { minimum.exposure.data_e[pixel(at)] } else { f64::NAN }
+    });
+    let residual_sigma =
+        Array2::from_shape_fn((size, size), |at| (data_e[at] - model_e[at]) / variance_e2[pixel(at)].sqrt());
+    Compared { data_e, model_e, residual_sigma }
+}
+
+/// Slopes of the whole wavefront over the pupil by least squares, as nm RMS of tip and tilt, the shift included.
+fn tip_tilt(model: &Model, prepared: &Prepared, coefficients_nm: &[f64]) -> [f64; 2] {
+    let pupil = &model.telescope.pupil;
+    let mut map = Array2::<f64>::zeros(pupil.amplitude.dim());
+    for (mode, &nm) in model.basis.maps().outer_iter().zip(coefficients_nm) {
+        map.scaled_add(nm, &mode);
+    }
+    let total = pupil.weight_sum();
+    [Axis(1), Axis(0)].map(|axis| {
+        let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == Axis(1) { x } else { y });
+        let weighted = |f: &dyn Fn((usize, usize)) -> f64| {
+            pupil.amplitude.indexed_iter().map(|(at, a)| a * f(at)).sum::<f64>() / total
+        };
+        let mean = weighted(&along);
+        let square = weighted(&|at| (along(at) - mean).powi(2));
+        let slope_nm_m = weighted(&|at| map[at] * (along(at) - mean)) / square;
+        let shift = prepared.shift_pixels[if axis == Axis(1) { 0 } else { 1 }] as f64;
+        // One pixel is 1/(n·step) … λ over the model grid's width, in pixels per λ/D.
+        let sampling = model.optics.sampling();
+        let model_width_m = pupil.grid.width_m() * model.width_ratio();
+        let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * model_width_m);
+        (slope_nm_m + shift * per_pixel_nm_m) * square.sqrt()
+    })
+}
+
+/// The covariance of coefficients whose pistons are about their mean over the pupil.
+pub(super) fn about_mean_piston(model: &Model, covariance: Array2<f64>) -> Result<Array2<f64>> {
+    let share = piston_shares(model)?;
+    let modes = covariance.nrows();
+    // P = I − 1·shareᵀ on the pistons.
+    let mut projector = Array2::eye(modes);
+    for i in 0..share.len() {
+        for (j, share) in share.iter().enumerate() {
+            projector[[i, j]] -= share;
+        }
+    }
+    Ok(projector.dot(&covariance).dot(&projector.t()))
+}
+
+/// Each piston's share in the mean over the pupil; empty where pistons are not estimated.
+fn piston_shares(model: &Model) -> Result<Vec<f64>> {
+    let pistons = model.basis.names().iter().take(model.segment_modes).take_while(|name| name.ends_with("-piston"));
+    let count = pistons.count();
+    let pupil = &model.telescope.pupil;
+    let maps = model.basis.maps();
+    let shares: Vec<f64> = maps.outer_iter().take(count).map(|map| (&map * &pupil.amplitude).sum()).collect();
+    let total: f64 = shares.iter().sum();
+    if count > 0 && total <= 0.0 {
+        return Err(Error::Value("the segment pistons move no glass".into()));
+    }
+    Ok(shares.iter().map(|share| share / total).collect())
+}
+
+/// Pistons about their mean over the pupil.
+fn centre_pistons(model: &Model, coefficients_nm: &mut [f64]) -> Result<()> {
+    let shares = piston_shares(model)?;
+    let mean: f64 = shares.iter().zip(coefficients_nm.iter()).map(|(share, nm)| share * nm).sum();
+    coefficients_nm[..shares.len()].iter_mut().for_each(|nm| *nm -= mean);
+    Ok(())
+}
+
+/// Mean, error bars and maps of all images of a call. `indices` says which images the minima belong to.
+pub(super) fn combine(
+    estimator: &Estimator,
+    refused: Vec<Option<Error>>,
+    indices: &[usize],
+    prepared: &[Prepared],
+    mut minima: Vec<Minimum>,
+) -> Result<Estimate> {
+    let model = &estimator.model;
+    let modes = model.optics.modes();
+    minima.iter_mut().try_for_each(|minimum| centre_pistons(model, &mut minimum.coefficients_nm))?;
+    let judged: Vec<_> =
+        prepared.par_iter().zip(&minima).map(|(p, m)| judge(estimator, p, m)).collect::<Result<Vec<_>>>()?;
+    let mut images: Vec<ImageReport> = refused.into_iter().map(unusable).collect();
+    let mut image_coefficients_nm = Array2::from_elem((images.len(), modes), f64::NAN);
+    for ((&image, minimum), (report, ..)) in indices.iter().zip(&minima).zip(&judged) {
+        images[image] = report.clone();
+        image_coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
+    }
+    let kept = kept(&judged.iter().map(|(report, ..)| report).collect::<Vec<_>>());
+    if kept.is_empty() {
+        let reason = match &judged[0].0.status {
+            Status::NotConverged(reason) => reason.to_string(),
+            other => other.word().into(),
+        };
+        return Err(Error::Image(format!("no image could be fitted: {reason}")));
+    }
+    let rows: Vec<ArrayView1<f64>> = kept.iter().map(|&i| ArrayView1::from(&minima[i].coefficients_nm)).collect();
+    let stacked = ndarray::stack(Axis(0), &rows).map_err(|error| Error::Internal(error.to_string()))?;
+    let combined = mean(&stacked, &kept.iter().map(|&i| judged[i].1.view()).collect::<Vec<_>>());
+    let names = model.basis.names();
+    let first = &minima[kept[0]];
+    let fisher = Sensitivity::at(
+        &estimator.judge,
+        ArrayView1::from(&first.coefficients_nm),
+        first.flux_e,
+        &first.exposure.weight,
+        first.exposure.photometry,
+    )
+    .fisher();
+    Ok(Estimate {
+        phasing_nm: model.map_nm(&combined.coefficients_nm, Group::Segment),
+        ncpa_nm: model.map_nm(&combined.coefficients_nm, Group::Ncpa),
+        phasing_sigma_nm: sigma_map(model, &combined.covariance_nm2, Group::Segment),
+        ncpa_sigma_nm: sigma_map(model, &combined.covariance_nm2, Group::Ncpa),
+        compared: judged[kept[0]].2.clone(),
+        degeneracy: Degeneracy::of(&fisher, names, WEAK_BELOW)?,
+        images,
+        image_coefficients_nm,
+        combined,
+        seconds: 0.0,
+        device: String::new(),
+        precision: "",
+    })
+}
+
+fn unusable(refused: Option<Error>) -> ImageReport {
+    ImageReport {
+        status: Status::Unusable(refused.map(|error| error.to_string()).unwrap_or_default()),
+        evaluations: 0,
+        reduced_chi2: f64::NAN,
+        flux_e: f64::NAN,
+        background_e: f64::NAN,
+        tip_tilt_nm: [f64::NAN; 2],
+        bad_pixels: 0,
+    }
+}
+
+/// Which fits go into the mean: those that converged, without suspected wrong minima unless there is nothing else.
+fn kept(reports: &[&ImageReport]) -> Vec<usize> {
+    let with = |accept: &dyn Fn(&Status) -> bool| -> Vec<usize> {
+        reports.iter().enumerate().filter(|(_, report)| accept(&report.status)).map(|(i, _)| i).collect()
+    };
+    let good = with(&|status| matches!(status, Status::Ok | Status::Misfit));
+    if good.is_empty() { with(&used) } else { good }
+}
+
+/// Mean over images, with the larger of two error bars: what the noise of each image gives, and, from four images on,
+/// what their scatter shows (a static wavefront under a changing one scatters more than its noise).
+fn mean(coefficients_nm: &Array2<f64>, covariances: &[ArrayView2<f64>]) -> Combined {
+    let count = coefficients_nm.nrows() as f64;
+    let mean: Array1<f64> = coefficients_nm.sum_axis(Axis(0)) / count;
+    let mut covariance = Array2::<f64>::zeros((mean.len(), mean.len()));
+    for image in covariances {
+        covariance += image;
+    }
+    covariance /= count * count;
+    if coefficients_nm.nrows() >= 4 {
+        let deviations = coefficients_nm - &mean.view().insert_axis(Axis(0));
+        let scatter = deviations.t().dot(&deviations) / (count * (count - 1.0));
+        // A common factor keeps the matrix positive; the mean over modes keeps it steady.
+        let ratio = scatter.diag().sum() / covariance.diag().sum();
+        if ratio > 1.0 {
+            covariance *= ratio;
+        }
+    }
+    Combined { coefficients_nm: mean.to_vec(), covariance_nm2: covariance }
+}
+
+/// √ of the diagonal of M C Mᵀ over the pupil, for the modes of one group.
+fn sigma_map(model: &Model, covariance_nm2: &Array2<f64>, group: Group) -> Array2<f64> {
+    let range = match group {
+        Group::Segment => 0..model.segment_modes,
+        Group::Ncpa => model.segment_modes..model.basis.len(),
+    };
+    let covariance = covariance_nm2.slice(s![range.clone(), range.clone()]);
+    let maps = model.basis.maps();
+    let shape = model.telescope.pupil.amplitude.dim();
+    let flat = maps.slice(s![range.clone(), .., ..]);
+    let flat = flat.to_shape((range.len(), shape.0 * shape.1)).map(|flat| flat.to_owned()).unwrap_or_default();
+    let product = covariance.dot(&flat);
+    let variance: Array1<f64> = (&product * &flat).sum_axis(Axis(0));
+    let map = Array2::from_shape_vec(shape, variance.mapv(|v| v.max(0.0).sqrt()).to_vec());
+    model.outside_to_nan(map.unwrap_or_else(|_| Array2::zeros(shape)))
+}

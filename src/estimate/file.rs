@@ -1,0 +1,65 @@
+//! Writing an estimate as FITS, in the layout of the conventions.
+
+use super::{Estimate, Estimator};
+use crate::Result;
+use crate::io::{Column, FitsWriter, Pixel};
+use crate::scene::Optimizer;
+use std::path::Path;
+
+/// Writes `estimate` to `path`, whole or not at all.
+///
+/// # Errors
+/// [`crate::Error::File`] where the file cannot be written.
+pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate) -> Result<()> {
+    let mut file = FitsWriter::create(path)?;
+    let optimizer = match estimator.recipe().optimizer {
+        Optimizer::GaussNewton => "gauss-newton",
+        Optimizer::Bfgs => "bfgs",
+    };
+    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
+    file.card("PRIMARY", "DEVICE", estimate.device.as_str(), "where the fit ran")?;
+    file.card("PRIMARY", "PRECISIO", estimate.precision, "precision of the imaging chain")?;
+    file.card("PRIMARY", "OPTIMIZE", optimizer, "optimizer")?;
+    file.card("PRIMARY", "ELAPSED", estimate.seconds, "seconds for the estimate")?;
+    file.card("PRIMARY", "NIMAGES", estimate.images.len() as i64, "images read")?;
+    file.card("PRIMARY", "NUSED", estimate.used() as i64, "images used")?;
+    file.card("PRIMARY", "CHI2", estimate.reduced_chi2(), "median reduced chi-square")?;
+    let wavefront = &estimate.phasing_nm + &estimate.ncpa_nm;
+    for (name, map) in [
+        ("PHASING", &estimate.phasing_nm),
+        ("NCPA", &estimate.ncpa_nm),
+        ("WAVEFRONT", &wavefront),
+        ("PHASING_SIGMA", &estimate.phasing_sigma_nm),
+        ("NCPA_SIGMA", &estimate.ncpa_sigma_nm),
+    ] {
+        file.image(name, map, Pixel::F64, "nm")?;
+    }
+    file.card("WAVEFRONT", "GRID_M", estimator.model().telescope.pupil.grid.width_m(), "side of the map, m")?;
+    let basis = &estimator.model().basis;
+    file.table(
+        "MODES",
+        &[
+            Column::text("NAME", basis.names()),
+            Column::text("GROUP", basis.groups().iter().map(|group| group.name())),
+            Column::f64("ESTIMATE_NM", "nm", estimate.combined.coefficients_nm.clone()),
+            Column::f64("SIGMA_NM", "nm", estimate.combined.sigma_nm()),
+        ],
+    )?;
+    let images = &estimate.images;
+    let numbers = |f: &dyn Fn(&super::ImageReport) -> f64| images.iter().map(f).collect::<Vec<f64>>();
+    file.table(
+        "IMAGES",
+        &[
+            Column::text("STATUS", images.iter().map(|image| image.status.word())),
+            Column::i64("EVALUATIONS", images.iter().map(|image| image.evaluations as i64).collect()),
+            Column::f64("CHI2", "", numbers(&|image| image.reduced_chi2)),
+            Column::f64("FLUX_E", "electron", numbers(&|image| image.flux_e)),
+            Column::f64("BACKGROUND_E", "electron", numbers(&|image| image.background_e)),
+            Column::f64("TIP_NM", "nm", numbers(&|image| image.tip_tilt_nm[0])),
+            Column::f64("TILT_NM", "nm", numbers(&|image| image.tip_tilt_nm[1])),
+        ],
+    )?;
+    file.image("COEFFICIENTS", &estimate.image_coefficients_nm, Pixel::F64, "nm")?;
+    file.text("SCENE", estimator.scene().text())?;
+    file.finish()
+}

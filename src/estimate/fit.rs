@@ -1,0 +1,265 @@
+//! Fitting a batch of images: all of them advance in lock-step, one batched evaluation per step; those that are done
+//! drop out.
+
+use super::fisher::{NULL_FLOOR, Sensitivity};
+use super::model::Model;
+use super::prepare::Prepared;
+use super::recipe::Recipe;
+use crate::imaging::{Chain, CpuChain, Exposure, Photometry, Precision};
+use crate::optimize::{
+    ArgminBfgs, CancelFlag, Metric, Outcome, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings,
+    StopReason,
+};
+use crate::scene::{Optimizer, Weighting};
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, ArrayView1};
+use std::sync::Arc;
+
+/// The minimum of one image.
+pub(super) struct Minimum {
+    pub(super) coefficients_nm: Vec<f64>,
+    pub(super) flux_e: f64,
+    pub(super) background_e: f64,
+    pub(super) evaluations: usize,
+    pub(super) reason: StopReason,
+    /// The exposure as it was weighted last.
+    pub(super) exposure: Exposure,
+}
+
+/// What a caller sees while it waits: images done of all.
+pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
+
+/// How often the weights are renewed from the fitted model: each renewal moves the minimum by the second order of the
+/// last one's change, and the second is already below 1e-3 σ.
+const REWEIGHTINGS: usize = 2;
+/// Decrease of χ² that is left where a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. A finer step
+/// tolerance lowers it as its square.
+const DECREMENT: f64 = 1e-5;
+/// The step tolerance to which [`DECREMENT`] belongs.
+const DECREMENT_STEP_NM: f64 = 1e-3;
+/// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which the linearisation
+/// that made the metric says nothing.
+const LARGEST_STEP_WAVES: f64 = 0.2;
+
+/// Fits every prepared image.
+pub(super) fn fit(
+    model: &Model,
+    judge: &CpuChain<f64>,
+    chain: &mut Chain,
+    prepared: &[Prepared],
+    recipe: &Recipe,
+    cancel: Option<&CancelFlag>,
+    watch: &mut Watch,
+) -> Result<Vec<Minimum>> {
+    let exposures: Vec<Exposure> = prepared.iter().map(|image| image.exposure.clone()).collect();
+    chain.load(&exposures)?;
+    match recipe.optimizer {
+        Optimizer::Bfgs => paper(model, chain, exposures, recipe, cancel, watch),
+        Optimizer::GaussNewton => lock_step(model, judge, chain, prepared, exposures, recipe, cancel, watch),
+    }
+}
+
+/// The paper's way, image by image: BFGS from zero, coefficients in radians, tolerance 1e-6.
+fn paper(
+    model: &Model,
+    chain: &mut Chain,
+    exposures: Vec<Exposure>,
+    recipe: &Recipe,
+    cancel: Option<&CancelFlag>,
+    watch: &mut Watch,
+) -> Result<Vec<Minimum>> {
+    let nm = model.optics.parts().wavelength_nm / std::f64::consts::TAU;
+    let modes = model.optics.modes();
+    let count = exposures.len();
+    let mut minima = Vec::with_capacity(count);
+    for (image, exposure) in exposures.into_iter().enumerate() {
+        let mut last = Default::default();
+        let mut objective = |radians: &[f64]| -> Result<(f64, Vec<f64>)> {
+            let x = Array1::from(radians.to_vec()) * nm;
+            last = chain.evaluate(&[image], x.view().insert_axis(ndarray::Axis(0)))?.remove(0);
+            Ok((last.objective, last.gradient.iter().map(|g| g * nm).collect()))
+        };
+        let solver = ArgminBfgs {
+            gradient_tolerance: 1e-6,
+            cost_tolerance: 0.0,
+            initial_scale: 1.0,
+            max_evaluations: recipe.max_evaluations,
+            cancel: cancel.cloned(),
+        };
+        let outcome = solver.minimize(&mut objective, &vec![0.0; modes])?;
+        let (evaluations, reason) = (outcome.evaluations, outcome.reason);
+        stop_if_cancelled(reason, image, count)?;
+        let (flux_e, background_e) = (last.flux_e, last.background_e);
+        let coefficients_nm = outcome.x.iter().map(|x| x * nm).collect();
+        minima.push(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, exposure });
+        watch(image + 1, count);
+    }
+    Ok(minima)
+}
+
+fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()> {
+    if reason == StopReason::Cancelled {
+        return Err(Error::Interrupted(format!("{done} of {count} images were fitted")));
+    }
+    Ok(())
+}
+
+/// Coordinates in which the objective of a typical image looks round: the Gauss-Newton matrix of the flat wavefront,
+/// with the weights that such an image would have. Computed once for all images of a scene.
+fn metric(model: &Model, judge: &CpuChain<f64>, typical: &Prepared, recipe: &Recipe) -> Result<Metric> {
+    let zero = Array1::zeros(model.optics.modes());
+    let psf = judge.psf(zero.view());
+    let flux_e = typical.exposure.data_e.iter().zip(&typical.floor_variance_e2);
+    let flux_e: f64 = flux_e.filter(|(_, floor)| floor.is_finite()).map(|(d, _)| d).sum::<f64>().max(1.0);
+    // The metric and the cost must use the same kind of weights: mixing them loses the capture range.
+    let weight: Vec<f64> = match recipe.weighting {
+        Weighting::Noise => weights(&psf, flux_e, 0.0, &typical.floor_variance_e2),
+        Weighting::None => typical.exposure.weight.clone(),
+    };
+    let fisher = Sensitivity::at(judge, zero.view(), flux_e, &weight, typical.exposure.photometry).fisher();
+    Metric::from_gauss_newton(&fisher, NULL_FLOOR)
+}
+
+/// 1/(photon variance of the model + floor); 0 where the floor is infinite.
+fn weights(psf: &[f64], flux_e: f64, background_e: f64, floor_variance_e2: &[f64]) -> Vec<f64> {
+    let variance = psf.iter().zip(floor_variance_e2).map(|(h, floor)| (flux_e * h + background_e).max(0.0) + floor);
+    variance.map(|v| 1.0 / v).collect()
+}
+
+/// Variance of each pixel under the fitted model, e²; infinite for a bad pixel.
+pub(super) fn variance(psf: &[f64], minimum: &Minimum, floor_variance_e2: &[f64]) -> Vec<f64> {
+    weights(psf, minimum.flux_e, minimum.background_e, floor_variance_e2).iter().map(|w| 1.0 / w).collect()
+}
+
+/// One image on its way.
+struct Runner {
+    solver: QuasiNewton,
+    reweightings: usize,
+    flux_e: f64,
+    background_e: f64,
+}
+
+#[allow(clippy::too_many_arguments)]
+fn lock_step(
+    model: &Model,
+    judge: &CpuChain<f64>,
+    chain: &mut Chain,
+    prepared: &[Prepared],
+    mut exposures: Vec<Exposure>,
+    recipe: &Recipe,
+    cancel: Option<&CancelFlag>,
+    watch: &mut Watch,
+) -> Result<Vec<Minimum>> {
+    let Some(typical) = prepared.first() else { return Ok(Vec::new()) };
+    let metric = Arc::new(metric(model, judge, typical, recipe)?);
+    let settings = settings(model, recipe, chain.precision(), cancel);
+    let start = vec![0.0; model.optics.modes()];
+    let count = prepared.len();
+    let runner = |_| -> Result<Runner> {
+        let solver = QuasiNewton::new(metric.clone(), &start, settings.clone())?;
+        Ok(Runner { solver, reweightings: 0, flux_e: 0.0, background_e: 0.0 })
+    };
+    let mut runners = (0..count).map(runner).collect::<Result<Vec<_>>>()?;
+    let mut active: Vec<usize> = (0..count).collect();
+    while !active.is_empty() {
+        let mut points = Array2::zeros((active.len(), start.len()));
+        for (mut row, &image) in points.outer_iter_mut().zip(&active) {
+            row.assign(&ArrayView1::from(runners[image].solver.ask()));
+        }
+        let evaluations = chain.evaluate(&active, points.view())?;
+        let mut going = Vec::with_capacity(active.len());
+        for (&image, evaluation) in active.iter().zip(&evaluations) {
+            let runner = &mut runners[image];
+            let progress = runner.solver.tell(evaluation.objective, &evaluation.gradient);
+            if progress == Progress::Continue {
+                going.push(image);
+                continue;
+            }
+            let outcome = runner.solver.outcome();
+            stop_if_cancelled(outcome.reason, count - active.len(), count)?;
+            let again = recipe.weighting == Weighting::Noise && runner.reweightings < REWEIGHTINGS;
+            let (psf, best) = at(judge, outcome);
+            let exposure = &mut exposures[image];
+            (runner.flux_e, runner.background_e) = photometry(exposure, &psf);
+            if !(again && best) {
+                continue;
+            }
+            exposure.weight = weights(&psf, runner.flux_e, runner.background_e, &prepared[image].floor_variance_e2);
+            chain.replace(image, exposure)?;
+            runner.reweightings += 1;
+            if runner.solver.restart_objective() == Progress::Continue {
+                going.push(image);
+            }
+        }
+        active = going;
+        watch(count - active.len(), count);
+    }
+    let finished = runners.into_iter().zip(exposures);
+    Ok(finished
+        .map(|(runner, exposure)| {
+            let outcome = runner.solver.outcome();
+            Minimum {
+                coefficients_nm: outcome.x.clone(),
+                flux_e: runner.flux_e,
+                background_e: runner.background_e,
+                evaluations: outcome.evaluations,
+                reason: outcome.reason,
+                exposure,
+            }
+        })
+        .collect())
+}
+
+/// The PSF at the best point, and whether the run got there by converging.
+fn at(judge: &CpuChain<f64>, outcome: &Outcome) -> (Vec<f64>, bool) {
+    (judge.psf(ArrayView1::from(&outcome.x)), outcome.reason.converged())
+}
+
+fn settings(model: &Model, recipe: &Recipe, precision: Precision, cancel: Option<&CancelFlag>) -> Settings {
+    Settings {
+        max_evaluations: recipe.max_evaluations,
+        step_tolerance: recipe.step_tolerance_nm,
+        decrement_tolerance: match recipe.weighting {
+            Weighting::Noise => DECREMENT * (recipe.step_tolerance_nm / DECREMENT_STEP_NM).powi(2).min(1.0),
+            Weighting::None => 0.0,
+        },
+        relative_decrement_tolerance: 0.0,
+        resolution: match precision {
+            Precision::F32 => RESOLUTION_F32,
+            Precision::F64 => RESOLUTION_F64,
+        },
+        max_step: LARGEST_STEP_WAVES * model.optics.parts().wavelength_nm,
+        cancel: cancel.cloned(),
+        ..Settings::default()
+    }
+}
+
+/// Flux and background of an exposure for a given PSF.
+pub(super) fn photometry(exposure: &Exposure, psf: &[f64]) -> (f64, f64) {
+    let (mut w, mut wd, mut wh, mut whh, mut whd) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for ((&weight, &d), &h) in exposure.weight.iter().zip(&exposure.data_e).zip(psf) {
+        w += weight;
+        wd += weight * d;
+        wh += weight * h;
+        whh += weight * h * h;
+        whd += weight * h * d;
+    }
+    exposure.photometry.solve(w, wd, wh, whh, whd)
+}
+
+/// χ² per degree of freedom of a minimum: 1 where the model is right.
+pub(super) fn reduced_chi2(psf: &[f64], minimum: &Minimum, variance_e2: &[f64], seen_modes: usize) -> f64 {
+    let (mut sum, mut good) = (0.0, 0usize);
+    for ((h, d), v) in psf.iter().zip(&minimum.exposure.data_e).zip(variance_e2) {
+        if v.is_finite() {
+            sum += (minimum.flux_e * h + minimum.background_e - d).powi(2) / v;
+            good += 1;
+        }
+    }
+    let nuisances = match minimum.exposure.photometry {
+        Photometry::Fixed { .. } => 0,
+        Photometry::FitFlux { .. } => 1,
+        Photometry::FitBoth => 2,
+    };
+    sum / good.saturating_sub(seen_modes + nuisances).max(1) as f64
+}
