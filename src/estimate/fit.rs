@@ -29,9 +29,9 @@ pub(super) struct Minimum {
 /// What a caller sees while it waits: images done of all.
 pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
 
-/// How often the weights are renewed from the fitted model: each renewal moves the minimum by the second order of the
-/// last one's change, and the second is already below 1e-3 σ.
-const REWEIGHTINGS: usize = 2;
+/// Most often that the weights are renewed from the fitted model. Where the model is right two renewals settle it;
+/// where it misfits, each brings about a digit.
+const REWEIGHTINGS: usize = 8;
 /// Decrease of χ² that is left where a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. A finer step
 /// tolerance lowers it as its square.
 const DECREMENT: f64 = 1e-5;
@@ -135,8 +135,18 @@ pub(super) fn variance(psf: &[f64], minimum: &Minimum, floor_variance_e2: &[f64]
 struct Runner {
     solver: QuasiNewton,
     reweightings: usize,
+    /// Where the last weights were made.
+    weighted_at: Vec<f64>,
     flux_e: f64,
     background_e: f64,
+}
+
+impl Runner {
+    /// Whether new weights could still move the minimum by more than the tolerance.
+    fn unsettled(&self, step_tolerance_nm: f64) -> bool {
+        let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
+        self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > step_tolerance_nm)
+    }
 }
 
 #[allow(clippy::too_many_arguments)]
@@ -157,7 +167,7 @@ fn lock_step(
     let count = prepared.len();
     let runner = |_| -> Result<Runner> {
         let solver = QuasiNewton::new(metric.clone(), &start, settings.clone())?;
-        Ok(Runner { solver, reweightings: 0, flux_e: 0.0, background_e: 0.0 })
+        Ok(Runner { solver, reweightings: 0, weighted_at: Vec::new(), flux_e: 0.0, background_e: 0.0 })
     };
     let mut runners = (0..count).map(runner).collect::<Result<Vec<_>>>()?;
     let mut active: Vec<usize> = (0..count).collect();
@@ -177,7 +187,7 @@ fn lock_step(
             }
             let outcome = runner.solver.outcome();
             stop_if_cancelled(outcome.reason, count - active.len(), count)?;
-            let again = recipe.weighting == Weighting::Noise && runner.reweightings < REWEIGHTINGS;
+            let again = recipe.weighting == Weighting::Noise && runner.unsettled(recipe.step_tolerance_nm);
             let (psf, best) = at(judge, outcome);
             let exposure = &mut exposures[image];
             (runner.flux_e, runner.background_e) = photometry(exposure, &psf);
@@ -187,6 +197,7 @@ fn lock_step(
             exposure.weight = weights(&psf, runner.flux_e, runner.background_e, &prepared[image].floor_variance_e2);
             chain.replace(image, exposure)?;
             runner.reweightings += 1;
+            runner.weighted_at = runner.solver.outcome().x.clone();
             if runner.solver.restart_objective() == Progress::Continue {
                 going.push(image);
             }
