@@ -3,9 +3,10 @@
 mod common;
 
 use common::{chains, relative_difference};
-use cophase::estimate::{Estimate, Estimator, Frame};
+use cophase::estimate::{Cube, Estimate, Estimator, Frame};
 use cophase::imaging::{Chain, CpuChain, Exposure, Precision};
 use cophase::io;
+use cophase::modes::Group;
 use cophase::scene::Scene;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use std::path::{Path, PathBuf};
@@ -169,26 +170,31 @@ fn estimates_are_golden() {
 #[test]
 fn our_default_is_at_least_as_close_to_the_truth() {
     let scene = Scene::from_file(file("scene.toml")).unwrap();
-    let ours = Estimator::new(&scene, false).unwrap();
     let golden = estimator("noise");
-    let pupil = &ours.model().telescope.pupil;
     for name in ["inspan.fits.gz", "zern.fits.gz"] {
-        let mut chain = Chain::cpu(ours.model().optics.clone(), Precision::F64);
-        let estimate = run(&ours, &mut chain, name);
+        let images = io::read_images(file(name), None).unwrap();
+        let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
+        let mut open = |ours: &Estimator| Ok(Chain::cpu(ours.model().optics.clone(), Precision::F64));
+        let (ours, estimate) = cophase::estimate::read(&scene, cube, &mut open, None, &mut |_, _| {}).unwrap();
+        let pupil = &ours.model().telescope.pupil;
         let theirs = vector(name, "EST_LM_WEIGHTED");
-        for (hdu, found, group) in [
-            ("TRUTH_PHASING", &estimate.phasing_nm, cophase::modes::Group::Segment),
-            ("TRUTH_NCPA", &estimate.ncpa_nm, cophase::modes::Group::Ncpa),
-        ] {
-            let truth = io::read_map(file(name), Some(hdu)).unwrap();
-            let residual = |map: &Array2<f64>| {
-                pupil.rms(pupil.remove_piston_tip_tilt((map - &truth).view()).unwrap().view()).unwrap()
-            };
-            let (mine, golden) = (residual(found), residual(&golden.model().map_nm(&theirs, group)));
-            println!("{name} {hdu}: ours {mine:.4} nm, golden {golden:.4} nm");
-            // Where the golden basis spans the truth both sit on the noise of this one image, and twenty modes more
-            // may cost up to the square root of what they add (0.086 against 0.085, 0.104 against 0.102 in the bound).
-            assert!(mine < 1.1 * golden, "{name} {hdu}: {mine} against {golden}");
+        let residuals =
+            [("TRUTH_PHASING", &estimate.phasing_nm, Group::Segment), ("TRUTH_NCPA", &estimate.ncpa_nm, Group::Ncpa)]
+                .map(|(hdu, found, group)| {
+                    let truth = io::read_map(file(name), Some(hdu)).unwrap();
+                    let residual = |map: &Array2<f64>| {
+                        pupil.rms(pupil.remove_piston_tip_tilt((map - &truth).view()).unwrap().view()).unwrap()
+                    };
+                    let (mine, golden) = (residual(found), residual(&golden.model().map_nm(&theirs, group)));
+                    println!("{name} {hdu}: ours {mine:.4} nm, golden {golden:.4} nm");
+                    (mine, golden)
+                });
+        for (mine, golden) in residuals {
+            // Where the golden basis spans the truth, both sit on the noise of this one image; tip, tilt and focus more,
+            // flux and background fitted, may move either way by a small part of it: a hundredth is allowed.
+            assert!(mine < 1.01 * golden, "{name}: {mine} against {golden}");
         }
+        // Where it does not, the larger basis is found by itself.
+        assert_eq!(ours.model().optics.modes() > 110, name.starts_with("zern"));
     }
 }
