@@ -1,1 +1,4 @@
 //! (under construction)
+
+#[cfg(feature = "opencl")]
+pub mod gpu;

@@ -1,0 +1,97 @@
+//! Everything here that needs OpenCL says so and passes where there is none; `COPHASE_REQUIRE_OPENCL=1` makes that a
+//! failure.
+
+use super::*;
+
+/// The devices to test on: empty where OpenCL may be absent and is.
+pub(crate) fn test_devices() -> Vec<DeviceInfo> {
+    let present = devices().expect("OpenCL lists its devices");
+    if present.is_empty() {
+        assert!(
+            std::env::var("COPHASE_REQUIRE_OPENCL").as_deref() != Ok("1"),
+            "COPHASE_REQUIRE_OPENCL=1, and no OpenCL device was found"
+        );
+        println!("skipped: no OpenCL device was found");
+    }
+    present
+}
+
+#[test]
+fn every_kernel_compiles_at_every_precision_and_width() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        for precision in [Precision::F32, Precision::F64] {
+            if !info.supports(precision) {
+                println!("{info} has no {precision}");
+                continue;
+            }
+            for vector in [1, 4, 8, 16] {
+                for entry in TABLE.iter().flat_map(|family| family.entries) {
+                    let kernel = device.kernel(entry.name, Build { precision, vector }).unwrap();
+                    assert!(!kernel.arguments().is_empty(), "{} keeps the names of its arguments", entry.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_cl_file_is_in_the_table() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/kernels");
+    let mut found: Vec<String> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|file| file.unwrap().file_name().into_string().unwrap())
+        .filter(|name| name.ends_with(".cl") && name != "common.cl")
+        .collect();
+    let mut listed: Vec<String> = TABLE.iter().map(|family| family.file.to_string()).collect();
+    found.sort();
+    listed.sort();
+    assert_eq!(found, listed);
+}
+
+#[test]
+fn every_kernel_of_a_file_is_in_its_row() {
+    for family in TABLE {
+        let declared = family.source.matches("__kernel void ").count();
+        assert_eq!(declared, family.entries.len(), "{} declares {declared} kernels", family.file);
+        for entry in family.entries {
+            assert!(family.source.contains(&format!("__kernel void {}(", entry.name)), "{}", entry.name);
+        }
+    }
+}
+
+#[test]
+fn numbers_go_up_and_come_back() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let mut buffer = device.buffer::<f32>(5).unwrap();
+        buffer.write(2, &[1.5, -2.5]).unwrap();
+        let mut back = [9.0f32; 5];
+        buffer.read(0, &mut back).unwrap();
+        assert_eq!(back, [0.0, 0.0, 1.5, -2.5, 0.0]);
+        assert!(buffer.write(4, &[0.0, 0.0]).is_err());
+        assert!(buffer.read(1, &mut back).is_err());
+    }
+}
+
+#[test]
+fn a_buffer_beyond_the_device_is_refused_with_its_size() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let numbers = info.max_buffer_bytes as usize / 4 + 1;
+        let message = device.buffer::<f32>(numbers).err().unwrap().to_string();
+        assert!(message.contains(&(4 * numbers).to_string()), "{message}");
+    }
+}
+
+#[test]
+fn a_bad_name_is_an_error_and_not_a_crash() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let build = Build::for_device(&info, Precision::F32);
+        assert!(device.kernel("no_such_kernel", build).is_err());
+        let mut kernel = device.kernel("photometry_solve", build).unwrap();
+        assert!(kernel.int("no_such_argument", 1).is_err());
+        assert!(kernel.int("images", usize::MAX).is_err());
+    }
+}
