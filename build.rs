@@ -17,6 +17,11 @@ fn opencl_loader() {
     let unix = std::env::var("CARGO_CFG_TARGET_FAMILY").is_ok_and(|family| family.split(',').any(|f| f == "unix"));
     let macos = std::env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "macos");
     if unix && !macos {
-        cc::Build::new().file("src/device/loader.c").flag_if_supported("-fvisibility=hidden").warnings(true).extra_warnings(true).compile("OpenCL");
+        cc::Build::new()
+            .file("src/device/loader.c")
+            .flag_if_supported("-fvisibility=hidden")
+            .warnings(true)
+            .extra_warnings(true)
+            .compile("OpenCL");
     }
 }

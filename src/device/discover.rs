@@ -42,7 +42,9 @@ fn platforms() -> Result<Vec<core::PlatformId>> {
     match (status, count) {
         (PLATFORM_NOT_FOUND, _) | (0, 0) => Ok(Vec::new()),
         (0, _) => core::get_platform_ids().map_err(failed),
-        (status, _) => Err(Error::Device(format!("OpenCL does not list its platforms: clGetPlatformIDs gives {status}"))),
+        (status, _) => {
+            Err(Error::Device(format!("OpenCL does not list its platforms: clGetPlatformIDs gives {status}")))
+        }
     }
 }
 
@@ -55,8 +57,8 @@ fn describe(id: core::DeviceId, platform: usize, device: usize, platform_name: &
         name: text(id, ffi::CL_DEVICE_NAME)?,
         vendor: text(id, ffi::CL_DEVICE_VENDOR)?,
         kind: match kind {
-            k if k & u64::from(ffi::CL_DEVICE_TYPE_GPU) != 0 => DeviceKind::Gpu,
-            k if k & u64::from(ffi::CL_DEVICE_TYPE_CPU) != 0 => DeviceKind::Cpu,
+            k if k & ffi::CL_DEVICE_TYPE_GPU != 0 => DeviceKind::Gpu,
+            k if k & ffi::CL_DEVICE_TYPE_CPU != 0 => DeviceKind::Cpu,
             _ => DeviceKind::Accelerator,
         },
         // Before OpenCL 1.2 a device without double precision may refuse the question itself.
@@ -80,9 +82,7 @@ fn number(id: core::DeviceId, what: u32) -> Result<u64> {
     let bytes = raw(id, what)?;
     match bytes.len() {
         4 => Ok(u64::from(u32::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))),
-        8 => Ok(u64::from_ne_bytes([
-            bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5], bytes[6], bytes[7],
-        ])),
+        8 => Ok(u64::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3], bytes[4], bytes[5], bytes[6], bytes[7]])),
         n => Err(Error::Device(format!("OpenCL answers property {what:#x} of a device with {n} bytes, not 4 or 8"))),
     }
 }

@@ -34,6 +34,8 @@ pub struct StageTime {
     pub launches: usize,
     /// Time between start and end on the device, all launches together.
     pub device_time: Duration,
+    /// The shortest launch: what other programs on the machine disturbed least.
+    pub fastest: Duration,
 }
 
 /// An open OpenCL device with one in-order queue. Cloning is cheap and shares everything.
@@ -190,8 +192,9 @@ impl Device {
                 Some(stage) => {
                     stage.launches += 1;
                     stage.device_time += spent;
+                    stage.fastest = stage.fastest.min(spent);
                 }
-                None => stages.push(StageTime { kernel, launches: 1, device_time: spent }),
+                None => stages.push(StageTime { kernel, launches: 1, device_time: spent, fastest: spent }),
             }
         }
         stages.sort_by_key(|stage| std::cmp::Reverse(stage.device_time));
@@ -240,7 +243,10 @@ impl<T: Element> Buffer<T> {
 
     fn check(&self, offset: usize, count: usize) -> Result<()> {
         if offset + count > self.len {
-            return Err(Error::Internal(format!("{count} numbers at {offset} overrun a device buffer of {}", self.len)));
+            return Err(Error::Internal(format!(
+                "{count} numbers at {offset} overrun a device buffer of {}",
+                self.len
+            )));
         }
         Ok(())
     }
@@ -256,8 +262,10 @@ impl<T: Element> Buffer<T> {
         }
         let queue = &self.device.inner.queue;
         // SAFETY: the range was checked, and a blocking write is done with `values` when it returns.
-        unsafe { core::enqueue_write_buffer(queue, &self.mem, true, offset, values, None::<&Event>, None::<&mut Event>) }
-            .map_err(failed)
+        unsafe {
+            core::enqueue_write_buffer(queue, &self.mem, true, offset, values, None::<&Event>, None::<&mut Event>)
+        }
+        .map_err(failed)
     }
 
     /// Copies numbers from the device, from number `offset` on, once everything asked for before is done.

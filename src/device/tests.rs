@@ -95,3 +95,26 @@ fn a_bad_name_is_an_error_and_not_a_crash() {
         assert!(kernel.int("images", usize::MAX).is_err());
     }
 }
+
+/// What the test below reads from a process of its own: the loader looks for the library once per process.
+#[test]
+fn devices_are_counted() {
+    println!("devices: {}", devices().unwrap().len());
+}
+
+#[test]
+fn without_a_library_there_are_no_devices() {
+    let count = |library: &str| {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "device::tests::devices_are_counted", "--nocapture"])
+            .env("COPHASE_OPENCL_LIBRARY", library)
+            .output()
+            .unwrap();
+        String::from_utf8_lossy(&output.stdout).to_string()
+    };
+    let counted = count("/nonexistent/libOpenCL.so.1");
+    assert!(counted.contains("devices: 0"), "{counted}");
+    // Loaded, but without a single OpenCL symbol.
+    let counted = count("libm.so.6");
+    assert!(counted.contains("devices: 0"), "{counted}");
+}

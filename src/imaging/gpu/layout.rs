@@ -55,7 +55,9 @@ impl GpuLayout {
     pub fn check(&self) -> Result<()> {
         let even = |what: &str, size: usize| match size {
             0 => Err(Error::Shape(format!("a model of 0 {what} is empty: an even number from 2 on is needed"))),
-            s if s % 2 == 1 => Err(Error::Shape(format!("{s} {what} a side cannot be folded: an even number is needed"))),
+            s if s % 2 == 1 => {
+                Err(Error::Shape(format!("{s} {what} a side cannot be folded: an even number is needed")))
+            }
             _ => Ok(()),
         };
         even("pupil samples", self.samples)?;
@@ -104,7 +106,9 @@ impl GpuLayout {
             return Err(Error::Shape("no sample of the pupil is lit: at least one is needed".into()));
         }
         match self.diversity_turns.iter().chain(self.smooth.iter().flatten()).find(|v| !v.is_finite()) {
-            Some(value) => Err(Error::Value(format!("a mode or the diversity holds {value}: finite numbers are needed"))),
+            Some(value) => {
+                Err(Error::Value(format!("a mode or the diversity holds {value}: finite numbers are needed")))
+            }
             None => Ok(()),
         }
     }
@@ -116,10 +120,15 @@ impl GpuLayout {
         let entries = self.segment_index.len();
         let ordered = self.segment_start.windows(2).all(|pair| pair[0] <= pair[1]);
         if !ordered || self.segment_start.first() != Some(&0) || self.segment_start.last() != Some(&entries) {
-            return Err(Error::Shape(format!("segment_start does not rise from 0 to the {entries} entries of its list")));
+            return Err(Error::Shape(format!(
+                "segment_start does not rise from 0 to the {entries} entries of its list"
+            )));
         }
         if self.segment_weight.len() != entries {
-            return Err(Error::Shape(format!("{} segment weights stand beside {entries} segments", self.segment_weight.len())));
+            return Err(Error::Shape(format!(
+                "{} segment weights stand beside {entries} segments",
+                self.segment_weight.len()
+            )));
         }
         if let Some(s) = self.segment_index.iter().find(|s| **s >= self.segments) {
             return Err(Error::Shape(format!("segment {s} is outside 0..{}", self.segments)));

@@ -7,6 +7,7 @@
 
 mod fold;
 mod layout;
+mod memory;
 mod reals;
 mod stages;
 #[cfg(test)]
@@ -20,7 +21,7 @@ use rayon::prelude::*;
 
 use crate::device::{Build, Device, Precision};
 use crate::{Error, Result};
-use fold::{Blocks, GROUP, Shape};
+use fold::Shape;
 use stages::Stages;
 
 /// How the flux and background of an image are found.
@@ -61,7 +62,6 @@ pub struct GpuChain {
     layout: GpuLayout,
     shape: Shape,
     stages: Stages,
-    capacity: usize,
     photometry: Vec<GpuPhotometry>,
 }
 
@@ -85,10 +85,8 @@ impl GpuChain {
             return Err(Error::Value("a chain with room for 0 images computes nothing: 1 or more is needed".into()));
         }
         let shape = Shape::new(layout, build.vector);
-        let blocks = Blocks::new(layout, &shape);
-        let twice_wavenumber = 2.0 * TAU / layout.wavelength_nm;
-        let stages = Stages::new(device, build, shape, blocks, layout, capacity, twice_wavenumber)?;
-        Ok(Self { layout: layout.clone(), shape, stages, capacity, photometry: Vec::new() })
+        let stages = Stages::new(device, build, layout, shape, capacity)?;
+        Ok(Self { layout: layout.clone(), shape, stages, photometry: Vec::new() })
     }
 
     /// Coefficients of the model.
@@ -98,7 +96,7 @@ impl GpuChain {
 
     /// Room for images.
     pub fn capacity(&self) -> usize {
-        self.capacity
+        self.stages.capacity()
     }
 
     /// Brings images to the device: `data` (electrons) and `weights` (1/electrons²; 0 masks a pixel, whatever its data)
@@ -115,8 +113,8 @@ impl GpuChain {
     {
         let m = self.layout.pixels;
         let (images, size) = (photometry.len(), m * m);
-        if images > self.capacity {
-            return Err(Error::Shape(format!("{images} images exceed a chain with room for {}", self.capacity)));
+        if images > self.capacity() {
+            return Err(Error::Shape(format!("{images} images exceed a chain with room for {}", self.capacity())));
         }
         for (what, found) in [("data", data.len()), ("weights", weights.len())] {
             if found != images * size {
@@ -245,7 +243,10 @@ impl GpuChain {
 
 impl std::fmt::Debug for GpuChain {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("GpuChain").field("shape", &self.shape).field("capacity", &self.capacity).finish_non_exhaustive()
+        f.debug_struct("GpuChain")
+            .field("shape", &self.shape)
+            .field("capacity", &self.capacity())
+            .finish_non_exhaustive()
     }
 }
 
@@ -259,7 +260,13 @@ struct Folded {
 }
 
 impl Folded {
-    fn new<D, W>(shape: &Shape, m: usize, data: &[D], weights: &[W], how: &GpuPhotometry) -> std::result::Result<Self, String>
+    fn new<D, W>(
+        shape: &Shape,
+        m: usize,
+        data: &[D],
+        weights: &[W],
+        how: &GpuPhotometry,
+    ) -> std::result::Result<Self, String>
     where
         D: Copy + Into<f64>,
         W: Copy + Into<f64>,
@@ -270,7 +277,9 @@ impl Folded {
             GpuPhotometry::FitBoth => (2, 0.0, 0.0),
         };
         if !(flux.is_finite() && background.is_finite()) {
-            return Err(format!("has a known flux of {flux} and background of {background}: finite electrons are needed"));
+            return Err(format!(
+                "has a known flux of {flux} and background of {background}: finite electrons are needed"
+            ));
         }
         let mut folded = Folded {
             data: vec![0.0; shape.pixels()],
@@ -298,9 +307,4 @@ impl Folded {
         }
         Ok(folded)
     }
-}
-
-/// `count` images in whole groups; what the surplus images compute is never read.
-fn padded(count: usize) -> usize {
-    count.next_multiple_of(GROUP)
 }

@@ -1,102 +1,22 @@
-//! The kernels of the chain, their buffers, and the order in which they run.
+//! The kernels of the chain, bound to their buffers, and the order in which they run.
 
+use super::Folded;
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
 use super::layout::GpuLayout;
-use super::reals::Reals;
-use super::{Folded, padded};
+use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
 use crate::Result;
-use crate::device::{Buffer, Build, Device, Kernel};
+use crate::device::{Build, Device, Kernel};
 
-/// Bytes of a tile's arrays on a processor: what stays in a last-level cache.
-const TILE_BYTES_CPU: usize = 16 << 20;
-/// Bytes of a tile's arrays on a GPU: enough images to fill it, a small part of its memory.
-const TILE_BYTES_GPU: usize = 256 << 20;
-
-/// How the launches are cut, which is where a processor and a GPU differ: few long work-items, or many short ones.
-#[derive(Debug, Clone, Copy)]
-struct Cut {
-    /// Images that go through the stages together; a multiple of `GROUP`.
-    tile: usize,
-    /// Work-items per image that share the groups of output rows, the blocks, the outputs.
-    column_items: usize,
-    pairs_per_item: usize,
-    block_items: usize,
-    output_items: usize,
-    /// Work-items per block, or group of modes, that share the images of a tile.
-    group_items: usize,
-    /// Row pairs of a strip of pixels, work-items that share a strip.
-    pairs_per_strip: usize,
-    lanes: usize,
-    blocks_per_chunk: usize,
-}
-
-impl Cut {
-    fn new(build: Build, shape: &Shape, blocks: &Blocks, outputs: usize, capacity: usize) -> Self {
-        let numbers = 2 * (shape.rows * 8 * shape.width) / 2 + shape.pairs * 8 * (shape.width + shape.span);
-        let bytes = numbers * build.precision.bytes();
-        let fits = |budget: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
-        if build.is_scalar() {
-            let tile = fits(TILE_BYTES_GPU);
-            Cut {
-                tile,
-                column_items: usize::MAX,
-                pairs_per_item: 1,
-                block_items: blocks.count(),
-                output_items: outputs,
-                group_items: tile / GROUP,
-                pairs_per_strip: 4,
-                lanes: 32,
-                blocks_per_chunk: 64,
-            }
-        } else {
-            Cut {
-                tile: fits(TILE_BYTES_CPU),
-                column_items: 1,
-                pairs_per_item: 16,
-                block_items: 4,
-                output_items: 1,
-                group_items: 1,
-                pairs_per_strip: 16,
-                lanes: 1,
-                blocks_per_chunk: 8,
-            }
-        }
-    }
-}
-
-/// What changes from scene to scene, counted.
-#[derive(Debug, Clone, Copy)]
-struct Counts {
-    blocks: usize,
-    smooth: usize,
-    segments: usize,
-    mode_groups: usize,
-    strips: usize,
-    chunks: usize,
-    outputs: usize,
-}
-
+/// The stages of the chain with everything that they need on the device.
 pub(super) struct Stages {
     shape: Shape,
     cut: Cut,
     counts: Counts,
-    // Inputs that change with every call.
-    coefficients: Reals,
-    segment_phasor: Reals,
-    slot: Buffer<i32>,
-    // Images.
-    data: Reals,
-    weight: Reals,
-    kind: Buffer<i32>,
-    known: Reals,
-    // What comes down.
-    focal: Reals,
-    result: Reals,
-    /// Buffers that only kernels touch: scratch of a tile, and the tables of the scene.
-    _resident: Vec<Reals>,
-    _lists: Vec<Buffer<i32>>,
+    batch: Batch,
+    scratch: Scratch,
+    /// Only kernels look at it.
+    _scene: Scene,
     kernels: Kernels,
-    capacity: usize,
 }
 
 /// One of each, bound to everything that does not change.
@@ -114,184 +34,186 @@ struct Kernels {
     collect: Kernel,
 }
 
-impl Stages {
-    pub fn new(
-        device: &Device,
-        build: Build,
-        shape: Shape,
-        blocks: Blocks,
-        layout: &GpuLayout,
-        capacity: usize,
-        twice_wavenumber: f64,
-    ) -> Result<Self> {
-        let (smooth, segments) = (layout.smooth.len(), layout.segments);
-        let outputs = 3 + segments + smooth;
-        let cut = Cut::new(build, &shape, &blocks, outputs, capacity);
-        let counts = Counts {
-            blocks: blocks.count(),
-            smooth,
-            segments,
-            mode_groups: smooth.div_ceil(MODES_AT_ONCE),
-            strips: shape.pairs.div_ceil(cut.pairs_per_strip),
-            chunks: blocks.count().div_ceil(cut.blocks_per_chunk),
-            outputs,
+/// What the binding functions read.
+struct Parts<'a> {
+    device: &'a Device,
+    build: Build,
+    shape: &'a Shape,
+    cut: &'a Cut,
+    counts: &'a Counts,
+    blocks: &'a Blocks,
+    scene: &'a Scene,
+    batch: &'a Batch,
+    scratch: &'a Scratch,
+}
+
+impl Parts<'_> {
+    fn kernel(&self, name: &'static str) -> Result<Kernel> {
+        self.device.kernel(name, self.build)
+    }
+
+    /// What every kernel over blocks of the pupil takes.
+    fn pupil(&self, name: &'static str) -> Result<Kernel> {
+        let (scene, mut k) = (self.scene, self.kernel(name)?);
+        scene.entry_weight.bind(&mut k, "entry_weight")?;
+        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?;
+        self.scratch.phasor.bind(&mut k, "phasor")?;
+        self.scratch.field.bind(&mut k, "field")?;
+        k.buffer("place", &scene.place)?.buffer("entry_start", &scene.entry_start)?;
+        k.buffer("entry_segment", &scene.entry_segment)?;
+        k.int("blocks", self.counts.blocks)?.int("segments", self.counts.segments)?;
+        k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
+        Ok(k)
+    }
+
+    fn pupil_field(&self) -> Result<Kernel> {
+        let mut k = self.pupil("pupil_field")?;
+        self.scene.diversity.bind(&mut k, "diversity")?;
+        self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
+        self.basis(&mut k)?;
+        Ok(k)
+    }
+
+    fn basis(&self, k: &mut Kernel) -> Result<()> {
+        self.scene.basis.bind(k, "basis")?.int("block_stride", self.blocks.block_stride)?;
+        k.int("mode_stride", self.blocks.mode_stride)?.int("quadrant_stride", self.blocks.quadrant_stride)?;
+        Ok(())
+    }
+
+    fn columns(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.kernel(name)?;
+        let (table, outputs) = match name {
+            "forward_columns" => (&self.scene.y_to_v, self.shape.pairs),
+            _ => (&self.scene.v_to_y, self.shape.rows),
         };
-        let precision = build.precision;
-        let zeros = |len: usize| Reals::zeros(device, precision, len);
-        let upload = |values: &[f64]| Reals::upload(device, precision, values);
-        let batch = padded(capacity);
-        let tile = cut.tile;
-        let partials = counts.strips * cut.lanes;
+        self.scratch.field.bind(&mut k, "field")?;
+        self.scratch.wave.bind(&mut k, "wave")?;
+        table.bind(&mut k, "table")?.buffer("extent", &self.scene.extent)?;
+        k.int("rows", self.shape.rows)?.int("pairs", self.shape.pairs)?;
+        k.int("groups", outputs.div_ceil(TALL))?.int("width", self.shape.width)?;
+        Ok(k)
+    }
 
-        let field = zeros(tile * shape.rows * 8 * shape.width)?;
-        let wave = zeros(tile * shape.pairs * 8 * shape.width)?;
-        let focal = zeros(tile * shape.pairs * 8 * shape.span)?;
-        let phasor = zeros(tile * counts.blocks * 8 * shape.vector)?;
-        let slope = zeros(tile * counts.blocks * 4 * shape.vector)?;
-        let segment_partial = zeros(tile * blocks.entries() * 2)?;
-        let mode_partial = zeros(tile * counts.chunks * counts.mode_groups * MODES_AT_ONCE)?;
-        let sums = zeros(tile * partials * 3)?;
-        let objective = zeros(tile * partials)?;
-        let photometry = zeros(tile * 2)?;
-        let coefficients = zeros(batch * smooth)?;
-        let segment_phasor = zeros(batch * segments * 2)?;
-        let result = zeros(batch * outputs)?;
-        let slot = device.buffer(batch)?;
-        let data = zeros(capacity * shape.pixels())?;
-        let weight = zeros(capacity * shape.pixels())?;
-        let kind = device.buffer(capacity)?;
-        let known = zeros(capacity * 4)?;
-
-        let basis = upload(&blocks.basis)?;
-        let diversity = upload(&blocks.diversity)?;
-        let entry_weight = upload(&blocks.entry_weight)?;
-        let place = device.upload(&blocks.place)?;
-        let extent = device.upload(&blocks.extent)?;
-        let entry_start = device.upload(&blocks.entry_start)?;
-        let entry_segment = device.upload(&blocks.entry_segment)?;
-        let segment_start = device.upload(&blocks.segment_start)?;
-        let segment_entry = device.upload(&blocks.segment_entry)?;
-        let [y_to_v, x_to_u, u_to_x, v_to_y] = shape.tables();
-        let (y_to_v, x_to_u, u_to_x, v_to_y) =
-            (upload(&y_to_v)?, upload(&x_to_u)?, upload(&u_to_x)?, upload(&v_to_y)?);
-
-        let kernel = |name| device.kernel(name, build);
-        let mut kernels = Kernels {
-            pupil_field: kernel("pupil_field")?,
-            forward_columns: kernel("forward_columns")?,
-            forward_rows: kernel("forward_rows")?,
-            photometry_sums: kernel("photometry_sums")?,
-            photometry_solve: kernel("photometry_solve")?,
-            residuals: kernel("residuals")?,
-            adjoint_rows: kernel("adjoint_rows")?,
-            adjoint_columns: kernel("adjoint_columns")?,
-            pupil_gradient: kernel("pupil_gradient")?,
-            project_modes: kernel("project_modes")?,
-            collect: kernel("collect")?,
-        };
-
-        let k = &mut kernels.pupil_field;
-        basis.bind(k, "basis")?;
-        diversity.bind(k, "diversity")?;
-        entry_weight.bind(k, "entry_weight")?;
-        coefficients.bind(k, "coefficients")?;
-        segment_phasor.bind(k, "segment_phasor")?;
-        phasor.bind(k, "phasor")?;
-        field.bind(k, "field")?;
-        k.buffer("place", &place)?.buffer("entry_start", &entry_start)?.buffer("entry_segment", &entry_segment)?;
-        k.int("blocks", counts.blocks)?.int("modes", smooth)?.int("segments", segments)?;
-        k.int("rows", shape.rows)?.int("width", shape.width)?;
-        k.int("block_stride", blocks.block_stride)?.int("mode_stride", blocks.mode_stride)?;
-        k.int("quadrant_stride", blocks.quadrant_stride)?;
-
-        for (k, table, groups) in [
-            (&mut kernels.forward_columns, &y_to_v, shape.pairs.div_ceil(TALL)),
-            (&mut kernels.adjoint_columns, &v_to_y, shape.rows.div_ceil(TALL)),
-        ] {
-            field.bind(k, "field")?;
-            wave.bind(k, "wave")?;
-            table.bind(k, "table")?.buffer("extent", &extent)?;
-            k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("groups", groups)?.int("width", shape.width)?;
+    fn rows(&self, name: &'static str) -> Result<Kernel> {
+        let (shape, mut k) = (self.shape, self.kernel(name)?);
+        if name == "forward_rows" {
+            self.scene.x_to_u.bind(&mut k, "table")?.int("inputs", shape.rows)?;
+            k.int("in_width", shape.width)?.int("span", shape.span)?;
+        } else {
+            self.scene.u_to_x.bind(&mut k, "table")?.int("inputs", shape.pairs)?;
+            k.int("in_width", shape.span)?.int("width", shape.width)?;
         }
+        self.scratch.wave.bind(&mut k, "wave")?;
+        self.scratch.focal.bind(&mut k, "focal")?;
+        k.int("pairs", shape.pairs)?.int("pairs_per_item", self.cut.pairs_per_item)?;
+        Ok(k)
+    }
 
-        for (k, table, inputs) in
-            [(&mut kernels.forward_rows, &x_to_u, shape.rows), (&mut kernels.adjoint_rows, &u_to_x, shape.pairs)]
-        {
-            wave.bind(k, "wave")?;
-            focal.bind(k, "focal")?;
-            table.bind(k, "table")?.int("inputs", inputs)?;
-            k.int("pairs", shape.pairs)?.int("pairs_per_item", cut.pairs_per_item)?;
-        }
-        kernels.forward_rows.int("in_width", shape.width)?.int("span", shape.span)?;
-        kernels.adjoint_rows.int("in_width", shape.span)?.int("width", shape.width)?;
+    /// What the two passes over pixels take.
+    fn pixels(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.kernel(name)?;
+        self.scratch.focal.bind(&mut k, "focal")?;
+        self.batch.data.bind(&mut k, "data")?;
+        self.batch.weight.bind(&mut k, "weight")?.buffer("slot", &self.batch.slot)?;
+        k.int("pairs", self.shape.pairs)?.int("pairs_per_strip", self.cut.pairs_per_strip)?;
+        k.int("span", self.shape.span)?;
+        Ok(k)
+    }
 
-        for k in [&mut kernels.photometry_sums, &mut kernels.residuals] {
-            focal.bind(k, "focal")?;
-            data.bind(k, "data")?;
-            weight.bind(k, "weight")?.buffer("slot", &slot)?;
-            k.int("pairs", shape.pairs)?.int("pairs_per_strip", cut.pairs_per_strip)?.int("span", shape.span)?;
-        }
-        sums.bind(&mut kernels.photometry_sums, "partial")?;
-        objective.bind(&mut kernels.residuals, "objective")?;
-        photometry.bind(&mut kernels.residuals, "photometry")?;
+    fn photometry_sums(&self) -> Result<Kernel> {
+        let mut k = self.pixels("photometry_sums")?;
+        self.scratch.sums.bind(&mut k, "partial")?;
+        Ok(k)
+    }
 
-        let k = &mut kernels.photometry_solve;
-        sums.bind(k, "partial")?;
-        known.bind(k, "known")?;
-        photometry.bind(k, "photometry")?.buffer("slot", &slot)?.buffer("kind", &kind)?.int("partials", partials)?;
+    fn photometry_solve(&self) -> Result<Kernel> {
+        let mut k = self.kernel("photometry_solve")?;
+        self.scratch.sums.bind(&mut k, "partial")?.int("partials", self.partials())?;
+        self.scratch.photometry.bind(&mut k, "photometry")?;
+        self.batch.known.bind(&mut k, "known")?.buffer("kind", &self.batch.kind)?.buffer("slot", &self.batch.slot)?;
+        Ok(k)
+    }
 
-        let k = &mut kernels.pupil_gradient;
-        field.bind(k, "field")?;
-        phasor.bind(k, "phasor")?;
-        entry_weight.bind(k, "entry_weight")?;
-        segment_phasor.bind(k, "segment_phasor")?;
-        slope.bind(k, "slope")?;
-        segment_partial.bind(k, "segment_partial")?;
-        k.buffer("place", &place)?.buffer("entry_start", &entry_start)?.buffer("entry_segment", &entry_segment)?;
-        k.int("blocks", counts.blocks)?.int("segments", segments)?.int("entries", blocks.entries())?;
-        k.int("rows", shape.rows)?.int("width", shape.width)?;
+    fn residuals(&self) -> Result<Kernel> {
+        let mut k = self.pixels("residuals")?;
+        self.scratch.objective.bind(&mut k, "objective")?;
+        self.scratch.photometry.bind(&mut k, "photometry")?;
+        Ok(k)
+    }
 
-        let k = &mut kernels.project_modes;
-        basis.bind(k, "basis")?;
-        slope.bind(k, "slope")?;
-        mode_partial.bind(k, "mode_partial")?;
-        k.int("blocks", counts.blocks)?.int("groups", counts.mode_groups)?;
-        k.int("blocks_per_chunk", cut.blocks_per_chunk)?.int("block_stride", blocks.block_stride)?;
-        k.int("mode_stride", blocks.mode_stride)?.int("quadrant_stride", blocks.quadrant_stride)?;
+    fn partials(&self) -> usize {
+        self.counts.strips * self.cut.lanes
+    }
 
-        let k = &mut kernels.collect;
-        mode_partial.bind(k, "mode_partial")?;
-        segment_partial.bind(k, "segment_partial")?;
-        segment_phasor.bind(k, "segment_phasor")?;
-        objective.bind(k, "objective")?;
-        photometry.bind(k, "photometry")?;
-        result.bind(k, "result")?;
-        k.buffer("segment_start", &segment_start)?.buffer("segment_entry", &segment_entry)?;
-        k.int("segments", segments)?.int("smooth", smooth)?;
+    fn pupil_gradient(&self) -> Result<Kernel> {
+        let mut k = self.pupil("pupil_gradient")?;
+        self.scratch.slope.bind(&mut k, "slope")?;
+        self.scratch.segment_partial.bind(&mut k, "segment_partial")?.int("entries", self.counts.entries)?;
+        Ok(k)
+    }
+
+    fn project_modes(&self) -> Result<Kernel> {
+        let mut k = self.kernel("project_modes")?;
+        self.basis(&mut k)?;
+        self.scratch.slope.bind(&mut k, "slope")?;
+        self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
+        k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
+        k.int("blocks_per_chunk", self.cut.blocks_per_chunk)?;
+        Ok(k)
+    }
+
+    fn collect(&self, twice_wavenumber: f64) -> Result<Kernel> {
+        let (counts, scratch, mut k) = (self.counts, self.scratch, self.kernel("collect")?);
+        scratch.mode_partial.bind(&mut k, "mode_partial")?;
+        scratch.segment_partial.bind(&mut k, "segment_partial")?;
+        scratch.objective.bind(&mut k, "objective")?;
+        scratch.photometry.bind(&mut k, "photometry")?;
+        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?;
+        self.batch.result.bind(&mut k, "result")?;
+        k.buffer("segment_start", &self.scene.segment_start)?.buffer("segment_entry", &self.scene.segment_entry)?;
+        k.int("segments", counts.segments)?.int("smooth", counts.smooth)?.int("entries", counts.entries)?;
         k.int("padded_modes", counts.mode_groups * MODES_AT_ONCE)?.int("chunks", counts.chunks)?;
-        k.int("entries", blocks.entries())?.int("partials", partials)?.real("twice_wavenumber", twice_wavenumber)?;
+        k.int("partials", self.partials())?.real("twice_wavenumber", twice_wavenumber)?;
+        Ok(k)
+    }
 
-        Ok(Self {
-            shape,
-            cut,
-            counts,
-            coefficients,
-            segment_phasor,
-            slot,
-            data,
-            weight,
-            kind,
-            known,
-            focal,
-            result,
-            _resident: vec![
-                field, wave, phasor, slope, segment_partial, mode_partial, sums, objective, photometry, basis, diversity,
-                entry_weight, y_to_v, x_to_u, u_to_x, v_to_y,
-            ],
-            _lists: vec![place, extent, entry_start, entry_segment, segment_start, segment_entry],
-            kernels,
-            capacity,
+    fn kernels(&self, twice_wavenumber: f64) -> Result<Kernels> {
+        Ok(Kernels {
+            pupil_field: self.pupil_field()?,
+            forward_columns: self.columns("forward_columns")?,
+            forward_rows: self.rows("forward_rows")?,
+            photometry_sums: self.photometry_sums()?,
+            photometry_solve: self.photometry_solve()?,
+            residuals: self.residuals()?,
+            adjoint_rows: self.rows("adjoint_rows")?,
+            adjoint_columns: self.columns("adjoint_columns")?,
+            pupil_gradient: self.pupil_gradient()?,
+            project_modes: self.project_modes()?,
+            collect: self.collect(twice_wavenumber)?,
         })
+    }
+}
+
+impl Stages {
+    pub fn new(device: &Device, build: Build, layout: &GpuLayout, shape: Shape, capacity: usize) -> Result<Self> {
+        let blocks = &Blocks::new(layout, &shape);
+        let (counts, cut) = Counts::new(device, build, layout, &shape, blocks, capacity);
+        let scene = Scene::new(device, build.precision, &shape, blocks)?;
+        let batch = Batch::new(device, build.precision, &shape, &counts)?;
+        let scratch = Scratch::new(device, build.precision, &shape, &counts, &cut)?;
+        let parts = Parts {
+            device,
+            build,
+            shape: &shape,
+            cut: &cut,
+            counts: &counts,
+            blocks,
+            scene: &scene,
+            batch: &batch,
+            scratch: &scratch,
+        };
+        let kernels = parts.kernels(2.0 * std::f64::consts::TAU / layout.wavelength_nm)?;
+        Ok(Self { shape, cut, counts, batch, scratch, _scene: scene, kernels })
     }
 
     /// Images that go through the stages together.
@@ -299,33 +221,40 @@ impl Stages {
         self.cut.tile
     }
 
-    /// Puts an image into `slot`.
-    pub fn load(&mut self, slot: usize, image: &Folded) -> Result<()> {
-        self.data.write(slot * self.shape.pixels(), &image.data)?;
-        self.weight.write(slot * self.shape.pixels(), &image.weights)?;
-        self.kind.write(slot, &[image.kind])?;
-        self.known.write(slot * 4, &image.known)
+    /// Room for images.
+    pub fn capacity(&self) -> usize {
+        self.counts.capacity
     }
 
-    /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`.
+    /// Puts an image into `slot`.
+    pub fn load(&mut self, slot: usize, image: &Folded) -> Result<()> {
+        let batch = &mut self.batch;
+        batch.data.write(slot * self.shape.pixels(), &image.data)?;
+        batch.weight.write(slot * self.shape.pixels(), &image.weights)?;
+        batch.kind.write(slot, &[image.kind])?;
+        batch.known.write(slot * 4, &image.known)
+    }
+
+    /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
+    /// `fitted`, none of them fits its photometry.
     pub fn evaluate(&mut self, active: &[usize], turns: &[f64], phasors: &[f64], fitted: bool) -> Result<Vec<f64>> {
-        let mut results = vec![0.0; active.len() * self.counts.outputs];
-        // A batch larger than the capacity (an image may be active more than once) goes in several rounds.
-        for (i, active) in active.chunks(self.capacity).enumerate() {
-            let (from, count) = (i * self.capacity, active.len());
-            self.write_inputs(count, &turns[from * self.counts.smooth..], &phasors[from * self.counts.segments * 2..])?;
+        let Counts { capacity, smooth, segments, outputs, .. } = self.counts;
+        let mut results = vec![0.0; active.len() * outputs];
+        // A batch beyond the capacity (an image may be active more than once) goes in several rounds.
+        for (round, active) in active.chunks(capacity).enumerate() {
+            let (from, count) = (round * capacity, active.len());
+            self.write_inputs(count, &turns[from * smooth..], &phasors[from * segments * 2..])?;
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
-            self.slot.write(0, &slots)?;
-            let tiles = count.div_ceil(self.cut.tile);
-            let tile = padded(count.div_ceil(tiles));
+            self.batch.slot.write(0, &slots)?;
+            // Tiles of equal size: the last is not left with a few images.
+            let tile = padded(count.div_ceil(count.div_ceil(self.cut.tile)));
             for first in (0..count).step_by(tile) {
                 let images = padded(tile.min(count - first));
                 self.forward(first, images)?;
                 self.pixels(first, images, fitted)?;
                 self.adjoint(first, images)?;
             }
-            let outputs = self.counts.outputs;
-            self.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
+            self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
         }
         Ok(results)
     }
@@ -335,13 +264,13 @@ impl Stages {
         self.write_inputs(count, turns, phasors)?;
         self.forward(0, padded(count))?;
         let mut focal = vec![0.0; count * self.shape.pixels() * 2];
-        self.focal.read(0, &mut focal)?;
+        self.scratch.focal.read(0, &mut focal)?;
         Ok(focal)
     }
 
     fn write_inputs(&mut self, images: usize, turns: &[f64], phasors: &[f64]) -> Result<()> {
-        self.coefficients.write(0, &turns[..images * self.counts.smooth])?;
-        self.segment_phasor.write(0, &phasors[..images * self.counts.segments * 2])
+        self.batch.coefficients.write(0, &turns[..images * self.counts.smooth])?;
+        self.batch.segment_phasor.write(0, &phasors[..images * self.counts.segments * 2])
     }
 
     fn forward(&mut self, first: usize, images: usize) -> Result<()> {

@@ -21,9 +21,9 @@ fn scene() -> GpuLayout {
         .collect();
     let mut uniform = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
     let (mut segment_start, mut segment_index, mut segment_weight) = (vec![0], Vec::new(), Vec::new());
-    for p in 0..lit.len() {
+    for (p, index) in lit.iter().enumerate() {
         for s in 0..1 + p % 3 {
-            segment_index.push((lit[p] / 70 + s) % segments);
+            segment_index.push((index / 70 + s) % segments);
             segment_weight.push(if s == 0 { uniform(0.5, 1.0) } else { uniform(-0.2, 0.2) });
         }
         segment_start.push(segment_index.len());
@@ -202,7 +202,8 @@ fn the_reference_agrees_with_its_own_finite_differences() {
             // A step of 1e-5 wave: the cubic term of the difference is (2 pi 1e-5)^2 ~ 4e-9 of the gradient, the rounding
             // 1e-16 J/(step g) ~ 1e-10.
             let step = 0.0165;
-            let shifted = |by: f64| at(&c.iter().enumerate().map(|(i, v)| v + if i == k { by } else { 0.0 }).collect::<Vec<_>>());
+            let shifted =
+                |by: f64| at(&c.iter().enumerate().map(|(i, v)| v + if i == k { by } else { 0.0 }).collect::<Vec<_>>());
             let difference = (shifted(step).objective - shifted(-step).objective) / (2.0 * step);
             assert!((difference - answer.gradient[k]).abs() < 1e-6 * scale, "{k}: {difference} {}", answer.gradient[k]);
         }
@@ -297,7 +298,8 @@ fn bad_input_is_named() {
     let layout = scene();
     let new = |layout: &GpuLayout| GpuChain::new(&device, Precision::F32, layout, 2).map(|_| ());
     assert!(new(&layout).is_ok());
-    let broken: [(&str, fn(&mut GpuLayout)); 9] = [
+    type Change = fn(&mut GpuLayout);
+    let broken: [(&str, Change); 9] = [
         ("17", |l| l.samples = 17),
         ("0 image pixels", |l| l.pixels = 0),
         ("wavelength_nm", |l| l.wavelength_nm = f64::NAN),
