@@ -8,59 +8,50 @@
  * w h, w h^2, w h d are taken here. J is taken from the residuals: the expanded square would cancel in f32.
  *
  * A strip is `pairs_per_strip` row pairs of one image. Its numbers are shared by `lanes` work-items (1 on a processor,
- * a work-group on a GPU), each with its own partial sum: nothing is added twice in different orders, no atomics.
+ * a work-group on a GPU), each with its own partial sum: one writer for every number, no atomics. The functions before
+ * the kernels take the arrays of one image; focus.cl calls them too.
  */
 
-/* photometry_sums -> partial [image][strip * lanes + lane][3]: global (lanes, strips, images). */
-__kernel void photometry_sums(__global const real *focal, __global const real *data, __global const real *weight,
-                              __global const int *slot, __global real *partial, const int first, const int pairs,
-                              const int pairs_per_strip, const int span) {
-    const int lanes = get_global_size(0), lane = get_global_id(0), strip = get_global_id(1), image = get_global_id(2);
-    const int end = min(pairs, (strip + 1) * pairs_per_strip);
+
+/* Sums of w h, w h^2, w h d over the rows `row` to `end`. */
+inline void strip_sums(__global const real *focal, __global const real *data, __global const real *weight, int row,
+                       const int end, const int lane, const int lanes, const int span, __global real *sums) {
     vec wh = SPLAT(REAL(0.0)), whh = SPLAT(REAL(0.0)), whd = SPLAT(REAL(0.0));
-    for (int row = 2 * strip * pairs_per_strip; row < 2 * end; row++) {
-        __global const real *f = focal + (size_t)(image * pairs * 2 + row) * 4 * span;
-        const size_t pixel = ((size_t)slot[first + image] * pairs * 2 + row) * 2 * span;
+    for (; row < end; row++) {
+        __global const real *f = focal + (size_t)row * 4 * span;
+        __global const real *d = data + (size_t)row * 2 * span, *w = weight + (size_t)row * 2 * span;
         for (int u = lane * VEC; u < span; u += lanes * VEC) {
             vec cr = GET(f, u), ci = GET(f, span + u), sr = GET(f, 2 * span + u), si = GET(f, 3 * span + u);
 #pragma unroll
             for (int side = 0; side < 2; side++) {
                 vec re = side ? cr - si : cr + si, im = side ? ci + sr : ci - sr;
                 vec h = MAD(re, re, im * im);
-                vec d = GET(data, pixel + side * span + u), w = GET(weight, pixel + side * span + u) * h;
-                wh += w;
-                whh = MAD(w, h, whh);
-                whd = MAD(w, d, whd);
+                vec weighted = GET(w, side * span + u) * h;
+                wh += weighted;
+                whh = MAD(weighted, h, whh);
+                whd = MAD(weighted, GET(d, side * span + u), whd);
             }
         }
     }
-    __global real *out = partial + ((size_t)(image * get_global_size(1) + strip) * lanes + lane) * 3;
-    out[0] = sum_lanes(wh);
-    out[1] = sum_lanes(whh);
-    out[2] = sum_lanes(whd);
+    sums[0] = sum_lanes(wh);
+    sums[1] = sum_lanes(whh);
+    sums[2] = sum_lanes(whd);
 }
 
-/* photometry_solve: flux and background of each image, by its slot's kind: 0 as given, 1 flux fitted with the background
-   as given, 2 both fitted. known is [slot][given flux, given background, sum w, sum w d]. Where an image does not
-   determine them (no signal, no good pixel) they are zero, and the objective says so. global (images, 1, 1). */
-__kernel void photometry_solve(__global const real *partial, __global const int *slot, __global const int *kind,
-                               __global const real *known, __global real *photometry, const int first, const int images,
-                               const int partials) {
-    const int image = get_global_id(0);
-    if (image >= images) return;
-    const int s = slot[first + image];
-    __global const real *k = known + 4 * s;
-    wide flux = k[0], background = k[1];
-    if (kind[s] != 0) {
+/* Flux and background of an image. kind: 0 both known, 1 flux fitted, 2 both fitted; known: flux, background, sum w,
+   sum w d. What an image does not determine (no signal, no good pixel) is zero, and the objective says so. */
+inline void solve(__global const real *sums, const int count, const int kind, __global const real *known,
+                  __global real *photometry) {
+    wide flux = known[0], background = known[1];
+    if (kind != 0) {
         wide wh = 0, whh = 0, whd = 0;
-        for (int i = 0; i < partials; i++) {
-            __global const real *p = partial + ((size_t)image * partials + i) * 3;
-            wh += p[0];
-            whh += p[1];
-            whd += p[2];
+        for (int i = 0; i < count; i++) {
+            wh += sums[3 * i];
+            whh += sums[3 * i + 1];
+            whd += sums[3 * i + 2];
         }
-        const wide w = k[2], wd = k[3];
-        if (kind[s] == 1) {
+        const wide w = known[2], wd = known[3];
+        if (kind == 1) {
             flux = whh > 0 ? (whd - background * wh) / whh : 0;
         } else {
             const wide determinant = w * whh - wh * wh;
@@ -68,22 +59,19 @@ __kernel void photometry_solve(__global const real *partial, __global const int 
             background = w > 0 ? (wd - flux * wh) / w : 0;
         }
     }
-    photometry[2 * image] = flux;
-    photometry[2 * image + 1] = background;
+    photometry[0] = flux;
+    photometry[1] = background;
 }
 
-/* residuals -> objective partials [image][strip * lanes + lane], focal in place: global (lanes, strips, images). */
-__kernel void residuals(__global real *focal, __global const real *data, __global const real *weight,
-                        __global const int *slot, __global const real *photometry, __global real *objective,
-                        const int first, const int pairs, const int pairs_per_strip, const int span) {
-    const int lanes = get_global_size(0), lane = get_global_id(0), strip = get_global_id(1), image = get_global_id(2);
-    const int end = min(pairs, (strip + 1) * pairs_per_strip);
-    const vec flux = SPLAT(photometry[2 * image]), background = SPLAT(photometry[2 * image + 1]);
-    const vec twice_flux = flux + flux;
+/* Objective over the rows `row` to `end`; the source of the adjoint takes the place of the focal field. */
+inline real strip_residuals(__global real *focal, __global const real *data, __global const real *weight, int row,
+                            const int end, const int lane, const int lanes, const int span,
+                            __global const real *photometry) {
+    const vec flux = SPLAT(photometry[0]), background = SPLAT(photometry[1]), twice_flux = flux + flux;
     vec sum = SPLAT(REAL(0.0));
-    for (int row = 2 * strip * pairs_per_strip; row < 2 * end; row++) {
-        __global real *f = focal + (size_t)(image * pairs * 2 + row) * 4 * span;
-        const size_t pixel = ((size_t)slot[first + image] * pairs * 2 + row) * 2 * span;
+    for (; row < end; row++) {
+        __global real *f = focal + (size_t)row * 4 * span;
+        __global const real *d = data + (size_t)row * 2 * span, *w = weight + (size_t)row * 2 * span;
         for (int u = lane * VEC; u < span; u += lanes * VEC) {
             vec cr = GET(f, u), ci = GET(f, span + u), sr = GET(f, 2 * span + u), si = GET(f, 3 * span + u);
             vec re[2], im[2];
@@ -92,8 +80,8 @@ __kernel void residuals(__global real *focal, __global const real *data, __globa
                 re[side] = side ? cr - si : cr + si;
                 im[side] = side ? ci + sr : ci - sr;
                 vec h = MAD(re[side], re[side], im[side] * im[side]);
-                vec r = MAD(flux, h, background - GET(data, pixel + side * span + u));
-                vec wr = GET(weight, pixel + side * span + u) * r;
+                vec r = MAD(flux, h, background - GET(d, side * span + u));
+                vec wr = GET(w, side * span + u) * r;
                 sum = MAD(wr, r, sum);
                 re[side] *= twice_flux * wr;
                 im[side] *= twice_flux * wr;
@@ -104,5 +92,38 @@ __kernel void residuals(__global real *focal, __global const real *data, __globa
             AT(f, 3 * span + u) = re[0] - re[1];
         }
     }
-    objective[(size_t)(image * get_global_size(1) + strip) * lanes + lane] = sum_lanes(sum);
+    return sum_lanes(sum);
+}
+
+/* -> sums [image][strip * lanes + lane][3]: global (lanes, strips, images). */
+__kernel void photometry_sums(__global const real *focal, __global const real *data, __global const real *weight,
+                              __global const int *slot, __global real *sums, const int first, const int pairs,
+                              const int pairs_per_strip, const int span) {
+    const size_t lanes = get_global_size(0), strip = get_global_id(1), image = get_global_id(2);
+    const size_t pixel = (size_t)slot[first + image] * pairs * 4 * span;
+    strip_sums(focal + image * pairs * 8 * span, data + pixel, weight + pixel, 2 * strip * pairs_per_strip,
+               2 * min(pairs, (int)(strip + 1) * pairs_per_strip), get_global_id(0), lanes, span,
+               sums + ((image * get_global_size(1) + strip) * lanes + get_global_id(0)) * 3);
+}
+
+/* sums -> photometry [image][flux, background]: global (images, 1, 1). */
+__kernel void photometry_solve(__global const real *sums, __global const int *slot, __global const int *kind,
+                               __global const real *known, __global real *photometry, const int first, const int images,
+                               const int partials) {
+    const int image = get_global_id(0);
+    if (image >= images) return;
+    const int s = slot[first + image];
+    solve(sums + (size_t)image * partials * 3, partials, kind[s], known + 4 * s, photometry + 2 * image);
+}
+
+/* -> objective [image][strip * lanes + lane], and focal in place: global (lanes, strips, images). */
+__kernel void residuals(__global real *focal, __global const real *data, __global const real *weight,
+                        __global const int *slot, __global const real *photometry, __global real *objective,
+                        const int first, const int pairs, const int pairs_per_strip, const int span) {
+    const size_t lanes = get_global_size(0), strip = get_global_id(1), image = get_global_id(2);
+    const size_t pixel = (size_t)slot[first + image] * pairs * 4 * span;
+    objective[(image * get_global_size(1) + strip) * lanes + get_global_id(0)] =
+        strip_residuals(focal + image * pairs * 8 * span, data + pixel, weight + pixel, 2 * strip * pairs_per_strip,
+                        2 * min(pairs, (int)(strip + 1) * pairs_per_strip), get_global_id(0), lanes, span,
+                        photometry + 2 * image);
 }

@@ -16,6 +16,9 @@
  *                 the last chunk of an odd number (1 where there is but one)
  *
  * extent[x / VEC] is the number of rows, counted from the axis, beyond which the pupil is dark in that vector of x.
+ *
+ * wave rows hold [+v, -v][even-x re, im, odd-x re, im][x] on the way forward, [x parity][C' re, C' im, S' re, S' im][x]
+ * on the way back. Every function below takes the arrays of one image; focus.cl calls them too.
  */
 
 /* C and S of one vector of x for the TALL outputs of a group. */
@@ -37,24 +40,21 @@ inline void column_product(__global const real *in, const int stride, const int 
     }
 }
 
-/* field -> wave: global (2 width / VEC, any, images). wave row: [+v, -v][even-x re, im, odd-x re, im][x]. */
-__kernel void forward_columns(__global const real *field, __global const real *table, __global const int *extent,
-                              __global real *wave, const int rows, const int pairs, const int groups,
-                              const int width) {
-    const int vectors = width / VEC;
-    if ((int)get_global_id(0) >= 2 * vectors) return;
-    const int parity = get_global_id(0) / vectors, x = (get_global_id(0) % vectors) * VEC, image = get_global_id(2);
+/* Columns `column` (x parity, then vector of x) of one image, output groups `group`, `group + step`, ... */
+inline void forward_column(__global const real *field, __global const real *table, __global const int *extent,
+                           __global real *wave, const int column, int group, const int step, const int rows,
+                           const int pairs, const int groups, const int width) {
+    const int parity = column / (width / VEC), x = column % (width / VEC) * VEC;
     const int inputs = extent[x / VEC];
-    __global const real *in = field + ((size_t)image * rows * 8 + parity * 4) * width + x;
-    __global real *out = wave + ((size_t)image * pairs * 8 + parity * 2) * width + x;
-    for (int group = get_global_id(1); group < groups; group += get_global_size(1)) {
+    __global const real *in = field + parity * 4 * width + x;
+    for (; group < groups; group += step) {
         vec sum[TALL][4];
         column_product(in, 8 * width, width, table + (size_t)group * rows * (2 * TALL), inputs, sum);
 #pragma unroll
         for (int r = 0; r < TALL; r++) {
             const int v = group * TALL + r;
             if (v < pairs) {
-                __global real *row = out + (size_t)v * 8 * width;
+                __global real *row = wave + ((size_t)v * 8 + parity * 2) * width + x;
                 AT(row, 0 * width) = sum[r][0] + sum[r][3];
                 AT(row, 1 * width) = sum[r][1] - sum[r][2];
                 AT(row, 4 * width) = sum[r][0] - sum[r][3];
@@ -64,24 +64,21 @@ __kernel void forward_columns(__global const real *field, __global const real *t
     }
 }
 
-/* wave -> field: the adjoint. wave row here: [x parity][C re, C im, S re, S im][x]. */
-__kernel void adjoint_columns(__global const real *wave, __global const real *table, __global const int *extent,
-                              __global real *field, const int rows, const int pairs, const int groups,
-                              const int width) {
-    const int vectors = width / VEC;
-    if ((int)get_global_id(0) >= 2 * vectors) return;
-    const int parity = get_global_id(0) / vectors, x = (get_global_id(0) % vectors) * VEC, image = get_global_id(2);
+/* Its adjoint. Rows that are dark in this vector of x are left alone. */
+inline void adjoint_column(__global const real *wave, __global const real *table, __global const int *extent,
+                           __global real *field, const int column, int group, const int step, const int pairs,
+                           const int groups, const int width) {
+    const int parity = column / (width / VEC), x = column % (width / VEC) * VEC;
     const int outputs = extent[x / VEC];
-    __global const real *in = wave + ((size_t)image * pairs * 8 + parity * 4) * width + x;
-    __global real *out = field + ((size_t)image * rows * 8 + parity * 4) * width + x;
-    for (int group = get_global_id(1); group < groups && group * TALL < outputs; group += get_global_size(1)) {
+    __global const real *in = wave + parity * 4 * width + x;
+    for (; group < groups && group * TALL < outputs; group += step) {
         vec sum[TALL][4];
         column_product(in, 8 * width, width, table + (size_t)group * pairs * (2 * TALL), pairs, sum);
 #pragma unroll
         for (int r = 0; r < TALL; r++) {
             const int y = group * TALL + r;
             if (y < outputs) {
-                __global real *row = out + (size_t)y * 8 * width;
+                __global real *row = field + ((size_t)y * 8 + parity * 4) * width + x;
                 AT(row, 0 * width) = sum[r][0];
                 AT(row, 1 * width) = sum[r][1];
                 AT(row, 2 * width) = sum[r][2];
@@ -126,18 +123,20 @@ __kernel void adjoint_columns(__global const real *wave, __global const real *ta
                     AT(out, (row * 4 + plane) * span + (start + b) * VEC) = sum[row][b][plane];                        \
     }
 
-/* wave -> focal, planes C re, C im, S re, S im of each row: global (chunks, any, images). */
-__kernel void forward_rows(__global const real *wave, __global const real *table, __global real *focal,
-                           const int inputs, const int pairs, const int pairs_per_item, const int in_width,
-                           const int span) {
-    const int vectors = span / VEC, chunks = max(1, vectors / 2);
-    const int chunk = get_global_id(0), image = get_global_id(2);
-    if (chunk >= chunks) return;
-    const int start = 2 * chunk, count = chunk + 1 < chunks ? 2 : vectors - start;
-    const int end = min(pairs, (int)(get_global_id(1) + 1) * pairs_per_item);
-    for (int pair = get_global_id(1) * pairs_per_item; pair < end; pair++) {
-        __global const real *in = wave + (size_t)(image * pairs + pair) * 8 * in_width;
-        __global real *out = focal + (size_t)(image * pairs + pair) * 8 * span;
+/* How many chunks of vectors a row of `width` numbers has, and the vectors of one. */
+inline int row_chunks(const int width) { return max(1, width / VEC / 2); }
+inline int chunk_vectors(const int chunk, const int width) {
+    return chunk + 1 < row_chunks(width) ? 2 : width / VEC - 2 * chunk;
+}
+
+/* The outputs of one chunk for the row pairs `pair` to `end` of one image. */
+inline void forward_row_chunk(__global const real *wave, __global const real *table, __global real *focal,
+                              const int chunk, int pair, const int end, const int inputs, const int in_width,
+                              const int span) {
+    const int start = 2 * chunk, count = chunk_vectors(chunk, span);
+    for (; pair < end; pair++) {
+        __global const real *in = wave + (size_t)pair * 8 * in_width;
+        __global real *out = focal + (size_t)pair * 8 * span;
         if (count == 2) FORWARD_ROWS(2)
         else if (count == 3) FORWARD_ROWS(3)
         else FORWARD_ROWS(1)
@@ -159,20 +158,58 @@ __kernel void forward_rows(__global const real *wave, __global const real *table
             }                                                                                                          \
     }
 
-/* focal (holding C' and S' of each row) -> wave, as adjoint_columns reads it: global (chunks, any, images). */
-__kernel void adjoint_rows(__global const real *focal, __global const real *table, __global real *wave,
-                           const int inputs, const int pairs, const int pairs_per_item, const int in_width,
-                           const int width) {
-    const int vectors = width / VEC, chunks = max(1, vectors / 2);
-    const int chunk = get_global_id(0), image = get_global_id(2);
-    if (chunk >= chunks) return;
-    const int start = 2 * chunk, count = chunk + 1 < chunks ? 2 : vectors - start;
-    const int end = min(pairs, (int)(get_global_id(1) + 1) * pairs_per_item);
-    for (int pair = get_global_id(1) * pairs_per_item; pair < end; pair++) {
-        __global const real *in = focal + (size_t)(image * pairs + pair) * 8 * in_width;
-        __global real *out = wave + (size_t)(image * pairs + pair) * 8 * width;
+/* Its adjoint: focal holds C' and S' of each row. */
+inline void adjoint_row_chunk(__global const real *focal, __global const real *table, __global real *wave,
+                              const int chunk, int pair, const int end, const int inputs, const int in_width,
+                              const int width) {
+    const int start = 2 * chunk, count = chunk_vectors(chunk, width);
+    for (; pair < end; pair++) {
+        __global const real *in = focal + (size_t)pair * 8 * in_width;
+        __global real *out = wave + (size_t)pair * 8 * width;
         if (count == 2) ADJOINT_ROWS(2)
         else if (count == 3) ADJOINT_ROWS(3)
         else ADJOINT_ROWS(1)
     }
+}
+
+/* field -> wave: global (2 width / VEC, any, images). */
+__kernel void forward_columns(__global const real *field, __global const real *table, __global const int *extent,
+                              __global real *wave, const int rows, const int pairs, const int groups,
+                              const int width) {
+    if ((int)get_global_id(0) >= 2 * (width / VEC)) return;
+    const size_t image = get_global_id(2);
+    forward_column(field + image * rows * 8 * width, table, extent, wave + image * pairs * 8 * width,
+                   get_global_id(0), get_global_id(1), get_global_size(1), rows, pairs, groups, width);
+}
+
+/* wave -> focal: global (chunks, any, images). */
+__kernel void forward_rows(__global const real *wave, __global const real *table, __global real *focal,
+                           const int inputs, const int pairs, const int pairs_per_item, const int in_width,
+                           const int span) {
+    if ((int)get_global_id(0) >= row_chunks(span)) return;
+    const size_t image = get_global_id(2);
+    const int pair = get_global_id(1) * pairs_per_item;
+    forward_row_chunk(wave + image * pairs * 8 * in_width, table, focal + image * pairs * 8 * span, get_global_id(0),
+                      pair, min(pairs, pair + pairs_per_item), inputs, in_width, span);
+}
+
+/* focal -> wave: global (chunks, any, images). */
+__kernel void adjoint_rows(__global const real *focal, __global const real *table, __global real *wave,
+                           const int inputs, const int pairs, const int pairs_per_item, const int in_width,
+                           const int width) {
+    if ((int)get_global_id(0) >= row_chunks(width)) return;
+    const size_t image = get_global_id(2);
+    const int pair = get_global_id(1) * pairs_per_item;
+    adjoint_row_chunk(focal + image * pairs * 8 * in_width, table, wave + image * pairs * 8 * width, get_global_id(0),
+                      pair, min(pairs, pair + pairs_per_item), inputs, in_width, width);
+}
+
+/* wave -> field: global (2 width / VEC, any, images). */
+__kernel void adjoint_columns(__global const real *wave, __global const real *table, __global const int *extent,
+                              __global real *field, const int rows, const int pairs, const int groups,
+                              const int width) {
+    if ((int)get_global_id(0) >= 2 * (width / VEC)) return;
+    const size_t image = get_global_id(2);
+    adjoint_column(wave + image * pairs * 8 * width, table, extent, field + image * rows * 8 * width, get_global_id(0),
+                   get_global_id(1), get_global_size(1), pairs, groups, width);
 }

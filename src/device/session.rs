@@ -12,7 +12,7 @@ use ocl::core::{
 };
 
 use super::discover::{failed, resolve};
-use super::table::{Build, Entry, Family, find};
+use super::table::{Build, Entry, find, program_text};
 use super::{DeviceInfo, Precision};
 use crate::{Error, Result};
 
@@ -49,7 +49,7 @@ struct Inner {
     id: core::DeviceId,
     context: core::Context,
     queue: core::CommandQueue,
-    programs: Mutex<HashMap<(&'static str, Build), core::Program>>,
+    programs: Mutex<HashMap<Build, core::Program>>,
     /// Launches to be timed; `None` where timing is off.
     events: Option<Mutex<Vec<(&'static str, Event)>>>,
 }
@@ -145,18 +145,18 @@ impl Device {
                 build.precision
             )));
         }
-        let (family, entry) = find(name).ok_or_else(|| Error::Internal(format!("no kernel is called {name}")))?;
-        let program = self.program(family, build)?;
+        let entry = find(name).ok_or_else(|| Error::Internal(format!("no kernel is called {name}")))?;
+        let program = self.program(build)?;
         Kernel::new(self.clone(), &program, entry, build)
     }
 
-    fn program(&self, family: &'static Family, build: Build) -> Result<core::Program> {
+    fn program(&self, build: Build) -> Result<core::Program> {
         let mut programs = self.inner.programs.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(program) = programs.get(&(family.file, build)) {
+        if let Some(program) = programs.get(&build) {
             return Ok(program.clone());
         }
-        let no_nul = |e| Error::Internal(format!("kernel {} holds a NUL: {e}", family.file));
-        let source = CString::new(family.program_text()).map_err(no_nul)?;
+        let no_nul = |e| Error::Internal(format!("a kernel file holds a NUL: {e}"));
+        let source = CString::new(program_text()).map_err(no_nul)?;
         let options = CString::new(build.options()).map_err(no_nul)?;
         let program = core::create_program_with_source(&self.inner.context, &[source]).map_err(failed)?;
         if let Err(error) = core::build_program(&program, Some(&[self.inner.id]), &options, None, None) {
@@ -166,14 +166,13 @@ impl Device {
                 .unwrap_or_default();
             let log = if log.trim().is_empty() { error.to_string() } else { log };
             return Err(Error::Device(format!(
-                "the compiler of {} refuses {} ({}): {}",
+                "the compiler of {} refuses the kernels ({}): {}",
                 self.info().address(),
-                family.file,
                 build.options(),
                 tail(&log)
             )));
         }
-        programs.insert((family.file, build), program.clone());
+        programs.insert(build, program.clone());
         Ok(program)
     }
 

@@ -15,18 +15,19 @@ pub struct Entry {
     pub gpu_local: [usize; 3],
 }
 
-/// One file of `kernels/`, one program.
+/// One file of `kernels/`.
 #[derive(Debug)]
 pub struct Family {
     /// Name of the file in `kernels/`.
     pub file: &'static str,
-    /// Its text, after that of `common.cl`.
+    /// Its text.
     pub source: &'static str,
     /// Its kernels.
     pub entries: &'static [Entry],
 }
 
-/// The table.
+/// The table, in the order in which the files are compiled: as one program, for `focus.cl` calls functions of the files
+/// before it.
 pub const TABLE: &[Family] = &[
     Family {
         file: "field.cl",
@@ -51,6 +52,11 @@ pub const TABLE: &[Family] = &[
             Entry { name: "photometry_solve", gpu_local: [32, 1, 1] },
             Entry { name: "residuals", gpu_local: [32, 1, 1] },
         ],
+    },
+    Family {
+        file: "focus.cl",
+        source: include_str!("../../kernels/focus.cl"),
+        entries: &[Entry { name: "focus", gpu_local: [32, 1, 1] }],
     },
     Family {
         file: "project.cl",
@@ -104,15 +110,16 @@ impl Build {
     }
 }
 
-impl Family {
-    /// The whole text of the program.
-    pub(super) fn program_text(&self) -> String {
-        // `#line` lets a build log name the line of the file itself.
-        format!("{COMMON}\n#line 1\n{}", self.source)
+/// The text of the program: `common.cl`, then the table. `#line` lets a build log name the line of the file itself.
+pub(super) fn program_text() -> String {
+    let mut text = String::from(COMMON);
+    for family in TABLE {
+        text += &format!("\n#line 1 \"{}\"\n{}", family.file, family.source);
     }
+    text
 }
 
-/// The family and entry of kernel `name`.
-pub(super) fn find(name: &str) -> Option<(&'static Family, &'static Entry)> {
-    TABLE.iter().find_map(|family| family.entries.iter().find(|entry| entry.name == name).map(|entry| (family, entry)))
+/// The entry of kernel `name`.
+pub(super) fn find(name: &str) -> Option<&'static Entry> {
+    TABLE.iter().flat_map(|family| family.entries).find(|entry| entry.name == name)
 }

@@ -6,11 +6,13 @@ use super::reals::Reals;
 use crate::Result;
 use crate::device::{Buffer, Build, Device, Precision};
 
-/// Bytes of a tile's arrays for each core of a processor: a few images, which its share of the caches holds. On Zen 5
-/// 2 to 8 MiB measure alike; less pays for its launches, more for its cache misses.
+/// Bytes of a tile's pupil arrays for each core of a processor: what its share of the last cache holds beside the
+/// images that stream through.
 const TILE_BYTES_PER_CORE: usize = 4 << 20;
 /// Bytes of a tile's arrays on a GPU: enough images to fill it, a small part of its memory.
 const TILE_BYTES_GPU: usize = 256 << 20;
+/// Work-items of `focus` for each core: so many that the core which is dealt the last of them still finds one.
+const WORKERS_PER_CORE: usize = 3;
 
 /// `count` images in whole groups; what the surplus images compute is never read.
 pub(super) fn padded(count: usize) -> usize {
@@ -22,6 +24,12 @@ pub(super) fn padded(count: usize) -> usize {
 pub(super) struct Cut {
     /// Images that go through the stages together; a multiple of `GROUP`.
     pub tile: usize,
+    /// Images whose focal fields have room at once; a multiple of `GROUP`.
+    pub focal_tile: usize,
+    /// Work-items of `focus`; `None` on a GPU, where no work-item carries an image.
+    pub workers: Option<usize>,
+    /// From so many images on, `focus` keeps every core busy.
+    pub focus_from: usize,
     /// Work-items that share the output rows of one vector of columns.
     pub column_items: usize,
     /// Row pairs of a work-item of the row products.
@@ -42,13 +50,17 @@ pub(super) struct Cut {
 
 impl Cut {
     fn new(device: &Device, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
-        let numbers = shape.rows * 8 * shape.width + shape.pairs * 8 * (shape.width + shape.span);
-        let bytes = numbers * build.precision.bytes();
-        let fits = |budget: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
+        let number = build.precision.bytes();
+        let pupil = (shape.rows * 8 * shape.width + blocks * 12 * shape.vector) * number;
+        let focal = shape.pairs * 8 * (shape.width + shape.span) * number;
+        let fits = |budget: usize, bytes: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
         if build.is_scalar() {
-            let tile = fits(TILE_BYTES_GPU);
+            let tile = fits(TILE_BYTES_GPU, pupil + focal);
             Cut {
                 tile,
+                focal_tile: tile,
+                workers: None,
+                focus_from: usize::MAX,
                 column_items: usize::MAX,
                 pairs_per_item: 1,
                 block_items: blocks,
@@ -59,8 +71,12 @@ impl Cut {
                 blocks_per_chunk: 64,
             }
         } else {
+            let cores = device.info().compute_units.max(1) as usize;
             Cut {
-                tile: fits(TILE_BYTES_PER_CORE * device.info().compute_units.max(1) as usize),
+                tile: fits(TILE_BYTES_PER_CORE * cores, pupil),
+                focal_tile: padded(WORKERS_PER_CORE * cores),
+                workers: Some(WORKERS_PER_CORE * cores),
+                focus_from: 2 * cores,
                 column_items: 1,
                 pairs_per_item: 16,
                 block_items: 4,
@@ -169,6 +185,8 @@ pub(super) struct Batch {
     pub known: Reals,
     /// The slot of each active image.
     pub slot: Buffer<i32>,
+    /// The images of each tile that `focus` has taken so far.
+    pub next: Buffer<i32>,
     pub coefficients: Reals,
     pub segment_phasor: Reals,
     pub result: Reals,
@@ -184,6 +202,7 @@ impl Batch {
             kind: device.buffer(slots)?,
             known: zeros(slots * 4)?,
             slot: device.buffer(active)?,
+            next: device.buffer(active / GROUP)?,
             coefficients: zeros(active * counts.smooth)?,
             segment_phasor: zeros(active * counts.segments * 2)?,
             result: zeros(active * counts.outputs)?,
@@ -208,12 +227,13 @@ pub(super) struct Scratch {
 impl Scratch {
     pub fn new(device: &Device, precision: Precision, shape: &Shape, counts: &Counts, cut: &Cut) -> Result<Self> {
         let zeros = |per_image: usize| Reals::zeros(device, precision, cut.tile * per_image);
+        let focal = |width: usize| Reals::zeros(device, precision, cut.focal_tile * shape.pairs * 8 * width);
         let partials = counts.strips * cut.lanes;
         Ok(Self {
             // Zero where the pupil has no block: nothing ever writes there.
             field: zeros(shape.rows * 8 * shape.width)?,
-            wave: zeros(shape.pairs * 8 * shape.width)?,
-            focal: zeros(shape.pairs * 8 * shape.span)?,
+            wave: focal(shape.width)?,
+            focal: focal(shape.span)?,
             phasor: zeros(counts.blocks * 8 * shape.vector)?,
             slope: zeros(counts.blocks * 4 * shape.vector)?,
             sums: zeros(partials * 3)?,

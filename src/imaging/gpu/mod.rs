@@ -180,8 +180,8 @@ impl GpuChain {
         let (m, modes) = (self.layout.pixels, self.modes());
         let images = coefficients.len().checked_div(modes).unwrap_or(1);
         let mut psfs = Vec::with_capacity(images * m * m);
-        for first in (0..images).step_by(self.stages.tile()) {
-            let count = (images - first).min(self.stages.tile());
+        for first in (0..images).step_by(self.stages.focal_tile()) {
+            let count = (images - first).min(self.stages.focal_tile());
             let (turns, phasors) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
             let focal = self.stages.focal(count, &turns, &phasors)?;
             for image in focal.chunks_exact(self.shape.pixels() * 2).take(count) {

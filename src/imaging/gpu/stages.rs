@@ -27,6 +27,7 @@ struct Kernels {
     photometry_sums: Kernel,
     photometry_solve: Kernel,
     residuals: Kernel,
+    focus: Kernel,
     adjoint_rows: Kernel,
     adjoint_columns: Kernel,
     pupil_gradient: Kernel,
@@ -122,13 +123,13 @@ impl Parts<'_> {
 
     fn photometry_sums(&self) -> Result<Kernel> {
         let mut k = self.pixels("photometry_sums")?;
-        self.scratch.sums.bind(&mut k, "partial")?;
+        self.scratch.sums.bind(&mut k, "sums")?;
         Ok(k)
     }
 
     fn photometry_solve(&self) -> Result<Kernel> {
         let mut k = self.kernel("photometry_solve")?;
-        self.scratch.sums.bind(&mut k, "partial")?.int("partials", self.partials())?;
+        self.scratch.sums.bind(&mut k, "sums")?.int("partials", self.partials())?;
         self.scratch.photometry.bind(&mut k, "photometry")?;
         self.batch.known.bind(&mut k, "known")?.buffer("kind", &self.batch.kind)?.buffer("slot", &self.batch.slot)?;
         Ok(k)
@@ -138,6 +139,34 @@ impl Parts<'_> {
         let mut k = self.pixels("residuals")?;
         self.scratch.objective.bind(&mut k, "objective")?;
         self.scratch.photometry.bind(&mut k, "photometry")?;
+        Ok(k)
+    }
+
+    /// The eight kernels from columns to columns in one.
+    fn focus(&self) -> Result<Kernel> {
+        let (scene, scratch, batch, shape) = (self.scene, self.scratch, self.batch, self.shape);
+        let mut k = self.kernel("focus")?;
+        for (argument, reals) in [
+            ("field", &scratch.field),
+            ("wave", &scratch.wave),
+            ("focal", &scratch.focal),
+            ("sums", &scratch.sums),
+            ("objective", &scratch.objective),
+            ("photometry", &scratch.photometry),
+            ("y_to_v", &scene.y_to_v),
+            ("x_to_u", &scene.x_to_u),
+            ("u_to_x", &scene.u_to_x),
+            ("v_to_y", &scene.v_to_y),
+            ("data", &batch.data),
+            ("weight", &batch.weight),
+            ("known", &batch.known),
+        ] {
+            reals.bind(&mut k, argument)?;
+        }
+        k.buffer("extent", &scene.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
+        k.buffer("next", &batch.next)?;
+        k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("width", shape.width)?.int("span", shape.span)?;
+        k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
         Ok(k)
     }
 
@@ -185,6 +214,7 @@ impl Parts<'_> {
             photometry_sums: self.photometry_sums()?,
             photometry_solve: self.photometry_solve()?,
             residuals: self.residuals()?,
+            focus: self.focus()?,
             adjoint_rows: self.rows("adjoint_rows")?,
             adjoint_columns: self.columns("adjoint_columns")?,
             pupil_gradient: self.pupil_gradient()?,
@@ -216,9 +246,9 @@ impl Stages {
         Ok(Self { shape, cut, counts, batch, scratch, _scene: scene, kernels })
     }
 
-    /// Images that go through the stages together.
-    pub fn tile(&self) -> usize {
-        self.cut.tile
+    /// Images whose focal fields can be had together.
+    pub fn focal_tile(&self) -> usize {
+        self.cut.focal_tile.min(self.cut.tile)
     }
 
     /// Room for images.
@@ -246,13 +276,24 @@ impl Stages {
             self.write_inputs(count, &turns[from * smooth..], &phasors[from * segments * 2..])?;
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
             self.batch.slot.write(0, &slots)?;
+            // Few images are shared out among the cores stage by stage.
+            let workers = self.cut.workers.filter(|_| count >= self.cut.focus_from);
+            let limit = if workers.is_some() { self.cut.tile } else { self.focal_tile() };
             // Tiles of equal size: the last is not left with a few images.
-            let tile = padded(count.div_ceil(count.div_ceil(self.cut.tile)));
-            for first in (0..count).step_by(tile) {
+            let tile = padded(count.div_ceil(count.div_ceil(limit)));
+            self.batch.next.write(0, &vec![0; count.div_ceil(tile)])?;
+            for (turn, first) in (0..count).step_by(tile).enumerate() {
                 let images = padded(tile.min(count - first));
-                self.forward(first, images)?;
-                self.pixels(first, images, fitted)?;
-                self.adjoint(first, images)?;
+                self.pupil_field(first, images)?;
+                match workers {
+                    Some(workers) => self.focus(turn, first, images, workers)?,
+                    None => {
+                        self.transform(images)?;
+                        self.pixels(first, images, fitted)?;
+                        self.transform_adjoint(images)?;
+                    }
+                }
+                self.gradient(first, images)?;
             }
             self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
         }
@@ -262,7 +303,8 @@ impl Stages {
     /// The focal fields of at most a tile of images, folded.
     pub fn focal(&mut self, count: usize, turns: &[f64], phasors: &[f64]) -> Result<Vec<f64>> {
         self.write_inputs(count, turns, phasors)?;
-        self.forward(0, padded(count))?;
+        self.pupil_field(0, padded(count))?;
+        self.transform(padded(count))?;
         let mut focal = vec![0.0; count * self.shape.pixels() * 2];
         self.scratch.focal.read(0, &mut focal)?;
         Ok(focal)
@@ -273,10 +315,19 @@ impl Stages {
         self.batch.segment_phasor.write(0, &phasors[..images * self.counts.segments * 2])
     }
 
-    fn forward(&mut self, first: usize, images: usize) -> Result<()> {
+    fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
+        let k = &mut self.kernels.pupil_field;
+        k.int("first", first)?.int("images", images)?;
+        k.launch([self.counts.blocks, self.cut.group_items.min(images / GROUP), 1])
+    }
+
+    fn focus(&mut self, turn: usize, first: usize, images: usize, workers: usize) -> Result<()> {
+        let k = &mut self.kernels.focus;
+        k.int("turn", turn)?.int("first", first)?.int("images", images)?.launch([workers, 1, 1])
+    }
+
+    fn transform(&mut self, images: usize) -> Result<()> {
         let (shape, cut, k) = (&self.shape, &self.cut, &mut self.kernels);
-        k.pupil_field.int("first", first)?.int("images", images)?;
-        k.pupil_field.launch([self.counts.blocks, cut.group_items.min(images / GROUP), 1])?;
         let groups = shape.pairs.div_ceil(TALL);
         k.forward_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])?;
         let chunks = row_chunks(shape.span / shape.vector);
@@ -293,12 +344,16 @@ impl Stages {
         k.residuals.int("first", first)?.launch(strips)
     }
 
-    fn adjoint(&mut self, first: usize, images: usize) -> Result<()> {
+    fn transform_adjoint(&mut self, images: usize) -> Result<()> {
         let (shape, cut, k) = (&self.shape, &self.cut, &mut self.kernels);
         let chunks = row_chunks(shape.width / shape.vector);
         k.adjoint_rows.launch([chunks, shape.pairs.div_ceil(cut.pairs_per_item), images])?;
         let groups = shape.rows.div_ceil(TALL);
-        k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])?;
+        k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])
+    }
+
+    fn gradient(&mut self, first: usize, images: usize) -> Result<()> {
+        let (cut, k) = (&self.cut, &mut self.kernels);
         k.pupil_gradient.int("first", first)?.launch([cut.block_items, images, 1])?;
         let groups = cut.group_items.min(images / GROUP);
         k.project_modes.int("images", images)?.launch([self.counts.mode_groups, self.counts.chunks, groups])?;
