@@ -115,7 +115,7 @@ mod scene {
     pub enum Edges {
         /// The fraction of a sample that is glass.
         Grey,
-        /// A windowed sinc, 4 samples either way: what a band-limited pupil looks like.
+        /// A windowed sinc, 10 samples either way: about 6 segments reach each sample, as in a band-limited pupil.
         BandLimited,
     }
 
@@ -163,12 +163,12 @@ mod scene {
         let side = (samples * FINE) as f64 / (7.1 * 3f64.sqrt());
         let reach = match edges {
             Edges::Grey => 0.5,
-            Edges::BandLimited => 4.0,
+            Edges::BandLimited => 10.0,
         };
         let tap = |t: f64| match edges {
             Edges::Grey => f64::from(t.abs() < 0.5),
             Edges::BandLimited if t == 0.0 => 1.0,
-            Edges::BandLimited => (PI * t).sin() / (PI * t) * (0.5 + 0.5 * (PI * t / 4.0).cos()),
+            Edges::BandLimited => (PI * t).sin() / (PI * t) * (0.5 + 0.5 * (PI * t / 10.0).cos()),
         };
         let mut segments = Vec::new();
         for (a, b) in (-3i32..=3).flat_map(|a| (-3i32..=3).map(move |b| (a, b))) {

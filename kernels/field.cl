@@ -10,6 +10,8 @@
  * 16 multiply-adds. On a processor one work-item takes all images of the tile, so that its slice of the basis
  * (modes x 4 vectors) stays in the first cache.
  *
+ * For the way back the phasors exp(2 pi i psi) and the field are left as they are too, as [image][quadrant][re, im][block].
+ *
  * Precondition: `images` is a multiple of GROUP. `first` is the tile's first image in coefficients and segment_phasor.
  */
 
@@ -62,7 +64,8 @@ inline void turn(vec t, vec *sine, vec *cosine) {
 __kernel void pupil_field(__global const real *basis, __global const real *diversity, __global const int *place,
                           __global const int *entry_start, __global const int *entry_segment,
                           __global const real *entry_weight, __global const real *coefficients,
-                          __global const real *segment_phasor, __global real *phasor, __global real *field,
+                          __global const real *segment_phasor, __global real *phasor, __global real *lit_field,
+                          __global real *field,
                           const int blocks, const int modes, const int segments, const int images, const int first,
                           const int rows, const int width, const int block_stride, const int mode_stride,
                           const int quadrant_stride) {
@@ -96,6 +99,7 @@ __kernel void pupil_field(__global const real *basis, __global const real *diver
             const int image = group + i;
             __global const real *piston = segment_phasor + (size_t)(first + image) * segments * 2;
             __global real *p = phasor + (size_t)image * blocks * (8 * VEC);
+            __global real *l = lit_field + (size_t)image * blocks * (8 * VEC);
             vec er[4], ei[4];
 #pragma unroll
             for (int q = 0; q < 4; q++) {
@@ -112,6 +116,8 @@ __kernel void pupil_field(__global const real *basis, __global const real *diver
                 }
                 er[q] = ar * cosine - ai * sine;
                 ei[q] = MAD(ar, sine, ai * cosine);
+                AT(l, (2 * q * blocks + block) * VEC) = er[q];
+                AT(l, ((2 * q + 1) * blocks + block) * VEC) = ei[q];
             }
             __global real *out = field + ((size_t)(image * rows + y) * 8) * width + x;
             AT(out, 0 * width) = (er[0] + er[1]) + (er[2] + er[3]);

@@ -1,5 +1,7 @@
 //! Which OpenCL devices this machine has.
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 use ocl::core::{self, ClDeviceIdPtr, PlatformInfo};
 use ocl::ffi;
 
@@ -9,11 +11,20 @@ use crate::{Error, Result};
 /// The status that an ICD loader, and our own stand-in for one, gives where no platform is installed.
 const PLATFORM_NOT_FOUND: i32 = -1001;
 
+/// Held while the platforms are listed and described. The first call makes PoCL (seen with 3.1) initialise its devices, and
+/// a second thread that asks meanwhile reads them half made and crashes.
+static DISCOVERY: Mutex<()> = Mutex::new(());
+
+fn alone() -> MutexGuard<'static, ()> {
+    DISCOVERY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Every OpenCL device of this machine, platform by platform; empty where OpenCL is absent.
 ///
 /// # Errors
 /// [`Error::Device`] where OpenCL is present but does not answer.
 pub fn devices() -> Result<Vec<DeviceInfo>> {
+    let _alone = alone();
     let mut found = Vec::new();
     for (platform_index, platform) in platforms()?.into_iter().enumerate() {
         let platform_name = core::get_platform_info(platform, PlatformInfo::Name).map_err(failed)?.to_string();
@@ -28,6 +39,7 @@ pub fn devices() -> Result<Vec<DeviceInfo>> {
 
 /// The platform and device behind `info`, found again by index.
 pub(super) fn resolve(info: &DeviceInfo) -> Result<(core::PlatformId, core::DeviceId)> {
+    let _alone = alone();
     let gone = || Error::Device(format!("the device {} ({}) is no longer there", info.address(), info.name));
     let platform = *platforms()?.get(info.platform).ok_or_else(gone)?;
     let ids = core::get_device_ids(platform, Some(core::DeviceType::ALL), None).map_err(failed)?;

@@ -64,6 +64,7 @@ pub const TABLE: &[Family] = &[
         entries: &[
             Entry { name: "pupil_gradient", gpu_local: [64, 1, 1] },
             Entry { name: "project_modes", gpu_local: [32, 1, 1] },
+            Entry { name: "project_segments", gpu_local: [32, 1, 1] },
             Entry { name: "collect", gpu_local: [32, 1, 1] },
         ],
     },

@@ -96,10 +96,16 @@ fn a_bad_name_is_an_error_and_not_a_crash() {
     }
 }
 
-/// What the test below reads from a process of its own: the loader looks for the library once per process.
+/// What the test below reads from a process of its own: the loader looks for the library once per process. Several
+/// threads ask at once, for PoCL crashes where its first two callers meet.
 #[test]
 fn devices_are_counted() {
-    println!("devices: {}", devices().unwrap().len());
+    let counts = std::thread::scope(|scope| {
+        let askers: Vec<_> = (0..4).map(|_| scope.spawn(|| devices().unwrap().len())).collect();
+        askers.into_iter().map(|asker| asker.join().unwrap()).collect::<Vec<_>>()
+    });
+    assert!(counts.iter().all(|count| *count == counts[0]), "{counts:?}");
+    println!("devices: {}", counts[0]);
 }
 
 #[test]

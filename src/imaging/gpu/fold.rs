@@ -132,6 +132,8 @@ pub(super) struct Blocks {
     pub entry_start: Vec<i32>,
     /// Segment of each entry.
     pub entry_segment: Vec<i32>,
+    /// Where each entry's samples stand among the planes of g: `2 q blocks + b`.
+    pub entry_place: Vec<i32>,
     /// Weights of each entry, VEC of them.
     pub entry_weight: Vec<f64>,
     /// The same list by segment: `segment_start[s]..segment_start[s + 1]` of `segment_entry`.
@@ -142,10 +144,6 @@ pub(super) struct Blocks {
 impl Blocks {
     pub fn count(&self) -> usize {
         self.place.len() / 2
-    }
-
-    pub fn entries(&self) -> usize {
-        self.entry_segment.len()
     }
 
     pub fn new(layout: &GpuLayout, shape: &Shape) -> Self {
@@ -210,6 +208,7 @@ impl Blocks {
             ends[4 * block + quadrant + 1] = entry as i32 + 1;
             by_segment[segment].push(entry as i32);
             self.entry_segment.push(segment as i32);
+            self.entry_place.push((2 * quadrant * self.count() + block) as i32);
             self.entry_weight.extend(lanes);
         }
         // A quadrant without entries starts and ends where the one before it ended.

@@ -40,6 +40,8 @@ pub(super) struct Cut {
     pub output_items: usize,
     /// Work-items that share the images of a tile, for one block or one group of modes.
     pub group_items: usize,
+    /// Work-items that share the images of a tile, for one segment.
+    pub segment_items: usize,
     /// Row pairs of a strip of pixels.
     pub pairs_per_strip: usize,
     /// Work-items that share a strip.
@@ -51,7 +53,7 @@ pub(super) struct Cut {
 impl Cut {
     fn new(device: &Device, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
         let number = build.precision.bytes();
-        let pupil = (shape.rows * 8 * shape.width + blocks * 12 * shape.vector) * number;
+        let pupil = (shape.rows * 8 * shape.width + blocks * 20 * shape.vector) * number;
         let focal = shape.pairs * 8 * (shape.width + shape.span) * number;
         let fits = |budget: usize, bytes: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
         if build.is_scalar() {
@@ -66,6 +68,7 @@ impl Cut {
                 block_items: blocks,
                 output_items: outputs,
                 group_items: tile / GROUP,
+                segment_items: tile / GROUP,
                 pairs_per_strip: 4,
                 lanes: 32,
                 blocks_per_chunk: 64,
@@ -82,6 +85,8 @@ impl Cut {
                 block_items: 4,
                 output_items: 1,
                 group_items: 1,
+                // A mirror may be one segment: its work must be shared too.
+                segment_items: 2 * cores,
                 pairs_per_strip: 16,
                 lanes: 1,
                 blocks_per_chunk: 8,
@@ -95,7 +100,6 @@ impl Cut {
 pub(super) struct Counts {
     pub capacity: usize,
     pub blocks: usize,
-    pub entries: usize,
     pub segments: usize,
     pub smooth: usize,
     /// Groups of `MODES_AT_ONCE` smooth modes.
@@ -124,7 +128,6 @@ impl Counts {
         let counts = Self {
             capacity,
             blocks: blocks.count(),
-            entries: blocks.entries(),
             segments,
             smooth,
             mode_groups: smooth.div_ceil(MODES_AT_ONCE),
@@ -145,6 +148,7 @@ pub(super) struct Scene {
     pub extent: Buffer<i32>,
     pub entry_start: Buffer<i32>,
     pub entry_segment: Buffer<i32>,
+    pub entry_place: Buffer<i32>,
     pub segment_start: Buffer<i32>,
     pub segment_entry: Buffer<i32>,
     pub y_to_v: Reals,
@@ -165,6 +169,7 @@ impl Scene {
             extent: device.upload(&blocks.extent)?,
             entry_start: device.upload(&blocks.entry_start)?,
             entry_segment: device.upload(&blocks.entry_segment)?,
+            entry_place: device.upload(&blocks.entry_place)?,
             segment_start: device.upload(&blocks.segment_start)?,
             segment_entry: device.upload(&blocks.segment_entry)?,
             y_to_v: upload(&y_to_v)?,
@@ -216,11 +221,12 @@ pub(super) struct Scratch {
     pub wave: Reals,
     pub focal: Reals,
     pub phasor: Reals,
+    pub lit_field: Reals,
     pub slope: Reals,
     pub sums: Reals,
     pub objective: Reals,
     pub photometry: Reals,
-    pub segment_partial: Reals,
+    pub segment_sum: Reals,
     pub mode_partial: Reals,
 }
 
@@ -235,11 +241,12 @@ impl Scratch {
             wave: focal(shape.width)?,
             focal: focal(shape.span)?,
             phasor: zeros(counts.blocks * 8 * shape.vector)?,
+            lit_field: zeros(counts.blocks * 8 * shape.vector)?,
             slope: zeros(counts.blocks * 4 * shape.vector)?,
             sums: zeros(partials * 3)?,
             objective: zeros(partials)?,
             photometry: zeros(2)?,
-            segment_partial: zeros(counts.entries * 2)?,
+            segment_sum: zeros(counts.segments * 2)?,
             mode_partial: zeros(counts.chunks * counts.mode_groups * MODES_AT_ONCE)?,
         })
     }

@@ -32,6 +32,7 @@ struct Kernels {
     adjoint_columns: Kernel,
     pupil_gradient: Kernel,
     project_modes: Kernel,
+    project_segments: Kernel,
     collect: Kernel,
 }
 
@@ -55,22 +56,22 @@ impl Parts<'_> {
 
     /// What every kernel over blocks of the pupil takes.
     fn pupil(&self, name: &'static str) -> Result<Kernel> {
-        let (scene, mut k) = (self.scene, self.kernel(name)?);
-        scene.entry_weight.bind(&mut k, "entry_weight")?;
-        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?;
+        let mut k = self.kernel(name)?;
         self.scratch.phasor.bind(&mut k, "phasor")?;
+        self.scratch.lit_field.bind(&mut k, "lit_field")?;
         self.scratch.field.bind(&mut k, "field")?;
-        k.buffer("place", &scene.place)?.buffer("entry_start", &scene.entry_start)?;
-        k.buffer("entry_segment", &scene.entry_segment)?;
-        k.int("blocks", self.counts.blocks)?.int("segments", self.counts.segments)?;
+        k.buffer("place", &self.scene.place)?.int("blocks", self.counts.blocks)?;
         k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
         Ok(k)
     }
 
     fn pupil_field(&self) -> Result<Kernel> {
-        let mut k = self.pupil("pupil_field")?;
-        self.scene.diversity.bind(&mut k, "diversity")?;
+        let (scene, mut k) = (self.scene, self.pupil("pupil_field")?);
+        scene.diversity.bind(&mut k, "diversity")?;
+        scene.entry_weight.bind(&mut k, "entry_weight")?;
         self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
+        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?.int("segments", self.counts.segments)?;
+        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
         self.basis(&mut k)?;
         Ok(k)
     }
@@ -177,7 +178,15 @@ impl Parts<'_> {
     fn pupil_gradient(&self) -> Result<Kernel> {
         let mut k = self.pupil("pupil_gradient")?;
         self.scratch.slope.bind(&mut k, "slope")?;
-        self.scratch.segment_partial.bind(&mut k, "segment_partial")?.int("entries", self.counts.entries)?;
+        Ok(k)
+    }
+
+    fn project_segments(&self) -> Result<Kernel> {
+        let (scene, mut k) = (self.scene, self.kernel("project_segments")?);
+        self.scratch.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
+        scene.entry_weight.bind(&mut k, "entry_weight")?.buffer("entry_place", &scene.entry_place)?;
+        k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
+        self.scratch.segment_sum.bind(&mut k, "segment_sum")?.int("segments", self.counts.segments)?;
         Ok(k)
     }
 
@@ -194,13 +203,12 @@ impl Parts<'_> {
     fn collect(&self, twice_wavenumber: f64) -> Result<Kernel> {
         let (counts, scratch, mut k) = (self.counts, self.scratch, self.kernel("collect")?);
         scratch.mode_partial.bind(&mut k, "mode_partial")?;
-        scratch.segment_partial.bind(&mut k, "segment_partial")?;
+        scratch.segment_sum.bind(&mut k, "segment_sum")?;
         scratch.objective.bind(&mut k, "objective")?;
         scratch.photometry.bind(&mut k, "photometry")?;
         self.batch.segment_phasor.bind(&mut k, "segment_phasor")?;
         self.batch.result.bind(&mut k, "result")?;
-        k.buffer("segment_start", &self.scene.segment_start)?.buffer("segment_entry", &self.scene.segment_entry)?;
-        k.int("segments", counts.segments)?.int("smooth", counts.smooth)?.int("entries", counts.entries)?;
+        k.int("segments", counts.segments)?.int("smooth", counts.smooth)?;
         k.int("padded_modes", counts.mode_groups * MODES_AT_ONCE)?.int("chunks", counts.chunks)?;
         k.int("partials", self.partials())?.real("twice_wavenumber", twice_wavenumber)?;
         Ok(k)
@@ -219,6 +227,7 @@ impl Parts<'_> {
             adjoint_columns: self.columns("adjoint_columns")?,
             pupil_gradient: self.pupil_gradient()?,
             project_modes: self.project_modes()?,
+            project_segments: self.project_segments()?,
             collect: self.collect(twice_wavenumber)?,
         })
     }
@@ -354,9 +363,11 @@ impl Stages {
 
     fn gradient(&mut self, first: usize, images: usize) -> Result<()> {
         let (cut, k) = (&self.cut, &mut self.kernels);
-        k.pupil_gradient.int("first", first)?.launch([cut.block_items, images, 1])?;
+        k.pupil_gradient.launch([cut.block_items, images, 1])?;
         let groups = cut.group_items.min(images / GROUP);
         k.project_modes.int("images", images)?.launch([self.counts.mode_groups, self.counts.chunks, groups])?;
+        let groups = cut.segment_items.min(images / GROUP);
+        k.project_segments.int("images", images)?.launch([self.counts.segments, groups, 1])?;
         k.collect.int("first", first)?.launch([cut.output_items, images, 1])
     }
 }
