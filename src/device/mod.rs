@@ -8,6 +8,8 @@ use std::str::FromStr;
 
 use crate::{Error, Result};
 
+#[cfg(not(feature = "opencl"))]
+mod absent;
 #[cfg(feature = "opencl")]
 mod discover;
 #[cfg(feature = "opencl")]
@@ -17,18 +19,14 @@ mod table;
 #[cfg(all(test, feature = "opencl"))]
 pub(crate) mod tests;
 
+#[cfg(not(feature = "opencl"))]
+pub use absent::{Device, devices};
 #[cfg(feature = "opencl")]
 pub use discover::devices;
 #[cfg(feature = "opencl")]
 pub use session::{Buffer, Device, Element, Kernel, StageTime};
 #[cfg(feature = "opencl")]
 pub use table::{Build, Entry, Family, TABLE};
-
-/// The OpenCL devices of this machine: none, for this build has no OpenCL in it.
-#[cfg(not(feature = "opencl"))]
-pub fn devices() -> Result<Vec<DeviceInfo>> {
-    Ok(Vec::new())
-}
 
 /// The arithmetic of a chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use ocl::core::{
-    self, ArgVal, CommandQueueProperties, ContextProperties, Event, KernelArgInfo, KernelArgInfoResult, MemFlags,
-    ProfilingInfo, ProfilingInfoResult, ProgramBuildInfo,
+    self, ArgVal, CommandQueueProperties, ContextProperties, Event, KernelArgInfo, KernelArgInfoResult, KernelInfo,
+    KernelInfoResult, MemFlags, ProfilingInfo, ProfilingInfoResult, ProgramBuildInfo,
 };
 
 use super::discover::{failed, resolve};
@@ -296,13 +296,16 @@ pub struct Kernel {
 impl Kernel {
     fn new(device: Device, program: &core::Program, entry: &'static Entry, build: Build) -> Result<Self> {
         let kernel = core::create_kernel(program, entry.name).map_err(failed)?;
-        let mut arguments = Vec::new();
-        // The number of arguments is where the names end.
-        while let Ok(KernelArgInfoResult::Name(name)) =
-            core::get_kernel_arg_info(&kernel, arguments.len() as u32, KernelArgInfo::Name, None)
-        {
-            arguments.push(name);
-        }
+        let KernelInfoResult::NumArgs(count) = core::get_kernel_info(&kernel, KernelInfo::NumArgs).map_err(failed)?
+        else {
+            return Err(Error::Internal(format!("OpenCL does not count the arguments of {}", entry.name)));
+        };
+        let name_of = |index| match core::get_kernel_arg_info(&kernel, index, KernelArgInfo::Name, None) {
+            Ok(KernelArgInfoResult::Name(name)) => Ok(name),
+            Ok(_) => Err(Error::Internal(format!("OpenCL does not name argument {index} of {}", entry.name))),
+            Err(error) => Err(failed(error)),
+        };
+        let arguments = (0..count).map(name_of).collect::<Result<_>>()?;
         let local = if build.is_scalar() { entry.gpu_local } else { [1, 1, 1] };
         Ok(Self { device, kernel, name: entry.name, local, arguments, precision: build.precision })
     }

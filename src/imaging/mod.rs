@@ -1,4 +1,3 @@
 //! (under construction)
 
-#[cfg(feature = "opencl")]
 pub mod gpu;

@@ -3,26 +3,37 @@
 //!
 //! The stages are those of `kernels/`: `field.cl` (coefficients to pupil field), `transform.cl` (pupil to focus as two
 //! folded real matrix products, and back), `pixels.cl` (photometry, objective, residuals), `project.cl` (pupil field to
-//! gradient). A batch goes through them in tiles, so that the arrays of a tile stay in a processor's last cache.
+//! gradient); `focus.cl` joins the middle ones on a processor. A batch goes through them in tiles, so that the arrays of
+//! a tile stay in a processor's caches.
+//!
+//! Vectors make some sizes cheaper than others: in f32 with 16 numbers to a vector, m/2 + 1 and n/2 are padded to
+//! multiples of 16, so that an image of 94 pixels costs what 66 to 94 do, and one of 96 as much as 126.
+//!
+//! Without the feature `opencl` the same names are here, and [`GpuChain`] cannot be made.
 
-mod fold;
 mod layout;
+
+#[cfg(feature = "opencl")]
+mod chain;
+#[cfg(feature = "opencl")]
+mod fold;
+#[cfg(feature = "opencl")]
 mod memory;
+#[cfg(feature = "opencl")]
 mod reals;
+#[cfg(feature = "opencl")]
 mod stages;
-#[cfg(test)]
+#[cfg(all(test, feature = "opencl"))]
 mod tests;
 
+#[cfg(not(feature = "opencl"))]
+mod absent;
+
+#[cfg(not(feature = "opencl"))]
+pub use absent::GpuChain;
+#[cfg(feature = "opencl")]
+pub use chain::GpuChain;
 pub use layout::{GpuLayout, GpuMode};
-
-use std::f64::consts::TAU;
-
-use rayon::prelude::*;
-
-use crate::device::{Build, Device, Precision};
-use crate::{Error, Result};
-use fold::Shape;
-use stages::Stages;
 
 /// How the flux and background of an image are found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,257 +65,4 @@ pub struct GpuEvaluation {
     pub flux_e: Vec<f64>,
     /// Background, electrons per pixel.
     pub background_e: Vec<f64>,
-}
-
-/// The chain on a device, with room for a number of images. It is not shared between threads: its kernels remember
-/// their arguments.
-pub struct GpuChain {
-    layout: GpuLayout,
-    shape: Shape,
-    stages: Stages,
-    photometry: Vec<GpuPhotometry>,
-}
-
-impl GpuChain {
-    /// Compiles the chain for `layout` on `device`, with room for `capacity` images.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] or [`Error::Value`] for a layout whose arrays do not fit each other, [`Error::Device`] where the
-    /// device lacks the precision or the memory.
-    pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, capacity: usize) -> Result<Self> {
-        Self::with_build(device, Build::for_device(device.info(), precision), layout, capacity)
-    }
-
-    /// [`GpuChain::new`] with a vector width of the caller's choice.
-    ///
-    /// # Errors
-    /// As for [`GpuChain::new`].
-    pub fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
-        layout.check()?;
-        if capacity == 0 {
-            return Err(Error::Value("a chain with room for 0 images computes nothing: 1 or more is needed".into()));
-        }
-        let shape = Shape::new(layout, build.vector);
-        let stages = Stages::new(device, build, layout, shape, capacity)?;
-        Ok(Self { layout: layout.clone(), shape, stages, photometry: Vec::new() })
-    }
-
-    /// Coefficients of the model.
-    pub fn modes(&self) -> usize {
-        self.layout.modes.len()
-    }
-
-    /// Room for images.
-    pub fn capacity(&self) -> usize {
-        self.stages.capacity()
-    }
-
-    /// Brings images to the device: `data` (electrons) and `weights` (1/electrons²; 0 masks a pixel, whatever its data)
-    /// are `[image][row][column]`, with one photometry per image. They replace the images of an earlier call.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] where the lists do not fit or exceed the capacity; [`Error::Value`] for a weight that is
-    /// negative or not finite, data that are not finite where the weight is positive, or known photometry that is not
-    /// finite; [`Error::Device`] where the device failed.
-    pub fn load<D, W>(&mut self, data: &[D], weights: &[W], photometry: &[GpuPhotometry]) -> Result<()>
-    where
-        D: Copy + Into<f64> + Sync,
-        W: Copy + Into<f64> + Sync,
-    {
-        let m = self.layout.pixels;
-        let (images, size) = (photometry.len(), m * m);
-        if images > self.capacity() {
-            return Err(Error::Shape(format!("{images} images exceed a chain with room for {}", self.capacity())));
-        }
-        for (what, found) in [("data", data.len()), ("weights", weights.len())] {
-            if found != images * size {
-                return Err(Error::Shape(format!("{found} {what} are not {images} images of {m} x {m} pixels")));
-            }
-        }
-        self.photometry.clear();
-        let folded: Vec<Folded> = (0..images)
-            .into_par_iter()
-            .map(|i| {
-                let range = i * size..(i + 1) * size;
-                Folded::new(&self.shape, m, &data[range.clone()], &weights[range], &photometry[i])
-                    .map_err(|what| Error::Value(format!("image {i} {what}")))
-            })
-            .collect::<Result<_>>()?;
-        for (slot, image) in folded.iter().enumerate() {
-            self.stages.load(slot, image)?;
-        }
-        self.photometry = photometry.to_vec();
-        Ok(())
-    }
-
-    /// Objective, gradient and photometry of the images `active` (indices into what was loaded) at `coefficients`, nm,
-    /// `[active image][mode]`.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] for an image that is not loaded or a list of another length; [`Error::Value`] for a coefficient
-    /// that is not finite; [`Error::Device`] where the device failed.
-    pub fn evaluate(&mut self, active: &[usize], coefficients: &[f64]) -> Result<GpuEvaluation> {
-        if let Some(image) = active.iter().find(|i| **i >= self.photometry.len()) {
-            return Err(Error::Shape(format!("image {image} is not among the {} loaded", self.photometry.len())));
-        }
-        let (turns, phasors) = self.inputs(active.len(), coefficients)?;
-        let fitted = active.iter().any(|&i| !matches!(self.photometry[i], GpuPhotometry::Known { .. }));
-        let results = self.stages.evaluate(active, &turns, &phasors, fitted)?;
-
-        let outputs = 3 + self.layout.segments + self.layout.smooth.len();
-        let mut evaluation = GpuEvaluation {
-            objective: Vec::with_capacity(active.len()),
-            gradient: Vec::with_capacity(active.len() * self.modes()),
-            flux_e: Vec::with_capacity(active.len()),
-            background_e: Vec::with_capacity(active.len()),
-        };
-        for result in results.chunks_exact(outputs) {
-            evaluation.objective.push(result[0]);
-            evaluation.flux_e.push(result[1]);
-            evaluation.background_e.push(result[2]);
-            let (segments, smooth) = result[3..].split_at(self.layout.segments);
-            evaluation.gradient.extend(self.layout.modes.iter().map(|mode| match *mode {
-                GpuMode::Segment(s) => segments[s],
-                GpuMode::Smooth(j) => smooth[j],
-            }));
-        }
-        Ok(evaluation)
-    }
-
-    /// The PSFs at `coefficients`, nm, `[image][mode]`: `[image][row][column]`, for any number of images (none need be
-    /// loaded).
-    ///
-    /// # Errors
-    /// As for [`GpuChain::evaluate`].
-    pub fn psf(&mut self, coefficients: &[f64]) -> Result<Vec<f64>> {
-        let (m, modes) = (self.layout.pixels, self.modes());
-        let images = coefficients.len().checked_div(modes).unwrap_or(1);
-        let mut psfs = Vec::with_capacity(images * m * m);
-        for first in (0..images).step_by(self.stages.focal_tile()) {
-            let count = (images - first).min(self.stages.focal_tile());
-            let (turns, phasors) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
-            let focal = self.stages.focal(count, &turns, &phasors)?;
-            for image in focal.chunks_exact(self.shape.pixels() * 2).take(count) {
-                psfs.extend(self.unfold(image));
-            }
-        }
-        Ok(psfs)
-    }
-
-    /// |C ∓ iS|² of `[pair][+v, -v][C re, C im, S re, S im][u]`, in the order of pixels.
-    fn unfold<'a>(&'a self, focal: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
-        let (m, span) = (self.layout.pixels, self.shape.span);
-        (0..m * m).map(move |i| {
-            // A pixel's place counts 2 sides of `span` per row, the focal field 4 planes.
-            let pixel = self.shape.pixel(m, i / m, i % m);
-            let (row, side, u) = (pixel / (2 * span), pixel / span % 2, pixel % span);
-            let [cr, ci, sr, si] = [0, 1, 2, 3].map(|plane| focal[(row * 4 + plane) * span + u]);
-            let sign = if side == 0 { 1.0 } else { -1.0 };
-            (cr + sign * si).powi(2) + (ci - sign * sr).powi(2)
-        })
-    }
-
-    /// Smooth coefficients in turns `[image][smooth mode]`, and the phasors of the segments `[image][segment][re, im]`
-    /// times the root of the intensity scale, so that |U|² is the PSF.
-    fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
-        let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
-        if coefficients.len() != images * modes {
-            return Err(Error::Shape(format!(
-                "{} coefficients are not those of {images} images of {modes} modes",
-                coefficients.len()
-            )));
-        }
-        if let Some(k) = coefficients.iter().position(|c| !c.is_finite()) {
-            return Err(Error::Value(format!(
-                "coefficient {} of image {} is {}: finite nanometres are needed",
-                k % modes,
-                k / modes,
-                coefficients[k]
-            )));
-        }
-        let amplitude = self.layout.intensity_scale.sqrt();
-        let mut turns = vec![0.0; images * smooth];
-        let mut pistons = vec![0.0; images * segments];
-        for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
-            for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
-                match *mode {
-                    GpuMode::Segment(s) => pistons[image * segments + s] += coefficient / self.layout.wavelength_nm,
-                    GpuMode::Smooth(j) => turns[image * smooth + j] += coefficient / self.layout.wavelength_nm,
-                }
-            }
-        }
-        let phasor = |turns: f64| {
-            let (sine, cosine) = (TAU * (turns - turns.round())).sin_cos();
-            [amplitude * cosine, amplitude * sine]
-        };
-        Ok((turns, pistons.into_iter().flat_map(phasor).collect()))
-    }
-}
-
-impl std::fmt::Debug for GpuChain {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("GpuChain")
-            .field("shape", &self.shape)
-            .field("capacity", &self.capacity())
-            .finish_non_exhaustive()
-    }
-}
-
-/// One image as the device holds it.
-struct Folded {
-    data: Vec<f64>,
-    weights: Vec<f64>,
-    kind: i32,
-    /// Known flux and background, sum of w, sum of w d.
-    known: [f64; 4],
-}
-
-impl Folded {
-    fn new<D, W>(
-        shape: &Shape,
-        m: usize,
-        data: &[D],
-        weights: &[W],
-        how: &GpuPhotometry,
-    ) -> std::result::Result<Self, String>
-    where
-        D: Copy + Into<f64>,
-        W: Copy + Into<f64>,
-    {
-        let (kind, flux, background) = match *how {
-            GpuPhotometry::Known { flux_e, background_e } => (0, flux_e, background_e),
-            GpuPhotometry::FitFlux { background_e } => (1, 0.0, background_e),
-            GpuPhotometry::FitBoth => (2, 0.0, 0.0),
-        };
-        if !(flux.is_finite() && background.is_finite()) {
-            return Err(format!(
-                "has a known flux of {flux} and background of {background}: finite electrons are needed"
-            ));
-        }
-        let mut folded = Folded {
-            data: vec![0.0; shape.pixels()],
-            weights: vec![0.0; shape.pixels()],
-            kind,
-            known: [flux, background, 0.0, 0.0],
-        };
-        for (i, (&d, &w)) in data.iter().zip(weights).enumerate() {
-            let (d, w): (f64, f64) = (d.into(), w.into());
-            if w == 0.0 {
-                continue;
-            }
-            let (row, column) = (i / m, i % m);
-            if !(w.is_finite() && w > 0.0) {
-                return Err(format!("has weight {w} at row {row}, column {column}: 0 or a positive number is needed"));
-            }
-            if !d.is_finite() {
-                return Err(format!("holds {d} at row {row}, column {column}, where its weight is not 0"));
-            }
-            let pixel = shape.pixel(m, row, column);
-            folded.data[pixel] = d;
-            folded.weights[pixel] = w;
-            folded.known[2] += w;
-            folded.known[3] += w * d;
-        }
-        Ok(folded)
-    }
 }

@@ -1,6 +1,6 @@
 //! The kernels of the chain, bound to their buffers, and the order in which they run.
 
-use super::Folded;
+use super::chain::Folded;
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
 use super::layout::GpuLayout;
 use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};

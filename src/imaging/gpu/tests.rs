@@ -7,6 +7,7 @@ use std::f64::consts::TAU;
 
 use super::*;
 use crate::device::tests::test_devices;
+use crate::device::{Build, Device, Precision};
 
 /// A small asymmetric scene that hits every corner of the packing: extents that fill no vector, dark rows and blocks,
 /// segments that overlap with weights of either sign, a mode that nothing uses.
@@ -289,6 +290,41 @@ fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
             }
         }
     }
+}
+
+#[test]
+fn an_image_alone_and_in_a_crowd_gives_the_same() {
+    let layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let images = images(&layout, 3, &mut random);
+    let c = coefficients(&layout, 3, &mut random);
+    let modes = layout.modes.len();
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        for build in builds(&device) {
+            // So many that every processor goes through focus.cl, in several tiles; one goes stage by stage.
+            let crowd: Vec<usize> = (0..3).cycle().take(2 * info.compute_units as usize + 37).collect();
+            let mut chain = GpuChain::with_build(&device, build, &layout, crowd.len()).unwrap();
+            chain.load(&images.data, &images.weights, &images.photometry).unwrap();
+            let all: Vec<f64> = crowd.iter().flat_map(|&i| c[i * modes..(i + 1) * modes].to_vec()).collect();
+            let together = chain.evaluate(&crowd, &all).unwrap();
+            // The same sums in the same order; only where the compiler fuses a product into a sum may differ: a few
+            // roundings, far below the errors of the test above.
+            let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
+            for (i, &image) in crowd.iter().enumerate() {
+                let alone = chain.evaluate(&[image], &c[image * modes..(image + 1) * modes]).unwrap();
+                let objective = (together.objective[i] / alone.objective[0] - 1.0).abs();
+                let gradient = distance(&together.gradient[i * modes..(i + 1) * modes], &alone.gradient);
+                assert!(objective < close && gradient < close, "{build:?} image {i}: {objective:e} {gradient:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_chain_may_move_to_another_thread() {
+    fn moves<T: Send>() {}
+    moves::<GpuChain>();
 }
 
 #[test]
