@@ -24,10 +24,18 @@ fn main() -> cophase::Result<()> {
         for &(samples, pixels, batch) in &cases {
             for edges in [scene::Edges::Grey, scene::Edges::BandLimited] {
                 let layout = scene::keck_like(samples, pixels, edges);
-                for precision in [cophase::device::Precision::F32, cophase::device::Precision::F64] {
-                    if info.supports(precision) {
-                        measure(&info, precision, &layout, batch, edges)?;
-                    }
+                let single = measure(&info, cophase::device::Precision::F32, &layout, batch, edges)?;
+                if info.f64 {
+                    let double = measure(&info, cophase::device::Precision::F64, &layout, batch, edges)?;
+                    let apart = |a: &[f64], b: &[f64]| {
+                        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+                        norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / norm(&mut b.iter().copied())
+                    };
+                    println!(
+                        "    f32 against f64: objective {:.1e}, gradient {:.1e} (relative 2-norms)",
+                        apart(&single.objective, &double.objective),
+                        apart(&single.gradient, &double.gradient)
+                    );
                 }
             }
         }
@@ -42,7 +50,7 @@ fn measure(
     layout: &cophase::imaging::gpu::GpuLayout,
     batch: usize,
     edges: scene::Edges,
-) -> cophase::Result<()> {
+) -> cophase::Result<cophase::imaging::gpu::GpuEvaluation> {
     use cophase::imaging::gpu::{GpuChain, GpuPhotometry};
     use std::time::Instant;
 
@@ -51,15 +59,23 @@ fn measure(
         (0..batch * layout.modes.len()).map(|i| 100.0 * ((i * 7919 + seed * 104_729) as f64).sin()).collect()
     };
     let (mut walls, mut processor) = (Vec::new(), Vec::new());
-    let mut profile = Vec::new();
+    let (mut profile, mut first) = (Vec::new(), None);
     // Once without events, for the wall clock, once with them, for the profile.
     for timed in [false, true] {
         let device = cophase::device::Device::open(info, timed)?;
         let mut chain = GpuChain::new(&device, precision, layout, batch)?;
         let pixels = batch * layout.pixels * layout.pixels;
-        let data: Vec<f32> = (0..pixels).map(|i| (i % 97) as f32).collect();
+        let data: Vec<f32> = (0..pixels)
+            .map(|i| {
+                48.0 + 1e4
+                    * (-((i % (layout.pixels * layout.pixels)) as f32 / (layout.pixels * layout.pixels) as f32 - 0.5)
+                        .powi(2)
+                        * 400.0)
+                        .exp()
+            })
+            .collect();
         chain.load(&data, &vec![1.0f32; pixels], &vec![GpuPhotometry::FitBoth; batch])?;
-        chain.evaluate(&active, &coefficients(0))?;
+        first = Some(chain.evaluate(&active, &coefficients(0))?);
         device.take_timings()?;
         for sample in 1..=if timed { 5 } else { 15 } {
             let c = coefficients(sample);
@@ -92,7 +108,7 @@ fn measure(
         let fastest = stage.fastest.as_secs_f64() * 1e6 * (stage.launches / 5) as f64 / batch as f64;
         println!("    {:<18} mean {us:7.2}, fastest launch {fastest:7.2} us per image", stage.kernel);
     }
-    Ok(())
+    first.ok_or_else(|| cophase::Error::Internal("nothing was measured".into()))
 }
 
 /// Seconds that all threads of this process have run: what other programs on the machine do not change.

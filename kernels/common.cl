@@ -14,7 +14,8 @@
  * a complex product. Arrays are stored for that, by distance from the axis and quadrant; only the host knows x and y.
  *
  *   pupil quadrants  q = 0: (+y +x), 1: (+y -x), 2: (-y +x), 3: (-y -x); sample i lies (i + 1/2) samples from the axis
- *   pupil block      VEC samples next to each other in x, in all four quadrants; only blocks with a lit sample exist
+ *   pupil block      VEC samples next to each other in x, in all four quadrants; in each column of blocks, those up to
+ *                    the last with a lit sample
  *   field     [image][y][x parity][even-y re, even-y im, odd-y re, odd-y im][x]      x padded to `width`
  *   wave      [image][pair][...two rows of four planes...][x]                        a row pair is v and -v
  *   focal     [image][pair][+v, -v][four planes][u]                                  u = 0 ... m/2, padded to `span`

@@ -1,5 +1,9 @@
 //! Everything here that needs OpenCL says so and passes where there is none; `COPHASE_REQUIRE_OPENCL=1` makes that a
 //! failure.
+//!
+//! To look for data races and overruns in the kernels: `COPHASE_OPENCL_LIBRARY=/usr/lib/oclgrind/liboclgrind-rt.so
+//! OCLGRIND_DATA_RACES=1 OCLGRIND_LOG=oclgrind.log cargo test --lib direct_sum`, and read the log: oclgrind itself exits
+//! with 0.
 
 use super::*;
 

@@ -20,6 +20,8 @@ pub struct GpuChain {
     shape: Shape,
     stages: Stages,
     photometry: Vec<GpuPhotometry>,
+    /// What was taken off the data of each image: see [`Folded::offset`].
+    offsets: Vec<f64>,
 }
 
 impl GpuChain {
@@ -43,7 +45,7 @@ impl GpuChain {
         }
         let shape = Shape::new(layout, build.vector);
         let stages = Stages::new(device, build, layout, shape, capacity)?;
-        Ok(Self { layout: layout.clone(), shape, stages, photometry: Vec::new() })
+        Ok(Self { layout: layout.clone(), shape, stages, photometry: Vec::new(), offsets: Vec::new() })
     }
 
     /// Coefficients of the model.
@@ -80,6 +82,7 @@ impl GpuChain {
             }
         }
         self.photometry.clear();
+        self.offsets.clear();
         for first in (0..images).step_by(FOLDED_AT_ONCE) {
             let folded: Vec<Folded> = (first..images.min(first + FOLDED_AT_ONCE))
                 .into_par_iter()
@@ -91,6 +94,7 @@ impl GpuChain {
                 .collect::<Result<_>>()?;
             for (i, image) in folded.iter().enumerate() {
                 self.stages.load(first + i, image)?;
+                self.offsets.push(image.offset);
             }
         }
         self.photometry = photometry.to_vec();
@@ -118,10 +122,10 @@ impl GpuChain {
             flux_e: Vec::with_capacity(active.len()),
             background_e: Vec::with_capacity(active.len()),
         };
-        for result in results.chunks_exact(outputs) {
+        for (result, &image) in results.chunks_exact(outputs).zip(active) {
             evaluation.objective.push(result[0]);
             evaluation.flux_e.push(result[1]);
-            evaluation.background_e.push(result[2]);
+            evaluation.background_e.push(result[2] + self.offsets[image]);
             let (segments, smooth) = result[3..].split_at(self.layout.segments);
             evaluation.gradient.extend(self.layout.modes.iter().map(|mode| match *mode {
                 GpuMode::Segment(s) => segments[s],
@@ -216,8 +220,11 @@ pub(super) struct Folded {
     pub weights: Vec<f64>,
     /// 0 known, 1 flux fitted, 2 flux and background fitted.
     pub kind: i32,
-    /// Known flux and background, sum of w, sum of w d.
+    /// Known flux and background (less the offset), sum of w, sum of w (d - offset).
     pub known: [f64; 4],
+    /// What is taken off the data, electrons: the known background, or the weighted mean where that is fitted. What the
+    /// device sums is then signal: the sums of a faint star on a bright background would cancel in f32.
+    pub offset: f64,
 }
 
 impl Folded {
@@ -246,8 +253,20 @@ impl Folded {
             data: vec![0.0; shape.pixels()],
             weights: vec![0.0; shape.pixels()],
             kind,
-            known: [flux, background, 0.0, 0.0],
+            known: [flux, 0.0, 0.0, 0.0],
+            offset: background,
         };
+        if kind == 2 {
+            let (mut sum_w, mut sum_wd) = (0.0, 0.0);
+            for (&d, &w) in data.iter().zip(weights) {
+                let (d, w): (f64, f64) = (d.into(), w.into());
+                if w > 0.0 {
+                    sum_w += w;
+                    sum_wd += w * d;
+                }
+            }
+            folded.offset = if sum_w > 0.0 { sum_wd / sum_w } else { 0.0 };
+        }
         for (i, (&d, &w)) in data.iter().zip(weights).enumerate() {
             let (d, w): (f64, f64) = (d.into(), w.into());
             if w == 0.0 {
@@ -261,10 +280,10 @@ impl Folded {
                 return Err(format!("holds {d} at row {row}, column {column}, where its weight is not 0"));
             }
             let pixel = shape.pixel(m, row, column);
-            folded.data[pixel] = d;
+            folded.data[pixel] = d - folded.offset;
             folded.weights[pixel] = w;
             folded.known[2] += w;
-            folded.known[3] += w * d;
+            folded.known[3] += w * folded.data[pixel];
         }
         Ok(folded)
     }

@@ -113,7 +113,8 @@ fn signed(i: usize, m: usize) -> (usize, usize) {
     if i >= m / 2 { (i - m / 2, 0) } else { (m / 2 - i, 1) }
 }
 
-/// The lit part of the pupil in blocks: one block is `VEC` samples in x, in all four quadrants.
+/// The pupil in blocks: one block is `VEC` samples in x, in all four quadrants. There is one wherever a sample of its
+/// column is lit at its distance from the axis or farther out.
 #[derive(Debug, Default)]
 pub(super) struct Blocks {
     /// Row and first column of each, by distance from the axis.
@@ -149,27 +150,31 @@ impl Blocks {
     pub fn new(layout: &GpuLayout, shape: &Shape) -> Self {
         let (n, half, vector) = (layout.samples, layout.samples / 2, shape.vector);
         let fold = |i: usize| if i >= half { (i - half, 0) } else { (half - 1 - i, 1) };
-        // (row, vector of columns) -> block; and for every lit sample its quadrant and lane.
-        let mut index = BTreeMap::new();
-        let spots: Vec<_> = layout
+        let spots: Vec<Spot> = layout
             .lit
             .iter()
             .map(|&flat| {
-                let ((y, below), (x, left)) = (fold(flat / n), fold(flat % n));
-                index.insert((y, x / vector), 0);
-                (y, x / vector, 2 * below + left, x % vector)
+                let ((row, below), (x, left)) = (fold(flat / n), fold(flat % n));
+                Spot { row, column: x / vector, quadrant: 2 * below + left, lane: x % vector, block: 0 }
             })
             .collect();
         let mut blocks = Blocks { extent: vec![0; shape.width / vector], ..Default::default() };
-        for (number, (&(y, column), block)) in index.iter_mut().enumerate() {
-            *block = number;
-            blocks.place.extend([y as i32, (column * vector) as i32]);
-            blocks.extent[column] = blocks.extent[column].max(y as i32 + 1);
+        for spot in &spots {
+            blocks.extent[spot.column] = blocks.extent[spot.column].max(spot.row as i32 + 1);
         }
-        let spots: Vec<Spot> = spots
-            .into_iter()
-            .map(|(y, column, quadrant, lane)| Spot { block: index[&(y, column)], quadrant, lane })
-            .collect();
+        // Every block within the extent, dark ones too: the adjoint leaves something there, which the next field must
+        // overwrite with its zeros.
+        let mut number = vec![vec![0; blocks.extent.len()]; shape.rows];
+        for (row, numbers) in number.iter_mut().enumerate() {
+            for (column, number) in numbers.iter_mut().enumerate() {
+                if (row as i32) < blocks.extent[column] {
+                    *number = blocks.count();
+                    blocks.place.extend([row as i32, (column * vector) as i32]);
+                }
+            }
+        }
+        let spots: Vec<Spot> =
+            spots.into_iter().map(|spot| Spot { block: number[spot.row][spot.column], ..spot }).collect();
         blocks.fill_modes(layout, vector, &spots);
         blocks.fill_segments(layout, vector, &spots);
         blocks
@@ -226,6 +231,9 @@ impl Blocks {
 
 /// Where a lit sample is.
 struct Spot {
+    row: usize,
+    /// Vector of columns.
+    column: usize,
     block: usize,
     quadrant: usize,
     lane: usize,

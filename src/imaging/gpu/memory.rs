@@ -186,7 +186,7 @@ pub(super) struct Batch {
     pub weight: Reals,
     /// How the photometry of each slot is found: 0 known, 1 flux fitted, 2 flux and background fitted.
     pub kind: Buffer<i32>,
-    /// Known flux and background, sum of w, sum of w d of each slot.
+    /// Of each slot, as `Folded::known`.
     pub known: Reals,
     /// The slot of each active image.
     pub slot: Buffer<i32>,
@@ -236,7 +236,7 @@ impl Scratch {
         let focal = |width: usize| Reals::zeros(device, precision, cut.focal_tile * shape.pairs * 8 * width);
         let partials = counts.strips * cut.lanes;
         Ok(Self {
-            // Zero where the pupil has no block: nothing ever writes there.
+            // Zero where the pupil has no block: neither the field nor its adjoint is ever written there.
             field: zeros(shape.rows * 8 * shape.width)?,
             wave: focal(shape.width)?,
             focal: focal(shape.span)?,

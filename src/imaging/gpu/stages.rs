@@ -292,7 +292,7 @@ impl Stages {
             let tile = padded(count.div_ceil(count.div_ceil(limit)));
             self.batch.next.write(0, &vec![0; count.div_ceil(tile)])?;
             for (turn, first) in (0..count).step_by(tile).enumerate() {
-                let images = padded(tile.min(count - first));
+                let images = tile.min(count - first);
                 self.pupil_field(first, images)?;
                 match workers {
                     Some(workers) => self.focus(turn, first, images, workers)?,
@@ -312,8 +312,8 @@ impl Stages {
     /// The focal fields of at most a tile of images, folded.
     pub fn focal(&mut self, count: usize, turns: &[f64], phasors: &[f64]) -> Result<Vec<f64>> {
         self.write_inputs(count, turns, phasors)?;
-        self.pupil_field(0, padded(count))?;
-        self.transform(padded(count))?;
+        self.pupil_field(0, count)?;
+        self.transform(count)?;
         let mut focal = vec![0.0; count * self.shape.pixels() * 2];
         self.scratch.focal.read(0, &mut focal)?;
         Ok(focal)
@@ -324,8 +324,11 @@ impl Stages {
         self.batch.segment_phasor.write(0, &phasors[..images * self.counts.segments * 2])
     }
 
+    // Kernels that carry GROUP images together take whole groups: what they compute beyond `images` is of leftovers of an
+    // earlier tile (or zeros), and nothing reads it.
+
     fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
-        let k = &mut self.kernels.pupil_field;
+        let (images, k) = (padded(images), &mut self.kernels.pupil_field);
         k.int("first", first)?.int("images", images)?;
         k.launch([self.counts.blocks, self.cut.group_items.min(images / GROUP), 1])
     }
@@ -362,12 +365,13 @@ impl Stages {
     }
 
     fn gradient(&mut self, first: usize, images: usize) -> Result<()> {
-        let (cut, k) = (&self.cut, &mut self.kernels);
+        let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
         k.pupil_gradient.launch([cut.block_items, images, 1])?;
-        let groups = cut.group_items.min(images / GROUP);
-        k.project_modes.int("images", images)?.launch([self.counts.mode_groups, self.counts.chunks, groups])?;
-        let groups = cut.segment_items.min(images / GROUP);
-        k.project_segments.int("images", images)?.launch([self.counts.segments, groups, 1])?;
+        let groups = images.div_ceil(GROUP);
+        k.project_modes.int("images", groups * GROUP)?;
+        k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(cut.group_items)])?;
+        k.project_segments.int("images", groups * GROUP)?;
+        k.project_segments.launch([counts.segments, groups.min(cut.segment_items), 1])?;
         k.collect.int("first", first)?.launch([cut.output_items, images, 1])
     }
 }
