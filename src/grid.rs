@@ -20,9 +20,7 @@ impl Grid {
             return Err(Error::Value("a pupil grid of 0 samples is empty: at least 1 is needed".into()));
         }
         if !(width_m.is_finite() && width_m > 0.0) {
-            return Err(Error::Value(format!(
-                "a pupil grid {width_m} m wide is impossible: a positive width is needed"
-            )));
+            return Err(Error::Value(format!("a pupil grid {width_m} m wide is impossible: a positive width is needed")));
         }
         Ok(Self { samples, width_m })
     }
