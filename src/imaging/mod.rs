@@ -1,3 +1,4 @@
+<<<<<<< HEAD
 //! From mode coefficients to a likelihood and its exact gradient, stage by stage.
 //!
 //! ```text
@@ -23,3 +24,8 @@ pub use phasor::Polynomial;
 
 #[cfg(test)]
 mod tests;
+=======
+//! (under construction)
+
+pub mod gpu;
+>>>>>>> device
