@@ -53,7 +53,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         .map_err(|error| Error::file(path, format_args!("compared with {}: {error}", truth_path.display())))?;
     let [phasing, ncpa, wavefront] = residual.rms_nm;
     if arguments.json {
-        let summary = Summary { phasing_residual_nm: phasing, ncpa_residual_nm: ncpa, wavefront_residual_nm: wavefront };
+        let summary =
+            Summary { phasing_residual_nm: phasing, ncpa_residual_nm: ncpa, wavefront_residual_nm: wavefront };
         return terminal.json(&summary);
     }
     let row = |name: &str, nm: f64| format!("{name:<12}{nm:>16.3}\n");

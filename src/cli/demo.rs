@@ -10,11 +10,11 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
   cophase demo -o demo-output
-  cophase demo -o demo-output --seed 7            another draw of aberrations and noise
+  cophase demo -o demo-output --seed 7    other aberrations, other noise
 
-It is the same as
-  cophase image keck-artificial -o demo-output/images.fits
-  cophase estimate demo-output/images.fits -o demo-output/est.fits --plot demo-output/est.png";
+It does what these two commands do, in the folder:
+  cophase image keck-artificial -o images.fits
+  cophase estimate images.fits -o est.fits --plot est.png";
 
 /// Make an image of a star with a segmented telescope, estimate from it, draw the result
 #[derive(clap::Args)]
@@ -43,13 +43,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let scene = Scene::preset("keck-artificial")?.with_override("aberrations.seed", &arguments.seed.to_string())?;
     image::make_file(&scene, &images, terminal, &interrupt)?;
     let made = io::read_images(&images, None)?;
-    let job = Job {
-        name: &images,
-        scene,
-        read_noise_e: made.read_noise_e,
-        images: made,
-        truth: files::truth(&images)?,
-    };
+    let job =
+        Job { name: &images, scene, read_noise_e: made.read_noise_e, images: made, truth: files::truth(&images)? };
     let found = job.run(terminal, &interrupt)?;
     found.write(&estimate, Some(&picture))?;
     found.tell(arguments.json, false, terminal)?;

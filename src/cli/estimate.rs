@@ -13,9 +13,9 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
-  cophase estimate images.fits -o est.fits                          an image that 'cophase image' made
+  cophase estimate images.fits -o est.fits      from what 'cophase image' made
   cophase estimate nirc2.fits --scene scene.toml -o est.fits --plot est.png
-  cophase estimate images.fits -o paper.fits --optimizer bfgs       the way of the paper
+  cophase estimate images.fits -o paper.fits --optimizer bfgs
 
 Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension. Pixels \
 that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
@@ -43,7 +43,7 @@ pub struct Arguments {
     /// Also draw the result
     #[arg(long, value_name = "FILE.png|svg")]
     plot: Option<PathBuf>,
-    /// Where to run: auto, cpu, opencl or opencl:P:D (see 'cophase devices')
+    /// Where to run: auto, cpu, opencl or opencl:P:D, as 'cophase devices' lists them
     #[arg(long, value_parser = device)]
     device: Option<String>,
     /// Precision of the imaging model
@@ -95,7 +95,8 @@ impl Arguments {
         let scene = match &self.scene {
             Some(name) => files::scene(name)?,
             None => files::embedded_scene(&self.images)?.ok_or_else(|| {
-                let reason = "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
+                let reason =
+                    "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
                 Error::file(&self.images, reason)
             })?,
         };
@@ -154,7 +155,8 @@ impl<'a> Job<'a> {
         let estimate = {
             let wait = terminal.wait(&format!("Fitting {}", report::counted(count, "image")), count);
             let (data, bad) = (images.data.view(), images.bad.view());
-            estimator.estimate(&mut chain, data, bad, read_noise_e, Some(interrupt.flag()), &mut |done, _| wait.done(done))
+            estimator
+                .estimate(&mut chain, data, bad, read_noise_e, Some(interrupt.flag()), &mut |done, _| wait.done(done))
         };
         let estimate = estimate.map_err(files::about(name))?;
         interrupt.check("the images were fitted, nothing was written")?;

@@ -73,7 +73,8 @@ pub fn rows(model: &Model, estimate: &Estimate, residual: Option<&Residual>) -> 
 /// and G the products over the pupil of the modes with piston, tip and tilt removed, as in the residual.
 fn error_bars(model: &Model, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
     let pupil = &model.telescope.pupil;
-    let lit: Vec<(usize, usize)> = pupil.amplitude.indexed_iter().filter(|(_, a)| **a > 0.0).map(|(at, _)| at).collect();
+    let lit: Vec<(usize, usize)> =
+        pupil.amplitude.indexed_iter().filter(|(_, a)| **a > 0.0).map(|(at, _)| at).collect();
     let modes = model.basis.len();
     let mut samples = Array2::zeros((modes, lit.len()));
     for (mode, mut row) in model.basis.maps().outer_iter().zip(samples.outer_iter_mut()) {

@@ -52,7 +52,9 @@ pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
     }
     let text = file.text_column("SCENE", "LINE")?.join("\n") + "\n";
     let directory = path.parent().unwrap_or(Path::new(""));
-    Scene::from_text(&text, directory).map(Some).map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
+    Scene::from_text(&text, directory)
+        .map(Some)
+        .map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
 }
 
 /// `scene` with the full names of its files, so that its text means the same wherever it is kept.

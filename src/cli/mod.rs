@@ -25,11 +25,11 @@ const ABOUT: &str = "Reads defocused images of a star; says what the mirror segm
 adaptive optics, do to the wavefront: in nm, with error bars.";
 
 const FIRST_STEPS: &str = "First steps:
-  cophase demo -o demo-output                     an image, its estimate and a picture, in seconds
-  cophase scene keck-artificial > scene.toml      a documented scene to edit
-  cophase image scene.toml -o images.fits         a simulated image with its truth
-  cophase estimate images.fits -o est.fits        phasing and NCPA maps from it
-  cophase compare est.fits --truth images.fits    how far they are from the truth
+  cophase demo -o demo-output                   an image, an estimate, a picture
+  cophase scene keck-artificial > scene.toml    a documented scene to edit
+  cophase image scene.toml -o images.fits       a simulated image with its truth
+  cophase estimate images.fits -o est.fits      phasing and NCPA maps from it
+  cophase compare est.fits --truth images.fits  how far they are from the truth
 
 Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 130 stopped by Ctrl-C.";
 
@@ -40,7 +40,7 @@ pub struct Cli {
     #[command(subcommand)]
     verb: Verb,
     /// Print errors only (and what --json asks for)
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, display_order = 900)]
     quiet: bool,
 }
 

@@ -27,7 +27,8 @@ pub fn picture(
         estimate: estimate.clone(),
         truth: truth.map(|(truth, _)| truth.clone()),
         residual: truth.map(|(_, residual)| residual.clone()),
-        sigma: Some(sigma.clone()),
+        // Beside a residual only a figure would be left of it: the subtitle has the one that the table has.
+        sigma: truth.is_none().then(|| sigma.clone()),
         width_m: pupil.grid.width_m(),
     };
     let phasing = known.map(|(truth, residual)| (&truth.phasing_nm, &residual.phasing_nm));
@@ -71,12 +72,19 @@ fn bars(model: &Model, estimate: &Estimate, truth: Option<&Truth>) -> ModalBars 
         Group::Ncpa => ModeGroup::Ncpa,
     };
     ModalBars {
-        names: model.basis.names().to_vec(),
+        names: model.basis.names().iter().map(|name| short(name)).collect(),
         groups: model.basis.groups().iter().map(group).collect(),
         estimate_nm: estimate.combined.coefficients_nm.clone(),
         sigma_nm: estimate.combined.sigma_nm(),
         truth_nm: truth.map(|truth| true_coefficients(model, truth)),
     }
+}
+
+/// `segment-07-piston` as `piston 7`: the picture makes the words before the numbers the label of the axis.
+fn short(name: &str) -> String {
+    let parts = name.strip_prefix("segment-").and_then(|rest| rest.split_once('-'));
+    let numbered = parts.and_then(|(number, motion)| Some((number.parse::<usize>().ok()?, motion)));
+    numbered.map_or_else(|| name.to_string(), |(number, motion)| format!("{motion} {number}"))
 }
 
 /// Each mode's part in the truth, nm: its product with the true map over the pupil, over that with itself. That is the
@@ -87,7 +95,8 @@ fn true_coefficients(model: &Model, truth: &Truth) -> Vec<f64> {
     let maps = model.basis.maps();
     let groups = model.basis.groups();
     let orthogonal = |group: Group| {
-        let of_group: Vec<_> = maps.outer_iter().zip(groups).filter(|(_, g)| **g == group).map(|(map, _)| map).collect();
+        let of_group: Vec<_> =
+            maps.outer_iter().zip(groups).filter(|(_, g)| **g == group).map(|(map, _)| map).collect();
         // Next to each other is where a basis that is not orthogonal shows: as good as all pairs, at their root's cost.
         of_group.windows(2).all(|pair| {
             let scale = product(pupil, pair[0], pair[0]) * product(pupil, pair[1], pair[1]);

@@ -102,7 +102,8 @@ pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
             estimate.images.iter().enumerate().filter(|(_, image)| image.status.word() == word).collect();
         let several = estimate.images.len() > 1;
         for (index, image) in concerned.iter().take(NAMED_IMAGES) {
-            let which = if several { format!(" image {} of {}", index + 1, estimate.images.len()) } else { String::new() };
+            let which =
+                if several { format!(" image {} of {}", index + 1, estimate.images.len()) } else { String::new() };
             sentences.extend(about_image(image).map(|sentence| format!("{name}{which}: {sentence}")));
         }
         if concerned.len() > NAMED_IMAGES {

@@ -5,9 +5,9 @@ use cophase::Result;
 use cophase::scene::{self, Scene};
 
 const EXAMPLES: &str = "Examples:
-  cophase scene                                   the names of the presets
-  cophase scene keck-artificial > scene.toml      one of them, to edit
-  cophase scene --reference                       every key: what it is, what is accepted, its default";
+  cophase scene                                 the names of the presets
+  cophase scene keck-artificial > scene.toml    one of them, to edit
+  cophase scene --reference                     every key, with its default";
 
 /// Print a documented scene, or list those that come with the program
 #[derive(clap::Args)]
