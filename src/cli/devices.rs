@@ -1,0 +1,88 @@
+//! `cophase devices`: what a chain can run on here; and the one place where a choice becomes a chain.
+
+use super::terminal::Terminal;
+use cophase::imaging::{self, Chain, Optics};
+use cophase::scene::{DeviceChoice, Precision};
+use cophase::{Error, Result};
+use serde::Serialize;
+use std::sync::Arc;
+
+const EXAMPLES: &str = "Examples:
+  cophase devices
+  cophase estimate images.fits -o est.fits --device cpu
+
+The first column is what 'cophase estimate --device' takes.";
+
+/// What this program says where OpenCL is not part of it.
+const WITHOUT_OPENCL: &str = "OpenCL is not built into this program: the CPU chain runs everything.";
+
+/// List what an estimate can run on here
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Print the list as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// One line of the list.
+#[derive(Serialize)]
+struct Listed {
+    /// As `--device` takes it.
+    device: String,
+    name: String,
+    /// Threads of a CPU, compute units of a device.
+    units: usize,
+    f64: bool,
+}
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let (devices, advice) = list();
+    if arguments.json {
+        return terminal.json(&devices);
+    }
+    for Listed { device, name, units, f64 } in &devices {
+        let precision = if *f64 { "f32 and f64" } else { "f32" };
+        let units = super::report::counted(*units, if device == "cpu" { "thread" } else { "compute unit" });
+        terminal.print(&format!("{device:<12}  {name}, {units}, {precision}\n"))?;
+    }
+    match advice {
+        Some(sentence) => terminal.show(&format!("{sentence}\n")),
+        None => Ok(()),
+    }
+}
+
+/// Everything that is here, and what to do where that is little.
+///
+/// OPENCL: the devices of the room `device` join the list here, and its sentence replaces the constant.
+fn list() -> (Vec<Listed>, Option<String>) {
+    let units = std::thread::available_parallelism().map_or(1, usize::from);
+    let cpu = Listed { device: "cpu".into(), name: processor(), units, f64: true };
+    (vec![cpu], Some(WITHOUT_OPENCL.into()))
+}
+
+/// Opens the chain that `choice` means here.
+///
+/// OPENCL: the device's chain is opened here.
+///
+/// # Errors
+/// [`Error::Device`] where the choice is not here.
+pub fn open_chain(choice: DeviceChoice, precision: Precision, optics: Arc<Optics>) -> Result<Chain> {
+    let precision = match precision {
+        Precision::F32 => imaging::Precision::F32,
+        Precision::F64 => imaging::Precision::F64,
+    };
+    match choice {
+        DeviceChoice::Auto | DeviceChoice::Cpu => Ok(Chain::cpu(optics, precision)),
+        DeviceChoice::OpenCl | DeviceChoice::OpenClDevice { .. } => {
+            Err(Error::Device("OpenCL is not built into this program: --device cpu or auto is accepted".into()))
+        }
+    }
+}
+
+/// What Linux calls the processor; its architecture elsewhere.
+fn processor() -> String {
+    let table = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let name = table.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':').map(|(_, name)| name));
+    name.map_or_else(|| std::env::consts::ARCH.into(), |name| name.trim().to_string())
+}
