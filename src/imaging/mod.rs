@@ -1,4 +1,3 @@
-<<<<<<< HEAD
 //! From mode coefficients to a likelihood and its exact gradient, stage by stage.
 //!
 //! ```text
@@ -13,6 +12,7 @@ pub mod chain;
 pub mod cpu;
 mod detector;
 mod field;
+pub mod gpu;
 mod optics;
 mod phasor;
 
@@ -24,8 +24,3 @@ pub use phasor::Polynomial;
 
 #[cfg(test)]
 mod tests;
-=======
-//! (under construction)
-
-pub mod gpu;
->>>>>>> device

@@ -35,6 +35,14 @@ impl GpuChain {
         match *self {}
     }
 
+    /// Replaces one image.
+    ///
+    /// # Errors
+    /// Never: there is no chain to call it on.
+    pub fn replace(&mut self, _: usize, _: &[f64], _: &[f64], _: GpuPhotometry) -> Result<()> {
+        match *self {}
+    }
+
     /// Objective, gradient and photometry.
     ///
     /// # Errors

@@ -101,6 +101,27 @@ impl GpuChain {
         Ok(())
     }
 
+    /// Replaces one image that is loaded, as [`GpuChain::load`] brought it.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::load`], and [`Error::Shape`] where there is no such image.
+    pub fn replace(&mut self, image: usize, data: &[f64], weights: &[f64], photometry: GpuPhotometry) -> Result<()> {
+        let (m, loaded) = (self.layout.pixels, self.photometry.len());
+        if image >= loaded {
+            return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+        }
+        if data.len() != m * m || weights.len() != m * m {
+            let (data, weights) = (data.len(), weights.len());
+            return Err(Error::Shape(format!("{data} data and {weights} weights are not an image of {m} x {m} pixels")));
+        }
+        let folded = Folded::new(&self.shape, m, data, weights, &photometry)
+            .map_err(|what| Error::Value(format!("image {image} {what}")))?;
+        self.stages.load(image, &folded)?;
+        self.offsets[image] = folded.offset;
+        self.photometry[image] = photometry;
+        Ok(())
+    }
+
     /// Objective, gradient and photometry of the images `active` (indices into what was loaded) at `coefficients`, nm,
     /// `[active image][mode]`.
     ///
