@@ -190,9 +190,9 @@ fn our_default_is_at_least_as_close_to_the_truth() {
                     (mine, golden)
                 });
         for (mine, golden) in residuals {
-            // Where the golden basis spans the truth, both sit on the noise of this one image; tip, tilt and focus more,
-            // flux and background fitted, may move either way by a small part of it: a hundredth is allowed.
-            assert!(mine < 1.01 * golden, "{name}: {mine} against {golden}");
+            // Where the golden basis spans the truth, both sit on the noise of this one image: even a little fitted
+            // too much (twenty modes: 4 %) would show.
+            assert!(mine <= golden, "{name}: {mine} against {golden}");
         }
         // Where it does not, the larger basis is found by itself.
         assert_eq!(ours.model().optics.modes() > 110, name.starts_with("zern"));

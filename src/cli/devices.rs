@@ -3,7 +3,8 @@
 use super::terminal::Terminal;
 use cophase::imaging::{self, Chain, Optics};
 use cophase::scene::{DeviceChoice, Precision};
-use cophase::{Error, Result};
+use cophase::Result;
+use cophase::device::{self, Choice};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -12,9 +13,6 @@ const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o est.fits --device cpu
 
 The first column is what 'cophase estimate --device' takes.";
-
-/// What this program says where OpenCL is not part of it.
-const WITHOUT_OPENCL: &str = "OpenCL is not built into this program: the CPU chain runs everything.";
 
 /// List what an estimate can run on here
 #[derive(clap::Args)]
@@ -53,31 +51,38 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
 }
 
 /// Everything that is here, and what to do where that is little.
-///
-/// OPENCL: the devices of the room `device` join the list here, and its sentence replaces the constant.
 fn list() -> (Vec<Listed>, Option<String>) {
     let units = std::thread::available_parallelism().map_or(1, usize::from);
-    let cpu = Listed { device: "cpu".into(), name: processor(), units, f64: true };
-    (vec![cpu], Some(WITHOUT_OPENCL.into()))
+    let mut listed = vec![Listed { device: "cpu".into(), name: processor(), units, f64: true }];
+    let present = match device::devices() {
+        Ok(present) => present,
+        Err(error) => return (listed, Some(error.to_string())),
+    };
+    listed.extend(present.iter().map(|info| Listed {
+        device: info.address(),
+        name: format!("{} ({})", info.name.trim(), info.platform_name.trim()),
+        units: info.compute_units as usize,
+        f64: info.f64,
+    }));
+    (listed, device::advice(&present).map(String::from))
 }
 
-/// Opens the chain that `choice` means here.
-///
-/// OPENCL: the device's chain is opened here.
+/// Opens the chain that `choice` means here, with room for `capacity` images.
 ///
 /// # Errors
-/// [`Error::Device`] where the choice is not here.
-pub fn open_chain(choice: DeviceChoice, precision: Precision, optics: Arc<Optics>) -> Result<Chain> {
+/// [`cophase::Error::Device`] where the choice is not here.
+pub fn open_chain(choice: DeviceChoice, precision: Precision, optics: Arc<Optics>, capacity: usize) -> Result<Chain> {
     let precision = match precision {
         Precision::F32 => imaging::Precision::F32,
         Precision::F64 => imaging::Precision::F64,
     };
-    match choice {
-        DeviceChoice::Auto | DeviceChoice::Cpu => Ok(Chain::cpu(optics, precision)),
-        DeviceChoice::OpenCl | DeviceChoice::OpenClDevice { .. } => {
-            Err(Error::Device("OpenCL is not built into this program: --device cpu or auto is accepted".into()))
-        }
-    }
+    let choice = match choice {
+        DeviceChoice::Auto => Choice::Auto,
+        DeviceChoice::Cpu => Choice::Cpu,
+        DeviceChoice::OpenCl => Choice::OpenCl,
+        DeviceChoice::OpenClDevice { platform, device } => Choice::OpenClAt(platform, device),
+    };
+    Chain::open(optics, choice, precision, capacity)
 }
 
 /// What Linux calls the processor; its architecture elsewhere.

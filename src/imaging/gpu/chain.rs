@@ -112,7 +112,9 @@ impl GpuChain {
         }
         if data.len() != m * m || weights.len() != m * m {
             let (data, weights) = (data.len(), weights.len());
-            return Err(Error::Shape(format!("{data} data and {weights} weights are not an image of {m} x {m} pixels")));
+            return Err(Error::Shape(format!(
+                "{data} data and {weights} weights are not an image of {m} x {m} pixels"
+            )));
         }
         let folded = Folded::new(&self.shape, m, data, weights, &photometry)
             .map_err(|what| Error::Value(format!("image {image} {what}")))?;
