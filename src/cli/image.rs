@@ -14,7 +14,7 @@ use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
   cophase image keck-artificial -o images.fits
-  cophase image scene.toml -o faint.fits --set image.peak_snr=50 --set image.count=20 --seed 7
+  cophase image scene.toml -o faint.fits --set image.peak_snr=50 --seed 7
 
 The file holds the images (IMAGES, electrons), what they were made with (TRUTH_PHASING and TRUTH_NCPA, nm; \
 table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimate' needs nothing else.";
