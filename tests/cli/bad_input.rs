@@ -27,7 +27,8 @@ fn files_that_are_not_there_or_not_fits() {
 #[test]
 fn images_that_hold_no_star() {
     let desk = Desk::with_images(&[]);
-    let bad: [(&str, fn(f64) -> f64, &str); 5] = [
+    type Edit = fn(f64) -> f64;
+    let bad: [(&str, Edit, &str); 5] = [
         ("zero.fits", |_| 0.0, "constant"),
         ("constant.fits", |_| 7.5, "7.5"),
         ("nan.fits", |_| f64::NAN, "no good pixel"),
@@ -59,7 +60,7 @@ fn images_and_masks_of_the_wrong_size() {
 
 #[test]
 fn scenes_that_cannot_be() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     let scenes = [
         ("[pupil]", "[pupil]\nsegment_gap_m = 2.0", "segment_gap_m = 2"),
         ("[pupil]", "[pupil]\ncentral_obscuration_m = 50.0", "hides the whole pupil"),
@@ -83,6 +84,15 @@ fn scenes_that_cannot_be() {
     let arguments: Vec<&str> = ["image", "scene.toml", "-o", "new.fits"].into_iter().chain(settings).collect();
     desk.refuses(&[&arguments[..], &["--set", "pupil.grid_m=5"]].concat(), &["missing-pupil.fits"]);
     desk.refuses(&["image", "scene.toml", "-o", "new.fits", "--set", "image.pixel=32"], &["did you mean 'pixels'?"]);
+}
+
+#[test]
+fn a_sequence_larger_than_any_memory() {
+    let desk = Desk::with_scene();
+    // 1.3 PB: beyond the address space that an allocator hands out on trust.
+    let settings = ["--set", "image.count=1000000", "--set", "image.pixels=8192"];
+    let arguments: Vec<&str> = ["image", "scene.toml", "-o", "new.fits"].into_iter().chain(settings).collect();
+    desk.refuses(&arguments, &["GiB", "image.count"]);
 }
 
 #[test]
@@ -145,7 +155,7 @@ fn a_full_disk_leaves_what_was_there() {
 
 #[test]
 fn a_stdout_that_cannot_be_written_is_said() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
     let output = desk.command(&["scene", "--reference"]).stdout(full).stderr(Stdio::piped()).output().unwrap();
     Done::from(output).failed(&["scene", "--reference"], &["stdout", "cannot be written"]);
@@ -165,6 +175,7 @@ fn bad_usage_is_status_2() {
         (&["estimate", "images.fits", "-o", "e.fits", "--method", "full-phase"], "modal"),
         (&["image", "scene.toml", "-o", "e.fits", "--set", "image.pixels"], "section.key=value"),
         (&["image", "scene.toml", "-o", "e.fits", "--seed", "-1"], "-1"),
+        (&["image", "scene.toml", "-o", "e.fits", "--seed", "9223372036854775808"], "9223372036854775807"),
         (&["scene", "keck-onsky", "--reference"], "--reference"),
     ] {
         let done = desk.run(arguments);

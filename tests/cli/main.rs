@@ -52,7 +52,8 @@ pub struct Done {
 }
 
 impl Desk {
-    pub fn new() -> Self {
+    /// A desk with nothing but the scene.
+    pub fn with_scene() -> Self {
         let desk = Self { folder: tempfile::tempdir().unwrap() };
         std::fs::write(desk.path("scene.toml"), SMALL).unwrap();
         desk
@@ -60,7 +61,7 @@ impl Desk {
 
     /// A desk with `images.fits`, made from the scene with `settings`.
     pub fn with_images(settings: &[&str]) -> Self {
-        let desk = Self::new();
+        let desk = Self::with_scene();
         let set = settings.iter().flat_map(|setting| ["--set", setting]);
         let arguments: Vec<&str> = ["image", "scene.toml", "-o", "images.fits"].into_iter().chain(set).collect();
         desk.succeeds(&arguments);

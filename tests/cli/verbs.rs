@@ -108,7 +108,7 @@ fn images_hold_what_their_cards_say() {
 
 #[test]
 fn seeds_and_settings_change_what_they_should() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     let image = |name: &str, options: &[&str]| {
         let arguments: Vec<&str> = ["image", "scene.toml", "-q", "-o", name].iter().chain(options).copied().collect();
         assert_eq!(desk.succeeds(&arguments).out, "");
@@ -144,7 +144,7 @@ fn the_command_line_goes_before_the_file() {
 
 #[test]
 fn a_scene_names_its_files_relative_to_itself_and_the_images_remember_them() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     std::fs::create_dir(desk.path("there")).unwrap();
     let mut file = cophase::io::FitsWriter::create(desk.path("there/ncpa.fits")).unwrap();
     let map = ndarray::Array2::from_shape_fn((64, 64), |(y, x)| x as f64 - 0.02 * (y as f64 - 31.5).powi(2));
@@ -162,7 +162,7 @@ fn a_scene_names_its_files_relative_to_itself_and_the_images_remember_them() {
 /// The README's first command, on the scene of the paper.
 #[test]
 fn the_demonstration_goes_from_nothing_to_a_picture() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     let json = desk.json(&["demo", "-o", "new/folder", "--json"]);
     assert_eq!((&json["used"], &json["status"]), (&1.into(), &"ok".into()));
     let [phasing, ncpa, _] = desk.residuals("new/folder/est.fits", "new/folder/images.fits");
@@ -174,7 +174,7 @@ fn the_demonstration_goes_from_nothing_to_a_picture() {
 
 #[test]
 fn presets_are_printed_listed_and_usable_by_name() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     let list = desk.succeeds(&["scene"]).out;
     for name in Scene::preset_names() {
         assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
@@ -193,7 +193,7 @@ fn presets_are_printed_listed_and_usable_by_name() {
 
 #[test]
 fn devices_are_listed() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     let list = desk.json(&["devices", "--json"]);
     let cpu = list.as_array().unwrap().iter().find(|device| device["device"] == "cpu").unwrap();
     assert!(number(cpu, "units") >= 1.0 && cpu["f64"] == true && cpu["name"].as_str().is_some_and(|n| !n.is_empty()));
@@ -212,7 +212,7 @@ fn quiet_is_quiet() {
 
 #[test]
 fn every_verb_helps_with_an_example() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     for verb in ["scene", "image", "estimate", "compare", "devices", "demo"] {
         let help = desk.succeeds(&[verb, "--help"]).out;
         assert!(help.contains("Example") && help.contains(&format!("  cophase {verb}")), "{verb}: {help}");
@@ -226,7 +226,7 @@ fn every_verb_helps_with_an_example() {
 
 #[test]
 fn a_reader_that_leaves_early_is_no_failure() {
-    let desk = Desk::new();
+    let desk = Desk::with_scene();
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);
     let output = desk.command(&["scene", "--reference"]).stdout(writer).stderr(Stdio::piped()).output().unwrap();
