@@ -24,7 +24,7 @@ pub struct Arguments {
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
     /// Seed of the aberrations and of the noise
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, value_parser = super::files::seed())]
     seed: u64,
     /// Print the result as JSON
     #[arg(long)]

@@ -153,10 +153,16 @@ impl<'a> Job<'a> {
         interrupt.check("the model was built, no image was fitted")?;
         let count = images.data.dim().0;
         let estimate = {
-            let wait = terminal.wait(&format!("Fitting {}", report::counted(count, "image")), count);
+            let images_in_words = report::counted(count, "image");
+            let wait = terminal.wait(&format!("Fitting {images_in_words}"), count);
+            let mut watch = |done: usize, all: usize| {
+                wait.done(done);
+                if done == all {
+                    wait.then(&format!("Error bars of {images_in_words}"));
+                }
+            };
             let (data, bad) = (images.data.view(), images.bad.view());
-            estimator
-                .estimate(&mut chain, data, bad, read_noise_e, Some(interrupt.flag()), &mut |done, _| wait.done(done))
+            estimator.estimate(&mut chain, data, bad, read_noise_e, Some(interrupt.flag()), &mut watch)
         };
         let estimate = estimate.map_err(files::about(name))?;
         interrupt.check("the images were fitted, nothing was written")?;

@@ -18,6 +18,11 @@ fn setting(text: &str) -> Result<(String, String)> {
     split_setting(text).map(|(key, value)| (key.to_string(), value.to_string()))
 }
 
+/// What `--seed` takes: what an integer of a scene can hold.
+pub fn seed() -> impl clap::builder::TypedValueParser<Value = u64> {
+    clap::value_parser!(u64).range(..=i64::MAX as u64)
+}
+
 impl Settings {
     /// `scene` with these settings, and after them those of other options.
     pub fn apply(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
   cophase image keck-artificial -o images.fits
-  cophase image scene.toml -o faint.fits --set image.peak_snr=50 --set image.count=20 --seed 7
+  cophase image scene.toml -o faint.fits --set image.peak_snr=50 --seed 7
 
 The file holds the images (IMAGES, electrons), what they were made with (TRUTH_PHASING and TRUTH_NCPA, nm; \
 table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimate' needs nothing else.";
@@ -31,7 +31,7 @@ pub struct Arguments {
     #[command(flatten)]
     settings: Settings,
     /// Seed of the aberrations and of the noise [default: aberrations.seed of the scene]
-    #[arg(long)]
+    #[arg(long, value_parser = super::files::seed())]
     seed: Option<u64>,
     /// Print what was made as JSON
     #[arg(long)]
@@ -75,6 +75,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
 /// Makes the images of `scene` and writes them.
 fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<Made> {
     let started = Instant::now();
+    check_memory(scene)?;
     let made = {
         let _wait = terminal.wait(&format!("Making {}", super::report::counted(scene.image.count, "image")), 1);
         source::images(scene)?
@@ -90,6 +91,22 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
         phasing_rms_nm: rms(&made.truth.phasing_nm)?,
         ncpa_rms_nm: rms(&made.truth.ncpa_nm)?,
         seconds: started.elapsed().as_secs_f64(),
+    })
+}
+
+/// Refuses a sequence that the memory cannot hold, where the allocator knows that it cannot.
+fn check_memory(scene: &Scene) -> Result<()> {
+    /// The image in double precision, and three copies in single while the file is put together.
+    const BYTES_PER_PIXEL: usize = 8 + 3 * 4;
+    let (count, pixels) = (scene.image.count, scene.image.pixels);
+    let bytes = count.saturating_mul(pixels * pixels).saturating_mul(BYTES_PER_PIXEL);
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
+        let gib = bytes as f64 / (1u64 << 30) as f64;
+        let images = super::report::counted(count, "image");
+        Error::Value(format!(
+            "{images} of {pixels}x{pixels} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
+             image.count or image.pixels"
+        ))
     })
 }
 

@@ -1,7 +1,7 @@
 //! What a person sees: results on stdout, messages and progress on stderr.
 
 use cophase::{Error, Result};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::mpsc;
 use std::thread::JoinHandle;
@@ -9,6 +9,9 @@ use std::time::Duration;
 
 /// Nothing shorter than this deserves a progress bar.
 const PATIENCE: Duration = Duration::from_secs(1);
+
+const BAR: &str = "{msg} {wide_bar} {pos}/{len}  {rate}  {eta} left";
+const CLOCK: &str = "{spinner} {msg}  {elapsed}";
 
 /// Where a verb speaks.
 pub struct Terminal {
@@ -52,17 +55,20 @@ impl Terminal {
     /// Shows that `what` takes its time: a bar with rate and time left where `steps` is more than one, else a clock.
     pub fn wait(&self, what: &str, steps: usize) -> Wait {
         let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
-        let template = if steps > 1 {
-            "{msg} {wide_bar} {pos}/{len}  {per_sec}  {eta} left"
-        } else {
-            "{spinner} {msg}  {elapsed}"
-        };
-        // Both templates are constants that indicatif accepts; its own style is the answer if one day it does not.
-        bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
+        bar.set_style(if steps > 1 { style(BAR) } else { style(CLOCK) });
         bar.set_message(what.to_string());
         let seen = !self.quiet && std::io::stderr().is_terminal();
         Wait { ticker: seen.then(|| Ticker::start(bar.clone())), bar }
     }
+}
+
+fn style(template: &str) -> ProgressStyle {
+    // Templates are constants that indicatif accepts; its own style is the answer if one day it does not.
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    style.with_key("rate", |state: &ProgressState, text: &mut dyn std::fmt::Write| {
+        // Writing into memory does not fail.
+        let _ = write!(text, "{:.1}/s", state.per_sec());
+    })
 }
 
 /// One line on stderr; a failure to write there cannot be told to anybody.
@@ -81,6 +87,12 @@ impl Wait {
     /// `done` steps are done.
     pub fn done(&self, done: usize) {
         self.bar.set_position(done as u64);
+    }
+
+    /// The steps are over, and `what` follows.
+    pub fn then(&self, what: &str) {
+        self.bar.set_style(style(CLOCK));
+        self.bar.set_message(what.to_string());
     }
 }
 
