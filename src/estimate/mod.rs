@@ -21,6 +21,7 @@ pub use combine::{Combined, Estimate, ImageReport, Status};
 pub use file::write;
 pub use fit::Watch;
 pub use model::Model;
+use model::OwnBasis;
 pub use prepare::{Frame, Preparation, Prepared};
 pub use recipe::Recipe;
 pub use select::{Cube, read};
@@ -56,7 +57,11 @@ impl Estimator {
     /// # Errors
     /// As [`Estimator::new`].
     pub fn with_recipe(scene: &Scene, recipe: Recipe, native: bool) -> Result<Self> {
-        let model = Model::of(scene, &recipe, native)?;
+        Self::with_own_basis(scene, recipe, native, &OwnBasis::default())
+    }
+
+    fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
+        let model = Model::with_own_basis(scene, &recipe, native, own)?;
         let judge = CpuChain::new(model.optics.clone());
         Ok(Self { scene: scene.clone(), recipe, model, judge })
     }

@@ -12,6 +12,7 @@ use crate::scene::{Crop, NcpaBasis, PupilModel, Sampling as Pixels, Scene, Segme
 use crate::telescope::{Diversity, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
+use std::cell::OnceCell;
 use std::sync::Arc;
 
 /// Spare samples on each side of the pupil in a band-limited model: the weights ring beyond the glass, and what rings
@@ -48,10 +49,15 @@ impl Model {
     /// # Errors
     /// Those of the rooms below, for files that cannot be read and bases that cannot be built.
     pub fn of(scene: &Scene, recipe: &Recipe, native: bool) -> Result<Self> {
+        Self::with_own_basis(scene, recipe, native, &OwnBasis::default())
+    }
+
+    /// As [`Model::of`], with the scene's own basis kept for other recipes of the same scene.
+    pub(super) fn with_own_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         let telescope = Telescope::of(scene)?;
         let diversity = Diversity::of(scene, &telescope.pupil)?;
         let pixels = PixelPlan::of(scene, recipe, native, &diversity, &telescope.pupil);
-        let set = ModeSet::of(scene, recipe, &telescope)?;
+        let set = ModeSet::of(scene, recipe, &telescope, own)?;
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
         let (grid, weights) = if band_limited {
             band_limited_weights(scene, &telescope, &pixels)?
@@ -248,7 +254,7 @@ struct ModeSet {
 }
 
 impl ModeSet {
-    fn of(scene: &Scene, recipe: &Recipe, telescope: &Telescope) -> Result<Self> {
+    fn of(scene: &Scene, recipe: &Recipe, telescope: &Telescope, own: &OwnBasis) -> Result<Self> {
         let pupil = &telescope.pupil;
         let segment = match scene.modes.segment {
             SegmentModes::None => None,
@@ -265,7 +271,7 @@ impl ModeSet {
             let (basis, dropped) = from_file(&scene.resolve(file), recipe.exact_zernikes, pupil)?;
             (Smooth::Maps(basis.maps().to_owned()), Some(basis), dropped)
         } else {
-            let (smooth, dropped) = functions(scene, recipe, telescope)?;
+            let (smooth, dropped) = functions(scene, recipe, telescope, own)?;
             let sampled = smooth.as_ref().map(|basis| basis.sampled(pupil)).transpose()?;
             (Smooth::Functions(smooth), sampled, dropped)
         };
@@ -283,18 +289,37 @@ impl ModeSet {
     }
 }
 
-/// Exact Zernikes first, then what the scene's basis adds to them; names keep the order.
-fn functions(scene: &Scene, recipe: &Recipe, telescope: &Telescope) -> Result<(Option<SmoothBasis>, Vec<String>)> {
-    let pupil = &telescope.pupil;
-    let count = scene.modes.ncpa_count;
-    let own = match &scene.modes.ncpa {
-        NcpaBasis::Kl => {
-            let turbulence = Telescope::turbulence(scene)?;
-            Some(modes::karhunen_loeve(&telescope.influence(scene)?, pupil, &turbulence, count)?.basis)
+/// The scene's own basis, which costs a second to build: made once for all recipes of a scene.
+#[derive(Default)]
+pub(super) struct OwnBasis(OnceCell<Option<SmoothBasis>>);
+
+impl OwnBasis {
+    fn of(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
+        if let Some(made) = self.0.get() {
+            return Ok(made.clone());
         }
-        NcpaBasis::Zernike => Some(modes::zernike_basis(2, count + 1, pupil)?),
-        NcpaBasis::None | NcpaBasis::File(_) => None,
-    };
+        let (pupil, count) = (&telescope.pupil, scene.modes.ncpa_count);
+        let made = match &scene.modes.ncpa {
+            NcpaBasis::Kl => {
+                let turbulence = Telescope::turbulence(scene)?;
+                Some(modes::karhunen_loeve(&telescope.influence(scene)?, pupil, &turbulence, count)?.basis)
+            }
+            NcpaBasis::Zernike => Some(modes::zernike_basis(2, count + 1, pupil)?),
+            NcpaBasis::None | NcpaBasis::File(_) => None,
+        };
+        Ok(self.0.get_or_init(|| made).clone())
+    }
+}
+
+/// Exact Zernikes first, then what the scene's basis adds to them; names keep the order.
+fn functions(
+    scene: &Scene,
+    recipe: &Recipe,
+    telescope: &Telescope,
+    own: &OwnBasis,
+) -> Result<(Option<SmoothBasis>, Vec<String>)> {
+    let (pupil, count) = (&telescope.pupil, scene.modes.ncpa_count);
+    let own = own.of(scene, telescope)?;
     let exact = match recipe.exact_zernikes {
         Zernikes::Span { first, last } => match &scene.modes.ncpa {
             // A Zernike basis that already reaches as far is exact as it is.

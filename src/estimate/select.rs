@@ -1,5 +1,6 @@
 //! Which basis the images ask for: the smallest that explains them.
 
+use super::model::OwnBasis;
 use super::{Estimate, Estimator, Recipe, Watch};
 use crate::Result;
 use crate::imaging::Chain;
@@ -41,8 +42,9 @@ pub fn read(
     let native = scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad);
     let mut best: Option<(Estimator, Estimate)> = None;
     let mut seconds = 0.0;
+    let own = OwnBasis::default();
     for recipe in Recipe::ladder(scene) {
-        let estimator = Estimator::with_recipe(scene, recipe, native)?;
+        let estimator = Estimator::with_own_basis(scene, recipe, native, &own)?;
         let mut chain = open(&estimator)?;
         let (images_e, bad) = (cube.images_e, cube.bad);
         let mut estimate = estimator.estimate(&mut chain, images_e, bad, cube.read_noise_e, cancel, watch)?;
