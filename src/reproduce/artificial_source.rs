@@ -184,6 +184,11 @@ impl ArtificialSource {
             series.push(one("phasing", |trial| trial.phasing_nm, Marker::Disc, 2 * colour));
             series.push(one("NCPA", |trial| trial.ncpa_nm, Marker::Diamond, 2 * colour + 1));
         }
+        // Unseen: room for the legend above the points.
+        let highest = self.ways.iter().flat_map(|result| result.phasing_nm().into_iter().chain(result.ncpa_nm()));
+        let highest = highest.fold(f64::MIN_POSITIVE, f64::max);
+        let unseen = SeriesStyle { stroke: Stroke::None, marker: Marker::None, colour: None };
+        series.push(Series { x: vec![1.0], y: vec![10.0 * highest], style: unseen, ..Default::default() });
         let [phasing, ncpa] = self.ways.last().map_or([f64::NAN; 2], WayResult::bound_nm);
         CurvePicture {
             title: "One image of an artificial source: residual of each draw".into(),
