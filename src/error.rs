@@ -1,6 +1,7 @@
 //! Every way to fail. A message is one sentence that names what was wrong, the value, and what is accepted; the numeric
 //! status of each kind lives here and only here (the C boundary reads it from here).
 
+use std::ffi::CStr;
 use std::path::{Path, PathBuf};
 
 /// What went wrong, in one sentence.
@@ -59,5 +60,44 @@ impl Error {
             Error::Interrupted(_) => 7,
             Error::Internal(_) => 8,
         }
+    }
+
+    /// The name of a status number in C, if there is such a failure.
+    pub fn status_name(status: i32) -> Option<&'static CStr> {
+        Some(match status {
+            1 => c"BAD_SCENE",
+            2 => c"BAD_FILE",
+            3 => c"BAD_SHAPE",
+            4 => c"BAD_VALUE",
+            5 => c"BAD_IMAGE",
+            6 => c"DEVICE",
+            7 => c"INTERRUPTED",
+            8 => c"INTERNAL",
+            _ => return None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_failure_has_a_number_and_a_name_of_its_own() {
+        let text = String::new;
+        let all = [
+            Error::Scene(text()),
+            Error::file("", ""),
+            Error::Shape(text()),
+            Error::Value(text()),
+            Error::Image(text()),
+            Error::Device(text()),
+            Error::Interrupted(text()),
+            Error::Internal(text()),
+        ];
+        let names: std::collections::HashSet<_> =
+            all.iter().map(|error| Error::status_name(error.status()).expect("a name")).collect();
+        assert_eq!(names.len(), all.len());
+        assert!(Error::status_name(0).is_none() && Error::status_name(9).is_none());
     }
 }

@@ -252,15 +252,22 @@ impl Diversity {
         }
     }
 
-    /// Steepest slope over the pupil, nm/m: it says how far the light spreads.
+    /// Steepest slope over the pupil, nm/m: it says how far the light spreads. Differences across the pupil's edge do not
+    /// count: a map may be anything outside.
     pub fn steepest_nm_m(&self, pupil: &Pupil) -> f64 {
-        let h = pupil.grid.pitch_m();
-        let lit = pupil.amplitude.indexed_iter().filter(|(_, a)| **a > 0.0).map(|(at, _)| at);
-        lit.map(|(y, x)| {
-            let (x, y) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
-            let slope = |dx: f64, dy: f64| (self.at(x + dx, y + dy) - self.at(x - dx, y - dy)) / (2.0 * h);
-            slope(h, 0.0).hypot(slope(0.0, h))
-        })
-        .fold(0.0, f64::max)
+        let (grid, last) = (&pupil.grid, pupil.grid.samples() - 1);
+        let lit = |y: usize, x: usize| pupil.amplitude[[y, x]] > 0.0;
+        let value = |y: usize, x: usize| self.at(grid.coordinate_m(x), grid.coordinate_m(y));
+        let mut steepest = 0.0f64;
+        for y in 1..last {
+            for x in 1..last {
+                if lit(y, x) && lit(y, x - 1) && lit(y, x + 1) && lit(y - 1, x) && lit(y + 1, x) {
+                    let along_x = value(y, x + 1) - value(y, x - 1);
+                    let along_y = value(y + 1, x) - value(y - 1, x);
+                    steepest = steepest.max(along_x.hypot(along_y) / (2.0 * grid.pitch_m()));
+                }
+            }
+        }
+        steepest
     }
 }

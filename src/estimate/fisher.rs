@@ -3,6 +3,8 @@
 use crate::Result;
 use crate::imaging::{CpuChain, Photometry};
 use crate::optimize::Metric;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, MatMut, MatRef, Par};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
 /// Eigenvalues below this fraction of the largest are null directions (global piston: exactly null up to rounding,
@@ -57,8 +59,7 @@ impl Sensitivity {
 
     /// Jᵀ W J, `[mode, mode]`, per nm².
     pub(super) fn fisher(&self) -> Array2<f64> {
-        let weighted = &self.jacobian * &self.weight;
-        weighted.dot(&self.jacobian.t())
+        gram(&(&self.jacobian * &self.weight), &self.jacobian)
     }
 
     /// Covariance of the modes, nm², for noise of `variance` (infinite where the weight is 0): F⁻¹ where the weights are
@@ -67,9 +68,23 @@ impl Sensitivity {
         let inverse = pseudo_inverse(&self.fisher())?;
         let spread = self.weight.iter().zip(variance).map(|(&w, &v)| if w > 0.0 { w * w * v } else { 0.0 });
         let spread: Array1<f64> = spread.collect();
-        let noise = (&self.jacobian * &spread).dot(&self.jacobian.t());
+        let noise = gram(&(&self.jacobian * &spread), &self.jacobian);
         Ok(inverse.dot(&noise).dot(&inverse))
     }
+}
+
+/// a·bᵀ of two `[mode, pixel]` arrays, at the speed of a vectorised matrix product.
+fn gram(a: &Array2<f64>, b: &Array2<f64>) -> Array2<f64> {
+    let (rows, pixels) = a.dim();
+    let mut product = Array2::zeros((rows, b.nrows()));
+    let columns = b.nrows();
+    if let (Some(a), Some(b), Some(out)) = (a.as_slice(), b.as_slice(), product.as_slice_mut()) {
+        let (a, b) = (MatRef::from_row_major_slice(a, rows, pixels), MatRef::from_row_major_slice(b, columns, pixels));
+        let out = MatMut::from_row_major_slice_mut(out, rows, columns);
+        matmul(out, Accum::Replace, a, b.transpose(), 1.0, Par::Seq);
+        return product;
+    }
+    a.dot(&b.t())
 }
 
 /// F⁻¹ in the directions that the data see.

@@ -13,6 +13,7 @@ use crate::optimize::{
 use crate::scene::{Optimizer, Weighting};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The minimum of one image.
@@ -29,9 +30,9 @@ pub(super) struct Minimum {
 /// What a caller sees while it waits: images done of all.
 pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
 
-/// How often the weights are renewed from the fitted model: each renewal moves the minimum by the second order of the
-/// last one's change, and the second is already below 1e-3 σ.
-const REWEIGHTINGS: usize = 2;
+/// Most often that the weights are renewed from the fitted model. Where the model is right two renewals settle it;
+/// where it misfits, each brings about a digit.
+const REWEIGHTINGS: usize = 8;
 /// Decrease of χ² that is left where a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. A finer step
 /// tolerance lowers it as its square.
 const DECREMENT: f64 = 1e-5;
@@ -104,20 +105,44 @@ fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()
     Ok(())
 }
 
-/// Coordinates in which the objective of a typical image looks round: the Gauss-Newton matrix of the flat wavefront,
-/// with the weights that such an image would have. Computed once for all images of a scene.
-fn metric(model: &Model, judge: &CpuChain<f64>, typical: &Prepared, recipe: &Recipe) -> Result<Metric> {
-    let zero = Array1::zeros(model.optics.modes());
-    let psf = judge.psf(zero.view());
-    let flux_e = typical.exposure.data_e.iter().zip(&typical.floor_variance_e2);
-    let flux_e: f64 = flux_e.filter(|(_, floor)| floor.is_finite()).map(|(d, _)| d).sum::<f64>().max(1.0);
-    // The metric and the cost must use the same kind of weights: mixing them loses the capture range.
-    let weight: Vec<f64> = match recipe.weighting {
-        Weighting::Noise => weights(&psf, flux_e, 0.0, &typical.floor_variance_e2),
-        Weighting::None => typical.exposure.weight.clone(),
-    };
-    let fisher = Sensitivity::at(judge, zero.view(), flux_e, &weight, typical.exposure.photometry).fisher();
-    Metric::from_gauss_newton(&fisher, NULL_FLOOR)
+/// Coordinates in which the objective looks round: the Gauss-Newton matrix of the flat wavefront, with the weights that
+/// an image of this brightness would have. Computed once for all images whose flux has the same power of two, which
+/// depends on each image alone: so a fit does not depend on what else is in the batch.
+struct Metrics<'a> {
+    model: &'a Model,
+    judge: &'a CpuChain<f64>,
+    weighting: Weighting,
+    made: BTreeMap<i32, Arc<Metric>>,
+}
+
+impl Metrics<'_> {
+    fn of(&mut self, image: &Prepared) -> Result<Arc<Metric>> {
+        let level = image.level_e;
+        let good = image.exposure.data_e.iter().zip(&image.floor_variance_e2).filter(|(_, floor)| floor.is_finite());
+        let flux_e: f64 = good.clone().map(|(d, _)| d - level).sum::<f64>().max(1.0);
+        let exponent = flux_e.log2().round() as i32;
+        if let Some(metric) = self.made.get(&exponent) {
+            return Ok(metric.clone());
+        }
+        let flux_e = f64::from(exponent).exp2();
+        let zero = Array1::zeros(self.model.optics.modes());
+        let psf = self.judge.psf(zero.view());
+        // Bad pixels are an image's own; one that has many only looks a little less round.
+        let floor = good.map(|(_, floor)| *floor).fold(f64::INFINITY, f64::min);
+        // The metric and the cost must use the same kind of weights: mixing them loses the capture range.
+        let weight: Vec<f64> = match self.weighting {
+            Weighting::Noise => weights(&psf, flux_e, 0.0, &vec![floor; psf.len()]),
+            Weighting::None => {
+                let brightest = flux_e * psf.iter().copied().fold(0.0, f64::max);
+                vec![brightest.powi(-2); psf.len()]
+            }
+        };
+        let photometry = image.exposure.photometry;
+        let fisher = Sensitivity::at(self.judge, zero.view(), flux_e, &weight, photometry).fisher();
+        let metric = Arc::new(Metric::from_gauss_newton(&fisher, NULL_FLOOR)?);
+        self.made.insert(exponent, metric.clone());
+        Ok(metric)
+    }
 }
 
 /// 1/(photon variance of the model + floor); 0 where the floor is infinite.
@@ -135,8 +160,18 @@ pub(super) fn variance(psf: &[f64], minimum: &Minimum, floor_variance_e2: &[f64]
 struct Runner {
     solver: QuasiNewton,
     reweightings: usize,
+    /// Where the last weights were made.
+    weighted_at: Vec<f64>,
     flux_e: f64,
     background_e: f64,
+}
+
+impl Runner {
+    /// Whether new weights could still move the minimum by more than the tolerance.
+    fn unsettled(&self, step_tolerance_nm: f64) -> bool {
+        let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
+        self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > step_tolerance_nm)
+    }
 }
 
 #[allow(clippy::too_many_arguments)]
@@ -150,16 +185,15 @@ fn lock_step(
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<Vec<Minimum>> {
-    let Some(typical) = prepared.first() else { return Ok(Vec::new()) };
-    let metric = Arc::new(metric(model, judge, typical, recipe)?);
+    let mut metrics = Metrics { model, judge, weighting: recipe.weighting, made: BTreeMap::new() };
     let settings = settings(model, recipe, chain.precision(), cancel);
     let start = vec![0.0; model.optics.modes()];
     let count = prepared.len();
-    let runner = |_| -> Result<Runner> {
-        let solver = QuasiNewton::new(metric.clone(), &start, settings.clone())?;
-        Ok(Runner { solver, reweightings: 0, flux_e: 0.0, background_e: 0.0 })
+    let runner = |image| -> Result<Runner> {
+        let solver = QuasiNewton::new(metrics.of(image)?, &start, settings.clone())?;
+        Ok(Runner { solver, reweightings: 0, weighted_at: Vec::new(), flux_e: 0.0, background_e: 0.0 })
     };
-    let mut runners = (0..count).map(runner).collect::<Result<Vec<_>>>()?;
+    let mut runners = prepared.iter().map(runner).collect::<Result<Vec<_>>>()?;
     let mut active: Vec<usize> = (0..count).collect();
     while !active.is_empty() {
         let mut points = Array2::zeros((active.len(), start.len()));
@@ -177,7 +211,7 @@ fn lock_step(
             }
             let outcome = runner.solver.outcome();
             stop_if_cancelled(outcome.reason, count - active.len(), count)?;
-            let again = recipe.weighting == Weighting::Noise && runner.reweightings < REWEIGHTINGS;
+            let again = recipe.weighting == Weighting::Noise && runner.unsettled(recipe.step_tolerance_nm);
             let (psf, best) = at(judge, outcome);
             let exposure = &mut exposures[image];
             (runner.flux_e, runner.background_e) = photometry(exposure, &psf);
@@ -187,6 +221,7 @@ fn lock_step(
             exposure.weight = weights(&psf, runner.flux_e, runner.background_e, &prepared[image].floor_variance_e2);
             chain.replace(image, exposure)?;
             runner.reweightings += 1;
+            runner.weighted_at = runner.solver.outcome().x.clone();
             if runner.solver.restart_objective() == Progress::Continue {
                 going.push(image);
             }

@@ -15,6 +15,7 @@ mod fit;
 mod model;
 mod prepare;
 mod recipe;
+mod select;
 
 pub use combine::{Combined, Estimate, ImageReport, Status};
 pub use file::write;
@@ -22,6 +23,7 @@ pub use fit::Watch;
 pub use model::Model;
 pub use prepare::{Frame, Preparation, Prepared};
 pub use recipe::Recipe;
+pub use select::{Cube, read};
 
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
@@ -46,7 +48,14 @@ impl Estimator {
     /// # Errors
     /// Those of building the telescope, its modes and its pupil; see [`Model::of`].
     pub fn new(scene: &Scene, native: bool) -> Result<Self> {
-        let recipe = Recipe::of(scene);
+        Self::with_recipe(scene, Recipe::of(scene), native)
+    }
+
+    /// Builds the model of `scene` for a recipe of the caller's.
+    ///
+    /// # Errors
+    /// As [`Estimator::new`].
+    pub fn with_recipe(scene: &Scene, recipe: Recipe, native: bool) -> Result<Self> {
         let model = Model::of(scene, &recipe, native)?;
         let judge = CpuChain::new(model.optics.clone());
         Ok(Self { scene: scene.clone(), recipe, model, judge })

@@ -40,6 +40,8 @@ pub struct Prepared {
     pub exposure: Exposure,
     /// Variance of each pixel without the star's photons (read noise and background), e²; infinite for a bad pixel.
     pub floor_variance_e2: Vec<f64>,
+    /// Level of the frame's border, e⁻ per model pixel: a first guess of the background.
+    pub level_e: f64,
     /// Whole model pixels by which the frame was moved, along x and y: the star stands there.
     pub shift_pixels: [i64; 2],
     /// Pixels that take no part.
@@ -84,7 +86,7 @@ impl Preparation {
         };
         let bad_pixels = bad.iter().filter(|bad| **bad).count();
         let exposure = Exposure { data_e: data.into_raw_vec_and_offset().0, weight, photometry };
-        Ok(Prepared { exposure, floor_variance_e2, shift_pixels: shift, bad_pixels })
+        Ok(Prepared { exposure, floor_variance_e2, level_e: level, shift_pixels: shift, bad_pixels })
     }
 
     /// The frame in the model's orientation; bad pixels hold 0.

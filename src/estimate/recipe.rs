@@ -2,6 +2,12 @@
 
 use crate::scene::{Optimizer, PupilModel, Sampling, Scene, Weighting, Zernikes};
 
+/// Tip, tilt and focus: what every optic does.
+const NARROW: Zernikes = Zernikes::Span { first: 2, last: 4 };
+/// Everything to radial order 5: with 66 Karhunen-Loève modes this spans the low-order NCPA of which a mirror of small
+/// coupling holds only 75 to 95 %.
+const WIDE: Zernikes = Zernikes::Span { first: 2, last: 21 };
+
 /// The choices of one fit. [`Recipe::of`] fills in what the scene leaves open.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
@@ -52,10 +58,20 @@ impl Recipe {
                 None if ours => PupilModel::BandLimited,
                 _ => PupilModel::Hard,
             },
-            exact_zernikes: if ours { scene.modes.exact_zernikes } else { Zernikes::None },
+            exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(WIDE) } else { Zernikes::None },
             // The paper's way needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if ours { 200 } else { 2000 }),
             step_tolerance_nm: estimate.step_tolerance_nm.unwrap_or(1e-3),
         }
+    }
+
+    /// The recipes to try in turn, the smallest basis first: where the scene leaves the exact Zernikes open, tip, tilt
+    /// and focus, then those to Noll 21. Otherwise the one that the scene asks for.
+    pub fn ladder(scene: &Scene) -> Vec<Self> {
+        let own = Self::of(scene);
+        if own.optimizer != Optimizer::GaussNewton || scene.modes.exact_zernikes.is_some() {
+            return vec![own];
+        }
+        [NARROW, WIDE].map(|exact_zernikes| Self { exact_zernikes, ..own.clone() }).to_vec()
     }
 }

@@ -1,21 +1,15 @@
 //! The seam: on which device, and in which precision, the chain runs. Decided in one `match`.
 
 use super::cpu::CpuChain;
-use super::detector::{Evaluation, Exposure};
-use super::optics::Optics;
-use crate::Result;
+use super::detector::{Evaluation, Exposure, Photometry};
+use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
+use super::optics::{Mode, Optics};
+use crate::device::{Choice, Device};
+use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::sync::Arc;
 
-/// The floating-point type of a chain.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Precision {
-    /// Single: errors of about 0.001 nm, twice the speed.
-    F32,
-    /// Double.
-    #[default]
-    F64,
-}
+pub use crate::device::Precision;
 
 /// Forward model and adjoint for a batch of images, wherever they run.
 pub enum Chain {
@@ -23,6 +17,17 @@ pub enum Chain {
     Cpu64(CpuChain<f64>),
     /// CPU, single precision.
     Cpu32(CpuChain<f32>),
+    /// An OpenCL device.
+    Device {
+        /// The chain there.
+        chain: Box<GpuChain>,
+        /// The model.
+        optics: Arc<Optics>,
+        /// The precision that it was built for.
+        precision: Precision,
+        /// What reports call the device.
+        name: String,
+    },
 }
 
 impl Chain {
@@ -34,36 +39,79 @@ impl Chain {
         }
     }
 
+    /// A chain where `choice` says, with room for `capacity` images. `auto` takes a GPU that has the precision and can
+    /// hold the model, and the CPU otherwise.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where OpenCL was asked for and there is no such device, or it cannot run this model.
+    pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
+        let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
+        let on_device = || -> Result<Self> {
+            let layout = layout(&optics)?;
+            let device = Device::open(&info, false)?;
+            let chain = Box::new(GpuChain::new(&device, precision, &layout, capacity)?);
+            let name = format!("{} ({})", info.address(), info.name.trim());
+            Ok(Self::Device { chain, optics: optics.clone(), precision, name })
+        };
+        match on_device() {
+            Err(_) if choice == Choice::Auto => Ok(Self::cpu(optics, precision)),
+            other => other,
+        }
+    }
+
     /// Replaces the batch of images.
     ///
     /// # Errors
-    /// As [`Exposure::check`].
+    /// As [`Exposure::check`]; [`Error::Device`] where a device fails.
     pub fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
         match self {
             Self::Cpu64(chain) => chain.load(exposures),
             Self::Cpu32(chain) => chain.load(exposures),
+            Self::Device { chain, optics, .. } => {
+                exposures.iter().try_for_each(|exposure| exposure.check(optics.sampling().pixels))?;
+                let data: Vec<f64> = exposures.iter().flat_map(|exposure| exposure.data_e.iter().copied()).collect();
+                let weight: Vec<f64> = exposures.iter().flat_map(|exposure| exposure.weight.iter().copied()).collect();
+                let photometry: Vec<_> = exposures.iter().map(|exposure| exposure.photometry.into()).collect();
+                chain.load(&data, &weight, &photometry)
+            }
         }
     }
 
     /// Replaces one image of the batch.
     ///
     /// # Errors
-    /// As [`Exposure::check`].
+    /// As [`Chain::load`], and [`Error::Shape`] where there is no such image.
     pub fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()> {
         match self {
             Self::Cpu64(chain) => chain.replace(image, exposure),
             Self::Cpu32(chain) => chain.replace(image, exposure),
+            Self::Device { chain, optics, .. } => {
+                exposure.check(optics.sampling().pixels)?;
+                chain.replace(image, &exposure.data_e, &exposure.weight, exposure.photometry.into())
+            }
         }
     }
 
     /// Objectives and gradients of `images` at `coefficients_nm` (`[image, mode]`, nm), in that order.
     ///
     /// # Errors
-    /// [`crate::Error::Shape`] where the arrays do not fit; [`crate::Error::Device`] where a device fails.
+    /// [`Error::Shape`] where the arrays do not fit; [`Error::Device`] where a device fails.
     pub fn evaluate(&mut self, images: &[usize], coefficients_nm: ArrayView2<f64>) -> Result<Vec<Evaluation>> {
         match self {
             Self::Cpu64(chain) => chain.evaluate(images, coefficients_nm),
             Self::Cpu32(chain) => chain.evaluate(images, coefficients_nm),
+            Self::Device { chain, .. } => {
+                let modes = chain.modes();
+                let coefficients: Vec<f64> = coefficients_nm.iter().copied().collect();
+                let found = chain.evaluate(images, &coefficients)?;
+                let evaluation = |i: usize| Evaluation {
+                    objective: found.objective[i],
+                    flux_e: found.flux_e[i],
+                    background_e: found.background_e[i],
+                    gradient: found.gradient[i * modes..(i + 1) * modes].to_vec(),
+                };
+                Ok((0..images.len()).map(evaluation).collect())
+            }
         }
     }
 
@@ -72,11 +120,53 @@ impl Chain {
         match self {
             Self::Cpu64(_) => Precision::F64,
             Self::Cpu32(_) => Precision::F32,
+            Self::Device { precision, .. } => *precision,
         }
     }
 
-    /// One word for reports.
+    /// What reports call the device.
     pub fn device_name(&self) -> String {
-        "cpu".into()
+        match self {
+            Self::Cpu64(_) | Self::Cpu32(_) => "cpu".into(),
+            Self::Device { name, .. } => name.clone(),
+        }
     }
+}
+
+impl From<Photometry> for GpuPhotometry {
+    fn from(photometry: Photometry) -> Self {
+        match photometry {
+            Photometry::Fixed { flux_e, background_e } => Self::Known { flux_e, background_e },
+            Photometry::FitFlux { background_e } => Self::FitFlux { background_e },
+            Photometry::FitBoth => Self::FitBoth,
+        }
+    }
+}
+
+/// The model as the device takes it.
+fn layout(optics: &Optics) -> Result<GpuLayout> {
+    let parts = optics.parts();
+    let indices = |list: &[u32]| list.iter().map(|&i| i as usize).collect::<Vec<usize>>();
+    let mode = |mode: &Mode| match *mode {
+        Mode::Piston(segment) => Ok(GpuMode::Segment(segment)),
+        Mode::Smooth(row) => Ok(GpuMode::Smooth(row)),
+        Mode::Tip(_) | Mode::Tilt(_) => Err(Error::Device(
+            "segment tip and tilt do not run on OpenCL yet: use the device cpu, or modes.segment = \"piston\"".into(),
+        )),
+    };
+    Ok(GpuLayout {
+        samples: parts.sampling.samples,
+        pixels: parts.sampling.pixels,
+        samples_per_lambda_over_d: parts.sampling.pixels_per_lambda_over_d,
+        wavelength_nm: parts.wavelength_nm,
+        intensity_scale: optics.intensity_scale(),
+        lit: indices(&parts.weights.lit),
+        diversity_turns: optics.diversity_turns(),
+        smooth: parts.basis.outer_iter().map(|row| row.to_vec()).collect(),
+        segments: parts.weights.segments,
+        segment_start: indices(&parts.weights.offsets),
+        segment_index: indices(&parts.weights.segment),
+        segment_weight: parts.weights.weight.clone(),
+        modes: parts.modes.iter().map(mode).collect::<Result<_>>()?,
+    })
 }

@@ -117,22 +117,26 @@ impl<T: Polynomial> CpuChain<T> {
 
     /// The PSF and its derivative with respect to every coefficient, `[mode, pixel]`, per nm.
     pub fn jacobian(&self, coefficients_nm: ArrayView1<f64>) -> (Vec<T>, Array2<T>) {
-        let psf = self.psf(coefficients_nm);
-        let mut jacobian = Array2::from_elem((self.optics.modes(), psf.len()), T::zero());
+        let pixels = self.optics.sampling().pixels;
+        let mut here = self.take();
+        vectorised(|| {
+            self.field.forward(coefficients_nm, &mut here.field, &mut here.pupil);
+            self.transform.forward(&here.pupil, &mut here.focus, &mut here.workspace);
+            Loaded::intensity(&here.focus, &mut here.psf, pixels);
+        });
+        let mut jacobian = Array2::from_elem((self.optics.modes(), here.psf.len()), T::zero());
         let modes = &self.optics.parts().modes;
         let rows: Vec<_> = jacobian.outer_iter_mut().zip(modes).collect();
+        let (state, field) = (&here.field, &here.focus);
         rows.into_par_iter().for_each(|(mut row, &mode)| {
             let mut memory = self.take();
-            let pixels = self.optics.sampling().pixels;
-            self.field.forward(coefficients_nm, &mut memory.field, &mut memory.pupil);
-            self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-            let field = memory.focus.clone();
             memory.pupil.fill(T::zero());
-            self.field.derivative(mode, &memory.field, &mut memory.pupil);
+            self.field.derivative(mode, state, &mut memory.pupil);
             self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-            for (v, (at, along)) in
-                field.chunks_exact(2 * pixels).zip(memory.focus.chunks_exact(2 * pixels)).enumerate()
-            {
+            // The grid goes back as it came: zero outside the lit samples.
+            memory.pupil.fill(T::zero());
+            let lines = field.chunks_exact(2 * pixels).zip(memory.focus.chunks_exact(2 * pixels));
+            for (v, (at, along)) in lines.enumerate() {
                 for u in 0..pixels {
                     let real = at[u] * along[u] + at[pixels + u] * along[pixels + u];
                     row[v * pixels + u] = real + real;
@@ -140,6 +144,8 @@ impl<T: Polynomial> CpuChain<T> {
             }
             self.put_back(memory);
         });
+        let psf = here.psf.clone();
+        self.put_back(here);
         (psf, jacobian)
     }
 

@@ -12,6 +12,7 @@ pub mod chain;
 pub mod cpu;
 mod detector;
 mod field;
+pub mod gpu;
 mod optics;
 mod phasor;
 

@@ -79,6 +79,15 @@ impl FitsReader {
         self.layout.hdus.iter().map(|hdu| hdu.name.clone()).collect()
     }
 
+    /// A 1-D image by the name of its HDU.
+    ///
+    /// # Errors
+    /// As [`map`](Self::map), for an image of another number of axes.
+    pub fn vector(&mut self, hdu: &str) -> Result<Vec<f64>> {
+        let index = self.find(hdu, Kind::Image)?;
+        Ok(self.planes(index, &[1])?.into_raw_vec_and_offset().0)
+    }
+
     /// A map `[y, x]`: HDU `hdu`, or the first image with data. BLANK pixels are NaN.
     ///
     /// # Errors

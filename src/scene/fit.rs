@@ -19,8 +19,8 @@ section! {
         ncpa_count: usize, between(1.0, 10_000.0), default(66usize);
         /// FITS modes in place of a basis: image BASIS [mode, y, x] and table MODES (name, group).
         file: Option<PathBuf>, ANY, unset("the basis, as ncpa says");
-        /// First and last Noll index of Zernikes added exactly to the NCPA group; [] unless named where ncpa = "none".
-        exact_zernikes: Zernikes, between(2.0, 1000.0), default(Zernikes::Span { first: 2, last: 21 });
+        /// First and last Noll index of Zernikes estimated exactly, whatever the basis; unset and with ncpa = "none": none.
+        exact_zernikes: Option<Zernikes>, between(2.0, 1000.0), unset("tip, tilt and focus; to Noll 21 where the images ask for it");
     }
 }
 
@@ -35,10 +35,8 @@ impl Check for ModesScene {
             }
         }
         if self.ncpa == NcpaBasis::None {
-            if !reader.named("exact_zernikes") {
-                self.exact_zernikes = Zernikes::None;
-            }
-            if self.segment == SegmentModes::None && self.exact_zernikes == Zernikes::None {
+            let exact = self.exact_zernikes.get_or_insert(Zernikes::None);
+            if self.segment == SegmentModes::None && *exact == Zernikes::None {
                 let sentence = "modes.segment and modes.ncpa are both \"none\": nothing is left to estimate; name a basis for one of them";
                 return Err(reader.error("ncpa", sentence));
             }

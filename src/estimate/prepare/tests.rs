@@ -1,1 +1,118 @@
+use super::*;
+use crate::scene::Scene;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::TAU;
 
+fn recipe() -> Recipe {
+    Recipe::of(&Scene::preset("keck-artificial").unwrap())
+}
+
+fn plan(frame_pixels: usize, reduced_pixels: usize, pixels: usize) -> Preparation {
+    Preparation { frame_pixels, reduced_pixels, pixels, flip: [false, false] }
+}
+
+fn prepare(plan: &Preparation, data: &Array2<f64>) -> Result<Prepared> {
+    let bad = data.mapv(|_| false);
+    plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 }, &recipe())
+}
+
+/// A star on the axis with a background of noise.
+fn star(size: usize, at: (f64, f64)) -> Array2<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    Array2::from_shape_fn((size, size), |(v, u)| {
+        let r2 = (u as f64 - at.0).powi(2) + (v as f64 - at.1).powi(2);
+        1e4 * (-r2 / 18.0).exp() + rng.random::<f64>()
+    })
+}
+
+#[test]
+fn a_reduction_keeps_the_sum_and_the_values_of_a_band_limited_image() {
+    // Frequencies of up to 5 cycles across 24 pixels survive the reduction to 12 (Nyquist 6).
+    let wave =
+        |y: f64, x: f64| 3.0 + (TAU * 5.0 * x / 24.0 + 0.3).cos() + 2.0 * (TAU * (4.0 * y - 2.0 * x) / 24.0).sin();
+    let data = Array2::from_shape_fn((24, 24), |(v, u)| wave(v as f64, u as f64));
+    let reduced = reduce(&data, 12);
+    for ((v, u), &value) in reduced.indexed_iter() {
+        // Each new pixel holds the light of four: the axis, pixel 12 of 24, becomes pixel 6 of 12.
+        let expected = 4.0 * wave(2.0 * v as f64, 2.0 * u as f64);
+        // Two FFTs of 24 and 12 points on numbers of size 10: a few roundings each.
+        assert!((value - expected).abs() < 1e-12, "{value} {expected}");
+    }
+}
+
+#[test]
+fn a_reduction_carries_white_noise_along() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let data = Array2::from_shape_fn((128, 128), |_| rng.random::<f64>() - 0.5);
+    let reduced = reduce(&data, 64);
+    let variance = |a: &Array2<f64>| a.mapv(|v| v * v).mean().unwrap();
+    // Variance of a sum of four; 4,096 samples scatter by √(2/4096) = 2 %: three of these.
+    let ratio = variance(&reduced) / variance(&data);
+    assert!((ratio / 4.0 - 1.0).abs() < 0.07, "{ratio}");
+    // White: neighbours are uncorrelated within 1/√4096, three of these.
+    let product: f64 =
+        reduced.indexed_iter().filter(|((_, u), _)| *u > 0).map(|((v, u), a)| a * reduced[[v, u - 1]]).sum();
+    assert!((product / reduced.len() as f64 / variance(&reduced)).abs() < 0.05);
+}
+
+#[test]
+fn a_star_off_the_axis_is_moved_there_by_whole_pixels() {
+    let prepared = prepare(&plan(64, 64, 32), &star(64, (41.0, 25.0))).unwrap();
+    assert_eq!(prepared.shift_pixels, [9, -7]);
+    let data = &prepared.exposure.data_e;
+    let brightest = (0..data.len()).max_by(|&a, &b| data[a].total_cmp(&data[b])).unwrap();
+    assert_eq!((brightest / 32, brightest % 32), (16, 16));
+    // Near the axis exact tip and tilt do it better than a shift.
+    assert_eq!(prepare(&plan(64, 64, 32), &star(64, (34.0, 31.0))).unwrap().shift_pixels, [0, 0]);
+}
+
+#[test]
+fn a_flip_mirrors_about_the_axis() {
+    let plain = star(32, (20.0, 13.0));
+    let plan = Preparation { flip: [true, false], ..plan(32, 32, 32) };
+    let bad = plain.mapv(|_| false);
+    let frame = Frame { data_e: plain.view(), bad: bad.view(), read_noise_e: 3.0 };
+    let still = Recipe { recentre: false, ..recipe() };
+    let flipped = plan.prepare(frame, &still).unwrap();
+    // Pixel 20 is 4 to the right of the axis on pixel 16; mirrored, it is on pixel 12.
+    assert_eq!(flipped.exposure.data_e[13 * 32 + 12], plain[[13, 20]]);
+    // Pixel 0 has no mirror image on the detector.
+    assert_eq!(flipped.bad_pixels, 32);
+}
+
+#[test]
+fn bad_pixels_weigh_nothing_and_the_floor_follows_the_reduction() {
+    let mut data = star(64, (32.0, 32.0));
+    data[[30, 30]] = f64::NAN;
+    let mut bad = data.mapv(|_| false);
+    bad[[31, 34]] = true;
+    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 };
+    let prepared = plan(64, 64, 64).prepare(frame, &recipe()).unwrap();
+    assert_eq!(prepared.bad_pixels, 2);
+    for pixel in [30 * 64 + 30, 31 * 64 + 34] {
+        assert_eq!((prepared.exposure.weight[pixel], prepared.exposure.data_e[pixel]), (0.0, 0.0));
+    }
+    assert_eq!(prepared.floor_variance_e2[0], 9.0);
+    let reduced = prepare(&plan(64, 32, 32), &star(64, (32.0, 32.0))).unwrap();
+    assert_eq!(reduced.floor_variance_e2[0], 36.0);
+}
+
+#[test]
+fn frames_without_a_star_are_refused_with_the_reason() {
+    let plan = plan(32, 32, 32);
+    let noise = star(32, (-100.0, -100.0));
+    let cases = [
+        (Array2::zeros((32, 32)), "constant"),
+        (Array2::from_elem((32, 32), 7.5), "constant"),
+        (Array2::from_elem((32, 32), f64::NAN), "no good pixel"),
+        (star(32, (16.0, 16.0)).mapv(|v| -v), "no positive pixel"),
+        (Array2::from_shape_fn((32, 32), |(v, _)| if (8..24).contains(&v) { 1.0 } else { 5.0 }) + noise, "no star"),
+    ];
+    for (data, reason) in cases {
+        let error = prepare(&plan, &data).unwrap_err();
+        assert!(matches!(error, Error::Image(_)) && error.to_string().contains(reason), "{error}");
+    }
+    let error = prepare(&plan, &star(30, (15.0, 15.0))).unwrap_err();
+    assert!(matches!(error, Error::Shape(_)) && error.to_string().contains("30x30"), "{error}");
+}

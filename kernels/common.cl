@@ -1,0 +1,92 @@
+/*
+ * common.cl: number types, vectors and layouts that every kernel shares. Prepended to each file of this folder.
+ *
+ * Knobs (set by src/device/table.rs):
+ *   DOUBLE  0 | 1          real is float or double
+ *   VEC     1 | 4 | 8 | 16 numbers in one `vec`. On a processor: the width of its registers (explicit vectors reach its
+ *                          peak, the vectoriser across work-items of PoCL does not). On a GPU: 1, so that neighbouring
+ *                          work-items read neighbouring numbers.
+ *   GROUP   4              images that a work-item carries together through the modes (see field.cl)
+ *   TALL    6              output rows that a work-item carries together down the columns (see transform.cl)
+ *
+ * The folded layout. Pupil and image are symmetric about the optical axis, so that a Fourier sum over +-x splits into
+ * a cosine sum over E(+x) + E(-x) and a sine sum over E(+x) - E(-x), each real and half as long: a quarter of the work of
+ * a complex product. Arrays are stored for that, by distance from the axis and quadrant; only the host knows x and y.
+ *
+ *   pupil quadrants  q = 0: (+y +x), 1: (+y -x), 2: (-y +x), 3: (-y -x); sample i lies (i + 1/2) samples from the axis
+ *   pupil block      VEC samples next to each other in x, in all four quadrants; in each column of blocks, those up to
+ *                    the last with a lit sample
+ *   field     [image][y][x parity][even-y re, even-y im, odd-y re, odd-y im][x]      x padded to `width`
+ *   wave      [image][pair][...two rows of four planes...][x]                        a row pair is v and -v
+ *   focal     [image][pair][+v, -v][four planes][u]                                  u = 0 ... m/2, padded to `span`
+ *   pixels    [slot][pair][+v, -v][+u, -u][u]; weight 0 where a pixel is bad, padding, or counted already
+ *
+ * Every padded extent is a multiple of VEC, so that vectors are aligned.
+ */
+#if DOUBLE
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double real;
+#define REAL(x) x
+#else
+typedef float real;
+#define REAL(x) x##f
+#endif
+
+/* Sums that decide photometry and objective: in double wherever the device has it. */
+#if DOUBLE || defined(cl_khr_fp64)
+#pragma OPENCL EXTENSION cl_khr_fp64 : enable
+typedef double wide;
+#else
+typedef float wide;
+#endif
+
+#define JOIN_(a, b) a##b
+#define JOIN(a, b) JOIN_(a, b)
+
+#if DOUBLE
+#define BASE double
+#else
+#define BASE float
+#endif
+
+#if VEC == 1
+typedef real vec;
+#else
+typedef JOIN(BASE, VEC) vec;
+#endif
+
+#ifndef GROUP
+#define GROUP 4
+#endif
+#ifndef TALL
+#define TALL 6
+#endif
+
+/* The vector at number `i` of a real array; `i` is a multiple of VEC. */
+#define AT(array, i) (*(__global vec *)((array) + (i)))
+#define GET(array, i) (*(__global const vec *)((array) + (i)))
+
+/* One rounding where the hardware has it, two where a fused operation would be emulated. */
+#if (DOUBLE && defined(FP_FAST_FMA)) || (!DOUBLE && defined(FP_FAST_FMAF))
+#define MAD(a, b, c) fma(a, b, c)
+#else
+#define MAD(a, b, c) mad(a, b, c)
+#endif
+#define SPLAT(s) ((vec)(s))
+
+inline real sum_lanes(vec v) {
+#if VEC == 1
+    return v;
+#else
+#if VEC == 16
+    JOIN(BASE, 8) a = v.lo + v.hi;
+    JOIN(BASE, 4) b = a.lo + a.hi;
+#elif VEC == 8
+    JOIN(BASE, 4) b = v.lo + v.hi;
+#else
+    JOIN(BASE, 4) b = v;
+#endif
+    JOIN(BASE, 2) c = b.lo + b.hi;
+    return c.x + c.y;
+#endif
+}

@@ -1,0 +1,133 @@
+/*
+ * field.cl: from mode coefficients to the field in the pupil, folded for the transform.
+ *
+ *   psi_p = diversity_p + sum_j B_jp y_j      in turns (y_j = coefficient / wavelength)
+ *   a_p   = sum_s w_ps q_s                    q_s = the phasor of segment s, scaled so that |focal field|^2 is the PSF
+ *   E_p   = a_p exp(2 pi i psi_p)
+ *
+ * One work-item per pupil block and, on a GPU, per GROUP images. Memory picture: the four quadrants of a block times
+ * GROUP images are 16 accumulators; each step of the mode loop reads 4 vectors of the basis and GROUP coefficients for
+ * 16 multiply-adds. On a processor one work-item takes all images of the tile, so that its slice of the basis
+ * (modes x 4 vectors) stays in the first cache.
+ *
+ * For the way back the phasors exp(2 pi i psi) and the field are left as they are too, as [image][quadrant][re, im][block].
+ *
+ * Precondition: `images` is a multiple of GROUP. `first` is the tile's first image in coefficients and segment_phasor.
+ */
+
+/* sin and cos of 2 pi t. |t - k/2| <= 1/4, where minimax polynomials err by 3e-8 (5 and 6 terms) and 7e-21 (10 and 10):
+   below the rounding of either type. Built-in sincos would cost more than the whole transform on a processor. */
+inline void turn(vec t, vec *sine, vec *cosine) {
+    vec half_turns = rint(t + t);
+    vec r = MAD(half_turns, SPLAT(REAL(-0.5)), t);
+    vec parity = half_turns - SPLAT(REAL(2.0)) * rint(SPLAT(REAL(0.5)) * half_turns);
+    vec sign = MAD(SPLAT(REAL(-2.0)) * parity, parity, SPLAT(REAL(1.0)));
+    vec z = r * r;
+#if DOUBLE
+    vec s = SPLAT(-0.011683082881307492416);
+    s = MAD(s, z, SPLAT(0.10418309087064648376));
+    s = MAD(s, z, SPLAT(-0.71811892189106583204));
+    s = MAD(s, z, SPLAT(3.8199524348668090197));
+    s = MAD(s, z, SPLAT(-15.094642572701974217));
+    s = MAD(s, z, SPLAT(42.058693944828701411));
+    s = MAD(s, z, SPLAT(-76.70585975306072309));
+    s = MAD(s, z, SPLAT(81.605249276075050968));
+    s = MAD(s, z, SPLAT(-41.341702240399760228));
+    s = MAD(s, z, SPLAT(6.2831853071795864769));
+    vec c = SPLAT(-0.035219604638146758369);
+    c = MAD(c, z, SPLAT(0.28185225938435092808));
+    c = MAD(c, z, SPLAT(-1.7143794371382703398));
+    c = MAD(c, z, SPLAT(7.9035358711039378802));
+    c = MAD(c, z, SPLAT(-26.426256769631195169));
+    c = MAD(c, z, SPLAT(60.244641371646725096));
+    c = MAD(c, z, SPLAT(-85.456817206691517718));
+    c = MAD(c, z, SPLAT(64.939394022668280703));
+    c = MAD(c, z, SPLAT(-19.739208802178717217));
+    c = MAD(c, z, SPLAT(1.0));
+#else
+    vec s = SPLAT(39.759827085f);
+    s = MAD(s, z, SPLAT(-76.581172645f));
+    s = MAD(s, z, SPLAT(81.602476369f));
+    s = MAD(s, z, SPLAT(-41.341680613f));
+    s = MAD(s, z, SPLAT(6.2831852802f));
+    vec c = SPLAT(-24.981434468f);
+    c = MAD(c, z, SPLAT(60.143889560f));
+    c = MAD(c, z, SPLAT(-85.453564761f));
+    c = MAD(c, z, SPLAT(64.939346476f));
+    c = MAD(c, z, SPLAT(-19.739208548f));
+    c = MAD(c, z, SPLAT(1.0f));
+#endif
+    *sine = sign * r * s;
+    *cosine = sign * c;
+}
+
+__kernel void pupil_field(__global const real *basis, __global const real *diversity, __global const int *place,
+                          __global const int *entry_start, __global const int *entry_segment,
+                          __global const real *entry_weight, __global const real *coefficients,
+                          __global const real *segment_phasor, __global real *phasor, __global real *lit_field,
+                          __global real *field,
+                          const int blocks, const int modes, const int segments, const int images, const int first,
+                          const int rows, const int width, const int block_stride, const int mode_stride,
+                          const int quadrant_stride) {
+    const int block = get_global_id(0);
+    if (block >= blocks) return;
+    const int y = place[2 * block], x = place[2 * block + 1];
+
+    for (int group = get_global_id(1) * GROUP; group < images; group += get_global_size(1) * GROUP) {
+        vec psi[GROUP][4];
+#pragma unroll
+        for (int q = 0; q < 4; q++) {
+            vec d = GET(diversity, (q * blocks + block) * VEC);
+#pragma unroll
+            for (int i = 0; i < GROUP; i++) psi[i][q] = d;
+        }
+        __global const real *b = basis + (size_t)block * block_stride;
+        __global const real *c = coefficients + (size_t)(first + group) * modes;
+        for (int mode = 0; mode < modes; mode++, b += mode_stride) {
+            vec shape[4];
+#pragma unroll
+            for (int q = 0; q < 4; q++) shape[q] = GET(b, q * quadrant_stride);
+#pragma unroll
+            for (int i = 0; i < GROUP; i++) {
+                vec amount = SPLAT(c[i * modes + mode]);
+#pragma unroll
+                for (int q = 0; q < 4; q++) psi[i][q] = MAD(shape[q], amount, psi[i][q]);
+            }
+        }
+#pragma unroll
+        for (int i = 0; i < GROUP; i++) {
+            const int image = group + i;
+            __global const real *piston = segment_phasor + (size_t)(first + image) * segments * 2;
+            __global real *p = phasor + (size_t)image * blocks * (8 * VEC);
+            __global real *l = lit_field + (size_t)image * blocks * (8 * VEC);
+            vec er[4], ei[4];
+#pragma unroll
+            for (int q = 0; q < 4; q++) {
+                vec sine, cosine;
+                turn(psi[i][q], &sine, &cosine);
+                AT(p, (2 * q * blocks + block) * VEC) = cosine;
+                AT(p, ((2 * q + 1) * blocks + block) * VEC) = sine;
+                vec ar = SPLAT(REAL(0.0)), ai = SPLAT(REAL(0.0));
+                for (int e = entry_start[4 * block + q]; e < entry_start[4 * block + q + 1]; e++) {
+                    vec w = GET(entry_weight, e * VEC);
+                    const int s = 2 * entry_segment[e];
+                    ar = MAD(w, SPLAT(piston[s]), ar);
+                    ai = MAD(w, SPLAT(piston[s + 1]), ai);
+                }
+                er[q] = ar * cosine - ai * sine;
+                ei[q] = MAD(ar, sine, ai * cosine);
+                AT(l, (2 * q * blocks + block) * VEC) = er[q];
+                AT(l, ((2 * q + 1) * blocks + block) * VEC) = ei[q];
+            }
+            __global real *out = field + ((size_t)(image * rows + y) * 8) * width + x;
+            AT(out, 0 * width) = (er[0] + er[1]) + (er[2] + er[3]);
+            AT(out, 1 * width) = (ei[0] + ei[1]) + (ei[2] + ei[3]);
+            AT(out, 2 * width) = (er[0] + er[1]) - (er[2] + er[3]);
+            AT(out, 3 * width) = (ei[0] + ei[1]) - (ei[2] + ei[3]);
+            AT(out, 4 * width) = (er[0] - er[1]) + (er[2] - er[3]);
+            AT(out, 5 * width) = (ei[0] - ei[1]) + (ei[2] - ei[3]);
+            AT(out, 6 * width) = (er[0] - er[1]) - (er[2] - er[3]);
+            AT(out, 7 * width) = (ei[0] - ei[1]) - (ei[2] - ei[3]);
+        }
+    }
+}

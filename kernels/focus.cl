@@ -1,0 +1,49 @@
+/*
+ * focus.cl: pupil to focus, pixels, and back to the pupil, for a processor that has an image per core: the kernels of
+ * transform.cl and pixels.cl in one, with the same arithmetic in the same order.
+ *
+ * A work-item carries whole images, one after the other, through a `wave` and a `focal` array of its own, which thus stay
+ * in the second cache of its core; data and weights are all that comes from memory. Strip by strip: the rows of a strip
+ * are transformed and summed, and later differenced and transformed back, while they are there.
+ *
+ * global (workers, 1, 1), local (1, 1, 1). A worker takes the next image nobody has taken from the counter next[turn],
+ * which is 0 before the launch: OpenCL does not say how work-items are dealt to cores (PoCL gives the first core more
+ * than its share), and a core may be busy with something else. With two or more workers per core each core finds one;
+ * those that come late find no image and end. Which worker takes an image changes nothing in its numbers.
+ * The adjoint overwrites `field`.
+ */
+__kernel void focus(__global real *field, __global const real *y_to_v, __global const real *x_to_u,
+                    __global const real *u_to_x, __global const real *v_to_y, __global const int *extent,
+                    __global real *wave, __global real *focal, __global const real *data, __global const real *weight,
+                    __global const int *slot, __global const int *kind, __global const real *known,
+                    __global real *sums, __global real *objective, __global real *photometry,
+                    volatile __global int *next, const int turn, const int first, const int images, const int rows, const int pairs, const int pairs_per_strip, const int strips,
+                    const int width, const int span) {
+    __global real *w = wave + get_global_id(0) * pairs * 8 * width, *f = focal + get_global_id(0) * pairs * 8 * span;
+    const int columns = 2 * (width / VEC);
+    for (int image = atomic_inc(next + turn); image < images; image = atomic_inc(next + turn)) {
+        const int s = slot[first + image];
+        __global real *e = field + (size_t)image * rows * 8 * width;
+        __global const real *d = data + (size_t)s * pairs * 4 * span;
+        __global const real *v = weight + (size_t)s * pairs * 4 * span;
+        __global real *sum = sums + (size_t)image * strips * 3, *light = photometry + 2 * image;
+
+        for (int column = 0; column < columns; column++)
+            forward_column(e, y_to_v, extent, w, column, 0, 1, rows, pairs, (pairs + TALL - 1) / TALL, width);
+        for (int strip = 0; strip < strips; strip++) {
+            const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
+            for (int chunk = 0; chunk < row_chunks(span); chunk++)
+                forward_row_chunk(w, x_to_u, f, chunk, pair, end, rows, width, span);
+            if (kind[s] != 0) strip_sums(f, d, v, 2 * pair, 2 * end, 0, 1, span, sum + 3 * strip);
+        }
+        solve(sum, strips, kind[s], known + 4 * s, light);
+        for (int strip = 0; strip < strips; strip++) {
+            const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
+            objective[image * strips + strip] = strip_residuals(f, d, v, 2 * pair, 2 * end, 0, 1, span, light);
+            for (int chunk = 0; chunk < row_chunks(width); chunk++)
+                adjoint_row_chunk(f, u_to_x, w, chunk, pair, end, pairs, span, width);
+        }
+        for (int column = 0; column < columns; column++)
+            adjoint_column(w, v_to_y, extent, e, column, 0, 1, pairs, (rows + TALL - 1) / TALL, width);
+    }
+}

@@ -1,0 +1,129 @@
+/*
+ * pixels.cl: from the focal field to photometry, objective and the adjoint's source.
+ *
+ *   h = |U|^2,  U(+-u) = C -+ i S          r = flux h + background - data          J = sum weight r^2
+ *   dJ/dU* = G = 2 weight r flux U, left in place of U as C' = G(+) + G(-), S' = i (G(+) - G(-))
+ *
+ * Flux and background are given, or minimise J: the sums of w, w d are the host's (they never change), those of
+ * w h, w h^2, w h d are taken here. J is taken from the residuals: the expanded square would cancel in f32.
+ *
+ * A strip is `pairs_per_strip` row pairs of one image. Its numbers are shared by `lanes` work-items (1 on a processor,
+ * a work-group on a GPU), each with its own partial sum: one writer for every number, no atomics. The functions before
+ * the kernels take the arrays of one image; focus.cl calls them too.
+ */
+
+
+/* Sums of w h, w h^2, w h d over the rows `row` to `end`. */
+inline void strip_sums(__global const real *focal, __global const real *data, __global const real *weight, int row,
+                       const int end, const int lane, const int lanes, const int span, __global real *sums) {
+    vec wh = SPLAT(REAL(0.0)), whh = SPLAT(REAL(0.0)), whd = SPLAT(REAL(0.0));
+    for (; row < end; row++) {
+        __global const real *f = focal + (size_t)row * 4 * span;
+        __global const real *d = data + (size_t)row * 2 * span, *w = weight + (size_t)row * 2 * span;
+        for (int u = lane * VEC; u < span; u += lanes * VEC) {
+            vec cr = GET(f, u), ci = GET(f, span + u), sr = GET(f, 2 * span + u), si = GET(f, 3 * span + u);
+#pragma unroll
+            for (int side = 0; side < 2; side++) {
+                vec re = side ? cr - si : cr + si, im = side ? ci + sr : ci - sr;
+                vec h = MAD(re, re, im * im);
+                vec weighted = GET(w, side * span + u) * h;
+                wh += weighted;
+                whh = MAD(weighted, h, whh);
+                whd = MAD(weighted, GET(d, side * span + u), whd);
+            }
+        }
+    }
+    sums[0] = sum_lanes(wh);
+    sums[1] = sum_lanes(whh);
+    sums[2] = sum_lanes(whd);
+}
+
+/* Flux and background of an image. kind: 0 both known, 1 flux fitted, 2 both fitted; known: flux, background, sum w,
+   sum w d. What an image does not determine (no signal, no good pixel) is zero, and the objective says so. */
+inline void solve(__global const real *sums, const int count, const int kind, __global const real *known,
+                  __global real *photometry) {
+    wide flux = known[0], background = known[1];
+    if (kind != 0) {
+        wide wh = 0, whh = 0, whd = 0;
+        for (int i = 0; i < count; i++) {
+            wh += sums[3 * i];
+            whh += sums[3 * i + 1];
+            whd += sums[3 * i + 2];
+        }
+        const wide w = known[2], wd = known[3];
+        if (kind == 1) {
+            flux = whh > 0 ? (whd - background * wh) / whh : 0;
+        } else {
+            const wide determinant = w * whh - wh * wh;
+            flux = determinant > 0 ? (w * whd - wh * wd) / determinant : 0;
+            background = w > 0 ? (wd - flux * wh) / w : 0;
+        }
+    }
+    photometry[0] = flux;
+    photometry[1] = background;
+}
+
+/* Objective over the rows `row` to `end`; the source of the adjoint takes the place of the focal field. */
+inline real strip_residuals(__global real *focal, __global const real *data, __global const real *weight, int row,
+                            const int end, const int lane, const int lanes, const int span,
+                            __global const real *photometry) {
+    const vec flux = SPLAT(photometry[0]), background = SPLAT(photometry[1]), twice_flux = flux + flux;
+    vec sum = SPLAT(REAL(0.0));
+    for (; row < end; row++) {
+        __global real *f = focal + (size_t)row * 4 * span;
+        __global const real *d = data + (size_t)row * 2 * span, *w = weight + (size_t)row * 2 * span;
+        for (int u = lane * VEC; u < span; u += lanes * VEC) {
+            vec cr = GET(f, u), ci = GET(f, span + u), sr = GET(f, 2 * span + u), si = GET(f, 3 * span + u);
+            vec re[2], im[2];
+#pragma unroll
+            for (int side = 0; side < 2; side++) {
+                re[side] = side ? cr - si : cr + si;
+                im[side] = side ? ci + sr : ci - sr;
+                vec h = MAD(re[side], re[side], im[side] * im[side]);
+                vec r = MAD(flux, h, background - GET(d, side * span + u));
+                vec wr = GET(w, side * span + u) * r;
+                sum = MAD(wr, r, sum);
+                re[side] *= twice_flux * wr;
+                im[side] *= twice_flux * wr;
+            }
+            AT(f, u) = re[0] + re[1];
+            AT(f, span + u) = im[0] + im[1];
+            AT(f, 2 * span + u) = im[1] - im[0];
+            AT(f, 3 * span + u) = re[0] - re[1];
+        }
+    }
+    return sum_lanes(sum);
+}
+
+/* -> sums [image][strip * lanes + lane][3]: global (lanes, strips, images). */
+__kernel void photometry_sums(__global const real *focal, __global const real *data, __global const real *weight,
+                              __global const int *slot, __global real *sums, const int first, const int pairs,
+                              const int pairs_per_strip, const int span) {
+    const size_t lanes = get_global_size(0), strip = get_global_id(1), image = get_global_id(2);
+    const size_t pixel = (size_t)slot[first + image] * pairs * 4 * span;
+    strip_sums(focal + image * pairs * 8 * span, data + pixel, weight + pixel, 2 * strip * pairs_per_strip,
+               2 * min(pairs, (int)(strip + 1) * pairs_per_strip), get_global_id(0), lanes, span,
+               sums + ((image * get_global_size(1) + strip) * lanes + get_global_id(0)) * 3);
+}
+
+/* sums -> photometry [image][flux, background]: global (images, 1, 1). */
+__kernel void photometry_solve(__global const real *sums, __global const int *slot, __global const int *kind,
+                               __global const real *known, __global real *photometry, const int first, const int images,
+                               const int partials) {
+    const int image = get_global_id(0);
+    if (image >= images) return;
+    const int s = slot[first + image];
+    solve(sums + (size_t)image * partials * 3, partials, kind[s], known + 4 * s, photometry + 2 * image);
+}
+
+/* -> objective [image][strip * lanes + lane], and focal in place: global (lanes, strips, images). */
+__kernel void residuals(__global real *focal, __global const real *data, __global const real *weight,
+                        __global const int *slot, __global const real *photometry, __global real *objective,
+                        const int first, const int pairs, const int pairs_per_strip, const int span) {
+    const size_t lanes = get_global_size(0), strip = get_global_id(1), image = get_global_id(2);
+    const size_t pixel = (size_t)slot[first + image] * pairs * 4 * span;
+    objective[(image * get_global_size(1) + strip) * lanes + get_global_id(0)] =
+        strip_residuals(focal + image * pairs * 8 * span, data + pixel, weight + pixel, 2 * strip * pairs_per_strip,
+                        2 * min(pairs, (int)(strip + 1) * pairs_per_strip), get_global_id(0), lanes, span,
+                        photometry + 2 * image);
+}

@@ -1,0 +1,215 @@
+/*
+ * transform.cl: pupil <-> focus as two real matrix products, folded about the axis, and the adjoint of each.
+ *
+ *   U(v, u) = sum_{y, x} E(y, x) exp(-2 pi i step (x u + y v)),   x, y half-integers, u, v = -m/2 ... m/2
+ *
+ * Down the columns (y to v) and then along the rows (x to u), each as C = sum cos * even, S = sum sin * odd,
+ * T(+-v) = C -+ i S. The adjoints run the same products the other way with transposed tables: rows first, where
+ * C' = G(+) + G(-), S' = i (G(+) - G(-)).
+ *
+ * Columns: a vector of x for TALL output rows; per step 4 vectors and 2 TALL broadcasts for 4 TALL multiply-adds.
+ * Rows: the two rows of a pair times WIDE vectors of outputs; per step 2 WIDE vectors of the table and 8 broadcasts for
+ * 8 WIDE multiply-adds. Tables are packed in the order of reading; the slice of a work-item fits the first cache.
+ *
+ *   column table  [group of TALL outputs][input][cos, sin][TALL]
+ *   row table     [vector of outputs][...]: chunks of WIDE vectors as [input][cos, sin][WIDE][VEC]; WIDE is 2, and 3 for
+ *                 the last chunk of an odd number (1 where there is but one)
+ *
+ * extent[x / VEC] is the number of rows, counted from the axis, beyond which the pupil is dark in that vector of x.
+ *
+ * wave rows hold [+v, -v][even-x re, im, odd-x re, im][x] on the way forward, [x parity][C' re, C' im, S' re, S' im][x]
+ * on the way back. Every function below takes the arrays of one image; focus.cl calls them too.
+ */
+
+/* C and S of one vector of x for the TALL outputs of a group. */
+inline void column_product(__global const real *in, const int stride, const int width, __global const real *table,
+                           const int inputs, vec sum[TALL][4]) {
+#pragma unroll
+    for (int r = 0; r < TALL; r++)
+        sum[r][0] = sum[r][1] = sum[r][2] = sum[r][3] = SPLAT(REAL(0.0));
+    for (int k = 0; k < inputs; k++, in += stride, table += 2 * TALL) {
+        vec even_re = GET(in, 0), even_im = GET(in, width), odd_re = GET(in, 2 * width), odd_im = GET(in, 3 * width);
+#pragma unroll
+        for (int r = 0; r < TALL; r++) {
+            vec c = SPLAT(table[r]), s = SPLAT(table[TALL + r]);
+            sum[r][0] = MAD(c, even_re, sum[r][0]);
+            sum[r][1] = MAD(c, even_im, sum[r][1]);
+            sum[r][2] = MAD(s, odd_re, sum[r][2]);
+            sum[r][3] = MAD(s, odd_im, sum[r][3]);
+        }
+    }
+}
+
+/* Columns `column` (x parity, then vector of x) of one image, output groups `group`, `group + step`, ... */
+inline void forward_column(__global const real *field, __global const real *table, __global const int *extent,
+                           __global real *wave, const int column, int group, const int step, const int rows,
+                           const int pairs, const int groups, const int width) {
+    const int parity = column / (width / VEC), x = column % (width / VEC) * VEC;
+    const int inputs = extent[x / VEC];
+    __global const real *in = field + parity * 4 * width + x;
+    for (; group < groups; group += step) {
+        vec sum[TALL][4];
+        column_product(in, 8 * width, width, table + (size_t)group * rows * (2 * TALL), inputs, sum);
+#pragma unroll
+        for (int r = 0; r < TALL; r++) {
+            const int v = group * TALL + r;
+            if (v < pairs) {
+                __global real *row = wave + ((size_t)v * 8 + parity * 2) * width + x;
+                AT(row, 0 * width) = sum[r][0] + sum[r][3];
+                AT(row, 1 * width) = sum[r][1] - sum[r][2];
+                AT(row, 4 * width) = sum[r][0] - sum[r][3];
+                AT(row, 5 * width) = sum[r][1] + sum[r][2];
+            }
+        }
+    }
+}
+
+/* Its adjoint. Rows that are dark in this vector of x are left alone. */
+inline void adjoint_column(__global const real *wave, __global const real *table, __global const int *extent,
+                           __global real *field, const int column, int group, const int step, const int pairs,
+                           const int groups, const int width) {
+    const int parity = column / (width / VEC), x = column % (width / VEC) * VEC;
+    const int outputs = extent[x / VEC];
+    __global const real *in = wave + parity * 4 * width + x;
+    for (; group < groups && group * TALL < outputs; group += step) {
+        vec sum[TALL][4];
+        column_product(in, 8 * width, width, table + (size_t)group * pairs * (2 * TALL), pairs, sum);
+#pragma unroll
+        for (int r = 0; r < TALL; r++) {
+            const int y = group * TALL + r;
+            if (y < outputs) {
+                __global real *row = field + ((size_t)y * 8 + parity * 4) * width + x;
+                AT(row, 0 * width) = sum[r][0];
+                AT(row, 1 * width) = sum[r][1];
+                AT(row, 2 * width) = sum[r][2];
+                AT(row, 3 * width) = sum[r][3];
+            }
+        }
+    }
+}
+
+/* The four sums of WIDE output vectors for the two rows of a pair, which lie 4 `in_width` apart. */
+#define ROW_PRODUCT(WIDE)                                                                                              \
+    vec sum[2][WIDE][4];                                                                                               \
+    _Pragma("unroll") for (int row = 0; row < 2; row++)                                                                \
+        _Pragma("unroll") for (int b = 0; b < WIDE; b++)                                                               \
+            sum[row][b][0] = sum[row][b][1] = sum[row][b][2] = sum[row][b][3] = SPLAT(REAL(0.0));                      \
+    __global const real *t = table + (size_t)start * inputs * (2 * VEC);                                               \
+    for (int k = 0; k < inputs; k++, t += 2 * WIDE * VEC) {                                                            \
+        vec c[WIDE], s[WIDE];                                                                                          \
+        _Pragma("unroll") for (int b = 0; b < WIDE; b++) {                                                             \
+            c[b] = GET(t, b * VEC);                                                                                    \
+            s[b] = GET(t, (WIDE + b) * VEC);                                                                           \
+        }                                                                                                              \
+        _Pragma("unroll") for (int row = 0; row < 2; row++) {                                                          \
+            __global const real *a = in + row * 4 * in_width + k;                                                      \
+            vec even_re = SPLAT(a[0]), even_im = SPLAT(a[in_width]);                                                   \
+            vec odd_re = SPLAT(a[2 * in_width]), odd_im = SPLAT(a[3 * in_width]);                                      \
+            _Pragma("unroll") for (int b = 0; b < WIDE; b++) {                                                         \
+                sum[row][b][0] = MAD(c[b], even_re, sum[row][b][0]);                                                   \
+                sum[row][b][1] = MAD(c[b], even_im, sum[row][b][1]);                                                   \
+                sum[row][b][2] = MAD(s[b], odd_re, sum[row][b][2]);                                                    \
+                sum[row][b][3] = MAD(s[b], odd_im, sum[row][b][3]);                                                    \
+            }                                                                                                          \
+        }                                                                                                              \
+    }
+
+#define FORWARD_ROWS(WIDE)                                                                                             \
+    {                                                                                                                  \
+        ROW_PRODUCT(WIDE)                                                                                              \
+        _Pragma("unroll") for (int row = 0; row < 2; row++)                                                            \
+            _Pragma("unroll") for (int b = 0; b < WIDE; b++)                                                           \
+                _Pragma("unroll") for (int plane = 0; plane < 4; plane++)                                              \
+                    AT(out, (row * 4 + plane) * span + (start + b) * VEC) = sum[row][b][plane];                        \
+    }
+
+/* How many chunks of vectors a row of `width` numbers has, and the vectors of one. */
+inline int row_chunks(const int width) { return max(1, width / VEC / 2); }
+inline int chunk_vectors(const int chunk, const int width) {
+    return chunk + 1 < row_chunks(width) ? 2 : width / VEC - 2 * chunk;
+}
+
+/* The outputs of one chunk for the row pairs `pair` to `end` of one image. */
+inline void forward_row_chunk(__global const real *wave, __global const real *table, __global real *focal,
+                              const int chunk, int pair, const int end, const int inputs, const int in_width,
+                              const int span) {
+    const int start = 2 * chunk, count = chunk_vectors(chunk, span);
+    for (; pair < end; pair++) {
+        __global const real *in = wave + (size_t)pair * 8 * in_width;
+        __global real *out = focal + (size_t)pair * 8 * span;
+        if (count == 2) FORWARD_ROWS(2)
+        else if (count == 3) FORWARD_ROWS(3)
+        else FORWARD_ROWS(1)
+    }
+}
+
+#define ADJOINT_ROWS(WIDE)                                                                                             \
+    {                                                                                                                  \
+        ROW_PRODUCT(WIDE)                                                                                              \
+        _Pragma("unroll") for (int b = 0; b < WIDE; b++)                                                               \
+            _Pragma("unroll") for (int parity = 0; parity < 2; parity++) {                                             \
+                const int x = parity * 4 * width + (start + b) * VEC;                                                  \
+                vec plus_re = sum[0][b][2 * parity], plus_im = sum[0][b][2 * parity + 1];                              \
+                vec minus_re = sum[1][b][2 * parity], minus_im = sum[1][b][2 * parity + 1];                            \
+                AT(out, x) = plus_re + minus_re;                                                                       \
+                AT(out, x + width) = plus_im + minus_im;                                                               \
+                AT(out, x + 2 * width) = minus_im - plus_im;                                                           \
+                AT(out, x + 3 * width) = plus_re - minus_re;                                                           \
+            }                                                                                                          \
+    }
+
+/* Its adjoint: focal holds C' and S' of each row. */
+inline void adjoint_row_chunk(__global const real *focal, __global const real *table, __global real *wave,
+                              const int chunk, int pair, const int end, const int inputs, const int in_width,
+                              const int width) {
+    const int start = 2 * chunk, count = chunk_vectors(chunk, width);
+    for (; pair < end; pair++) {
+        __global const real *in = focal + (size_t)pair * 8 * in_width;
+        __global real *out = wave + (size_t)pair * 8 * width;
+        if (count == 2) ADJOINT_ROWS(2)
+        else if (count == 3) ADJOINT_ROWS(3)
+        else ADJOINT_ROWS(1)
+    }
+}
+
+/* field -> wave: global (2 width / VEC, any, images). */
+__kernel void forward_columns(__global const real *field, __global const real *table, __global const int *extent,
+                              __global real *wave, const int rows, const int pairs, const int groups,
+                              const int width) {
+    if ((int)get_global_id(0) >= 2 * (width / VEC)) return;
+    const size_t image = get_global_id(2);
+    forward_column(field + image * rows * 8 * width, table, extent, wave + image * pairs * 8 * width,
+                   get_global_id(0), get_global_id(1), get_global_size(1), rows, pairs, groups, width);
+}
+
+/* wave -> focal: global (chunks, any, images). */
+__kernel void forward_rows(__global const real *wave, __global const real *table, __global real *focal,
+                           const int inputs, const int pairs, const int pairs_per_item, const int in_width,
+                           const int span) {
+    if ((int)get_global_id(0) >= row_chunks(span)) return;
+    const size_t image = get_global_id(2);
+    const int pair = get_global_id(1) * pairs_per_item;
+    forward_row_chunk(wave + image * pairs * 8 * in_width, table, focal + image * pairs * 8 * span, get_global_id(0),
+                      pair, min(pairs, pair + pairs_per_item), inputs, in_width, span);
+}
+
+/* focal -> wave: global (chunks, any, images). */
+__kernel void adjoint_rows(__global const real *focal, __global const real *table, __global real *wave,
+                           const int inputs, const int pairs, const int pairs_per_item, const int in_width,
+                           const int width) {
+    if ((int)get_global_id(0) >= row_chunks(width)) return;
+    const size_t image = get_global_id(2);
+    const int pair = get_global_id(1) * pairs_per_item;
+    adjoint_row_chunk(focal + image * pairs * 8 * in_width, table, wave + image * pairs * 8 * width, get_global_id(0),
+                      pair, min(pairs, pair + pairs_per_item), inputs, in_width, width);
+}
+
+/* wave -> field: global (2 width / VEC, any, images). */
+__kernel void adjoint_columns(__global const real *wave, __global const real *table, __global const int *extent,
+                              __global real *field, const int rows, const int pairs, const int groups,
+                              const int width) {
+    if ((int)get_global_id(0) >= 2 * (width / VEC)) return;
+    const size_t image = get_global_id(2);
+    adjoint_column(wave + image * pairs * 8 * width, table, extent, field + image * rows * 8 * width, get_global_id(0),
+                   get_global_id(1), get_global_size(1), pairs, groups, width);
+}

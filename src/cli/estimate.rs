@@ -1,0 +1,232 @@
+//! `cophase estimate`: the main job.
+
+use super::figures::{self, Residual, Row};
+use super::files::{self, Settings, Truth};
+use super::interrupt::Interrupt;
+use super::terminal::Terminal;
+use super::{devices, picture, report};
+use cophase::estimate::{self, Estimate, Estimator};
+use cophase::io::{self, Images};
+use cophase::scene::{DeviceChoice, Sampling, Scene};
+use cophase::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+const EXAMPLES: &str = "Examples:
+  cophase estimate images.fits -o est.fits      from what 'cophase image' made
+  cophase estimate nirc2.fits --scene scene.toml -o est.fits --plot est.png
+  cophase estimate images.fits -o paper.fits --optimizer bfgs
+
+Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension. Pixels \
+that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
+the read noise, unless --set image.read_noise_e says otherwise.
+
+--json prints: images, used, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, reduced_chi2, \
+evaluations (of the objective, all images together), device, precision, status (the worst of the images': ok, misfit, \
+wrong-minimum, not-converged, unusable).";
+
+/// Estimate segment phasing and NCPA from defocused images of a star
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// FITS file with one image or a cube of them
+    images: PathBuf,
+    /// FITS file to write: maps, modes, error bars; one that is there is replaced
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Scene: a TOML file, or the name of a preset [default: the scene in the image file]
+    #[arg(long)]
+    scene: Option<PathBuf>,
+    /// FITS file that marks bad pixels: not zero = bad
+    #[arg(long, value_name = "FILE")]
+    mask: Option<PathBuf>,
+    /// Also draw the result
+    #[arg(long, value_name = "FILE.png|svg")]
+    plot: Option<PathBuf>,
+    /// Where to run: auto, cpu, opencl or opencl:P:D, as 'cophase devices' lists them
+    #[arg(long, value_parser = device)]
+    device: Option<String>,
+    /// Precision of the imaging model
+    #[arg(long, value_parser = ["f64", "f32"])]
+    precision: Option<String>,
+    /// Ours (gauss-newton), or the paper's method as a whole (bfgs)
+    #[arg(long, value_parser = ["gauss-newton", "bfgs"])]
+    optimizer: Option<String>,
+    /// The estimator: static modes, fitted image by image
+    #[arg(long, value_parser = ["modal"])]
+    method: Option<String>,
+    #[command(flatten)]
+    settings: Settings,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    /// Also say which combinations of modes the images hardly see
+    #[arg(short, long)]
+    verbose: bool,
+}
+
+fn device(word: &str) -> Result<String> {
+    word.parse::<DeviceChoice>().map(|_| word.to_string())
+}
+
+impl Arguments {
+    /// The options that are keys of the scene.
+    fn options(&self) -> Vec<(&str, &str)> {
+        let options = [
+            ("estimate.device", &self.device),
+            ("estimate.precision", &self.precision),
+            ("estimate.optimizer", &self.optimizer),
+            ("estimate.method", &self.method),
+        ];
+        options.into_iter().filter_map(|(key, value)| Some((key, value.as_deref()?))).collect()
+    }
+
+    fn check_outputs(&self) -> Result<()> {
+        let mut inputs: Vec<&Path> = vec![&self.images];
+        inputs.extend([&self.scene, &self.mask].into_iter().flatten().map(PathBuf::as_path));
+        files::check_output(&self.output, &inputs)?;
+        if let Some(plot) = &self.plot {
+            files::check_picture(plot, &inputs)?;
+        }
+        Ok(())
+    }
+
+    fn scene(&self) -> Result<Scene> {
+        let scene = match &self.scene {
+            Some(name) => files::scene(name)?,
+            None => files::embedded_scene(&self.images)?.ok_or_else(|| {
+                let reason =
+                    "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
+                Error::file(&self.images, reason)
+            })?,
+        };
+        self.settings.apply(&scene, &self.options())
+    }
+}
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let interrupt = Interrupt::catch()?;
+    arguments.check_outputs()?;
+    let images = io::read_images(&arguments.images, arguments.mask.as_deref())?;
+    let truth = files::truth(&arguments.images)?;
+    let job = Job {
+        name: arguments.images.as_path(),
+        scene: arguments.scene()?,
+        // What the command line says goes before what the file says.
+        read_noise_e: images.read_noise_e.filter(|_| !arguments.settings.names("image.read_noise_e")),
+        images,
+        truth,
+    };
+    let found = job.run(terminal, &interrupt)?;
+    found.write(&arguments.output, arguments.plot.as_deref())?;
+    found.tell(arguments.json, arguments.verbose, terminal)
+}
+
+/// One estimate, ready to run.
+pub struct Job<'a> {
+    /// File of the images.
+    pub name: &'a Path,
+    pub scene: Scene,
+    pub images: Images,
+    /// Read noise that goes before the scene's.
+    pub read_noise_e: Option<f64>,
+    pub truth: Option<Truth>,
+}
+
+impl<'a> Job<'a> {
+    /// Builds the model and fits the images.
+    pub fn run(self, terminal: &Terminal, interrupt: &Interrupt) -> Result<Found<'a>> {
+        let Self { name, scene, images, read_noise_e, truth } = self;
+        for sentence in report::file_warnings(&name.display().to_string(), &images) {
+            terminal.warn(&sentence);
+        }
+        let started = Instant::now();
+        // A bad pixel would ring in an image that is reduced to Nyquist sampling.
+        let native = scene.estimate.sampling == Sampling::Auto && images.bad.iter().any(|&bad| bad);
+        let (estimator, mut chain) = {
+            let _wait = terminal.wait("Building the model", 1);
+            let estimator = Estimator::new(&scene, native)?;
+            let optics = estimator.model().optics.clone();
+            (estimator, devices::open_chain(scene.estimate.device, scene.estimate.precision, optics)?)
+        };
+        let model_s = started.elapsed().as_secs_f64();
+        interrupt.check("the model was built, no image was fitted")?;
+        let count = images.data.dim().0;
+        let estimate = {
+            let images_in_words = report::counted(count, "image");
+            let wait = terminal.wait(&format!("Fitting {images_in_words}"), count);
+            let mut watch = |done: usize, all: usize| {
+                wait.done(done);
+                if done == all {
+                    wait.then(&format!("Error bars of {images_in_words}"));
+                }
+            };
+            let (data, bad) = (images.data.view(), images.bad.view());
+            estimator.estimate(&mut chain, data, bad, read_noise_e, Some(interrupt.flag()), &mut watch)
+        };
+        let estimate = estimate.map_err(files::about(name))?;
+        interrupt.check("the images were fitted, nothing was written")?;
+        Found::new(name, estimator, estimate, truth, model_s, terminal)
+    }
+}
+
+/// One estimate, done.
+pub struct Found<'a> {
+    name: &'a Path,
+    estimator: Estimator,
+    estimate: Estimate,
+    known: Option<(Truth, Residual)>,
+    rows: [Row; 3],
+    model_s: f64,
+}
+
+impl<'a> Found<'a> {
+    fn new(
+        name: &'a Path,
+        estimator: Estimator,
+        estimate: Estimate,
+        truth: Option<Truth>,
+        model_s: f64,
+        terminal: &Terminal,
+    ) -> Result<Self> {
+        let pupil = &estimator.model().telescope.pupil;
+        let known = truth.and_then(|truth| {
+            // A truth on another grid says nothing of these maps, and is no reason to withhold them.
+            match Residual::of(pupil, &estimate.phasing_nm, &estimate.ncpa_nm, &truth) {
+                Ok(residual) => Some((truth, residual)),
+                Err(error) => {
+                    terminal.warn(&format!("{}: its truth is not shown: {error}", name.display()));
+                    None
+                }
+            }
+        });
+        let rows = figures::rows(estimator.model(), &estimate, known.as_ref().map(|(_, residual)| residual))?;
+        Ok(Self { name, estimator, estimate, known, rows, model_s })
+    }
+
+    /// Writes the estimate, and its picture where one is asked for.
+    pub fn write(&self, output: &Path, plot: Option<&Path>) -> Result<()> {
+        estimate::write(output, &self.estimator, &self.estimate)?;
+        let Some(plot) = plot else { return Ok(()) };
+        let name = self.name.file_name().unwrap_or(self.name.as_os_str()).to_string_lossy();
+        let (scene, model) = (self.estimator.scene(), self.estimator.model());
+        let known = self.known.as_ref().map(|(truth, residual)| (truth, residual));
+        picture::picture(&name, scene, model, &self.estimate, &self.rows, known)?.draw(plot)
+    }
+
+    /// Prints the result, and what is odd about it.
+    pub fn tell(&self, json: bool, verbose: bool, terminal: &Terminal) -> Result<()> {
+        let (name, model, estimate) = (self.name.display().to_string(), self.estimator.model(), &self.estimate);
+        for sentence in report::warnings(&name, model, estimate) {
+            terminal.warn(&sentence);
+        }
+        if json {
+            return terminal.json(&report::Summary::of(estimate, &self.rows));
+        }
+        terminal.show(&report::table(&name, model, estimate, &self.rows, self.model_s))?;
+        if verbose {
+            terminal.show(&format!("\n{}\n", estimate.degeneracy))?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,156 @@
+//! `cophase image`: images of an artificial source, with the truth behind them.
+
+use super::files::{self, Settings};
+use super::interrupt::Interrupt;
+use super::terminal::Terminal;
+use cophase::io::{Column, FitsWriter, Pixel};
+use cophase::scene::Scene;
+use cophase::source::{self, SourceImages};
+use cophase::telescope::Telescope;
+use cophase::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+const EXAMPLES: &str = "Examples:
+  cophase image keck-artificial -o images.fits
+  cophase image scene.toml -o faint.fits --set image.peak_snr=50 --seed 7
+
+The file holds the images (IMAGES, electrons), what they were made with (TRUTH_PHASING and TRUTH_NCPA, nm; \
+table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimate' needs nothing else.";
+
+/// Make images of an artificial source, with their truth
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
+    scene: PathBuf,
+    /// FITS file to write; one that is there is replaced
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    settings: Settings,
+    /// Seed of the aberrations and of the noise [default: aberrations.seed of the scene]
+    #[arg(long, value_parser = super::files::seed())]
+    seed: Option<u64>,
+    /// Print what was made as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was made.
+#[derive(Serialize)]
+struct Made {
+    images: usize,
+    pixels: usize,
+    flux_e: f64,
+    phasing_rms_nm: f64,
+    ncpa_rms_nm: f64,
+    seconds: f64,
+}
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let interrupt = Interrupt::catch()?;
+    files::check_output(&arguments.output, &[&arguments.scene])?;
+    let seed = arguments.seed.map(|seed| seed.to_string());
+    let options: Vec<(&str, &str)> = seed.iter().map(|seed| ("aberrations.seed", seed.as_str())).collect();
+    let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
+    if scene.wavefront_sensor.is_some() {
+        let name = scene.name();
+        terminal.warn(&format!("{name}: its turbulence and AO loop are left out, 'image' makes an artificial source"));
+    }
+    let made = make(&scene, &arguments.output, terminal, &interrupt)?;
+    if arguments.json {
+        return terminal.json(&made);
+    }
+    let Made { images, pixels, flux_e, phasing_rms_nm, ncpa_rms_nm, seconds } = made;
+    terminal.show(&format!(
+        "{}: {} of {pixels}x{pixels} pixels, {flux_e:.3e} electrons each, phasing {phasing_rms_nm:.2} nm and NCPA \
+         {ncpa_rms_nm:.2} nm RMS, made in {seconds:.1} s\n",
+        arguments.output.display(),
+        super::report::counted(images, "image"),
+    ))
+}
+
+/// Makes the images of `scene` and writes them.
+fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<Made> {
+    let started = Instant::now();
+    check_memory(scene)?;
+    let made = {
+        let _wait = terminal.wait(&format!("Making {}", super::report::counted(scene.image.count, "image")), 1);
+        source::images(scene)?
+    };
+    interrupt.check("the images were made, nothing was written")?;
+    write(output, scene, &made)?;
+    let pupil = Telescope::of(scene)?.pupil;
+    let rms = |map: &ndarray::Array2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view());
+    Ok(Made {
+        images: scene.image.count,
+        pixels: scene.image.pixels,
+        flux_e: made.flux_e,
+        phasing_rms_nm: rms(&made.truth.phasing_nm)?,
+        ncpa_rms_nm: rms(&made.truth.ncpa_nm)?,
+        seconds: started.elapsed().as_secs_f64(),
+    })
+}
+
+/// Refuses a sequence that the memory cannot hold, where the allocator knows that it cannot.
+fn check_memory(scene: &Scene) -> Result<()> {
+    /// The image in double precision, and three copies in single while the file is put together.
+    const BYTES_PER_PIXEL: usize = 8 + 3 * 4;
+    let (count, pixels) = (scene.image.count, scene.image.pixels);
+    let bytes = count.saturating_mul(pixels * pixels).saturating_mul(BYTES_PER_PIXEL);
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
+        let gib = bytes as f64 / (1u64 << 30) as f64;
+        let images = super::report::counted(count, "image");
+        Error::Value(format!(
+            "{images} of {pixels}x{pixels} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
+             image.count or image.pixels"
+        ))
+    })
+}
+
+/// [`make`] for the demonstration.
+pub fn make_file(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
+    make(scene, output, terminal, interrupt).map(drop)
+}
+
+fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
+    let image = &scene.image;
+    let truth = &made.truth;
+    let mut file = FitsWriter::create(path)?;
+    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
+    file.image("IMAGES", &made.images_e, Pixel::F32, "electron")?;
+    let grid_m = scene.pupil.grid_m.or(scene.pupil.extent_m());
+    let grid_m = grid_m.ok_or_else(|| Error::Internal("a valid scene has no width of its grid".into()))?;
+    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
+    let pixel_mas = image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * radian_mas;
+    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    for (key, value, comment) in [
+        ("RON_E", image.read_noise_e, "read noise of a pixel, electrons RMS"),
+        ("FLUX_E", made.flux_e, "electrons of the star in an image"),
+        ("BACKGR_E", image.background_e, "background of a pixel, electrons"),
+        ("WAVELEN", image.wavelength_nm, "wavelength, nm"),
+        ("PIXSCALE", pixel_mas, "pixel on the sky, mas"),
+        ("EXPTIME", image.exposure_s, "exposure, s"),
+    ] {
+        file.card("IMAGES", key, value, comment)?;
+    }
+    // FITS integers are signed.
+    file.card("IMAGES", "SEED", i64::try_from(seed).unwrap_or(i64::MAX), "seed of aberrations and noise")?;
+    file.image("TRUTH_PHASING", &truth.phasing_nm, Pixel::F64, "nm")?;
+    file.image("TRUTH_NCPA", &truth.ncpa_nm, Pixel::F64, "nm")?;
+    for name in ["TRUTH_PHASING", "TRUTH_NCPA"] {
+        file.card(name, "GRID_M", grid_m, "side of the map, m")?;
+    }
+    let tilt = |axis: usize| truth.tip_tilt_nm.iter().map(|tilts| tilts[axis]).collect();
+    let table = [
+        Column::i64("SEGMENT", (0..truth.piston_nm.len() as i64).collect()),
+        Column::f64("PISTON_NM", "nm", truth.piston_nm.clone()),
+        Column::f64("TIP_NM", "nm", tilt(0)),
+        Column::f64("TILT_NM", "nm", tilt(1)),
+    ];
+    file.table("TRUTH", &table)?;
+    file.text("SCENE", scene.text())?;
+    file.finish()
+}

@@ -1,0 +1,48 @@
+//! Signals: Ctrl-C stops at the next safe place, and a limit on file sizes is an error like a full disk.
+
+use cophase::optimize::CancelFlag;
+use cophase::{Error, Result};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// 128 + SIGINT, as shells count it.
+pub const EXIT_STATUS: u8 = 130;
+
+/// A write beyond `ulimit -f` then fails with a reason, as on a full disk, instead of killing the process and leaving
+/// its temporary file behind.
+pub fn prepare_process() {
+    // SAFETY: a plain system call before any thread starts; it installs no handler.
+    unsafe {
+        libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
+    }
+}
+
+/// Knows whether the user wants to stop.
+pub struct Interrupt {
+    flag: CancelFlag,
+}
+
+impl Interrupt {
+    /// Catches Ctrl-C from now on. A second one ends the program at once.
+    pub fn catch() -> Result<Self> {
+        let flag: CancelFlag = Arc::new(AtomicBool::new(false));
+        let raised = flag.clone();
+        let handler = move || {
+            if raised.swap(true, Ordering::SeqCst) {
+                std::process::exit(EXIT_STATUS.into());
+            }
+        };
+        ctrlc::set_handler(handler).map_err(|error| Error::Internal(format!("Ctrl-C cannot be caught: {error}")))?;
+        Ok(Self { flag })
+    }
+
+    /// What the optimiser looks at.
+    pub fn flag(&self) -> &CancelFlag {
+        &self.flag
+    }
+
+    /// Stops between two steps: `state` says what is there by then.
+    pub fn check(&self, state: &str) -> Result<()> {
+        if self.flag.load(Ordering::SeqCst) { Err(Error::Interrupted(state.into())) } else { Ok(()) }
+    }
+}

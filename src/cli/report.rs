@@ -1,0 +1,151 @@
+//! An estimate in words and numbers: the table, the warnings, the JSON.
+
+use super::figures::Row;
+use cophase::estimate::{Estimate, ImageReport, Model, Status};
+use cophase::io::Images;
+use serde::Serialize;
+
+/// Images named one by one in a warning; the others are counted.
+const NAMED_IMAGES: usize = 3;
+/// Modes named likewise.
+const NAMED_MODES: usize = 6;
+
+/// `1 image`, `2 images`.
+pub fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
+/// What `estimate --json` prints; scripts rely on these keys.
+#[derive(Serialize)]
+pub struct Summary {
+    images: usize,
+    used: usize,
+    seconds: f64,
+    phasing_rms_nm: f64,
+    ncpa_rms_nm: f64,
+    phasing_sigma_nm: f64,
+    ncpa_sigma_nm: f64,
+    reduced_chi2: f64,
+    evaluations: usize,
+    device: String,
+    precision: &'static str,
+    status: &'static str,
+}
+
+impl Summary {
+    pub fn of(estimate: &Estimate, [phasing, ncpa, _]: &[Row; 3]) -> Self {
+        Self {
+            images: estimate.images.len(),
+            used: estimate.used(),
+            seconds: estimate.seconds,
+            phasing_rms_nm: phasing.rms_nm,
+            ncpa_rms_nm: ncpa.rms_nm,
+            phasing_sigma_nm: phasing.sigma_nm,
+            ncpa_sigma_nm: ncpa.sigma_nm,
+            reduced_chi2: estimate.reduced_chi2(),
+            evaluations: evaluations(estimate),
+            device: estimate.device.clone(),
+            precision: estimate.precision,
+            status: estimate.status().word(),
+        }
+    }
+}
+
+fn evaluations(estimate: &Estimate) -> usize {
+    estimate.images.iter().map(|image| image.evaluations).sum()
+}
+
+/// The table for people.
+pub fn table(name: &str, model: &Model, estimate: &Estimate, rows: &[Row; 3], model_s: f64) -> String {
+    let modes = model.basis.len();
+    let mut text = format!(
+        "{name}: {} of {} used, {modes} modes ({} of the segments, {} of the NCPA)\n\n",
+        estimate.used(),
+        counted(estimate.images.len(), "image"),
+        model.segment_modes,
+        modes - model.segment_modes
+    );
+    let known = rows[0].residual_nm.is_some();
+    let residual = if known { "   residual [nm]" } else { "" };
+    text += &format!("{:<12}{:>10}{:>12}{residual}\n", "", "RMS [nm]", "1σ [nm]");
+    for Row { name, rms_nm, sigma_nm, residual_nm } in rows {
+        let residual = residual_nm.map(|nm| format!("{nm:>16.3}")).unwrap_or_default();
+        text += &format!("{name:<12}{rms_nm:>10.3}{sigma_nm:>12.3}{residual}\n");
+    }
+    let masked: usize = estimate.images.iter().map(|image| image.bad_pixels).sum();
+    let masked = if masked > 0 { format!(", {} masked", counted(masked, "pixel")) } else { String::new() };
+    text + &format!(
+        "\nRMS over the pupil, tip and tilt removed. Reduced χ² {:.3}{masked}.\n{} in {:.2} s on {} in {}; the model took {model_s:.2} s.\n",
+        estimate.reduced_chi2(),
+        counted(evaluations(estimate), "evaluation"),
+        estimate.seconds,
+        estimate.device,
+        estimate.precision,
+    )
+}
+
+/// What a person should know of the file that was read.
+pub fn file_warnings(name: &str, images: &Images) -> Vec<String> {
+    let repaired = images.repaired.as_ref().map(|sentence| format!("{name}: {sentence}"));
+    let non_finite = (images.non_finite > 0).then(|| {
+        let (are, were) = if images.non_finite == 1 { ("is", "was") } else { ("are", "were") };
+        format!("{name}: {} {are} not finite and {were} masked", counted(images.non_finite, "pixel"))
+    });
+    repaired.into_iter().chain(non_finite).collect()
+}
+
+/// What a person should know of the estimate.
+pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
+    let mut sentences: Vec<String> = Vec::new();
+    for word in ["unusable", "not-converged", "wrong-minimum", "misfit"] {
+        let concerned: Vec<(usize, &ImageReport)> =
+            estimate.images.iter().enumerate().filter(|(_, image)| image.status.word() == word).collect();
+        let several = estimate.images.len() > 1;
+        for (index, image) in concerned.iter().take(NAMED_IMAGES) {
+            let which =
+                if several { format!(" image {} of {}", index + 1, estimate.images.len()) } else { String::new() };
+            sentences.extend(about_image(image).map(|sentence| format!("{name}{which}: {sentence}")));
+        }
+        if concerned.len() > NAMED_IMAGES {
+            let more = counted(concerned.len() - NAMED_IMAGES, "more image");
+            sentences.push(format!("{name}: the same holds for {more} ({word}); see table IMAGES of the output"));
+        }
+    }
+    if !model.dropped.is_empty() {
+        let dropped = counted(model.dropped.len(), "mode");
+        sentences.push(format!("{dropped} left out, for the others span them: {}", listed(&model.dropped)));
+    }
+    let unseen = estimate.degeneracy.null.iter().map(|direction| &direction.description);
+    for direction in unseen.filter(|description| !is_global_piston(description)) {
+        sentences.push(format!("the images do not see this direction at all, and 0 is reported for it: {direction}"));
+    }
+    sentences
+}
+
+fn about_image(image: &ImageReport) -> Option<String> {
+    let chi2 = image.reduced_chi2;
+    match &image.status {
+        Status::Ok => None,
+        Status::Misfit => Some(format!(
+            "the residual is {:.1} times the noise (reduced χ² {chi2:.1}): the modes do not span what is there, or the \
+             scene differs from the instrument; error bars are scaled up by as much",
+            chi2.sqrt()
+        )),
+        Status::WrongMinimum => Some(format!(
+            "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity or orientation \
+             of the scene are not the image's"
+        )),
+        Status::NotConverged(reason) => Some(format!("left out, the fit did not converge ({reason})")),
+        Status::Unusable(reason) => Some(format!("left out, {reason}")),
+    }
+}
+
+/// The one direction that no image can see.
+fn is_global_piston(description: &str) -> bool {
+    description.ends_with("(global piston)")
+}
+
+fn listed(names: &[String]) -> String {
+    let first = names[..names.len().min(NAMED_MODES)].join(", ");
+    if names.len() > NAMED_MODES { format!("{first} and {} more", names.len() - NAMED_MODES) } else { first }
+}

@@ -1,0 +1,130 @@
+//! Everything here that needs OpenCL says so and passes where there is none; `COPHASE_REQUIRE_OPENCL=1` makes that a
+//! failure.
+//!
+//! To look for data races and overruns in the kernels: `COPHASE_OPENCL_LIBRARY=/usr/lib/oclgrind/liboclgrind-rt.so
+//! OCLGRIND_DATA_RACES=1 OCLGRIND_LOG=oclgrind.log cargo test --lib direct_sum`, and read the log: oclgrind itself exits
+//! with 0.
+
+use super::*;
+
+/// The devices to test on: empty where OpenCL may be absent and is.
+pub(crate) fn test_devices() -> Vec<DeviceInfo> {
+    let present = devices().expect("OpenCL lists its devices");
+    if present.is_empty() {
+        assert!(
+            std::env::var("COPHASE_REQUIRE_OPENCL").as_deref() != Ok("1"),
+            "COPHASE_REQUIRE_OPENCL=1, and no OpenCL device was found"
+        );
+        println!("skipped: no OpenCL device was found");
+    }
+    present
+}
+
+#[test]
+fn every_kernel_compiles_at_every_precision_and_width() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        for precision in [Precision::F32, Precision::F64] {
+            if !info.supports(precision) {
+                println!("{info} has no {precision}");
+                continue;
+            }
+            for vector in [1, 4, 8, 16] {
+                for entry in TABLE.iter().flat_map(|family| family.entries) {
+                    let kernel = device.kernel(entry.name, Build { precision, vector }).unwrap();
+                    assert!(!kernel.arguments().is_empty(), "{} keeps the names of its arguments", entry.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_cl_file_is_in_the_table() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/kernels");
+    let mut found: Vec<String> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|file| file.unwrap().file_name().into_string().unwrap())
+        .filter(|name| name.ends_with(".cl") && name != "common.cl")
+        .collect();
+    let mut listed: Vec<String> = TABLE.iter().map(|family| family.file.to_string()).collect();
+    found.sort();
+    listed.sort();
+    assert_eq!(found, listed);
+}
+
+#[test]
+fn every_kernel_of_a_file_is_in_its_row() {
+    for family in TABLE {
+        let declared = family.source.matches("__kernel void ").count();
+        assert_eq!(declared, family.entries.len(), "{} declares {declared} kernels", family.file);
+        for entry in family.entries {
+            assert!(family.source.contains(&format!("__kernel void {}(", entry.name)), "{}", entry.name);
+        }
+    }
+}
+
+#[test]
+fn numbers_go_up_and_come_back() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let mut buffer = device.buffer::<f32>(5).unwrap();
+        buffer.write(2, &[1.5, -2.5]).unwrap();
+        let mut back = [9.0f32; 5];
+        buffer.read(0, &mut back).unwrap();
+        assert_eq!(back, [0.0, 0.0, 1.5, -2.5, 0.0]);
+        assert!(buffer.write(4, &[0.0, 0.0]).is_err());
+        assert!(buffer.read(1, &mut back).is_err());
+    }
+}
+
+#[test]
+fn a_buffer_beyond_the_device_is_refused_with_its_size() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let numbers = info.max_buffer_bytes as usize / 4 + 1;
+        let message = device.buffer::<f32>(numbers).err().unwrap().to_string();
+        assert!(message.contains(&(4 * numbers).to_string()), "{message}");
+    }
+}
+
+#[test]
+fn a_bad_name_is_an_error_and_not_a_crash() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let build = Build::for_device(&info, Precision::F32);
+        assert!(device.kernel("no_such_kernel", build).is_err());
+        let mut kernel = device.kernel("photometry_solve", build).unwrap();
+        assert!(kernel.int("no_such_argument", 1).is_err());
+        assert!(kernel.int("images", usize::MAX).is_err());
+    }
+}
+
+/// What the test below reads from a process of its own: the loader looks for the library once per process. Several
+/// threads ask at once, for PoCL crashes where its first two callers meet.
+#[test]
+fn devices_are_counted() {
+    let counts = std::thread::scope(|scope| {
+        let askers: Vec<_> = (0..4).map(|_| scope.spawn(|| devices().unwrap().len())).collect();
+        askers.into_iter().map(|asker| asker.join().unwrap()).collect::<Vec<_>>()
+    });
+    assert!(counts.iter().all(|count| *count == counts[0]), "{counts:?}");
+    println!("devices: {}", counts[0]);
+}
+
+#[test]
+fn without_a_library_there_are_no_devices() {
+    let count = |library: &str| {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "device::tests::devices_are_counted", "--nocapture"])
+            .env("COPHASE_OPENCL_LIBRARY", library)
+            .output()
+            .unwrap();
+        String::from_utf8_lossy(&output.stdout).to_string()
+    };
+    let counted = count("/nonexistent/libOpenCL.so.1");
+    assert!(counted.contains("devices: 0"), "{counted}");
+    // Loaded, but without a single OpenCL symbol.
+    let counted = count("libm.so.6");
+    assert!(counted.contains("devices: 0"), "{counted}");
+}

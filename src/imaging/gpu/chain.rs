@@ -1,0 +1,313 @@
+//! The chain: checks what the caller brings, folds it, and unfolds what the stages return.
+
+use std::f64::consts::TAU;
+
+use rayon::prelude::*;
+
+use super::fold::Shape;
+use super::stages::Stages;
+use super::{GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
+use crate::device::{Build, Device, Precision};
+use crate::{Error, Result};
+
+/// Images that are folded on the host at a time: enough for every core, little memory beside what the device takes.
+const FOLDED_AT_ONCE: usize = 32;
+
+/// The chain on a device, with room for a number of images. It is not shared between threads: its kernels remember
+/// their arguments.
+pub struct GpuChain {
+    layout: GpuLayout,
+    shape: Shape,
+    stages: Stages,
+    photometry: Vec<GpuPhotometry>,
+    /// What was taken off the data of each image: see [`Folded::offset`].
+    offsets: Vec<f64>,
+}
+
+impl GpuChain {
+    /// Compiles the chain for `layout` on `device`, with room for `capacity` images.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Value`] for a layout whose arrays do not fit each other, [`Error::Device`] where the
+    /// device lacks the precision or the memory.
+    pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, capacity: usize) -> Result<Self> {
+        Self::with_build(device, Build::for_device(device.info(), precision), layout, capacity)
+    }
+
+    /// [`GpuChain::new`] with a vector width of the caller's choice.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::new`].
+    pub fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
+        layout.check()?;
+        if capacity == 0 {
+            return Err(Error::Value("a chain with room for 0 images computes nothing: 1 or more is needed".into()));
+        }
+        let shape = Shape::new(layout, build.vector);
+        let stages = Stages::new(device, build, layout, shape, capacity)?;
+        Ok(Self { layout: layout.clone(), shape, stages, photometry: Vec::new(), offsets: Vec::new() })
+    }
+
+    /// Coefficients of the model.
+    pub fn modes(&self) -> usize {
+        self.layout.modes.len()
+    }
+
+    /// Room for images.
+    pub fn capacity(&self) -> usize {
+        self.stages.capacity()
+    }
+
+    /// Brings images to the device: `data` (electrons) and `weights` (1/electrons²; 0 masks a pixel, whatever its data)
+    /// are `[image][row][column]`, with one photometry per image. They replace the images of an earlier call;
+    /// after an error none is loaded.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the lists do not fit or exceed the capacity; [`Error::Value`] for a weight that is
+    /// negative or not finite, data that are not finite where the weight is positive, or known photometry that is not
+    /// finite; [`Error::Device`] where the device failed.
+    pub fn load<D, W>(&mut self, data: &[D], weights: &[W], photometry: &[GpuPhotometry]) -> Result<()>
+    where
+        D: Copy + Into<f64> + Sync,
+        W: Copy + Into<f64> + Sync,
+    {
+        let m = self.layout.pixels;
+        let (images, size) = (photometry.len(), m * m);
+        if images > self.capacity() {
+            return Err(Error::Shape(format!("{images} images exceed a chain with room for {}", self.capacity())));
+        }
+        for (what, found) in [("data", data.len()), ("weights", weights.len())] {
+            if found != images * size {
+                return Err(Error::Shape(format!("{found} {what} are not {images} images of {m} x {m} pixels")));
+            }
+        }
+        self.photometry.clear();
+        self.offsets.clear();
+        for first in (0..images).step_by(FOLDED_AT_ONCE) {
+            let folded: Vec<Folded> = (first..images.min(first + FOLDED_AT_ONCE))
+                .into_par_iter()
+                .map(|i| {
+                    let range = i * size..(i + 1) * size;
+                    Folded::new(&self.shape, m, &data[range.clone()], &weights[range], &photometry[i])
+                        .map_err(|what| Error::Value(format!("image {i} {what}")))
+                })
+                .collect::<Result<_>>()?;
+            for (i, image) in folded.iter().enumerate() {
+                self.stages.load(first + i, image)?;
+                self.offsets.push(image.offset);
+            }
+        }
+        self.photometry = photometry.to_vec();
+        Ok(())
+    }
+
+    /// Replaces one image that is loaded, as [`GpuChain::load`] brought it.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::load`], and [`Error::Shape`] where there is no such image.
+    pub fn replace(&mut self, image: usize, data: &[f64], weights: &[f64], photometry: GpuPhotometry) -> Result<()> {
+        let (m, loaded) = (self.layout.pixels, self.photometry.len());
+        if image >= loaded {
+            return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+        }
+        if data.len() != m * m || weights.len() != m * m {
+            let (data, weights) = (data.len(), weights.len());
+            return Err(Error::Shape(format!(
+                "{data} data and {weights} weights are not an image of {m} x {m} pixels"
+            )));
+        }
+        let folded = Folded::new(&self.shape, m, data, weights, &photometry)
+            .map_err(|what| Error::Value(format!("image {image} {what}")))?;
+        self.stages.load(image, &folded)?;
+        self.offsets[image] = folded.offset;
+        self.photometry[image] = photometry;
+        Ok(())
+    }
+
+    /// Objective, gradient and photometry of the images `active` (indices into what was loaded) at `coefficients`, nm,
+    /// `[active image][mode]`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for an image that is not loaded or a list of another length; [`Error::Value`] for a coefficient
+    /// that is not finite; [`Error::Device`] where the device failed.
+    pub fn evaluate(&mut self, active: &[usize], coefficients: &[f64]) -> Result<GpuEvaluation> {
+        if let Some(image) = active.iter().find(|i| **i >= self.photometry.len()) {
+            return Err(Error::Shape(format!("image {image} is not among the {} loaded", self.photometry.len())));
+        }
+        let (turns, phasors) = self.inputs(active.len(), coefficients)?;
+        let fitted = active.iter().any(|&i| !matches!(self.photometry[i], GpuPhotometry::Known { .. }));
+        let results = self.stages.evaluate(active, &turns, &phasors, fitted)?;
+
+        let outputs = 3 + self.layout.segments + self.layout.smooth.len();
+        let mut evaluation = GpuEvaluation {
+            objective: Vec::with_capacity(active.len()),
+            gradient: Vec::with_capacity(active.len() * self.modes()),
+            flux_e: Vec::with_capacity(active.len()),
+            background_e: Vec::with_capacity(active.len()),
+        };
+        for (result, &image) in results.chunks_exact(outputs).zip(active) {
+            evaluation.objective.push(result[0]);
+            evaluation.flux_e.push(result[1]);
+            evaluation.background_e.push(result[2] + self.offsets[image]);
+            let (segments, smooth) = result[3..].split_at(self.layout.segments);
+            evaluation.gradient.extend(self.layout.modes.iter().map(|mode| match *mode {
+                GpuMode::Segment(s) => segments[s],
+                GpuMode::Smooth(j) => smooth[j],
+            }));
+        }
+        Ok(evaluation)
+    }
+
+    /// The PSFs at `coefficients`, nm, `[image][mode]`: `[image][row][column]`, for any number of images (none need be
+    /// loaded).
+    ///
+    /// # Errors
+    /// As for [`GpuChain::evaluate`].
+    pub fn psf(&mut self, coefficients: &[f64]) -> Result<Vec<f64>> {
+        let (m, modes) = (self.layout.pixels, self.modes());
+        let images = coefficients.len().checked_div(modes).unwrap_or(1);
+        let mut psfs = Vec::with_capacity(images * m * m);
+        for first in (0..images).step_by(self.stages.focal_tile()) {
+            let count = (images - first).min(self.stages.focal_tile());
+            let (turns, phasors) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
+            let focal = self.stages.focal(count, &turns, &phasors)?;
+            for image in focal.chunks_exact(self.shape.pixels() * 2).take(count) {
+                psfs.extend(self.unfold(image));
+            }
+        }
+        Ok(psfs)
+    }
+
+    /// |C ∓ iS|² of `[pair][+v, -v][C re, C im, S re, S im][u]`, in the order of pixels.
+    fn unfold<'a>(&'a self, focal: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
+        let (m, span) = (self.layout.pixels, self.shape.span);
+        (0..m * m).map(move |i| {
+            // A pixel's place counts 2 sides of `span` per row, the focal field 4 planes.
+            let pixel = self.shape.pixel(m, i / m, i % m);
+            let (row, side, u) = (pixel / (2 * span), pixel / span % 2, pixel % span);
+            let [cr, ci, sr, si] = [0, 1, 2, 3].map(|plane| focal[(row * 4 + plane) * span + u]);
+            let sign = if side == 0 { 1.0 } else { -1.0 };
+            (cr + sign * si).powi(2) + (ci - sign * sr).powi(2)
+        })
+    }
+
+    /// Smooth coefficients in turns `[image][smooth mode]`, and the phasors of the segments `[image][segment][re, im]`
+    /// times the root of the intensity scale, so that |U|² is the PSF.
+    fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
+        let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
+        if coefficients.len() != images * modes {
+            return Err(Error::Shape(format!(
+                "{} coefficients are not those of {images} images of {modes} modes",
+                coefficients.len()
+            )));
+        }
+        if let Some(k) = coefficients.iter().position(|c| !c.is_finite()) {
+            return Err(Error::Value(format!(
+                "coefficient {} of image {} is {}: finite nanometres are needed",
+                k % modes,
+                k / modes,
+                coefficients[k]
+            )));
+        }
+        let amplitude = self.layout.intensity_scale.sqrt();
+        let mut turns = vec![0.0; images * smooth];
+        let mut pistons = vec![0.0; images * segments];
+        for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
+            for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
+                match *mode {
+                    GpuMode::Segment(s) => pistons[image * segments + s] += coefficient / self.layout.wavelength_nm,
+                    GpuMode::Smooth(j) => turns[image * smooth + j] += coefficient / self.layout.wavelength_nm,
+                }
+            }
+        }
+        let phasor = |turns: f64| {
+            let (sine, cosine) = (TAU * (turns - turns.round())).sin_cos();
+            [amplitude * cosine, amplitude * sine]
+        };
+        Ok((turns, pistons.into_iter().flat_map(phasor).collect()))
+    }
+}
+
+impl std::fmt::Debug for GpuChain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("GpuChain")
+            .field("shape", &self.shape)
+            .field("capacity", &self.capacity())
+            .finish_non_exhaustive()
+    }
+}
+
+/// One image as the device holds it.
+pub(super) struct Folded {
+    pub data: Vec<f64>,
+    pub weights: Vec<f64>,
+    /// 0 known, 1 flux fitted, 2 flux and background fitted.
+    pub kind: i32,
+    /// Known flux and background (less the offset), sum of w, sum of w (d - offset).
+    pub known: [f64; 4],
+    /// What is taken off the data, electrons: the known background, or the weighted mean where that is fitted. What the
+    /// device sums is then signal: the sums of a faint star on a bright background would cancel in f32.
+    pub offset: f64,
+}
+
+impl Folded {
+    fn new<D, W>(
+        shape: &Shape,
+        m: usize,
+        data: &[D],
+        weights: &[W],
+        how: &GpuPhotometry,
+    ) -> std::result::Result<Self, String>
+    where
+        D: Copy + Into<f64>,
+        W: Copy + Into<f64>,
+    {
+        let (kind, flux, background) = match *how {
+            GpuPhotometry::Known { flux_e, background_e } => (0, flux_e, background_e),
+            GpuPhotometry::FitFlux { background_e } => (1, 0.0, background_e),
+            GpuPhotometry::FitBoth => (2, 0.0, 0.0),
+        };
+        if !(flux.is_finite() && background.is_finite()) {
+            return Err(format!(
+                "has a known flux of {flux} and background of {background}: finite electrons are needed"
+            ));
+        }
+        let mut folded = Folded {
+            data: vec![0.0; shape.pixels()],
+            weights: vec![0.0; shape.pixels()],
+            kind,
+            known: [flux, 0.0, 0.0, 0.0],
+            offset: background,
+        };
+        if kind == 2 {
+            let (mut sum_w, mut sum_wd) = (0.0, 0.0);
+            for (&d, &w) in data.iter().zip(weights) {
+                let (d, w): (f64, f64) = (d.into(), w.into());
+                if w > 0.0 {
+                    sum_w += w;
+                    sum_wd += w * d;
+                }
+            }
+            folded.offset = if sum_w > 0.0 { sum_wd / sum_w } else { 0.0 };
+        }
+        for (i, (&d, &w)) in data.iter().zip(weights).enumerate() {
+            let (d, w): (f64, f64) = (d.into(), w.into());
+            if w == 0.0 {
+                continue;
+            }
+            let (row, column) = (i / m, i % m);
+            if !(w.is_finite() && w > 0.0) {
+                return Err(format!("has weight {w} at row {row}, column {column}: 0 or a positive number is needed"));
+            }
+            if !d.is_finite() {
+                return Err(format!("holds {d} at row {row}, column {column}, where its weight is not 0"));
+            }
+            let pixel = shape.pixel(m, row, column);
+            folded.data[pixel] = d - folded.offset;
+            folded.weights[pixel] = w;
+            folded.known[2] += w;
+            folded.known[3] += w * folded.data[pixel];
+        }
+        Ok(folded)
+    }
+}

@@ -1,0 +1,240 @@
+//! Between the plain arrays of [`GpuLayout`] and the folded, padded ones of `kernels/common.cl`.
+
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+use super::layout::GpuLayout;
+
+/// Output rows that one work-item carries down the columns; `TALL` of `common.cl`.
+pub(super) const TALL: usize = 6;
+/// Images that one work-item carries through the modes; `GROUP` of `common.cl`.
+pub(super) const GROUP: usize = 4;
+/// Modes that one work-item projects at once.
+pub(super) const MODES_AT_ONCE: usize = 4;
+
+/// The folded extents.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Shape {
+    /// Numbers in a vector.
+    pub vector: usize,
+    /// Pupil rows on one side of the axis, n/2.
+    pub rows: usize,
+    /// `rows`, padded to whole vectors.
+    pub width: usize,
+    /// Image rows from the axis to the edge, m/2 + 1.
+    pub pairs: usize,
+    /// `pairs`, padded to whole vectors.
+    pub span: usize,
+    /// Turns per sample and pixel.
+    pub step: f64,
+}
+
+impl Shape {
+    pub fn new(layout: &GpuLayout, vector: usize) -> Self {
+        let (rows, pairs) = (layout.samples / 2, layout.pixels / 2 + 1);
+        Self {
+            vector,
+            rows,
+            width: rows.next_multiple_of(vector),
+            pairs,
+            span: pairs.next_multiple_of(vector),
+            step: 1.0 / (layout.samples as f64 * layout.samples_per_lambda_over_d),
+        }
+    }
+
+    /// Numbers that one image of data, or of weights, takes.
+    pub fn pixels(&self) -> usize {
+        self.pairs * 4 * self.span
+    }
+
+    /// Where pixel (row, column) of an image of `m` pixels stands: `[pair][+v, -v][+u, -u][u]`.
+    pub fn pixel(&self, m: usize, row: usize, column: usize) -> usize {
+        let (v, below) = signed(row, m);
+        let (u, left) = signed(column, m);
+        ((v * 2 + below) * 2 + left) * self.span + u
+    }
+
+    fn angle(&self, sample: usize, pixel: usize) -> f64 {
+        // Reduced to a turn before the multiplication by 2 pi, so that the table is right to the last digit.
+        let turns = (sample as f64 + 0.5) * pixel as f64 * self.step;
+        TAU * (turns - turns.round())
+    }
+
+    /// `[group of TALL outputs][input][cos, sin][TALL]`; the angle is that of `angle(input, output)`.
+    fn columns(outputs: usize, inputs: usize, angle: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+        let mut table = Vec::with_capacity(outputs.next_multiple_of(TALL) * inputs * 2);
+        for group in 0..outputs.div_ceil(TALL) {
+            for input in 0..inputs {
+                for part in [f64::cos, f64::sin] {
+                    table.extend((group * TALL..(group + 1) * TALL).map(|o| part(angle(input, o))));
+                }
+            }
+        }
+        table
+    }
+
+    /// Chunks of vectors of outputs as `[input][cos, sin][vectors][VEC]`, zero beyond `outputs`.
+    fn rows(&self, outputs: usize, inputs: usize, angle: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+        let vectors = outputs.div_ceil(self.vector);
+        let chunks = row_chunks(vectors);
+        let mut table = Vec::with_capacity(vectors * self.vector * inputs * 2);
+        for chunk in 0..chunks {
+            let (start, end) = (2 * chunk, if chunk + 1 < chunks { 2 * chunk + 2 } else { vectors });
+            for input in 0..inputs {
+                for part in [f64::cos, f64::sin] {
+                    let inside = |o: usize| if o < outputs { part(angle(input, o)) } else { 0.0 };
+                    table.extend((start * self.vector..end * self.vector).map(inside));
+                }
+            }
+        }
+        table
+    }
+
+    /// The four tables, in the order in which the stages use them: y to v, x to u, u to x, v to y.
+    pub fn tables(&self) -> [Vec<f64>; 4] {
+        let forward = |sample, pixel| self.angle(sample, pixel);
+        let adjoint = |pixel, sample| self.angle(sample, pixel);
+        [
+            Self::columns(self.pairs, self.rows, forward),
+            self.rows(self.pairs, self.rows, forward),
+            self.rows(self.rows, self.pairs, adjoint),
+            Self::columns(self.rows, self.pairs, adjoint),
+        ]
+    }
+}
+
+/// How many work-items share a row of `vectors` output vectors: two vectors each, three for the last of an odd number.
+pub(super) fn row_chunks(vectors: usize) -> usize {
+    (vectors / 2).max(1)
+}
+
+/// Distance of pixel `i` of `m` from the axis, and 1 where it lies on the negative side.
+fn signed(i: usize, m: usize) -> (usize, usize) {
+    if i >= m / 2 { (i - m / 2, 0) } else { (m / 2 - i, 1) }
+}
+
+/// The pupil in blocks: one block is `VEC` samples in x, in all four quadrants. There is one wherever a sample of its
+/// column is lit at its distance from the axis or farther out.
+#[derive(Debug, Default)]
+pub(super) struct Blocks {
+    /// Row and first column of each, by distance from the axis.
+    pub place: Vec<i32>,
+    /// Rows beyond which each vector of columns is dark.
+    pub extent: Vec<i32>,
+    /// Diversity modulo one turn, `[quadrant][block][VEC]`.
+    pub diversity: Vec<f64>,
+    /// Basis, with the strides below.
+    pub basis: Vec<f64>,
+    /// Distance of neighbouring blocks, modes and quadrants in the basis.
+    pub block_stride: usize,
+    pub mode_stride: usize,
+    pub quadrant_stride: usize,
+    /// Entries of block b in quadrant q: `entry_start[4 b + q]..entry_start[4 b + q + 1]`.
+    pub entry_start: Vec<i32>,
+    /// Segment of each entry.
+    pub entry_segment: Vec<i32>,
+    /// Where each entry's samples stand among the planes of g: `2 q blocks + b`.
+    pub entry_place: Vec<i32>,
+    /// Weights of each entry, VEC of them.
+    pub entry_weight: Vec<f64>,
+    /// The same list by segment: `segment_start[s]..segment_start[s + 1]` of `segment_entry`.
+    pub segment_start: Vec<i32>,
+    pub segment_entry: Vec<i32>,
+}
+
+impl Blocks {
+    pub fn count(&self) -> usize {
+        self.place.len() / 2
+    }
+
+    pub fn new(layout: &GpuLayout, shape: &Shape) -> Self {
+        let (n, half, vector) = (layout.samples, layout.samples / 2, shape.vector);
+        let fold = |i: usize| if i >= half { (i - half, 0) } else { (half - 1 - i, 1) };
+        let spots: Vec<Spot> = layout
+            .lit
+            .iter()
+            .map(|&flat| {
+                let ((row, below), (x, left)) = (fold(flat / n), fold(flat % n));
+                Spot { row, column: x / vector, quadrant: 2 * below + left, lane: x % vector, block: 0 }
+            })
+            .collect();
+        let mut blocks = Blocks { extent: vec![0; shape.width / vector], ..Default::default() };
+        for spot in &spots {
+            blocks.extent[spot.column] = blocks.extent[spot.column].max(spot.row as i32 + 1);
+        }
+        // Every block within the extent, dark ones too: the adjoint leaves something there, which the next field must
+        // overwrite with its zeros.
+        let mut number = vec![vec![0; blocks.extent.len()]; shape.rows];
+        for (row, numbers) in number.iter_mut().enumerate() {
+            for (column, number) in numbers.iter_mut().enumerate() {
+                if (row as i32) < blocks.extent[column] {
+                    *number = blocks.count();
+                    blocks.place.extend([row as i32, (column * vector) as i32]);
+                }
+            }
+        }
+        let spots: Vec<Spot> =
+            spots.into_iter().map(|spot| Spot { block: number[spot.row][spot.column], ..spot }).collect();
+        blocks.fill_modes(layout, vector, &spots);
+        blocks.fill_segments(layout, vector, &spots);
+        blocks
+    }
+
+    fn fill_modes(&mut self, layout: &GpuLayout, vector: usize, spots: &[Spot]) {
+        let count = self.count();
+        let modes = layout.smooth.len().next_multiple_of(MODES_AT_ONCE);
+        // A processor walks the modes of one block; neighbouring work-items of a GPU walk neighbouring blocks.
+        [self.block_stride, self.mode_stride, self.quadrant_stride] =
+            if vector == 1 { [1, 4 * count, count] } else { [modes * 4 * vector, 4 * vector, vector] };
+        self.diversity = vec![0.0; 4 * count * vector];
+        self.basis = vec![0.0; modes * 4 * count * vector];
+        for (p, spot) in spots.iter().enumerate() {
+            let turns = layout.diversity_turns[p];
+            self.diversity[(spot.quadrant * count + spot.block) * vector + spot.lane] = turns - turns.round();
+            let place = spot.block * self.block_stride + spot.quadrant * self.quadrant_stride + spot.lane;
+            for (j, mode) in layout.smooth.iter().enumerate() {
+                self.basis[place + j * self.mode_stride] = mode[p];
+            }
+        }
+    }
+
+    fn fill_segments(&mut self, layout: &GpuLayout, vector: usize, spots: &[Spot]) {
+        // (block, quadrant, segment) -> the weights of the lanes.
+        let mut weights: BTreeMap<(usize, usize, usize), Vec<f64>> = BTreeMap::new();
+        for (p, spot) in spots.iter().enumerate() {
+            for e in layout.segment_start[p]..layout.segment_start[p + 1] {
+                let key = (spot.block, spot.quadrant, layout.segment_index[e]);
+                weights.entry(key).or_insert_with(|| vec![0.0; vector])[spot.lane] += layout.segment_weight[e];
+            }
+        }
+        let mut by_segment = vec![Vec::new(); layout.segments];
+        let mut ends = vec![0; 4 * self.count() + 1];
+        for (entry, ((block, quadrant, segment), lanes)) in weights.into_iter().enumerate() {
+            ends[4 * block + quadrant + 1] = entry as i32 + 1;
+            by_segment[segment].push(entry as i32);
+            self.entry_segment.push(segment as i32);
+            self.entry_place.push((2 * quadrant * self.count() + block) as i32);
+            self.entry_weight.extend(lanes);
+        }
+        // A quadrant without entries starts and ends where the one before it ended.
+        for i in 1..ends.len() {
+            ends[i] = ends[i].max(ends[i - 1]);
+        }
+        self.entry_start = ends;
+        self.segment_start = vec![0];
+        for list in by_segment {
+            self.segment_entry.extend(list);
+            self.segment_start.push(self.segment_entry.len() as i32);
+        }
+    }
+}
+
+/// Where a lit sample is.
+struct Spot {
+    row: usize,
+    /// Vector of columns.
+    column: usize,
+    block: usize,
+    quadrant: usize,
+    lane: usize,
+}

@@ -1,0 +1,154 @@
+//! What a scene is to the device: plain arrays, and their check.
+
+use crate::{Error, Result};
+
+/// Which coefficient a mode is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GpuMode {
+    /// The piston of this segment.
+    Segment(usize),
+    /// The amount of this smooth mode.
+    Smooth(usize),
+}
+
+/// The forward model as plain arrays: pupil samples that light reaches, their weights and modes, and the sampling of the
+/// image. `n` is [`samples`](Self::samples), `m` is [`pixels`](Self::pixels).
+///
+/// The field at lit sample p is `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi c_s/λ)` with `ψ_p = diversity_p + Σ_j B_jp y_j/λ`; the
+/// focal field is `U[v][u] = Σ E[y][x] exp(−2πi step ((x−(n−1)/2)(u−m/2) + (y−(n−1)/2)(v−m/2)))`, `step = 1/(n q)`, and
+/// the image is `intensity_scale |U|²`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GpuLayout {
+    /// Pupil samples along a side, n; even.
+    pub samples: usize,
+    /// Image pixels along a side, m; even.
+    pub pixels: usize,
+    /// Pixels per λ/(width of the pupil grid), q.
+    pub samples_per_lambda_over_d: f64,
+    /// Wavelength, nm.
+    pub wavelength_nm: f64,
+    /// PSF per squared modulus of the focal field.
+    pub intensity_scale: f64,
+    /// Flat indices `y*n + x` of the samples that light reaches, each once.
+    pub lit: Vec<usize>,
+    /// Diversity at each lit sample, turns.
+    pub diversity_turns: Vec<f64>,
+    /// Smooth modes `[mode][lit sample]`, nm of wavefront per nm of coefficient.
+    pub smooth: Vec<Vec<f64>>,
+    /// Number of segments: at least 1 (a mirror of one piece is one segment).
+    pub segments: usize,
+    /// Lit sample p holds the entries `segment_start[p]..segment_start[p + 1]` of the two lists below.
+    pub segment_start: Vec<usize>,
+    /// Segment of each entry.
+    pub segment_index: Vec<usize>,
+    /// Weight of each entry: amplitude, of either sign.
+    pub segment_weight: Vec<f64>,
+    /// What each coefficient of the model is.
+    pub modes: Vec<GpuMode>,
+}
+
+impl GpuLayout {
+    /// Checks that the arrays fit each other.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Value`] for the first that does not.
+    pub fn check(&self) -> Result<()> {
+        let even = |what: &str, size: usize| match size {
+            0 => Err(Error::Shape(format!("a model of 0 {what} is empty: an even number from 2 on is needed"))),
+            s if s % 2 == 1 => {
+                Err(Error::Shape(format!("{s} {what} a side cannot be folded: an even number is needed")))
+            }
+            _ => Ok(()),
+        };
+        even("pupil samples", self.samples)?;
+        even("image pixels", self.pixels)?;
+        for (what, value) in [
+            ("samples_per_lambda_over_d", self.samples_per_lambda_over_d),
+            ("wavelength_nm", self.wavelength_nm),
+            ("intensity_scale", self.intensity_scale),
+        ] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(Error::Value(format!("{what} is {value}: a positive number is needed")));
+            }
+        }
+        let lit = self.lit.len();
+        let expect = |what: &str, found: usize, wanted: usize| {
+            if found == wanted {
+                return Ok(());
+            }
+            Err(Error::Shape(format!("{what} has {found} entries for {lit} lit samples: {wanted} are needed")))
+        };
+        expect("diversity_turns", self.diversity_turns.len(), lit)?;
+        expect("segment_start", self.segment_start.len(), lit + 1)?;
+        for (j, mode) in self.smooth.iter().enumerate() {
+            expect(&format!("smooth mode {j}"), mode.len(), lit)?;
+        }
+        self.check_samples()?;
+        self.check_segments()?;
+        self.check_modes()
+    }
+
+    fn check_samples(&self) -> Result<()> {
+        let mut seen = vec![false; self.samples * self.samples];
+        for &index in &self.lit {
+            match seen.get_mut(index) {
+                Some(seen) if !*seen => *seen = true,
+                Some(_) => return Err(Error::Shape(format!("lit sample {index} is listed twice"))),
+                None => {
+                    return Err(Error::Shape(format!(
+                        "lit sample {index} is outside a pupil of {0} x {0} samples",
+                        self.samples
+                    )));
+                }
+            }
+        }
+        if seen.iter().all(|lit| !lit) {
+            return Err(Error::Shape("no sample of the pupil is lit: at least one is needed".into()));
+        }
+        match self.diversity_turns.iter().chain(self.smooth.iter().flatten()).find(|v| !v.is_finite()) {
+            Some(value) => {
+                Err(Error::Value(format!("a mode or the diversity holds {value}: finite numbers are needed")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn check_segments(&self) -> Result<()> {
+        if self.segments == 0 {
+            return Err(Error::Shape("a pupil of 0 segments has no weights: at least one segment is needed".into()));
+        }
+        let entries = self.segment_index.len();
+        let ordered = self.segment_start.windows(2).all(|pair| pair[0] <= pair[1]);
+        if !ordered || self.segment_start.first() != Some(&0) || self.segment_start.last() != Some(&entries) {
+            return Err(Error::Shape(format!(
+                "segment_start does not rise from 0 to the {entries} entries of its list"
+            )));
+        }
+        if self.segment_weight.len() != entries {
+            return Err(Error::Shape(format!(
+                "{} segment weights stand beside {entries} segments",
+                self.segment_weight.len()
+            )));
+        }
+        if let Some(s) = self.segment_index.iter().find(|s| **s >= self.segments) {
+            return Err(Error::Shape(format!("segment {s} is outside 0..{}", self.segments)));
+        }
+        match self.segment_weight.iter().find(|w| !w.is_finite()) {
+            Some(weight) => Err(Error::Value(format!("a segment weight is {weight}: finite numbers are needed"))),
+            None => Ok(()),
+        }
+    }
+
+    fn check_modes(&self) -> Result<()> {
+        for (k, mode) in self.modes.iter().enumerate() {
+            let (what, index, size) = match *mode {
+                GpuMode::Segment(s) => ("segment", s, self.segments),
+                GpuMode::Smooth(j) => ("smooth mode", j, self.smooth.len()),
+            };
+            if index >= size {
+                return Err(Error::Shape(format!("mode {k} is {what} {index}, outside 0..{size}")));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,377 @@
+//! The kernels of the chain, bound to their buffers, and the order in which they run.
+
+use super::chain::Folded;
+use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
+use super::layout::GpuLayout;
+use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
+use crate::Result;
+use crate::device::{Build, Device, Kernel};
+
+/// The stages of the chain with everything that they need on the device.
+pub(super) struct Stages {
+    shape: Shape,
+    cut: Cut,
+    counts: Counts,
+    batch: Batch,
+    scratch: Scratch,
+    /// Only kernels look at it.
+    _scene: Scene,
+    kernels: Kernels,
+}
+
+/// One of each, bound to everything that does not change.
+struct Kernels {
+    pupil_field: Kernel,
+    forward_columns: Kernel,
+    forward_rows: Kernel,
+    photometry_sums: Kernel,
+    photometry_solve: Kernel,
+    residuals: Kernel,
+    focus: Kernel,
+    adjoint_rows: Kernel,
+    adjoint_columns: Kernel,
+    pupil_gradient: Kernel,
+    project_modes: Kernel,
+    project_segments: Kernel,
+    collect: Kernel,
+}
+
+/// What the binding functions read.
+struct Parts<'a> {
+    device: &'a Device,
+    build: Build,
+    shape: &'a Shape,
+    cut: &'a Cut,
+    counts: &'a Counts,
+    blocks: &'a Blocks,
+    scene: &'a Scene,
+    batch: &'a Batch,
+    scratch: &'a Scratch,
+}
+
+impl Parts<'_> {
+    fn kernel(&self, name: &'static str) -> Result<Kernel> {
+        self.device.kernel(name, self.build)
+    }
+
+    /// What every kernel over blocks of the pupil takes.
+    fn pupil(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.kernel(name)?;
+        self.scratch.phasor.bind(&mut k, "phasor")?;
+        self.scratch.lit_field.bind(&mut k, "lit_field")?;
+        self.scratch.field.bind(&mut k, "field")?;
+        k.buffer("place", &self.scene.place)?.int("blocks", self.counts.blocks)?;
+        k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
+        Ok(k)
+    }
+
+    fn pupil_field(&self) -> Result<Kernel> {
+        let (scene, mut k) = (self.scene, self.pupil("pupil_field")?);
+        scene.diversity.bind(&mut k, "diversity")?;
+        scene.entry_weight.bind(&mut k, "entry_weight")?;
+        self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
+        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?.int("segments", self.counts.segments)?;
+        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        self.basis(&mut k)?;
+        Ok(k)
+    }
+
+    fn basis(&self, k: &mut Kernel) -> Result<()> {
+        self.scene.basis.bind(k, "basis")?.int("block_stride", self.blocks.block_stride)?;
+        k.int("mode_stride", self.blocks.mode_stride)?.int("quadrant_stride", self.blocks.quadrant_stride)?;
+        Ok(())
+    }
+
+    fn columns(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.kernel(name)?;
+        let (table, outputs) = match name {
+            "forward_columns" => (&self.scene.y_to_v, self.shape.pairs),
+            _ => (&self.scene.v_to_y, self.shape.rows),
+        };
+        self.scratch.field.bind(&mut k, "field")?;
+        self.scratch.wave.bind(&mut k, "wave")?;
+        table.bind(&mut k, "table")?.buffer("extent", &self.scene.extent)?;
+        k.int("rows", self.shape.rows)?.int("pairs", self.shape.pairs)?;
+        k.int("groups", outputs.div_ceil(TALL))?.int("width", self.shape.width)?;
+        Ok(k)
+    }
+
+    fn rows(&self, name: &'static str) -> Result<Kernel> {
+        let (shape, mut k) = (self.shape, self.kernel(name)?);
+        if name == "forward_rows" {
+            self.scene.x_to_u.bind(&mut k, "table")?.int("inputs", shape.rows)?;
+            k.int("in_width", shape.width)?.int("span", shape.span)?;
+        } else {
+            self.scene.u_to_x.bind(&mut k, "table")?.int("inputs", shape.pairs)?;
+            k.int("in_width", shape.span)?.int("width", shape.width)?;
+        }
+        self.scratch.wave.bind(&mut k, "wave")?;
+        self.scratch.focal.bind(&mut k, "focal")?;
+        k.int("pairs", shape.pairs)?.int("pairs_per_item", self.cut.pairs_per_item)?;
+        Ok(k)
+    }
+
+    /// What the two passes over pixels take.
+    fn pixels(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.kernel(name)?;
+        self.scratch.focal.bind(&mut k, "focal")?;
+        self.batch.data.bind(&mut k, "data")?;
+        self.batch.weight.bind(&mut k, "weight")?.buffer("slot", &self.batch.slot)?;
+        k.int("pairs", self.shape.pairs)?.int("pairs_per_strip", self.cut.pairs_per_strip)?;
+        k.int("span", self.shape.span)?;
+        Ok(k)
+    }
+
+    fn photometry_sums(&self) -> Result<Kernel> {
+        let mut k = self.pixels("photometry_sums")?;
+        self.scratch.sums.bind(&mut k, "sums")?;
+        Ok(k)
+    }
+
+    fn photometry_solve(&self) -> Result<Kernel> {
+        let mut k = self.kernel("photometry_solve")?;
+        self.scratch.sums.bind(&mut k, "sums")?.int("partials", self.partials())?;
+        self.scratch.photometry.bind(&mut k, "photometry")?;
+        self.batch.known.bind(&mut k, "known")?.buffer("kind", &self.batch.kind)?.buffer("slot", &self.batch.slot)?;
+        Ok(k)
+    }
+
+    fn residuals(&self) -> Result<Kernel> {
+        let mut k = self.pixels("residuals")?;
+        self.scratch.objective.bind(&mut k, "objective")?;
+        self.scratch.photometry.bind(&mut k, "photometry")?;
+        Ok(k)
+    }
+
+    /// The eight kernels from columns to columns in one.
+    fn focus(&self) -> Result<Kernel> {
+        let (scene, scratch, batch, shape) = (self.scene, self.scratch, self.batch, self.shape);
+        let mut k = self.kernel("focus")?;
+        for (argument, reals) in [
+            ("field", &scratch.field),
+            ("wave", &scratch.wave),
+            ("focal", &scratch.focal),
+            ("sums", &scratch.sums),
+            ("objective", &scratch.objective),
+            ("photometry", &scratch.photometry),
+            ("y_to_v", &scene.y_to_v),
+            ("x_to_u", &scene.x_to_u),
+            ("u_to_x", &scene.u_to_x),
+            ("v_to_y", &scene.v_to_y),
+            ("data", &batch.data),
+            ("weight", &batch.weight),
+            ("known", &batch.known),
+        ] {
+            reals.bind(&mut k, argument)?;
+        }
+        k.buffer("extent", &scene.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
+        k.buffer("next", &batch.next)?;
+        k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("width", shape.width)?.int("span", shape.span)?;
+        k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+        Ok(k)
+    }
+
+    fn partials(&self) -> usize {
+        self.counts.strips * self.cut.lanes
+    }
+
+    fn pupil_gradient(&self) -> Result<Kernel> {
+        let mut k = self.pupil("pupil_gradient")?;
+        self.scratch.slope.bind(&mut k, "slope")?;
+        Ok(k)
+    }
+
+    fn project_segments(&self) -> Result<Kernel> {
+        let (scene, mut k) = (self.scene, self.kernel("project_segments")?);
+        self.scratch.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
+        scene.entry_weight.bind(&mut k, "entry_weight")?.buffer("entry_place", &scene.entry_place)?;
+        k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
+        self.scratch.segment_sum.bind(&mut k, "segment_sum")?.int("segments", self.counts.segments)?;
+        Ok(k)
+    }
+
+    fn project_modes(&self) -> Result<Kernel> {
+        let mut k = self.kernel("project_modes")?;
+        self.basis(&mut k)?;
+        self.scratch.slope.bind(&mut k, "slope")?;
+        self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
+        k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
+        k.int("blocks_per_chunk", self.cut.blocks_per_chunk)?;
+        Ok(k)
+    }
+
+    fn collect(&self, twice_wavenumber: f64) -> Result<Kernel> {
+        let (counts, scratch, mut k) = (self.counts, self.scratch, self.kernel("collect")?);
+        scratch.mode_partial.bind(&mut k, "mode_partial")?;
+        scratch.segment_sum.bind(&mut k, "segment_sum")?;
+        scratch.objective.bind(&mut k, "objective")?;
+        scratch.photometry.bind(&mut k, "photometry")?;
+        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?;
+        self.batch.result.bind(&mut k, "result")?;
+        k.int("segments", counts.segments)?.int("smooth", counts.smooth)?;
+        k.int("padded_modes", counts.mode_groups * MODES_AT_ONCE)?.int("chunks", counts.chunks)?;
+        k.int("partials", self.partials())?.real("twice_wavenumber", twice_wavenumber)?;
+        Ok(k)
+    }
+
+    fn kernels(&self, twice_wavenumber: f64) -> Result<Kernels> {
+        Ok(Kernels {
+            pupil_field: self.pupil_field()?,
+            forward_columns: self.columns("forward_columns")?,
+            forward_rows: self.rows("forward_rows")?,
+            photometry_sums: self.photometry_sums()?,
+            photometry_solve: self.photometry_solve()?,
+            residuals: self.residuals()?,
+            focus: self.focus()?,
+            adjoint_rows: self.rows("adjoint_rows")?,
+            adjoint_columns: self.columns("adjoint_columns")?,
+            pupil_gradient: self.pupil_gradient()?,
+            project_modes: self.project_modes()?,
+            project_segments: self.project_segments()?,
+            collect: self.collect(twice_wavenumber)?,
+        })
+    }
+}
+
+impl Stages {
+    pub fn new(device: &Device, build: Build, layout: &GpuLayout, shape: Shape, capacity: usize) -> Result<Self> {
+        let blocks = &Blocks::new(layout, &shape);
+        let (counts, cut) = Counts::new(device, build, layout, &shape, blocks, capacity);
+        let scene = Scene::new(device, build.precision, &shape, blocks)?;
+        let batch = Batch::new(device, build.precision, &shape, &counts)?;
+        let scratch = Scratch::new(device, build.precision, &shape, &counts, &cut)?;
+        let parts = Parts {
+            device,
+            build,
+            shape: &shape,
+            cut: &cut,
+            counts: &counts,
+            blocks,
+            scene: &scene,
+            batch: &batch,
+            scratch: &scratch,
+        };
+        let kernels = parts.kernels(2.0 * std::f64::consts::TAU / layout.wavelength_nm)?;
+        Ok(Self { shape, cut, counts, batch, scratch, _scene: scene, kernels })
+    }
+
+    /// Images whose focal fields can be had together.
+    pub fn focal_tile(&self) -> usize {
+        self.cut.focal_tile.min(self.cut.tile)
+    }
+
+    /// Room for images.
+    pub fn capacity(&self) -> usize {
+        self.counts.capacity
+    }
+
+    /// Puts an image into `slot`.
+    pub fn load(&mut self, slot: usize, image: &Folded) -> Result<()> {
+        let batch = &mut self.batch;
+        batch.data.write(slot * self.shape.pixels(), &image.data)?;
+        batch.weight.write(slot * self.shape.pixels(), &image.weights)?;
+        batch.kind.write(slot, &[image.kind])?;
+        batch.known.write(slot * 4, &image.known)
+    }
+
+    /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
+    /// `fitted`, none of them fits its photometry.
+    pub fn evaluate(&mut self, active: &[usize], turns: &[f64], phasors: &[f64], fitted: bool) -> Result<Vec<f64>> {
+        let Counts { capacity, smooth, segments, outputs, .. } = self.counts;
+        let mut results = vec![0.0; active.len() * outputs];
+        // A batch beyond the capacity (an image may be active more than once) goes in several rounds.
+        for (round, active) in active.chunks(capacity).enumerate() {
+            let (from, count) = (round * capacity, active.len());
+            self.write_inputs(count, &turns[from * smooth..], &phasors[from * segments * 2..])?;
+            let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
+            self.batch.slot.write(0, &slots)?;
+            // Few images are shared out among the cores stage by stage.
+            let workers = self.cut.workers.filter(|_| count >= self.cut.focus_from);
+            let limit = if workers.is_some() { self.cut.tile } else { self.focal_tile() };
+            // Tiles of equal size: the last is not left with a few images.
+            let tile = padded(count.div_ceil(count.div_ceil(limit)));
+            self.batch.next.write(0, &vec![0; count.div_ceil(tile)])?;
+            for (turn, first) in (0..count).step_by(tile).enumerate() {
+                let images = tile.min(count - first);
+                self.pupil_field(first, images)?;
+                match workers {
+                    Some(workers) => self.focus(turn, first, images, workers)?,
+                    None => {
+                        self.transform(images)?;
+                        self.pixels(first, images, fitted)?;
+                        self.transform_adjoint(images)?;
+                    }
+                }
+                self.gradient(first, images)?;
+            }
+            self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
+        }
+        Ok(results)
+    }
+
+    /// The focal fields of at most a tile of images, folded.
+    pub fn focal(&mut self, count: usize, turns: &[f64], phasors: &[f64]) -> Result<Vec<f64>> {
+        self.write_inputs(count, turns, phasors)?;
+        self.pupil_field(0, count)?;
+        self.transform(count)?;
+        let mut focal = vec![0.0; count * self.shape.pixels() * 2];
+        self.scratch.focal.read(0, &mut focal)?;
+        Ok(focal)
+    }
+
+    fn write_inputs(&mut self, images: usize, turns: &[f64], phasors: &[f64]) -> Result<()> {
+        self.batch.coefficients.write(0, &turns[..images * self.counts.smooth])?;
+        self.batch.segment_phasor.write(0, &phasors[..images * self.counts.segments * 2])
+    }
+
+    // Kernels that carry GROUP images together take whole groups: what they compute beyond `images` is of leftovers of an
+    // earlier tile (or zeros), and nothing reads it.
+
+    fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
+        let (images, k) = (padded(images), &mut self.kernels.pupil_field);
+        k.int("first", first)?.int("images", images)?;
+        k.launch([self.counts.blocks, self.cut.group_items.min(images / GROUP), 1])
+    }
+
+    fn focus(&mut self, turn: usize, first: usize, images: usize, workers: usize) -> Result<()> {
+        let k = &mut self.kernels.focus;
+        k.int("turn", turn)?.int("first", first)?.int("images", images)?.launch([workers, 1, 1])
+    }
+
+    fn transform(&mut self, images: usize) -> Result<()> {
+        let (shape, cut, k) = (&self.shape, &self.cut, &mut self.kernels);
+        let groups = shape.pairs.div_ceil(TALL);
+        k.forward_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])?;
+        let chunks = row_chunks(shape.span / shape.vector);
+        k.forward_rows.launch([chunks, shape.pairs.div_ceil(cut.pairs_per_item), images])
+    }
+
+    fn pixels(&mut self, first: usize, images: usize, fitted: bool) -> Result<()> {
+        let (cut, k) = (&self.cut, &mut self.kernels);
+        let strips = [cut.lanes, self.counts.strips, images];
+        if fitted {
+            k.photometry_sums.int("first", first)?.launch(strips)?;
+        }
+        k.photometry_solve.int("first", first)?.int("images", images)?.launch([images, 1, 1])?;
+        k.residuals.int("first", first)?.launch(strips)
+    }
+
+    fn transform_adjoint(&mut self, images: usize) -> Result<()> {
+        let (shape, cut, k) = (&self.shape, &self.cut, &mut self.kernels);
+        let chunks = row_chunks(shape.width / shape.vector);
+        k.adjoint_rows.launch([chunks, shape.pairs.div_ceil(cut.pairs_per_item), images])?;
+        let groups = shape.rows.div_ceil(TALL);
+        k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])
+    }
+
+    fn gradient(&mut self, first: usize, images: usize) -> Result<()> {
+        let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
+        k.pupil_gradient.launch([cut.block_items, images, 1])?;
+        let groups = images.div_ceil(GROUP);
+        k.project_modes.int("images", groups * GROUP)?;
+        k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(cut.group_items)])?;
+        k.project_segments.int("images", groups * GROUP)?;
+        k.project_segments.launch([counts.segments, groups.min(cut.segment_items), 1])?;
+        k.collect.int("first", first)?.launch([cut.output_items, images, 1])
+    }
+}

@@ -1,0 +1,413 @@
+//! The device against sums written out one by one in f64.
+
+use num_complex::Complex64;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::TAU;
+
+use super::*;
+use crate::device::tests::test_devices;
+use crate::device::{Build, Device, Precision};
+
+/// A small asymmetric scene that hits every corner of the packing: extents that fill no vector, dark rows and blocks,
+/// segments that overlap with weights of either sign, a mode that nothing uses.
+fn scene() -> GpuLayout {
+    let (n, segments, smooth): (usize, _, _) = (18, 5, 7);
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let lit: Vec<usize> = (0..n * n)
+        .filter(|i| {
+            let (y, x) = (i / n, i % n);
+            // Dark: an edge, two corners, and on the axis a whole row and a hole, which no block may forget.
+            let hole = y.abs_diff(8).min(y.abs_diff(9)) < 3 && x.abs_diff(8).min(x.abs_diff(9)) < 4;
+            !matches!(y, 8 | 9)
+                && !hole
+                && y > 1
+                && x < 17
+                && (y + x) < 29
+                && !(x < 5 && y > 9)
+                && random.random::<f64>() < 0.9
+        })
+        .collect();
+    let mut uniform = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
+    let (mut segment_start, mut segment_index, mut segment_weight) = (vec![0], Vec::new(), Vec::new());
+    for (p, index) in lit.iter().enumerate() {
+        for s in 0..1 + p % 3 {
+            segment_index.push((index / 70 + s) % segments);
+            segment_weight.push(if s == 0 { uniform(0.5, 1.0) } else { uniform(-0.2, 0.2) });
+        }
+        segment_start.push(segment_index.len());
+    }
+    let diversity_turns = lit.iter().map(|_| uniform(-3.0, 3.0)).collect();
+    let smooth: Vec<Vec<f64>> = (0..smooth).map(|_| lit.iter().map(|_| uniform(-1.5, 1.5)).collect()).collect();
+    let mut modes: Vec<GpuMode> = (0..segments).map(GpuMode::Segment).collect();
+    modes.splice(2..2, (0..smooth.len() - 1).rev().map(GpuMode::Smooth));
+    GpuLayout {
+        samples: n,
+        pixels: 22,
+        samples_per_lambda_over_d: 1.3,
+        wavelength_nm: 1650.0,
+        intensity_scale: 2.5e-5,
+        lit,
+        diversity_turns,
+        smooth,
+        segments,
+        segment_start,
+        segment_index,
+        segment_weight,
+        modes,
+    }
+}
+
+/// Images that the scene could have made, with bad pixels (one of them NaN) and uneven weights.
+struct Images {
+    data: Vec<f64>,
+    weights: Vec<f64>,
+    photometry: Vec<GpuPhotometry>,
+}
+
+fn images(layout: &GpuLayout, count: usize, random: &mut impl Rng) -> Images {
+    let size = layout.pixels * layout.pixels;
+    let (mut data, mut weights, mut photometry) = (Vec::new(), Vec::new(), Vec::new());
+    for image in 0..count {
+        let truth = coefficients(layout, 1, random);
+        let (_, psf) = field_and_psf(layout, &truth);
+        for (i, h) in psf.iter().enumerate() {
+            let bad = (i + image) % 53 == 0;
+            data.push(if bad { f64::NAN } else { 4e4 * h + 12.0 + random.random::<f64>() * 20.0 });
+            weights.push(if bad { 0.0 } else { 0.2 + random.random::<f64>() });
+        }
+        photometry.push(match image % 3 {
+            0 => GpuPhotometry::FitBoth,
+            1 => GpuPhotometry::FitFlux { background_e: 15.0 },
+            _ => GpuPhotometry::Known { flux_e: 3.7e4, background_e: 20.0 },
+        });
+    }
+    assert_eq!(data.len(), count * size);
+    Images { data, weights, photometry }
+}
+
+fn coefficients(layout: &GpuLayout, images: usize, random: &mut impl Rng) -> Vec<f64> {
+    (0..images * layout.modes.len()).map(|_| 150.0 * (random.random::<f64>() - 0.5)).collect()
+}
+
+/// Pupil: P, a and E = a P at each lit sample, and the PSF: the definition, sum by sum.
+fn field_and_psf(layout: &GpuLayout, coefficients: &[f64]) -> (Vec<[Complex64; 3]>, Vec<f64>) {
+    let pupil = pupil(layout, coefficients);
+    let psf = focal(layout, &pupil).iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
+    (pupil, psf)
+}
+
+fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64; 3]> {
+    let turn = |t: f64| Complex64::from_polar(1.0, TAU * t);
+    let amount = |mode: GpuMode| -> f64 {
+        layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == mode).map(|(_, c)| c / layout.wavelength_nm).sum()
+    };
+    let pistons: Vec<Complex64> = (0..layout.segments).map(|s| turn(amount(GpuMode::Segment(s)))).collect();
+    let smooth: Vec<f64> = (0..layout.smooth.len()).map(|j| amount(GpuMode::Smooth(j))).collect();
+    (0..layout.lit.len())
+        .map(|p| {
+            let psi = layout.diversity_turns[p] + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
+            let a: Complex64 = (layout.segment_start[p]..layout.segment_start[p + 1])
+                .map(|e| pistons[layout.segment_index[e]] * layout.segment_weight[e])
+                .sum();
+            [turn(psi), a, a * turn(psi)]
+        })
+        .collect()
+}
+
+/// exp(-2 pi i step (x u + y v)) of a lit sample and a pixel.
+fn kernel(layout: &GpuLayout, sample: usize, pixel: usize) -> Complex64 {
+    let (n, m) = (layout.samples, layout.pixels);
+    let centre = |i: usize| i as f64 - (n as f64 - 1.0) / 2.0;
+    let axis = |i: usize| i as f64 - m as f64 / 2.0;
+    let turns = centre(sample % n) * axis(pixel % m) + centre(sample / n) * axis(pixel / m);
+    Complex64::from_polar(1.0, -TAU * turns / (n as f64 * layout.samples_per_lambda_over_d))
+}
+
+fn focal(layout: &GpuLayout, pupil: &[[Complex64; 3]]) -> Vec<Complex64> {
+    (0..layout.pixels * layout.pixels)
+        .map(|pixel| layout.lit.iter().zip(pupil).map(|(&sample, p)| p[2] * kernel(layout, sample, pixel)).sum())
+        .collect()
+}
+
+struct Answer {
+    objective: f64,
+    flux: f64,
+    background: f64,
+    gradient: Vec<f64>,
+}
+
+fn reference(layout: &GpuLayout, coefficients: &[f64], d: &[f64], w: &[f64], photometry: GpuPhotometry) -> Answer {
+    let pupil = pupil(layout, coefficients);
+    let u = focal(layout, &pupil);
+    let h: Vec<f64> = u.iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
+    let good = || (0..h.len()).filter(|&i| w[i] > 0.0);
+    let (flux, background) = match photometry {
+        GpuPhotometry::Known { flux_e, background_e } => (flux_e, background_e),
+        GpuPhotometry::FitFlux { background_e } => {
+            let top: f64 = good().map(|i| w[i] * h[i] * (d[i] - background_e)).sum();
+            (top / good().map(|i| w[i] * h[i] * h[i]).sum::<f64>(), background_e)
+        }
+        GpuPhotometry::FitBoth => {
+            // About the weighted means: the well-conditioned form of the normal equations.
+            let weight: f64 = good().map(|i| w[i]).sum();
+            let mean = |f: &[f64]| good().map(|i| w[i] * f[i]).sum::<f64>() / weight;
+            let (mh, md) = (mean(&h), mean(d));
+            let top: f64 = good().map(|i| w[i] * (h[i] - mh) * (d[i] - md)).sum();
+            let flux = top / good().map(|i| w[i] * (h[i] - mh).powi(2)).sum::<f64>();
+            (flux, md - flux * mh)
+        }
+    };
+    let r: Vec<f64> = (0..h.len()).map(|i| if w[i] > 0.0 { flux * h[i] + background - d[i] } else { 0.0 }).collect();
+    let k = TAU / layout.wavelength_nm;
+    // dJ/dE* at each lit sample, through the adjoint sum.
+    let bar: Vec<Complex64> = layout
+        .lit
+        .iter()
+        .map(|&sample| {
+            (0..h.len())
+                .map(|i| u[i] * kernel(layout, sample, i).conj() * (2.0 * layout.intensity_scale * flux * w[i] * r[i]))
+                .sum()
+        })
+        .collect();
+    let phasor = |s: usize| {
+        let nm: f64 =
+            layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == GpuMode::Segment(s)).map(|(_, c)| c).sum();
+        Complex64::from_polar(1.0, k * nm)
+    };
+    let gradient = layout.modes.iter().map(|mode| match *mode {
+        GpuMode::Smooth(j) => {
+            (0..bar.len()).map(|p| 2.0 * k * layout.smooth[j][p] * (pupil[p][2].conj() * bar[p]).im).sum::<f64>()
+        }
+        GpuMode::Segment(s) => {
+            let q = phasor(s);
+            let each = |p: usize| {
+                (layout.segment_start[p]..layout.segment_start[p + 1])
+                    .filter(|&e| layout.segment_index[e] == s)
+                    .map(|e| 2.0 * k * layout.segment_weight[e] * (q.conj() * pupil[p][0].conj() * bar[p]).im)
+                    .sum::<f64>()
+            };
+            (0..bar.len()).map(each).sum()
+        }
+    });
+    Answer { objective: (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum(), flux, background, gradient: gradient.collect() }
+}
+
+#[test]
+fn the_reference_agrees_with_its_own_finite_differences() {
+    let layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let images = images(&layout, 3, &mut random);
+    let size = layout.pixels * layout.pixels;
+    let c = coefficients(&layout, 1, &mut random);
+    for image in 0..3 {
+        let range = image * size..(image + 1) * size;
+        let at = |c: &[f64]| {
+            reference(&layout, c, &images.data[range.clone()], &images.weights[range.clone()], images.photometry[image])
+        };
+        let answer = at(&c);
+        let scale = answer.gradient.iter().fold(0.0f64, |a, g| a.max(g.abs()));
+        for k in 0..c.len() {
+            // A step of 1e-5 wave: the cubic term of the difference is (2 pi 1e-5)^2 ~ 4e-9 of the gradient, the rounding
+            // 1e-16 J/(step g) ~ 1e-10.
+            let step = 0.0165;
+            let shifted =
+                |by: f64| at(&c.iter().enumerate().map(|(i, v)| v + if i == k { by } else { 0.0 }).collect::<Vec<_>>());
+            let difference = (shifted(step).objective - shifted(-step).objective) / (2.0 * step);
+            assert!((difference - answer.gradient[k]).abs() < 1e-6 * scale, "{k}: {difference} {}", answer.gradient[k]);
+        }
+    }
+}
+
+/// Every build that a device may be given.
+fn builds(device: &Device) -> Vec<Build> {
+    let mut builds = Vec::new();
+    for precision in [Precision::F32, Precision::F64] {
+        if device.info().supports(precision) {
+            builds.extend([1, 4, 8, 16].map(|vector| Build { precision, vector }));
+        }
+    }
+    builds
+}
+
+fn distance(a: &[f64], b: &[f64]) -> f64 {
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+    norm(&mut a.iter().zip(b).map(|(a, b)| a - b)) / norm(&mut b.iter().copied())
+}
+
+#[test]
+fn psfs_agree_with_the_direct_sum() {
+    let layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(2);
+    let c = coefficients(&layout, 6, &mut random);
+    let wanted: Vec<f64> = c.chunks_exact(layout.modes.len()).flat_map(|c| field_and_psf(&layout, c).1).collect();
+    let peak = wanted.iter().fold(0.0f64, |a, h| a.max(*h));
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        for build in builds(&device) {
+            let psf = GpuChain::with_build(&device, build, &layout, 3).unwrap().psf(&c).unwrap();
+            let worst = psf.iter().zip(&wanted).fold(0.0f64, |a, (h, w)| a.max((h - w).abs())) / peak;
+            // f32: 250 samples whose phases err by a few 1e-7 rad each (turns of up to 4 in 24 bits, times 2 pi) and
+            // whose signs are random: 1e-7 of the field at the peak, twice that of its square; 10 of it allowed.
+            let allowed = if build.precision == Precision::F32 { 2e-6 } else { 1e-12 };
+            println!("{build:?}: PSF within {worst:.1e} of the peak");
+            assert!(worst < allowed, "{build:?}: {worst:e} of the peak");
+        }
+    }
+}
+
+#[test]
+fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
+    let layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let images = images(&layout, 6, &mut random);
+    let size = layout.pixels * layout.pixels;
+    // Out of order, one of them twice, and more than the chain has room for: it goes in two rounds.
+    let active = [4, 0, 5, 2, 2, 1, 3];
+    let c = coefficients(&layout, active.len(), &mut random);
+    let wanted: Vec<Answer> = (active.iter().zip(c.chunks_exact(layout.modes.len())))
+        .map(|(&i, c)| {
+            let range = i * size..(i + 1) * size;
+            reference(&layout, c, &images.data[range.clone()], &images.weights[range], images.photometry[i])
+        })
+        .collect();
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        for build in builds(&device) {
+            let mut chain = GpuChain::with_build(&device, build, &layout, 6).unwrap();
+            // The second evaluation finds every scratch array dirty.
+            chain.load(&images.data, &images.weights, &images.photometry).unwrap();
+            chain.evaluate(&[0, 1, 2, 3, 4, 5], &coefficients(&layout, 6, &mut random)).unwrap();
+            let found = chain.evaluate(&active, &c).unwrap();
+            // Sums of 500 pixels and 250 samples of terms that err by 1e-7 (f32) or 1e-16 each: some 1e-6 or 1e-15 where
+            // signs are random. Residuals here are of the order of the image, so nothing cancels.
+            let [close, closer] = if build.precision == Precision::F32 { [1e-5, 1e-5] } else { [1e-12, 1e-11] };
+            for (i, wanted) in wanted.iter().enumerate() {
+                let gradient = &found.gradient[i * layout.modes.len()..(i + 1) * layout.modes.len()];
+                let errors = [
+                    (found.objective[i] / wanted.objective - 1.0).abs(),
+                    (found.flux_e[i] / wanted.flux - 1.0).abs(),
+                    (found.background_e[i] - wanted.background).abs() / wanted.flux.abs() * 22.0,
+                    distance(gradient, &wanted.gradient),
+                ];
+                if i == 0 {
+                    println!("{build:?}: objective, flux, background, gradient within {errors:?}");
+                }
+                assert!(errors[..3].iter().all(|e| *e < close), "{build:?} image {i}: {errors:?}");
+                assert!(errors[3] < closer, "{build:?} image {i}: {errors:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_faint_star_on_a_bright_background_keeps_its_digits() {
+    let layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let size = layout.pixels * layout.pixels;
+    let c = coefficients(&layout, 3, &mut random);
+    let images = images(&layout, 3, &mut random);
+    // 300 electrons of star on 50,000 per pixel: in f32 the data themselves would be rounded by 0.004.
+    let data: Vec<f64> = images.data.iter().map(|d| 5e4 + d / 130.0).collect();
+    let photometry = [
+        GpuPhotometry::FitBoth,
+        GpuPhotometry::FitFlux { background_e: 5e4 + 0.1 },
+        GpuPhotometry::Known { flux_e: 290.0, background_e: 5e4 },
+    ];
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let mut chain = GpuChain::new(&device, Precision::F32, &layout, 3).unwrap();
+        chain.load(&data, &images.weights, &photometry).unwrap();
+        let found = chain.evaluate(&[0, 1, 2], &c).unwrap();
+        for (i, c) in c.chunks_exact(layout.modes.len()).enumerate() {
+            let range = i * size..(i + 1) * size;
+            let wanted = reference(&layout, c, &data[range.clone()], &images.weights[range], photometry[i]);
+            let gradient = &found.gradient[i * layout.modes.len()..(i + 1) * layout.modes.len()];
+            let errors = [
+                (found.objective[i] / wanted.objective - 1.0).abs(),
+                (found.flux_e[i] / wanted.flux - 1.0).abs(),
+                distance(gradient, &wanted.gradient),
+            ];
+            println!("{info}: image {i} within {errors:?}");
+            // As for a bright star; without the offset the flux alone would be wrong by some 1e-3.
+            assert!(errors.iter().all(|e| *e < 1e-5), "image {i}: {errors:?}");
+        }
+    }
+}
+
+#[test]
+fn an_image_alone_and_in_a_crowd_gives_the_same() {
+    let layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let images = images(&layout, 3, &mut random);
+    let c = coefficients(&layout, 3, &mut random);
+    let modes = layout.modes.len();
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        for build in builds(&device) {
+            // So many that every processor goes through focus.cl, in several tiles; one goes stage by stage.
+            let crowd: Vec<usize> = (0..3).cycle().take(2 * info.compute_units as usize + 37).collect();
+            let mut chain = GpuChain::with_build(&device, build, &layout, crowd.len()).unwrap();
+            chain.load(&images.data, &images.weights, &images.photometry).unwrap();
+            let all: Vec<f64> = crowd.iter().flat_map(|&i| c[i * modes..(i + 1) * modes].to_vec()).collect();
+            let together = chain.evaluate(&crowd, &all).unwrap();
+            // The same sums in the same order; only where the compiler fuses a product into a sum may differ: a few
+            // roundings, far below the errors of the test above.
+            let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
+            for (i, &image) in crowd.iter().enumerate() {
+                let alone = chain.evaluate(&[image], &c[image * modes..(image + 1) * modes]).unwrap();
+                let objective = (together.objective[i] / alone.objective[0] - 1.0).abs();
+                let gradient = distance(&together.gradient[i * modes..(i + 1) * modes], &alone.gradient);
+                assert!(objective < close && gradient < close, "{build:?} image {i}: {objective:e} {gradient:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_chain_may_move_to_another_thread() {
+    fn moves<T: Send>() {}
+    moves::<GpuChain>();
+}
+
+#[test]
+fn bad_input_is_named() {
+    let Some(info) = test_devices().into_iter().next() else { return };
+    let device = Device::open(&info, false).unwrap();
+    let layout = scene();
+    let new = |layout: &GpuLayout| GpuChain::new(&device, Precision::F32, layout, 2).map(|_| ());
+    assert!(new(&layout).is_ok());
+    type Change = fn(&mut GpuLayout);
+    let broken: [(&str, Change); 9] = [
+        ("17", |l| l.samples = 17),
+        ("0 image pixels", |l| l.pixels = 0),
+        ("wavelength_nm", |l| l.wavelength_nm = f64::NAN),
+        ("diversity_turns", |l| l.diversity_turns.truncate(3)),
+        ("twice", |l| l.lit[1] = l.lit[0]),
+        ("outside a pupil", |l| l.lit[0] = 18 * 18),
+        ("segment 9", |l| l.segment_index[3] = 9),
+        ("segment weight", |l| l.segment_weight[0] = f64::INFINITY),
+        ("smooth mode 7", |l| l.modes[0] = GpuMode::Smooth(7)),
+    ];
+    for (word, change) in broken {
+        let mut layout = layout.clone();
+        change(&mut layout);
+        let message = new(&layout).unwrap_err().to_string();
+        assert!(message.contains(word), "`{message}` names {word}");
+    }
+
+    let mut chain = GpuChain::new(&device, Precision::F32, &layout, 2).unwrap();
+    let size = layout.pixels * layout.pixels;
+    let fit = GpuPhotometry::FitBoth;
+    assert!(chain.load(&vec![1.0f32; size], &vec![1.0f32; size - 1], &[fit]).is_err());
+    assert!(chain.load(&vec![1.0; 3 * size], &vec![1.0; 3 * size], &[fit; 3]).is_err());
+    assert!(chain.load(&vec![f64::NAN; size], &vec![1.0; size], &[fit]).is_err());
+    assert!(chain.load(&vec![1.0; size], &vec![-1.0; size], &[fit]).is_err());
+    chain.load(&vec![1.0; size], &vec![1.0; size], &[fit]).unwrap();
+    let zeros = vec![0.0; layout.modes.len()];
+    assert!(chain.evaluate(&[0], &zeros).is_ok());
+    assert!(chain.evaluate(&[1], &zeros).is_err());
+    assert!(chain.evaluate(&[0], &zeros[1..]).is_err());
+    assert!(chain.evaluate(&[0], &vec![f64::INFINITY; layout.modes.len()]).is_err());
+    assert!(chain.evaluate(&[], &[]).unwrap().objective.is_empty());
+}

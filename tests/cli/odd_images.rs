@@ -1,0 +1,92 @@
+//! Images that are not as they should be, and can be used all the same.
+
+use crate::{Desk, number, text_column};
+use cophase::io::{FitsReader, FitsWriter, Pixel};
+use ndarray::{Array2, Axis, s};
+
+#[test]
+fn bad_pixels_are_masked_and_counted() {
+    // Oversampled: without bad pixels it would be reduced to Nyquist sampling, where each would spoil its surroundings.
+    let desk = Desk::with_images(&["image.samples_per_lambda_over_d=4", "image.pixels=128"]);
+    let hot = [(64, 70), (50, 50), (80, 61)];
+    desk.edit_images("images.fits", "odd.fits", |images| {
+        for &(y, x) in &hot {
+            images[[0, y, x]] = 1e7;
+        }
+        images[[0, 66, 66]] = f64::NAN;
+        images[[0, 3, 4]] = f64::INFINITY;
+    });
+    let mut mask = FitsWriter::create(desk.path("mask.fits")).unwrap();
+    let marks = Array2::from_shape_fn((128, 128), |at| if hot.contains(&at) { 1.0 } else { 0.0 });
+    mask.image("BADPIX", &marks, Pixel::I32, "").unwrap();
+    mask.finish().unwrap();
+    let (json, err) = desk.estimates_well("odd.fits", &["--mask", "mask.fits"]);
+    assert_eq!(json["status"], "ok");
+    assert_eq!(err.lines().count(), 1, "{err}");
+    assert!(err.contains("odd.fits: 2 pixels are not finite and were masked"), "{err}");
+    // A test that could not fail without the mask would say nothing: the three hot pixels ruin the fit.
+    let unmasked = desk.run(&["estimate", "odd.fits", "-o", "unmasked.fits", "--json"]);
+    assert!(unmasked.status == 1 || !unmasked.out.contains("\"ok\""), "{}", unmasked.out);
+}
+
+#[test]
+fn a_sloppy_file_gives_the_same_answer() {
+    let desk = Desk::with_images(&[]);
+    let images = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap();
+    // As real frames come: odd SIMPLE card, header padded with NUL, trash behind the data.
+    let cards = [
+        "SIMPLE  = T / NIRC2",
+        "BITPIX  =                  -32",
+        "NAXIS   = 2",
+        "NAXIS1  = 64",
+        "NAXIS2  = 64",
+        "RON_E   = 20",
+        "END",
+    ];
+    let mut bytes: Vec<u8> = cards.iter().flat_map(|card| format!("{card:<80}").into_bytes()).collect();
+    bytes.resize(2880, 0);
+    bytes.extend(images.iter().flat_map(|&e| (e as f32).to_be_bytes()));
+    bytes.resize(bytes.len().next_multiple_of(2880), 0);
+    bytes.extend([0xff; 1000]);
+    std::fs::write(desk.path("sloppy.fits"), bytes).unwrap();
+    let clean = desk.json(&["estimate", "images.fits", "-o", "clean.fits", "--json"]);
+    let done = desk.succeeds(&["estimate", "sloppy.fits", "--scene", "scene.toml", "-o", "est.fits", "--json"]);
+    let sloppy: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+    // The same pixels, bit for bit.
+    assert_eq!(number(&sloppy, "phasing_rms_nm"), number(&clean, "phasing_rms_nm"));
+    assert_eq!(done.err.lines().count(), 1, "{}", done.err);
+    assert!(done.err.contains("warning: sloppy.fits: "), "{}", done.err);
+}
+
+#[test]
+fn one_unusable_image_does_not_spoil_the_others() {
+    let desk = Desk::with_images(&["image.count=3"]);
+    desk.edit_images("images.fits", "odd.fits", |images| images.slice_mut(s![1, .., ..]).fill(0.0));
+    let (json, err) = desk.estimates_well("odd.fits", &[]);
+    assert_eq!((&json["images"], &json["used"]), (&3.into(), &2.into()));
+    assert_eq!(json["status"], "unusable");
+    assert_eq!(err.lines().count(), 1, "{err}");
+    assert!(err.contains("odd.fits image 2 of 3: left out") && err.contains("constant"), "{err}");
+    assert_eq!(text_column(&desk.path("est.fits"), "IMAGES", "STATUS"), ["ok", "unusable", "ok"]);
+    let coefficients = FitsReader::open(desk.path("est.fits")).unwrap().map(Some("COEFFICIENTS")).unwrap();
+    let finite: Vec<bool> = coefficients.axis_iter(Axis(0)).map(|row| row.iter().all(|nm| nm.is_finite())).collect();
+    assert_eq!(finite, [true, false, true]);
+}
+
+#[test]
+fn a_scene_that_does_not_fit_the_image_is_called_a_misfit() {
+    let desk = Desk::with_images(&[]);
+    // Three Zernikes for NCPA of seven.
+    let done = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--json", "--set", "modes.ncpa_count=3"]);
+    let json: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(json["status"], "misfit", "{json}");
+    assert!(done.err.contains("times the noise") && done.err.contains("error bars are scaled up"), "{}", done.err);
+}
+
+#[test]
+fn a_truth_on_another_grid_is_left_out_of_the_table() {
+    let desk = Desk::with_images(&[]);
+    let done = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--set", "pupil.samples=80"]);
+    assert!(done.err.contains("its truth is not shown") && done.err.contains("64x64"), "{}", done.err);
+    assert!(done.out.contains("phasing") && !done.out.contains("residual"), "{}", done.out);
+}

@@ -1,0 +1,262 @@
+//! What each verb does when all is well.
+
+use crate::{Desk, Done, SMALL, number, text_column};
+use cophase::io::{FitsReader, read_images, read_map};
+use cophase::scene::Scene;
+use serde_json::Value;
+use std::io::Write;
+use std::path::Path;
+use std::process::Stdio;
+
+fn keys(json: &Value) -> Vec<&str> {
+    json.as_object().unwrap().keys().map(String::as_str).collect()
+}
+
+#[test]
+fn image_estimate_compare() {
+    let desk = Desk::with_images(&[]);
+    let (json, err) = desk.estimates_well("images.fits", &["--plot", "est.png"]);
+    assert_eq!(err, "");
+    let mut promised = [
+        "images",
+        "used",
+        "seconds",
+        "phasing_rms_nm",
+        "ncpa_rms_nm",
+        "phasing_sigma_nm",
+        "ncpa_sigma_nm",
+        "reduced_chi2",
+        "evaluations",
+        "device",
+        "precision",
+        "status",
+    ];
+    promised.sort();
+    assert_eq!(keys(&json), promised);
+    assert_eq!((&json["images"], &json["used"]), (&1.into(), &1.into()));
+    assert_eq!((&json["status"], &json["device"], &json["precision"]), (&"ok".into(), &"cpu".into(), &"f64".into()));
+    // Some 4,000 pixels: χ² scatters by √(2/4000) = 0.02; the model's own error adds 0.08 here.
+    assert!((number(&json, "reduced_chi2") - 1.0).abs() < 0.2, "{json}");
+    // The phasing has what the scene says less the tilt that the figures take out.
+    assert!((40.0..60.0).contains(&number(&json, "phasing_rms_nm")), "{json}");
+    assert!((45.0..51.0).contains(&number(&json, "ncpa_rms_nm")), "{json}");
+
+    let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
+    for name in ["PHASING", "NCPA", "WAVEFRONT", "PHASING_SIGMA", "NCPA_SIGMA"] {
+        assert_eq!(file.map(Some(name)).unwrap().dim(), (64, 64), "{name}");
+    }
+    assert_eq!(file.text_column("MODES", "NAME").unwrap().len(), 21);
+    assert_eq!(file.text_column("SCENE", "LINE").unwrap().join("\n").trim(), SMALL.trim());
+    assert!(std::fs::read(desk.path("est.png")).unwrap().starts_with(b"\x89PNG"));
+    assert_eq!(desk.files(), ["est.fits", "est.png", "images.fits", "scene.toml"]);
+}
+
+#[test]
+fn the_table_shows_the_residuals_that_compare_shows() {
+    let desk = Desk::with_images(&[]);
+    let out = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--plot", "est.svg", "--verbose"]).out;
+    let residuals = desk.residuals("est.fits", "images.fits");
+    let compared = desk.succeeds(&["compare", "est.fits", "--truth", "images.fits"]).out;
+    for (name, nm) in ["phasing", "NCPA", "wavefront"].iter().zip(residuals) {
+        for table in [&out, &compared] {
+            let row = table.lines().find(|line| line.starts_with(name)).unwrap_or_else(|| panic!("no {name}: {table}"));
+            assert!(row.ends_with(&format!(" {nm:.3}")), "{row} where {nm} is compared");
+        }
+    }
+    assert!(out.contains("1 of 1 image used, 21 modes (7 of the segments, 14 of the NCPA)"), "{out}");
+    assert!(out.contains("global piston"), "{out}");
+    assert!(std::fs::read_to_string(desk.path("est.svg")).unwrap().starts_with("<svg"));
+}
+
+#[test]
+fn the_way_of_the_paper_and_single_precision_run() {
+    let desk = Desk::with_images(&[]);
+    let ours = desk.json(&["estimate", "images.fits", "-o", "ours.fits", "--json", "--precision", "f32"]);
+    assert_eq!(ours["precision"], "f32");
+    let options = ["--optimizer", "bfgs", "--device", "cpu", "--method", "modal"];
+    let arguments: Vec<&str> =
+        ["estimate", "images.fits", "-o", "paper.fits", "--json"].into_iter().chain(options).collect();
+    let paper = desk.json(&arguments);
+    // Without a metric it needs several times the evaluations of the default: 21 modes, so at least 21 directions.
+    assert!(number(&paper, "evaluations") > number(&ours, "evaluations") && number(&paper, "evaluations") > 21.0);
+    // The scene in the output says how it was made.
+    assert!(text_column(&desk.path("paper.fits"), "SCENE", "LINE").join("\n").contains("optimizer = \"bfgs\""));
+    let creator = FitsReader::open(desk.path("paper.fits")).unwrap().card(None, "OPTIMIZE").unwrap().unwrap();
+    assert_eq!(creator.text(), Some("bfgs"));
+}
+
+#[test]
+fn images_hold_what_their_cards_say() {
+    let desk = Desk::with_images(&["image.count=3"]);
+    let images = read_images(desk.path("images.fits"), None).unwrap();
+    assert_eq!((images.data.dim(), images.read_noise_e), ((3, 64, 64), Some(20.0)));
+    let mut file = FitsReader::open(desk.path("images.fits")).unwrap();
+    let mut card = |key: &str| file.card(Some("IMAGES"), key).unwrap().unwrap().number().unwrap();
+    // A few per cent of the light falls outside the frame.
+    let flux: f64 = images.data.index_axis(ndarray::Axis(0), 0).sum();
+    assert!((flux / card("FLUX_E") - 1.0).abs() < 0.1, "{flux} of {}", card("FLUX_E"));
+    // λ/(grid_m)/2 in mas; the hexagons are 2·(√3·0.9 + 0.003) m + √3·0.9 m high, which is their widest.
+    let grid_m = 2.0 * (3f64.sqrt() * 0.9 + 0.003) + 3f64.sqrt() * 0.9;
+    let mas = 2e-6 / grid_m / 2.0 * 206_264_806.247;
+    assert!((card("PIXSCALE") / mas - 1.0).abs() < 1e-9, "{} mas", card("PIXSCALE"));
+    // The map shows the pistons of the table.
+    let pistons = file.f64_column("TRUTH", "PISTON_NM").unwrap();
+    let map = read_map(desk.path("images.fits"), Some("TRUTH_PHASING")).unwrap();
+    assert_eq!((pistons.len(), map[[32, 32]]), (7, pistons[0]));
+    assert!(map[[0, 0]].is_nan());
+}
+
+#[test]
+fn seeds_and_settings_change_what_they_should() {
+    let desk = Desk::with_scene();
+    let image = |name: &str, options: &[&str]| {
+        let arguments: Vec<&str> = ["image", "scene.toml", "-q", "-o", name].iter().chain(options).copied().collect();
+        assert_eq!(desk.succeeds(&arguments).out, "");
+        read_images(desk.path(name), None).unwrap().data
+    };
+    let (first, again, other) =
+        (image("a.fits", &[]), image("b.fits", &["--seed", "1"]), image("c.fits", &["--seed", "2"]));
+    assert_eq!(first, again);
+    assert_ne!(first, other);
+    let settings = ["--set", "image.count=2", "--set", "image.pixels=32", "--json"];
+    let made = desk.json(&["image", "scene.toml", "-o", "d.fits"].into_iter().chain(settings).collect::<Vec<_>>());
+    assert_eq!((&made["images"], &made["pixels"]), (&2.into(), &32.into()));
+    assert_eq!(read_images(desk.path("d.fits"), None).unwrap().data.dim(), (2, 32, 32));
+}
+
+#[test]
+fn the_command_line_goes_before_the_file() {
+    let desk = Desk::with_images(&[]);
+    let sigma = |options: &[&str]| {
+        let arguments: Vec<&str> =
+            ["estimate", "images.fits", "-o", "est.fits", "--json"].iter().chain(options).copied().collect();
+        number(&desk.json(&arguments), "phasing_sigma_nm")
+    };
+    let card = sigma(&[]);
+    // Ten times the read noise of the card: larger error bars, although the card is still there.
+    assert!(sigma(&["--set", "image.read_noise_e=200"]) > 1.5 * card);
+    // Another scene than the file's: five modes fewer have smaller error bars.
+    let text = SMALL.replace("ncpa_count = 14", "ncpa_count = 9");
+    std::fs::write(desk.path("fewer.toml"), text).unwrap();
+    assert!(sigma(&["--scene", "fewer.toml"]) < card);
+    assert_eq!(text_column(&desk.path("est.fits"), "MODES", "NAME").len(), 16);
+}
+
+#[test]
+fn a_scene_names_its_files_relative_to_itself_and_the_images_remember_them() {
+    let desk = Desk::with_scene();
+    std::fs::create_dir(desk.path("there")).unwrap();
+    let mut file = cophase::io::FitsWriter::create(desk.path("there/ncpa.fits")).unwrap();
+    let map = ndarray::Array2::from_shape_fn((64, 64), |(y, x)| x as f64 - 0.02 * (y as f64 - 31.5).powi(2));
+    file.image("NCPA", &map, cophase::io::Pixel::F64, "nm").unwrap();
+    file.finish().unwrap();
+    let text = SMALL.replace("ncpa_rms_nm = 50\nncpa_zernikes = [4, 10]", "ncpa_file = \"ncpa.fits\"");
+    std::fs::write(desk.path("there/scene.toml"), text).unwrap();
+    desk.succeeds(&["image", "there/scene.toml", "-o", "images.fits"]);
+    let scene = text_column(&desk.path("images.fits"), "SCENE", "LINE").join("\n");
+    let scene = Scene::from_text(&scene, Path::new("/nowhere")).unwrap();
+    let ncpa_file = scene.aberrations.as_ref().unwrap().ncpa_file.clone().unwrap();
+    assert_eq!(ncpa_file.canonicalize().unwrap(), desk.path("there/ncpa.fits").canonicalize().unwrap());
+}
+
+/// The README's first command, on the scene of the paper.
+#[test]
+fn the_demonstration_goes_from_nothing_to_a_picture() {
+    let desk = Desk::with_scene();
+    let json = desk.json(&["demo", "-o", "new/folder", "--json"]);
+    assert_eq!((&json["used"], &json["status"]), (&1.into(), &"ok".into()));
+    let [phasing, ncpa, _] = desk.residuals("new/folder/est.fits", "new/folder/images.fits");
+    // 35 and 85 modes: the RMS of their errors stays within 1.5 of its expectation.
+    assert!(phasing < 1.5 * number(&json, "phasing_sigma_nm"), "{phasing}: {json}");
+    assert!(ncpa < 1.5 * number(&json, "ncpa_sigma_nm"), "{ncpa}: {json}");
+    assert!(std::fs::read(desk.path("new/folder/est.png")).unwrap().starts_with(b"\x89PNG"));
+}
+
+#[test]
+fn presets_are_printed_listed_and_usable_by_name() {
+    let desk = Desk::with_scene();
+    let list = desk.succeeds(&["scene"]).out;
+    for name in Scene::preset_names() {
+        assert!(list.lines().any(|line| line.starts_with(name)), "{list}");
+        assert_eq!(desk.succeeds(&["scene", name]).out, Scene::preset_text(name).unwrap());
+    }
+    let reference = desk.succeeds(&["scene", "--reference"]).out;
+    assert!(reference.contains("wavelength_nm") && reference.contains("[estimate]"));
+    // Small enough for a test; the name is a preset where no file has it.
+    let small = ["--set", "pupil.samples=32", "--set", "aberrations.truth_samples=64", "--set", "image.pixels=32"];
+    let arguments: Vec<&str> = ["image", "keck-onsky", "-o", "images.fits"].into_iter().chain(small).collect();
+    let arguments: Vec<&str> = arguments.into_iter().chain(["--set", "image.count=1"]).collect();
+    let done = desk.succeeds(&arguments);
+    // What is left out is said.
+    assert!(done.err.contains("warning: keck-onsky") && done.err.contains("AO loop"), "{}", done.err);
+}
+
+#[test]
+fn devices_are_listed() {
+    let desk = Desk::with_scene();
+    let list = desk.json(&["devices", "--json"]);
+    let cpu = list.as_array().unwrap().iter().find(|device| device["device"] == "cpu").unwrap();
+    assert!(number(cpu, "units") >= 1.0 && cpu["f64"] == true && cpu["name"].as_str().is_some_and(|n| !n.is_empty()));
+    assert!(desk.succeeds(&["devices"]).out.starts_with("cpu "));
+}
+
+#[test]
+fn quiet_is_quiet() {
+    let desk = Desk::with_images(&[]);
+    let arguments = ["estimate", "images.fits", "-o", "est.fits", "--quiet"];
+    let done = desk.succeeds(&arguments);
+    assert_eq!((done.out.as_str(), done.err.as_str()), ("", ""));
+    let json = desk.json(&[&arguments[..], &["--json"]].concat());
+    assert_eq!(json["used"], 1);
+}
+
+#[test]
+fn every_verb_helps_with_an_example() {
+    let desk = Desk::with_scene();
+    for verb in ["scene", "image", "estimate", "compare", "devices", "demo"] {
+        let help = desk.succeeds(&[verb, "--help"]).out;
+        assert!(help.contains("Example") && help.contains(&format!("  cophase {verb}")), "{verb}: {help}");
+        assert!(help.contains("--quiet"), "{verb}");
+        // Examples are there to be copied: none may wrap in a terminal of 80 columns.
+        for line in help.lines().filter(|line| line.starts_with("  cophase ")) {
+            assert!(line.chars().count() < 80, "{verb}: {line}");
+        }
+    }
+}
+
+#[test]
+fn a_reader_that_leaves_early_is_no_failure() {
+    let desk = Desk::with_scene();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let output = desk.command(&["scene", "--reference"]).stdout(writer).stderr(Stdio::piped()).output().unwrap();
+    let done = Done::from(output);
+    assert_eq!((done.status, done.err.as_str()), (0, ""));
+}
+
+/// The program waits for its scene from a pipe: by then it catches signals, and nothing depends on how fast it is.
+#[test]
+fn ctrl_c_stops_and_leaves_nothing() {
+    let desk = Desk::with_images(&[]);
+    let before = desk.files();
+    let pipe = desk.path("pipe.toml");
+    let name = std::ffi::CString::new(pipe.to_str().unwrap()).unwrap();
+    // SAFETY: a plain system call on a NUL-terminated name.
+    assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
+    let arguments = ["estimate", "images.fits", "-o", "est.fits", "--scene", "pipe.toml"];
+    let child = desk.command(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // Opens once the program has it open for reading.
+    let mut scene = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
+    // SAFETY: a plain system call; the child is not yet waited for, so the number is its own.
+    assert_eq!(unsafe { libc::kill(child.id() as i32, libc::SIGINT) }, 0);
+    // The handler's thread takes its turn well within this, and the model takes another 10 ms.
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    scene.write_all(SMALL.as_bytes()).unwrap();
+    drop(scene);
+    let done = Done::from(child.wait_with_output().unwrap());
+    assert_eq!((done.status, done.out.as_str()), (130, ""), "{}", done.err);
+    assert_eq!(done.err.lines().count(), 1, "{}", done.err);
+    assert!(done.err.starts_with("cophase: stopped: "), "{}", done.err);
+    std::fs::remove_file(pipe).unwrap();
+    assert_eq!(desk.files(), before);
+}

@@ -1,0 +1,180 @@
+//! The estimator end to end on a small telescope: seven hexagons, Zernike NCPA.
+
+use cophase::estimate::{Cube, Estimate, Estimator, Status, read};
+use cophase::imaging::{Chain, Precision};
+use cophase::scene::Scene;
+use cophase::source::{self, SourceImages};
+use ndarray::{Array2, Array3, Axis, s};
+
+/// Seven segments and 11 Zernikes, 48 samples, images of 32 λ/D at 3 pixels per λ/D (no reduction).
+fn scene(settings: &[(&str, &str)]) -> Scene {
+    let small = [
+        ("pupil.aperture", "hexagonal"),
+        ("pupil.rings", "1"),
+        ("pupil.grid_m", "4.8"),
+        ("pupil.samples", "64"),
+        ("image.samples_per_lambda_over_d", "3"),
+        ("image.pixels", "132"),
+        ("image.diversity_focus_waves_rms", "0.8"),
+        ("aberrations.truth_samples", "512"),
+        ("aberrations.ncpa_zernikes", "[4, 11]"),
+        ("modes.ncpa", "zernike"),
+        ("modes.ncpa_count", "12"),
+        ("modes.exact_zernikes", "none"),
+    ];
+    Scene::preset("keck-artificial").unwrap().with(&small).unwrap().with(settings).unwrap()
+}
+
+fn estimate(scene: &Scene, images_e: &Array3<f64>, bad: &Array3<bool>) -> (Estimator, Estimate) {
+    let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
+    let mut open = |estimator: &Estimator| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
+    read(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()
+}
+
+/// Residuals of phasing and NCPA, nm.
+fn residuals(estimator: &Estimator, estimate: &Estimate, made: &SourceImages) -> [f64; 2] {
+    let pupil = &estimator.model().telescope.pupil;
+    [(&estimate.phasing_nm, &made.truth.phasing_nm), (&estimate.ncpa_nm, &made.truth.ncpa_nm)].map(|(found, truth)| {
+        let difference: Array2<f64> = found - truth;
+        pupil.rms(pupil.remove_piston_tip_tilt(difference.view()).unwrap().view()).unwrap()
+    })
+}
+
+/// What the error bars promise for both maps, nm (tip and tilt kept, so a little more than the residuals).
+fn promised(estimator: &Estimator, estimate: &Estimate) -> [f64; 2] {
+    let pupil = &estimator.model().telescope.pupil;
+    [&estimate.phasing_sigma_nm, &estimate.ncpa_sigma_nm]
+        .map(|map| pupil.rms(map.mapv(|v| if v.is_nan() { 0.0 } else { v }).view()).unwrap())
+}
+
+#[test]
+fn one_image_gives_both_maps_within_their_error_bars() {
+    let scene = scene(&[]);
+    let made = source::images(&scene).unwrap();
+    let bad = made.images_e.mapv(|_| false);
+    let (estimator, found) = estimate(&scene, &made.images_e, &bad);
+    assert_eq!(found.images[0].status, Status::Ok, "chi2 {}", found.reduced_chi2());
+    for (residual, promised) in residuals(&estimator, &found, &made).into_iter().zip(promised(&estimator, &found)) {
+        println!("residual {residual:.3} nm, promised {promised:.3} nm");
+        // An RMS over some ten independent directions scatters by 1/√20 of itself: 22 %; three of these above, and
+        // far below would mean error bars that promise nothing.
+        assert!(residual < 1.7 * promised && residual > 0.2 * promised);
+    }
+}
+
+#[test]
+fn bad_pixels_cost_nothing_when_marked() {
+    let scene = scene(&[]);
+    let made = source::images(&scene).unwrap();
+    let (mut images, mut bad) = (made.images_e.clone(), made.images_e.mapv(|_| false));
+    for i in (7..images.len()).step_by(97) {
+        let at = (0, i / 132 % 132, i % 132);
+        // Marked hot pixels, and NaN without a mark.
+        (images[at], bad[at]) = if i % 2 == 0 { (1e7, true) } else { (f64::NAN, false) };
+    }
+    bad.zip_mut_with(&images, |bad, value| *bad |= !value.is_finite());
+    let (estimator, found) = estimate(&scene, &images, &bad);
+    let whole = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
+    assert!(found.images[0].bad_pixels > 20);
+    let (with, without) = (residuals(&estimator, &found, &made), residuals(&whole.0, &whole.1, &made));
+    for (with, without) in with.into_iter().zip(without) {
+        // One per cent of the light is gone: the error moves by a tenth of itself or so.
+        assert!(with < 1.3 * without, "{with} against {without}");
+    }
+}
+
+#[test]
+fn a_shifted_image_gives_the_same_maps_and_reports_the_shift() {
+    let scene = scene(&[]);
+    let made = source::images(&scene).unwrap();
+    let mut shifted = Array3::from_elem(made.images_e.dim(), 0.0);
+    // Nine pixels to the right, five down.
+    shifted.slice_mut(s![.., ..127, 9..]).assign(&made.images_e.slice(s![.., 5.., ..123]));
+    let bad = shifted.mapv(|_| false);
+    let (estimator, found) = estimate(&scene, &shifted, &bad);
+    let here = estimate(&scene, &made.images_e, &bad).1;
+    for (with, without) in residuals(&estimator, &found, &made).into_iter().zip(residuals(&estimator, &here, &made)) {
+        // The same pixels are fitted but for those at the rim of the crop.
+        assert!(with < 1.5 * without + 0.02, "{with} against {without}");
+    }
+    // λ/D over three pixels, times the RMS of x over the pupil.
+    let pupil = &estimator.model().telescope.pupil;
+    let x2: f64 = pupil.amplitude.indexed_iter().map(|((_, x), a)| a * pupil.grid.coordinate_m(x).powi(2)).sum();
+    let per_pixel = 2168.6 / (3.0 * 4.8) * (x2 / pupil.weight_sum()).sqrt();
+    let moved = [0, 1].map(|axis| found.images[0].tip_tilt_nm[axis] - here.images[0].tip_tilt_nm[axis]);
+    println!("moved by {moved:?} nm RMS, {per_pixel} nm a pixel");
+    // Tip and tilt of a bright star are known to well below a nanometre.
+    assert!((moved[0] - 9.0 * per_pixel).abs() < 1.0 && (moved[1] + 5.0 * per_pixel).abs() < 1.0);
+}
+
+#[test]
+fn a_mirrored_detector_is_undone_by_the_flip() {
+    let plain = scene(&[]);
+    let made = source::images(&plain).unwrap();
+    // Pixel 0 mirrors onto pixel 132, which is not there.
+    let mut mirrored = made.images_e.clone();
+    mirrored.slice_mut(s![.., .., 1..]).assign(&made.images_e.slice(s![.., .., 1..;-1]));
+    // The library undoes what a detector that reads its columns backwards does: [.., ..;-1].
+    let detector = made.images_e.slice(s![.., .., ..;-1]).to_owned();
+    let bad = detector.mapv(|_| false);
+    let (estimator, found) = estimate(&scene(&[("image.flip_x", "true")]), &detector, &bad);
+    let mean = residuals(&estimator, &found, &made);
+    // As good as the unflipped image: well under a nanometre, where the wrong handedness gives tens.
+    assert!(mean.iter().all(|residual| *residual < 0.5), "{mean:?}");
+    let (estimator, wrong) = estimate(&plain, &mirrored, &bad);
+    assert!(residuals(&estimator, &wrong, &made).iter().any(|residual| *residual > 20.0));
+}
+
+#[test]
+fn a_sequence_averages_and_leaves_out_what_it_cannot_use() {
+    let scene = scene(&[("image.count", "6")]);
+    let mut made = source::images(&scene).unwrap();
+    let bad = made.images_e.mapv(|_| false);
+    let (_, all) = estimate(&scene, &made.images_e, &bad);
+    let one =
+        estimate(&scene, &made.images_e.slice(s![..1, .., ..]).to_owned(), &bad.slice(s![..1, .., ..]).to_owned()).1;
+    let ratio = all.combined.sigma_nm()[0] / one.combined.sigma_nm()[0];
+    // √6 fewer, but for the scatter of six draws (a quarter or so) where that is larger.
+    assert!(ratio > 0.9 / 6f64.sqrt() && ratio < 1.6 / 6f64.sqrt(), "{ratio}");
+    made.images_e.index_axis_mut(Axis(0), 2).fill(4.0);
+    let (estimator, found) = estimate(&scene, &made.images_e, &bad);
+    assert_eq!(found.used(), 5);
+    assert!(matches!(&found.images[2].status, Status::Unusable(reason) if reason.contains("constant")));
+    assert!(found.image_coefficients_nm.row(2).iter().all(|nm| nm.is_nan()));
+    assert!(residuals(&estimator, &found, &made).iter().all(|residual| *residual < 0.5));
+}
+
+#[test]
+fn segment_tip_and_tilt_are_found() {
+    let scene = scene(&[
+        ("modes.segment", "piston-tip-tilt"),
+        ("aberrations.segment_tip_tilt_rms_nm", "20"),
+        ("modes.ncpa_count", "6"),
+        ("aberrations.ncpa_zernikes", "[4, 6]"),
+    ]);
+    let made = source::images(&scene).unwrap();
+    let bad = made.images_e.mapv(|_| false);
+    let (estimator, found) = estimate(&scene, &made.images_e, &bad);
+    assert_eq!(found.images[0].status, Status::Ok, "chi2 {}", found.reduced_chi2());
+    // Segments that tip and tilt can imitate focus and astigmatism closely: the sum is what the image fixes.
+    let pupil = &estimator.model().telescope.pupil;
+    let total: Array2<f64> = &found.phasing_nm + &found.ncpa_nm - &made.truth.phasing_nm - &made.truth.ncpa_nm;
+    let residual = pupil.rms(pupil.remove_piston_tip_tilt(total.view()).unwrap().view()).unwrap();
+    println!("sum of both maps: {residual:.3} nm");
+    // 27 modes at the bound of this image (about 0.1 nm), and the difference of a map sampled at edges.
+    assert!(residual < 1.0, "{residual}");
+}
+
+#[test]
+fn the_same_input_gives_the_same_bits() {
+    let scene = scene(&[("image.count", "2")]);
+    let (a, b) = (source::images(&scene).unwrap(), source::images(&scene).unwrap());
+    assert_eq!(a.images_e, b.images_e);
+    let bad = a.images_e.mapv(|_| false);
+    let (x, y) = (estimate(&scene, &a.images_e, &bad).1, estimate(&scene, &b.images_e, &bad).1);
+    assert_eq!(x.combined.coefficients_nm, y.combined.coefficients_nm);
+    // And an image alone gives what it gave in company.
+    let alone =
+        estimate(&scene, &a.images_e.slice(s![1.., .., ..]).to_owned(), &bad.slice(s![1.., .., ..]).to_owned()).1;
+    assert_eq!(alone.image_coefficients_nm.row(0), x.image_coefficients_nm.row(1));
+}
