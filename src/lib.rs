@@ -32,6 +32,7 @@ pub mod modes;
 pub mod optimize;
 pub mod plot;
 pub mod pupil;
+pub mod reproduce;
 pub mod scene;
 pub mod source;
 pub mod telescope;

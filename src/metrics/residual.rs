@@ -1,0 +1,118 @@
+//! Residual RMS over the pupil (weight A), piston, tip and tilt removed by least squares: of an estimate against the
+//! truth, and of what a covariance makes one expect.
+
+use crate::pupil::Pupil;
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView2, ArrayView3, Axis, Zip};
+
+/// RMS over the pupil of `estimate_nm − truth_nm` (`[y, x]`, nm), piston, tip and tilt removed, in nm.
+///
+/// # Errors
+/// [`Error::Shape`] for maps that do not have the pupil's shape, [`Error::Value`] for a value on the glass that is not
+/// finite.
+pub fn residual_nm(pupil: &Pupil, estimate_nm: ArrayView2<f64>, truth_nm: ArrayView2<f64>) -> Result<f64> {
+    if estimate_nm.dim() != truth_nm.dim() {
+        let ((rows, columns), (wanted_rows, wanted_columns)) = (estimate_nm.dim(), truth_nm.dim());
+        return Err(Error::Shape(format!(
+            "an estimate of {rows}x{columns} samples cannot be held against a truth of {wanted_rows}x{wanted_columns}: \
+             one grid is needed"
+        )));
+    }
+    pupil.rms(pupil.remove_piston_tip_tilt((&estimate_nm - &truth_nm).view())?.view())
+}
+
+/// Mean products over the pupil of mode maps without piston, tip and tilt: with it, the covariance of coefficients
+/// becomes the RMS of the map that [`residual_nm`] is expected to find.
+#[derive(Debug, Clone)]
+pub struct MapGram {
+    /// `[mode, mode]`.
+    products: Array2<f64>,
+}
+
+impl MapGram {
+    /// Of the maps `[mode, y, x]` on the grid of `pupil`, nm per nm.
+    ///
+    /// # Errors
+    /// Those of [`Pupil::remove_piston_tip_tilt`].
+    pub fn new(pupil: &Pupil, maps: ArrayView3<f64>) -> Result<Self> {
+        let root = pupil.amplitude.mapv(|a| (a / pupil.weight_sum()).sqrt());
+        let mut weighted = Array2::zeros((maps.len_of(Axis(0)), pupil.amplitude.len()));
+        for (map, mut row) in maps.outer_iter().zip(weighted.outer_iter_mut()) {
+            let detrended = pupil.remove_piston_tip_tilt(map)?;
+            // Outside the glass the map is NaN, and weighs nothing.
+            Zip::from(&mut row)
+                .and(&detrended.flatten())
+                .and(&root.flatten())
+                .for_each(|out, &value, &root| *out = if root > 0.0 { root * value } else { 0.0 });
+        }
+        Ok(Self { products: weighted.dot(&weighted.t()) })
+    }
+
+    /// √(trace of G·C): the root of the mean square, in nm, of the residual of an estimate whose coefficients of these
+    /// modes scatter about the truth with `covariance_nm2`, `[mode, mode]`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the covariance is not of these modes.
+    pub fn expected_rms_nm(&self, covariance_nm2: ArrayView2<f64>) -> Result<f64> {
+        if covariance_nm2.dim() != self.products.dim() {
+            let ((rows, columns), modes) = (covariance_nm2.dim(), self.products.nrows());
+            return Err(Error::Shape(format!(
+                "a covariance of {rows}x{columns} was given for {modes} modes: {modes}x{modes} is needed"
+            )));
+        }
+        Ok((&self.products * &covariance_nm2.t()).sum().max(0.0).sqrt())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::Grid;
+    use ndarray::{Array3, array};
+
+    /// Grey glass on 8 × 8 samples over 2 m.
+    fn pupil() -> Pupil {
+        let amplitude = Array2::from_shape_fn((8, 8), |(y, x)| if y == 0 { 0.0 } else { 0.3 + 0.08 * x as f64 });
+        Pupil::from_maps(Grid::new(8, 2.0).unwrap(), amplitude, None).unwrap()
+    }
+
+    fn maps() -> Array3<f64> {
+        let tilt = |y: usize, x: usize| 3.0 * x as f64 - y as f64 + 2.0;
+        Array3::from_shape_fn((3, 8, 8), |(mode, y, x)| match mode {
+            0 => tilt(y, x),
+            1 => (x as f64 * 0.9).sin() + tilt(y, x),
+            _ => (y as f64 * 1.3).cos() * x as f64,
+        })
+    }
+
+    #[test]
+    fn a_plane_between_estimate_and_truth_is_no_residual() {
+        let (pupil, maps) = (pupil(), maps());
+        let [plane, wave] = [0, 1].map(|mode| maps.index_axis(Axis(0), mode).to_owned());
+        // The maps are of the order of 20 nm: rounding leaves about 1e-15 of that.
+        assert!(residual_nm(&pupil, (&wave + &plane).view(), wave.view()).unwrap() < 1e-13);
+        assert!(residual_nm(&pupil, wave.view(), plane.view()).unwrap() > 0.1);
+    }
+
+    #[test]
+    fn a_covariance_of_one_draw_expects_its_residual() {
+        // C = c·cᵀ is the covariance of ±c: the residual of that draw is the expectation, whatever the modes.
+        let (pupil, maps) = (pupil(), maps());
+        let c = array![0.7, -1.9, 0.4];
+        let map = maps.outer_iter().zip(&c).fold(Array2::zeros((8, 8)), |sum, (map, c)| sum + &map * *c);
+        let seen = residual_nm(&pupil, map.view(), Array2::zeros((8, 8)).view()).unwrap();
+        let outer = c.view().insert_axis(Axis(1)).dot(&c.view().insert_axis(Axis(0)));
+        let expected = MapGram::new(&pupil, maps.view()).unwrap().expected_rms_nm(outer.view()).unwrap();
+        // The square cancels the planes to about 1e-16 of (20 nm)², the root of which is 2e-7 at worst.
+        assert!((seen - expected).abs() < 1e-6 * seen, "{seen} {expected}");
+    }
+
+    #[test]
+    fn maps_and_covariances_that_do_not_fit_are_refused() {
+        let pupil = pupil();
+        assert!(residual_nm(&pupil, Array2::zeros((8, 8)).view(), Array2::zeros((8, 7)).view()).is_err());
+        assert!(residual_nm(&pupil, Array2::zeros((7, 7)).view(), Array2::zeros((7, 7)).view()).is_err());
+        let gram = MapGram::new(&pupil, maps().view()).unwrap();
+        assert!(gram.expected_rms_nm(Array2::zeros((2, 2)).view()).is_err());
+    }
+}

@@ -1,0 +1,68 @@
+//! Draws of the artificial source: an image and the truth behind it, on whatever grid one asks.
+
+use super::Progress;
+use crate::pupil::Pupil;
+use crate::scene::Scene;
+use crate::source::{self, Truth};
+use crate::{Error, Result};
+use ndarray::{Array2, Axis};
+use rayon::prelude::*;
+
+/// One image of a scene, with one draw of aberrations and noise.
+pub struct Draw {
+    /// `aberrations.seed`.
+    pub seed: usize,
+    /// The image, `[y, x]`, electrons.
+    pub image_e: Array2<f64>,
+    /// Electrons of the star.
+    pub flux_e: f64,
+    /// What was put in.
+    pub truth: Truth,
+}
+
+/// The draws 1 to `seeds` of `scene`.
+///
+/// # Errors
+/// Those of [`source::images`]; [`Error::Scene`] for a scene whose segments are tilted, [`Error::Interrupted`].
+pub fn draws(scene: &Scene, seeds: usize, progress: &Progress) -> Result<Vec<Draw>> {
+    if scene.aberrations.as_ref().is_some_and(|truth| truth.segment_tip_tilt_rms_nm > 0.0) {
+        let sentence = "aberrations.segment_tip_tilt_rms_nm is not 0: these experiments move segments in piston only";
+        return Err(Error::Scene(sentence.into()));
+    }
+    let draw = |seed: usize| {
+        progress.check()?;
+        let made = source::images(&scene.with_override("aberrations.seed", &seed.to_string())?)?;
+        let image_e = made.images_e.index_axis_move(Axis(0), 0);
+        Ok(Draw { seed, image_e, flux_e: made.flux_e, truth: made.truth })
+    };
+    (1..=seeds).into_par_iter().map(draw).collect()
+}
+
+impl Draw {
+    /// The maps of the truth, phasing and NCPA, on the grid of `pupil`, `[y, x]`, nm, NaN outside: models of any size
+    /// can be held against the same image.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a pupil with other segments than the scene's.
+    pub fn truth_on(&self, pupil: &Pupil) -> Result<[Array2<f64>; 2]> {
+        let pistons = &self.truth.piston_nm;
+        if pupil.segments.len() != pistons.len() {
+            let (given, wanted) = (pupil.segments.len(), pistons.len());
+            return Err(Error::Shape(format!("a pupil of {given} segments was given: the truth has {wanted}")));
+        }
+        let lit: Vec<((usize, usize), usize)> = pupil
+            .owner
+            .indexed_iter()
+            .filter(|(_, owner)| **owner >= 0)
+            .map(|(at, &owner)| (at, owner as usize))
+            .collect();
+        let at = |((y, x), _): &((usize, usize), usize)| (pupil.grid.coordinate_m(*x), pupil.grid.coordinate_m(*y));
+        let (xs, ys): (Vec<f64>, Vec<f64>) = lit.iter().map(at).unzip();
+        let outside = Array2::from_elem(pupil.owner.dim(), f64::NAN);
+        let (mut phasing_nm, mut ncpa_nm) = (outside.clone(), outside);
+        for ((at, owner), ncpa) in lit.into_iter().zip(self.truth.ncpa_at(&xs, &ys)?) {
+            (phasing_nm[at], ncpa_nm[at]) = (pistons[owner], ncpa);
+        }
+        Ok([phasing_nm, ncpa_nm])
+    }
+}
