@@ -144,7 +144,7 @@ impl<'a> Job<'a> {
         let count = images.data.dim().0;
         let found = {
             let images_in_words = report::counted(count, "image");
-            let wait = terminal.wait("Building the model", count);
+            let wait = terminal.wait(&format!("Fitting {images_in_words}"), count);
             let mut watch = |done: usize, all: usize| {
                 wait.done(done);
                 if done == all {
@@ -153,7 +153,6 @@ impl<'a> Job<'a> {
             };
             let mut open = |estimator: &Estimator| {
                 interrupt.check("the model was built, no image was fitted")?;
-                wait.then(&format!("Fitting {images_in_words}"));
                 let optics = estimator.model().optics.clone();
                 devices::open_chain(scene.estimate.device, scene.estimate.precision, optics, count)
             };

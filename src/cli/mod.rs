@@ -13,6 +13,7 @@ mod image;
 mod interrupt;
 mod picture;
 mod report;
+mod reproduce;
 mod scene;
 mod terminal;
 
@@ -52,6 +53,7 @@ enum Verb {
     Compare(compare::Arguments),
     Devices(devices::Arguments),
     Demo(demo::Arguments),
+    Reproduce(reproduce::Arguments),
 }
 
 /// Runs the verb.
@@ -68,6 +70,7 @@ pub fn run(cli: Cli) -> Result<()> {
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
+        Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
     }
 }
 

@@ -89,6 +89,12 @@ impl Wait {
         self.bar.set_position(done as u64);
     }
 
+    /// `done` of `all` steps are done; how many there are was not known before.
+    pub fn done_of(&self, done: usize, all: usize) {
+        self.bar.set_length(all as u64);
+        self.bar.set_position(done as u64);
+    }
+
     /// The steps are over, and `what` follows.
     pub fn then(&self, what: &str) {
         self.bar.set_style(style(CLOCK));
