@@ -51,3 +51,29 @@ fn names_and_versions_are_readable_from_c() {
     assert_eq!(text(cophase::capi::cophase_status_name(cophase::Error::Shape(String::new()).status())), "BAD_SHAPE");
     assert_eq!(text(cophase::capi::cophase_status_name(-7)), "UNKNOWN");
 }
+
+#[test]
+fn a_c_program_links_and_runs() {
+    // The shared library that cargo builds along with the tests lies among their dependencies.
+    let libraries = Path::new(env!("CARGO_BIN_EXE_cophase")).parent().unwrap().join("deps");
+    let directory = tempfile::tempdir().unwrap();
+    let program = directory.path().join("versions");
+    let output = Command::new("cc")
+        .args(["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
+        .arg(root().join("include"))
+        .arg(root().join("bindings/c/versions.c"))
+        .arg("-L")
+        .arg(&libraries)
+        .arg("-lcophase")
+        .arg(format!("-Wl,-rpath,{}", libraries.display()))
+        .arg("-o")
+        .arg(&program)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let output = Command::new(&program).output().unwrap();
+    assert!(output.status.success());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.starts_with(&format!("cophase {}, C interface", env!("CARGO_PKG_VERSION"))), "{text}");
+    assert!(text.contains("0 OK\n1 BAD_SCENE\n") && text.contains("9 UNKNOWN\n"), "{text}");
+}
