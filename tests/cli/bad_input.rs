@@ -103,7 +103,14 @@ fn images_without_a_scene_and_estimates_without_a_truth() {
     bare.finish().unwrap();
     desk.refuses(&["estimate", "bare.fits", "-o", "est.fits"], &["bare.fits", "--scene"]);
     desk.succeeds(&ESTIMATE);
-    desk.refuses(&["compare", "est.fits"], &["est.fits", "--truth"]);
+    // The truth came along; images alone have none.
+    desk.succeeds(&["compare", "est.fits"]);
+    let images = cophase::io::read_images(desk.path("images.fits"), None).unwrap();
+    let mut alone = cophase::io::FitsWriter::create(desk.path("alone.fits")).unwrap();
+    alone.image("IMAGES", &images.data, cophase::io::Pixel::F32, "electron").unwrap();
+    alone.finish().unwrap();
+    desk.succeeds(&["estimate", "alone.fits", "--scene", "scene.toml", "-o", "blind.fits"]);
+    desk.refuses(&["compare", "blind.fits"], &["blind.fits", "--truth"]);
     desk.refuses(&["compare", "est.fits", "--truth", "bare.fits"], &["bare.fits", "TRUTH_PHASING"]);
     desk.refuses(&["compare", "images.fits"], &["images.fits", "PHASING"]);
     // An estimate has a table IMAGES, and is not an image for it.
