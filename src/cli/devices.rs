@@ -1,10 +1,10 @@
 //! `cophase devices`: what a chain can run on here; and the one place where a choice becomes a chain.
 
 use super::terminal::Terminal;
-use cophase::imaging::{self, Chain, Optics};
-use cophase::scene::{DeviceChoice, Precision};
 use cophase::Result;
 use cophase::device::{self, Choice};
+use cophase::imaging::{self, Chain, Optics};
+use cophase::scene::{DeviceChoice, Precision};
 use serde::Serialize;
 use std::sync::Arc;
 

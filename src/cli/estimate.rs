@@ -5,9 +5,9 @@ use super::files::{self, Settings, Truth};
 use super::interrupt::Interrupt;
 use super::terminal::Terminal;
 use super::{devices, picture, report};
-use cophase::estimate::{self, Estimate, Estimator};
+use cophase::estimate::{self, Cube, Estimate, Estimator};
 use cophase::io::{self, Images};
-use cophase::scene::{DeviceChoice, Sampling, Scene};
+use cophase::scene::{DeviceChoice, Scene};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -141,30 +141,27 @@ impl<'a> Job<'a> {
             terminal.warn(&sentence);
         }
         let started = Instant::now();
-        // A bad pixel would ring in an image that is reduced to Nyquist sampling.
-        let native = scene.estimate.sampling == Sampling::Auto && images.bad.iter().any(|&bad| bad);
-        let (estimator, mut chain) = {
-            let _wait = terminal.wait("Building the model", 1);
-            let estimator = Estimator::new(&scene, native)?;
-            let optics = estimator.model().optics.clone();
-            (estimator, devices::open_chain(scene.estimate.device, scene.estimate.precision, optics)?)
-        };
-        let model_s = started.elapsed().as_secs_f64();
-        interrupt.check("the model was built, no image was fitted")?;
         let count = images.data.dim().0;
-        let estimate = {
+        let found = {
             let images_in_words = report::counted(count, "image");
-            let wait = terminal.wait(&format!("Fitting {images_in_words}"), count);
+            let wait = terminal.wait("Building the model", count);
             let mut watch = |done: usize, all: usize| {
                 wait.done(done);
                 if done == all {
                     wait.then(&format!("Error bars of {images_in_words}"));
                 }
             };
-            let (data, bad) = (images.data.view(), images.bad.view());
-            estimator.estimate(&mut chain, data, bad, read_noise_e, Some(interrupt.flag()), &mut watch)
+            let mut open = |estimator: &Estimator| {
+                interrupt.check("the model was built, no image was fitted")?;
+                wait.then(&format!("Fitting {images_in_words}"));
+                let optics = estimator.model().optics.clone();
+                devices::open_chain(scene.estimate.device, scene.estimate.precision, optics, count)
+            };
+            let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e };
+            estimate::read(&scene, cube, &mut open, Some(interrupt.flag()), &mut watch)
         };
-        let estimate = estimate.map_err(files::about(name))?;
+        let (estimator, estimate) = found.map_err(files::about(name))?;
+        let model_s = started.elapsed().as_secs_f64() - estimate.seconds;
         interrupt.check("the images were fitted, nothing was written")?;
         Found::new(name, estimator, estimate, truth, model_s, terminal)
     }
@@ -206,7 +203,8 @@ impl<'a> Found<'a> {
 
     /// Writes the estimate, and its picture where one is asked for.
     pub fn write(&self, output: &Path, plot: Option<&Path>) -> Result<()> {
-        estimate::write(output, &self.estimator, &self.estimate)?;
+        let maps = self.known.as_ref().map(|(truth, _)| [&truth.phasing_nm, &truth.ncpa_nm]);
+        estimate::write(output, &self.estimator, &self.estimate, maps)?;
         let Some(plot) = plot else { return Ok(()) };
         let name = self.name.file_name().unwrap_or(self.name.as_os_str()).to_string_lossy();
         let (scene, model) = (self.estimator.scene(), self.estimator.model());

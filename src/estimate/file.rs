@@ -4,13 +4,14 @@ use super::{Estimate, Estimator};
 use crate::Result;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::scene::Optimizer;
+use ndarray::Array2;
 use std::path::Path;
 
-/// Writes `estimate` to `path`, whole or not at all.
+/// Writes `estimate` to `path`, whole or not at all; beside it the true maps (phasing, NCPA; nm), where they are known.
 ///
 /// # Errors
 /// [`crate::Error::File`] where the file cannot be written.
-pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate) -> Result<()> {
+pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate, truth: Option<[&Array2<f64>; 2]>) -> Result<()> {
     let mut file = FitsWriter::create(path)?;
     let optimizer = match estimator.recipe().optimizer {
         Optimizer::GaussNewton => "gauss-newton",
@@ -35,6 +36,9 @@ pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate) -> Result<
         file.image(name, map, Pixel::F64, "nm")?;
     }
     file.card("WAVEFRONT", "GRID_M", estimator.model().telescope.pupil.grid.width_m(), "side of the map, m")?;
+    for (name, map) in ["TRUTH_PHASING", "TRUTH_NCPA"].into_iter().zip(truth.into_iter().flatten()) {
+        file.image(name, map, Pixel::F64, "nm")?;
+    }
     let basis = &estimator.model().basis;
     file.table(
         "MODES",

@@ -58,7 +58,7 @@ impl Model {
         let diversity = Diversity::of(scene, &telescope.pupil)?;
         let pixels = PixelPlan::of(scene, recipe, native, &diversity, &telescope.pupil);
         let set = ModeSet::of(scene, recipe, &telescope)?;
-        let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.from_file();
+        let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
         let (grid, weights) = if band_limited {
             band_limited_weights(scene, &telescope, &pixels)?
         } else if recipe.pupil_model == PupilModel::Area {
@@ -137,7 +137,7 @@ impl PixelPlan {
         let image = &scene.image;
         let (frame_pixels, frame_sampling) = (image.pixels, image.samples_per_lambda_over_d);
         let nyquist = frame_pixels as f64 * 2.0 / frame_sampling;
-        let whole = (nyquist - nyquist.round()).abs() < 1e-9 && nyquist.round() as usize % 2 == 0;
+        let whole = (nyquist - nyquist.round()).abs() < 1e-9 && (nyquist.round() as usize).is_multiple_of(2);
         let wanted = !native && recipe.sampling != Pixels::Native && frame_sampling > 2.0 && whole;
         let (reduced_pixels, per_lambda_over_d) =
             if wanted { (nyquist.round() as usize, 2.0) } else { (frame_pixels, frame_sampling) };
@@ -292,7 +292,7 @@ impl ModeSet {
         Ok(Self { basis, kinds, smooth, dropped })
     }
 
-    fn from_file(&self) -> bool {
+    fn is_from_file(&self) -> bool {
         matches!(self.smooth, Smooth::Maps(_))
     }
 }

@@ -161,10 +161,8 @@ fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>) -> Result<()> {
 fn border(data: &Array2<f64>, bad: &Array2<bool>) -> (f64, f64) {
     let size = data.nrows();
     let inner = size / 8..size - size / 8;
-    let outside = data
-        .indexed_iter()
-        .zip(bad)
-        .filter(|((at, _), bad)| !**bad && !(inner.contains(&at.0) && inner.contains(&at.1)));
+    let outside =
+        data.indexed_iter().zip(bad).filter(|((at, _), bad)| !**bad && [at.0, at.1].iter().any(|c| !inner.contains(c)));
     let mut values: Vec<f64> = outside.map(|((_, &d), _)| d).collect();
     let level = median(&mut values);
     let mut deviations: Vec<f64> = values.iter().map(|d| (d - level).abs()).collect();

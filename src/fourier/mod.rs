@@ -90,7 +90,7 @@ impl Sampling {
         let whole = exact.round();
         // 1e-9 of a sample over the whole grid is far below the rounding of a double-precision transform.
         let fits = (exact - whole).abs() < 1e-9 && whole as usize >= self.samples.max(self.pixels);
-        (fits && whole as usize % 2 == 0).then_some(whole as usize)
+        (fits && (whole as usize).is_multiple_of(2)).then_some(whole as usize)
     }
 }
 

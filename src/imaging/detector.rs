@@ -153,8 +153,8 @@ impl<T: Polynomial> Loaded<T> {
             for u in 0..pixels {
                 let residual = psf[u].mul_add(flux, background - data[u]);
                 let slope = twice_flux * weight[u] * residual;
-                re[u] = re[u] * slope;
-                im[u] = im[u] * slope;
+                re[u] *= slope;
+                im[u] *= slope;
             }
         }
     }

@@ -106,7 +106,7 @@ impl<T: Polynomial> Field<T> {
         state.smooth.fill(T::zero());
         for (&mode, &nm) in self.modes.iter().zip(coefficients_nm) {
             match mode {
-                Mode::Smooth(row) => state.smooth[row] = state.smooth[row] + T::of(nm),
+                Mode::Smooth(row) => state.smooth[row] += T::of(nm),
                 Mode::Piston(s) => add(&mut state.pose[s][0], nm * self.turns_per_nm),
                 Mode::Tip(s) => add(&mut state.pose[s][1], nm * self.turns_per_nm),
                 Mode::Tilt(s) => add(&mut state.pose[s][2], nm * self.turns_per_nm),
@@ -254,8 +254,8 @@ impl<T: Polynomial> Field<T> {
         let mut put = |p: usize, re: T, im: T, s: T| {
             let place = self.place[p] as usize;
             let (re, im) = (p_re[p] * re - p_im[p] * im, p_re[p] * im + p_im[p] * re);
-            grid[place] = grid[place] - tau * s * im;
-            grid[place + self.samples] = grid[place + self.samples] + tau * s * re;
+            grid[place] -= tau * s * im;
+            grid[place + self.samples] += tau * s * re;
         };
         let (Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) = mode else {
             let Mode::Smooth(row) = mode else { unreachable!("the other modes were taken above") };
@@ -283,7 +283,7 @@ impl<T: Polynomial> Field<T> {
 }
 
 fn add<T: Polynomial>(to: &mut T, turns: f64) {
-    *to = *to + T::of(turns);
+    *to += T::of(turns);
 }
 
 /// Sum of products, in `LANES` partial sums that are added in a fixed order: the same bits at any vector width.

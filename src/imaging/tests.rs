@@ -81,8 +81,8 @@ fn the_gradient_is_the_central_difference() {
             // Truncation of the central difference is (2πh/λ·mode)²/6 ≈ 1e-9 of the gradient's size at h = 0.01 nm (modes
             // reach 2); rounding is 2e-16·J/h, about 1e-9 of the gradient too. 1e-6 of its norm bounds both.
             let h = 0.01;
-            for image in 0..3 {
-                let norm = Array1::from(at[image].gradient.clone()).mapv(|g| g * g).sum().sqrt();
+            for (image, at) in at.iter().enumerate() {
+                let norm = Array1::from(at.gradient.clone()).mapv(|g| g * g).sum().sqrt();
                 for mode in 0..optics.modes() {
                     let shifted = |by: f64| {
                         let mut c = c.slice(ndarray::s![image..=image, ..]).to_owned();
@@ -90,7 +90,7 @@ fn the_gradient_is_the_central_difference() {
                         chain.evaluate(&[image], c.view()).unwrap()[0].objective
                     };
                     let difference = (shifted(h) - shifted(-h)) / (2.0 * h);
-                    let error = (difference - at[image].gradient[mode]).abs();
+                    let error = (difference - at.gradient[mode]).abs();
                     assert!(error < 1e-6 * norm, "image {image} mode {mode}: {error:e} of {norm:e}");
                 }
             }
@@ -156,10 +156,10 @@ fn single_precision_agrees_and_batches_do_not_matter() {
         }
         assert!(error.sqrt() < 1e-5 * norm.sqrt(), "{:e}", (error / norm).sqrt());
     }
-    for image in 0..3 {
+    for (image, batch) in a.iter().enumerate() {
         let alone = wide.evaluate(&[image], c.slice(ndarray::s![image..=image, ..])).unwrap();
-        assert_eq!(alone[0].objective.to_bits(), a[image].objective.to_bits());
-        assert_eq!(alone[0].gradient, a[image].gradient);
+        assert_eq!(alone[0].objective.to_bits(), batch.objective.to_bits());
+        assert_eq!(alone[0].gradient, batch.gradient);
     }
 }
 
