@@ -15,10 +15,10 @@ use ndarray::{Array1, Array2, Array3, Axis};
 use std::cell::OnceCell;
 use std::sync::Arc;
 
-/// Spare samples on each side of the pupil in a band-limited model: the weights ring beyond the glass, and what rings
-/// beyond the grid is lost. Every spare sample is one less across the pupil: 1 leaves 0.04 nm at 120 samples where 4
-/// leave 0.03, far below the noise, but 0.12 at 96 where 4 leave 0.7.
-const SPARE_SAMPLES: usize = 1;
+/// Spare samples on each side of the pupil in a band-limited model, fewest and most: the weights ring beyond the glass,
+/// and what rings beyond the grid is lost. Every spare sample is one less across the pupil: at 120 samples 4 leave
+/// 0.026 nm of NCPA where 1 leaves 0.037 (the noise 0.1), at 96 samples 0.7 where 1 leaves 0.12.
+const SPARE_SAMPLES: (f64, f64) = (1.0, 4.0);
 /// Half of the low pass's transition, cycles, on either side of the Nyquist frequency: it keeps the ringing short. 8
 /// keeps 3.8 weights a sample where 4 keeps 5.6, and the error is no larger.
 const HALF_TRANSITION: f64 = 8.0;
@@ -136,6 +136,8 @@ struct PixelPlan {
     per_lambda_over_d: f64,
     /// Half-width of the geometric spot, λ/grid_m.
     spot: f64,
+    /// Samples left free on each side of a band-limited pupil.
+    spare_samples: usize,
 }
 
 impl PixelPlan {
@@ -149,10 +151,13 @@ impl PixelPlan {
             if wanted { (nyquist.round() as usize, 2.0) } else { (frame_pixels, frame_sampling) };
         let spot = diversity.steepest_nm_m(pupil) * pupil.grid.width_m() / image.wavelength_nm;
         let mut half_width = (spot + SPOT_MARGIN).max(LEAST_HALF_WIDTH);
+        // What the samples could pass beyond what the image needs.
+        let beyond = scene.pupil.samples as f64 / 2.0 - (half_width + spot + ABERRATION_CYCLES);
+        let spare_samples = beyond.clamp(SPARE_SAMPLES.0, SPARE_SAMPLES.1) as usize;
         if recipe.pupil_model == PupilModel::BandLimited {
             // Not wider than what the samples can carry: what aliases beyond that costs more than the light that is
             // left out, down to two thirds of the spot.
-            let carried = scene.pupil.samples as f64 / 2.0 - SPARE_SAMPLES as f64 - spot - ABERRATION_CYCLES;
+            let carried = scene.pupil.samples as f64 / 2.0 - spare_samples as f64 - spot - ABERRATION_CYCLES;
             half_width = half_width.min(carried.max(spot * 2.0 / 3.0).max(LEAST_HALF_WIDTH));
         }
         let signal = 2.0 * per_lambda_over_d * half_width;
@@ -167,7 +172,7 @@ impl PixelPlan {
             pixels: pixels.min(reduced_pixels),
             flip: [image.flip_x, image.flip_y],
         };
-        Self { preparation, per_lambda_over_d, spot }
+        Self { preparation, per_lambda_over_d, spot, spare_samples }
     }
 
     /// Half-width of the fitted image, λ/grid_m.
@@ -183,7 +188,7 @@ impl PixelPlan {
 fn band_limited_weights(scene: &Scene, telescope: &Telescope, pixels: &PixelPlan) -> Result<(Grid, SegmentWeights)> {
     let own = telescope.pupil.grid;
     let samples = scene.pupil.samples;
-    let stretch = samples as f64 / (samples - 2 * SPARE_SAMPLES) as f64;
+    let stretch = samples as f64 / (samples - 2 * pixels.spare_samples) as f64;
     let grid = Grid::new(samples, own.width_m() * stretch)?;
     let wanted = (pixels.half_width() + pixels.spot + ABERRATION_CYCLES) * stretch;
     // The smallest grid that a scene accepts has 16 samples.

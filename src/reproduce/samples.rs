@@ -171,6 +171,9 @@ impl Samples {
         series.extend(bounds(&chosen("band-limited"), x));
         series.extend(pair(&chosen("area"), "grey edges", x, Stroke::None, [Marker::Ring, Marker::Ring]));
         series.extend(pair(&chosen("hard"), "hard edges", x, Stroke::None, [Marker::Triangle, Marker::Triangle]));
+        // Unseen: room for the legend beside the points.
+        let unseen = SeriesStyle { stroke: Stroke::None, marker: Marker::None, colour: None };
+        series.push(Series { x: vec![140.0], y: vec![1.0], style: unseen, ..Default::default() });
         CurvePicture {
             title: "Error against the samples across the pupil".into(),
             x_label: "samples across the pupil grid".into(),
