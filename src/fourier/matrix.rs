@@ -51,6 +51,7 @@ impl<T: Real> MatrixTransform<T> {
         [folded, folded, 2 * n * m, folded, folded]
     }
 
+    #[inline(always)]
     pub(super) fn forward(&self, pupil: &[T], focus: &mut [T], workspace: &mut Workspace<T>) {
         let (n, m) = (self.sampling.samples, self.sampling.pixels);
         let (half, harmonics) = (n / 2, m / 2 + 1);
@@ -67,6 +68,7 @@ impl<T: Real> MatrixTransform<T> {
         unfold_columns(c, s, focus, m);
     }
 
+    #[inline(always)]
     pub(super) fn adjoint(&self, focus: &[T], pupil: &mut [T], workspace: &mut Workspace<T>) {
         let (n, m) = (self.sampling.samples, self.sampling.pixels);
         let (half, harmonics) = (n / 2, m / 2 + 1);
@@ -114,6 +116,7 @@ fn strided<T: Real>((data, row, column): (&[T], usize, usize), rows: usize, colu
 }
 
 /// even[j] = row(n/2 + j) + row(n/2 − 1 − j), odd[j] = their difference.
+#[inline(always)]
 fn fold_rows<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], width: usize, half: usize) {
     for j in 0..half {
         let upper = &rows[(half + j) * width..][..width];
@@ -128,6 +131,7 @@ fn fold_rows<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], width: usize, h
 }
 
 /// field(±x_j) = C_j ± i·S_j, the adjoint of [`fold_rows`] with the factor i of the sine part.
+#[inline(always)]
 fn fold_rows_adjoint<T: Real>(c: &[T], s: &[T], rows: &mut [T], n: usize) {
     let half = n / 2;
     for j in 0..half {
@@ -145,6 +149,7 @@ fn fold_rows_adjoint<T: Real>(c: &[T], s: &[T], rows: &mut [T], n: usize) {
 }
 
 /// T(±v) = C_v ∓ i·S_v into pixel rows m/2 ± v of width n.
+#[inline(always)]
 fn unfold_rows<T: Real>(c: &[T], s: &[T], rows: &mut [T], n: usize, m: usize) {
     for v in 0..=m / 2 {
         let (c, s) = (&c[2 * n * v..][..2 * n], &s[2 * n * v..][..2 * n]);
@@ -166,6 +171,7 @@ fn unfold_rows<T: Real>(c: &[T], s: &[T], rows: &mut [T], n: usize, m: usize) {
 }
 
 /// P_v = T(v) + T(−v), Q_v = T(v) − T(−v); a row without a partner stands alone.
+#[inline(always)]
 fn unfold_rows_adjoint<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], n: usize, m: usize) {
     let width = 2 * n;
     for v in 0..=m / 2 {
@@ -188,6 +194,7 @@ fn unfold_rows_adjoint<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], n: us
 }
 
 /// Each of `count` rows of n folded end to end into n/2 even and odd parts.
+#[inline(always)]
 fn fold_columns<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], count: usize, n: usize) {
     let half = n / 2;
     for r in 0..count {
@@ -201,6 +208,7 @@ fn fold_columns<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], count: usize
 }
 
 /// field(±x_j) = C_j ± i·S_j along the rows, the adjoint of [`fold_columns`] with the factor i of the sine part.
+#[inline(always)]
 fn fold_columns_adjoint<T: Real>(c: &[T], s: &[T], rows: &mut [T], m: usize, n: usize) {
     let half = n / 2;
     for v in 0..m {
@@ -217,6 +225,7 @@ fn fold_columns_adjoint<T: Real>(c: &[T], s: &[T], rows: &mut [T], m: usize, n: 
 }
 
 /// U(±u) = C_u ∓ i·S_u along the rows of the image.
+#[inline(always)]
 fn unfold_columns<T: Real>(c: &[T], s: &[T], focus: &mut [T], m: usize) {
     let harmonics = m / 2 + 1;
     for v in 0..m {
@@ -235,6 +244,7 @@ fn unfold_columns<T: Real>(c: &[T], s: &[T], focus: &mut [T], m: usize) {
 }
 
 /// P_u = G(u) + G(−u), Q_u = G(u) − G(−u) along the rows of the image; a pixel without a partner stands alone.
+#[inline(always)]
 fn unfold_columns_adjoint<T: Real>(focus: &[T], even: &mut [T], odd: &mut [T], m: usize) {
     let harmonics = m / 2 + 1;
     for r in 0..2 * m {

@@ -146,6 +146,7 @@ impl<T: Real> Transform<T> {
 
     /// Pupil (row-planar n×n) to focus (row-planar m×m). The FFT route differs by a phase per pixel, which no
     /// intensity sees and which the adjoint undoes.
+    #[inline(always)]
     pub fn forward(&self, pupil: &[T], focus: &mut [T], workspace: &mut Workspace<T>) {
         match self {
             Self::Matrix(transform) => transform.forward(pupil, focus, workspace),
@@ -154,6 +155,7 @@ impl<T: Real> Transform<T> {
     }
 
     /// Focus (row-planar m×m) to pupil (row-planar n×n).
+    #[inline(always)]
     pub fn adjoint(&self, focus: &[T], pupil: &mut [T], workspace: &mut Workspace<T>) {
         match self {
             Self::Matrix(transform) => transform.adjoint(focus, pupil, workspace),

@@ -7,6 +7,7 @@ use super::phasor::Polynomial;
 use crate::fourier::{Transform, Workspace};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2};
+use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex};
 
@@ -76,25 +77,13 @@ impl<T: Polynomial> CpuChain<T> {
     /// [`Error::Shape`] where the arrays do not fit the batch and the model.
     pub fn evaluate(&self, images: &[usize], coefficients_nm: ArrayView2<f64>) -> Result<Vec<Evaluation>> {
         check_batch(images, coefficients_nm, self.images.len(), self.optics.modes())?;
-        let pixels = self.optics.sampling().pixels;
         Ok((0..images.len())
             .into_par_iter()
             .map(|i| {
                 let mut memory = self.take();
                 let image = &self.images[images[i]];
-                let mut evaluation = vectorised(|| {
-                    self.field.forward(coefficients_nm.row(i), &mut memory.field, &mut memory.pupil);
-                    self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-                    Loaded::intensity(&memory.focus, &mut memory.psf, pixels);
-                    let evaluation = image.forward(&memory.psf);
-                    image.adjoint(&evaluation, &memory.psf, &mut memory.focus, pixels);
-                    evaluation
-                });
-                evaluation.gradient = vec![0.0; self.optics.modes()];
-                vectorised(|| {
-                    self.transform.adjoint(&memory.focus, &mut memory.pupil_bar, &mut memory.workspace);
-                    self.field.adjoint(&memory.pupil_bar, &mut memory.field, &mut evaluation.gradient);
-                });
+                vectorised(Forward { chain: self, coefficients_nm: coefficients_nm.row(i), memory: &mut memory });
+                let evaluation = vectorised(Backward { chain: self, image, memory: &mut memory });
                 self.put_back(memory);
                 evaluation
             })
@@ -104,12 +93,7 @@ impl<T: Polynomial> CpuChain<T> {
     /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at `coefficients_nm`.
     pub fn psf(&self, coefficients_nm: ArrayView1<f64>) -> Vec<T> {
         let mut memory = self.take();
-        let pixels = self.optics.sampling().pixels;
-        vectorised(|| {
-            self.field.forward(coefficients_nm, &mut memory.field, &mut memory.pupil);
-            self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-            Loaded::intensity(&memory.focus, &mut memory.psf, pixels);
-        });
+        vectorised(Forward { chain: self, coefficients_nm, memory: &mut memory });
         let psf = memory.psf.clone();
         self.put_back(memory);
         psf
@@ -119,11 +103,7 @@ impl<T: Polynomial> CpuChain<T> {
     pub fn jacobian(&self, coefficients_nm: ArrayView1<f64>) -> (Vec<T>, Array2<T>) {
         let pixels = self.optics.sampling().pixels;
         let mut here = self.take();
-        vectorised(|| {
-            self.field.forward(coefficients_nm, &mut here.field, &mut here.pupil);
-            self.transform.forward(&here.pupil, &mut here.focus, &mut here.workspace);
-            Loaded::intensity(&here.focus, &mut here.psf, pixels);
-        });
+        vectorised(Forward { chain: self, coefficients_nm, memory: &mut here });
         let mut jacobian = Array2::from_elem((self.optics.modes(), here.psf.len()), T::zero());
         let modes = &self.optics.parts().modes;
         let rows: Vec<_> = jacobian.outer_iter_mut().zip(modes).collect();
@@ -169,9 +149,52 @@ impl<T: Polynomial> CpuChain<T> {
     }
 }
 
-/// Runs `work` compiled for the widest vectors that this processor has.
+/// Coefficients to the PSF.
+struct Forward<'a, T: Polynomial> {
+    chain: &'a CpuChain<T>,
+    coefficients_nm: ArrayView1<'a, f64>,
+    memory: &'a mut Memory<T>,
+}
+
+impl<T: Polynomial> NullaryFnOnce for Forward<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { chain, coefficients_nm, memory } = self;
+        chain.field.forward(coefficients_nm, &mut memory.field, &mut memory.pupil);
+        chain.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
+        Loaded::intensity(&memory.focus, &mut memory.psf, chain.optics.sampling().pixels);
+    }
+}
+
+/// The PSF to the objective, and back to the gradient.
+struct Backward<'a, T: Polynomial> {
+    chain: &'a CpuChain<T>,
+    image: &'a Loaded<T>,
+    memory: &'a mut Memory<T>,
+}
+
+impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
+    type Output = Evaluation;
+
+    #[inline(always)]
+    fn call(self) -> Evaluation {
+        let Self { chain, image, memory } = self;
+        let mut evaluation = image.forward(&memory.psf);
+        image.adjoint(&evaluation, &memory.psf, &mut memory.focus, chain.optics.sampling().pixels);
+        chain.transform.adjoint(&memory.focus, &mut memory.pupil_bar, &mut memory.workspace);
+        evaluation.gradient = vec![0.0; chain.optics.modes()];
+        chain.field.adjoint(&memory.pupil_bar, &mut memory.field, &mut evaluation.gradient);
+        evaluation
+    }
+}
+
+/// Runs `work` compiled for the widest vectors that this processor has. All of it must be inlined into the call, or it
+/// is compiled for the oldest processor, where each fused multiply-add is a call of its own: hence named types with an
+/// `inline(always)` body, not closures, and the same mark on the stages.
 #[inline(always)]
-fn vectorised<R>(work: impl FnOnce() -> R) -> R {
+fn vectorised<R>(work: impl NullaryFnOnce<Output = R>) -> R {
     pulp::Arch::new().dispatch(work)
 }
 

@@ -101,6 +101,7 @@ impl<T: Polynomial> Field<T> {
     }
 
     /// Writes the coefficients (nm) into the state, sorted by what they move.
+    #[inline(always)]
     fn set(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>) {
         state.pose.fill([T::zero(); 3]);
         state.smooth.fill(T::zero());
