@@ -1,6 +1,6 @@
 //! Which basis the images ask for: the smallest that explains them.
 
-use super::model::OwnBasis;
+use super::mode_set::OwnBasis;
 use super::{Estimate, Estimator, Recipe, Watch};
 use crate::Result;
 use crate::imaging::Chain;

@@ -1,0 +1,213 @@
+//! Which modes are estimated: those of the scene, and the Zernikes that a recipe wants exactly.
+
+use super::recipe::Recipe;
+use crate::imaging::Mode;
+use crate::io;
+use crate::modes::{self, Basis, Group, SmoothBasis};
+use crate::pupil::{Pupil, SegmentWeights};
+use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, Array3, Axis};
+use std::cell::OnceCell;
+
+/// A mode is dropped where those before it already span all but this fraction of it.
+const SMALLEST_REMAINDER: f64 = 1e-3;
+
+/// The smooth modes: functions, or maps on the scene's grid.
+pub(super) enum Smooth {
+    Functions(Option<SmoothBasis>),
+    Maps(Array3<f64>),
+}
+
+impl Smooth {
+    /// Values at the lit samples, `[mode, lit]`.
+    pub(super) fn at(&self, points: &[(f64, f64)], weights: &SegmentWeights) -> Result<Array2<f64>> {
+        match self {
+            Self::Functions(None) => Ok(Array2::zeros((0, points.len()))),
+            Self::Functions(Some(basis)) => {
+                let (xs, ys): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+                basis.evaluate(&xs, &ys)
+            }
+            Self::Maps(maps) => {
+                let lit: Vec<usize> = weights.lit.iter().map(|&p| p as usize).collect();
+                let flat = maps.to_shape((maps.len_of(Axis(0)), maps.len() / maps.len_of(Axis(0)).max(1)));
+                Ok(flat.map_err(|error| Error::Internal(error.to_string()))?.select(Axis(1), &lit))
+            }
+        }
+    }
+}
+
+/// The modes of a scene.
+pub(super) struct ModeSet {
+    /// Names, groups and maps on the scene's grid.
+    pub(super) basis: Basis,
+    /// What each coefficient moves in the model.
+    pub(super) kinds: Vec<Mode>,
+    pub(super) smooth: Smooth,
+    /// Names of modes that the others already span.
+    pub(super) dropped: Vec<String>,
+}
+
+impl ModeSet {
+    pub(super) fn of(scene: &Scene, recipe: &Recipe, telescope: &Telescope, own: &OwnBasis) -> Result<Self> {
+        let pupil = &telescope.pupil;
+        let segment = match scene.modes.segment {
+            SegmentModes::None => None,
+            SegmentModes::Piston => Some(modes::SegmentModes::Piston),
+            SegmentModes::PistonTipTilt => Some(modes::SegmentModes::PistonTipTilt),
+        };
+        let segments = pupil.segments.len();
+        let segment_basis = segment.map(|modes| modes.maps(pupil)).transpose()?;
+        let mut kinds: Vec<Mode> = Vec::new();
+        for motion in 0..segment.map_or(0, modes::SegmentModes::per_segment) {
+            kinds.extend((0..segments).map(|s| [Mode::Piston(s), Mode::Tip(s), Mode::Tilt(s)][motion]));
+        }
+        let (smooth, ncpa, dropped) = if let NcpaBasis::File(file) = &scene.modes.ncpa {
+            let (basis, dropped) = from_file(&scene.resolve(file), recipe.exact_zernikes, pupil)?;
+            (Smooth::Maps(basis.maps().to_owned()), Some(basis), dropped)
+        } else {
+            let (smooth, dropped) = functions(scene, recipe, telescope, own)?;
+            let sampled = smooth.as_ref().map(|basis| basis.sampled(pupil)).transpose()?;
+            (Smooth::Functions(smooth), sampled, dropped)
+        };
+        kinds.extend((0..ncpa.as_ref().map_or(0, Basis::len)).map(Mode::Smooth));
+        let basis = match (segment_basis, ncpa) {
+            (Some(segments), Some(ncpa)) => segments.followed_by(&ncpa)?,
+            (Some(only), None) | (None, Some(only)) => only,
+            (None, None) => return Err(Error::Scene("the scene leaves no mode to estimate".into())),
+        };
+        Ok(Self { basis, kinds, smooth, dropped })
+    }
+
+    /// Whether the smooth modes are known on the scene's grid only.
+    pub(super) fn is_from_file(&self) -> bool {
+        matches!(self.smooth, Smooth::Maps(_))
+    }
+}
+
+/// The scene's own basis, which costs a second to build: made once for all recipes of a scene.
+#[derive(Default)]
+pub(super) struct OwnBasis(OnceCell<Option<SmoothBasis>>);
+
+impl OwnBasis {
+    fn of(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
+        if let Some(made) = self.0.get() {
+            return Ok(made.clone());
+        }
+        let (pupil, count) = (&telescope.pupil, scene.modes.ncpa_count);
+        let made = match &scene.modes.ncpa {
+            NcpaBasis::Kl => {
+                let turbulence = Telescope::turbulence(scene)?;
+                Some(modes::karhunen_loeve(&telescope.influence(scene)?, pupil, &turbulence, count)?.basis)
+            }
+            NcpaBasis::Zernike => Some(modes::zernike_basis(2, count + 1, pupil)?),
+            NcpaBasis::None | NcpaBasis::File(_) => None,
+        };
+        Ok(self.0.get_or_init(|| made).clone())
+    }
+}
+
+/// Exact Zernikes first, then what the scene's basis adds to them; names keep the order.
+fn functions(
+    scene: &Scene,
+    recipe: &Recipe,
+    telescope: &Telescope,
+    own: &OwnBasis,
+) -> Result<(Option<SmoothBasis>, Vec<String>)> {
+    let (pupil, count) = (&telescope.pupil, scene.modes.ncpa_count);
+    let own = own.of(scene, telescope)?;
+    let exact = match recipe.exact_zernikes {
+        Zernikes::Span { first, last } => match &scene.modes.ncpa {
+            // A Zernike basis that already reaches as far is exact as it is.
+            NcpaBasis::Zernike if last <= count + 1 => None,
+            _ => Some(modes::zernike_basis(first, last, pupil)?),
+        },
+        Zernikes::None => None,
+    };
+    Ok(match (exact, own) {
+        (Some(exact), Some(own)) => {
+            let joined = modes::join_exact(&exact, &own, pupil, SMALLEST_REMAINDER)?;
+            (Some(joined.basis), joined.dropped.into_iter().map(|dropped| dropped.name).collect())
+        }
+        (exact, own) => (exact.or(own), Vec::new()),
+    })
+}
+
+/// Modes from a FITS file, used as they are, followed by what the exact Zernikes add to its NCPA modes.
+fn from_file(path: &std::path::Path, exact: Zernikes, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
+    let mut file = io::FitsReader::open(path)?;
+    let maps = file.cube("BASIS")?;
+    let names = file.text_column("MODES", "NAME")?;
+    let groups = file.text_column("MODES", "GROUP")?;
+    let samples = pupil.grid.samples();
+    if maps.dim().1 != samples || maps.dim().2 != samples {
+        let (_, rows, columns) = maps.dim();
+        return Err(Error::file(
+            path,
+            format_args!("the modes have {columns}x{rows} samples where the pupil has {samples}x{samples}"),
+        ));
+    }
+    let groups = groups.iter().map(|group| Group::parse(group)).collect::<Result<Vec<_>>>();
+    let given = groups.and_then(|groups| Basis::from_cube(names, groups, maps)).map_err(|e| Error::file(path, e))?;
+    if given.groups().windows(2).any(|pair| pair[0] == Group::Ncpa && pair[1] == Group::Segment) {
+        return Err(Error::file(path, "segment modes must come before NCPA modes"));
+    }
+    let Zernikes::Span { first, last } = exact else { return Ok((given, Vec::new())) };
+    let zernikes = modes::zernike_basis(first, last, pupil)?.sampled(pupil)?;
+    let (added, dropped) = remainders(&given, &zernikes, pupil);
+    if added.is_empty() {
+        return Ok((given, dropped));
+    }
+    let views: Vec<_> = added.iter().map(|(_, map)| map.view()).collect();
+    let maps = ndarray::stack(Axis(0), &views).map_err(|error| Error::Internal(error.to_string()))?;
+    let names = added.iter().map(|(name, _)| name.clone()).collect();
+    Ok((given.followed_by(&Basis::from_cube(names, vec![Group::Ncpa; added.len()], maps)?)?, dropped))
+}
+
+/// What each extra mode adds to the NCPA modes of `given` (and to the extras before it), at unit RMS over the pupil;
+/// and the names of those that add nothing.
+fn remainders(given: &Basis, extra: &Basis, pupil: &Pupil) -> (Vec<(String, Array2<f64>)>, Vec<String>) {
+    let root: Array1<f64> = pupil.amplitude.iter().map(|a| (a / pupil.weight_sum()).sqrt()).collect();
+    let flat = |basis: &Basis, keep: &dyn Fn(usize) -> bool| -> Vec<Array1<f64>> {
+        let maps = basis.maps();
+        let kept = maps.outer_iter().enumerate().filter(|(i, _)| keep(*i));
+        kept.map(|(_, map)| map.iter().zip(&root).map(|(v, r)| v * r).collect()).collect()
+    };
+    let mut directions: Vec<Array1<f64>> = Vec::new();
+    // Twice is enough: the classical result on Gram-Schmidt with re-orthogonalisation.
+    let project = |mut v: Array1<f64>, directions: &[Array1<f64>]| {
+        for direction in directions.iter().chain(directions) {
+            let along = direction.dot(&v);
+            v.scaled_add(-along, direction);
+        }
+        v
+    };
+    directions.push(&root / root.dot(&root).sqrt());
+    for mode in flat(given, &|i| given.groups()[i] == Group::Ncpa) {
+        let length = mode.dot(&mode).sqrt();
+        let rest = project(mode, &directions);
+        let norm = rest.dot(&rest).sqrt();
+        if norm > 1e-9 * length {
+            directions.push(rest / norm);
+        }
+    }
+    let (mut added, mut dropped) = (Vec::new(), Vec::new());
+    for (mode, name) in flat(extra, &|_| true).into_iter().zip(extra.names()) {
+        let length = mode.dot(&mode).sqrt();
+        let rest = project(mode, &directions);
+        let norm = rest.dot(&rest).sqrt();
+        if norm <= SMALLEST_REMAINDER * length {
+            dropped.push(name.clone());
+            continue;
+        }
+        let unit = rest / norm;
+        let values = unit.iter().zip(&root).map(|(v, r)| if *r > 0.0 { v / r } else { 0.0 }).collect();
+        let map = Array2::from_shape_vec(pupil.amplitude.dim(), values);
+        directions.push(unit);
+        if let Ok(map) = map {
+            added.push((name.clone(), map));
+        }
+    }
+    (added, dropped)
+}
