@@ -7,6 +7,9 @@ pub fn mean(values: &[f64]) -> f64 {
 
 /// Standard deviation about the mean, with n − 1; NaN below two values.
 pub fn standard_deviation(values: &[f64]) -> f64 {
+    if values.len() < 2 {
+        return f64::NAN;
+    }
     let centre = mean(values);
     (values.iter().map(|value| (value - centre).powi(2)).sum::<f64>() / (values.len() as f64 - 1.0)).sqrt()
 }
@@ -32,6 +35,7 @@ mod tests {
         let values = [3.0, 1.0, 5.0, 7.0];
         assert_eq!((mean(&values), median(&values), rms(&values)), (4.0, 5.0, 21f64.sqrt()));
         assert_eq!(standard_deviation(&values), (20f64 / 3.0).sqrt());
-        assert!(standard_deviation(&[1.0]).is_nan() && mean(&[]).is_nan() && rms(&[]).is_nan() && median(&[]).is_nan());
+        assert!(standard_deviation(&[]).is_nan() && standard_deviation(&[1.0]).is_nan());
+        assert!(mean(&[]).is_nan() && rms(&[]).is_nan() && median(&[]).is_nan());
     }
 }
