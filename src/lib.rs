@@ -19,6 +19,7 @@
 //!
 //! See `ARCHITECTURE.md`: each module uses only those to the left of it.
 
+mod atomic;
 pub mod capi;
 pub mod device;
 pub mod error;

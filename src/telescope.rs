@@ -11,6 +11,10 @@ use crate::scene::{Aperture as SceneAperture, PupilModel, Scene};
 use crate::{Error, Result};
 use ndarray::Array2;
 
+/// Samples a side on which the moments of a geometric pupil are taken: their error falls as the square of the pitch,
+/// from 1e-4 at 120 samples.
+const FINE_SAMPLES: usize = 960;
+
 /// Where the glass is known from.
 enum Glass {
     /// Geometry: exact on any grid.
@@ -100,6 +104,15 @@ impl Telescope {
                 self.pupil.grid.samples(),
                 grid.samples()
             ))),
+        }
+    }
+
+    /// The pupil as finely as it is known; exact geometry on a grid on which its moments are good to 1e-6.
+    fn finest_pupil(&self) -> Result<Pupil> {
+        match &self.glass {
+            Glass::Exact(_) => self.pupil_on(Grid::new(FINE_SAMPLES, self.pupil.grid.width_m())?),
+            Glass::Fine(fine) => Ok(fine.pupil().clone()),
+            Glass::Coarse => Ok(self.pupil.clone()),
         }
     }
 
@@ -222,17 +235,22 @@ pub enum Diversity {
 }
 
 impl Diversity {
-    /// The diversity of `scene` over `pupil`: focus of the stated RMS over the pupil (weight A, zero mean, positive at
-    /// the edge), or the map of its file.
+    /// The diversity of `scene`: focus of the stated RMS over the pupil (weight A, zero mean, positive at the edge), or
+    /// the map of its file.
+    ///
+    /// The RMS is that of the finest pupil that is known, not of the scene's grid: 120 samples and 108 would differ by
+    /// 1e-4 of it, which an estimate would show as 0.3 nm of focus.
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read.
-    pub fn of(scene: &Scene, pupil: &Pupil) -> Result<Self> {
+    pub fn of(scene: &Scene, telescope: &Telescope) -> Result<Self> {
+        let pupil = &telescope.pupil;
         if let Some(file) = &scene.image.diversity_file {
             let path = scene.resolve(file);
             let values = io::read_map(&path, None)?;
             return Ok(Self::Map(MapOnGrid::new(values, pupil.grid.width_m()).map_err(|e| Error::file(&path, e))?));
         }
+        let pupil = telescope.finest_pupil()?;
         let (mut weight, mut mean, mut square) = (0.0, 0.0, 0.0);
         for ((y, x), &a) in pupil.amplitude.indexed_iter() {
             let r2 = pupil.grid.coordinate_m(x).powi(2) + pupil.grid.coordinate_m(y).powi(2);

@@ -44,7 +44,7 @@ impl Model {
     /// As [`Model::of`], with the scene's own basis kept for other recipes of the same scene.
     pub(super) fn with_own_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         let telescope = Telescope::of(scene)?;
-        let diversity = Diversity::of(scene, &telescope.pupil)?;
+        let diversity = Diversity::of(scene, &telescope)?;
         let pixels = Plan::of(scene, recipe, native, &diversity, &telescope.pupil);
         let set = ModeSet::of(scene, recipe, &telescope, own)?;
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();

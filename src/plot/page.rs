@@ -1,10 +1,10 @@
 //! From a drawing to a file: which format, its bytes, and a write that is whole or not at all.
 
 use super::canvas::{Canvas, SCALE, paint_on};
+use crate::atomic::Target;
 use crate::{Error, Result};
 use image::ImageEncoder;
 use plotters::backend::{BitMapBackend, DrawingBackend, SVGBackend};
-use std::io::Write as _;
 use std::path::Path;
 
 /// Draws a page of `size` logical pixels with `paint` and writes it to `path`, whole or not at all.
@@ -21,7 +21,7 @@ pub(super) fn draw(path: &Path, size: (u32, u32), paint: impl FnOnce(&mut Canvas
             return Err(Error::file(path, format!("a picture with {given} is unknown: name it .png or .svg")));
         }
     };
-    write_atomically(path, &bytes).map_err(|e| Error::file(path, format!("the picture cannot be written: {e}")))
+    Target::of(path)?.write(&bytes)
 }
 
 fn to_png((w, h): (u32, u32), paint: impl FnOnce(&mut Canvas)) -> Result<Vec<u8>> {
@@ -84,19 +84,6 @@ pub(super) fn base64(bytes: &[u8]) -> String {
         }
     }
     text
-}
-
-fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".cophase-").suffix(".tmp");
-    // tempfile defaults to 0600; a picture gets what the umask allows, like any other file.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder)?;
-    file.write_all(bytes)?;
-    file.persist(path).map_err(|e| e.error)?;
-    Ok(())
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Tables: the same columns and rows as aligned text and as CSV, and files that appear whole or not at all.
 
-use crate::{Error, Result};
-use std::io::Write as _;
+use crate::Result;
+use crate::atomic::Target;
 use std::path::Path;
 
 /// One entry.
@@ -100,23 +100,10 @@ impl Table {
     /// Writes the CSV to `path`, whole or not at all.
     ///
     /// # Errors
-    /// [`Error::File`] where it cannot be written.
+    /// [`crate::Error::File`] where it cannot be written.
     pub fn write_csv(&self, path: &Path) -> Result<()> {
-        write_atomically(path, self.csv().as_bytes()).map_err(|error| Error::file(path, error))
+        Target::of(path)?.write(self.csv().as_bytes())
     }
-}
-
-fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".cophase-").suffix(".tmp");
-    // tempfile defaults to 0600; a table gets what the umask allows, like any other file.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder)?;
-    file.write_all(bytes)?;
-    file.persist(path).map_err(|error| error.error)?;
-    Ok(())
 }
 
 #[cfg(test)]

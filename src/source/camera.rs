@@ -36,7 +36,7 @@ impl<'a> Camera<'a> {
         let samples = stated.unwrap_or(if telescope.is_fine() { 8 * own.samples() } else { own.samples() });
         let grid = Grid::new(samples, own.width_m())?;
         let weights = telescope.area_weights(grid)?;
-        let diversity = Diversity::of(scene, &telescope.pupil)?;
+        let diversity = Diversity::of(scene, telescope)?;
         Ok(Self { scene, telescope, grid, weights, diversity })
     }
 
