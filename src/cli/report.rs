@@ -104,7 +104,10 @@ pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
         for (index, image) in concerned.iter().take(NAMED_IMAGES) {
             let which =
                 if several { format!(" image {} of {}", index + 1, estimate.images.len()) } else { String::new() };
-            sentences.extend(about_image(image).map(|sentence| format!("{name}{which}: {sentence}")));
+            sentences.extend(
+                about_image(image, estimate.used_images.contains(index))
+                    .map(|sentence| format!("{name}{which}: {sentence}")),
+            );
         }
         if concerned.len() > NAMED_IMAGES {
             let more = counted(concerned.len() - NAMED_IMAGES, "more image");
@@ -122,7 +125,7 @@ pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
     sentences
 }
 
-fn about_image(image: &ImageReport) -> Option<String> {
+fn about_image(image: &ImageReport, used: bool) -> Option<String> {
     let chi2 = image.reduced_chi2;
     match &image.status {
         Status::Ok => None,
@@ -134,6 +137,9 @@ fn about_image(image: &ImageReport) -> Option<String> {
         Status::WrongMinimum => Some(format!(
             "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity or orientation \
              of the scene are not the image's"
+        )),
+        Status::NotConverged(reason) if used => Some(format!(
+            "the fit did not converge ({reason}), and there is no better image: these maps are no estimate"
         )),
         Status::NotConverged(reason) => Some(format!("left out, the fit did not converge ({reason})")),
         Status::Unusable(reason) => Some(format!("left out, {reason}")),

@@ -100,7 +100,9 @@ pub struct Estimate {
     pub images: Vec<ImageReport>,
     /// Coefficients of each image, `[image, mode]`, nm; NaN for unusable ones.
     pub image_coefficients_nm: Array2<f64>,
-    /// Mean over the images that were used.
+    /// The images that went into the mean: those of the best kind of status that is there.
+    pub used_images: Vec<usize>,
+    /// Mean over them.
     pub combined: Combined,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
@@ -125,13 +127,12 @@ pub struct Estimate {
 impl Estimate {
     /// Number of images that went into the mean.
     pub fn used(&self) -> usize {
-        self.images.iter().filter(|image| used(&image.status)).count()
+        self.used_images.len()
     }
 
     /// Median reduced χ² of the images that were used.
     pub fn reduced_chi2(&self) -> f64 {
-        let mut values: Vec<f64> =
-            self.images.iter().filter(|image| used(&image.status)).map(|image| image.reduced_chi2).collect();
+        let mut values: Vec<f64> = self.used_images.iter().map(|&image| self.images[image].reduced_chi2).collect();
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
     }
@@ -148,12 +149,6 @@ impl Estimate {
         let worst = self.images.iter().map(|image| &image.status).max_by_key(|status| rank(status));
         worst.unwrap_or(&Status::Ok)
     }
-}
-
-/// Whether an image counts in the mean: anything that was fitted to its minimum. A wrong minimum is left out below,
-/// unless nothing better is there.
-fn used(status: &Status) -> bool {
-    matches!(status, Status::Ok | Status::Misfit | Status::WrongMinimum)
 }
 
 /// Judges one minimum: its report, and its covariance.
@@ -308,6 +303,7 @@ pub(super) fn combine(
         phasing_sigma_nm: sigma_map(model, &combined.covariance_nm2, Group::Segment),
         ncpa_sigma_nm: sigma_map(model, &combined.covariance_nm2, Group::Ncpa),
         compared: judged[kept[0]].2.clone(),
+        used_images: kept.iter().map(|&i| indices[i]).collect(),
         degeneracy: Degeneracy::of(&fisher, names, WEAK_BELOW)?,
         images,
         image_coefficients_nm,
@@ -330,13 +326,17 @@ fn unusable(refused: Option<Error>) -> ImageReport {
     }
 }
 
-/// Which fits go into the mean: those that converged, without suspected wrong minima unless there is nothing else.
+/// Which fits go into the mean: those that converged on a plausible minimum; where there is none, suspected wrong
+/// minima; where all gave up early, those that at least ended on numbers. Each says what it is by its status.
 fn kept(reports: &[&ImageReport]) -> Vec<usize> {
-    let with = |accept: &dyn Fn(&Status) -> bool| -> Vec<usize> {
-        reports.iter().enumerate().filter(|(_, report)| accept(&report.status)).map(|(i, _)| i).collect()
+    let rank = |report: &ImageReport| match report.status {
+        Status::Ok | Status::Misfit => Some(0),
+        Status::WrongMinimum => Some(1),
+        Status::NotConverged(_) if report.reduced_chi2.is_finite() => Some(2),
+        Status::NotConverged(_) | Status::Unusable(_) => None,
     };
-    let good = with(&|status| matches!(status, Status::Ok | Status::Misfit));
-    if good.is_empty() { with(&used) } else { good }
+    let Some(best) = reports.iter().filter_map(|report| rank(report)).min() else { return Vec::new() };
+    reports.iter().enumerate().filter(|(_, report)| rank(report) == Some(best)).map(|(i, _)| i).collect()
 }
 
 /// Mean over images, with the larger of two error bars: what the noise of each image gives, and, from four images on,
