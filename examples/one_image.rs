@@ -5,6 +5,7 @@
 use cophase::Result;
 use cophase::estimate::{self, Cube, Estimator};
 use cophase::imaging::{Chain, Precision};
+use cophase::metrics;
 use cophase::scene::Scene;
 use cophase::source;
 
@@ -35,8 +36,8 @@ fn main() -> Result<()> {
     for (name, map, truth) in
         [("phasing", &found.phasing_nm, &made.truth.phasing_nm), ("NCPA", &found.ncpa_nm, &made.truth.ncpa_nm)]
     {
-        let residual = pupil.remove_piston_tip_tilt((map - truth).view())?;
-        println!("{name}: residual {:.3} nm RMS, tip and tilt removed", pupil.rms(residual.view())?);
+        let residual_nm = metrics::residual_nm(pupil, map.view(), truth.view())?;
+        println!("{name}: residual {residual_nm:.3} nm RMS, tip and tilt removed");
     }
     Ok(())
 }

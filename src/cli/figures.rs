@@ -2,10 +2,11 @@
 
 use super::files::Truth;
 use cophase::estimate::{Estimate, Model};
+use cophase::metrics::MapGram;
 use cophase::modes::Group;
 use cophase::pupil::Pupil;
 use cophase::{Error, Result};
-use ndarray::{Array2, ArrayView2, Axis};
+use ndarray::{Array2, ArrayView2};
 
 /// `map` as the figures compare it, and its RMS.
 pub fn detrended(pupil: &Pupil, map: ArrayView2<f64>) -> Result<(Array2<f64>, f64)> {
@@ -69,25 +70,14 @@ pub fn rows(model: &Model, estimate: &Estimate, residual: Option<&Residual>) -> 
     ])
 }
 
-/// Expected RMS of the error of phasing, NCPA and wavefront: `√(Σ_kl G_kl C_kl)`, C the covariance of the coefficients
-/// and G the products over the pupil of the modes with piston, tip and tilt removed, as in the residual.
+/// Expected RMS of the error of phasing, NCPA and wavefront, piston, tip and tilt removed as in the residual.
 fn error_bars(model: &Model, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
-    let pupil = &model.telescope.pupil;
-    let lit: Vec<(usize, usize)> =
-        pupil.amplitude.indexed_iter().filter(|(_, a)| **a > 0.0).map(|(at, _)| at).collect();
-    let modes = model.basis.len();
-    let mut samples = Array2::zeros((modes, lit.len()));
-    for (mode, mut row) in model.basis.maps().outer_iter().zip(samples.outer_iter_mut()) {
-        let map = pupil.remove_piston_tip_tilt(mode)?;
-        for (value, &at) in row.iter_mut().zip(&lit) {
-            *value = map[at] * (pupil.amplitude[at] / pupil.weight_sum()).sqrt();
-        }
-    }
-    let product = samples.dot(&samples.t()) * covariance_nm2;
-    let sum = |keep: &dyn Fn(Group) -> bool| {
-        let kept: Vec<usize> = (0..modes).filter(|&mode| keep(model.basis.groups()[mode])).collect();
-        // Rounding may leave a variance of nothing slightly below 0.
-        product.select(Axis(0), &kept).select(Axis(1), &kept).sum().max(0.0).sqrt()
+    let gram = MapGram::new(&model.telescope.pupil, model.basis.maps())?;
+    let groups = model.basis.groups();
+    let of = |keep: &dyn Fn(Group) -> bool| {
+        let inside = |(k, l): (usize, usize)| keep(groups[k]) && keep(groups[l]);
+        let part = Array2::from_shape_fn(covariance_nm2.dim(), |at| if inside(at) { covariance_nm2[at] } else { 0.0 });
+        gram.expected_rms_nm(part.view())
     };
-    Ok([sum(&|group| group == Group::Segment), sum(&|group| group == Group::Ncpa), sum(&|_| true)])
+    Ok([of(&|group| group == Group::Segment)?, of(&|group| group == Group::Ncpa)?, of(&|_| true)?])
 }

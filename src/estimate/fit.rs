@@ -42,60 +42,127 @@ const DECREMENT_STEP_NM: f64 = 1e-3;
 /// that made the metric says nothing.
 const LARGEST_STEP_WAVES: f64 = 0.2;
 
-/// Fits every prepared image.
-pub(super) fn fit(
-    model: &Model,
-    judge: &CpuChain<f64>,
-    chain: &mut Chain,
-    prepared: &[Prepared],
-    recipe: &Recipe,
-    cancel: Option<&CancelFlag>,
-    watch: &mut Watch,
-) -> Result<Vec<Minimum>> {
-    let exposures: Vec<Exposure> = prepared.iter().map(|image| image.exposure.clone()).collect();
-    chain.load(&exposures)?;
-    match recipe.optimizer {
-        Optimizer::Bfgs => paper(model, chain, exposures, recipe, cancel, watch),
-        Optimizer::GaussNewton => lock_step(model, judge, chain, prepared, exposures, recipe, cancel, watch),
-    }
+/// What every fit of a call shares.
+pub(super) struct Fitter<'a> {
+    pub(super) model: &'a Model,
+    pub(super) judge: &'a CpuChain<f64>,
+    pub(super) recipe: &'a Recipe,
+    pub(super) cancel: Option<&'a CancelFlag>,
 }
 
-/// The paper's way, image by image: BFGS from zero, coefficients in radians, tolerance 1e-6.
-fn paper(
-    model: &Model,
-    chain: &mut Chain,
-    exposures: Vec<Exposure>,
-    recipe: &Recipe,
-    cancel: Option<&CancelFlag>,
-    watch: &mut Watch,
-) -> Result<Vec<Minimum>> {
-    let nm = model.optics.parts().wavelength_nm / std::f64::consts::TAU;
-    let modes = model.optics.modes();
-    let count = exposures.len();
-    let mut minima = Vec::with_capacity(count);
-    for (image, exposure) in exposures.into_iter().enumerate() {
-        let mut last = Default::default();
-        let mut objective = |radians: &[f64]| -> Result<(f64, Vec<f64>)> {
-            let x = Array1::from(radians.to_vec()) * nm;
-            last = chain.evaluate(&[image], x.view().insert_axis(ndarray::Axis(0)))?.remove(0);
-            Ok((last.objective, last.gradient.iter().map(|g| g * nm).collect()))
-        };
+impl Fitter<'_> {
+    /// Fits every prepared image on `chain`.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] where the flag went up, and those of the chain.
+    pub(super) fn fit(&self, chain: &mut Chain, prepared: &[Prepared], watch: &mut Watch) -> Result<Vec<Minimum>> {
+        let exposures: Vec<Exposure> = prepared.iter().map(|image| image.exposure.clone()).collect();
+        chain.load(&exposures)?;
+        match self.recipe.optimizer {
+            Optimizer::Bfgs => self.paper(chain, exposures, watch),
+            Optimizer::GaussNewton => self.lock_step(chain, prepared, exposures, watch),
+        }
+    }
+
+    /// The paper's way, image by image: BFGS from zero, coefficients in radians, tolerance 1e-6.
+    fn paper(&self, chain: &mut Chain, exposures: Vec<Exposure>, watch: &mut Watch) -> Result<Vec<Minimum>> {
+        let nm = self.model.optics.parts().wavelength_nm / std::f64::consts::TAU;
         let solver = ArgminBfgs {
             gradient_tolerance: 1e-6,
             cost_tolerance: 0.0,
             initial_scale: 1.0,
-            max_evaluations: recipe.max_evaluations,
-            cancel: cancel.cloned(),
+            max_evaluations: self.recipe.max_evaluations,
+            cancel: self.cancel.cloned(),
         };
-        let outcome = solver.minimize(&mut objective, &vec![0.0; modes])?;
-        let (evaluations, reason) = (outcome.evaluations, outcome.reason);
-        stop_if_cancelled(reason, image, count)?;
-        let (flux_e, background_e) = (last.flux_e, last.background_e);
-        let coefficients_nm = outcome.x.iter().map(|x| x * nm).collect();
-        minima.push(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, exposure });
-        watch(image + 1, count);
+        let count = exposures.len();
+        let mut minima = Vec::with_capacity(count);
+        for (image, exposure) in exposures.into_iter().enumerate() {
+            let mut objective = |radians: &[f64]| -> Result<(f64, Vec<f64>)> {
+                let x = Array1::from(radians.to_vec()) * nm;
+                let found = chain.evaluate(&[image], x.view().insert_axis(ndarray::Axis(0)))?.remove(0);
+                Ok((found.objective, found.gradient.iter().map(|g| g * nm).collect()))
+            };
+            let outcome = solver.minimize(&mut objective, &vec![0.0; self.model.optics.modes()])?;
+            let (evaluations, reason) = (outcome.evaluations, outcome.reason);
+            stop_if_cancelled(reason, image, count)?;
+            let coefficients_nm: Vec<f64> = outcome.x.iter().map(|x| x * nm).collect();
+            let psf = self.judge.psf(ArrayView1::from(&coefficients_nm));
+            let (flux_e, background_e) = photometry(&exposure, &psf);
+            minima.push(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, exposure });
+            watch(image + 1, count);
+        }
+        Ok(minima)
     }
-    Ok(minima)
+
+    /// Our way: one batched evaluation per step for all images that are still on their way.
+    fn lock_step(
+        &self,
+        chain: &mut Chain,
+        prepared: &[Prepared],
+        mut exposures: Vec<Exposure>,
+        watch: &mut Watch,
+    ) -> Result<Vec<Minimum>> {
+        let mut metrics =
+            Metrics { model: self.model, judge: self.judge, weighting: self.recipe.weighting, made: BTreeMap::new() };
+        let settings = settings(self.model, self.recipe, chain.precision(), self.cancel);
+        let start = vec![0.0; self.model.optics.modes()];
+        let count = prepared.len();
+        let runner = |image| -> Result<Runner> {
+            let solver = QuasiNewton::new(metrics.of(image)?, &start, settings.clone())?;
+            Ok(Runner { solver, reweightings: 0, weighted_at: Vec::new(), flux_e: 0.0, background_e: 0.0 })
+        };
+        let mut runners = prepared.iter().map(runner).collect::<Result<Vec<_>>>()?;
+        let mut active: Vec<usize> = (0..count).collect();
+        while !active.is_empty() {
+            let mut points = Array2::zeros((active.len(), start.len()));
+            for (mut row, &image) in points.outer_iter_mut().zip(&active) {
+                row.assign(&ArrayView1::from(runners[image].solver.ask()));
+            }
+            let evaluations = chain.evaluate(&active, points.view())?;
+            let mut going = Vec::with_capacity(active.len());
+            for (&image, evaluation) in active.iter().zip(&evaluations) {
+                let runner = &mut runners[image];
+                let progress = runner.solver.tell(evaluation.objective, &evaluation.gradient);
+                if progress == Progress::Continue {
+                    going.push(image);
+                    continue;
+                }
+                let outcome = runner.solver.outcome();
+                stop_if_cancelled(outcome.reason, count - active.len(), count)?;
+                let again =
+                    self.recipe.weighting == Weighting::Noise && runner.unsettled(self.recipe.step_tolerance_nm);
+                let (psf, best) = at(self.judge, outcome);
+                let exposure = &mut exposures[image];
+                (runner.flux_e, runner.background_e) = photometry(exposure, &psf);
+                if !(again && best) {
+                    continue;
+                }
+                exposure.weight = weights(&psf, runner.flux_e, runner.background_e, &prepared[image].floor_variance_e2);
+                chain.replace(image, exposure)?;
+                runner.reweightings += 1;
+                runner.weighted_at = runner.solver.outcome().x.clone();
+                if runner.solver.restart_objective() == Progress::Continue {
+                    going.push(image);
+                }
+            }
+            active = going;
+            watch(count - active.len(), count);
+        }
+        let finished = runners.into_iter().zip(exposures);
+        Ok(finished
+            .map(|(runner, exposure)| {
+                let outcome = runner.solver.outcome();
+                Minimum {
+                    coefficients_nm: outcome.x.clone(),
+                    flux_e: runner.flux_e,
+                    background_e: runner.background_e,
+                    evaluations: outcome.evaluations,
+                    reason: outcome.reason,
+                    exposure,
+                }
+            })
+            .collect())
+    }
 }
 
 fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()> {
@@ -106,13 +173,14 @@ fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()
 }
 
 /// Coordinates in which the objective looks round: the Gauss-Newton matrix of the flat wavefront, with the weights that
-/// an image of this brightness would have. Computed once for all images whose flux has the same power of two, which
-/// depends on each image alone: so a fit does not depend on what else is in the batch.
+/// an image of this brightness would have. Computed once for all images whose flux and read noise have the same powers of
+/// two, which depend on each image alone: so a fit does not depend on what else is in the batch.
 struct Metrics<'a> {
     model: &'a Model,
     judge: &'a CpuChain<f64>,
     weighting: Weighting,
-    made: BTreeMap<i32, Arc<Metric>>,
+    /// By the exponents of the flux and of the variance without photons.
+    made: BTreeMap<(i32, i32), Arc<Metric>>,
 }
 
 impl Metrics<'_> {
@@ -120,15 +188,15 @@ impl Metrics<'_> {
         let level = image.level_e;
         let good = image.exposure.data_e.iter().zip(&image.floor_variance_e2).filter(|(_, floor)| floor.is_finite());
         let flux_e: f64 = good.clone().map(|(d, _)| d - level).sum::<f64>().max(1.0);
-        let exponent = flux_e.log2().round() as i32;
-        if let Some(metric) = self.made.get(&exponent) {
-            return Ok(metric.clone());
-        }
-        let flux_e = f64::from(exponent).exp2();
-        let zero = Array1::zeros(self.model.optics.modes());
-        let psf = self.judge.psf(zero.view());
         // Bad pixels are an image's own; one that has many only looks a little less round.
         let floor = good.map(|(_, floor)| *floor).fold(f64::INFINITY, f64::min);
+        let key @ (flux_exponent, floor_exponent) = (flux_e.log2().round() as i32, floor.log2().round() as i32);
+        if let Some(metric) = self.made.get(&key) {
+            return Ok(metric.clone());
+        }
+        let [flux_e, floor] = [flux_exponent, floor_exponent].map(|exponent| f64::from(exponent).exp2());
+        let zero = Array1::zeros(self.model.optics.modes());
+        let psf = self.judge.psf(zero.view());
         // The metric and the cost must use the same kind of weights: mixing them loses the capture range.
         let weight: Vec<f64> = match self.weighting {
             Weighting::Noise => weights(&psf, flux_e, 0.0, &vec![floor; psf.len()]),
@@ -140,7 +208,7 @@ impl Metrics<'_> {
         let photometry = image.exposure.photometry;
         let fisher = Sensitivity::at(self.judge, zero.view(), flux_e, &weight, photometry).fisher();
         let metric = Arc::new(Metric::from_gauss_newton(&fisher, NULL_FLOOR)?);
-        self.made.insert(exponent, metric.clone());
+        self.made.insert(key, metric.clone());
         Ok(metric)
     }
 }
@@ -172,77 +240,6 @@ impl Runner {
         let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
         self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > step_tolerance_nm)
     }
-}
-
-#[allow(clippy::too_many_arguments)]
-fn lock_step(
-    model: &Model,
-    judge: &CpuChain<f64>,
-    chain: &mut Chain,
-    prepared: &[Prepared],
-    mut exposures: Vec<Exposure>,
-    recipe: &Recipe,
-    cancel: Option<&CancelFlag>,
-    watch: &mut Watch,
-) -> Result<Vec<Minimum>> {
-    let mut metrics = Metrics { model, judge, weighting: recipe.weighting, made: BTreeMap::new() };
-    let settings = settings(model, recipe, chain.precision(), cancel);
-    let start = vec![0.0; model.optics.modes()];
-    let count = prepared.len();
-    let runner = |image| -> Result<Runner> {
-        let solver = QuasiNewton::new(metrics.of(image)?, &start, settings.clone())?;
-        Ok(Runner { solver, reweightings: 0, weighted_at: Vec::new(), flux_e: 0.0, background_e: 0.0 })
-    };
-    let mut runners = prepared.iter().map(runner).collect::<Result<Vec<_>>>()?;
-    let mut active: Vec<usize> = (0..count).collect();
-    while !active.is_empty() {
-        let mut points = Array2::zeros((active.len(), start.len()));
-        for (mut row, &image) in points.outer_iter_mut().zip(&active) {
-            row.assign(&ArrayView1::from(runners[image].solver.ask()));
-        }
-        let evaluations = chain.evaluate(&active, points.view())?;
-        let mut going = Vec::with_capacity(active.len());
-        for (&image, evaluation) in active.iter().zip(&evaluations) {
-            let runner = &mut runners[image];
-            let progress = runner.solver.tell(evaluation.objective, &evaluation.gradient);
-            if progress == Progress::Continue {
-                going.push(image);
-                continue;
-            }
-            let outcome = runner.solver.outcome();
-            stop_if_cancelled(outcome.reason, count - active.len(), count)?;
-            let again = recipe.weighting == Weighting::Noise && runner.unsettled(recipe.step_tolerance_nm);
-            let (psf, best) = at(judge, outcome);
-            let exposure = &mut exposures[image];
-            (runner.flux_e, runner.background_e) = photometry(exposure, &psf);
-            if !(again && best) {
-                continue;
-            }
-            exposure.weight = weights(&psf, runner.flux_e, runner.background_e, &prepared[image].floor_variance_e2);
-            chain.replace(image, exposure)?;
-            runner.reweightings += 1;
-            runner.weighted_at = runner.solver.outcome().x.clone();
-            if runner.solver.restart_objective() == Progress::Continue {
-                going.push(image);
-            }
-        }
-        active = going;
-        watch(count - active.len(), count);
-    }
-    let finished = runners.into_iter().zip(exposures);
-    Ok(finished
-        .map(|(runner, exposure)| {
-            let outcome = runner.solver.outcome();
-            Minimum {
-                coefficients_nm: outcome.x.clone(),
-                flux_e: runner.flux_e,
-                background_e: runner.background_e,
-                evaluations: outcome.evaluations,
-                reason: outcome.reason,
-                exposure,
-            }
-        })
-        .collect())
 }
 
 /// The PSF at the best point, and whether the run got there by converging.

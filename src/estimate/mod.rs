@@ -125,7 +125,8 @@ impl Estimator {
             return Err(first_error.unwrap_or_else(|| Error::Image("there is no image to estimate from".into())));
         }
         let (indices, ready): (Vec<usize>, Vec<Prepared>) = usable.into_iter().unzip();
-        let minima = fit::fit(&self.model, &self.judge, chain, &ready, &self.recipe, cancel, watch)?;
+        let fitter = fit::Fitter { model: &self.model, judge: &self.judge, recipe: &self.recipe, cancel };
+        let minima = fitter.fit(chain, &ready, watch)?;
         let refused = prepared.into_iter().map(|prepared| prepared.err()).collect();
         let mut estimate = combine::combine(self, refused, &indices, &ready, minima)?;
         estimate.seconds = started.elapsed().as_secs_f64();
