@@ -1,14 +1,14 @@
 //! From the minima of single images to one estimate: statuses, mean, error bars, maps.
 
 use super::Estimator;
-use super::fisher::Sensitivity;
 use super::fit::{Minimum, reduced_chi2, variance};
 use super::model::Model;
 use super::prepare::Prepared;
+use super::spread::Spread;
 use crate::modes::{Degeneracy, Group, WEAK_BELOW};
 use crate::optimize::StopReason;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use rayon::prelude::*;
 
 /// What became of one image.
@@ -151,19 +151,18 @@ impl Estimate {
     }
 }
 
-/// Judges one minimum: its report, and its covariance.
-fn judge(
-    estimator: &Estimator,
-    prepared: &Prepared,
-    minimum: &Minimum,
-) -> Result<(ImageReport, Array2<f64>, Compared)> {
+/// One minimum under its fitted model.
+struct Judged {
+    report: ImageReport,
+    psf: Vec<f64>,
+    variance_e2: Vec<f64>,
+}
+
+/// Judges one minimum. `tilts` are the slopes of each mode.
+fn judge(estimator: &Estimator, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum) -> Judged {
     let model = &estimator.model;
-    let at = ArrayView1::from(&minimum.coefficients_nm);
-    let psf = estimator.judge.psf(at);
+    let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
     let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-    let exposure = &minimum.exposure;
-    let sensitivity = Sensitivity::at(&estimator.judge, at, minimum.flux_e, &exposure.weight, exposure.photometry);
-    let covariance = about_mean_piston(model, sensitivity.covariance(&variance_e2)?)?;
     let reduced_chi2 = reduced_chi2(&psf, minimum, &variance_e2, model.optics.modes());
     let status = match minimum.reason {
         reason if !reason.converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
@@ -178,10 +177,10 @@ fn judge(
         reduced_chi2,
         flux_e: minimum.flux_e,
         background_e: minimum.background_e / (ratio * ratio),
-        tip_tilt_nm: tip_tilt(model, prepared, &minimum.coefficients_nm),
+        tip_tilt_nm: tilts.of(&minimum.coefficients_nm, prepared.shift_pixels),
         bad_pixels: prepared.bad_pixels,
     };
-    Ok((report, covariance * reduced_chi2.max(1.0), compared(model, &psf, minimum, &variance_e2)))
+    Judged { report, psf, variance_e2 }
 }
 
 fn compared(model: &Model, psf: &[f64], minimum: &Minimum, variance_e2: &[f64]) -> Compared {
@@ -196,29 +195,42 @@ fn compared(model: &Model, psf: &[f64], minimum: &Minimum, variance_e2: &[f64]) 
     Compared { data_e, model_e, residual_sigma }
 }
 
-/// Slopes of the whole wavefront over the pupil by least squares, as nm RMS of tip and tilt, the shift included.
-fn tip_tilt(model: &Model, prepared: &Prepared, coefficients_nm: &[f64]) -> [f64; 2] {
-    let pupil = &model.telescope.pupil;
-    let mut map = Array2::<f64>::zeros(pupil.amplitude.dim());
-    for (mode, &nm) in model.basis.maps().outer_iter().zip(coefficients_nm) {
-        map.scaled_add(nm, &mode);
-    }
-    let total = pupil.weight_sum();
-    [Axis(1), Axis(0)].map(|axis| {
-        let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == Axis(1) { x } else { y });
-        let weighted = |f: &dyn Fn((usize, usize)) -> f64| {
-            pupil.amplitude.indexed_iter().map(|(at, a)| a * f(at)).sum::<f64>() / total
-        };
-        let mean = weighted(&along);
-        let square = weighted(&|at| (along(at) - mean).powi(2));
-        let slope_nm_m = weighted(&|at| map[at] * (along(at) - mean)) / square;
-        let shift = prepared.shift_pixels[if axis == Axis(1) { 0 } else { 1 }] as f64;
-        // One pixel is 1/(n·step) … λ over the model grid's width, in pixels per λ/D.
+/// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.
+struct Tilts {
+    /// Of each mode, along x and y, per nm.
+    modes: Vec<[f64; 2]>,
+    /// Of a shift by one model pixel.
+    per_pixel_nm: [f64; 2],
+}
+
+impl Tilts {
+    fn new(model: &Model) -> Self {
+        let pupil = &model.telescope.pupil;
+        let total = pupil.weight_sum();
+        let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / total;
+        // x and y about their mean, at unit RMS over the pupil; and that RMS, m.
+        let axes = [0, 1].map(|axis| {
+            let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
+            let map = Array2::from_shape_fn(pupil.amplitude.dim(), along);
+            let centred = &map - mean(&map);
+            let rms_m = mean(&(&centred * &centred)).sqrt();
+            (centred / rms_m, rms_m)
+        });
+        let modes = model.basis.maps().outer_iter().map(|mode| [0, 1].map(|i| mean(&(&mode * &axes[i].0)))).collect();
+        // One pixel is λ over the width of the model's grid, divided by the pixels per λ/D.
         let sampling = model.optics.sampling();
-        let model_width_m = pupil.grid.width_m() * model.width_ratio();
-        let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * model_width_m);
-        (slope_nm_m + shift * per_pixel_nm_m) * square.sqrt()
-    })
+        let width_m = pupil.grid.width_m() * model.width_ratio();
+        let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * width_m);
+        Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) }
+    }
+
+    /// Of a wavefront whose image was moved onto the axis by `shift_pixels`.
+    fn of(&self, coefficients_nm: &[f64], shift_pixels: [i64; 2]) -> [f64; 2] {
+        [0, 1].map(|axis| {
+            let modes = self.modes.iter().zip(coefficients_nm).map(|(slope, nm)| slope[axis] * nm);
+            modes.sum::<f64>() + shift_pixels[axis] as f64 * self.per_pixel_nm[axis]
+        })
+    }
 }
 
 /// The covariance of coefficients whose pistons are about their mean over the pupil.
@@ -268,17 +280,18 @@ pub(super) fn combine(
     let model = &estimator.model;
     let modes = model.optics.modes();
     minima.iter_mut().try_for_each(|minimum| centre_pistons(model, &mut minimum.coefficients_nm))?;
-    let judged: Vec<_> =
-        prepared.par_iter().zip(&minima).map(|(p, m)| judge(estimator, p, m)).collect::<Result<Vec<_>>>()?;
+    let tilts = Tilts::new(model);
+    let mut judged: Vec<Judged> =
+        prepared.par_iter().zip(&minima).map(|(p, m)| judge(estimator, &tilts, p, m)).collect();
     let mut images: Vec<ImageReport> = refused.into_iter().map(unusable).collect();
     let mut image_coefficients_nm = Array2::from_elem((images.len(), modes), f64::NAN);
-    for ((&image, minimum), (report, ..)) in indices.iter().zip(&minima).zip(&judged) {
-        images[image] = report.clone();
+    for ((&image, minimum), judged) in indices.iter().zip(&minima).zip(&judged) {
+        images[image] = judged.report.clone();
         image_coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
     }
-    let kept = kept(&judged.iter().map(|(report, ..)| report).collect::<Vec<_>>());
+    let kept = kept(&judged.iter().map(|judged| &judged.report).collect::<Vec<_>>());
     if kept.is_empty() {
-        let reason = match &judged[0].0.status {
+        let reason = match &judged[0].report.status {
             Status::NotConverged(reason) => reason.to_string(),
             other => other.word().into(),
         };
@@ -286,25 +299,19 @@ pub(super) fn combine(
     }
     let rows: Vec<ArrayView1<f64>> = kept.iter().map(|&i| ArrayView1::from(&minima[i].coefficients_nm)).collect();
     let stacked = ndarray::stack(Axis(0), &rows).map_err(|error| Error::Internal(error.to_string()))?;
-    let combined = mean(&stacked, &kept.iter().map(|&i| judged[i].1.view()).collect::<Vec<_>>());
-    let names = model.basis.names();
-    let first = &minima[kept[0]];
-    let fisher = Sensitivity::at(
-        &estimator.judge,
-        ArrayView1::from(&first.coefficients_nm),
-        first.flux_e,
-        &first.exposure.weight,
-        first.exposure.photometry,
-    )
-    .fisher();
+    let variances: Vec<Vec<f64>> = judged.iter_mut().map(|judged| std::mem::take(&mut judged.variance_e2)).collect();
+    let spread = Spread::of(estimator, prepared, &minima, &variances)?;
+    let covariance = |&i: &usize| spread.covariance(i) * judged[i].report.reduced_chi2.max(1.0);
+    let combined = mean(&stacked, kept.iter().map(covariance));
+    let first = kept[0];
     Ok(Estimate {
         phasing_nm: model.map_nm(&combined.coefficients_nm, Group::Segment),
         ncpa_nm: model.map_nm(&combined.coefficients_nm, Group::Ncpa),
         phasing_sigma_nm: sigma_map(model, &combined.covariance_nm2, Group::Segment),
         ncpa_sigma_nm: sigma_map(model, &combined.covariance_nm2, Group::Ncpa),
-        compared: judged[kept[0]].2.clone(),
+        compared: compared(model, &judged[first].psf, &minima[first], &variances[first]),
         used_images: kept.iter().map(|&i| indices[i]).collect(),
-        degeneracy: Degeneracy::of(&fisher, names, WEAK_BELOW)?,
+        degeneracy: Degeneracy::of(spread.fisher(first), model.basis.names(), WEAK_BELOW)?,
         images,
         image_coefficients_nm,
         combined,
@@ -341,12 +348,12 @@ fn kept(reports: &[&ImageReport]) -> Vec<usize> {
 
 /// Mean over images, with the larger of two error bars: what the noise of each image gives, and, from four images on,
 /// what their scatter shows (a static wavefront under a changing one scatters more than its noise).
-fn mean(coefficients_nm: &Array2<f64>, covariances: &[ArrayView2<f64>]) -> Combined {
+fn mean(coefficients_nm: &Array2<f64>, covariances_nm2: impl Iterator<Item = Array2<f64>>) -> Combined {
     let count = coefficients_nm.nrows() as f64;
     let mean: Array1<f64> = coefficients_nm.sum_axis(Axis(0)) / count;
     let mut covariance = Array2::<f64>::zeros((mean.len(), mean.len()));
-    for image in covariances {
-        covariance += image;
+    for image in covariances_nm2 {
+        covariance += &image;
     }
     covariance /= count * count;
     if coefficients_nm.nrows() >= 4 {

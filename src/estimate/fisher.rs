@@ -62,11 +62,13 @@ impl Sensitivity {
         gram(&(&self.jacobian * &self.weight), &self.jacobian)
     }
 
-    /// Covariance of the modes, nm², for noise of `variance` (infinite where the weight is 0): F⁻¹ where the weights are
-    /// the inverse variances, F⁻¹ (Jᵀ W V W J) F⁻¹ in general. Null directions carry no error: nothing moves along them.
-    pub(super) fn covariance(&self, variance: &[f64]) -> Result<Array2<f64>> {
-        let inverse = pseudo_inverse(&self.fisher())?;
-        let spread = self.weight.iter().zip(variance).map(|(&w, &v)| if w > 0.0 { w * w * v } else { 0.0 });
+    /// Covariance of the modes, nm². Where the weights are the inverse variances it is the inverse of `fisher`;
+    /// otherwise, for noise of `variance_e2` (infinite where the weight is 0), F⁻¹ (Jᵀ W V W J) F⁻¹. Null directions
+    /// carry no error: nothing moves along them.
+    pub(super) fn covariance(&self, fisher: &Array2<f64>, variance_e2: Option<&[f64]>) -> Result<Array2<f64>> {
+        let inverse = pseudo_inverse(fisher)?;
+        let Some(variance_e2) = variance_e2 else { return Ok(inverse) };
+        let spread = self.weight.iter().zip(variance_e2).map(|(&w, &v)| if w > 0.0 { w * w * v } else { 0.0 });
         let spread: Array1<f64> = spread.collect();
         let noise = gram(&(&self.jacobian * &spread), &self.jacobian);
         Ok(inverse.dot(&noise).dot(&inverse))

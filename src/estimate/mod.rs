@@ -18,6 +18,7 @@ mod plan;
 mod prepare;
 mod recipe;
 mod select;
+mod spread;
 
 pub use combine::{Combined, Estimate, ImageReport, Status};
 pub use file::write;
@@ -33,6 +34,7 @@ use crate::optimize::CancelFlag;
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
+use rayon::prelude::*;
 
 /// Reads images of one scene.
 pub struct Estimator {
@@ -108,7 +110,8 @@ impl Estimator {
         let read_noise_e = read_noise_e.unwrap_or(self.scene.image.read_noise_e);
         let prepare = |(data_e, bad)| self.model.preparation.prepare(Frame { data_e, bad, read_noise_e }, &self.recipe);
         let frames = images_e.outer_iter().zip(bad.outer_iter());
-        let prepared: Vec<Result<Prepared>> = frames.map(prepare).collect();
+        let frames: Vec<_> = frames.collect();
+        let prepared: Vec<Result<Prepared>> = frames.into_par_iter().map(prepare).collect();
         let mut usable = Vec::new();
         let mut first_error = None;
         for (image, prepared) in prepared.iter().enumerate() {
@@ -148,13 +151,12 @@ impl Estimator {
         let floor = (self.scene.image.read_noise_e.powi(2) + background_e) * ratio * ratio;
         let psf = self.judge.psf(coefficients_nm);
         let weight: Vec<f64> = psf.iter().map(|h| 1.0 / (flux_e * h + floor)).collect();
-        let variance: Vec<f64> = weight.iter().map(|w| 1.0 / w).collect();
         let photometry = match (self.recipe.fit_flux, self.recipe.fit_background) {
             (true, true) => crate::imaging::Photometry::FitBoth,
             (true, false) => crate::imaging::Photometry::FitFlux { background_e },
             (false, _) => crate::imaging::Photometry::Fixed { flux_e, background_e },
         };
         let sensitivity = fisher::Sensitivity::at(&self.judge, coefficients_nm, flux_e, &weight, photometry);
-        combine::about_mean_piston(&self.model, sensitivity.covariance(&variance)?)
+        combine::about_mean_piston(&self.model, sensitivity.covariance(&sensitivity.fisher(), None)?)
     }
 }

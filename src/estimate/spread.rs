@@ -1,0 +1,82 @@
+//! How well the images of a call fix the modes. Images of one static wavefront see the modes alike: they share a Fisher
+//! matrix, which costs as much as a hundred evaluations.
+
+use super::Estimator;
+use super::combine::about_mean_piston;
+use super::fisher::Sensitivity;
+use super::fit::Minimum;
+use super::prepare::Prepared;
+use crate::Result;
+use crate::scene::Weighting;
+use ndarray::{Array2, ArrayView1};
+use rayon::prelude::*;
+
+/// Wavefronts that differ by less, in waves RMS over the modes, share a Fisher matrix: 0.02 rad change an error bar by
+/// about 2 % at the most.
+const ALIKE_WAVES: f64 = 0.003;
+/// Fluxes that differ by less, as a fraction, do too: an error bar goes as the flux to the power −½ to −1.
+const ALIKE_FLUX: f64 = 0.02;
+
+/// Fisher and covariance matrices of the images of a call.
+pub(super) struct Spread {
+    /// Which of the matrices is each image's.
+    of: Vec<usize>,
+    /// Fisher matrix (per nm²) and covariance (nm², pistons about their mean).
+    known: Vec<(Array2<f64>, Array2<f64>)>,
+}
+
+impl Spread {
+    /// Of the minima of `prepared`; `variance_e2` is that of each image's pixels under its fitted model.
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] where an image sees no mode at all.
+    pub(super) fn of(
+        estimator: &Estimator,
+        prepared: &[Prepared],
+        minima: &[Minimum],
+        variance_e2: &[Vec<f64>],
+    ) -> Result<Self> {
+        let alike_nm = ALIKE_WAVES * estimator.model.optics.parts().wavelength_nm;
+        let alike = |a: usize, b: usize| {
+            let differences =
+                minima[a].coefficients_nm.iter().zip(&minima[b].coefficients_nm).map(|(a, b)| (a - b).powi(2));
+            (minima[a].flux_e / minima[b].flux_e - 1.0).abs() < ALIKE_FLUX
+                && prepared[a].floor_variance_e2 == prepared[b].floor_variance_e2
+                && differences.sum::<f64>().sqrt() < alike_nm
+        };
+        let mut heads: Vec<usize> = Vec::new();
+        let mut of = Vec::with_capacity(minima.len());
+        for image in 0..minima.len() {
+            let place = heads.iter().position(|&head| alike(image, head));
+            of.push(place.unwrap_or(heads.len()));
+            if place.is_none() {
+                heads.push(image);
+            }
+        }
+        let matrices = |&head: &usize| {
+            let minimum = &minima[head];
+            let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &minimum.exposure);
+            let sensitivity =
+                Sensitivity::at(&estimator.judge, at, minimum.flux_e, &exposure.weight, exposure.photometry);
+            let fisher = sensitivity.fisher();
+            let variance_e2 = match estimator.recipe.weighting {
+                Weighting::Noise => None,
+                Weighting::None => Some(variance_e2[head].as_slice()),
+            };
+            let covariance = about_mean_piston(&estimator.model, sensitivity.covariance(&fisher, variance_e2)?)?;
+            Ok((fisher, covariance))
+        };
+        let known = heads.par_iter().map(matrices).collect::<Result<Vec<_>>>()?;
+        Ok(Self { of, known })
+    }
+
+    /// The Fisher matrix of an image, per nm².
+    pub(super) fn fisher(&self, image: usize) -> &Array2<f64> {
+        &self.known[self.of[image]].0
+    }
+
+    /// The covariance of an image's modes, nm², if the model is right.
+    pub(super) fn covariance(&self, image: usize) -> &Array2<f64> {
+        &self.known[self.of[image]].1
+    }
+}
