@@ -107,6 +107,16 @@ impl Telescope {
         }
     }
 
+    /// Samples a side on which a truth is made unless the scene says otherwise: 8 times the scene's where the geometry
+    /// is exact, those of the map where there is one.
+    pub fn truth_samples(&self) -> usize {
+        match &self.glass {
+            Glass::Exact(_) => 8 * self.pupil.grid.samples(),
+            Glass::Fine(fine) => fine.grid().samples(),
+            Glass::Coarse => self.pupil.grid.samples(),
+        }
+    }
+
     /// The pupil as finely as it is known; exact geometry on a grid on which its moments are good to 1e-6.
     fn finest_pupil(&self) -> Result<Pupil> {
         match &self.glass {

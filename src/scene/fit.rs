@@ -62,7 +62,7 @@ section! {
         sampling: Sampling, ANY, default(Sampling::Auto);
         /// Most evaluations of the objective for one image.
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
-        /// The fit stops where a step is shorter than this, RMS over the pupil.
+        /// The fit stops where no coefficient would move by more than this.
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("as the recipe does");
         /// The estimator.
         method: Method, ANY, default(Method::Modal);

@@ -226,7 +226,7 @@ section! {
         /// FITS map of the non-common path aberrations, nm, in place of Zernikes.
         ncpa_file: Option<PathBuf>, ANY, unset("Zernikes");
         /// Samples along a side of the grid on which the truth is made.
-        truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 for each of the pupil's; with an AO loop, the loop's own");
+        truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 for each of the pupil's, or those of its file");
         /// Seed of the draw, and of the images' noise.
         seed: u64, at_least(0.0), default(1u64);
     }

@@ -60,7 +60,7 @@ words! {
     PupilModel {
         /// Each segment's fine indicator, low-passed and decimated: reaches the noise bound with few samples.
         BandLimited = "band-limited",
-        /// The fraction of each sample's area that is glass; each sample belongs to one segment.
+        /// Each segment's share of each sample's area; a sample at a border belongs to both.
         Area = "area",
         /// The amplitude of each sample as it is; each sample belongs to one segment.
         Hard = "hard",
@@ -172,7 +172,7 @@ words! {
     /// The recipe of a fit.
     #[derive(Copy)]
     Optimizer {
-        /// Levenberg-Marquardt steps in the metric of the Gauss-Newton matrix.
+        /// Noise-weighted maximum likelihood: limited-memory BFGS in the metric of the Gauss-Newton matrix.
         GaussNewton = "gauss-newton",
         /// The paper's method as a whole: hard-edged pupil, the scene's modes alone, no weights, BFGS from zero.
         Bfgs = "bfgs",

@@ -25,15 +25,15 @@ pub struct Camera<'a> {
 }
 
 impl<'a> Camera<'a> {
-    /// The camera of `scene`, with the pupil on `aberrations.truth_samples` samples (8 times the estimator's unless the
-    /// scene says otherwise; a coarse pupil map on its own).
+    /// The camera of `scene`, with the pupil on `aberrations.truth_samples` samples, or those of
+    /// [`Telescope::truth_samples`].
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a coarse pupil map that is asked for a finer grid.
     pub fn of(scene: &'a Scene, telescope: &'a Telescope) -> Result<Self> {
         let own = telescope.pupil.grid;
         let stated = scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
-        let samples = stated.unwrap_or(if telescope.is_fine() { 8 * own.samples() } else { own.samples() });
+        let samples = stated.unwrap_or(telescope.truth_samples());
         let grid = Grid::new(samples, own.width_m())?;
         let weights = telescope.area_weights(grid)?;
         let diversity = Diversity::of(scene, telescope)?;
