@@ -81,6 +81,13 @@ fn the_bare_pupil_has_the_golden_psf() {
     let narrow = CpuChain::<f32>::new(estimator.model().optics.clone()).psf(zero.view());
     let narrow = worst(narrow.into_iter().map(f64::from).collect());
     println!("PSF: {wide:.1e} of the peak in f64, {narrow:.1e} in f32");
+    for (name, chain) in chains(&estimator, 1) {
+        if let Chain::Device { mut chain, precision, .. } = chain {
+            let error = worst(chain.psf(zero.as_slice().unwrap()).unwrap());
+            println!("{name}: {error:.1e} of the peak");
+            assert!(error < if precision == Precision::F64 { 1e-12 } else { 2e-6 }, "{name}: {error:e}");
+        }
+    }
     // Sums of 9,400 unit terms: a random walk of roundings is 1e-14 of the peak amplitude in f64; the contract's 1e-12
     // and 2e-6 leave room for the way the golden program added up.
     assert!(wide < 1e-12);

@@ -1,4 +1,5 @@
-//! cfitsio behind a safe handle: all `unsafe` of the room is here.
+//! cfitsio behind a safe handle: the `unsafe` of the room is here, and in `write` where columns and images are handed
+//! over.
 //!
 //! The vendored library is built re-entrant and a handle never leaves the call that opened it, so nothing is shared
 //! between threads but cfitsio's own locked tables. A file is opened with its "disk file" entry points only: no
