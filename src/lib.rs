@@ -19,6 +19,7 @@
 //!
 //! See `ARCHITECTURE.md`: each module uses only those to the left of it.
 
+pub mod ao;
 mod atomic;
 pub mod capi;
 pub mod device;

@@ -4,6 +4,7 @@ use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, at_least, below, between, even, inside};
 use super::words::{ControlBasis, Fill, Influence, Loop, SensorDetector, SensorKind, SensorMask};
 use crate::Result;
+use std::path::PathBuf;
 
 section! {
     /// The deformable mirror; its influence functions give the Karhunen-Loève modes.
@@ -16,6 +17,8 @@ section! {
         coupling: f64, inside(0.0, 1.0), default(0.1458);
         /// Shape of an actuator's influence.
         influence: Influence, ANY, default(Influence::Gaussian);
+        /// Map of the actuators in use, text: a line of 0s and 1s for each row, smallest y first.
+        actuator_file: Option<PathBuf>, ANY, unset("those near the pupil's glass");
         /// Largest command of an actuator either way, nm of wavefront.
         stroke_limit_nm: Option<f64>, above(0.0, 1e9), unset("no limit");
     }
@@ -38,7 +41,7 @@ section! {
         wind_m_s: Vec<f64>, between(0.0, 1000.0), default([]);
         /// Wind direction in each layer, counter-clockwise from +x, modulo 2π.
         wind_dir_rad: Vec<f64>, between(-1000.0, 1000.0), default([]);
-        /// Seed of the screens.
+        /// Seed of the screens and of the sensor's noise.
         seed: u64, at_least(0.0), default(1u64);
     }
 }
@@ -85,6 +88,18 @@ section! {
         detector: SensorDetector, ANY, default(SensorDetector::QuadCell);
         /// Least light of a subaperture that is used, as a fraction of a full one.
         min_light_ratio: f64, between(0.0, 1.0), default(0.5);
+        /// Map of the subapertures in use, text: a line of 0s and 1s for each row, smallest y first.
+        subaperture_file: Option<PathBuf>, ANY, unset("what min_light_ratio says");
+        /// Pixels across a lenslet of detector = "pixels"; they divide twice samples_per_lenslet.
+        pixels_per_lenslet: Option<usize>, even(2.0, 128.0), unset("8, or the largest that divides evenly below");
+        /// detector = "pixels": pixels with less than this count as dark.
+        threshold_e: f64, between(0.0, 1e9), default(0.0);
+        /// Wavelength at which the sensor works.
+        wavelength_nm: f64, above(0.0, 1e6), default(640.0);
+        /// Photons of a star of magnitude 0 (default: 4.01e12 / 368, the R band).
+        zero_point_photons_s_m2: f64, above(0.0, 1e30), default(4.01e12 / 368.0);
+        /// Share of those photons that the sensor detects.
+        throughput: f64, above(0.0, 1.0), default(1.0);
         /// Read noise of a pixel, RMS electrons.
         read_noise_e: f64, between(0.0, 1e6), default(0.0);
         /// R magnitude of the guide star.
@@ -98,7 +113,20 @@ section! {
     }
 }
 
-impl Check for SensorScene {}
+impl Check for SensorScene {
+    fn check(&mut self, reader: &Reader) -> Result<()> {
+        if let Some(pixels) = self.pixels_per_lenslet
+            && !(2 * self.samples_per_lenslet).is_multiple_of(pixels)
+        {
+            let sentence = format!(
+                "wavefront_sensor.pixels_per_lenslet = {pixels} does not divide {}, twice samples_per_lenslet, as it must",
+                2 * self.samples_per_lenslet
+            );
+            return Err(reader.error("pixels_per_lenslet", sentence));
+        }
+        Ok(())
+    }
+}
 
 section! {
     /// The control of the AO loop; needs a wavefront sensor.
@@ -120,7 +148,7 @@ section! {
         /// Frames per second.
         frame_rate_hz: f64, above(0.0, 1e6), default(1054.0);
         /// Frames from a measurement to its correction.
-        lag_frames: usize, between(0.0, 100.0), default(1usize);
+        lag_frames: usize, between(1.0, 100.0), default(1usize);
         /// Loop time before the first image.
         settle_s: f64, between(0.0, 1e6), default(1.0);
     }

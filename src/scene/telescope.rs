@@ -155,8 +155,8 @@ section! {
         pixels: usize, even(8.0, 8192.0), required();
         /// Pixels along a side of the part that is fitted; "auto" is what carries signal.
         crop_pixels: Crop, even(8.0, 8192.0), default(Crop::Auto);
-        /// Exposure of one image.
-        exposure_s: f64, above(0.0, 86_400.0), default(0.01);
+        /// Exposure of one image; 0 freezes the turbulence.
+        exposure_s: f64, between(0.0, 86_400.0), default(0.01);
         /// Focus added for the diversity, in waves RMS over the pupil, positive at its edge; 1.5 unless diversity_file is given.
         diversity_focus_waves_rms: f64, between(-20.0, 20.0), default(1.5);
         /// FITS map of the diversity, nm on the pupil's grid, in place of a focus.

@@ -117,8 +117,12 @@ words! {
     /// How a lenslet's spot becomes slopes.
     #[derive(Copy)]
     SensorDetector {
-        /// The difference of the two halves over their sum.
+        /// Diffracted light on four pixels: the difference of the two halves over their sum.
         QuadCell = "quad-cell",
+        /// Diffracted light on `pixels_per_lenslet` pixels a side: the centre of gravity.
+        Pixels = "pixels",
+        /// No light: the mean slope of the wavefront over the lenslet, without noise.
+        Geometric = "geometric",
     }
 }
 
@@ -152,6 +156,8 @@ words! {
         Closed = "closed",
         /// The mirror's own slopes are added back before the reconstruction.
         PseudoOpenLoop = "pseudo-open-loop",
+        /// The mirror's own slopes are added back for `fill = "inpaint"` and taken away again before the integrator.
+        FullTurbulenceSlopes = "full-turbulence-slopes",
     }
 }
 
