@@ -4,5 +4,11 @@
 //! the modes of its mirror: a simulator with the estimator's shortcuts would only confirm them.
 
 mod footprint;
+mod phase;
+mod sensor;
+mod surface;
+mod valid_map;
 
 pub use footprint::{Footprint, LANES};
+pub use sensor::Sensor;
+pub use surface::Surface;

@@ -1,0 +1,46 @@
+//! Mean slopes of the wavefront over each lenslet's glass.
+
+use super::{Lenslets, MAS_PER_NM_M};
+use crate::ao::footprint::Footprint;
+use crate::grid::Grid;
+
+/// All lenslets.
+pub(super) struct Geometric {
+    lenslets: Lenslets,
+    amplitude: Vec<f32>,
+    stride: usize,
+    mas_per_nm: f32,
+}
+
+impl Geometric {
+    pub(super) fn new(lenslets: &Lenslets, grid: &Grid, footprint: &Footprint) -> Self {
+        Self {
+            lenslets: lenslets.clone(),
+            amplitude: footprint.amplitude().to_vec(),
+            stride: footprint.stride(),
+            mas_per_nm: (MAS_PER_NM_M / grid.pitch_m()) as f32,
+        }
+    }
+
+    /// Differences between neighbouring samples, weighted by the glass that both have.
+    pub(super) fn raw(&self, opd_nm: &[f32], slopes: &mut [f32]) {
+        let (n, across, stride) = (self.lenslets.samples, self.lenslets.across, self.stride);
+        let count = self.lenslets.subapertures.len();
+        let mean = |start: usize, rows: usize, columns: usize, step: usize| {
+            let (mut sum, mut weight) = (0.0f32, 0.0f32);
+            for y in 0..rows {
+                for at in (start + y * stride..).take(columns) {
+                    let both = self.amplitude[at].min(self.amplitude[at + step]);
+                    sum += both * (opd_nm[at + step] - opd_nm[at]);
+                    weight += both;
+                }
+            }
+            if weight > 0.0 { sum / weight * self.mas_per_nm } else { 0.0 }
+        };
+        for (i, &subaperture) in self.lenslets.subapertures.iter().enumerate() {
+            let start = subaperture / across * n * stride + subaperture % across * n;
+            slopes[i] = mean(start, n, n - 1, 1);
+            slopes[count + i] = mean(start, n - 1, n, stride);
+        }
+    }
+}

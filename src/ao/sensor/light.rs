@@ -1,0 +1,74 @@
+//! The guide star's light on the sensor, and its noise.
+
+use crate::scene::SensorScene;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Binomial, Distribution, Poisson, StandardNormal};
+
+/// Electrons above which photon noise is drawn as normal: its skewness is then below 0.1.
+const MANY: f64 = 100.0;
+
+/// Light and its noise.
+pub struct Light {
+    /// Electrons that a full subaperture detects in a frame.
+    pub electrons: f64,
+    read_noise_e: f64,
+    photon_noise: bool,
+    rng: ChaCha8Rng,
+}
+
+impl Light {
+    /// The star of `scene` on lenslets of `pitch_m`, for frames of `frame_s`.
+    pub fn new(scene: &SensorScene, pitch_m: f64, frame_s: f64, rng: ChaCha8Rng) -> Self {
+        let photons_s_m2 = scene.zero_point_photons_s_m2 * 10f64.powf(-0.4 * scene.star_magnitude_r);
+        let electrons = photons_s_m2 * scene.throughput * pitch_m * pitch_m * frame_s;
+        Self { electrons, read_noise_e: scene.read_noise_e, photon_noise: scene.photon_noise, rng }
+    }
+
+    fn normal(&mut self) -> f64 {
+        StandardNormal.sample(&mut self.rng)
+    }
+
+    /// Electrons detected where `mean` are expected, with photon noise alone.
+    fn photons(&mut self, mean: f64) -> f64 {
+        if !self.photon_noise {
+            return mean;
+        }
+        if mean > MANY {
+            return mean + mean.sqrt() * self.normal();
+        }
+        Poisson::new(mean).map_or(0.0, |poisson| poisson.sample(&mut self.rng))
+    }
+
+    /// One pixel where `mean` electrons are expected.
+    pub(super) fn pixel(&mut self, mean: f64) -> f64 {
+        let photons = self.photons(mean);
+        if self.read_noise_e > 0.0 { photons + self.read_noise_e * self.normal() } else { photons }
+    }
+
+    /// The differences between the halves of a quad cell over their sum, along x and y, where `expected` are expected of
+    /// `electrons`; 0 where the sum does not stand out of its noise.
+    ///
+    /// Four independent pixels give each difference the variance of the sum. The correlation between the two differences
+    /// (the spot's quadrupole) is left out: it is 0 for a spot on the axis.
+    pub(super) fn quad_cell(&mut self, expected: [f64; 2], electrons: f64) -> [f64; 2] {
+        let read_e = 2.0 * self.read_noise_e;
+        let (sum, differences) = if !self.photon_noise || electrons > MANY {
+            let photons = if self.photon_noise { electrons } else { 0.0 };
+            let noise_e = (photons + read_e * read_e).sqrt();
+            let sum = electrons + noise_e * self.normal();
+            (sum, expected.map(|ratio| ratio * electrons + noise_e * self.normal()))
+        } else {
+            let photons = self.photons(electrons);
+            // Of the photons that came, each falls on the upper half with the expected probability.
+            let mut split = |ratio: f64| {
+                let share = (0.5 * (1.0 + ratio)).clamp(0.0, 1.0);
+                let upper = Binomial::new(photons as u64, share).map_or(0, |split| split.sample(&mut self.rng));
+                2.0 * upper as f64 - photons
+            };
+            let split = expected.map(&mut split);
+            (photons + read_e * self.normal(), split.map(|difference| difference + read_e * self.normal()))
+        };
+        // Below this a sum may be read noise alone (3σ), and a ratio means nothing.
+        if sum <= (3.0 * read_e).max(0.5) { [0.0; 2] } else { differences.map(|difference| difference / sum) }
+    }
+}

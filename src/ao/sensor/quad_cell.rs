@@ -1,0 +1,180 @@
+//! The diffractive quad cell, in closed form.
+//!
+//! A lenslet of n samples, padded to 2n, makes a spot `|F_k|²` on a field of n λ/d; the cell's axis lies between its
+//! pixels, at half-integer k. The difference of the halves needs no transform: with the autocorrelation
+//! `R(D) = Σ_x E(x+D)·E*(x)`, summed over the rows,
+//!
+//! `Σ_k sgn(k)|F_k|² = Σ_D R(D) Σ_k sgn(k) exp(−2πi·kD/2n)`, and the inner sum is `−2i/sin(πD/2n)` for odd D, else 0.
+//!
+//! With `Σ_k|F_k|² = 2n·R(0)` the signal is `S = Σ_{odd D>0} 2·Im R(D) / (n·sin(πD/2n)) / R(0)`.
+
+use super::{Lenslets, Light};
+use crate::ao::footprint::{Footprint, LANES};
+use crate::ao::phase::unit_phasor;
+use pulp::{Arch, NullaryFnOnce};
+use std::ops::Range;
+
+/// All quad cells.
+pub(super) struct QuadCell {
+    lenslets: Lenslets,
+    turns_per_nm: f32,
+    amplitude: Vec<f32>,
+    stride: usize,
+    /// Columns with light in each row of lenslets, in whole vectors.
+    spans: Vec<Range<usize>>,
+    /// `2/(n·sin(πD/2n))` for D = 1, 3, 5 …
+    weights: Vec<f32>,
+    /// The same for each D and column, 0 where x + D is another lenslet's.
+    masked: Vec<f32>,
+    /// First subaperture of each row of lenslets.
+    first: Vec<usize>,
+    /// Field of one row of lenslets, `[sample row][x]`, and the two differences of its columns.
+    re: Vec<f32>,
+    im: Vec<f32>,
+    along: [Vec<f32>; 2],
+    arch: Arch,
+}
+
+impl QuadCell {
+    pub(super) fn new(lenslets: &Lenslets, footprint: &Footprint, wavelength_nm: f64) -> Self {
+        let (n, across, stride) = (lenslets.samples, lenslets.across, footprint.stride());
+        let spans = (0..across)
+            .map(|row| {
+                let lit = (row * n..(row + 1) * n).map(|y| footprint.span(y)).filter(|span| !span.is_empty());
+                let union = lit.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
+                // Whole lenslets: a dark sample of a lit one must read as dark, not as what the row before left there.
+                let (start, end) = (union.start / n * n, union.end.next_multiple_of(n));
+                start / LANES * LANES..end.next_multiple_of(LANES).min(stride)
+            })
+            .collect();
+        let distances: Vec<usize> = (1..n).step_by(2).collect();
+        let weight = |d: usize| 2.0 / (n as f64 * (std::f64::consts::PI * d as f64 / (2 * n) as f64).sin());
+        let weights: Vec<f32> = distances.iter().map(|&d| weight(d) as f32).collect();
+        let masked = distances
+            .iter()
+            .zip(&weights)
+            .flat_map(|(&d, &w)| (0..stride).map(move |x| if x < across * n && x % n + d < n { w } else { 0.0 }))
+            .collect();
+        let first = (0..=across).map(|row| lenslets.subapertures.partition_point(|&s| s < row * across)).collect();
+        // A row is read up to n − 1 samples beyond its end, where the mask is 0.
+        let width = stride + n.next_multiple_of(LANES);
+        Self {
+            lenslets: lenslets.clone(),
+            turns_per_nm: (1.0 / wavelength_nm) as f32,
+            amplitude: footprint.amplitude().to_vec(),
+            stride,
+            spans,
+            weights,
+            masked,
+            first,
+            re: vec![0.0; n * width],
+            im: vec![0.0; n * width],
+            along: [vec![0.0; stride], vec![0.0; stride]],
+            arch: Arch::new(),
+        }
+    }
+
+    /// Half differences over sums: x, then y.
+    pub(super) fn raw(&mut self, opd_nm: &[f32], mut light: Option<&mut Light>, slopes: &mut [f32]) {
+        let (n, across) = (self.lenslets.samples, self.lenslets.across);
+        let count = self.lenslets.subapertures.len();
+        let (along_x, along_y) = slopes.split_at_mut(count);
+        let full = (n * n) as f64;
+        for row in 0..across {
+            let used = self.first[row]..self.first[row + 1];
+            if used.is_empty() {
+                continue;
+            }
+            self.arch.dispatch(Row { cell: self, opd_nm, row });
+            for i in used {
+                let start = self.lenslets.subapertures[i] % across * n;
+                let energy = (self.lenslets.light[i] * full) as f32;
+                let sum = |columns: &[f32]| columns[start..start + n].iter().sum::<f32>() / energy;
+                let ratios = [sum(&self.along[0]), sum(&self.along[1])];
+                let noisy = match light.as_deref_mut() {
+                    Some(light) => light
+                        .quad_cell(ratios.map(f64::from), light.electrons * self.lenslets.light[i])
+                        .map(|r| r as f32),
+                    None => ratios,
+                };
+                (along_x[i], along_y[i]) = (noisy[0], noisy[1]);
+            }
+        }
+    }
+}
+
+/// One row of lenslets: field, then both differences column by column.
+struct Row<'a> {
+    cell: &'a mut QuadCell,
+    opd_nm: &'a [f32],
+    row: usize,
+}
+
+impl NullaryFnOnce for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { cell, opd_nm, row } = self;
+        let (n, stride) = (cell.lenslets.samples, cell.stride);
+        let width = cell.re.len() / n;
+        let span = cell.spans[row].clone();
+        for y in 0..n {
+            let from = (row * n + y) * stride;
+            let opd = &opd_nm[from..][span.clone()];
+            let amplitude = &cell.amplitude[from..][span.clone()];
+            let re = &mut cell.re[y * width..][span.clone()];
+            let im = &mut cell.im[y * width..][span.clone()];
+            for (((re, im), opd), a) in re.iter_mut().zip(im).zip(opd).zip(amplitude) {
+                let (cos, sin) = unit_phasor(opd * cell.turns_per_nm);
+                (*re, *im) = (a * cos, a * sin);
+            }
+        }
+        for at in span.step_by(LANES) {
+            cell.differences(at, width);
+        }
+    }
+}
+
+impl QuadCell {
+    /// Both differences in the [`LANES`] columns from `at` on, summed over the rows of the lenslet.
+    #[inline(always)]
+    fn differences(&mut self, at: usize, width: usize) {
+        let n = self.lenslets.samples;
+        let load = |plane: &[f32], place: usize| -> [f32; LANES] {
+            let mut lanes = [0.0; LANES];
+            lanes.copy_from_slice(&plane[place..place + LANES]);
+            lanes
+        };
+        let (mut sum_x, mut sum_y) = ([0.0f32; LANES], [0.0f32; LANES]);
+        for y in 0..n {
+            let (re, im) = (load(&self.re, y * width + at), load(&self.im, y * width + at));
+            let mut row = [0.0f32; LANES];
+            for (i, d) in (1..n).step_by(2).enumerate() {
+                let (re_d, im_d) = (load(&self.re, y * width + at + d), load(&self.im, y * width + at + d));
+                let weight = load(&self.masked, i * self.stride + at);
+                for l in 0..LANES {
+                    let cross = im_d[l].mul_add(re[l], -(re_d[l] * im[l]));
+                    row[l] = weight[l].mul_add(cross, row[l]);
+                }
+            }
+            for l in 0..LANES {
+                sum_x[l] += row[l];
+            }
+            let mut column = [0.0f32; LANES];
+            for (i, d) in (1..n - y).step_by(2).enumerate() {
+                let (re_d, im_d) = (load(&self.re, (y + d) * width + at), load(&self.im, (y + d) * width + at));
+                let weight = self.weights[i];
+                for l in 0..LANES {
+                    let cross = im_d[l].mul_add(re[l], -(re_d[l] * im[l]));
+                    column[l] = weight.mul_add(cross, column[l]);
+                }
+            }
+            for l in 0..LANES {
+                sum_y[l] += column[l];
+            }
+        }
+        self.along[0][at..at + LANES].copy_from_slice(&sum_x);
+        self.along[1][at..at + LANES].copy_from_slice(&sum_y);
+    }
+}
