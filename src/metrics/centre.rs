@@ -28,7 +28,7 @@ pub struct Centred {
 /// [`Error::Image`] for an image that is empty, constant, or holds a value that is not finite, and where the ascent to
 /// the peak does not end.
 pub fn centre(image: ArrayView2<f64>) -> Result<Centred> {
-    let interpolant = Interpolant::of(image)?;
+    let interpolant = Interpolant::of("image", image)?;
     let peak = interpolant.peak()?;
     let (rows, columns) = image.dim();
     let shift_px = [(rows / 2) as f64 - peak.at[0], (columns / 2) as f64 - peak.at[1]];
@@ -67,9 +67,9 @@ struct Local {
 }
 
 impl Interpolant {
-    /// Through the pixels of `image`, `[y, x]`.
-    pub(super) fn of(image: ArrayView2<f64>) -> Result<Self> {
-        check(image)?;
+    /// Through the pixels of `image`, `[y, x]`, called `name` where it is refused.
+    pub(super) fn of(name: &str, image: ArrayView2<f64>) -> Result<Self> {
+        check(name, image)?;
         Ok(Self { spectrum: fft2::spectrum(image) })
     }
 
@@ -190,16 +190,16 @@ fn phasors(n: usize, at: f64) -> [Vec<Complex64>; 3] {
     phasors
 }
 
-fn check(image: ArrayView2<f64>) -> Result<()> {
+fn check(name: &str, image: ArrayView2<f64>) -> Result<()> {
     let (rows, columns) = image.dim();
     let Some(&first) = image.first() else {
-        return Err(Error::Image(format!("an image of {rows}x{columns} pixels is empty: it needs a peak")));
+        return Err(Error::Image(format!("the {name} of {rows}x{columns} pixels is empty: it needs a peak")));
     };
     if let Some(((y, x), value)) = image.indexed_iter().find(|(_, value)| !value.is_finite()) {
-        return Err(Error::Image(format!("the image is {value} at row {y}, column {x}: finite values are needed")));
+        return Err(Error::Image(format!("the {name} is {value} at row {y}, column {x}: finite values are needed")));
     }
     if image.iter().all(|&value| value == first) {
-        return Err(Error::Image(format!("the image is {first} everywhere: it needs a peak")));
+        return Err(Error::Image(format!("the {name} is {first} everywhere: it needs a peak")));
     }
     Ok(())
 }
@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn the_interpolant_passes_through_the_pixels_and_its_derivatives_are_its_differences() {
         let values = Array2::from_shape_fn((6, 9), |(y, x)| ((7 * y + 3 * x * x) % 11) as f64);
-        let interpolant = Interpolant::of(values.view()).unwrap();
+        let interpolant = Interpolant::of("image", values.view()).unwrap();
         for ((y, x), value) in values.indexed_iter() {
             // 54 terms of at most about 270/54 each.
             assert!((interpolant.local([y as f64, x as f64]).height - value).abs() < 1e-12);

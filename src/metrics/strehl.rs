@@ -56,8 +56,8 @@ pub fn strehl_by_otf(
 }
 
 /// Strehl ratio exp(−(2πσ/λ)²) of a wavefront of `rms_nm` (Maréchal as extended by Mahajan 1983, J. Opt. Soc. Am. 73,
-/// 860). The logarithm is wrong by the fourth cumulant of the phase over 12: less than σ⁴/4 rad⁴ for any phase that is
-/// no more peaked than an exponential distribution.
+/// 860). To the next order its logarithm lacks the fourth cumulant of the phase over 12: less than σ⁴/4 (σ in rad) for a
+/// phase with no heavier tails than a two-sided exponential distribution.
 pub fn strehl_by_marechal(rms_nm: f64, wavelength_nm: f64) -> f64 {
     (-(2.0 * PI * rms_nm / wavelength_nm).powi(2)).exp()
 }
@@ -114,7 +114,7 @@ impl Marechal {
 /// Peak over sum.
 fn concentration(name: &str, image: &Interpolant) -> Result<f64> {
     let sum = image.sum();
-    if sum.is_nan() || sum <= 0.0 {
+    if !(sum.is_finite() && sum > 0.0) {
         return Err(Error::Image(format!(
             "the {name} sums to {sum} without its background: a Strehl ratio needs light"
         )));
@@ -133,7 +133,7 @@ fn interpolants(image: ArrayView2<f64>, background: f64, perfect: ArrayView2<f64
     if !background.is_finite() {
         return Err(Error::Value(format!("a background of {background} was given: a finite number is needed")));
     }
-    Ok([Interpolant::of((&image - background).view())?, Interpolant::of(perfect)?])
+    Ok([Interpolant::of("image", (&image - background).view())?, Interpolant::of("perfect image", perfect)?])
 }
 
 #[cfg(test)]
@@ -177,7 +177,10 @@ mod tests {
                 assert!(error.to_string().contains(named), "{error}");
             }
         }
-        assert!(strehl_by_energy(star.view(), 0.0, (-&star).view()).unwrap_err().to_string().contains("perfect"));
+        for perfect in [-&star, &star * f64::NAN] {
+            let error = strehl_by_energy(star.view(), 0.0, perfect.view()).unwrap_err();
+            assert!(error.to_string().contains("the perfect image"), "{error}");
+        }
         for sampling in [0.0, 1.5, -3.0, f64::NAN, f64::INFINITY] {
             assert!(strehl_by_otf(star.view(), 0.0, star.view(), sampling).is_err());
         }
