@@ -90,7 +90,8 @@ mod tests {
         let mut inside = 0.0;
         for y in 0..footprint.samples() {
             let span = footprint.span(y);
-            assert!(span.start % LANES == 0 && span.end % LANES == 0 && span.end <= footprint.stride());
+            assert!(span.start.is_multiple_of(LANES) && span.end.is_multiple_of(LANES));
+            assert!(span.end <= footprint.stride());
             inside += footprint.amplitude()[y * footprint.stride()..][span].iter().sum::<f32>();
         }
         // Single precision: 9,000 terms of at most 1.

@@ -3,12 +3,29 @@
 //! It makes the images and the truth behind them, and shares nothing with the estimator but the telescope's geometry and
 //! the modes of its mirror: a simulator with the estimator's shortcuts would only confirm them.
 
+mod atmosphere;
+mod camera;
+mod control;
+mod darkroom;
+mod divergence;
+mod file;
 mod footprint;
 mod phase;
+mod profile;
+mod run;
 mod sensor;
+mod simulator;
 mod surface;
 mod valid_map;
 
+pub use atmosphere::Atmosphere;
+pub use camera::{ScienceCamera, View, strehl_on_axis};
+pub use control::{ControlLaw, Controller, Stability};
+pub use divergence::Divergence;
+pub use file::write;
 pub use footprint::{Footprint, LANES};
-pub use sensor::Sensor;
+pub use profile::{Profile, Stage};
+pub use run::{Progress, Recorder, Schedule, Shot, Summary};
+pub use sensor::{Lenslets, Light, MAS_PER_NM_M, Sensor};
+pub use simulator::{Frame, Simulator};
 pub use surface::Surface;

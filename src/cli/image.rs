@@ -3,9 +3,8 @@
 use super::files::{self, Settings};
 use super::interrupt::Interrupt;
 use super::terminal::Terminal;
-use cophase::io::{Column, FitsWriter, Pixel};
 use cophase::scene::Scene;
-use cophase::source::{self, SourceImages};
+use cophase::source;
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
 use serde::Serialize;
@@ -81,7 +80,7 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
         source::images(scene)?
     };
     interrupt.check("the images were made, nothing was written")?;
-    write(output, scene, &made)?;
+    source::write(output, scene, &made)?;
     let pupil = Telescope::of(scene)?.pupil;
     let rms = |map: &ndarray::Array2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view());
     Ok(Made {
@@ -95,7 +94,7 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
 }
 
 /// Refuses a sequence that the memory cannot hold, where the allocator knows that it cannot.
-fn check_memory(scene: &Scene) -> Result<()> {
+pub fn check_memory(scene: &Scene) -> Result<()> {
     /// The image in double precision, and three copies in single while the file is put together.
     const BYTES_PER_PIXEL: usize = 8 + 3 * 4;
     let (count, pixels) = (scene.image.count, scene.image.pixels);
@@ -113,44 +112,4 @@ fn check_memory(scene: &Scene) -> Result<()> {
 /// [`make`] for the demonstration.
 pub fn make_file(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
     make(scene, output, terminal, interrupt).map(drop)
-}
-
-fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
-    let image = &scene.image;
-    let truth = &made.truth;
-    let mut file = FitsWriter::create(path)?;
-    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
-    file.image("IMAGES", &made.images_e, Pixel::F32, "electron")?;
-    let grid_m = scene.pupil.grid_m.or(scene.pupil.extent_m());
-    let grid_m = grid_m.ok_or_else(|| Error::Internal("a valid scene has no width of its grid".into()))?;
-    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
-    let pixel_mas = image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * radian_mas;
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-    for (key, value, comment) in [
-        ("RON_E", image.read_noise_e, "read noise of a pixel, electrons RMS"),
-        ("FLUX_E", made.flux_e, "electrons of the star in an image"),
-        ("BACKGR_E", image.background_e, "background of a pixel, electrons"),
-        ("WAVELEN", image.wavelength_nm, "wavelength, nm"),
-        ("PIXSCALE", pixel_mas, "pixel on the sky, mas"),
-        ("EXPTIME", image.exposure_s, "exposure, s"),
-    ] {
-        file.card("IMAGES", key, value, comment)?;
-    }
-    // FITS integers are signed.
-    file.card("IMAGES", "SEED", i64::try_from(seed).unwrap_or(i64::MAX), "seed of aberrations and noise")?;
-    file.image("TRUTH_PHASING", &truth.phasing_nm, Pixel::F64, "nm")?;
-    file.image("TRUTH_NCPA", &truth.ncpa_nm, Pixel::F64, "nm")?;
-    for name in ["TRUTH_PHASING", "TRUTH_NCPA"] {
-        file.card(name, "GRID_M", grid_m, "side of the map, m")?;
-    }
-    let tilt = |axis: usize| truth.tip_tilt_nm.iter().map(|tilts| tilts[axis]).collect();
-    let table = [
-        Column::i64("SEGMENT", (0..truth.piston_nm.len() as i64).collect()),
-        Column::f64("PISTON_NM", "nm", truth.piston_nm.clone()),
-        Column::f64("TIP_NM", "nm", tilt(0)),
-        Column::f64("TILT_NM", "nm", tilt(1)),
-    ];
-    file.table("TRUTH", &table)?;
-    file.text("SCENE", scene.text())?;
-    file.finish()
 }

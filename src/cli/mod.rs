@@ -15,6 +15,7 @@ mod picture;
 mod report;
 mod reproduce;
 mod scene;
+mod simulate;
 mod terminal;
 
 use clap::{Parser, Subcommand};
@@ -31,6 +32,7 @@ const FIRST_STEPS: &str = "First steps:
   cophase image scene.toml -o images.fits       a simulated image with its truth
   cophase estimate images.fits -o est.fits      phasing and NCPA maps from it
   cophase compare est.fits --truth images.fits  how far they are from the truth
+  cophase simulate keck-onsky -o onsky.fits     a minute of sky behind an AO loop
 
 Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 130 stopped by Ctrl-C.";
 
@@ -49,6 +51,7 @@ pub struct Cli {
 enum Verb {
     Scene(scene::Arguments),
     Image(image::Arguments),
+    Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
     Compare(compare::Arguments),
     Devices(devices::Arguments),
@@ -66,6 +69,7 @@ pub fn run(cli: Cli) -> Result<()> {
     match cli.verb {
         Verb::Scene(arguments) => scene::run(&arguments, &terminal),
         Verb::Image(arguments) => image::run(&arguments, &terminal),
+        Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
         Verb::Estimate(arguments) => estimate::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),

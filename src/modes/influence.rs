@@ -92,6 +92,20 @@ impl Mirror {
         Ok(InfluenceFunctions { mirror: *self, indices })
     }
 
+    /// The actuators whose position (x, y), m, `keep` accepts.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where it accepts none.
+    pub fn chosen(&self, keep: impl Fn(f64, f64) -> bool) -> Result<InfluenceFunctions> {
+        let across = self.actuators_across;
+        let kept = |index: &usize| keep(self.coordinate_m(index % across), self.coordinate_m(index / across));
+        let indices: Vec<usize> = (0..across * across).filter(kept).collect();
+        if indices.is_empty() {
+            return Err(Error::Value("no actuator of the mirror stands where one is wanted".into()));
+        }
+        Ok(InfluenceFunctions { mirror: *self, indices })
+    }
+
     /// The actuators marked 1 in a map: `actuators_across` lines of as many 0s and 1s, separated by white space; the
     /// first line is the row of smallest y.
     ///

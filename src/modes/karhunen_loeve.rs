@@ -60,6 +60,27 @@ pub fn karhunen_loeve(
     turbulence: &VonKarman,
     count: usize,
 ) -> Result<KarhunenLoeve> {
+    modes(influence, pupil, turbulence, Some(count))
+}
+
+/// All that the mirror can make.
+///
+/// # Errors
+/// Those of [`karhunen_loeve`].
+pub fn karhunen_loeve_complete(
+    influence: &InfluenceFunctions,
+    pupil: &Pupil,
+    turbulence: &VonKarman,
+) -> Result<KarhunenLoeve> {
+    modes(influence, pupil, turbulence, None)
+}
+
+fn modes(
+    influence: &InfluenceFunctions,
+    pupil: &Pupil,
+    turbulence: &VonKarman,
+    count: Option<usize>,
+) -> Result<KarhunenLoeve> {
     let working = working_pupil(pupil, influence.mirror().pitch_m())?;
     let samples = Samples::of(&working)?;
     let mut values = influence.evaluate(&samples.xs_m, &samples.ys_m)?;
@@ -70,6 +91,7 @@ pub fn karhunen_loeve(
 
     let (orthonormal, truncated) = geometric_modes(&weighted.dot(&values.t()))?;
     let available = orthonormal.ncols();
+    let count = count.unwrap_or(available);
     if count == 0 || count > available {
         let text = format!("{count} Karhunen-Loève modes were asked for: this mirror makes 1 to {available}");
         return Err(Error::Value(text));

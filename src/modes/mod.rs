@@ -27,7 +27,7 @@ mod zernike;
 
 pub use basis::{Basis, Group};
 pub use influence::{InfluenceFunctions, Mirror};
-pub use karhunen_loeve::{KarhunenLoeve, karhunen_loeve};
+pub use karhunen_loeve::{KarhunenLoeve, karhunen_loeve, karhunen_loeve_complete};
 pub use orthonormal::{Dropped, Orthonormal, join_exact, orthonormalise, zernike_basis};
 pub use report::{Degeneracy, Direction, NULL_BELOW, WEAK_BELOW};
 pub use samples::Samples;

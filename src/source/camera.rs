@@ -5,7 +5,7 @@ use crate::Result;
 use crate::fourier::{Sampling, Transform};
 use crate::grid::Grid;
 use crate::pupil::SegmentWeights;
-use crate::scene::Scene;
+use crate::scene::{ImageScene, Scene};
 use crate::telescope::{Diversity, Telescope};
 use ndarray::Array2;
 use rand::Rng;
@@ -109,30 +109,25 @@ impl<'a> Camera<'a> {
             scale * (focus[2 * m * v + u].powi(2) + focus[2 * m * v + m + u].powi(2))
         }))
     }
+}
 
-    /// Electrons of the star: as stated, or so that the brightest pixel has the stated signal over noise,
-    /// `peak/√(peak + background + read noise²)`.
-    pub fn flux_e(&self, psf: &Array2<f64>) -> f64 {
-        let image = &self.scene.image;
-        image.flux_e.unwrap_or_else(|| {
-            let snr = image.peak_snr.unwrap_or(500.0);
-            let photons = if image.photon_noise { 1.0 } else { 0.0 };
-            let floor = image.read_noise_e.powi(2) + photons * image.background_e;
-            let peak_e = 0.5 * (snr * snr * photons + snr * (snr * snr * photons + 4.0 * floor).sqrt());
-            peak_e / psf.iter().copied().fold(0.0, f64::max)
-        })
-    }
+/// Electrons of the star: as stated, or so that the brightest pixel, `peak` of the PSF, has the stated signal over noise,
+/// `peak/√(peak + background + read noise²)`.
+pub fn flux_e(image: &ImageScene, peak: f64) -> f64 {
+    image.flux_e.unwrap_or_else(|| {
+        let snr = image.peak_snr.unwrap_or(500.0);
+        let photons = if image.photon_noise { 1.0 } else { 0.0 };
+        let floor = image.read_noise_e.powi(2) + photons * image.background_e;
+        let peak_e = 0.5 * (snr * snr * photons + snr * (snr * snr * photons + 4.0 * floor).sqrt());
+        peak_e / peak
+    })
+}
 
-    /// One exposure with noise, electrons.
-    pub fn expose(&self, psf: &Array2<f64>, flux_e: f64, rng: &mut impl Rng) -> Array2<f64> {
-        let image = &self.scene.image;
-        psf.mapv(|h| {
-            let mean = flux_e * h + image.background_e;
-            // A mean of 0 draws nothing; `Poisson` wants a positive one.
-            let photons =
-                if image.photon_noise { Poisson::new(mean).map_or(0.0, |poisson| poisson.sample(rng)) } else { mean };
-            let noise: f64 = StandardNormal.sample(rng);
-            photons + image.read_noise_e * noise
-        })
-    }
+/// One pixel of an exposure with noise, electrons, where the PSF is `h`.
+pub fn expose(image: &ImageScene, h: f64, flux_e: f64, rng: &mut impl Rng) -> f64 {
+    let mean = flux_e * h + image.background_e;
+    // A mean of 0 draws nothing; `Poisson` wants a positive one.
+    let photons = if image.photon_noise { Poisson::new(mean).map_or(0.0, |poisson| poisson.sample(rng)) } else { mean };
+    let noise: f64 = StandardNormal.sample(rng);
+    photons + image.read_noise_e * noise
 }

@@ -4,9 +4,11 @@
 //! nothing an estimator gets wrong is wrong here in the same way.
 
 mod camera;
+pub(crate) mod file;
 mod truth;
 
-pub use camera::Camera;
+pub use camera::{Camera, expose, flux_e};
+pub use file::write;
 pub use truth::Truth;
 
 use crate::Result;
@@ -37,17 +39,18 @@ pub fn images(scene: &Scene) -> Result<SourceImages> {
     let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
     let camera = Camera::of(scene, &telescope)?;
     let psf = camera.psf(&truth)?;
-    let flux_e = camera.flux_e(&psf);
+    let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
     let size = scene.image.pixels;
     let mut images_e = Array3::zeros((scene.image.count, size, size));
     for (image, mut out) in images_e.outer_iter_mut().enumerate() {
-        out.assign(&camera.expose(&psf, flux_e, &mut stream(seed, 1 + image as u64)));
+        let mut rng = stream(seed, 1 + image as u64);
+        out.zip_mut_with(&psf, |out, &h| *out = expose(&scene.image, h, flux_e, &mut rng));
     }
     Ok(SourceImages { images_e, flux_e, truth })
 }
 
 /// Independent random numbers: stream 0 draws the aberrations, the others the noise of each image.
-fn stream(seed: u64, number: u64) -> ChaCha12Rng {
+pub(crate) fn stream(seed: u64, number: u64) -> ChaCha12Rng {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
     rng.set_stream(number);
     rng

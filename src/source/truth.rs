@@ -108,8 +108,13 @@ impl Truth {
         })
     }
 
-    /// The error of `segment` at a point, nm; `unit_m` is [`segment_radius_rms`].
-    pub(super) fn segment_nm(&self, telescope: &Telescope, segment: usize, unit_m: f64, x_m: f64, y_m: f64) -> f64 {
+    /// The length on which a segment's tilt of 1 nm RMS rises by 1 nm, m: what [`Truth::segment_nm`] wants.
+    pub(crate) fn tilt_unit_m(&self, telescope: &Telescope) -> f64 {
+        segment_radius_rms(telescope)
+    }
+
+    /// The error of `segment` at a point, nm; `unit_m` is [`Truth::tilt_unit_m`].
+    pub(crate) fn segment_nm(&self, telescope: &Telescope, segment: usize, unit_m: f64, x_m: f64, y_m: f64) -> f64 {
         let centre = telescope.pupil.segments[segment];
         let [tip, tilt] = self.tip_tilt_nm[segment];
         self.piston_nm[segment] + (tip * (x_m - centre.x_m) + tilt * (y_m - centre.y_m)) / unit_m

@@ -1,0 +1,329 @@
+//! The science camera behind the loop: PSFs of a residual wavefront with the static aberrations, and exposures of them.
+
+use super::footprint::{Footprint, LANES};
+use super::phase::unit_phasor;
+use crate::pupil::{Pupil, SegmentWeights};
+use crate::scene::ImageScene;
+use crate::source::Truth;
+use crate::telescope::{Diversity, Telescope};
+use crate::{Error, Result};
+use ndarray::Array2;
+use num_complex::Complex32;
+use pulp::{Arch, NullaryFnOnce};
+use rustfft::{Fft, FftPlanner};
+use std::sync::Arc;
+
+/// Wavelengths that stand for a filter of finite width; the error of their mean falls as their number squared.
+const WAVELENGTHS_OF_A_BAND: usize = 7;
+
+/// What the camera looks at and through, beside the residual wavefront of the loop.
+#[derive(Debug, Clone, Copy)]
+pub struct View {
+    /// Whether the segments' errors are there: with their exact share of each sample at the borders.
+    pub segments: bool,
+    /// Whether the NCPA are there.
+    pub ncpa: bool,
+    /// Whether the diversity is there.
+    pub diversity: bool,
+    /// Wavelength, nm.
+    pub wavelength_nm: f64,
+    /// Pixels a side.
+    pub pixels: usize,
+    /// Pixels per λ/`grid_m` at `wavelength_nm`.
+    pub samples_per_lambda_over_d: f64,
+    /// Width of the filter as a fraction of the wavelength; 0 for one wavelength.
+    pub bandwidth_fraction: f64,
+}
+
+impl View {
+    /// The scene's defocused images.
+    pub fn of(image: &ImageScene) -> Self {
+        Self {
+            segments: true,
+            ncpa: true,
+            diversity: true,
+            wavelength_nm: image.wavelength_nm,
+            pixels: image.pixels,
+            samples_per_lambda_over_d: image.samples_per_lambda_over_d,
+            bandwidth_fraction: image.bandwidth_fraction,
+        }
+    }
+}
+
+/// A camera. Its clones share the static part and have memory of their own.
+#[derive(Clone)]
+pub struct ScienceCamera {
+    footprint: Footprint,
+    pixels: usize,
+    colours: Arc<Vec<Colour>>,
+    field: Vec<Complex32>,
+    transform: Vec<Complex32>,
+    scratch: Vec<Complex32>,
+    arch: Arch,
+}
+
+/// One wavelength.
+struct Colour {
+    turns_per_nm: f32,
+    /// The static field over the map, to be turned by the residual wavefront (which holds the segments' errors).
+    re: Vec<f32>,
+    im: Vec<f32>,
+    /// PSF per |transform|².
+    scale: f32,
+    route: Route,
+}
+
+/// How the field is transformed.
+enum Route {
+    /// The padded length is a whole number of samples.
+    Fft(Arc<dyn Fft<f32>>),
+    /// `[pixel][sample]`.
+    Matrix(Array2<Complex32>),
+}
+
+/// What a camera is made from.
+pub struct Optics<'a> {
+    /// The telescope.
+    pub telescope: &'a Telescope,
+    /// Its pupil on the simulator's grid.
+    pub pupil: &'a Pupil,
+    /// Where that has light.
+    pub footprint: &'a Footprint,
+    /// The static aberrations.
+    pub truth: &'a Truth,
+    /// The diversity of the scene.
+    pub diversity: &'a Diversity,
+    /// The segments' errors over the map, nm, as the residual wavefront holds them.
+    pub segments_nm: &'a [f32],
+}
+
+impl ScienceCamera {
+    /// The camera of `view`. The residual wavefronts it will be given hold the segments' errors if
+    /// [`View::segments`] says so, and lack them otherwise.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for an image wider than the samples of the pupil can carry.
+    pub fn new(view: View, optics: &Optics) -> Result<Self> {
+        let n = optics.footprint.samples();
+        let count = if view.bandwidth_fraction > 0.0 { WAVELENGTHS_OF_A_BAND } else { 1 };
+        let weights = optics.telescope.area_weights(optics.pupil.grid)?;
+        let colours: Vec<Colour> = (0..count)
+            .map(|i| {
+                let place = (i as f64 + 0.5) / count as f64 - 0.5;
+                Colour::new(&view, view.wavelength_nm * (1.0 + place * view.bandwidth_fraction), optics, &weights)
+            })
+            .collect::<Result<_>>()?;
+        let longest = colours.iter().map(|colour| colour.padded(n)).max().unwrap_or(n);
+        let scratch = colours.iter().map(|colour| colour.scratch()).max().unwrap_or(0);
+        let zero = Complex32::new(0.0, 0.0);
+        Ok(Self {
+            footprint: optics.footprint.clone(),
+            pixels: view.pixels,
+            colours: Arc::new(colours),
+            field: vec![zero; optics.footprint.stride().max(longest)],
+            transform: vec![zero; view.pixels * longest],
+            scratch: vec![zero; scratch],
+            arch: Arch::new(),
+        })
+    }
+
+    /// Pixels a side.
+    pub fn pixels(&self) -> usize {
+        self.pixels
+    }
+
+    /// Adds the PSF of `residual_nm`, a map over the footprint, to `sum`, `[x, y]` (columns first: see
+    /// [`ScienceCamera::upright`]). A PSF sums to 1 over an unbounded detector.
+    pub fn add(&mut self, residual_nm: &[f32], sum: &mut [f32]) {
+        let share = 1.0 / self.colours.len() as f32;
+        for colour in self.colours.clone().iter() {
+            self.columns(colour, residual_nm);
+            let n = self.footprint.samples();
+            let (padded, pixels) = (colour.padded(n), self.pixels);
+            for (line, out) in self.transform.chunks_exact_mut(padded).zip(sum.chunks_exact_mut(pixels)) {
+                match &colour.route {
+                    Route::Fft(fft) => {
+                        fft.process_with_scratch(line, &mut self.scratch);
+                        for (v, out) in out.iter_mut().enumerate() {
+                            *out += share * colour.scale * line[unwrapped(v, pixels, padded)].norm_sqr();
+                        }
+                    }
+                    Route::Matrix(matrix) => {
+                        let line = ndarray::aview1(&line[..n]);
+                        for (row, out) in matrix.rows().into_iter().zip(out) {
+                            *out += share * colour.scale * row.dot(&line).norm_sqr();
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// The field of each row, transformed along x, into columns `[u][y]`; what lies beyond the samples is 0.
+    fn columns(&mut self, colour: &Colour, residual_nm: &[f32]) {
+        let zero = Complex32::new(0.0, 0.0);
+        let (n, stride) = (self.footprint.samples(), self.footprint.stride());
+        let padded = colour.padded(n);
+        self.transform[..self.pixels * padded].fill(zero);
+        for y in 0..n {
+            let span = self.footprint.span(y);
+            if span.is_empty() {
+                continue;
+            }
+            self.field.fill(zero);
+            let place = y * stride + span.start..y * stride + span.end;
+            self.arch.dispatch(Turn {
+                turns_per_nm: colour.turns_per_nm,
+                residual_nm: &residual_nm[place.clone()],
+                re: &colour.re[place.clone()],
+                im: &colour.im[place],
+                field: &mut self.field[span],
+            });
+            match &colour.route {
+                Route::Fft(fft) => {
+                    fft.process_with_scratch(&mut self.field[..padded], &mut self.scratch);
+                    for u in 0..self.pixels {
+                        self.transform[u * padded + y] = self.field[unwrapped(u, self.pixels, padded)];
+                    }
+                }
+                Route::Matrix(matrix) => {
+                    let field = ndarray::aview1(&self.field[..n]);
+                    for (u, row) in matrix.rows().into_iter().enumerate() {
+                        self.transform[u * padded + y] = row.dot(&field);
+                    }
+                }
+            }
+        }
+    }
+
+    /// An image `[y, x]` from what [`ScienceCamera::add`] summed.
+    pub fn upright(&self, sum: &[f32]) -> Array2<f32> {
+        Array2::from_shape_fn((self.pixels, self.pixels), |(y, x)| sum[x * self.pixels + y])
+    }
+
+    /// The PSF of one residual wavefront, `[y, x]`.
+    pub fn psf(&mut self, residual_nm: &[f32]) -> Array2<f32> {
+        let mut sum = vec![0.0; self.pixels * self.pixels];
+        self.add(residual_nm, &mut sum);
+        self.upright(&sum)
+    }
+}
+
+/// Where the transform of length `padded` holds pixel `u` of an image whose axis is its pixel `pixels/2`.
+fn unwrapped(u: usize, pixels: usize, padded: usize) -> usize {
+    (u + padded - pixels / 2) % padded
+}
+
+impl Colour {
+    fn new(view: &View, wavelength_nm: f64, optics: &Optics, weights: &SegmentWeights) -> Result<Self> {
+        let (grid, stride) = (&optics.pupil.grid, optics.footprint.stride());
+        let n = grid.samples();
+        // A pixel is a fixed angle: it spans fewer λ/D where λ is longer.
+        let per_lambda_over_d = view.samples_per_lambda_over_d * wavelength_nm / view.wavelength_nm;
+        let length = n as f64 * per_lambda_over_d;
+        if view.pixels as f64 > length {
+            return Err(Error::Shape(format!(
+                "an image of {} pixels at {per_lambda_over_d} pixels per lambda/D is wider than the simulator's {n} samples \
+                 carry: at most {} pixels are accepted",
+                view.pixels,
+                length as usize / 2 * 2
+            )));
+        }
+        let route = if length.fract() == 0.0 {
+            Route::Fft(FftPlanner::new().plan_fft_forward(length as usize))
+        } else {
+            let angle = |(u, j): (usize, usize)| {
+                let (u, j) = (u as f64 - (view.pixels / 2) as f64, j as f64 - (n as f64 - 1.0) / 2.0);
+                let (sin, cos) = (-std::f64::consts::TAU * u * j / length).sin_cos();
+                Complex32::new(cos as f32, sin as f32)
+            };
+            Route::Matrix(Array2::from_shape_fn((view.pixels, n), angle))
+        };
+        let (mut re, mut im) = (optics.footprint.zeros(), optics.footprint.zeros());
+        let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
+        let unit = optics.truth.tilt_unit_m(optics.telescope);
+        for (cell, segments, shares) in weights.rows() {
+            let (y, x) = (cell / n, cell % n);
+            let (x_m, y_m) = (grid.coordinate_m(x), grid.coordinate_m(y));
+            let place = y * stride + x;
+            let (mut sum_re, mut sum_im) = (0.0, 0.0);
+            for (&segment, share) in segments.iter().zip(shares) {
+                let own = optics.truth.segment_nm(optics.telescope, segment as usize, unit, x_m, y_m);
+                let nm = if view.segments { own - f64::from(optics.segments_nm[place]) } else { 0.0 };
+                let (sin, cos) = phasor(nm);
+                (sum_re, sum_im) = (sum_re + share * cos, sum_im + share * sin);
+            }
+            let mut smooth_nm = 0.0;
+            if view.ncpa {
+                smooth_nm += optics.truth.ncpa_at(&[x_m], &[y_m])?[0];
+            }
+            if view.diversity {
+                smooth_nm += optics.diversity.at(x_m, y_m);
+            }
+            let (sin, cos) = phasor(smooth_nm);
+            re[place] = (sum_re * cos - sum_im * sin) as f32;
+            im[place] = (sum_re * sin + sum_im * cos) as f32;
+        }
+        let scale = (1.0 / (length * length * weights.energy)) as f32;
+        Ok(Self { turns_per_nm: (1.0 / wavelength_nm) as f32, re, im, scale, route })
+    }
+
+    fn padded(&self, samples: usize) -> usize {
+        match &self.route {
+            Route::Fft(fft) => fft.len(),
+            Route::Matrix(_) => samples,
+        }
+    }
+
+    fn scratch(&self) -> usize {
+        match &self.route {
+            Route::Fft(fft) => fft.get_inplace_scratch_len(),
+            Route::Matrix(_) => 0,
+        }
+    }
+}
+
+/// A stretch of the static field, turned by the residual wavefront.
+struct Turn<'a> {
+    turns_per_nm: f32,
+    residual_nm: &'a [f32],
+    re: &'a [f32],
+    im: &'a [f32],
+    field: &'a mut [Complex32],
+}
+
+impl NullaryFnOnce for Turn<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let planes = self.re.as_chunks::<LANES>().0.iter().zip(self.im.as_chunks::<LANES>().0);
+        let blocks = self.field.as_chunks_mut::<LANES>().0.iter_mut().zip(self.residual_nm.as_chunks::<LANES>().0);
+        for ((field, residual_nm), (re, im)) in blocks.zip(planes) {
+            let (mut cos, mut sin) = ([0.0f32; LANES], [0.0f32; LANES]);
+            for l in 0..LANES {
+                (cos[l], sin[l]) = unit_phasor(residual_nm[l] * self.turns_per_nm);
+            }
+            for l in 0..LANES {
+                field[l] = Complex32::new(re[l] * cos[l] - im[l] * sin[l], re[l] * sin[l] + im[l] * cos[l]);
+            }
+        }
+    }
+}
+
+/// Strehl ratio of a residual wavefront at `wavelength_nm`: the intensity on the axis over that without aberration.
+pub fn strehl_on_axis(footprint: &Footprint, residual_nm: &[f32], wavelength_nm: f64) -> f64 {
+    let (stride, turns) = (footprint.stride(), (1.0 / wavelength_nm) as f32);
+    let (mut re, mut im) = (0.0, 0.0);
+    for y in 0..footprint.samples() {
+        let span = footprint.span(y);
+        let place = y * stride + span.start..y * stride + span.end;
+        let (mut row_re, mut row_im) = (0.0, 0.0);
+        for (a, opd) in footprint.amplitude()[place.clone()].iter().zip(&residual_nm[place]) {
+            let (cos, sin) = unit_phasor(opd * turns);
+            (row_re, row_im) = (row_re + a * cos, row_im + a * sin);
+        }
+        (re, im) = (re + f64::from(row_re), im + f64::from(row_im));
+    }
+    (re * re + im * im) / footprint.total().powi(2)
+}

@@ -1,0 +1,70 @@
+//! Where exposed wavefronts become images, on a thread of its own.
+
+use super::camera::{ScienceCamera, strehl_on_axis};
+use super::footprint::Footprint;
+use crate::scene::Scene;
+use crate::source::{expose, stream};
+use ndarray::Array2;
+use std::sync::mpsc::{Receiver, Sender};
+use std::time::{Duration, Instant};
+
+/// First stream of the camera's noise under the seed of the turbulence; one for each image, so that no image depends on
+/// those before it.
+const CAMERA_STREAM: u64 = 2 << 32;
+
+/// One wavefront of an exposure.
+pub(super) struct Film {
+    pub(super) image: usize,
+    pub(super) residual_nm: Vec<f32>,
+    /// Its share of the exposure.
+    pub(super) share: f32,
+    /// Whether it is the last.
+    pub(super) last: bool,
+}
+
+/// A finished image.
+pub(super) struct Print {
+    pub(super) image: usize,
+    pub(super) image_e: Array2<f32>,
+}
+
+/// What is left when no more films come.
+pub(super) struct Developed {
+    /// Mean Strehl ratio of the wavefronts at the scene's wavelength; NaN without any.
+    pub(super) strehl: f64,
+    /// Time at work.
+    pub(super) spent: Duration,
+}
+
+/// The camera and what it needs.
+pub(super) struct Darkroom {
+    pub(super) camera: ScienceCamera,
+    pub(super) scene: Scene,
+    pub(super) flux_e: f64,
+    pub(super) footprint: Footprint,
+}
+
+impl Darkroom {
+    /// Develops `films` in order, until no more come.
+    pub(super) fn work(mut self, films: &Receiver<Film>, prints: &Sender<Print>) -> Developed {
+        let mut sum = vec![0.0f32; self.camera.pixels().pow(2)];
+        let (mut strehl, mut count, mut spent) = (0.0, 0.0, Duration::ZERO);
+        while let Ok(film) = films.recv() {
+            let started = Instant::now();
+            self.camera.add(&film.residual_nm, &mut sum);
+            // The wavefront that the sensor could have flattened: without NCPA and diversity.
+            strehl += strehl_on_axis(&self.footprint, &film.residual_nm, self.scene.image.wavelength_nm);
+            count += 1.0;
+            if film.last {
+                let psf = self.camera.upright(&sum) * film.share;
+                let mut rng = stream(self.scene.turbulence.seed, CAMERA_STREAM + film.image as u64);
+                let image_e = psf.mapv(|h| expose(&self.scene.image, f64::from(h), self.flux_e, &mut rng) as f32);
+                sum.fill(0.0);
+                // A receiver that is gone no longer wants images.
+                let _ = prints.send(Print { image: film.image, image_e });
+            }
+            spent += started.elapsed();
+        }
+        Developed { strehl: strehl / count, spent }
+    }
+}

@@ -1,0 +1,422 @@
+//! The loop, closed: one telescope, one star, one frame after another.
+//!
+//! ```text
+//! atmosphere ─(+ segments)─(− mirror)─ residual ─ sensor ─ slopes ─ controller ─ commands ┐
+//!                              └────────────────── the next frame ────────────────────────┘
+//! ```
+
+use super::atmosphere::Atmosphere;
+use super::camera::{Optics, ScienceCamera, View};
+use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
+use super::footprint::{Footprint, LANES};
+use super::profile::{Profile, Stage};
+use super::sensor::{Lenslets, Light, Sensor};
+use super::surface::Surface;
+use super::valid_map;
+use crate::grid::Grid;
+use crate::modes::{InfluenceFunctions, Mirror, karhunen_loeve_complete};
+use crate::pupil::Pupil;
+use crate::scene::{ControlBasis, ControlScene, Scene, SensorMask, SensorScene};
+use crate::source::{Truth, stream};
+use crate::telescope::{Diversity, Telescope};
+use crate::{Error, Result};
+use ndarray::Array2;
+use pulp::{Arch, NullaryFnOnce};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::time::Instant;
+
+/// Stroke with which the interaction matrix is taken, nm: a thirtieth of the sensor's wavelength, so that the answer is
+/// linear to 1 %, and its second order cancels between push and pull.
+const POKE_NM: f32 = 20.0;
+
+/// Stream of the sensor's noise under the seed of the turbulence; the layers have the first ones.
+const SENSOR_STREAM: u64 = 1 << 32;
+
+/// What one frame left.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    /// Its number, from 0.
+    pub number: u64,
+    /// Time since the loop was closed, s.
+    pub time_s: f64,
+    /// The wavefront behind the mirror, nm: turbulence and segments' errors less the mirror; a map over the footprint.
+    pub residual_nm: &'a [f32],
+    /// Its RMS over the pupil, piston removed, nm.
+    pub residual_rms_nm: f64,
+    /// What the sensor measured of it: `[all x, all y]`, mas.
+    pub slopes_mas: &'a [f32],
+    /// The commands that were on the mirror, nm.
+    pub commands_nm: &'a [f32],
+}
+
+/// What stands between the turbulence and the camera, frame after frame.
+pub(super) struct Plant {
+    pub(super) footprint: Footprint,
+    segments_nm: Vec<f32>,
+    surface: Surface,
+    sensor: Sensor,
+    light: Option<Light>,
+    controller: Controller,
+    slopes_mas: Vec<f32>,
+    commands_nm: Vec<f32>,
+    pub(super) residual_rms_nm: f64,
+    pub(super) number: u64,
+    frame_s: f64,
+    arch: Arch,
+    pub(super) profile: Profile,
+}
+
+impl Plant {
+    /// Takes the turbulence of this frame, nm, to the residual wavefront, in place, and lets the controller answer it.
+    pub(super) fn frame(&mut self, opd_nm: &mut [f32]) -> Result<()> {
+        let started = Instant::now();
+        self.commands_nm.copy_from_slice(self.controller.commands_nm());
+        self.surface.add(&self.commands_nm, -1.0, opd_nm)?;
+        let moved = self.profile.lap(Stage::Mirror, started);
+        let moments = self.arch.dispatch(Residual { plant: self, opd_nm });
+        let mean = moments[0] / self.footprint.total();
+        self.residual_rms_nm = (moments[1] / self.footprint.total() - mean * mean).max(0.0).sqrt();
+        let summed = self.profile.lap(Stage::Residual, moved);
+        self.sensor.measure(opd_nm, self.light.as_mut(), &mut self.slopes_mas)?;
+        let measured = self.profile.lap(Stage::Sensor, summed);
+        self.controller.step(&self.slopes_mas)?;
+        self.profile.lap(Stage::Control, measured);
+        self.number += 1;
+        Ok(())
+    }
+
+    /// The frame that was made last; `residual_nm` is what [`Plant::frame`] left.
+    pub(super) fn last<'a>(&'a self, residual_nm: &'a [f32]) -> Frame<'a> {
+        let number = self.number.saturating_sub(1);
+        Frame {
+            number,
+            time_s: number as f64 * self.frame_s,
+            residual_nm,
+            residual_rms_nm: self.residual_rms_nm,
+            slopes_mas: &self.slopes_mas,
+            commands_nm: &self.commands_nm,
+        }
+    }
+}
+
+/// Adds the segments' errors; Σ A·W and Σ A·W², in lanes row by row: single precision within a row, double between.
+struct Residual<'a> {
+    plant: &'a Plant,
+    opd_nm: &'a mut [f32],
+}
+
+impl NullaryFnOnce for Residual<'_> {
+    type Output = [f64; 2];
+
+    #[inline(always)]
+    fn call(self) -> [f64; 2] {
+        let footprint = &self.plant.footprint;
+        let stride = footprint.stride();
+        let (mut first, mut second) = (0.0, 0.0);
+        for (y, row) in self.opd_nm.chunks_exact_mut(stride).enumerate() {
+            let span = footprint.span(y);
+            let place = y * stride + span.start..y * stride + span.end;
+            let weights = footprint.amplitude()[place.clone()].as_chunks::<LANES>().0;
+            let segments = self.plant.segments_nm[place].as_chunks::<LANES>().0;
+            let (mut sum, mut square) = ([0.0f32; LANES], [0.0f32; LANES]);
+            for ((out, a), segment) in row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(weights).zip(segments) {
+                for l in 0..LANES {
+                    out[l] += segment[l];
+                    let weighted = a[l] * out[l];
+                    sum[l] += weighted;
+                    square[l] = weighted.mul_add(out[l], square[l]);
+                }
+            }
+            first += f64::from(sum.iter().sum::<f32>());
+            second += f64::from(square.iter().sum::<f32>());
+        }
+        [first, second]
+    }
+}
+
+/// An AO system under a sky.
+pub struct Simulator {
+    scene: Scene,
+    telescope: Telescope,
+    /// The pupil on the simulator's grid.
+    pupil: Pupil,
+    influence: InfluenceFunctions,
+    diversity: Diversity,
+    truth: Truth,
+    mask: Vec<bool>,
+    interaction: Array2<f64>,
+    law: ControlLaw,
+    pub(super) atmosphere: Atmosphere,
+    pub(super) plant: Plant,
+    pub(super) residual_nm: Vec<f32>,
+}
+
+/// The sections of a scene that the loop cannot do without.
+pub(super) fn sections(scene: &Scene) -> Result<(&SensorScene, &ControlScene)> {
+    let missing = |section: &str| {
+        Error::Scene(format!("{}: the section [{section}] is missing: an AO loop needs it", scene.name()))
+    };
+    Ok((
+        scene.wavefront_sensor.as_ref().ok_or_else(|| missing("wavefront_sensor"))?,
+        scene.control.as_ref().ok_or_else(|| missing("control"))?,
+    ))
+}
+
+impl Simulator {
+    /// The system of `scene`, with aberrations drawn from `aberrations.seed`.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] where the scene has no sensor or no control; those of building each part.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        let telescope = Telescope::of(scene)?;
+        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
+        Self::with_truth(scene, telescope, truth)
+    }
+
+    /// The system of `scene` with the aberrations of `truth`.
+    ///
+    /// # Errors
+    /// As [`Simulator::new`].
+    pub fn with_truth(scene: &Scene, telescope: Telescope, truth: Truth) -> Result<Self> {
+        let (sensing, control_scene) = sections(scene)?;
+        let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
+        let pupil = telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)?;
+        let footprint = Footprint::of(&pupil);
+        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?;
+        let influence = actuators(scene, &lenslets)?;
+        let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
+        let mut sensor = Sensor::new(sensing, lenslets, &pupil, &footprint)?;
+        let interaction = interaction(&mut sensor, &mut surface, &footprint)?;
+        let lenslets = sensor.lenslets();
+        let mask = match sensing.mask {
+            SensorMask::None => vec![false; lenslets.subapertures.len()],
+            SensorMask::Segments => {
+                segment_mask(&pupil, lenslets.across, &lenslets.subapertures, sensing.mask_dominant_fraction)?
+            }
+        };
+        let modes = match control_scene.basis {
+            ControlBasis::Zonal => None,
+            ControlBasis::Kl => {
+                let modes = karhunen_loeve_complete(&influence, &pupil, &Telescope::turbulence(scene)?)?;
+                Some(modes.basis.matrix().t().to_owned())
+            }
+        };
+        let given = control::Plant {
+            interaction: &interaction,
+            lenslets_across: lenslets.across,
+            subapertures: &lenslets.subapertures,
+            mask: &mask,
+            kl: modes.as_ref(),
+            stroke_limit_nm: scene.mirror.stroke_limit_nm,
+        };
+        let law = ControlLaw::new(control_scene, &given)?;
+        let frame_s = 1.0 / control_scene.frame_rate_hz;
+        let atmosphere = Atmosphere::new(&scene.turbulence, &pupil.grid, &footprint, frame_s, scene.turbulence.seed)?;
+        let mut noise = ChaCha8Rng::seed_from_u64(scene.turbulence.seed);
+        noise.set_stream(SENSOR_STREAM);
+        let noisy = sensing.photon_noise || sensing.read_noise_e > 0.0;
+        let light = noisy.then(|| Light::new(sensing, lenslets.pitch_m, frame_s, noise));
+        let plant = Plant {
+            segments_nm: segments_nm(&truth, &telescope, &pupil, &footprint),
+            slopes_mas: vec![0.0; sensor.slopes()],
+            commands_nm: vec![0.0; surface.actuators()],
+            controller: law.start(),
+            residual_rms_nm: 0.0,
+            number: 0,
+            frame_s,
+            arch: Arch::new(),
+            profile: Profile::default(),
+            footprint,
+            surface,
+            sensor,
+            light,
+        };
+        let diversity = Diversity::of(scene, &telescope)?;
+        let residual_nm = plant.footprint.zeros();
+        let scene = scene.clone();
+        Ok(Self {
+            scene,
+            telescope,
+            pupil,
+            influence,
+            diversity,
+            truth,
+            mask,
+            interaction,
+            law,
+            atmosphere,
+            plant,
+            residual_nm,
+        })
+    }
+
+    /// Advances the loop by one frame.
+    ///
+    /// # Errors
+    /// Those of the stages: a broken promise of this module's, never of the caller's.
+    pub fn step(&mut self) -> Result<Frame<'_>> {
+        let started = Instant::now();
+        self.atmosphere.next_frame(&mut self.residual_nm)?;
+        self.plant.profile.lap(Stage::Atmosphere, started);
+        self.plant.frame(&mut self.residual_nm)?;
+        Ok(self.plant.last(&self.residual_nm))
+    }
+
+    /// A camera of this system's images.
+    ///
+    /// # Errors
+    /// As [`ScienceCamera::new`].
+    pub fn camera(&self, view: View) -> Result<ScienceCamera> {
+        let optics = Optics {
+            telescope: &self.telescope,
+            pupil: &self.pupil,
+            footprint: &self.plant.footprint,
+            truth: &self.truth,
+            diversity: &self.diversity,
+            segments_nm: &self.plant.segments_nm,
+        };
+        ScienceCamera::new(view, &optics)
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The telescope.
+    pub fn telescope(&self) -> &Telescope {
+        &self.telescope
+    }
+
+    /// The pupil on the simulator's grid.
+    pub fn pupil(&self) -> &Pupil {
+        &self.pupil
+    }
+
+    /// Where the light is on it.
+    pub fn footprint(&self) -> &Footprint {
+        &self.plant.footprint
+    }
+
+    /// The static aberrations.
+    pub fn truth(&self) -> &Truth {
+        &self.truth
+    }
+
+    /// The segments' errors, nm, a map over the footprint.
+    pub fn segments_nm(&self) -> &[f32] {
+        &self.plant.segments_nm
+    }
+
+    /// The actuators in use.
+    pub fn influence(&self) -> &InfluenceFunctions {
+        &self.influence
+    }
+
+    /// The lenslets and which of them are used.
+    pub fn lenslets(&self) -> &Lenslets {
+        self.plant.sensor.lenslets()
+    }
+
+    /// Which subapertures are masked.
+    pub fn mask(&self) -> &[bool] {
+        &self.mask
+    }
+
+    /// Slopes for each command, mas per nm, `[slopes, actuators]`.
+    pub fn interaction(&self) -> &Array2<f64> {
+        &self.interaction
+    }
+
+    /// How the loop is controlled.
+    pub fn law(&self) -> &ControlLaw {
+        &self.law
+    }
+
+    /// Whether it will be stable, from its poles.
+    pub fn stability(&self) -> &Stability {
+        self.law.stability()
+    }
+
+    /// Duration of a frame, s.
+    pub fn frame_s(&self) -> f64 {
+        self.plant.frame_s
+    }
+
+    /// Frames since the loop was closed.
+    pub fn frames(&self) -> u64 {
+        self.plant.number
+    }
+
+    /// Time spent in each stage so far.
+    pub fn profile(&self) -> &Profile {
+        &self.plant.profile
+    }
+
+    /// The surface of the mirror for `commands_nm`, nm, a map over the footprint.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of commands.
+    pub fn surface_nm(&mut self, commands_nm: &[f32]) -> Result<Vec<f32>> {
+        let mut map = self.plant.footprint.zeros();
+        self.plant.surface.add(commands_nm, 1.0, &mut map)?;
+        Ok(map)
+    }
+}
+
+/// The actuators of the scene's mirror: those of its map, or those at a corner of a subaperture in use. One farther out
+/// would move only the edge of what the sensor sees, and the noise of its command would be a hundred times the others'.
+fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
+    let part = &scene.mirror;
+    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
+    if let Some(file) = &part.actuator_file {
+        let path = scene.resolve(file);
+        return mirror.from_map(&valid_map::text(&path)?).map_err(|error| Error::file(&path, error));
+    }
+    let middle = (lenslets.across as f64 - 1.0) / 2.0;
+    let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
+    // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
+    let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
+    mirror.chosen(|x_m, y_m| {
+        let beside = |&place: &usize| {
+            (centre(place % lenslets.across) - x_m).abs() <= reach_m
+                && (centre(place / lenslets.across) - y_m).abs() <= reach_m
+        };
+        lenslets.subapertures.iter().any(beside)
+    })
+}
+
+/// Pushes and pulls each actuator in front of a flat wavefront, without noise: `[slopes, actuators]`, mas per nm.
+fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint) -> Result<Array2<f64>> {
+    let (slopes, actuators) = (sensor.slopes(), surface.actuators());
+    let mut matrix = Array2::zeros((slopes, actuators));
+    let mut command = vec![0.0; actuators];
+    let mut measured = [vec![0.0; slopes], vec![0.0; slopes]];
+    let mut map = footprint.zeros();
+    for (actuator, mut column) in matrix.columns_mut().into_iter().enumerate() {
+        for (sign, measured) in [1.0, -1.0].into_iter().zip(&mut measured) {
+            map.fill(0.0);
+            command[actuator] = sign * POKE_NM;
+            surface.add(&command, 1.0, &mut map)?;
+            sensor.measure(&map, None, measured)?;
+        }
+        command[actuator] = 0.0;
+        for ((out, push), pull) in column.iter_mut().zip(&measured[0]).zip(&measured[1]) {
+            *out = f64::from(push - pull) / f64::from(2.0 * POKE_NM);
+        }
+    }
+    Ok(matrix)
+}
+
+/// The segments' errors over the map, nm: each sample shows the segment that owns it.
+fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Vec<f32> {
+    let mut map = footprint.zeros();
+    let unit = truth.tilt_unit_m(telescope);
+    for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
+        let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
+        map[y * footprint.stride() + x] = truth.segment_nm(telescope, owner as usize, unit, x_m, y_m) as f32;
+    }
+    map
+}

@@ -1,0 +1,71 @@
+//! Image files with the truth behind them.
+
+use super::{SourceImages, Truth};
+use crate::io::{Column, FitsWriter, Pixel};
+use crate::scene::Scene;
+use crate::{Error, Result};
+use std::path::Path;
+
+/// Writes images of an artificial source: `IMAGES` (electrons), `TRUTH_PHASING` and `TRUTH_NCPA` (nm), tables `TRUTH` and
+/// `SCENE`. The file appears whole or not at all.
+///
+/// # Errors
+/// [`Error::File`] where it cannot be written.
+pub fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
+    let mut file = FitsWriter::create(path)?;
+    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
+    file.image("IMAGES", &made.images_e, Pixel::F32, "electron")?;
+    image_cards(&mut file, scene, made.flux_e)?;
+    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    seed_card(&mut file, "SEED", seed, "seed of aberrations and noise")?;
+    truth(&mut file, scene, &made.truth)?;
+    file.text("SCENE", scene.text())?;
+    file.finish()
+}
+
+/// Side of the scene's grid, m.
+fn grid_m(scene: &Scene) -> Result<f64> {
+    let grid_m = scene.pupil.grid_m.or(scene.pupil.extent_m());
+    grid_m.ok_or_else(|| Error::Internal("a valid scene has no width of its grid".into()))
+}
+
+/// What a reader of the HDU `IMAGES` must know.
+pub(crate) fn image_cards(file: &mut FitsWriter, scene: &Scene, flux_e: f64) -> Result<()> {
+    let image = &scene.image;
+    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
+    let pixel_mas = image.wavelength_nm * 1e-9 / grid_m(scene)? / image.samples_per_lambda_over_d * radian_mas;
+    for (key, value, comment) in [
+        ("RON_E", image.read_noise_e, "read noise of a pixel, electrons RMS"),
+        ("FLUX_E", flux_e, "electrons of the star in an image"),
+        ("BACKGR_E", image.background_e, "background of a pixel, electrons"),
+        ("WAVELEN", image.wavelength_nm, "wavelength, nm"),
+        ("PIXSCALE", pixel_mas, "pixel on the sky, mas"),
+        ("EXPTIME", image.exposure_s, "exposure, s"),
+    ] {
+        file.card("IMAGES", key, value, comment)?;
+    }
+    Ok(())
+}
+
+/// A seed in the header of `IMAGES`.
+pub(crate) fn seed_card(file: &mut FitsWriter, key: &str, seed: u64, comment: &str) -> Result<()> {
+    // FITS integers are signed.
+    file.card("IMAGES", key, i64::try_from(seed).unwrap_or(i64::MAX), comment)
+}
+
+/// The truth: both maps, and the segments one by one.
+pub(crate) fn truth(file: &mut FitsWriter, scene: &Scene, truth: &Truth) -> Result<()> {
+    file.image("TRUTH_PHASING", &truth.phasing_nm, Pixel::F64, "nm")?;
+    file.image("TRUTH_NCPA", &truth.ncpa_nm, Pixel::F64, "nm")?;
+    for name in ["TRUTH_PHASING", "TRUTH_NCPA"] {
+        file.card(name, "GRID_M", grid_m(scene)?, "side of the map, m")?;
+    }
+    let tilt = |axis: usize| truth.tip_tilt_nm.iter().map(|tilts| tilts[axis]).collect();
+    let table = [
+        Column::i64("SEGMENT", (0..truth.piston_nm.len() as i64).collect()),
+        Column::f64("PISTON_NM", "nm", truth.piston_nm.clone()),
+        Column::f64("TIP_NM", "nm", tilt(0)),
+        Column::f64("TILT_NM", "nm", tilt(1)),
+    ];
+    file.table("TRUTH", &table)
+}
