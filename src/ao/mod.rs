@@ -18,7 +18,7 @@ mod simulator;
 mod surface;
 mod valid_map;
 
-pub use atmosphere::Atmosphere;
+pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
 pub use camera::{ScienceCamera, View, strehl_on_axis};
 pub use control::{ControlLaw, Controller, Stability};
 pub use divergence::Divergence;
