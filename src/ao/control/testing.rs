@@ -1,0 +1,109 @@
+//! A sensor and a mirror for the tests: slopes as differences between the corners of lenslets, without any light.
+
+use super::{Plant, segment_mask};
+use crate::grid::Grid;
+use crate::modes::{InfluenceFunctions, karhunen_loeve};
+use crate::pupil::Pupil;
+use crate::scene::{ControlScene, Scene};
+use crate::telescope::Telescope;
+use ndarray::{Array2, s};
+use std::path::Path;
+use std::sync::OnceLock;
+
+fn preset() -> Scene {
+    Scene::preset("keck-onsky").unwrap()
+}
+
+/// `[control]` with the given keys.
+pub fn scene(keys: &str) -> ControlScene {
+    let text = Scene::preset_text("keck-onsky").unwrap();
+    let (before, _) = text.split_once("[control]").unwrap();
+    let text = format!("{before}[control]\n{keys}\n");
+    Scene::from_text(&text, Path::new(".")).unwrap().control.clone().unwrap()
+}
+
+/// The preset's pupil and the subapertures that are at least half lit.
+pub fn keck(samples: usize) -> (Pupil, Vec<usize>) {
+    let pupil = Telescope::of(&preset()).unwrap().pupil_on(Grid::new(samples, 11.25).unwrap()).unwrap();
+    let side = samples / 20;
+    let lit = |index: &usize| {
+        let (y, x) = (index / 20 * side, index % 20 * side);
+        pupil.amplitude.slice(s![y..y + side, x..x + side]).sum() >= 0.5 * (side * side) as f64
+    };
+    let subapertures = (0..400).filter(lit).collect();
+    (pupil, subapertures)
+}
+
+/// The preset's mask.
+pub fn keck_mask() -> Vec<bool> {
+    let (pupil, subapertures) = keck(240);
+    segment_mask(&pupil, 20, &subapertures, 0.75).unwrap()
+}
+
+/// All that a plant borrows.
+pub struct Bench {
+    pub across: usize,
+    pub subapertures: Vec<usize>,
+    pub mask: Vec<bool>,
+    pub interaction: Array2<f64>,
+    pub kl: Array2<f64>,
+}
+
+impl Bench {
+    /// The preset's sensor, mirror and mask; made once.
+    pub fn keck() -> &'static Self {
+        static BENCH: OnceLock<Bench> = OnceLock::new();
+        BENCH.get_or_init(|| {
+            let scene = preset();
+            let telescope = Telescope::of(&scene).unwrap();
+            let influence = telescope.influence(&scene).unwrap();
+            let subapertures = keck(240).1;
+            let interaction = corner_differences(&influence, 20, &subapertures);
+            let turbulence = Telescope::turbulence(&scene).unwrap();
+            let kl = karhunen_loeve(&influence, &telescope.pupil, &turbulence, 250).unwrap();
+            let kl = kl.basis.matrix().t().to_owned();
+            Self { across: 20, subapertures, mask: keck_mask(), interaction, kl }
+        })
+    }
+
+    /// A square of 4×4 lenslets and 5×5 actuators, the middle masked.
+    pub fn small() -> Self {
+        let influence = crate::modes::Mirror::new(5, 0.5625, 0.15).unwrap().all();
+        let subapertures: Vec<usize> = (0..16).collect();
+        let mask = subapertures.iter().map(|i| [5, 6].contains(i)).collect();
+        let interaction = corner_differences(&influence, 4, &subapertures);
+        Self { across: 4, subapertures, mask, interaction, kl: Array2::eye(25) }
+    }
+
+    pub fn plant(&self) -> Plant<'_> {
+        Plant {
+            interaction: &self.interaction,
+            lenslets_across: self.across,
+            subapertures: &self.subapertures,
+            mask: &self.mask,
+            kl: Some(&self.kl),
+            stroke_limit_nm: None,
+        }
+    }
+}
+
+/// The interaction matrix of the mean slopes between the four corners of each lenslet, nm per m.
+fn corner_differences(influence: &InfluenceFunctions, across: usize, subapertures: &[usize]) -> Array2<f64> {
+    let mirror = influence.mirror();
+    let corners = (across + 1) * (across + 1);
+    let xs: Vec<f64> = (0..corners).map(|i| mirror.coordinate_m(i % (across + 1))).collect();
+    let ys: Vec<f64> = (0..corners).map(|i| mirror.coordinate_m(i / (across + 1))).collect();
+    let values = influence.evaluate(&xs, &ys).unwrap();
+    let count = subapertures.len();
+    Array2::from_shape_fn((2 * count, influence.len()), |(slope, actuator)| {
+        let index = subapertures[slope % count];
+        let corner = index / across * (across + 1) + index % across;
+        let at = |dy: usize, dx: usize| values[[actuator, corner + dy * (across + 1) + dx]];
+        let (rise, run) = if slope < count {
+            (at(0, 1) + at(1, 1), at(0, 0) + at(1, 0))
+        } else {
+            (at(1, 0) + at(1, 1), at(0, 0) + at(0, 1))
+        };
+        (rise - run) / (2.0 * mirror.pitch_m())
+    })
+}
