@@ -14,6 +14,9 @@ fn preset() -> Scene {
     Scene::preset("keck-onsky").unwrap()
 }
 
+/// Lenslets across the preset's grid.
+const ACROSS: usize = 20;
+
 /// `[control]` with the given keys.
 pub fn scene(keys: &str) -> ControlScene {
     let text = Scene::preset_text("keck-onsky").unwrap();
@@ -24,20 +27,24 @@ pub fn scene(keys: &str) -> ControlScene {
 
 /// The preset's pupil and the subapertures that are at least half lit.
 pub fn keck(samples: usize) -> (Pupil, Vec<usize>) {
-    let pupil = Telescope::of(&preset()).unwrap().pupil_on(Grid::new(samples, 11.25).unwrap()).unwrap();
-    let side = samples / 20;
+    sampled(&Telescope::of(&preset()).unwrap(), samples)
+}
+
+fn sampled(telescope: &Telescope, samples: usize) -> (Pupil, Vec<usize>) {
+    let pupil = telescope.pupil_on(Grid::new(samples, 11.25).unwrap()).unwrap();
+    let side = samples / ACROSS;
     let lit = |index: &usize| {
-        let (y, x) = (index / 20 * side, index % 20 * side);
+        let (y, x) = (index / ACROSS * side, index % ACROSS * side);
         pupil.amplitude.slice(s![y..y + side, x..x + side]).sum() >= 0.5 * (side * side) as f64
     };
-    let subapertures = (0..400).filter(lit).collect();
+    let subapertures = (0..ACROSS * ACROSS).filter(lit).collect();
     (pupil, subapertures)
 }
 
 /// The preset's mask.
 pub fn keck_mask() -> Vec<bool> {
     let (pupil, subapertures) = keck(240);
-    segment_mask(&pupil, 20, &subapertures, 0.75).unwrap()
+    segment_mask(&pupil, ACROSS, &subapertures, 0.75).unwrap()
 }
 
 /// All that a plant borrows.
@@ -54,16 +61,29 @@ impl Bench {
     pub fn keck() -> &'static Self {
         static BENCH: OnceLock<Bench> = OnceLock::new();
         BENCH.get_or_init(|| {
+            let mut bench = Self::of_side(0.9);
             let scene = preset();
             let telescope = Telescope::of(&scene).unwrap();
-            let influence = telescope.influence(&scene).unwrap();
-            let subapertures = keck(240).1;
-            let interaction = corner_differences(&influence, 20, &subapertures);
+            let influence = on_corners(&telescope.influence(&scene).unwrap(), &bench.subapertures);
             let turbulence = Telescope::turbulence(&scene).unwrap();
             let kl = karhunen_loeve(&influence, &telescope.pupil, &turbulence, 250).unwrap();
-            let kl = kl.basis.matrix().t().to_owned();
-            Self { across: 20, subapertures, mask: keck_mask(), interaction, kl }
+            bench.kl = kl.basis.matrix().t().to_owned();
+            bench
         })
+    }
+
+    /// The preset with segments of another side, m, without Karhunen-Loève modes.
+    pub fn of_side(segment_side_m: f64) -> Self {
+        let preset = Scene::preset_text("keck-onsky").unwrap();
+        let text = preset.replace("segment_side_m = 0.9", &format!("segment_side_m = {segment_side_m}"));
+        let scene = Scene::from_text(&text, Path::new(".")).unwrap();
+        let telescope = Telescope::of(&scene).unwrap();
+        let (pupil, subapertures) = sampled(&telescope, 240);
+        let mask = segment_mask(&pupil, ACROSS, &subapertures, 0.75).unwrap();
+        let influence = on_corners(&telescope.influence(&scene).unwrap(), &subapertures);
+        let interaction = corner_differences(&influence, ACROSS, &subapertures);
+        let kl = Array2::zeros((influence.len(), 0));
+        Self { across: ACROSS, subapertures, mask, interaction, kl }
     }
 
     /// A square of 4×4 lenslets and 5×5 actuators, the middle masked.
@@ -85,6 +105,17 @@ impl Bench {
             stroke_limit_nm: None,
         }
     }
+}
+
+/// The mirror's actuators that stand on a corner of a subaperture: the others move no corner.
+fn on_corners(influence: &InfluenceFunctions, subapertures: &[usize]) -> InfluenceFunctions {
+    let mut map = [["0"; ACROSS + 1]; ACROSS + 1];
+    for (y, x) in subapertures.iter().map(|index| (index / ACROSS, index % ACROSS)) {
+        for (y, x) in [(y, x), (y, x + 1), (y + 1, x), (y + 1, x + 1)] {
+            map[y][x] = "1";
+        }
+    }
+    influence.mirror().from_map(&map.map(|row| row.join(" ")).join("\n")).unwrap()
 }
 
 /// The interaction matrix of the mean slopes between the four corners of each lenslet, nm per m.
