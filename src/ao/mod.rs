@@ -20,7 +20,7 @@ mod valid_map;
 
 pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
 pub use camera::{ScienceCamera, View, strehl_on_axis};
-pub use control::{ControlLaw, Controller, Stability};
+pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stability, segment_mask};
 pub use divergence::Divergence;
 pub use file::write;
 pub use footprint::{Footprint, LANES};

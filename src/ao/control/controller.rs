@@ -1,0 +1,290 @@
+//! The controller at work: slopes in, commands out, once per frame.
+
+use super::step::{StepMatrix, Workspace};
+use crate::{Error, Result};
+use std::sync::Arc;
+
+/// One linear step: the command that frame k decides acts from frame k + `lag_frames` on,
+/// `c[k+L] = retained · c[k+L−1] + matrix · (slopes[k], c[k])`, clipped to the stroke.
+#[derive(Debug)]
+pub(super) struct Step {
+    /// Slopes in a frame.
+    pub slopes: usize,
+    /// Commands.
+    pub actuators: usize,
+    /// Frames from a measurement to its correction, L.
+    pub lag_frames: usize,
+    /// Share of the last command that the next one keeps.
+    pub retained: f32,
+    /// `[B]`, or `[B A]` where the law needs the command that the slopes were measured behind.
+    pub matrix: StepMatrix,
+    /// Largest command either way, nm; infinite for none.
+    pub stroke_limit_nm: f32,
+}
+
+/// A controller at some point of a run; [`ControlLaw::start`](super::ControlLaw::start) makes it.
+#[derive(Debug, Clone)]
+pub struct Controller {
+    step: Arc<Step>,
+    /// Commands decided and not yet passed, a ring: from `now` on, those of this frame, the next, …; `lag_frames` of them.
+    queue: Vec<Vec<f32>>,
+    now: usize,
+    workspace: Workspace,
+}
+
+impl Controller {
+    pub(super) fn new(step: Arc<Step>) -> Self {
+        let queue = vec![vec![0.0; step.actuators]; step.lag_frames];
+        Self { queue, now: 0, workspace: step.matrix.workspace(), step }
+    }
+
+    /// Takes the slopes that were measured behind the present [`commands_nm`](Self::commands_nm) (x of every
+    /// subaperture, then y), and moves on by one frame. A command beyond the stroke is clipped, and what follows builds
+    /// on the clipped one: nothing winds up. Does not allocate.
+    ///
+    /// Slopes that are not numbers are not caught: they stay in the commands, where the loop sees them.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of slopes; the frame is then not counted.
+    pub fn step(&mut self, slopes: &[f32]) -> Result<()> {
+        let step = &*self.step;
+        if slopes.len() != step.slopes {
+            let (given, needed) = (slopes.len(), step.slopes);
+            return Err(Error::Shape(format!("{given} slopes were given: the controller needs {needed}")));
+        }
+        let change = step.matrix.apply(&[slopes, &self.queue[self.now]], &mut self.workspace);
+        let last = (self.now + step.lag_frames - 1) % step.lag_frames;
+        let limit = step.stroke_limit_nm;
+        // The command of the frame that ends makes room for the new one; with a lag of 1 it is also the last.
+        for (i, change) in change.iter().enumerate() {
+            self.queue[self.now][i] = step.retained.mul_add(self.queue[last][i], *change).clamp(-limit, limit);
+        }
+        self.now = (self.now + 1) % step.lag_frames;
+        Ok(())
+    }
+
+    /// The commands on the mirror in the coming frame, nm of wavefront.
+    pub fn commands_nm(&self) -> &[f32] {
+        &self.queue[self.now]
+    }
+
+    /// Back to a flat mirror and an empty queue.
+    pub fn reset(&mut self) {
+        self.queue.iter_mut().for_each(|commands| commands.fill(0.0));
+        self.now = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Bench, scene};
+    use super::super::{ControlLaw, Plant};
+    use super::*;
+    use crate::Error;
+    use crate::scene::ControlScene;
+    use ndarray::{Array1, Array2};
+
+    fn start(bench: &Bench, keys: &str) -> (ControlLaw, Controller) {
+        let law = ControlLaw::new(&scene(keys), &bench.plant()).unwrap();
+        let controller = law.start();
+        (law, controller)
+    }
+
+    fn wild(count: usize, seed: usize) -> Vec<f32> {
+        (0..count).map(|i| ((i * 37 + seed * 101) as f32).sin()).collect()
+    }
+
+    /// Largest difference, relative to the largest value.
+    fn apart(a: &[f32], b: &[f32]) -> f32 {
+        let largest = a.iter().fold(0f32, |largest, a| largest.max(a.abs()));
+        a.iter().zip(b).fold(0f32, |worst, (a, b)| worst.max((a - b).abs())) / largest
+    }
+
+    #[test]
+    fn an_impulse_arrives_after_the_lag_and_stays() {
+        let bench = Bench::small();
+        for lag in [1, 2, 5] {
+            let (law, mut controller) = start(&bench, &format!("filtered_modes = 2\nlag_frames = {lag}"));
+            let impulse = wild(32, 1);
+            let slopes: Array1<f64> = impulse.iter().map(|&slope| f64::from(slope)).collect();
+            let expected: Vec<f32> =
+                law.reconstructor().command_matrix().dot(&slopes).iter().map(|c| (0.3 * c) as f32).collect();
+            let nothing = vec![0.0; 32];
+            for frame in 1..lag + 5 {
+                controller.step(if frame == 1 { &impulse } else { &nothing }).unwrap();
+                if frame < lag {
+                    assert!(controller.commands_nm().iter().all(|&command| command == 0.0), "lag {lag}, frame {frame}");
+                } else {
+                    // Entries of R and the sums in single precision: a few ε = 1e-7 of the terms, which cancel by less
+                    // than ten.
+                    let error = apart(&expected, controller.commands_nm());
+                    assert!(error < 1e-5, "lag {lag}, frame {frame}: {error}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_leak_lets_commands_decay() {
+        let bench = Bench::small();
+        let (_, mut controller) = start(&bench, "filtered_modes = 2\nleak = 0.1");
+        controller.step(&wild(32, 2)).unwrap();
+        let first = controller.commands_nm().to_vec();
+        for _ in 0..10 {
+            controller.step(&[0.0; 32]).unwrap();
+        }
+        let expected: Vec<f32> = first.iter().map(|command| command * 0.9f32.powi(10)).collect();
+        // Ten products, each rounded to half of 1.2e-7.
+        assert!(apart(&expected, controller.commands_nm()) < 2e-6);
+    }
+
+    /// Runs the loop against a still wavefront: s = turbulence − D c, with noise-free slopes.
+    fn run(bench: &Bench, keys: &str, turbulence: &Array1<f64>, frames: usize) -> Vec<Vec<f32>> {
+        let (_, mut controller) = start(bench, keys);
+        let mut history = Vec::new();
+        for _ in 0..frames {
+            let commands: Array1<f64> = controller.commands_nm().iter().map(|&c| f64::from(c)).collect();
+            let slopes = turbulence - bench.interaction.dot(&commands);
+            controller.step(&slopes.iter().map(|&slope| slope as f32).collect::<Vec<_>>()).unwrap();
+            history.push(controller.commands_nm().to_vec());
+        }
+        history
+    }
+
+    #[test]
+    fn without_a_fill_all_laws_are_the_integrator() {
+        // On the controlled modes RD is the identity, and nothing else is ever excited: (1 − g)c + gR(s + Dc) = c + gRs.
+        let bench = Bench::keck();
+        let turbulence: Array1<f64> = wild(496, 3).iter().map(|&slope| 300.0 * f64::from(slope)).collect();
+        let keys = |r#loop: &str, fill: &str| {
+            format!("filtered_modes = 20\nleak = 0.02\nloop = {:?}\nfill = {fill:?}", r#loop)
+        };
+        for fill in ["none", "mask-interaction-matrix"] {
+            let integrator = run(bench, &keys("closed", fill), &turbulence, 20);
+            for r#loop in ["pseudo-open-loop", "full-turbulence-slopes"] {
+                let other = run(bench, &keys(r#loop, fill), &turbulence, 20);
+                for (frame, (one, other)) in integrator.iter().zip(&other).enumerate() {
+                    // Single precision, with a condition number of up to a few hundred for the mask.
+                    let error = apart(one, other);
+                    assert!(error < 1e-4, "{fill}, {}, frame {frame}: {error}", r#loop);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_step_is_the_law_as_written() {
+        // All terms of each law in double precision, against what was folded; a lag, a leak and a fill at once.
+        let bench = Bench::keck();
+        let (gain, leak, lag) = (0.3, 0.05, 3);
+        for r#loop in ["closed", "pseudo-open-loop", "full-turbulence-slopes"] {
+            let keys = format!(
+                "filtered_modes = 20\nleak = {leak}\nlag_frames = {lag}\nfill = \"inpaint\"\nloop = {:?}",
+                r#loop
+            );
+            let (law, mut controller) = start(bench, &keys);
+            let fill = |slopes: &Array1<f64>| {
+                let matrix = law.inpainting().unwrap().matrix();
+                let halves = slopes.as_slice().unwrap().split_at(248);
+                [halves.0, halves.1].iter().flat_map(|half| matrix.dot(&ndarray::aview1(half))).collect::<Array1<f64>>()
+            };
+            let command = law.reconstructor().command_matrix();
+            // commands[k] is on the mirror in frame k.
+            let mut commands = vec![Array1::<f64>::zeros(bench.interaction.ncols()); lag];
+            for frame in 0..12 {
+                let measured = wild(496, frame);
+                let slopes: Array1<f64> = measured.iter().map(|&slope| f64::from(slope)).collect();
+                let (now, last) = (&commands[frame], &commands[frame + lag - 1]);
+                let own = bench.interaction.dot(now);
+                let next = match r#loop {
+                    "closed" => last * (1.0 - leak) + command.dot(&fill(&slopes)) * gain,
+                    "pseudo-open-loop" => last * (1.0 - leak - gain) + command.dot(&fill(&(&slopes + &own))) * gain,
+                    _ => last * (1.0 - leak) + command.dot(&(fill(&(&slopes + &own)) - &own)) * gain,
+                };
+                commands.push(next);
+                controller.step(&measured).unwrap();
+                let expected: Vec<f32> = commands[frame + 1].iter().map(|&command| command as f32).collect();
+                if frame + 1 >= lag {
+                    // A dozen frames of sums of 800 terms in single precision.
+                    let error = apart(&expected, controller.commands_nm());
+                    assert!(error < 1e-4, "{}, frame {frame}: {error}", r#loop);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn open_loop_inpainting_keeps_what_the_mask_hides_out_of_the_mirror() {
+        let bench = Bench::keck();
+        let mut hidden = Array1::zeros(496);
+        for (slope, masked) in hidden.iter_mut().zip(bench.mask.iter().chain(&bench.mask)) {
+            *slope = if *masked { 100.0 } else { 0.0 };
+        }
+        let keys = "filtered_modes = 20\nfill = \"inpaint\"\nloop = \"pseudo-open-loop\"";
+        let masked = run(bench, keys, &hidden, 30);
+        assert!(masked.iter().flatten().all(|&command| command == 0.0));
+        let open = run(bench, "filtered_modes = 20", &hidden, 30);
+        assert!(open.iter().flatten().any(|&command| command.abs() > 10.0));
+    }
+
+    #[test]
+    fn the_stroke_clips_and_does_not_wind_up() {
+        let bench = Bench::small();
+        let limit = 5.0;
+        let plant = Plant { stroke_limit_nm: Some(limit), ..bench.plant() };
+        let law = ControlLaw::new(&scene("filtered_modes = 2"), &plant).unwrap();
+        let mut controller = law.start();
+        let push: Vec<f32> = wild(32, 4).iter().map(|slope| 1e4 * slope).collect();
+        let back: Vec<f32> = push.iter().map(|slope| -slope).collect();
+        for _ in 0..100 {
+            controller.step(&push).unwrap();
+            assert!(controller.commands_nm().iter().all(|command| command.abs() <= limit as f32));
+        }
+        let pushed = controller.commands_nm().to_vec();
+        assert!(pushed.iter().any(|&command| command == limit as f32));
+        // One push the other way turns every command round: nothing has piled up behind the limit.
+        controller.step(&back).unwrap();
+        let (before, after) = (pushed.iter(), controller.commands_nm().iter());
+        assert!(before.zip(after).filter(|(before, _)| before.abs() == limit as f32).all(|(b, a)| a * b < 0.0));
+        controller.reset();
+        assert!(controller.commands_nm().iter().all(|&command| command == 0.0));
+    }
+
+    #[test]
+    fn impossible_input_is_refused_and_a_refused_frame_does_not_count() {
+        let bench = Bench::small();
+        let (_, mut controller) = start(&bench, "filtered_modes = 2");
+        assert!(matches!(controller.step(&[0.0; 31]), Err(Error::Shape(_))));
+        controller.step(&wild(32, 5)).unwrap();
+        let before = controller.commands_nm().to_vec();
+        assert!(controller.step(&[1.0; 33]).is_err());
+        assert_eq!(controller.commands_nm(), before);
+
+        let (short, mut gap) = (Array2::zeros((30, 25)), bench.interaction.clone());
+        gap[[3, 4]] = f64::NAN;
+        let wrong = Array2::zeros((24, 3));
+        for plant in [
+            Plant { interaction: &short, ..bench.plant() },
+            Plant { interaction: &gap, ..bench.plant() },
+            Plant { kl: Some(&wrong), ..bench.plant() },
+            Plant { mask: &[true], ..bench.plant() },
+            Plant { lenslets_across: 3, ..bench.plant() },
+            Plant { stroke_limit_nm: Some(0.0), ..bench.plant() },
+            Plant { stroke_limit_nm: Some(f64::NAN), ..bench.plant() },
+            Plant { subapertures: &[], mask: &[], ..bench.plant() },
+        ] {
+            assert!(ControlLaw::new(&scene(""), &plant).is_err());
+        }
+        let changes: [fn(&mut ControlScene); 4] = [
+            |scene| scene.gain = 0.0,
+            |scene| scene.leak = 1.0,
+            |scene| scene.lag_frames = 0,
+            |scene| scene.condition_number = Some(0.5),
+        ];
+        for change in changes {
+            let mut scene = scene("");
+            change(&mut scene);
+            assert!(ControlLaw::new(&scene, &bench.plant()).is_err());
+        }
+    }
+}

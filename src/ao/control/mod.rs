@@ -1,0 +1,41 @@
+//! From slopes to commands: which subapertures to trust, the reconstructor, the control law, its stability.
+//!
+//! ```text
+//! segment_mask ─┐             ┌ Reconstructor (R) ┐             ┌ Stability   before the first frame
+//!               ├ Plant (D) ──┤                   ├ ControlLaw ─┤
+//! sensor, mirror┘             └ Inpainting (M) ───┘             └ Controller  one linear step for each frame
+//! ```
+//!
+//! With c the commands, s the slopes of (turbulence − mirror), g the gain and l the leak, the three laws are
+//!
+//! | `control.loop` | next command |
+//! |---|---|
+//! | `closed` | (1 − l) c + g R M s |
+//! | `pseudo-open-loop` | (1 − l − g) c + g R M (s + D c) |
+//! | `full-turbulence-slopes` | (1 − l) c + g R (M (s + D c) − D c) |
+//!
+//! where M is the fill of masked slopes, the identity unless `fill = "inpaint"`. The second is B. Ellerbroek's (2003),
+//! the third the lighter variant that the paper suggests; with M = 1 it is the first. All are one linear step, and so is
+//! the code.
+
+mod controller;
+mod inpaint;
+mod law;
+mod linalg;
+mod mask;
+mod plant;
+mod reconstructor;
+mod stability;
+mod step;
+#[cfg(test)]
+mod testing;
+
+pub use controller::Controller;
+pub use inpaint::Inpainting;
+pub use law::ControlLaw;
+pub use mask::segment_mask;
+pub use plant::Plant;
+pub use reconstructor::Reconstructor;
+pub use stability::Stability;
+
+use plant::{check_mask, check_subapertures};

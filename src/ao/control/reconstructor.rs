@@ -1,0 +1,201 @@
+//! From slopes to commands: the least-squares inverse of the interaction matrix, in a basis, without its weakest modes.
+
+use super::linalg::svd;
+use super::plant::Plant;
+use crate::scene::{ControlBasis, ControlScene, Fill};
+use crate::{Error, Result};
+use ndarray::{Array2, s};
+
+/// A reconstructor in its factors: `commands = modes · inverse · slopes`. With D the interaction matrix (without the
+/// rows of masked subapertures where they leave it), `inverse · D · modes` is the identity.
+#[derive(Debug, Clone)]
+pub struct Reconstructor {
+    modes: Array2<f64>,
+    inverse: Array2<f64>,
+    singular_values: Vec<f64>,
+    dropped: usize,
+}
+
+impl Reconstructor {
+    /// The truncated inverse of the plant's interaction matrix.
+    ///
+    /// `basis = "zonal"`: by the singular values of D, without the `filtered_modes` weakest. `basis = "kl"`: the last
+    /// `filtered_modes` Karhunen-Loève modes leave first, and D times the others is inverted. In both,
+    /// `condition_number` drops the singular values below the largest divided by it, and those that only rounding
+    /// tells from zero are never inverted.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where no mode is left, or the basis is missing.
+    pub(super) fn new(scene: &ControlScene, plant: &Plant) -> Result<Self> {
+        let filtered = scene.filtered_modes.unwrap_or(0);
+        let interaction = trusted(plant, scene.fill);
+        let (basis, sensed, of) = match scene.basis {
+            ControlBasis::Zonal => (None, interaction, plant.interaction.ncols()),
+            ControlBasis::Kl => {
+                let Some(modes) = plant.kl else {
+                    let text = "control.basis = \"kl\" needs the mirror's Karhunen-Loève modes: none were given";
+                    return Err(Error::Value(text.into()));
+                };
+                let kept = modes.slice(s![.., ..modes.ncols().saturating_sub(filtered)]).to_owned();
+                let sensed = interaction.dot(&kept);
+                (Some(kept), sensed, modes.ncols())
+            }
+        };
+        let svd = svd(&sensed)?;
+        let strongest = svd.values.first().copied().unwrap_or(0.0);
+        let (rows, columns) = sensed.dim();
+        // What the decomposition's rounding leaves of a value that should be zero.
+        let rounding = rows.max(columns) as f64 * f64::EPSILON;
+        let smallest = strongest * scene.condition_number.map_or(0.0, f64::recip).max(rounding);
+        let strong = svd.values.iter().take_while(|&&value| value > 0.0 && value >= smallest).count();
+        let kept = strong.min(of.saturating_sub(filtered));
+        if kept == 0 {
+            return Err(Error::Value(format!(
+                "no mode of {of} is left to control: control.filtered_modes = {filtered} and the interaction matrix leave none"
+            )));
+        }
+        let right = svd.right.slice(s![.., ..kept]);
+        let modes = basis.map_or_else(|| right.to_owned(), |basis| basis.dot(&right));
+        let mut inverse = svd.left.slice(s![.., ..kept]).t().to_owned();
+        for (mut row, value) in inverse.rows_mut().into_iter().zip(&svd.values) {
+            row /= *value;
+        }
+        if scene.fill == Fill::MaskInteractionMatrix {
+            // Zero up to rounding, which the inversion has magnified.
+            for (mut column, _) in inverse.columns_mut().into_iter().zip(masks(plant)).filter(|(_, masked)| **masked) {
+                column.fill(0.0);
+            }
+        }
+        Ok(Self { modes, inverse, singular_values: svd.values, dropped: of - kept })
+    }
+
+    /// The commands of each controlled mode, `[actuators, controlled]`, nm.
+    pub fn modes(&self) -> &Array2<f64> {
+        &self.modes
+    }
+
+    /// From slopes to controlled modes, `[controlled, 2·subapertures]`. The columns of subapertures that left the
+    /// interaction matrix are zero.
+    pub fn inverse(&self) -> &Array2<f64> {
+        &self.inverse
+    }
+
+    /// The command matrix R = modes · inverse, `[actuators, 2·subapertures]`, nm per slope.
+    pub fn command_matrix(&self) -> Array2<f64> {
+        self.modes.dot(&self.inverse)
+    }
+
+    /// The singular values of what was inverted, falling; the first [`controlled`](Self::controlled) were kept. Slope
+    /// per nm.
+    pub fn singular_values(&self) -> &[f64] {
+        &self.singular_values
+    }
+
+    /// Number of controlled modes.
+    pub fn controlled(&self) -> usize {
+        self.modes.ncols()
+    }
+
+    /// Modes left out, of as many as there are actuators ("zonal") or Karhunen-Loève modes ("kl").
+    pub fn dropped(&self) -> usize {
+        self.dropped
+    }
+}
+
+/// The interaction matrix, with the rows of masked subapertures set to zero where they leave it: for least squares that
+/// is the same, and the inverse has zero columns for them.
+fn trusted(plant: &Plant, fill: Fill) -> Array2<f64> {
+    let mut interaction = plant.interaction.clone();
+    if fill == Fill::MaskInteractionMatrix {
+        for (mut row, _) in interaction.rows_mut().into_iter().zip(masks(plant)).filter(|(_, masked)| **masked) {
+            row.fill(0.0);
+        }
+    }
+    interaction
+}
+
+/// Whether each slope, x and then y, is masked.
+fn masks<'a>(plant: &Plant<'a>) -> impl Iterator<Item = &'a bool> + use<'a> {
+    plant.mask.iter().chain(plant.mask)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Bench, scene};
+    use super::*;
+
+    /// The largest entry of |matrix − identity|.
+    fn off_identity(matrix: &Array2<f64>) -> f64 {
+        let eye = Array2::<f64>::eye(matrix.nrows());
+        (matrix - &eye).iter().fold(0.0, |worst, value| value.abs().max(worst))
+    }
+
+    /// Rounding of the products that should give the identity: ε times a condition number of up to 30, times √496 for
+    /// the sums, and a margin of ten.
+    const IDENTITY: f64 = 2e-12;
+
+    #[test]
+    fn the_inverse_is_one_on_the_kept_modes_and_the_dropped_ones_are_counted() {
+        let bench = Bench::keck();
+        for (keys, dropped) in [
+            ("filtered_modes = 2", 2),
+            // Piston and waffle are invisible to corner differences: two values that rounding alone makes.
+            ("filtered_modes = 0", 2),
+            ("filtered_modes = 40", 40),
+            ("filtered_modes = 2\nfill = \"mask-interaction-matrix\"", 2),
+            ("filtered_modes = 20\nbasis = \"kl\"", 20),
+            ("filtered_modes = 100\nbasis = \"kl\"\nfill = \"mask-interaction-matrix\"", 100),
+        ] {
+            let scene = scene(keys);
+            let reconstructor = Reconstructor::new(&scene, &bench.plant()).unwrap();
+            let interaction = trusted(&bench.plant(), scene.fill);
+            let identity = reconstructor.inverse().dot(&interaction).dot(reconstructor.modes());
+            let error = off_identity(&identity);
+            println!("{keys:?}: {} controlled, {error:.1e}", reconstructor.controlled());
+            assert!(error < IDENTITY, "{keys}");
+            let all = if scene.basis == ControlBasis::Kl { bench.kl.ncols() } else { bench.interaction.ncols() };
+            assert!(reconstructor.dropped() >= dropped, "{keys}: {}", reconstructor.dropped());
+            if scene.fill == Fill::None {
+                assert_eq!(reconstructor.dropped(), dropped, "{keys}");
+            }
+            assert_eq!(reconstructor.controlled() + reconstructor.dropped(), all, "{keys}");
+        }
+    }
+
+    #[test]
+    fn masked_slopes_do_not_reach_the_mirror() {
+        let bench = Bench::keck();
+        let scene = scene("filtered_modes = 2\nfill = \"mask-interaction-matrix\"");
+        let matrix = Reconstructor::new(&scene, &bench.plant()).unwrap().command_matrix();
+        for (column, masked) in bench.mask.iter().chain(&bench.mask).enumerate() {
+            assert_eq!(*masked, matrix.column(column).iter().all(|&value| value == 0.0));
+        }
+    }
+
+    #[test]
+    fn the_condition_number_chooses_by_strength() {
+        let bench = Bench::keck();
+        for basis in ["zonal", "kl"] {
+            let all = Reconstructor::new(&scene(&format!("basis = {basis:?}")), &bench.plant()).unwrap();
+            let values = all.singular_values().to_vec();
+            let keys = format!("basis = {basis:?}\ncondition_number = 10.0");
+            let some = Reconstructor::new(&scene(&keys), &bench.plant()).unwrap();
+            let strong = values.iter().filter(|&&value| value >= values[0] / 10.0).count();
+            assert_eq!(some.controlled(), strong);
+            assert!(strong < all.controlled() && strong > 0, "{strong}");
+        }
+    }
+
+    #[test]
+    fn nothing_left_to_control_is_refused() {
+        let bench = Bench::keck();
+        for keys in ["filtered_modes = 10000", "basis = \"kl\"\nfiltered_modes = 10000"] {
+            let error = Reconstructor::new(&scene(keys), &bench.plant()).unwrap_err();
+            assert!(matches!(error, Error::Value(_)) && error.to_string().contains("10000"), "{error}");
+        }
+        let without = Plant { kl: None, ..bench.plant() };
+        assert!(Reconstructor::new(&scene("basis = \"kl\""), &without).is_err());
+        let blind = Array2::zeros(bench.interaction.dim());
+        assert!(Reconstructor::new(&scene(""), &Plant { interaction: &blind, ..bench.plant() }).is_err());
+    }
+}
