@@ -175,9 +175,10 @@ impl Simulator {
         let flux_e = flux_e(&scene.image, f64::from(peak));
         let footprint = self.plant.footprint.clone();
         let darkroom = Darkroom { camera, scene: scene.clone(), flux_e, footprint: footprint.clone() };
-        let (before, frame_s) = (self.plant.profile, self.frame_s());
+        let before = self.plant.profile;
+        let watch = Watch::new(self.frame_s(), sensing.wavelength_nm, self.stability().stable);
         let (atmosphere, plant) = (&mut self.atmosphere, &mut self.plant);
-        let mut closing = Closing::new(plant, schedule, Watch::new(frame_s, sensing.wavelength_nm), recorder);
+        let mut closing = Closing::new(plant, schedule, watch, recorder);
         let (sky_time, developed) = std::thread::scope(|scope| {
             let (full, ready) = sync_channel(BATCHES);
             let (empty, back) = sync_channel(BATCHES);
