@@ -8,7 +8,7 @@
 //!
 //! Nothing repeats: a layer's ribbon is made as the wind needs it, and only what can still be seen of it is kept, so
 //! memory does not grow with the run. The covariance of the samples is that of von Kármán's spectrum at every whole-sample
-//! separation of the pupil, within 0.1 % of the structure function (outer scales up to 20 widths).
+//! separation of the pupil, within 0.1 % of the structure function.
 //!
 //! Two approximations:
 //! - Between samples the interpolation is bilinear. At a shift δ of a sample along an axis it multiplies the power at k
