@@ -69,6 +69,7 @@ fn add<S: Simd, const ROWS: usize>(simd: S, view: View, y: usize, first: usize, 
     let along = |[left, right]: [&[S::f32s]; 2], i: usize| {
         simd.add_f32s(simd.mul_f32s(x0, left[i]), simd.mul_f32s(x1, right[i]))
     };
+    #[allow(clippy::needless_range_loop)] // one index into a dozen slices
     for i in 0..vectors {
         let mut near = along(above, i);
         for r in 0..ROWS {

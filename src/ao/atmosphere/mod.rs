@@ -167,7 +167,7 @@ fn check(turbulence: &TurbulenceScene, grid: &Grid, footprint: &Footprint, frame
     let rms_nm = VonKarman::new(turbulence.r0_m, LARGEST_OUTER_SCALE * grid.width_m())?.variance_nm2().sqrt();
     VonKarman::new(turbulence.r0_m, turbulence.outer_scale_m)?;
     // A million times below the largest single, for the extremes and for what is computed from them.
-    if layers > 0 && !(rms_nm < 1e32) {
+    if layers > 0 && (rms_nm.is_nan() || rms_nm >= 1e32) {
         return Err(Error::Value(format!(
             "a Fried parameter of {} m makes wavefronts of {rms_nm:.1e} nm: less than 1e32 nm is needed",
             turbulence.r0_m
