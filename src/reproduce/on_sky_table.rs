@@ -277,8 +277,8 @@ impl OnSky {
         let highest = highest.fold(f64::MIN_POSITIVE, f64::max);
         let unseen = SeriesStyle { stroke: Stroke::None, marker: Marker::None, colour: None };
         let ends = vec![place(0, -0.6), place(self.rows.len(), -0.4)];
-        series.push(Series { x: ends, y: vec![20.0 * highest; 2], style: unseen, ..Default::default() });
-        let names = self.rows.iter().enumerate().map(|(i, row)| (place(i, -0.5), row.row.name.to_string()));
+        series.push(Series { x: ends, y: vec![12.0 * highest; 2], style: unseen, ..Default::default() });
+        let names = self.rows.iter().enumerate().map(|(i, row)| (place(i, 0.5), row.row.name.to_string()));
         CurvePicture {
             title: "The paper's table, row by row (mean and scatter over seeds)".into(),
             x_label: "row".into(),
