@@ -27,7 +27,7 @@ unsafe fn change(simulator: *mut cophase_simulator, body: impl FnOnce(&mut Stepp
     Handle::change(unsafe { simulator.as_ref() }.map(|simulator| &simulator.0), "simulator", body)
 }
 
-/// Builds the AO system that a scene describes, ready for its first frame. This takes seconds at the size of Keck.
+/// Builds the AO system that a scene describes, ready for its first frame. This takes about a second at the size of Keck.
 ///
 /// scene_text: a scene as TOML, in UTF-8; it is copied. cophase_scene_preset has some, `cophase scene --reference` lists
 ///   the keys.
