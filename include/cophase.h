@@ -57,12 +57,12 @@ typedef int32_t cophase_status;
 
 // A stack of `count` maps or images of `rows` × `cols` float elements (row = y, col = x) in memory of the caller's.
 //
-// Element [k][y][x] is at `data + k*count_stride + y*row_stride + x*col_stride`. Strides count elements, not bytes, and
+// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`. Strides count elements, not bytes, and
 // may be negative; that of an extent of 1 does not matter. So C order has row_stride = cols and col_stride = 1, MATLAB's
 // column order row_stride = 1 and col_stride = rows, and a map can be turned over or put into a larger one without a
 // copy. The elements of an output must not overlap. The layout of this struct is permanent.
 typedef struct cophase_array_f32 {
-  // Element [0][0][0].
+  // Element (0, 0, 0).
   float *data;
   // Maps or images.
   size_t count;
@@ -96,7 +96,7 @@ size_t cophase_last_error(char *text,
 // It is a static string that the caller must not free. COPHASE_BAD_SCENE for another name.
 cophase_status cophase_scene_preset(const char *name, const char **scene_text);
 
-// Builds the AO system that a scene describes, ready for its first frame. This takes seconds at the size of Keck.
+// Builds the AO system that a scene describes, ready for its first frame. This takes about a second at the size of Keck.
 //
 // scene_text: a scene as TOML, in UTF-8; it is copied. cophase_scene_preset has some, `cophase scene --reference` lists
 //   the keys.
@@ -170,7 +170,7 @@ cophase_status cophase_simulator_residual_rms_nm(const struct cophase_simulator 
 
 // The camera's defocused image of the last frame, electrons, its turbulence frozen: residual wavefront, non-common path
 // aberrations and diversity, with the noise that the scene names. The same frame gives the same image, however often
-// and after whatever others it is taken. The optical axis is on element [pixels/2][pixels/2].
+// and after whatever others it is taken. The optical axis is in row and column pixels/2.
 //
 // out: 1 x pixels x pixels, see cophase_simulator_image_pixels. COPHASE_BAD_VALUE before the first frame.
 cophase_status cophase_simulator_image_e(struct cophase_simulator *simulator,

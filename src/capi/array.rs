@@ -5,7 +5,7 @@ use crate::{Error, Result};
 
 /// A stack of `count` maps or images of `rows` × `cols` float elements (row = y, col = x) in memory of the caller's.
 ///
-/// Element [k][y][x] is at `data + k*count_stride + y*row_stride + x*col_stride`. Strides count elements, not bytes, and
+/// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`. Strides count elements, not bytes, and
 /// may be negative; that of an extent of 1 does not matter. So C order has row_stride = cols and col_stride = 1, MATLAB's
 /// column order row_stride = 1 and col_stride = rows, and a map can be turned over or put into a larger one without a
 /// copy. The elements of an output must not overlap. The layout of this struct is permanent.
@@ -13,7 +13,7 @@ use crate::{Error, Result};
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct cophase_array_f32 {
-    /// Element [0][0][0].
+    /// Element (0, 0, 0).
     pub data: *mut f32,
     /// Maps or images.
     pub count: usize,

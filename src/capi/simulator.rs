@@ -202,7 +202,7 @@ pub unsafe extern "C" fn cophase_simulator_residual_rms_nm(
 
 /// The camera's defocused image of the last frame, electrons, its turbulence frozen: residual wavefront, non-common path
 /// aberrations and diversity, with the noise that the scene names. The same frame gives the same image, however often
-/// and after whatever others it is taken. The optical axis is on element [pixels/2][pixels/2].
+/// and after whatever others it is taken. The optical axis is in row and column pixels/2.
 ///
 /// out: 1 x pixels x pixels, see cophase_simulator_image_pixels. COPHASE_BAD_VALUE before the first frame.
 #[unsafe(no_mangle)]
