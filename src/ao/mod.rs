@@ -15,6 +15,7 @@ mod profile;
 mod run;
 mod sensor;
 mod simulator;
+mod stepper;
 mod surface;
 mod valid_map;
 
@@ -28,4 +29,5 @@ pub use profile::{Profile, Stage};
 pub use run::{Progress, Recorder, Schedule, Shot, Summary};
 pub use sensor::{Lenslets, Light, MAS_PER_NM_M, Sensor};
 pub use simulator::{Frame, Simulator};
+pub use stepper::Stepper;
 pub use surface::Surface;
