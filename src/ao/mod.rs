@@ -18,6 +18,7 @@ mod simulator;
 mod stepper;
 mod surface;
 mod valid_map;
+mod work;
 
 pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
 pub use camera::{ScienceCamera, View, strehl_on_axis};
@@ -31,3 +32,4 @@ pub use sensor::{Lenslets, Light, MAS_PER_NM_M, Sensor};
 pub use simulator::{Frame, Simulator};
 pub use stepper::Stepper;
 pub use surface::Surface;
+pub use work::Work;

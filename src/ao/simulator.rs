@@ -333,6 +333,10 @@ impl Simulator {
         &self.plant.profile
     }
 
+    pub(super) fn surface_taps(&self) -> (f64, f64) {
+        self.plant.surface.taps()
+    }
+
     /// The surface of the mirror for `commands_nm`, nm, a map over the footprint.
     ///
     /// # Errors

@@ -76,6 +76,13 @@ impl Surface {
         self.indices.len()
     }
 
+    /// Multiply-adds of the two products.
+    pub(super) fn taps(&self) -> (f64, f64) {
+        let columns = self.across as f64 * self.reach.iter().map(|reach| reach.len() as f64).sum::<f64>();
+        let rows = self.band.iter().enumerate().map(|(y, band)| (band.len() * self.footprint.span(y).len()) as f64);
+        (columns, rows.sum())
+    }
+
     /// Adds `scale` times the surface of `commands_nm` (one for each actuator) to `opd_nm`, a map over the footprint.
     ///
     /// # Errors
