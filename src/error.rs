@@ -37,6 +37,15 @@ pub enum Error {
     /// A broken promise of our own.
     #[error("internal error, please report it: {0}")]
     Internal(String),
+    /// An argument of a call across the C boundary that cannot be used: NULL, misaligned, not text, overlapping.
+    #[error("{0}")]
+    Argument(String),
+    /// An object that another thread is using.
+    #[error("{0}")]
+    Busy(String),
+    /// A panic that was caught at the C boundary, or an object that one has left unusable.
+    #[error("internal error, please report it: {0}")]
+    Panic(String),
 }
 
 /// `Result` with [`Error`].
@@ -59,6 +68,9 @@ impl Error {
             Error::Device(_) => 6,
             Error::Interrupted(_) => 7,
             Error::Internal(_) => 8,
+            Error::Argument(_) => 9,
+            Error::Busy(_) => 10,
+            Error::Panic(_) => 11,
         }
     }
 
@@ -73,6 +85,9 @@ impl Error {
             6 => c"DEVICE",
             7 => c"INTERRUPTED",
             8 => c"INTERNAL",
+            9 => c"BAD_ARGUMENT",
+            10 => c"BUSY",
+            11 => c"PANIC",
             _ => return None,
         })
     }
@@ -94,10 +109,13 @@ mod tests {
             Error::Device(text()),
             Error::Interrupted(text()),
             Error::Internal(text()),
+            Error::Argument(text()),
+            Error::Busy(text()),
+            Error::Panic(text()),
         ];
         let names: std::collections::HashSet<_> =
             all.iter().map(|error| Error::status_name(error.status()).expect("a name")).collect();
         assert_eq!(names.len(), all.len());
-        assert!(Error::status_name(0).is_none() && Error::status_name(9).is_none());
+        assert!(Error::status_name(0).is_none() && Error::status_name(12).is_none());
     }
 }

@@ -12,7 +12,7 @@ int main(void)
 
     printf("cophase %s, C interface %u (this program: %u)\n", cophase_version(), (unsigned)cophase_abi_version(),
            (unsigned)COPHASE_ABI_VERSION);
-    for (status = 0; status < 10; status++)
+    for (status = 0; status < 13; status++)
         printf("%d %s\n", (int)status, cophase_status_name(status));
     return cophase_abi_version() == COPHASE_ABI_VERSION ? 0 : 1;
 }

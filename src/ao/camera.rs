@@ -16,6 +16,9 @@ use std::sync::Arc;
 /// Wavelengths that stand for a filter of finite width; the error of their mean falls as their number squared.
 const WAVELENGTHS_OF_A_BAND: usize = 7;
 
+/// Rows of the field that are transformed before they are turned into columns: a line of the cache holds 8 complex numbers.
+const TOGETHER: usize = 8;
+
 /// What the camera looks at and through, beside the residual wavefront of the loop.
 #[derive(Debug, Clone, Copy)]
 pub struct View {
@@ -120,7 +123,7 @@ impl ScienceCamera {
             footprint: optics.footprint.clone(),
             pixels: view.pixels,
             colours: Arc::new(colours),
-            field: vec![zero; optics.footprint.stride().max(longest)],
+            field: vec![zero; TOGETHER * optics.footprint.stride().max(longest)],
             transform: vec![zero; view.pixels * longest],
             scratch: vec![zero; scratch],
             arch: Arch::new(),
@@ -159,41 +162,60 @@ impl ScienceCamera {
         }
     }
 
-    /// The field of each row, transformed along x, into columns `[u][y]`; what lies beyond the samples is 0.
+    /// The field of each row, transformed along x, into columns `[u][y]`; what lies beyond the samples is 0. Rows go in
+    /// [`TOGETHER`], so that a column is written a line of the cache at a time.
     fn columns(&mut self, colour: &Colour, residual_nm: &[f32]) {
         let zero = Complex32::new(0.0, 0.0);
-        let (n, stride) = (self.footprint.samples(), self.footprint.stride());
+        let n = self.footprint.samples();
         let padded = colour.padded(n);
         self.transform[..self.pixels * padded].fill(zero);
-        for y in 0..n {
-            let span = self.footprint.span(y);
-            if span.is_empty() {
+        let width = self.field.len() / TOGETHER;
+        for first in (0..n).step_by(TOGETHER) {
+            let rows = first..(first + TOGETHER).min(n);
+            if rows.clone().all(|y| self.footprint.span(y).is_empty()) {
                 continue;
             }
             self.field.fill(zero);
-            let place = y * stride + span.start..y * stride + span.end;
-            self.arch.dispatch(Turn {
-                turns_per_nm: colour.turns_per_nm,
-                residual_nm: &residual_nm[place.clone()],
-                re: &colour.re[place.clone()],
-                im: &colour.im[place],
-                field: &mut self.field[span],
-            });
+            for y in rows.clone() {
+                self.turn(colour, residual_nm, y, (y - first) * width);
+            }
+            let rows = rows.len();
             match &colour.route {
                 Route::Fft(fft) => {
-                    fft.process_with_scratch(&mut self.field[..padded], &mut self.scratch);
+                    for row in self.field.chunks_exact_mut(width).take(rows) {
+                        fft.process_with_scratch(&mut row[..padded], &mut self.scratch);
+                    }
                     for u in 0..self.pixels {
-                        self.transform[u * padded + y] = self.field[unwrapped(u, self.pixels, padded)];
+                        let from = unwrapped(u, self.pixels, padded);
+                        let line = &mut self.transform[u * padded + first..][..rows];
+                        for (out, row) in line.iter_mut().zip(self.field.chunks_exact(width)) {
+                            *out = row[from];
+                        }
                     }
                 }
                 Route::Matrix(matrix) => {
-                    let field = ndarray::aview1(&self.field[..n]);
-                    for (u, row) in matrix.rows().into_iter().enumerate() {
-                        self.transform[u * padded + y] = row.dot(&field);
+                    for (u, weights) in matrix.rows().into_iter().enumerate() {
+                        let line = &mut self.transform[u * padded + first..][..rows];
+                        for (out, row) in line.iter_mut().zip(self.field.chunks_exact(width)) {
+                            *out = weights.dot(&ndarray::aview1(&row[..n]));
+                        }
                     }
                 }
             }
         }
+    }
+
+    /// The field of row `y` at `start` of the block in hand.
+    fn turn(&mut self, colour: &Colour, residual_nm: &[f32], y: usize, start: usize) {
+        let span = self.footprint.span(y);
+        let place = y * self.footprint.stride() + span.start..y * self.footprint.stride() + span.end;
+        self.arch.dispatch(Turn {
+            turns_per_nm: colour.turns_per_nm,
+            residual_nm: &residual_nm[place.clone()],
+            re: &colour.re[place.clone()],
+            im: &colour.im[place],
+            field: &mut self.field[start + span.start..start + span.end],
+        });
     }
 
     /// An image `[y, x]` from what [`ScienceCamera::add`] summed.
@@ -313,17 +335,45 @@ impl NullaryFnOnce for Turn<'_> {
 
 /// Strehl ratio of a residual wavefront at `wavelength_nm`: the intensity on the axis over that without aberration.
 pub fn strehl_on_axis(footprint: &Footprint, residual_nm: &[f32], wavelength_nm: f64) -> f64 {
-    let (stride, turns) = (footprint.stride(), (1.0 / wavelength_nm) as f32);
-    let (mut re, mut im) = (0.0, 0.0);
-    for y in 0..footprint.samples() {
-        let span = footprint.span(y);
-        let place = y * stride + span.start..y * stride + span.end;
-        let (mut row_re, mut row_im) = (0.0, 0.0);
-        for (a, opd) in footprint.amplitude()[place.clone()].iter().zip(&residual_nm[place]) {
-            let (cos, sin) = unit_phasor(opd * turns);
-            (row_re, row_im) = (row_re + a * cos, row_im + a * sin);
-        }
-        (re, im) = (re + f64::from(row_re), im + f64::from(row_im));
-    }
+    let [re, im] = Arch::new().dispatch(OnAxis { footprint, residual_nm, turns_per_nm: (1.0 / wavelength_nm) as f32 });
     (re * re + im * im) / footprint.total().powi(2)
+}
+
+/// Σ A·exp(2πi·W/λ).
+struct OnAxis<'a> {
+    footprint: &'a Footprint,
+    residual_nm: &'a [f32],
+    turns_per_nm: f32,
+}
+
+impl NullaryFnOnce for OnAxis<'_> {
+    type Output = [f64; 2];
+
+    #[inline(always)]
+    fn call(self) -> [f64; 2] {
+        let Self { footprint, residual_nm, turns_per_nm } = self;
+        let stride = footprint.stride();
+        let mut field = [0.0; 2];
+        for y in 0..footprint.samples() {
+            let span = footprint.span(y);
+            let place = y * stride + span.start..y * stride + span.end;
+            let amplitude = footprint.amplitude()[place.clone()].as_chunks::<LANES>().0;
+            let (mut re, mut im) = ([0.0f32; LANES], [0.0f32; LANES]);
+            for (a, opd) in amplitude.iter().zip(residual_nm[place].as_chunks::<LANES>().0) {
+                let (mut cos, mut sin) = ([0.0f32; LANES], [0.0f32; LANES]);
+                for l in 0..LANES {
+                    (cos[l], sin[l]) = unit_phasor(opd[l] * turns_per_nm);
+                }
+                for l in 0..LANES {
+                    re[l] = a[l].mul_add(cos[l], re[l]);
+                }
+                for l in 0..LANES {
+                    im[l] = a[l].mul_add(sin[l], im[l]);
+                }
+            }
+            field[0] += f64::from(re.iter().sum::<f32>());
+            field[1] += f64::from(im.iter().sum::<f32>());
+        }
+        field
+    }
 }

@@ -2,6 +2,7 @@
 
 use crate::pupil::Pupil;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Samples that one vector instruction takes at best (f32 in 512 bits); rows and spans are multiples of it.
 pub const LANES: usize = 16;
@@ -13,7 +14,8 @@ pub struct Footprint {
     samples: usize,
     stride: usize,
     spans: Vec<Range<usize>>,
-    amplitude: Vec<f32>,
+    /// Shared by its clones: several stages read it in every frame, and the cache is small.
+    amplitude: Arc<[f32]>,
     total: f64,
 }
 
@@ -36,7 +38,7 @@ impl Footprint {
             });
         }
         let total = amplitude.iter().map(|&a| f64::from(a)).sum();
-        Self { samples, stride, spans, amplitude, total }
+        Self { samples, stride, spans, amplitude: amplitude.into(), total }
     }
 
     /// Samples along a side.

@@ -15,8 +15,10 @@ mod profile;
 mod run;
 mod sensor;
 mod simulator;
+mod stepper;
 mod surface;
 mod valid_map;
+mod work;
 
 pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
 pub use camera::{ScienceCamera, View, strehl_on_axis};
@@ -28,4 +30,6 @@ pub use profile::{Profile, Stage};
 pub use run::{Progress, Recorder, Schedule, Shot, Summary};
 pub use sensor::{Lenslets, Light, MAS_PER_NM_M, Sensor};
 pub use simulator::{Frame, Simulator};
+pub use stepper::Stepper;
 pub use surface::Surface;
+pub use work::Work;

@@ -7,10 +7,8 @@ use std::time::{Duration, Instant};
 pub enum Stage {
     /// New turbulence.
     Atmosphere,
-    /// The mirror's surface.
+    /// The mirror's surface, the residual wavefront and its RMS.
     Mirror,
-    /// The residual wavefront and its RMS.
-    Residual,
     /// Spots and slopes.
     Sensor,
     /// The controller.
@@ -19,14 +17,13 @@ pub enum Stage {
 
 impl Stage {
     /// All of them, in the order of a frame.
-    pub const ALL: [Stage; 5] = [Stage::Atmosphere, Stage::Mirror, Stage::Residual, Stage::Sensor, Stage::Control];
+    pub const ALL: [Stage; 4] = [Stage::Atmosphere, Stage::Mirror, Stage::Sensor, Stage::Control];
 
     /// One word for tables.
     pub fn name(self) -> &'static str {
         match self {
             Stage::Atmosphere => "atmosphere",
             Stage::Mirror => "mirror",
-            Stage::Residual => "residual",
             Stage::Sensor => "sensor",
             Stage::Control => "control",
         }

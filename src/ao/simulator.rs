@@ -8,7 +8,7 @@
 use super::atmosphere::Atmosphere;
 use super::camera::{Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
-use super::footprint::{Footprint, LANES};
+use super::footprint::Footprint;
 use super::profile::{Profile, Stage};
 use super::sensor::{Lenslets, Light, Sensor};
 use super::surface::Surface;
@@ -21,7 +21,6 @@ use crate::source::{Truth, stream};
 use crate::telescope::{Diversity, Telescope};
 use crate::{Error, Result};
 use ndarray::Array2;
-use pulp::{Arch, NullaryFnOnce};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
@@ -63,7 +62,6 @@ pub(super) struct Plant {
     pub(super) residual_rms_nm: f64,
     pub(super) number: u64,
     frame_s: f64,
-    arch: Arch,
     pub(super) profile: Profile,
 }
 
@@ -72,14 +70,12 @@ impl Plant {
     pub(super) fn frame(&mut self, opd_nm: &mut [f32]) -> Result<()> {
         let started = Instant::now();
         self.commands_nm.copy_from_slice(self.controller.commands_nm());
-        self.surface.add(&self.commands_nm, -1.0, opd_nm)?;
-        let moved = self.profile.lap(Stage::Mirror, started);
-        let moments = self.arch.dispatch(Residual { plant: self, opd_nm });
+        let moments = self.surface.correct(&self.commands_nm, &self.segments_nm, opd_nm)?;
         let mean = moments[0] / self.footprint.total();
         self.residual_rms_nm = (moments[1] / self.footprint.total() - mean * mean).max(0.0).sqrt();
-        let summed = self.profile.lap(Stage::Residual, moved);
+        let corrected = self.profile.lap(Stage::Mirror, started);
         self.sensor.measure(opd_nm, self.light.as_mut(), &mut self.slopes_mas)?;
-        let measured = self.profile.lap(Stage::Sensor, summed);
+        let measured = self.profile.lap(Stage::Sensor, corrected);
         self.controller.step(&self.slopes_mas)?;
         self.profile.lap(Stage::Control, measured);
         self.number += 1;
@@ -97,41 +93,6 @@ impl Plant {
             slopes_mas: &self.slopes_mas,
             commands_nm: &self.commands_nm,
         }
-    }
-}
-
-/// Adds the segments' errors; Σ A·W and Σ A·W², in lanes row by row: single precision within a row, double between.
-struct Residual<'a> {
-    plant: &'a Plant,
-    opd_nm: &'a mut [f32],
-}
-
-impl NullaryFnOnce for Residual<'_> {
-    type Output = [f64; 2];
-
-    #[inline(always)]
-    fn call(self) -> [f64; 2] {
-        let footprint = &self.plant.footprint;
-        let stride = footprint.stride();
-        let (mut first, mut second) = (0.0, 0.0);
-        for (y, row) in self.opd_nm.chunks_exact_mut(stride).enumerate() {
-            let span = footprint.span(y);
-            let place = y * stride + span.start..y * stride + span.end;
-            let weights = footprint.amplitude()[place.clone()].as_chunks::<LANES>().0;
-            let segments = self.plant.segments_nm[place].as_chunks::<LANES>().0;
-            let (mut sum, mut square) = ([0.0f32; LANES], [0.0f32; LANES]);
-            for ((out, a), segment) in row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(weights).zip(segments) {
-                for l in 0..LANES {
-                    out[l] += segment[l];
-                    let weighted = a[l] * out[l];
-                    sum[l] += weighted;
-                    square[l] = weighted.mul_add(out[l], square[l]);
-                }
-            }
-            first += f64::from(sum.iter().sum::<f32>());
-            second += f64::from(square.iter().sum::<f32>());
-        }
-        [first, second]
     }
 }
 
@@ -226,7 +187,6 @@ impl Simulator {
             residual_rms_nm: 0.0,
             number: 0,
             frame_s,
-            arch: Arch::new(),
             profile: Profile::default(),
             footprint,
             surface,
@@ -371,6 +331,10 @@ impl Simulator {
     /// Time spent in each stage so far.
     pub fn profile(&self) -> &Profile {
         &self.plant.profile
+    }
+
+    pub(super) fn surface_taps(&self) -> (f64, f64) {
+        self.plant.surface.taps()
     }
 
     /// The surface of the mirror for `commands_nm`, nm, a map over the footprint.

@@ -20,8 +20,9 @@ pub struct Surface {
     footprint: Footprint,
     across: usize,
     indices: Vec<usize>,
-    /// Influence along an axis, `[actuator line][sample]`, rows of the footprint's stride.
+    /// Influence along an axis, `[actuator line][sample]`, rows of the footprint's stride; and turned, `[sample][line]`.
     along: Vec<f32>,
+    turned: Vec<f32>,
     /// Where `along` is not negligible, for each line of actuators, in whole vectors.
     reach: Vec<Range<usize>>,
     /// The lines of actuators that reach each line of samples.
@@ -29,7 +30,6 @@ pub struct Surface {
     /// Commands on the whole square, then `C·G_x`, `[actuator row][x]`.
     commands: Vec<f32>,
     columns: Vec<f32>,
-    arch: Arch,
 }
 
 impl Surface {
@@ -56,16 +56,18 @@ impl Surface {
                 first..(0..across).rfind(reaches).map_or(first, |last| last + 1)
             })
             .collect();
+        let turned = (0..grid.samples()).flat_map(|j| (0..across).map(move |i| (i, j)));
+        let turned = turned.map(|(i, j)| along[i * stride + j]).collect();
         Self {
             footprint: footprint.clone(),
             across,
             indices: influence.indices().to_vec(),
             along,
+            turned,
             reach,
             band,
             commands: vec![0.0; across * across],
             columns: vec![0.0; across * stride],
-            arch: Arch::new(),
         }
     }
 
@@ -74,71 +76,127 @@ impl Surface {
         self.indices.len()
     }
 
+    /// Multiply-adds of the two products.
+    pub(super) fn taps(&self) -> (f64, f64) {
+        let columns = self.across as f64 * self.reach.iter().map(|reach| reach.len() as f64).sum::<f64>();
+        let rows = self.band.iter().enumerate().map(|(y, band)| (band.len() * self.footprint.span(y).len()) as f64);
+        (columns, rows.sum())
+    }
+
     /// Adds `scale` times the surface of `commands_nm` (one for each actuator) to `opd_nm`, a map over the footprint.
     ///
     /// # Errors
     /// [`Error::Shape`] where either has another length.
     pub fn add(&mut self, commands_nm: &[f32], scale: f32, opd_nm: &mut [f32]) -> Result<()> {
-        if commands_nm.len() != self.indices.len() || opd_nm.len() != self.footprint.len() {
-            let (commands, map) = (commands_nm.len(), opd_nm.len());
-            return Err(Error::Shape(format!(
-                "{commands} commands on a map of {map} samples were given: {} on {} are needed",
-                self.indices.len(),
-                self.footprint.len()
-            )));
+        self.check(commands_nm, opd_nm)?;
+        self.load(commands_nm, scale);
+        Arch::new().dispatch(Reflect { surface: self, still_nm: None, opd_nm });
+        Ok(())
+    }
+
+    /// Takes the surface of `commands_nm` from `opd_nm` and adds `still_nm`, both maps over the footprint; returns
+    /// Σ A·W and Σ A·W² of what is left.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where one of them has another length.
+    pub fn correct(&mut self, commands_nm: &[f32], still_nm: &[f32], opd_nm: &mut [f32]) -> Result<[f64; 2]> {
+        self.check(commands_nm, opd_nm)?;
+        self.check(commands_nm, still_nm)?;
+        self.load(commands_nm, -1.0);
+        Ok(Arch::new().dispatch(Reflect { surface: self, still_nm: Some(still_nm), opd_nm }))
+    }
+
+    fn check(&self, commands_nm: &[f32], map_nm: &[f32]) -> Result<()> {
+        if commands_nm.len() == self.indices.len() && map_nm.len() == self.footprint.len() {
+            return Ok(());
         }
+        let (commands, map) = (commands_nm.len(), map_nm.len());
+        Err(Error::Shape(format!(
+            "{commands} commands on a map of {map} samples were given: {} on {} are needed",
+            self.indices.len(),
+            self.footprint.len()
+        )))
+    }
+
+    fn load(&mut self, commands_nm: &[f32], scale: f32) {
         for (&index, &command) in self.indices.iter().zip(commands_nm) {
             self.commands[index] = scale * command;
         }
-        self.arch.dispatch(Add { surface: self, opd_nm });
-        Ok(())
     }
 }
 
-/// Both products, compiled for the processor at hand.
-struct Add<'a> {
+/// Both products, and the moments of what comes out: single precision within a row, double between rows.
+struct Reflect<'a> {
     surface: &'a mut Surface,
+    still_nm: Option<&'a [f32]>,
     opd_nm: &'a mut [f32],
 }
 
-impl NullaryFnOnce for Add<'_> {
-    type Output = ();
+impl NullaryFnOnce for Reflect<'_> {
+    type Output = [f64; 2];
 
     #[inline(always)]
-    fn call(self) {
-        let Self { surface, opd_nm } = self;
+    fn call(self) -> [f64; 2] {
+        let Self { surface, still_nm, opd_nm } = self;
+        surface.fill_columns();
         let stride = surface.footprint.stride();
-        for (row, commands) in
-            surface.columns.chunks_exact_mut(stride).zip(surface.commands.chunks_exact(surface.across))
-        {
-            row.fill(0.0);
-            for ((&command, along), reach) in
-                commands.iter().zip(surface.along.chunks_exact(stride)).zip(&surface.reach)
-            {
-                let along = along[reach.clone()].as_chunks::<LANES>().0;
-                for (out, along) in row[reach.clone()].as_chunks_mut::<LANES>().0.iter_mut().zip(along) {
-                    for (out, along) in out.iter_mut().zip(along) {
-                        *out = command.mul_add(*along, *out);
-                    }
-                }
-            }
-        }
+        let vectors = stride / LANES;
+        let columns = surface.columns.as_chunks::<LANES>().0;
+        let mut moments = [0.0; 2];
         for (y, (row, band)) in opd_nm.chunks_exact_mut(stride).zip(&surface.band).enumerate() {
             let span = surface.footprint.span(y);
-            let mut at = span.start;
-            for out in row[span].as_chunks_mut::<LANES>().0 {
+            let place = y * stride + span.start..y * stride + span.end;
+            let influence = &surface.turned[y * surface.across..][band.clone()];
+            let amplitude = surface.footprint.amplitude()[place.clone()].as_chunks::<LANES>().0;
+            let still = still_nm.map_or(amplitude, |still_nm| still_nm[place].as_chunks::<LANES>().0);
+            let share = [if still_nm.is_some() { 1.0f32 } else { 0.0 }; LANES];
+            let (mut first, mut second) = ([0.0f32; LANES], [0.0f32; LANES]);
+            let first_column = band.start * vectors + span.start / LANES;
+            let blocks = row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(amplitude).zip(still).enumerate();
+            for (v, ((out, a), still)) in blocks {
                 let mut sum = *out;
-                for j in band.clone() {
-                    let weight = surface.along[j * stride + y];
-                    let column: &[f32] = &surface.columns[j * stride + at..][..LANES];
-                    for (sum, column) in sum.iter_mut().zip(column) {
-                        *sum = weight.mul_add(*column, *sum);
-                    }
+                multiply_add(&mut sum, &share, still);
+                for (weight, column) in influence.iter().zip(columns[first_column + v..].iter().step_by(vectors)) {
+                    multiply_add(&mut sum, &[*weight; LANES], column);
                 }
                 *out = sum;
-                at += LANES;
+                let mut weighted = [0.0f32; LANES];
+                for l in 0..LANES {
+                    weighted[l] = a[l] * sum[l];
+                }
+                // By multiply-adds like the other sum: the compiler takes plain additions apart into scalars.
+                multiply_add(&mut first, a, &sum);
+                multiply_add(&mut second, &weighted, &sum);
+            }
+            moments[0] += f64::from(first.iter().sum::<f32>());
+            moments[1] += f64::from(second.iter().sum::<f32>());
+        }
+        moments
+    }
+}
+
+impl Surface {
+    /// `C·G_x`, `[actuator row][x]`.
+    #[inline(always)]
+    fn fill_columns(&mut self) {
+        let stride = self.footprint.stride();
+        for (row, commands) in self.columns.chunks_exact_mut(stride).zip(self.commands.chunks_exact(self.across)) {
+            row.fill(0.0);
+            for ((&command, along), reach) in commands.iter().zip(self.along.chunks_exact(stride)).zip(&self.reach) {
+                let along = along[reach.clone()].as_chunks::<LANES>().0;
+                for (out, along) in row[reach.clone()].as_chunks_mut::<LANES>().0.iter_mut().zip(along) {
+                    multiply_add(out, &[command; LANES], along);
+                }
             }
         }
+    }
+}
+
+/// `sum += a·b`.
+#[inline(always)]
+fn multiply_add(sum: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
+    for l in 0..LANES {
+        sum[l] = a[l].mul_add(b[l], sum[l]);
     }
 }
 

@@ -34,7 +34,7 @@ pub struct Arguments {
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
-    /// Also say how the time of a frame is spent
+    /// Also say how the time of a frame is spent, beside the least that each stage has to do
     #[arg(short, long)]
     verbose: bool,
 }
@@ -89,7 +89,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         stability(&simulator),
     );
     if arguments.verbose {
-        text += &stages(&summary);
+        text += &stages(&simulator, &summary);
     }
     terminal.show(&text)
 }
@@ -126,12 +126,15 @@ fn made(simulator: &Simulator, summary: &Summary) -> Made {
     }
 }
 
-/// Time in each stage; the turbulence and the camera have threads of their own.
-fn stages(summary: &Summary) -> String {
-    let mut text = String::from("stage          µs/frame\n");
+/// Time in each stage beside the least it has to do; the turbulence and the camera have threads of their own.
+fn stages(simulator: &Simulator, summary: &Summary) -> String {
+    let mut text = String::from("stage          us/frame     Mflop        kB   GFLOP/s      GB/s\n");
     for stage in Stage::ALL {
         let us = summary.profile.seconds(stage) * 1e6 / summary.frames as f64;
-        text += &format!("{:<12} {us:>10.1}\n", stage.name());
+        let work = simulator.work(stage);
+        let (mflop, kb) = (work.flops / 1e6, work.bytes / 1e3);
+        let rates = (mflop * 1e3 / us, kb / us);
+        text += &format!("{:<12} {us:>10.1} {mflop:>9.2} {kb:>9.0} {:>9.1} {:>9.1}\n", stage.name(), rates.0, rates.1);
     }
     text + &format!("{:<12} {:>10.1}\n", "camera", summary.camera_s * 1e6 / summary.frames as f64)
 }

@@ -7,7 +7,7 @@ use crate::grid::Grid;
 /// All lenslets.
 pub(super) struct Geometric {
     lenslets: Lenslets,
-    amplitude: Vec<f32>,
+    footprint: Footprint,
     stride: usize,
     mas_per_nm: f32,
 }
@@ -16,7 +16,7 @@ impl Geometric {
     pub(super) fn new(lenslets: &Lenslets, grid: &Grid, footprint: &Footprint) -> Self {
         Self {
             lenslets: lenslets.clone(),
-            amplitude: footprint.amplitude().to_vec(),
+            footprint: footprint.clone(),
             stride: footprint.stride(),
             mas_per_nm: (MAS_PER_NM_M / grid.pitch_m()) as f32,
         }
@@ -30,7 +30,7 @@ impl Geometric {
             let (mut sum, mut weight) = (0.0f32, 0.0f32);
             for y in 0..rows {
                 for at in (start + y * stride..).take(columns) {
-                    let both = self.amplitude[at].min(self.amplitude[at + step]);
+                    let both = self.footprint.amplitude()[at].min(self.footprint.amplitude()[at + step]);
                     sum += both * (opd_nm[at + step] - opd_nm[at]);
                     weight += both;
                 }

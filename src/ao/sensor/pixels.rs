@@ -19,7 +19,7 @@ type Lane = [f32; LANES];
 pub(super) struct Pixels {
     lenslets: Lenslets,
     turns_per_nm: f32,
-    amplitude: Vec<f32>,
+    footprint: Footprint,
     stride: usize,
     pixels: usize,
     threshold_e: f64,
@@ -46,7 +46,7 @@ impl Pixels {
         Self {
             lenslets: lenslets.clone(),
             turns_per_nm: (1.0 / scene.wavelength_nm) as f32,
-            amplitude: footprint.amplitude().to_vec(),
+            footprint: footprint.clone(),
             stride: footprint.stride(),
             pixels,
             threshold_e: scene.threshold_e,
@@ -129,7 +129,7 @@ impl Pixels {
             let (mut turns, mut a) = ([0.0f32; LANES], [0.0f32; LANES]);
             for l in 0..LANES {
                 turns[l] = opd_nm[start[l] + offset] * self.turns_per_nm;
-                a[l] = self.amplitude[start[l] + offset];
+                a[l] = self.footprint.amplitude()[start[l] + offset];
             }
             for l in 0..LANES {
                 let (cos, sin) = unit_phasor(turns[l]);

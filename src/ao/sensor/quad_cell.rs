@@ -14,18 +14,23 @@ use crate::ao::phase::unit_phasor;
 use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
 
+/// The most samples of a lenslet: a power of two.
+const LONGEST: usize = 64;
+/// What a vector and its partners to the right take.
+const WINDOW: usize = LONGEST + LANES;
+
 /// All quad cells.
 pub(super) struct QuadCell {
     lenslets: Lenslets,
     turns_per_nm: f32,
-    amplitude: Vec<f32>,
+    footprint: Footprint,
     stride: usize,
     /// Columns with light in each row of lenslets, in whole vectors.
     spans: Vec<Range<usize>>,
     /// `2/(n·sin(πD/2n))` for D = 1, 3, 5 …
     weights: Vec<f32>,
-    /// The same for each D and column, 0 where x + D is another lenslet's.
-    masked: Vec<f32>,
+    /// The same for each column, `[vector of columns][D]`, 0 where x + D is another lenslet's.
+    masked: Vec<[f32; LANES]>,
     /// First subaperture of each row of lenslets.
     first: Vec<usize>,
     /// Field of one row of lenslets, `[sample row][x]`, and the two differences of its columns.
@@ -50,18 +55,21 @@ impl QuadCell {
         let distances: Vec<usize> = (1..n).step_by(2).collect();
         let weight = |d: usize| 2.0 / (n as f64 * (std::f64::consts::PI * d as f64 / (2 * n) as f64).sin());
         let weights: Vec<f32> = distances.iter().map(|&d| weight(d) as f32).collect();
-        let masked = distances
-            .iter()
-            .zip(&weights)
-            .flat_map(|(&d, &w)| (0..stride).map(move |x| if x < across * n && x % n + d < n { w } else { 0.0 }))
+        let mask = |d: usize, w: f32, x: usize| if x < across * n && x % n + d < n { w } else { 0.0 };
+        let masked = (0..stride)
+            .step_by(LANES)
+            .flat_map(|at| {
+                let lanes = move |(&d, &w): (&usize, &f32)| std::array::from_fn(|l| mask(d, w, at + l));
+                distances.iter().zip(&weights).map(lanes)
+            })
             .collect();
         let first = (0..=across).map(|row| lenslets.subapertures.partition_point(|&s| s < row * across)).collect();
-        // A row is read up to n − 1 samples beyond its end, where the mask is 0.
-        let width = stride + n.next_multiple_of(LANES);
+        // A row is read beyond its end, where the mask is 0.
+        let width = stride + WINDOW;
         Self {
             lenslets: lenslets.clone(),
             turns_per_nm: (1.0 / wavelength_nm) as f32,
-            amplitude: footprint.amplitude().to_vec(),
+            footprint: footprint.clone(),
             stride,
             spans,
             weights,
@@ -89,7 +97,7 @@ impl QuadCell {
             for i in used {
                 let start = self.lenslets.subapertures[i] % across * n;
                 let energy = (self.lenslets.light[i] * full) as f32;
-                let sum = |columns: &[f32]| columns[start..start + n].iter().sum::<f32>() / energy;
+                let sum = |columns: &[f32]| sum_of(&columns[start..start + n]) / energy;
                 let ratios = [sum(&self.along[0]), sum(&self.along[1])];
                 let noisy = match light.as_deref_mut() {
                     Some(light) => light
@@ -101,6 +109,18 @@ impl QuadCell {
             }
         }
     }
+}
+
+/// A sum in four parts, which need not wait for each other.
+fn sum_of(values: &[f32]) -> f32 {
+    let (fours, rest) = values.as_chunks::<4>();
+    let mut sums = [0.0f32; 4];
+    for four in fours {
+        for (sum, value) in sums.iter_mut().zip(four) {
+            *sum += value;
+        }
+    }
+    (sums[0] + sums[2]) + (sums[1] + sums[3]) + rest.iter().sum::<f32>()
 }
 
 /// One row of lenslets: field, then both differences column by column.
@@ -122,7 +142,7 @@ impl NullaryFnOnce for Row<'_> {
         for y in 0..n {
             let from = (row * n + y) * stride;
             let opd = &opd_nm[from..][span.clone()];
-            let amplitude = &cell.amplitude[from..][span.clone()];
+            let amplitude = &cell.footprint.amplitude()[from..][span.clone()];
             let re = &mut cell.re[y * width..][span.clone()];
             let im = &mut cell.im[y * width..][span.clone()];
             for (((re, im), opd), a) in re.iter_mut().zip(im).zip(opd).zip(amplitude) {
@@ -131,50 +151,86 @@ impl NullaryFnOnce for Row<'_> {
             }
         }
         for at in span.step_by(LANES) {
-            cell.differences(at, width);
+            // A length that is known when compiled unrolls the loops over distances: the usual ones get their own code.
+            match n {
+                8 => cell.differences(at, 8),
+                10 => cell.differences(at, 10),
+                12 => cell.differences(at, 12),
+                16 => cell.differences(at, 16),
+                _ => cell.differences(at, n),
+            }
         }
     }
 }
 
 impl QuadCell {
-    /// Both differences in the [`LANES`] columns from `at` on, summed over the rows of the lenslet.
+    /// Both differences in the [`LANES`] columns from `at` on, summed over the rows of the lenslet, which has `n`.
+    ///
+    /// Rows are read through windows of a fixed length, and distances cut to it, so that no access needs a check.
     #[inline(always)]
-    fn differences(&mut self, at: usize, width: usize) {
-        let n = self.lenslets.samples;
-        let load = |plane: &[f32], place: usize| -> [f32; LANES] {
-            let mut lanes = [0.0; LANES];
-            lanes.copy_from_slice(&plane[place..place + LANES]);
-            lanes
-        };
-        let (mut sum_x, mut sum_y) = ([0.0f32; LANES], [0.0f32; LANES]);
+    fn differences(&mut self, at: usize, n: usize) {
+        let width = self.re.len() / self.lenslets.samples;
+        let masks = &self.masked[at / LANES * (n / 2)..][..n / 2];
+        let (mut column_re, mut column_im) = ([[0.0f32; LANES]; LONGEST], [[0.0f32; LANES]; LONGEST]);
+        let mut sum_x = [0.0f32; LANES];
         for y in 0..n {
-            let (re, im) = (load(&self.re, y * width + at), load(&self.im, y * width + at));
+            let place = y * width + at;
+            let (Some(re), Some(im)) =
+                (self.re[place..].first_chunk::<WINDOW>(), self.im[place..].first_chunk::<WINDOW>())
+            else {
+                return;
+            };
+            let (here_re, here_im) = (lanes(re, 0), lanes(im, 0));
+            // A sum of its own for each row: one for all would wait for its last addition 70 times over.
             let mut row = [0.0f32; LANES];
-            for (i, d) in (1..n).step_by(2).enumerate() {
-                let (re_d, im_d) = (load(&self.re, y * width + at + d), load(&self.im, y * width + at + d));
-                let weight = load(&self.masked, i * self.stride + at);
-                for l in 0..LANES {
-                    let cross = im_d[l].mul_add(re[l], -(re_d[l] * im[l]));
-                    row[l] = weight[l].mul_add(cross, row[l]);
-                }
+            for (i, mask) in masks.iter().enumerate() {
+                add_cross(&mut row, mask, here_re, here_im, lanes(re, 2 * i + 1), lanes(im, 2 * i + 1));
             }
             for l in 0..LANES {
                 sum_x[l] += row[l];
             }
-            let mut column = [0.0f32; LANES];
-            for (i, d) in (1..n - y).step_by(2).enumerate() {
-                let (re_d, im_d) = (load(&self.re, (y + d) * width + at), load(&self.im, (y + d) * width + at));
-                let weight = self.weights[i];
-                for l in 0..LANES {
-                    let cross = im_d[l].mul_add(re[l], -(re_d[l] * im[l]));
-                    column[l] = weight.mul_add(cross, column[l]);
-                }
+            (column_re[y % LONGEST], column_im[y % LONGEST]) = (here_re, here_im);
+        }
+        let mut sum_y = [0.0f32; LANES];
+        for (i, &weight) in self.weights[..n / 2].iter().enumerate() {
+            let (weight, mut distance) = ([weight; LANES], [0.0f32; LANES]);
+            for y in 0..n - (2 * i + 1) {
+                let (low, high) = (y % LONGEST, (y + 2 * i + 1) % LONGEST);
+                let (re, im) = (column_re[high], column_im[high]);
+                add_cross(&mut distance, &weight, column_re[low], column_im[low], re, im);
             }
             for l in 0..LANES {
-                sum_y[l] += column[l];
+                sum_y[l] += distance[l];
             }
         }
         self.along[0][at..at + LANES].copy_from_slice(&sum_x);
         self.along[1][at..at + LANES].copy_from_slice(&sum_y);
+    }
+}
+
+/// [`LANES`] neighbours of a window.
+#[inline(always)]
+fn lanes(window: &[f32; WINDOW], first: usize) -> [f32; LANES] {
+    let mut lanes = [0.0; LANES];
+    lanes.copy_from_slice(&window[first % LONGEST..][..LANES]);
+    lanes
+}
+
+/// `sum += weight·Im(E'·E*)`.
+#[inline(always)]
+fn add_cross(
+    sum: &mut [f32; LANES],
+    weight: &[f32; LANES],
+    re: [f32; LANES],
+    im: [f32; LANES],
+    re_d: [f32; LANES],
+    im_d: [f32; LANES],
+) {
+    let mut cross = [0.0f32; LANES];
+    for l in 0..LANES {
+        cross[l] = im_d[l].mul_add(re[l], -(re_d[l] * im[l]));
+    }
+    for l in 0..LANES {
+        sum[l] = weight[l].mul_add(cross[l], sum[l]);
     }
 }

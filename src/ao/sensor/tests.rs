@@ -140,7 +140,7 @@ fn photon_noise_of_the_quad_cell_is_that_of_counting() {
     let n = 12.0;
     let gain: f64 = (1..12)
         .step_by(2)
-        .map(|d| f64::from(d))
+        .map(f64::from)
         .map(|d| 2.0 * (n - d) * d / (n * n * (std::f64::consts::PI * d / (2.0 * n)).sin()))
         .sum();
     let per_nm_m = gain * std::f64::consts::TAU * 0.5625 / n / 640.0;

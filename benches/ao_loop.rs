@@ -1,0 +1,103 @@
+//! What does a frame of the AO loop cost? `cargo bench --bench ao_loop`
+//!
+//! The `keck-onsky` scene: 240 samples, seven layers, 248 subapertures, 296 actuators, noise on. `step` is one frame on one
+//! core, for each detector; `run` a whole run on all cores, settling and one image included (divide by its 4,000 frames).
+//! `machine` is what the stages are held against: multiply-adds in single precision from registers, and reading a
+//! megabyte, on one core.
+
+use cophase::ao::{LANES, Progress, Shot, Simulator};
+use cophase::scene::Scene;
+use criterion::{Criterion, criterion_group, criterion_main};
+use std::hint::black_box;
+
+fn simulator(settings: &[(&str, &str)]) -> Simulator {
+    let scene = Scene::preset("keck-onsky").expect("the preset is built in").with(settings).expect("the keys exist");
+    Simulator::new(&scene).expect("the preset is buildable")
+}
+
+fn steps(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("step");
+    for detector in ["quad-cell", "pixels", "geometric"] {
+        let mut simulator = simulator(&[("wavefront_sensor.detector", detector)]);
+        // Settled: a loop that closes works on other wavefronts.
+        (0..500).for_each(|_| drop(simulator.step()));
+        group.bench_function(detector, |b| b.iter(|| simulator.step().map(|frame| frame.residual_rms_nm)));
+    }
+    group.finish();
+}
+
+fn runs(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("run of 4000 frames");
+    group.sample_size(10);
+    for detector in ["quad-cell", "pixels"] {
+        let settings = [
+            ("wavefront_sensor.detector", detector),
+            ("control.settle_s", "3.794"),
+            ("image.count", "1"),
+            ("image.exposure_s", "0.0"),
+        ];
+        let mut simulator = simulator(&settings);
+        group.bench_function(detector, |b| {
+            b.iter(|| {
+                let mut shots: Vec<Shot> = Vec::new();
+                simulator.run(&mut shots, &mut Progress::default()).map(|summary| assert_eq!(summary.frames, 4000))
+            });
+        });
+    }
+    group.finish();
+}
+
+/// A billion multiply-adds would take this many vectors of [`LANES`]: eight sums side by side hide the latency.
+struct MultiplyAdds;
+
+impl pulp::NullaryFnOnce for MultiplyAdds {
+    type Output = [[f32; LANES]; 8];
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let (a, b) = (black_box([1.000_000_1f32; LANES]), black_box([1e-9f32; LANES]));
+        let mut sums = black_box([[1.0f32; LANES]; 8]);
+        for _ in 0..1000 {
+            for sum in &mut sums {
+                for l in 0..LANES {
+                    sum[l] = sum[l].mul_add(a[l], b[l]);
+                }
+            }
+        }
+        sums
+    }
+}
+
+struct Read<'a>(&'a [f32]);
+
+impl pulp::NullaryFnOnce for Read<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn call(self) -> f32 {
+        let mut sums = [[0.0f32; LANES]; 8];
+        for block in self.0.as_chunks::<LANES>().0.as_chunks::<8>().0 {
+            for (sum, values) in sums.iter_mut().zip(block) {
+                for l in 0..LANES {
+                    sum[l] = values[l].mul_add(1.0, sum[l]);
+                }
+            }
+        }
+        sums.iter().flatten().sum()
+    }
+}
+
+fn machine(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("machine");
+    let arch = pulp::Arch::new();
+    let flops = 1000 * 8 * LANES as u64 * 2;
+    group.throughput(criterion::Throughput::Elements(flops));
+    group.bench_function("flops from registers", |b| b.iter(|| arch.dispatch(MultiplyAdds)));
+    let megabyte = vec![1.0f32; 1 << 18];
+    group.throughput(criterion::Throughput::Bytes(1 << 20));
+    group.bench_function("reading a megabyte", |b| b.iter(|| arch.dispatch(Read(black_box(&megabyte)))));
+    group.finish();
+}
+
+criterion_group!(benches, machine, steps, runs);
+criterion_main!(benches);

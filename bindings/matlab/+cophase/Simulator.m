@@ -1,0 +1,110 @@
+classdef Simulator < handle
+    %SIMULATOR  A simulated AO system under a sky.
+    %   s = cophase.Simulator(scene_text) builds the system that a scene (TOML) describes: turbulence, wavefront sensor,
+    %   deformable mirror, control, science camera. This takes about a second at the size of Keck.
+    %   s = cophase.Simulator(scene_text, directory) looks for the files that the scene names in a directory, and not in
+    %   the working directory.
+    %
+    %   s.step(n) advances the loop by n frames; the properties show the frame made last. Maps are (y, x), single. The
+    %   same scene gives the same bits as in every other language.
+    %
+    %   Failures raise cophase:<STATUS>, such as cophase:BAD_SCENE, with one sentence.
+    %
+    %   Example:
+    %       s = cophase.Simulator(cophase.preset('keck-onsky'));
+    %       s.step(100);
+    %       imagesc(s.image_e), axis image
+    %
+    %   See also cophase.preset.
+
+    properties (Dependent, SetAccess = private)
+        frames          % frames since the loop was closed
+        frame_s         % duration of a frame, s
+        divergence_s    % time at which the loop was seen to diverge, s; NaN while it has not
+        slopes_mas      % slopes: along x for every subaperture, then along y, mas
+        commands_nm     % commands on the mirror, nm of wavefront
+        residual_nm     % residual wavefront (y, x), nm; NaN where the pupil has no light
+        residual_rms_nm % its RMS over the pupil, piston removed, nm
+        image_e         % defocused image (y, x) with the scene's noise, electrons
+        phasing_nm      % true phasing errors of the segments (y, x), nm; NaN outside the pupil
+        ncpa_nm         % true non-common path aberrations (y, x), nm; NaN outside the pupil
+    end
+
+    properties (Access = private)
+        id = 0 % the gateway's number for it; 0 is nobody's
+    end
+
+    methods
+        function self = Simulator(scene_text, directory)
+            if nargin < 2
+                directory = '';
+            end
+            self.id = cophase_mex('create', scene_text, directory);
+        end
+
+        function delete(self)
+            %DELETE  Frees the simulator.
+            if self.id ~= 0
+                id = self.id;
+                self.id = 0;
+                cophase_mex('destroy', id);
+            end
+        end
+
+        function step(self, frames)
+            %STEP  Advances the loop by a number of frames (1 if none is given). One that diverges goes on: see
+            %   divergence_s. Ctrl-C stops between frames; what was made until then is there.
+            if nargin < 2
+                frames = 1;
+            end
+            % Some tens of milliseconds at a time, so that Ctrl-C is heard.
+            while frames > 256
+                cophase_mex('step', self.id, 256);
+                frames = frames - 256;
+            end
+            cophase_mex('step', self.id, frames);
+        end
+
+        function value = get.frames(self)
+            value = cophase_mex('frames', self.id);
+        end
+
+        function value = get.frame_s(self)
+            value = cophase_mex('frame_s', self.id);
+        end
+
+        function value = get.divergence_s(self)
+            value = cophase_mex('divergence_s', self.id);
+        end
+
+        function value = get.slopes_mas(self)
+            value = cophase_mex('slopes_mas', self.id);
+        end
+
+        function value = get.commands_nm(self)
+            value = cophase_mex('commands_nm', self.id);
+        end
+
+        function value = get.residual_nm(self)
+            value = cophase_mex('residual_nm', self.id);
+        end
+
+        function value = get.residual_rms_nm(self)
+            value = cophase_mex('residual_rms_nm', self.id);
+        end
+
+        function value = get.image_e(self)
+            value = cophase_mex('image_e', self.id);
+        end
+
+        function value = get.phasing_nm(self)
+            truth_nm = cophase_mex('truth_nm', self.id);
+            value = truth_nm(:, :, 1);
+        end
+
+        function value = get.ncpa_nm(self)
+            truth_nm = cophase_mex('truth_nm', self.id);
+            value = truth_nm(:, :, 2);
+        end
+    end
+end

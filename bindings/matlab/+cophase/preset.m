@@ -1,0 +1,7 @@
+function text = preset(name)
+    %PRESET  The text of a scene that comes with the library.
+    %   text = cophase.preset(name), name being 'keck-artificial' or 'keck-onsky'.
+    %
+    %   See also cophase.Simulator.
+    text = cophase_mex('preset', name);
+end

@@ -1,0 +1,143 @@
+//! What a handle points to, and the one fence that every call runs inside.
+
+use super::failure::keep;
+use super::status::{COPHASE_OK, COPHASE_PANIC, cophase_status};
+use crate::{Error, Result};
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{RwLock, TryLockError};
+
+/// Runs the body of a call: a failure or a panic becomes its status, and its sentence is kept.
+pub(super) fn fence(body: impl FnOnce() -> Result<()>) -> cophase_status {
+    // Nobody sees what a panic left half done: a handle that was in use is poisoned.
+    match catch_unwind(AssertUnwindSafe(body)) {
+        Ok(Ok(())) => COPHASE_OK,
+        Ok(Err(error)) => keep(&error),
+        Err(panic) => keep(&Error::Panic(words(&*panic).into())),
+    }
+}
+
+/// What a panic says.
+fn words(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words")
+}
+
+/// An object behind an opaque pointer. Many threads may read it, or one may change it; a thread that comes at the wrong
+/// time is sent away and does not wait. After a panic inside a call nothing but dropping it is possible.
+pub(super) struct Handle<T> {
+    poisoned: AtomicBool,
+    value: RwLock<T>,
+}
+
+impl<T: Send + Sync> Handle<T> {
+    pub(super) fn new(value: T) -> Self {
+        Self { poisoned: AtomicBool::new(false), value: RwLock::new(value) }
+    }
+
+    /// A call that reads what the argument `name` points to; `None` is NULL.
+    pub(super) fn read(handle: Option<&Self>, name: &str, body: impl FnOnce(&T) -> Result<()>) -> cophase_status {
+        Self::enter(handle, name, |value| body(&*value.try_read().map_err(refused)?))
+    }
+
+    /// A call that changes it.
+    pub(super) fn change(handle: Option<&Self>, name: &str, body: impl FnOnce(&mut T) -> Result<()>) -> cophase_status {
+        Self::enter(handle, name, |value| body(&mut *value.try_write().map_err(refused)?))
+    }
+
+    fn enter(handle: Option<&Self>, name: &str, body: impl FnOnce(&RwLock<T>) -> Result<()>) -> cophase_status {
+        let status = fence(|| match handle {
+            None => Err(Error::Argument(format!("{name} is NULL: a handle that its create call made is accepted"))),
+            Some(handle) if handle.poisoned.load(Ordering::Acquire) => Err(after_a_panic()),
+            Some(handle) => body(&handle.value),
+        });
+        if let (Some(handle), COPHASE_PANIC) = (handle, status) {
+            handle.poisoned.store(true, Ordering::Release);
+        }
+        status
+    }
+}
+
+fn after_a_panic() -> Error {
+    Error::Panic("an earlier call panicked, and this object can only be destroyed".into())
+}
+
+fn refused<G>(error: TryLockError<G>) -> Error {
+    match error {
+        TryLockError::WouldBlock => {
+            Error::Busy("the object is in use by another thread: one thread at a time is accepted".into())
+        }
+        TryLockError::Poisoned(_) => after_a_panic(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::cophase_last_error;
+    use super::super::status::*;
+    use super::*;
+
+    fn last() -> String {
+        let mut text = [0u8; 256];
+        let length = unsafe { cophase_last_error(text.as_mut_ptr().cast(), text.len()) };
+        String::from_utf8_lossy(&text[..length.min(255)]).into_owned()
+    }
+
+    #[test]
+    fn a_panic_is_caught_and_poisons_its_object_only() {
+        let never = |_: &u32| -> Result<()> { unreachable!("a poisoned object was handed out") };
+        for reading in [true, false] {
+            let (hit, other) = (Handle::new(1), Handle::new(2));
+            let panicked = if reading {
+                Handle::read(Some(&hit), "hit", |value| panic!("number {value}"))
+            } else {
+                Handle::change(Some(&hit), "hit", |value| panic!("number {value}"))
+            };
+            assert_eq!(panicked, COPHASE_PANIC);
+            assert_eq!(last(), "internal error, please report it: number 1");
+            assert_eq!(Handle::read(Some(&hit), "hit", never), COPHASE_PANIC);
+            assert!(last().ends_with("can only be destroyed"), "{}", last());
+            assert_eq!(Handle::change(Some(&hit), "hit", |value| never(value)), COPHASE_PANIC);
+            assert_eq!(Handle::read(Some(&other), "other", |_| Ok(())), COPHASE_OK);
+        }
+        assert_eq!(fence(|| std::panic::panic_any(7)), COPHASE_PANIC);
+    }
+
+    #[test]
+    fn failures_pass_and_leave_the_object_usable() {
+        let handle = Handle::new(1);
+        let failed = Handle::change(Some(&handle), "handle", |_| Err(Error::Shape("3 are not 4".into())));
+        assert_eq!((failed, last()), (COPHASE_BAD_SHAPE, "3 are not 4".into()));
+        assert_eq!(Handle::read(Some(&handle), "handle", |_| Ok(())), COPHASE_OK);
+        assert_eq!(Handle::<u32>::read(None, "handle", |_| Ok(())), COPHASE_BAD_ARGUMENT);
+        assert!(last().starts_with("handle is NULL"));
+    }
+
+    #[test]
+    fn readers_share_and_a_change_is_alone() {
+        let handle = Handle::new(1);
+        let nested = |outer_changes: bool, inner_changes: bool| {
+            let mut inner = COPHASE_OK;
+            let mut enter = || {
+                inner = std::thread::scope(|scope| {
+                    let call = || match inner_changes {
+                        true => Handle::change(Some(&handle), "handle", |_| Ok(())),
+                        false => Handle::read(Some(&handle), "handle", |_| Ok(())),
+                    };
+                    scope.spawn(call).join().unwrap()
+                });
+                Ok(())
+            };
+            let outer = match outer_changes {
+                true => Handle::change(Some(&handle), "handle", |_| enter()),
+                false => Handle::read(Some(&handle), "handle", |_| enter()),
+            };
+            (outer, inner)
+        };
+        assert_eq!(nested(false, false), (COPHASE_OK, COPHASE_OK));
+        assert_eq!(nested(false, true), (COPHASE_OK, COPHASE_BUSY));
+        assert_eq!(nested(true, false), (COPHASE_OK, COPHASE_BUSY));
+        assert_eq!(nested(true, true), (COPHASE_OK, COPHASE_BUSY));
+    }
+}

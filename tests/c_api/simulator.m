@@ -1,0 +1,58 @@
+% The simulator through the MATLAB package, under Octave; run by tests/c_api/main.rs, see there:
+%
+%   octave-cli simulator.m SCENE.toml FRAMES DUMP BINDINGS LIBRARY_DIRECTORY SCRATCH
+
+1; % a script, not a function of this file's name
+
+function must_fail(id, part, call)
+    try
+        call();
+    catch failure
+        assert(failure.identifier, ['cophase:' id]);
+        assert(~isempty(strfind(failure.message, part)), failure.message);
+        return
+    end
+    error('nothing was raised where cophase:%s was due', id);
+end
+
+[scene, frames, dump, bindings, libraries, scratch] = argv(){:};
+frames = str2double(frames);
+addpath(bindings, scratch);
+build(libraries, scratch);
+
+must_fail('BAD_SCENE', 'apertur', @() cophase.Simulator(sprintf('[pupil]\napertur = 3\n')));
+must_fail('BAD_SCENE', 'keck-onsky', @() cophase.preset('keck-onsy'));
+must_fail('BAD_VALUE', 'scene_text', @() cophase.Simulator(3));
+must_fail('BAD_ARGUMENT', 'no command', @() cophase_mex('stride', 1));
+must_fail('BAD_ARGUMENT', 'deleted', @() cophase_mex('frames', 99));
+assert(~isempty(strfind(cophase.preset('keck-onsky'), '[wavefront_sensor]')));
+
+s = cophase.Simulator(fileread(scene), '.');
+assert(mislocked('cophase_mex'));
+must_fail('BAD_VALUE', 'step first', @() s.image_e);
+must_fail('BAD_VALUE', 'frames is', @() s.step(-1));
+must_fail('BAD_VALUE', 'frames is', @() s.step(1.5));
+must_fail('BAD_VALUE', 'frames is', @() s.step(NaN));
+s.step();
+s.step(frames - 1);
+assert(s.frames, frames);
+assert(s.frame_s, 1 / 1054);
+assert(isnan(s.divergence_s));
+assert(s.residual_rms_nm > 0);
+assert(class(s.image_e), 'single');
+
+% MATLAB's memory has columns: transposed, it has the rows that the other languages dump.
+out = fopen(dump, 'w');
+for values = {s.slopes_mas, s.commands_nm, s.residual_nm.', s.image_e.', s.phasing_nm.', s.ncpa_nm.'}
+    fwrite(out, values{1}, 'single');
+end
+fclose(out);
+
+% Two at once, and each goes when it is deleted; a number that is stale finds nothing.
+t = cophase.Simulator(fileread(scene));
+delete(s);
+must_fail('BAD_ARGUMENT', 'deleted', @() s.frames);
+assert(t.frames, 0);
+delete(t);
+delete(t);
+assert(~mislocked('cophase_mex'));

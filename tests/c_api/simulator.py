@@ -1,0 +1,79 @@
+"""The simulator through the Python package; run by tests/c_api/main.rs, see there:
+
+    python3 simulator.py SCENE.toml FRAMES DUMP
+"""
+
+import sys
+import threading
+
+import cophase
+import numpy as np
+from cophase._library import check, lib, view
+
+
+def failure(call):
+    """The failure that ``call`` must raise."""
+    try:
+        call()
+    except cophase.Error as error:
+        return error
+    raise AssertionError("nothing was raised")
+
+
+def misuse():
+    bad = failure(lambda: cophase.Simulator("[pupil]\napertur = 3\n"))
+    assert bad.status == "BAD_SCENE" and "apertur" in str(bad), bad
+    assert failure(lambda: cophase.preset("keck-onsy")).status == "BAD_SCENE"
+    assert "[wavefront_sensor]" in cophase.preset("keck-onsky")
+    # The last failure is a thread's own.
+    seen = []
+    thread = threading.Thread(target=lambda: seen.append(str(failure(lambda: cophase.preset("ü")))))
+    thread.start()
+    thread.join()
+    assert "ü" in seen[0], seen
+
+
+def any_strides(simulator, image):
+    """Columns, reversed axes and windows are filled in place."""
+    n = len(image)
+    large = np.full((2, 3 * n, 2 * n + 1), np.float32(-1))
+    for out in (
+        np.empty((1, n, n), np.float32, order="F"),
+        np.empty((1, n, n), np.float32)[:, ::-1, ::-1],
+        np.empty((1, n, n), np.float32).transpose(0, 2, 1),
+        large[1:, 1 : 1 + n, 2 : 2 + 2 * n : 2],
+    ):
+        check(lib.cophase_simulator_image_e(simulator._handle, view(out)))
+        assert np.array_equal(out[0], image)
+    assert np.count_nonzero(large != -1) <= n * n
+    flat = np.broadcast_to(np.float32(0), (1, n, n))
+    refused = failure(lambda: check(lib.cophase_simulator_image_e(simulator._handle, view(flat))))
+    assert refused.status == "BAD_ARGUMENT" and "overlap" in str(refused), refused
+
+
+def main(scene, frames, dump):
+    misuse()
+    with open(scene, encoding="utf-8") as file:
+        simulator = cophase.Simulator(file.read(), directory=".")
+    early = failure(lambda: simulator.image_e)
+    assert early.status == "BAD_VALUE" and "step first" in str(early), early
+    simulator.step(int(frames))
+    assert simulator.frames == int(frames) and simulator.frame_s == 1 / 1054
+    assert simulator.divergence_s is None
+    # The weights differ only at the pupil's edge, on a few percent of the samples.
+    residual = simulator.residual_nm
+    assert abs(np.nanstd(residual) / simulator.residual_rms_nm - 1) < 0.1
+    image = simulator.image_e
+    any_strides(simulator, image)
+    truth = [simulator.phasing_nm, simulator.ncpa_nm]
+    with open(dump, "wb") as file:
+        for array in (simulator.slopes_mas, simulator.commands_nm, residual, image, *truth):
+            assert array.dtype == np.float32
+            file.write(array.tobytes())
+    with simulator:
+        pass
+    assert failure(lambda: simulator.step(1)).status == "BAD_ARGUMENT"
+    simulator.close()
+
+
+main(*sys.argv[1:])
