@@ -103,6 +103,12 @@ impl RowResult {
         self.runs().filter(|run| run.diverged_at_s.is_some()).count()
     }
 
+    /// How many of the loops diverged, in words; "-" without a loop.
+    fn fate(&self) -> String {
+        let loops = self.runs().count();
+        if loops == 0 { "-".into() } else { format!("{} of {loops}", self.diverged()) }
+    }
+
     fn runs(&self) -> impl Iterator<Item = &LoopRun> {
         self.draws.iter().filter_map(|draw| draw.run.as_ref())
     }
@@ -218,7 +224,7 @@ impl OnSky {
                 (if first.stable { "yes" } else { "no" }).into(),
                 Cell::Number(first.e_folding_s, 2),
                 Cell::Number(first.largest_stable_gain, 2),
-                format!("{} of {}", row.diverged(), row.draws.len()).as_str().into(),
+                row.fate().as_str().into(),
                 Cell::Number(of(|run| run.diverged_at_s.unwrap_or(f64::NAN)), 1),
                 Cell::Number(mean(&images), 0),
                 Cell::Number(of(|run| run.residual_rms_nm), 0),
@@ -240,6 +246,7 @@ impl OnSky {
             "its way here",
             "ours",
             "K Strehl",
+            "diverged",
         ]);
         for row in &self.rows {
             let mut cells = vec![row.row.method.into()];
@@ -248,7 +255,7 @@ impl OnSky {
                 let texts = [row.published(quantity)].into_iter().chain(here);
                 cells.extend(texts.map(Cell::Text));
             }
-            cells.push(Cell::Number(row.strehl(), 2));
+            cells.extend([Cell::Number(row.strehl(), 2), row.fate().as_str().into()]);
             table.push(cells);
         }
         table
@@ -388,7 +395,7 @@ mod tests {
     fn text_stands_side_by_side() {
         let text = OnSky { rows: vec![result()] }.side_by_side().text();
         assert!(text.contains("32.1 (50 %)") && text.contains("32.0 ± 2.8 (50 %)"), "{text}");
-        assert!(text.contains("26.0 ± 2.8 (64 %)") && text.contains("0.75"), "{text}");
+        assert!(text.contains("26.0 ± 2.8 (64 %)") && text.contains("0.75  1 of 2"), "{text}");
     }
 
     #[test]
