@@ -48,11 +48,11 @@ fn the_table_is_the_same_on_one_core_and_on_many() {
     let residual = |row: &cophase::reproduce::RowResult, way| row.residuals_nm(way).map(|values| values[0]);
     assert!(residual(inside, Way::Paper).iter().all(|nm| (1.0..16.0).contains(nm)));
     assert!(residual(inside, Way::Ours).iter().all(|nm| (0.03..0.3).contains(nm)));
-    // Behind a loop four images leave some 20/√4 nm of turbulence in phasing and twice that in NCPA, and what the loop
-    // made of the segments (25 nm): less than the 64 and 73 nm that were put in.
+    // Behind this loop one image leaves 146 ± 33 nm in phasing and 163 ± 21 in NCPA the paper's way (30 images of 3
+    // minutes), two 105 ± 19 and 121 ± 16. Four, taken within 0.15 s, are worth about two: less than one leaves.
     for way in Way::BOTH {
         let [phasing, ncpa] = residual(behind, way);
-        assert!((5.0..64.0).contains(&phasing) && (5.0..73.0).contains(&ncpa), "{way:?} {phasing} {ncpa}");
+        assert!((5.0..146.0).contains(&phasing) && (5.0..163.0).contains(&ncpa), "{way:?} {phasing} {ncpa}");
     }
     // A bright star and a loop of 1 kHz: the paper's 0.79, less what a mask costs.
     assert!((0.6..0.9).contains(&behind.strehl()), "{}", behind.strehl());
@@ -64,7 +64,9 @@ fn a_loop_that_is_lost_before_the_first_image_leaves_an_empty_line() {
     let mut conditions = short("2");
     conditions.settings.extend([("control.lag_frames", "5"), ("control.gain", "1")]);
     let done = AtomicUsize::new(0);
-    let watch = |now: usize, _: usize| drop(done.fetch_max(now, Ordering::Relaxed));
+    let watch = |now: usize, _: usize| {
+        done.fetch_max(now, Ordering::Relaxed);
+    };
     let made = on_sky(&[row("zonal")], &conditions, 1, &Progress::new(&watch, None)).unwrap();
     // Whoever waits sees the end.
     assert_eq!(done.load(Ordering::Relaxed), 4);
@@ -83,7 +85,7 @@ fn more_images_say_more() {
     for point in &made.points {
         assert_eq!(point.residuals_nm.len(), 10 / point.images, "{point:?}");
     }
-    // Ten images half a second apart halve the turbulence of one at least (1/√10, and the static part remains).
+    // Ten images over half a second are some three of turbulence that has changed: 0.6, and the static part remains.
     let ncpa = |images: usize| {
         let point = made.points.iter().find(|point| point.images == images && point.row == "pol-mask-inpaint").unwrap();
         point.residuals_nm.iter().map(|nm| nm[1]).sum::<f64>() / point.residuals_nm.len() as f64

@@ -15,7 +15,7 @@ const COUNTS: [usize; 9] = [1, 2, 5, 10, 20, 40, 75, 120, 200];
 const LOOPS: [&str; 2] = ["pol-mask-inpaint", "zonal"];
 /// Most sets of a number of images that are taken from one sequence.
 const MOST_SETS: usize = 10;
-/// How images are combined, and the word for it.
+/// How images are combined.
 const COMBINES: [Combine; 3] = [Combine::Mean, Combine::Median, Combine::ClippedMean];
 
 /// What the paper says in numbers: row, images, phasing and NCPA of the mean, nm (Table 2, and section 4.5 for 75).
@@ -153,6 +153,30 @@ impl ImageNumbers {
         table
     }
 
+    /// One line a loop and a number, phasing / NCPA, for a reader.
+    pub fn side_by_side(&self) -> Table {
+        let mut table =
+            Table::new(&["row", "images", "paper", "its way: mean", "median", "clipped mean", "ours: clipped mean"]);
+        let columns = [
+            (Way::Paper, Combine::Mean),
+            (Way::Paper, Combine::Median),
+            (Way::Paper, Combine::ClippedMean),
+            (Way::Ours, Combine::ClippedMean),
+        ];
+        for point in self.points.iter().filter(|point| (point.way, point.combine) == columns[0]) {
+            let here = columns.map(|(way, combine)| {
+                let found = self.points.iter().find(|other| {
+                    (other.row, other.images, other.way, other.combine) == (point.row, point.images, way, combine)
+                });
+                shown(found.map_or([f64::NAN; 2], |found| [0, 1].map(|quantity| mean(&found.of(quantity)))))
+            });
+            let paper = shown(published(point.row, point.images));
+            let texts = [paper].into_iter().chain(here).map(Cell::Text);
+            table.push([point.row.into(), point.images.into()].into_iter().chain(texts).collect());
+        }
+        table
+    }
+
     /// Both quantities behind one loop: mean, median and clipped mean the paper's way, clipped mean ours.
     pub fn picture(&self, row: &str) -> CurvePicture {
         let mut series = Vec::new();
@@ -203,9 +227,8 @@ impl ImageNumbers {
         for (path, row) in files[1..].iter().zip(LOOPS) {
             self.picture(row).draw(path)?;
         }
-        let text = "Residual against the number of images, nm RMS (mean and scatter over sets of images and seeds)\n"
-            .to_string()
-            + &self.table().text();
+        let text = "Residual against the number of images: phasing / NCPA, nm RMS, mean over sets of images and seeds\n"
+            .to_string() + &self.side_by_side().text();
         Ok(Report { text, files: files.to_vec() })
     }
 }
@@ -213,6 +236,12 @@ impl ImageNumbers {
 fn published(row: &str, images: usize) -> [f64; 2] {
     let known = PUBLISHED_NM.iter().find(|(name, count, _)| (*name, *count) == (row, images));
     known.map_or([f64::NAN; 2], |(.., nm)| *nm)
+}
+
+/// Phasing / NCPA.
+fn shown([phasing_nm, ncpa_nm]: [f64; 2]) -> String {
+    let one = |nm: f64| if nm.is_nan() { "-".to_string() } else { format!("{nm:.1}") };
+    format!("{} / {}", one(phasing_nm), one(ncpa_nm))
 }
 
 #[cfg(test)]
@@ -234,6 +263,21 @@ mod tests {
         }
         assert_eq!(spread(200, 1, 0, 1), [100]);
         assert_eq!(spread(4, 2, 1, 2), [1, 3]);
+    }
+
+    #[test]
+    fn text_has_a_line_for_each_number() {
+        let point = |combine, residuals_nm: &[[f64; 2]]| ImageNumber {
+            row: "zonal",
+            way: Way::Paper,
+            combine,
+            images: 200,
+            residuals_nm: residuals_nm.to_vec(),
+        };
+        let points = vec![point(Combine::Mean, &[[30.0, 20.0], [34.0, 24.0]]), point(Combine::Median, &[])];
+        let text = ImageNumbers { points }.side_by_side().text();
+        assert!(text.contains("32.1 / 25.7  32.0 / 22.0    - / -"), "{text}");
+        assert_eq!(text.trim_end().lines().count(), 2, "{text}");
     }
 
     #[test]
