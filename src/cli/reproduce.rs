@@ -8,7 +8,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
-  cophase reproduce table -o results                        the paper's Table 2: ten minutes on two cores
+  cophase reproduce table -o results                        the paper's table: some six minutes
   cophase reproduce artificial-source -o results            24 draws: a few minutes
   cophase reproduce diversity -o results --seeds 3
   cophase reproduce all -o results --quick                  a look at the shapes";

@@ -111,7 +111,7 @@ impl Target {
 
     /// Draws at each point unless the caller names a number: enough for the mean residual to be known to 10 %
     /// (the paper's way scatters by 40 % from draw to draw), and for a quarter of an hour on two cores; behind a loop
-    /// 3, which scatter by some 10 %, for 10 minutes.
+    /// 3, which scatter by some 10 %, for six minutes.
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource => 24,

@@ -130,9 +130,9 @@ impl RowResult {
     /// Mean and scatter of one quantity (0: phasing, 1: NCPA) with its reduction, as a reader wants it.
     fn shown(&self, way: Way, quantity: usize) -> String {
         let values = &self.residuals_nm(way)[quantity];
-        let scatter = standard_deviation(values);
-        let scatter = if scatter.is_nan() { String::new() } else { format!(" ± {scatter:.1}") };
         let digits = if mean(values) < 1.0 { 2 } else { 1 };
+        let scatter = standard_deviation(values);
+        let scatter = if scatter.is_nan() { String::new() } else { format!(" ± {scatter:.digits$}") };
         with_percent(mean(values), format!("{:.digits$}{scatter}", mean(values)), self.input_nm[quantity])
     }
 
