@@ -21,7 +21,10 @@ Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or
 that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
 the read noise, unless --set image.read_noise_e says otherwise.
 
---json prints: images, used, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, reduced_chi2, \
+Eight images or more are judged by one another: their error bars are from the scatter between them, and the clipped \
+mean (the default; --set estimate.combine=mean or median) leaves outliers out.
+
+--json prints: images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, reduced_chi2, \
 evaluations (of the objective, all images together), device, precision, status (the worst of the images': ok, misfit, \
 wrong-minimum, not-converged, unusable).";
 
@@ -49,8 +52,8 @@ pub struct Arguments {
     /// Precision of the imaging model
     #[arg(long, value_parser = ["f64", "f32"])]
     precision: Option<String>,
-    /// Ours (gauss-newton), or the paper's method as a whole (bfgs)
-    #[arg(long, value_parser = ["gauss-newton", "bfgs"])]
+    /// Ours (gauss-newton), the paper's method as a whole (bfgs), or its objective with our optimiser (paper)
+    #[arg(long, value_parser = ["gauss-newton", "bfgs", "paper"])]
     optimizer: Option<String>,
     /// The estimator: static modes, fitted image by image
     #[arg(long, value_parser = ["modal"])]

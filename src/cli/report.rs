@@ -3,6 +3,7 @@
 use super::figures::Row;
 use cophase::estimate::{Estimate, ImageReport, Model, Status};
 use cophase::io::Images;
+use cophase::scene::Combine;
 use serde::Serialize;
 
 /// Images named one by one in a warning; the others are counted.
@@ -20,6 +21,8 @@ pub fn counted(count: usize, noun: &str) -> String {
 pub struct Summary {
     images: usize,
     used: usize,
+    clipped: usize,
+    combine: &'static str,
     seconds: f64,
     phasing_rms_nm: f64,
     ncpa_rms_nm: f64,
@@ -37,6 +40,8 @@ impl Summary {
         Self {
             images: estimate.images.len(),
             used: estimate.used(),
+            clipped: estimate.clipped_images.len(),
+            combine: estimate.combine.word(),
             seconds: estimate.seconds,
             phasing_rms_nm: phasing.rms_nm,
             ncpa_rms_nm: ncpa.rms_nm,
@@ -59,9 +64,8 @@ fn evaluations(estimate: &Estimate) -> usize {
 pub fn table(name: &str, model: &Model, estimate: &Estimate, rows: &[Row; 3], model_s: f64) -> String {
     let modes = model.basis.len();
     let mut text = format!(
-        "{name}: {} of {} used, {modes} modes ({} of the segments, {} of the NCPA)\n\n",
-        estimate.used(),
-        counted(estimate.images.len(), "image"),
+        "{name}: {}, {modes} modes ({} of the segments, {} of the NCPA)\n\n",
+        combination(estimate),
         model.segment_modes,
         modes - model.segment_modes
     );
@@ -74,14 +78,33 @@ pub fn table(name: &str, model: &Model, estimate: &Estimate, rows: &[Row; 3], mo
     }
     let masked: usize = estimate.images.iter().map(|image| image.bad_pixels).sum();
     let masked = if masked > 0 { format!(", {} masked", counted(masked, "pixel")) } else { String::new() };
+    let error_bars = if estimate.is_sequence() { " Error bars from the scatter between images." } else { "" };
     text + &format!(
-        "\nRMS over the pupil, tip and tilt removed. Reduced χ² {:.3}{masked}.\n{} in {:.2} s on {} in {}; the model took {model_s:.2} s.\n",
+        "\nRMS over the pupil, tip and tilt removed. Reduced χ² {:.3}{masked}.{error_bars}\n{} in {:.2} s on {} in {}; the model took {model_s:.2} s.\n",
         estimate.reduced_chi2(),
         counted(evaluations(estimate), "evaluation"),
         estimate.seconds,
         estimate.device,
         estimate.precision,
     )
+}
+
+/// How many images became the estimate, and how.
+fn combination(estimate: &Estimate) -> String {
+    let all = counted(estimate.images.len(), "image");
+    let used = estimate.used();
+    if estimate.images.len() == 1 {
+        return format!("{used} of {all} used");
+    }
+    let how = match estimate.combine {
+        Combine::Median => "median",
+        Combine::ClippedMean if estimate.is_sequence() => "clipped mean",
+        Combine::Mean | Combine::ClippedMean => "mean",
+    };
+    match estimate.clipped_images.len() {
+        0 => format!("{how} of {used} of {all}"),
+        clipped => format!("{how} of {used} of {all} ({clipped} clipped)"),
+    }
 }
 
 /// What a person should know of the file that was read.
@@ -97,7 +120,14 @@ pub fn file_warnings(name: &str, images: &Images) -> Vec<String> {
 /// What a person should know of the estimate.
 pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
     let mut sentences: Vec<String> = Vec::new();
+    let together = about_sequence(estimate);
     for word in ["unusable", "not-converged", "wrong-minimum", "misfit"] {
+        if word == "misfit"
+            && let Some(sentence) = &together
+        {
+            sentences.push(format!("{name}: {sentence}"));
+            continue;
+        }
         let concerned: Vec<(usize, &ImageReport)> =
             estimate.images.iter().enumerate().filter(|(_, image)| image.status.word() == word).collect();
         let several = estimate.images.len() > 1;
@@ -123,6 +153,21 @@ pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
         sentences.push(format!("the images do not see this direction at all, and 0 is reported for it: {direction}"));
     }
     sentences
+}
+
+/// What holds for a sequence as a whole, said once: that its typical image misfits.
+fn about_sequence(estimate: &Estimate) -> Option<String> {
+    let misfits = estimate.images.iter().filter(|image| image.status == Status::Misfit).count();
+    if !estimate.is_sequence() || 2 * misfits <= estimate.used() {
+        return None;
+    }
+    let chi2 = estimate.reduced_chi2();
+    Some(format!(
+        "the residual is {:.1} times the noise in the typical image (median reduced χ² {chi2:.1}): a wavefront that \
+         changes from image to image and that the modes do not span, as behind adaptive optics, or a scene that differs \
+         from the instrument; error bars are from the scatter between images, and do not know what all images share",
+        chi2.sqrt()
+    ))
 }
 
 fn about_image(image: &ImageReport, used: bool) -> Option<String> {

@@ -3,7 +3,6 @@
 use super::{Estimate, Estimator};
 use crate::Result;
 use crate::io::{Column, FitsWriter, Pixel};
-use crate::scene::Optimizer;
 use ndarray::Array2;
 use std::path::Path;
 
@@ -13,17 +12,15 @@ use std::path::Path;
 /// [`crate::Error::File`] where the file cannot be written.
 pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate, truth: Option<[&Array2<f64>; 2]>) -> Result<()> {
     let mut file = FitsWriter::create(path)?;
-    let optimizer = match estimator.recipe().optimizer {
-        Optimizer::GaussNewton => "gauss-newton",
-        Optimizer::Bfgs => "bfgs",
-    };
     file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
     file.card("PRIMARY", "DEVICE", estimate.device.as_str(), "where the fit ran")?;
     file.card("PRIMARY", "PRECISIO", estimate.precision, "precision of the imaging chain")?;
-    file.card("PRIMARY", "OPTIMIZE", optimizer, "optimizer")?;
+    file.card("PRIMARY", "OPTIMIZE", estimator.recipe().optimizer.word(), "optimizer")?;
     file.card("PRIMARY", "ELAPSED", estimate.seconds, "seconds for the estimate")?;
     file.card("PRIMARY", "NIMAGES", estimate.images.len() as i64, "images read")?;
     file.card("PRIMARY", "NUSED", estimate.used() as i64, "images used")?;
+    file.card("PRIMARY", "NCLIPPED", estimate.clipped_images.len() as i64, "images that the clipped mean left out")?;
+    file.card("PRIMARY", "COMBINE", estimate.combine.word(), "how images were combined")?;
     file.card("PRIMARY", "CHI2", estimate.reduced_chi2(), "median reduced chi-square")?;
     let wavefront = &estimate.phasing_nm + &estimate.ncpa_nm;
     for (name, map) in [
@@ -61,6 +58,7 @@ pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate, truth: Opt
             Column::f64("BACKGROUND_E", "electron", numbers(&|image| image.background_e)),
             Column::f64("TIP_NM", "nm", numbers(&|image| image.tip_tilt_nm[0])),
             Column::f64("TILT_NM", "nm", numbers(&|image| image.tip_tilt_nm[1])),
+            Column::i64("USED", (0..images.len()).map(|i| i64::from(estimate.used_images.contains(&i))).collect()),
         ],
     )?;
     file.image("COEFFICIENTS", &estimate.image_coefficients_nm, Pixel::F64, "nm")?;

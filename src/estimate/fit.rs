@@ -7,16 +7,17 @@ use super::prepare::Prepared;
 use super::recipe::Recipe;
 use crate::imaging::{Chain, CpuChain, Exposure, Photometry, Precision};
 use crate::optimize::{
-    ArgminBfgs, CancelFlag, Metric, Outcome, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings,
-    StopReason,
+    ArgminBfgs, CancelFlag, Metric, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings, StopReason,
 };
 use crate::scene::{Optimizer, Weighting};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The minimum of one image.
+#[derive(Clone)]
 pub(super) struct Minimum {
     pub(super) coefficients_nm: Vec<f64>,
     pub(super) flux_e: f64,
@@ -60,7 +61,7 @@ impl Fitter<'_> {
         chain.load(&exposures)?;
         match self.recipe.optimizer {
             Optimizer::Bfgs => self.paper(chain, exposures, watch),
-            Optimizer::GaussNewton => self.lock_step(chain, prepared, exposures, watch),
+            Optimizer::GaussNewton | Optimizer::Paper => self.lock_step(chain, prepared, exposures, watch),
         }
     }
 
@@ -119,25 +120,28 @@ impl Fitter<'_> {
                 row.assign(&ArrayView1::from(runners[image].solver.ask()));
             }
             let evaluations = chain.evaluate(&active, points.view())?;
-            let mut going = Vec::with_capacity(active.len());
+            let (mut going, mut ended) = (Vec::with_capacity(active.len()), Vec::new());
             for (&image, evaluation) in active.iter().zip(&evaluations) {
-                let runner = &mut runners[image];
-                let progress = runner.solver.tell(evaluation.objective, &evaluation.gradient);
-                if progress == Progress::Continue {
-                    going.push(image);
-                    continue;
+                let solver = &mut runners[image].solver;
+                match solver.tell(evaluation.objective, &evaluation.gradient) {
+                    Progress::Continue => going.push(image),
+                    Progress::Done => {
+                        stop_if_cancelled(solver.outcome().reason, count - active.len(), count)?;
+                        ended.push(image);
+                    }
                 }
-                let outcome = runner.solver.outcome();
-                stop_if_cancelled(outcome.reason, count - active.len(), count)?;
+            }
+            let psf = |&image: &usize| self.judge.psf(ArrayView1::from(&runners[image].solver.outcome().x));
+            let psfs: Vec<Vec<f64>> = ended.par_iter().map(psf).collect();
+            for (&image, psf) in ended.iter().zip(&psfs) {
+                let (runner, exposure) = (&mut runners[image], &mut exposures[image]);
+                (runner.flux_e, runner.background_e) = photometry(exposure, psf);
                 let again =
                     self.recipe.weighting == Weighting::Noise && runner.unsettled(self.recipe.step_tolerance_nm);
-                let (psf, best) = at(self.judge, outcome);
-                let exposure = &mut exposures[image];
-                (runner.flux_e, runner.background_e) = photometry(exposure, &psf);
-                if !(again && best) {
+                if !(again && runner.solver.outcome().reason.converged()) {
                     continue;
                 }
-                exposure.weight = weights(&psf, runner.flux_e, runner.background_e, &prepared[image].floor_variance_e2);
+                exposure.weight = weights(psf, runner.flux_e, runner.background_e, &prepared[image].floor_variance_e2);
                 chain.replace(image, exposure)?;
                 runner.reweightings += 1;
                 runner.weighted_at = runner.solver.outcome().x.clone();
@@ -240,11 +244,6 @@ impl Runner {
         let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
         self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > step_tolerance_nm)
     }
-}
-
-/// The PSF at the best point, and whether the run got there by converging.
-fn at(judge: &CpuChain<f64>, outcome: &Outcome) -> (Vec<f64>, bool) {
-    (judge.psf(ArrayView1::from(&outcome.x)), outcome.reason.converged())
 }
 
 fn settings(model: &Model, recipe: &Recipe, precision: Precision, cancel: Option<&CancelFlag>) -> Settings {

@@ -14,24 +14,28 @@ mod fisher;
 mod fit;
 mod mode_set;
 mod model;
+mod pistons;
 mod plan;
 mod prepare;
 mod recipe;
 mod select;
+mod sequence;
 mod spread;
+mod status;
 
-pub use combine::{Combined, Estimate, ImageReport, Status};
+pub use combine::{Combination, Combined, Estimate};
 pub use file::write;
 pub use fit::Watch;
 use mode_set::OwnBasis;
 pub use model::Model;
 pub use prepare::{Frame, Preparation, Prepared};
 pub use recipe::Recipe;
-pub use select::{Cube, read};
+pub use select::{Cube, Open, read};
+pub use status::{ImageReport, Status};
 
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
-use crate::scene::Scene;
+use crate::scene::{Combine, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
 use rayon::prelude::*;
@@ -43,6 +47,16 @@ pub struct Estimator {
     model: Model,
     /// The f64 CPU chain: metric, weights, χ² and error bars come from it whatever chain fits.
     judge: CpuChain<f64>,
+}
+
+/// The minima of a cube.
+struct Fitted {
+    /// Why an image could not be used, for each.
+    refused: Vec<Option<Error>>,
+    /// The images that could.
+    indices: Vec<usize>,
+    prepared: Vec<Prepared>,
+    minima: Vec<fit::Minimum>,
 }
 
 impl Estimator {
@@ -107,31 +121,9 @@ impl Estimator {
         watch: &mut Watch,
     ) -> Result<Estimate> {
         let started = std::time::Instant::now();
-        let read_noise_e = read_noise_e.unwrap_or(self.scene.image.read_noise_e);
-        let prepare = |(data_e, bad)| self.model.preparation.prepare(Frame { data_e, bad, read_noise_e }, &self.recipe);
-        let frames = images_e.outer_iter().zip(bad.outer_iter());
-        let frames: Vec<_> = frames.collect();
-        let prepared: Vec<Result<Prepared>> = frames.into_par_iter().map(prepare).collect();
-        let mut usable = Vec::new();
-        let mut first_error = None;
-        for (image, prepared) in prepared.iter().enumerate() {
-            match prepared {
-                Ok(prepared) => usable.push((image, prepared.clone())),
-                // A wrong size is the same for all: say it, rather than once per image.
-                Err(error @ Error::Shape(_)) => return Err(error.clone()),
-                Err(error) => {
-                    first_error.get_or_insert(error.clone());
-                }
-            }
-        }
-        if usable.is_empty() {
-            return Err(first_error.unwrap_or_else(|| Error::Image("there is no image to estimate from".into())));
-        }
-        let (indices, ready): (Vec<usize>, Vec<Prepared>) = usable.into_iter().unzip();
-        let fitter = fit::Fitter { model: &self.model, judge: &self.judge, recipe: &self.recipe, cancel };
-        let minima = fitter.fit(chain, &ready, watch)?;
-        let refused = prepared.into_iter().map(|prepared| prepared.err()).collect();
-        let mut estimate = combine::combine(self, refused, &indices, &ready, minima)?;
+        let cube = Cube { images_e, bad, read_noise_e };
+        let Fitted { refused, indices, prepared, minima } = self.fitted(chain, cube, cancel, watch)?;
+        let mut estimate = combine::combine(self, refused, &indices, &prepared, minima)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();
         estimate.precision = match chain.precision() {
@@ -139,6 +131,47 @@ impl Estimator {
             Precision::F64 => "f64",
         };
         Ok(estimate)
+    }
+
+    /// Prepares and fits every image.
+    fn fitted(&self, chain: &mut Chain, cube: Cube, cancel: Option<&CancelFlag>, watch: &mut Watch) -> Result<Fitted> {
+        let read_noise_e = cube.read_noise_e.unwrap_or(self.scene.image.read_noise_e);
+        let prepare = |(data_e, bad)| self.model.preparation.prepare(Frame { data_e, bad, read_noise_e }, &self.recipe);
+        let frames: Vec<_> = cube.images_e.outer_iter().zip(cube.bad.outer_iter()).collect();
+        let outcomes: Vec<Result<Prepared>> = frames.into_par_iter().map(prepare).collect();
+        let (mut refused, mut indices, mut prepared) = (Vec::new(), Vec::new(), Vec::new());
+        for (image, outcome) in outcomes.into_iter().enumerate() {
+            match outcome {
+                Ok(ready) => {
+                    refused.push(None);
+                    indices.push(image);
+                    prepared.push(ready);
+                }
+                // A wrong size is the same for all: say it, rather than once per image.
+                Err(error @ Error::Shape(_)) => return Err(error),
+                Err(error) => refused.push(Some(error)),
+            }
+        }
+        if prepared.is_empty() {
+            let first = refused.into_iter().flatten().next();
+            return Err(first.unwrap_or_else(|| Error::Image("there is no image to estimate from".into())));
+        }
+        let fitter = fit::Fitter { model: &self.model, judge: &self.judge, recipe: &self.recipe, cancel };
+        let minima = fitter.fit(chain, &prepared, watch)?;
+        Ok(Fitted { refused, indices, prepared, minima })
+    }
+
+    /// Combines some images of `estimate` (which this estimator made) anew, without fitting them again: for a study of
+    /// the number of images, or another way to combine them.
+    ///
+    /// The images are taken as if there were no others, by the rules of [`Combine`] and [`Status`]; only the error bars
+    /// of fewer than eight are those of the whole estimate's scatter, over the root of their number.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for an image that is not there, [`Error::Image`] where none of them was fitted, [`Error::Shape`]
+    /// for an estimate of another model.
+    pub fn combine_subset(&self, estimate: &Estimate, images: &[usize], how: Combine) -> Result<Combination> {
+        combine::subset(self, estimate, images, how)
     }
 
     /// The variance that each mode would have at best, nm² (Cramér-Rao), for one image of a star of `flux_e` with the
@@ -157,6 +190,7 @@ impl Estimator {
             (false, _) => crate::imaging::Photometry::Fixed { flux_e, background_e },
         };
         let sensitivity = fisher::Sensitivity::at(&self.judge, coefficients_nm, flux_e, &weight, photometry);
-        combine::about_mean_piston(&self.model, sensitivity.covariance(&sensitivity.fisher(), None)?)
+        let covariance_nm2 = sensitivity.covariance(&sensitivity.fisher(), None)?;
+        Ok(pistons::Pistons::of(&self.model)?.centred(&covariance_nm2))
     }
 }

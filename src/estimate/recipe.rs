@@ -1,6 +1,6 @@
 //! How a fit is done: the paper's way or ours, with whatever the scene changes.
 
-use crate::scene::{Optimizer, PupilModel, Sampling, Scene, Weighting, Zernikes};
+use crate::scene::{Combine, Optimizer, PupilModel, Sampling, Scene, Weighting, Zernikes};
 
 /// Tip, tilt and focus: what every optic does.
 const NARROW: Zernikes = Zernikes::Span { first: 2, last: 4 };
@@ -33,6 +33,8 @@ pub struct Recipe {
     pub max_evaluations: usize,
     /// The fit stops where no coefficient would move by more than this.
     pub step_tolerance_nm: f64,
+    /// How the images become one estimate.
+    pub combine: Combine,
 }
 
 impl Recipe {
@@ -41,12 +43,23 @@ impl Recipe {
     /// `optimizer = "bfgs"` is the paper's method as a whole: a hard-edged pupil of grey samples, the scene's own modes
     /// and no others, an unweighted objective with the flux fixed to the image's sum and no background, the whole image
     /// at Nyquist sampling, BFGS from zero. Ours weighs by the noise, fits flux and background, samples the pupil with
-    /// band-limited weights, crops to the signal, and estimates low Zernikes exactly.
+    /// band-limited weights, crops to the signal, and estimates low Zernikes exactly. `"paper"` is the paper's but for
+    /// the optimiser, which is ours.
     pub fn of(scene: &Scene) -> Self {
-        let ours = scene.estimate.optimizer == Optimizer::GaussNewton;
+        Self::with_optimizer(scene, scene.estimate.optimizer)
+    }
+
+    /// The paper's objective with our optimiser, whatever optimiser `scene` names; what else the scene says of the fit
+    /// holds.
+    pub fn paper_objective(scene: &Scene) -> Self {
+        Self::with_optimizer(scene, Optimizer::Paper)
+    }
+
+    fn with_optimizer(scene: &Scene, optimizer: Optimizer) -> Self {
+        let ours = optimizer == Optimizer::GaussNewton;
         let estimate = &scene.estimate;
         Self {
-            optimizer: estimate.optimizer,
+            optimizer,
             weighting: estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None }),
             fit_flux: estimate.fit_flux.unwrap_or(ours),
             fit_background: estimate.fit_background.unwrap_or(ours),
@@ -60,8 +73,9 @@ impl Recipe {
             },
             exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(WIDE) } else { Zernikes::None },
             // The paper's way needs 130 to 400; ours about 15.
-            max_evaluations: estimate.max_evaluations.unwrap_or(if ours { 200 } else { 2000 }),
+            max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
             step_tolerance_nm: estimate.step_tolerance_nm.unwrap_or(1e-3),
+            combine: estimate.combine.unwrap_or(if ours { Combine::ClippedMean } else { Combine::Mean }),
         }
     }
 

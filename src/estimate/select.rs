@@ -2,11 +2,11 @@
 
 use super::mode_set::OwnBasis;
 use super::{Estimate, Estimator, Recipe, Watch};
-use crate::Result;
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
 use crate::scene::{Sampling, Scene};
-use ndarray::ArrayView3;
+use crate::{Error, Result};
+use ndarray::{ArrayView3, Axis};
 
 /// Images as they were read.
 #[derive(Debug, Clone, Copy)]
@@ -19,6 +19,9 @@ pub struct Cube<'a> {
     pub read_noise_e: Option<f64>,
 }
 
+/// Makes the chain for an estimator's model.
+pub type Open<'a> = dyn FnMut(&Estimator) -> Result<Chain> + 'a;
+
 /// Reduced χ² up to which a basis is taken to explain the images. Over 9,000 pixels its scatter is 0.015; the sampling
 /// of the pupil leaves up to 0.1 at the bright end.
 const EXPLAINED: f64 = 1.1;
@@ -26,41 +29,86 @@ const EXPLAINED: f64 = 1.1;
 /// (0.2 % over 9,000 pixels).
 const WORTH_IT: f64 = 0.97;
 
+/// Longest sequence of which every image is fitted in every basis.
+const SHORT: usize = 12;
+/// Images that choose the basis of a longer one: the median of six knows χ² to a few per cent where turbulence rules it,
+/// and the two bases are compared on the same images.
+const PILOTS: usize = 6;
+
 /// Estimates the static wavefront behind `cube` with the smallest basis of [`Recipe::ladder`] that explains it, on the
-/// chain that `open` makes for a model. Frames with bad pixels are compared at their native sampling: a reduction would
-/// smear them.
+/// chain that `open` makes for a model. Of a sequence of more than twelve images, six spread over it choose the basis.
+/// Frames with bad pixels are compared at their native sampling: a reduction would smear them.
 ///
 /// # Errors
 /// Those of [`Estimator::new`], of [`Estimator::estimate`] and of `open`.
 pub fn read(
     scene: &Scene,
     cube: Cube,
-    open: &mut dyn FnMut(&Estimator) -> Result<Chain>,
+    open: &mut Open,
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(Estimator, Estimate)> {
-    let native = scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad);
-    let mut best: Option<(Estimator, Estimate)> = None;
-    let mut seconds = 0.0;
-    let own = OwnBasis::default();
-    for recipe in Recipe::ladder(scene) {
-        let estimator = Estimator::with_own_basis(scene, recipe, native, &own)?;
-        let mut chain = open(&estimator)?;
-        let (images_e, bad) = (cube.images_e, cube.bad);
-        let mut estimate = estimator.estimate(&mut chain, images_e, bad, cube.read_noise_e, cancel, watch)?;
-        seconds += estimate.seconds;
-        let chi2 = estimate.reduced_chi2();
-        // A comparison with NaN is false: whatever cannot be judged does not displace what can.
-        let better = best.as_ref().is_none_or(|(_, smaller)| chi2 < WORTH_IT * smaller.reduced_chi2());
-        if better {
-            estimate.seconds = seconds;
-            best = Some((estimator, estimate));
-        }
-        if chi2 <= EXPLAINED {
-            break;
+    let ladder = Ladder { scene, recipes: Recipe::ladder(scene), cancel };
+    let count = cube.images_e.dim().0;
+    if count > SHORT && ladder.recipes.len() > 1 {
+        // In the middles of equal parts of the sequence.
+        let at: Vec<usize> = (0..PILOTS).map(|i| (2 * i + 1) * count / (2 * PILOTS)).collect();
+        let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
+        let pilots = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
+        let native = ladder.native(cube);
+        // Pilots are not what the caller waits for.
+        match ladder.climb(pilots, native, open, &mut |_, _| {}) {
+            Ok((estimator, chosen)) => {
+                let mut estimate = ladder.fit(&estimator, cube, open, watch)?;
+                estimate.seconds += chosen.seconds;
+                return Ok((estimator, estimate));
+            }
+            // Not one of them can be used: all choose.
+            Err(Error::Image(_)) => {}
+            Err(error) => return Err(error),
         }
     }
-    let (estimator, mut estimate) = best.ok_or_else(|| crate::Error::Internal("no recipe was tried".into()))?;
-    estimate.seconds = seconds;
-    Ok((estimator, estimate))
+    ladder.climb(cube, ladder.native(cube), open, watch)
+}
+
+/// The recipes to choose from.
+struct Ladder<'a> {
+    scene: &'a Scene,
+    recipes: Vec<Recipe>,
+    cancel: Option<&'a CancelFlag>,
+}
+
+impl Ladder<'_> {
+    fn native(&self, cube: Cube) -> bool {
+        self.scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad)
+    }
+
+    fn fit(&self, estimator: &Estimator, cube: Cube, open: &mut Open, watch: &mut Watch) -> Result<Estimate> {
+        let mut chain = open(estimator)?;
+        estimator.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, self.cancel, watch)
+    }
+
+    /// The estimate in the smallest basis that explains the images.
+    fn climb(&self, cube: Cube, native: bool, open: &mut Open, watch: &mut Watch) -> Result<(Estimator, Estimate)> {
+        let own = OwnBasis::default();
+        let mut best: Option<(Estimator, Estimate)> = None;
+        let mut seconds = 0.0;
+        for recipe in &self.recipes {
+            let estimator = Estimator::with_own_basis(self.scene, recipe.clone(), native, &own)?;
+            let estimate = self.fit(&estimator, cube, open, watch)?;
+            seconds += estimate.seconds;
+            let chi2 = estimate.typical_chi2();
+            // A comparison with NaN is false: whatever cannot be judged does not displace what can.
+            let better = best.as_ref().is_none_or(|(_, smaller)| chi2 < WORTH_IT * smaller.typical_chi2());
+            if better {
+                best = Some((estimator, estimate));
+            }
+            if chi2 <= EXPLAINED {
+                break;
+            }
+        }
+        let (estimator, mut estimate) = best.ok_or_else(|| Error::Internal("no recipe was tried".into()))?;
+        estimate.seconds = seconds;
+        Ok((estimator, estimate))
+    }
 }

@@ -2,9 +2,9 @@
 //! matrix, which costs as much as a hundred evaluations.
 
 use super::Estimator;
-use super::combine::about_mean_piston;
 use super::fisher::Sensitivity;
 use super::fit::Minimum;
+use super::pistons::Pistons;
 use super::prepare::Prepared;
 use crate::Result;
 use crate::scene::Weighting;
@@ -53,6 +53,7 @@ impl Spread {
                 heads.push(image);
             }
         }
+        let pistons = Pistons::of(&estimator.model)?;
         let matrices = |&head: &usize| {
             let minimum = &minima[head];
             let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &minimum.exposure);
@@ -63,7 +64,7 @@ impl Spread {
                 Weighting::Noise => None,
                 Weighting::None => Some(variance_e2[head].as_slice()),
             };
-            let covariance = about_mean_piston(&estimator.model, sensitivity.covariance(&fisher, variance_e2)?)?;
+            let covariance = pistons.centred(&sensitivity.covariance(&fisher, variance_e2)?);
             Ok((fisher, covariance))
         };
         let known = heads.par_iter().map(matrices).collect::<Result<Vec<_>>>()?;

@@ -3,7 +3,7 @@
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between};
 use super::words::{
-    DeviceChoice, Method, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes, Weighting, Zernikes,
+    Combine, DeviceChoice, Method, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes, Weighting, Zernikes,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -48,7 +48,7 @@ impl Check for ModesScene {
 section! {
     /// How the modes are estimated. What is unset follows from the optimizer's recipe.
     EstimateScene = "estimate" {
-        /// The recipe: "bfgs" is the paper's method as a whole (hard-edged pupil, no exact_zernikes, no weights).
+        /// The recipe: "bfgs" is the paper's method as a whole (hard-edged pupil, no exact_zernikes, no weights), "paper" its objective with our optimiser.
         optimizer: Optimizer, ANY, default(Optimizer::GaussNewton);
         /// Weight of each pixel.
         weighting: Option<Weighting>, ANY, unset("as the recipe does");
@@ -64,6 +64,8 @@ section! {
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
         /// The fit stops where no coefficient would move by more than this.
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("as the recipe does");
+        /// How the images of a sequence become one estimate; outliers are told among 8 images or more.
+        combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// The estimator.
         method: Method, ANY, default(Method::Modal);
         /// Where it runs.

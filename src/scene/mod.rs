@@ -27,8 +27,8 @@ pub use fit::{EstimateScene, ModesScene};
 pub use reference::reference;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
-    Aperture, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optimizer, Precision,
-    PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting, Zernikes,
+    Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optimizer,
+    Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting, Zernikes,
 };
 
 use crate::{Error, Result};

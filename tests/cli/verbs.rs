@@ -20,6 +20,8 @@ fn image_estimate_compare() {
     let mut promised = [
         "images",
         "used",
+        "clipped",
+        "combine",
         "seconds",
         "phasing_rms_nm",
         "ncpa_rms_nm",

@@ -1,5 +1,7 @@
 //! The estimator end to end on a small telescope: seven hexagons, Zernike NCPA.
 
+mod sequence;
+
 use cophase::estimate::{Cube, Estimate, Estimator, Status, read};
 use cophase::imaging::{Chain, Precision};
 use cophase::scene::Scene;

@@ -1,0 +1,46 @@
+//! Pistons about their mean over the pupil: the one direction that no image sees is taken out of them.
+
+use super::model::Model;
+use crate::{Error, Result};
+use ndarray::Array2;
+
+/// How a model's pistons make up their mean over the pupil.
+pub(super) struct Pistons {
+    /// Each piston's share; empty where pistons are not estimated.
+    shares: Vec<f64>,
+}
+
+impl Pistons {
+    /// # Errors
+    /// [`Error::Value`] for pistons that move no glass.
+    pub(super) fn of(model: &Model) -> Result<Self> {
+        let pistons = model.basis.names().iter().take(model.segment_modes).take_while(|name| name.ends_with("-piston"));
+        let count = pistons.count();
+        let pupil = &model.telescope.pupil;
+        let maps = model.basis.maps();
+        let areas: Vec<f64> = maps.outer_iter().take(count).map(|map| (&map * &pupil.amplitude).sum()).collect();
+        let total: f64 = areas.iter().sum();
+        if count > 0 && total <= 0.0 {
+            return Err(Error::Value("the segment pistons move no glass".into()));
+        }
+        Ok(Self { shares: areas.iter().map(|area| area / total).collect() })
+    }
+
+    /// Brings the pistons to zero mean over the pupil.
+    pub(super) fn centre(&self, coefficients_nm: &mut [f64]) {
+        let mean: f64 = self.shares.iter().zip(coefficients_nm.iter()).map(|(share, nm)| share * nm).sum();
+        coefficients_nm[..self.shares.len()].iter_mut().for_each(|nm| *nm -= mean);
+    }
+
+    /// The covariance of coefficients that were brought to zero mean.
+    pub(super) fn centred(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
+        // P = I − 1·shareᵀ on the pistons.
+        let mut projector = Array2::eye(covariance_nm2.nrows());
+        for i in 0..self.shares.len() {
+            for (j, share) in self.shares.iter().enumerate() {
+                projector[[i, j]] -= share;
+            }
+        }
+        projector.dot(covariance_nm2).dot(&projector.t())
+    }
+}

@@ -1,0 +1,213 @@
+//! What became of each image: judged by its own residual, and in a sequence by the others'.
+
+use super::Estimator;
+use super::fit::{Minimum, reduced_chi2, variance};
+use super::model::Model;
+use super::prepare::Prepared;
+use super::sequence::{SEQUENCE, distances, outliers};
+use crate::Error;
+use crate::optimize::StopReason;
+use crate::scene::Combine;
+use ndarray::{Array2, ArrayView1, Axis};
+use rayon::prelude::*;
+
+/// What became of one image.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Status {
+    /// Fitted, and the model explains it.
+    Ok,
+    /// Fitted, but the residual is larger than the noise: the modes do not span what is there, or the model is off.
+    /// Error bars are scaled up by √χ²; those of a sequence are from the scatter between its images.
+    Misfit,
+    /// The residual is so large that the fit probably sits in a wrong minimum. Among eight images or more it must also
+    /// be an outlier: turbulence that the modes do not span leaves as much in every image.
+    WrongMinimum,
+    /// The optimiser gave up before it converged.
+    NotConverged(StopReason),
+    /// The image could not be used.
+    Unusable(String),
+}
+
+impl Status {
+    /// Whether there is a minimum behind it.
+    pub(super) fn converged(&self) -> bool {
+        matches!(self, Status::Ok | Status::Misfit | Status::WrongMinimum)
+    }
+
+    /// One word for tables.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Status::Ok => "ok",
+            Status::Misfit => "misfit",
+            Status::WrongMinimum => "wrong-minimum",
+            Status::NotConverged(_) => "not-converged",
+            Status::Unusable(_) => "unusable",
+        }
+    }
+}
+
+/// Reduced χ² above which a fit is called a misfit. Its expectation is 1 with a scatter of √(2/9000) = 0.015; an
+/// unmodelled error of one standard deviation in every pixel makes it 2.
+const MISFIT: f64 = 2.0;
+/// Reduced χ² above which a wrong minimum is suspected: a basis that misses part of the NCPA gives 17 at a peak SNR of
+/// 500, wrong minima 900 to 5,000.
+const WRONG_MINIMUM: f64 = 300.0;
+
+/// The report on one image.
+#[derive(Debug, Clone)]
+pub struct ImageReport {
+    /// What became of it.
+    pub status: Status,
+    /// Evaluations of objective and gradient.
+    pub evaluations: usize,
+    /// χ² per degree of freedom.
+    pub reduced_chi2: f64,
+    /// Electrons of the star.
+    pub flux_e: f64,
+    /// Electrons per native pixel.
+    pub background_e: f64,
+    /// Tilt of the fitted wavefront and of the shift onto the axis, along x and y, nm RMS over the pupil.
+    pub tip_tilt_nm: [f64; 2],
+    /// Pixels of the fitted part that were bad.
+    pub bad_pixels: usize,
+}
+
+/// The reports on the minima of `prepared`.
+pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
+    let tilts = Tilts::new(&estimator.model);
+    let mut reports: Vec<ImageReport> =
+        prepared.par_iter().zip(minima).map(|(p, m)| judge(estimator, &tilts, p, m)).collect();
+    judge_together(&mut reports);
+    reports
+}
+
+/// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.
+fn judge_together(reports: &mut [ImageReport]) {
+    let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.converged()).collect();
+    if converged.len() < SEQUENCE {
+        return;
+    }
+    let chi2: Vec<f64> = converged.iter().map(|&i| reports[i].reduced_chi2).collect();
+    for (&i, outlier) in converged.iter().zip(outliers(&chi2)) {
+        if reports[i].status == Status::WrongMinimum && !outlier {
+            reports[i].status = Status::Misfit;
+        }
+    }
+}
+
+/// Judges one minimum by itself. `tilts` are the slopes of each mode.
+fn judge(estimator: &Estimator, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum) -> ImageReport {
+    let model = &estimator.model;
+    let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
+    let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
+    let reduced_chi2 = reduced_chi2(&psf, minimum, &variance_e2, model.optics.modes());
+    let status = match minimum.reason {
+        reason if !reason.converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
+        _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
+        _ if reduced_chi2 > MISFIT => Status::Misfit,
+        _ => Status::Ok,
+    };
+    let ratio = model.preparation.frame_pixels as f64 / model.preparation.reduced_pixels as f64;
+    ImageReport {
+        status,
+        evaluations: minimum.evaluations,
+        reduced_chi2,
+        flux_e: minimum.flux_e,
+        background_e: minimum.background_e / (ratio * ratio),
+        tip_tilt_nm: tilts.of(&minimum.coefficients_nm, prepared.shift_pixels),
+        bad_pixels: prepared.bad_pixels,
+    }
+}
+
+/// The report on an image that was not fitted.
+pub(super) fn unusable(refused: Option<Error>) -> ImageReport {
+    ImageReport {
+        status: Status::Unusable(refused.map(|error| error.to_string()).unwrap_or_default()),
+        evaluations: 0,
+        reduced_chi2: f64::NAN,
+        flux_e: f64::NAN,
+        background_e: f64::NAN,
+        tip_tilt_nm: [f64::NAN; 2],
+        bad_pixels: 0,
+    }
+}
+
+/// Which images are combined, and which the clipped mean leaves out; as places in what was given.
+pub(super) struct Selection {
+    pub(super) used: Vec<usize>,
+    pub(super) clipped: Vec<usize>,
+}
+
+impl Selection {
+    /// Of images with these reports and coefficients (`[image, mode]`, the rows of the reports).
+    ///
+    /// Up to seven images that converged are judged one by one, whatever the combination: those of the best kind of
+    /// status are used. From eight on, all that converged are, but for outliers of χ² or of the coefficients in a
+    /// clipped mean.
+    pub(super) fn of(reports: &[&ImageReport], coefficients_nm: &Array2<f64>, how: Combine) -> Self {
+        let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.converged()).collect();
+        if converged.len() < SEQUENCE {
+            return Self { used: best_kind(reports), clipped: Vec::new() };
+        }
+        if how != Combine::ClippedMean {
+            return Self { used: converged, clipped: Vec::new() };
+        }
+        let chi2: Vec<f64> = converged.iter().map(|&i| reports[i].reduced_chi2).collect();
+        let distances = distances(&coefficients_nm.select(Axis(0), &converged));
+        let out = outliers(&chi2).into_iter().zip(outliers(&distances)).map(|(chi2, distance)| chi2 || distance);
+        let (clipped, used): (Vec<_>, Vec<_>) = converged.into_iter().zip(out).partition(|(_, out)| *out);
+        let places = |pairs: Vec<(usize, bool)>| pairs.into_iter().map(|(place, _)| place).collect();
+        Self { used: places(used), clipped: places(clipped) }
+    }
+}
+
+/// Which of a few fits are used: those that converged on a plausible minimum; where there is none, suspected wrong
+/// minima; where all gave up early, those that at least ended on numbers. Each says what it is by its status.
+fn best_kind(reports: &[&ImageReport]) -> Vec<usize> {
+    let rank = |report: &ImageReport| match report.status {
+        Status::Ok | Status::Misfit => Some(0),
+        Status::WrongMinimum => Some(1),
+        Status::NotConverged(_) if report.reduced_chi2.is_finite() => Some(2),
+        Status::NotConverged(_) | Status::Unusable(_) => None,
+    };
+    let Some(best) = reports.iter().filter_map(|report| rank(report)).min() else { return Vec::new() };
+    reports.iter().enumerate().filter(|(_, report)| rank(report) == Some(best)).map(|(i, _)| i).collect()
+}
+
+/// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.
+struct Tilts {
+    /// Of each mode, along x and y, per nm.
+    modes: Vec<[f64; 2]>,
+    /// Of a shift by one model pixel.
+    per_pixel_nm: [f64; 2],
+}
+
+impl Tilts {
+    fn new(model: &Model) -> Self {
+        let pupil = &model.telescope.pupil;
+        let total = pupil.weight_sum();
+        let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / total;
+        // x and y about their mean, at unit RMS over the pupil; and that RMS, m.
+        let axes = [0, 1].map(|axis| {
+            let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
+            let map = Array2::from_shape_fn(pupil.amplitude.dim(), along);
+            let centred = &map - mean(&map);
+            let rms_m = mean(&(&centred * &centred)).sqrt();
+            (centred / rms_m, rms_m)
+        });
+        let modes = model.basis.maps().outer_iter().map(|mode| [0, 1].map(|i| mean(&(&mode * &axes[i].0)))).collect();
+        // One pixel is λ over the width of the model's grid, divided by the pixels per λ/D.
+        let sampling = model.optics.sampling();
+        let width_m = pupil.grid.width_m() * model.width_ratio();
+        let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * width_m);
+        Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) }
+    }
+
+    /// Of a wavefront whose image was moved onto the axis by `shift_pixels`.
+    fn of(&self, coefficients_nm: &[f64], shift_pixels: [i64; 2]) -> [f64; 2] {
+        [0, 1].map(|axis| {
+            let modes = self.modes.iter().zip(coefficients_nm).map(|(slope, nm)| slope[axis] * nm);
+            modes.sum::<f64>() + shift_pixels[axis] as f64 * self.per_pixel_nm[axis]
+        })
+    }
+}
