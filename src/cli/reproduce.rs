@@ -16,6 +16,8 @@ Targets:
   artificial-source  residuals from one image: the paper's way and ours, against the Cramer-Rao bound
   samples            error and time against pupil samples and the width of the fitted image
   diversity          residual against the amplitude of the defocus at 1640 and 2168.6 nm
+  leak               pistons that leak into the mirror: plain, masked and inpainted loop without turbulence
+  figures            leak
   all                all of these
 
 Each writes its table as CSV, and a picture.";
@@ -24,7 +26,7 @@ Each writes its table as CSV, and a picture.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// What to reproduce: artificial-source, samples, diversity or all
+    /// What to reproduce: one of the targets below, figures or all
     #[arg(value_name = "TARGET", value_parser = targets)]
     targets: Targets,
     /// Folder for the tables and pictures; made if it is not there
@@ -46,10 +48,10 @@ pub struct Arguments {
 struct Targets(Vec<Target>);
 
 fn targets(word: &str) -> Result<Targets> {
-    if word == "all" {
-        Ok(Targets(Target::ALL.to_vec()))
-    } else {
-        Target::parse(word).map(|target| Targets(vec![target]))
+    match word {
+        "all" => Ok(Targets(Target::ALL.to_vec())),
+        "figures" => Ok(Targets(Target::FIGURES.to_vec())),
+        _ => Target::parse(word).map(|target| Targets(vec![target])),
     }
 }
 

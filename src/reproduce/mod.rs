@@ -1,13 +1,14 @@
 //! The paper's results beside ours: experiments that return plain data, print a table, and write it as CSV with a
 //! picture.
 //!
-//! An experiment is a function of this room ([`artificial_source()`], [`samples()`], [`diversity()`]); [`Target`] runs one
-//! by name and writes its files. Residuals are RMS over the pupil (weight A) in nm, piston, tip and tilt removed.
+//! An experiment is a function of this room ([`artificial_source()`], [`samples()`], [`diversity()`], those of
+//! [`figures`]); [`Target`] runs one by name and writes its files. Residuals are RMS over the pupil (weight A) in nm, piston, tip and tilt removed.
 
 mod artificial_source;
 mod case;
 mod diversity;
 mod draw;
+pub mod figures;
 mod samples;
 pub mod statistics;
 mod table;
@@ -33,6 +34,8 @@ pub enum Target {
     Samples,
     /// Section 3.5: residual against the amplitude of the defocus.
     Diversity,
+    /// Section 4: the loop closed on the segments' errors alone.
+    Leak,
 }
 
 /// How a target is run.
@@ -57,7 +60,10 @@ pub struct Report {
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 3] = [Target::ArtificialSource, Target::Samples, Target::Diversity];
+    pub const ALL: [Target; 4] = [Target::ArtificialSource, Target::Samples, Target::Diversity, Target::Leak];
+
+    /// The figures of sections 4 and 5.
+    pub const FIGURES: [Target; 1] = [Target::Leak];
 
     /// The name on the command line, and of its files.
     pub fn name(self) -> &'static str {
@@ -65,6 +71,7 @@ impl Target {
             Target::ArtificialSource => "artificial-source",
             Target::Samples => "samples",
             Target::Diversity => "diversity",
+            Target::Leak => "leak",
         }
     }
 
@@ -76,6 +83,9 @@ impl Target {
             }
             Target::Samples => "error and time against pupil samples and the width of the fitted image",
             Target::Diversity => "residual against the amplitude of the defocus at 1640 and 2168.6 nm",
+            Target::Leak => {
+                "segment pistons that leak into the mirror: plain, masked and inpainted loop without turbulence"
+            }
         }
     }
 
@@ -86,6 +96,7 @@ impl Target {
             Target::ArtificialSource => 24,
             Target::Samples => 8,
             Target::Diversity => 6,
+            Target::Leak => 12,
         }
     }
 
@@ -102,7 +113,7 @@ impl Target {
 
     /// Runs it and writes `<name>.csv` and `<name>.png` (and what else the report names) into the directory.
     ///
-    /// `watch` is told (done, total) in units of fitted images, from any thread.
+    /// `watch` is told (done, total) in units of fitted images (or of closed loops), from any thread.
     ///
     /// # Errors
     /// [`Error::Value`] for no seeds, [`Error::File`] where a file cannot be written, [`Error::Interrupted`] where
@@ -123,11 +134,12 @@ impl Target {
             Target::ArtificialSource => artificial_source(seeds, &progress)?.report(&options.directory),
             Target::Samples => samples(seeds, options.quick, &progress)?.report(&options.directory),
             Target::Diversity => diversity(seeds, options.quick, &progress)?.report(&options.directory),
+            Target::Leak => figures::leak(&figures::LeakCase::ALL, seeds, &progress)?.report(&options.directory),
         }
     }
 }
 
-/// Who waits, and whether they still want to. Counts fitted images over a whole experiment.
+/// Who waits, and whether they still want to. Counts fitted images, or closed loops, over a whole experiment.
 pub struct Progress<'a> {
     watch: &'a (dyn Fn(usize, usize) + Sync),
     cancel: Option<&'a CancelFlag>,
@@ -154,7 +166,7 @@ impl<'a> Progress<'a> {
     fn check(&self) -> Result<()> {
         if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
-            return Err(Error::Interrupted(format!("{done} of {total} images were fitted")));
+            return Err(Error::Interrupted(format!("{done} of {total} steps were done")));
         }
         Ok(())
     }
