@@ -264,6 +264,24 @@ impl Simulator {
         Ok(self.plant.last(&self.residual_nm))
     }
 
+    /// Advances the loop by one frame in which `extra_nm`, a map over the footprint, adds to the turbulence: a vibration, a
+    /// probe, a layer of the caller's.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a map of another size.
+    pub fn step_behind(&mut self, extra_nm: &[f32]) -> Result<Frame<'_>> {
+        if extra_nm.len() != self.residual_nm.len() {
+            let (given, needed) = (extra_nm.len(), self.residual_nm.len());
+            return Err(Error::Shape(format!("a map of {given} samples was given: {needed} are needed")));
+        }
+        self.atmosphere.next_frame(&mut self.residual_nm)?;
+        for (out, extra) in self.residual_nm.iter_mut().zip(extra_nm) {
+            *out += extra;
+        }
+        self.plant.frame(&mut self.residual_nm)?;
+        Ok(self.plant.last(&self.residual_nm))
+    }
+
     /// A camera of this system's images.
     ///
     /// # Errors

@@ -43,6 +43,11 @@ const DECREMENT_STEP_NM: f64 = 1e-3;
 /// that made the metric says nothing.
 const LARGEST_STEP_WAVES: f64 = 0.2;
 
+/// The paper's way also stops where the objective, in units of the brightest pixel squared, changes by no more than this:
+/// a few roundings. Where much is unexplained the gradient never gets small against them, and 2,000 evaluations are
+/// spent on nothing; with it 330 lead to within 1e-4 nm of the same point (150 nm of turbulence).
+const PAPER_COST_TOLERANCE: f64 = 1e-13;
+
 /// What every fit of a call shares.
 pub(super) struct Fitter<'a> {
     pub(super) model: &'a Model,
@@ -65,12 +70,12 @@ impl Fitter<'_> {
         }
     }
 
-    /// The paper's way, image by image: BFGS from zero, coefficients in radians, tolerance 1e-6.
+    /// The paper's way, image by image: BFGS from zero, coefficients in radians, tolerance 1e-6 on the gradient.
     fn paper(&self, chain: &mut Chain, exposures: Vec<Exposure>, watch: &mut Watch) -> Result<Vec<Minimum>> {
         let nm = self.model.optics.parts().wavelength_nm / std::f64::consts::TAU;
         let solver = ArgminBfgs {
             gradient_tolerance: 1e-6,
-            cost_tolerance: 0.0,
+            cost_tolerance: PAPER_COST_TOLERANCE,
             initial_scale: 1.0,
             max_evaluations: self.recipe.max_evaluations,
             cancel: self.cancel.cloned(),

@@ -74,7 +74,13 @@ impl Recipe {
             exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(WIDE) } else { Zernikes::None },
             // The paper's way needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
-            step_tolerance_nm: estimate.step_tolerance_nm.unwrap_or(1e-3),
+            // The paper's objective is for wavefronts that its modes do not span: 0.03 nm from its minimum at most, at
+            // three quarters of the evaluations, where an image of turbulence scatters by 20.
+            step_tolerance_nm: estimate.step_tolerance_nm.unwrap_or(if optimizer == Optimizer::Paper {
+                1e-2
+            } else {
+                1e-3
+            }),
             combine: estimate.combine.unwrap_or(if ours { Combine::ClippedMean } else { Combine::Mean }),
         }
     }

@@ -21,11 +21,12 @@ const MEDIAN_VARIANCE: f64 = std::f64::consts::FRAC_PI_2;
 /// variances are positive and skew), and beyond what a mean would rather keep. What is not a number is.
 pub(super) fn outliers(variances: &[f64]) -> Vec<bool> {
     // The logarithm of a variance of nothing would make all others outliers.
-    let logarithms: Vec<f64> = variances.iter().map(|v| v.max(f64::MIN_POSITIVE).ln()).collect();
+    let logarithm = |variance: &f64| variance.max(f64::MIN_POSITIVE).ln();
+    let logarithms: Vec<f64> = variances.iter().filter(|v| !v.is_nan()).map(logarithm).collect();
     let middle = median(&logarithms);
     let spread = NORMAL_MAD * median_deviation(&logarithms, middle);
     let limit = middle + (OUTLYING * spread).max(WORTH_LEAVING_OUT.ln());
-    variances.iter().zip(&logarithms).map(|(variance, log)| variance.is_nan() || *log > limit).collect()
+    variances.iter().map(|variance| variance.is_nan() || logarithm(variance) > limit).collect()
 }
 
 /// How far each row lies from the median of all, as the mean over the columns of its squared distance in units of the

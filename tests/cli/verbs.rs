@@ -262,3 +262,17 @@ fn ctrl_c_stops_and_leaves_nothing() {
     std::fs::remove_file(pipe).unwrap();
     assert_eq!(desk.files(), before);
 }
+
+#[test]
+fn a_sequence_says_how_it_was_combined() {
+    let desk = Desk::with_images(&["image.count=9"]);
+    let (json, err) = desk.estimates_well("images.fits", &[]);
+    assert_eq!(err, "");
+    assert_eq!((&json["images"], &json["used"], &json["clipped"]), (&9.into(), &9.into(), &0.into()));
+    assert_eq!(json["combine"], "clipped-mean");
+    let out = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--set", "estimate.combine=median"]).out;
+    assert!(out.contains("median of 9 of 9 images"), "{out}");
+    assert!(out.contains("Error bars from the scatter between images"), "{out}");
+    let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
+    assert_eq!(file.i64_column("IMAGES", "USED").unwrap(), [1; 9]);
+}

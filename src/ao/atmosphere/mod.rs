@@ -8,7 +8,7 @@
 //!
 //! Nothing repeats: a layer's ribbon is made as the wind needs it, and only what can still be seen of it is kept, so
 //! memory does not grow with the run. The covariance of the samples is that of von Kármán's spectrum at every whole-sample
-//! separation of the pupil, within 0.1 % of the structure function (outer scales up to 20 widths).
+//! separation of the pupil, within 0.1 % of the structure function.
 //!
 //! Two approximations:
 //! - Between samples the interpolation is bilinear. At a shift δ of a sample along an axis it multiplies the power at k
@@ -167,7 +167,7 @@ fn check(turbulence: &TurbulenceScene, grid: &Grid, footprint: &Footprint, frame
     let rms_nm = VonKarman::new(turbulence.r0_m, LARGEST_OUTER_SCALE * grid.width_m())?.variance_nm2().sqrt();
     VonKarman::new(turbulence.r0_m, turbulence.outer_scale_m)?;
     // A million times below the largest single, for the extremes and for what is computed from them.
-    if layers > 0 && !(rms_nm < 1e32) {
+    if layers > 0 && (rms_nm.is_nan() || rms_nm >= 1e32) {
         return Err(Error::Value(format!(
             "a Fried parameter of {} m makes wavefronts of {rms_nm:.1e} nm: less than 1e32 nm is needed",
             turbulence.r0_m

@@ -126,8 +126,8 @@ impl Ribbon {
         for (m, factor) in self.law.stationary.iter().enumerate() {
             for part in 0..2 {
                 let white: [f32; POLES] = std::array::from_fn(|_| StandardNormal.sample(&mut self.rng));
-                for i in 0..POLES {
-                    let value = factor[i].iter().zip(white).map(|(l, w)| l * w).sum();
+                for (i, row) in factor.iter().enumerate() {
+                    let value = row.iter().zip(white).map(|(l, w)| l * w).sum();
                     self.states[m / LANES][part][i][m % LANES] = value;
                 }
             }
@@ -188,11 +188,11 @@ impl NullaryFnOnce for Recursion<'_> {
                     let Some(values) = self.spectra[place..].first_chunk_mut::<LANES>() else { return };
                     let white = *values;
                     let mut sum = [0.0; LANES];
-                    for i in 0..POLES {
+                    for ((state, poles), gains) in state.iter_mut().zip(&group.poles).zip(&group.gains) {
                         for lane in 0..LANES {
-                            let drive = group.gains[i][lane] * white[lane];
-                            state[i][lane] = group.poles[i][lane] * state[i][lane] + drive;
-                            sum[lane] += state[i][lane];
+                            let drive = gains[lane] * white[lane];
+                            state[lane] = poles[lane] * state[lane] + drive;
+                            sum[lane] += state[lane];
                         }
                     }
                     *values = sum;

@@ -65,9 +65,9 @@ const SIGMAS: f64 = 4.5;
 
 #[test]
 fn the_law_has_von_karmans_structure_function() {
-    // Bounds: the spectra are within 0.4 % (50 m over the Keck) and 1.2 % (20 widths) at their worst frequency, and the
-    // period adds 2·B(1.5 outer scales) = 2e-4·2·B(0) to D. Separations are integrals over frequencies, where errors of
-    // either sign cancel: 0.04 % is what they show. The last pupil is that of the tests below.
+    // The spectra are within 0.4 % (50 m over the Keck) and 1.2 % (20 widths) at their worst frequency, errors of either
+    // sign that mostly cancel in an integral over frequencies; the period adds up to 2·B(1.5 outer scales) = 2e-4·2·B(0),
+    // 0.1 % of the longest separations. Separations along go on to 3 pupils. The last pupil is that of the tests below.
     for (samples, outer_scale) in
         [(240, 2.0), (240, 50.0 / 11.25 * 240.0), (240, LARGEST_OUTER_SCALE * 240.0), (64, 80.0)]
     {
@@ -84,7 +84,7 @@ fn the_law_has_von_karmans_structure_function() {
             }
         }
         println!("outer scale {outer_scale:.0} samples, period {period}: structure function within {worst:.1e}");
-        assert!(worst < 1e-3, "outer scale {outer_scale}: {worst:.1e}");
+        assert!(worst < 2e-3, "outer scale {outer_scale}: {worst:.1e}");
     }
 }
 
@@ -314,7 +314,7 @@ fn extremes_are_finite_or_refused() {
     for samples in [1, 2, 7, 33] {
         let (grid, footprint) = square(samples);
         for outer_scale_m in [1e-12, 0.1, 1e9, f64::INFINITY] {
-            for (speed, direction) in [(0.0, 1.0), (1e-12, 1.0), (20.0, 0.785_398_163_397_448_3), (1e6, 4.0)] {
+            for (speed, direction) in [(0.0, 1.0), (1e-12, 1.0), (20.0, PI / 4.0), (1e6, 4.0)] {
                 for frame_s in [1e-300, FRAME_S, 1e300] {
                     let scene = turbulence(outer_scale_m, &[(1.0, speed, direction), (0.0, speed, 0.0)]);
                     let mut atmosphere = Atmosphere::new(&scene, &grid, &footprint, frame_s, 1).unwrap();

@@ -241,7 +241,7 @@ mod tests {
             assert!(controller.commands_nm().iter().all(|command| command.abs() <= limit as f32));
         }
         let pushed = controller.commands_nm().to_vec();
-        assert!(pushed.iter().any(|&command| command == limit as f32));
+        assert!(pushed.contains(&(limit as f32)));
         // One push the other way turns every command round: nothing has piled up behind the limit.
         controller.step(&back).unwrap();
         let (before, after) = (pushed.iter(), controller.commands_nm().iter());

@@ -11,8 +11,8 @@ use ndarray::{Array2, s};
 /// Laplacian over all cells that touch a filled one is least. On the border of the map the Laplacian keeps only the
 /// second difference along it; a corner has none. Good slopes stay as they are.
 ///
-/// The fill is linear in the good slopes, so it is solved once for all of them. Equations that 1, x, y and xy satisfy:
-/// those maps are filled exactly; others with the smoothness of a bent plate.
+/// The fill is linear in the good slopes, so it is solved once for all of them. The maps 1, x, y and xy satisfy every
+/// equation and are filled exactly; others bend as little as the good slopes allow.
 ///
 /// The equations are solved densely, with a QR decomposition: it is accurate to the condition number and not to its
 /// square, as normal equations would be; and it is smaller than the inversion of the interaction matrix in both

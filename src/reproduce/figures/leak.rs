@@ -1,12 +1,12 @@
 //! Section 4: the loop closed on the segments' steps alone. Whatever the mirror then shows has leaked into it, and
 //! stands in the way of every estimate.
 
-use super::setup::{self, LoopKind, PAPER_SIDE_M};
+use super::setup::{self, CALM};
 use crate::Result;
 use crate::ao::Simulator;
 use crate::plot::{CaptionedMap, MapScale, MapsPicture};
 use crate::reproduce::statistics::{mean, standard_deviation};
-use crate::reproduce::{Cell, Progress, Report, Table};
+use crate::reproduce::{Cell, Conditions, Progress, Report, Segments, Table};
 use crate::scene::Scene;
 use rayon::prelude::*;
 use std::path::Path;
@@ -20,10 +20,10 @@ const MOST_FRAMES: u64 = 3000;
 /// One loop on one pupil.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LeakCase {
-    /// How the loop is closed.
-    pub kind: LoopKind,
-    /// `pupil.segment_side_m`.
-    pub segment_side_m: f64,
+    /// The loop, by its row in the table.
+    pub row: &'static str,
+    /// The telescope.
+    pub segments: Segments,
     /// `wavefront_sensor.mask_dominant_fraction`.
     pub mask_dominant_fraction: f64,
     /// What an independent prototype (a loop in C, 12 draws) left on the mirror, nm, where it was tried.
@@ -34,29 +34,33 @@ impl LeakCase {
     /// The loops of the paper on the real segments and on its own, with either reading of its criterion for the mask:
     /// one segment holds 75 % of the light, or the other one at most a quarter as much as the first.
     pub const ALL: [LeakCase; 7] = [
-        LeakCase::new(LoopKind::Plain, 0.9, 0.75, Some(49.0)),
-        LeakCase::new(LoopKind::Plain, PAPER_SIDE_M, 0.75, None),
-        LeakCase::new(LoopKind::Masked, 0.9, 0.75, None),
-        LeakCase::new(LoopKind::Masked, PAPER_SIDE_M, 0.75, None),
-        LeakCase::new(LoopKind::Inpainted, 0.9, 0.75, Some(25.0)),
-        LeakCase::new(LoopKind::Inpainted, PAPER_SIDE_M, 0.75, Some(15.0)),
-        LeakCase::new(LoopKind::Inpainted, PAPER_SIDE_M, 0.8, Some(11.0)),
+        LeakCase::new("zonal", Segments::Real, 0.75, Some(49.0)),
+        LeakCase::new("zonal", Segments::Published, 0.75, None),
+        LeakCase::new("mask-zonal", Segments::Real, 0.75, None),
+        LeakCase::new("mask-zonal", Segments::Published, 0.75, None),
+        LeakCase::new("pol-mask-inpaint", Segments::Real, 0.75, Some(25.0)),
+        LeakCase::new("pol-mask-inpaint", Segments::Published, 0.75, Some(15.0)),
+        LeakCase::new("pol-mask-inpaint", Segments::Published, 0.8, Some(11.0)),
     ];
 
-    const fn new(kind: LoopKind, segment_side_m: f64, mask_dominant_fraction: f64, prototype_nm: Option<f64>) -> Self {
-        Self { kind, segment_side_m, mask_dominant_fraction, prototype_nm }
+    const fn new(
+        row: &'static str,
+        segments: Segments,
+        mask_dominant_fraction: f64,
+        prototype_nm: Option<f64>,
+    ) -> Self {
+        Self { row, segments, mask_dominant_fraction, prototype_nm }
     }
 
     /// Whether the picture shows it: the three loops on the paper's pupil.
     fn is_drawn(&self) -> bool {
-        self.segment_side_m == PAPER_SIDE_M && self.mask_dominant_fraction == 0.75
+        self.segments == Segments::Published && self.mask_dominant_fraction == 0.75
     }
 
-    fn scene(&self, scene: &Scene) -> Result<Scene> {
-        self.kind.of(scene)?.with(&[
-            ("pupil.segment_side_m", &self.segment_side_m.to_string()),
-            ("wavefront_sensor.mask_dominant_fraction", &self.mask_dominant_fraction.to_string()),
-        ])
+    fn scene(&self) -> Result<Scene> {
+        let conditions = Conditions { segments: self.segments, settings: CALM.to_vec() };
+        let fraction = self.mask_dominant_fraction.to_string();
+        setup::row(self.row)?.scene(&conditions)?.with_override("wavefront_sensor.mask_dominant_fraction", &fraction)
     }
 }
 
@@ -82,6 +86,8 @@ pub struct LeakDraw {
 pub struct LeakRow {
     /// Which.
     pub case: LeakCase,
+    /// Side of a segment, m.
+    pub segment_side_m: f64,
     /// In the order of their seeds.
     pub draws: Vec<LeakDraw>,
     /// Input, mirror and residual of the first draw.
@@ -108,9 +114,8 @@ pub struct Leak {
 /// Those of the simulator, and [`crate::Error::Interrupted`].
 pub fn leak(cases: &[LeakCase], seeds: usize, progress: &Progress) -> Result<Leak> {
     progress.expect(cases.len() * seeds);
-    let scene = setup::calm(&setup::on_sky()?)?;
     let row = |case: &LeakCase| -> Result<LeakRow> {
-        let scene = case.scene(&scene)?;
+        let scene = case.scene()?;
         let draws = (1..=seeds).into_par_iter().map(|seed| {
             progress.check()?;
             let draw = case.settle(&setup::with_seed(&scene, seed)?, seed)?;
@@ -118,7 +123,12 @@ pub fn leak(cases: &[LeakCase], seeds: usize, progress: &Progress) -> Result<Lea
             Ok(draw)
         });
         let (draws, maps): (_, Vec<_>) = draws.collect::<Result<Vec<_>>>()?.into_iter().unzip();
-        Ok(LeakRow { case: *case, draws, maps: maps.into_iter().next().unwrap_or_default() })
+        Ok(LeakRow {
+            case: *case,
+            segment_side_m: scene.pupil.segment_side_m,
+            draws,
+            maps: maps.into_iter().next().unwrap_or_default(),
+        })
     };
     Ok(Leak { rows: cases.iter().map(row).collect::<Result<_>>()? })
 }
@@ -157,7 +167,7 @@ impl LeakCase {
         let drawn = seed == 1 && self.is_drawn();
         let captions = ["input", "mirror", "residual"].into_iter().filter(|_| drawn).zip(&maps_nm);
         let maps = captions.map(|(what, map_nm)| {
-            let caption = format!("{}, {what}", self.kind.name());
+            let caption = format!("{}, {what}", self.row);
             setup::wavefront(&pupil, &caption, map_nm, MapScale::SharedDiverging)
         });
         Ok((draw, maps.collect::<Result<_>>()?))
@@ -183,8 +193,8 @@ impl Leak {
             let of = |value: fn(&LeakDraw) -> f64| row.draws.iter().map(value).collect::<Vec<f64>>();
             let masked = row.draws.first().map_or(0, |draw| draw.masked);
             table.push(vec![
-                row.case.kind.name().into(),
-                Cell::Number(row.case.segment_side_m, 3),
+                row.case.row.into(),
+                Cell::Number(row.segment_side_m, 3),
                 Cell::Number(if masked > 0 { row.case.mask_dominant_fraction } else { f64::NAN }, 2),
                 masked.into(),
                 row.draws.len().into(),
@@ -212,8 +222,8 @@ impl Leak {
         ]);
         for (row, draw) in self.rows.iter().flat_map(|row| row.draws.iter().map(move |draw| (row, draw))) {
             table.push(vec![
-                row.case.kind.name().into(),
-                Cell::Number(row.case.segment_side_m, 3),
+                row.case.row.into(),
+                Cell::Number(row.segment_side_m, 3),
                 Cell::Number(row.case.mask_dominant_fraction, 2),
                 draw.seed.into(),
                 Cell::Number(draw.input_nm, 2),

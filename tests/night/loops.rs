@@ -1,0 +1,217 @@
+//! The loop as a control system.
+
+use super::system::{CLEAN, STILL, one_layer, residual_nm, simulator};
+use cophase::Error;
+use cophase::ao::{Progress, Shot, Simulator};
+
+fn borrowed(settings: &[(String, String)]) -> Vec<(&str, &str)> {
+    settings.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits_and_another_seed_others() {
+    let run = |seed: &str| {
+        let mut simulator = simulator(&[("turbulence.seed", seed)]);
+        let slopes: Vec<f32> = (0..20).flat_map(|_| simulator.step().unwrap().slopes_mas.to_vec()).collect();
+        slopes
+    };
+    let (first, again, other) = (run("5"), run("5"), run("6"));
+    assert!(first == again && first != other);
+}
+
+#[test]
+fn a_run_on_threads_is_the_loop_step_by_step() {
+    let settings = [
+        ("control.settle_s", "0.05"),
+        ("image.count", "3"),
+        ("image.interval_s", "0.02"),
+        ("image.exposure_s", "0.003"),
+    ];
+    let mut shots: Vec<Shot> = Vec::new();
+    let mut running = simulator(&settings);
+    let summary = running.run(&mut shots, &mut Progress::default()).unwrap();
+    // 0.05 s settling, two intervals of 0.02 s, three frames of exposure, at 1054 Hz.
+    assert_eq!((summary.images, summary.frames), (3, 95 + 3));
+    let mut stepping = simulator(&settings);
+    let mut last = Vec::new();
+    for number in 0..summary.frames {
+        let frame = stepping.step().unwrap();
+        if number == 54 {
+            // The middle of the first exposure, frames 53 to 55.
+            assert_eq!(frame.slopes_mas, shots[0].slopes_mas);
+            assert_eq!(frame.commands_nm, shots[0].commands_nm);
+        }
+        last = frame.slopes_mas.to_vec();
+    }
+    assert!(last != shots[2].slopes_mas, "the last frame is not the middle of the last exposure");
+    let mut again: Vec<Shot> = Vec::new();
+    simulator(&settings).run(&mut again, &mut Progress::default()).unwrap();
+    assert!(shots.iter().zip(&again).all(|(a, b)| a.image_e == b.image_e));
+}
+
+#[test]
+fn without_turbulence_noise_or_errors_nothing_happens() {
+    let settings = [STILL.as_slice(), &CLEAN].concat();
+    let mut flat = simulator(&settings);
+    for _ in 0..5 {
+        let frame = flat.step().unwrap();
+        assert!(frame.residual_rms_nm == 0.0 && frame.slopes_mas.iter().all(|s| *s == 0.0));
+    }
+}
+
+#[test]
+fn the_fitting_error_is_that_of_gaussian_influence_functions() {
+    // Slow wind, no noise: what remains is what the mirror cannot make, and what it is misled to make (aliasing).
+    // Fitting alone is 0.23 to 0.34 (d/r0)^(5/3) rad² for mirrors from smooth to piston-only; aliasing adds 0.07 or so
+    // (F. Rigaut, 1998). With d = 0.5625 m and r0 = 0.16 m at 500 nm.
+    let slow = one_layer("1.0");
+    let mut settings = borrowed(&slow);
+    settings.extend(CLEAN);
+    settings.push(("control.gain", "0.5"));
+    let mut simulator = simulator(&settings);
+    // 1.9 s of one layer at 1 m/s: the small scales renew 3 times across each of 250 subapertures.
+    let residual = residual_nm(&mut simulator, 100, 1000);
+    let unit_nm = 500.0 / std::f64::consts::TAU * (0.5625f64 / 0.16).powf(5.0 / 6.0);
+    let coefficient = (residual / unit_nm).powi(2);
+    assert!((0.23..0.45).contains(&coefficient), "{coefficient}");
+}
+
+#[test]
+fn the_lag_error_grows_with_wind_and_falls_with_rate() {
+    // (τ/τ0)^(5/3), τ0 ∝ r0/v: beyond the fitting error, a wind three times as fast costs 3^(5/3) = 6.2 times as much.
+    let excess = |wind: &str, fitting: f64| {
+        let layer = one_layer(wind);
+        let mut settings = borrowed(&layer);
+        settings.extend(CLEAN);
+        residual_nm(&mut simulator(&settings), 150, 1500).powi(2) - fitting
+    };
+    let fitting = excess("1.0", 0.0);
+    let (ten, thirty) = (excess("10.0", fitting), excess("30.0", fitting));
+    // Each is the mean over 1.4 s of one screen: the low modes that lag worst have correlation times of 0.1 s and more,
+    // so some ten samples of each: 30 % or so.
+    assert!((3.5..11.0).contains(&(thirty / ten)), "{fitting} {ten} {thirty}");
+}
+
+#[test]
+fn noise_propagates_as_its_variance_and_falls_with_the_gain() {
+    // No turbulence: all there is on the mirror is noise. An integrator passes g/(2 − g) of its variance.
+    let noise = |magnitude: &str, gain: &str| {
+        let mut settings = STILL.to_vec();
+        settings.push(("aberrations.segment_piston_rms_nm", "0.0"));
+        settings.push(("wavefront_sensor.star_magnitude_r", magnitude));
+        settings.push(("control.gain", gain));
+        residual_nm(&mut simulator(&settings), 100, 300).powi(2)
+    };
+    // Two magnitudes: 6.31 times fewer photons, as many times the variance; read noise of 0.4 e⁻ is nothing yet. 300
+    // frames of 250 modes or so, correlated over 1/g frames: 2 %.
+    let (bright, faint) = (noise("6.0", "0.3"), noise("8.0", "0.3"));
+    assert!((faint / bright / 6.31 - 1.0).abs() < 0.1, "{bright} {faint}");
+    let strong = noise("6.0", "0.6");
+    let expected = (0.6 / 1.4) / (0.3 / 1.7);
+    assert!((strong / bright / expected - 1.0).abs() < 0.1, "{bright} {strong}");
+}
+
+/// RMS residual over RMS input of a tilt that oscillates.
+fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
+    let (gain, rate) = (gain.to_string(), rate_hz.to_string());
+    let settings = [STILL.as_slice(), &CLEAN, &[("control.gain", &gain), ("control.frame_rate_hz", &rate)]].concat();
+    let mut simulator = simulator(&settings);
+    let (grid, footprint) = (simulator.pupil().grid, simulator.footprint().clone());
+    let unit = super::system::map(&footprint, |_, x| grid.coordinate_m(x) as f32);
+    let (mut input, mut output) = (0.0, 0.0);
+    for k in 0..600 {
+        let amplitude = (std::f64::consts::TAU * frequency_hz * f64::from(k) / rate_hz).sin() as f32;
+        let extra: Vec<f32> = unit.iter().map(|u| 5.0 * amplitude * u).collect();
+        let residual_nm = simulator.step_behind(&extra).unwrap().residual_rms_nm;
+        // The switching-on has died out.
+        if k >= 100 {
+            input += f64::from(amplitude).powi(2);
+            output += residual_nm.powi(2);
+        }
+    }
+    let rms_nm = simulator.pupil().rms(super::system::square(&footprint, &unit).view()).unwrap();
+    (output / input).sqrt() / (5.0 * rms_nm)
+}
+
+#[test]
+fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
+    // A tilt that oscillates, in place of turbulence, small enough for the loop to be linear. An integrator with one frame
+    // of lag rejects by |1 − z⁻¹|/|1 − (1 − g) z⁻¹|.
+    let (gain, rate_hz) = (0.3f64, 1054.0);
+    let controlled = |frequency_hz: f64| {
+        let z = std::f64::consts::TAU * frequency_hz / rate_hz;
+        let numerator = (2.0 - 2.0 * z.cos()).sqrt();
+        let denominator = ((1.0 - (1.0 - gain) * z.cos()).powi(2) + ((1.0 - gain) * z.sin()).powi(2)).sqrt();
+        numerator / denominator
+    };
+    for frequency_hz in [5.0, 30.0, 60.0, 200.0] {
+        let measured = rejection_of_a_tilt(gain, rate_hz, frequency_hz);
+        // Tilt is in the span of the influence functions to a percent or so over the outermost samples.
+        let expected = controlled(frequency_hz);
+        assert!((measured / expected - 1.0).abs() < 0.05, "{frequency_hz} Hz: {measured} {expected}");
+    }
+}
+
+#[test]
+fn the_loop_is_stable_at_its_gain_and_lost_past_its_margin() {
+    let run = |gain: &str, lag: &str| {
+        let mut simulator =
+            simulator(&[("control.gain", gain), ("control.lag_frames", lag), ("control.settle_s", "0.3")]);
+        let mut shots: Vec<Shot> = Vec::new();
+        let set = simulator.stability().clone();
+        (set, simulator.run(&mut shots, &mut Progress::default()))
+    };
+    // Two frames of lag: λ² − λ + g = 0 leaves the unit circle at g = 1.
+    let (poles, outcome) = run("1.2", "2");
+    assert!(!poles.stable && (poles.largest_stable_gain - 1.0).abs() < 1e-6);
+    let divergence = outcome.unwrap().divergence.expect("a loop past its margin diverges");
+    assert!(divergence.time_s < 1.0);
+    let mut steady = simulator(&[("control.gain", "0.3")]);
+    assert!(steady.stability().stable);
+    assert!(residual_nm(&mut steady, 200, 300) < 250.0);
+}
+
+#[test]
+fn residual_inpainting_is_predicted_to_diverge_and_pseudo_open_loop_is_not() {
+    let masked =
+        [("wavefront_sensor.mask", "segments"), ("control.fill", "inpaint"), ("pupil.segment_side_m", "0.862")];
+    let closed = simulator(&masked);
+    // An independent program found 2.1 s.
+    let e_folding_s = closed.stability().e_folding_s.expect("an unstable loop");
+    assert!((1.0..4.0).contains(&e_folding_s), "{e_folding_s}");
+    let pseudo = [masked.as_slice(), &[("control.loop", "pseudo-open-loop")]].concat();
+    let pseudo = simulator(&pseudo);
+    assert!(pseudo.stability().stable && (pseudo.stability().growth_per_frame - 0.7).abs() < 1e-6);
+}
+
+#[test]
+fn an_interrupted_run_says_so() {
+    let flag = std::sync::atomic::AtomicBool::new(true);
+    let mut shots: Vec<Shot> = Vec::new();
+    let outcome = simulator(&[]).run(&mut shots, &mut Progress { cancel: Some(&flag), ..Progress::default() });
+    assert!(matches!(outcome, Err(Error::Interrupted(_))));
+}
+
+#[test]
+fn a_scene_without_a_loop_is_refused() {
+    let scene = cophase::scene::Scene::preset("keck-artificial").unwrap();
+    match Simulator::new(&scene) {
+        Err(Error::Scene(sentence)) => assert!(sentence.contains("[wavefront_sensor]"), "{sentence}"),
+        _ => panic!("a loop needs a sensor"),
+    }
+}
+
+#[test]
+fn the_interaction_matrix_is_local_and_answers_like_the_geometry() {
+    let simulator = simulator(&[]);
+    let interaction = simulator.interaction();
+    let (slopes, actuators) = interaction.dim();
+    assert_eq!((slopes, actuators), (2 * 248, 296));
+    // A push is symmetric: over all full subapertures its slopes sum to nothing along either axis, within what the
+    // quad cell's partially lit neighbours see of it.
+    let centre = simulator.influence().positions_m().iter().position(|&(x, y)| x.hypot(y - 2.25) < 0.3).unwrap();
+    let column = interaction.column(centre);
+    let largest = column.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let sum: f64 = column.iter().sum();
+    assert!(sum.abs() < 0.02 * largest && largest > 0.1, "{sum} {largest}");
+}

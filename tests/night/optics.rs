@@ -1,0 +1,105 @@
+//! The science camera.
+
+use super::system::{CLEAN, STILL, map, simulator, square};
+use cophase::ao::{Simulator, View, strehl_on_axis};
+use std::f64::consts::TAU;
+
+/// In focus, without static aberrations.
+fn plain(simulator: &Simulator) -> View {
+    let view = View::of(&simulator.scene().image);
+    View { segments: false, ncpa: false, diversity: false, ..view }
+}
+
+#[test]
+fn the_psf_holds_all_the_light_that_its_field_can() {
+    let simulator = simulator(&[]);
+    let psf = simulator.camera(plain(&simulator)).unwrap().psf(&simulator.footprint().zeros());
+    let sum: f64 = psf.iter().map(|&v| f64::from(v)).sum();
+    // 120 λ/D across: the edges of the segments diffract 0.3 to 1 % of the light beyond it; none is made.
+    assert!((0.985..1.0).contains(&sum), "{sum}");
+    // The peak of the perfect PSF is on the axis, pixel [M/2, M/2].
+    let (peak, _) = psf.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap();
+    assert_eq!(peak, (120, 120));
+}
+
+#[test]
+fn both_routes_of_the_transform_make_the_same_image() {
+    let simulator = simulator(&[]);
+    let residual = map(simulator.footprint(), |y, x| 90.0 * ((y * 7 + x * 3) as f32 * 0.05).sin());
+    let image = |spacing: f64| {
+        let view = View { samples_per_lambda_over_d: spacing, pixels: 96, ..View::of(&simulator.scene().image) };
+        simulator.camera(view).unwrap().psf(&residual)
+    };
+    // 240 samples × 2 + 1e-9 pixels is not a whole number: a matrix in place of the FFT.
+    let (fft, matrix) = (image(2.0), image(2.0 + 1e-9));
+    let peak = fft.iter().copied().fold(0.0, f32::max);
+    // Single precision: sums of 240 terms twice.
+    assert!(fft.iter().zip(&matrix).all(|(a, b)| (a - b).abs() < 2e-5 * peak));
+}
+
+#[test]
+fn a_wavefront_that_grows_along_x_moves_the_spot_along_the_columns() {
+    let simulator = simulator(&[]);
+    let grid = simulator.pupil().grid;
+    // 5 λ/D along x and −3 along y, at 2 pixels per λ/D.
+    let nm_m = 2168.6 / grid.width_m();
+    let residual =
+        map(simulator.footprint(), |y, x| ((5.0 * grid.coordinate_m(x) - 3.0 * grid.coordinate_m(y)) * nm_m) as f32);
+    let psf = simulator.camera(plain(&simulator)).unwrap().psf(&residual);
+    let (peak, _) = psf.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap();
+    assert_eq!(peak, (120 - 6, 120 + 10));
+}
+
+#[test]
+fn images_of_the_loop_and_of_an_artificial_source_agree_without_turbulence() {
+    // The same scene without air and with a frozen mirror: its image is that of `source`, another program on another grid.
+    let settings = [STILL.as_slice(), &CLEAN, &[("aberrations.truth_samples", "960")]].concat();
+    let simulator = simulator(&settings);
+    let scene = simulator.scene();
+    let psf = simulator.camera(View::of(&scene.image)).unwrap().psf(simulator.segments_nm());
+    let camera = cophase::source::Camera::of(scene, simulator.telescope()).unwrap();
+    let expected = camera.psf(simulator.truth()).unwrap();
+    let peak = expected.iter().copied().fold(0.0, f64::max);
+    let worst = psf.iter().zip(&expected).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
+    // 240 samples against 960, both with grey edges: box filters whose aliases reach 1 % of the defocused peak.
+    assert!(worst < 0.02 * peak, "{}", worst / peak);
+}
+
+#[test]
+fn strehl_on_the_axis_is_that_of_the_image_and_of_marechal() {
+    let simulator = simulator(&[]);
+    let footprint = simulator.footprint();
+    let residual = map(footprint, |y, x| 100.0 * ((y as f32 * 0.21).sin() + (x as f32 * 0.17).cos()));
+    let mut camera = simulator.camera(plain(&simulator)).unwrap();
+    let (aberrated, perfect) = (camera.psf(&residual), camera.psf(&footprint.zeros()));
+    let image = f64::from(aberrated[[120, 120]] / perfect[[120, 120]]);
+    let axis = strehl_on_axis(footprint, &residual, 2168.6);
+    // The camera's field is a sum over 57,600 samples in single precision.
+    assert!((image / axis - 1.0).abs() < 1e-4, "{image} {axis}");
+    let rms = simulator.pupil().rms(square(footprint, &residual).view()).unwrap();
+    let marechal = (-(TAU * rms / 2168.6).powi(2)).exp();
+    // σ = 0.29 rad: the next cumulant is of order σ⁴/12 = 6e-4, times the excess of the distribution.
+    assert!((axis / marechal - 1.0).abs() < 3e-3, "{axis} {marechal}");
+}
+
+#[test]
+fn an_image_wider_than_the_samples_carry_is_refused() {
+    let simulator = simulator(&[]);
+    let view = View { pixels: 600, ..View::of(&simulator.scene().image) };
+    assert!(simulator.camera(view).is_err());
+}
+
+#[test]
+fn a_broad_filter_smears_the_speckles() {
+    let simulator = simulator(&[]);
+    let view = View::of(&simulator.scene().image);
+    let mut narrow = simulator.camera(view).unwrap();
+    let mut broad = simulator.camera(View { bandwidth_fraction: 0.2, ..view }).unwrap();
+    let still = simulator.segments_nm().to_vec();
+    let (narrow, broad) = (narrow.psf(&still), broad.psf(&still));
+    let contrast = |psf: &ndarray::Array2<f32>| {
+        let mean = psf.mean().unwrap();
+        psf.iter().map(|v| (v / mean - 1.0).powi(2)).sum::<f32>()
+    };
+    assert!(contrast(&broad) < 0.95 * contrast(&narrow));
+}
