@@ -1,9 +1,14 @@
 //! How much of the segments' pistons leaks into the mirror (section 4 of the paper), against an independent prototype.
 
 use cophase::Error;
+use cophase::ao::Simulator;
 use cophase::optimize::CancelFlag;
 use cophase::reproduce::figures::{Leak, LeakCase, leak};
 use cophase::reproduce::{Progress, statistics};
+use cophase::scene::Scene;
+use cophase::source::Truth;
+use cophase::telescope::Telescope;
+use rand::SeedableRng;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
@@ -29,9 +34,10 @@ fn pistons_leak_as_in_an_independent_prototype() {
         // twelve by 2 to 5 %: 25 % is three times both together, and the most that two simulators may differ by.
         assert!((mirror_nm / prototype_nm - 1.0).abs() < 0.25, "{:?}: {mirror_nm}", row.case);
         for draw in &row.draws {
-            // (1 − 0.3)^k of some 300 nm is below 1e-3 nm from k = 36 on; the sensor's gain is not 1 off its axis, so
-            // that the slowest mode takes longer, but not three times as long.
-            assert!(draw.frames.is_some_and(|frames| (30..110).contains(&frames)), "{draw:?}");
+            // 0.7^k of what actuators go (10 nm where nearly nothing leaks, 300 nm where all does) is below 1e-3 nm from
+            // k = 26 to 35 on. The sensor is not linear for steps between segments, so that the slowest mode takes
+            // longer, but not three times as long.
+            assert!(draw.frames.is_some_and(|frames| (20..110).contains(&frames)), "{draw:?}");
             // Nothing is made of nothing: the three are sides of a triangle.
             assert!((draw.input_nm - draw.residual_nm).abs() <= draw.mirror_nm * (1.0 + 1e-9), "{draw:?}");
         }
@@ -64,4 +70,29 @@ fn it_stops_when_told_to() {
     flag.store(true, Ordering::Relaxed);
     let error = leak(&LeakCase::ALL, 1, &Progress::new(&|_, _| {}, Some(&flag))).unwrap_err();
     assert!(matches!(error, Error::Interrupted(_)), "{error}");
+}
+
+#[test]
+fn segments_that_were_corrected_leave_nothing_to_leak() {
+    let calm = ["fractions", "heights_m", "wind_m_s", "wind_dir_rad"].map(|key| format!("turbulence.{key}"));
+    let mut settings: Vec<(&str, &str)> = calm.iter().map(|key| (key.as_str(), "[]")).collect();
+    settings.extend([("wavefront_sensor.photon_noise", "false"), ("wavefront_sensor.read_noise_e", "0")]);
+    let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
+    let telescope = Telescope::of(&scene).unwrap();
+    let draw = || Truth::draw(&scene, &telescope, &mut rand_chacha::ChaCha12Rng::seed_from_u64(7)).unwrap();
+    let ncpa_nm = draw().ncpa_nm;
+    let truth = draw().with_pistons(&telescope, vec![0.0; 36]).unwrap();
+    // The NCPA lie behind the loop, and stay.
+    assert!(truth.ncpa_nm.iter().zip(&ncpa_nm).all(|(now, then)| now.to_bits() == then.to_bits()));
+    let mut simulator = Simulator::with_truth(&scene, Telescope::of(&scene).unwrap(), truth).unwrap();
+    for _ in 0..20 {
+        let frame = simulator.step().unwrap();
+        // A flat wavefront: the sensor's rounding, 1e-7 of a spot's width of some 230 mas, and the gain of a few hundred
+        // nm per 100 mas on the weakest of its modes.
+        assert!(frame.residual_rms_nm < 0.01, "{}", frame.residual_rms_nm);
+    }
+    assert!(matches!(draw().with_pistons(&telescope, vec![0.0; 35]), Err(Error::Shape(_))));
+    let mut wild = vec![0.0; 36];
+    wild[3] = f64::NAN;
+    assert!(matches!(draw().with_pistons(&telescope, wild), Err(Error::Value(_))));
 }

@@ -2,7 +2,7 @@
 //!
 //! Images come from the masked, inpainted, pseudo-open loop, 75 a pass. What is delivered comes from the plain zonal loop:
 //! the paper does not say which, but its figures do. Pistons of 64 nm cost it 1 % of Strehl ratio in H, as a loop does
-//! that takes two thirds of their variance away; one that lets them pass would lose 6 %.
+//! that takes three quarters of their variance away (see `leak`); one that lets them pass would lose 6 %.
 
 use super::setup;
 use crate::ao::Simulator;
@@ -86,6 +86,12 @@ impl State {
             (_, 1) => "pass 1",
             _ => "pass 2",
         }
+    }
+
+    /// `64 nm, pass 1`: as [`State::label`], in fewer letters.
+    pub(super) fn short(&self) -> String {
+        let rms = self.amplitude.map(|amplitude| if amplitude == Amplitude::Conventional { "64" } else { "128" });
+        rms.map_or_else(|| self.name().into(), |rms| format!("{rms} nm, {}", self.name()))
     }
 
     /// Amplitude and name.

@@ -114,22 +114,27 @@ fn pictures(
     let mut drawn = Vec::with_capacity(rows.len());
     for (row, map_nm) in rows.iter().zip(&maps_nm) {
         let map_nm = pupil.remove_piston(map_nm.view())?;
+        let rms = pupil.rms(map_nm.view())?;
         let (caption, scale) = match row.kind {
             "turbulence" => {
-                (format!("{:.0} m, {:.1} %", row.height_m, 100.0 * row.fraction), MapScale::SharedDiverging)
+                let (height_km, percent) = (row.height_m / 1000.0, 100.0 * row.fraction);
+                (format!("{height_km} km, {percent:.1} %, {rms:.0} nm"), MapScale::SharedDiverging)
             }
-            "segments" => ("0 m, static".into(), MapScale::Diverging),
-            _ => ("NCPA".into(), MapScale::Diverging),
+            "segments" => (format!("0 km, static, {rms:.0} nm"), MapScale::Diverging),
+            _ => (format!("NCPA: {rms:.1} nm RMS"), MapScale::Diverging),
         };
-        drawn.push(wavefront(pupil, &caption, &map_nm, scale)?);
+        drawn.push(wavefront(pupil, caption, &map_nm, scale));
     }
     let ncpa = drawn.pop();
-    let segments =
-        drawn.last().map(|map| CaptionedMap { caption: map.caption.replace("0 m, static", "Segments"), ..map.clone() });
+    let segments = drawn.last().zip(rows.iter().find(|row| row.kind == "segments"));
+    let segments = segments.map(|(map, row)| {
+        let caption = format!("Segments: {:.1} nm RMS", row.rms_nm.iter().copied().fold(0.0, f64::max));
+        CaptionedMap { caption, ..map.clone() }
+    });
     let mask = mask(simulator);
     let subapertures = [simulator.mask().len(), simulator.mask().iter().filter(|&&masked| masked).count()];
     let layers = MapsPicture {
-        title: "Layers of the simulation: seven of turbulence, and the segments".into(),
+        title: "Layers of the simulation: height, share of the turbulence, RMS".into(),
         columns: 4,
         maps: drawn,
     };

@@ -167,8 +167,8 @@ impl LeakCase {
         let drawn = seed == 1 && self.is_drawn();
         let captions = ["input", "mirror", "residual"].into_iter().filter(|_| drawn).zip(&maps_nm);
         let maps = captions.map(|(what, map_nm)| {
-            let caption = format!("{}, {what}", self.row);
-            setup::wavefront(&pupil, &caption, map_nm, MapScale::SharedDiverging)
+            let caption = format!("{}, {what}: {:.1} nm RMS", self.row, pupil.rms(map_nm.view())?);
+            Ok(setup::wavefront(&pupil, caption, map_nm, MapScale::SharedDiverging))
         });
         Ok((draw, maps.collect::<Result<_>>()?))
     }

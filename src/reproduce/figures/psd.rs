@@ -11,7 +11,7 @@ use std::path::Path;
 
 /// Frequencies of the map of ratios reach this many times as far as the mirror does.
 const REACH: f64 = 4.0;
-/// Squares of the picture for each frequency: the border of the box is one of them wide.
+/// Pixels of the picture for each frequency: the border of the box is one of them wide.
 const FINE: usize = 5;
 
 /// The average spectrum of one state over the frames of all draws.
@@ -117,46 +117,55 @@ impl Psds {
         table
     }
 
-    /// Spectra before over after, in powers of ten, the box drawn in.
+    /// Spectra before over after, in powers of ten; the control box is drawn in the darkest blue.
     ///
     /// # Errors
     /// As [`Psd::ratio`].
     pub fn ratios(&self) -> Result<MapsPicture> {
         let mut maps = Vec::new();
-        for amplitude in Amplitude::ALL {
-            let Some([before, after]) = self.ends(amplitude) else { continue };
-            maps.push(CaptionedMap {
-                caption: format!(
-                    "{}: {:.0} to {:.0} nm",
-                    amplitude.name(),
-                    mean(&before.phasing_nm),
-                    mean(&after.phasing_nm)
-                ),
-                values: self.boxed(&before.psd.ratio(&after.psd)?, before.psd.step_per_m()),
-                unit: "log₁₀".into(),
-                width_m: None,
-                scale: MapScale::SharedDiverging,
-            });
+        for [before, after] in Amplitude::ALL.into_iter().filter_map(|amplitude| self.ends(amplitude)) {
+            let (step_per_m, nm) = (before.psd.step_per_m(), [before, after].map(|state| mean(&state.phasing_nm)));
+            let middle = self.middle(&before.psd.ratio(&after.psd)?, step_per_m);
+            maps.push((before.state.amplitude.map_or("", Amplitude::name), nm, step_per_m, middle));
         }
-        let title = format!(
-            "Power of the residual wavefront, before over after correction; the box is what the mirror controls, |f| up to \
-             {:.2} cycles/m",
-            self.half_width_per_m
-        );
+        // What nearly all values lie within: the line is as dark as the scale goes, and does not stretch it.
+        let mut sizes: Vec<f64> = maps.iter().flat_map(|(.., map)| map.iter().map(|v| v.abs())).collect();
+        sizes.retain(|size| size.is_finite());
+        sizes.sort_by(f64::total_cmp);
+        let line = -sizes.get(sizes.len() * 199 / 200).copied().unwrap_or(1.0);
+        let captioned = |(name, nm, step_per_m, map): (&str, [f64; 2], f64, Array2<f64>)| CaptionedMap {
+            caption: format!(
+                "{name}: {:.0} to {:.0} nm; {:.3} cycles/m a pixel",
+                nm[0],
+                nm[1],
+                step_per_m / FINE as f64
+            ),
+            values: self.boxed(&map, step_per_m, line),
+            unit: "log₁₀".into(),
+            width_m: None,
+            scale: MapScale::SharedDiverging,
+        };
+        let maps = maps.into_iter().map(captioned).collect();
+        let title = "Power of the residual, before over after; box: what the mirror controls".into();
         Ok(MapsPicture { title, columns: 2, maps })
     }
 
-    /// The middle of a map of ratios, enlarged, with the border of the control box left blank.
-    fn boxed(&self, ratio: &Array2<f64>, step_per_m: f64) -> Array2<f64> {
+    /// Powers of ten of the middle of a map of ratios.
+    fn middle(&self, ratio: &Array2<f64>, step_per_m: f64) -> Array2<f64> {
         let middle = ratio.nrows() / 2;
         let reach = ((REACH * self.half_width_per_m / step_per_m).round() as usize).min(middle.saturating_sub(1));
-        let side = (2 * reach + 1) * FINE;
-        let frequency = |j: usize| ((j as f64 + 0.5) / FINE as f64 - 0.5 - reach as f64) * step_per_m;
+        ratio.slice(s![middle - reach..=middle + reach, middle - reach..=middle + reach]).mapv(f64::log10)
+    }
+
+    /// The map enlarged, with the border of the control box at `line`.
+    fn boxed(&self, map: &Array2<f64>, step_per_m: f64, line: f64) -> Array2<f64> {
+        let reach = (map.nrows() / 2) as f64;
+        let frequency = |j: usize| ((j as f64 + 0.5) / FINE as f64 - 0.5 - reach) * step_per_m;
         let thick = step_per_m / FINE as f64;
-        Array2::from_shape_fn((side, side), |(y, x)| {
+        Array2::from_shape_fn((map.nrows() * FINE, map.ncols() * FINE), |(y, x)| {
             let farthest = frequency(y).abs().max(frequency(x).abs());
             let border = (farthest - self.half_width_per_m).abs() < thick / 2.0 * (1.0 + 1e-9);
-            if border { f64::NAN } else { ratio[[middle - reach + y / FINE, middle - reach + x / FINE]].log10() }
+            if border { line } else { map[[y / FINE, x / FINE]] }
         })
     }
 

@@ -38,16 +38,9 @@ pub(super) fn on_pupil(simulator: &Simulator, map: &[f32]) -> Array2<f64> {
     })
 }
 
-/// A wavefront to be drawn, its RMS (of the map as it is given) behind the caption.
-pub(super) fn wavefront(pupil: &Pupil, caption: &str, map_nm: &Array2<f64>, scale: MapScale) -> Result<CaptionedMap> {
-    let rms = pupil.rms(map_nm.view())?;
-    Ok(CaptionedMap {
-        caption: format!("{caption}: {rms:.1} nm RMS"),
-        values: map_nm.clone(),
-        unit: "nm".into(),
-        width_m: Some(pupil.grid.width_m()),
-        scale,
-    })
+/// A wavefront to be drawn, `[y, x]`, nm.
+pub(super) fn wavefront(pupil: &Pupil, caption: String, map_nm: &Array2<f64>, scale: MapScale) -> CaptionedMap {
+    CaptionedMap { caption, values: map_nm.clone(), unit: "nm".into(), width_m: Some(pupil.grid.width_m()), scale }
 }
 
 /// The NCPA behind `simulator` on its pupil's grid, `[y, x]`, nm, NaN where there is no glass.
