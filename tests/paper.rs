@@ -101,7 +101,7 @@ fn the_error_halves_when_the_signal_over_noise_doubles() {
 fn a_target_writes_its_files_and_counts_its_images() {
     let folder = tempfile::tempdir().unwrap();
     let directory = folder.path().join("new/results");
-    let options = Options { seeds: Some(1), directory: directory.clone(), quick: true };
+    let options = Options { seeds: Some(1), directory: directory.clone(), quick: true, ..Options::default() };
     let last = AtomicUsize::new(0);
     let watch = |done: usize, total: usize| {
         assert!(done <= total && total == 2);
@@ -122,7 +122,7 @@ fn a_target_writes_its_files_and_counts_its_images() {
 #[test]
 fn a_raised_flag_stops_every_target_and_leaves_no_file() {
     let folder = tempfile::tempdir().unwrap();
-    let options = Options { seeds: Some(1), directory: folder.path().into(), quick: true };
+    let options = Options { seeds: Some(1), directory: folder.path().into(), quick: true, ..Options::default() };
     let flag: CancelFlag = Arc::new(true.into());
     for target in Target::ALL {
         let stopped = target.run(&options, &|_, _| {}, Some(&flag));
@@ -139,7 +139,7 @@ fn requests_that_make_no_sense_are_refused() {
     let unknown = Target::parse("figure-99").unwrap_err().to_string();
     assert!(unknown.contains("figure-99") && unknown.contains("diversity"), "{unknown}");
     let folder = tempfile::tempdir().unwrap();
-    let none = Options { seeds: Some(0), directory: folder.path().into(), quick: false };
+    let none = Options { seeds: Some(0), directory: folder.path().into(), quick: false, ..Options::default() };
     assert!(matches!(Target::Samples.run(&none, &|_, _| {}, None), Err(Error::Value(_))));
     let tilted = preset().with_override("aberrations.segment_tip_tilt_rms_nm", "5").unwrap();
     assert!(matches!(draws(&tilted, 1, &progress()), Err(Error::Scene(_))));

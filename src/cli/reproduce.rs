@@ -2,29 +2,31 @@
 
 use super::interrupt::Interrupt;
 use super::terminal::Terminal;
-use cophase::Result;
-use cophase::reproduce::{Options, Target};
+use cophase::reproduce::{Options, Segments, Target};
+use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
+  cophase reproduce table -o results                        the paper's Table 2: ten minutes on two cores
   cophase reproduce artificial-source -o results            24 draws: a few minutes
   cophase reproduce diversity -o results --seeds 3
-  cophase reproduce all -o results --quick                  a look at the shapes
+  cophase reproduce all -o results --quick                  a look at the shapes";
 
-Targets:
-  artificial-source  residuals from one image: the paper's way and ours, against the Cramer-Rao bound
-  samples            error and time against pupil samples and the width of the fitted image
-  diversity          residual against the amplitude of the defocus at 1640 and 2168.6 nm
-  all                all of these
-
-Each writes its table as CSV, and a picture.";
+/// Examples, and every target with what it shows.
+fn after_help() -> String {
+    let line = |name: &str, about: &str| format!("  {name:<18} {about}\n");
+    let targets: String = Target::ALL.iter().map(|target| line(target.name(), target.about())).collect();
+    let figures = line("figures", &Target::FIGURES.map(Target::name).join(", "));
+    let all = line("all", "all of these");
+    format!("{EXAMPLES}\n\nTargets:\n{targets}{figures}{all}\nEach writes its tables as CSV, and a picture.")
+}
 
 /// Repeat the paper's experiments: tables and pictures, its way beside ours
 #[derive(clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = after_help())]
 pub struct Arguments {
-    /// What to reproduce: artificial-source, samples, diversity or all
+    /// What to reproduce: one of the targets below, figures or all
     #[arg(value_name = "TARGET", value_parser = targets)]
     targets: Targets,
     /// Folder for the tables and pictures; made if it is not there
@@ -33,9 +35,12 @@ pub struct Arguments {
     /// Draws of aberrations and noise at each point; each target has its own number
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     seeds: Option<u32>,
-    /// Two draws and a few points
+    /// Two draws, and a few points or images
     #[arg(long)]
     quick: bool,
+    /// Telescope behind the AO loop: paper (segments of 0.862 m, a pupil of 10.49 m) or real (0.9 m)
+    #[arg(long, value_name = "WHICH", default_value = "paper", value_parser = segments)]
+    segments: Segments,
     /// Print what was written as JSON, not the tables
     #[arg(long)]
     json: bool,
@@ -46,10 +51,18 @@ pub struct Arguments {
 struct Targets(Vec<Target>);
 
 fn targets(word: &str) -> Result<Targets> {
-    if word == "all" {
-        Ok(Targets(Target::ALL.to_vec()))
-    } else {
-        Target::parse(word).map(|target| Targets(vec![target]))
+    match word {
+        "all" => Ok(Targets(Target::ALL.to_vec())),
+        "figures" => Ok(Targets(Target::FIGURES.to_vec())),
+        _ => Target::parse(word).map(|target| Targets(vec![target])),
+    }
+}
+
+fn segments(word: &str) -> Result<Segments> {
+    match word {
+        "paper" => Ok(Segments::Published),
+        "real" => Ok(Segments::Real),
+        other => Err(Error::Value(format!("the segments '{other:.60}' are not known: paper or real is accepted"))),
     }
 }
 
@@ -66,6 +79,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         seeds: arguments.seeds.map(|seeds| seeds as usize),
         directory: arguments.output.clone(),
         quick: arguments.quick,
+        segments: arguments.segments,
     };
     let mut written = Vec::new();
     for target in &arguments.targets.0 {
