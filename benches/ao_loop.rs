@@ -47,43 +47,41 @@ fn runs(criterion: &mut Criterion) {
     group.finish();
 }
 
-/// A billion multiply-adds would take this many vectors of [`LANES`]: eight sums side by side hide the latency.
+/// 8,000 vectors of multiply-adds: eight sums side by side hide the latency.
 struct MultiplyAdds;
 
-impl pulp::NullaryFnOnce for MultiplyAdds {
-    type Output = [[f32; LANES]; 8];
-
-    #[inline(always)]
-    fn call(self) -> Self::Output {
-        let (a, b) = (black_box([1.000_000_1f32; LANES]), black_box([1e-9f32; LANES]));
-        let mut sums = black_box([[1.0f32; LANES]; 8]);
-        for _ in 0..1000 {
-            for sum in &mut sums {
-                for l in 0..LANES {
-                    sum[l] = sum[l].mul_add(a[l], b[l]);
-                }
-            }
-        }
-        sums
-    }
-}
-
-struct Read<'a>(&'a [f32]);
-
-impl pulp::NullaryFnOnce for Read<'_> {
+impl pulp::WithSimd for MultiplyAdds {
     type Output = f32;
 
     #[inline(always)]
-    fn call(self) -> f32 {
-        let mut sums = [[0.0f32; LANES]; 8];
-        for block in self.0.as_chunks::<LANES>().0.as_chunks::<8>().0 {
-            for (sum, values) in sums.iter_mut().zip(block) {
-                for l in 0..LANES {
-                    sum[l] = values[l].mul_add(1.0, sum[l]);
-                }
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> f32 {
+        let (a, b) = (simd.splat_f32s(black_box(1.000_000_1)), simd.splat_f32s(black_box(1e-9)));
+        let mut sums = [simd.splat_f32s(black_box(1.0)); 8];
+        // As many numbers whatever the length of the vectors.
+        for _ in 0..1000 * LANES / S::F32_LANES {
+            for sum in &mut sums {
+                *sum = simd.mul_add_f32s(*sum, a, b);
             }
         }
-        sums.iter().flatten().sum()
+        sums.into_iter().map(|sum| simd.reduce_sum_f32s(sum)).sum()
+    }
+}
+
+/// A sum over memory: as fast as it can be read.
+struct Read<'a>(&'a [f32]);
+
+impl pulp::WithSimd for Read<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn with_simd<S: pulp::Simd>(self, simd: S) -> f32 {
+        let mut sums = [simd.splat_f32s(0.0); 8];
+        for block in S::as_simd_f32s(self.0).0.as_chunks::<8>().0 {
+            for (sum, values) in sums.iter_mut().zip(block) {
+                *sum = simd.add_f32s(*sum, *values);
+            }
+        }
+        sums.into_iter().map(|sum| simd.reduce_sum_f32s(sum)).sum()
     }
 }
 

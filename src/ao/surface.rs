@@ -27,9 +27,9 @@ pub struct Surface {
     reach: Vec<Range<usize>>,
     /// The lines of actuators that reach each line of samples.
     band: Vec<Range<usize>>,
-    /// Commands on the whole square, then `C·G_x`, `[actuator row][x]`.
+    /// Commands on the whole square; then `C·G_x` in vectors of samples, `[vector][actuator row]`.
     commands: Vec<f32>,
-    columns: Vec<f32>,
+    columns: Vec<[f32; LANES]>,
 }
 
 impl Surface {
@@ -67,7 +67,7 @@ impl Surface {
             reach,
             band,
             commands: vec![0.0; across * across],
-            columns: vec![0.0; across * stride],
+            columns: vec![[0.0; LANES]; across * stride / LANES],
         }
     }
 
@@ -140,8 +140,6 @@ impl NullaryFnOnce for Reflect<'_> {
         let Self { surface, still_nm, opd_nm } = self;
         surface.fill_columns();
         let stride = surface.footprint.stride();
-        let vectors = stride / LANES;
-        let columns = surface.columns.as_chunks::<LANES>().0;
         let mut moments = [0.0; 2];
         for (y, (row, band)) in opd_nm.chunks_exact_mut(stride).zip(&surface.band).enumerate() {
             let span = surface.footprint.span(y);
@@ -151,12 +149,12 @@ impl NullaryFnOnce for Reflect<'_> {
             let still = still_nm.map_or(amplitude, |still_nm| still_nm[place].as_chunks::<LANES>().0);
             let share = [if still_nm.is_some() { 1.0f32 } else { 0.0 }; LANES];
             let (mut first, mut second) = ([0.0f32; LANES], [0.0f32; LANES]);
-            let first_column = band.start * vectors + span.start / LANES;
-            let blocks = row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(amplitude).zip(still).enumerate();
-            for (v, ((out, a), still)) in blocks {
+            let columns = surface.columns.chunks_exact(surface.across).skip(span.start / LANES);
+            let blocks = row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(amplitude).zip(still);
+            for (((out, a), still), columns) in blocks.zip(columns) {
                 let mut sum = *out;
                 multiply_add(&mut sum, &share, still);
-                for (weight, column) in influence.iter().zip(columns[first_column + v..].iter().step_by(vectors)) {
+                for (weight, column) in influence.iter().zip(&columns[band.clone()]) {
                     multiply_add(&mut sum, &[*weight; LANES], column);
                 }
                 *out = sum;
@@ -176,16 +174,17 @@ impl NullaryFnOnce for Reflect<'_> {
 }
 
 impl Surface {
-    /// `C·G_x`, `[actuator row][x]`.
+    /// `C·G_x`.
     #[inline(always)]
     fn fill_columns(&mut self) {
-        let stride = self.footprint.stride();
-        for (row, commands) in self.columns.chunks_exact_mut(stride).zip(self.commands.chunks_exact(self.across)) {
-            row.fill(0.0);
+        let (across, stride) = (self.across, self.footprint.stride());
+        self.columns.fill([0.0; LANES]);
+        for (j, commands) in self.commands.chunks_exact(across).enumerate() {
             for ((&command, along), reach) in commands.iter().zip(self.along.chunks_exact(stride)).zip(&self.reach) {
                 let along = along[reach.clone()].as_chunks::<LANES>().0;
-                for (out, along) in row[reach.clone()].as_chunks_mut::<LANES>().0.iter_mut().zip(along) {
-                    multiply_add(out, &[command; LANES], along);
+                let columns = self.columns.chunks_exact_mut(across).skip(reach.start / LANES);
+                for (column, along) in columns.zip(along) {
+                    multiply_add(&mut column[j], &[command; LANES], along);
                 }
             }
         }

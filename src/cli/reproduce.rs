@@ -17,15 +17,16 @@ const EXAMPLES: &str = "Examples:
 fn after_help() -> String {
     let line = |name: &str, about: &str| format!("  {name:<18} {about}\n");
     let targets: String = Target::ALL.iter().map(|target| line(target.name(), target.about())).collect();
+    let figures = line("figures", &Target::FIGURES.map(Target::name).join(", "));
     let all = line("all", "all of these");
-    format!("{EXAMPLES}\n\nTargets:\n{targets}{all}\nEach writes its tables as CSV, and a picture.")
+    format!("{EXAMPLES}\n\nTargets:\n{targets}{figures}{all}\nEach writes its tables as CSV, and a picture.")
 }
 
 /// Repeat the paper's experiments: tables and pictures, its way beside ours
 #[derive(clap::Args)]
 #[command(after_help = after_help())]
 pub struct Arguments {
-    /// What to reproduce: one of the targets below, or all
+    /// What to reproduce: one of the targets below, figures or all
     #[arg(value_name = "TARGET", value_parser = targets)]
     targets: Targets,
     /// Folder for the tables and pictures; made if it is not there
@@ -50,10 +51,10 @@ pub struct Arguments {
 struct Targets(Vec<Target>);
 
 fn targets(word: &str) -> Result<Targets> {
-    if word == "all" {
-        Ok(Targets(Target::ALL.to_vec()))
-    } else {
-        Target::parse(word).map(|target| Targets(vec![target]))
+    match word {
+        "all" => Ok(Targets(Target::ALL.to_vec())),
+        "figures" => Ok(Targets(Target::FIGURES.to_vec())),
+        _ => Target::parse(word).map(|target| Targets(vec![target])),
     }
 }
 

@@ -14,6 +14,8 @@ use std::path::Path;
 pub enum MapScale {
     /// Blue to red, symmetric about a white zero: wavefronts, differences.
     Diverging,
+    /// The same, on one scale for all maps of the picture that ask for it.
+    SharedDiverging,
     /// From zero up: amplitudes, error maps.
     Sequential,
     /// asinh: images of stars.
@@ -68,7 +70,9 @@ impl MapsPicture {
         for map in &self.maps {
             super::check_width(map.width_m.unwrap_or(1.0), &map.caption)?;
         }
-        let panels: Vec<MapPanel> = self.maps.iter().map(CaptionedMap::panel).collect();
+        let sharing = self.maps.iter().filter(|map| map.scale == MapScale::SharedDiverging);
+        let shared = Shade::diverging(&sharing.map(|map| map.values.view()).collect::<Vec<_>>(), 0.0);
+        let panels: Vec<MapPanel> = self.maps.iter().map(|map| map.panel(&shared)).collect();
         let cell_w = ((PAGE_W - MARGIN) / self.columns as f64).min(WIDEST_CELL);
         let page_w = cell_w * self.columns as f64 + MARGIN;
         let heading_h = heading_height(0);
@@ -96,10 +100,11 @@ impl MapsPicture {
 }
 
 impl CaptionedMap {
-    fn panel(&self) -> MapPanel<'_> {
+    fn panel(&self, shared: &Shade) -> MapPanel<'_> {
         let values = self.values.view();
         let shade = match self.scale {
             MapScale::Diverging => Shade::diverging(&[values], 0.0),
+            MapScale::SharedDiverging => shared.clone(),
             MapScale::Sequential => Shade::sequential(&[values]),
             MapScale::Stretched => Shade::stretched(&[values], values),
         };

@@ -2,12 +2,14 @@
 //! picture.
 //!
 //! An experiment is a function of this room ([`artificial_source()`], [`samples()`], [`diversity()`], [`on_sky()`],
-//! [`image_numbers()`]); [`Target`] runs one by name and writes its files. Residuals are RMS over the pupil (weight A) in nm, piston, tip and tilt removed.
+//! [`image_numbers()`], those of [`figures`]); [`Target`] runs one by name and writes its files. Residuals are RMS over
+//! the pupil (weight A) in nm, piston, tip and tilt removed.
 
 mod artificial_source;
 mod case;
 mod diversity;
 mod draw;
+pub mod figures;
 mod on_sky;
 mod on_sky_images;
 mod on_sky_table;
@@ -45,6 +47,16 @@ pub enum Target {
     Table,
     /// Section 4.4: residual against the number of images.
     Images,
+    /// Section 4: the layers of turbulence, the segments, the NCPA and the mask.
+    Layers,
+    /// Section 4: the loop closed on the segments' errors alone.
+    Leak,
+    /// Section 4.3: modes and maps estimated behind the paper's best loop.
+    Modes,
+    /// Section 4.5: H-band Strehl ratio before and after the segments are corrected.
+    Strehl,
+    /// Section 4.5: power spectra of the residual wavefront before and after.
+    Psd,
 }
 
 /// How a target is run.
@@ -82,8 +94,21 @@ pub struct Report {
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 5] =
-        [Target::ArtificialSource, Target::Samples, Target::Diversity, Target::Table, Target::Images];
+    pub const ALL: [Target; 10] = [
+        Target::ArtificialSource,
+        Target::Samples,
+        Target::Diversity,
+        Target::Table,
+        Target::Images,
+        Target::Layers,
+        Target::Leak,
+        Target::Modes,
+        Target::Strehl,
+        Target::Psd,
+    ];
+
+    /// The figures of section 4 that are neither the table's nor that of the number of images.
+    pub const FIGURES: [Target; 5] = [Target::Layers, Target::Leak, Target::Modes, Target::Strehl, Target::Psd];
 
     /// The name on the command line, and of its files.
     pub fn name(self) -> &'static str {
@@ -93,6 +118,11 @@ impl Target {
             Target::Diversity => "diversity",
             Target::Table => "table",
             Target::Images => "images",
+            Target::Layers => "layers",
+            Target::Leak => "leak",
+            Target::Modes => "modes",
+            Target::Strehl => "strehl",
+            Target::Psd => "psd",
         }
     }
 
@@ -106,6 +136,11 @@ impl Target {
             Target::Diversity => "residual against the amplitude of the defocus at 1640 and 2168.6 nm",
             Target::Table => "the paper's Table 2: a minute of images behind each kind of AO loop",
             Target::Images => "residual against the number of images, mean and median",
+            Target::Layers => "what goes in: turbulent layers, segments, NCPA, mask",
+            Target::Leak => "segment pistons that leak into the mirror of three loops, without turbulence",
+            Target::Modes => "modes and maps estimated behind the masked, inpainted, pseudo-open loop",
+            Target::Strehl => "H-band Strehl ratio and PSF before and after the segments are corrected, 64 and 128 nm",
+            Target::Psd => "power spectra of the residual wavefront before and after, 64 and 128 nm",
         }
     }
 
@@ -118,6 +153,10 @@ impl Target {
             Target::Samples => 8,
             Target::Diversity => 6,
             Target::Table | Target::Images => 3,
+            // The prototype's number; a loop without turbulence is settled in a moment.
+            Target::Leak => 12,
+            // One draw is what the picture shows.
+            Target::Layers | Target::Modes | Target::Strehl | Target::Psd => 1,
         }
     }
 
@@ -160,6 +199,11 @@ impl Target {
                 on_sky(&rows, &options.conditions(), seeds, &progress)?.report(&options.directory)
             }
             Target::Images => image_numbers(&options.conditions(), seeds, &progress)?.report(&options.directory),
+            Target::Layers => figures::layers(&options.conditions(), seeds, &progress)?.report(&options.directory),
+            Target::Leak => figures::leak(&figures::LeakCase::ALL, seeds, &progress)?.report(&options.directory),
+            Target::Modes => figures::modes(&options.conditions(), seeds, &progress)?.report(&options.directory),
+            Target::Strehl => figures::strehl(&options.conditions(), seeds, &progress)?.report(&options.directory),
+            Target::Psd => figures::psd(&options.conditions(), seeds, &progress)?.report(&options.directory),
         }
     }
 }
@@ -191,7 +235,7 @@ impl<'a> Progress<'a> {
     fn check(&self) -> Result<()> {
         if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
-            return Err(Error::Interrupted(format!("{done} of {total} images were fitted")));
+            return Err(Error::Interrupted(format!("{done} of {total} steps were done")));
         }
         Ok(())
     }

@@ -70,12 +70,22 @@ impl Sequence {
             let (phasing_nm, ncpa_nm) = (made.truth.phasing_nm, made.truth.ncpa_nm);
             return Ok(Self { images_e: made.images_e, phasing_nm, ncpa_nm, run: None });
         }
-        let mut simulator = Simulator::new(&scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?)?;
+        Self::behind(
+            Simulator::new(&scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?)?,
+            progress,
+        )
+    }
+
+    /// The images that `simulator` is set to take.
+    ///
+    /// # Errors
+    /// As [`Sequence::make`].
+    pub fn behind(mut simulator: Simulator, progress: &Progress) -> Result<Self> {
         progress.check()?;
         let mut shots: Vec<Shot> = Vec::new();
         let watch = &mut ao::Progress { watch: None, cancel: progress.cancel.map(|flag| &**flag) };
         let summary = simulator.run(&mut shots, watch)?;
-        let size = scene.image.pixels;
+        let size = simulator.scene().image.pixels;
         let mut images_e = Array3::zeros((shots.len(), size, size));
         for (mut image, shot) in images_e.outer_iter_mut().zip(shots) {
             image.zip_mut_with(&shot.image_e, |out, &electrons| *out = f64::from(electrons));

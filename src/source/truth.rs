@@ -72,6 +72,21 @@ impl Truth {
         Self::assemble(telescope, piston_nm, tip_tilt_nm, ncpa)
     }
 
+    /// These aberrations with other pistons, nm, one for each segment of `telescope`: segments that were corrected.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of them, [`Error::Value`] for one that is not finite.
+    pub fn with_pistons(self, telescope: &Telescope, piston_nm: Vec<f64>) -> Result<Self> {
+        let (given, needed) = (piston_nm.len(), telescope.pupil.segments.len());
+        if given != needed {
+            return Err(Error::Shape(format!("{given} pistons were given: the telescope has {needed} segments")));
+        }
+        if let Some(piston) = piston_nm.iter().find(|piston| !piston.is_finite()) {
+            return Err(Error::Value(format!("a piston of {piston} nm is impossible: it must be finite")));
+        }
+        Self::assemble(telescope, piston_nm, self.tip_tilt_nm, self.ncpa)
+    }
+
     fn assemble(telescope: &Telescope, piston_nm: Vec<f64>, tip_tilt_nm: Vec<[f64; 2]>, ncpa: Ncpa) -> Result<Self> {
         let pupil = &telescope.pupil;
         let outside = Array2::from_elem(pupil.amplitude.dim(), f64::NAN);

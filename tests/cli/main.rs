@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod odd_images;
+mod simulate;
 mod verbs;
 
 use cophase::io::{FitsReader, FitsWriter, Pixel};

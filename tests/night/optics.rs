@@ -110,3 +110,24 @@ fn a_broad_filter_is_the_mean_of_its_colours_at_fixed_angles() {
     let narrow = simulator.camera(view).unwrap().psf(&still);
     assert!(broad.iter().zip(&narrow).any(|(a, b)| (a - b).abs() > 0.05 * peak), "the filter must matter");
 }
+
+#[test]
+fn the_real_maps_of_keck_are_read() {
+    let places = ["../shared/data", "../../shared/data"].map(std::path::Path::new);
+    let Some(data) = places.into_iter().find(|place| place.is_dir()) else {
+        println!("skipped: Keck's own maps are not beside the project (../shared/data)");
+        return;
+    };
+    let data = data.canonicalize().unwrap();
+    let file = |name: &str| format!("{:?}", data.join(name).display().to_string());
+    let (subapertures, actuators) = (file("keckValidSubapMap.txt"), file("keckValidActuatorMap.txt"));
+    let simulator = simulator(&[
+        ("wavefront_sensor.subaperture_file", &subapertures),
+        ("mirror.actuator_file", &actuators),
+        ("control.filtered_modes", "20"),
+    ]);
+    // The map marks 304 subapertures; those that no segment of the preset's pupil lights have no slope.
+    let used = simulator.lenslets().subapertures.len();
+    assert!((260..=304).contains(&used), "{used}");
+    assert_eq!(simulator.influence().len(), 349);
+}

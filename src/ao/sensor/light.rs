@@ -41,8 +41,13 @@ impl Light {
 
     /// One pixel where `mean` electrons are expected.
     pub(super) fn pixel(&mut self, mean: f64) -> f64 {
+        let read_variance_e2 = self.read_noise_e * self.read_noise_e;
+        if self.photon_noise && mean > MANY {
+            // Both noises are normal: one draw does for their sum.
+            return mean + (mean + read_variance_e2).sqrt() * self.normal();
+        }
         let photons = self.photons(mean);
-        if self.read_noise_e > 0.0 { photons + self.read_noise_e * self.normal() } else { photons }
+        if read_variance_e2 > 0.0 { photons + self.read_noise_e * self.normal() } else { photons }
     }
 
     /// The differences between the halves of a quad cell over their sum, along x and y, where `expected` are expected of
