@@ -1,6 +1,7 @@
 //! The science camera behind the loop: PSFs of a residual wavefront with the static aberrations, and exposures of them.
 
 use super::footprint::{Footprint, LANES};
+use super::lines::Lines;
 use super::phase::unit_phasor;
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::ImageScene;
@@ -69,8 +70,8 @@ pub struct ScienceCamera {
 struct Colour {
     turns_per_nm: f32,
     /// The static field over the map, to be turned by the residual wavefront (which holds the segments' errors).
-    re: Vec<f32>,
-    im: Vec<f32>,
+    re: Lines,
+    im: Lines,
     /// PSF per |transform|².
     scale: f32,
     route: Route,

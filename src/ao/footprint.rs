@@ -1,5 +1,6 @@
 //! Where the light is on the simulator's grid, in rows of whole vectors.
 
+use super::lines::Lines;
 use crate::pupil::Pupil;
 use std::ops::Range;
 use std::sync::Arc;
@@ -7,15 +8,15 @@ use std::sync::Arc;
 /// Samples that one vector instruction takes at best (f32 in 512 bits); rows and spans are multiples of it.
 pub const LANES: usize = 16;
 
-/// The lit part of a square grid. A map over it is a `Vec<f32>` of [`Footprint::len`] values, rows `[y, x]` of
-/// [`Footprint::stride`] values each; only the samples inside the spans mean anything.
+/// The lit part of a square grid. A map over it is a slice of [`Footprint::len`] values, rows `[y, x]` of
+/// [`Footprint::stride`] values each ([`Footprint::zeros`] makes one); only the samples inside the spans mean anything.
 #[derive(Debug, Clone)]
 pub struct Footprint {
     samples: usize,
     stride: usize,
     spans: Vec<Range<usize>>,
     /// Shared by its clones: several stages read it in every frame, and the cache is small.
-    amplitude: Arc<[f32]>,
+    amplitude: Arc<Lines>,
     total: f64,
 }
 
@@ -24,7 +25,7 @@ impl Footprint {
     pub fn of(pupil: &Pupil) -> Self {
         let samples = pupil.grid.samples();
         let stride = samples.next_multiple_of(LANES);
-        let mut amplitude = vec![0.0; samples * stride];
+        let mut amplitude = Lines::zeros(samples * stride);
         let mut spans = Vec::with_capacity(samples);
         for (row, out) in pupil.amplitude.rows().into_iter().zip(amplitude.chunks_exact_mut(stride)) {
             for (out, &a) in out.iter_mut().zip(row) {
@@ -38,7 +39,7 @@ impl Footprint {
             });
         }
         let total = amplitude.iter().map(|&a| f64::from(a)).sum();
-        Self { samples, stride, spans, amplitude: amplitude.into(), total }
+        Self { samples, stride, spans, amplitude: Arc::new(amplitude), total }
     }
 
     /// Samples along a side.
@@ -73,8 +74,8 @@ impl Footprint {
     }
 
     /// A map of zeros.
-    pub fn zeros(&self) -> Vec<f32> {
-        vec![0.0; self.len()]
+    pub fn zeros(&self) -> Lines {
+        Lines::zeros(self.len())
     }
 }
 

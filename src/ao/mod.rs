@@ -10,6 +10,7 @@ mod darkroom;
 mod divergence;
 mod file;
 mod footprint;
+mod lines;
 mod phase;
 mod profile;
 mod run;
@@ -26,6 +27,7 @@ pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stab
 pub use divergence::Divergence;
 pub use file::write;
 pub use footprint::{Footprint, LANES};
+pub use lines::Lines;
 pub use profile::{Profile, Stage};
 pub use run::{Progress, Recorder, Schedule, Shot, Summary};
 pub use sensor::{Lenslets, Light, MAS_PER_NM_M, Sensor};

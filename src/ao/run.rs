@@ -7,6 +7,7 @@ use super::atmosphere::Atmosphere;
 use super::camera::View;
 use super::darkroom::{Darkroom, Film, Print};
 use super::divergence::{Divergence, Watch};
+use super::lines::Lines;
 use super::profile::{Profile, Stage};
 use super::simulator::{Frame, Plant, Simulator, sections};
 use crate::scene::Scene;
@@ -217,7 +218,7 @@ impl Simulator {
     }
 }
 
-type Batch = Vec<Vec<f32>>;
+type Batch = Vec<Lines>;
 
 /// Makes the turbulence of `frames` frames, until nobody wants more; returns the time it took.
 fn make_sky(

@@ -9,6 +9,7 @@ use super::atmosphere::Atmosphere;
 use super::camera::{Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::footprint::Footprint;
+use super::lines::Lines;
 use super::profile::{Profile, Stage};
 use super::sensor::{Lenslets, Light, Sensor};
 use super::surface::Surface;
@@ -52,7 +53,7 @@ pub struct Frame<'a> {
 /// What stands between the turbulence and the camera, frame after frame.
 pub(super) struct Plant {
     pub(super) footprint: Footprint,
-    segments_nm: Vec<f32>,
+    segments_nm: Lines,
     surface: Surface,
     sensor: Sensor,
     light: Option<Light>,
@@ -110,7 +111,7 @@ pub struct Simulator {
     law: ControlLaw,
     pub(super) atmosphere: Atmosphere,
     pub(super) plant: Plant,
-    pub(super) residual_nm: Vec<f32>,
+    pub(super) residual_nm: Lines,
 }
 
 /// The sections of a scene that the loop cannot do without.
@@ -341,7 +342,7 @@ impl Simulator {
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of commands.
-    pub fn surface_nm(&mut self, commands_nm: &[f32]) -> Result<Vec<f32>> {
+    pub fn surface_nm(&mut self, commands_nm: &[f32]) -> Result<Lines> {
         let mut map = self.plant.footprint.zeros();
         self.plant.surface.add(commands_nm, 1.0, &mut map)?;
         Ok(map)
@@ -393,7 +394,7 @@ fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint
 }
 
 /// The segments' errors over the map, nm: each sample shows the segment that owns it.
-fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Vec<f32> {
+fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Lines {
     let mut map = footprint.zeros();
     let unit = truth.tilt_unit_m(telescope);
     for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {

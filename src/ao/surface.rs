@@ -5,6 +5,7 @@
 //! products are banded: a row of samples sees about six rows of actuators.
 
 use super::footprint::{Footprint, LANES};
+use super::lines::Lines;
 use crate::grid::Grid;
 use crate::modes::InfluenceFunctions;
 use crate::{Error, Result};
@@ -21,7 +22,7 @@ pub struct Surface {
     across: usize,
     indices: Vec<usize>,
     /// Influence along an axis, `[actuator line][sample]`, rows of the footprint's stride; and turned, `[sample][line]`.
-    along: Vec<f32>,
+    along: Lines,
     turned: Vec<f32>,
     /// Where `along` is not negligible, for each line of actuators, in whole vectors.
     reach: Vec<Range<usize>>,
@@ -29,7 +30,7 @@ pub struct Surface {
     band: Vec<Range<usize>>,
     /// Commands on the whole square; then `C·G_x` in vectors of samples, `[vector][actuator row]`.
     commands: Vec<f32>,
-    columns: Vec<[f32; LANES]>,
+    columns: Lines,
 }
 
 impl Surface {
@@ -38,7 +39,7 @@ impl Surface {
         let mirror = influence.mirror();
         let (across, stride) = (mirror.actuators_across(), footprint.stride());
         let rate = mirror.coupling().ln() / mirror.pitch_m().powi(2);
-        let mut along = vec![0.0; across * stride];
+        let mut along = Lines::zeros(across * stride);
         let mut reach = Vec::with_capacity(across);
         for (i, row) in along.chunks_exact_mut(stride).enumerate() {
             let value = |j: usize| (rate * (grid.coordinate_m(j) - mirror.coordinate_m(i)).powi(2)).exp();
@@ -67,7 +68,7 @@ impl Surface {
             reach,
             band,
             commands: vec![0.0; across * across],
-            columns: vec![[0.0; LANES]; across * stride / LANES],
+            columns: Lines::zeros(across * stride),
         }
     }
 
@@ -149,7 +150,7 @@ impl NullaryFnOnce for Reflect<'_> {
             let still = still_nm.map_or(amplitude, |still_nm| still_nm[place].as_chunks::<LANES>().0);
             let share = [if still_nm.is_some() { 1.0f32 } else { 0.0 }; LANES];
             let (mut first, mut second) = ([0.0f32; LANES], [0.0f32; LANES]);
-            let columns = surface.columns.chunks_exact(surface.across).skip(span.start / LANES);
+            let columns = surface.columns.as_chunks::<LANES>().0.chunks_exact(surface.across).skip(span.start / LANES);
             let blocks = row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(amplitude).zip(still);
             for (((out, a), still), columns) in blocks.zip(columns) {
                 let mut sum = *out;
@@ -178,11 +179,12 @@ impl Surface {
     #[inline(always)]
     fn fill_columns(&mut self) {
         let (across, stride) = (self.across, self.footprint.stride());
-        self.columns.fill([0.0; LANES]);
+        self.columns.fill(0.0);
+        let all = self.columns.as_chunks_mut::<LANES>().0;
         for (j, commands) in self.commands.chunks_exact(across).enumerate() {
             for ((&command, along), reach) in commands.iter().zip(self.along.chunks_exact(stride)).zip(&self.reach) {
                 let along = along[reach.clone()].as_chunks::<LANES>().0;
-                let columns = self.columns.chunks_exact_mut(across).skip(reach.start / LANES);
+                let columns = all.chunks_exact_mut(across).skip(reach.start / LANES);
                 for (column, along) in columns.zip(along) {
                     multiply_add(&mut column[j], &[command; LANES], along);
                 }

@@ -1,6 +1,6 @@
 //! What the tests share: a scene with settings, a loop run for some frames.
 
-use cophase::ao::{Footprint, Frame, Simulator};
+use cophase::ao::{Footprint, Frame, Lines, Simulator};
 use cophase::scene::Scene;
 
 /// No turbulence.
@@ -52,7 +52,7 @@ pub fn residual_nm(simulator: &mut Simulator, settle: usize, frames: usize) -> f
 }
 
 /// A map over the footprint from (row, column).
-pub fn map(footprint: &Footprint, of: impl Fn(usize, usize) -> f32) -> Vec<f32> {
+pub fn map(footprint: &Footprint, of: impl Fn(usize, usize) -> f32) -> Lines {
     let mut map = footprint.zeros();
     for (y, row) in map.chunks_exact_mut(footprint.stride()).enumerate() {
         for (x, out) in row.iter_mut().take(footprint.samples()).enumerate() {

@@ -23,7 +23,7 @@ mod spectrum;
 #[cfg(test)]
 mod tests;
 
-use crate::ao::Footprint;
+use crate::ao::{Footprint, Lines};
 use crate::grid::Grid;
 use crate::modes::VonKarman;
 use crate::scene::TurbulenceScene;
@@ -121,7 +121,7 @@ impl Atmosphere {
     }
 
     /// OPD of each layer at the last frame (at time 0 before the first), nm: maps over the spans of the footprint.
-    pub fn layers_nm(&self) -> Vec<Vec<f32>> {
+    pub fn layers_nm(&self) -> Vec<Lines> {
         let map = |layer| {
             let mut opd_nm = self.footprint.zeros();
             self.blend(std::slice::from_ref(layer), &mut opd_nm);

@@ -11,6 +11,7 @@ mod quad_cell;
 pub use light::Light;
 
 use super::footprint::Footprint;
+use super::lines::Lines;
 use crate::grid::Grid;
 use crate::pupil::Pupil;
 use crate::scene::{SensorDetector, SensorScene};
@@ -183,7 +184,7 @@ impl Sensor {
 }
 
 /// A wavefront that grows along +x by `mas`, nm.
-fn tilt(mas: f64, grid: &Grid, footprint: &Footprint) -> Vec<f32> {
+fn tilt(mas: f64, grid: &Grid, footprint: &Footprint) -> Lines {
     let mut map = footprint.zeros();
     for row in map.chunks_exact_mut(footprint.stride()) {
         for (x, out) in row.iter_mut().take(grid.samples()).enumerate() {

@@ -10,6 +10,7 @@
 
 use super::{Lenslets, Light};
 use crate::ao::footprint::{Footprint, LANES};
+use crate::ao::lines::Lines;
 use crate::ao::phase::unit_phasor;
 use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
@@ -30,12 +31,12 @@ pub(super) struct QuadCell {
     /// `2/(n·sin(πD/2n))` for D = 1, 3, 5 …
     weights: Vec<f32>,
     /// The same for each column, `[vector of columns][D]`, 0 where x + D is another lenslet's.
-    masked: Vec<[f32; LANES]>,
+    masked: Lines,
     /// First subaperture of each row of lenslets.
     first: Vec<usize>,
     /// Field of one row of lenslets, `[sample row][x]`, and the two differences of its columns.
-    re: Vec<f32>,
-    im: Vec<f32>,
+    re: Lines,
+    im: Lines,
     along: [Vec<f32>; 2],
     arch: Arch,
 }
@@ -56,12 +57,10 @@ impl QuadCell {
         let weight = |d: usize| 2.0 / (n as f64 * (std::f64::consts::PI * d as f64 / (2 * n) as f64).sin());
         let weights: Vec<f32> = distances.iter().map(|&d| weight(d) as f32).collect();
         let mask = |d: usize, w: f32, x: usize| if x < across * n && x % n + d < n { w } else { 0.0 };
-        let masked = (0..stride)
+        let masked: Vec<f32> = (0..stride)
             .step_by(LANES)
-            .flat_map(|at| {
-                let lanes = move |(&d, &w): (&usize, &f32)| std::array::from_fn(|l| mask(d, w, at + l));
-                distances.iter().zip(&weights).map(lanes)
-            })
+            .flat_map(|at| distances.iter().zip(&weights).map(move |(&d, &w)| (at, d, w)))
+            .flat_map(|(at, d, w)| (at..at + LANES).map(move |x| mask(d, w, x)))
             .collect();
         let first = (0..=across).map(|row| lenslets.subapertures.partition_point(|&s| s < row * across)).collect();
         // A row is read beyond its end, where the mask is 0.
@@ -73,10 +72,10 @@ impl QuadCell {
             stride,
             spans,
             weights,
-            masked,
+            masked: Lines::from(&masked[..]),
             first,
-            re: vec![0.0; n * width],
-            im: vec![0.0; n * width],
+            re: Lines::zeros(n * width),
+            im: Lines::zeros(n * width),
             along: [vec![0.0; stride], vec![0.0; stride]],
             arch: Arch::new(),
         }
@@ -170,62 +169,53 @@ impl QuadCell {
     #[inline(always)]
     fn differences(&mut self, at: usize, n: usize) {
         let width = self.re.len() / self.lenslets.samples;
-        let masks = &self.masked[at / LANES * (n / 2)..][..n / 2];
-        let (mut column_re, mut column_im) = ([[0.0f32; LANES]; LONGEST], [[0.0f32; LANES]; LONGEST]);
+        let masks = &self.masked[at * (n / 2)..][..LANES * (n / 2)].as_chunks::<LANES>().0;
         let mut sum_x = [0.0f32; LANES];
+        let mut sum_y = [0.0f32; LANES];
         for y in 0..n {
-            let place = y * width + at;
-            let (Some(re), Some(im)) =
-                (self.re[place..].first_chunk::<WINDOW>(), self.im[place..].first_chunk::<WINDOW>())
-            else {
-                return;
-            };
-            let (here_re, here_im) = (lanes(re, 0), lanes(im, 0));
-            // A sum of its own for each row: one for all would wait for its last addition 70 times over.
+            let Some((re, im)) = self.window(y * width + at) else { return };
+            let here = (lanes(re, 0), lanes(im, 0));
+            // A sum of its own for each row and axis: one for all would wait for its last addition 70 times over.
             let mut row = [0.0f32; LANES];
             for (i, mask) in masks.iter().enumerate() {
-                add_cross(&mut row, mask, here_re, here_im, lanes(re, 2 * i + 1), lanes(im, 2 * i + 1));
+                add_cross(&mut row, mask, here, (lanes(re, 2 * i + 1), lanes(im, 2 * i + 1)));
+            }
+            let mut column = [0.0f32; LANES];
+            for (i, &weight) in self.weights[..(n - y) / 2].iter().enumerate() {
+                let Some((re, im)) = self.window((y + 2 * i + 1) * width + at) else { return };
+                add_cross(&mut column, &[weight; LANES], here, (lanes(re, 0), lanes(im, 0)));
             }
             for l in 0..LANES {
                 sum_x[l] += row[l];
             }
-            (column_re[y % LONGEST], column_im[y % LONGEST]) = (here_re, here_im);
-        }
-        let mut sum_y = [0.0f32; LANES];
-        for (i, &weight) in self.weights[..n / 2].iter().enumerate() {
-            let (weight, mut distance) = ([weight; LANES], [0.0f32; LANES]);
-            for y in 0..n - (2 * i + 1) {
-                let (low, high) = (y % LONGEST, (y + 2 * i + 1) % LONGEST);
-                let (re, im) = (column_re[high], column_im[high]);
-                add_cross(&mut distance, &weight, column_re[low], column_im[low], re, im);
-            }
             for l in 0..LANES {
-                sum_y[l] += distance[l];
+                sum_y[l] += column[l];
             }
         }
         self.along[0][at..at + LANES].copy_from_slice(&sum_x);
         self.along[1][at..at + LANES].copy_from_slice(&sum_y);
     }
+
+    /// The field from `place` on.
+    #[inline(always)]
+    fn window(&self, place: usize) -> Option<(&[f32; WINDOW], &[f32; WINDOW])> {
+        Some((self.re.get(place..)?.first_chunk()?, self.im.get(place..)?.first_chunk()?))
+    }
 }
+
+type Lane = [f32; LANES];
 
 /// [`LANES`] neighbours of a window.
 #[inline(always)]
-fn lanes(window: &[f32; WINDOW], first: usize) -> [f32; LANES] {
+fn lanes(window: &[f32; WINDOW], first: usize) -> Lane {
     let mut lanes = [0.0; LANES];
     lanes.copy_from_slice(&window[first % LONGEST..][..LANES]);
     lanes
 }
 
-/// `sum += weight·Im(E'·E*)`.
+/// `sum += weight·Im(E'·E*)`, for E and E' as (real, imaginary).
 #[inline(always)]
-fn add_cross(
-    sum: &mut [f32; LANES],
-    weight: &[f32; LANES],
-    re: [f32; LANES],
-    im: [f32; LANES],
-    re_d: [f32; LANES],
-    im_d: [f32; LANES],
-) {
+fn add_cross(sum: &mut Lane, weight: &Lane, (re, im): (Lane, Lane), (re_d, im_d): (Lane, Lane)) {
     let mut cross = [0.0f32; LANES];
     for l in 0..LANES {
         cross[l] = im_d[l].mul_add(re[l], -(re_d[l] * im[l]));
