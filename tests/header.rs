@@ -71,7 +71,8 @@ fn a_c_program_links_and_runs() {
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let output = Command::new(&program).output().unwrap();
+    // cargo's own search path begins with a folder where an older library may lie.
+    let output = Command::new(&program).env("LD_LIBRARY_PATH", &libraries).output().unwrap();
     assert!(output.status.success());
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.starts_with(&format!("cophase {}, C interface", env!("CARGO_PKG_VERSION"))), "{text}");

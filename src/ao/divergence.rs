@@ -1,5 +1,7 @@
 //! Noticing a loop that runs away.
 
+use super::control::Stability;
+
 /// Time over which the residual is averaged, s: long beside a gust, short beside the seconds that a weak instability
 /// takes.
 const SMOOTH_S: f64 = 0.05;
@@ -7,8 +9,11 @@ const SMOOTH_S: f64 = 0.05;
 const CLOSING_S: f64 = 0.2;
 /// A residual below this fraction of the sensor's wavelength is no divergence: above it spots fall apart.
 const WAVES: f64 = 0.75;
-/// A loop whose poles say that it is unstable has diverged when its residual is this many times the best it has reached.
-const TIMES_BEST: f64 = 3.0;
+/// Any loop has diverged when it leaves this many times what there was before it closed; 1 and a bit would be a gust.
+///
+/// One whose poles say that it is unstable has diverged once they had the time to grow e-fold and spots fall apart: a quad
+/// cell saturates, and a loop that is lost may well stay below the level of the open one.
+const TIMES_OPEN: f64 = 1.5;
 
 /// A loop that ran away.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,7 +32,8 @@ pub(super) struct Watch {
     keep: f64,
     closing: f64,
     enough_nm: f64,
-    stable: bool,
+    /// Logarithm of the growth in a frame that the poles predict; 0 for a stable loop.
+    growth: f64,
     open_nm: f64,
     mean_square: f64,
     best: f64,
@@ -36,10 +42,10 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    /// Over frames of `frame_s`, with a sensor that works at `wavelength_nm`; `stable` is what the poles say. Any loop has
-    /// diverged when it leaves more than there was in the frame before it closed; a loop that merely works badly (too
-    /// few good slopes, too strong a wind) has not.
-    pub(super) fn new(frame_s: f64, wavelength_nm: f64, stable: bool) -> Self {
+    /// Over frames of `frame_s`, with a sensor that works at `wavelength_nm`; `poles` are those of the loop. A loop that
+    /// merely works badly (too few good slopes, too strong a wind) has not diverged.
+    pub(super) fn new(frame_s: f64, wavelength_nm: f64, poles: &Stability) -> Self {
+        let growth = if poles.stable { 0.0 } else { poles.growth_per_frame.ln() };
         let keep = (-frame_s / SMOOTH_S).exp();
         let enough_nm = WAVES * wavelength_nm;
         let closing = CLOSING_S / frame_s;
@@ -47,7 +53,7 @@ impl Watch {
             keep,
             closing,
             enough_nm,
-            stable,
+            growth,
             open_nm: 0.0,
             mean_square: 0.0,
             best: f64::INFINITY,
@@ -68,7 +74,9 @@ impl Watch {
         if self.frames > self.closing {
             self.best = self.best.min(now);
         }
-        let runaway = now > self.open_nm || (!self.stable && now > TIMES_BEST * self.best);
+        let harm = self.frames > self.closing && now > TIMES_OPEN * self.open_nm;
+        let grown = self.frames * self.growth > 1.0;
+        let runaway = harm || grown;
         let diverged = !now.is_finite() || (now > self.enough_nm && runaway);
         let time_s = (self.frames - 1.0) * self.frame_s;
         diverged.then_some(Divergence { time_s, residual_rms_nm: now, best_rms_nm: self.best })
@@ -79,28 +87,36 @@ impl Watch {
 mod tests {
     use super::*;
 
+    fn watch(growth_per_frame: f64) -> Watch {
+        let stable = growth_per_frame <= 1.0;
+        Watch::new(1e-3, 640.0, &Stability { growth_per_frame, stable, ..Stability::default() })
+    }
+
     #[test]
     fn growth_is_noticed_and_a_steady_loop_is_left_alone() {
-        let mut steady = Watch::new(1e-3, 640.0, true);
+        let mut steady = watch(0.7);
         assert!(steady.see(1500.0).is_none());
         // Bad seeing: large, fluctuating by a factor of two, and no divergence.
         assert!((0..20_000).all(|k| steady.see(600.0 * (1.5 + 0.5 * f64::from(k).sin())).is_none()));
-        let grow = |stable| {
-            let mut growing = Watch::new(1e-3, 640.0, stable);
+        let grow = |growth_per_frame| {
+            let mut growing = watch(growth_per_frame);
             growing.see(1500.0);
             let noticed = (0..20_000).find_map(|k| growing.see(150.0 * (f64::from(k) * 1e-3 / 2.0).exp()));
             noticed.map(|divergence| divergence.time_s).unwrap()
         };
-        // Known to be unstable: from the best, 150·e^(0.2) or so when the first frame is forgotten, to three times that,
-        // by 2·ln 3 = 2.2 s more. Otherwise when it passes 1500 nm, at 2·ln 10 = 4.6 s. Smoothing adds 0.05 s.
-        assert!((2.2..3.2).contains(&grow(false)), "{}", grow(false));
-        assert!((4.6..4.7).contains(&grow(true)), "{}", grow(true));
-        assert!(Watch::new(1e-3, 640.0, true).see(f64::NAN).is_some());
+        // Known to grow e-fold in 2 s: when it passes 480 nm, at 2·ln 3.2 = 2.33 s. Otherwise when it passes 2250 nm, at
+        // 2·ln 15 = 5.42 s. Smoothing adds 0.05 s.
+        let (known, unknown) = (grow(0.0005f64.exp()), grow(0.7));
+        assert!((2.3..2.45).contains(&known), "{known}");
+        assert!((5.4..5.5).contains(&unknown), "{unknown}");
+        assert!(watch(0.7).see(f64::NAN).is_some());
     }
 
     #[test]
-    fn a_loop_that_never_closes_has_not_diverged() {
-        let mut open = Watch::new(1e-3, 640.0, false);
+    fn a_loop_that_never_closes_has_not_diverged_unless_its_poles_say_so() {
+        let mut open = watch(0.7);
         assert!((0..5000).all(|_| open.see(2000.0).is_none()));
+        let mut lost = watch(1.01);
+        assert!((0..5000).any(|_| lost.see(2000.0).is_some()));
     }
 }

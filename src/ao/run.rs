@@ -177,7 +177,7 @@ impl Simulator {
         let footprint = self.plant.footprint.clone();
         let darkroom = Darkroom { camera, scene: scene.clone(), flux_e, footprint: footprint.clone() };
         let before = self.plant.profile;
-        let watch = Watch::new(self.frame_s(), sensing.wavelength_nm, self.stability().stable);
+        let watch = Watch::new(self.frame_s(), sensing.wavelength_nm, self.stability());
         let (atmosphere, plant) = (&mut self.atmosphere, &mut self.plant);
         let mut closing = Closing::new(plant, schedule, watch, recorder);
         let (sky_time, developed) = std::thread::scope(|scope| {

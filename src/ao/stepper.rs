@@ -34,7 +34,7 @@ impl Stepper {
         // As in a run: the star's flux is that of the static aberrations alone.
         let peak = camera.psf(simulator.segments_nm()).iter().copied().fold(0.0, f32::max);
         let flux_e = flux_e(&scene.image, f64::from(peak));
-        let watch = Watch::new(simulator.frame_s(), sensing.wavelength_nm, simulator.stability().stable);
+        let watch = Watch::new(simulator.frame_s(), sensing.wavelength_nm, simulator.stability());
         Ok(Self { simulator, camera, flux_e, watch, divergence: None })
     }
 

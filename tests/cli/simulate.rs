@@ -56,7 +56,7 @@ fn a_seed_decides_everything_and_another_one_changes_it() {
 #[test]
 fn a_loop_past_its_margin_stops_and_says_so() {
     let desk = desk();
-    let unstable = ["--set", "control.gain=1.3", "--set", "control.lag_frames=2"];
+    let unstable = ["--set", "control.gain=1.05", "--set", "control.lag_frames=2"];
     let early = ["simulate", "loop.toml", "-o", "early.fits", "--set", "image.count=200"];
     let done = desk.run(&[early.as_slice(), &unstable, &["--json"]].concat());
     assert_eq!(done.status, 0, "{}", done.err);

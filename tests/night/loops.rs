@@ -111,29 +111,29 @@ fn noise_propagates_as_its_variance_and_falls_with_the_gain() {
     assert!((strong / bright / expected - 1.0).abs() < 0.1, "{bright} {strong}");
 }
 
-/// Residual over input of a tilt that oscillates.
+/// Residual over input of a wavefront that oscillates, in the shape that the mirror makes of a tilt.
 fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
     let (gain, rate) = (gain.to_string(), rate_hz.to_string());
     let settings = [STILL.as_slice(), &CLEAN, &[("control.gain", &gain), ("control.frame_rate_hz", &rate)]].concat();
     let mut simulator = simulator(&settings);
-    let (grid, footprint) = (simulator.pupil().grid, simulator.footprint().clone());
-    let unit = super::system::map(&footprint, |_, x| grid.coordinate_m(x) as f32);
-    // The tilt of a wavefront by least squares, in units of `unit`: its ripples, which the mirror cannot flatten, are no
-    // part of the loop's answer.
+    let commands: Vec<f32> = simulator.influence().positions_m().iter().map(|&(x, _)| 5.0 * x as f32).collect();
+    let shape = simulator.surface_nm(&commands).unwrap();
+    let amplitude = simulator.footprint().amplitude().to_vec();
+    // A wavefront's share of the shape, by least squares.
     let dot = |map: &[f32]| -> f64 {
-        let weighted = unit.iter().zip(footprint.amplitude()).map(|(u, a)| u * a);
-        weighted.zip(map).map(|(u, m)| f64::from(u * m)).sum()
+        let weighted = shape.iter().zip(&amplitude).map(|(s, a)| s * a);
+        weighted.zip(map).map(|(w, m)| f64::from(w * m)).sum()
     };
-    let square = dot(&unit);
+    let square = dot(&shape);
     let (mut input, mut output) = (0.0, 0.0);
     for k in 0..600 {
-        let amplitude = (std::f64::consts::TAU * frequency_hz * f64::from(k) / rate_hz).sin() as f32;
-        let extra: Vec<f32> = unit.iter().map(|u| 5.0 * amplitude * u).collect();
-        let tilt = dot(simulator.step_behind(&extra).unwrap().residual_nm) / square;
+        let now = (std::f64::consts::TAU * frequency_hz * f64::from(k) / rate_hz).sin();
+        let extra: Vec<f32> = shape.iter().map(|s| now as f32 * s).collect();
+        let left = dot(simulator.step_behind(&extra).unwrap().residual_nm) / square;
         // The switching-on has died out.
         if k >= 100 {
-            input += f64::from(amplitude).powi(2);
-            output += (tilt / 5.0).powi(2);
+            input += now.powi(2);
+            output += left.powi(2);
         }
     }
     (output / input).sqrt()
@@ -141,8 +141,9 @@ fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
 
 #[test]
 fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
-    // A tilt that oscillates, in place of turbulence, small enough for the loop to be linear. An integrator with one frame
-    // of lag rejects by |1 − z⁻¹|/|1 − (1 − g) z⁻¹|.
+    // In place of turbulence, and small enough for the loop to be linear. In a shape of the mirror's own, of which the
+    // reconstructor gives back just the commands: of a pure tilt Gaussians of 15 % coupling make 93 %. An integrator with
+    // one frame of lag rejects by |1 − z⁻¹|/|1 − (1 − g) z⁻¹|.
     let (gain, rate_hz) = (0.3f64, 1054.0);
     let controlled = |frequency_hz: f64| {
         let z = std::f64::consts::TAU * frequency_hz / rate_hz;
@@ -152,7 +153,7 @@ fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
     };
     for frequency_hz in [5.0, 30.0, 60.0, 200.0] {
         let measured = rejection_of_a_tilt(gain, rate_hz, frequency_hz);
-        // The quad cell's gain differs by a percent or two between full and partly lit subapertures.
+        // The sensor is linear to a percent; the tilt's share of the two dropped modes is less.
         let expected = controlled(frequency_hz);
         assert!((measured / expected - 1.0).abs() < 0.05, "{frequency_hz} Hz: {measured} {expected}");
     }
@@ -161,8 +162,7 @@ fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
 #[test]
 fn the_loop_is_stable_at_its_gain_and_lost_past_its_margin() {
     let run = |gain: &str, lag: &str| {
-        let mut simulator =
-            simulator(&[("control.gain", gain), ("control.lag_frames", lag), ("control.settle_s", "0.3")]);
+        let mut simulator = simulator(&[("control.gain", gain), ("control.lag_frames", lag), ("image.count", "3")]);
         let mut shots: Vec<Shot> = Vec::new();
         let set = simulator.stability().clone();
         (set, simulator.run(&mut shots, &mut Progress::default()))

@@ -24,7 +24,7 @@ const NEUTRAL: f64 = 1e-9;
 ///
 /// K is looked at within the controlled modes, where R's range lies: what is not controlled has μ = 0 by construction,
 /// keeps what it has (or lets it leak away), and receives nothing; it is counted, and is neither stable nor unstable.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Stability {
     /// Largest |λ| of the controlled modes: the factor by which the worst of them grows in a frame.
     pub growth_per_frame: f64,
