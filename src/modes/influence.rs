@@ -112,41 +112,43 @@ impl Mirror {
     /// # Errors
     /// [`Error::Shape`] where the map has another shape, [`Error::Value`] for any other entry or an empty selection.
     pub fn from_map(&self, map: &str) -> Result<InfluenceFunctions> {
-        let across = self.actuators_across;
-        let lines: Vec<&str> = map.lines().filter(|line| !line.trim().is_empty()).collect();
-        if lines.len() != across {
-            return Err(Error::Shape(format!(
-                "an actuator map of {} lines was given: {across} are needed",
-                lines.len()
-            )));
-        }
-        let mut indices = Vec::new();
-        for (row, line) in lines.iter().enumerate() {
-            let entries: Vec<&str> = line.split_whitespace().collect();
-            if entries.len() != across {
-                let text =
-                    format!("line {} of the actuator map has {} entries: {across} are needed", row + 1, entries.len());
-                return Err(Error::Shape(text));
-            }
-            for (column, entry) in entries.iter().enumerate() {
-                match *entry {
-                    "0" => {}
-                    "1" => indices.push(row * across + column),
-                    other => {
-                        let text = format!(
-                            "line {} of the actuator map holds {other:.20?}: only 0 and 1 are accepted",
-                            row + 1
-                        );
-                        return Err(Error::Value(text));
-                    }
-                }
-            }
-        }
+        let indices = marked_cells(map, self.actuators_across)?;
         if indices.is_empty() {
             return Err(Error::Value("the actuator map marks no actuator: at least one 1 is needed".into()));
         }
         Ok(InfluenceFunctions { mirror: *self, indices })
     }
+}
+
+/// The cells `row·across + column`, ascending, that are marked 1 in a map of what is in use: `across` lines of as many 0s
+/// and 1s, separated by white space; the first line is the row of smallest y.
+///
+/// # Errors
+/// [`Error::Shape`] where the map has another shape, [`Error::Value`] for any other entry.
+pub fn marked_cells(map: &str, across: usize) -> Result<Vec<usize>> {
+    let lines: Vec<&str> = map.lines().filter(|line| !line.trim().is_empty()).collect();
+    if lines.len() != across {
+        return Err(Error::Shape(format!("a map of {} lines was given: {across} are needed", lines.len())));
+    }
+    let mut marked = Vec::new();
+    for (row, line) in lines.iter().enumerate() {
+        let entries: Vec<&str> = line.split_whitespace().collect();
+        if entries.len() != across {
+            let text = format!("line {} of the map has {} entries: {across} are needed", row + 1, entries.len());
+            return Err(Error::Shape(text));
+        }
+        for (column, entry) in entries.iter().enumerate() {
+            match *entry {
+                "0" => {}
+                "1" => marked.push(row * across + column),
+                other => {
+                    let text = format!("line {} of the map holds {other:.20?}: only 0 and 1 are accepted", row + 1);
+                    return Err(Error::Value(text));
+                }
+            }
+        }
+    }
+    Ok(marked)
 }
 
 /// The Gaussian influence functions of a mirror's actuators: `coupling^((r/pitch)²)`, 1 at the actuator.
