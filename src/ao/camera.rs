@@ -265,7 +265,15 @@ impl Colour {
         let (mut re, mut im) = (optics.footprint.zeros(), optics.footprint.zeros());
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
         let unit = optics.truth.tilt_unit_m(optics.telescope);
-        for (cell, segments, shares) in weights.rows() {
+        let at = |&cell: &u32| (grid.coordinate_m(cell as usize % n), grid.coordinate_m(cell as usize / n));
+        let (xs_m, ys_m): (Vec<f64>, Vec<f64>) = weights.lit.iter().map(at).unzip();
+        let mut smooth_nm = if view.ncpa { optics.truth.ncpa_at(&xs_m, &ys_m)? } else { vec![0.0; xs_m.len()] };
+        if view.diversity {
+            for (nm, (&x_m, &y_m)) in smooth_nm.iter_mut().zip(xs_m.iter().zip(&ys_m)) {
+                *nm += optics.diversity.at(x_m, y_m);
+            }
+        }
+        for ((cell, segments, shares), smooth_nm) in weights.rows().zip(smooth_nm) {
             let (y, x) = (cell / n, cell % n);
             let (x_m, y_m) = (grid.coordinate_m(x), grid.coordinate_m(y));
             let place = y * stride + x;
@@ -275,13 +283,6 @@ impl Colour {
                 let nm = if view.segments { own - f64::from(optics.segments_nm[place]) } else { 0.0 };
                 let (sin, cos) = phasor(nm);
                 (sum_re, sum_im) = (sum_re + share * cos, sum_im + share * sin);
-            }
-            let mut smooth_nm = 0.0;
-            if view.ncpa {
-                smooth_nm += optics.truth.ncpa_at(&[x_m], &[y_m])?[0];
-            }
-            if view.diversity {
-                smooth_nm += optics.diversity.at(x_m, y_m);
             }
             let (sin, cos) = phasor(smooth_nm);
             re[place] = (sum_re * cos - sum_im * sin) as f32;

@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::time::{Duration, Instant};
 
 /// First stream of the camera's noise under the seed of the turbulence; one for each image, so that no image depends on
-/// those before it.
+/// those before it. A later run of the same loop counts on from its first frame, beyond any image of the runs before.
 const CAMERA_STREAM: u64 = 2 << 32;
 
 /// One wavefront of an exposure.
@@ -42,6 +42,8 @@ pub(super) struct Darkroom {
     pub(super) scene: Scene,
     pub(super) flux_e: f64,
     pub(super) footprint: Footprint,
+    /// The loop's frame with which the run begins.
+    pub(super) first_frame: u64,
 }
 
 impl Darkroom {
@@ -57,7 +59,7 @@ impl Darkroom {
             count += 1.0;
             if film.last {
                 let psf = self.camera.upright(&sum) * film.share;
-                let mut rng = stream(self.scene.turbulence.seed, CAMERA_STREAM + film.image as u64);
+                let mut rng = stream(self.scene.turbulence.seed, CAMERA_STREAM + self.first_frame + film.image as u64);
                 let image_e = psf.mapv(|h| expose(&self.scene.image, f64::from(h), self.flux_e, &mut rng) as f32);
                 sum.fill(0.0);
                 // A receiver that is gone no longer wants images.

@@ -175,7 +175,8 @@ impl Simulator {
         let peak = camera.psf(self.segments_nm()).iter().copied().fold(0.0, f32::max);
         let flux_e = flux_e(&scene.image, f64::from(peak));
         let footprint = self.plant.footprint.clone();
-        let darkroom = Darkroom { camera, scene: scene.clone(), flux_e, footprint: footprint.clone() };
+        let first_frame = self.plant.number;
+        let darkroom = Darkroom { camera, scene: scene.clone(), flux_e, footprint: footprint.clone(), first_frame };
         let before = self.plant.profile;
         let watch = Watch::new(self.frame_s(), sensing.wavelength_nm, self.stability());
         let (atmosphere, plant) = (&mut self.atmosphere, &mut self.plant);
@@ -232,9 +233,11 @@ fn make_sky(
     while made < frames {
         let Ok(mut batch) = back.recv() else { break };
         let started = Instant::now();
-        batch.iter_mut().try_for_each(|opd_nm| atmosphere.next_frame(opd_nm))?;
+        // No frame more than the run has: the next one goes on where this one ends.
+        let wanted = (frames - made).min(BATCH as u64);
+        batch.iter_mut().take(wanted as usize).try_for_each(|opd_nm| atmosphere.next_frame(opd_nm))?;
         spent += started.elapsed();
-        made += batch.len() as u64;
+        made += wanted;
         if full.send(batch).is_err() {
             break;
         }

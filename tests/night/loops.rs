@@ -50,6 +50,35 @@ fn a_run_on_threads_is_the_loop_step_by_step() {
 }
 
 #[test]
+fn a_second_run_goes_on_where_the_first_one_ended() {
+    // 20 frames, no multiple of what the threads exchange at once; then one more.
+    let settings =
+        [("control.settle_s", "0.018"), ("image.count", "1"), ("image.exposure_s", "0.0"), ("image.pixels", "48")];
+    let mut running = simulator(&settings);
+    let mut first: Vec<Shot> = Vec::new();
+    assert_eq!(running.run(&mut first, &mut Progress::default()).unwrap().frames, 20);
+    let after = running.step().unwrap().slopes_mas.to_vec();
+    let mut stepping = simulator(&settings);
+    for _ in 0..20 {
+        stepping.step().unwrap();
+    }
+    assert!(stepping.step().unwrap().slopes_mas == after);
+}
+
+#[test]
+fn two_runs_of_one_loop_have_noise_of_their_own() {
+    // The same flat wavefront in both, so that only the camera's noise can differ.
+    let short = [("control.settle_s", "0.018"), ("image.count", "1"), ("image.pixels", "48")];
+    let mut running = simulator(&[STILL.as_slice(), &CLEAN, &short].concat());
+    let mut images = || {
+        let mut shots: Vec<Shot> = Vec::new();
+        running.run(&mut shots, &mut Progress::default()).unwrap();
+        shots.remove(0).image_e
+    };
+    assert!(images() != images());
+}
+
+#[test]
 fn without_turbulence_noise_or_errors_nothing_happens() {
     let settings = [STILL.as_slice(), &CLEAN].concat();
     let mut flat = simulator(&settings);
