@@ -6,8 +6,9 @@
 //! frames ────────────────┘
 //! ```
 //!
-//! [`Estimator::new`] pays every cost that does not depend on the images; [`Estimator::estimate`] takes a cube of them.
+//! [`Estimator::new`], or [`Estimator::from_arrays`] for a telescope of the caller's own, pays every cost that does not depend on the images; [`Estimator::estimate`] takes a cube of them.
 
+mod arrays;
 mod combine;
 mod file;
 mod fisher;
@@ -23,6 +24,7 @@ mod sequence;
 mod spread;
 mod status;
 
+pub use arrays::Arrays;
 pub use combine::{Combination, Combined, Estimate};
 pub use file::write;
 pub use fit::Watch;
@@ -80,8 +82,12 @@ impl Estimator {
 
     fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         let model = Model::with_own_basis(scene, &recipe, native, own)?;
+        Ok(Self::of_model(scene, recipe, model))
+    }
+
+    fn of_model(scene: &Scene, recipe: Recipe, model: Model) -> Self {
         let judge = CpuChain::new(model.optics.clone());
-        Ok(Self { scene: scene.clone(), recipe, model, judge })
+        Self { scene: scene.clone(), recipe, model, judge }
     }
 
     /// The model that is compared with the images.

@@ -1,5 +1,6 @@
 //! `[pupil]`, `[image]` and `[aberrations]`: the telescope, its camera, and the truth of a simulated image.
 
+use super::Purpose;
 use super::table::{Check, Reader, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
 use super::words::{Aperture, Crop, PupilModel, Zernikes};
@@ -60,7 +61,7 @@ impl PupilScene {
         let geometry = ["rings", "segment_side_m", "segment_gap_m", "central_segment"];
         let blocked = ["central_obscuration_m", "spider_width_m", "spider_angles_deg"];
         reader.refuse(&[geometry.as_slice(), &blocked].concat(), "where the pupil comes from a file")?;
-        if self.grid_m.is_none() {
+        if self.grid_m.is_none() && reader.source.purpose == Purpose::Whole {
             let file = file.display();
             return Err(reader.error(
                 "file",
@@ -135,7 +136,7 @@ impl Check for PupilScene {
                 self.central_segment = self.aperture == Aperture::Hexagonal;
             }
         }
-        if let Some(extent_m) = self.extent_m() {
+        if let Some(extent_m) = self.extent_m().filter(|_| reader.source.purpose == Purpose::Whole) {
             self.check_geometry(extent_m, reader)?;
         }
         self.check_band(reader)
