@@ -1,14 +1,16 @@
 //! From the minima of single images to one estimate: mean or median, error bars, maps.
 
 use super::Estimator;
-use super::fit::{Minimum, variance};
+use super::fit::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
-use super::prepare::Prepared;
+use super::prepare::{Prepared, Refusal};
+use super::residual::variance;
 use super::sequence::{SEQUENCE, location, median, scatter, shrinkage_of_variance};
 use super::spread::Spread;
-use super::status::{ImageReport, Selection, Status, judged, unusable};
+use super::status::{ImageReport, Selection, Status, judged, unfitted};
 use crate::modes::{Degeneracy, Group, WEAK_BELOW};
+use crate::optimize::StopReason;
 use crate::scene::Combine;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
@@ -152,7 +154,7 @@ fn is_sequence(reports: &[&ImageReport]) -> bool {
 /// One estimate from all images of a call. `indices` says which images the minima belong to.
 pub(super) fn combine(
     estimator: &Estimator,
-    refused: Vec<Option<Error>>,
+    refused: Vec<Option<Refusal>>,
     indices: &[usize],
     prepared: &[Prepared],
     mut minima: Vec<Minimum>,
@@ -161,10 +163,13 @@ pub(super) fn combine(
     let pistons = Pistons::of(model)?;
     minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
     let reports = judged(estimator, prepared, &minima);
-    let mut images: Vec<ImageReport> = refused.into_iter().map(unusable).collect();
+    // The reports of those that were fitted take the places of those that say why not.
+    let reason =
+        |refused: Option<Refusal>| refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable);
+    let mut images: Vec<ImageReport> = refused.into_iter().map(|refused| unfitted(reason(refused))).collect();
     let mut image_coefficients_nm = Array2::from_elem((images.len(), model.optics.modes()), f64::NAN);
     for ((&image, minimum), report) in indices.iter().zip(&minima).zip(&reports) {
-        images[image] = report.clone();
+        images[image] = *report;
         image_coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
     }
     let how = estimator.recipe.combine;
@@ -325,7 +330,7 @@ fn compared(estimator: &Estimator, minimum: &Minimum, prepared: &Prepared) -> Co
     let pixel = |(v, u): (usize, usize)| v * size + u;
     let model_e = Array2::from_shape_fn((size, size), |at| minimum.flux_e * psf[pixel(at)] + minimum.background_e);
     let data_e = Array2::from_shape_fn((size, size), |at| {
-        if variance_e2[pixel(at)].is_finite() { minimum.exposure.data_e[pixel(at)] } else { f64::NAN }
+        if variance_e2[pixel(at)].is_finite() { prepared.exposure.data_e[pixel(at)] } else { f64::NAN }
     });
     let residual_sigma =
         Array2::from_shape_fn((size, size), |at| (data_e[at] - model_e[at]) / variance_e2[pixel(at)].sqrt());
