@@ -6,9 +6,13 @@
 //! frames ────────────────┘
 //! ```
 //!
-//! [`Estimator::new`], or [`Estimator::from_arrays`] for a telescope of the caller's own, pays every cost that does not depend on the images; [`Estimator::estimate`] takes a cube of them.
+//! [`Estimator::new`], or [`Estimator::from_arrays`] for a telescope of the caller's own, pays every cost that does not
+//! depend on the images; [`Estimator::estimate`] takes a cube of them. A [`Session`] takes frames as a camera delivers
+//! them, in memory that is taken once, and an [`Accumulator`] keeps what they say together.
 
+mod accumulator;
 mod arrays;
+mod calibration;
 mod combine;
 mod file;
 mod fisher;
@@ -28,7 +32,9 @@ mod session;
 mod spread;
 mod status;
 
+pub use accumulator::{Accumulator, RunningEstimate};
 pub use arrays::Arrays;
+pub use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, Combined, Estimate};
 pub use file::write;
 pub use fit::Watch;
