@@ -1,13 +1,12 @@
 /* Ctrl-C during a long call.
  *
- * MATLAB and Octave hear Ctrl-C between statements only, and neither documents a way to hear it within one. In a terminal
- * it is a SIGINT, which is caught here while the work runs. MATLAB's desktop sends none, but its libut, undocumented and
- * unchanged for twenty years, tells that Ctrl-C was pressed; only the thread that MATLAB called may ask. So that thread
- * waits and asks, and the work is done in another. Windows has neither signal nor pthreads: there the work is done here,
- * and a deadline is what bounds it. */
+ * MATLAB and Octave act on Ctrl-C between statements only. While a call runs they take note of it, SIGINT included, and
+ * that note can be read: in Octave's quit.h, and in MATLAB's libut, which is undocumented but has been the same for
+ * twenty years. Only the thread that was called may ask. So that one waits and asks, and the work is done in another.
+ * MATLAB's compilers for Windows have no pthreads in common: there the work is done here, and a deadline bounds it. */
 #include "gateway.h"
 
-#ifdef _WIN32
+#if defined(_WIN32) && defined(MATLAB_MEX_FILE)
 
 void interruptible(const cophase_session *session, cophase_status (*work)(void *), void *argument)
 {
@@ -18,13 +17,37 @@ void interruptible(const cophase_session *session, cophase_status (*work)(void *
 #else
 
 #include <pthread.h>
-#include <signal.h>
 #include <string.h>
 #include <time.h>
 
+/* Whether Ctrl-C was pressed. It is heard then: nothing else stops because of it. */
 #ifdef MATLAB_MEX_FILE
+
 extern bool utIsInterruptPending(void);
 extern bool utSetInterruptPending(bool pending);
+
+static int ctrl_c(void)
+{
+    const int pressed = utIsInterruptPending();
+
+    if (pressed)
+        utSetInterruptPending(false);
+    return pressed;
+}
+
+#else
+
+#include <octave/quit.h>
+
+static int ctrl_c(void)
+{
+    const int pressed = octave_interrupt_state > 0;
+
+    if (pressed)
+        octave_interrupt_state = 0;
+    return pressed;
+}
+
 #endif
 
 /* How often Ctrl-C is asked for: soon for a hand, seldom for a processor. */
@@ -43,25 +66,6 @@ typedef struct job {
     pthread_cond_t ended;
 } job;
 
-static volatile sig_atomic_t signalled;
-
-static void on_sigint(int number)
-{
-    (void)number;
-    signalled = 1;
-}
-
-static int ctrl_c(void)
-{
-#ifdef MATLAB_MEX_FILE
-    if (utIsInterruptPending()) {
-        utSetInterruptPending(false); /* heard: MATLAB would stop the script a second time */
-        signalled = 1;
-    }
-#endif
-    return signalled;
-}
-
 static void *do_work(void *argument)
 {
     job *job = (struct job *)argument;
@@ -77,10 +81,10 @@ static void *do_work(void *argument)
     return NULL;
 }
 
-/* Until the job is done; tells whether the session was cancelled. */
+/* Until the job is done; tells whether there was a Ctrl-C before. */
 static int wait_for(job *job, const cophase_session *session)
 {
-    int cancelled = 0;
+    int pressed = 0;
 
     pthread_mutex_lock(&job->lock);
     while (!job->done) {
@@ -91,11 +95,13 @@ static int wait_for(job *job, const cophase_session *session)
         until.tv_sec += until.tv_nsec / 1000000000L;
         until.tv_nsec %= 1000000000L;
         pthread_cond_timedwait(&job->ended, &job->lock, &until);
-        if (!job->done && !cancelled && ctrl_c())
-            cancelled = cophase_session_cancel(session) == COPHASE_OK;
+        if (!job->done && !pressed && ctrl_c()) {
+            cophase_session_cancel(session);
+            pressed = 1;
+        }
     }
     pthread_mutex_unlock(&job->lock);
-    return cancelled;
+    return pressed;
 }
 
 /* The job in a thread of its own, or where none is to be had in this one, deaf to Ctrl-C. */
@@ -103,7 +109,7 @@ static int run(job *job, const cophase_session *session)
 {
     pthread_attr_t attributes;
     pthread_t thread;
-    int cancelled = 0, failed;
+    int failed, pressed;
 
     pthread_attr_init(&attributes);
     pthread_attr_setstacksize(&attributes, STACK_BYTES);
@@ -111,40 +117,32 @@ static int run(job *job, const cophase_session *session)
     pthread_attr_destroy(&attributes);
     if (failed) {
         do_work(job);
-    } else {
-        cancelled = wait_for(job, session);
-        pthread_join(thread, NULL);
+        return 0;
     }
-    return cancelled;
+    pressed = wait_for(job, session);
+    pthread_join(thread, NULL);
+    return pressed;
 }
 
 void interruptible(const cophase_session *session, cophase_status (*work)(void *), void *argument)
 {
-    struct sigaction listen, before;
     job job;
-    int cancelled;
+    int pressed;
 
     memset(&job, 0, sizeof job);
     job.work = work;
     job.argument = argument;
     pthread_mutex_init(&job.lock, NULL);
     pthread_cond_init(&job.ended, NULL);
-
-    memset(&listen, 0, sizeof listen);
-    listen.sa_handler = on_sigint;
-    sigemptyset(&listen.sa_mask);
-    signalled = 0;
-    sigaction(SIGINT, &listen, &before);
-    cancelled = run(&job, session);
-    /* Cancelled when all was done but the end: that would fall on the next fit, which nobody wants to stop. The frames
-     * are the same, so they can be what it falls on. */
-    if (cancelled && job.status != COPHASE_INTERRUPTED)
-        job.work(job.argument);
-    sigaction(SIGINT, &before, NULL);
-
+    pressed = run(&job, session);
     pthread_cond_destroy(&job.ended);
     pthread_mutex_destroy(&job.lock);
-    if (cancelled || signalled)
+
+    /* Cancelled when all was done but the end: that would fall on the next fit, which nobody wants to stop. Let it fall
+     * on this one, once more. */
+    if (pressed && job.status != COPHASE_INTERRUPTED)
+        work(argument);
+    if (pressed)
         fail(COPHASE_INTERRUPTED, "Ctrl-C stopped the fit: its images have no estimate");
     if (job.status != COPHASE_OK)
         fail(job.status, "%s", job.sentence);
