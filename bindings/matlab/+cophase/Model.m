@@ -133,7 +133,7 @@ classdef Model < cophase.Handle
                 maps = reshape(maps, n, [], size(maps, 2));
             elseif size(maps, 1) == nnz(pupil)
                 scattered = zeros(numel(pupil), size(maps, 2), class(maps));
-                scattered(pupil ~= 0, :) = maps;
+                scattered(find(pupil), :) = maps;
                 maps = reshape(scattered, n, [], size(maps, 2));
             else
                 error('cophase:BAD_SHAPE', ...

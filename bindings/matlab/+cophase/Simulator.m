@@ -42,8 +42,11 @@ classdef Simulator < cophase.Handle
         end
 
         function step(self, frames)
-            %STEP  Advances the loop by a number of frames (1 if none is given). One that diverges goes on: see
-            %   divergence_s. Ctrl-C stops between frames; what was made until then is there.
+            %STEP  Advances the loop.
+            %   s.step(n) advances it by n frames; by one, if n is left out. A loop that diverges goes on: see divergence_s.
+            %   Ctrl-C stops between frames; what was made until then is there.
+            %
+            %   See also cophase.Simulator.
             if nargin < 2
                 frames = 1;
             end
