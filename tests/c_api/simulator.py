@@ -1,6 +1,6 @@
 """The simulator through the Python package; run by tests/c_api/main.rs, see there:
 
-    python3 simulator.py SCENE.toml FRAMES DUMP
+python3 simulator.py SCENE.toml FRAMES DUMP
 """
 
 import sys
