@@ -14,12 +14,12 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).resolve().parents[2]
-# Only as a shared library alone does it get the optimisation across crates that its profile asks for.
-CARGO = "cargo rustc --locked --release --lib --crate-type cdylib --message-format json-render-diagnostics"
+# The profile of what `make install` installs. Only the library alone gets its optimisation across crates.
+CARGO = "cargo rustc --locked --profile release-lto --lib --crate-type cdylib --message-format json-render-diagnostics"
 
 
 def built() -> Path:
-    """The shared library, built for release."""
+    """The shared library, made by cargo."""
     messages = subprocess.run(CARGO.split(), cwd=ROOT, stdout=subprocess.PIPE, check=True).stdout.splitlines()
     artifacts = (message for message in map(json.loads, messages) if message["reason"] == "compiler-artifact")
     *_, library = (artifact for artifact in artifacts if artifact["target"]["name"] == "cophase")

@@ -31,13 +31,13 @@ def main(package, scratch, scene):
     scratch = Path(scratch)
     # What setuptools leaves behind stays in the copy.
     shutil.copytree(package, scratch / "package", ignore=shutil.ignore_patterns("build", "*.egg-info", "__pycache__"))
-    pip("wheel", "--no-build-isolation", "package", folder=scratch)
+    pip("wheel", "--no-build-isolation", "./package", folder=scratch)
     (wheel,) = scratch.glob("cophase-*-py3-none-*.whl")
     assert "-any" not in wheel.name, wheel
     # As on a machine that has never seen the sources, where nothing names a library.
     for name in ("COPHASE_LIBRARY", "COPHASE_HEADER", "PYTHONPATH", "LD_LIBRARY_PATH"):
         os.environ.pop(name, None)
-    pip("install", "--target", "installed", wheel.name, folder=scratch)
+    pip("install", "--target", "installed", f"./{wheel.name}", folder=scratch)
     environment = {**os.environ, "PYTHONPATH": "installed"}
     subprocess.run([sys.executable, "-c", USE, scene], cwd=scratch, check=True, env=environment)
 
