@@ -3,10 +3,10 @@
 use super::{dumps_the_same, fits, here, is_here, libraries, library, root};
 use std::process::Command;
 
-/// `script` with the package on Python's path, where Python has the `modules`; where not and `variable` is set, a failure.
-fn python(script: &str, modules: &str, variable: &str) -> Option<Command> {
+/// `script` with the package on Python's path, where Python runs what it `needs`; where not and `variable` is set, a failure.
+fn python(script: &str, needs: &str, variable: &str) -> Option<Command> {
     let python = std::env::var("COPHASE_PYTHON").unwrap_or("python3".into());
-    is_here(&python, &["-c", &format!("import {modules}")], variable).then(|| {
+    is_here(&python, &["-c", needs], variable).then(|| {
         let mut command = Command::new(python);
         command.env("PYTHONPATH", root().join("bindings/python")).env("PYTHONDONTWRITEBYTECODE", "1");
         command.env("COPHASE_LIBRARY", library()).env("COPHASE_HEADER", root().join("include/cophase.h"));
@@ -17,7 +17,7 @@ fn python(script: &str, modules: &str, variable: &str) -> Option<Command> {
 }
 
 fn with_package(script: &str) -> Option<Command> {
-    python(script, "numpy, cffi", "COPHASE_REQUIRE_PYTHON")
+    python(script, "import numpy, cffi", "COPHASE_REQUIRE_PYTHON")
 }
 
 fn passes(command: &mut Command) {
@@ -57,8 +57,9 @@ fn failures() {
 /// Only where pip and what it needs to make wheels are there already, for a test fetches nothing.
 #[test]
 fn a_wheel_works_without_the_sources() {
-    let needed = "numpy, cffi, pip, wheel, setuptools.command.build_py";
-    if let Some(mut command) = python("wheel.py", needed, "COPHASE_REQUIRE_WHEEL") {
+    let needs = "import numpy, cffi, pip, setuptools, importlib.util as modules\n\
+                 assert modules.find_spec('wheel') or modules.find_spec('setuptools.command.bdist_wheel')";
+    if let Some(mut command) = python("wheel.py", needs, "COPHASE_REQUIRE_WHEEL") {
         let scratch = tempfile::tempdir().unwrap();
         let scene = here().join("tiny.toml");
         passes(command.args([&root().join("bindings/python"), scratch.path(), &scene]));
