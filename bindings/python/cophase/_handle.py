@@ -6,6 +6,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from ._library import ffi, scalar
+from .errors import Error
 
 _Self = TypeVar("_Self", bound="Handle")
 
@@ -39,7 +40,10 @@ class Handle:
         self.close()
 
     def __repr__(self) -> str:
-        says = "closed" if self._handle == ffi.NULL else self._says()
+        try:
+            says = "closed" if self._handle == ffi.NULL else self._says()
+        except Error as error:  # in use by another thread, for instance
+            says = error.status
         return f"<cophase.{type(self).__name__}: {says}>"
 
     def _says(self) -> str:
