@@ -8,7 +8,8 @@ import threading
 
 import cophase
 import numpy as np
-from cophase._library import check, lib, view
+from cophase._arrays import view
+from cophase._library import check, lib
 
 
 def failure(call):
