@@ -12,6 +12,7 @@ use std::process::Command;
 
 mod fits;
 mod octave;
+mod python;
 
 /// Enough for the loop to have closed.
 const FRAMES: u64 = 300;
@@ -116,24 +117,6 @@ fn cpp17() {
     if is_here("c++", &["--version"], "CI") {
         compiled("c++", &["-std=c++17", "-x", "c++"]);
     }
-}
-
-#[test]
-fn python() {
-    let python = std::env::var("COPHASE_PYTHON").unwrap_or("python3".into());
-    if is_here(&python, &["-c", "import numpy, cffi"], "COPHASE_REQUIRE_PYTHON") {
-        let mut command = Command::new(python);
-        command.env("PYTHONPATH", root().join("bindings/python")).env("PYTHONDONTWRITEBYTECODE", "1");
-        command.env("COPHASE_LIBRARY", library()).arg(here().join("simulator.py"));
-        dumps_the_same(command, &[]);
-    }
-}
-
-#[test]
-fn the_python_package_has_the_version_of_the_crate() {
-    let project = std::fs::read_to_string(root().join("bindings/python/pyproject.toml")).unwrap();
-    let version = format!("\nversion = \"{}\"\n", env!("CARGO_PKG_VERSION"));
-    assert!(project.contains(&version), "bindings/python/pyproject.toml lacks {version}");
 }
 
 #[test]
