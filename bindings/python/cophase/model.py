@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import images, input_view, maps, numbers, values
 from ._handle import Handle
-from ._library import extents, ffi, folder, lib, options, scalar, text, words
+from ._library import extents, folder, lib, options, scalar, text, words
 
 
 class Model(Handle):
