@@ -114,7 +114,7 @@ fn silent(scene: &Scene, images_e: Array3<f64>, precision: Precision) {
         assert!(evaluations > 5, "{evaluations}");
 
         let warm = FitOptions { start_nm: Some(start_nm.view()), read_noise_e: Some(0.0), ..FitOptions::default() };
-        let (fitted, calls) = counted(|| session.fit(3, &warm));
+        let (fitted, calls) = counted(|| session.fit(5, &warm));
         fitted.unwrap();
         assert_eq!(calls, 0, "a fit from a start, with the read noise of the border");
 
