@@ -147,7 +147,7 @@ impl Estimate {
     }
 }
 
-fn is_sequence(reports: &[&ImageReport]) -> bool {
+pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
     reports.iter().filter(|report| report.status.converged()).count() >= SEQUENCE
 }
 
@@ -260,7 +260,7 @@ fn nothing_fitted(reports: &[&ImageReport]) -> Error {
 }
 
 /// Mean or median of images, pistons about their mean.
-fn centre(pistons: &Pistons, used_nm: &Array2<f64>, how: Combine) -> Vec<f64> {
+pub(super) fn centre(pistons: &Pistons, used_nm: &Array2<f64>, how: Combine) -> Vec<f64> {
     let mut coefficients_nm = location(used_nm, how).to_vec();
     pistons.centre(&mut coefficients_nm);
     coefficients_nm
@@ -303,14 +303,20 @@ fn few(
     for &image in used {
         noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, spread.covariance(image));
     }
-    let mut scatter_nm2 = noise_nm2.clone();
-    if used.len() >= 4 {
+    let scatter_nm2 = of_few(noise_nm2.clone(), used_nm);
+    Ok((SingleImage { noise_nm2, scatter_nm2 }, spread.fisher(used[0]).clone()))
+}
+
+/// Covariance of one of a few images whose noise gives it `noise_nm2`: from four on, what their scatter shows where that
+/// is more.
+pub(super) fn of_few(mut noise_nm2: Array2<f64>, used_nm: &Array2<f64>) -> Array2<f64> {
+    if used_nm.nrows() >= 4 {
         let deviations = used_nm - &location(used_nm, Combine::Mean).insert_axis(Axis(0));
         // A common factor keeps the matrix positive; the mean over modes keeps it steady.
-        let scatter = (&deviations * &deviations).sum() / (count - 1.0);
-        scatter_nm2 *= (scatter / noise_nm2.diag().sum()).max(1.0);
+        let scatter = (&deviations * &deviations).sum() / (used_nm.nrows() - 1) as f64;
+        noise_nm2 *= (scatter / noise_nm2.diag().sum()).max(1.0);
     }
-    Ok((SingleImage { noise_nm2, scatter_nm2 }, spread.fisher(used[0]).clone()))
+    noise_nm2
 }
 
 /// Phasing and NCPA.

@@ -6,8 +6,13 @@
 //! frames ────────────────┘
 //! ```
 //!
-//! [`Estimator::new`] pays every cost that does not depend on the images; [`Estimator::estimate`] takes a cube of them.
+//! [`Estimator::new`], or [`Estimator::from_arrays`] for a telescope of the caller's own, pays every cost that does not
+//! depend on the images; [`Estimator::estimate`] takes a cube of them. A [`Session`] takes frames as a camera delivers
+//! them, in memory that is taken once, and an [`Accumulator`] keeps what they say together.
 
+mod accumulator;
+mod arrays;
+mod calibration;
 mod combine;
 mod file;
 mod fisher;
@@ -27,6 +32,9 @@ mod session;
 mod spread;
 mod status;
 
+pub use accumulator::{Accumulator, RunningEstimate};
+pub use arrays::Arrays;
+pub use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, Combined, Estimate};
 pub use file::write;
 pub use fit::Watch;
@@ -88,9 +96,13 @@ impl Estimator {
 
     fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         let model = Model::with_own_basis(scene, &recipe, native, own)?;
+        Ok(Self::of_model(scene, recipe, model))
+    }
+
+    fn of_model(scene: &Scene, recipe: Recipe, model: Model) -> Self {
         let judge = CpuChain::new(model.optics.clone());
         let metrics = Metrics::new(&recipe);
-        Ok(Self { scene: scene.clone(), recipe, model, judge, metrics })
+        Self { scene: scene.clone(), recipe, model, judge, metrics }
     }
 
     /// The model that is compared with the images.

@@ -137,6 +137,7 @@ impl Session {
         if options.capacity == 0 {
             return Err(Error::Value("a session for 0 images was asked for, where 1 or more are needed".into()));
         }
+        Image::check_room(&estimator, options.capacity)?;
         let mut recipe = estimator.recipe.clone();
         if recipe.optimizer == Optimizer::Bfgs {
             return Err(Error::Value(
@@ -347,6 +348,21 @@ impl Shared {
 }
 
 impl Image {
+    /// Refuses a capacity that memory cannot hold, rather than find out while taking it.
+    fn check_room(estimator: &Estimator, capacity: usize) -> Result<()> {
+        let preparation = &estimator.model.preparation;
+        let [x, y] = preparation.frame;
+        // A frame with its mask, and at the model's sampling data, weights and floor.
+        let bytes = x * y * (size_of::<f64>() + size_of::<bool>()) + 3 * size_of::<f64>() * preparation.pixels.pow(2);
+        let all = capacity.checked_mul(bytes);
+        if all.is_none_or(|all| Vec::<u8>::new().try_reserve_exact(all).is_err()) {
+            return Err(Error::Value(format!(
+                "a session for {capacity} images was asked for, which memory cannot hold: each takes {bytes} bytes"
+            )));
+        }
+        Ok(())
+    }
+
     fn room(estimator: &Estimator) -> Self {
         let preparation = &estimator.model.preparation;
         let shape = (preparation.frame[1], preparation.frame[0]);

@@ -72,6 +72,27 @@ pub struct ImageReport {
     pub bad_pixels: usize,
 }
 
+impl ImageReport {
+    /// What became of the image and why, in a sentence.
+    pub fn sentence(&self) -> String {
+        let chi2 = self.reduced_chi2;
+        match self.status {
+            Status::Ok => format!("the model explains the image: reduced chi-square {chi2:.3}"),
+            Status::Misfit => format!(
+                "the residual is larger than the noise: reduced chi-square {chi2:.3}, where up to {MISFIT} is explained"
+            ),
+            Status::WrongMinimum => format!(
+                "the fit probably sits in a wrong minimum: reduced chi-square {chi2:.0}, where up to {WRONG_MINIMUM} is \
+                 plausible"
+            ),
+            Status::NotConverged(reason) => {
+                format!("after {} evaluations the fit is not done: {reason}", self.evaluations)
+            }
+            Status::Unusable(refusal) => refusal.to_string(),
+        }
+    }
+}
+
 /// The reports on the minima of `prepared`.
 pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
     let tilts = Tilts::new(&estimator.model);
@@ -88,7 +109,7 @@ pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Min
 }
 
 /// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.
-fn judge_together(reports: &mut [ImageReport]) {
+pub(super) fn judge_together(reports: &mut [ImageReport]) {
     let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.converged()).collect();
     if converged.len() < SEQUENCE {
         return;
