@@ -106,14 +106,15 @@ fn silent(scene: &Scene, images_e: Array3<f64>, precision: Precision) {
         fitted.unwrap();
         assert_eq!(calls, 0, "a fit of five frames");
         let statuses: Vec<Status> = session.results().iter().map(|result| result.report.status).collect();
-        assert!(statuses[..4].iter().all(|status| *status == Status::Ok), "{statuses:?}");
+        let fitted = |status: &Status| matches!(status, Status::Ok | Status::Misfit);
+        assert!(statuses[..4].iter().all(fitted), "{statuses:?}");
         assert_eq!(statuses[4], Status::Unusable(Refusal::Constant { value: 7.0 }));
         // A fit of these takes a dozen evaluations in the first weights, and some in each renewal of them.
         let evaluations = session.results()[0].report.evaluations;
         assert!(evaluations > 5, "{evaluations}");
 
         let warm = FitOptions { start_nm: Some(start_nm.view()), read_noise_e: Some(0.0), ..FitOptions::default() };
-        let (fitted, calls) = counted(|| session.fit(3, &warm));
+        let (fitted, calls) = counted(|| session.fit(5, &warm));
         fitted.unwrap();
         assert_eq!(calls, 0, "a fit from a start, with the read noise of the border");
 

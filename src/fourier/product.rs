@@ -57,13 +57,15 @@ macro_rules! product {
                 fn with_simd<S: Simd>(self, simd: S) {
                     let lanes = S::$lanes;
                     let cols = self.factors.cols;
+                    if cols < lanes {
+                        return narrow(self.factors, self.out);
+                    }
                     let mut first = 0;
                     while first < cols {
-                        let vectors = (cols - first).div_ceil(lanes).min(MOST_VECTORS);
+                        let vectors = (cols - first).div_ceil(lanes).min(cols / lanes).min(MOST_VECTORS);
                         // The last panel ends with the last column.
-                        let start = (first + vectors * lanes).min(cols).saturating_sub(vectors * lanes);
+                        let start = first.min(cols - vectors * lanes);
                         match vectors {
-                            _ if cols < vectors * lanes => narrow(self.factors, first, self.out),
                             1 => panel::<S, 1>(simd, self.factors, start, self.out, self.panel),
                             2 => panel::<S, 2>(simd, self.factors, start, self.out, self.panel),
                             _ => panel::<S, MOST_VECTORS>(simd, self.factors, start, self.out, self.panel),
@@ -141,12 +143,12 @@ macro_rules! product {
                 sums
             }
 
-            /// The columns from `start` on, one by one: for matrices narrower than a vector.
+            /// Entry by entry: for matrices narrower than a vector.
             #[inline(always)]
-            fn narrow(factors: &Factors<$type>, start: usize, out: &mut [$type]) {
+            fn narrow(factors: &Factors<$type>, out: &mut [$type]) {
                 let Factors { left, right, rows, depth, cols } = *factors;
                 for row in 0..rows {
-                    for col in start..cols {
+                    for col in 0..cols {
                         let terms = (0..depth).map(|k| (left[row * depth + k], right[k * cols + col]));
                         out[row * cols + col] = terms.fold(0.0, |sum, (a, b)| <$type>::mul_add(a, b, sum));
                     }
@@ -172,7 +174,8 @@ mod tests {
 
     fn check<T: Product + num_traits::Float + std::fmt::Debug>(epsilon: f64) {
         // Around the widths of vectors and blocks, and the shapes of a transform.
-        for (rows, depth, cols) in [(1, 1, 1), (3, 5, 2), (4, 3, 8), (9, 7, 17), (8, 60, 49), (13, 33, 100), (57, 60, 240)]
+        for (rows, depth, cols) in
+            [(1, 1, 1), (3, 5, 2), (4, 3, 8), (9, 7, 17), (8, 60, 49), (13, 33, 100), (57, 60, 240)]
         {
             let fill = |count: usize, seed: f64| -> Vec<T> {
                 (0..count).map(|i| T::from((i as f64 * seed).sin()).unwrap()).collect()
