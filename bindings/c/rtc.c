@@ -143,6 +143,8 @@ static double latency_ms(double fraction)
 int main(int argc, char **argv)
 {
     const char *device_name = "cpu";
+    const unsigned char *bytes;
+    char *scene;
     size_t i, length, modes, rows, cols;
     cophase_device *device;
     cophase_model *model;
@@ -164,8 +166,10 @@ int main(int argc, char **argv)
         die("usage: rtc [-r HZ] [-n COUNT] [-d DEVICE] [-t DEADLINE_MS] SCENE.toml FRAMES");
 
     /* Whatever takes long or allocates comes before the first frame. */
-    const char *scene = (const char *)mapped(argv[optind], &length);
-    check(cophase_model_create(strndup(scene, length), dirname(strdup(argv[optind])), &model));
+    bytes = mapped(argv[optind], &length);
+    scene = strndup((const char *)bytes, length);
+    check(cophase_model_create(scene, dirname(argv[optind]), &model));
+    free(scene);
     check(cophase_device_open(device_name, &device));
     check(cophase_session_create(device, model, NULL, &session));
     check(cophase_sequence_create(model, KEPT, &sequence));
@@ -191,5 +195,8 @@ int main(int argc, char **argv)
     cophase_session_destroy(session);
     cophase_device_close(device);
     cophase_model_destroy(model);
+    for (i = 0; i < SLOTS; i++)
+        free(queue.slots[i].pixels);
+    free(latency_s);
     return 0;
 }
