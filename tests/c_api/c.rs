@@ -108,7 +108,8 @@ fn oblong(directory: &Path) -> PathBuf {
 fn same(what: &str, dumped: &[f64], expected: impl IntoIterator<Item = f64>) {
     let expected: Vec<f64> = expected.into_iter().collect();
     assert_eq!(dumped.len(), expected.len(), "{what}");
-    let first = dumped.iter().zip(&expected).position(|(a, b)| a.to_bits() != b.to_bits() && !(a.is_nan() && b.is_nan()));
+    let first =
+        dumped.iter().zip(&expected).position(|(a, b)| a.to_bits() != b.to_bits() && !(a.is_nan() && b.is_nan()));
     assert_eq!(first, None, "{what}: the first value that differs");
 }
 

@@ -173,9 +173,11 @@ static void options(const struct setting *s)
 
     CHECK(cophase_session_options_init(&good, sizeof good) == COPHASE_OK);
     bad = good, bad.capacity = 0;
-    REFUSED(COPHASE_BAD_VALUE, "capacity", cophase_session_create(NULL, s->model, &bad, &session));
+    REFUSED(COPHASE_BAD_VALUE, "0 images", cophase_session_create(NULL, s->model, &bad, &session));
     bad = good, bad.capacity = (size_t)-1;
-    CHECK(cophase_session_create(NULL, s->model, &bad, &session) == COPHASE_BAD_VALUE);
+    REFUSED(COPHASE_BAD_VALUE, "memory", cophase_session_create(NULL, s->model, &bad, &session));
+    bad.capacity = (size_t)1 << 40;
+    REFUSED(COPHASE_BAD_VALUE, "memory", cophase_session_create(NULL, s->model, &bad, &session));
     bad = good, bad.precision = COPHASE_U16;
     REFUSED(COPHASE_BAD_VALUE, "precision", cophase_session_create(NULL, s->model, &bad, &session));
     bad = good, bad.threads = -1;
@@ -213,7 +215,7 @@ static void frames(const struct setting *s)
     bad = good, bad.rows = 0;
     FRAMES_REFUSED(COPHASE_BAD_SHAPE, "frames");
     bad = good, bad.rows = (size_t)-1, bad.cols = (size_t)-1, bad.count = (size_t)-1;
-    FRAMES_REFUSED(COPHASE_BAD_SHAPE, "frames");
+    FRAMES_REFUSED(COPHASE_BAD_ARGUMENT, "address space");
     bad = good, bad.cols = s->cols + 1;
     FRAMES_REFUSED(COPHASE_BAD_SHAPE, "frames");
     bad = good, bad.row_stride = PTRDIFF_MAX;

@@ -35,7 +35,7 @@ static void without_images(const struct setting *s, cophase_sequence *sequence)
     uint64_t needed = 7;
 
     memset(&report, 0x55, sizeof report);
-    REFUSED(COPHASE_BAD_VALUE, "fit", cophase_sequence_push(sequence, s->session));
+    CHECK(cophase_sequence_push(sequence, s->session) == COPHASE_OK); /* nothing was fitted: no image more */
     REFUSED(COPHASE_BAD_IMAGE, "image",
             cophase_sequence_estimate(sequence, values, NULL, s->modes, &report, sizeof report));
     push_nothing(s, sequence);
@@ -63,7 +63,8 @@ static void with_images(const struct setting *s, cophase_sequence *sequence)
     push_one(s, sequence, 1000);
     CHECK(cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, s->modes, &one, sizeof one) == COPHASE_OK);
     CHECK(one.images == 1 && one.used == 1 && one.clipped == 0);
-    CHECK(memcmp(estimate_nm, s->fitted_nm, s->modes * sizeof *estimate_nm) == 0);
+    for (i = 0; i < s->modes; i++)
+        CHECK(fabs(estimate_nm[i] - s->fitted_nm[i]) < 1e-9); /* but for the rounding of a mean of one */
     for (i = 1; i < IMAGES; i++)
         push_one(s, sequence, 1000 + i);
     CHECK(cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, s->modes, &all, sizeof all) == COPHASE_OK);
@@ -124,7 +125,9 @@ static void strangers(const struct setting *s, const char *scene)
 
     sequence = NULL;
     REFUSED(COPHASE_BAD_VALUE, "capacity", cophase_sequence_create(s->model, 0, &sequence));
-    CHECK(cophase_sequence_create(s->model, (size_t)-1, &sequence) != COPHASE_OK && sequence == NULL);
+    REFUSED(COPHASE_BAD_VALUE, "capacity", cophase_sequence_create(s->model, (size_t)-1, &sequence));
+    REFUSED(COPHASE_BAD_VALUE, "capacity", cophase_sequence_create(s->model, (size_t)-1 / 256, &sequence));
+    CHECK(sequence == NULL);
     CHECK(cophase_sequence_create(s->model, 2, &sequence) == COPHASE_OK);
     CHECK(cophase_sequence_push(sequence, s->session) == COPHASE_OK); /* three images: the last two stay */
     CHECK(cophase_sequence_estimate(sequence, s->fitted_nm, NULL, s->modes, &report, sizeof report) == COPHASE_OK);

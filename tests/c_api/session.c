@@ -188,7 +188,7 @@ static void other_ways(const struct setting *s)
     CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
     CHECK(warm.evaluations < cold.evaluations && warm.status == COPHASE_IMAGE_OK);
     start_nm[0] = INFINITY;
-    REFUSED(COPHASE_BAD_VALUE, "start_nm", cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, NULL, 0));
+    REFUSED(COPHASE_BAD_VALUE, "start", cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, NULL, 0));
     fit.start_nm = NULL;
     fit.read_noise_e = -1.0;
     REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, NULL, 0));
