@@ -128,7 +128,7 @@ pub unsafe extern "C" fn cophase_model_arrays_init(
     arrays: *mut cophase_model_arrays,
     struct_size: usize,
 ) -> cophase_status {
-    fence(|| unsafe { sized::init(arrays, struct_size) })
+    fence(|| unsafe { sized::init(arrays, "arrays", struct_size) })
 }
 
 /// As cophase_model_create, with pupil, modes and diversity of the caller's in place of the scene's. The arrays are
@@ -160,10 +160,10 @@ pub unsafe extern "C" fn cophase_model_create_from_arrays(
 unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
     let pupil = unsafe { Input::of(&arrays.pupil, "arrays->pupil") }?;
     let [_, rows, cols] = pupil.shape();
-    let amplitude = pupil.must_be([1, rows, cols])?.map(0);
+    let amplitude = pupil.must_be([1, rows, cols])?.map()?;
     let map = |array: &cophase_input, name: &'static str| -> Result<Option<Array2<f64>>> {
         let Some(input) = (unsafe { Input::optional(array, name) })? else { return Ok(None) };
-        Ok(Some(input.must_be([1, rows, cols])?.map(0)))
+        input.must_be([1, rows, cols])?.map().map(Some)
     };
     let segments = map(&arrays.segments, "arrays->segments")?;
     if let Some(label) = segments.iter().flatten().find(|label| label.fract() != 0.0 || label.abs() > 1e9) {
@@ -174,7 +174,7 @@ unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
         amplitude,
         segments: segments.map(|labels| labels.mapv(|label| label as i32)),
         modes: match modes {
-            Some(modes) => Some(modes.must_be([modes.shape()[0], rows, cols])?.cube()),
+            Some(modes) => Some(modes.must_be([modes.shape()[0], rows, cols])?.cube()?),
             None => None,
         },
         diversity_nm: map(&arrays.diversity_nm, "arrays->diversity_nm")?,
