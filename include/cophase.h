@@ -7,6 +7,39 @@
 #include <stddef.h>
 #include <stdint.h>
 
+// Element type of a cophase_input: float.
+#define COPHASE_F32 1
+
+// Element type of a cophase_input: double.
+#define COPHASE_F64 2
+
+// Element type of a cophase_input: uint16_t.
+#define COPHASE_U16 3
+
+// Element type of a cophase_input: int32_t.
+#define COPHASE_I32 4
+
+// Element type of a cophase_input: uint8_t.
+#define COPHASE_U8 5
+
+// Status of an image: fitted, and the model explains it.
+#define COPHASE_IMAGE_OK 0
+
+// Status of an image: fitted, but the residual is larger than the noise.
+#define COPHASE_IMAGE_MISFIT 1
+
+// Status of an image: the residual is so large that the fit probably sits in a wrong minimum.
+#define COPHASE_IMAGE_WRONG_MINIMUM 2
+
+// Status of an image: the optimiser gave up before it converged.
+#define COPHASE_IMAGE_NOT_CONVERGED 3
+
+// Status of an image: it could not be used, and its coefficients are NaN.
+#define COPHASE_IMAGE_UNUSABLE 4
+
+// Status of an image: time was up, and its coefficients are the best so far.
+#define COPHASE_IMAGE_DEADLINE 5
+
 // The call did what it says.
 #define COPHASE_OK 0
 
@@ -44,7 +77,27 @@
 #define COPHASE_PANIC 11
 
 // Version of the C interface: it changes only when a program built against an older header could break.
-#define COPHASE_ABI_VERSION 0
+#define COPHASE_ABI_VERSION 1
+
+// Where a session's model runs: the CPU chain, or an OpenCL device. Immutable: any thread may use it.
+typedef struct cophase_device cophase_device;
+
+// What images are compared with: a telescope, its modes and their names, the diversity, the camera. Immutable: any
+// thread may use it at any time.
+typedef struct cophase_model cophase_model;
+
+// The images of one static wavefront, as they come: what they say together, how well, and how many more are needed.
+//
+// Calls that take it as const may run in several threads at once; any other only while no other call runs
+// (COPHASE_BUSY otherwise).
+typedef struct cophase_sequence cophase_sequence;
+
+// One thread's workspace: its memory, its kernels, its queue. Making it pays every cost that comes once.
+//
+// One call at a time (COPHASE_BUSY otherwise), but for cophase_session_cancel. Calls marked [RT] allocate nothing, wait
+// for no lock and format no text while they succeed, on the CPU chain with one thread; a driver of OpenCL may do as it
+// likes. The same frame gives the same bits, whatever else is in the call, in every language.
+typedef struct cophase_session cophase_session;
 
 // A simulated AO system under a sky: turbulence, wavefront sensor, deformable mirror, control, science camera.
 //
@@ -54,6 +107,46 @@ typedef struct cophase_simulator cophase_simulator;
 
 // What became of a call: COPHASE_OK, or why it failed. Numbers are permanent; a later version may have more.
 typedef int32_t cophase_status;
+
+// A stack of `count` frames or maps of `rows` × `cols` elements (row = y, col = x) in memory of the caller's, which is
+// only read, and only during the call.
+//
+// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides
+// may be negative, and 0 where one element stands for many; that of an extent of 1 does not matter. The layout of this
+// struct is permanent.
+typedef struct cophase_input {
+  // Element (0, 0, 0). NULL where an array is optional and absent.
+  const void *data;
+  // COPHASE_F32, COPHASE_F64, COPHASE_U16, COPHASE_I32 or COPHASE_U8.
+  int32_t element;
+  // Frames or maps.
+  size_t count;
+  // Rows of each.
+  size_t rows;
+  // Columns of each.
+  size_t cols;
+  // Elements from one frame to the next.
+  ptrdiff_t count_stride;
+  // Elements from one row to the next.
+  ptrdiff_t row_stride;
+  // Elements from one column to the next.
+  ptrdiff_t col_stride;
+} cophase_input;
+
+// A telescope, its modes and its diversity as maps of the caller's; see cophase_model_create_from_arrays.
+typedef struct cophase_model_arrays {
+  // Filled in by cophase_model_arrays_init.
+  size_t struct_size;
+  // 1 x n x n, n even: the amplitude of the pupil, 0 to 1, over the scene's pupil.grid_m. Needed.
+  struct cophase_input pupil;
+  // 1 x n x n: the segment that each sample belongs to, from 0, negative where there is no glass. Data NULL: the
+  // mirror is not segmented.
+  struct cophase_input segments;
+  // modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: those of the scene.
+  struct cophase_input modes;
+  // 1 x n x n: the diversity, nm of wavefront. Data NULL: that of the scene.
+  struct cophase_input diversity_nm;
+} cophase_model_arrays;
 
 // A stack of `count` maps or images of `rows` × `cols` float elements (row = y, col = x) in memory of the caller's.
 //
@@ -78,9 +171,125 @@ typedef struct cophase_array_f32 {
   ptrdiff_t col_stride;
 } cophase_array_f32;
 
+// What the images of a sequence say together. Later versions may append fields.
+typedef struct cophase_sequence_report {
+  // Images that are kept.
+  uint64_t images;
+  // Those that were combined.
+  uint64_t used;
+  // Those that were fitted but left out as outliers.
+  uint64_t clipped;
+  // The segments' part of the wavefront, nm RMS over the pupil.
+  double phasing_rms_nm;
+  // Its error bar, nm RMS over the pupil.
+  double phasing_sigma_nm;
+  // The non-common path aberrations, nm RMS over the pupil.
+  double ncpa_rms_nm;
+  // Their error bar, nm RMS over the pupil.
+  double ncpa_sigma_nm;
+  // Median χ² per degree of freedom of the images that were combined.
+  double reduced_chi2;
+} cophase_sequence_report;
+
+// How a session is made.
+typedef struct cophase_session_options {
+  // Filled in by cophase_session_options_init.
+  size_t struct_size;
+  // Most images of a call. Default: 1.
+  size_t capacity;
+  // COPHASE_F64, or COPHASE_F32: half the memory, a third to half of the time, 0.02 nm. Default:
+  // COPHASE_F64.
+  int32_t precision;
+  // Threads of the CPU chain: 1 for the caller's own, which calls marked [RT] need; 0 for all that there are.
+  // Default: 1.
+  int32_t threads;
+  // Most evaluations of the model for one image; 0 for what the scene says. Default: 0.
+  size_t max_evaluations;
+  // A fit stops where no coefficient would move by more than this; 0 for what the scene says. Default:
+  // 0.
+  double step_tolerance_nm;
+} cophase_session_options;
+
+// What a camera's raw values mean: electrons = (raw − dark)·gain/flat.
+typedef struct cophase_calibration {
+  // Filled in by cophase_calibration_init.
+  size_t struct_size;
+  // 1 x rows x cols: signal without light, raw units. Data NULL: none.
+  struct cophase_input dark;
+  // 1 x rows x cols: relative response, about 1. Data NULL: all alike.
+  struct cophase_input flat;
+  // 1 x rows x cols: pixels that are not 0 take no part. Data NULL: all do.
+  struct cophase_input bad;
+  // Electrons per raw unit. Default: 1.
+  double gain_e;
+  // Pixels that read as much or more take no part, raw units. Default: infinity.
+  double saturation;
+} cophase_calibration;
+
+// How frames are fitted.
+typedef struct cophase_fit_options {
+  // Filled in by cophase_fit_options_init.
+  size_t struct_size;
+  // Time for the whole call, s; what is not done by then is reported as COPHASE_IMAGE_DEADLINE. 0 for no limit.
+  // Default: 0.
+  double deadline_s;
+  // Read noise of a pixel, RMS electrons; NaN for what the scene says. Default: NaN.
+  double read_noise_e;
+  // Where the fits begin, nm: count x modes in C order. NULL for a flat wavefront. Default:
+  // NULL.
+  const double *start_nm;
+} cophase_fit_options;
+
+// What became of an image. Later versions may append fields.
+typedef struct cophase_report {
+  // COPHASE_IMAGE_OK, or another of the COPHASE_IMAGE_ numbers.
+  int32_t status;
+  // Pixels of the fitted part that took no part.
+  int32_t bad_pixels;
+  // Evaluations of the model.
+  uint64_t evaluations;
+  // χ² per degree of freedom: 1 where the model is right.
+  double reduced_chi2;
+  // The star, electrons.
+  double flux_e;
+  // Background, electrons per pixel of the frame.
+  double background_e;
+  // Tilt of the fitted wavefront along x, nm RMS over the pupil, the shift onto the axis included.
+  double tip_nm;
+  // Likewise along y.
+  double tilt_nm;
+  // Time that its fit took, s.
+  double seconds;
+} cophase_report;
+
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
+
+// The devices of this machine, one line each: the name that cophase_device_open takes, a tab, and what it is. The CPU
+// chain is always there, and the first.
+//
+// Writes at most `capacity` bytes to `text`, the terminating zero included, as snprintf does; `text` may be NULL where
+// `capacity` is 0. `*length` receives the length of the whole text in bytes without the zero.
+cophase_status cophase_device_list(char *text,
+                                   size_t capacity,
+                                   size_t *length);
+
+// Opens a device: "cpu", "opencl" (a GPU before anything else), "opencl:P:D", or "auto" (a GPU where there is one and it
+// can run the model, else the CPU chain).
+//
+// COPHASE_BAD_VALUE for a name that cannot be one, COPHASE_DEVICE where no such device is here.
+cophase_status cophase_device_open(const char *name,
+                                   struct cophase_device **device);
+
+// Closes a device; NULL is fine. Sessions that were made on it go on.
+void cophase_device_close(struct cophase_device *device);
+
+// What a device is: its line of cophase_device_list. `text`, `capacity` and `length` are as there.
+cophase_status cophase_device_name(const struct cophase_device *device,
+                                   char *text,
+                                   size_t capacity,
+                                   size_t *length);
 
 // The sentence of the last call that failed on this thread, in UTF-8; empty before the first. A call that succeeds
 // leaves it as it was.
@@ -91,10 +300,221 @@ extern "C" {
 size_t cophase_last_error(char *text,
                           size_t capacity);
 
+// Builds the model that a scene describes. This takes about half a second at the size of Keck.
+//
+// scene_text: a scene as TOML, in UTF-8; it is copied. cophase_scene_preset has some, `cophase scene --reference` lists
+//   the keys.
+// directory: where the files are looked for that the scene names; NULL for the working directory.
+// model: receives the handle, which the caller gives back with cophase_model_destroy.
+//
+// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted; COPHASE_BAD_FILE for a file of the scene's.
+cophase_status cophase_model_create(const char *scene_text,
+                                    const char *directory,
+                                    struct cophase_model **model);
+
+// Fills in `struct_size`, and no arrays. struct_size: sizeof(cophase_model_arrays).
+cophase_status cophase_model_arrays_init(struct cophase_model_arrays *arrays, size_t struct_size);
+
+// As cophase_model_create, with pupil, modes and diversity of the caller's in place of the scene's. The arrays are
+// copied. Of the scene this leaves the camera ([image]), how the fit is done ([estimate]), and whether the pistons of
+// the segments are estimated (modes.segment); they come before the caller's modes.
+//
+// COPHASE_BAD_SHAPE for maps that do not fit one another, COPHASE_BAD_VALUE for what cannot be a pupil or a mode.
+cophase_status cophase_model_create_from_arrays(const char *scene_text,
+                                                const char *directory,
+                                                const struct cophase_model_arrays *arrays,
+                                                struct cophase_model **model);
+
+// Frees a model; NULL is fine. Sessions and sequences that were made of it go on.
+void cophase_model_destroy(struct cophase_model *model);
+
+// Number of modes that are estimated: the coefficients of an image.
+cophase_status cophase_model_mode_count(const struct cophase_model *model, size_t *modes);
+
+// Number of those that move segments; they come first.
+cophase_status cophase_model_segment_mode_count(const struct cophase_model *model, size_t *modes);
+
+// Name of a mode, from 0. The text lives as long as the model.
+//
+// COPHASE_BAD_VALUE for a mode that there is not.
+cophase_status cophase_model_mode_name(const struct cophase_model *model, size_t mode, const char **name);
+
+// Rows and columns of a detector frame.
+cophase_status cophase_model_frame_shape(const struct cophase_model *model, size_t *rows, size_t *cols);
+
+// Rows, and columns, of a wavefront map.
+cophase_status cophase_model_samples(const struct cophase_model *model, size_t *samples);
+
+// Rows, and columns, of a PSF: the pixels that are compared, after the reduction of a frame to the model's sampling and
+// to what carries signal.
+cophase_status cophase_model_pixels(const struct cophase_model *model,
+                                    size_t *pixels);
+
+// The wavefront of some coefficients, nm: map 0 the segments, map 1 the non-common path aberrations. NaN outside the
+// pupil.
+//
+// modes: the number of coefficients, see cophase_model_mode_count. out: 2 x samples x samples, see
+// cophase_model_samples.
+cophase_status cophase_model_wavefront_nm(const struct cophase_model *model,
+                                          const double *coefficients_nm,
+                                          size_t modes,
+                                          const struct cophase_array_f32 *out);
+
+// The PSF of some coefficients with the diversity, at the pixels that are compared: its sum over an unbounded detector
+// would be 1. The optical axis is in row and column pixels/2.
+//
+// modes: as above. out: 1 x pixels x pixels, see cophase_model_pixels.
+cophase_status cophase_model_psf(const struct cophase_model *model,
+                                 const double *coefficients_nm,
+                                 size_t modes,
+                                 const struct cophase_array_f32 *out);
+
+// Name of an image's status: `OK`, `MISFIT`, …; `UNKNOWN` for a number of a later version.
+//
+// Returns a static string that the caller must not free. Never NULL.
+const char *cophase_image_status_name(int32_t status);
+
 // The text of a scene that comes with the library: "keck-artificial" or "keck-onsky", in `*scene_text`.
 //
 // It is a static string that the caller must not free. COPHASE_BAD_SCENE for another name.
 cophase_status cophase_scene_preset(const char *name, const char **scene_text);
+
+// Makes an empty sequence of images of a model, which keeps the last `capacity` of them. The model need not outlive this
+// call.
+cophase_status cophase_sequence_create(const struct cophase_model *model,
+                                       size_t capacity,
+                                       struct cophase_sequence **sequence);
+
+// Frees a sequence; NULL is fine. No other call on it may be running, and none may follow.
+void cophase_sequence_destroy(struct cophase_sequence *sequence);
+
+// Takes all images of a session's last fit, whatever became of them; the oldest make way. [RT]
+//
+// COPHASE_BAD_VALUE for a session of another model, COPHASE_BUSY while the session fits in another thread.
+cophase_status cophase_sequence_push(struct cophase_sequence *sequence,
+                                     const struct cophase_session *session);
+
+// Forgets all images. [RT]
+cophase_status cophase_sequence_clear(struct cophase_sequence *sequence);
+
+// The static estimate so far: mean or median of the images as the scene says (estimate.combine). Up to seven images are
+// judged one by one; from eight on by one another, and error bars are from the scatter between them.
+//
+// coefficients_nm, sigma_nm: receive modes numbers; sigma_nm (1σ of each) may be NULL. report: NULL if it is not wanted;
+// report_size: sizeof(cophase_sequence_report). COPHASE_BAD_IMAGE where no image was fitted yet.
+cophase_status cophase_sequence_estimate(const struct cophase_sequence *sequence,
+                                         double *coefficients_nm,
+                                         double *sigma_nm,
+                                         size_t modes,
+                                         struct cophase_sequence_report *report,
+                                         size_t report_size);
+
+// Covariance of the static estimate so far, nm². covariance_nm2: receives modes x modes numbers. COPHASE_BAD_IMAGE where
+// no image was fitted yet.
+cophase_status cophase_sequence_covariance_nm2(const struct cophase_sequence *sequence,
+                                               double *covariance_nm2,
+                                               size_t modes);
+
+// How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
+// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_IMAGE where no image was fitted yet.
+cophase_status cophase_sequence_images_needed(const struct cophase_sequence *sequence,
+                                              double phasing_nm,
+                                              double ncpa_nm,
+                                              uint64_t *images);
+
+// Fills in `struct_size` and the defaults. struct_size:
+// sizeof(cophase_session_options).
+cophase_status cophase_session_options_init(struct cophase_session_options *options, size_t struct_size);
+
+// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_calibration).
+cophase_status cophase_calibration_init(struct cophase_calibration *calibration, size_t struct_size);
+
+// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_fit_options).
+cophase_status cophase_fit_options_init(struct cophase_fit_options *options, size_t struct_size);
+
+// Makes a workspace for images of a model.
+//
+// device: where it runs; NULL for the CPU chain. options: NULL for the defaults. session: receives the handle, which the
+// caller gives back with cophase_session_destroy. Neither device nor model need outlive this call.
+//
+// COPHASE_DEVICE where the device cannot run the model.
+cophase_status cophase_session_create(const struct cophase_device *device,
+                                      const struct cophase_model *model,
+                                      const struct cophase_session_options *options,
+                                      struct cophase_session **session);
+
+// Frees a session; NULL is fine. No other call on it may be running, and none may follow.
+void cophase_session_destroy(struct cophase_session *session);
+
+// Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one
+// evaluation of the model. [RT], and the one call that is meant to race; a signal handler may make it.
+cophase_status cophase_session_cancel(const struct cophase_session *session);
+
+// Says what the raw values of coming frames mean. The maps are copied. NULL: frames are electrons, as they are until the
+// first call.
+//
+// COPHASE_BAD_VALUE for bad pixels where the model reduces frames to its own sampling, which would smear them: a scene
+// with estimate.sampling = "native" does not.
+cophase_status cophase_session_calibrate(struct cophase_session *session,
+                                         const struct cophase_calibration *calibration);
+
+// Fits the model to frames. [RT]
+//
+// frames: count x rows x cols, see cophase_model_frame_shape; count up to the session's capacity. Values that are not
+//   finite are bad pixels. The optical axis is in row rows/2 and column cols/2.
+// options: NULL for the defaults.
+// coefficients_nm: receives count x modes numbers in C order; NaN for an image that could not be used.
+// reports: receives count reports, each in report_size bytes; NULL if they are not wanted. report_size:
+//   sizeof(cophase_report).
+//
+// The call succeeds where an image does not: what became of each is in its report. COPHASE_INTERRUPTED after
+// cophase_session_cancel, and then nothing is written.
+cophase_status cophase_session_fit(struct cophase_session *session,
+                                   const struct cophase_input *frames,
+                                   const struct cophase_fit_options *options,
+                                   double *coefficients_nm,
+                                   size_t modes,
+                                   struct cophase_report *reports,
+                                   size_t report_size);
+
+// Why an image of the last fit has the status that it has, in a sentence. `text`, `capacity` and `length` are as in
+// cophase_device_list.
+//
+// COPHASE_BAD_VALUE for an image that was not in that fit.
+cophase_status cophase_session_image_message(const struct cophase_session *session,
+                                             size_t image,
+                                             char *text,
+                                             size_t capacity,
+                                             size_t *length);
+
+// Covariance of the coefficients of an image of the last fit, nm²: as its noise makes it, scaled by its χ² where the
+// model misfits. Takes as long as some hundred evaluations.
+//
+// covariance_nm2: receives modes x modes numbers. COPHASE_BAD_VALUE for an image that was not fitted.
+cophase_status cophase_session_covariance_nm2(const struct cophase_session *session,
+                                              size_t image,
+                                              double *covariance_nm2,
+                                              size_t modes);
+
+// Loads frames for cophase_session_evaluate, with the weights that a fit begins with. [RT]
+//
+// frames, options: as for cophase_session_fit; of the options only read_noise_e counts. COPHASE_BAD_IMAGE where a frame
+// holds nothing to fit.
+cophase_status cophase_session_load(struct cophase_session *session,
+                                    const struct cophase_input *frames,
+                                    const struct cophase_fit_options *options);
+
+// The objective and its gradient, for an optimizer of the caller's: Σ weight·(flux·PSF + background − data)² over the
+// pixels of each image that was loaded, flux and background being those that minimise it. [RT]
+//
+// coefficients_nm: count x modes in C order, count being the number of frames that were loaded. objectives: receives
+// count numbers. gradients: receives count x modes, per nm. COPHASE_BAD_VALUE before cophase_session_load.
+cophase_status cophase_session_evaluate(struct cophase_session *session,
+                                        const double *coefficients_nm,
+                                        size_t count,
+                                        size_t modes,
+                                        double *objectives,
+                                        double *gradients);
 
 // Builds the AO system that a scene describes, ready for its first frame. This takes about a second at the size of Keck.
 //

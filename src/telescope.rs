@@ -7,7 +7,7 @@ use crate::grid::Grid;
 use crate::io;
 use crate::modes::{InfluenceFunctions, Mirror, VonKarman};
 use crate::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, Pupil, SegmentWeights};
-use crate::scene::{Aperture as SceneAperture, PupilModel, Scene};
+use crate::scene::{Aperture as SceneAperture, PupilModel, Purpose, Scene};
 use crate::{Error, Result};
 use ndarray::Array2;
 
@@ -38,6 +38,10 @@ impl Telescope {
     /// # Errors
     /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible one.
     pub fn of(scene: &Scene) -> Result<Self> {
+        if scene.purpose() == Purpose::Arrays {
+            let name = scene.name();
+            return Err(Error::Scene(format!("{name}: its pupil is an array of the caller's, which is needed here")));
+        }
         if let SceneAperture::File(file) = &scene.pupil.aperture {
             return Self::from_file(scene, &scene.resolve(file));
         }
@@ -65,23 +69,24 @@ impl Telescope {
             Some(name) => Some(file.map(Some(&name))?.mapv(|label| label as i32)),
             None => None,
         };
-        let size = amplitude.nrows();
-        if amplitude.ncols() != size || size % 2 != 0 {
-            let (rows, columns) = amplitude.dim();
-            return Err(Error::file(
-                path,
-                format_args!("the pupil has {columns}x{rows} samples; a square with an even side is needed"),
-            ));
-        }
-        let width_m = scene.pupil.grid_m.ok_or_else(|| Error::Scene("'pupil.grid_m' is missing".into()))?;
         let in_file = |error: Error| Error::file(path, error);
+        let size = even_side(&amplitude).map_err(in_file)?;
+        let width_m = scene.pupil.grid_m.ok_or_else(|| Error::Scene("'pupil.grid_m' is missing".into()))?;
         if size >= 2 * scene.pupil.samples && scene.pupil.model != Some(PupilModel::Hard) {
             let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels).map_err(in_file)?;
             let pupil = binned(&fine, Grid::new(scene.pupil.samples, width_m)?)?;
             return Ok(Self { pupil, glass: Glass::Fine(fine) });
         }
-        let pupil = Pupil::from_maps(Grid::new(size, width_m)?, amplitude, labels).map_err(in_file)?;
-        Ok(Self { pupil, glass: Glass::Coarse })
+        Self::from_maps(width_m, amplitude, labels).map_err(in_file)
+    }
+
+    /// A telescope of maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for maps that are not square with an even side, and those of [`Pupil::from_maps`].
+    pub fn from_maps(width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
+        let grid = Grid::new(even_side(&amplitude)?, width_m)?;
+        Ok(Self { pupil: Pupil::from_maps(grid, amplitude, labels)?, glass: Glass::Coarse })
     }
 
     /// Whether the pupil is known finely enough to be band-limited.
@@ -166,6 +171,17 @@ impl Telescope {
     pub fn turbulence(scene: &Scene) -> Result<VonKarman> {
         VonKarman::new(scene.turbulence.r0_m, scene.turbulence.outer_scale_m)
     }
+}
+
+/// Samples along a side of a pupil's map.
+fn even_side(amplitude: &Array2<f64>) -> Result<usize> {
+    let (rows, columns) = amplitude.dim();
+    if rows != columns || rows % 2 != 0 {
+        return Err(Error::Shape(format!(
+            "the pupil has {columns}x{rows} samples; a square with an even side is needed"
+        )));
+    }
+    Ok(rows)
 }
 
 /// A fine map averaged onto a coarser grid over the same axis; a sample belongs to the segment with most glass in it.

@@ -31,8 +31,10 @@ pub struct View {
     pub diversity: bool,
     /// Wavelength, nm.
     pub wavelength_nm: f64,
-    /// Pixels a side.
-    pub pixels: usize,
+    /// Rows of the image; the axis is on pixel `[rows/2, columns/2]`.
+    pub rows: usize,
+    /// Its columns.
+    pub columns: usize,
     /// Pixels per λ/`grid_m` at `wavelength_nm`.
     pub samples_per_lambda_over_d: f64,
     /// Width of the filter as a fraction of the wavelength; 0 for one wavelength.
@@ -42,12 +44,14 @@ pub struct View {
 impl View {
     /// The scene's defocused images.
     pub fn of(image: &ImageScene) -> Self {
+        let (rows, columns) = image.frame_shape();
         Self {
             segments: true,
             ncpa: true,
             diversity: true,
             wavelength_nm: image.wavelength_nm,
-            pixels: image.pixels,
+            rows,
+            columns,
             samples_per_lambda_over_d: image.samples_per_lambda_over_d,
             bandwidth_fraction: image.bandwidth_fraction,
         }
@@ -58,7 +62,8 @@ impl View {
 #[derive(Clone)]
 pub struct ScienceCamera {
     footprint: Footprint,
-    pixels: usize,
+    rows: usize,
+    columns: usize,
     colours: Arc<Vec<Colour>>,
     field: Vec<Complex32>,
     transform: Vec<Complex32>,
@@ -81,8 +86,8 @@ struct Colour {
 enum Route {
     /// The padded length is a whole number of samples.
     Fft(Arc<dyn Fft<f32>>),
-    /// `[pixel][sample]`.
-    Matrix(Array2<Complex32>),
+    /// `[pixel][sample]`, along x and along y.
+    Matrix { x: Array2<Complex32>, y: Array2<Complex32> },
 }
 
 /// What a camera is made from.
@@ -122,18 +127,19 @@ impl ScienceCamera {
         let zero = Complex32::new(0.0, 0.0);
         Ok(Self {
             footprint: optics.footprint.clone(),
-            pixels: view.pixels,
+            rows: view.rows,
+            columns: view.columns,
             colours: Arc::new(colours),
             field: vec![zero; TOGETHER * optics.footprint.stride().max(longest)],
-            transform: vec![zero; view.pixels * longest],
+            transform: vec![zero; view.columns * longest],
             scratch: vec![zero; scratch],
             arch: Arch::new(),
         })
     }
 
-    /// Pixels a side.
+    /// Pixels of an image: as many as [`ScienceCamera::add`] sums.
     pub fn pixels(&self) -> usize {
-        self.pixels
+        self.rows * self.columns
     }
 
     /// Adds the PSF of `residual_nm`, a map over the footprint, to `sum`, `[x, y]` (columns first: see
@@ -143,18 +149,18 @@ impl ScienceCamera {
         for colour in self.colours.clone().iter() {
             self.columns(colour, residual_nm);
             let n = self.footprint.samples();
-            let (padded, pixels) = (colour.padded(n), self.pixels);
-            for (line, out) in self.transform.chunks_exact_mut(padded).zip(sum.chunks_exact_mut(pixels)) {
+            let (padded, rows) = (colour.padded(n), self.rows);
+            for (line, out) in self.transform.chunks_exact_mut(padded).zip(sum.chunks_exact_mut(rows)) {
                 match &colour.route {
                     Route::Fft(fft) => {
                         fft.process_with_scratch(line, &mut self.scratch);
                         for (v, out) in out.iter_mut().enumerate() {
-                            *out += share * colour.scale * line[unwrapped(v, pixels, padded)].norm_sqr();
+                            *out += share * colour.scale * line[unwrapped(v, rows, padded)].norm_sqr();
                         }
                     }
-                    Route::Matrix(matrix) => {
+                    Route::Matrix { y, .. } => {
                         let line = ndarray::aview1(&line[..n]);
-                        for (row, out) in matrix.rows().into_iter().zip(out) {
+                        for (row, out) in y.rows().into_iter().zip(out) {
                             *out += share * colour.scale * row.dot(&line).norm_sqr();
                         }
                     }
@@ -169,7 +175,7 @@ impl ScienceCamera {
         let zero = Complex32::new(0.0, 0.0);
         let n = self.footprint.samples();
         let padded = colour.padded(n);
-        self.transform[..self.pixels * padded].fill(zero);
+        self.transform[..self.columns * padded].fill(zero);
         let width = self.field.len() / TOGETHER;
         for first in (0..n).step_by(TOGETHER) {
             let rows = first..(first + TOGETHER).min(n);
@@ -186,16 +192,16 @@ impl ScienceCamera {
                     for row in self.field.chunks_exact_mut(width).take(rows) {
                         fft.process_with_scratch(&mut row[..padded], &mut self.scratch);
                     }
-                    for u in 0..self.pixels {
-                        let from = unwrapped(u, self.pixels, padded);
+                    for u in 0..self.columns {
+                        let from = unwrapped(u, self.columns, padded);
                         let line = &mut self.transform[u * padded + first..][..rows];
                         for (out, row) in line.iter_mut().zip(self.field.chunks_exact(width)) {
                             *out = row[from];
                         }
                     }
                 }
-                Route::Matrix(matrix) => {
-                    for (u, weights) in matrix.rows().into_iter().enumerate() {
+                Route::Matrix { x, .. } => {
+                    for (u, weights) in x.rows().into_iter().enumerate() {
                         let line = &mut self.transform[u * padded + first..][..rows];
                         for (out, row) in line.iter_mut().zip(self.field.chunks_exact(width)) {
                             *out = weights.dot(&ndarray::aview1(&row[..n]));
@@ -221,12 +227,12 @@ impl ScienceCamera {
 
     /// An image `[y, x]` from what [`ScienceCamera::add`] summed.
     pub fn upright(&self, sum: &[f32]) -> Array2<f32> {
-        Array2::from_shape_fn((self.pixels, self.pixels), |(y, x)| sum[x * self.pixels + y])
+        Array2::from_shape_fn((self.rows, self.columns), |(y, x)| sum[x * self.rows + y])
     }
 
     /// The PSF of one residual wavefront, `[y, x]`.
     pub fn psf(&mut self, residual_nm: &[f32]) -> Array2<f32> {
-        let mut sum = vec![0.0; self.pixels * self.pixels];
+        let mut sum = vec![0.0; self.pixels()];
         self.add(residual_nm, &mut sum);
         self.upright(&sum)
     }
@@ -244,23 +250,25 @@ impl Colour {
         // A pixel is a fixed angle: it spans fewer λ/D where λ is longer.
         let per_lambda_over_d = view.samples_per_lambda_over_d * wavelength_nm / view.wavelength_nm;
         let length = n as f64 * per_lambda_over_d;
-        if view.pixels as f64 > length {
+        let larger = view.rows.max(view.columns);
+        if larger as f64 > length {
             return Err(Error::Shape(format!(
-                "an image of {} pixels at {per_lambda_over_d} pixels per lambda/D is wider than the simulator's {n} samples \
+                "an image of {larger} pixels at {per_lambda_over_d} pixels per lambda/D is wider than the simulator's {n} samples \
                  carry: at most {} pixels are accepted",
-                view.pixels,
                 length as usize / 2 * 2
             )));
         }
         let route = if length.fract() == 0.0 {
             Route::Fft(FftPlanner::new().plan_fft_forward(length as usize))
         } else {
-            let angle = |(u, j): (usize, usize)| {
-                let (u, j) = (u as f64 - (view.pixels / 2) as f64, j as f64 - (n as f64 - 1.0) / 2.0);
-                let (sin, cos) = (-std::f64::consts::TAU * u * j / length).sin_cos();
-                Complex32::new(cos as f32, sin as f32)
+            let along = |pixels: usize| {
+                Array2::from_shape_fn((pixels, n), |(u, j)| {
+                    let (u, j) = (u as f64 - (pixels / 2) as f64, j as f64 - (n as f64 - 1.0) / 2.0);
+                    let (sin, cos) = (-std::f64::consts::TAU * u * j / length).sin_cos();
+                    Complex32::new(cos as f32, sin as f32)
+                })
             };
-            Route::Matrix(Array2::from_shape_fn((view.pixels, n), angle))
+            Route::Matrix { x: along(view.columns), y: along(view.rows) }
         };
         let (mut re, mut im) = (optics.footprint.zeros(), optics.footprint.zeros());
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
@@ -295,14 +303,14 @@ impl Colour {
     fn padded(&self, samples: usize) -> usize {
         match &self.route {
             Route::Fft(fft) => fft.len(),
-            Route::Matrix(_) => samples,
+            Route::Matrix { .. } => samples,
         }
     }
 
     fn scratch(&self) -> usize {
         match &self.route {
             Route::Fft(fft) => fft.get_inplace_scratch_len(),
-            Route::Matrix(_) => 0,
+            Route::Matrix { .. } => 0,
         }
     }
 }

@@ -49,7 +49,7 @@ pub(super) struct Darkroom {
 impl Darkroom {
     /// Develops `films` in order, until no more come.
     pub(super) fn work(mut self, films: &Receiver<Film>, prints: &Sender<Print>) -> Developed {
-        let mut sum = vec![0.0f32; self.camera.pixels().pow(2)];
+        let mut sum = vec![0.0f32; self.camera.pixels()];
         let (mut strehl, mut count, mut spent) = (0.0, 0.0, Duration::ZERO);
         while let Ok(film) = films.recv() {
             let started = Instant::now();

@@ -26,8 +26,8 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
     }
     let mut file = FitsWriter::create(path)?;
     file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
-    let size = scene.image.pixels;
-    let mut images = Array3::<f32>::zeros((shots.len(), size, size));
+    let (rows, columns) = scene.image.frame_shape();
+    let mut images = Array3::<f32>::zeros((shots.len(), rows, columns));
     for (mut out, shot) in images.axis_iter_mut(Axis(0)).zip(shots) {
         out.assign(&shot.image_e);
     }

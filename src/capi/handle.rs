@@ -32,31 +32,75 @@ pub(super) struct Handle<T> {
 }
 
 impl<T: Send + Sync> Handle<T> {
-    pub(super) fn new(value: T) -> Self {
-        Self { poisoned: AtomicBool::new(false), value: RwLock::new(value) }
-    }
-
     /// A call that reads what the argument `name` points to; `None` is NULL.
     pub(super) fn read(handle: Option<&Self>, name: &str, body: impl FnOnce(&T) -> Result<()>) -> cophase_status {
         Self::enter(handle, name, |value| body(&*value.try_read().map_err(refused)?))
     }
 
-    /// A call that changes it.
+    /// What `body` reads, inside a call on another object.
+    pub(super) fn look<R>(&self, body: impl FnOnce(&T) -> R) -> Result<R> {
+        self.whole()?;
+        Ok(body(&*self.value.try_read().map_err(refused)?))
+    }
+}
+
+impl<T: Send> Handle<T> {
+    pub(super) fn new(value: T) -> Self {
+        Self { poisoned: AtomicBool::new(false), value: RwLock::new(value) }
+    }
+
+    /// A call that changes what the argument `name` points to, or that reads what only one thread at a time may.
     pub(super) fn change(handle: Option<&Self>, name: &str, body: impl FnOnce(&mut T) -> Result<()>) -> cophase_status {
         Self::enter(handle, name, |value| body(&mut *value.try_write().map_err(refused)?))
     }
 
+    /// As [`Handle::look`], for what only one thread at a time may read.
+    pub(super) fn look_alone<R>(&self, body: impl FnOnce(&T) -> R) -> Result<R> {
+        self.whole()?;
+        Ok(body(&*self.value.try_write().map_err(refused)?))
+    }
+
+    /// That no call has panicked in it.
+    fn whole(&self) -> Result<()> {
+        if self.poisoned.load(Ordering::Acquire) { Err(after_a_panic()) } else { Ok(()) }
+    }
+
     fn enter(handle: Option<&Self>, name: &str, body: impl FnOnce(&RwLock<T>) -> Result<()>) -> cophase_status {
         let status = fence(|| match handle {
-            None => Err(Error::Argument(format!("{name} is NULL: a handle that its create call made is accepted"))),
-            Some(handle) if handle.poisoned.load(Ordering::Acquire) => Err(after_a_panic()),
-            Some(handle) => body(&handle.value),
+            None => Err(null(name)),
+            Some(handle) => {
+                handle.whole()?;
+                fault()?;
+                body(&handle.value)
+            }
         });
         if let (Some(handle), COPHASE_PANIC) = (handle, status) {
             handle.poisoned.store(true, Ordering::Release);
         }
         status
     }
+}
+
+/// What a call says of a handle that is NULL.
+pub(super) fn null(name: &str) -> Error {
+    Error::Argument(format!("{name} is NULL: a handle that its create call made is accepted"))
+}
+
+/// A fault on demand, so that tests in other languages can see what a broken promise looks like: in a build with debug
+/// assertions, which no release has, `COPHASE_FAULT=panic` or `=internal` in the environment is one.
+fn fault() -> Result<()> {
+    #[cfg(debug_assertions)]
+    {
+        // Not `std::env`, which allocates: calls that must not are tested in such builds too.
+        let wanted = unsafe { libc::getenv(c"COPHASE_FAULT".as_ptr()) };
+        let wanted = if wanted.is_null() { c"" } else { unsafe { std::ffi::CStr::from_ptr(wanted) } };
+        match wanted.to_bytes() {
+            b"panic" => panic!("COPHASE_FAULT asked for it"),
+            b"internal" => return Err(Error::Internal("COPHASE_FAULT asked for it".into())),
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 fn after_a_panic() -> Error {

@@ -7,17 +7,30 @@
 #![allow(clippy::missing_safety_doc)]
 
 mod array;
+mod device;
 mod failure;
 mod handle;
+mod input;
+mod model;
 mod pointer;
+mod report;
 mod scene;
+mod sequence;
+mod session;
 mod simulator;
+mod sized;
 mod status;
 mod version;
 
 pub use array::cophase_array_f32;
+pub use device::{cophase_device, cophase_device_close, cophase_device_list, cophase_device_name, cophase_device_open};
 pub use failure::cophase_last_error;
+pub use input::{COPHASE_F32, COPHASE_F64, COPHASE_I32, COPHASE_U8, COPHASE_U16, cophase_input};
+pub use model::*;
+pub use report::*;
 pub use scene::cophase_scene_preset;
+pub use sequence::*;
+pub use session::*;
 pub use simulator::*;
 pub use status::*;
 pub use version::{COPHASE_ABI_VERSION, cophase_abi_version, cophase_version};

@@ -42,6 +42,8 @@ pub struct Arguments {
 struct Made {
     images: usize,
     pixels: usize,
+    rows: usize,
+    columns: usize,
     flux_e: f64,
     phasing_rms_nm: f64,
     ncpa_rms_nm: f64,
@@ -62,9 +64,9 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if arguments.json {
         return terminal.json(&made);
     }
-    let Made { images, pixels, flux_e, phasing_rms_nm, ncpa_rms_nm, seconds } = made;
+    let Made { images, rows, columns, flux_e, phasing_rms_nm, ncpa_rms_nm, seconds, .. } = made;
     terminal.show(&format!(
-        "{}: {} of {pixels}x{pixels} pixels, {flux_e:.3e} electrons each, phasing {phasing_rms_nm:.2} nm and NCPA \
+        "{}: {} of {columns}x{rows} pixels, {flux_e:.3e} electrons each, phasing {phasing_rms_nm:.2} nm and NCPA \
          {ncpa_rms_nm:.2} nm RMS, made in {seconds:.1} s\n",
         arguments.output.display(),
         super::report::counted(images, "image"),
@@ -83,9 +85,12 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
     source::write(output, scene, &made)?;
     let pupil = Telescope::of(scene)?.pupil;
     let rms = |map: &ndarray::Array2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view());
+    let (rows, columns) = scene.image.frame_shape();
     Ok(Made {
         images: scene.image.count,
         pixels: scene.image.pixels,
+        rows,
+        columns,
         flux_e: made.flux_e,
         phasing_rms_nm: rms(&made.truth.phasing_nm)?,
         ncpa_rms_nm: rms(&made.truth.ncpa_nm)?,
@@ -97,13 +102,13 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
 pub fn check_memory(scene: &Scene) -> Result<()> {
     /// The image in double precision, and three copies in single while the file is put together.
     const BYTES_PER_PIXEL: usize = 8 + 3 * 4;
-    let (count, pixels) = (scene.image.count, scene.image.pixels);
-    let bytes = count.saturating_mul(pixels * pixels).saturating_mul(BYTES_PER_PIXEL);
+    let (count, (rows, columns)) = (scene.image.count, scene.image.frame_shape());
+    let bytes = count.saturating_mul(rows * columns).saturating_mul(BYTES_PER_PIXEL);
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
         let gib = bytes as f64 / (1u64 << 30) as f64;
         let images = super::report::counted(count, "image");
         Error::Value(format!(
-            "{images} of {pixels}x{pixels} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
+            "{images} of {columns}x{rows} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
              image.count or image.pixels"
         ))
     })

@@ -72,9 +72,9 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if arguments.json {
         return terminal.json(&made(&simulator, &summary));
     }
-    let pixels = scene.image.pixels;
+    let (rows, columns) = scene.image.frame_shape();
     let mut text = format!(
-        "{}: {} of {pixels}x{pixels} pixels from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
+        "{}: {} of {columns}x{rows} pixels from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
          residual {:.1} nm RMS, Strehl {:.3} at {} nm (by Marechal {:.3}); {}\n",
         arguments.output.display(),
         super::report::counted(summary.images, "image"),

@@ -1,14 +1,16 @@
 //! From the minima of single images to one estimate: mean or median, error bars, maps.
 
 use super::Estimator;
-use super::fit::{Minimum, variance};
+use super::fit::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
-use super::prepare::Prepared;
+use super::prepare::{Prepared, Refusal};
+use super::residual::variance;
 use super::sequence::{SEQUENCE, location, median, scatter, shrinkage_of_variance};
 use super::spread::Spread;
-use super::status::{ImageReport, Selection, Status, judged, unusable};
+use super::status::{ImageReport, Selection, Status, judged, unfitted};
 use crate::modes::{Degeneracy, Group, WEAK_BELOW};
+use crate::optimize::StopReason;
 use crate::scene::Combine;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
@@ -145,14 +147,14 @@ impl Estimate {
     }
 }
 
-fn is_sequence(reports: &[&ImageReport]) -> bool {
+pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
     reports.iter().filter(|report| report.status.converged()).count() >= SEQUENCE
 }
 
 /// One estimate from all images of a call. `indices` says which images the minima belong to.
 pub(super) fn combine(
     estimator: &Estimator,
-    refused: Vec<Option<Error>>,
+    refused: Vec<Option<Refusal>>,
     indices: &[usize],
     prepared: &[Prepared],
     mut minima: Vec<Minimum>,
@@ -161,10 +163,13 @@ pub(super) fn combine(
     let pistons = Pistons::of(model)?;
     minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
     let reports = judged(estimator, prepared, &minima);
-    let mut images: Vec<ImageReport> = refused.into_iter().map(unusable).collect();
+    // The reports of those that were fitted take the places of those that say why not.
+    let reason =
+        |refused: Option<Refusal>| refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable);
+    let mut images: Vec<ImageReport> = refused.into_iter().map(|refused| unfitted(reason(refused))).collect();
     let mut image_coefficients_nm = Array2::from_elem((images.len(), model.optics.modes()), f64::NAN);
     for ((&image, minimum), report) in indices.iter().zip(&minima).zip(&reports) {
-        images[image] = report.clone();
+        images[image] = *report;
         image_coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
     }
     let how = estimator.recipe.combine;
@@ -255,7 +260,7 @@ fn nothing_fitted(reports: &[&ImageReport]) -> Error {
 }
 
 /// Mean or median of images, pistons about their mean.
-fn centre(pistons: &Pistons, used_nm: &Array2<f64>, how: Combine) -> Vec<f64> {
+pub(super) fn centre(pistons: &Pistons, used_nm: &Array2<f64>, how: Combine) -> Vec<f64> {
     let mut coefficients_nm = location(used_nm, how).to_vec();
     pistons.centre(&mut coefficients_nm);
     coefficients_nm
@@ -298,14 +303,20 @@ fn few(
     for &image in used {
         noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, spread.covariance(image));
     }
-    let mut scatter_nm2 = noise_nm2.clone();
-    if used.len() >= 4 {
+    let scatter_nm2 = of_few(noise_nm2.clone(), used_nm);
+    Ok((SingleImage { noise_nm2, scatter_nm2 }, spread.fisher(used[0]).clone()))
+}
+
+/// Covariance of one of a few images whose noise gives it `noise_nm2`: from four on, what their scatter shows where that
+/// is more.
+pub(super) fn of_few(mut noise_nm2: Array2<f64>, used_nm: &Array2<f64>) -> Array2<f64> {
+    if used_nm.nrows() >= 4 {
         let deviations = used_nm - &location(used_nm, Combine::Mean).insert_axis(Axis(0));
         // A common factor keeps the matrix positive; the mean over modes keeps it steady.
-        let scatter = (&deviations * &deviations).sum() / (count - 1.0);
-        scatter_nm2 *= (scatter / noise_nm2.diag().sum()).max(1.0);
+        let scatter = (&deviations * &deviations).sum() / (used_nm.nrows() - 1) as f64;
+        noise_nm2 *= (scatter / noise_nm2.diag().sum()).max(1.0);
     }
-    Ok((SingleImage { noise_nm2, scatter_nm2 }, spread.fisher(used[0]).clone()))
+    noise_nm2
 }
 
 /// Phasing and NCPA.
@@ -325,7 +336,7 @@ fn compared(estimator: &Estimator, minimum: &Minimum, prepared: &Prepared) -> Co
     let pixel = |(v, u): (usize, usize)| v * size + u;
     let model_e = Array2::from_shape_fn((size, size), |at| minimum.flux_e * psf[pixel(at)] + minimum.background_e);
     let data_e = Array2::from_shape_fn((size, size), |at| {
-        if variance_e2[pixel(at)].is_finite() { minimum.exposure.data_e[pixel(at)] } else { f64::NAN }
+        if variance_e2[pixel(at)].is_finite() { prepared.exposure.data_e[pixel(at)] } else { f64::NAN }
     });
     let residual_sigma =
         Array2::from_shape_fn((size, size), |at| (data_e[at] - model_e[at]) / variance_e2[pixel(at)].sqrt());

@@ -6,31 +6,46 @@
 //! frames ────────────────┘
 //! ```
 //!
-//! [`Estimator::new`] pays every cost that does not depend on the images; [`Estimator::estimate`] takes a cube of them.
+//! [`Estimator::new`], or [`Estimator::from_arrays`] for a telescope of the caller's own, pays every cost that does not
+//! depend on the images; [`Estimator::estimate`] takes a cube of them. A [`Session`] takes frames as a camera delivers
+//! them, in memory that is taken once, and an [`Accumulator`] keeps what they say together.
 
+mod accumulator;
+mod arrays;
+mod calibration;
 mod combine;
 mod file;
 mod fisher;
 mod fit;
+mod metrics;
 mod mode_set;
 mod model;
 mod pistons;
 mod plan;
 mod prepare;
 mod recipe;
+mod residual;
+mod runner;
 mod select;
 mod sequence;
+mod session;
 mod spread;
 mod status;
 
+pub use accumulator::{Accumulator, RunningEstimate};
+pub use arrays::Arrays;
+pub use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, Combined, Estimate};
 pub use file::write;
 pub use fit::Watch;
+use metrics::Metrics;
 use mode_set::OwnBasis;
 pub use model::Model;
-pub use prepare::{Frame, Preparation, Prepared};
+pub use prepare::{Frame, Preparation, Prepared, Refusal};
+use prepare::{Preparer, Ringing};
 pub use recipe::Recipe;
 pub use select::{Cube, Open, read};
+pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 pub use status::{ImageReport, Status};
 
 use crate::imaging::{Chain, CpuChain, Precision};
@@ -47,12 +62,13 @@ pub struct Estimator {
     model: Model,
     /// The f64 CPU chain: metric, weights, χ² and error bars come from it whatever chain fits.
     judge: CpuChain<f64>,
+    metrics: Metrics,
 }
 
 /// The minima of a cube.
 struct Fitted {
     /// Why an image could not be used, for each.
-    refused: Vec<Option<Error>>,
+    refused: Vec<Option<Refusal>>,
     /// The images that could.
     indices: Vec<usize>,
     prepared: Vec<Prepared>,
@@ -80,8 +96,13 @@ impl Estimator {
 
     fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         let model = Model::with_own_basis(scene, &recipe, native, own)?;
+        Ok(Self::of_model(scene, recipe, model))
+    }
+
+    fn of_model(scene: &Scene, recipe: Recipe, model: Model) -> Self {
         let judge = CpuChain::new(model.optics.clone());
-        Ok(Self { scene: scene.clone(), recipe, model, judge })
+        let metrics = Metrics::new(&recipe);
+        Self { scene: scene.clone(), recipe, model, judge, metrics }
     }
 
     /// The model that is compared with the images.
@@ -136,29 +157,35 @@ impl Estimator {
     /// Prepares and fits every image.
     fn fitted(&self, chain: &mut Chain, cube: Cube, cancel: Option<&CancelFlag>, watch: &mut Watch) -> Result<Fitted> {
         let read_noise_e = cube.read_noise_e.unwrap_or(self.scene.image.read_noise_e);
-        let prepare = |(data_e, bad)| self.model.preparation.prepare(Frame { data_e, bad, read_noise_e }, &self.recipe);
-        let frames: Vec<_> = cube.images_e.outer_iter().zip(cube.bad.outer_iter()).collect();
-        let outcomes: Vec<Result<Prepared>> = frames.into_par_iter().map(prepare).collect();
-        let (mut refused, mut indices, mut prepared) = (Vec::new(), Vec::new(), Vec::new());
-        for (image, outcome) in outcomes.into_iter().enumerate() {
-            match outcome {
-                Ok(ready) => {
-                    refused.push(None);
-                    indices.push(image);
-                    prepared.push(ready);
-                }
-                // A wrong size is the same for all: say it, rather than once per image.
-                Err(error @ Error::Shape(_)) => return Err(error),
-                Err(error) => refused.push(Some(error)),
-            }
-        }
+        let preparation = self.model.preparation;
+        let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
+        let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
+        frames.iter().try_for_each(|frame| preparation.checked(*frame))?;
+        let prepare = |preparer: &mut Preparer, frame: Frame| {
+            let mut prepared = preparation.room();
+            preparer.prepare(frame, &self.recipe, Ringing::Accepted, &mut prepared).map(|()| prepared)
+        };
+        let outcomes: Vec<std::result::Result<Prepared, Refusal>> =
+            frames.into_par_iter().map_init(|| Preparer::new(preparation), prepare).collect();
+        let refused: Vec<Option<Refusal>> = outcomes.iter().map(|outcome| outcome.as_ref().err().copied()).collect();
+        let indices: Vec<usize> = (0..refused.len()).filter(|&image| refused[image].is_none()).collect();
+        let mut prepared: Vec<Prepared> = outcomes.into_iter().flatten().collect();
         if prepared.is_empty() {
-            let first = refused.into_iter().flatten().next();
-            return Err(first.unwrap_or_else(|| Error::Image("there is no image to estimate from".into())));
+            let reason = refused.into_iter().flatten().next().map(|refusal| refusal.to_string());
+            return Err(Error::Image(reason.unwrap_or_else(|| "there is no image to estimate from".into())));
         }
-        let fitter = fit::Fitter { model: &self.model, judge: &self.judge, recipe: &self.recipe, cancel };
-        let minima = fitter.fit(chain, &prepared, watch)?;
+        let minima = self.fitter(cancel).fit(
+            chain,
+            &mut prepared.iter_mut().collect::<Vec<_>>(),
+            &vec![vec![0.0; self.model.optics.modes()].as_slice(); indices.len()],
+            watch,
+        )?;
         Ok(Fitted { refused, indices, prepared, minima })
+    }
+
+    fn fitter<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> fit::Fitter<'a> {
+        let Self { model, judge, metrics, recipe, .. } = self;
+        fit::Fitter { model, judge, metrics, recipe, cancel, deadline: None }
     }
 
     /// Combines some images of `estimate` (which this estimator made) anew, without fitting them again: for a study of
@@ -180,8 +207,8 @@ impl Estimator {
     /// # Errors
     /// [`Error::Value`] where no mode is seen at all.
     pub fn bound(&self, coefficients_nm: ArrayView1<f64>, flux_e: f64, background_e: f64) -> Result<Array2<f64>> {
-        let ratio = self.model.preparation.frame_pixels as f64 / self.model.preparation.reduced_pixels as f64;
-        let floor = (self.scene.image.read_noise_e.powi(2) + background_e) * ratio * ratio;
+        let native_pixels = self.model.preparation.native_pixels();
+        let floor = (self.scene.image.read_noise_e.powi(2) + background_e) * native_pixels;
         let psf = self.judge.psf(coefficients_nm);
         let weight: Vec<f64> = psf.iter().map(|h| 1.0 / (flux_e * h + floor)).collect();
         let photometry = match (self.recipe.fit_flux, self.recipe.fit_background) {

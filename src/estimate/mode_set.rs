@@ -49,10 +49,49 @@ pub(super) struct ModeSet {
     pub(super) dropped: Vec<String>,
 }
 
+/// The NCPA modes, and on the scene's grid; names of those that the others already span.
+struct NcpaModes {
+    smooth: Smooth,
+    sampled: Option<Basis>,
+    dropped: Vec<String>,
+}
+
+impl NcpaModes {
+    fn of(scene: &Scene, recipe: &Recipe, telescope: &Telescope, own: &OwnBasis) -> Result<Self> {
+        if let NcpaBasis::File(file) = &scene.modes.ncpa {
+            return Self::of_maps(from_file(&scene.resolve(file), &telescope.pupil)?, recipe, &telescope.pupil);
+        }
+        let (smooth, dropped) = functions(scene, recipe, telescope, own)?;
+        let sampled = smooth.as_ref().map(|basis| basis.sampled(&telescope.pupil)).transpose()?;
+        Ok(Self { smooth: Smooth::Functions(smooth), sampled, dropped })
+    }
+
+    /// Modes known by their maps, used as they are, followed by what the exact Zernikes add to the NCPA among them.
+    fn of_maps(given: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
+        let (basis, dropped) = with_exact(given, recipe.exact_zernikes, pupil)?;
+        Ok(Self { smooth: Smooth::Maps(basis.maps().to_owned()), sampled: Some(basis), dropped })
+    }
+}
+
 impl ModeSet {
-    pub(super) fn of(scene: &Scene, recipe: &Recipe, telescope: &Telescope, own: &OwnBasis) -> Result<Self> {
-        let pupil = &telescope.pupil;
-        let segment = match scene.modes.segment {
+    /// The NCPA modes of `scene`, behind those of the segments.
+    pub(super) fn of(
+        scene: &Scene,
+        segment: SegmentModes,
+        recipe: &Recipe,
+        telescope: &Telescope,
+        own: &OwnBasis,
+    ) -> Result<Self> {
+        Self::assemble(segment, NcpaModes::of(scene, recipe, telescope, own)?, &telescope.pupil)
+    }
+
+    /// The modes of a caller on the grid of `pupil`, behind those of the segments.
+    pub(super) fn of_maps(segment: SegmentModes, ncpa: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
+        Self::assemble(segment, NcpaModes::of_maps(ncpa, recipe, pupil)?, pupil)
+    }
+
+    fn assemble(segment: SegmentModes, ncpa: NcpaModes, pupil: &Pupil) -> Result<Self> {
+        let segment = match segment {
             SegmentModes::None => None,
             SegmentModes::Piston => Some(modes::SegmentModes::Piston),
             SegmentModes::PistonTipTilt => Some(modes::SegmentModes::PistonTipTilt),
@@ -63,16 +102,9 @@ impl ModeSet {
         for motion in 0..segment.map_or(0, modes::SegmentModes::per_segment) {
             kinds.extend((0..segments).map(|s| [Mode::Piston(s), Mode::Tip(s), Mode::Tilt(s)][motion]));
         }
-        let (smooth, ncpa, dropped) = if let NcpaBasis::File(file) = &scene.modes.ncpa {
-            let (basis, dropped) = from_file(&scene.resolve(file), recipe.exact_zernikes, pupil)?;
-            (Smooth::Maps(basis.maps().to_owned()), Some(basis), dropped)
-        } else {
-            let (smooth, dropped) = functions(scene, recipe, telescope, own)?;
-            let sampled = smooth.as_ref().map(|basis| basis.sampled(pupil)).transpose()?;
-            (Smooth::Functions(smooth), sampled, dropped)
-        };
-        kinds.extend((0..ncpa.as_ref().map_or(0, Basis::len)).map(Mode::Smooth));
-        let basis = match (segment_basis, ncpa) {
+        let NcpaModes { smooth, sampled, dropped } = ncpa;
+        kinds.extend((0..sampled.as_ref().map_or(0, Basis::len)).map(Mode::Smooth));
+        let basis = match (segment_basis, sampled) {
             (Some(segments), Some(ncpa)) => segments.followed_by(&ncpa)?,
             (Some(only), None) | (None, Some(only)) => only,
             (None, None) => return Err(Error::Scene("the scene leaves no mode to estimate".into())),
@@ -91,6 +123,11 @@ impl ModeSet {
 pub(super) struct OwnBasis(OnceCell<Option<SmoothBasis>>);
 
 impl OwnBasis {
+    /// No basis, whatever the scene says.
+    pub(super) fn none() -> Self {
+        Self(OnceCell::from(None))
+    }
+
     fn of(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
         if let Some(made) = self.0.get() {
             return Ok(made.clone());
@@ -134,25 +171,33 @@ fn functions(
     })
 }
 
-/// Modes from a FITS file, used as they are, followed by what the exact Zernikes add to its NCPA modes.
-fn from_file(path: &std::path::Path, exact: Zernikes, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
+/// Modes from a FITS file.
+fn from_file(path: &std::path::Path, pupil: &Pupil) -> Result<Basis> {
     let mut file = io::FitsReader::open(path)?;
     let maps = file.cube("BASIS")?;
     let names = file.text_column("MODES", "NAME")?;
     let groups = file.text_column("MODES", "GROUP")?;
-    let samples = pupil.grid.samples();
-    if maps.dim().1 != samples || maps.dim().2 != samples {
-        let (_, rows, columns) = maps.dim();
-        return Err(Error::file(
-            path,
-            format_args!("the modes have {columns}x{rows} samples where the pupil has {samples}x{samples}"),
-        ));
-    }
     let groups = groups.iter().map(|group| Group::parse(group)).collect::<Result<Vec<_>>>();
-    let given = groups.and_then(|groups| Basis::from_cube(names, groups, maps)).map_err(|e| Error::file(path, e))?;
+    let given = groups.and_then(|groups| on_grid(names, groups, maps, pupil)).map_err(|e| Error::file(path, e))?;
     if given.groups().windows(2).any(|pair| pair[0] == Group::Ncpa && pair[1] == Group::Segment) {
         return Err(Error::file(path, "segment modes must come before NCPA modes"));
     }
+    Ok(given)
+}
+
+/// Modes from a cube `[mode, y, x]` on the grid of `pupil`.
+pub(super) fn on_grid(names: Vec<String>, groups: Vec<Group>, maps: Array3<f64>, pupil: &Pupil) -> Result<Basis> {
+    let (samples, (_, rows, columns)) = (pupil.grid.samples(), maps.dim());
+    if rows != samples || columns != samples {
+        return Err(Error::Shape(format!(
+            "the modes have {columns}x{rows} samples where the pupil has {samples}x{samples}"
+        )));
+    }
+    Basis::from_cube(names, groups, maps)
+}
+
+/// `given`, followed by what the exact Zernikes add to its NCPA modes; and the names of those that add nothing.
+fn with_exact(given: Basis, exact: Zernikes, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
     let Zernikes::Span { first, last } = exact else { return Ok((given, Vec::new())) };
     let zernikes = modes::zernike_basis(first, last, pupil)?.sampled(pupil)?;
     let (added, dropped) = remainders(&given, &zernikes, pupil);

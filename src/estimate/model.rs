@@ -45,8 +45,20 @@ impl Model {
     pub(super) fn with_own_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         let telescope = Telescope::of(scene)?;
         let diversity = Diversity::of(scene, &telescope)?;
-        let pixels = Plan::of(scene, recipe, native, &diversity, &telescope.pupil);
-        let set = ModeSet::of(scene, recipe, &telescope, own)?;
+        let set = ModeSet::of(scene, scene.modes.segment, recipe, &telescope, own)?;
+        Self::assemble(scene, recipe, native, telescope, &diversity, set)
+    }
+
+    /// The model of these parts; of `scene`, its image and how the pupil is band-limited.
+    pub(super) fn assemble(
+        scene: &Scene,
+        recipe: &Recipe,
+        native: bool,
+        telescope: Telescope,
+        diversity: &Diversity,
+        set: ModeSet,
+    ) -> Result<Self> {
+        let pixels = Plan::of(scene, recipe, native, diversity, &telescope.pupil);
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
         let (grid, weights) = if band_limited {
             band_limited_weights(scene, &telescope, &pixels)?

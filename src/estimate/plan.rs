@@ -60,8 +60,8 @@ impl Plan {
             Crop::Auto => reduced_pixels,
         };
         let preparation = Preparation {
-            frame_pixels,
-            reduced_pixels,
+            frame: [frame_pixels; 2],
+            reduced: [reduced_pixels; 2],
             pixels: pixels.min(reduced_pixels),
             flip: [image.flip_x, image.flip_y],
         };

@@ -1,13 +1,19 @@
 //! From a detector frame to the exposure that the chain compares with: checked, reduced to the model's sampling with
 //! its noise carried along, centred, cropped, weighted.
 
+mod reduction;
+mod refusal;
+mod statistics;
+
+pub use refusal::Refusal;
+
 use super::recipe::Recipe;
 use crate::imaging::{Exposure, Photometry};
 use crate::scene::Weighting;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView2, Zip, s};
-use num_complex::Complex64;
-use rustfft::FftPlanner;
+use ndarray::{Array2, ArrayView1, ArrayView2};
+use reduction::Reduction;
+use statistics::Statistics;
 
 /// One frame as it comes: electrons, and which pixels are bad.
 #[derive(Debug, Clone, Copy)]
@@ -23,11 +29,11 @@ pub struct Frame<'a> {
 /// How frames become exposures of one model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Preparation {
-    /// Pixels along a side of a frame.
-    pub frame_pixels: usize,
-    /// Pixels along a side after the reduction to the model's sampling (equal to `frame_pixels` where there is none).
-    pub reduced_pixels: usize,
-    /// Pixels along a side of the part that is fitted.
+    /// Pixels of a frame along x and y, both even; the axis is on pixel `[frame[0] / 2, frame[1] / 2]`.
+    pub frame: [usize; 2],
+    /// Pixels along x and y after the reduction to the model's sampling (equal to `frame` where there is none), even.
+    pub reduced: [usize; 2],
+    /// Pixels along a side of the part that is fitted; what it has beyond the frame is bad.
     pub pixels: usize,
     /// Whether the detector's columns, and its rows, run against the axes.
     pub flip: [bool; 2],
@@ -48,192 +54,235 @@ pub struct Prepared {
     pub bad_pixels: usize,
 }
 
+/// What becomes of bad pixels where the sampling is reduced.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ringing {
+    /// They count as 0, and ring.
+    Accepted,
+    /// The frame is refused.
+    Refused,
+}
+
 impl Preparation {
     /// Makes `frame` ready.
     ///
     /// # Errors
     /// [`Error::Shape`] for a frame of another size than the scene's, [`Error::Image`] for one that holds no star.
     pub fn prepare(&self, frame: Frame, recipe: &Recipe) -> Result<Prepared> {
-        let (data, bad) = self.oriented(frame)?;
-        refuse_unusable(&data, &bad)?;
-        let (level, scatter) = border(&data, &bad);
-        let ratio = self.frame_pixels as f64 / self.reduced_pixels as f64;
-        // Without a stated read noise the border's scatter stands for it; 1 e⁻ keeps weights finite on synthetic frames.
-        let read_noise_e = if frame.read_noise_e > 0.0 { frame.read_noise_e } else { scatter.max(1.0) };
-        let (data, bad) = if self.reduced_pixels < self.frame_pixels {
-            (reduce(&data, self.reduced_pixels), Array2::from_elem([self.reduced_pixels; 2], false))
-        } else {
-            (data, bad)
-        };
-        let level = level * ratio * ratio;
-        let shift = if recipe.recentre { off_axis(&data, &bad, level) } else { [0, 0] };
-        let (data, bad) = crop(&data, &bad, self.pixels, shift);
-        // A sum over ratio² native pixels: their read variances add, and their photons are in the data.
-        let floor = (read_noise_e * ratio).powi(2);
-        let floor_variance_e2: Vec<f64> = bad.iter().map(|&bad| if bad { f64::INFINITY } else { floor }).collect();
-        let brightest = data.iter().zip(&bad).filter(|(_, bad)| !**bad).fold(0.0f64, |m, (&d, _)| m.max(d));
-        let weight = match recipe.weighting {
-            Weighting::Noise => {
-                data.iter().zip(&floor_variance_e2).map(|(d, floor)| 1.0 / (d.max(0.0) + floor)).collect()
-            }
-            // Scaled by the brightest pixel, so that a tolerance means the same for a bright and for a faint star.
-            Weighting::None => bad.iter().map(|&bad| if bad { 0.0 } else { 1.0 / (brightest * brightest) }).collect(),
-        };
-        let photometry = match (recipe.fit_flux, recipe.fit_background) {
-            (true, true) => Photometry::FitBoth,
-            (true, false) => Photometry::FitFlux { background_e: 0.0 },
-            (false, _) => Photometry::Fixed { flux_e: data.sum(), background_e: 0.0 },
-        };
-        let bad_pixels = bad.iter().filter(|bad| **bad).count();
-        let exposure = Exposure { data_e: data.into_raw_vec_and_offset().0, weight, photometry };
-        Ok(Prepared { exposure, floor_variance_e2, level_e: level, shift_pixels: shift, bad_pixels })
+        self.checked(frame)?;
+        let mut prepared = self.room();
+        let outcome = Preparer::new(*self).prepare(frame, recipe, Ringing::Accepted, &mut prepared);
+        outcome.map_err(|refusal| Error::Image(refusal.to_string()))?;
+        Ok(prepared)
     }
 
-    /// The frame in the model's orientation; bad pixels hold 0.
-    fn oriented(&self, frame: Frame) -> Result<(Array2<f64>, Array2<bool>)> {
-        let wanted = (self.frame_pixels, self.frame_pixels);
-        if frame.data_e.dim() != wanted || frame.bad.dim() != wanted {
+    /// Native pixels to a model pixel, by area.
+    pub fn native_pixels(&self) -> f64 {
+        self.native_along(0) * self.native_along(1)
+    }
+
+    /// Native pixels to a model pixel along x (0) or y (1).
+    pub fn native_along(&self, axis: usize) -> f64 {
+        self.frame[axis] as f64 / self.reduced[axis] as f64
+    }
+
+    /// Room for a prepared frame.
+    pub(super) fn room(&self) -> Prepared {
+        let zeros = || vec![0.0; self.pixels * self.pixels];
+        let photometry = Photometry::Fixed { flux_e: 0.0, background_e: 0.0 };
+        Prepared {
+            exposure: Exposure { data_e: zeros(), weight: zeros(), photometry },
+            floor_variance_e2: zeros(),
+            level_e: 0.0,
+            shift_pixels: [0, 0],
+            bad_pixels: 0,
+        }
+    }
+
+    /// That a frame has the size that the scene says.
+    ///
+    /// # Errors
+    /// [`Error::Shape`].
+    pub(super) fn checked(&self, frame: Frame) -> Result<()> {
+        let [x, y] = self.frame;
+        if frame.data_e.dim() != (y, x) || frame.bad.dim() != (y, x) {
             let (rows, columns) = frame.data_e.dim();
             return Err(Error::Shape(format!(
-                "the image has {columns}x{rows} pixels where the scene says {0}x{0} (image.pixels)",
-                self.frame_pixels
+                "the image has {columns}x{rows} pixels where the scene says {x}x{y} (image.pixels)"
             )));
         }
-        let step = |flip: bool| if flip { -1 } else { 1 };
-        let [x, y] = self.flip.map(step);
-        let mut bad = frame.bad.slice(s![..;y, ..;x]).to_owned();
-        let mut data = frame.data_e.slice(s![..;y, ..;x]).to_owned();
-        Zip::from(&mut data).and(&mut bad).for_each(|data, bad| {
-            *bad |= !data.is_finite();
-            if *bad {
-                *data = 0.0;
-            }
-        });
-        // Flipping an even number of pixels moves the axis from pixel M/2 to M/2 − 1: move it back, and drop the line
-        // that wraps around.
-        for (axis, &flip) in [1, 0].iter().zip(&self.flip) {
-            if flip {
-                roll_by_one(&mut data, &mut bad, *axis);
-            }
+        Ok(())
+    }
+}
+
+/// The memory in which frames are made ready, one after the other. Nothing is allocated after construction.
+pub(super) struct Preparer {
+    plan: Preparation,
+    /// The frame in the model's orientation, `[y, x]`; bad pixels hold 0.
+    data: Array2<f64>,
+    bad: Array2<bool>,
+    statistics: Statistics,
+    reduction: Option<Reduction>,
+}
+
+/// A frame at the model's sampling, before it is cropped.
+struct Sampled<'a> {
+    data: &'a Array2<f64>,
+    /// `None` after a reduction, which leaves no pixel out.
+    bad: Option<&'a Array2<bool>>,
+}
+
+impl Sampled<'_> {
+    fn is_bad(&self, at: (usize, usize)) -> bool {
+        self.bad.is_some_and(|bad| bad[at])
+    }
+}
+
+impl Preparer {
+    pub(super) fn new(plan: Preparation) -> Self {
+        let shape = (plan.frame[1], plan.frame[0]);
+        Self {
+            plan,
+            data: Array2::zeros(shape),
+            bad: Array2::from_elem(shape, false),
+            statistics: Statistics::with_room(shape.0 * shape.1),
+            reduction: (plan.reduced != plan.frame).then(|| Reduction::new(plan.frame, plan.reduced)),
         }
-        Ok((data, bad))
     }
-}
 
-fn roll_by_one(data: &mut Array2<f64>, bad: &mut Array2<bool>, axis: usize) {
-    for (mut data, mut bad) in data.lanes_mut(ndarray::Axis(axis)).into_iter().zip(bad.lanes_mut(ndarray::Axis(axis))) {
-        for i in (1..data.len()).rev() {
-            (data[i], bad[i]) = (data[i - 1], bad[i - 1]);
+    /// Makes `frame`, whose shape the caller has checked, ready in the memory of `prepared`.
+    ///
+    /// # Errors
+    /// Why the frame cannot be used; `prepared` holds nothing of use then.
+    ///
+    /// # Panics
+    /// Where the frame has another shape than the plan.
+    pub(super) fn prepare(
+        &mut self,
+        frame: Frame,
+        recipe: &Recipe,
+        ringing: Ringing,
+        prepared: &mut Prepared,
+    ) -> std::result::Result<(), Refusal> {
+        let lost = self.orient(frame);
+        if self.reduction.is_some() && ringing == Ringing::Refused && lost > 0 {
+            return Err(Refusal::BadPixelsWouldRing { bad: lost });
         }
-        (data[0], bad[0]) = (0.0, true);
-    }
-}
-
-/// Refuses frames without a star in them, each with the reason.
-fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>) -> Result<()> {
-    let good: Vec<f64> = data.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(&d, _)| d).collect();
-    let refuse = |reason: &str| Err(Error::Image(format!("the image {reason}")));
-    if good.is_empty() {
-        return refuse("has no good pixel: all are bad or not finite");
-    }
-    // Fewer pixels than this cannot fix even a handful of modes.
-    if good.len() < 64 {
-        return refuse(&format!("has only {} good pixels: at least 64 are needed", good.len()));
-    }
-    let (least, most) = good.iter().fold((f64::MAX, f64::MIN), |(a, b), &d| (a.min(d), b.max(d)));
-    if least == most {
-        return refuse(&format!("is constant: every good pixel holds {least}"));
-    }
-    if most <= 0.0 {
-        return refuse(&format!("has no positive pixel: the largest value is {most}, and electrons are needed"));
-    }
-    let (level, _) = border(data, bad);
-    let flux: f64 = good.iter().map(|d| d - level).sum();
-    if flux <= 0.0 {
-        return refuse(&format!(
-            "holds no star: its flux above the border's level is {flux:.3e}, and must be positive"
-        ));
-    }
-    Ok(())
-}
-
-/// Median and scatter (1.4826 times the median deviation) of the frame's border, an eighth of it wide.
-fn border(data: &Array2<f64>, bad: &Array2<bool>) -> (f64, f64) {
-    let size = data.nrows();
-    let inner = size / 8..size - size / 8;
-    let outside =
-        data.indexed_iter().zip(bad).filter(|((at, _), bad)| !**bad && [at.0, at.1].iter().any(|c| !inner.contains(c)));
-    let mut values: Vec<f64> = outside.map(|((_, &d), _)| d).collect();
-    let level = median(&mut values);
-    let mut deviations: Vec<f64> = values.iter().map(|d| (d - level).abs()).collect();
-    (level, 1.4826 * median(&mut deviations))
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
-/// Low-passes and decimates a frame to `size` pixels a side by cropping its Fourier transform. The sum of the image is
-/// kept; a PSF whose spectrum ends below the new Nyquist frequency keeps its values at the new pixels, and white noise
-/// stays white.
-fn reduce(data: &Array2<f64>, size: usize) -> Array2<f64> {
-    let full = data.nrows();
-    let mut planner = FftPlanner::new();
-    let (forward, inverse) = (planner.plan_fft_forward(full), planner.plan_fft_inverse(size));
-    let lines = |array: Array2<Complex64>| {
-        let half = size / 2;
-        // Each row: transform, keep the low frequencies, transform back; then the caller turns the array over.
-        let mut out = Array2::zeros((array.nrows(), size));
-        for (row, mut out) in array.rows().into_iter().zip(out.rows_mut()) {
-            let mut line = row.to_vec();
-            forward.process(&mut line);
-            let mut kept: Vec<Complex64> = line[..half].iter().chain(&line[full - half..]).copied().collect();
-            // The Nyquist frequency of the new grid stands for both of its signs.
-            kept[half] = (kept[half] + line[half]) * 0.5;
-            inverse.process(&mut kept);
-            out.assign(&ndarray::Array1::from(kept));
+        let (level, scatter) = self.statistics.of_border(&self.data, &self.bad);
+        refuse_unusable(&self.data, &self.bad, level)?;
+        // Without a stated read noise the border's scatter stands for it; 1 e⁻ keeps weights finite on synthetic frames.
+        let read_noise_e = if frame.read_noise_e > 0.0 { frame.read_noise_e } else { scatter.max(1.0) };
+        let sampled = match &mut self.reduction {
+            Some(reduction) => Sampled { data: reduction.run(&self.data), bad: None },
+            None => Sampled { data: &self.data, bad: Some(&self.bad) },
+        };
+        let area = self.plan.native_pixels();
+        prepared.level_e = level * area;
+        prepared.shift_pixels = if recipe.recentre { off_axis(&sampled, prepared.level_e) } else { [0, 0] };
+        // A sum over some native pixels: their read variances add, and their photons are in the data.
+        let floor = read_noise_e.powi(2) * area;
+        prepared.bad_pixels = crop(&sampled, self.plan.pixels, floor, prepared);
+        if prepared.bad_pixels == prepared.floor_variance_e2.len() {
+            return Err(Refusal::NoGoodPixel);
         }
-        out
-    };
-    let along_x = lines(data.mapv(Complex64::from));
-    let along_y = lines(along_x.reversed_axes().as_standard_layout().to_owned());
-    let scale = 1.0 / (size * size) as f64;
-    along_y.reversed_axes().mapv(|value| value.re * scale).as_standard_layout().to_owned()
+        weigh(prepared, recipe);
+        Ok(())
+    }
+
+    /// Takes up the frame in the model's orientation, bad pixels as 0; how many of the frame's own are bad.
+    ///
+    /// Flipping an even number of pixels moves the axis from pixel M/2 to M/2 − 1: it is moved back, and the line that
+    /// wraps around is bad.
+    fn orient(&mut self, frame: Frame) -> usize {
+        let (rows, columns) = self.data.dim();
+        let [flip_x, flip_y] = self.plan.flip;
+        let from = |i: usize, size: usize, flip: bool| if flip { (i > 0).then(|| size - i) } else { Some(i) };
+        for ((v, u), data) in self.data.indexed_iter_mut() {
+            let there = from(v, rows, flip_y).zip(from(u, columns, flip_x));
+            let good = there.filter(|&at| !frame.bad[at] && frame.data_e[at].is_finite());
+            *data = good.map_or(0.0, |at| frame.data_e[at]);
+            self.bad[(v, u)] = good.is_none();
+        }
+        frame.data_e.iter().zip(frame.bad).filter(|(data, bad)| **bad || !data.is_finite()).count()
+    }
+}
+
+/// Refuses frames without a star in them. `level` is the border's.
+fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>, level: f64) -> std::result::Result<(), Refusal> {
+    let (mut good, mut least, mut most, mut flux_e) = (0usize, f64::MAX, f64::MIN, 0.0);
+    for (&value, _) in data.iter().zip(bad).filter(|(_, bad)| !**bad) {
+        good += 1;
+        (least, most) = (least.min(value), most.max(value));
+        flux_e += value - level;
+    }
+    match good {
+        0 => Err(Refusal::NoGoodPixel),
+        // Fewer pixels than this cannot fix even a handful of modes.
+        1..64 => Err(Refusal::FewGoodPixels { good }),
+        _ if least == most => Err(Refusal::Constant { value: least }),
+        _ if most <= 0.0 => Err(Refusal::NoPositivePixel { largest: most }),
+        _ if flux_e <= 0.0 => Err(Refusal::NoStar { flux_e }),
+        _ => Ok(()),
+    }
 }
 
 /// Whole pixels from the axis to the star's centroid; 0 within 3 pixels, where exact tip and tilt do better.
-fn off_axis(data: &Array2<f64>, bad: &Array2<bool>, level: f64) -> [i64; 2] {
-    let axis = (data.nrows() / 2) as f64;
+fn off_axis(frame: &Sampled, level: f64) -> [i64; 2] {
+    let (rows, columns) = frame.data.dim();
     // Only what stands out: 5 % of the brightest pixel, so that noise far away does not pull.
-    let brightest = data.iter().fold(f64::MIN, |m, &d| m.max(d - level));
+    let brightest = frame.data.iter().fold(f64::MIN, |m, &d| m.max(d - level));
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-    for (((v, u), &value), &bad) in data.indexed_iter().zip(bad) {
+    for ((v, u), &value) in frame.data.indexed_iter() {
         let value = value - level;
-        if !bad && value > 0.05 * brightest {
+        if value > 0.05 * brightest && !frame.is_bad((v, u)) {
             (sum, x, y) = (sum + value, x + value * u as f64, y + value * v as f64);
         }
     }
-    [x, y].map(|moment| {
-        let offset = moment / sum - axis;
+    [(x, columns), (y, rows)].map(|(moment, size)| {
+        let offset = moment / sum - (size / 2) as f64;
         if offset.abs() > 3.0 { offset.round() as i64 } else { 0 }
     })
 }
 
-/// The central `size` pixels about the axis moved by `shift`; what lies outside the frame is bad.
-fn crop(data: &Array2<f64>, bad: &Array2<bool>, size: usize, shift: [i64; 2]) -> (Array2<f64>, Array2<bool>) {
-    let full = data.nrows() as i64;
-    let first = full / 2 - size as i64 / 2;
-    let at = |(v, u): (usize, usize)| {
-        let (y, x) = (v as i64 + first + shift[1], u as i64 + first + shift[0]);
-        ((0..full).contains(&y) && (0..full).contains(&x)).then_some((y as usize, x as usize))
+/// The `size` pixels a side about the axis, moved by the shift in `prepared`, into its data and its floor (`floor`;
+/// infinite for bad pixels, as all outside the frame are); how many are bad.
+fn crop(frame: &Sampled, size: usize, floor: f64, prepared: &mut Prepared) -> usize {
+    let (rows, columns) = frame.data.dim();
+    let [shift_x, shift_y] = prepared.shift_pixels;
+    let from = |i: usize, full: usize, shift: i64| {
+        let there = i as i64 + full as i64 / 2 - size as i64 / 2 + shift;
+        (0..full as i64).contains(&there).then_some(there as usize)
     };
-    let cropped_bad = Array2::from_shape_fn((size, size), |here| at(here).is_none_or(|there| bad[there]));
-    let cropped = Array2::from_shape_fn((size, size), |here| at(here).map_or(0.0, |there| data[there]));
-    (cropped, cropped_bad)
+    let pixels = prepared.exposure.data_e.iter_mut().zip(&mut prepared.floor_variance_e2);
+    let mut bad_pixels = 0;
+    for (here, (data, floor_variance)) in pixels.enumerate() {
+        let there = from(here / size, rows, shift_y).zip(from(here % size, columns, shift_x));
+        *data = there.map_or(0.0, |at| frame.data[at]);
+        let bad = there.is_none_or(|at| frame.is_bad(at));
+        *floor_variance = if bad { f64::INFINITY } else { floor };
+        bad_pixels += usize::from(bad);
+    }
+    bad_pixels
+}
+
+/// The first weights of cropped data, and how its flux and background are found.
+fn weigh(prepared: &mut Prepared, recipe: &Recipe) {
+    let Prepared { exposure: Exposure { data_e, weight, photometry }, floor_variance_e2: floor, .. } = prepared;
+    let good = || data_e.iter().zip(floor.iter()).filter(|(_, floor)| floor.is_finite());
+    let brightest = good().fold(0.0f64, |m, (&d, _)| m.max(d));
+    for ((weight, d), floor) in weight.iter_mut().zip(data_e.iter()).zip(floor.iter()) {
+        *weight = match recipe.weighting {
+            Weighting::Noise => 1.0 / (d.max(0.0) + floor),
+            // Scaled by the brightest pixel, so that a tolerance means the same for a bright and for a faint star.
+            Weighting::None if floor.is_finite() => 1.0 / (brightest * brightest),
+            Weighting::None => 0.0,
+        };
+    }
+    *photometry = match (recipe.fit_flux, recipe.fit_background) {
+        (true, true) => Photometry::FitBoth,
+        (true, false) => Photometry::FitFlux { background_e: 0.0 },
+        (false, _) => Photometry::Fixed { flux_e: ArrayView1::from(&*data_e).sum(), background_e: 0.0 },
+    };
 }
 
 #[cfg(test)]

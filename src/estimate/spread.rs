@@ -56,7 +56,7 @@ impl Spread {
         let pistons = Pistons::of(&estimator.model)?;
         let matrices = |&head: &usize| {
             let minimum = &minima[head];
-            let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &minimum.exposure);
+            let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &prepared[head].exposure);
             let sensitivity =
                 Sensitivity::at(&estimator.judge, at, minimum.flux_e, &exposure.weight, exposure.photometry);
             let fisher = sensitivity.fisher();

@@ -1,18 +1,18 @@
 //! What became of each image: judged by its own residual, and in a sequence by the others'.
 
 use super::Estimator;
-use super::fit::{Minimum, reduced_chi2, variance};
+use super::fit::Minimum;
 use super::model::Model;
-use super::prepare::Prepared;
+use super::prepare::{Prepared, Refusal};
+use super::residual::reduced_chi2;
 use super::sequence::{SEQUENCE, distances, outliers};
-use crate::Error;
 use crate::optimize::StopReason;
 use crate::scene::Combine;
 use ndarray::{Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 
 /// What became of one image.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Status {
     /// Fitted, and the model explains it.
     Ok,
@@ -25,7 +25,7 @@ pub enum Status {
     /// The optimiser gave up before it converged.
     NotConverged(StopReason),
     /// The image could not be used.
-    Unusable(String),
+    Unusable(Refusal),
 }
 
 impl Status {
@@ -54,7 +54,7 @@ const MISFIT: f64 = 2.0;
 const WRONG_MINIMUM: f64 = 300.0;
 
 /// The report on one image.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageReport {
     /// What became of it.
     pub status: Status,
@@ -72,17 +72,44 @@ pub struct ImageReport {
     pub bad_pixels: usize,
 }
 
+impl ImageReport {
+    /// What became of the image and why, in a sentence.
+    pub fn sentence(&self) -> String {
+        let chi2 = self.reduced_chi2;
+        match self.status {
+            Status::Ok => format!("the model explains the image: reduced chi-square {chi2:.3}"),
+            Status::Misfit => format!(
+                "the residual is larger than the noise: reduced chi-square {chi2:.3}, where up to {MISFIT} is explained"
+            ),
+            Status::WrongMinimum => format!(
+                "the fit probably sits in a wrong minimum: reduced chi-square {chi2:.0}, where up to {WRONG_MINIMUM} is \
+                 plausible"
+            ),
+            Status::NotConverged(reason) => {
+                format!("after {} evaluations the fit is not done: {reason}", self.evaluations)
+            }
+            Status::Unusable(refusal) => refusal.to_string(),
+        }
+    }
+}
+
 /// The reports on the minima of `prepared`.
 pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
     let tilts = Tilts::new(&estimator.model);
-    let mut reports: Vec<ImageReport> =
-        prepared.par_iter().zip(minima).map(|(p, m)| judge(estimator, &tilts, p, m)).collect();
+    let mut reports: Vec<ImageReport> = prepared
+        .par_iter()
+        .zip(minima)
+        .map(|(prepared, minimum)| {
+            let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
+            judge(&estimator.model, &tilts, prepared, minimum, &psf)
+        })
+        .collect();
     judge_together(&mut reports);
     reports
 }
 
 /// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.
-fn judge_together(reports: &mut [ImageReport]) {
+pub(super) fn judge_together(reports: &mut [ImageReport]) {
     let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.converged()).collect();
     if converged.len() < SEQUENCE {
         return;
@@ -95,34 +122,31 @@ fn judge_together(reports: &mut [ImageReport]) {
     }
 }
 
-/// Judges one minimum by itself. `tilts` are the slopes of each mode.
-fn judge(estimator: &Estimator, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum) -> ImageReport {
-    let model = &estimator.model;
-    let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
-    let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-    let reduced_chi2 = reduced_chi2(&psf, minimum, &variance_e2, model.optics.modes());
+/// Judges one minimum by itself. `tilts` are the slopes of each mode, `psf` is that of the minimum.
+pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum, psf: &[f64]) -> ImageReport {
+    let (exposure, floor_variance_e2) = (&prepared.exposure, &prepared.floor_variance_e2);
+    let reduced_chi2 = reduced_chi2(psf, minimum, exposure, floor_variance_e2, model.optics.modes());
     let status = match minimum.reason {
         reason if !reason.converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
         _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
         _ if reduced_chi2 > MISFIT => Status::Misfit,
         _ => Status::Ok,
     };
-    let ratio = model.preparation.frame_pixels as f64 / model.preparation.reduced_pixels as f64;
     ImageReport {
         status,
         evaluations: minimum.evaluations,
         reduced_chi2,
         flux_e: minimum.flux_e,
-        background_e: minimum.background_e / (ratio * ratio),
+        background_e: minimum.background_e / model.preparation.native_pixels(),
         tip_tilt_nm: tilts.of(&minimum.coefficients_nm, prepared.shift_pixels),
         bad_pixels: prepared.bad_pixels,
     }
 }
 
 /// The report on an image that was not fitted.
-pub(super) fn unusable(refused: Option<Error>) -> ImageReport {
+pub(super) fn unfitted(status: Status) -> ImageReport {
     ImageReport {
-        status: Status::Unusable(refused.map(|error| error.to_string()).unwrap_or_default()),
+        status,
         evaluations: 0,
         reduced_chi2: f64::NAN,
         flux_e: f64::NAN,
@@ -175,7 +199,7 @@ fn best_kind(reports: &[&ImageReport]) -> Vec<usize> {
 }
 
 /// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.
-struct Tilts {
+pub(super) struct Tilts {
     /// Of each mode, along x and y, per nm.
     modes: Vec<[f64; 2]>,
     /// Of a shift by one model pixel.
@@ -183,7 +207,7 @@ struct Tilts {
 }
 
 impl Tilts {
-    fn new(model: &Model) -> Self {
+    pub(super) fn new(model: &Model) -> Self {
         let pupil = &model.telescope.pupil;
         let total = pupil.weight_sum();
         let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / total;

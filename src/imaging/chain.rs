@@ -4,12 +4,12 @@ use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
-use crate::device::{Choice, Device};
+use crate::device::Device;
 use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::sync::Arc;
 
-pub use crate::device::Precision;
+pub use crate::device::{Choice, Precision};
 
 /// Forward model and adjoint for a batch of images, wherever they run.
 pub enum Chain {

@@ -18,11 +18,11 @@ pub struct CpuChain<T: Polynomial> {
     transform: Transform<T>,
     images: Vec<Loaded<T>>,
     /// Memory of threads that are not evaluating now: taken, used, put back.
-    idle: Mutex<Vec<Memory<T>>>,
+    idle: Mutex<Vec<Scratch<T>>>,
 }
 
-/// What one thread needs for one evaluation.
-struct Memory<T: Polynomial> {
+/// What one thread needs for one evaluation at a time: made by [`CpuChain::scratch`].
+pub struct Scratch<T: Polynomial> {
     field: FieldState<T>,
     pupil: Vec<T>,
     pupil_bar: Vec<T>,
@@ -55,7 +55,8 @@ impl<T: Polynomial> CpuChain<T> {
     /// As [`Exposure::check`].
     pub fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
         exposures.iter().try_for_each(|exposure| exposure.check(self.optics.sampling().pixels))?;
-        self.images = exposures.iter().map(Loaded::new).collect();
+        self.images.resize_with(exposures.len(), || Loaded::room(self.optics.sampling().pixels));
+        self.images.iter_mut().zip(exposures).for_each(|(image, exposure)| image.set(exposure));
         Ok(())
     }
 
@@ -67,7 +68,7 @@ impl<T: Polynomial> CpuChain<T> {
         exposure.check(self.optics.sampling().pixels)?;
         let count = self.images.len();
         let slot = self.images.get_mut(image).ok_or_else(|| no_image(image, count))?;
-        *slot = Loaded::new(exposure);
+        slot.set(exposure);
         Ok(())
     }
 
@@ -81,13 +82,54 @@ impl<T: Polynomial> CpuChain<T> {
             .into_par_iter()
             .map(|i| {
                 let mut memory = self.take();
-                let image = &self.images[images[i]];
-                vectorised(Forward { chain: self, coefficients_nm: coefficients_nm.row(i), memory: &mut memory });
-                let evaluation = vectorised(Backward { chain: self, image, memory: &mut memory });
+                let mut evaluation = self.evaluation();
+                self.evaluate_one(&self.images[images[i]], coefficients_nm.row(i), &mut memory, &mut evaluation);
                 self.put_back(memory);
                 evaluation
             })
             .collect())
+    }
+
+    /// Objective and gradient of one image at `coefficients_nm`, into `evaluation` ([`CpuChain::evaluation`]): on this
+    /// thread, in the caller's memory, with no other taken. Bitwise what [`CpuChain::evaluate`] gives.
+    ///
+    /// # Panics
+    /// Where the pieces were made by a chain of another model.
+    pub fn evaluate_one(
+        &self,
+        image: &Loaded<T>,
+        coefficients_nm: ArrayView1<f64>,
+        scratch: &mut Scratch<T>,
+        evaluation: &mut Evaluation,
+    ) {
+        vectorised(Forward { chain: self, coefficients_nm, memory: scratch });
+        vectorised(Backward { chain: self, image, memory: scratch, evaluation });
+    }
+
+    /// The PSF as [`CpuChain::psf`] gives it, in the caller's memory.
+    pub fn psf_in<'s>(&self, coefficients_nm: ArrayView1<f64>, scratch: &'s mut Scratch<T>) -> &'s [T] {
+        vectorised(Forward { chain: self, coefficients_nm, memory: scratch });
+        &scratch.psf
+    }
+
+    /// Room for one image of this model.
+    pub fn room(&self) -> Loaded<T> {
+        Loaded::room(self.optics.sampling().pixels)
+    }
+
+    /// Takes up `exposure` in the memory of `image`.
+    ///
+    /// # Errors
+    /// As [`Exposure::check`].
+    pub fn set(&self, image: &mut Loaded<T>, exposure: &Exposure) -> Result<()> {
+        exposure.check(self.optics.sampling().pixels)?;
+        image.set(exposure);
+        Ok(())
+    }
+
+    /// Room for what an evaluation returns.
+    pub fn evaluation(&self) -> Evaluation {
+        Evaluation { gradient: vec![0.0; self.optics.modes()], ..Evaluation::default() }
     }
 
     /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at `coefficients_nm`.
@@ -129,23 +171,33 @@ impl<T: Polynomial> CpuChain<T> {
         (psf, jacobian)
     }
 
-    fn take(&self) -> Memory<T> {
-        let idle = self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop();
-        idle.unwrap_or_else(|| {
-            let (n, m) = (self.optics.sampling().samples, self.optics.sampling().pixels);
-            Memory {
-                field: self.field.state(),
-                pupil: vec![T::zero(); 2 * n * n],
-                pupil_bar: vec![T::zero(); 2 * n * n],
-                focus: vec![T::zero(); 2 * m * m],
-                psf: vec![T::zero(); m * m],
-                workspace: self.transform.workspace(),
-            }
-        })
+    /// Memory for one thread.
+    pub fn scratch(&self) -> Scratch<T> {
+        let (n, m) = (self.optics.sampling().samples, self.optics.sampling().pixels);
+        Scratch {
+            field: self.field.state(),
+            pupil: vec![T::zero(); 2 * n * n],
+            pupil_bar: vec![T::zero(); 2 * n * n],
+            focus: vec![T::zero(); 2 * m * m],
+            psf: vec![T::zero(); m * m],
+            workspace: self.transform.workspace(),
+        }
     }
 
-    fn put_back(&self, memory: Memory<T>) {
+    fn take(&self) -> Scratch<T> {
+        let idle = self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop();
+        idle.unwrap_or_else(|| self.scratch())
+    }
+
+    fn put_back(&self, memory: Scratch<T>) {
         self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(memory);
+    }
+}
+
+impl<T: Polynomial> Scratch<T> {
+    /// The PSF of the last evaluation.
+    pub fn psf(&self) -> &[T] {
+        &self.psf
     }
 }
 
@@ -153,7 +205,7 @@ impl<T: Polynomial> CpuChain<T> {
 struct Forward<'a, T: Polynomial> {
     chain: &'a CpuChain<T>,
     coefficients_nm: ArrayView1<'a, f64>,
-    memory: &'a mut Memory<T>,
+    memory: &'a mut Scratch<T>,
 }
 
 impl<T: Polynomial> NullaryFnOnce for Forward<'_, T> {
@@ -172,21 +224,20 @@ impl<T: Polynomial> NullaryFnOnce for Forward<'_, T> {
 struct Backward<'a, T: Polynomial> {
     chain: &'a CpuChain<T>,
     image: &'a Loaded<T>,
-    memory: &'a mut Memory<T>,
+    memory: &'a mut Scratch<T>,
+    evaluation: &'a mut Evaluation,
 }
 
 impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
-    type Output = Evaluation;
+    type Output = ();
 
     #[inline(always)]
-    fn call(self) -> Evaluation {
-        let Self { chain, image, memory } = self;
-        let mut evaluation = image.forward(&memory.psf);
-        image.adjoint(&evaluation, &memory.psf, &mut memory.focus, chain.optics.sampling().pixels);
+    fn call(self) {
+        let Self { chain, image, memory, evaluation } = self;
+        image.forward(&memory.psf, evaluation);
+        image.adjoint(evaluation, &memory.psf, &mut memory.focus, chain.optics.sampling().pixels);
         chain.transform.adjoint(&memory.focus, &mut memory.pupil_bar, &mut memory.workspace);
-        evaluation.gradient = vec![0.0; chain.optics.modes()];
         chain.field.adjoint(&memory.pupil_bar, &mut memory.field, &mut evaluation.gradient);
-        evaluation
     }
 }
 

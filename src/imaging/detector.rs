@@ -73,7 +73,8 @@ impl Exposure {
 }
 
 /// An exposure in the chain's precision, with the sums that do not depend on the model.
-pub(super) struct Loaded<T> {
+#[derive(Clone)]
+pub struct Loaded<T> {
     data: Vec<T>,
     weight: Vec<T>,
     photometry: Photometry,
@@ -85,15 +86,21 @@ pub(super) struct Loaded<T> {
 const LANES: usize = 8;
 
 impl<T: Polynomial> Loaded<T> {
-    pub(super) fn new(exposure: &Exposure) -> Self {
-        let products = exposure.weight.iter().zip(&exposure.data_e).map(|(w, d)| w * d);
-        Self {
-            data: exposure.data_e.iter().map(|&d| T::of(d)).collect(),
-            weight: exposure.weight.iter().map(|&w| T::of(w)).collect(),
-            photometry: exposure.photometry,
-            sum_w: exposure.weight.iter().sum(),
-            sum_wd: products.sum(),
-        }
+    /// Room for an exposure of `pixels` a side, in which nothing has weight yet.
+    pub(super) fn room(pixels: usize) -> Self {
+        let zeros = || vec![T::zero(); pixels * pixels];
+        let photometry = Photometry::Fixed { flux_e: 0.0, background_e: 0.0 };
+        Self { data: zeros(), weight: zeros(), photometry, sum_w: 0.0, sum_wd: 0.0 }
+    }
+
+    /// Takes up an exposure of the same size, in the memory of the last.
+    pub(super) fn set(&mut self, exposure: &Exposure) {
+        let fill = |to: &mut [T], from: &[f64]| to.iter_mut().zip(from).for_each(|(to, &from)| *to = T::of(from));
+        fill(&mut self.data, &exposure.data_e);
+        fill(&mut self.weight, &exposure.weight);
+        self.photometry = exposure.photometry;
+        self.sum_w = exposure.weight.iter().sum();
+        self.sum_wd = exposure.weight.iter().zip(&exposure.data_e).map(|(w, d)| w * d).sum();
     }
 
     /// |U|² from the row-planar focal field.
@@ -107,10 +114,10 @@ impl<T: Polynomial> Loaded<T> {
         }
     }
 
-    /// Flux and background for this PSF, and the objective. In f32 the model and the residual are rounded to 6e-8 of
+    /// Flux and background for this PSF, and the objective, into `evaluation`. In f32 the model and the residual are rounded to 6e-8 of
     /// the brightest pixel; all sums over pixels run in double precision.
     #[inline(always)]
-    pub(super) fn forward(&self, psf: &[T]) -> Evaluation {
+    pub(super) fn forward(&self, psf: &[T], evaluation: &mut Evaluation) {
         let (flux_e, background_e) = self.photometry(psf);
         let (flux, background) = (T::of(flux_e), T::of(background_e));
         let mut lanes = [0.0; LANES];
@@ -120,7 +127,7 @@ impl<T: Polynomial> Loaded<T> {
                 lanes[i] += (weight[i] * residual * residual).wide();
             }
         }
-        Evaluation { objective: lanes.iter().sum(), flux_e, background_e, gradient: Vec::new() }
+        (evaluation.objective, evaluation.flux_e, evaluation.background_e) = (lanes.iter().sum(), flux_e, background_e);
     }
 
     #[inline(always)]

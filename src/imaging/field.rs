@@ -50,6 +50,9 @@ pub(super) struct FieldState<T> {
     /// Piston, tip and tilt of each segment, turns.
     pose: Vec<[T; 3]>,
     smooth: Vec<T>,
+    /// Sums over the samples of the derivatives by `pose` and by `smooth`.
+    pose_bar: Vec<[f64; 3]>,
+    smooth_bar: Vec<f64>,
 }
 
 /// Lit samples that are worked on at once: 69 modes of them stay in a 256 kB cache.
@@ -97,6 +100,8 @@ impl<T: Polynomial> Field<T> {
             back: [zeros(), zeros()],
             pose: vec![[T::zero(); 3]; self.segments],
             smooth: vec![T::zero(); self.basis.len() / self.lit],
+            pose_bar: vec![[0.0; 3]; self.segments],
+            smooth_bar: vec![0.0; self.basis.len() / self.lit],
         }
     }
 
@@ -191,8 +196,9 @@ impl<T: Polynomial> Field<T> {
             state.turns[p] = g_im[p] * a_re[p] - g_re[p] * a_im[p];
         }
         let four_pi = 4.0 * std::f64::consts::PI;
-        let pose = self.pose_gradient(state);
-        let smooth = self.smooth_gradient(&state.turns);
+        self.pose_gradient(state);
+        self.smooth_gradient(state);
+        let (pose, smooth) = (&state.pose_bar, &state.smooth_bar);
         for (&mode, gradient) in self.modes.iter().zip(gradient.iter_mut()) {
             *gradient = four_pi
                 * match mode {
@@ -206,9 +212,10 @@ impl<T: Polynomial> Field<T> {
 
     /// Σ_p w·Im(q*·g)·(1, x, y) of each segment.
     #[inline(always)]
-    fn pose_gradient(&self, state: &FieldState<T>) -> Vec<[f64; 3]> {
+    fn pose_gradient(&self, state: &mut FieldState<T>) {
         let [g_re, g_im] = &state.back;
-        let mut sums = vec![[0.0; 3]; self.segments];
+        let sums = &mut state.pose_bar;
+        sums.fill([0.0; 3]);
         for run in &self.runs {
             let weight = &self.weight[run.first_weight..][..run.length];
             let (re, im) = (&g_re[run.first_lit..][..run.length], &g_im[run.first_lit..][..run.length]);
@@ -231,20 +238,17 @@ impl<T: Polynomial> Field<T> {
                 }
             }
         }
-        sums
     }
 
-    /// Σ_p B_jp·v_p of each smooth mode.
+    /// Σ_p B_jp·dJ/dψ_p of each smooth mode.
     #[inline(always)]
-    fn smooth_gradient(&self, values: &[T]) -> Vec<f64> {
-        let rows = self.basis.len() / self.lit;
-        let mut sums = vec![0.0; rows];
-        for (block, values) in values.chunks(BLOCK).enumerate() {
-            for (row, sum) in sums.iter_mut().enumerate() {
+    fn smooth_gradient(&self, state: &mut FieldState<T>) {
+        state.smooth_bar.fill(0.0);
+        for (block, values) in state.turns.chunks(BLOCK).enumerate() {
+            for (row, sum) in state.smooth_bar.iter_mut().enumerate() {
                 *sum += dot(&self.basis[row * self.lit + block * BLOCK..][..values.len()], values);
             }
         }
-        sums
     }
 
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.

@@ -16,9 +16,9 @@ pub mod gpu;
 mod optics;
 mod phasor;
 
-pub use chain::{Chain, Precision};
-pub use cpu::CpuChain;
-pub use detector::{Evaluation, Exposure, Photometry};
+pub use chain::{Chain, Choice, Precision};
+pub use cpu::{CpuChain, Scratch};
+pub use detector::{Evaluation, Exposure, Loaded, Photometry};
 pub use optics::{Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
 

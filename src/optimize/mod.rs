@@ -70,6 +70,15 @@ impl Outcome {
             reason: StopReason::Unfinished,
         }
     }
+
+    /// As [`Outcome::at`], in the memory that is there.
+    fn restart_at(&mut self, start: &[f64]) {
+        self.x.copy_from_slice(start);
+        self.gradient.fill(f64::NAN);
+        (self.f, self.proposed_step, self.predicted_decrease) = (f64::NAN, f64::NAN, f64::NAN);
+        (self.evaluations, self.iterations) = (0, 0);
+        self.reason = StopReason::Unfinished;
+    }
 }
 
 /// Why a minimisation stopped.
@@ -96,6 +105,8 @@ pub enum StopReason {
     NoDescent,
     /// The cancel flag went up.
     Cancelled,
+    /// The time that was given is up.
+    DeadlineReached,
 }
 
 impl StopReason {
@@ -125,6 +136,7 @@ impl std::fmt::Display for StopReason {
             StopReason::NotFinite => "failed: the objective or its gradient is not a finite number",
             StopReason::NoDescent => "failed: no step along a descent direction lowers the objective",
             StopReason::Cancelled => "cancelled",
+            StopReason::DeadlineReached => "stopped early: the deadline is reached",
         })
     }
 }

@@ -33,6 +33,13 @@ impl Pairs {
         }
     }
 
+    /// Forgets everything, for vectors of `dimension` components: as many as [`Pairs::new`] was told at most.
+    pub fn restart(&mut self, dimension: usize) {
+        debug_assert!(dimension * self.capacity <= self.steps.len(), "room for the pairs");
+        self.dimension = dimension;
+        self.clear();
+    }
+
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }

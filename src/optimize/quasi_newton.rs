@@ -6,6 +6,7 @@ use super::settings::{Scaling, Settings};
 use super::{Metric, Objective, Outcome, StopReason, is_cancelled};
 use crate::{Error, Result};
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Inverse curvature of J = Σ w r² in coordinates whitened by its Gauss-Newton matrix: the Hessian is 2·I.
 const WHITENED: f64 = 0.5;
@@ -30,10 +31,13 @@ enum Phase {
 
 /// L-BFGS with an ask/tell interface: evaluate the objective and its gradient at [`ask`](Self::ask), hand both to
 /// [`tell`](Self::tell), until it answers [`Progress::Done`]. All arithmetic is f64 and depends on this problem alone,
-/// so a batch in lock-step gives bitwise what the problems give one by one. Nothing is allocated after construction.
+/// so a batch in lock-step gives bitwise what the problems give one by one. Nothing is allocated after construction,
+/// and [`begin`](Self::begin) takes up another problem of the same size in the same memory.
 #[derive(Debug, Clone)]
 pub struct QuasiNewton {
     metric: Arc<Metric>,
+    /// What is a step of length one in the metric is this long here.
+    scale: f64,
     settings: Settings,
     /// The iterate and its gradient live here.
     outcome: Outcome,
@@ -60,32 +64,70 @@ impl QuasiNewton {
     /// finite or a setting out of range.
     pub fn new(metric: Arc<Metric>, start: &[f64], settings: Settings) -> Result<Self> {
         settings.check()?;
-        let n = metric.dimension();
-        if start.len() != n {
-            return Err(Error::Shape(format!(
-                "the starting point has {} components, where the metric has {n}",
-                start.len()
-            )));
-        }
         check_start(start)?;
-        let rank = metric.rank();
+        check_dimension(start, &metric)?;
+        // Metrics of one size may differ in rank: room for the largest.
+        let (n, rank) = (metric.dimension(), metric.rank());
+        let room = || {
+            let mut room = Vec::with_capacity(n);
+            room.resize(rank, 0.0);
+            room
+        };
+        let mut pairs = Pairs::new(n, settings.memory);
+        pairs.restart(rank);
         Ok(QuasiNewton {
             outcome: Outcome::at(start),
-            gradient_z: vec![0.0; rank],
-            direction_z: vec![0.0; rank],
+            gradient_z: room(),
+            direction_z: room(),
             direction_x: vec![0.0; n],
             trial_x: start.to_vec(),
-            trial_gradient_z: vec![0.0; rank],
+            trial_gradient_z: room(),
             kept_f: f64::NAN,
             kept_gradient_x: vec![0.0; n],
-            kept_gradient_z: vec![0.0; rank],
-            pairs: Pairs::new(rank, settings.memory),
+            kept_gradient_z: room(),
+            pairs,
             search: LineSearch::new(f64::NAN, f64::NAN, 0.0, 0.0, 0.0, false),
             phase: Phase::Anchor,
             forgot: false,
             metric,
+            scale: 1.0,
             settings,
         })
+    }
+
+    /// Takes up another problem, from `start`, in the memory of the last. Its coordinates are those of `metric` with
+    /// every length times `scale` (positive): an objective that is `scale`⁻² times as curved needs no metric of its own.
+    ///
+    /// # Errors
+    /// As [`QuasiNewton::new`]; nothing has changed then.
+    pub fn begin(&mut self, metric: &Arc<Metric>, scale: f64, start: &[f64]) -> Result<()> {
+        if metric.dimension() != self.metric.dimension() {
+            let (new, old) = (metric.dimension(), self.metric.dimension());
+            return Err(Error::Shape(format!("a metric of {new} dimensions was given where {old} are needed")));
+        }
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Err(Error::Value(format!("the scale of the metric is {scale}, where a positive number is needed")));
+        }
+        check_start(start)?;
+        check_dimension(start, metric)?;
+        let rank = metric.rank();
+        for z in [&mut self.gradient_z, &mut self.direction_z, &mut self.trial_gradient_z, &mut self.kept_gradient_z] {
+            z.resize(rank, 0.0);
+        }
+        self.pairs.restart(rank);
+        self.metric.clone_from(metric);
+        self.scale = scale;
+        self.outcome.restart_at(start);
+        self.trial_x.copy_from_slice(start);
+        self.search = LineSearch::new(f64::NAN, f64::NAN, 0.0, 0.0, 0.0, false);
+        self.phase = Phase::Anchor;
+        self.forgot = false;
+        Ok(())
+    }
+
+    /// Changes when to stop wherever it stands.
+    pub fn set_deadline(&mut self, deadline: Option<Instant>) {
+        self.settings.deadline = deadline;
     }
 
     /// The point to evaluate, in the caller's coordinates. After [`Progress::Done`]: the best point.
@@ -107,6 +149,7 @@ impl QuasiNewton {
         let finite = f.is_finite() && gradient.iter().all(|g| g.is_finite());
         let f = if finite { f } else { f64::NAN };
         self.metric.gradient_to_z(gradient, &mut self.trial_gradient_z);
+        scale_by(&mut self.trial_gradient_z, self.scale);
         let stop = match self.phase {
             Phase::Anchor if finite => {
                 self.adopt_trial(f, gradient);
@@ -115,18 +158,22 @@ impl QuasiNewton {
             Phase::Anchor => Some(StopReason::NotFinite),
             _ => self.advance(f, gradient),
         };
-        let stop = stop.or_else(|| {
-            if is_cancelled(self.settings.cancel.as_ref()) {
-                Some(StopReason::Cancelled)
-            } else if self.outcome.evaluations >= self.settings.max_evaluations {
-                Some(StopReason::EvaluationLimit)
-            } else {
-                None
-            }
-        });
-        match stop {
+        match stop.or_else(|| self.out_of_patience()) {
             Some(reason) => self.finish(reason),
             None => Progress::Continue,
+        }
+    }
+
+    /// Why not to evaluate once more, whatever the objective does.
+    fn out_of_patience(&self) -> Option<StopReason> {
+        if is_cancelled(self.settings.cancel.as_ref()) {
+            Some(StopReason::Cancelled)
+        } else if self.outcome.evaluations >= self.settings.max_evaluations {
+            Some(StopReason::EvaluationLimit)
+        } else if self.settings.deadline.is_some_and(|deadline| Instant::now() >= deadline) {
+            Some(StopReason::DeadlineReached)
+        } else {
+            None
         }
     }
 
@@ -136,13 +183,14 @@ impl QuasiNewton {
     }
 
     /// The objective has changed a little (its weights, say): forgets its value, keeps the curvature, and goes on from
-    /// the best point, which is asked for again. Evaluations go on counting; [`Progress::Done`] if none are left.
+    /// the best point, which is asked for again. Evaluations go on counting; [`Progress::Done`] if none are left, or no
+    /// time.
     pub fn restart_objective(&mut self) -> Progress {
         if self.phase == Phase::Searching {
             self.take_kept();
         }
-        if self.outcome.evaluations >= self.settings.max_evaluations {
-            return self.finish(StopReason::EvaluationLimit);
+        if let Some(reason) = self.out_of_patience() {
+            return self.finish(reason);
         }
         self.trial_x.copy_from_slice(&self.outcome.x);
         self.outcome.reason = StopReason::Unfinished;
@@ -251,6 +299,7 @@ impl QuasiNewton {
         }
         self.pairs.apply(inverse_curvature, &mut self.direction_z);
         self.metric.to_x(&self.direction_z, &mut self.direction_x);
+        scale_by(&mut self.direction_x, self.scale);
         dot(&self.gradient_z, &self.direction_z)
     }
 
@@ -286,7 +335,8 @@ impl QuasiNewton {
     }
 
     fn finish(&mut self, reason: StopReason) -> Progress {
-        if self.phase == Phase::Searching && matches!(reason, StopReason::Cancelled | StopReason::EvaluationLimit) {
+        let early = matches!(reason, StopReason::Cancelled | StopReason::EvaluationLimit | StopReason::DeadlineReached);
+        if self.phase == Phase::Searching && early {
             self.take_kept();
         }
         self.trial_x.copy_from_slice(&self.outcome.x);
@@ -294,6 +344,21 @@ impl QuasiNewton {
         self.phase = Phase::Done;
         Progress::Done
     }
+}
+
+fn scale_by(vector: &mut [f64], scale: f64) {
+    vector.iter_mut().for_each(|component| *component *= scale);
+}
+
+/// # Errors
+/// [`Error::Shape`] for a start of another dimension.
+fn check_dimension(start: &[f64], metric: &Metric) -> Result<()> {
+    let (given, wanted) = (start.len(), metric.dimension());
+    if given != wanted {
+        let text = format!("the starting point has {given} components, where the metric has {wanted}");
+        return Err(Error::Shape(text));
+    }
+    Ok(())
 }
 
 /// # Errors

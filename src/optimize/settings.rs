@@ -2,6 +2,7 @@
 
 use super::CancelFlag;
 use crate::{Error, Result};
+use std::time::Instant;
 
 /// [`Settings::resolution`] of a sum of about a million terms in f64, accumulated in blocks: some 50 roundings.
 pub const RESOLUTION_F64: f64 = 1e-14;
@@ -47,6 +48,8 @@ pub struct Settings {
     pub scaling: Scaling,
     /// Read once per evaluation.
     pub cancel: Option<CancelFlag>,
+    /// When to stop wherever it stands; read once per evaluation.
+    pub deadline: Option<Instant>,
 }
 
 impl Default for Settings {
@@ -62,6 +65,7 @@ impl Default for Settings {
             max_step: f64::INFINITY,
             scaling: Scaling::default(),
             cancel: None,
+            deadline: None,
         }
     }
 }

@@ -85,8 +85,8 @@ impl Sequence {
         let mut shots: Vec<Shot> = Vec::new();
         let watch = &mut ao::Progress { watch: None, cancel: progress.cancel.map(|flag| &**flag) };
         let summary = simulator.run(&mut shots, watch)?;
-        let size = simulator.scene().image.pixels;
-        let mut images_e = Array3::zeros((shots.len(), size, size));
+        let (rows, columns) = simulator.scene().image.frame_shape();
+        let mut images_e = Array3::zeros((shots.len(), rows, columns));
         for (mut image, shot) in images_e.outer_iter_mut().zip(shots) {
             image.zip_mut_with(&shot.image_e, |out, &electrons| *out = f64::from(electrons));
         }

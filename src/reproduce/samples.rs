@@ -82,7 +82,7 @@ impl Plan {
         let of = |f: fn(&Trial) -> f64| trials.iter().map(f).filter(|value| value.is_finite()).collect::<Vec<f64>>();
         let bound = |f: fn(&Bound) -> f64| bounds.first().map_or(f64::NAN, f);
         let preparation = case.estimator.model().preparation;
-        let native = preparation.pixels as f64 * preparation.frame_pixels as f64 / preparation.reduced_pixels as f64;
+        let native = preparation.pixels as f64 * preparation.native_along(0);
         Ok(SamplesPoint {
             model: self.model,
             samples: self.samples,

@@ -21,7 +21,7 @@ impl Scene {
             let (section, name) = known_key(&sections, key)?;
             set(&mut document, section, name, value.trim())?;
         }
-        Self::parse(self.name(), &document.to_string(), self.directory())
+        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose())
     }
 
     /// [`Scene::with`] one other value.

@@ -1,5 +1,6 @@
 //! `[modes]` and `[estimate]`: what is estimated, and how.
 
+use super::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between};
 use super::words::{
@@ -36,7 +37,8 @@ impl Check for ModesScene {
         }
         if self.ncpa == NcpaBasis::None {
             let exact = self.exact_zernikes.get_or_insert(Zernikes::None);
-            if self.segment == SegmentModes::None && *exact == Zernikes::None {
+            let nothing_left = self.segment == SegmentModes::None && *exact == Zernikes::None;
+            if nothing_left && reader.source.purpose == Purpose::Whole {
                 let sentence = "modes.segment and modes.ncpa are both \"none\": nothing is left to estimate; name a basis for one of them";
                 return Err(reader.error("ncpa", sentence));
             }

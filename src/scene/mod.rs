@@ -52,6 +52,16 @@ struct Content {
     /// What messages call the scene.
     name: String,
     directory: PathBuf,
+    purpose: Purpose,
+}
+
+/// What a scene is read for, which says how much of it must hold together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// It describes all that there is.
+    Whole,
+    /// It goes with arrays that stand for its pupil and, maybe, for its modes.
+    Arrays,
 }
 
 /// Declares the sections of a scene: their structs, their order, and which may be absent.
@@ -157,7 +167,16 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] with the line, the key, its value and what is accepted.
     pub fn from_text(text: &str, directory: &Path) -> Result<Self> {
-        Self::parse("scene", text, directory)
+        Self::parse("scene", text, directory, Purpose::Whole)
+    }
+
+    /// As [`Scene::from_text`], for a telescope that comes as arrays: what the scene says of
+    /// the pupil and of the modes need not hold together without them. Nothing else can be built from such a scene.
+    ///
+    /// # Errors
+    /// As [`Scene::from_text`].
+    pub fn for_arrays(text: &str, directory: &Path) -> Result<Self> {
+        Self::parse("scene", text, directory, Purpose::Arrays)
     }
 
     /// Reads a scene from a file; the files that it names are looked for beside it.
@@ -174,7 +193,7 @@ impl Scene {
         let bytes = std::fs::read(path).map_err(|error| Error::file(path, error))?;
         let text = std::str::from_utf8(&bytes)
             .map_err(|error| Error::file(path, format_args!("not a text in UTF-8 (byte {})", error.valid_up_to())))?;
-        Self::parse(&path.display().to_string(), text, path.parent().unwrap_or(Path::new("")))
+        Self::parse(&path.display().to_string(), text, path.parent().unwrap_or(Path::new("")), Purpose::Whole)
     }
 
     /// One of the scenes that come with the program; files that it is made to name are relative to the working directory.
@@ -182,7 +201,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] for a name that is not in [`Scene::preset_names`].
     pub fn preset(name: &str) -> Result<Self> {
-        Self::parse(name, Self::preset_text(name)?, Path::new(""))
+        Self::parse(name, Self::preset_text(name)?, Path::new(""), Purpose::Whole)
     }
 
     /// The text of a preset.
@@ -225,8 +244,22 @@ impl Scene {
         self.content.directory.join(file)
     }
 
-    fn parse(name: &str, text: &str, directory: &Path) -> Result<Self> {
-        let source = Source { name, text };
+    /// Whether the text names `key`, as `section.key`, rather than leaving it to its default.
+    pub fn names(&self, key: &str) -> bool {
+        let Some((section, key)) = key.split_once('.') else { return false };
+        let document = Document::parse(self.text());
+        document.is_ok_and(|document| {
+            document.get(section).and_then(Item::as_table_like).is_some_and(|table| table.contains_key(key))
+        })
+    }
+
+    /// What the scene is for.
+    pub(crate) fn purpose(&self) -> Purpose {
+        self.content.purpose
+    }
+
+    fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose) -> Result<Self> {
+        let source = Source { name, text, purpose };
         let document = Document::parse(text).map_err(|error| {
             let message = error.message().lines().collect::<Vec<_>>().join("; ");
             Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))
@@ -235,7 +268,7 @@ impl Scene {
         let sections = Sections::read(source, document.as_table())?;
         sections.check_together(source, document.as_table())?;
         let (text, name, directory) = (text.to_string(), name.to_string(), directory.to_path_buf());
-        Ok(Self { content: Arc::new(Content { sections, text, name, directory }) })
+        Ok(Self { content: Arc::new(Content { sections, text, name, directory, purpose }) })
     }
 }
 

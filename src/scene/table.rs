@@ -1,6 +1,7 @@
 //! The one table of keys: a section is declared once with [`section!`], and its struct, its parsing, its error texts,
 //! the suggestions for misspelt keys and the reference are all made from that declaration.
 
+use super::Purpose;
 use super::value::{FromToml, Range};
 use crate::{Error, Result};
 use toml_edit::{Item, TableLike};
@@ -106,6 +107,7 @@ pub(super) const fn key_name(field: &'static str) -> &'static str {
 pub(super) struct Source<'a> {
     pub name: &'a str,
     pub text: &'a str,
+    pub purpose: Purpose,
 }
 
 impl Source<'_> {
@@ -231,7 +233,7 @@ mod tests {
 
     #[test]
     fn lines_are_counted_from_one() {
-        let source = Source { name: "s", text: "a\nb\nc" };
+        let source = Source { name: "s", text: "a\nb\nc", purpose: Purpose::Whole };
         assert_eq!(source.at(Some(0..1)), "s line 1");
         assert_eq!(source.at(Some(4..5)), "s line 3");
         assert_eq!(source.at(Some(400..405)), "s line 3");

@@ -1,5 +1,6 @@
 //! `[pupil]`, `[image]` and `[aberrations]`: the telescope, its camera, and the truth of a simulated image.
 
+use super::Purpose;
 use super::table::{Check, Reader, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
 use super::words::{Aperture, Crop, PupilModel, Zernikes};
@@ -60,7 +61,7 @@ impl PupilScene {
         let geometry = ["rings", "segment_side_m", "segment_gap_m", "central_segment"];
         let blocked = ["central_obscuration_m", "spider_width_m", "spider_angles_deg"];
         reader.refuse(&[geometry.as_slice(), &blocked].concat(), "where the pupil comes from a file")?;
-        if self.grid_m.is_none() {
+        if self.grid_m.is_none() && reader.source.purpose == Purpose::Whole {
             let file = file.display();
             return Err(reader.error(
                 "file",
@@ -135,7 +136,7 @@ impl Check for PupilScene {
                 self.central_segment = self.aperture == Aperture::Hexagonal;
             }
         }
-        if let Some(extent_m) = self.extent_m() {
+        if let Some(extent_m) = self.extent_m().filter(|_| reader.source.purpose == Purpose::Whole) {
             self.check_geometry(extent_m, reader)?;
         }
         self.check_band(reader)
@@ -153,6 +154,10 @@ section! {
         samples_per_lambda_over_d: f64, above(0.0, 64.0), default(2.0);
         /// Pixels along a side of the image.
         pixels: usize, even(8.0, 8192.0), required();
+        /// Columns of a detector frame: the middle of the image's, its axis at half of them; at most pixels.
+        columns: Option<usize>, even(8.0, 8192.0), unset("pixels");
+        /// Rows of a detector frame, likewise.
+        rows: Option<usize>, even(8.0, 8192.0), unset("pixels");
         /// Pixels along a side of the part that is fitted; "auto" is what carries signal.
         crop_pixels: Crop, even(8.0, 8192.0), default(Crop::Auto);
         /// Exposure of one image; 0 freezes the turbulence.
@@ -182,6 +187,13 @@ section! {
     }
 }
 
+impl ImageScene {
+    /// Rows and columns of a detector frame.
+    pub fn frame_shape(&self) -> (usize, usize) {
+        (self.rows.unwrap_or(self.pixels), self.columns.unwrap_or(self.pixels))
+    }
+}
+
 impl Check for ImageScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("peak_snr", "flux_e")?;
@@ -193,11 +205,24 @@ impl Check for ImageScene {
             self.diversity_focus_waves_rms = 0.0;
         }
         let (pixels, exposure_s, interval_s) = (self.pixels, self.exposure_s, self.interval_s);
+        for (key, value) in [("columns", self.columns), ("rows", self.rows)] {
+            if let Some(value) = value.filter(|&value| value > pixels) {
+                let sentence =
+                    format!("image.{key} = {value} is not accepted; at most image.pixels = {pixels} is needed");
+                return Err(reader.error(key, sentence));
+            }
+        }
+        let (rows, columns) = self.frame_shape();
+        let (larger, key) = match (rows.max(columns), rows > columns) {
+            (larger, _) if larger == pixels => (larger, "pixels"),
+            (larger, true) => (larger, "rows"),
+            (larger, false) => (larger, "columns"),
+        };
         if let Crop::Pixels(crop) = self.crop_pixels
-            && crop > pixels
+            && crop > larger
         {
             let sentence =
-                format!("image.crop_pixels = {crop} is not accepted; at most image.pixels = {pixels} is needed");
+                format!("image.crop_pixels = {crop} is not accepted; at most image.{key} = {larger} is needed");
             return Err(reader.error("crop_pixels", sentence));
         }
         if interval_s > 0.0 && interval_s < exposure_s {

@@ -7,7 +7,7 @@ use crate::grid::Grid;
 use crate::pupil::SegmentWeights;
 use crate::scene::{ImageScene, Scene};
 use crate::telescope::{Diversity, Telescope};
-use ndarray::Array2;
+use ndarray::{Array2, s};
 use rand::Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 
@@ -40,11 +40,20 @@ impl<'a> Camera<'a> {
         Ok(Self { scene, telescope, grid, weights, diversity })
     }
 
-    /// The noiseless PSF, `[y, x]`, which sums to 1 over an unbounded detector.
+    /// The noiseless PSF on the detector's frame, `[y, x]`, which sums to 1 over an unbounded detector.
     ///
     /// # Errors
     /// [`crate::Error::Shape`] where the sampling is impossible.
     pub fn psf(&self, truth: &Truth) -> Result<Array2<f64>> {
+        let (image, psf) = (&self.scene.image, self.square_psf(truth)?);
+        let (rows, columns) = image.frame_shape();
+        // The axis is on pixel M/2 of either.
+        let [y, x] = [rows, columns].map(|size| image.pixels / 2 - size / 2);
+        Ok(psf.slice_move(s![y..y + rows, x..x + columns]))
+    }
+
+    /// The PSF on `image.pixels` pixels a side.
+    fn square_psf(&self, truth: &Truth) -> Result<Array2<f64>> {
         let image = &self.scene.image;
         let opd_nm = self.smooth_opd_nm(truth)?;
         if image.bandwidth_fraction == 0.0 {

@@ -40,8 +40,8 @@ pub fn images(scene: &Scene) -> Result<SourceImages> {
     let camera = Camera::of(scene, &telescope)?;
     let psf = camera.psf(&truth)?;
     let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
-    let size = scene.image.pixels;
-    let mut images_e = Array3::zeros((scene.image.count, size, size));
+    let (rows, columns) = psf.dim();
+    let mut images_e = Array3::zeros((scene.image.count, rows, columns));
     for (image, mut out) in images_e.outer_iter_mut().enumerate() {
         let mut rng = stream(seed, 1 + image as u64);
         out.zip_mut_with(&psf, |out, &h| *out = expose(&scene.image, h, flux_e, &mut rng));

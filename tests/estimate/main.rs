@@ -1,5 +1,6 @@
 //! The estimator end to end on a small telescope: seven hexagons, Zernike NCPA.
 
+mod arrays;
 mod sequence;
 
 use cophase::estimate::{Cube, Estimate, Estimator, Status, read};

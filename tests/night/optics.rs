@@ -27,7 +27,8 @@ fn both_routes_of_the_transform_make_the_same_image() {
     let simulator = simulator(&[]);
     let residual = map(simulator.footprint(), |y, x| 90.0 * ((y * 7 + x * 3) as f32 * 0.05).sin());
     let image = |spacing: f64| {
-        let view = View { samples_per_lambda_over_d: spacing, pixels: 96, ..View::of(&simulator.scene().image) };
+        let view =
+            View { samples_per_lambda_over_d: spacing, rows: 96, columns: 64, ..View::of(&simulator.scene().image) };
         simulator.camera(view).unwrap().psf(&residual)
     };
     // 240 samples × 2 + 1e-9 pixels is not a whole number: a matrix in place of the FFT.
@@ -35,6 +36,20 @@ fn both_routes_of_the_transform_make_the_same_image() {
     let peak = fft.iter().copied().fold(0.0, f32::max);
     // Single precision: sums of 240 terms twice.
     assert!(fft.iter().zip(&matrix).all(|(a, b)| (a - b).abs() < 2e-5 * peak));
+}
+
+#[test]
+fn a_frame_that_is_not_square_is_the_middle_of_one_that_is() {
+    let simulator = simulator(&[]);
+    let residual = map(simulator.footprint(), |y, x| 90.0 * ((y * 7 + x * 3) as f32 * 0.05).sin());
+    for spacing in [2.0, 2.03] {
+        let view = View { samples_per_lambda_over_d: spacing, ..View::of(&simulator.scene().image) };
+        let image = |rows, columns| simulator.camera(View { rows, columns, ..view }).unwrap().psf(&residual);
+        let (square, frame) = (image(96, 96), image(96, 40));
+        // A pixel is the same sum in either.
+        assert_eq!(frame, square.slice(ndarray::s![.., 28..68]));
+        assert_eq!(image(40, 96), square.slice(ndarray::s![28..68, ..]));
+    }
 }
 
 #[test]
@@ -85,14 +100,14 @@ fn strehl_on_the_axis_is_that_of_the_image_and_of_marechal() {
 #[test]
 fn an_image_wider_than_the_samples_carry_is_refused() {
     let simulator = simulator(&[]);
-    let view = View { pixels: 600, ..View::of(&simulator.scene().image) };
+    let view = View { rows: 600, ..View::of(&simulator.scene().image) };
     assert!(simulator.camera(view).is_err());
 }
 
 #[test]
 fn a_broad_filter_is_the_mean_of_its_colours_at_fixed_angles() {
     let simulator = simulator(&[]);
-    let view = View { pixels: 128, ..View::of(&simulator.scene().image) };
+    let view = View { rows: 128, columns: 128, ..View::of(&simulator.scene().image) };
     let still = simulator.segments_nm().to_vec();
     let broad = simulator.camera(View { bandwidth_fraction: 0.2, ..view }).unwrap().psf(&still);
     let mut mean = ndarray::Array2::<f32>::zeros((128, 128));

@@ -128,7 +128,8 @@ impl Seen {
             ncpa: true,
             diversity: false,
             wavelength_nm: WAVELENGTH_NM,
-            pixels: PIXELS,
+            rows: PIXELS,
+            columns: PIXELS,
             samples_per_lambda_over_d: SAMPLES_PER_LAMBDA_OVER_D,
             bandwidth_fraction: 0.0,
         };
@@ -156,14 +157,13 @@ impl Seen {
 
 /// The mean of the PSFs of `wavefronts`, `[y, x]`.
 fn exposure(camera: &ScienceCamera, wavefronts: &[Vec<f32>]) -> Array2<f64> {
-    let pixels = camera.pixels();
     let sum = |batch: &[Vec<f32>]| {
-        let (mut camera, mut sum) = (camera.clone(), vec![0.0; pixels * pixels]);
+        let (mut camera, mut sum) = (camera.clone(), vec![0.0; camera.pixels()]);
         batch.iter().for_each(|residual_nm| camera.add(residual_nm, &mut sum));
         camera.upright(&sum)
     };
     let batches: Vec<Array2<f32>> = wavefronts.par_chunks(BATCH).map(sum).collect();
-    let mut image = Array2::zeros((pixels, pixels));
+    let mut image = Array2::zeros((PIXELS, PIXELS));
     for batch in batches {
         image.zip_mut_with(&batch, |out, &value| *out += f64::from(value));
     }

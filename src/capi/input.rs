@@ -1,0 +1,260 @@
+//! Arrays that a caller hands in: of whatever elements cameras and languages have, wherever they lie.
+
+use super::pointer::place;
+use crate::{Error, Result};
+use ndarray::{Array2, Array3};
+use std::ffi::c_void;
+
+/// Element type of a cophase_input: float.
+pub const COPHASE_F32: i32 = 1;
+/// Element type of a cophase_input: double.
+pub const COPHASE_F64: i32 = 2;
+/// Element type of a cophase_input: uint16_t.
+pub const COPHASE_U16: i32 = 3;
+/// Element type of a cophase_input: int32_t.
+pub const COPHASE_I32: i32 = 4;
+/// Element type of a cophase_input: uint8_t.
+pub const COPHASE_U8: i32 = 5;
+
+/// A stack of `count` frames or maps of `rows` × `cols` elements (row = y, col = x) in memory of the caller's, which is
+/// only read, and only during the call.
+///
+/// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides
+/// may be negative, and 0 where one element stands for many; that of an extent of 1 does not matter. The layout of this
+/// struct is permanent.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct cophase_input {
+    /// Element (0, 0, 0). NULL where an array is optional and absent.
+    pub data: *const c_void,
+    /// COPHASE_F32, COPHASE_F64, COPHASE_U16, COPHASE_I32 or COPHASE_U8.
+    pub element: i32,
+    /// Frames or maps.
+    pub count: usize,
+    /// Rows of each.
+    pub rows: usize,
+    /// Columns of each.
+    pub cols: usize,
+    /// Elements from one frame to the next.
+    pub count_stride: isize,
+    /// Elements from one row to the next.
+    pub row_stride: isize,
+    /// Elements from one column to the next.
+    pub col_stride: isize,
+}
+
+impl cophase_input {
+    /// No array.
+    pub(super) const NONE: Self = Self {
+        data: std::ptr::null(),
+        element: COPHASE_F32,
+        count: 0,
+        rows: 0,
+        cols: 0,
+        count_stride: 0,
+        row_stride: 0,
+        col_stride: 0,
+    };
+}
+
+/// What an element is, and what it is worth.
+trait Element: Copy {
+    fn wide(self) -> f64;
+}
+
+macro_rules! elements {
+    ($($element:ty),*) => { $(impl Element for $element {
+        fn wide(self) -> f64 {
+            f64::from(self)
+        }
+    })* };
+}
+elements!(f32, f64, u16, i32, u8);
+
+/// An array that may be read.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Input<'a> {
+    array: cophase_input,
+    name: &'a str,
+}
+
+impl<'a> Input<'a> {
+    /// The array that the argument `name` describes. The caller's promise: memory at every element, for as long as the
+    /// call lasts.
+    pub(super) unsafe fn of(array: *const cophase_input, name: &'a str) -> Result<Self> {
+        let array = unsafe { *place(array.cast_mut(), name)? };
+        Self::within(&array, name)
+    }
+
+    /// As [`Input::of`], for an array inside a struct that has been read; `None` where its data are NULL.
+    pub(super) unsafe fn optional(array: &cophase_input, name: &'a str) -> Result<Option<Self>> {
+        if array.data.is_null() { Ok(None) } else { Self::within(array, name).map(Some) }
+    }
+
+    fn within(array: &cophase_input, name: &'a str) -> Result<Self> {
+        let bytes = match array.element {
+            COPHASE_U8 => 1,
+            COPHASE_U16 => 2,
+            COPHASE_F32 | COPHASE_I32 => 4,
+            COPHASE_F64 => 8,
+            other => {
+                let known = "COPHASE_F32, COPHASE_F64, COPHASE_U16, COPHASE_I32 or COPHASE_U8";
+                return Err(Error::Argument(format!("{name}->element is {other}: {known} is accepted")));
+            }
+        };
+        if array.data.is_null() {
+            return Err(Error::Argument(format!("{name}->data is NULL: the address of the first element is accepted")));
+        }
+        if !array.data.addr().is_multiple_of(bytes) {
+            let at = array.data;
+            return Err(Error::Argument(format!(
+                "{name}->data is {at:p}: an address that {bytes} divides is accepted"
+            )));
+        }
+        let input = Self { array: *array, name };
+        let [count, rows, cols] = input.shape();
+        if [count, rows, cols].contains(&0) {
+            return Err(Error::Shape(format!(
+                "{name} is {count} x {rows} x {cols} (count x rows x cols): extents of 1 and more are accepted"
+            )));
+        }
+        input.check_reach(bytes)?;
+        Ok(input)
+    }
+
+    /// That every element can be addressed.
+    fn check_reach(&self, bytes: usize) -> Result<()> {
+        let strides = [self.array.count_stride, self.array.row_stride, self.array.col_stride];
+        let far = self.shape().into_iter().zip(strides.map(isize::unsigned_abs)).try_fold(0usize, |reach, axis| {
+            let (extent, stride) = axis;
+            (extent - 1).checked_mul(if extent == 1 { 0 } else { stride })?.checked_add(reach)
+        });
+        match far.and_then(|reach| reach.checked_mul(bytes)) {
+            Some(reach) if reach <= isize::MAX as usize - bytes => Ok(()),
+            _ => Err(Error::Argument(format!(
+                "{} has the strides {strides:?} for {:?}: elements within the address space are accepted",
+                self.name,
+                self.shape()
+            ))),
+        }
+    }
+
+    /// [count, rows, cols].
+    pub(super) fn shape(&self) -> [usize; 3] {
+        [self.array.count, self.array.rows, self.array.cols]
+    }
+
+    /// Refuses an array of another shape than `wanted`.
+    pub(super) fn must_be(self, wanted: [usize; 3]) -> Result<Self> {
+        if self.shape() != wanted {
+            let shape = |[count, rows, cols]: [usize; 3]| format!("{count} x {rows} x {cols}");
+            let (given, wanted) = (shape(self.shape()), shape(wanted));
+            return Err(Error::Shape(format!("{} is {given} (count x rows x cols): {wanted} is accepted", self.name)));
+        }
+        Ok(self)
+    }
+
+    /// Calls `take(y, x, value)` for every element of frame `k`, which there must be.
+    pub(super) fn each(&self, k: usize, take: impl FnMut(usize, usize, f64)) {
+        debug_assert!(k < self.array.count);
+        match self.array.element {
+            COPHASE_F32 => self.each_of::<f32>(k, take),
+            COPHASE_F64 => self.each_of::<f64>(k, take),
+            COPHASE_U16 => self.each_of::<u16>(k, take),
+            COPHASE_I32 => self.each_of::<i32>(k, take),
+            // `within` has seen that it is one of the five.
+            _ => self.each_of::<u8>(k, take),
+        }
+    }
+
+    fn each_of<T: Element>(&self, k: usize, mut take: impl FnMut(usize, usize, f64)) {
+        let cophase_input { data, rows, cols, count_stride, row_stride, col_stride, .. } = self.array;
+        // No overflow: `check_reach` has been to the far corners. A stride of an extent of 1 is not used, whatever it is.
+        let along = |index: usize, stride: isize| if index == 0 { 0 } else { index as isize * stride };
+        for y in 0..rows {
+            let row = along(k, count_stride) + along(y, row_stride);
+            for x in 0..cols {
+                let element = unsafe { data.cast::<T>().offset(row + along(x, col_stride)).read() };
+                take(y, x, element.wide());
+            }
+        }
+    }
+
+    /// Frame `k`, `[y, x]`.
+    pub(super) fn map(&self, k: usize) -> Array2<f64> {
+        let mut map = Array2::zeros((self.array.rows, self.array.cols));
+        self.each(k, |y, x, value| map[[y, x]] = value);
+        map
+    }
+
+    /// All of it, `[k, y, x]`.
+    pub(super) fn cube(&self) -> Array3<f64> {
+        let mut cube = Array3::zeros(self.shape());
+        for k in 0..self.array.count {
+            self.each(k, |y, x, value| cube[[k, y, x]] = value);
+        }
+        cube
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn array<T>(memory: &[T], element: i32, start: usize, strides: [isize; 3]) -> cophase_input {
+        cophase_input {
+            data: memory[start..].as_ptr().cast(),
+            element,
+            count: 2,
+            rows: 3,
+            cols: 4,
+            count_stride: strides[0],
+            row_stride: strides[1],
+            col_stride: strides[2],
+        }
+    }
+
+    #[test]
+    fn every_element_type_is_read_where_the_strides_say() {
+        let plain: Vec<f64> = (0..24).map(f64::from).collect();
+        let c_order = ndarray::Array3::from_shape_vec((2, 3, 4), plain.clone()).unwrap();
+        let read = |input: cophase_input| unsafe { Input::of(&input, "frames") }.unwrap().cube();
+        let strides = [12, 4, 1];
+        assert_eq!(read(array(&plain, COPHASE_F64, 0, strides)), c_order);
+        assert_eq!(read(array(&plain.iter().map(|&v| v as f32).collect::<Vec<_>>(), COPHASE_F32, 0, strides)), c_order);
+        assert_eq!(read(array(&plain.iter().map(|&v| v as u16).collect::<Vec<_>>(), COPHASE_U16, 0, strides)), c_order);
+        assert_eq!(read(array(&plain.iter().map(|&v| v as u8).collect::<Vec<_>>(), COPHASE_U8, 0, strides)), c_order);
+        let negative: Vec<i32> = plain.iter().map(|&v| -(v as i32)).collect();
+        assert_eq!(read(array(&negative, COPHASE_I32, 0, strides)), -&c_order);
+        let backwards = read(array(&plain, COPHASE_F64, 23, [-12, -4, -1]));
+        assert_eq!(backwards, c_order.slice(ndarray::s![..;-1, ..;-1, ..;-1]));
+        let columns = read(array(&plain, COPHASE_F64, 0, [12, 1, 3]));
+        assert_eq!((columns[[1, 2, 3]], columns[[0, 1, 2]]), (23.0, 7.0));
+        let repeated = read(array(&plain, COPHASE_F64, 0, [0, 4, 1]));
+        assert_eq!(repeated.index_axis(ndarray::Axis(0), 1), c_order.index_axis(ndarray::Axis(0), 0));
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_refused() {
+        let memory = [0.0f64; 24];
+        let good = array(&memory, COPHASE_F64, 0, [12, 4, 1]);
+        let refused = |input: cophase_input| match unsafe { Input::of(&input, "frames") } {
+            Err(error) => error.to_string(),
+            Ok(input) => panic!("{input:?} was accepted"),
+        };
+        assert!(refused(cophase_input { element: 0, ..good }).starts_with("frames->element is 0:"));
+        assert!(refused(cophase_input { data: std::ptr::null(), ..good }).starts_with("frames->data is NULL:"));
+        let odd = unsafe { good.data.byte_add(4) };
+        assert!(refused(cophase_input { data: odd, ..good }).contains("that 8 divides"));
+        assert!(refused(cophase_input { count: 0, ..good }).starts_with("frames is 0 x 3 x 4"));
+        for stride in [isize::MAX, isize::MIN, isize::MAX / 16] {
+            assert!(refused(cophase_input { row_stride: stride, ..good }).contains("address space"), "{stride}");
+        }
+        assert!(refused(cophase_input { rows: usize::MAX, cols: usize::MAX, ..good }).contains("address space"));
+        // An extent of 1 has no stride.
+        assert!(unsafe { Input::of(&cophase_input { count: 1, count_stride: isize::MIN, ..good }, "frames") }.is_ok());
+        let wrong = unsafe { Input::of(&good, "frames") }.unwrap().must_be([2, 4, 3]).unwrap_err().to_string();
+        assert_eq!(wrong, "frames is 2 x 3 x 4 (count x rows x cols): 2 x 4 x 3 is accepted");
+    }
+}

@@ -1,0 +1,198 @@
+//! The running static estimate of images that come one by one.
+
+use super::Estimator;
+use super::combine::{Combined, centre, is_sequence, of_few};
+use super::pistons::Pistons;
+use super::sequence::{median, scatter, shrinkage_of_variance};
+use super::session::Session;
+use super::status::{ImageReport, Selection, judge_together};
+use crate::modes::Group;
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView1, Axis};
+use std::sync::Arc;
+
+/// Keeps the coefficients of the last images, and combines them by the rules of [`Estimator::estimate`]: up to seven are
+/// judged one by one, eight and more by one another, outliers are left out as the scene says.
+pub struct Accumulator {
+    estimator: Arc<Estimator>,
+    pistons: Pistons,
+    /// Inner products of the modes over the pupil, piston removed: the mean square of a map is cᵀ·G·c.
+    gram: Array2<f64>,
+    /// A ring: `[place, mode]`, nm.
+    coefficients_nm: Array2<f64>,
+    reports: Vec<ImageReport>,
+    /// Images ever pushed since the last [`Accumulator::clear`].
+    pushed: u64,
+}
+
+/// What the images so far say together.
+#[derive(Debug, Clone)]
+pub struct RunningEstimate {
+    /// Mean or median of the images used, and its covariance.
+    pub combined: Combined,
+    /// Images that are kept.
+    pub images: usize,
+    /// Those that were combined.
+    pub used: usize,
+    /// Those that converged and that the clipped mean left out.
+    pub clipped: usize,
+    /// RMS over the pupil of the segments' part of the wavefront, nm.
+    pub phasing_rms_nm: f64,
+    /// RMS over the pupil of its error bar, nm.
+    pub phasing_sigma_nm: f64,
+    /// Likewise of the non-common path aberrations.
+    pub ncpa_rms_nm: f64,
+    /// Likewise.
+    pub ncpa_sigma_nm: f64,
+    /// Median reduced χ² of the images used.
+    pub reduced_chi2: f64,
+}
+
+impl Accumulator {
+    /// Keeps the last `capacity` images of the estimator's model.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for no capacity, or one that memory cannot hold.
+    pub fn new(estimator: Arc<Estimator>, capacity: usize) -> Result<Self> {
+        let model = estimator.model();
+        let modes = model.optics.modes();
+        let size = capacity.checked_mul(modes).filter(|&size| size > 0);
+        let mut memory: Vec<f64> = Vec::new();
+        if size.is_none_or(|size| memory.try_reserve_exact(size).is_err()) {
+            return Err(Error::Value(format!(
+                "capacity is {capacity}: 1 to as many images of {modes} coefficients as memory holds are accepted"
+            )));
+        }
+        memory.resize(capacity * modes, 0.0);
+        let coefficients_nm = Array2::from_shape_vec((capacity, modes), memory)
+            .map_err(|error| Error::Internal(format!("the ring of images: {error}")))?;
+        let (pistons, gram) = (Pistons::of(model)?, model.basis.visible_gram(&model.telescope.pupil.amplitude)?);
+        Ok(Self { pistons, gram, coefficients_nm, reports: Vec::with_capacity(capacity), pushed: 0, estimator })
+    }
+
+    /// Takes all images of the session's last fit; the oldest make way. Allocates nothing.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a session of another model.
+    pub fn push(&mut self, session: &Session) -> Result<()> {
+        if !Arc::ptr_eq(&self.estimator, session.estimator()) {
+            return Err(Error::Value(
+                "the session is of another model: one of the sequence's model is accepted".into(),
+            ));
+        }
+        let capacity = self.coefficients_nm.nrows();
+        for result in session.results() {
+            let place = (self.pushed % capacity as u64) as usize;
+            self.coefficients_nm.row_mut(place).assign(&ArrayView1::from(&result.coefficients_nm));
+            match self.reports.get_mut(place) {
+                Some(report) => *report = result.report,
+                None => self.reports.push(result.report),
+            }
+            self.pushed += 1;
+        }
+        Ok(())
+    }
+
+    /// Forgets all images.
+    pub fn clear(&mut self) {
+        self.reports.clear();
+        self.pushed = 0;
+    }
+
+    /// The estimator whose images it takes.
+    pub fn estimator(&self) -> &Arc<Estimator> {
+        &self.estimator
+    }
+
+    /// The static estimate of the images that are kept.
+    ///
+    /// # Errors
+    /// [`Error::Image`] where none was pushed or none was fitted.
+    pub fn estimate(&self) -> Result<RunningEstimate> {
+        let (single_nm2, selected, coefficients_nm) = self.single()?;
+        let how = self.estimator.recipe().combine;
+        let covariance_nm2 = single_nm2 * shrinkage_of_variance(how, selected.used.len());
+        let square = |group, of: &dyn Fn(usize, usize) -> f64| self.mean_square(group, of).max(0.0).sqrt();
+        let rms = |group| square(group, &|i, j| coefficients_nm[i] * coefficients_nm[j]);
+        let sigma = |group| square(group, &|i, j| covariance_nm2[[i, j]]);
+        let chi2: Vec<f64> = selected.used.iter().map(|&place| self.reports[place].reduced_chi2).collect();
+        Ok(RunningEstimate {
+            images: self.reports.len(),
+            used: selected.used.len(),
+            clipped: selected.clipped.len(),
+            phasing_rms_nm: rms(Group::Segment),
+            phasing_sigma_nm: sigma(Group::Segment),
+            ncpa_rms_nm: rms(Group::Ncpa),
+            ncpa_sigma_nm: sigma(Group::Ncpa),
+            reduced_chi2: median(&chi2),
+            combined: Combined { coefficients_nm, covariance_nm2 },
+        })
+    }
+
+    /// How many further images like those so far would bring the error bars of both maps (RMS over the pupil) down to
+    /// these; infinity asks nothing of one. 0 where they are there already.
+    ///
+    /// Images that were of no use so far count as they come: where one in two is used, two are needed for one.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a wanted error that is not positive, and those of [`Accumulator::estimate`].
+    pub fn images_needed(&self, phasing_nm: f64, ncpa_nm: f64) -> Result<u64> {
+        for (name, wanted) in [("phasing_nm", phasing_nm), ("ncpa_nm", ncpa_nm)] {
+            if wanted.is_nan() || wanted <= 0.0 {
+                return Err(Error::Value(format!("{name} is {wanted}: a positive error, or infinity, is accepted")));
+            }
+        }
+        let now = self.estimate()?;
+        let ratio = (now.phasing_sigma_nm / phasing_nm).max(now.ncpa_sigma_nm / ncpa_nm);
+        if ratio <= 1.0 {
+            return Ok(0);
+        }
+        // Error bars fall as the root of the number of images.
+        let more = now.images as f64 * (ratio * ratio - 1.0);
+        Ok(more.ceil() as u64)
+    }
+
+    /// The covariance of the coefficients of one image (nm², pistons about their mean), which images are used, and their
+    /// mean or median.
+    fn single(&self) -> Result<(Array2<f64>, Selection, Vec<f64>)> {
+        let mut reports = self.reports.clone();
+        judge_together(&mut reports);
+        let reports: Vec<&ImageReport> = reports.iter().collect();
+        let how = self.estimator.recipe().combine;
+        let rows = self.coefficients_nm.slice(ndarray::s![..reports.len(), ..]).to_owned();
+        let selected = Selection::of(&reports, &rows, how);
+        if selected.used.is_empty() {
+            return Err(Error::Image(match reports.first() {
+                None => "the sequence holds no image: push a fitted one first".into(),
+                Some(_) => format!("none of the {} images of the sequence was fitted", reports.len()),
+            }));
+        }
+        let used_nm = rows.select(Axis(0), &selected.used);
+        let coefficients_nm = centre(&self.pistons, &used_nm, how);
+        let of_used = |value: fn(&ImageReport) -> f64| {
+            median(&selected.used.iter().map(|&place| value(reports[place])).collect::<Vec<_>>())
+        };
+        let noise_nm2 = self.estimator.bound(
+            ArrayView1::from(&coefficients_nm),
+            of_used(|report| report.flux_e),
+            of_used(|report| report.background_e).max(0.0),
+        )?;
+        let single_nm2 = if is_sequence(&reports) {
+            self.pistons.centred(&scatter(&used_nm, how, &noise_nm2))
+        } else {
+            let chi2 = selected.used.iter().map(|&place| reports[place].reduced_chi2.max(1.0)).sum::<f64>();
+            of_few(noise_nm2 * (chi2 / selected.used.len() as f64), &used_nm)
+        };
+        Ok((single_nm2, selected, coefficients_nm))
+    }
+
+    /// The mean over the pupil of the square that the products `of(i, j)` of coefficients make, for the modes of a group.
+    fn mean_square(&self, group: Group, of: &dyn Fn(usize, usize) -> f64) -> f64 {
+        let model = self.estimator.model();
+        let range = match group {
+            Group::Segment => 0..model.segment_modes,
+            Group::Ncpa => model.segment_modes..model.basis.len(),
+        };
+        range.clone().flat_map(|i| range.clone().map(move |j| (i, j))).map(|(i, j)| self.gram[[i, j]] * of(i, j)).sum()
+    }
+}

@@ -1,0 +1,58 @@
+//! Why a frame cannot be used.
+
+use std::fmt;
+
+/// Why a frame cannot be used: a value, so that it can be passed on where nothing may be allocated; its sentence is its
+/// `Display`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Refusal {
+    /// All pixels are bad, in the frame or in the part of it that is fitted.
+    NoGoodPixel,
+    /// Too few are good.
+    FewGoodPixels {
+        /// Number of good pixels.
+        good: usize,
+    },
+    /// All good pixels hold the same.
+    Constant {
+        /// What they hold, e⁻.
+        value: f64,
+    },
+    /// No good pixel is above 0.
+    NoPositivePixel {
+        /// The largest value, e⁻.
+        largest: f64,
+    },
+    /// The frame is no brighter than its border.
+    NoStar {
+        /// Electrons above the border's level.
+        flux_e: f64,
+    },
+    /// Pixels are bad in a frame whose sampling is to be reduced.
+    BadPixelsWouldRing {
+        /// Number of bad pixels.
+        bad: usize,
+    },
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the image ")?;
+        match self {
+            Self::NoGoodPixel => f.write_str("has no good pixel: all are bad or not finite"),
+            Self::FewGoodPixels { good } => write!(f, "has only {good} good pixels: at least 64 are needed"),
+            Self::Constant { value } => write!(f, "is constant: every good pixel holds {value}"),
+            Self::NoPositivePixel { largest } => {
+                write!(f, "has no positive pixel: the largest value is {largest}, and electrons are needed")
+            }
+            Self::NoStar { flux_e } => {
+                write!(f, "holds no star: its flux above the border's level is {flux_e:.3e}, and must be positive")
+            }
+            Self::BadPixelsWouldRing { bad } => write!(
+                f,
+                "has {bad} bad pixels, which would ring where the sampling is reduced: estimate.sampling = \"native\" \
+                 accepts them"
+            ),
+        }
+    }
+}

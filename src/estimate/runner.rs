@@ -1,0 +1,163 @@
+//! One image's way to its minimum: asked for a point, told its objective, weighted anew where it converged, until done.
+//! It neither evaluates nor allocates: the batch in lock-step and the loop over single images drive the same machine.
+
+use super::fit::Minimum;
+use super::prepare::Prepared;
+use super::recipe::Recipe;
+use super::residual::{photometry, reweigh};
+use crate::Result;
+use crate::imaging::{Evaluation, Precision};
+use crate::optimize::{
+    CancelFlag, Metric, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings, StopReason,
+};
+use crate::scene::Weighting;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Most often that the weights are renewed from the fitted model. Where the model is right two renewals settle it;
+/// where it misfits, each brings about a digit.
+const REWEIGHTINGS: usize = 8;
+/// Decrease of χ² that is left where a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. A finer step
+/// tolerance lowers it as its square.
+const DECREMENT: f64 = 1e-5;
+/// The step tolerance to which [`DECREMENT`] belongs.
+const DECREMENT_STEP_NM: f64 = 1e-3;
+/// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which the linearisation
+/// that made the metric says nothing.
+const LARGEST_STEP_WAVES: f64 = 0.2;
+
+/// What an image's fit asks for next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[must_use]
+pub(super) enum Next {
+    /// Objective and gradient at [`Runner::point`].
+    Evaluation,
+    /// The same, but the exposure has new weights: load it first.
+    Reload,
+    /// The PSF at [`Runner::point`], for [`Runner::settle`].
+    Psf,
+    /// Nothing: read the minimum.
+    Nothing,
+}
+
+/// One image on its way.
+pub(super) struct Runner {
+    solver: QuasiNewton,
+    reweighs: bool,
+    step_tolerance_nm: f64,
+    reweightings: usize,
+    /// Where the last weights were made.
+    weighted_at: Vec<f64>,
+    flux_e: f64,
+    background_e: f64,
+}
+
+impl Runner {
+    /// A machine for a model of the metric's dimension.
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] for a tolerance out of range.
+    pub(super) fn new(metric: &Arc<Metric>, recipe: &Recipe, settings: Settings) -> Result<Self> {
+        let zeros = vec![0.0; metric.dimension()];
+        Ok(Self {
+            solver: QuasiNewton::new(metric.clone(), &zeros, settings)?,
+            reweighs: recipe.weighting == Weighting::Noise,
+            step_tolerance_nm: recipe.step_tolerance_nm,
+            reweightings: 0,
+            weighted_at: zeros,
+            flux_e: f64::NAN,
+            background_e: f64::NAN,
+        })
+    }
+
+    /// Takes up another image, in the coordinates that [`super::metrics::Metrics::of`] gives it.
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] for a start that is not finite, [`crate::Error::Shape`] for one of another length.
+    pub(super) fn begin(
+        &mut self,
+        (metric, scale): (&Arc<Metric>, f64),
+        start_nm: &[f64],
+        deadline: Option<Instant>,
+    ) -> Result<()> {
+        self.solver.begin(metric, scale, start_nm)?;
+        self.solver.set_deadline(deadline);
+        self.reweightings = 0;
+        (self.flux_e, self.background_e) = (f64::NAN, f64::NAN);
+        Ok(())
+    }
+
+    /// Where to evaluate.
+    pub(super) fn point(&self) -> &[f64] {
+        self.solver.ask()
+    }
+
+    /// Takes objective and gradient at [`Runner::point`].
+    pub(super) fn tell(&mut self, evaluation: &Evaluation) -> Next {
+        match self.solver.tell(evaluation.objective, &evaluation.gradient) {
+            Progress::Continue => Next::Evaluation,
+            Progress::Done => Next::Psf,
+        }
+    }
+
+    /// Takes the PSF where the solver ended: finds flux and background, and renews the weights where that could still
+    /// move the minimum.
+    pub(super) fn settle(&mut self, psf: &[f64], image: &mut Prepared) -> Next {
+        (self.flux_e, self.background_e) = photometry(&image.exposure, psf);
+        if !(self.reweighs && self.unsettled() && self.reason().converged()) {
+            return Next::Nothing;
+        }
+        reweigh(&mut image.exposure, psf, (self.flux_e, self.background_e), &image.floor_variance_e2);
+        self.reweightings += 1;
+        self.weighted_at.copy_from_slice(&self.solver.outcome().x);
+        match self.solver.restart_objective() {
+            Progress::Continue => Next::Reload,
+            Progress::Done => Next::Nothing,
+        }
+    }
+
+    /// Why it stopped.
+    pub(super) fn reason(&self) -> StopReason {
+        self.solver.outcome().reason
+    }
+
+    /// Writes where it stands.
+    pub(super) fn write(&self, minimum: &mut Minimum) {
+        let outcome = self.solver.outcome();
+        minimum.coefficients_nm.copy_from_slice(&outcome.x);
+        (minimum.flux_e, minimum.background_e) = (self.flux_e, self.background_e);
+        (minimum.evaluations, minimum.reason) = (outcome.evaluations, outcome.reason);
+    }
+
+    /// Whether new weights could still move the minimum by more than the tolerance.
+    fn unsettled(&self) -> bool {
+        let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
+        self.reweightings == 0
+            || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > self.step_tolerance_nm)
+    }
+}
+
+/// How far the solver goes.
+pub(super) fn settings(
+    wavelength_nm: f64,
+    recipe: &Recipe,
+    precision: Precision,
+    cancel: Option<&CancelFlag>,
+) -> Settings {
+    Settings {
+        max_evaluations: recipe.max_evaluations,
+        step_tolerance: recipe.step_tolerance_nm,
+        decrement_tolerance: match recipe.weighting {
+            Weighting::Noise => DECREMENT * (recipe.step_tolerance_nm / DECREMENT_STEP_NM).powi(2).min(1.0),
+            Weighting::None => 0.0,
+        },
+        relative_decrement_tolerance: 0.0,
+        resolution: match precision {
+            Precision::F32 => RESOLUTION_F32,
+            Precision::F64 => RESOLUTION_F64,
+        },
+        max_step: LARGEST_STEP_WAVES * wavelength_nm,
+        cancel: cancel.cloned(),
+        ..Settings::default()
+    }
+}
