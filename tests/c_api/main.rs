@@ -82,24 +82,30 @@ fn is_here(program: &str, arguments: &[&str], variable: &str) -> bool {
     here
 }
 
-fn compiled(compiler: &str, standard: &[&str]) {
-    let directory = tempfile::tempdir().unwrap();
-    let program = directory.path().join("simulator");
+/// Compiles a program of this folder against the header and links it with the shared library.
+fn compile(compiler: &str, standard: &[&str], source: &str, program: &Path) {
     let output = Command::new(compiler)
         .args(standard)
         .args(["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
         .arg(root().join("include"))
-        .arg(here().join("simulator.c"))
+        .arg(here().join(source))
         // What follows is a library again, whatever language the source was said to be.
         .args(["-x", "none", "-L"])
         .arg(libraries())
         .arg("-lcophase")
         .arg(format!("-Wl,-rpath,{}", libraries().display()))
+        .arg("-lm")
         .arg("-o")
-        .arg(&program)
+        .arg(program)
         .output()
         .unwrap();
     assert!(output.status.success(), "{compiler}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn compiled(compiler: &str, standard: &[&str]) {
+    let directory = tempfile::tempdir().unwrap();
+    let program = directory.path().join("simulator");
+    compile(compiler, standard, "simulator.c", &program);
     dumps_the_same(Command::new(&program), &[]);
 }
 
@@ -113,6 +119,16 @@ fn cpp17() {
     if is_here("c++", &["--version"], "CI") {
         compiled("c++", &["-std=c++17", "-x", "c++"]);
     }
+}
+
+#[test]
+fn programs_built_against_older_and_newer_headers_run() {
+    let directory = tempfile::tempdir().unwrap();
+    let program = directory.path().join("grown");
+    compile("cc", &["-std=c99"], "grown.c", &program);
+    let mut command = Command::new(&program);
+    let output = command.env("LD_LIBRARY_PATH", libraries()).arg(here().join("small.toml")).output().unwrap();
+    assert!(output.status.success(), "{}: {}", output.status, String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]

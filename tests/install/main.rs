@@ -186,6 +186,17 @@ fn the_program_of_the_page_compiles_and_runs() {
     let (source, program) = (tree.scratch("page.c"), tree.scratch("page"));
     std::fs::write(&source, program_of_the_page()).unwrap();
     compile(&tree, &source, &pkg_config(&tree, &["--cflags", "--libs", "cophase"]), &program);
+    // It fails by itself where the estimate is not the truth.
     let said = said_by(&program);
-    println!("{said}");
+    assert!(said.starts_with("OK after ") && said.lines().count() == 4, "{said}");
+}
+
+#[test]
+fn the_check_for_lto_sees_what_has_none() {
+    let tree = Tree::stage("/usr");
+    let library = tree.path().join("lib/libcophase.so");
+    let output = Command::new(root().join("scripts/check-lto")).arg(library).output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    // Cargo's own build of all kinds of library has none, whatever the profile asks for.
+    assert!(!output.status.success() && said.contains("without LTO"), "{said}");
 }
