@@ -1,8 +1,10 @@
-//! The simulator from C, C++, Python and Octave. Each program provokes what can go wrong, then dumps what the simulator
-//! shows after some frames; the dump must be what Rust sees, to the last bit.
+//! The simulator from C, C++, Python and Octave, and all else from C (`c`). Each program of the simulator provokes what can
+//! go wrong, then dumps what it shows after some frames; the dump must be what Rust sees, to the last bit.
 //!
 //! Where a language is not installed its test says so and passes, unless `COPHASE_REQUIRE_PYTHON=1` or
 //! `COPHASE_REQUIRE_OCTAVE=1`, which `scripts/test` sets where it is, and in CI.
+
+mod c;
 
 use cophase::ao::Stepper;
 use cophase::scene::Scene;
@@ -11,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 mod fits;
+mod octave;
 mod python;
 
 /// Enough for the loop to have closed.
@@ -85,25 +88,10 @@ fn is_here(program: &str, arguments: &[&str], variable: &str) -> bool {
     here
 }
 
-fn compiled(compiler: &str, standard: &[&str]) {
+fn compiled(compiler: &str, language: &[&str]) {
     let directory = tempfile::tempdir().unwrap();
-    let program = directory.path().join("simulator");
-    let output = Command::new(compiler)
-        .args(standard)
-        .args(["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
-        .arg(root().join("include"))
-        .arg(here().join("simulator.c"))
-        // What follows is a library again, whatever language the source was said to be.
-        .args(["-x", "none", "-L"])
-        .arg(libraries())
-        .arg("-lcophase")
-        .arg(format!("-Wl,-rpath,{}", libraries().display()))
-        .arg("-o")
-        .arg(&program)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{compiler}: {}", String::from_utf8_lossy(&output.stderr));
-    dumps_the_same(Command::new(&program), &[]);
+    let program = c::compile((compiler, language), &here().join("simulator.c"), directory.path());
+    dumps_the_same(c::command(&program), &[]);
 }
 
 #[test]
@@ -115,19 +103,6 @@ fn c99() {
 fn cpp17() {
     if is_here("c++", &["--version"], "CI") {
         compiled("c++", &["-std=c++17", "-x", "c++"]);
-    }
-}
-
-#[test]
-fn octave() {
-    // mkoctfile comes in a package of its own.
-    let octave = "COPHASE_REQUIRE_OCTAVE";
-    if is_here("octave-cli", &["--version"], octave) && is_here("mkoctfile", &["--version"], octave) {
-        let scratch = tempfile::tempdir().unwrap();
-        let mut command = Command::new("octave-cli");
-        // Where it may keep what it likes to keep, such as a history.
-        command.env("HOME", scratch.path()).args(["--norc", "--quiet"]).arg(here().join("simulator.m"));
-        dumps_the_same(command, &[&root().join("bindings/matlab"), &libraries(), scratch.path()]);
     }
 }
 

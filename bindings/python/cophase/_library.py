@@ -81,6 +81,13 @@ def scalar(kind: str, call: Any, *inputs: Any) -> Any:
     return out[0]
 
 
+def extents(call: Any, *inputs: Any) -> tuple[int, int]:
+    """The rows and columns that ``call`` puts into its last two arguments."""
+    rows, cols = ffi.new("size_t *"), ffi.new("size_t *")
+    check(call(*inputs, rows, cols))
+    return rows[0], cols[0]
+
+
 def text_of(call: Any, *inputs: Any) -> str:
     """What ``call`` writes as a text: its last arguments are room for it, the size of that room, and its length."""
     length = ffi.new("size_t *")

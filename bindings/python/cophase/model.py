@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import images, input_view, maps, numbers, values
 from ._handle import Handle
-from ._library import check, ffi, folder, lib, options, scalar, text, words
+from ._library import extents, folder, lib, options, scalar, text, words
 
 
 class Model(Handle):
@@ -106,9 +106,7 @@ class Model(Handle):
     @property
     def frame_shape(self) -> tuple[int, int]:
         """Rows and columns of a detector frame."""
-        rows, cols = ffi.new("size_t *"), ffi.new("size_t *")
-        check(lib.cophase_model_frame_shape(self._handle, rows, cols))
-        return rows[0], cols[0]
+        return extents(lib.cophase_model_frame_shape, self._handle)
 
     @property
     def samples(self) -> int:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ._arrays import maps
 from ._handle import Handle
-from ._library import check, ffi, folder, lib, scalar, text
+from ._library import check, extents, ffi, folder, lib, scalar, text
 
 #: Frames between two looks at Ctrl-C: some tens of milliseconds.
 _FRAMES_AT_ONCE = 256
@@ -87,8 +87,8 @@ class Simulator(Handle):
     @property
     def image_e(self) -> NDArray[np.float32]:
         """The camera's defocused image ``[y, x]``, electrons, with the noise that the scene names."""
-        side = scalar("size_t", lib.cophase_simulator_image_pixels, self._handle)
-        return maps((side, side), lib.cophase_simulator_image_e, self._handle)
+        shape = extents(lib.cophase_simulator_image_shape, self._handle)
+        return maps(shape, lib.cophase_simulator_image_e, self._handle)
 
     @property
     def phasing_nm(self) -> NDArray[np.float32]:
