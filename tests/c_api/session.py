@@ -195,20 +195,22 @@ def ways(model, session, frames, c):
 def calibrations(model, session, frames, c):
     """electrons = (raw - dark) * gain / flat; powers of two, so that nothing is rounded on the way."""
     rows, cols = model.frame_shape
+    # A detector that is not square lacks some of the pixels that are fitted.
+    lacking = session.fit(frames).reports.bad_pixels
     dark = np.broadcast_to(np.arange(cols, dtype=np.uint16) % 5, (rows, cols))
     flat = np.broadcast_to(np.float32(2) ** (np.arange(rows) % 2)[:, None], (rows, cols))
     raw = frames * flat * 2 + dark
     session.calibrate(dark=dark, flat=flat, gain_e=0.5)
     assert np.array_equal(session.fit(raw).coefficients_nm, c)
     session.calibrate(saturation=frames.max())
-    assert session.fit(frames).reports.bad_pixels.sum() >= 1
+    assert (session.fit(frames).reports.bad_pixels > lacking).any()
     y, x = rows // 2 - 4, cols // 2
     bad = np.zeros((rows, cols), bool)
     bad[y, x : x + 3] = True
     unknown = np.where(bad, np.nan, frames)
     session.calibrate()
     without = session.fit(unknown)
-    assert list(without.reports.bad_pixels) == [3] * COUNT
+    assert list(without.reports.bad_pixels) == list(lacking + 3)
     session.calibrate(bad=bad)
     assert np.array_equal(session.fit(np.where(bad, 6e4, frames)).coefficients_nm, without.coefficients_nm)
     failure(lambda: session.calibrate(dark=dark[1:]), cophase.BadShapeError)

@@ -36,18 +36,18 @@ def misuse():
 
 def any_strides(simulator, image):
     """Columns, reversed axes and windows are filled in place."""
-    n = len(image)
-    large = np.full((2, 3 * n, 2 * n + 1), np.float32(-1))
+    rows, cols = image.shape
+    large = np.full((2, 3 * rows, 2 * cols + 3), np.float32(-1))
     for out in (
-        np.empty((1, n, n), np.float32, order="F"),
-        np.empty((1, n, n), np.float32)[:, ::-1, ::-1],
-        np.empty((1, n, n), np.float32).transpose(0, 2, 1),
-        large[1:, 1 : 1 + n, 2 : 2 + 2 * n : 2],
+        np.empty((1, rows, cols), np.float32, order="F"),
+        np.empty((1, rows, cols), np.float32)[:, ::-1, ::-1],
+        np.empty((1, cols, rows), np.float32).transpose(0, 2, 1),
+        large[1:, 1 : 1 + rows, 2 : 2 + 2 * cols : 2],
     ):
         check(lib.cophase_simulator_image_e(simulator._handle, view(out)))
         assert np.array_equal(out[0], image)
-    assert np.count_nonzero(large != -1) <= n * n
-    flat = np.broadcast_to(np.float32(0), (1, n, n))
+    assert np.count_nonzero(large != -1) <= image.size
+    flat = np.broadcast_to(np.float32(0), (1, rows, cols))
     refused = failure(lambda: check(lib.cophase_simulator_image_e(simulator._handle, view(flat))))
     assert refused.status == "BAD_ARGUMENT" and "overlap" in str(refused), refused
 
