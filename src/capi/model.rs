@@ -3,7 +3,7 @@
 use super::array::{Output, cophase_array_f32};
 use super::handle::{Handle, fence};
 use super::input::{Input, cophase_input};
-use super::pointer::{numbers, place, put, text};
+use super::pointer::{numbers, place, put, put_shape, text};
 use super::sized::{self, Options};
 use super::status::cophase_status;
 use crate::estimate::{Arrays, Estimator};
@@ -61,11 +61,11 @@ unsafe fn read(model: *const cophase_model, body: impl FnOnce(&Named) -> Result<
     Handle::read(unsafe { model.as_ref() }.map(|model| &model.0), "model", body)
 }
 
-/// A caller's scene.
-unsafe fn scene(scene_text: *const c_char, directory: *const c_char) -> Result<Scene> {
+/// A caller's text of a scene, and where its files are.
+unsafe fn scene<'a>(scene_text: *const c_char, directory: *const c_char) -> Result<(&'a str, &'a Path)> {
     let scene_text = unsafe { text(scene_text, "scene_text") }?;
     let directory = if directory.is_null() { "" } else { unsafe { text(directory, "directory") }? };
-    Scene::from_text(scene_text, Path::new(directory))
+    Ok((scene_text, Path::new(directory)))
 }
 
 fn hand_out(estimator: Estimator, out: *mut *mut cophase_model) -> Result<()> {
@@ -90,7 +90,8 @@ pub unsafe extern "C" fn cophase_model_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(model, "model")?;
-        let scene = unsafe { scene(scene_text, directory) }?;
+        let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
+        let scene = Scene::from_text(scene_text, directory)?;
         // Bad pixels are known frame by frame only: who has them says so in the scene (estimate.sampling).
         hand_out(Estimator::new(&scene, false)?, out)
     })
@@ -144,7 +145,8 @@ pub unsafe extern "C" fn cophase_model_create_from_arrays(
 ) -> cophase_status {
     fence(|| {
         let out = place(model, "model")?;
-        let scene = unsafe { scene(scene_text, directory) }?;
+        let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
+        let scene = Scene::for_arrays(scene_text, directory)?;
         if arrays.is_null() {
             return Err(Error::Argument("arrays is NULL: a cophase_model_arrays with a pupil is accepted".into()));
         }
@@ -234,10 +236,7 @@ pub unsafe extern "C" fn cophase_model_frame_shape(
     unsafe {
         read(model, |model| {
             let [x, y] = model.estimator.model().preparation.frame;
-            // Both or none.
-            place(cols, "cols")?;
-            put(rows, "rows", y)?;
-            put(cols, "cols", x)
+            put_shape(rows, cols, (y, x))
         })
     }
 }

@@ -136,6 +136,11 @@ fn sequences() {
 }
 
 #[test]
+fn programs_built_against_older_and_newer_headers_run() {
+    passes("grown.c", &[]);
+}
+
+#[test]
 fn misuse() {
     passes("misuse.c", &[]);
 }

@@ -12,6 +12,10 @@ use ndarray::Array2;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+mod fits;
+mod octave;
+mod python;
+
 /// Enough for the loop to have closed.
 const FRAMES: u64 = 300;
 
@@ -99,37 +103,6 @@ fn c99() {
 fn cpp17() {
     if is_here("c++", &["--version"], "CI") {
         compiled("c++", &["-std=c++17", "-x", "c++"]);
-    }
-}
-
-#[test]
-fn python() {
-    let python = std::env::var("COPHASE_PYTHON").unwrap_or("python3".into());
-    if is_here(&python, &["-c", "import numpy, cffi"], "COPHASE_REQUIRE_PYTHON") {
-        let mut command = Command::new(python);
-        command.env("PYTHONPATH", root().join("bindings/python")).env("PYTHONDONTWRITEBYTECODE", "1");
-        command.env("COPHASE_LIBRARY", library()).arg(here().join("simulator.py"));
-        dumps_the_same(command, &[]);
-    }
-}
-
-#[test]
-fn the_python_package_has_the_version_of_the_crate() {
-    let project = std::fs::read_to_string(root().join("bindings/python/pyproject.toml")).unwrap();
-    let version = format!("\nversion = \"{}\"\n", env!("CARGO_PKG_VERSION"));
-    assert!(project.contains(&version), "bindings/python/pyproject.toml lacks {version}");
-}
-
-#[test]
-fn octave() {
-    // mkoctfile comes in a package of its own.
-    let octave = "COPHASE_REQUIRE_OCTAVE";
-    if is_here("octave-cli", &["--version"], octave) && is_here("mkoctfile", &["--version"], octave) {
-        let scratch = tempfile::tempdir().unwrap();
-        let mut command = Command::new("octave-cli");
-        // Where it may keep what it likes to keep, such as a history.
-        command.env("HOME", scratch.path()).args(["--norc", "--quiet"]).arg(here().join("simulator.m"));
-        dumps_the_same(command, &[&root().join("bindings/matlab"), &libraries(), scratch.path()]);
     }
 }
 

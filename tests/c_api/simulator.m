@@ -4,16 +4,7 @@
 
 1; % a script, not a function of this file's name
 
-function must_fail(id, part, call)
-    try
-        call();
-    catch failure
-        assert(failure.identifier, ['cophase:' id]);
-        assert(~isempty(strfind(failure.message, part)), failure.message);
-        return
-    end
-    error('nothing was raised where cophase:%s was due', id);
-end
+source(fullfile(fileparts(mfilename('fullpath')), 'support.m'));
 
 [scene, frames, dump, bindings, libraries, scratch] = argv(){:};
 frames = str2double(frames);
@@ -22,9 +13,9 @@ build(libraries, scratch);
 
 must_fail('BAD_SCENE', 'apertur', @() cophase.Simulator(sprintf('[pupil]\napertur = 3\n')));
 must_fail('BAD_SCENE', 'keck-onsky', @() cophase.preset('keck-onsy'));
-must_fail('BAD_VALUE', 'scene_text', @() cophase.Simulator(3));
-must_fail('BAD_ARGUMENT', 'no command', @() cophase_mex('stride', 1));
-must_fail('BAD_ARGUMENT', 'deleted', @() cophase_mex('frames', 99));
+must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.Simulator(3));
+must_fail('BAD_ARGUMENT', 'no command', @() cophase_mex('simulator.stride', 1));
+must_fail('BAD_ARGUMENT', 'deleted', @() cophase_mex('simulator.frames', 99));
 assert(~isempty(strfind(cophase.preset('keck-onsky'), '[wavefront_sensor]')));
 
 s = cophase.Simulator(fileread(scene), '.');

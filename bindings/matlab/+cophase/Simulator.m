@@ -1,4 +1,4 @@
-classdef Simulator < handle
+classdef Simulator < cophase.Handle
     %SIMULATOR  A simulated AO system under a sky.
     %   s = cophase.Simulator(scene_text) builds the system that a scene (TOML) describes: turbulence, wavefront sensor,
     %   deformable mirror, control, science camera. This takes about a second at the size of Keck.
@@ -15,7 +15,7 @@ classdef Simulator < handle
     %       s.step(100);
     %       imagesc(s.image_e), axis image
     %
-    %   See also cophase.preset.
+    %   See also cophase.preset, cophase.Model.
 
     properties (Dependent, SetAccess = private)
         frames          % frames since the loop was closed
@@ -30,80 +30,73 @@ classdef Simulator < handle
         ncpa_nm         % true non-common path aberrations (y, x), nm; NaN outside the pupil
     end
 
-    properties (Access = private)
-        id = 0 % the gateway's number for it; 0 is nobody's
-    end
-
     methods
         function self = Simulator(scene_text, directory)
+            if nargin < 1
+                error('cophase:BAD_ARGUMENT', 'scene_text is missing: the text of a scene is accepted');
+            end
             if nargin < 2
                 directory = '';
             end
-            self.id = cophase_mex('create', scene_text, directory);
-        end
-
-        function delete(self)
-            %DELETE  Frees the simulator.
-            if self.id ~= 0
-                id = self.id;
-                self.id = 0;
-                cophase_mex('destroy', id);
-            end
+            self.create('simulator', scene_text, directory);
         end
 
         function step(self, frames)
-            %STEP  Advances the loop by a number of frames (1 if none is given). One that diverges goes on: see
-            %   divergence_s. Ctrl-C stops between frames; what was made until then is there.
+            %STEP  Advances the loop.
+            %   s.step(n) advances it by n frames; by one, if n is left out. A loop that diverges goes on: see divergence_s.
+            %   Ctrl-C stops between frames; what was made until then is there.
+            %
+            %   See also cophase.Simulator.
             if nargin < 2
                 frames = 1;
             end
             % Some tens of milliseconds at a time, so that Ctrl-C is heard.
             while frames > 256
-                cophase_mex('step', self.id, 256);
+                cophase_mex('simulator.step', self.id, 256);
                 frames = frames - 256;
             end
-            cophase_mex('step', self.id, frames);
+            cophase_mex('simulator.step', self.id, frames);
         end
 
         function value = get.frames(self)
-            value = cophase_mex('frames', self.id);
+            value = cophase_mex('simulator.frames', self.id);
         end
 
         function value = get.frame_s(self)
-            value = cophase_mex('frame_s', self.id);
+            value = cophase_mex('simulator.frame_s', self.id);
         end
 
         function value = get.divergence_s(self)
-            value = cophase_mex('divergence_s', self.id);
+            value = cophase_mex('simulator.divergence_s', self.id);
         end
 
         function value = get.slopes_mas(self)
-            value = cophase_mex('slopes_mas', self.id);
+            value = cophase_mex('simulator.slopes_mas', self.id);
         end
 
         function value = get.commands_nm(self)
-            value = cophase_mex('commands_nm', self.id);
+            value = cophase_mex('simulator.commands_nm', self.id);
         end
 
         function value = get.residual_nm(self)
-            value = cophase_mex('residual_nm', self.id);
+            value = cophase_mex('simulator.residual_nm', self.id);
         end
 
         function value = get.residual_rms_nm(self)
-            value = cophase_mex('residual_rms_nm', self.id);
+            value = cophase_mex('simulator.residual_rms_nm', self.id);
         end
 
         function value = get.image_e(self)
-            value = cophase_mex('image_e', self.id);
+            value = cophase_mex('simulator.image_e', self.id);
         end
 
         function value = get.phasing_nm(self)
-            truth_nm = cophase_mex('truth_nm', self.id);
+            truth_nm = cophase_mex('simulator.truth_nm', self.id);
             value = truth_nm(:, :, 1);
         end
 
         function value = get.ncpa_nm(self)
-            truth_nm = cophase_mex('truth_nm', self.id);
+            truth_nm = cophase_mex('simulator.truth_nm', self.id);
             value = truth_nm(:, :, 2);
         end
     end

@@ -1,0 +1,151 @@
+/* Ctrl-C during a long call.
+ *
+ * MATLAB and Octave act on Ctrl-C between statements only. While a call runs they take note of it, SIGINT included, and
+ * that note can be read: in Octave's quit.h, and in MATLAB's libut, which is undocumented but has been the same for
+ * twenty years. Only the thread that was called may ask. So that one waits and asks, and the work is done in another.
+ * MATLAB's compilers for Windows have no pthreads in common: there the work is done here, and a deadline bounds it. */
+#include "gateway.h"
+
+#if defined(_WIN32) && defined(MATLAB_MEX_FILE)
+
+void interruptible(const cophase_session *session, cophase_status (*work)(void *), void *argument)
+{
+    (void)session;
+    check(work(argument));
+}
+
+#else
+
+#include <pthread.h>
+#include <string.h>
+#include <time.h>
+
+/* Whether Ctrl-C was pressed. It is heard then: nothing else stops because of it. */
+#ifdef MATLAB_MEX_FILE
+
+extern bool utIsInterruptPending(void);
+extern bool utSetInterruptPending(bool pending);
+
+static int ctrl_c(void)
+{
+    const int pressed = utIsInterruptPending();
+
+    if (pressed)
+        utSetInterruptPending(false);
+    return pressed;
+}
+
+#else
+
+#include <octave/quit.h>
+
+static int ctrl_c(void)
+{
+    const int pressed = octave_interrupt_state > 0;
+
+    if (pressed)
+        octave_interrupt_state = 0;
+    return pressed;
+}
+
+#endif
+
+/* How often Ctrl-C is asked for: soon for a hand, seldom for a processor. */
+#define POLL_NS 20000000L
+
+/* What a new thread has on Linux; macOS would give it a sixteenth of this, too little for the library's frames. */
+#define STACK_BYTES (8u << 20)
+
+typedef struct job {
+    cophase_status (*work)(void *);
+    void *argument;
+    cophase_status status;
+    char sentence[2049]; /* of a failure: it is known to the thread alone that failed */
+    int done;
+    pthread_mutex_t lock;
+    pthread_cond_t ended;
+} job;
+
+static void *do_work(void *argument)
+{
+    job *job = (struct job *)argument;
+    const cophase_status status = job->work(job->argument);
+
+    if (status != COPHASE_OK)
+        cophase_last_error(job->sentence, sizeof job->sentence);
+    pthread_mutex_lock(&job->lock);
+    job->status = status;
+    job->done = 1;
+    pthread_cond_signal(&job->ended);
+    pthread_mutex_unlock(&job->lock);
+    return NULL;
+}
+
+/* Until the job is done; tells whether there was a Ctrl-C before. */
+static int wait_for(job *job, const cophase_session *session)
+{
+    int pressed = 0;
+
+    pthread_mutex_lock(&job->lock);
+    while (!job->done) {
+        struct timespec until;
+
+        clock_gettime(CLOCK_REALTIME, &until);
+        until.tv_nsec += POLL_NS;
+        until.tv_sec += until.tv_nsec / 1000000000L;
+        until.tv_nsec %= 1000000000L;
+        pthread_cond_timedwait(&job->ended, &job->lock, &until);
+        if (!job->done && !pressed && ctrl_c()) {
+            cophase_session_cancel(session);
+            pressed = 1;
+        }
+    }
+    pthread_mutex_unlock(&job->lock);
+    return pressed;
+}
+
+/* The job in a thread of its own, or where none is to be had in this one, deaf to Ctrl-C. */
+static int run(job *job, const cophase_session *session)
+{
+    pthread_attr_t attributes;
+    pthread_t thread;
+    int failed, pressed;
+
+    pthread_attr_init(&attributes);
+    pthread_attr_setstacksize(&attributes, STACK_BYTES);
+    failed = pthread_create(&thread, &attributes, do_work, job);
+    pthread_attr_destroy(&attributes);
+    if (failed) {
+        do_work(job);
+        return 0;
+    }
+    pressed = wait_for(job, session);
+    pthread_join(thread, NULL);
+    return pressed;
+}
+
+void interruptible(const cophase_session *session, cophase_status (*work)(void *), void *argument)
+{
+    job job;
+    int pressed;
+
+    memset(&job, 0, sizeof job);
+    job.work = work;
+    job.argument = argument;
+    pthread_mutex_init(&job.lock, NULL);
+    pthread_cond_init(&job.ended, NULL);
+    pressed = run(&job, session);
+    pthread_cond_destroy(&job.ended);
+    pthread_mutex_destroy(&job.lock);
+
+    /* Cancelled when all was done but the end: that would fall on the next fit, which nobody wants to stop. Let it fall
+     * on this one, once more. */
+    if (pressed && job.status != COPHASE_INTERRUPTED)
+        work(argument);
+    if (pressed)
+        fail(COPHASE_INTERRUPTED, "Ctrl-C stopped the fit: its images have no estimate");
+    if (job.status != COPHASE_OK)
+        fail(job.status, "%s", job.sentence);
+}
+
+#endif
