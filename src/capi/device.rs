@@ -1,6 +1,6 @@
 //! Where sessions run.
 
-use super::handle::{Handle, fence};
+use super::handle::{Handle, fence, give_back};
 use super::pointer::{place, put_text, text};
 use super::status::cophase_status;
 use crate::device::{Choice, devices};
@@ -54,12 +54,7 @@ pub unsafe extern "C" fn cophase_device_open(name: *const c_char, device: *mut *
 /// Closes a device; NULL is fine. Sessions that were made on it go on.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_device_close(device: *mut cophase_device) {
-    fence(|| {
-        if !device.is_null() {
-            drop(unsafe { Box::from_raw(device) });
-        }
-        Ok(())
-    });
+    unsafe { give_back(device, |device| &device.0) }
 }
 
 /// What a device is: its line of cophase_device_list. `text`, `capacity` and `length` are as there.
