@@ -555,8 +555,10 @@ cophase_status cophase_simulator_actuator_count(const struct cophase_simulator *
 // Rows, and columns, of a residual wavefront.
 cophase_status cophase_simulator_residual_samples(const struct cophase_simulator *simulator, size_t *samples);
 
-// Rows, and columns, of an image.
-cophase_status cophase_simulator_image_pixels(const struct cophase_simulator *simulator, size_t *pixels);
+// Rows and columns of an image.
+cophase_status cophase_simulator_image_shape(const struct cophase_simulator *simulator,
+                                             size_t *rows,
+                                             size_t *cols);
 
 // Rows, and columns, of the maps of the true aberrations: the scene's pupil.samples.
 cophase_status cophase_simulator_truth_samples(const struct cophase_simulator *simulator, size_t *samples);
@@ -590,9 +592,9 @@ cophase_status cophase_simulator_residual_rms_nm(const struct cophase_simulator 
 
 // The camera's defocused image of the last frame, electrons, its turbulence frozen: residual wavefront, non-common path
 // aberrations and diversity, with the noise that the scene names. The same frame gives the same image, however often
-// and after whatever others it is taken. The optical axis is in row and column pixels/2.
+// and after whatever others it is taken. The optical axis is in row rows/2 and column cols/2.
 //
-// out: 1 x pixels x pixels, see cophase_simulator_image_pixels. COPHASE_BAD_VALUE before the first frame.
+// out: 1 x rows x cols, see cophase_simulator_image_shape. COPHASE_BAD_VALUE before the first frame.
 cophase_status cophase_simulator_image_e(struct cophase_simulator *simulator,
                                          const struct cophase_array_f32 *out);
 

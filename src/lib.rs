@@ -10,7 +10,7 @@
 //!   `x_j = (j − (N−1)/2)·width_m/N`: the axis lies between the two central samples.
 //! * **Sign**: field `E = A·exp(+i·2π·W/λ)`, `W` the wavefront plus the diversity; focal field = forward Fourier
 //!   transform (kernel `exp(−2πi·u·x)`). A wavefront that grows along +x moves the spot along +column.
-//! * **Image**: the optical axis is on pixel `[M/2, M/2]`; `samples_per_lambda_over_d` counts pixels per λ/`grid_m`.
+//! * **Image**: the optical axis is on pixel `[rows/2, columns/2]`; `samples_per_lambda_over_d` counts pixels per λ/`grid_m`.
 //!   The PSF over an unbounded detector sums to 1; an image is `flux·PSF + background`, in electrons.
 //! * **Modes**: a segment-piston coefficient is nm of piston of that segment; a Zernike or Karhunen-Loève coefficient is
 //!   nm RMS over the pupil. The segment part is reported with zero mean piston over the pupil.

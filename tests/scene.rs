@@ -94,6 +94,8 @@ fn defaults_fill_in_what_a_scene_leaves_out() {
     assert_eq!((scene.image.samples_per_lambda_over_d, scene.image.diversity_focus_waves_rms), (2.0, 1.5));
     assert_eq!((scene.image.peak_snr, scene.image.crop_pixels, scene.image.count), (Some(500.0), Crop::Auto, 1));
     assert_eq!((scene.pupil.samples, scene.pupil.grid_m), (120, None));
+    assert_eq!(scene.image.frame_shape(), (scene.image.pixels, scene.image.pixels));
+    assert_eq!(parse(&format!("{SMALLEST}rows = 8")).unwrap().image.frame_shape(), (8, scene.image.pixels));
     assert_eq!((scene.estimate.optimizer, scene.estimate.weighting), (Optimizer::GaussNewton, None));
     assert_eq!((scene.estimate.device, scene.estimate.precision), (DeviceChoice::Auto, Precision::F64));
     assert!(parse(&format!("{SMALLEST}[pupil]\naperture = \"hexagonal\"")).unwrap().pupil.central_segment);
@@ -171,10 +173,17 @@ fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
 
 #[test]
 fn contradictions_are_refused() {
-    let cases: [(&str, Settings, &str); 26] = [
+    let cases: [(&str, Settings, &str); 29] = [
         ("keck-artificial", &[("image.flux_e", "1e6")], "'image.peak_snr' and 'image.flux_e' are both given"),
         ("keck-artificial", &[("image.diversity_file", "d.fits")], "'image.diversity_file' are both given"),
         ("keck-artificial", &[("image.crop_pixels", "482")], "image.crop_pixels = 482"),
+        ("keck-artificial", &[("image.rows", "482")], "image.rows = 482 is not accepted; at most image.pixels = 480"),
+        ("keck-artificial", &[("image.columns", "241")], "an even integer"),
+        (
+            "keck-artificial",
+            &[("image.rows", "240"), ("image.columns", "200"), ("image.crop_pixels", "242")],
+            "image.crop_pixels = 242 is not accepted; at most image.rows = 240",
+        ),
         ("keck-artificial", &[("image.crop_pixels", "95")], "\"auto\" or an even integer"),
         ("keck-onsky", &[("image.interval_s", "0.001")], "image.interval_s = 0.001"),
         ("keck-artificial", &[("pupil.file", "p.fits")], "'pupil.aperture' and 'pupil.file' are both given"),

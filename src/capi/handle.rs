@@ -1,7 +1,7 @@
 //! What a handle points to, and the one fence that every call runs inside.
 
 use super::failure::keep;
-use super::status::{COPHASE_OK, COPHASE_PANIC, cophase_status};
+use super::status::{COPHASE_OK, cophase_status};
 use crate::{Error, Result};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -66,18 +66,25 @@ impl<T: Send> Handle<T> {
     }
 
     fn enter(handle: Option<&Self>, name: &str, body: impl FnOnce(&RwLock<T>) -> Result<()>) -> cophase_status {
-        let status = fence(|| match handle {
-            None => Err(null(name)),
-            Some(handle) => {
-                handle.whole()?;
-                fault()?;
-                body(&handle.value)
-            }
-        });
-        if let (Some(handle), COPHASE_PANIC) = (handle, status) {
-            handle.poisoned.store(true, Ordering::Release);
+        fence(|| {
+            let handle = handle.ok_or_else(|| null(name))?;
+            handle.whole()?;
+            // Not every call that says COPHASE_PANIC: another object that it was given may be the one that panicked.
+            let _poison = PoisonIfPanicking(&handle.poisoned);
+            fault()?;
+            body(&handle.value)
+        })
+    }
+}
+
+/// Raises the flag where a panic passes by.
+struct PoisonIfPanicking<'a>(&'a AtomicBool);
+
+impl Drop for PoisonIfPanicking<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.store(true, Ordering::Release);
         }
-        status
     }
 }
 
@@ -143,6 +150,8 @@ mod tests {
             assert_eq!(Handle::read(Some(&hit), "hit", never), COPHASE_PANIC);
             assert!(last().ends_with("can only be destroyed"), "{}", last());
             assert_eq!(Handle::change(Some(&hit), "hit", |value| never(value)), COPHASE_PANIC);
+            // A call that is given both fails, and leaves the other as it was.
+            assert_eq!(Handle::change(Some(&other), "other", |_| hit.look(|_| ())), COPHASE_PANIC);
             assert_eq!(Handle::read(Some(&other), "other", |_| Ok(())), COPHASE_OK);
         }
         assert_eq!(fence(|| std::panic::panic_any(7)), COPHASE_PANIC);

@@ -2,7 +2,7 @@
 
 use super::pointer::place;
 use crate::{Error, Result};
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, Axis};
 use std::ffi::c_void;
 
 /// Element type of a cophase_input: float.
@@ -181,20 +181,30 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// Frame `k`, `[y, x]`.
-    pub(super) fn map(&self, k: usize) -> Array2<f64> {
-        let mut map = Array2::zeros((self.array.rows, self.array.cols));
-        self.each(k, |y, x, value| map[[y, x]] = value);
-        map
+    /// The only frame, `[y, x]`. The input must have been held to one: [`Input::must_be`].
+    pub(super) fn map(&self) -> Result<Array2<f64>> {
+        debug_assert!(self.array.count == 1);
+        Ok(self.cube()?.index_axis_move(Axis(0), 0))
     }
 
     /// All of it, `[k, y, x]`.
-    pub(super) fn cube(&self) -> Array3<f64> {
-        let mut cube = Array3::zeros(self.shape());
-        for k in 0..self.array.count {
-            self.each(k, |y, x, value| cube[[k, y, x]] = value);
+    pub(super) fn cube(&self) -> Result<Array3<f64>> {
+        let [count, rows, cols] = self.shape();
+        let refused = || {
+            Error::Shape(format!(
+                "{} is {count} x {rows} x {cols} (count x rows x cols): as many elements as memory holds are accepted",
+                self.name
+            ))
+        };
+        // Strides of 0 describe more elements than there are: an extent can be anything.
+        let size = count.checked_mul(rows).and_then(|size| size.checked_mul(cols)).ok_or_else(refused)?;
+        let mut values = Vec::new();
+        values.try_reserve_exact(size).map_err(|_| refused())?;
+        for k in 0..count {
+            self.each(k, |_, _, value| values.push(value));
         }
-        cube
+        Array3::from_shape_vec([count, rows, cols], values)
+            .map_err(|error| Error::Internal(format!("the copy of {}: {error}", self.name)))
     }
 }
 
@@ -219,7 +229,7 @@ mod tests {
     fn every_element_type_is_read_where_the_strides_say() {
         let plain: Vec<f64> = (0..24).map(f64::from).collect();
         let c_order = ndarray::Array3::from_shape_vec((2, 3, 4), plain.clone()).unwrap();
-        let read = |input: cophase_input| unsafe { Input::of(&input, "frames") }.unwrap().cube();
+        let read = |input: cophase_input| unsafe { Input::of(&input, "frames") }.unwrap().cube().unwrap();
         let strides = [12, 4, 1];
         assert_eq!(read(array(&plain, COPHASE_F64, 0, strides)), c_order);
         assert_eq!(read(array(&plain.iter().map(|&v| v as f32).collect::<Vec<_>>(), COPHASE_F32, 0, strides)), c_order);
@@ -252,6 +262,11 @@ mod tests {
             assert!(refused(cophase_input { row_stride: stride, ..good }).contains("address space"), "{stride}");
         }
         assert!(refused(cophase_input { rows: usize::MAX, cols: usize::MAX, ..good }).contains("address space"));
+        for count in [usize::MAX, usize::MAX / 16, 1 << 50] {
+            let many = cophase_input { count, count_stride: 0, ..good };
+            let sentence = unsafe { Input::of(&many, "frames") }.unwrap().cube().unwrap_err().to_string();
+            assert!(sentence.ends_with("as many elements as memory holds are accepted"), "{sentence}");
+        }
         // An extent of 1 has no stride.
         assert!(unsafe { Input::of(&cophase_input { count: 1, count_stride: isize::MIN, ..good }, "frames") }.is_ok());
         let wrong = unsafe { Input::of(&good, "frames") }.unwrap().must_be([2, 4, 3]).unwrap_err().to_string();

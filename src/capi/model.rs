@@ -3,7 +3,7 @@
 use super::array::{Output, cophase_array_f32};
 use super::handle::{Handle, fence};
 use super::input::{Input, cophase_input};
-use super::pointer::{numbers, place, put, text};
+use super::pointer::{numbers, place, put, put_shape, text};
 use super::sized::{self, Options};
 use super::status::cophase_status;
 use crate::estimate::{Arrays, Estimator};
@@ -61,11 +61,11 @@ unsafe fn read(model: *const cophase_model, body: impl FnOnce(&Named) -> Result<
     Handle::read(unsafe { model.as_ref() }.map(|model| &model.0), "model", body)
 }
 
-/// A caller's scene.
-unsafe fn scene(scene_text: *const c_char, directory: *const c_char) -> Result<Scene> {
+/// A caller's text of a scene, and where its files are.
+unsafe fn scene<'a>(scene_text: *const c_char, directory: *const c_char) -> Result<(&'a str, &'a Path)> {
     let scene_text = unsafe { text(scene_text, "scene_text") }?;
     let directory = if directory.is_null() { "" } else { unsafe { text(directory, "directory") }? };
-    Scene::from_text(scene_text, Path::new(directory))
+    Ok((scene_text, Path::new(directory)))
 }
 
 fn hand_out(estimator: Estimator, out: *mut *mut cophase_model) -> Result<()> {
@@ -90,7 +90,8 @@ pub unsafe extern "C" fn cophase_model_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(model, "model")?;
-        let scene = unsafe { scene(scene_text, directory) }?;
+        let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
+        let scene = Scene::from_text(scene_text, directory)?;
         // Bad pixels are known frame by frame only: who has them says so in the scene (estimate.sampling).
         hand_out(Estimator::new(&scene, false)?, out)
     })
@@ -127,7 +128,7 @@ pub unsafe extern "C" fn cophase_model_arrays_init(
     arrays: *mut cophase_model_arrays,
     struct_size: usize,
 ) -> cophase_status {
-    fence(|| unsafe { sized::init(arrays, struct_size) })
+    fence(|| unsafe { sized::init(arrays, "arrays", struct_size) })
 }
 
 /// As cophase_model_create, with pupil, modes and diversity of the caller's in place of the scene's. The arrays are
@@ -144,7 +145,8 @@ pub unsafe extern "C" fn cophase_model_create_from_arrays(
 ) -> cophase_status {
     fence(|| {
         let out = place(model, "model")?;
-        let scene = unsafe { scene(scene_text, directory) }?;
+        let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
+        let scene = Scene::for_arrays(scene_text, directory)?;
         if arrays.is_null() {
             return Err(Error::Argument("arrays is NULL: a cophase_model_arrays with a pupil is accepted".into()));
         }
@@ -158,10 +160,10 @@ pub unsafe extern "C" fn cophase_model_create_from_arrays(
 unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
     let pupil = unsafe { Input::of(&arrays.pupil, "arrays->pupil") }?;
     let [_, rows, cols] = pupil.shape();
-    let amplitude = pupil.must_be([1, rows, cols])?.map(0);
+    let amplitude = pupil.must_be([1, rows, cols])?.map()?;
     let map = |array: &cophase_input, name: &'static str| -> Result<Option<Array2<f64>>> {
         let Some(input) = (unsafe { Input::optional(array, name) })? else { return Ok(None) };
-        Ok(Some(input.must_be([1, rows, cols])?.map(0)))
+        input.must_be([1, rows, cols])?.map().map(Some)
     };
     let segments = map(&arrays.segments, "arrays->segments")?;
     if let Some(label) = segments.iter().flatten().find(|label| label.fract() != 0.0 || label.abs() > 1e9) {
@@ -172,7 +174,7 @@ unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
         amplitude,
         segments: segments.map(|labels| labels.mapv(|label| label as i32)),
         modes: match modes {
-            Some(modes) => Some(modes.must_be([modes.shape()[0], rows, cols])?.cube()),
+            Some(modes) => Some(modes.must_be([modes.shape()[0], rows, cols])?.cube()?),
             None => None,
         },
         diversity_nm: map(&arrays.diversity_nm, "arrays->diversity_nm")?,
@@ -234,10 +236,7 @@ pub unsafe extern "C" fn cophase_model_frame_shape(
     unsafe {
         read(model, |model| {
             let [x, y] = model.estimator.model().preparation.frame;
-            // Both or none.
-            place(cols, "cols")?;
-            put(rows, "rows", y)?;
-            put(cols, "cols", x)
+            put_shape(rows, cols, (y, x))
         })
     }
 }

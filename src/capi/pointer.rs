@@ -22,6 +22,15 @@ pub(super) unsafe fn put<T>(pointer: *mut T, name: &str, value: T) -> Result<()>
     Ok(())
 }
 
+/// Writes rows and columns: both or none.
+pub(super) unsafe fn put_shape(rows: *mut usize, cols: *mut usize, shape: (usize, usize)) -> Result<()> {
+    place(cols, "cols")?;
+    unsafe {
+        put(rows, "rows", shape.0)?;
+        put(cols, "cols", shape.1)
+    }
+}
+
 /// Writes all `values`, of which there are as many as `count` says. The caller's promise: room for them.
 pub(super) unsafe fn put_all(pointer: *mut f32, count: usize, values: &[f32]) -> Result<()> {
     let place = place(pointer, "values")?;

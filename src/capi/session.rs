@@ -126,7 +126,7 @@ pub unsafe extern "C" fn cophase_session_options_init(
     options: *mut cophase_session_options,
     struct_size: usize,
 ) -> cophase_status {
-    fence(|| unsafe { sized::init(options, struct_size) })
+    fence(|| unsafe { sized::init(options, "options", struct_size) })
 }
 
 /// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_calibration).
@@ -135,7 +135,7 @@ pub unsafe extern "C" fn cophase_calibration_init(
     calibration: *mut cophase_calibration,
     struct_size: usize,
 ) -> cophase_status {
-    fence(|| unsafe { sized::init(calibration, struct_size) })
+    fence(|| unsafe { sized::init(calibration, "calibration", struct_size) })
 }
 
 /// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_fit_options).
@@ -144,7 +144,7 @@ pub unsafe extern "C" fn cophase_fit_options_init(
     options: *mut cophase_fit_options,
     struct_size: usize,
 ) -> cophase_status {
-    fence(|| unsafe { sized::init(options, struct_size) })
+    fence(|| unsafe { sized::init(options, "options", struct_size) })
 }
 
 /// Makes a workspace for images of a model.
@@ -260,7 +260,7 @@ pub unsafe extern "C" fn cophase_session_calibrate(
             let shape @ (rows, cols) = working.calibration.shape();
             let map = |array: &cophase_input, name: &'static str| -> Result<Option<Array2<f64>>> {
                 let Some(input) = Input::optional(array, name)? else { return Ok(None) };
-                Ok(Some(input.must_be([1, rows, cols])?.map(0)))
+                input.must_be([1, rows, cols])?.map().map(Some)
             };
             let maps = CameraMaps {
                 dark: map(&given.dark, "calibration->dark")?,

@@ -2,7 +2,7 @@
 
 use super::array::{Output, cophase_array_f32};
 use super::handle::{Handle, fence};
-use super::pointer::{place, put, put_all, text};
+use super::pointer::{place, put, put_all, put_shape, text};
 use super::status::cophase_status;
 use crate::Result;
 use crate::ao::Stepper;
@@ -129,13 +129,14 @@ pub unsafe extern "C" fn cophase_simulator_residual_samples(
     unsafe { read(simulator, |stepper| put(samples, "samples", stepper.simulator().footprint().samples())) }
 }
 
-/// Rows, and columns, of an image.
+/// Rows and columns of an image.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_image_pixels(
+pub unsafe extern "C" fn cophase_simulator_image_shape(
     simulator: *const cophase_simulator,
-    pixels: *mut usize,
+    rows: *mut usize,
+    cols: *mut usize,
 ) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(pixels, "pixels", stepper.simulator().scene().image.pixels)) }
+    unsafe { read(simulator, |stepper| put_shape(rows, cols, stepper.simulator().scene().image.frame_shape())) }
 }
 
 /// Rows, and columns, of the maps of the true aberrations: the scene's pupil.samples.
@@ -202,9 +203,9 @@ pub unsafe extern "C" fn cophase_simulator_residual_rms_nm(
 
 /// The camera's defocused image of the last frame, electrons, its turbulence frozen: residual wavefront, non-common path
 /// aberrations and diversity, with the noise that the scene names. The same frame gives the same image, however often
-/// and after whatever others it is taken. The optical axis is in row and column pixels/2.
+/// and after whatever others it is taken. The optical axis is in row rows/2 and column cols/2.
 ///
-/// out: 1 x pixels x pixels, see cophase_simulator_image_pixels. COPHASE_BAD_VALUE before the first frame.
+/// out: 1 x rows x cols, see cophase_simulator_image_shape. COPHASE_BAD_VALUE before the first frame.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_image_e(
     simulator: *mut cophase_simulator,
@@ -212,8 +213,8 @@ pub unsafe extern "C" fn cophase_simulator_image_e(
 ) -> cophase_status {
     unsafe {
         change(simulator, |stepper| {
-            let pixels = stepper.simulator().scene().image.pixels;
-            let output = Output::of(out, "out", [1, pixels, pixels])?;
+            let (rows, cols) = stepper.simulator().scene().image.frame_shape();
+            let output = Output::of(out, "out", [1, rows, cols])?;
             let image = stepper.image_e()?;
             output.fill(|_, y, x| image[[y, x]]);
             Ok(())

@@ -27,8 +27,8 @@ fn check_size(size: usize, name: &str) -> Result<()> {
 
 /// Writes the defaults into a caller's struct of `size` bytes: no more than it has, and zeros where it has more than this
 /// library knows. The caller's promise: that many bytes at `options`.
-pub(super) unsafe fn init<T: Options>(options: *mut T, size: usize) -> Result<()> {
-    let place = place(options, "the options")?.cast::<u8>();
+pub(super) unsafe fn init<T: Options>(options: *mut T, name: &str, size: usize) -> Result<()> {
+    let place = place(options, name)?.cast::<u8>();
     check_size(size, "struct_size")?;
     let defaults = T::defaults();
     let known = size.min(size_of::<T>());
@@ -120,7 +120,7 @@ mod tests {
     /// A caller's memory of four words, the first `size / 8` of which are its struct.
     fn initialised(size: usize) -> [u64; 4] {
         let mut memory = [0xa5a5_a5a5_a5a5_a5a5u64; 4];
-        unsafe { init(memory.as_mut_ptr().cast::<Example>(), size) }.unwrap();
+        unsafe { init(memory.as_mut_ptr().cast::<Example>(), "example", size) }.unwrap();
         memory
     }
 
@@ -146,7 +146,7 @@ mod tests {
     fn sizes_that_no_struct_has_are_refused() {
         for size in [0, 1, 7, 12, LARGEST + 8, usize::MAX] {
             let mut memory = [0u64; 4];
-            let error = unsafe { init(memory.as_mut_ptr().cast::<Example>(), size) }.unwrap_err();
+            let error = unsafe { init(memory.as_mut_ptr().cast::<Example>(), "example", size) }.unwrap_err();
             assert!(matches!(error, Error::Argument(_)), "{error}");
             memory[0] = size as u64;
             let error = unsafe { read(memory.as_ptr().cast::<Example>(), "example") }.unwrap_err().to_string();

@@ -57,8 +57,9 @@ impl Accumulator {
         let model = estimator.model();
         let modes = model.optics.modes();
         let size = capacity.checked_mul(modes).filter(|&size| size > 0);
-        let mut memory: Vec<f64> = Vec::new();
-        if size.is_none_or(|size| memory.try_reserve_exact(size).is_err()) {
+        let (mut memory, mut reports) = (Vec::<f64>::new(), Vec::new());
+        let refused = |size| memory.try_reserve_exact(size).is_err() || reports.try_reserve_exact(capacity).is_err();
+        if size.is_none_or(refused) {
             return Err(Error::Value(format!(
                 "capacity is {capacity}: 1 to as many images of {modes} coefficients as memory holds are accepted"
             )));
@@ -67,7 +68,7 @@ impl Accumulator {
         let coefficients_nm = Array2::from_shape_vec((capacity, modes), memory)
             .map_err(|error| Error::Internal(format!("the ring of images: {error}")))?;
         let (pistons, gram) = (Pistons::of(model)?, model.basis.visible_gram(&model.telescope.pupil.amplitude)?);
-        Ok(Self { pistons, gram, coefficients_nm, reports: Vec::with_capacity(capacity), pushed: 0, estimator })
+        Ok(Self { pistons, gram, coefficients_nm, reports, pushed: 0, estimator })
     }
 
     /// Takes all images of the session's last fit; the oldest make way. Allocates nothing.

@@ -36,12 +36,15 @@ pub(super) struct Plan {
 impl Plan {
     pub(super) fn of(scene: &Scene, recipe: &Recipe, native: bool, diversity: &Diversity, pupil: &Pupil) -> Self {
         let image = &scene.image;
-        let (frame_pixels, frame_sampling) = (image.pixels, image.samples_per_lambda_over_d);
-        let nyquist = frame_pixels as f64 * 2.0 / frame_sampling;
-        let whole = (nyquist - nyquist.round()).abs() < 1e-9 && (nyquist.round() as usize).is_multiple_of(2);
-        let wanted = !native && recipe.sampling != Sampling::Native && frame_sampling > 2.0 && whole;
-        let (reduced_pixels, per_lambda_over_d) =
-            if wanted { (nyquist.round() as usize, 2.0) } else { (frame_pixels, frame_sampling) };
+        let ((rows, columns), frame_sampling) = (image.frame_shape(), image.samples_per_lambda_over_d);
+        let frame = [columns, rows];
+        let nyquist = frame.map(|pixels| pixels as f64 * 2.0 / frame_sampling);
+        let whole = |pixels: f64| (pixels - pixels.round()).abs() < 1e-9 && (pixels.round() as usize).is_multiple_of(2);
+        // One sampling serves both axes: both must come out whole.
+        let wanted =
+            !native && recipe.sampling != Sampling::Native && frame_sampling > 2.0 && nyquist.into_iter().all(whole);
+        let (reduced, per_lambda_over_d) =
+            if wanted { (nyquist.map(|pixels| pixels.round() as usize), 2.0) } else { (frame, frame_sampling) };
         let spot = diversity.steepest_nm_m(pupil) * pupil.grid.width_m() / image.wavelength_nm;
         let mut half_width = (spot + SPOT_MARGIN).max(LEAST_HALF_WIDTH);
         // What the samples could pass beyond what the image needs.
@@ -54,17 +57,15 @@ impl Plan {
             half_width = half_width.min(carried.max(spot * 2.0 / 3.0).max(LEAST_HALF_WIDTH));
         }
         let signal = 2.0 * per_lambda_over_d * half_width;
+        // The part that is fitted is square: up to the frame's longer side, lest light along it be lost.
+        let longest = reduced[0].max(reduced[1]);
         let pixels = match image.crop_pixels {
-            Crop::Pixels(native) => 2 * (native * reduced_pixels / frame_pixels / 2).max(4),
+            Crop::Pixels(native) => 2 * (native * longest / rows.max(columns) / 2).max(4),
             Crop::Auto if recipe.crop => 8 * (signal / 8.0).ceil() as usize,
-            Crop::Auto => reduced_pixels,
+            Crop::Auto => longest,
         };
-        let preparation = Preparation {
-            frame: [frame_pixels; 2],
-            reduced: [reduced_pixels; 2],
-            pixels: pixels.min(reduced_pixels),
-            flip: [image.flip_x, image.flip_y],
-        };
+        let preparation =
+            Preparation { frame, reduced, pixels: pixels.min(longest), flip: [image.flip_x, image.flip_y] };
         Self { preparation, per_lambda_over_d, spot, spare_samples }
     }
 

@@ -107,8 +107,9 @@ impl Preparation {
         let [x, y] = self.frame;
         if frame.data_e.dim() != (y, x) || frame.bad.dim() != (y, x) {
             let (rows, columns) = frame.data_e.dim();
+            let keys = if x == y { "image.pixels" } else { "image.columns and image.rows" };
             return Err(Error::Shape(format!(
-                "the image has {columns}x{rows} pixels where the scene says {x}x{y} (image.pixels)"
+                "the image has {columns}x{rows} pixels where the scene says {x}x{y} ({keys})"
             )));
         }
         Ok(())

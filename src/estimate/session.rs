@@ -277,8 +277,8 @@ impl Session {
     /// first ones), and their gradients per nm, image by image.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the arrays do not fit each other, the model or what is loaded; [`Error::Device`] where a
-    /// device fails.
+    /// [`Error::Shape`] where the arrays do not fit each other, the model or what is loaded; [`Error::Value`] where
+    /// nothing is; [`Error::Device`] where a device fails.
     pub fn evaluate(
         &mut self,
         coefficients_nm: ArrayView2<f64>,
@@ -293,6 +293,9 @@ impl Session {
                  {count}x{modes}, {count} and {} are needed",
                 count * modes
             )));
+        }
+        if self.loaded == 0 {
+            return Err(Error::Value("no image is loaded: load what is to be evaluated first".into()));
         }
         if count > self.loaded {
             let loaded = self.loaded;

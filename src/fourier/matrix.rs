@@ -9,9 +9,8 @@
 //! (`P_u = G(u) + G(−u)`, `Q_u = G(u) − G(−u)`) and runs through the same matrices transposed. Pixel −m/2 has no
 //! partner: the fold treats pixel +m/2 as zero, and the unfolding drops it.
 
+use super::product::{Factors, panel_len};
 use super::{Real, Sampling, Workspace};
-use faer::linalg::matmul::matmul;
-use faer::{Accum, MatMut, MatRef, Par};
 
 /// Folded matrix transform of one sampling. Tables are shared by all threads; each brings a [`Workspace`].
 #[derive(Clone)]
@@ -21,10 +20,14 @@ pub struct MatrixTransform<T: Real> {
     cos: Vec<T>,
     /// sin likewise.
     sin: Vec<T>,
+    /// cos, row-major [j][u].
+    cos_across: Vec<T>,
+    /// sin likewise.
+    sin_across: Vec<T>,
 }
 
 impl<T: Real> MatrixTransform<T> {
-    /// Tables of n/2 × (m/2 + 1) cosines and sines.
+    /// Tables of n/2 × (m/2 + 1) cosines and sines, in both orders.
     pub fn new(sampling: Sampling) -> Self {
         let (half, harmonics) = (sampling.samples / 2, sampling.pixels / 2 + 1);
         let angle = |u: usize, j: usize| {
@@ -35,36 +38,38 @@ impl<T: Real> MatrixTransform<T> {
         let table = |f: fn(f64) -> f64| {
             (0..harmonics).flat_map(|u| (0..half).map(move |j| T::of(f(angle(u, j))))).collect::<Vec<T>>()
         };
-        Self { sampling, cos: table(f64::cos), sin: table(f64::sin) }
+        let (cos, sin) = (table(f64::cos), table(f64::sin));
+        let across = |table: &[T]| (0..half).flat_map(|j| (0..harmonics).map(move |u| table[u * half + j])).collect();
+        Self { sampling, cos_across: across(&cos), sin_across: across(&sin), cos, sin }
     }
 
     pub(super) fn workspace(&self) -> Workspace<T> {
         Workspace { real: vec![T::default(); self.sizes().iter().sum()], complex: Vec::new() }
     }
 
-    /// Sizes of the three scratch areas: folded even, folded odd (each large enough for either axis and direction), the
-    /// half-transformed field; then the two product areas.
-    fn sizes(&self) -> [usize; 5] {
+    /// Sizes of the scratch areas: folded even, folded odd (each large enough for either axis and direction), the
+    /// half-transformed field; the two products, and the panel that they are made with.
+    fn sizes(&self) -> [usize; 6] {
         let (n, m) = (self.sampling.samples, self.sampling.pixels);
         let (half, harmonics) = (n / 2, m / 2 + 1);
         let folded = (2 * n * half).max(2 * m * half).max(2 * m * harmonics).max(2 * n * harmonics);
-        [folded, folded, 2 * n * m, folded, folded]
+        [folded, folded, 2 * n * m, folded, folded, panel_len(half.max(harmonics))]
     }
 
     #[inline(always)]
     pub(super) fn forward(&self, pupil: &[T], focus: &mut [T], workspace: &mut Workspace<T>) {
         let (n, m) = (self.sampling.samples, self.sampling.pixels);
         let (half, harmonics) = (n / 2, m / 2 + 1);
-        let [even, odd, middle, c, s] = areas(&mut workspace.real, self.sizes());
+        let [even, odd, middle, c, s, panel] = areas(&mut workspace.real, self.sizes());
         // Along y: rows of 2n (real parts, imaginary parts) are folded in pairs.
         fold_rows(pupil, even, odd, 2 * n, half);
-        product(harmonics, 2 * n, half, (&self.cos, half, 1), (even, 2 * n, 1), c);
-        product(harmonics, 2 * n, half, (&self.sin, half, 1), (odd, 2 * n, 1), s);
+        product((harmonics, half, 2 * n), &self.cos, even, c, panel);
+        product((harmonics, half, 2 * n), &self.sin, odd, s, panel);
         unfold_rows(c, s, middle, n, m);
         // Along x: 2m rows (real parts and imaginary parts of each pixel row) of n are folded end to end.
         fold_columns(middle, even, odd, 2 * m, n);
-        product(2 * m, harmonics, half, (even, half, 1), (&self.cos, 1, half), c);
-        product(2 * m, harmonics, half, (odd, half, 1), (&self.sin, 1, half), s);
+        product((2 * m, half, harmonics), even, &self.cos_across, c, panel);
+        product((2 * m, half, harmonics), odd, &self.sin_across, s, panel);
         unfold_columns(c, s, focus, m);
     }
 
@@ -72,19 +77,19 @@ impl<T: Real> MatrixTransform<T> {
     pub(super) fn adjoint(&self, focus: &[T], pupil: &mut [T], workspace: &mut Workspace<T>) {
         let (n, m) = (self.sampling.samples, self.sampling.pixels);
         let (half, harmonics) = (n / 2, m / 2 + 1);
-        let [even, odd, middle, c, s] = areas(&mut workspace.real, self.sizes());
+        let [even, odd, middle, c, s, panel] = areas(&mut workspace.real, self.sizes());
         unfold_columns_adjoint(focus, even, odd, m);
-        product(2 * m, half, harmonics, (even, harmonics, 1), (&self.cos, half, 1), c);
-        product(2 * m, half, harmonics, (odd, harmonics, 1), (&self.sin, half, 1), s);
+        product((2 * m, harmonics, half), even, &self.cos, c, panel);
+        product((2 * m, harmonics, half), odd, &self.sin, s, panel);
         fold_columns_adjoint(c, s, middle, m, n);
         unfold_rows_adjoint(middle, even, odd, n, m);
-        product(half, 2 * n, harmonics, (&self.cos, 1, half), (even, 2 * n, 1), c);
-        product(half, 2 * n, harmonics, (&self.sin, 1, half), (odd, 2 * n, 1), s);
+        product((half, harmonics, 2 * n), &self.cos_across, even, c, panel);
+        product((half, harmonics, 2 * n), &self.sin_across, odd, s, panel);
         fold_rows_adjoint(c, s, pupil, n);
     }
 }
 
-fn areas<T>(memory: &mut [T], sizes: [usize; 5]) -> [&mut [T]; 5] {
+fn areas<T>(memory: &mut [T], sizes: [usize; 6]) -> [&mut [T]; 6] {
     let mut rest = memory;
     sizes.map(|size| {
         let (area, tail) = std::mem::take(&mut rest).split_at_mut(size);
@@ -93,26 +98,17 @@ fn areas<T>(memory: &mut [T], sizes: [usize; 5]) -> [&mut [T]; 5] {
     })
 }
 
-/// `out[rows × cols] = left[rows × depth] · right[depth × cols]`; operands as (data, row stride, column stride).
+/// `out[rows × cols] = left[rows × depth] · right[depth × cols]`, all row-major.
+#[inline(always)]
 fn product<T: Real>(
-    rows: usize,
-    cols: usize,
-    depth: usize,
-    left: (&[T], usize, usize),
-    right: (&[T], usize, usize),
+    (rows, depth, cols): (usize, usize, usize),
+    left: &[T],
+    right: &[T],
     out: &mut [T],
+    panel: &mut [T],
 ) {
-    let out = MatMut::from_row_major_slice_mut(&mut out[..rows * cols], rows, cols);
-    matmul(out, Accum::Replace, strided(left, rows, depth), strided(right, depth, cols), T::one(), Par::Seq);
-}
-
-/// A matrix over a slice whose rows or columns are contiguous: (data, row stride, column stride).
-fn strided<T: Real>((data, row, column): (&[T], usize, usize), rows: usize, columns: usize) -> MatRef<'_, T> {
-    if column == 1 {
-        MatRef::from_row_major_slice(&data[..rows * row], rows, row).get(.., ..columns)
-    } else {
-        MatRef::from_column_major_slice(&data[..columns * column], column, columns).get(..rows, ..)
-    }
+    let (left, right) = (&left[..rows * depth], &right[..depth * cols]);
+    T::product(&Factors { left, right, rows, depth, cols }, &mut out[..rows * cols], panel);
 }
 
 /// even[j] = row(n/2 + j) + row(n/2 − 1 − j), odd[j] = their difference.

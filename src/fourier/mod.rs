@@ -13,15 +13,17 @@
 pub mod definition;
 mod fft;
 mod matrix;
+mod product;
 
 pub use fft::FftTransform;
 pub use matrix::MatrixTransform;
+pub use product::{Factors, Product};
 
 use crate::{Error, Result};
 
 /// The floating-point types that the chains run in.
 pub trait Real:
-    faer::traits::RealField + num_traits::Float + num_traits::FloatConst + rustfft::FftNum + Default
+    Product + num_traits::Float + num_traits::FloatConst + num_traits::NumAssign + rustfft::FftNum + Default
 {
     /// `value` in this precision.
     fn of(value: f64) -> Self;

@@ -1,8 +1,10 @@
-//! The simulator from C, C++, Python and Octave. Each program provokes what can go wrong, then dumps what the simulator
-//! shows after some frames; the dump must be what Rust sees, to the last bit.
+//! The simulator from C, C++, Python and Octave, and all else from C (`c`). Each program of the simulator provokes what can
+//! go wrong, then dumps what it shows after some frames; the dump must be what Rust sees, to the last bit.
 //!
 //! Where a language is not installed its test says so and passes, unless `COPHASE_REQUIRE_PYTHON=1` or
 //! `COPHASE_REQUIRE_OCTAVE=1`, which `scripts/test` sets where it is, and in CI.
+
+mod c;
 
 use cophase::ao::Stepper;
 use cophase::scene::Scene;
@@ -12,6 +14,7 @@ use std::process::Command;
 
 mod fits;
 mod octave;
+mod python;
 
 /// Enough for the loop to have closed.
 const FRAMES: u64 = 300;
@@ -85,25 +88,10 @@ fn is_here(program: &str, arguments: &[&str], variable: &str) -> bool {
     here
 }
 
-fn compiled(compiler: &str, standard: &[&str]) {
+fn compiled(compiler: &str, language: &[&str]) {
     let directory = tempfile::tempdir().unwrap();
-    let program = directory.path().join("simulator");
-    let output = Command::new(compiler)
-        .args(standard)
-        .args(["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
-        .arg(root().join("include"))
-        .arg(here().join("simulator.c"))
-        // What follows is a library again, whatever language the source was said to be.
-        .args(["-x", "none", "-L"])
-        .arg(libraries())
-        .arg("-lcophase")
-        .arg(format!("-Wl,-rpath,{}", libraries().display()))
-        .arg("-o")
-        .arg(&program)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{compiler}: {}", String::from_utf8_lossy(&output.stderr));
-    dumps_the_same(Command::new(&program), &[]);
+    let program = c::compile((compiler, language), &here().join("simulator.c"), directory.path());
+    dumps_the_same(c::command(&program), &[]);
 }
 
 #[test]
@@ -116,24 +104,6 @@ fn cpp17() {
     if is_here("c++", &["--version"], "CI") {
         compiled("c++", &["-std=c++17", "-x", "c++"]);
     }
-}
-
-#[test]
-fn python() {
-    let python = std::env::var("COPHASE_PYTHON").unwrap_or("python3".into());
-    if is_here(&python, &["-c", "import numpy, cffi"], "COPHASE_REQUIRE_PYTHON") {
-        let mut command = Command::new(python);
-        command.env("PYTHONPATH", root().join("bindings/python")).env("PYTHONDONTWRITEBYTECODE", "1");
-        command.env("COPHASE_LIBRARY", library()).arg(here().join("simulator.py"));
-        dumps_the_same(command, &[]);
-    }
-}
-
-#[test]
-fn the_python_package_has_the_version_of_the_crate() {
-    let project = std::fs::read_to_string(root().join("bindings/python/pyproject.toml")).unwrap();
-    let version = format!("\nversion = \"{}\"\n", env!("CARGO_PKG_VERSION"));
-    assert!(project.contains(&version), "bindings/python/pyproject.toml lacks {version}");
 }
 
 #[test]

@@ -130,7 +130,7 @@ static void without_a_simulator(const char *scene)
     CHECK(cophase_simulator_slope_count(NULL, &size) == COPHASE_BAD_ARGUMENT && size == 7);
     CHECK(cophase_simulator_actuator_count(NULL, &size) == COPHASE_BAD_ARGUMENT && size == 7);
     CHECK(cophase_simulator_residual_samples(NULL, &size) == COPHASE_BAD_ARGUMENT && size == 7);
-    CHECK(cophase_simulator_image_pixels(NULL, &size) == COPHASE_BAD_ARGUMENT && size == 7);
+    CHECK(cophase_simulator_image_shape(NULL, &size, &size) == COPHASE_BAD_ARGUMENT && size == 7);
     CHECK(cophase_simulator_truth_samples(NULL, &size) == COPHASE_BAD_ARGUMENT && size == 7);
     CHECK(cophase_simulator_slopes_mas(NULL, &value, 1) == COPHASE_BAD_ARGUMENT);
     CHECK(cophase_simulator_commands_nm(NULL, &value, 1) == COPHASE_BAD_ARGUMENT);
@@ -141,11 +141,12 @@ static void without_a_simulator(const char *scene)
 }
 
 /* What asks for a frame before there is one. */
-static void before_the_first_frame(cophase_simulator *simulator, size_t slopes, size_t samples, size_t pixels)
+static void before_the_first_frame(cophase_simulator *simulator, size_t slopes, size_t samples, size_t rows,
+                                   size_t cols)
 {
-    float *memory = floats(slopes + samples * samples + pixels * pixels);
+    float *memory = floats(slopes + samples * samples + rows * cols);
     cophase_array_f32 residual = c_order(memory, 1, samples, samples);
-    cophase_array_f32 image = c_order(memory, 1, pixels, pixels);
+    cophase_array_f32 image = c_order(memory, 1, rows, cols);
     double number = 7.0;
 
     CHECK(cophase_simulator_slopes_mas(simulator, memory, slopes) == COPHASE_BAD_VALUE);
@@ -157,10 +158,10 @@ static void before_the_first_frame(cophase_simulator *simulator, size_t slopes, 
     free(memory);
 }
 
-static void bad_outputs(cophase_simulator *simulator, size_t slopes, size_t actuators, size_t pixels)
+static void bad_outputs(cophase_simulator *simulator, size_t slopes, size_t actuators, size_t rows, size_t cols)
 {
-    float *memory = floats(slopes + actuators + pixels * pixels + 1);
-    const cophase_array_f32 good = c_order(memory, 1, pixels, pixels);
+    float *memory = floats(slopes + actuators + rows * cols + 1);
+    const cophase_array_f32 good = c_order(memory, 1, rows, cols);
     cophase_array_f32 bad;
 
     CHECK(cophase_simulator_slopes_mas(simulator, memory, slopes - 1) == COPHASE_BAD_SHAPE);
@@ -172,7 +173,8 @@ static void bad_outputs(cophase_simulator *simulator, size_t slopes, size_t actu
     CHECK(cophase_simulator_commands_nm(simulator, NULL, actuators) == COPHASE_BAD_ARGUMENT);
     CHECK(cophase_simulator_frames(simulator, NULL) == COPHASE_BAD_ARGUMENT);
     CHECK(cophase_simulator_residual_rms_nm(simulator, NULL) == COPHASE_BAD_ARGUMENT);
-    CHECK(cophase_simulator_image_pixels(simulator, NULL) == COPHASE_BAD_ARGUMENT);
+    CHECK(cophase_simulator_image_shape(simulator, NULL, &cols) == COPHASE_BAD_ARGUMENT);
+    CHECK(cophase_simulator_image_shape(simulator, &rows, NULL) == COPHASE_BAD_ARGUMENT);
 
     CHECK(cophase_simulator_image_e(simulator, NULL) == COPHASE_BAD_ARGUMENT);
     bad = good, bad.data = NULL;
@@ -182,7 +184,7 @@ static void bad_outputs(cophase_simulator *simulator, size_t slopes, size_t actu
     CHECK(cophase_simulator_image_e(simulator, &bad) == COPHASE_BAD_ARGUMENT);
     bad = good, bad.count = 0;
     CHECK(cophase_simulator_image_e(simulator, &bad) == COPHASE_BAD_SHAPE);
-    bad = good, bad.rows = pixels + 1;
+    bad = good, bad.rows = rows + 1;
     CHECK(cophase_simulator_image_e(simulator, &bad) == COPHASE_BAD_SHAPE);
     bad = good, bad.cols = (size_t)-1;
     CHECK(cophase_simulator_residual_nm(simulator, &bad) == COPHASE_BAD_SHAPE);
@@ -190,7 +192,7 @@ static void bad_outputs(cophase_simulator *simulator, size_t slopes, size_t actu
     bad = good, bad.row_stride = 0;
     CHECK(cophase_simulator_image_e(simulator, &bad) == COPHASE_BAD_ARGUMENT);
     CHECK(last_error_says("overlap"));
-    bad = good, bad.row_stride = 1 - (ptrdiff_t)pixels;
+    bad = good, bad.row_stride = 1 - (ptrdiff_t)cols;
     CHECK(cophase_simulator_image_e(simulator, &bad) == COPHASE_BAD_ARGUMENT);
     bad = good, bad.row_stride = PTRDIFF_MAX;
     CHECK(cophase_simulator_image_e(simulator, &bad) == COPHASE_BAD_ARGUMENT);
@@ -202,41 +204,41 @@ static void bad_outputs(cophase_simulator *simulator, size_t slopes, size_t actu
 }
 
 /* The same image, turned over, in columns, and in every other element of a larger array. */
-static void strides(cophase_simulator *simulator, const float *image, size_t pixels)
+static void strides(cophase_simulator *simulator, const float *image, size_t rows, size_t cols)
 {
-    const size_t count = pixels * pixels;
+    const size_t count = rows * cols;
     float *memory = floats(4 * count);
-    cophase_array_f32 out = c_order(memory, 1, pixels, pixels);
+    cophase_array_f32 out = c_order(memory, 1, rows, cols);
     size_t x, y, untouched = 0;
 
     out.data = memory + count - 1;
-    out.row_stride = -(ptrdiff_t)pixels;
+    out.row_stride = -(ptrdiff_t)cols;
     out.col_stride = -1;
     CHECK(cophase_simulator_image_e(simulator, &out) == COPHASE_OK);
-    for (y = 0; y < pixels; y++)
-        for (x = 0; x < pixels; x++)
-            CHECK(memory[count - 1 - (y * pixels + x)] == image[y * pixels + x]);
+    for (y = 0; y < rows; y++)
+        for (x = 0; x < cols; x++)
+            CHECK(memory[count - 1 - (y * cols + x)] == image[y * cols + x]);
 
     out.data = memory;
     out.row_stride = 1;
-    out.col_stride = (ptrdiff_t)pixels;
+    out.col_stride = (ptrdiff_t)rows;
     CHECK(cophase_simulator_image_e(simulator, &out) == COPHASE_OK);
-    for (y = 0; y < pixels; y++)
-        for (x = 0; x < pixels; x++)
-            CHECK(memory[x * pixels + y] == image[y * pixels + x]);
+    for (y = 0; y < rows; y++)
+        for (x = 0; x < cols; x++)
+            CHECK(memory[x * rows + y] == image[y * cols + x]);
     CHECK(memory[1] != image[1] && memory[count] == UNTOUCHED);
 
     for (x = 0; x < count; x++)
         memory[x] = UNTOUCHED;
-    out.row_stride = (ptrdiff_t)(4 * pixels);
+    out.row_stride = (ptrdiff_t)(4 * cols);
     out.col_stride = 2;
     CHECK(cophase_simulator_image_e(simulator, &out) == COPHASE_OK);
-    for (y = 0; y < 2 * pixels; y++)
-        for (x = 0; x < 2 * pixels; x++) {
+    for (y = 0; y < 2 * rows; y++)
+        for (x = 0; x < 2 * cols; x++) {
             if (x % 2 == 0 && y % 2 == 0)
-                CHECK(memory[y * 2 * pixels + x] == image[y / 2 * pixels + x / 2]);
+                CHECK(memory[y * 2 * cols + x] == image[y / 2 * cols + x / 2]);
             else
-                untouched += memory[y * 2 * pixels + x] == UNTOUCHED;
+                untouched += memory[y * 2 * cols + x] == UNTOUCHED;
         }
     CHECK(untouched == 3 * count);
     free(memory);
@@ -245,7 +247,7 @@ static void strides(cophase_simulator *simulator, const float *image, size_t pix
 int main(int argc, char **argv)
 {
     cophase_simulator *simulator = NULL;
-    size_t slopes = 0, actuators = 0, samples = 0, pixels = 0, maps = 0, total;
+    size_t slopes = 0, actuators = 0, samples = 0, rows = 0, cols = 0, maps = 0, total;
     uint64_t wanted, frames = 7;
     double rms_nm = 0.0, frame_s = 0.0, divergence_s = 0.0;
     float *all, *commands, *residual, *image, *truth;
@@ -266,11 +268,11 @@ int main(int argc, char **argv)
     CHECK(cophase_simulator_slope_count(simulator, &slopes) == COPHASE_OK);
     CHECK(cophase_simulator_actuator_count(simulator, &actuators) == COPHASE_OK);
     CHECK(cophase_simulator_residual_samples(simulator, &samples) == COPHASE_OK);
-    CHECK(cophase_simulator_image_pixels(simulator, &pixels) == COPHASE_OK);
+    CHECK(cophase_simulator_image_shape(simulator, &rows, &cols) == COPHASE_OK);
     CHECK(cophase_simulator_truth_samples(simulator, &maps) == COPHASE_OK);
-    CHECK(samples == 80 && pixels == 48 && maps == 60);
+    CHECK(samples == 80 && rows == 40 && cols == 48 && maps == 60);
     CHECK(cophase_simulator_frames(simulator, &frames) == COPHASE_OK && frames == 0);
-    before_the_first_frame(simulator, slopes, samples, pixels);
+    before_the_first_frame(simulator, slopes, samples, rows, cols);
 
     CHECK(cophase_simulator_step(simulator, 0) == COPHASE_OK);
     CHECK(cophase_simulator_step(simulator, 1) == COPHASE_OK);
@@ -280,23 +282,23 @@ int main(int argc, char **argv)
     CHECK(cophase_simulator_residual_rms_nm(simulator, &rms_nm) == COPHASE_OK && rms_nm > 0.0);
     CHECK(cophase_simulator_divergence_s(simulator, &divergence_s) == COPHASE_OK);
     CHECK(divergence_s != divergence_s);
-    bad_outputs(simulator, slopes, actuators, pixels);
+    bad_outputs(simulator, slopes, actuators, rows, cols);
 
-    total = slopes + actuators + samples * samples + pixels * pixels + 2 * maps * maps;
+    total = slopes + actuators + samples * samples + rows * cols + 2 * maps * maps;
     all = floats(total);
     commands = all + slopes;
     residual = commands + actuators;
     image = residual + samples * samples;
-    truth = image + pixels * pixels;
+    truth = image + rows * cols;
     residual_out = c_order(residual, 1, samples, samples);
-    image_out = c_order(image, 1, pixels, pixels);
+    image_out = c_order(image, 1, rows, cols);
     truth_out = c_order(truth, 2, maps, maps);
     CHECK(cophase_simulator_slopes_mas(simulator, all, slopes) == COPHASE_OK);
     CHECK(cophase_simulator_commands_nm(simulator, commands, actuators) == COPHASE_OK);
     CHECK(cophase_simulator_residual_nm(simulator, &residual_out) == COPHASE_OK);
     CHECK(cophase_simulator_image_e(simulator, &image_out) == COPHASE_OK);
     CHECK(cophase_simulator_truth_nm(simulator, &truth_out) == COPHASE_OK);
-    strides(simulator, image, pixels);
+    strides(simulator, image, rows, cols);
     cophase_simulator_destroy(simulator);
 
     dump = fopen(argv[3], "wb");

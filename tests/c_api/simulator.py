@@ -1,6 +1,6 @@
 """The simulator through the Python package; run by tests/c_api/main.rs, see there:
 
-    python3 simulator.py SCENE.toml FRAMES DUMP
+python3 simulator.py SCENE.toml FRAMES DUMP
 """
 
 import sys
@@ -8,7 +8,8 @@ import threading
 
 import cophase
 import numpy as np
-from cophase._library import check, lib, view
+from cophase._arrays import view
+from cophase._library import check, lib
 
 
 def failure(call):

@@ -192,14 +192,14 @@ void options(int inputs, const mxArray **in, const char *const *names, const mxA
     }
 }
 
-mxArray *maps(size_t side, size_t count, cophase_array_f32 *view)
+mxArray *maps(size_t rows, size_t cols, size_t count, cophase_array_f32 *view)
 {
-    const mwSize extents[3] = {side, side, count};
+    const mwSize extents[3] = {rows, cols, count};
     mxArray *stack = mxCreateNumericArray(3, extents, mxSINGLE_CLASS, mxREAL);
 
     view->data = (float *)mxGetData(stack);
-    view->count = count, view->rows = side, view->cols = side;
-    view->count_stride = (ptrdiff_t)(side * side), view->row_stride = 1, view->col_stride = (ptrdiff_t)side;
+    view->count = count, view->rows = rows, view->cols = cols;
+    view->count_stride = (ptrdiff_t)(rows * cols), view->row_stride = 1, view->col_stride = (ptrdiff_t)rows;
     return stack;
 }
 

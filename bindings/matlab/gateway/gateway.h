@@ -57,7 +57,7 @@ void options(int inputs, const mxArray **in, const char *const *names, const mxA
 /* ---- results (arguments.c) */
 
 /* Single maps (y, x, k) of `side` x `side` samples, and the library's view of them. */
-mxArray *maps(size_t side, size_t count, cophase_array_f32 *view);
+mxArray *maps(size_t rows, size_t cols, size_t count, cophase_array_f32 *view);
 
 /* Sets a field of element `index` of a struct array. */
 void set_number(mxArray *record, size_t index, const char *field, double value);

@@ -109,7 +109,7 @@ static mxArray *made(const mxArray **in, size_t count, size_call *size, maps_cal
     cophase_array_f32 view;
 
     check(size((const cophase_model *)model->object, &side));
-    result = maps(side, count, &view);
+    result = maps(side, side, count, &view);
     check(call((const cophase_model *)model->object, coefficients_nm, model->modes, &view));
     return result;
 }

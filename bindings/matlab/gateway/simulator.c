@@ -38,7 +38,7 @@ static mxArray *stack(const mxArray *simulator, size_t count, size_call *size, m
     cophase_array_f32 view;
 
     check(size(simulator_of(simulator), &side));
-    result = maps(side, count, &view);
+    result = maps(side, side, count, &view);
     check(call(simulator_of(simulator), &view));
     return result;
 }
@@ -74,9 +74,15 @@ static void do_frames(int outputs, mxArray **out, int inputs, const mxArray **in
     out[0] = mxCreateDoubleScalar((double)frames);
 }
 
-static cophase_status image_e(const cophase_simulator *simulator, const cophase_array_f32 *out)
+static void do_image_e(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    return cophase_simulator_image_e((cophase_simulator *)simulator, out);
+    cophase_simulator *simulator = simulator_of(in[0]);
+    size_t rows, cols;
+    cophase_array_f32 view;
+
+    check(cophase_simulator_image_shape(simulator, &rows, &cols));
+    out[0] = maps(rows, cols, 1, &view);
+    check(cophase_simulator_image_e(simulator, &view));
 }
 
 /* A command that takes a simulator and returns one value. */
@@ -89,7 +95,6 @@ GET(residual_rms_nm, scalar(in[0], cophase_simulator_residual_rms_nm))
 GET(slopes_mas, values(in[0], cophase_simulator_slope_count, cophase_simulator_slopes_mas))
 GET(commands_nm, values(in[0], cophase_simulator_actuator_count, cophase_simulator_commands_nm))
 GET(residual_nm, stack(in[0], 1, cophase_simulator_residual_samples, cophase_simulator_residual_nm))
-GET(image_e, stack(in[0], 1, cophase_simulator_image_pixels, image_e))
 GET(truth_nm, stack(in[0], 2, cophase_simulator_truth_samples, cophase_simulator_truth_nm))
 
 const command SIMULATOR_COMMANDS[] = {

@@ -3,6 +3,8 @@
 The declarations are read from ``cophase.h`` itself, so there is no second copy of them that could drift.
 """
 
+from __future__ import annotations
+
 import os
 import re
 import sys
@@ -10,20 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import cffi
-import numpy as np
-from numpy.typing import NDArray
+
+from .errors import Error
 
 _HERE = Path(__file__).resolve().parent
 _ROOT = _HERE.parents[2]
 _NAME = {"darwin": "libcophase.dylib", "win32": "cophase.dll"}.get(sys.platform, "libcophase.so")
-
-
-class Error(RuntimeError):
-    """A call that failed: the library's own sentence, and the name of its status, such as ``BAD_SCENE``."""
-
-    def __init__(self, status: str, sentence: str) -> None:
-        super().__init__(sentence)
-        self.status = status
 
 
 def _find(variable: str, *places: Path) -> Path:
@@ -43,7 +37,7 @@ def _declarations(header: str) -> str:
     return re.sub(r"^#(?!define \w+ \d+$).*$", "", header, flags=re.MULTILINE)
 
 
-ffi = cffi.FFI()
+ffi: Any = cffi.FFI()
 ffi.cdef(_declarations(_find("COPHASE_HEADER", _HERE / "cophase.h", _ROOT / "include/cophase.h").read_text("utf-8")))
 # Beside this file where a package was installed; in a source tree, what cargo built.
 lib: Any = ffi.dlopen(
@@ -54,20 +48,30 @@ if lib.cophase_abi_version() != lib.COPHASE_ABI_VERSION:
         f"libcophase has C interface {lib.cophase_abi_version()}: {lib.COPHASE_ABI_VERSION} is what its header has"
     )
 
+_ERRORS = {kind.status: kind for kind in Error.__subclasses__()}
+
+
+def words(text: Any) -> str:
+    """A string of the library's."""
+    return ffi.string(text).decode(errors="replace")
+
 
 def version() -> str:
     """Version of the library."""
-    return ffi.string(lib.cophase_version()).decode()
+    return words(lib.cophase_version())
 
 
 def check(status: int) -> None:
-    """Raises :class:`Error` unless a call succeeded. To be called on the thread that made the call."""
-    if status != lib.COPHASE_OK:
-        length = lib.cophase_last_error(ffi.NULL, 0)
-        sentence = ffi.new("char[]", length + 1)
-        lib.cophase_last_error(sentence, length + 1)
-        name = ffi.string(lib.cophase_status_name(status)).decode()
-        raise Error(name, ffi.string(sentence).decode(errors="replace"))
+    """Raises the :class:`Error` of a status, unless a call succeeded. To be called on the thread that made the call."""
+    if status == lib.COPHASE_OK:
+        return
+    length = lib.cophase_last_error(ffi.NULL, 0)
+    sentence = ffi.new("char[]", length + 1)
+    lib.cophase_last_error(sentence, length + 1)
+    name = words(lib.cophase_status_name(status))
+    error = _ERRORS.get(name, Error)(words(sentence))
+    error.status = name
+    raise error
 
 
 def scalar(kind: str, call: Any, *inputs: Any) -> Any:
@@ -77,10 +81,45 @@ def scalar(kind: str, call: Any, *inputs: Any) -> Any:
     return out[0]
 
 
-def view(array: NDArray[np.float32]) -> Any:
-    """A stack ``[count, y, x]``, as the library sees it: the same memory, whatever its strides."""
-    out = ffi.new("cophase_array_f32 *")
-    out.data = ffi.cast("float *", array.ctypes.data)
-    out.count, out.rows, out.cols = array.shape
-    out.count_stride, out.row_stride, out.col_stride = (stride // array.itemsize for stride in array.strides)
+def extents(call: Any, *inputs: Any) -> tuple[int, int]:
+    """The rows and columns that ``call`` puts into its last two arguments."""
+    rows, cols = ffi.new("size_t *"), ffi.new("size_t *")
+    check(call(*inputs, rows, cols))
+    return rows[0], cols[0]
+
+
+def text_of(call: Any, *inputs: Any) -> str:
+    """What ``call`` writes as a text: its last arguments are room for it, the size of that room, and its length."""
+    length = ffi.new("size_t *")
+    check(call(*inputs, ffi.NULL, 0, length))
+    room = ffi.new("char[]", length[0] + 1)
+    check(call(*inputs, room, len(room), length))
+    return words(room)
+
+
+def text(name: str, value: str | os.PathLike[str]) -> bytes:
+    """A text of the caller's as C has it."""
+    value = os.fspath(value)
+    if not isinstance(value, str):
+        raise TypeError(f"{name} is a {type(value).__name__}: a str is accepted")
+    if "\0" in value:
+        raise ValueError(f"{name} has a zero character in place {value.index(chr(0))}: text without is accepted")
+    return value.encode()
+
+
+def folder(directory: str | os.PathLike[str] | None) -> Any:
+    """A folder of the caller's; NULL is the working directory."""
+    return ffi.NULL if directory is None else text("directory", directory)
+
+
+def options(kind: str, **fields: Any) -> Any:
+    """A struct of options with the library's own defaults, but for the fields that are not ``None``."""
+    out = ffi.new(f"{kind} *")
+    check(getattr(lib, f"{kind}_init")(out, ffi.sizeof(kind)))
+    for name, value in fields.items():
+        if value is not None:
+            try:
+                setattr(out, name, value)
+            except (OverflowError, TypeError) as error:
+                raise type(error)(f"{name} is {value!r}: {error}") from None
     return out

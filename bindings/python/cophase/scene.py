@@ -1,8 +1,8 @@
 """Scenes."""
 
-from ._library import ffi, lib, scalar
+from ._library import lib, scalar, text, words
 
 
 def preset(name: str) -> str:
     """The text of a scene that comes with the library: ``keck-artificial`` or ``keck-onsky``."""
-    return ffi.string(scalar("const char *", lib.cophase_scene_preset, name.encode())).decode()
+    return words(scalar("const char *", lib.cophase_scene_preset, text("name", name)))

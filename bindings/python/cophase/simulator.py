@@ -1,53 +1,39 @@
 """The simulator of adaptive optics."""
 
+from __future__ import annotations
+
 import math
 import os
-from types import TracebackType
-from typing import Any, Optional, Union
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._library import check, ffi, lib, scalar, view
+from ._arrays import maps
+from ._handle import Handle
+from ._library import check, extents, ffi, folder, lib, scalar, text
 
 #: Frames between two looks at Ctrl-C: some tens of milliseconds.
 _FRAMES_AT_ONCE = 256
 
 
-class Simulator:
+class Simulator(Handle):
     """A simulated AO system under a sky: turbulence, wavefront sensor, deformable mirror, control, science camera.
 
     What it shows is of the frame made last; :class:`cophase.Error` before the first. Every look returns a new array.
     One thread at a time; the same scene gives the same bits as in every other language.
     """
 
-    def __init__(self, scene_text: str, directory: Union[str, "os.PathLike[str]", None] = None) -> None:
+    def __init__(self, scene_text: str, directory: str | os.PathLike[str] | None = None) -> None:
         """Builds the system of a scene (TOML), which takes about a second at the size of Keck.
 
         ``directory`` is where the files are looked for that the scene names; without it, the working directory.
         """
-        # So that close() works on what was never made.
-        self._handle: Any = ffi.NULL
-        folder = ffi.NULL if directory is None else os.fspath(directory).encode()
-        made = scalar("cophase_simulator *", lib.cophase_simulator_create, scene_text.encode(), folder)
-        self._handle = ffi.gc(made, lib.cophase_simulator_destroy)
+        create, destroy = lib.cophase_simulator_create, lib.cophase_simulator_destroy
+        self._own("cophase_simulator", destroy, create, text("scene_text", scene_text), folder(directory))
 
-    def close(self) -> None:
-        """Frees it now, and not when nobody refers to it any more. Every later use raises."""
-        handle, self._handle = self._handle, ffi.NULL
-        if handle != ffi.NULL:
-            ffi.release(handle)
-
-    def __enter__(self) -> "Simulator":
-        return self
-
-    def __exit__(
-        self,
-        kind: Optional[type[BaseException]],
-        error: Optional[BaseException],
-        traceback: Optional[TracebackType],
-    ) -> None:
-        self.close()
+    def _says(self) -> str:
+        return f"{self.frames} frames of {self.frame_s * 1e3:.3g} ms"
 
     def step(self, frames: int = 1) -> None:
         """Advances the loop by ``frames`` frames. One that diverges goes on: see :attr:`divergence_s`.
@@ -72,7 +58,7 @@ class Simulator:
         return scalar("double", lib.cophase_simulator_frame_s, self._handle)
 
     @property
-    def divergence_s(self) -> Optional[float]:
+    def divergence_s(self) -> float | None:
         """Time at which the loop was seen to diverge, s since it was closed; ``None`` while it has not."""
         seen_s = scalar("double", lib.cophase_simulator_divergence_s, self._handle)
         return None if math.isnan(seen_s) else seen_s
@@ -90,7 +76,8 @@ class Simulator:
     @property
     def residual_nm(self) -> NDArray[np.float32]:
         """The residual wavefront ``[y, x]``, nm; NaN where the pupil has no light."""
-        return self._maps(1, lib.cophase_simulator_residual_samples, lib.cophase_simulator_residual_nm)[0]
+        side = scalar("size_t", lib.cophase_simulator_residual_samples, self._handle)
+        return maps((side, side), lib.cophase_simulator_residual_nm, self._handle)
 
     @property
     def residual_rms_nm(self) -> float:
@@ -100,7 +87,8 @@ class Simulator:
     @property
     def image_e(self) -> NDArray[np.float32]:
         """The camera's defocused image ``[y, x]``, electrons, with the noise that the scene names."""
-        return self._maps(1, lib.cophase_simulator_image_pixels, lib.cophase_simulator_image_e)[0]
+        shape = extents(lib.cophase_simulator_image_shape, self._handle)
+        return maps(shape, lib.cophase_simulator_image_e, self._handle)
 
     @property
     def phasing_nm(self) -> NDArray[np.float32]:
@@ -113,15 +101,10 @@ class Simulator:
         return self._truth_nm()[1]
 
     def _truth_nm(self) -> NDArray[np.float32]:
-        return self._maps(2, lib.cophase_simulator_truth_samples, lib.cophase_simulator_truth_nm)
+        side = scalar("size_t", lib.cophase_simulator_truth_samples, self._handle)
+        return maps((2, side, side), lib.cophase_simulator_truth_nm, self._handle)
 
     def _values(self, size: Any, call: Any) -> NDArray[np.float32]:
         values = np.empty(scalar("size_t", size, self._handle), np.float32)
         check(call(self._handle, ffi.from_buffer("float[]", values), values.size))
         return values
-
-    def _maps(self, count: int, size: Any, call: Any) -> NDArray[np.float32]:
-        side = scalar("size_t", size, self._handle)
-        maps = np.empty((count, side, side), np.float32)
-        check(call(self._handle, view(maps)))
-        return maps

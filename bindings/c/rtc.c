@@ -1,0 +1,202 @@
+/* A real-time controller in small. One thread stands for the camera: it delivers frames at a set rate and never waits.
+ * The other estimates from them, and keeps a running estimate of what is static.
+ *
+ *   rtc [-r HZ] [-n COUNT] [-d DEVICE] [-t DEADLINE_MS] SCENE.toml FRAMES
+ *
+ * FRAMES is a FITS file of floats, such as `cophase image` writes, or shm:/NAME, shared memory full of frames of native
+ * floats; after its last frame comes the first again. DEVICE is one of those that `cophase devices` lists.
+ *
+ *   cc -std=c11 -O2 rtc.c -o rtc $(pkg-config --cflags --libs cophase) -pthread -lm
+ */
+#define _POSIX_C_SOURCE 200809L
+#include "frames.h"
+#include <cophase.h>
+#include <errno.h>
+#include <libgen.h>
+#include <math.h>
+#include <pthread.h>
+#include <semaphore.h>
+#include <stdatomic.h>
+#include <time.h>
+
+enum { SLOTS = 4, KEPT = 200 }; /* frames that may wait; images behind the running estimate */
+
+/* One thread writes, one reads, and each changes its own counter only: nobody needs a lock. */
+static struct {
+    struct { double arrived_s; float *pixels; } slots[SLOTS];
+    atomic_size_t written, read;
+    sem_t news;
+} queue;
+
+static struct cube cube;
+static double rate_hz = 10.0;
+static size_t count = 1000, dropped; /* frames */
+static size_t done, late;
+static double *latency_s; /* of each frame that was estimated */
+
+static void check(cophase_status status)
+{
+    char sentence[512];
+
+    cophase_last_error(sentence, sizeof sentence);
+    if (status != COPHASE_OK)
+        die("%s: %s", cophase_status_name(status), sentence);
+}
+
+static double now_s(void)
+{
+    struct timespec now;
+
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* The thread that calls this goes before all others but those of a higher priority: what bounds the latency. */
+static void ask_for_priority(int priority)
+{
+    const struct sched_param wanted = {.sched_priority = priority};
+    const int refused = pthread_setschedparam(pthread_self(), SCHED_FIFO, &wanted);
+
+    if (refused != 0)
+        fprintf(stderr, "rtc: SCHED_FIFO is refused (%s): other programs may delay a frame\n", strerror(refused));
+}
+
+/* Your frame grabber goes here. Nothing in it waits for the estimator: a frame that finds all slots taken is dropped. */
+static void *camera(void *unused)
+{
+    const double start_s = now_s();
+    size_t k;
+
+    ask_for_priority(41);
+    for (k = 0; k < count; k++) {
+        const double due_s = start_s + (double)k / rate_hz;
+        const struct timespec due = {(time_t)due_s, (long)(1e9 * fmod(due_s, 1.0))};
+        const size_t written = queue.written;
+
+        clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, NULL);
+        if (written - queue.read == SLOTS) {
+            dropped++;
+            continue;
+        }
+        queue.slots[written % SLOTS].arrived_s = now_s();
+        copy_frame(&cube, k, queue.slots[written % SLOTS].pixels);
+        queue.written = written + 1;
+        sem_post(&queue.news);
+    }
+    sem_post(&queue.news); /* news without a frame: there will be none */
+    return unused;
+}
+
+static void print_estimate(const cophase_sequence *sequence, double *coefficients_nm, size_t modes)
+{
+    cophase_sequence_report all;
+
+    /* BAD_IMAGE while none could be used. */
+    if (cophase_sequence_estimate(sequence, coefficients_nm, NULL, modes, &all, sizeof all) == COPHASE_OK)
+        printf("%llu of %llu images: phasing %.2f +- %.2f nm, NCPA %.2f +- %.2f nm RMS\n", (unsigned long long)all.used,
+               (unsigned long long)all.images, all.phasing_rms_nm, all.phasing_sigma_nm, all.ncpa_rms_nm,
+               all.ncpa_sigma_nm);
+    fflush(stdout);
+}
+
+/* Fits every frame that comes, until the camera is done. No allocation and no lock on the CPU chain, but for the print. */
+static void estimate(cophase_session *session, cophase_sequence *sequence, const cophase_fit_options *options,
+                     size_t modes)
+{
+    cophase_input frame = {NULL, COPHASE_F32, 1, cube.rows, cube.cols, 0, (ptrdiff_t)cube.cols, 1};
+    double *coefficients_nm = calloc(modes, sizeof *coefficients_nm), printed_s = now_s();
+
+    for (;;) {
+        const size_t next = queue.read;
+        cophase_report report;
+
+        while (sem_wait(&queue.news) != 0) {} /* a signal may end the wait early */
+        if (queue.written == next)
+            break;
+        frame.data = queue.slots[next % SLOTS].pixels;
+        check(cophase_session_fit(session, &frame, options, coefficients_nm, modes, &report, sizeof report));
+        check(cophase_sequence_push(sequence, session));
+        latency_s[done++] = now_s() - queue.slots[next % SLOTS].arrived_s;
+        late += report.status == COPHASE_IMAGE_DEADLINE;
+        queue.read = next + 1;
+        if (queue.written == next + 1 && now_s() - printed_s > 1.0) { /* no frame waits for the printer */
+            print_estimate(sequence, coefficients_nm, modes);
+            printed_s = now_s();
+        }
+    }
+    print_estimate(sequence, coefficients_nm, modes);
+    free(coefficients_nm);
+}
+
+static int ascending(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+
+    return (x > y) - (x < y);
+}
+
+static double latency_ms(double fraction)
+{
+    return 1e3 * latency_s[(size_t)(fraction * (double)(done - 1))];
+}
+
+int main(int argc, char **argv)
+{
+    const char *device_name = "cpu";
+    const unsigned char *bytes;
+    char *scene;
+    size_t i, length, modes, rows, cols;
+    cophase_device *device;
+    cophase_model *model;
+    cophase_session *session;
+    cophase_sequence *sequence;
+    cophase_fit_options options;
+    pthread_t thread;
+
+    check(cophase_fit_options_init(&options, sizeof options));
+    for (int option; (option = getopt(argc, argv, "r:n:d:t:")) != -1;)
+        switch (option) {
+        case 'r': rate_hz = atof(optarg); break;
+        case 'n': count = strtoul(optarg, NULL, 10); break;
+        case 'd': device_name = optarg; break;
+        case 't': options.deadline_s = 1e-3 * atof(optarg); break;
+        default: return 2;
+        }
+    if (argc - optind != 2 || !(rate_hz > 0.0) || count == 0)
+        die("usage: rtc [-r HZ] [-n COUNT] [-d DEVICE] [-t DEADLINE_MS] SCENE.toml FRAMES");
+
+    /* Whatever takes long or allocates comes before the first frame. */
+    bytes = mapped(argv[optind], &length);
+    scene = strndup((const char *)bytes, length);
+    check(cophase_model_create(scene, dirname(argv[optind]), &model));
+    free(scene);
+    check(cophase_device_open(device_name, &device));
+    check(cophase_session_create(device, model, NULL, &session));
+    check(cophase_sequence_create(model, KEPT, &sequence));
+    check(cophase_model_mode_count(model, &modes));
+    check(cophase_model_frame_shape(model, &rows, &cols));
+    cube = open_cube(argv[optind + 1], rows, cols);
+    latency_s = calloc(count, sizeof *latency_s);
+    for (i = 0; i < SLOTS; i++)
+        queue.slots[i].pixels = calloc(rows * cols, sizeof(float));
+    if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
+        fprintf(stderr, "rtc: memory is not locked (%s): page faults may delay a frame\n", strerror(errno));
+    ask_for_priority(40);
+    if (sem_init(&queue.news, 0, 0) != 0 || pthread_create(&thread, NULL, camera, NULL) != 0)
+        die("the camera's thread cannot be started");
+    estimate(session, sequence, &options, modes);
+    pthread_join(thread, NULL);
+
+    qsort(latency_s, done, sizeof *latency_s, ascending);
+    printf("%zu frames: %zu estimated, %zu dropped, %zu past the deadline\n", count, done, dropped, late);
+    printf("latency from arrival to estimate: p50 %.3f ms, p99 %.3f ms, max %.3f ms\n", latency_ms(0.5),
+           latency_ms(0.99), latency_ms(1.0));
+    cophase_sequence_destroy(sequence);
+    cophase_session_destroy(session);
+    cophase_device_close(device);
+    cophase_model_destroy(model);
+    for (i = 0; i < SLOTS; i++)
+        free(queue.slots[i].pixels);
+    free(latency_s);
+    return 0;
+}

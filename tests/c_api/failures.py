@@ -1,0 +1,156 @@
+"""What goes wrong, through the Python package: every exception, threads, Ctrl-C; run by tests/c_api/main.rs, see there:
+
+    python3 failures.py SCENE.toml [DEBUG]
+
+With DEBUG the library is one that fails on demand.
+"""
+
+import os
+import pickle
+import signal
+import sys
+import threading
+
+import cophase
+import numpy as np
+from cophase._library import lib, words
+from support import failure, stars
+
+#: More frames than are fitted before somebody else has looked: some seconds' worth.
+MANY = 3000
+
+
+def every_status_has_its_exception():
+    kinds = {}
+    for number in range(1, 100):
+        name = words(lib.cophase_status_name(number))
+        if name == "UNKNOWN":
+            break
+        (kinds[name],) = (kind for kind in cophase.Error.__subclasses__() if kind.status == name)
+        assert getattr(cophase, kinds[name].__name__) is kinds[name] and kinds[name].__name__ in cophase.__all__
+    assert len(kinds) == len(cophase.Error.__subclasses__()) == lib.COPHASE_PANIC
+    again = pickle.loads(pickle.dumps(cophase.BusyError("a sentence")))
+    assert type(again) is cophase.BusyError and str(again) == "a sentence" and again.status == "BUSY"
+
+
+def one_of_each(scene, model, session, frame):
+    """Those of one thread's misuse."""
+    error = failure(lambda: cophase.Model("[pupil]\napertur = 3\n"), cophase.BadSceneError)
+    assert error.status == "BAD_SCENE" and "apertur" in str(error)
+    absent = scene.replace('aperture = "hexagonal"', 'file = "no such.fits"').replace("rings    = 1", "")
+    assert "no such.fits" in str(failure(lambda: cophase.Model(absent, "/no such folder"), cophase.BadFileError))
+    failure(lambda: session.fit(frame[1:]), cophase.BadShapeError)
+    failure(lambda: session.evaluate(np.zeros(model.modes)), cophase.BadValueError)
+    failure(lambda: session.load(0 * frame), cophase.BadImageError)
+    failure(lambda: cophase.Session(model, device="opencl:9:9"), cophase.DeviceError)
+    closed = cophase.Session(model)
+    closed.close()
+    failure(closed.cancel, cophase.BadArgumentError)
+    session.cancel()
+    failure(lambda: session.fit(frame), cophase.Interrupted)
+    assert session.fit(frame).status == "OK"
+
+
+def faults(model, frame):
+    """An object is lost after a panic, and only that."""
+    session = cophase.Session(model)
+    os.environ["COPHASE_FAULT"] = "internal"
+    failure(lambda: session.fit(frame), cophase.InternalError)
+    os.environ["COPHASE_FAULT"] = "panic"
+    failure(lambda: session.fit(frame), cophase.PanicError)
+    del os.environ["COPHASE_FAULT"]
+    failure(lambda: session.fit(frame), cophase.PanicError)
+    session.close()
+    assert cophase.Session(model).fit(frame).status == "OK"
+
+
+def busy(session):
+    try:
+        session.message()
+    except cophase.BusyError:
+        return True
+    except cophase.BadValueError:  # no fit yet
+        pass
+    return False
+
+
+def threads(model, frame):
+    """Two on one session, one of which cancels; or closes it while it works, and the work goes on."""
+    session = cophase.Session(model, capacity=MANY)
+    many = np.broadcast_to(frame, (MANY, *frame.shape))
+    outcome = []
+
+    def fit():
+        try:
+            outcome.append(session.fit(many).status[-1])
+        except cophase.Error as error:
+            outcome.append(error.status)
+
+    def close():
+        handle = session._handle
+        session.close()
+        assert lib.cophase_session_cancel(handle) == lib.COPHASE_OK
+
+    for end in (session.cancel, close):
+        thread = threading.Thread(target=fit)
+        thread.start()
+        while thread.is_alive() and not busy(session):
+            pass
+        failure(lambda: session.fit(frame), cophase.BusyError)
+        failure(lambda: cophase.Sequence(model, 3).push(session), cophase.BusyError)
+        end()
+        thread.join()
+        assert outcome.pop() == "INTERRUPTED"
+    failure(lambda: session.fit(frame), cophase.BadArgumentError)
+
+
+def ctrl_c(model, frame):
+    """It stops a fit that runs, and nothing else."""
+    # Not so where a shell in the background has it ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    session = cophase.Session(model, capacity=MANY)
+
+    def press():
+        while not busy(session):
+            pass
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def stopped(call):
+        try:
+            call()
+        except KeyboardInterrupt:
+            return True
+        return False
+
+    thread = threading.Thread(target=press)
+    thread.start()
+    assert stopped(lambda: session.fit(np.broadcast_to(frame, (MANY, *frame.shape))))
+    thread.join()
+    assert session.fit(frame).status == "OK"
+
+    # Too late to stop anything: the fit is over when the signal comes.
+    calls = []
+
+    def call():
+        session.fit(frame, deadline_s=0.1)
+        calls.append(frame)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    assert stopped(lambda: session._interruptible(call)) and len(calls) == 1
+    assert session.fit(frame).status == "OK"
+
+
+def main(scene, debug=None):
+    with open(scene, encoding="utf-8") as file:
+        scene = file.read()
+    model = cophase.Model(scene)
+    frame = stars(model)[0][0]
+    every_status_has_its_exception()
+    one_of_each(scene, model, cophase.Session(model), frame)
+    if debug:
+        faults(model, frame)
+    threads(model, frame)
+    ctrl_c(model, frame)
+
+
+main(*sys.argv[1:])

@@ -1,0 +1,114 @@
+/* Handles that come and go leave nothing behind; see tests/c_api/main.rs:
+ *
+ *   lifetimes SCENE.toml TIMES
+ *
+ * From 10,000 times on, what is resident must not grow. Fewer are for tools that count leaks themselves, and that keep
+ * freed memory for a while. Linux only: what is resident is read from /proc. */
+#include "setting.h"
+
+static char *scene;
+static int counts; /* whether what is resident must not grow */
+
+/* Pages of 4 KiB or more. */
+static long resident_pages(void)
+{
+    FILE *statm = fopen("/proc/self/statm", "r");
+    long size = 0, resident = 0;
+
+    if (statm == NULL || fscanf(statm, "%ld %ld", &size, &resident) != 2)
+        exit(2);
+    fclose(statm);
+    return resident;
+}
+
+static void device(const struct setting *s)
+{
+    cophase_device *made = NULL;
+
+    (void)s;
+    CHECK(cophase_device_open("cpu", &made) == COPHASE_OK);
+    cophase_device_close(made);
+}
+
+static void sequence(const struct setting *s)
+{
+    cophase_sequence *made = NULL;
+
+    CHECK(cophase_sequence_create(s->model, 8, &made) == COPHASE_OK);
+    CHECK(cophase_sequence_push(made, s->session) == COPHASE_OK);
+    cophase_sequence_destroy(made);
+}
+
+static void session(const struct setting *s)
+{
+    cophase_session_destroy(session_for(s->model, 1));
+}
+
+/* A session that works once. */
+static void working_session(const struct setting *s)
+{
+    const cophase_input frames = frames_of(s, 1);
+    cophase_session *made = session_for(s->model, 1);
+
+    CHECK(cophase_session_fit(made, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
+    cophase_session_destroy(made);
+}
+
+static void model(const struct setting *s)
+{
+    cophase_model *made = NULL;
+
+    (void)s;
+    CHECK(cophase_model_create(scene, NULL, &made) == COPHASE_OK);
+    cophase_model_destroy(made);
+}
+
+static void refused_model(const struct setting *s)
+{
+    cophase_model *made = NULL;
+
+    (void)s;
+    CHECK(cophase_model_create("[pupil]\napertur = 3\n", NULL, &made) == COPHASE_BAD_SCENE);
+}
+
+/* Doing it `times` times leaves the memory flat: a tenth of that comes first, for what is made once and kept. */
+static void repeat(const char *what, void (*once)(const struct setting *), const struct setting *s, long times)
+{
+    long i, before = 0, grown;
+
+    for (i = -times / 10; i < times; i++) {
+        if (i == 0)
+            before = resident_pages();
+        once(s);
+    }
+    grown = resident_pages() - before;
+    printf("%s: %ld times, %ld pages more\n", what, times, grown);
+    /* Half a megabyte: 10,000 leaks of 53 bytes would be more. */
+    CHECK(!counts || grown < 128);
+}
+
+int main(int argc, char **argv)
+{
+    struct setting s;
+    cophase_input frames;
+    size_t size;
+    long times;
+
+    if (argc != 3)
+        return 2;
+    scene = read_file(argv[1], &size);
+    times = strtol(argv[2], NULL, 10);
+    counts = times >= 10000;
+    s = setting_of(scene);
+    frames = frames_of(&s, COUNT);
+    CHECK(cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0) == COPHASE_OK);
+    repeat("device", device, &s, times);
+    repeat("sequence", sequence, &s, times);
+    repeat("refused model", refused_model, &s, times);
+    repeat("model", model, &s, times / 100 + 1); /* a leak of 5 kB would show: each takes 50 ms */
+    repeat("session", session, &s, times);
+    repeat("session with a fit", working_session, &s, times);
+    done_with(&s);
+    free(scene);
+    return failures == 0 ? 0 : 1;
+}
