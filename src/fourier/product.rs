@@ -37,7 +37,7 @@ pub struct Factors<'a, T> {
 
 /// The types whose matrices can be multiplied.
 pub trait Product: Copy {
-    /// `out[rows × cols] = left · right`, row-major. `panel` is scratch memory of [`panel_len`] elements.
+    /// `out[rows × cols] = left · right`, row-major. `panel` is scratch memory of `panel_len` elements.
     ///
     /// # Panics
     /// Where a slice is too short.

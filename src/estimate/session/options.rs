@@ -7,7 +7,7 @@ use crate::optimize::StopReason;
 use ndarray::{ArrayView1, ArrayView2};
 use std::time::Duration;
 
-/// What a [`Session`] is made for.
+/// What a [`Session`](super::Session) is made for.
 #[derive(Debug, Clone)]
 pub struct SessionOptions {
     /// Most images of a call; 1 by default.
@@ -37,7 +37,7 @@ impl Default for SessionOptions {
     }
 }
 
-/// One call of [`Session::fit`].
+/// One call of [`Session::fit`](super::Session::fit).
 #[derive(Debug, Clone, Default)]
 pub struct FitOptions<'a> {
     /// Wall-clock time for the whole call; `None` is without limit. It is honoured within one evaluation.
