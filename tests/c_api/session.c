@@ -25,18 +25,18 @@ static void the_fit(struct setting *s, FILE *file)
     const cophase_input frames = frames_of(s, COUNT);
     double *covariance_nm2 = doubles(s->modes * s->modes);
     cophase_report reports[COUNT];
-    size_t pixels = 0, beyond, k, i;
+    size_t k, i, side = 0, missing;
 
-    /* The square that is compared is larger than a frame that is not: what lies beyond it takes no part. */
-    CHECK(cophase_model_pixels(s->model, &pixels) == COPHASE_OK);
-    beyond = pixels * pixels - (pixels < s->rows ? pixels : s->rows) * (pixels < s->cols ? pixels : s->cols);
+    /* What is compared is a square as long as the frame's longer side; what the detector lacks of it takes no part. */
+    CHECK(cophase_model_pixels(s->model, &side) == COPHASE_OK && side >= s->rows && side >= s->cols);
+    missing = side * side - s->rows * s->cols;
     CHECK(cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, reports, sizeof *reports) == COPHASE_OK);
     for (k = 0; k < COUNT; k++) {
         const double *fitted_nm = s->fitted_nm + k * s->modes, *truth_nm = s->truth_nm + k * s->modes;
         double piston_nm = 0.0;
 
         CHECK(reports[k].status == COPHASE_IMAGE_OK && reports[k].evaluations > 1);
-        CHECK(reports[k].bad_pixels == (int32_t)beyond);
+        CHECK((size_t)reports[k].bad_pixels == missing);
         /* Its scatter is sqrt(2 / 2304) = 0.03. */
         CHECK(reports[k].reduced_chi2 > 0.85 && reports[k].reduced_chi2 < 1.15);
         CHECK(fabs(reports[k].flux_e / FLUX_E - 1.0) < 0.01 && fabs(reports[k].background_e - BACKGROUND_E) < 3.0);

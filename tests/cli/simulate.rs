@@ -26,7 +26,7 @@ fn a_run_leaves_images_truth_and_telemetry_that_estimate_reads() {
         assert!(number(&json, key) > 0.0, "{key}: {json}");
     }
     let mut file = FitsReader::open(desk.path("sky.fits")).unwrap();
-    assert_eq!(file.cube("IMAGES").unwrap().dim(), (3, 48, 48));
+    assert_eq!(file.cube("IMAGES").unwrap().dim(), (3, 40, 48));
     let commands = file.map(Some("COMMANDS")).unwrap();
     let slopes = file.map(Some("SLOPES")).unwrap();
     let subapertures = file.i64_column("SUBAPERTURES", "PLACE").unwrap().len();

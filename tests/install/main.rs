@@ -129,6 +129,22 @@ fn compile(tree: &Tree, source: &Path, flags: &str, program: &Path) {
     run(compiler.arg(format!("-Wl,-rpath,{}", tree.path().join("lib").display())));
 }
 
+#[test]
+fn a_panic_is_caught_inside() {
+    if !is_here("pkg-config") {
+        return;
+    }
+    let tree = Tree::install();
+    for package in ["cophase", "cophase-static"] {
+        let program = tree.scratch(package);
+        let flags = pkg_config(&tree, &["--cflags", "--libs", package]);
+        compile(&tree, &root().join("tests/install/panic.c"), &flags, &program);
+        let said = run(Command::new(&program).env_remove("LD_LIBRARY_PATH").env("COPHASE_FAULT", "panic"));
+        // There is no fault on demand in a release.
+        assert_eq!(said, if cfg!(debug_assertions) { "PANIC\n" } else { "OK\n" }, "{package}");
+    }
+}
+
 /// The tree lies elsewhere than where its files say: it has been moved.
 #[test]
 fn pkg_config_finds_a_tree_that_was_moved() {
