@@ -72,7 +72,9 @@ fn evaluated(scene: &Path, points_nm: ArrayView2<f64>) -> Vec<f64> {
 #[test]
 fn objectives_and_gradients_are_golden() {
     if !words("COPHASE_C_RUNNER").is_empty() {
-        println!("skipped: models of this size take more than three minutes under valgrind, and small ones do the same");
+        println!(
+            "skipped: models of this size take more than three minutes under valgrind, and small ones do the same"
+        );
         return;
     }
     for (weighting, key) in [("none", "unweighted"), ("noise", "weighted")] {
