@@ -15,6 +15,12 @@ heading() { printf '\n%s== %s%s\n' "$bold" "$*" "$plain"; }
 say() { printf '%s\n' "$*" >&2; }
 have() { command -v "$1" >/dev/null 2>&1; }
 
+# missing SENTENCE...: says what goes unchecked; in CI nothing may.
+missing() {
+    say "$@"
+    [[ "${CI:-}" != true ]] || exit 1
+}
+
 # apt_install PACKAGE...: installs Debian packages as root or through sudo without a password; fails quietly where
 # that is not possible. The lists are fetched only when an installation fails without: a fresh container has none.
 apt_install() {

@@ -5,7 +5,7 @@ use cophase::imaging::Precision;
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
 use cophase::source;
-use ndarray::{Array2, Array3};
+use ndarray::Array2;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
@@ -85,12 +85,9 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
     Scene::preset("keck-artificial").unwrap().with(&small).unwrap().with(settings).unwrap()
 }
 
-fn images(scene: &Scene) -> Array3<f64> {
-    source::images(scene).unwrap().images_e
-}
-
 /// Runs everything that promises not to allocate, on a thread that has never run any of it.
-fn silent(scene: &Scene, images_e: Array3<f64>, precision: Precision) {
+fn silent(scene: &Scene, precision: Precision) {
+    let images_e = source::images(scene).unwrap().images_e;
     let estimator = Arc::new(Estimator::new(scene, false).unwrap());
     let modes = estimator.model().optics.modes();
     let options = SessionOptions { capacity: 5, precision, ..SessionOptions::default() };
@@ -150,7 +147,7 @@ fn silent(scene: &Scene, images_e: Array3<f64>, precision: Precision) {
 fn native_frames_in_both_precisions() {
     let scene = scene(&[("image.samples_per_lambda_over_d", "3"), ("image.pixels", "132")]);
     for precision in [Precision::F64, Precision::F32] {
-        silent(&scene, images(&scene), precision);
+        silent(&scene, precision);
     }
 }
 
@@ -160,13 +157,23 @@ fn frames_whose_sampling_is_reduced() {
     let estimator = Estimator::new(&scene, false).unwrap();
     assert!(estimator.model().preparation.reduced[0] < 176);
     for precision in [Precision::F64, Precision::F32] {
-        silent(&scene, images(&scene), precision);
+        silent(&scene, precision);
     }
+}
+
+#[test]
+fn frames_that_are_not_square() {
+    let (columns, rows) = (("image.pixels", "132"), ("image.rows", "120"));
+    silent(&scene(&[("image.samples_per_lambda_over_d", "3"), columns, rows]), Precision::F64);
+    let reduced = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176"), ("image.rows", "144")]);
+    let preparation = Estimator::new(&reduced, false).unwrap().model().preparation;
+    assert_eq!((preparation.frame, preparation.reduced), ([176, 144], [88, 72]));
+    silent(&reduced, Precision::F64);
 }
 
 #[test]
 fn the_objective_without_weights() {
     let scene =
         scene(&[("image.samples_per_lambda_over_d", "3"), ("image.pixels", "132"), ("estimate.weighting", "none")]);
-    silent(&scene, images(&scene), Precision::F64);
+    silent(&scene, Precision::F64);
 }

@@ -14,6 +14,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// χ² of the 256 noisy pixels at the right minimum: 256 ± 23, and weights from the data add some; a wrong minimum has
 /// thousands.
@@ -155,6 +156,61 @@ fn a_batch_in_lock_step_gives_bitwise_what_its_problems_give_alone() {
         assert_eq!(alone.f.to_bits(), together.f.to_bits());
         assert_eq!((alone.evaluations, alone.reason), (together.evaluations, together.reason));
     }
+}
+
+#[test]
+fn a_machine_that_begins_anew_is_a_new_machine_bit_by_bit() {
+    let toys: Vec<_> = (0..3).map(|seed| Retrieval::new(0.9, seed)).collect();
+    let metric = whitened(&toys[0].gauss_newton());
+    let start = vec![0.0; toys[0].len()];
+    let mut machine = QuasiNewton::new(metric.clone(), &start, chi2_settings()).unwrap();
+    for toy in &toys {
+        machine.begin(&metric, 1.0, &start).unwrap();
+        while {
+            let (f, g) = toy.evaluate(machine.ask());
+            machine.tell(f, &g) == Progress::Continue
+        } {}
+        let alone = retrieve(toy, metric.clone(), chi2_settings());
+        let (x, y) = (&alone.x, &machine.outcome().x);
+        assert!(x.iter().zip(y).all(|(x, y)| x.to_bits() == y.to_bits()));
+        assert_eq!((alone.evaluations, alone.reason), (machine.outcome().evaluations, machine.outcome().reason));
+    }
+    assert!(machine.begin(&metric, 0.0, &start).unwrap_err().to_string().contains("scale of the metric is 0"));
+    assert!(machine.begin(&identity(2), 1.0, &[0.0; 2]).unwrap_err().to_string().contains("2 dimensions"));
+    assert!(machine.begin(&metric, 1.0, &[0.0]).unwrap_err().to_string().contains("1 components"));
+}
+
+#[test]
+fn a_scale_stands_for_a_metric_of_its_own() {
+    // Sixteen times as curved: every length in whitened coordinates is a quarter, exactly so in binary.
+    let q = Quadratic::new(12, 1e3, 4);
+    let metric = whitened(&q.gauss_newton());
+    let settings = Settings { step_tolerance: 1e-3, relative_decrement_tolerance: 0.0, ..Settings::default() };
+    let mut machine = QuasiNewton::new(metric.clone(), &[0.0; 12], settings).unwrap();
+    machine.begin(&metric, 0.25, &[0.0; 12]).unwrap();
+    while {
+        let (f, g) = q.evaluate(machine.ask());
+        let g: Vec<f64> = g.iter().map(|g| 16.0 * g).collect();
+        machine.tell(16.0 * f, &g) == Progress::Continue
+    } {}
+    // As an exact metric does: the start, the minimum, and the look that finds nothing left.
+    assert!(machine.outcome().evaluations <= 3, "{}", machine.outcome().evaluations);
+}
+
+#[test]
+fn the_deadline_ends_a_run_with_the_best_point_and_forbids_another_weighting() {
+    let toy = Retrieval::new(0.9, 1);
+    let metric = whitened(&toy.gauss_newton());
+    let start = vec![0.0; toy.len()];
+    let settings = Settings { deadline: Some(Instant::now()), ..chi2_settings() };
+    let mut machine = QuasiNewton::new(metric, &start, settings).unwrap();
+    let (f, g) = toy.evaluate(machine.ask());
+    assert_eq!(machine.tell(f, &g), Progress::Done);
+    assert_eq!((machine.outcome().reason, machine.outcome().evaluations), (StopReason::DeadlineReached, 1));
+    assert!(!machine.outcome().reason.converged());
+    assert_eq!(machine.restart_objective(), Progress::Done);
+    machine.set_deadline(None);
+    assert_eq!(machine.restart_objective(), Progress::Continue);
 }
 
 // --- The metric ------------------------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
 /* A real-time controller in small. One thread stands for the camera: it delivers frames at a set rate and never waits.
- * The other estimates from them, and keeps a running estimate of what is static.
+ * Another estimates from them. The third, which may take its time, prints what is static in all of them.
  *
  *   rtc [-r HZ] [-n COUNT] [-d DEVICE] [-t DEADLINE_MS] SCENE.toml FRAMES
  *
@@ -19,7 +19,7 @@
 #include <stdatomic.h>
 #include <time.h>
 
-enum { SLOTS = 4, KEPT = 200 }; /* frames that may wait; images behind the running estimate */
+enum { SLOTS = 4, KEPT = 200, PRINT_S = 5 }; /* frames that may wait; images behind the running estimate; its period */
 
 /* One thread writes, one reads, and each changes its own counter only: nobody needs a lock. */
 static struct {
@@ -30,9 +30,13 @@ static struct {
 
 static struct cube cube;
 static double rate_hz = 10.0;
-static size_t count = 1000, dropped; /* frames */
-static size_t done, late;
-static double *latency_s; /* of each frame that was estimated */
+static size_t count = 1000, dropped; /* of the camera, as of here: frames */
+static cophase_session *session;     /* of the estimator */
+static cophase_fit_options options;
+static double *coefficients_nm, *latency_s;
+static size_t modes, done, late, skipped;
+static sem_t finished;
+static cophase_sequence *sequence; /* of the estimator and of the printer */
 
 static void check(cophase_status status)
 {
@@ -87,45 +91,61 @@ static void *camera(void *unused)
     return unused;
 }
 
-static void print_estimate(const cophase_sequence *sequence, double *coefficients_nm, size_t modes)
+/* Fits every frame that comes, until the camera is done. On the CPU chain nothing here allocates or waits for a lock. */
+static void *estimator(void *unused)
+{
+    cophase_input frame = {NULL, COPHASE_F32, 1, cube.rows, cube.cols, 0, (ptrdiff_t)cube.cols, 1};
+
+    ask_for_priority(40);
+    for (;;) {
+        const size_t next = queue.read;
+        cophase_report report;
+        cophase_status pushed;
+
+        while (sem_wait(&queue.news) != 0) {} /* a signal may end the wait early */
+        if (queue.written == next)
+            break;
+        frame.data = queue.slots[next % SLOTS].pixels;
+        check(cophase_session_fit(session, &frame, &options, coefficients_nm, modes, &report, sizeof report));
+        pushed = cophase_sequence_push(sequence, session);
+        if (pushed == COPHASE_BUSY) /* it is being read: nobody waits, and the next image will do as well */
+            skipped++;
+        else
+            check(pushed);
+        latency_s[done++] = now_s() - queue.slots[next % SLOTS].arrived_s;
+        late += report.status == COPHASE_IMAGE_DEADLINE;
+        queue.read = next + 1;
+    }
+    sem_post(&finished);
+    return unused;
+}
+
+static void print_estimate(double *static_nm)
 {
     cophase_sequence_report all;
 
-    /* BAD_IMAGE while none could be used. */
-    if (cophase_sequence_estimate(sequence, coefficients_nm, NULL, modes, &all, sizeof all) == COPHASE_OK)
+    /* BAD_IMAGE while none could be used, BUSY while one is pushed. */
+    if (cophase_sequence_estimate(sequence, static_nm, NULL, modes, &all, sizeof all) == COPHASE_OK)
         printf("%llu of %llu images: phasing %.2f +- %.2f nm, NCPA %.2f +- %.2f nm RMS\n", (unsigned long long)all.used,
                (unsigned long long)all.images, all.phasing_rms_nm, all.phasing_sigma_nm, all.ncpa_rms_nm,
                all.ncpa_sigma_nm);
     fflush(stdout);
 }
 
-/* Fits every frame that comes, until the camera is done. No allocation and no lock on the CPU chain, but for the print. */
-static void estimate(cophase_session *session, cophase_sequence *sequence, const cophase_fit_options *options,
-                     size_t modes)
+/* A line every few seconds until the estimator is done, and one at the end. */
+static void print_estimates(void)
 {
-    cophase_input frame = {NULL, COPHASE_F32, 1, cube.rows, cube.cols, 0, (ptrdiff_t)cube.cols, 1};
-    double *coefficients_nm = calloc(modes, sizeof *coefficients_nm), printed_s = now_s();
+    double *static_nm = calloc(modes, sizeof *static_nm);
+    struct timespec until;
+    int again;
 
-    for (;;) {
-        const size_t next = queue.read;
-        cophase_report report;
-
-        while (sem_wait(&queue.news) != 0) {} /* a signal may end the wait early */
-        if (queue.written == next)
-            break;
-        frame.data = queue.slots[next % SLOTS].pixels;
-        check(cophase_session_fit(session, &frame, options, coefficients_nm, modes, &report, sizeof report));
-        check(cophase_sequence_push(sequence, session));
-        latency_s[done++] = now_s() - queue.slots[next % SLOTS].arrived_s;
-        late += report.status == COPHASE_IMAGE_DEADLINE;
-        queue.read = next + 1;
-        if (queue.written == next + 1 && now_s() - printed_s > 1.0) { /* no frame waits for the printer */
-            print_estimate(sequence, coefficients_nm, modes);
-            printed_s = now_s();
-        }
-    }
-    print_estimate(sequence, coefficients_nm, modes);
-    free(coefficients_nm);
+    do {
+        clock_gettime(CLOCK_REALTIME, &until); /* the clock of sem_timedwait */
+        until.tv_sec += PRINT_S;
+        while ((again = sem_timedwait(&finished, &until)) != 0 && errno == EINTR) {}
+        print_estimate(static_nm);
+    } while (again != 0);
+    free(static_nm);
 }
 
 static int ascending(const void *a, const void *b)
@@ -145,13 +165,10 @@ int main(int argc, char **argv)
     const char *device_name = "cpu";
     const unsigned char *bytes;
     char *scene;
-    size_t i, length, modes, rows, cols;
+    size_t i, length, rows, cols;
     cophase_device *device;
     cophase_model *model;
-    cophase_session *session;
-    cophase_sequence *sequence;
-    cophase_fit_options options;
-    pthread_t thread;
+    pthread_t threads[2];
 
     check(cophase_fit_options_init(&options, sizeof options));
     for (int option; (option = getopt(argc, argv, "r:n:d:t:")) != -1;)
@@ -176,19 +193,22 @@ int main(int argc, char **argv)
     check(cophase_model_mode_count(model, &modes));
     check(cophase_model_frame_shape(model, &rows, &cols));
     cube = open_cube(argv[optind + 1], rows, cols);
+    coefficients_nm = calloc(modes, sizeof *coefficients_nm);
     latency_s = calloc(count, sizeof *latency_s);
     for (i = 0; i < SLOTS; i++)
         queue.slots[i].pixels = calloc(rows * cols, sizeof(float));
     if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
         fprintf(stderr, "rtc: memory is not locked (%s): page faults may delay a frame\n", strerror(errno));
-    ask_for_priority(40);
-    if (sem_init(&queue.news, 0, 0) != 0 || pthread_create(&thread, NULL, camera, NULL) != 0)
-        die("the camera's thread cannot be started");
-    estimate(session, sequence, &options, modes);
-    pthread_join(thread, NULL);
+    if (sem_init(&queue.news, 0, 0) != 0 || sem_init(&finished, 0, 0) != 0 ||
+        pthread_create(&threads[0], NULL, estimator, NULL) != 0 || pthread_create(&threads[1], NULL, camera, NULL) != 0)
+        die("a thread cannot be started");
+    print_estimates();
+    pthread_join(threads[0], NULL);
+    pthread_join(threads[1], NULL);
 
     qsort(latency_s, done, sizeof *latency_s, ascending);
-    printf("%zu frames: %zu estimated, %zu dropped, %zu past the deadline\n", count, done, dropped, late);
+    printf("%zu frames: %zu estimated, %zu dropped, %zu past the deadline, %zu not in the running estimate\n", count, done,
+           dropped, late, skipped);
     printf("latency from arrival to estimate: p50 %.3f ms, p99 %.3f ms, max %.3f ms\n", latency_ms(0.5),
            latency_ms(0.99), latency_ms(1.0));
     cophase_sequence_destroy(sequence);
@@ -198,5 +218,6 @@ int main(int argc, char **argv)
     for (i = 0; i < SLOTS; i++)
         free(queue.slots[i].pixels);
     free(latency_s);
+    free(coefficients_nm);
     return 0;
 }

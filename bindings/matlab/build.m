@@ -1,7 +1,7 @@
 function build(library_directory, output_directory)
     %BUILD  Compiles the gateway to libcophase, with mkoctfile under Octave and with mex in MATLAB.
-    %   build() takes the library that 'cargo build --release' made in this source tree, and puts the gateway beside this
-    %   file: add that folder to the path, and the package cophase is there.
+    %   build() takes the library that 'cargo build --release' made in this source tree, and puts the gateway beside
+    %   this file: add that folder to the path, and the package cophase is there.
     %   build(library_directory, output_directory) takes and puts them elsewhere.
     %
     %   Example:

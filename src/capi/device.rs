@@ -1,9 +1,9 @@
 //! Where sessions run.
 
-use super::handle::{Handle, fence};
+use super::handle::{Handle, fence, give_back};
 use super::pointer::{place, put_text, text};
 use super::status::cophase_status;
-use crate::device::{Choice, devices};
+use crate::device::{Choice, DeviceInfo, devices};
 use std::ffi::c_char;
 
 /// Where a session's model runs: the CPU chain, or an OpenCL device. Immutable: any thread may use it.
@@ -19,6 +19,12 @@ struct Opened {
 /// The line of the CPU chain in lists.
 const CPU: &str = "cpu\tCPU chain";
 
+/// The line of an OpenCL device: its address, which begins its description too, once.
+fn line(info: &DeviceInfo) -> String {
+    let (address, description) = (info.address(), info.to_string());
+    format!("{address}\t{}", description.trim_start_matches(&address).trim_start())
+}
+
 /// The devices of this machine, one line each: the name that cophase_device_open takes, a tab, and what it is. The CPU
 /// chain is always there, and the first.
 ///
@@ -29,7 +35,7 @@ pub unsafe extern "C" fn cophase_device_list(text: *mut c_char, capacity: usize,
     fence(|| {
         // A machine whose OpenCL is broken still has its CPU.
         let present = devices().unwrap_or_default();
-        let lines = present.iter().map(|info| format!("{}\t{info}", info.address()));
+        let lines = present.iter().map(line);
         let lines: Vec<String> = std::iter::once(CPU.to_string()).chain(lines).collect();
         unsafe { put_text(text, capacity, length, &lines.join("\n")) }
     })
@@ -44,7 +50,7 @@ pub unsafe extern "C" fn cophase_device_open(name: *const c_char, device: *mut *
     fence(|| {
         let out = place(device, "device")?;
         let choice: Choice = unsafe { text(name, "name") }?.parse()?;
-        let name = choice.resolve()?.map_or(CPU.into(), |info| format!("{}\t{info}", info.address()));
+        let name = choice.resolve()?.as_ref().map_or(CPU.into(), line);
         let made = Box::new(cophase_device(Handle::new(Opened { choice, name })));
         unsafe { out.write(Box::into_raw(made)) };
         Ok(())
@@ -54,12 +60,7 @@ pub unsafe extern "C" fn cophase_device_open(name: *const c_char, device: *mut *
 /// Closes a device; NULL is fine. Sessions that were made on it go on.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_device_close(device: *mut cophase_device) {
-    fence(|| {
-        if !device.is_null() {
-            drop(unsafe { Box::from_raw(device) });
-        }
-        Ok(())
-    });
+    unsafe { give_back(device, |device| &device.0) }
 }
 
 /// What a device is: its line of cophase_device_list. `text`, `capacity` and `length` are as there.

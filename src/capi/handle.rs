@@ -26,7 +26,11 @@ fn words(panic: &(dyn Any + Send)) -> &str {
 
 /// An object behind an opaque pointer. Many threads may read it, or one may change it; a thread that comes at the wrong
 /// time is sent away and does not wait. After a panic inside a call nothing but dropping it is possible.
+///
+/// `repr(C)`: an allocator writes first over the beginning of what it got back.
+#[repr(C)]
 pub(super) struct Handle<T> {
+    mark: u64,
     poisoned: AtomicBool,
     value: RwLock<T>,
 }
@@ -46,7 +50,7 @@ impl<T: Send + Sync> Handle<T> {
 
 impl<T: Send> Handle<T> {
     pub(super) fn new(value: T) -> Self {
-        Self { poisoned: AtomicBool::new(false), value: RwLock::new(value) }
+        Self { mark: ALIVE, poisoned: AtomicBool::new(false), value: RwLock::new(value) }
     }
 
     /// A call that changes what the argument `name` points to, or that reads what only one thread at a time may.
@@ -60,8 +64,17 @@ impl<T: Send> Handle<T> {
         Ok(body(&*self.value.try_write().map_err(refused)?))
     }
 
-    /// That no call has panicked in it.
+    /// Whether it has not been given back. A guard and no promise: it reads memory that may be another's by now.
+    pub(super) fn is_alive(&self) -> bool {
+        // Volatile, for by the rules of the language nothing can have changed it.
+        unsafe { (&raw const self.mark).read_volatile() == ALIVE }
+    }
+
+    /// That it is there, and that no call has panicked in it.
     fn whole(&self) -> Result<()> {
+        if !self.is_alive() {
+            return Err(given_back());
+        }
         if self.poisoned.load(Ordering::Acquire) { Err(after_a_panic()) } else { Ok(()) }
     }
 
@@ -75,6 +88,31 @@ impl<T: Send> Handle<T> {
             body(&handle.value)
         })
     }
+}
+
+/// The mark of a handle that has not been given back: no address, no small number.
+const ALIVE: u64 = 0x636f_7068_a5e1_11fe;
+
+impl<T> Drop for Handle<T> {
+    fn drop(&mut self) {
+        unsafe { (&raw mut self.mark).write_volatile(0) };
+    }
+}
+
+/// Frees the object that `pointer` points to, whose handle `handle` finds; NULL is fine, and so, as far as the memory
+/// still shows it, is what was freed before.
+pub(super) unsafe fn give_back<O, T: Send>(pointer: *mut O, handle: impl FnOnce(&O) -> &Handle<T>) {
+    fence(|| {
+        if unsafe { pointer.as_ref() }.is_some_and(|object| handle(object).is_alive()) {
+            drop(unsafe { Box::from_raw(pointer) });
+        }
+        Ok(())
+    });
+}
+
+/// What a call says of a handle that was destroyed.
+pub(super) fn given_back() -> Error {
+    Error::Argument("the handle was destroyed, or is none: one that its create call made is accepted".into())
 }
 
 /// Raises the flag where a panic passes by.

@@ -1,7 +1,7 @@
 //! Models: what images are compared with.
 
 use super::array::{Output, cophase_array_f32};
-use super::handle::{Handle, fence};
+use super::handle::{Handle, fence, give_back};
 use super::input::{Input, cophase_input};
 use super::pointer::{numbers, place, put, put_shape, text};
 use super::sized::{self, Options};
@@ -184,12 +184,7 @@ unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
 /// Frees a model; NULL is fine. Sessions and sequences that were made of it go on.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_destroy(model: *mut cophase_model) {
-    fence(|| {
-        if !model.is_null() {
-            drop(unsafe { Box::from_raw(model) });
-        }
-        Ok(())
-    });
+    unsafe { give_back(model, |model| &model.0) }
 }
 
 /// Number of modes that are estimated: the coefficients of an image.

@@ -1,6 +1,6 @@
 //! Sequences: the running static estimate of images that come one by one.
 
-use super::handle::{Handle, fence};
+use super::handle::{Handle, fence, give_back};
 use super::model::{check_modes, cophase_model, estimator};
 use super::pointer::{place, put, room};
 use super::session::{self, cophase_session};
@@ -83,12 +83,7 @@ pub unsafe extern "C" fn cophase_sequence_create(
 /// Frees a sequence; NULL is fine. No other call on it may be running, and none may follow.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_destroy(sequence: *mut cophase_sequence) {
-    fence(|| {
-        if !sequence.is_null() {
-            drop(unsafe { Box::from_raw(sequence) });
-        }
-        Ok(())
-    });
+    unsafe { give_back(sequence, |sequence| &sequence.0) }
 }
 
 /// Takes all images of a session's last fit, whatever became of them; the oldest make way. [RT]

@@ -1,7 +1,7 @@
 //! Sessions: one thread's workspace to fit images in.
 
 use super::device::{choice, cophase_device};
-use super::handle::{Handle, fence, null};
+use super::handle::{Handle, fence, give_back, given_back, null};
 use super::input::{COPHASE_F32, COPHASE_F64, Input, cophase_input};
 use super::model::{check_modes, cophase_model, estimator};
 use super::pointer::{numbers, place, put_text, room};
@@ -206,12 +206,7 @@ fn session_options(options: &cophase_session_options, device: crate::device::Cho
 /// Frees a session; NULL is fine. No other call on it may be running, and none may follow.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_destroy(session: *mut cophase_session) {
-    fence(|| {
-        if !session.is_null() {
-            drop(unsafe { Box::from_raw(session) });
-        }
-        Ok(())
-    });
+    unsafe { give_back(session, |session| &session.inside) }
 }
 
 /// Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one
@@ -219,6 +214,7 @@ pub unsafe extern "C" fn cophase_session_destroy(session: *mut cophase_session) 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_session_cancel(session: *const cophase_session) -> cophase_status {
     match unsafe { session.as_ref() } {
+        Some(session) if !session.inside.is_alive() => fence(|| Err(given_back())),
         Some(session) => {
             session.cancel.store(true, Ordering::Relaxed);
             super::status::COPHASE_OK

@@ -1,7 +1,7 @@
 //! The simulator of adaptive optics.
 
 use super::array::{Output, cophase_array_f32};
-use super::handle::{Handle, fence};
+use super::handle::{Handle, fence, give_back};
 use super::pointer::{place, put, put_all, put_shape, text};
 use super::status::cophase_status;
 use crate::Result;
@@ -55,12 +55,7 @@ pub unsafe extern "C" fn cophase_simulator_create(
 /// Frees a simulator; NULL is fine. No other call on it may be running, and none may follow.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_destroy(simulator: *mut cophase_simulator) {
-    fence(|| {
-        if !simulator.is_null() {
-            drop(unsafe { Box::from_raw(simulator) });
-        }
-        Ok(())
-    });
+    unsafe { give_back(simulator, |simulator| &simulator.0) }
 }
 
 /// Advances the loop by a number of frames, in this thread.

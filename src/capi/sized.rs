@@ -19,7 +19,7 @@ const STEP: usize = 8;
 const LARGEST: usize = 1 << 16;
 
 fn check_size(size: usize, name: &str) -> Result<()> {
-    if size < STEP || size > LARGEST || !size.is_multiple_of(STEP) {
+    if !(STEP..=LARGEST).contains(&size) || !size.is_multiple_of(STEP) {
         return Err(Error::Argument(format!("{name} is {size}: the sizeof of its struct is accepted")));
     }
     Ok(())

@@ -41,6 +41,8 @@ impl Pistons {
                 projector[[i, j]] -= share;
             }
         }
-        projector.dot(covariance_nm2).dot(&projector.t())
+        let covariance_nm2 = projector.dot(covariance_nm2).dot(&projector.t());
+        // Symmetric to the last bit, as who takes its eigenvalues may ask.
+        (&covariance_nm2 + &covariance_nm2.t()) * 0.5
     }
 }

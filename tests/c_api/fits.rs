@@ -59,7 +59,8 @@ pub(super) fn are_those_of_rust(scene: &Path, dump: &Path) {
     assert!(next(1).is_empty());
 }
 
-fn same(what: &str, dumped: &[f64], expected: &[f64]) {
+/// That a dump holds these numbers, to the last bit.
+pub(super) fn same(what: &str, dumped: &[f64], expected: &[f64]) {
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     let (dumped, expected) = (bits(dumped), bits(expected));
     assert_eq!(dumped.len(), expected.len(), "{what}");

@@ -28,7 +28,7 @@ static void devices(void)
 
     device = before;
     REFUSED(COPHASE_BAD_VALUE, "gpu", cophase_device_open("gpu", &device));
-    REFUSED(COPHASE_DEVICE, "opencl:99:0", cophase_device_open("opencl:99:0", &device));
+    REFUSED(COPHASE_DEVICE, "device", cophase_device_open("opencl:99:0", &device));
     REFUSED(COPHASE_BAD_ARGUMENT, "name", cophase_device_open("\xff", &device));
     CHECK(device == before);
     CHECK(cophase_device_open("cpu", &device) == COPHASE_OK);

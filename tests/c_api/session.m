@@ -299,7 +299,7 @@ function arrays()
     n = 32;
     [x, y] = meshgrid(((0:n - 1) - (n - 1) / 2) / (n / 2));
     pupil = double(x .^ 2 + y .^ 2 < 0.95);
-    modes = cat(3, 2 * x, sqrt(6) * (x .^ 2 - y .^ 2), sqrt(6) * 2 * x .* y, sqrt(8) * x .* (3 * (x .^ 2 + y .^ 2) - 2));
+    modes = cat(3, 2 * x, sqrt(6) * (x .^ 2 - y .^ 2), sqrt(24) * x .* y, sqrt(8) * x .* (3 * (x .^ 2 + y .^ 2) - 2));
     camera = {'Wavelength', 2200, 'FrameSize', 48, 'DiversityFocus', 0.5, 'ReadNoise_e', 10};
     m = cophase.Model.fromArrays(pupil, modes, camera{:});
     assert(m.Modes, 4);

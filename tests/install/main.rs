@@ -65,7 +65,7 @@ fn what_is_installed_is_taken_away_again() {
     let tree = Tree::stage("/usr");
     let shared = format!("lib/libcophase.so.{VERSION}");
     let soname = format!("lib/libcophase.so.{ABI}");
-    let files = [
+    let mut files = [
         "include/cophase.h",
         "lib/cmake/cophase/cophase-config-version.cmake",
         "lib/cmake/cophase/cophase-config.cmake",
@@ -76,6 +76,7 @@ fn what_is_installed_is_taken_away_again() {
         "lib/pkgconfig/cophase-static.pc",
         "lib/pkgconfig/cophase.pc",
     ];
+    files.sort();
     assert_eq!(tree.files(), files);
     let target = |link: &str| std::fs::read_link(tree.path().join(link)).unwrap();
     assert_eq!(target("lib/libcophase.so"), Path::new(&format!("libcophase.so.{ABI}")));

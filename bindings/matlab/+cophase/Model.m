@@ -7,17 +7,18 @@ classdef Model < cophase.Handle
     %   working directory.
     %
     %   m = cophase.Model(scene_text, directory, Name, Value, ...) puts arrays in the place of what the scene says:
-    %      'Pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. It is needed with the others.
+    %      'Pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. It is needed with the
+    %                      others.
     %      'Segments'      n x n labels 0, 1, ... of the segment that a sample belongs to; negative where none is
-    %      'Modes'         n x n x K wavefronts, nm for each nm of their coefficient: those of unit RMS over the pupil make
-    %                      coefficients nm RMS
+    %      'Modes'         n x n x K wavefronts, nm for each nm of their coefficient: those of unit RMS over the pupil
+    %                      make coefficients nm RMS
     %      'Diversity_nm'  n x n wavefront, nm
     %
     %   m = cophase.Model.fromArrays(pupil, modes, Name, Value, ...) needs no scene.
     %
     %   Maps are (y, x): rows go with y, columns with x. Coefficients and wavefronts are nm of optical path difference.
-    %   The beginning of an option's name is enough, whatever its case: 'diversity'. Failures raise cophase:<STATUS>, such
-    %   as cophase:BAD_SCENE, with one sentence.
+    %   The beginning of an option's name is enough, whatever its case: 'diversity'. Failures raise cophase:<STATUS>,
+    %   such as cophase:BAD_SCENE, with one sentence.
     %
     %   Example:
     %       m = cophase.Model(cophase.preset('keck-artificial'));
@@ -55,9 +56,9 @@ classdef Model < cophase.Handle
 
         function [phasing_nm, ncpa_nm] = wavefront(self, coefficients_nm)
             %WAVEFRONT  The wavefront of some coefficients.
-            %   [phasing_nm, ncpa_nm] = m.wavefront(c) returns two maps (y, x) of m.Samples rows and columns: the errors of
-            %   the segments, and the non-common path aberrations. They are NaN outside the pupil. c has m.Modes elements,
-            %   nm.
+            %   [phasing_nm, ncpa_nm] = m.wavefront(c) returns two maps (y, x) of m.Samples rows and columns: the
+            %   errors of the segments, and the non-common path aberrations. They are NaN outside the pupil. c has
+            %   m.Modes elements, nm.
             %
             %   Example:
             %       [phasing_nm, ncpa_nm] = m.wavefront(c);
@@ -71,8 +72,8 @@ classdef Model < cophase.Handle
 
         function image = psf(self, coefficients_nm)
             %PSF  The image of a point, with the diversity.
-            %   image = m.psf(c) returns the PSF of coefficients of m.Modes elements, nm, on m.Pixels rows and columns. Over
-            %   an unbounded detector it sums to 1.
+            %   image = m.psf(c) returns the PSF of coefficients of m.Modes elements, nm, on m.Pixels rows and columns.
+            %   Over an unbounded detector it sums to 1.
             %
             %   Example:
             %       imagesc(m.psf(zeros(m.Modes, 1))), axis image
@@ -87,10 +88,11 @@ classdef Model < cophase.Handle
             %FROMARRAYS  A model from a pupil and a matrix of modes, as OOMAO keeps them.
             %   m = cophase.Model.fromArrays(pupil, modes, Name, Value, ...) builds a model without a scene.
             %
-            %   pupil is n x n, amplitude 0 to 1 or logical, n even. modes holds wavefronts: n x n x K, or as a matrix with
-            %   a column for each mode and a row for each sample of the grid, in the order of pupil(:), or for each sample
-            %   with light, in that of find(pupil). So the modes of an OOMAO zernike or deformable mirror go in as they
-            %   are, sparse ones too; [] is none. A coefficient is nm of such a mode: nm RMS if that has unit RMS.
+            %   pupil is n x n, amplitude 0 to 1 or logical, n even. modes holds wavefronts: n x n x K, or as a matrix
+            %   with a column for each mode and a row for each sample of the grid, in the order of pupil(:), or for
+            %   each sample with light, in that of find(pupil). So the modes of an OOMAO zernike or deformable mirror
+            %   go in as they are, sparse ones too; [] is none. A coefficient is nm of such a mode: nm RMS if that has
+            %   unit RMS.
             %
             %   What the camera sees:
             %      'Wavelength_nm'          required

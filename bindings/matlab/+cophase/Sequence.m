@@ -72,8 +72,8 @@ classdef Sequence < cophase.Handle
 
         function images = imagesNeeded(self, phasing_nm, ncpa_nm)
             %IMAGESNEEDED  How many more images an accuracy asks for.
-            %   n = q.imagesNeeded(phasing_nm, ncpa_nm) returns the number of further images until both error bars, RMS over
-            %   the pupil, are at most these. Inf asks nothing of one.
+            %   n = q.imagesNeeded(phasing_nm, ncpa_nm) returns the number of further images until both error bars, RMS
+            %   over the pupil, are at most these. Inf asks nothing of one.
             %
             %   Example:
             %       n = q.imagesNeeded(10, Inf);

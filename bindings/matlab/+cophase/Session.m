@@ -1,7 +1,7 @@
 classdef Session < cophase.Handle
     %SESSION  A workspace that fits images.
-    %   s = cophase.Session(model) prepares fits of one image at a time on the processor. Whatever is costly happens here,
-    %   once. The model may be deleted afterwards.
+    %   s = cophase.Session(model) prepares fits of one image at a time on the processor. Whatever is costly happens
+    %   here, once. The model may be deleted afterwards.
     %
     %   s = cophase.Session(model, Name, Value, ...) chooses:
     %      'Capacity'          most images of a call; 1
@@ -47,13 +47,14 @@ classdef Session < cophase.Handle
 
         function [coefficients_nm, report] = fit(self, frames, varargin)
             %FIT  Fits images.
-            %   c = s.fit(frames) returns the coefficients, nm, of each image in a column: m.Modes x count, double. frames
-            %   is rows x columns x count, m.FrameSize each, of class single, double, uint16, int32 or uint8; none is
-            %   converted beforehand. Values are electrons, unless calibrate said what they mean. NaN masks a pixel.
+            %   c = s.fit(frames) returns the coefficients, nm, of each image in a column: m.Modes x count, double.
+            %   frames is rows x columns x count, m.FrameSize each, of class single, double, uint16, int32 or uint8;
+            %   none is converted beforehand. Values are electrons, unless calibrate said what they mean. NaN masks a
+            %   pixel.
             %
             %   [c, report] = s.fit(frames) also returns a struct for each image, with the fields
-            %      Status        'OK'; 'MISFIT' if the residual is larger than the noise; 'WRONG_MINIMUM'; 'NOT_CONVERGED';
-            %                    'UNUSABLE', with coefficients of NaN; 'DEADLINE', with the best so far
+            %      Status        'OK'; 'MISFIT' if the residual is larger than the noise; 'WRONG_MINIMUM';
+            %                    'NOT_CONVERGED'; 'UNUSABLE', with coefficients of NaN; 'DEADLINE', with the best so far
             %      BadPixels     how many took no part
             %      Evaluations   of the model
             %      ReducedChi2   of the residual
@@ -65,15 +66,16 @@ classdef Session < cophase.Handle
             %      'ReadNoise_e'  of a pixel, electrons RMS; what the scene says
             %      'Start_nm'     where to begin, m.Modes x count; zeros
             %
-            %   Ctrl-C stops it, with cophase:INTERRUPTED, and the session can be used again. In MATLAB for Windows it does
-            %   not: give a deadline.
+            %   Ctrl-C stops it, with cophase:INTERRUPTED, and the session can be used again. In MATLAB for Windows it
+            %   does not: give a deadline.
             %
             %   Example:
             %       [c, report] = s.fit(frames, 'Deadline_s', 0.5);
             %       bad = find(~strcmp({report.Status}, 'OK'));
             %       for k = bad, disp(s.message(k)), end
             %
-            %   See also cophase.Session.message, cophase.Session.covariance, cophase.Session.calibrate, cophase.Sequence.
+            %   See also cophase.Session.message, cophase.Session.covariance, cophase.Session.calibrate,
+            %   cophase.Sequence.
             results = cell(1, max(nargout, 1));
             [results{:}] = cophase_mex('session.fit', self.id, frames, varargin{:});
             coefficients_nm = results{1};
@@ -142,8 +144,8 @@ classdef Session < cophase.Handle
 
         function [objectives, gradients] = evaluate(self, coefficients_nm)
             %EVALUATE  Objective and gradient, for an optimizer of your own.
-            %   f = s.evaluate(c) returns, in a row, the objective of each image that was loaded at its column of c, m.Modes
-            %   x count, double. fit minimises the same.
+            %   f = s.evaluate(c) returns, in a row, the objective of each image that was loaded at its column of c,
+            %   m.Modes x count, double. fit minimises the same.
             %
             %   [f, g] = s.evaluate(c) also returns the gradients, per nm, in columns.
             %

@@ -43,8 +43,8 @@ classdef Simulator < cophase.Handle
 
         function step(self, frames)
             %STEP  Advances the loop.
-            %   s.step(n) advances it by n frames; by one, if n is left out. A loop that diverges goes on: see divergence_s.
-            %   Ctrl-C stops between frames; what was made until then is there.
+            %   s.step(n) advances it by n frames; by one, if n is left out. A loop that diverges goes on: see
+            %   divergence_s. Ctrl-C stops between frames; what was made until then is there.
             %
             %   See also cophase.Simulator.
             if nargin < 2

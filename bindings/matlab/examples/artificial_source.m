@@ -1,7 +1,7 @@
 function residual_nm = artificial_source(draws, directory)
     %ARTIFICIAL_SOURCE  One image of a source inside the telescope: what it tells of segments and NCPA.
-    %   artificial_source() draws aberrations of Keck as the paper's section 3 does, takes a defocused image of them with
-    %   noise, estimates them from that image alone, and writes two pictures to the working directory:
+    %   artificial_source() draws aberrations of Keck as the paper's section 3 does, takes a defocused image of them
+    %   with noise, estimates them from that image alone, and writes two pictures to the working directory:
     %      artificial_source_maps.png       image, truth, estimate and residual of the first draw
     %      artificial_source_residuals.png  residuals of all draws, beside those that were published
     %

@@ -1,8 +1,8 @@
 function [c, truth_nm] = oomao_style()
     %OOMAO_STYLE  A pupil and a modes matrix in, coefficients out.
     %   [c, truth_nm] = oomao_style() builds a model from a pupil and a matrix with a mode in each column, as OOMAO's
-    %   zernike and deformableMirror classes keep them, takes an image of known coefficients, and estimates them from it.
-    %   With OOMAO the first lines would be
+    %   zernike and deformableMirror classes keep them, takes an image of known coefficients, and estimates them from
+    %   it. With OOMAO the first lines would be
     %
     %       zern = zernike(4:11, 8, 'resolution', 64);
     %       pupil = zern.pupil; modes = zern.modes;
@@ -14,7 +14,8 @@ function [c, truth_nm] = oomao_style()
     %   See also cophase.Model.fromArrays, artificial_source.
     [pupil, modes] = zernikes(64);
 
-    model = cophase.Model.fromArrays(pupil, modes, 'Wavelength_nm', 2200, 'FrameSize', 128, 'DiversityFocus_waves', 0.5);
+    model = cophase.Model.fromArrays(pupil, modes, 'Wavelength_nm', 2200, 'FrameSize', 128, ...
+        'DiversityFocus_waves', 0.5);
     session = cophase.Session(model);
 
     randn('state', 1);
@@ -29,7 +30,8 @@ function [c, truth_nm] = oomao_style()
     sigma_nm = sqrt(diag(session.covariance()));
     fprintf('%s after %d evaluations\n', report.Status, report.Evaluations);
     for mode = 1:model.Modes
-        fprintf('%-8s %8.2f nm, estimated %8.2f +- %.2f nm\n', model.Names{mode}, truth_nm(mode), c(mode), sigma_nm(mode));
+        fprintf('%-8s %8.2f nm, estimated %8.2f +- %.2f nm\n', ...
+            model.Names{mode}, truth_nm(mode), c(mode), sigma_nm(mode));
     end
 end
 

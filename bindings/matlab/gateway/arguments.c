@@ -137,7 +137,8 @@ const double *doubles(const mxArray *value, size_t rows, size_t cols, const char
         fail(COPHASE_BAD_ARGUMENT, "%s is of class %s%s: a full, real array of class double is accepted", name,
               mxIsComplex(value) ? "complex " : "", mxGetClassName(value));
     if (mxGetNumberOfDimensions(value) > 2 ||
-        !((mxGetM(value) == rows && mxGetN(value) == cols) || (mxGetM(value) == 1 && mxGetN(value) == rows && cols == 1)))
+        !((mxGetM(value) == rows && mxGetN(value) == cols) ||
+          (mxGetM(value) == 1 && mxGetN(value) == rows && cols == 1)))
         fail(COPHASE_BAD_SHAPE, "%s is %s: %lux%lu is accepted, a row for each mode", name, shape(value),
               (unsigned long)rows, (unsigned long)cols);
     return (const double *)mxGetData(value);

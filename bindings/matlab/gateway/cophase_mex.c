@@ -1,7 +1,7 @@
 /* The one gateway from MATLAB and Octave to libcophase: cophase_mex(COMMAND, ...), for the classes in +cophase only.
  *
- * It uses nothing but the public header. What fails raises cophase:<STATUS> with the library's sentence. Arrays are read
- * and filled in MATLAB's column order through their strides, so nothing is copied or transposed. */
+ * It uses nothing but the public header. What fails raises cophase:<STATUS> with the library's sentence. Arrays are
+ * read and filled in MATLAB's column order through their strides, so nothing is copied or transposed. */
 #include "gateway.h"
 #include <string.h>
 

@@ -36,8 +36,8 @@ static cophase_status do_fit_work(void *argument)
 {
     const fit *fit = (const struct fit *)argument;
 
-    return cophase_session_fit(fit->session, &fit->frames, &fit->options, fit->coefficients_nm, fit->modes, fit->reports,
-                               sizeof(cophase_report));
+    return cophase_session_fit(fit->session, &fit->frames, &fit->options, fit->coefficients_nm, fit->modes,
+                               fit->reports, sizeof(cophase_report));
 }
 
 static mxArray *struct_of(const cophase_report *reports, size_t count)
@@ -100,8 +100,9 @@ static void do_message(int outputs, mxArray **out, int inputs, const mxArray **i
     const live *session = handle_of(in[0], SESSION);
     char sentence[2049];
     size_t length;
+    const size_t image = image_of(session, in[1]);
 
-    check(cophase_session_image_message(session_of(session), image_of(session, in[1]), sentence, sizeof sentence, &length));
+    check(cophase_session_image_message(session_of(session), image, sentence, sizeof sentence, &length));
     out[0] = mxCreateString(sentence);
 }
 

@@ -13,7 +13,8 @@ static const char *const ARRAYS[] = {"Pupil", "Segments", "Modes", "Diversity_nm
 enum { PUPIL, SEGMENTS, MODES, DIVERSITY_NM, ARRAY_COUNT };
 
 /* From arrays if there is one, else from the scene alone. */
-static cophase_status create(const char *scene_text, const char *directory, const mxArray **given, cophase_model **model)
+static cophase_status create(const char *scene_text, const char *directory, const mxArray **given,
+                             cophase_model **model)
 {
     cophase_model_arrays arrays;
 

@@ -2,7 +2,8 @@
 #include "gateway.h"
 #include <string.h>
 
-static const char *const OPTIONS[] = {"Capacity", "Precision", "Device", "Threads", "MaxEvaluations", "StepTolerance_nm", NULL};
+static const char *const OPTIONS[] = {"Capacity",       "Precision",        "Device", "Threads",
+                                      "MaxEvaluations", "StepTolerance_nm", NULL};
 enum { CAPACITY, PRECISION, DEVICE, THREADS, MAX_EVALUATIONS, STEP_TOLERANCE_NM, OPTION_COUNT };
 
 static int32_t precision_of(const mxArray *value)

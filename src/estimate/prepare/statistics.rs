@@ -21,7 +21,7 @@ impl Statistics {
         let outside = data
             .indexed_iter()
             .zip(bad)
-            .filter(|(((v, u), _), bad)| !**bad && !(inner_rows.contains(v) && inner_columns.contains(u)));
+            .filter(|(((v, u), _), bad)| !(**bad || inner_rows.contains(v) && inner_columns.contains(u)));
         self.values.clear();
         self.values.extend(outside.map(|((_, &d), _)| d));
         let level = median(&mut self.values);

@@ -116,3 +116,54 @@ fn frames_without_a_star_are_refused_with_the_reason() {
     let error = prepare(&plan, &star(30, (15.0, 15.0))).unwrap_err();
     assert!(matches!(error, Error::Shape(_)) && error.to_string().contains("30x30"), "{error}");
 }
+
+#[test]
+fn frames_that_are_not_square_keep_their_axis_through_the_flip_the_reduction_and_the_crop() {
+    // 48 pixels along x, 32 along y: the axis on [24, 16].
+    let (width, height) = (48, 32);
+    let star = |x: f64, y: f64| {
+        Array2::from_shape_fn((height, width), |(v, u)| {
+            let r2 = (u as f64 - x).powi(2) + (v as f64 - y).powi(2);
+            1e4 * (-r2 / 18.0).exp() + 1.0
+        })
+    };
+    let of = |plan: Preparation, data: &Array2<f64>| {
+        let bad = data.mapv(|_| false);
+        plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 }, &recipe()).unwrap()
+    };
+    let plain = Preparation { frame: [width, height], reduced: [width, height], pixels: 24, flip: [false; 2] };
+    let brightest = |prepared: &Prepared| {
+        let data = &prepared.exposure.data_e;
+        (0..data.len()).max_by(|&a, &b| data[a].total_cmp(&data[b])).unwrap()
+    };
+    let centred = of(plain, &star(24.0, 16.0));
+    assert_eq!((centred.shift_pixels, brightest(&centred), centred.bad_pixels), ([0, 0], 12 * 24 + 12, 0));
+    // A star elsewhere is moved onto the axis; the four lines beyond the frame are bad.
+    let moved = of(plain, &star(32.0, 24.0));
+    assert_eq!((moved.shift_pixels, brightest(&moved), moved.bad_pixels), ([8, 8], 12 * 24 + 12, 4 * 24));
+    // Seen in a mirror along x, pixel 22 is pixel 26.
+    let mirrored = of(Preparation { flip: [true, false], ..plain }, &star(22.0, 16.0));
+    assert_eq!(brightest(&mirrored), 12 * 24 + 14);
+    // The fitted part may be larger than the frame along y: what is beyond is bad.
+    let wide = of(Preparation { pixels: 48, ..plain }, &star(24.0, 16.0));
+    assert_eq!((brightest(&wide), wide.bad_pixels), (24 * 48 + 24, 16 * 48));
+    // Half the sampling: four native pixels each, the axis on [12, 8] of [24, 16].
+    let reduced = Preparation { reduced: [width / 2, height / 2], pixels: 16, ..plain };
+    assert_eq!(reduced.native_pixels(), 4.0);
+    let small = of(reduced, &star(24.0, 16.0));
+    assert_eq!((brightest(&small), small.floor_variance_e2[0]), (8 * 16 + 8, 36.0));
+    // A Gaussian of 3 pixels has 5e-5 of its spectrum's peak at the new Nyquist frequency, which aliases.
+    let peak = small.exposure.data_e[8 * 16 + 8];
+    assert!((peak / 4.0 - 10_001.0).abs() < 10.0, "{peak}");
+}
+
+#[test]
+fn a_part_without_a_good_pixel_is_refused() {
+    let data = star(64, (32.0, 32.0));
+    // All that is fitted is bad, and the star's halo around it is not.
+    let bad = Array2::from_shape_fn((64, 64), |(v, u)| (20..44).contains(&v) && (20..44).contains(&u));
+    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 };
+    let still = Recipe { recentre: false, ..recipe() };
+    let outcome = plan(64, 64, 16).prepare(frame, &still);
+    assert!(outcome.unwrap_err().to_string().contains("no good pixel"));
+}

@@ -25,7 +25,7 @@ fn native_floats(images: &Path) -> Vec<u8> {
 /// What the controller prints about frames and latency.
 struct Printed {
     text: String,
-    frames: [usize; 4],
+    frames: [usize; 5],
 }
 
 fn run(program: &Path, arguments: &[&str], frames: &str) -> Printed {
@@ -53,8 +53,9 @@ fn every_frame_is_estimated_or_counted() {
     let fits = images.to_str().unwrap();
     // Far more than can be estimated: the camera goes on, and what finds no room is dropped.
     let flooded = run(&program, &["-r", "1e9", "-n", "2000"], fits);
-    let [count, estimated, dropped, late] = flooded.frames;
+    let [count, estimated, dropped, late, skipped] = flooded.frames;
     assert_eq!((count, estimated + dropped, late), (2000, 2000, 0), "{}", flooded.text);
+    assert!(skipped < estimated, "{}", flooded.text);
     assert!(estimated >= 1 && dropped >= 1, "{}", flooded.text);
     // 50 nm were asked for; seven pistons drawn at random have 44 of them.
     assert!((35.0..55.0).contains(&flooded.phasing_nm()), "{}", flooded.text);
@@ -62,7 +63,7 @@ fn every_frame_is_estimated_or_counted() {
         assert!(flooded.text.contains(word), "{}", flooded.text);
     }
     // Time is up before the first evaluation of any frame.
-    let [count, estimated, dropped, late] = run(&program, &["-r", "1e9", "-n", "50", "-t", "1e-6"], fits).frames;
+    let [count, estimated, dropped, late, _] = run(&program, &["-r", "1e9", "-n", "50", "-t", "1e-6"], fits).frames;
     assert_eq!((count, estimated + dropped, late), (50, 50, estimated));
 }
 
@@ -79,7 +80,7 @@ fn shared_memory_is_read_too() {
     // As many frames as may wait: none is dropped, so that both runs estimate the same ones.
     let [shared, file] = [name.as_str(), images.to_str().unwrap()].map(|frames| {
         let printed = run(&program, &["-r", "1e9", "-n", "4"], frames);
-        assert_eq!(printed.frames, [4, 4, 0, 0], "{}", printed.text);
+        assert_eq!(printed.frames, [4, 4, 0, 0, 0], "{}", printed.text);
         printed.phasing_nm()
     });
     assert_eq!(shared, file);

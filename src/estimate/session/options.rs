@@ -1,0 +1,85 @@
+//! What a session is asked for, and what it answers.
+
+use super::super::prepare::Refusal;
+use super::super::status::{ImageReport, Status, unfitted};
+use crate::imaging::{Choice, Precision};
+use crate::optimize::StopReason;
+use ndarray::{ArrayView1, ArrayView2};
+use std::time::Duration;
+
+/// What a [`Session`](super::Session) is made for.
+#[derive(Debug, Clone)]
+pub struct SessionOptions {
+    /// Most images of a call; 1 by default.
+    pub capacity: usize,
+    /// Precision of the chain; double by default.
+    pub precision: Precision,
+    /// Where the chain runs; the CPU by default.
+    pub device: Choice,
+    /// Threads of the CPU chain: 1, the default, is the caller's own, 0 all that there are.
+    pub threads: usize,
+    /// Most evaluations for one image; `None` takes the recipe's.
+    pub max_evaluations: Option<usize>,
+    /// A fit stops where no coefficient would move by more than this, nm; `None` takes the recipe's.
+    pub step_tolerance_nm: Option<f64>,
+}
+
+impl Default for SessionOptions {
+    fn default() -> Self {
+        Self {
+            capacity: 1,
+            precision: Precision::F64,
+            device: Choice::Cpu,
+            threads: 1,
+            max_evaluations: None,
+            step_tolerance_nm: None,
+        }
+    }
+}
+
+/// One call of [`Session::fit`](super::Session::fit).
+#[derive(Debug, Clone, Default)]
+pub struct FitOptions<'a> {
+    /// Wall-clock time for the whole call; `None` is without limit. It is honoured within one evaluation.
+    pub deadline: Option<Duration>,
+    /// Read noise of a pixel, RMS electrons; `None` takes the scene's. 0 takes what the frame's border shows.
+    pub read_noise_e: Option<f64>,
+    /// Where each fit starts, `[image, mode]`, nm; `None` is the flat wavefront.
+    pub start_nm: Option<ArrayView2<'a, f64>>,
+}
+
+/// What became of one image.
+#[derive(Debug, Clone)]
+pub struct ImageResult {
+    /// Every mode, nm, pistons about their mean over the pupil; NaN where the image could not be used, the start where
+    /// the deadline came before its turn.
+    pub coefficients_nm: Vec<f64>,
+    /// How it went. Past the deadline the status is [`Status::NotConverged`] with [`StopReason::DeadlineReached`]; an
+    /// image whose turn never came has no evaluations.
+    pub report: ImageReport,
+    /// Wall-clock time of this image's fit; of a batch on a device, that of the batch.
+    pub seconds: f64,
+}
+
+impl ImageResult {
+    /// The image cannot be used.
+    pub(super) fn refuse(&mut self, refusal: Refusal) {
+        self.coefficients_nm.fill(f64::NAN);
+        self.report = unfitted(Status::Unusable(refusal));
+    }
+
+    /// Its turn did not come in time.
+    pub(super) fn not_begun(&mut self, start_nm: Option<ArrayView1<f64>>) {
+        write_start(&mut self.coefficients_nm, start_nm);
+        self.report = unfitted(Status::NotConverged(StopReason::DeadlineReached));
+        self.seconds = 0.0;
+    }
+}
+
+/// The start of an image's fit, or the flat wavefront.
+pub(super) fn write_start(to: &mut [f64], start_nm: Option<ArrayView1<f64>>) {
+    match start_nm {
+        Some(start_nm) => to.iter_mut().zip(start_nm).for_each(|(to, nm)| *to = *nm),
+        None => to.fill(0.0),
+    }
+}
