@@ -1,5 +1,6 @@
 //! On the CPU and the caller's own thread, a session neither allocates nor frees memory: counted at the allocator.
 
+use cophase::capi::*;
 use cophase::estimate::{Estimator, FitOptions, Refusal, Session, SessionOptions, Status};
 use cophase::imaging::Precision;
 use cophase::optimize::StopReason;
@@ -8,7 +9,10 @@ use cophase::source;
 use ndarray::Array2;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
+use std::ffi::CString;
 use std::hint::black_box;
+use std::mem::MaybeUninit;
+use std::ptr::{null, null_mut};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -176,4 +180,78 @@ fn the_objective_without_weights() {
     let scene =
         scene(&[("image.samples_per_lambda_over_d", "3"), ("image.pixels", "132"), ("estimate.weighting", "none")]);
     silent(&scene, Precision::F64);
+}
+
+/// A caller's array as C hands it in.
+fn input<T>(values: &[T], element: i32, shape: [usize; 3]) -> cophase_input {
+    let [count, rows, cols] = shape;
+    let (count_stride, row_stride) = ((rows * cols) as isize, cols as isize);
+    cophase_input { data: values.as_ptr().cast(), element, count, rows, cols, count_stride, row_stride, col_stride: 1 }
+}
+
+/// What a camera would deliver: whole numbers, three electrons each, over a dark level.
+fn raw(scene: &Scene) -> Vec<u16> {
+    let images_e = source::images(scene).unwrap().images_e;
+    images_e.iter().map(|electrons| (electrons / 3.0 + 100.0).round() as u16).collect()
+}
+
+/// Every call of the header that is marked [RT], with raw frames and their calibration.
+#[test]
+fn the_calls_of_the_c_interface_marked_rt() {
+    let scene = scene(&[
+        ("image.samples_per_lambda_over_d", "3"),
+        ("image.pixels", "132"),
+        ("image.rows", "120"),
+        ("image.peak_snr", "150"),
+        ("image.read_noise_e", "5"),
+    ]);
+    let (raw, shape) = (raw(&scene), [4, 120, 132]);
+    let dark = vec![100.0_f32; 120 * 132];
+    let text = CString::new(scene.text()).unwrap();
+    let (mut model, mut session, mut sequence) = (null_mut(), null_mut(), null_mut());
+    let mut modes = 0;
+    unsafe {
+        assert_eq!(cophase_model_create(text.as_ptr(), null(), &mut model), COPHASE_OK);
+        assert_eq!(cophase_model_mode_count(model, &mut modes), COPHASE_OK);
+        let mut options = MaybeUninit::uninit();
+        assert_eq!(cophase_session_options_init(options.as_mut_ptr(), size_of_val(&options)), COPHASE_OK);
+        let mut options = options.assume_init();
+        options.capacity = 4;
+        assert_eq!(cophase_session_create(null(), model, &options, &mut session), COPHASE_OK);
+        assert_eq!(cophase_sequence_create(model, 3, &mut sequence), COPHASE_OK);
+        let mut calibration = MaybeUninit::uninit();
+        assert_eq!(cophase_calibration_init(calibration.as_mut_ptr(), size_of_val(&calibration)), COPHASE_OK);
+        let mut calibration = calibration.assume_init();
+        (calibration.dark, calibration.gain_e) = (input(&dark, COPHASE_F32, [1, 120, 132]), 3.0);
+        calibration.saturation = 65535.0;
+        assert_eq!(cophase_session_calibrate(session, &calibration), COPHASE_OK);
+    }
+    let frames = input(&raw, COPHASE_U16, shape);
+    let mut coefficients_nm = vec![0.0; 4 * modes];
+    let (mut objectives, mut gradients) = (vec![0.0; 4], vec![0.0; 4 * modes]);
+    let mut reports = [MaybeUninit::<cophase_report>::uninit(); 4];
+    let size = size_of::<cophase_report>();
+    let mut call = |name: &str, call: &mut dyn FnMut() -> i32| {
+        let (status, calls) = counted(call);
+        assert_eq!((status, calls), (COPHASE_OK, 0), "{name}");
+    };
+    unsafe {
+        let (out, first) = (coefficients_nm.as_mut_ptr(), reports.as_mut_ptr().cast());
+        call("fit", &mut || cophase_session_fit(session, &frames, null(), out, modes, first, size));
+        // More than it keeps.
+        call("push", &mut || cophase_sequence_push(sequence, session));
+        call("push again", &mut || cophase_sequence_push(sequence, session));
+        call("load", &mut || cophase_session_load(session, &frames, null()));
+        let (objectives, gradients) = (objectives.as_mut_ptr(), gradients.as_mut_ptr());
+        call("evaluate", &mut || cophase_session_evaluate(session, out, 4, modes, objectives, gradients));
+        call("clear", &mut || cophase_sequence_clear(sequence));
+        call("cancel", &mut || cophase_session_cancel(session));
+        for report in reports {
+            let report = report.assume_init();
+            assert!(report.status <= COPHASE_IMAGE_MISFIT && report.evaluations > 5, "{report:?}");
+        }
+        cophase_sequence_destroy(sequence);
+        cophase_session_destroy(session);
+        cophase_model_destroy(model);
+    }
 }

@@ -57,7 +57,7 @@ fn failures() {
 /// Only where pip and what it needs to make wheels are there already, for a test fetches nothing.
 #[test]
 fn a_wheel_works_without_the_sources() {
-    let needs = "import numpy, cffi, pip, setuptools, importlib.util as modules\n\
+    let needs = "import numpy, cffi, setuptools, pip, importlib.util as modules\n\
                  assert modules.find_spec('wheel') or modules.find_spec('setuptools.command.bdist_wheel')";
     if let Some(mut command) = python("wheel.py", needs, "COPHASE_REQUIRE_WHEEL") {
         let scratch = tempfile::tempdir().unwrap();
