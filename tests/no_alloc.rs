@@ -231,7 +231,7 @@ fn the_calls_of_the_c_interface_marked_rt() {
     let (mut objectives, mut gradients) = (vec![0.0; 4], vec![0.0; 4 * modes]);
     let mut reports = [MaybeUninit::<cophase_report>::uninit(); 4];
     let size = size_of::<cophase_report>();
-    let mut call = |name: &str, call: &mut dyn FnMut() -> i32| {
+    let call = |name: &str, call: &mut dyn FnMut() -> i32| {
         let (status, calls) = counted(call);
         assert_eq!((status, calls), (COPHASE_OK, 0), "{name}");
     };
