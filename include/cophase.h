@@ -171,26 +171,6 @@ typedef struct cophase_array_f32 {
   ptrdiff_t col_stride;
 } cophase_array_f32;
 
-// What the images of a sequence say together. Later versions may append fields.
-typedef struct cophase_sequence_report {
-  // Images that are kept.
-  uint64_t images;
-  // Those that were combined.
-  uint64_t used;
-  // Those that were fitted but left out as outliers.
-  uint64_t clipped;
-  // The segments' part of the wavefront, nm RMS over the pupil.
-  double phasing_rms_nm;
-  // Its error bar, nm RMS over the pupil.
-  double phasing_sigma_nm;
-  // The non-common path aberrations, nm RMS over the pupil.
-  double ncpa_rms_nm;
-  // Their error bar, nm RMS over the pupil.
-  double ncpa_sigma_nm;
-  // Median χ² per degree of freedom of the images that were combined.
-  double reduced_chi2;
-} cophase_sequence_report;
-
 // How a session is made.
 typedef struct cophase_session_options {
   // Filled in by cophase_session_options_init.
@@ -239,6 +219,26 @@ typedef struct cophase_fit_options {
   // NULL.
   const double *start_nm;
 } cophase_fit_options;
+
+// What the images of a sequence say together. Later versions may append fields.
+typedef struct cophase_sequence_report {
+  // Images that are kept.
+  uint64_t images;
+  // Those that were combined.
+  uint64_t used;
+  // Those that were fitted but left out as outliers.
+  uint64_t clipped;
+  // The segments' part of the wavefront, nm RMS over the pupil.
+  double phasing_rms_nm;
+  // Its error bar, nm RMS over the pupil.
+  double phasing_sigma_nm;
+  // The non-common path aberrations, nm RMS over the pupil.
+  double ncpa_rms_nm;
+  // Their error bar, nm RMS over the pupil.
+  double ncpa_sigma_nm;
+  // Median χ² per degree of freedom of the images that were combined.
+  double reduced_chi2;
+} cophase_sequence_report;
 
 // What became of an image. Later versions may append fields.
 typedef struct cophase_report {
@@ -369,6 +369,16 @@ cophase_status cophase_model_psf(const struct cophase_model *model,
                                  size_t modes,
                                  const struct cophase_array_f32 *out);
 
+// Fills in `struct_size` and the defaults. struct_size:
+// sizeof(cophase_session_options).
+cophase_status cophase_session_options_init(struct cophase_session_options *options, size_t struct_size);
+
+// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_calibration).
+cophase_status cophase_calibration_init(struct cophase_calibration *calibration, size_t struct_size);
+
+// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_fit_options).
+cophase_status cophase_fit_options_init(struct cophase_fit_options *options, size_t struct_size);
+
 // Name of an image's status: `OK`, `MISFIT`, …; `UNKNOWN` for a number of a later version.
 //
 // Returns a static string that the caller must not free. Never NULL.
@@ -421,16 +431,6 @@ cophase_status cophase_sequence_images_needed(const struct cophase_sequence *seq
                                               double phasing_nm,
                                               double ncpa_nm,
                                               uint64_t *images);
-
-// Fills in `struct_size` and the defaults. struct_size:
-// sizeof(cophase_session_options).
-cophase_status cophase_session_options_init(struct cophase_session_options *options, size_t struct_size);
-
-// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_calibration).
-cophase_status cophase_calibration_init(struct cophase_calibration *calibration, size_t struct_size);
-
-// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_fit_options).
-cophase_status cophase_fit_options_init(struct cophase_fit_options *options, size_t struct_size);
 
 // Makes a workspace for images of a model.
 //

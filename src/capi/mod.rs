@@ -14,6 +14,7 @@ mod failure;
 mod handle;
 mod input;
 mod model;
+mod options;
 mod pointer;
 mod report;
 mod scene;
@@ -29,6 +30,7 @@ pub use device::{cophase_device, cophase_device_close, cophase_device_list, coph
 pub use failure::cophase_last_error;
 pub use input::{COPHASE_F32, COPHASE_F64, COPHASE_I32, COPHASE_U8, COPHASE_U16, cophase_input};
 pub use model::*;
+pub use options::*;
 pub use report::*;
 pub use scene::cophase_scene_preset;
 pub use sequence::*;

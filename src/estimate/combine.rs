@@ -1,7 +1,7 @@
 //! From the minima of single images to one estimate: mean or median, error bars, maps.
 
 use super::Estimator;
-use super::fit::Minimum;
+use super::minimum::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
 use super::prepare::{Prepared, Refusal};

@@ -2,6 +2,7 @@
 //! drop out.
 
 use super::metrics::Metrics;
+use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::Prepared;
 use super::recipe::Recipe;
@@ -14,29 +15,6 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
 use rayon::prelude::*;
 use std::time::Instant;
-
-/// The minimum of one image.
-#[derive(Clone)]
-pub(super) struct Minimum {
-    pub(super) coefficients_nm: Vec<f64>,
-    pub(super) flux_e: f64,
-    pub(super) background_e: f64,
-    pub(super) evaluations: usize,
-    pub(super) reason: StopReason,
-}
-
-impl Minimum {
-    /// Room for one of `modes` coefficients.
-    pub(super) fn room(modes: usize) -> Self {
-        Self {
-            coefficients_nm: vec![0.0; modes],
-            flux_e: f64::NAN,
-            background_e: f64::NAN,
-            evaluations: 0,
-            reason: StopReason::Unfinished,
-        }
-    }
-}
 
 /// What a caller sees while it waits: images done of all.
 pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;

@@ -18,6 +18,7 @@ mod file;
 mod fisher;
 mod fit;
 mod metrics;
+mod minimum;
 mod mode_set;
 mod model;
 mod pistons;
@@ -72,7 +73,7 @@ struct Fitted {
     /// The images that could.
     indices: Vec<usize>,
     prepared: Vec<Prepared>,
-    minima: Vec<fit::Minimum>,
+    minima: Vec<minimum::Minimum>,
 }
 
 impl Estimator {

@@ -1,6 +1,6 @@
 //! What a fitted model says of an exposure: flux and background, variances, χ².
 
-use super::fit::Minimum;
+use super::minimum::Minimum;
 use crate::imaging::{Exposure, Photometry};
 
 /// Variance of a pixel of which the model expects `electrons`: their photon noise, and the floor (infinite for a bad

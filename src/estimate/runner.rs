@@ -1,7 +1,7 @@
 //! One image's way to its minimum: asked for a point, told its objective, weighted anew where it converged, until done.
 //! It neither evaluates nor allocates: the batch in lock-step and the loop over single images drive the same machine.
 
-use super::fit::Minimum;
+use super::minimum::Minimum;
 use super::prepare::Prepared;
 use super::recipe::Recipe;
 use super::residual::{photometry, reweigh};

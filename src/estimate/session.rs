@@ -6,7 +6,7 @@ mod single;
 
 pub use options::{FitOptions, ImageResult, SessionOptions};
 
-use super::fit::Minimum;
+use super::minimum::Minimum;
 use super::pistons::Pistons;
 use super::prepare::{Frame, Prepared, Refusal};
 use super::residual::variance;

@@ -3,7 +3,7 @@
 
 use super::Estimator;
 use super::fisher::Sensitivity;
-use super::fit::Minimum;
+use super::minimum::Minimum;
 use super::pistons::Pistons;
 use super::prepare::Prepared;
 use crate::Result;

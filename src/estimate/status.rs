@@ -1,7 +1,7 @@
 //! What became of each image: judged by its own residual, and in a sequence by the others'.
 
 use super::Estimator;
-use super::fit::Minimum;
+use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{Prepared, Refusal};
 use super::residual::reduced_chi2;

@@ -60,7 +60,16 @@ pub(super) fn are_those_of_rust(scene: &Path, dump: &Path) {
 }
 
 /// That a dump holds these numbers, to the last bit.
+///
+/// valgrind plays a processor without the widest vector units: other routines of the libraries run there, which round
+/// otherwise, and a fit stops anywhere within its tolerance, 0.001 nm in coefficients of 25 and more.
 pub(super) fn same(what: &str, dumped: &[f64], expected: &[f64]) {
+    if std::env::var_os("COPHASE_C_RUNNER").is_some_and(|runner| !runner.is_empty()) {
+        let largest = expected.iter().fold(0.0f64, |most, value| most.max(value.abs()));
+        let close = |(a, b): (&f64, &f64)| (a - b).abs() <= 1e-3 * largest || a.is_nan() && b.is_nan();
+        assert!(dumped.len() == expected.len() && dumped.iter().zip(expected).all(close), "{what}");
+        return;
+    }
     let bits = |values: &[f64]| values.iter().map(|value| value.to_bits()).collect::<Vec<_>>();
     let (dumped, expected) = (bits(dumped), bits(expected));
     assert_eq!(dumped.len(), expected.len(), "{what}");

@@ -1,0 +1,26 @@
+//! Where the fit of an image ended.
+
+use crate::optimize::StopReason;
+
+/// The minimum of one image.
+#[derive(Clone)]
+pub(super) struct Minimum {
+    pub(super) coefficients_nm: Vec<f64>,
+    pub(super) flux_e: f64,
+    pub(super) background_e: f64,
+    pub(super) evaluations: usize,
+    pub(super) reason: StopReason,
+}
+
+impl Minimum {
+    /// Room for one of `modes` coefficients.
+    pub(super) fn room(modes: usize) -> Self {
+        Self {
+            coefficients_nm: vec![0.0; modes],
+            flux_e: f64::NAN,
+            background_e: f64::NAN,
+            evaluations: 0,
+            reason: StopReason::Unfinished,
+        }
+    }
+}
