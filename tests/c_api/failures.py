@@ -5,6 +5,7 @@
 With DEBUG the library is one that fails on demand.
 """
 
+import contextlib
 import os
 import pickle
 import signal
@@ -74,6 +75,13 @@ def busy(session):
     return False
 
 
+def patiently(call):
+    """What ``call`` returns, once nobody who looks whether the session is busy keeps it busy by that."""
+    while True:
+        with contextlib.suppress(cophase.BusyError):
+            return call()
+
+
 def threads(model, frame):
     """Two on one session, one of which cancels; or closes it while it works, and the work goes on."""
     session = cophase.Session(model, capacity=MANY)
@@ -82,7 +90,7 @@ def threads(model, frame):
 
     def fit():
         try:
-            outcome.append(session.fit(many).status[-1])
+            outcome.append(patiently(lambda: session.fit(many)).status[-1])
         except cophase.Error as error:
             outcome.append(error.status)
 
@@ -117,7 +125,7 @@ def ctrl_c(model, frame):
 
     def stopped(call):
         try:
-            call()
+            patiently(call)
         except KeyboardInterrupt:
             return True
         return False
