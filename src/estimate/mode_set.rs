@@ -9,7 +9,7 @@ use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
-use std::cell::OnceCell;
+use std::sync::OnceLock;
 
 /// A mode is dropped where those before it already span all but this fraction of it.
 const SMALLEST_REMAINDER: f64 = 1e-3;
@@ -120,12 +120,12 @@ impl ModeSet {
 
 /// The scene's own basis, which costs a second to build: made once for all recipes of a scene.
 #[derive(Default)]
-pub(super) struct OwnBasis(OnceCell<Option<SmoothBasis>>);
+pub(super) struct OwnBasis(OnceLock<Option<SmoothBasis>>);
 
 impl OwnBasis {
     /// No basis, whatever the scene says.
     pub(super) fn none() -> Self {
-        Self(OnceCell::from(None))
+        Self(OnceLock::from(None))
     }
 
     fn of(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {

@@ -82,13 +82,24 @@ impl Chain {
     /// # Errors
     /// As [`Chain::load`], and [`Error::Shape`] where there is no such image.
     pub fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()> {
+        self.replace_all(&[(image, exposure)])
+    }
+
+    /// Replaces some images of the batch.
+    ///
+    /// # Errors
+    /// As [`Chain::replace`]; which images were replaced is not known then.
+    pub fn replace_all(&mut self, exposures: &[(usize, &Exposure)]) -> Result<()> {
         match self {
-            Self::Cpu64(chain) => chain.replace(image, exposure),
-            Self::Cpu32(chain) => chain.replace(image, exposure),
             Self::Device { chain, optics, .. } => {
-                exposure.check(optics.sampling().pixels)?;
-                chain.replace(image, &exposure.data_e, &exposure.weight, exposure.photometry.into())
+                exposures.iter().try_for_each(|(_, exposure)| exposure.check(optics.sampling().pixels))?;
+                let parts = exposures.iter().map(|(image, exposure)| {
+                    (*image, exposure.data_e.as_slice(), exposure.weight.as_slice(), exposure.photometry.into())
+                });
+                chain.replace_all(&parts.collect::<Vec<_>>())
             }
+            Self::Cpu64(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
+            Self::Cpu32(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
         }
     }
 

@@ -106,21 +106,36 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::load`], and [`Error::Shape`] where there is no such image.
     pub fn replace(&mut self, image: usize, data: &[f64], weights: &[f64], photometry: GpuPhotometry) -> Result<()> {
+        self.replace_all(&[(image, data, weights, photometry)])
+    }
+
+    /// Replaces images that are loaded: which, their data, weights and photometry.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::replace`].
+    pub fn replace_all(&mut self, images: &[(usize, &[f64], &[f64], GpuPhotometry)]) -> Result<()> {
         let (m, loaded) = (self.layout.pixels, self.photometry.len());
-        if image >= loaded {
-            return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+        let fold = |&(image, data, weights, ref photometry): &(usize, &[f64], &[f64], GpuPhotometry)| {
+            if image >= loaded {
+                return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+            }
+            if data.len() != m * m || weights.len() != m * m {
+                let (data, weights) = (data.len(), weights.len());
+                return Err(Error::Shape(format!(
+                    "{data} data and {weights} weights are not an image of {m} x {m} pixels"
+                )));
+            }
+            Folded::new(&self.shape, m, data, weights, photometry)
+                .map_err(|what| Error::Value(format!("image {image} {what}")))
+        };
+        for images in images.chunks(FOLDED_AT_ONCE) {
+            let folded = images.par_iter().map(fold).collect::<Result<Vec<_>>>()?;
+            for ((image, _, _, photometry), folded) in images.iter().zip(&folded) {
+                self.stages.load(*image, folded)?;
+                self.offsets[*image] = folded.offset;
+                self.photometry[*image] = *photometry;
+            }
         }
-        if data.len() != m * m || weights.len() != m * m {
-            let (data, weights) = (data.len(), weights.len());
-            return Err(Error::Shape(format!(
-                "{data} data and {weights} weights are not an image of {m} x {m} pixels"
-            )));
-        }
-        let folded = Folded::new(&self.shape, m, data, weights, &photometry)
-            .map_err(|what| Error::Value(format!("image {image} {what}")))?;
-        self.stages.load(image, &folded)?;
-        self.offsets[image] = folded.offset;
-        self.photometry[image] = photometry;
         Ok(())
     }
 
