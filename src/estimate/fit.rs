@@ -107,7 +107,7 @@ impl Fitter<'_> {
         let (count, modes) = (prepared.len(), self.model.optics.modes());
         let runner = |(image, start_nm): (&&mut Prepared, &&[f64])| -> Result<Runner> {
             let metric = self.metrics.of(self.judge, image)?;
-            let mut runner = Runner::new(metric.0, self.recipe, wavelength_nm, settings.clone())?;
+            let mut runner = Runner::new(metric.0, self.recipe, settings.clone())?;
             runner.begin(metric, start_nm, self.deadline)?;
             Ok(runner)
         };

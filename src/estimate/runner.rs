@@ -23,9 +23,9 @@ const DECREMENT: f64 = 1e-5;
 /// The same where the first weights, those of the data's own noise, have done their work: one σ along one of a hundred
 /// directions. Beyond, the weights of the model lead to a better minimum by the same steps.
 const APPROACH: f64 = 1.0;
-/// New weights are not worth another fit where the minimum has moved by less than this since the last, as a fraction of
-/// the wavelength: the PSF and so the weights are then off by 4π·1e-4 or so, and the minimum by that much of its σ.
-const SETTLED_WAVES: f64 = 1e-4;
+/// New weights move the minimum by at most a tenth of what moved it since the last ones (where the model misfits; where
+/// it is right, by far less): they are not worth another fit where that is less than the step tolerance.
+const SETTLED_STEPS: f64 = 10.0;
 /// The step tolerance to which [`DECREMENT`] belongs.
 const DECREMENT_STEP_NM: f64 = 1e-3;
 /// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which the linearisation
@@ -68,10 +68,10 @@ impl Runner {
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a tolerance out of range.
-    pub(super) fn new(metric: &Arc<Metric>, recipe: &Recipe, wavelength_nm: f64, settings: Settings) -> Result<Self> {
+    pub(super) fn new(metric: &Arc<Metric>, recipe: &Recipe, settings: Settings) -> Result<Self> {
         let zeros = vec![0.0; metric.dimension()];
         let tolerances = (settings.step_tolerance, settings.decrement_tolerance);
-        let settled_nm = (SETTLED_WAVES * wavelength_nm).max(settings.step_tolerance);
+        let settled_nm = SETTLED_STEPS * settings.step_tolerance;
         Ok(Self {
             solver: QuasiNewton::new(metric.clone(), &zeros, settings)?,
             reweighs: recipe.weighting == Weighting::Noise,

@@ -116,6 +116,9 @@ impl<'a> Walk<'a> {
             // A map is as fine as it is.
             return Ok(from);
         }
+        if self.asked.estimate.samples.is_some() {
+            return Ok(from);
+        }
         let own = from.scene.pupil.samples;
         let truth = from.scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
         let most = truth.unwrap_or(usize::MAX).min(4 * own);
@@ -123,10 +126,10 @@ impl<'a> Walk<'a> {
         let (mut good, mut too_few, mut enough) = (None, 0, sizes.len());
         while too_few < enough {
             let middle = (too_few + enough) / 2;
-            let scene = from.scene.with_override("pupil.samples", &sizes[middle].to_string())?;
+            let scene = from.scene.with_override("estimate.samples", &sizes[middle].to_string())?;
             let candidate = self.candidate(&from.estimator, &scene)?;
             let fits = candidate.price.error_nm() <= limit_nm;
-            self.note("pupil.samples", sizes[middle].to_string(), candidate.price);
+            self.note("estimate.samples", sizes[middle].to_string(), candidate.price);
             if fits {
                 (good, enough) = (Some(candidate), middle);
             } else {
@@ -134,7 +137,8 @@ impl<'a> Walk<'a> {
             }
         }
         let best = good.unwrap_or(from);
-        self.keep("pupil.samples", &best.scene.pupil.samples.to_string());
+        let kept = best.scene.estimate.samples.unwrap_or(own).to_string();
+        self.keep("estimate.samples", &kept);
         Ok(best)
     }
 

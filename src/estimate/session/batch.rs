@@ -23,7 +23,7 @@ impl Batch {
         let estimator = &shared.estimator;
         let wavelength_nm = estimator.model.optics.parts().wavelength_nm;
         let settings = settings(wavelength_nm, &shared.recipe, chain.precision(), None);
-        Runner::new(estimator.metrics.any(&estimator.judge)?, &shared.recipe, wavelength_nm, settings)?;
+        Runner::new(estimator.metrics.any(&estimator.judge)?, &shared.recipe, settings)?;
         Ok(Self { chain })
     }
 

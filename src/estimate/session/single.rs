@@ -112,7 +112,7 @@ impl<T: Polynomial> Lane<T> {
         let metric = estimator.metrics.any(&estimator.judge)?;
         Ok(Self {
             preparer: Preparer::new(estimator.model.preparation),
-            runner: Runner::new(metric, &shared.recipe, wavelength_nm, settings)?,
+            runner: Runner::new(metric, &shared.recipe, settings)?,
             scratch: chain.scratch(),
             judge: estimator.judge.scratch(),
             evaluation: chain.evaluation(),
