@@ -214,7 +214,7 @@ impl Estimator {
             refused.into_iter().map(|refusal| status::unfitted(refusal.map_or(Status::Ok, Status::Unusable))).collect();
         let pistons = pistons::Pistons::of(&self.model)?;
         for ((&image, mut minimum), report) in
-            indices.iter().zip(minima.iter().cloned()).zip(status::judged(self, &prepared, &minima))
+            indices.iter().zip(minima.iter().cloned()).zip(status::judged(self, &prepared, &minima)?)
         {
             pistons.centre(&mut minimum.coefficients_nm);
             coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));

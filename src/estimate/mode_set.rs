@@ -69,7 +69,7 @@ impl NcpaModes {
     /// Modes known by their maps, used as they are, followed by what the exact Zernikes add to the NCPA among them.
     fn of_maps(given: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
         let (basis, dropped) = with_exact(given, recipe.exact_zernikes, pupil)?;
-        Ok(Self { smooth: Smooth::Maps(basis.maps().to_owned()), sampled: Some(basis), dropped })
+        Ok(Self { smooth: Smooth::Maps(basis.maps()), sampled: Some(basis), dropped })
     }
 }
 

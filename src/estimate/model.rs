@@ -111,13 +111,15 @@ impl Model {
 
     /// The map of some of the modes, `[y, x]`, nm, NaN outside the pupil.
     pub fn map_nm(&self, coefficients_nm: &[f64], group: Group) -> Array2<f64> {
-        let mut map = Array2::zeros(self.telescope.pupil.amplitude.dim());
-        for ((mode, &nm), &of) in self.basis.maps().outer_iter().zip(coefficients_nm).zip(self.basis.groups()) {
-            if of == group {
-                map.scaled_add(nm, &mode);
-            }
+        self.outside_to_nan(self.basis.combined(coefficients_nm, self.modes_of(group)))
+    }
+
+    /// The modes of a group.
+    pub fn modes_of(&self, group: Group) -> std::ops::Range<usize> {
+        match group {
+            Group::Segment => 0..self.segment_modes,
+            Group::Ncpa => self.segment_modes..self.basis.len(),
         }
-        self.outside_to_nan(map)
     }
 
     /// `map` with NaN where there is no glass.

@@ -5,6 +5,7 @@ use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{Prepared, Refusal};
 use super::sequence::{SEQUENCE, distances, outliers};
+use crate::Result;
 use crate::optimize::StopReason;
 use crate::scene::Combine;
 use ndarray::{Array2, Axis};
@@ -92,13 +93,16 @@ impl ImageReport {
 }
 
 /// The reports on the minima of `prepared`.
-pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
-    let tilts = Tilts::new(&estimator.model);
+///
+/// # Errors
+/// Those of [`Tilts::new`].
+pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Result<Vec<ImageReport>> {
+    let tilts = Tilts::new(&estimator.model)?;
     let pairs = prepared.iter().zip(minima);
     let mut reports: Vec<ImageReport> =
         pairs.map(|(prepared, minimum)| judge(&estimator.model, &tilts, prepared, minimum)).collect();
     judge_together(&mut reports);
-    reports
+    Ok(reports)
 }
 
 /// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.
@@ -199,7 +203,10 @@ pub(super) struct Tilts {
 }
 
 impl Tilts {
-    pub(super) fn new(model: &Model) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Shape`] for modes on another grid than the pupil's.
+    pub(super) fn new(model: &Model) -> Result<Self> {
         let pupil = &model.telescope.pupil;
         let total = pupil.weight_sum();
         let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / total;
@@ -211,12 +218,13 @@ impl Tilts {
             let rms_m = mean(&(&centred * &centred)).sqrt();
             (centred / rms_m, rms_m)
         });
-        let modes = model.basis.maps().outer_iter().map(|mode| [0, 1].map(|i| mean(&(&mode * &axes[i].0)))).collect();
+        let [along_x, along_y] = [0, 1].map(|i| model.basis.along(&(&axes[i].0 * &pupil.amplitude / total)));
+        let modes = along_x?.into_iter().zip(along_y?).map(|(x, y)| [x, y]).collect();
         // One pixel is λ over the width of the model's grid, divided by the pixels per λ/D.
         let sampling = model.optics.sampling();
         let width_m = pupil.grid.width_m() * model.width_ratio();
         let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * width_m);
-        Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) }
+        Ok(Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) })
     }
 
     /// Of a wavefront whose image was moved onto the axis by `shift_pixels`.
