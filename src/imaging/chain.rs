@@ -47,7 +47,7 @@ impl Chain {
     pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
         let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
         let on_device = || -> Result<Self> {
-            let layout = layout(&optics)?;
+            let layout = layout(&optics);
             let device = Device::open(&info, false)?;
             let chain = Box::new(GpuChain::new(&device, precision, &layout, capacity)?);
             let name = format!("{} ({})", info.address(), info.name.trim());
@@ -155,17 +155,16 @@ impl From<Photometry> for GpuPhotometry {
 }
 
 /// The model as the device takes it.
-fn layout(optics: &Optics) -> Result<GpuLayout> {
+fn layout(optics: &Optics) -> GpuLayout {
     let parts = optics.parts();
     let indices = |list: &[u32]| list.iter().map(|&i| i as usize).collect::<Vec<usize>>();
     let mode = |mode: &Mode| match *mode {
-        Mode::Piston(segment) => Ok(GpuMode::Segment(segment)),
-        Mode::Smooth(row) => Ok(GpuMode::Smooth(row)),
-        Mode::Tip(_) | Mode::Tilt(_) => Err(Error::Device(
-            "segment tip and tilt do not run on OpenCL yet: use the device cpu, or modes.segment = \"piston\"".into(),
-        )),
+        Mode::Piston(segment) => GpuMode::Segment(segment),
+        Mode::Tip(segment) => GpuMode::Tip(segment),
+        Mode::Tilt(segment) => GpuMode::Tilt(segment),
+        Mode::Smooth(row) => GpuMode::Smooth(row),
     };
-    Ok(GpuLayout {
+    GpuLayout {
         samples: parts.sampling.samples,
         pixels: parts.sampling.pixels,
         samples_per_lambda_over_d: parts.sampling.pixels_per_lambda_over_d,
@@ -178,6 +177,7 @@ fn layout(optics: &Optics) -> Result<GpuLayout> {
         segment_start: indices(&parts.weights.offsets),
         segment_index: indices(&parts.weights.segment),
         segment_weight: parts.weights.weight.clone(),
-        modes: parts.modes.iter().map(mode).collect::<Result<_>>()?,
-    })
+        segment_slopes: parts.slopes.clone(),
+        modes: parts.modes.iter().map(mode).collect(),
+    }
 }
