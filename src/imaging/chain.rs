@@ -5,7 +5,7 @@ use super::detector::{Evaluation, Exposure, Photometry};
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
 use crate::device::Device;
-use crate::{Error, Result};
+use crate::Result;
 use ndarray::ArrayView2;
 use std::sync::Arc;
 
