@@ -90,6 +90,7 @@ impl Model {
             slopes,
             diversity_nm: points.iter().map(|&(x, y)| diversity.at(x, y)).collect(),
             basis: set.smooth.at(&points, &weights)?,
+            products: set.smooth.products(grid)?,
             modes: set.kinds,
             weights,
         })?;

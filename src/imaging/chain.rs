@@ -4,8 +4,8 @@ use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
-use crate::device::Device;
 use crate::Result;
+use crate::device::Device;
 use ndarray::ArrayView2;
 use std::sync::Arc;
 

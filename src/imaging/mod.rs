@@ -15,6 +15,7 @@ mod field;
 pub mod gpu;
 mod optics;
 mod phasor;
+mod smooth;
 
 pub use chain::{Chain, Choice, Precision};
 pub use cpu::{CpuChain, Scratch};

@@ -52,7 +52,9 @@ impl Cut {
     fn new(device: &Device, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
         let number = build.precision.bytes();
         let phase = blocks * 4 * shape.vector * number;
-        let rest = (shape.rows * 8 * shape.width + blocks * 16 * shape.vector + shape.pairs * 8 * (shape.width + shape.span)) * number;
+        let rest =
+            (shape.rows * 8 * shape.width + blocks * 16 * shape.vector + shape.pairs * 8 * (shape.width + shape.span))
+                * number;
         let fits = |budget: usize, bytes: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
         if build.is_scalar() {
             let tile = fits(TILE_BYTES_GPU, phase + rest);
