@@ -26,7 +26,7 @@ pub use discover::devices;
 #[cfg(feature = "opencl")]
 pub use session::{Buffer, Device, Element, Kernel, StageTime};
 #[cfg(feature = "opencl")]
-pub use table::{Build, Entry, Family, TABLE};
+pub use table::{Build, Entry, Family, FftPlan, TABLE};
 
 /// The arithmetic of a chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]

@@ -130,7 +130,7 @@ impl Counts {
             poses,
             smooth,
             mode_groups: smooth.div_ceil(MODES_AT_ONCE),
-            strips: shape.pairs.div_ceil(cut.pairs_per_strip),
+            strips: shape.fft.map_or(shape.pairs.div_ceil(cut.pairs_per_strip), |fft| fft.points() / shape.vector),
             chunks: blocks.count().div_ceil(cut.blocks_per_chunk),
             outputs,
         };
@@ -156,12 +156,14 @@ pub(super) struct Scene {
     pub x_to_u: Reals,
     pub u_to_x: Reals,
     pub v_to_y: Reals,
+    /// Of the FFT; empty without.
+    pub twiddle: Reals,
 }
 
 impl Scene {
     pub fn new(device: &Device, precision: Precision, shape: &Shape, blocks: &Blocks) -> Result<Self> {
         let upload = |values: &[f64]| Reals::upload(device, precision, values);
-        let [y_to_v, x_to_u, u_to_x, v_to_y] = shape.tables();
+        let [y_to_v, x_to_u, u_to_x, v_to_y] = if shape.fft.is_some() { Default::default() } else { shape.tables() };
         Ok(Self {
             basis: upload(&blocks.basis)?,
             diversity: upload(&blocks.diversity)?,
@@ -179,6 +181,7 @@ impl Scene {
             x_to_u: upload(&x_to_u)?,
             u_to_x: upload(&u_to_x)?,
             v_to_y: upload(&v_to_y)?,
+            twiddle: upload(&shape.twiddles())?,
         })
     }
 }
@@ -225,6 +228,9 @@ pub(super) struct Scratch {
     pub psi: Reals,
     pub field: Reals,
     pub wave: Reals,
+    /// One row of vectors in the FFT, and the samples of both sides before it.
+    pub line: Reals,
+    pub side: Reals,
     pub focal: Reals,
     pub phasor: Reals,
     pub lit_field: Reals,
@@ -242,9 +248,11 @@ impl Scratch {
         let partials = counts.strips * cut.lanes;
         Ok(Self {
             // Zero where the pupil has no block: neither the field nor its adjoint is ever written there.
-            field: in_work(shape.rows * 8 * shape.width)?,
+            field: in_work(shape.side_rows().max(shape.rows) * 8 * shape.width)?,
             wave: in_work(shape.pairs * 8 * shape.width)?,
-            focal: in_work(shape.pairs * 8 * shape.span)?,
+            focal: in_work(shape.pixels() * 2)?,
+            line: in_work(shape.fft.map_or(0, |fft| fft.points() * 2 * shape.vector))?,
+            side: in_work(shape.fft.map_or(0, |_| shape.side_rows() * 4 * shape.vector))?,
             phasor: in_work(counts.blocks * 8 * shape.vector)?,
             lit_field: in_work(counts.blocks * 8 * shape.vector)?,
             psi: zeros(counts.blocks * 4 * shape.vector)?,

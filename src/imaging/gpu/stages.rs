@@ -4,6 +4,7 @@ use super::chain::Folded;
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
 use super::layout::GpuLayout;
 use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
+use super::reals::Reals;
 use crate::Result;
 use crate::device::{Build, Device, Kernel};
 
@@ -162,7 +163,15 @@ impl Parts<'_> {
     /// The kernels from the field to the projection on segments in one.
     fn focus(&self) -> Result<Kernel> {
         let (scene, scratch, batch, shape) = (self.scene, self.scratch, self.batch, self.shape);
-        let mut k = self.kernel("focus")?;
+        let mut k = self.kernel(if shape.fft.is_some() { "focus_fft" } else { "focus" })?;
+        let transform: &[(&str, &Reals)] = if shape.fft.is_some() {
+            &[("twiddle", &scene.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
+        } else {
+            &[("y_to_v", &scene.y_to_v), ("x_to_u", &scene.x_to_u), ("u_to_x", &scene.u_to_x), ("v_to_y", &scene.v_to_y)]
+        };
+        for &(argument, reals) in transform {
+            reals.bind(&mut k, argument)?;
+        }
         for (argument, reals) in [
             ("psi", &scratch.psi),
             ("phasor", &scratch.phasor),
@@ -174,10 +183,6 @@ impl Parts<'_> {
             ("sums", &scratch.sums),
             ("objective", &scratch.objective),
             ("photometry", &scratch.photometry),
-            ("y_to_v", &scene.y_to_v),
-            ("x_to_u", &scene.x_to_u),
-            ("u_to_x", &scene.u_to_x),
-            ("v_to_y", &scene.v_to_y),
             ("data", &batch.data),
             ("weight", &batch.weight),
             ("known", &batch.known),
@@ -191,8 +196,13 @@ impl Parts<'_> {
         k.buffer("entry_place", &scene.entry_place)?;
         k.buffer("extent", &scene.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
         k.buffer("next", &batch.next)?;
-        k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("width", shape.width)?.int("span", shape.span)?;
-        k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+        k.int("width", shape.width)?;
+        if shape.fft.is_some() {
+            k.int("side_rows", shape.side_rows())?;
+        } else {
+            k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("span", shape.span)?;
+            k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+        }
         Ok(k)
     }
 
@@ -310,7 +320,7 @@ impl Stages {
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
             self.batch.slot.write(0, &slots)?;
             // Few images are shared out among the cores stage by stage.
-            let workers = self.cut.workers.filter(|_| count >= self.cut.focus_from);
+            let workers = self.cut.workers.filter(|_| self.shape.fft.is_some() || count >= self.cut.focus_from);
             let limit = if workers.is_some() { self.cut.tile } else { self.focal_tile() };
             // Tiles of equal size: the last is not left with a few images.
             let tile = padded(count.div_ceil(count.div_ceil(limit)));

@@ -258,7 +258,7 @@ fn builds(device: &Device) -> Vec<Build> {
     let mut builds = Vec::new();
     for precision in [Precision::F32, Precision::F64] {
         if device.info().supports(precision) {
-            builds.extend([1, 4, 8, 16].map(|vector| Build { precision, vector }));
+            builds.extend([1, 4, 8, 16].map(|vector| Build { precision, vector, fft: None }));
         }
     }
     builds
