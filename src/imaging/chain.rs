@@ -144,7 +144,7 @@ impl From<Photometry> for GpuPhotometry {
 }
 
 /// The model as the device takes it.
-fn layout(optics: &Optics) -> GpuLayout {
+pub(super) fn layout(optics: &Optics) -> GpuLayout {
     let parts = optics.parts();
     let indices = |list: &[u32]| list.iter().map(|&i| i as usize).collect::<Vec<usize>>();
     let mode = |mode: &Mode| match *mode {

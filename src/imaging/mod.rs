@@ -24,3 +24,5 @@ pub use phasor::Polynomial;
 
 #[cfg(test)]
 mod tests;
+#[cfg(all(test, feature = "opencl"))]
+mod agreement;
