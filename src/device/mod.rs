@@ -12,6 +12,9 @@ use crate::{Error, Result};
 mod absent;
 #[cfg(feature = "opencl")]
 mod discover;
+mod peak;
+#[cfg(feature = "opencl")]
+mod reals;
 #[cfg(feature = "opencl")]
 mod session;
 #[cfg(feature = "opencl")]
@@ -19,10 +22,14 @@ mod table;
 #[cfg(all(test, feature = "opencl"))]
 pub(crate) mod tests;
 
+pub use peak::Peak;
+
 #[cfg(not(feature = "opencl"))]
 pub use absent::{Device, devices};
 #[cfg(feature = "opencl")]
 pub use discover::devices;
+#[cfg(feature = "opencl")]
+pub(crate) use reals::Reals;
 #[cfg(feature = "opencl")]
 pub use session::{Buffer, Device, Element, Kernel, StageTime};
 #[cfg(feature = "opencl")]

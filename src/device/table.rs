@@ -72,6 +72,14 @@ pub const TABLE: &[Family] = &[
         entries: &[Entry { name: "focus", gpu_local: [32, 1, 1] }],
     },
     Family {
+        file: "peak.cl",
+        source: include_str!("../../kernels/peak.cl"),
+        entries: &[
+            Entry { name: "peak_flops", gpu_local: [64, 1, 1] },
+            Entry { name: "peak_read", gpu_local: [64, 1, 1] },
+        ],
+    },
+    Family {
         file: "fft.cl",
         source: include_str!("../../kernels/fft.cl"),
         entries: &[Entry { name: "focus_fft", gpu_local: [1, 1, 1] }],

@@ -41,6 +41,21 @@ fn every_kernel_compiles_at_every_precision_and_width() {
     }
 }
 
+/// No more than that the two ways of counting agree: how fast the machine is, is not for a test to say.
+#[test]
+fn a_measured_peak_is_a_number() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let peak = Peak::measure(&device, Precision::F32).unwrap();
+        println!("{info}: {peak:?}");
+        assert!([peak.gflops, peak.gflops_unit, peak.gbytes_s].iter().all(|rate| rate.is_finite() && *rate > 0.0));
+        // 2 operations at 1e9 of them a second take 2e-3 us; of two floors the higher one holds.
+        let peak = Peak { gflops: 1.0, gflops_unit: 1.0, gbytes_s: 10.0 };
+        assert_eq!(peak.floor_us(2.0, 10.0), 2e-3);
+        assert_eq!(peak.floor_us(2.0, 40.0), 4e-3);
+    }
+}
+
 #[test]
 fn every_cl_file_is_in_the_table() {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/kernels");

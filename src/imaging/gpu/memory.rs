@@ -2,9 +2,8 @@
 
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape};
 use super::layout::GpuLayout;
-use super::reals::Reals;
 use crate::Result;
-use crate::device::{Buffer, Build, Device, Precision};
+use crate::device::{Buffer, Build, Device, Precision, Reals};
 
 /// Bytes of a tile's pupil arrays for each core of a processor: what its share of the last cache holds beside the
 /// images that stream through.

@@ -20,8 +20,6 @@ mod fold;
 #[cfg(feature = "opencl")]
 mod memory;
 #[cfg(feature = "opencl")]
-mod reals;
-#[cfg(feature = "opencl")]
 mod stages;
 #[cfg(all(test, feature = "opencl"))]
 mod tests;

@@ -4,9 +4,8 @@ use super::chain::Folded;
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
 use super::layout::GpuLayout;
 use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
-use super::reals::Reals;
 use crate::Result;
-use crate::device::{Build, Device, Kernel};
+use crate::device::{Build, Device, Kernel, Reals};
 
 /// The stages of the chain with everything that they need on the device.
 pub(super) struct Stages {
