@@ -4,6 +4,7 @@ use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
+use super::work::Shapes;
 use crate::device::Device;
 use crate::{Error, Result};
 use ndarray::ArrayView2;
@@ -112,6 +113,15 @@ impl Chain {
                 };
                 Ok((0..images.len()).map(evaluation).collect())
             }
+        }
+    }
+
+    /// The shapes that the work of an evaluation follows from: see [`Shapes::work`].
+    pub fn shapes(&self) -> Shapes {
+        match self {
+            Self::Cpu64(chain) => Shapes::of(chain.optics(), chain.fft_points()),
+            Self::Cpu32(chain) => Shapes::of(chain.optics(), chain.fft_points()),
+            Self::Device { chain, optics, .. } => Shapes::of(optics, chain.fft_points()),
         }
     }
 

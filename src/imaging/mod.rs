@@ -15,14 +15,16 @@ mod field;
 pub mod gpu;
 mod optics;
 mod phasor;
+mod work;
 
 pub use chain::{Chain, Choice, Precision};
 pub use cpu::{CpuChain, Scratch};
 pub use detector::{Evaluation, Exposure, Loaded, Photometry};
 pub use optics::{Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
+pub use work::{Shapes, Work};
 
-#[cfg(test)]
-mod tests;
 #[cfg(all(test, feature = "opencl"))]
 mod agreement;
+#[cfg(test)]
+mod tests;

@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::fold::Shape;
+use super::room::memory_of;
 use super::stages::Stages;
 use super::{GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use crate::device::{Build, Device, Precision};
@@ -47,12 +48,26 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::new`].
     pub fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
+        Self::with_memory(device, build, layout, capacity, memory_of(device.info()))
+    }
+
+    /// [`GpuChain::with_build`] in at most `memory_bytes` of the device: with less of it tiles are smaller.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::new`]; [`Error::Device`] with the bytes wanted and there, where they do not suffice.
+    pub fn with_memory(
+        device: &Device,
+        build: Build,
+        layout: &GpuLayout,
+        capacity: usize,
+        memory_bytes: u64,
+    ) -> Result<Self> {
         layout.check()?;
         if capacity == 0 {
             return Err(Error::Value("a chain with room for 0 images computes nothing: 1 or more is needed".into()));
         }
         let shape = Shape::new(layout, build);
-        let stages = Stages::new(device, build, layout, shape, capacity)?;
+        let stages = Stages::new(device, build, layout, shape, capacity, memory_bytes)?;
         Ok(Self {
             device: device.clone(),
             build,
@@ -68,6 +83,17 @@ impl GpuChain {
     /// Coefficients of the model.
     pub fn modes(&self) -> usize {
         self.layout.modes.len()
+    }
+
+    /// Points of the FFT that transforms, `None` where matrices do: what the work of an evaluation depends on beyond the
+    /// model.
+    pub fn fft_points(&self) -> Option<usize> {
+        self.build.fft.map(|fft| fft.points())
+    }
+
+    /// Bytes of the device that the chain takes: what never changes, what each image takes, and what a tile takes.
+    pub fn bytes(&self) -> u64 {
+        self.stages.bytes()
     }
 
     /// Room for images.

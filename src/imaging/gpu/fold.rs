@@ -125,6 +125,26 @@ impl Shape {
         table
     }
 
+    /// Numbers of each of the four tables, or of the twiddles that stand in their place.
+    pub fn table_sizes(&self) -> [usize; 5] {
+        if let Some(fft) = self.fft {
+            return [0, 0, 0, 0, 2 * fft.points()];
+        }
+        let columns = |outputs: usize, inputs: usize| outputs.next_multiple_of(TALL) * inputs * 2;
+        [
+            columns(self.pairs, self.rows),
+            2 * self.span * self.rows,
+            2 * self.width * self.pairs,
+            columns(self.rows, self.pairs),
+            0,
+        ]
+    }
+
+    /// Numbers that the FFT of one image needs beside its field and wave: one line, and the samples of both sides.
+    pub fn fft_scratch(&self) -> [usize; 2] {
+        self.fft.map_or([0; 2], |fft| [fft.points() * 2 * self.vector, self.side_rows() * 4 * self.vector])
+    }
+
     /// The four tables, in the order in which the stages use them: y to v, x to u, u to x, v to y.
     pub fn tables(&self) -> [Vec<f64>; 4] {
         let forward = |sample, pixel| self.angle(sample, pixel);

@@ -3,7 +3,7 @@
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape};
 use super::layout::GpuLayout;
 use crate::Result;
-use crate::device::{Buffer, Build, Device, Precision, Reals};
+use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 
 /// Bytes of a tile's pupil arrays for each core of a processor: what its share of the last cache holds beside the
 /// images that stream through.
@@ -48,10 +48,12 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    fn new(device: &Device, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
+    fn new(info: &DeviceInfo, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
         let number = build.precision.bytes();
         let phase = blocks * 4 * shape.vector * number;
-        let rest = (shape.rows * 8 * shape.width + blocks * 16 * shape.vector + shape.pairs * 8 * (shape.width + shape.span)) * number;
+        let rest =
+            (shape.rows * 8 * shape.width + blocks * 16 * shape.vector + shape.pairs * 8 * (shape.width + shape.span))
+                * number;
         let fits = |budget: usize, bytes: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
         if build.is_scalar() {
             let tile = fits(TILE_BYTES_GPU, phase + rest);
@@ -70,7 +72,7 @@ impl Cut {
                 blocks_per_chunk: 64,
             }
         } else {
-            let cores = device.info().compute_units.max(1) as usize;
+            let cores = info.compute_units.max(1) as usize;
             Cut {
                 tile: fits(TILE_BYTES_PER_CORE * cores, phase),
                 focal_tile: padded(WORKERS_PER_CORE * cores),
@@ -111,7 +113,7 @@ pub(super) struct Counts {
 impl Counts {
     /// The counts, and the cut that some of them follow from.
     pub fn new(
-        device: &Device,
+        info: &DeviceInfo,
         build: Build,
         layout: &GpuLayout,
         shape: &Shape,
@@ -121,7 +123,7 @@ impl Counts {
         let (smooth, segments) = (layout.smooth.len(), layout.segments);
         let poses = layout.poses();
         let outputs = 3 + segments * poses + smooth;
-        let cut = Cut::new(device, build, shape, blocks.count(), outputs, capacity);
+        let cut = Cut::new(info, build, shape, blocks.count(), outputs, capacity);
         let counts = Self {
             capacity,
             blocks: blocks.count(),
@@ -250,8 +252,8 @@ impl Scratch {
             field: in_work(shape.side_rows().max(shape.rows) * 8 * shape.width)?,
             wave: in_work(shape.pairs * 8 * shape.width)?,
             focal: in_work(shape.pixels() * 2)?,
-            line: in_work(shape.fft.map_or(0, |fft| fft.points() * 2 * shape.vector))?,
-            side: in_work(shape.fft.map_or(0, |_| shape.side_rows() * 4 * shape.vector))?,
+            line: in_work(shape.fft_scratch()[0])?,
+            side: in_work(shape.fft_scratch()[1])?,
             phasor: in_work(counts.blocks * 8 * shape.vector)?,
             lit_field: in_work(counts.blocks * 8 * shape.vector)?,
             psi: zeros(counts.blocks * 4 * shape.vector)?,

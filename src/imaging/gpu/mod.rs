@@ -20,6 +20,8 @@ mod fold;
 #[cfg(feature = "opencl")]
 mod memory;
 #[cfg(feature = "opencl")]
+mod room;
+#[cfg(feature = "opencl")]
 mod stages;
 #[cfg(all(test, feature = "opencl"))]
 mod tests;

@@ -4,11 +4,13 @@ use super::chain::Folded;
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
 use super::layout::GpuLayout;
 use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
+use super::room::Room;
 use crate::Result;
 use crate::device::{Build, Device, Kernel, Reals};
 
 /// The stages of the chain with everything that they need on the device.
 pub(super) struct Stages {
+    bytes: u64,
     shape: Shape,
     cut: Cut,
     counts: Counts,
@@ -166,7 +168,12 @@ impl Parts<'_> {
         let transform: &[(&str, &Reals)] = if shape.fft.is_some() {
             &[("twiddle", &scene.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
         } else {
-            &[("y_to_v", &scene.y_to_v), ("x_to_u", &scene.x_to_u), ("u_to_x", &scene.u_to_x), ("v_to_y", &scene.v_to_y)]
+            &[
+                ("y_to_v", &scene.y_to_v),
+                ("x_to_u", &scene.x_to_u),
+                ("u_to_x", &scene.u_to_x),
+                ("v_to_y", &scene.v_to_y),
+            ]
         };
         for &(argument, reals) in transform {
             reals.bind(&mut k, argument)?;
@@ -267,9 +274,18 @@ impl Parts<'_> {
 }
 
 impl Stages {
-    pub fn new(device: &Device, build: Build, layout: &GpuLayout, shape: Shape, capacity: usize) -> Result<Self> {
+    pub fn new(
+        device: &Device,
+        build: Build,
+        layout: &GpuLayout,
+        shape: Shape,
+        capacity: usize,
+        memory_bytes: u64,
+    ) -> Result<Self> {
         let blocks = &Blocks::new(layout, &shape);
-        let (counts, cut) = Counts::new(device, build, layout, &shape, blocks, capacity);
+        let (counts, cut) = Counts::new(device.info(), build, layout, &shape, blocks, capacity);
+        let room = Room::new(build, &shape, blocks, &counts, &cut);
+        let cut = room.fit(cut, capacity, device.info(), memory_bytes)?;
         let scene = Scene::new(device, build.precision, &shape, blocks)?;
         let batch = Batch::new(device, build.precision, &shape, &counts)?;
         let scratch = Scratch::new(device, build.precision, &shape, &counts, &cut)?;
@@ -285,12 +301,17 @@ impl Stages {
             scratch: &scratch,
         };
         let kernels = parts.kernels(2.0 * std::f64::consts::TAU / layout.wavelength_nm)?;
-        Ok(Self { shape, cut, counts, batch, scratch, _scene: scene, kernels })
+        Ok(Self { bytes: room.bytes(capacity, &cut), shape, cut, counts, batch, scratch, _scene: scene, kernels })
     }
 
     /// Images whose focal fields can be had together.
     pub fn focal_tile(&self) -> usize {
         self.cut.focal_tile.min(self.cut.tile)
+    }
+
+    /// Bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Room for images.
