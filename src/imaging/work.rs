@@ -16,8 +16,8 @@
 //! and bytes from memory: data and weights, 2 m² b; the basis, L M b/B, read once for the batch; coefficients up and gradient
 //! down, 16 a mode. Zeros of padding are in neither, nor what a variant computes twice.
 
+use super::chain::Precision;
 use super::optics::Optics;
-use crate::device::Precision;
 
 /// Operations and bytes of one evaluation of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -85,7 +85,7 @@ impl Cut {
                 group_items: 1,
                 pairs_per_strip: 16,
                 lanes: 1,
-                blocks_per_chunk: 8,
+                blocks_per_chunk: 16,
             }
         }
     }
