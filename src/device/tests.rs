@@ -145,3 +145,57 @@ fn without_a_library_there_are_no_devices() {
     let counted = count("libm.so.6");
     assert!(counted.contains("devices: 0"), "{counted}");
 }
+
+/// What the test below runs in processes of its own: one small launch on every device of PoCL.
+#[test]
+fn a_kernel_runs() {
+    for info in test_devices().into_iter().filter(|info| info.platform_name == POCL) {
+        let device = Device::open(&info, false).unwrap();
+        let out = device.buffer::<f32>(1).unwrap();
+        let mut kernel = device.kernel("peak_flops", Build::for_device(&info, Precision::F32)).unwrap();
+        kernel.buffer("out", &out).unwrap().int("count", 1).unwrap();
+        kernel.real("scale", 0.5).unwrap().real("offset", 0.25).unwrap();
+        kernel.launch([1, 1, 1]).unwrap();
+        device.finish().unwrap();
+    }
+}
+
+const POCL: &str = "Portable Computing Language";
+
+/// Compiled programs are kept from one process to the next: by the drivers, each in a cache of its own (PoCL's is looked at
+/// here; NVIDIA's and Intel's do the same), keyed by source, options, device and driver version. A second cache
+/// of ours would only grow stale beside them.
+#[test]
+fn a_second_process_finds_the_programs_compiled() {
+    if !test_devices().iter().any(|info| info.platform_name == POCL) {
+        println!("skipped: PoCL is not here");
+        return;
+    }
+    let cache = tempfile::tempdir().unwrap();
+    let run = || {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "device::tests::a_kernel_runs"])
+            .env("POCL_CACHE_DIR", cache.path())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+        let mut libraries = Vec::new();
+        let mut folders = vec![cache.path().to_path_buf()];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.extension().is_some_and(|extension| extension == "so") {
+                    let written = path.metadata().unwrap().modified().unwrap();
+                    libraries.push((path, written));
+                }
+            }
+        }
+        libraries.sort();
+        libraries
+    };
+    let first = run();
+    assert!(!first.is_empty(), "PoCL left no compiled kernel in its cache");
+    assert_eq!(first, run(), "the second process compiled again");
+}

@@ -5,8 +5,8 @@ use super::detector::{Evaluation, Exposure, Photometry};
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
 use super::work::Shapes;
+use crate::Result;
 use crate::device::Device;
-use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::sync::Arc;
 
