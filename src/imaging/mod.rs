@@ -16,12 +16,16 @@ pub mod gpu;
 mod optics;
 mod phasor;
 mod smooth;
+mod work;
 
 pub use chain::{Chain, Choice, Precision};
 pub use cpu::{CpuChain, Scratch};
 pub use detector::{Evaluation, Exposure, Loaded, Photometry};
 pub use optics::{Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
+pub use work::{Shapes, Work};
 
+#[cfg(all(test, feature = "opencl"))]
+mod agreement;
 #[cfg(test)]
 mod tests;
