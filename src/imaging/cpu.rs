@@ -49,6 +49,10 @@ impl<T: Polynomial> CpuChain<T> {
         &self.optics
     }
 
+    pub(super) fn field(&self) -> &Field<T> {
+        &self.field
+    }
+
     /// Replaces the batch of images.
     ///
     /// # Errors

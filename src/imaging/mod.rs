@@ -13,12 +13,14 @@ pub mod cpu;
 mod detector;
 mod field;
 pub mod gpu;
+mod linear;
 mod optics;
 mod phasor;
 
 pub use chain::{Chain, Choice, Precision};
 pub use cpu::{CpuChain, Scratch};
 pub use detector::{Evaluation, Exposure, Loaded, Photometry};
+pub use linear::Linear;
 pub use optics::{Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
 

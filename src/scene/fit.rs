@@ -66,6 +66,8 @@ section! {
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
         /// The fit stops where no coefficient would move by more than this.
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("as the recipe does");
+        /// Memory that an estimate may take beside its images, 1e9 bytes; larger work is cut into tiles.
+        memory_gb: f64, above(0.0, 1e6), default(4.0);
         /// How the images of a sequence become one estimate; outliers are told among 8 images or more.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// The estimator.
