@@ -71,6 +71,7 @@ fn case(seed: u64) -> Case {
     modes.extend((0..smooth).rev().map(Mode::Smooth));
     let energy = weight.iter().map(|w| w * w).sum();
     let parts = OpticsParts {
+        products: None,
         sampling,
         wavelength_nm: 1650.0,
         weights: SegmentWeights { segments: segments as usize, lit, offsets, segment, weight, energy },

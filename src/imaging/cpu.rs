@@ -57,6 +57,10 @@ impl<T: Polynomial> CpuChain<T> {
         }
     }
 
+    pub(super) fn field(&self) -> &Field<T> {
+        &self.field
+    }
+
     /// Replaces the batch of images.
     ///
     /// # Errors

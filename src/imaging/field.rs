@@ -276,7 +276,8 @@ impl<T: Polynomial> Field<T> {
             }
             return;
         };
-        for run in self.runs.iter().filter(|run| run.segment == segment) {
+        let first = self.runs.partition_point(|run| run.segment < segment);
+        for run in self.runs[first..].iter().take_while(|run| run.segment == segment) {
             let [c, t, u] = state.pose[segment];
             for i in 0..run.length {
                 let entry = run.first_weight + i;
