@@ -24,6 +24,7 @@ pub use point::{Cell, Point, Spread, columns, record, table};
 use crate::experiment::{Case, Draw, Progress, draws_from};
 use crate::scene::Scene;
 use crate::{Error, Result};
+use grid::ModelPlan;
 use measure::Judge;
 use std::time::Instant;
 
@@ -55,7 +56,7 @@ pub fn run(scene: &Scene, grid: &Grid, first_seed: u64, progress: &Progress) -> 
             bench.left_out.push(format!("{what}: {error}"));
             first_failure.get_or_insert(error);
         };
-        let set_up = match SetUp::new(model.scene(scene)?, &draws, progress) {
+        let set_up = match SetUp::new(model, scene, &draws, progress) {
             Err(Error::Interrupted(state)) => return Err(Error::Interrupted(state)),
             Err(error) => {
                 note(model.name(), error);
@@ -92,10 +93,10 @@ struct SetUp {
 }
 
 impl SetUp {
-    fn new(scene: Scene, draws: &[Draw], progress: &Progress) -> Result<Self> {
+    fn new(model: &ModelPlan, scene: &Scene, draws: &[Draw], progress: &Progress) -> Result<Self> {
         progress.check()?;
         let started = Instant::now();
-        let case = Case::new(&scene)?;
+        let case = Case::new(&model.scene(scene)?)?;
         let seconds = started.elapsed().as_secs_f64();
         let judge = Judge::new(&case, draws)?;
         let bound_nm = match &judge.coefficients_nm[0] {
