@@ -162,6 +162,7 @@ mod scene {
             segment_start: vec![0],
             segment_index: Vec::new(),
             segment_weight: Vec::new(),
+            segment_slopes: None,
             modes: (0..36).map(GpuMode::Segment).chain((0..66).map(GpuMode::Smooth)).collect(),
         };
         for list in lists.values() {

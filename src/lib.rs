@@ -34,6 +34,7 @@ pub mod io;
 pub mod metrics;
 pub mod modes;
 pub mod optimize;
+pub mod planner;
 pub mod plot;
 pub mod pupil;
 pub mod reproduce;

@@ -2,7 +2,7 @@
 //! at the bandwidth of the memory that holds them, whichever is longer.
 
 use crate::device::{Choice, DeviceKind, Precision};
-use crate::imaging::{Mode, Optics};
+use crate::imaging::Optics;
 use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 use rayon::prelude::*;
 use std::hint::black_box;
@@ -11,26 +11,17 @@ use std::time::Instant;
 /// What one objective with its gradient takes, for one image.
 #[derive(Debug, Clone, Copy)]
 pub struct Work {
-    /// Additions and multiplications of the matrix products; all else is left out, so that the floor stays a floor.
+    /// Additions and multiplications: [`Optics::operations`].
     pub flops: f64,
     /// Pixels and weights, which differ from image to image and are read once; modes and matrices serve all images.
     pub bytes: f64,
 }
 
 impl Work {
-    /// Of a model with n samples and m pixels a side.
-    ///
-    /// A transform from pupil to focus is two matrix products. Folded into even and odd parts each takes n·n·m and n·m·m
-    /// multiplications and as many additions, and so does the way back: 4·n·m·(n + m). The smooth modes make the phase
-    /// at the lit samples and collect the gradient there: 4 operations a mode and sample.
+    /// Of one model.
     pub fn of(optics: &Optics, precision: Precision) -> Self {
-        let parts = optics.parts();
-        let (n, m) = (parts.sampling.samples as f64, parts.sampling.pixels as f64);
-        let smooth = parts.modes.iter().filter(|mode| matches!(mode, Mode::Smooth(_))).count() as f64;
-        Self {
-            flops: 4.0 * n * m * (n + m) + 4.0 * smooth * parts.weights.lit.len() as f64,
-            bytes: 2.0 * m * m * precision.bytes() as f64,
-        }
+        let pixels = optics.sampling().pixels as f64;
+        Self { flops: optics.operations(), bytes: 2.0 * pixels * pixels * precision.bytes() as f64 }
     }
 }
 

@@ -1,7 +1,9 @@
 //! What is varied: the model's size and recipe, and where, how precisely and how many at a time it is fitted.
 
 use crate::device::{self, Choice, Precision};
-use crate::scene::{Aperture, Optimizer, Scene};
+use crate::optimize::CancelFlag;
+use crate::planner;
+use crate::scene::{Aperture, Optimizer, PupilModel, Scene};
 use crate::{Error, Result};
 use std::str::FromStr;
 
@@ -45,6 +47,8 @@ pub struct Grid {
     pub optimizers: Vec<Optimizer>,
     /// Devices; empty for the CPU and every OpenCL device that is here.
     pub devices: Vec<Choice>,
+    /// Budgets for which the planner chooses a model, nm: one more model each.
+    pub budgets_nm: Vec<f64>,
     /// Precisions.
     pub precisions: Vec<Precision>,
     /// Images that are fitted at a time.
@@ -63,6 +67,7 @@ impl Default for Grid {
             crops: vec![Crop::Auto],
             optimizers: vec![Optimizer::GaussNewton],
             devices: Vec::new(),
+            budgets_nm: Vec::new(),
             precisions: vec![Precision::F32, Precision::F64],
             batches: vec![1, 200],
             images: 8,
@@ -77,6 +82,8 @@ pub(super) struct ModelPlan {
     pub samples: usize,
     pub crop: Crop,
     pub optimizer: Optimizer,
+    /// The planner's choice for this budget, in place of all the others.
+    pub budget_nm: Option<f64>,
 }
 
 /// Where a model runs.
@@ -118,10 +125,16 @@ impl Grid {
         };
         let plans = samples.iter().flat_map(|&samples| {
             self.crops.iter().flat_map(move |&crop| {
-                self.optimizers.iter().map(move |&optimizer| ModelPlan { samples, crop, optimizer })
+                self.optimizers.iter().map(move |&optimizer| ModelPlan { samples, crop, optimizer, budget_nm: None })
             })
         });
-        plans.collect()
+        let planned = self.budgets_nm.iter().map(|&budget_nm| ModelPlan {
+            samples: own,
+            crop: Crop::Auto,
+            optimizer: Optimizer::GaussNewton,
+            budget_nm: Some(budget_nm),
+        });
+        plans.chain(planned).collect()
     }
 
     pub(super) fn variants(&self) -> Vec<Variant> {
@@ -143,20 +156,29 @@ impl Grid {
 
 impl ModelPlan {
     /// `scene` with this model.
-    pub fn scene(&self, scene: &Scene) -> Result<Scene> {
+    pub fn scene(&self, scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Scene> {
+        if let Some(budget_nm) = self.budget_nm {
+            return Ok(planner::plan(scene, budget_nm, cancel)?.scene);
+        }
         let samples = self.samples.to_string();
         let crop = match self.crop {
             Crop::Auto => "auto".to_string(),
             Crop::Pixels(pixels) => native(scene, pixels).to_string(),
         };
+        // Maps, modes and the truth stay on the scene's grid where only the fit is on another.
+        let band_limited = scene.pupil.model.is_none_or(|model| model == PupilModel::BandLimited);
+        let own = self.optimizer == Optimizer::GaussNewton && band_limited;
         scene.with(&[
-            ("pupil.samples", samples.as_str()),
+            (if own { "estimate.samples" } else { "pupil.samples" }, samples.as_str()),
             ("image.crop_pixels", crop.as_str()),
             ("estimate.optimizer", self.optimizer.word()),
         ])
     }
 
     pub fn name(&self) -> String {
+        if let Some(budget_nm) = self.budget_nm {
+            return format!("planned for {budget_nm} nm");
+        }
         let crop = match self.crop {
             Crop::Auto => String::new(),
             Crop::Pixels(pixels) => format!(", {pixels} pixels"),

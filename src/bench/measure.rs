@@ -66,8 +66,9 @@ pub(super) fn point(
     Ok(Point {
         device: device_name(variant.device),
         precision: variant.precision,
-        samples: model.samples,
+        samples: optics.sampling().samples,
         pixels: estimator.model().preparation.pixels,
+        budget_nm: model.budget_nm,
         cropped: matches!(model.crop, super::Crop::Pixels(_)),
         optimizer: model.optimizer.word(),
         modes: optics.modes(),

@@ -95,8 +95,9 @@ struct SetUp {
 impl SetUp {
     fn new(model: &ModelPlan, scene: &Scene, draws: &[Draw], progress: &Progress) -> Result<Self> {
         progress.check()?;
+        let scene = model.scene(scene, progress.cancel())?;
         let started = Instant::now();
-        let case = Case::new(&model.scene(scene)?)?;
+        let case = Case::new(&scene)?;
         let seconds = started.elapsed().as_secs_f64();
         let judge = Judge::new(&case, draws)?;
         let bound_nm = match &judge.coefficients_nm[0] {

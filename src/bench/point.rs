@@ -39,6 +39,8 @@ pub struct Point {
     pub pixels: usize,
     /// Whether their number was asked for, rather than found.
     pub cropped: bool,
+    /// The budget for which the planner chose this model, nm.
+    pub budget_nm: Option<f64>,
     /// The recipe.
     pub optimizer: &'static str,
     /// That are estimated.
@@ -100,12 +102,13 @@ fn us(seconds: f64) -> Cell {
     Cell::Number(us, if us < 100.0 { 1 } else { 0 })
 }
 
-const COLUMNS: [Column; 36] = [
+const COLUMNS: [Column; 37] = [
     Column("device", "device", |point| point.device.as_str().into()),
     Column("precision", "type", |point| Cell::Text(point.precision.to_string())),
     Column("samples", "samples", |point| point.samples.into()),
     Column("pixels", "pixels", |point| point.pixels.into()),
     Column("crop", "", |point| (if point.cropped { "set" } else { "auto" }).into()),
+    Column("budget_nm", "", |point| Cell::Number(point.budget_nm.unwrap_or(f64::NAN), 1)),
     Column("optimizer", "optimizer", |point| point.optimizer.into()),
     Column("modes", "", |point| point.modes.into()),
     Column("batch", "batch", |point| point.batch.into()),

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
   cophase bench                                                   about a minute
-  cophase bench --picture bench.png --csv bench.csv
+  cophase bench --picture bench.png --csv bench.csv --budget-nm 1
   cophase bench scene.toml --samples 72,108 --pixels auto,64 --batch 1,50,200 --device cpu --precision f64
 
 Each point is a model (samples, pixels, optimizer) on a device, in a precision, with so many images at a time: the time \
@@ -43,6 +43,9 @@ pub struct Arguments {
     /// Recipes of the fit: gauss-newton, paper
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', default_value = "gauss-newton", value_parser = optimizer)]
     optimizer: Vec<Optimizer>,
+    /// Budgets for the phasing and the NCPA each, nm RMS: the models that 'cophase plan' chooses, besides the others
+    #[arg(long, value_name = "NM,...", value_delimiter = ',')]
+    budget_nm: Vec<f64>,
     /// Devices: cpu, auto, opencl or opencl:P:D [default: the CPU, and every OpenCL device that is here]
     #[arg(long, value_name = "DEVICE,...", value_delimiter = ',')]
     device: Vec<Choice>,
@@ -97,6 +100,7 @@ impl Arguments {
             crops: self.pixels.clone(),
             optimizers: self.optimizer.clone(),
             devices: self.device.clone(),
+            budgets_nm: self.budget_nm.clone(),
             precisions: self.precision.clone(),
             batches: self.batch.clone(),
             images: self.images as usize,

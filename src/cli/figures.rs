@@ -72,7 +72,10 @@ pub fn rows(model: &Model, estimate: &Estimate, residual: Option<&Residual>) -> 
 
 /// Expected RMS of the error of phasing, NCPA and wavefront, piston, tip and tilt removed as in the residual.
 fn error_bars(model: &Model, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
-    let gram = MapGram::new(&model.telescope.pupil, model.basis.maps())?;
+    let pupil = &model.telescope.pupil;
+    let weight = &pupil.amplitude / pupil.weight_sum();
+    let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
+    let gram = MapGram::of_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
     let groups = model.basis.groups();
     let of = |keep: &dyn Fn(Group) -> bool| {
         let inside = |(k, l): (usize, usize)| keep(groups[k]) && keep(groups[l]);

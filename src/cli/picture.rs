@@ -6,7 +6,6 @@ use cophase::Result;
 use cophase::estimate::{Estimate, Model};
 use cophase::modes::Group;
 use cophase::plot::{EstimatePicture, ImageTriple, MapTriple, ModalBars, ModeGroup};
-use cophase::pupil::Pupil;
 use cophase::scene::Scene;
 use ndarray::Array2;
 
@@ -39,7 +38,7 @@ pub fn picture(
         subtitle: subtitle(scene, estimate, rows),
         phasing: triple(&estimate.phasing_nm, &estimate.phasing_sigma_nm, phasing),
         ncpa: triple(&estimate.ncpa_nm, &estimate.ncpa_sigma_nm, ncpa),
-        bars: bars(model, estimate, known.map(|(truth, _)| truth)),
+        bars: bars(model, estimate, known.map(|(truth, _)| truth))?,
         image: Some(ImageTriple {
             data: compared.data_e.clone(),
             model: compared.model_e.clone(),
@@ -66,18 +65,18 @@ fn subtitle(scene: &Scene, estimate: &Estimate, [phasing, ncpa, _]: &[Row; 3]) -
     vec![format!("{}, {}, tip and tilt removed", part(phasing), part(ncpa)), how]
 }
 
-fn bars(model: &Model, estimate: &Estimate, truth: Option<&Truth>) -> ModalBars {
+fn bars(model: &Model, estimate: &Estimate, truth: Option<&Truth>) -> Result<ModalBars> {
     let group = |group: &Group| match group {
         Group::Segment => ModeGroup::Segment,
         Group::Ncpa => ModeGroup::Ncpa,
     };
-    ModalBars {
+    Ok(ModalBars {
         names: model.basis.names().iter().map(|name| short(name)).collect(),
         groups: model.basis.groups().iter().map(group).collect(),
         estimate_nm: estimate.combined.coefficients_nm.clone(),
         sigma_nm: estimate.combined.sigma_nm(),
-        truth_nm: truth.map(|truth| true_coefficients(model, truth)),
-    }
+        truth_nm: truth.map(|truth| true_coefficients(model, truth)).transpose()?,
+    })
 }
 
 /// `segment-07-piston` as `piston 7`: the picture makes the words before the numbers the label of the axis.
@@ -90,32 +89,25 @@ fn short(name: &str) -> String {
 /// Each mode's part in the truth, nm: its product with the true map over the pupil, over that with itself. That is the
 /// coefficient where the modes of a group are orthogonal, as segments, exact Zernikes and Karhunen-Loève modes are;
 /// elsewhere the picture has no truth for them (NaN).
-fn true_coefficients(model: &Model, truth: &Truth) -> Vec<f64> {
-    let pupil = &model.telescope.pupil;
-    let maps = model.basis.maps();
-    let groups = model.basis.groups();
+fn true_coefficients(model: &Model, truth: &Truth) -> Result<Vec<f64>> {
+    let amplitude = &model.telescope.pupil.amplitude;
+    let weighted = |truth_nm: &Array2<f64>| {
+        let part = |at: (usize, usize)| if amplitude[at] > 0.0 { truth_nm[at] * amplitude[at] } else { 0.0 };
+        Array2::from_shape_fn(amplitude.dim(), part)
+    };
+    let basis = &model.basis;
+    let gram = basis.gram(amplitude)?;
     let orthogonal = |group: Group| {
-        let of_group: Vec<_> =
-            maps.outer_iter().zip(groups).filter(|(_, g)| **g == group).map(|(map, _)| map).collect();
         // Next to each other is where a basis that is not orthogonal shows: as good as all pairs, at their root's cost.
-        of_group.windows(2).all(|pair| {
-            let scale = product(pupil, pair[0], pair[0]) * product(pupil, pair[1], pair[1]);
-            product(pupil, pair[0], pair[1]).abs() < 1e-3 * scale.sqrt()
-        })
+        let modes = model.modes_of(group);
+        modes.clone().zip(modes.skip(1)).all(|(a, b)| gram[[a, b]].abs() < 1e-3 * (gram[[a, a]] * gram[[b, b]]).sqrt())
     };
-    let clean = [Group::Segment, Group::Ncpa].map(orthogonal);
-    let coefficient = |(map, group): (ndarray::ArrayView2<f64>, &Group)| {
-        let (of, clean) = match group {
-            Group::Segment => (&truth.phasing_nm, clean[0]),
-            Group::Ncpa => (&truth.ncpa_nm, clean[1]),
-        };
-        if clean { product(pupil, map, of.view()) / product(pupil, map, map) } else { f64::NAN }
+    let coefficients = |(group, truth_nm): (Group, &Array2<f64>)| -> Result<Vec<f64>> {
+        let (along, clean) = (basis.along(&weighted(truth_nm))?, orthogonal(group));
+        let coefficient = |mode: usize| if clean { along[mode] / gram[[mode, mode]] } else { f64::NAN };
+        Ok(model.modes_of(group).map(coefficient).collect())
     };
-    maps.outer_iter().zip(groups).map(coefficient).collect()
-}
-
-/// Σ A·a·b over the glass.
-fn product(pupil: &Pupil, a: ndarray::ArrayView2<f64>, b: ndarray::ArrayView2<f64>) -> f64 {
-    let lit = pupil.amplitude.iter().zip(a.iter().zip(b)).filter(|(weight, _)| **weight > 0.0);
-    lit.map(|(weight, (a, b))| weight * a * b).sum()
+    let mut all = coefficients((Group::Segment, &truth.phasing_nm))?;
+    all.extend(coefficients((Group::Ncpa, &truth.ncpa_nm))?);
+    Ok(all)
 }

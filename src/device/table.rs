@@ -32,7 +32,10 @@ pub const TABLE: &[Family] = &[
     Family {
         file: "field.cl",
         source: include_str!("../../kernels/field.cl"),
-        entries: &[Entry { name: "pupil_field", gpu_local: [64, 1, 1] }],
+        entries: &[
+            Entry { name: "smooth_phase", gpu_local: [64, 1, 1] },
+            Entry { name: "pupil_field", gpu_local: [64, 1, 1] },
+        ],
     },
     Family {
         file: "transform.cl",
@@ -54,11 +57,6 @@ pub const TABLE: &[Family] = &[
         ],
     },
     Family {
-        file: "focus.cl",
-        source: include_str!("../../kernels/focus.cl"),
-        entries: &[Entry { name: "focus", gpu_local: [32, 1, 1] }],
-    },
-    Family {
         file: "project.cl",
         source: include_str!("../../kernels/project.cl"),
         entries: &[
@@ -67,6 +65,11 @@ pub const TABLE: &[Family] = &[
             Entry { name: "project_segments", gpu_local: [32, 1, 1] },
             Entry { name: "collect", gpu_local: [32, 1, 1] },
         ],
+    },
+    Family {
+        file: "focus.cl",
+        source: include_str!("../../kernels/focus.cl"),
+        entries: &[Entry { name: "focus", gpu_local: [32, 1, 1] }],
     },
 ];
 

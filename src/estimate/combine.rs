@@ -13,7 +13,7 @@ use crate::modes::{Degeneracy, Group, WEAK_BELOW};
 use crate::optimize::StopReason;
 use crate::scene::Combine;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, Axis, s};
+use ndarray::{Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 use std::slice::from_ref;
 
@@ -162,7 +162,7 @@ pub(super) fn combine(
     let model = &estimator.model;
     let pistons = Pistons::of(model)?;
     minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
-    let reports = judged(estimator, prepared, &minima);
+    let reports = judged(estimator, prepared, &minima)?;
     // The reports of those that were fitted take the places of those that say why not.
     let reason =
         |refused: Option<Refusal>| refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable);
@@ -345,17 +345,6 @@ fn compared(estimator: &Estimator, minimum: &Minimum, prepared: &Prepared) -> Co
 
 /// √ of the diagonal of M C Mᵀ over the pupil, for the modes of one group.
 fn sigma_map(model: &Model, covariance_nm2: &Array2<f64>, group: Group) -> Array2<f64> {
-    let range = match group {
-        Group::Segment => 0..model.segment_modes,
-        Group::Ncpa => model.segment_modes..model.basis.len(),
-    };
-    let covariance = covariance_nm2.slice(s![range.clone(), range.clone()]);
-    let maps = model.basis.maps();
-    let shape = model.telescope.pupil.amplitude.dim();
-    let flat = maps.slice(s![range.clone(), .., ..]);
-    let flat = flat.to_shape((range.len(), shape.0 * shape.1)).map(|flat| flat.to_owned()).unwrap_or_default();
-    let product = covariance.dot(&flat);
-    let variance: Array1<f64> = (&product * &flat).sum_axis(Axis(0));
-    let map = Array2::from_shape_vec(shape, variance.mapv(|v| v.max(0.0).sqrt()).to_vec());
-    model.outside_to_nan(map.unwrap_or_else(|_| Array2::zeros(shape)))
+    let variance_nm2 = model.basis.variance(covariance_nm2, model.modes_of(group));
+    model.outside_to_nan(variance_nm2.mapv(|v| v.max(0.0).sqrt()))
 }

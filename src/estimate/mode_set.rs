@@ -9,7 +9,7 @@ use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
-use std::cell::OnceCell;
+use std::sync::OnceLock;
 
 /// A mode is dropped where those before it already span all but this fraction of it.
 const SMALLEST_REMAINDER: f64 = 1e-3;
@@ -69,7 +69,7 @@ impl NcpaModes {
     /// Modes known by their maps, used as they are, followed by what the exact Zernikes add to the NCPA among them.
     fn of_maps(given: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
         let (basis, dropped) = with_exact(given, recipe.exact_zernikes, pupil)?;
-        Ok(Self { smooth: Smooth::Maps(basis.maps().to_owned()), sampled: Some(basis), dropped })
+        Ok(Self { smooth: Smooth::Maps(basis.maps()), sampled: Some(basis), dropped })
     }
 }
 
@@ -120,12 +120,12 @@ impl ModeSet {
 
 /// The scene's own basis, which costs a second to build: made once for all recipes of a scene.
 #[derive(Default)]
-pub(super) struct OwnBasis(OnceCell<Option<SmoothBasis>>);
+pub(super) struct OwnBasis(OnceLock<Option<SmoothBasis>>);
 
 impl OwnBasis {
     /// No basis, whatever the scene says.
     pub(super) fn none() -> Self {
-        Self(OnceCell::from(None))
+        Self(OnceLock::from(None))
     }
 
     fn of(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {

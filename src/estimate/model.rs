@@ -4,13 +4,13 @@ use super::mode_set::{ModeSet, OwnBasis};
 use super::plan::{Plan, band_limited_weights};
 use super::prepare::Preparation;
 use super::recipe::Recipe;
-use crate::Result;
 use crate::fourier::Sampling;
 use crate::imaging::{Mode, Optics, OpticsParts};
 use crate::modes::{Basis, Group};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{PupilModel, Scene};
 use crate::telescope::{Diversity, Telescope};
+use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
 
@@ -60,6 +60,13 @@ impl Model {
     ) -> Result<Self> {
         let pixels = Plan::of(scene, recipe, native, diversity, &telescope.pupil);
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
+        if let Some(samples) = scene.estimate.samples.filter(|&samples| !band_limited && samples != scene.pupil.samples)
+        {
+            return Err(Error::Scene(format!(
+                "estimate.samples = {samples} needs a band-limited model of a pupil that is known finely; leave it out, or name \
+                 pupil.samples"
+            )));
+        }
         let (grid, weights) = if band_limited {
             band_limited_weights(scene, &telescope, &pixels)?
         } else if recipe.pupil_model == PupilModel::Area {
@@ -104,13 +111,15 @@ impl Model {
 
     /// The map of some of the modes, `[y, x]`, nm, NaN outside the pupil.
     pub fn map_nm(&self, coefficients_nm: &[f64], group: Group) -> Array2<f64> {
-        let mut map = Array2::zeros(self.telescope.pupil.amplitude.dim());
-        for ((mode, &nm), &of) in self.basis.maps().outer_iter().zip(coefficients_nm).zip(self.basis.groups()) {
-            if of == group {
-                map.scaled_add(nm, &mode);
-            }
+        self.outside_to_nan(self.basis.combined(coefficients_nm, self.modes_of(group)))
+    }
+
+    /// The modes of a group.
+    pub fn modes_of(&self, group: Group) -> std::ops::Range<usize> {
+        match group {
+            Group::Segment => 0..self.segment_modes,
+            Group::Ncpa => self.segment_modes..self.basis.len(),
         }
-        self.outside_to_nan(map)
     }
 
     /// `map` with NaN where there is no glass.

@@ -17,8 +17,7 @@ impl Pistons {
         let pistons = model.basis.names().iter().take(model.segment_modes).take_while(|name| name.ends_with("-piston"));
         let count = pistons.count();
         let pupil = &model.telescope.pupil;
-        let maps = model.basis.maps();
-        let areas: Vec<f64> = maps.outer_iter().take(count).map(|map| (&map * &pupil.amplitude).sum()).collect();
+        let areas = model.basis.along(&pupil.amplitude)?[..count].to_vec();
         let total: f64 = areas.iter().sum();
         if count > 0 && total <= 0.0 {
             return Err(Error::Value("the segment pistons move no glass".into()));

@@ -11,7 +11,7 @@ use super::recipe::Recipe;
 use crate::imaging::{Exposure, Photometry};
 use crate::scene::Weighting;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView1, ArrayView2};
+use ndarray::{Array2, ArrayView1, ArrayView2, Zip};
 use reduction::Reduction;
 use statistics::Statistics;
 
@@ -198,11 +198,27 @@ impl Preparer {
         let (rows, columns) = self.data.dim();
         let [flip_x, flip_y] = self.plan.flip;
         let from = |i: usize, size: usize, flip: bool| if flip { (i > 0).then(|| size - i) } else { Some(i) };
-        for ((v, u), data) in self.data.indexed_iter_mut() {
-            let there = from(v, rows, flip_y).zip(from(u, columns, flip_x));
-            let good = there.filter(|&at| !frame.bad[at] && frame.data_e[at].is_finite());
-            *data = good.map_or(0.0, |at| frame.data_e[at]);
-            self.bad[(v, u)] = good.is_none();
+        let lines = self.data.outer_iter_mut().zip(self.bad.outer_iter_mut());
+        for (v, (mut data, mut bad)) in lines.enumerate() {
+            let there = from(v, rows, flip_y);
+            let take = |data: &mut f64, bad: &mut bool, value: f64, marked: bool| {
+                *bad = marked || !value.is_finite();
+                *data = if *bad { 0.0 } else { value };
+            };
+            match there {
+                Some(at) if !flip_x => Zip::from(&mut data)
+                    .and(&mut bad)
+                    .and(frame.data_e.row(at))
+                    .and(frame.bad.row(at))
+                    .for_each(|data, bad, &value, &marked| take(data, bad, value, marked)),
+                _ => {
+                    for (u, (data, bad)) in data.iter_mut().zip(&mut bad).enumerate() {
+                        let at = there.zip(from(u, columns, flip_x));
+                        let (value, marked) = at.map_or((0.0, true), |at| (frame.data_e[at], frame.bad[at]));
+                        take(data, bad, value, marked);
+                    }
+                }
+            }
         }
         frame.data_e.iter().zip(frame.bad).filter(|(data, bad)| **bad || !data.is_finite()).count()
     }
@@ -232,11 +248,14 @@ fn off_axis(frame: &Sampled, level: f64) -> [i64; 2] {
     let (rows, columns) = frame.data.dim();
     // Only what stands out: 5 % of the brightest pixel, so that noise far away does not pull.
     let brightest = frame.data.iter().fold(f64::MIN, |m, &d| m.max(d - level));
+    let threshold = level + 0.05 * brightest;
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-    for ((v, u), &value) in frame.data.indexed_iter() {
-        let value = value - level;
-        if value > 0.05 * brightest && !frame.is_bad((v, u)) {
-            (sum, x, y) = (sum + value, x + value * u as f64, y + value * v as f64);
+    for (v, row) in frame.data.outer_iter().enumerate() {
+        for (u, &value) in row.iter().enumerate() {
+            if value > threshold && !frame.is_bad((v, u)) {
+                let value = value - level;
+                (sum, x, y) = (sum + value, x + value * u as f64, y + value * v as f64);
+            }
         }
     }
     [(x, columns), (y, rows)].map(|(moment, size)| {

@@ -99,7 +99,7 @@ impl Session {
         recipe.max_evaluations = options.max_evaluations.unwrap_or(recipe.max_evaluations);
         recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
         estimator.metrics.make_all(&estimator.judge)?;
-        let (tilts, pistons) = (Tilts::new(&estimator.model), Pistons::of(&estimator.model)?);
+        let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::of(&estimator.model)?);
         let shared = Shared { estimator, recipe, tilts, pistons, cancel: CancelFlag::default() };
         let optics = shared.estimator.model.optics.clone();
         let engine = match Chain::open(optics, options.device, options.precision, options.capacity)? {

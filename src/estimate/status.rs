@@ -4,12 +4,11 @@ use super::Estimator;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{Prepared, Refusal};
-use super::residual::reduced_chi2;
 use super::sequence::{SEQUENCE, distances, outliers};
+use crate::Result;
 use crate::optimize::StopReason;
 use crate::scene::Combine;
-use ndarray::{Array2, ArrayView1, Axis};
-use rayon::prelude::*;
+use ndarray::{Array2, Axis};
 
 /// What became of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,18 +93,16 @@ impl ImageReport {
 }
 
 /// The reports on the minima of `prepared`.
-pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
-    let tilts = Tilts::new(&estimator.model);
-    let mut reports: Vec<ImageReport> = prepared
-        .par_iter()
-        .zip(minima)
-        .map(|(prepared, minimum)| {
-            let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
-            judge(&estimator.model, &tilts, prepared, minimum, &psf)
-        })
-        .collect();
+///
+/// # Errors
+/// Those of [`Tilts::new`].
+pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Result<Vec<ImageReport>> {
+    let tilts = Tilts::new(&estimator.model)?;
+    let pairs = prepared.iter().zip(minima);
+    let mut reports: Vec<ImageReport> =
+        pairs.map(|(prepared, minimum)| judge(&estimator.model, &tilts, prepared, minimum)).collect();
     judge_together(&mut reports);
-    reports
+    Ok(reports)
 }
 
 /// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.
@@ -122,10 +119,9 @@ pub(super) fn judge_together(reports: &mut [ImageReport]) {
     }
 }
 
-/// Judges one minimum by itself. `tilts` are the slopes of each mode, `psf` is that of the minimum.
-pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum, psf: &[f64]) -> ImageReport {
-    let (exposure, floor_variance_e2) = (&prepared.exposure, &prepared.floor_variance_e2);
-    let reduced_chi2 = reduced_chi2(psf, minimum, exposure, floor_variance_e2, model.optics.modes());
+/// Judges one minimum by itself. `tilts` are the slopes of each mode.
+pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum) -> ImageReport {
+    let reduced_chi2 = minimum.reduced_chi2;
     let status = match minimum.reason {
         reason if !reason.converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
         _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
@@ -207,7 +203,10 @@ pub(super) struct Tilts {
 }
 
 impl Tilts {
-    pub(super) fn new(model: &Model) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::Error::Shape`] for modes on another grid than the pupil's.
+    pub(super) fn new(model: &Model) -> Result<Self> {
         let pupil = &model.telescope.pupil;
         let total = pupil.weight_sum();
         let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / total;
@@ -219,12 +218,13 @@ impl Tilts {
             let rms_m = mean(&(&centred * &centred)).sqrt();
             (centred / rms_m, rms_m)
         });
-        let modes = model.basis.maps().outer_iter().map(|mode| [0, 1].map(|i| mean(&(&mode * &axes[i].0)))).collect();
+        let [along_x, along_y] = [0, 1].map(|i| model.basis.along(&(&axes[i].0 * &pupil.amplitude / total)));
+        let modes = along_x?.into_iter().zip(along_y?).map(|(x, y)| [x, y]).collect();
         // One pixel is λ over the width of the model's grid, divided by the pixels per λ/D.
         let sampling = model.optics.sampling();
         let width_m = pupil.grid.width_m() * model.width_ratio();
         let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * width_m);
-        Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) }
+        Ok(Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) })
     }
 
     /// Of a wavefront whose image was moved onto the axis by `shift_pixels`.

@@ -47,30 +47,11 @@ pub fn draws_from(scene: &Scene, first: u64, count: usize, progress: &Progress) 
 }
 
 impl Draw {
-    /// The maps of the truth, phasing and NCPA, on the grid of `pupil`, `[y, x]`, nm, NaN outside: models of any size
-    /// can be held against the same image.
+    /// The maps of the truth on the grid of `pupil`, as [`Truth::maps_on`] gives them.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a pupil with other segments than the scene's.
+    /// As there.
     pub fn truth_on(&self, pupil: &Pupil) -> Result<[Array2<f64>; 2]> {
-        let pistons = &self.truth.piston_nm;
-        if pupil.segments.len() != pistons.len() {
-            let (given, wanted) = (pupil.segments.len(), pistons.len());
-            return Err(Error::Shape(format!("a pupil of {given} segments was given: the truth has {wanted}")));
-        }
-        let lit: Vec<((usize, usize), usize)> = pupil
-            .owner
-            .indexed_iter()
-            .filter(|(_, owner)| **owner >= 0)
-            .map(|(at, &owner)| (at, owner as usize))
-            .collect();
-        let at = |((y, x), _): &((usize, usize), usize)| (pupil.grid.coordinate_m(*x), pupil.grid.coordinate_m(*y));
-        let (xs, ys): (Vec<f64>, Vec<f64>) = lit.iter().map(at).unzip();
-        let outside = Array2::from_elem(pupil.owner.dim(), f64::NAN);
-        let (mut phasing_nm, mut ncpa_nm) = (outside.clone(), outside);
-        for ((at, owner), ncpa) in lit.into_iter().zip(self.truth.ncpa_at(&xs, &ys)?) {
-            (phasing_nm[at], ncpa_nm[at]) = (pistons[owner], ncpa);
-        }
-        Ok([phasing_nm, ncpa_nm])
+        self.truth.maps_on(pupil)
     }
 }

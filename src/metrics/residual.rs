@@ -3,7 +3,7 @@
 
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView2, ArrayView3, Axis, Zip};
+use ndarray::{Array1, Array2, ArrayView2, ArrayView3, Axis, Zip};
 
 /// RMS over the pupil of `estimate_nm − truth_nm` (`[y, x]`, nm), piston, tip and tilt removed, in nm.
 ///
@@ -46,6 +46,40 @@ impl MapGram {
                 .for_each(|out, &value, &root| *out = if root > 0.0 { root * value } else { 0.0 });
         }
         Ok(Self { products: weighted.dot(&weighted.t()) })
+    }
+
+    /// Of the mean products over the pupil of the maps as they are, `[mode, mode]`, and of each with the three
+    /// [`MapGram::planes`], `[plane][mode]`.
+    pub fn of_products(mut products: Array2<f64>, along: [Vec<f64>; 3]) -> Self {
+        // The planes are orthonormal: what a map has of them is its products with them.
+        for along in along.map(Array1::from) {
+            for (mut row, &part) in products.outer_iter_mut().zip(&along) {
+                row.scaled_add(-part, &along);
+            }
+        }
+        Self { products }
+    }
+
+    /// Piston, tip and tilt, orthonormal over the pupil in the mean weighted by its amplitude: `[y, x]` each.
+    pub fn planes(pupil: &Pupil) -> [Array2<f64>; 3] {
+        let weight = &pupil.amplitude / pupil.weight_sum();
+        let shape = pupil.amplitude.dim();
+        let mut planes = [
+            Array2::ones(shape),
+            Array2::from_shape_fn(shape, |(_, x)| pupil.grid.coordinate_m(x)),
+            Array2::from_shape_fn(shape, |(y, _)| pupil.grid.coordinate_m(y)),
+        ];
+        for k in 0..3 {
+            let (before, rest) = planes.split_at_mut(k);
+            let plane = &mut rest[0];
+            for other in before.iter() {
+                let share = (&*plane * other * &weight).sum();
+                plane.scaled_add(-share, other);
+            }
+            let norm = (&*plane * &*plane * &weight).sum().sqrt();
+            plane.mapv_inplace(|value| value / norm);
+        }
+        planes
     }
 
     /// √(trace of G·C): the root of the mean square, in nm, of the residual of an estimate whose coefficients of these
@@ -105,6 +139,19 @@ mod tests {
         let expected = MapGram::new(&pupil, maps.view()).unwrap().expected_rms_nm(outer.view()).unwrap();
         // The square cancels the planes to about 1e-16 of (20 nm)², the root of which is 2e-7 at worst.
         assert!((seen - expected).abs() < 1e-6 * seen, "{seen} {expected}");
+    }
+
+    #[test]
+    fn products_of_maps_say_what_the_maps_say() {
+        let (pupil, maps) = (pupil(), maps());
+        let weight = &pupil.amplitude / pupil.weight_sum();
+        let mean = |a: ArrayView2<f64>, b: ArrayView2<f64>| (&a * &b * &weight).sum();
+        let map = |mode| maps.index_axis(Axis(0), mode);
+        let products = Array2::from_shape_fn((3, 3), |(i, j)| mean(map(i), map(j)));
+        let along = MapGram::planes(&pupil).map(|plane| (0..3).map(|mode| mean(map(mode), plane.view())).collect());
+        let (found, wanted) = (MapGram::of_products(products, along), MapGram::new(&pupil, maps.view()).unwrap());
+        // Mean squares of up to (20 nm)², of which the planes are cancelled: rounding leaves 1e-16 of that, some times over.
+        assert!((found.products - wanted.products).iter().all(|difference| difference.abs() < 1e-11));
     }
 
     #[test]

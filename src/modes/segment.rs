@@ -1,9 +1,9 @@
 //! Segment modes: names for every model, and maps for the plain one in which a sample belongs to one segment.
 
+use super::basis::LocalMap;
 use super::{Basis, Group};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
-use ndarray::{Array3, ArrayViewMut2};
 
 /// What each segment may do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,41 +58,38 @@ impl SegmentModes {
             let text = format!("the owner map names segment {owner}: −1 to {} are accepted", segments - 1);
             return Err(Error::Value(text));
         }
-        let mut maps = Array3::zeros((segments * self.per_segment(), n, n));
-        for ((row, column), &owner) in pupil.owner.indexed_iter() {
-            if owner >= 0 {
-                maps[[owner as usize, row, column]] = 1.0;
-                if self == SegmentModes::PistonTipTilt {
-                    maps[[segments + owner as usize, row, column]] = pupil.grid.coordinate_m(column);
-                    maps[[2 * segments + owner as usize, row, column]] = pupil.grid.coordinate_m(row);
-                }
+        let names = self.names(segments);
+        let mut maps: Vec<LocalMap> = vec![Vec::new(); segments * self.per_segment()];
+        for ((row, column), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
+            let (segment, at) = (owner as usize, (row * n + column) as u32);
+            maps[segment].push((at, 1.0));
+            if self == SegmentModes::PistonTipTilt {
+                maps[segments + segment].push((at, pupil.grid.coordinate_m(column)));
+                maps[2 * segments + segment].push((at, pupil.grid.coordinate_m(row)));
             }
         }
-        let names = self.names(segments);
-        for (mode, (map, name)) in maps.outer_iter_mut().zip(&names).enumerate().skip(segments) {
-            normalise(map, pupil, mode % segments, name)?;
+        for (map, name) in maps.iter_mut().zip(&names).skip(segments) {
+            normalise(map, pupil, name)?;
         }
-        Basis::from_cube(names, vec![Group::Segment; segments * self.per_segment()], maps)
+        Basis::from_lists(names, vec![Group::Segment; maps.len()], n, maps)
     }
 }
 
-/// Removes the mean over `segment` and scales to unit RMS over it, both weighted by the amplitude.
-fn normalise(mut map: ArrayViewMut2<f64>, pupil: &Pupil, segment: usize, name: &str) -> Result<()> {
-    let own = |index: (usize, usize)| pupil.owner[index] == segment as i32;
-    let weighted = |map: &ArrayViewMut2<f64>, power: i32| -> f64 {
-        let term = |(index, value): ((usize, usize), &f64)| pupil.amplitude[index] * value.powi(power);
-        map.indexed_iter().filter(|(index, _)| own(*index)).map(term).sum()
-    };
-    let light = weighted(&map, 0);
-    let mean = weighted(&map, 1) / light;
-    map.indexed_iter_mut().filter(|(index, _)| own(*index)).for_each(|(_, value)| *value -= mean);
-    let rms = (weighted(&map, 2) / light).sqrt();
+/// Removes the mean over the mode's segment and scales to unit RMS over it, both weighted by the amplitude.
+fn normalise(map: &mut LocalMap, pupil: &Pupil, name: &str) -> Result<()> {
+    let n = pupil.grid.samples();
+    let amplitude = |at: u32| pupil.amplitude[[at as usize / n, at as usize % n]];
+    let weighted = |map: &LocalMap, power: i32| map.iter().map(|&(at, v)| amplitude(at) * v.powi(power)).sum::<f64>();
+    let light = weighted(map, 0);
+    let mean = weighted(map, 1) / light;
+    map.iter_mut().for_each(|(_, value)| *value -= mean);
+    let rms = (weighted(map, 2) / light).sqrt();
     // Two samples apart already give half a pitch; rounding of the mean gives 1e-16 of the grid's width.
     if !(light > 0.0 && rms > 1e-9 * pupil.grid.width_m()) {
         return Err(Error::Value(format!(
             "{name} does not show on this grid: the segment needs at least two lit samples"
         )));
     }
-    map.mapv_inplace(|value| value / rms);
+    map.iter_mut().for_each(|(_, value)| *value /= rms);
     Ok(())
 }

@@ -35,11 +35,11 @@ impl GpuChain {
         match *self {}
     }
 
-    /// Replaces one image.
+    /// Replaces images.
     ///
     /// # Errors
     /// Never: there is no chain to call it on.
-    pub fn replace(&mut self, _: usize, _: &[f64], _: &[f64], _: GpuPhotometry) -> Result<()> {
+    pub fn replace_all(&mut self, _: &[(usize, &[f64], &[f64], GpuPhotometry)]) -> Result<()> {
         match *self {}
     }
 

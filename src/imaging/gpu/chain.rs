@@ -106,21 +106,36 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::load`], and [`Error::Shape`] where there is no such image.
     pub fn replace(&mut self, image: usize, data: &[f64], weights: &[f64], photometry: GpuPhotometry) -> Result<()> {
+        self.replace_all(&[(image, data, weights, photometry)])
+    }
+
+    /// Replaces images that are loaded: which, their data, weights and photometry.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::replace`].
+    pub fn replace_all(&mut self, images: &[(usize, &[f64], &[f64], GpuPhotometry)]) -> Result<()> {
         let (m, loaded) = (self.layout.pixels, self.photometry.len());
-        if image >= loaded {
-            return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+        let fold = |&(image, data, weights, ref photometry): &(usize, &[f64], &[f64], GpuPhotometry)| {
+            if image >= loaded {
+                return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+            }
+            if data.len() != m * m || weights.len() != m * m {
+                let (data, weights) = (data.len(), weights.len());
+                return Err(Error::Shape(format!(
+                    "{data} data and {weights} weights are not an image of {m} x {m} pixels"
+                )));
+            }
+            Folded::new(&self.shape, m, data, weights, photometry)
+                .map_err(|what| Error::Value(format!("image {image} {what}")))
+        };
+        for images in images.chunks(FOLDED_AT_ONCE) {
+            let folded = images.par_iter().map(fold).collect::<Result<Vec<_>>>()?;
+            for ((image, _, _, photometry), folded) in images.iter().zip(&folded) {
+                self.stages.load(*image, folded)?;
+                self.offsets[*image] = folded.offset;
+                self.photometry[*image] = *photometry;
+            }
         }
-        if data.len() != m * m || weights.len() != m * m {
-            let (data, weights) = (data.len(), weights.len());
-            return Err(Error::Shape(format!(
-                "{data} data and {weights} weights are not an image of {m} x {m} pixels"
-            )));
-        }
-        let folded = Folded::new(&self.shape, m, data, weights, &photometry)
-            .map_err(|what| Error::Value(format!("image {image} {what}")))?;
-        self.stages.load(image, &folded)?;
-        self.offsets[image] = folded.offset;
-        self.photometry[image] = photometry;
         Ok(())
     }
 
@@ -134,11 +149,12 @@ impl GpuChain {
         if let Some(image) = active.iter().find(|i| **i >= self.photometry.len()) {
             return Err(Error::Shape(format!("image {image} is not among the {} loaded", self.photometry.len())));
         }
-        let (turns, phasors) = self.inputs(active.len(), coefficients)?;
+        let (turns, stands) = self.inputs(active.len(), coefficients)?;
         let fitted = active.iter().any(|&i| !matches!(self.photometry[i], GpuPhotometry::Known { .. }));
-        let results = self.stages.evaluate(active, &turns, &phasors, fitted)?;
+        let results = self.stages.evaluate(active, &turns, &stands, fitted)?;
 
-        let outputs = 3 + self.layout.segments + self.layout.smooth.len();
+        let (poses, smooth) = (self.layout.poses(), self.layout.smooth.len());
+        let outputs = 3 + self.layout.segments * poses + smooth;
         let mut evaluation = GpuEvaluation {
             objective: Vec::with_capacity(active.len()),
             gradient: Vec::with_capacity(active.len() * self.modes()),
@@ -149,9 +165,11 @@ impl GpuChain {
             evaluation.objective.push(result[0]);
             evaluation.flux_e.push(result[1]);
             evaluation.background_e.push(result[2] + self.offsets[image]);
-            let (segments, smooth) = result[3..].split_at(self.layout.segments);
+            let (segments, smooth) = result[3..].split_at(self.layout.segments * poses);
             evaluation.gradient.extend(self.layout.modes.iter().map(|mode| match *mode {
-                GpuMode::Segment(s) => segments[s],
+                GpuMode::Segment(s) => segments[s * poses],
+                GpuMode::Tip(s) => segments[s * poses + 1],
+                GpuMode::Tilt(s) => segments[s * poses + 2],
                 GpuMode::Smooth(j) => smooth[j],
             }));
         }
@@ -169,8 +187,8 @@ impl GpuChain {
         let mut psfs = Vec::with_capacity(images * m * m);
         for first in (0..images).step_by(self.stages.focal_tile()) {
             let count = (images - first).min(self.stages.focal_tile());
-            let (turns, phasors) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
-            let focal = self.stages.focal(count, &turns, &phasors)?;
+            let (turns, poses) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
+            let focal = self.stages.focal(count, &turns, &poses)?;
             for image in focal.chunks_exact(self.shape.pixels() * 2).take(count) {
                 psfs.extend(self.unfold(image));
             }
@@ -191,8 +209,8 @@ impl GpuChain {
         })
     }
 
-    /// Smooth coefficients in turns `[image][smooth mode]`, and the phasors of the segments `[image][segment][re, im]`
-    /// times the root of the intensity scale, so that |U|² is the PSF.
+    /// Smooth coefficients in turns `[image][smooth mode]`, and how the segments stand, `[image][segment]`: re and im of
+    /// the phasor of the piston, times the root of the intensity scale, so that |U|² is the PSF, then tip and tilt, turns.
     fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
         let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
         if coefficients.len() != images * modes {
@@ -211,20 +229,23 @@ impl GpuChain {
         }
         let amplitude = self.layout.intensity_scale.sqrt();
         let mut turns = vec![0.0; images * smooth];
-        let mut pistons = vec![0.0; images * segments];
+        let mut stands = vec![[0.0; 3]; images * segments];
         for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
             for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
+                let amount = coefficient / self.layout.wavelength_nm;
                 match *mode {
-                    GpuMode::Segment(s) => pistons[image * segments + s] += coefficient / self.layout.wavelength_nm,
-                    GpuMode::Smooth(j) => turns[image * smooth + j] += coefficient / self.layout.wavelength_nm,
+                    GpuMode::Segment(s) => stands[image * segments + s][0] += amount,
+                    GpuMode::Tip(s) => stands[image * segments + s][1] += amount,
+                    GpuMode::Tilt(s) => stands[image * segments + s][2] += amount,
+                    GpuMode::Smooth(j) => turns[image * smooth + j] += amount,
                 }
             }
         }
-        let phasor = |turns: f64| {
-            let (sine, cosine) = (TAU * (turns - turns.round())).sin_cos();
-            [amplitude * cosine, amplitude * sine]
+        let pose = |[piston, tip, tilt]: [f64; 3]| {
+            let (sine, cosine) = (TAU * (piston - piston.round())).sin_cos();
+            [amplitude * cosine, amplitude * sine, tip, tilt]
         };
-        Ok((turns, pistons.into_iter().flat_map(phasor).collect()))
+        Ok((turns, stands.into_iter().flat_map(pose).collect()))
     }
 }
 

@@ -21,6 +21,7 @@ pub(super) struct Stages {
 
 /// One of each, bound to everything that does not change.
 struct Kernels {
+    smooth_phase: Kernel,
     pupil_field: Kernel,
     forward_columns: Kernel,
     forward_rows: Kernel,
@@ -59,21 +60,36 @@ impl Parts<'_> {
         let mut k = self.kernel(name)?;
         self.scratch.phasor.bind(&mut k, "phasor")?;
         self.scratch.lit_field.bind(&mut k, "lit_field")?;
+        self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.field.bind(&mut k, "field")?;
         k.buffer("place", &self.scene.place)?.int("blocks", self.counts.blocks)?;
         k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
         Ok(k)
     }
 
-    fn pupil_field(&self) -> Result<Kernel> {
-        let (scene, mut k) = (self.scene, self.pupil("pupil_field")?);
-        scene.diversity.bind(&mut k, "diversity")?;
-        scene.entry_weight.bind(&mut k, "entry_weight")?;
+    fn smooth_phase(&self) -> Result<Kernel> {
+        let mut k = self.kernel("smooth_phase")?;
+        self.scene.diversity.bind(&mut k, "diversity")?;
         self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
-        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?.int("segments", self.counts.segments)?;
-        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        self.scratch.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
         self.basis(&mut k)?;
         Ok(k)
+    }
+
+    fn pupil_field(&self) -> Result<Kernel> {
+        let (scene, mut k) = (self.scene, self.pupil("pupil_field")?);
+        self.poses(&mut k)?;
+        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        Ok(k)
+    }
+
+    /// How the segments stand, and where.
+    fn poses(&self, k: &mut Kernel) -> Result<()> {
+        self.scene.entry_weight.bind(k, "entry_weight")?;
+        self.scene.entry_x.bind(k, "entry_x")?;
+        self.scene.entry_y.bind(k, "entry_y")?;
+        self.batch.pose.bind(k, "pose")?.int("segments", self.counts.segments)?.int("poses", self.counts.poses)?;
+        Ok(())
     }
 
     fn basis(&self, k: &mut Kernel) -> Result<()> {
@@ -143,11 +159,15 @@ impl Parts<'_> {
         Ok(k)
     }
 
-    /// The eight kernels from columns to columns in one.
+    /// The kernels from the field to the projection on segments in one.
     fn focus(&self) -> Result<Kernel> {
         let (scene, scratch, batch, shape) = (self.scene, self.scratch, self.batch, self.shape);
         let mut k = self.kernel("focus")?;
         for (argument, reals) in [
+            ("psi", &scratch.psi),
+            ("phasor", &scratch.phasor),
+            ("lit_field", &scratch.lit_field),
+            ("segment_sum", &scratch.segment_sum),
             ("field", &scratch.field),
             ("wave", &scratch.wave),
             ("focal", &scratch.focal),
@@ -164,6 +184,11 @@ impl Parts<'_> {
         ] {
             reals.bind(&mut k, argument)?;
         }
+        self.poses(&mut k)?;
+        k.buffer("place", &scene.place)?.int("blocks", self.counts.blocks)?;
+        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
+        k.buffer("entry_place", &scene.entry_place)?;
         k.buffer("extent", &scene.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
         k.buffer("next", &batch.next)?;
         k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("width", shape.width)?.int("span", shape.span)?;
@@ -176,24 +201,23 @@ impl Parts<'_> {
     }
 
     fn pupil_gradient(&self) -> Result<Kernel> {
-        let mut k = self.pupil("pupil_gradient")?;
-        self.scratch.slope.bind(&mut k, "slope")?;
-        Ok(k)
+        self.pupil("pupil_gradient")
     }
 
     fn project_segments(&self) -> Result<Kernel> {
         let (scene, mut k) = (self.scene, self.kernel("project_segments")?);
         self.scratch.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
-        scene.entry_weight.bind(&mut k, "entry_weight")?.buffer("entry_place", &scene.entry_place)?;
+        self.poses(&mut k)?;
         k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
-        self.scratch.segment_sum.bind(&mut k, "segment_sum")?.int("segments", self.counts.segments)?;
+        k.buffer("entry_place", &scene.entry_place)?;
+        self.scratch.segment_sum.bind(&mut k, "segment_sum")?;
         Ok(k)
     }
 
     fn project_modes(&self) -> Result<Kernel> {
         let mut k = self.kernel("project_modes")?;
         self.basis(&mut k)?;
-        self.scratch.slope.bind(&mut k, "slope")?;
+        self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
         k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
         k.int("blocks_per_chunk", self.cut.blocks_per_chunk)?;
@@ -206,9 +230,8 @@ impl Parts<'_> {
         scratch.segment_sum.bind(&mut k, "segment_sum")?;
         scratch.objective.bind(&mut k, "objective")?;
         scratch.photometry.bind(&mut k, "photometry")?;
-        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?;
         self.batch.result.bind(&mut k, "result")?;
-        k.int("segments", counts.segments)?.int("smooth", counts.smooth)?;
+        k.int("stands", counts.segments * counts.poses)?.int("smooth", counts.smooth)?;
         k.int("padded_modes", counts.mode_groups * MODES_AT_ONCE)?.int("chunks", counts.chunks)?;
         k.int("partials", self.partials())?.real("twice_wavenumber", twice_wavenumber)?;
         Ok(k)
@@ -216,6 +239,7 @@ impl Parts<'_> {
 
     fn kernels(&self, twice_wavenumber: f64) -> Result<Kernels> {
         Ok(Kernels {
+            smooth_phase: self.smooth_phase()?,
             pupil_field: self.pupil_field()?,
             forward_columns: self.columns("forward_columns")?,
             forward_rows: self.rows("forward_rows")?,
@@ -276,13 +300,13 @@ impl Stages {
 
     /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
     /// `fitted`, none of them fits its photometry.
-    pub fn evaluate(&mut self, active: &[usize], turns: &[f64], phasors: &[f64], fitted: bool) -> Result<Vec<f64>> {
+    pub fn evaluate(&mut self, active: &[usize], turns: &[f64], poses: &[f64], fitted: bool) -> Result<Vec<f64>> {
         let Counts { capacity, smooth, segments, outputs, .. } = self.counts;
         let mut results = vec![0.0; active.len() * outputs];
         // A batch beyond the capacity (an image may be active more than once) goes in several rounds.
         for (round, active) in active.chunks(capacity).enumerate() {
             let (from, count) = (round * capacity, active.len());
-            self.write_inputs(count, &turns[from * smooth..], &phasors[from * segments * 2..])?;
+            self.write_inputs(count, &turns[from * smooth..], &poses[from * segments * 4..])?;
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
             self.batch.slot.write(0, &slots)?;
             // Few images are shared out among the cores stage by stage.
@@ -293,16 +317,18 @@ impl Stages {
             self.batch.next.write(0, &vec![0; count.div_ceil(tile)])?;
             for (turn, first) in (0..count).step_by(tile).enumerate() {
                 let images = tile.min(count - first);
-                self.pupil_field(first, images)?;
+                self.smooth_phase(first, images)?;
                 match workers {
                     Some(workers) => self.focus(turn, first, images, workers)?,
                     None => {
+                        self.pupil_field(first, images)?;
                         self.transform(images)?;
                         self.pixels(first, images, fitted)?;
                         self.transform_adjoint(images)?;
+                        self.pupil_gradient(first, images)?;
                     }
                 }
-                self.gradient(first, images)?;
+                self.project_modes(first, images)?;
             }
             self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
         }
@@ -310,8 +336,9 @@ impl Stages {
     }
 
     /// The focal fields of at most a tile of images, folded.
-    pub fn focal(&mut self, count: usize, turns: &[f64], phasors: &[f64]) -> Result<Vec<f64>> {
-        self.write_inputs(count, turns, phasors)?;
+    pub fn focal(&mut self, count: usize, turns: &[f64], poses: &[f64]) -> Result<Vec<f64>> {
+        self.write_inputs(count, turns, poses)?;
+        self.smooth_phase(0, count)?;
         self.pupil_field(0, count)?;
         self.transform(count)?;
         let mut focal = vec![0.0; count * self.shape.pixels() * 2];
@@ -319,18 +346,22 @@ impl Stages {
         Ok(focal)
     }
 
-    fn write_inputs(&mut self, images: usize, turns: &[f64], phasors: &[f64]) -> Result<()> {
+    fn write_inputs(&mut self, images: usize, turns: &[f64], poses: &[f64]) -> Result<()> {
         self.batch.coefficients.write(0, &turns[..images * self.counts.smooth])?;
-        self.batch.segment_phasor.write(0, &phasors[..images * self.counts.segments * 2])
+        self.batch.pose.write(0, &poses[..images * self.counts.segments * 4])
     }
 
     // Kernels that carry GROUP images together take whole groups: what they compute beyond `images` is of leftovers of an
     // earlier tile (or zeros), and nothing reads it.
 
-    fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
-        let (images, k) = (padded(images), &mut self.kernels.pupil_field);
+    fn smooth_phase(&mut self, first: usize, images: usize) -> Result<()> {
+        let (images, k) = (padded(images), &mut self.kernels.smooth_phase);
         k.int("first", first)?.int("images", images)?;
         k.launch([self.counts.blocks, self.cut.group_items.min(images / GROUP), 1])
+    }
+
+    fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
+        self.kernels.pupil_field.int("first", first)?.launch([self.counts.blocks, images, 1])
     }
 
     fn focus(&mut self, turn: usize, first: usize, images: usize, workers: usize) -> Result<()> {
@@ -364,14 +395,17 @@ impl Stages {
         k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])
     }
 
-    fn gradient(&mut self, first: usize, images: usize) -> Result<()> {
+    fn pupil_gradient(&mut self, first: usize, images: usize) -> Result<()> {
         let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
         k.pupil_gradient.launch([cut.block_items, images, 1])?;
+        k.project_segments.int("first", first)?.launch([counts.segments, images, 1])
+    }
+
+    fn project_modes(&mut self, first: usize, images: usize) -> Result<()> {
+        let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
         let groups = images.div_ceil(GROUP);
         k.project_modes.int("images", groups * GROUP)?;
         k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(cut.group_items)])?;
-        k.project_segments.int("images", groups * GROUP)?;
-        k.project_segments.launch([counts.segments, groups.min(cut.segment_items), 1])?;
         k.collect.int("first", first)?.launch([cut.output_items, images, 1])
     }
 }

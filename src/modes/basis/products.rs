@@ -1,0 +1,259 @@
+//! Sums over the modes of a basis and over the samples of the pupil, without a map of every mode.
+
+use super::Basis;
+use crate::{Error, Result};
+use ndarray::linalg::general_mat_mul;
+use ndarray::{Array1, Array2, ArrayView2, Zip, s};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// Samples whose values in the dense modes are gathered at once: those of 70 modes stay in a cache of 1 MB.
+const TILE: usize = 1024;
+
+/// The modes that are lists, sample by sample.
+struct BySample {
+    /// Sample p holds the entries `offsets[p]..offsets[p + 1]`.
+    offsets: Vec<u32>,
+    /// Mode and value.
+    entries: Vec<(u32, f64)>,
+}
+
+impl BySample {
+    fn at(&self, sample: usize) -> &[(u32, f64)] {
+        &self.entries[self.offsets[sample] as usize..self.offsets[sample + 1] as usize]
+    }
+}
+
+impl Basis {
+    /// Σ of the maps of `modes` times their coefficients, `[y, x]`.
+    ///
+    /// # Panics
+    /// Where there is not a coefficient for each mode of the basis.
+    pub fn combined(&self, coefficients_nm: &[f64], modes: Range<usize>) -> Array2<f64> {
+        assert_eq!(coefficients_nm.len(), self.len(), "coefficients");
+        let samples = self.samples();
+        let mut map = Array2::zeros((samples, samples));
+        for mode in modes {
+            let nm = coefficients_nm[mode];
+            match self.local.get(mode) {
+                Some(list) => list.iter().for_each(|&(at, v)| map[self.place(at as usize)] += nm * v),
+                None => map.scaled_add(nm, &self.dense_map(mode)),
+            }
+        }
+        map
+    }
+
+    /// Σ over the samples of each mode's map times `map` (`[y, x]`).
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a map of another shape.
+    pub fn along(&self, map: &Array2<f64>) -> Result<Vec<f64>> {
+        self.check_shape(map)?;
+        let of_list = |list: &super::LocalMap| list.iter().map(|&(at, v)| v * map[self.place(at as usize)]).sum();
+        let of_map = |mode: ArrayView2<f64>| Zip::from(mode).and(map).fold(0.0, |sum, v, m| sum + v * m);
+        Ok(self.local.iter().map(of_list).chain(self.dense.outer_iter().map(of_map)).collect())
+    }
+
+    /// Σ over the samples of `weight` times the product of each two modes, `[mode, mode]`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a weight of another shape.
+    pub fn gram(&self, weight: &Array2<f64>) -> Result<Array2<f64>> {
+        self.check_shape(weight)?;
+        let (lists, maps) = (self.local.len(), self.dense.dim().0);
+        let by_sample = self.by_sample();
+        let lit: Vec<(usize, f64)> = weight.iter().copied().enumerate().filter(|(_, weight)| *weight != 0.0).collect();
+        let mut of_maps = Array2::<f64>::zeros((maps, maps));
+        let mut gram = Array2::<f64>::zeros((self.len(), self.len()));
+        for tile in lit.chunks(TILE) {
+            let values = self.gathered(tile.iter().map(|&(at, _)| at), lists..self.len());
+            let weights: Array1<f64> = tile.iter().map(|&(_, weight)| weight).collect();
+            let weighted = &values * &weights.insert_axis(ndarray::Axis(1));
+            general_mat_mul(1.0, &values.t(), &weighted, 1.0, &mut of_maps);
+            for (&(at, weight), weighted) in tile.iter().zip(weighted.outer_iter()) {
+                for &(i, value) in by_sample.at(at) {
+                    gram.slice_mut(s![i as usize, lists..]).scaled_add(value, &weighted);
+                    by_sample.at(at).iter().for_each(|&(j, v)| gram[[i as usize, j as usize]] += weight * value * v);
+                }
+            }
+        }
+        gram.slice_mut(s![lists.., lists..]).assign(&of_maps);
+        for i in 0..lists {
+            for j in lists..self.len() {
+                gram[[j, i]] = gram[[i, j]];
+            }
+        }
+        Ok(gram)
+    }
+
+    /// Mean products of the modes over the pupil, `[modes, modes]`, weighted by `amplitude` `[y, x]` and with the mean
+    /// of each mode removed: what an image can see of them, since it never sees piston.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the amplitude has another shape than the maps; [`Error::Value`] where it sums to no
+    /// positive number.
+    pub fn visible_gram(&self, amplitude: &Array2<f64>) -> Result<Array2<f64>> {
+        self.check_shape(amplitude)?;
+        let total = amplitude.sum();
+        if !(total.is_finite() && total > 0.0) {
+            return Err(Error::Value(format!("the pupil amplitude sums to {total}: a positive sum is needed")));
+        }
+        let weight = amplitude / total;
+        let means = Array1::from(self.along(&weight)?);
+        let mut gram = self.gram(&weight)?;
+        for (mut row, &mean) in gram.outer_iter_mut().zip(&means) {
+            row.scaled_add(-mean, &means);
+        }
+        Ok(gram)
+    }
+
+    /// The variance of Σ of the maps of `modes` at each sample, `[y, x]`, for coefficients of the given covariance
+    /// (`[mode, mode]`, of all modes).
+    ///
+    /// # Panics
+    /// Where the covariance is not of the modes of the basis.
+    pub fn variance(&self, covariance: &Array2<f64>, modes: Range<usize>) -> Array2<f64> {
+        assert_eq!(covariance.dim(), (self.len(), self.len()), "covariance");
+        let samples = self.samples();
+        let by_sample = self.by_sample();
+        let maps = modes.start.max(self.local.len()).min(modes.end)..modes.end;
+        let of_maps = covariance.slice(s![maps.clone(), maps.clone()]);
+        let mut variance = vec![0.0; samples * samples];
+        variance.par_chunks_mut(TILE).enumerate().for_each(|(tile, variance)| {
+            let first = tile * TILE;
+            let values = self.gathered(first..first + variance.len(), maps.clone());
+            let moved = values.dot(&of_maps);
+            for (place, variance) in variance.iter_mut().enumerate() {
+                let (values, moved) = (values.row(place), moved.row(place));
+                *variance = values.dot(&moved);
+                let here = || by_sample.at(first + place).iter().filter(|(mode, _)| modes.contains(&(*mode as usize)));
+                for &(i, value) in here() {
+                    let row = covariance.row(i as usize);
+                    *variance += 2.0 * value * row.slice(s![maps.clone()]).dot(&values);
+                    *variance += here().map(|&(j, v)| value * v * row[j as usize]).sum::<f64>();
+                }
+            }
+        });
+        Array2::from_shape_vec((samples, samples), variance).unwrap_or_default()
+    }
+
+    fn check_shape(&self, map: &Array2<f64>) -> Result<()> {
+        let wanted = (self.samples(), self.samples());
+        if map.dim() != wanted {
+            return Err(Error::Shape(format!("a map of shape {:?} was given: {wanted:?} is needed", map.dim())));
+        }
+        Ok(())
+    }
+
+    fn place(&self, at: usize) -> [usize; 2] {
+        [at / self.samples(), at % self.samples()]
+    }
+
+    fn dense_map(&self, mode: usize) -> ArrayView2<'_, f64> {
+        self.dense.index_axis(ndarray::Axis(0), mode - self.local.len())
+    }
+
+    /// Values of `modes`, all of them dense, at `samples`: `[sample, mode]`.
+    fn gathered(&self, samples: impl ExactSizeIterator<Item = usize> + Clone, modes: Range<usize>) -> Array2<f64> {
+        let mut values = Array2::zeros((samples.len(), modes.len()));
+        for (mode, mut column) in modes.zip(values.columns_mut()) {
+            let map = self.dense_map(mode);
+            column.iter_mut().zip(samples.clone()).for_each(|(value, at)| *value = map[self.place(at)]);
+        }
+        values
+    }
+
+    fn by_sample(&self) -> BySample {
+        let mut offsets = vec![0u32; self.samples().pow(2) + 1];
+        self.local.iter().flatten().for_each(|&(at, _)| offsets[at as usize + 1] += 1);
+        for p in 1..offsets.len() {
+            offsets[p] += offsets[p - 1];
+        }
+        let mut next = offsets.clone();
+        let mut entries = vec![(0, 0.0); self.local.iter().map(Vec::len).sum()];
+        for (mode, list) in (0u32..).zip(&self.local) {
+            for &(at, value) in list {
+                let place = &mut next[at as usize];
+                entries[*place as usize] = (mode, value);
+                *place += 1;
+            }
+        }
+        BySample { offsets, entries }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::modes::{Basis, Group};
+    use ndarray::{Array2, Array3, ArrayView1, Axis};
+
+    /// Three modes of a few samples each, which overlap, before two that fill the grid; and the same five as maps.
+    fn both() -> (Basis, Basis) {
+        let samples = 40;
+        let names = |prefix: &str, count: usize| (0..count).map(|i| format!("{prefix}-{i}")).collect::<Vec<_>>();
+        let list = |seed: u32| (0..300).map(|i| (5 * i + seed, (0.3 * f64::from(i + seed)).sin() + 0.2)).collect();
+        let local = vec![list(0), list(1), (0..300).map(|i| (5 * i, 0.5 + 0.01 * f64::from(i))).collect()];
+        let lists = Basis::from_lists(names("list", 3), vec![Group::Segment; 3], samples, local).unwrap();
+        let wave = |(mode, y, x): (usize, usize, usize)| ((1 + mode) as f64 * 0.11 * x as f64).cos() + 0.02 * y as f64;
+        let cube = Array3::from_shape_fn((2, samples, samples), wave);
+        let dense = Basis::from_cube(names("map", 2), vec![Group::Ncpa; 2], cube).unwrap();
+        let joined = lists.followed_by(&dense).unwrap();
+        let as_maps = Basis::from_cube(joined.names.clone(), joined.groups.clone(), joined.maps()).unwrap();
+        assert_eq!((joined.local.len(), as_maps.local.len()), (3, 0));
+        (joined, as_maps)
+    }
+
+    /// 1,600 terms of up to a few units, summed in other orders: 1e-16 times their number and size.
+    const ROUNDING: f64 = 1e-11;
+
+    fn same(a: &Array2<f64>, b: &Array2<f64>) -> bool {
+        assert_eq!(a.dim(), b.dim());
+        assert!(a.iter().any(|value| *value != 0.0));
+        (a - b).iter().all(|difference| difference.abs() < ROUNDING)
+    }
+
+    #[test]
+    fn lists_and_maps_of_the_same_modes_give_the_same_sums() {
+        let (lists, maps) = both();
+        let weight = Array2::from_shape_fn((40, 40), |(y, x)| if x < 5 { 0.0 } else { 0.5 + 0.01 * y as f64 });
+        assert!(same(&lists.gram(&weight).unwrap(), &maps.gram(&weight).unwrap()));
+        assert!(same(&lists.visible_gram(&weight).unwrap(), &maps.visible_gram(&weight).unwrap()));
+        let along = |basis: &Basis| Array2::from_shape_vec((1, 5), basis.along(&weight).unwrap()).unwrap();
+        assert!(same(&along(&lists), &along(&maps)));
+        let root = Array2::from_shape_fn((5, 5), |(i, j)| ((3 * i + 7 * j) as f64).sin());
+        let covariance = root.dot(&root.t());
+        for range in [0..3, 3..5, 1..4, 0..5] {
+            let c = [0.3, -1.0, 2.0, 0.7, -0.4];
+            assert!(same(&lists.combined(&c, range.clone()), &maps.combined(&c, range.clone())), "{range:?}");
+            assert!(same(&lists.variance(&covariance, range.clone()), &maps.variance(&covariance, range.clone())));
+        }
+    }
+
+    #[test]
+    fn the_sums_are_those_of_the_definition() {
+        let (lists, _) = both();
+        let maps = lists.maps();
+        let weight = Array2::from_shape_fn((40, 40), |(y, x)| 1.0 / (1 + x + y) as f64);
+        let flat = maps.to_shape((5, 1600)).unwrap();
+        let weighted = &flat * &ArrayView1::from(weight.as_slice().unwrap());
+        assert!(same(&lists.gram(&weight).unwrap(), &weighted.dot(&flat.t())));
+        // The covariance of one draw ±c: its standard deviation is the map of c.
+        let c = [0.3, -1.0, 2.0, 0.7, -0.4];
+        let column = Array2::from_shape_vec((5, 1), c.to_vec()).unwrap();
+        let map = maps.outer_iter().zip(c).fold(Array2::zeros((40, 40)), |sum, (map, c)| sum + &map * c);
+        assert!(same(&lists.combined(&c, 0..5), &map));
+        assert!(same(&lists.variance(&column.dot(&column.t()), 0..5), &map.mapv(|v| v * v)));
+    }
+
+    #[test]
+    fn lists_behind_maps_become_maps() {
+        let (lists, maps) = both();
+        let renamed =
+            Basis::from_cube(vec!["other".into()], vec![Group::Ncpa], maps.maps().slice_move(ndarray::s![..1, .., ..]));
+        let joined = renamed.unwrap().followed_by(&lists).unwrap();
+        assert_eq!(joined.len(), 6);
+        let tail = joined.maps().slice_move(ndarray::s![1.., .., ..]);
+        assert_eq!(tail, lists.maps());
+        assert_eq!(joined.maps().index_axis(Axis(0), 0), maps.maps().index_axis(Axis(0), 0));
+    }
+}
