@@ -21,10 +21,12 @@
 
 pub mod ao;
 mod atomic;
+pub mod bench;
 pub mod capi;
 pub mod device;
 pub mod error;
 pub mod estimate;
+pub mod experiment;
 pub mod fourier;
 pub mod grid;
 pub mod imaging;

@@ -3,6 +3,7 @@
 //! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2 (bad usage), 130
 //! (stopped by Ctrl-C, as shells count it).
 
+mod bench;
 mod compare;
 mod demo;
 mod devices;
@@ -60,6 +61,7 @@ enum Verb {
     Devices(devices::Arguments),
     Demo(demo::Arguments),
     Reproduce(reproduce::Arguments),
+    Bench(bench::Arguments),
 }
 
 /// Runs the verb.
@@ -79,6 +81,7 @@ pub fn run(cli: Cli) -> Result<()> {
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
         Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
+        Verb::Bench(arguments) => bench::run(&arguments, &terminal),
     }
 }
 

@@ -23,19 +23,27 @@ pub struct Draw {
 /// The draws 1 to `seeds` of `scene`.
 ///
 /// # Errors
-/// Those of [`source::images`]; [`Error::Scene`] for a scene whose segments are tilted, [`Error::Interrupted`].
+/// As [`draws_from`].
 pub fn draws(scene: &Scene, seeds: usize, progress: &Progress) -> Result<Vec<Draw>> {
+    draws_from(scene, 1, seeds, progress)
+}
+
+/// `count` draws of `scene`, the first with the seed `first`.
+///
+/// # Errors
+/// Those of [`source::images`]; [`Error::Scene`] for a scene whose segments are tilted, [`Error::Interrupted`].
+pub fn draws_from(scene: &Scene, first: u64, count: usize, progress: &Progress) -> Result<Vec<Draw>> {
     if scene.aberrations.as_ref().is_some_and(|truth| truth.segment_tip_tilt_rms_nm > 0.0) {
         let sentence = "aberrations.segment_tip_tilt_rms_nm is not 0: these experiments move segments in piston only";
         return Err(Error::Scene(sentence.into()));
     }
-    let draw = |seed: usize| {
+    let draw = |seed: u64| {
         progress.check()?;
         let made = source::images(&scene.with_override("aberrations.seed", &seed.to_string())?)?;
         let image_e = made.images_e.index_axis_move(Axis(0), 0);
-        Ok(Draw { seed, image_e, flux_e: made.flux_e, truth: made.truth })
+        Ok(Draw { seed: seed as usize, image_e, flux_e: made.flux_e, truth: made.truth })
     };
-    (1..=seeds).into_par_iter().map(draw).collect()
+    (first..first.saturating_add(count as u64)).into_par_iter().map(draw).collect()
 }
 
 impl Draw {
