@@ -307,6 +307,9 @@ size_t cophase_last_error(char *text,
 // directory: where the files are looked for that the scene names; NULL for the working directory.
 // model: receives the handle, which the caller gives back with cophase_model_destroy.
 //
+// Where the scene has estimate.budget_nm the model is planned, the cheapest whose error stays within it, which takes
+// some seconds more.
+//
 // COPHASE_BAD_SCENE with the line, the key, its value and what is accepted; COPHASE_BAD_FILE for a file of the scene's.
 cophase_status cophase_model_create(const char *scene_text,
                                     const char *directory,

@@ -13,13 +13,16 @@
  * a cosine sum over E(+x) + E(-x) and a sine sum over E(+x) - E(-x), each real and half as long: a quarter of the work of
  * a complex product. Arrays are stored for that, by distance from the axis and quadrant; only the host knows x and y.
  *
- *   pupil quadrants  q = 0: (+y +x), 1: (+y -x), 2: (-y +x), 3: (-y -x); sample i lies (i + 1/2) samples from the axis
+ * Samples and pixels alike lie i + 1/2 steps from the axis: a tilt that the host adds to the diversity moves the image by
+ * half a pixel, for which no intensity but the right one is seen, and no pixel lies on the axis.
+ *
+ *   pupil quadrants  q = 0: (+y +x), 1: (+y -x), 2: (-y +x), 3: (-y -x)
  *   pupil block      VEC samples next to each other in x, in all four quadrants; in each column of blocks, those up to
  *                    the last with a lit sample
  *   field     [image][y][x parity][even-y re, even-y im, odd-y re, odd-y im][x]      x padded to `width`
  *   wave      [image][pair][...two rows of four planes...][x]                        a row pair is v and -v
- *   focal     [image][pair][+v, -v][four planes][u]                                  u = 0 ... m/2, padded to `span`
- *   pixels    [slot][pair][+v, -v][+u, -u][u]; weight 0 where a pixel is bad, padding, or counted already
+ *   focal     [image][pair][+v, -v][four planes][u]                                  padded to `span`
+ *   pixels    [slot][pair][+v, -v][+u, -u][u]; weight 0 where a pixel is bad or padding
  *
  * Every padded extent is a multiple of VEC, so that vectors are aligned.
  */
@@ -73,6 +76,18 @@ typedef JOIN(BASE, VEC) vec;
 #define MAD(a, b, c) mad(a, b, c)
 #endif
 #define SPLAT(s) ((vec)(s))
+
+/* Where a number of a block stands, in vectors, and the same for re of a complex number and the way from there to im.
+   Neighbouring work-items of a GPU hold neighbouring blocks; a processor's holds all of one. */
+#if VEC == 1
+#define PLANE(q, block, blocks) ((q) * (blocks) + (block))
+#define COMPLEX(q, block, blocks) (2 * (q) * (blocks) + (block))
+#define COMPLEX_APART(blocks) (blocks)
+#else
+#define PLANE(q, block, blocks) (4 * (block) + (q))
+#define COMPLEX(q, block, blocks) (8 * (block) + 2 * (q))
+#define COMPLEX_APART(blocks) 1
+#endif
 
 inline real sum_lanes(vec v) {
 #if VEC == 1

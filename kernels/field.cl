@@ -1,18 +1,20 @@
 /*
  * field.cl: from mode coefficients to the field in the pupil, folded for the transform.
  *
- *   psi_p = diversity_p + sum_j B_jp y_j      in turns (y_j = coefficient / wavelength)
- *   a_p   = sum_s w_ps q_s                    q_s = the phasor of segment s, scaled so that |focal field|^2 is the PSF
+ *   psi_p = diversity_p + sum_j B_jp y_j                     in turns (y_j = coefficient / wavelength)
+ *   a_p   = sum_s w_ps q_s exp(2 pi i (t_s x_ps + u_s y_ps)) q_s = the phasor of segment s, scaled so that |focal field|^2
+ *                                                            is the PSF; t_s, u_s its tip and tilt in turns
  *   E_p   = a_p exp(2 pi i psi_p)
  *
- * One work-item per pupil block and, on a GPU, per GROUP images. Memory picture: the four quadrants of a block times
- * GROUP images are 16 accumulators; each step of the mode loop reads 4 vectors of the basis and GROUP coefficients for
- * 16 multiply-adds. On a processor one work-item takes all images of the tile, so that its slice of the basis
- * (modes x 4 vectors) stays in the first cache.
+ * smooth_phase is a matrix product over all images of a tile: one work-item per pupil block and, on a GPU, per GROUP
+ * images. Memory picture: the four quadrants of a block times GROUP images are 16 accumulators; each step of the mode loop
+ * reads 4 vectors of the basis and GROUP coefficients for 16 multiply-adds. On a processor one work-item takes all images
+ * of the tile, so that its slice of the basis (modes x 4 vectors) stays in the first cache; psi is all that it writes.
  *
- * For the way back the phasors exp(2 pi i psi) and the field are left as they are too, as [image][quadrant][re, im][block].
+ * The rest is one block of one image: pupil_field on its own, or a part of focus.cl. For the way back the phasors
+ * exp(2 pi i psi) and the field are left as they are too, as [quadrant, block][re, im] (COMPLEX in common.cl).
  *
- * Precondition: `images` is a multiple of GROUP. `first` is the tile's first image in coefficients and segment_phasor.
+ * `poses` numbers say how a segment stands: 1 is piston alone (the phasor q), 3 piston, tip and tilt.
  */
 
 /* sin and cos of 2 pi t. |t - k/2| <= 1/4, where minimax polynomials err by 3e-8 (5 and 6 terms) and 7e-21 (10 and 10):
@@ -61,25 +63,21 @@ inline void turn(vec t, vec *sine, vec *cosine) {
     *cosine = sign * c;
 }
 
-__kernel void pupil_field(__global const real *basis, __global const real *diversity, __global const int *place,
-                          __global const int *entry_start, __global const int *entry_segment,
-                          __global const real *entry_weight, __global const real *coefficients,
-                          __global const real *segment_phasor, __global real *phasor, __global real *lit_field,
-                          __global real *field,
-                          const int blocks, const int modes, const int segments, const int images, const int first,
-                          const int rows, const int width, const int block_stride, const int mode_stride,
-                          const int quadrant_stride) {
+/* -> psi [image][quadrant, block][VEC]. Precondition: `images` is a multiple of GROUP. `first` is the tile's first image
+   in coefficients. */
+__kernel void smooth_phase(__global const real *basis, __global const real *diversity,
+                           __global const real *coefficients, __global real *psi, const int blocks, const int modes,
+                           const int images, const int first, const int block_stride, const int mode_stride,
+                           const int quadrant_stride) {
     const int block = get_global_id(0);
     if (block >= blocks) return;
-    const int y = place[2 * block], x = place[2 * block + 1];
-
     for (int group = get_global_id(1) * GROUP; group < images; group += get_global_size(1) * GROUP) {
-        vec psi[GROUP][4];
+        vec sum[GROUP][4];
 #pragma unroll
         for (int q = 0; q < 4; q++) {
             vec d = GET(diversity, (q * blocks + block) * VEC);
 #pragma unroll
-            for (int i = 0; i < GROUP; i++) psi[i][q] = d;
+            for (int i = 0; i < GROUP; i++) sum[i][q] = d;
         }
         __global const real *b = basis + (size_t)block * block_stride;
         __global const real *c = coefficients + (size_t)(first + group) * modes;
@@ -91,43 +89,82 @@ __kernel void pupil_field(__global const real *basis, __global const real *diver
             for (int i = 0; i < GROUP; i++) {
                 vec amount = SPLAT(c[i * modes + mode]);
 #pragma unroll
-                for (int q = 0; q < 4; q++) psi[i][q] = MAD(shape[q], amount, psi[i][q]);
+                for (int q = 0; q < 4; q++) sum[i][q] = MAD(shape[q], amount, sum[i][q]);
             }
         }
 #pragma unroll
-        for (int i = 0; i < GROUP; i++) {
-            const int image = group + i;
-            __global const real *piston = segment_phasor + (size_t)(first + image) * segments * 2;
-            __global real *p = phasor + (size_t)image * blocks * (8 * VEC);
-            __global real *l = lit_field + (size_t)image * blocks * (8 * VEC);
-            vec er[4], ei[4];
+        for (int i = 0; i < GROUP; i++)
 #pragma unroll
-            for (int q = 0; q < 4; q++) {
-                vec sine, cosine;
-                turn(psi[i][q], &sine, &cosine);
-                AT(p, (2 * q * blocks + block) * VEC) = cosine;
-                AT(p, ((2 * q + 1) * blocks + block) * VEC) = sine;
-                vec ar = SPLAT(REAL(0.0)), ai = SPLAT(REAL(0.0));
-                for (int e = entry_start[4 * block + q]; e < entry_start[4 * block + q + 1]; e++) {
-                    vec w = GET(entry_weight, e * VEC);
-                    const int s = 2 * entry_segment[e];
-                    ar = MAD(w, SPLAT(piston[s]), ar);
-                    ai = MAD(w, SPLAT(piston[s + 1]), ai);
-                }
-                er[q] = ar * cosine - ai * sine;
-                ei[q] = MAD(ar, sine, ai * cosine);
-                AT(l, (2 * q * blocks + block) * VEC) = er[q];
-                AT(l, ((2 * q + 1) * blocks + block) * VEC) = ei[q];
-            }
-            __global real *out = field + ((size_t)(image * rows + y) * 8) * width + x;
-            AT(out, 0 * width) = (er[0] + er[1]) + (er[2] + er[3]);
-            AT(out, 1 * width) = (ei[0] + ei[1]) + (ei[2] + ei[3]);
-            AT(out, 2 * width) = (er[0] + er[1]) - (er[2] + er[3]);
-            AT(out, 3 * width) = (ei[0] + ei[1]) - (ei[2] + ei[3]);
-            AT(out, 4 * width) = (er[0] - er[1]) + (er[2] - er[3]);
-            AT(out, 5 * width) = (ei[0] - ei[1]) + (ei[2] - ei[3]);
-            AT(out, 6 * width) = (er[0] - er[1]) - (er[2] - er[3]);
-            AT(out, 7 * width) = (ei[0] - ei[1]) - (ei[2] - ei[3]);
-        }
+            for (int q = 0; q < 4; q++)
+                AT(psi, ((size_t)(group + i) * blocks * 4 + PLANE(q, block, blocks)) * VEC) = sum[i][q];
     }
+}
+
+/* Phasor, field and folded field of one block of one image; `pose` is the image's [segment][re q, im q, t, u]. With
+   `side_rows` the field is not folded but laid out as fft.cl wants it. */
+inline void field_block(__global const real *psi, __global const int *place, __global const int *entry_start,
+                        __global const int *entry_segment, __global const real *entry_weight,
+                        __global const real *entry_x, __global const real *entry_y, __global const real *pose,
+                        __global real *phasor, __global real *lit_field, __global real *field, const int block,
+                        const int blocks, const int width, const int poses, const int side_rows) {
+    vec er[4], ei[4];
+#pragma unroll
+    for (int q = 0; q < 4; q++) {
+        vec sine, cosine;
+        turn(GET(psi, PLANE(q, block, blocks) * VEC), &sine, &cosine);
+        vec ar = SPLAT(REAL(0.0)), ai = SPLAT(REAL(0.0));
+        for (int e = entry_start[4 * block + q]; e < entry_start[4 * block + q + 1]; e++) {
+            vec w = GET(entry_weight, e * VEC);
+            __global const real *s = pose + 4 * entry_segment[e];
+            if (poses == 1) {
+                ar = MAD(w, SPLAT(s[0]), ar);
+                ai = MAD(w, SPLAT(s[1]), ai);
+            } else {
+                vec im, re;
+                turn(MAD(SPLAT(s[2]), GET(entry_x, e * VEC), SPLAT(s[3]) * GET(entry_y, e * VEC)), &im, &re);
+                ar = MAD(w, SPLAT(s[0]) * re - SPLAT(s[1]) * im, ar);
+                ai = MAD(w, MAD(SPLAT(s[0]), im, SPLAT(s[1]) * re), ai);
+            }
+        }
+        er[q] = ar * cosine - ai * sine;
+        ei[q] = MAD(ar, sine, ai * cosine);
+        const int at = COMPLEX(q, block, blocks) * VEC, apart = COMPLEX_APART(blocks) * VEC;
+        AT(phasor, at) = cosine;
+        AT(phasor, at + apart) = sine;
+        AT(lit_field, at) = er[q];
+        AT(lit_field, at + apart) = ei[q];
+    }
+    if (side_rows) {
+#pragma unroll
+        for (int q = 0; q < 4; q++) {
+            __global real *out =
+                field + ((place[2 * block] + q / 2 * side_rows) * 4 + q % 2 * 2) * width + place[2 * block + 1];
+            AT(out, 0) = er[q];
+            AT(out, width) = ei[q];
+        }
+        return;
+    }
+    __global real *out = field + (size_t)place[2 * block] * 8 * width + place[2 * block + 1];
+    AT(out, 0 * width) = (er[0] + er[1]) + (er[2] + er[3]);
+    AT(out, 1 * width) = (ei[0] + ei[1]) + (ei[2] + ei[3]);
+    AT(out, 2 * width) = (er[0] + er[1]) - (er[2] + er[3]);
+    AT(out, 3 * width) = (ei[0] + ei[1]) - (ei[2] + ei[3]);
+    AT(out, 4 * width) = (er[0] - er[1]) + (er[2] - er[3]);
+    AT(out, 5 * width) = (ei[0] - ei[1]) + (ei[2] - ei[3]);
+    AT(out, 6 * width) = (er[0] - er[1]) - (er[2] - er[3]);
+    AT(out, 7 * width) = (ei[0] - ei[1]) - (ei[2] - ei[3]);
+}
+
+/* psi -> phasor, lit_field, field: global (blocks, images, 1). */
+__kernel void pupil_field(__global const real *psi, __global const int *place, __global const int *entry_start,
+                          __global const int *entry_segment, __global const real *entry_weight,
+                          __global const real *entry_x, __global const real *entry_y, __global const real *pose,
+                          __global real *phasor, __global real *lit_field, __global real *field, const int first,
+                          const int blocks, const int segments, const int rows, const int width, const int poses) {
+    const int block = get_global_id(0);
+    const size_t image = get_global_id(1), quads = (size_t)blocks * 4 * VEC;
+    if (block >= blocks) return;
+    field_block(psi + image * quads, place, entry_start, entry_segment, entry_weight, entry_x, entry_y,
+                pose + (first + image) * segments * 4, phasor + 2 * image * quads, lit_field + 2 * image * quads,
+                field + image * rows * 8 * width, block, blocks, width, poses, 0);
 }

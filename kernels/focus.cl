@@ -1,10 +1,11 @@
 /*
- * focus.cl: pupil to focus, pixels, and back to the pupil, for a processor that has an image per core: the kernels of
- * transform.cl and pixels.cl in one, with the same arithmetic in the same order.
+ * focus.cl: an image's phase to its objective and back to the slopes of the phase, for a processor that has an image per
+ * core: the kernels from pupil_field to project_segments in one, with the same arithmetic in the same order.
  *
- * A work-item carries whole images, one after the other, through a `wave` and a `focal` array of its own, which thus stay
- * in the second cache of its core; data and weights are all that comes from memory. Strip by strip: the rows of a strip
- * are transformed and summed, and later differenced and transformed back, while they are there.
+ * A work-item carries whole images, one after the other, through arrays of its own (field, phasor, lit_field, wave, focal),
+ * which thus stay in the second cache of its core; psi, data and weights are all that comes from memory, and D all that
+ * goes there. Strip by strip: the rows of a strip are transformed and summed, and later differenced and transformed back,
+ * while they are there.
  *
  * global (workers, 1, 1), local (1, 1, 1). A worker takes the next image nobody has taken from the counter next[turn],
  * which is 0 before the launch: OpenCL does not say how work-items are dealt to cores (PoCL gives the first core more
@@ -12,22 +13,35 @@
  * those that come late find no image and end. Which worker takes an image changes nothing in its numbers.
  * The adjoint overwrites `field`.
  */
-__kernel void focus(__global real *field, __global const real *y_to_v, __global const real *x_to_u,
-                    __global const real *u_to_x, __global const real *v_to_y, __global const int *extent,
-                    __global real *wave, __global real *focal, __global const real *data, __global const real *weight,
-                    __global const int *slot, __global const int *kind, __global const real *known,
-                    __global real *sums, __global real *objective, __global real *photometry,
-                    volatile __global int *next, const int turn, const int first, const int images, const int rows, const int pairs, const int pairs_per_strip, const int strips,
-                    const int width, const int span) {
-    __global real *w = wave + get_global_id(0) * pairs * 8 * width, *f = focal + get_global_id(0) * pairs * 8 * span;
+__kernel void focus(__global real *psi, __global const int *place, __global const int *entry_start,
+                    __global const int *entry_segment, __global const real *entry_weight,
+                    __global const real *entry_x, __global const real *entry_y, __global const int *segment_start,
+                    __global const int *segment_entry, __global const int *entry_place, __global const real *pose,
+                    __global real *phasor, __global real *lit_field, __global real *field,
+                    __global const real *y_to_v, __global const real *x_to_u, __global const real *u_to_x,
+                    __global const real *v_to_y, __global const int *extent, __global real *wave, __global real *focal,
+                    __global const real *data, __global const real *weight, __global const int *slot,
+                    __global const int *kind, __global const real *known, __global real *sums,
+                    __global real *objective, __global real *photometry, __global real *segment_sum,
+                    volatile __global int *next, const int turn, const int first, const int images, const int blocks,
+                    const int segments, const int poses, const int rows, const int pairs, const int pairs_per_strip,
+                    const int strips, const int width, const int span) {
+    const size_t worker = get_global_id(0);
+    __global real *e = field + worker * rows * 8 * width, *w = wave + worker * pairs * 8 * width;
+    __global real *f = focal + worker * pairs * 8 * span;
+    __global real *p = phasor + worker * blocks * 8 * VEC, *l = lit_field + worker * blocks * 8 * VEC;
     const int columns = 2 * (width / VEC);
     for (int image = atomic_inc(next + turn); image < images; image = atomic_inc(next + turn)) {
         const int s = slot[first + image];
-        __global real *e = field + (size_t)image * rows * 8 * width;
+        __global const real *stand = pose + (size_t)(first + image) * segments * 4;
+        __global real *t = psi + (size_t)image * blocks * 4 * VEC;
         __global const real *d = data + (size_t)s * pairs * 4 * span;
         __global const real *v = weight + (size_t)s * pairs * 4 * span;
         __global real *sum = sums + (size_t)image * strips * 3, *light = photometry + 2 * image;
 
+        for (int block = 0; block < blocks; block++)
+            field_block(t, place, entry_start, entry_segment, entry_weight, entry_x, entry_y, stand, p, l, e, block, blocks,
+                        width, poses, 0);
         for (int column = 0; column < columns; column++)
             forward_column(e, y_to_v, extent, w, column, 0, 1, rows, pairs, (pairs + TALL - 1) / TALL, width);
         for (int strip = 0; strip < strips; strip++) {
@@ -45,5 +59,10 @@ __kernel void focus(__global real *field, __global const real *y_to_v, __global 
         }
         for (int column = 0; column < columns; column++)
             adjoint_column(w, v_to_y, extent, e, column, 0, 1, pairs, (rows + TALL - 1) / TALL, width);
+        for (int block = 0; block < blocks; block++) gradient_block(e, l, p, place, t, block, blocks, width, 0);
+        for (int segment = 0; segment < segments; segment++)
+            segment_product(p, segment_entry, entry_place, entry_weight, entry_x, entry_y, stand + 4 * segment,
+                            segment_sum + ((size_t)image * segments + segment) * poses, segment_start[segment],
+                            segment_start[segment + 1], COMPLEX_APART(blocks), poses);
     }
 }

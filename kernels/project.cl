@@ -3,82 +3,116 @@
  *
  *   g_p = Ebar_p conj(P_p),  P_p = exp(2 pi i psi_p)
  *   dJ/dy_j = sum_p B_jp D_p,  D_p = 2 k Im(conj(E_p) Ebar_p)                  k = 2 pi / wavelength
- *   dJ/dc_s = 2 k Im(conj(q_s) sum_p w_ps g_p)
+ *   dJ/dc_s = 2 k Im(sum_p w_ps conj(q_ps) g_p),  times x_ps or y_ps for tip and tilt (q_ps with them: see field.cl)
  *
  * pupil_gradient unfolds Ebar, one block and image at a time, into D and g (without 2 k). project_modes multiplies D with
  * the basis over a chunk of blocks, project_segments g with the weights of a segment; collect adds what the chunks left
- * and applies 2 k. Every number has one writer: no atomics.
+ * and applies 2 k. focus.cl calls the functions before the kernels too. Every number has one writer: no atomics.
  */
 
-/* field -> slope D [image][quadrant][block][VEC], and g in place of phasor: global (any, images, 1). */
-__kernel void pupil_gradient(__global const real *field, __global const real *lit_field, __global real *phasor,
-                             __global const int *place, __global real *slope, const int blocks, const int rows,
-                             const int width) {
-    const int image = get_global_id(1);
-    __global real *p = phasor + (size_t)image * blocks * (8 * VEC);
-    __global const real *l = lit_field + (size_t)image * blocks * (8 * VEC);
-    for (int block = get_global_id(0); block < blocks; block += get_global_size(0)) {
-        const int y = place[2 * block], x = place[2 * block + 1];
-        __global const real *in = field + ((size_t)(image * rows + y) * 8) * width + x;
+/* The four quadrants of a block from its planes: x parity, then y parity, then re and im. */
+inline void unfold(__global const real *in, const int width, vec re[4], vec im[4]) {
+    vec a = GET(in, 0), b = GET(in, 2 * width), c = GET(in, 4 * width), d = GET(in, 6 * width);
+    re[0] = (a + b) + (c + d);
+    re[1] = (a + b) - (c + d);
+    re[2] = (a - b) + (c - d);
+    re[3] = (a - b) - (c - d);
+    a = GET(in, width), b = GET(in, 3 * width), c = GET(in, 5 * width), d = GET(in, 7 * width);
+    im[0] = (a + b) + (c + d);
+    im[1] = (a + b) - (c + d);
+    im[2] = (a - b) + (c - d);
+    im[3] = (a - b) - (c - d);
+}
 
-        /* Planes: x parity, then y parity, then re and im. */
-        vec re[4], im[4];
-        vec a = GET(in, 0), b = GET(in, 2 * width), c = GET(in, 4 * width), d = GET(in, 6 * width);
-        re[0] = (a + b) + (c + d);
-        re[1] = (a + b) - (c + d);
-        re[2] = (a - b) + (c - d);
-        re[3] = (a - b) - (c - d);
-        a = GET(in, width), b = GET(in, 3 * width), c = GET(in, 5 * width), d = GET(in, 7 * width);
-        im[0] = (a + b) + (c + d);
-        im[1] = (a + b) - (c + d);
-        im[2] = (a - b) + (c - d);
-        im[3] = (a - b) - (c - d);
+/* One block of one image: `psi` becomes D, `phasor` becomes g. `side_rows` as in field_block. */
+inline void gradient_block(__global const real *field, __global const real *lit_field, __global real *phasor,
+                           __global const int *place, __global real *psi, const int block, const int blocks,
+                           const int width, const int side_rows) {
+    vec re[4], im[4];
+    if (side_rows) {
 #pragma unroll
         for (int q = 0; q < 4; q++) {
-            const int at_re = (2 * q * blocks + block) * VEC, at_im = at_re + blocks * VEC;
-            vec cosine = GET(p, at_re), sine = GET(p, at_im);
-            AT(slope, ((size_t)(image * 4 + q) * blocks + block) * VEC) = GET(l, at_re) * im[q] - GET(l, at_im) * re[q];
-            AT(p, at_re) = MAD(re[q], cosine, im[q] * sine);
-            AT(p, at_im) = im[q] * cosine - re[q] * sine;
+            __global const real *in =
+                field + ((place[2 * block] + q / 2 * side_rows) * 4 + q % 2 * 2) * width + place[2 * block + 1];
+            re[q] = GET(in, 0);
+            im[q] = GET(in, width);
         }
+    } else
+        unfold(field + (size_t)place[2 * block] * 8 * width + place[2 * block + 1], width, re, im);
+#pragma unroll
+    for (int q = 0; q < 4; q++) {
+        const int at_re = COMPLEX(q, block, blocks) * VEC, at_im = at_re + COMPLEX_APART(blocks) * VEC;
+        vec cosine = GET(phasor, at_re), sine = GET(phasor, at_im);
+        AT(psi, PLANE(q, block, blocks) * VEC) = GET(lit_field, at_re) * im[q] - GET(lit_field, at_im) * re[q];
+        AT(phasor, at_re) = MAD(re[q], cosine, im[q] * sine);
+        AT(phasor, at_im) = im[q] * cosine - re[q] * sine;
     }
 }
 
-/* g (in phasor) -> segment_sum [image][segment][re, im]: global (segments, any, 1). The entries of a segment are its
-   weights in the blocks that it touches, entry_place = 2 quadrant blocks + block. Precondition: `images` is a multiple
-   of GROUP. */
-__kernel void project_segments(__global const real *phasor, __global const int *segment_start,
-                               __global const int *segment_entry, __global const int *entry_place,
-                               __global const real *entry_weight, __global real *segment_sum, const int segments,
-                               const int images, const int blocks) {
-    const int segment = get_global_id(0);
-    if (segment >= segments) return;
-    for (int image = get_global_id(1) * GROUP; image < images; image += get_global_size(1) * GROUP) {
-        vec re[GROUP], im[GROUP];
-#pragma unroll
-        for (int i = 0; i < GROUP; i++) re[i] = im[i] = SPLAT(REAL(0.0));
-        for (int k = segment_start[segment]; k < segment_start[segment + 1]; k++) {
+/* One segment of one image: Im(conj(q) sum_p w g (1, x, y)), `poses` of them. The entries of a segment are its weights in
+   the blocks that it touches; entry_place is COMPLEX(...). `pose` is the segment's [re q, im q, t, u]. */
+inline void segment_product(__global const real *phasor, __global const int *segment_entry,
+                            __global const int *entry_place, __global const real *entry_weight,
+                            __global const real *entry_x, __global const real *entry_y, __global const real *pose,
+                            __global real *sum, const int start, const int end, const int apart, const int poses) {
+    if (poses == 1) {
+        vec re = SPLAT(REAL(0.0)), im = SPLAT(REAL(0.0));
+        for (int k = start; k < end; k++) {
             const int e = segment_entry[k];
             const vec w = GET(entry_weight, e * VEC);
-            __global const real *g = phasor + ((size_t)image * blocks * 8 + entry_place[e]) * VEC;
-#pragma unroll
-            for (int i = 0; i < GROUP; i++, g += blocks * 8 * VEC) {
-                re[i] = MAD(w, GET(g, 0), re[i]);
-                im[i] = MAD(w, GET(g, blocks * VEC), im[i]);
-            }
+            __global const real *g = phasor + entry_place[e] * VEC;
+            re = MAD(w, GET(g, 0), re);
+            im = MAD(w, GET(g, apart * VEC), im);
         }
-#pragma unroll
-        for (int i = 0; i < GROUP; i++) {
-            __global real *out = segment_sum + ((size_t)(image + i) * segments + segment) * 2;
-            out[0] = sum_lanes(re[i]);
-            out[1] = sum_lanes(im[i]);
-        }
+        sum[0] = pose[0] * sum_lanes(im) - pose[1] * sum_lanes(re);
+        return;
     }
+    vec piston = SPLAT(REAL(0.0)), tip = SPLAT(REAL(0.0)), tilt = SPLAT(REAL(0.0));
+    for (int k = start; k < end; k++) {
+        const int e = segment_entry[k];
+        __global const real *g = phasor + entry_place[e] * VEC;
+        const vec x = GET(entry_x, e * VEC), y = GET(entry_y, e * VEC);
+        vec sine, cosine;
+        turn(MAD(SPLAT(pose[2]), x, SPLAT(pose[3]) * y), &sine, &cosine);
+        const vec re = SPLAT(pose[0]) * cosine - SPLAT(pose[1]) * sine;
+        const vec im = MAD(SPLAT(pose[0]), sine, SPLAT(pose[1]) * cosine);
+        const vec part = GET(entry_weight, e * VEC) * (re * GET(g, apart * VEC) - im * GET(g, 0));
+        piston += part;
+        tip = MAD(part, x, tip);
+        tilt = MAD(part, y, tilt);
+    }
+    sum[0] = sum_lanes(piston);
+    sum[1] = sum_lanes(tip);
+    sum[2] = sum_lanes(tilt);
 }
 
-/* slope -> mode_partial [image][chunk][padded modes]: global (mode groups, chunks, any). A work-item holds 4 modes x
+/* field -> D in place of psi, and g in place of phasor: global (any, images, 1). */
+__kernel void pupil_gradient(__global const real *field, __global const real *lit_field, __global real *phasor,
+                             __global const int *place, __global real *psi, const int blocks, const int rows,
+                             const int width) {
+    const size_t image = get_global_id(1), quads = (size_t)blocks * 4 * VEC;
+    for (int block = get_global_id(0); block < blocks; block += get_global_size(0))
+        gradient_block(field + image * rows * 8 * width, lit_field + 2 * image * quads, phasor + 2 * image * quads, place,
+                       psi + image * quads, block, blocks, width, 0);
+}
+
+/* g (in phasor) -> segment_sum [image][segment][poses]: global (segments, images, 1). */
+__kernel void project_segments(__global const real *phasor, __global const int *segment_start,
+                               __global const int *segment_entry, __global const int *entry_place,
+                               __global const real *entry_weight, __global const real *entry_x,
+                               __global const real *entry_y, __global const real *pose, __global real *segment_sum,
+                               const int segments, const int blocks, const int first, const int poses) {
+    const int segment = get_global_id(0);
+    const size_t image = get_global_id(1);
+    if (segment >= segments) return;
+    segment_product(phasor + image * blocks * 8 * VEC, segment_entry, entry_place, entry_weight, entry_x, entry_y,
+                    pose + ((first + image) * segments + segment) * 4, segment_sum + (image * segments + segment) * poses,
+                    segment_start[segment], segment_start[segment + 1], COMPLEX_APART(blocks), poses);
+}
+
+/* D (in psi) -> mode_partial [image][chunk][padded modes]: global (mode groups, chunks, any). A work-item holds 4 modes x
    GROUP images of vector sums over its chunk of blocks. Precondition: `images` is a multiple of GROUP. */
-__kernel void project_modes(__global const real *basis, __global const real *slope, __global real *mode_partial,
+__kernel void project_modes(__global const real *basis, __global const real *psi, __global real *mode_partial,
                             const int blocks, const int groups, const int blocks_per_chunk, const int images,
                             const int block_stride, const int mode_stride, const int quadrant_stride) {
     const int group = get_global_id(0), chunk = get_global_id(1), chunks = get_global_size(1);
@@ -94,7 +128,7 @@ __kernel void project_modes(__global const real *basis, __global const real *slo
             for (int q = 0; q < 4; q++) {
                 __global const real *b =
                     basis + (size_t)block * block_stride + (size_t)group * 4 * mode_stride + q * quadrant_stride;
-                __global const real *d = slope + ((size_t)(image * 4 + q) * blocks + block) * VEC;
+                __global const real *d = psi + ((size_t)image * blocks * 4 + PLANE(q, block, blocks)) * VEC;
                 vec shape[4];
 #pragma unroll
                 for (int j = 0; j < 4; j++) shape[j] = GET(b, j * mode_stride);
@@ -115,26 +149,22 @@ __kernel void project_modes(__global const real *basis, __global const real *slo
     }
 }
 
-/* -> result [image][objective, flux, background, segments..., smooth modes...]: global (any, images, 1). */
+/* -> result [image][objective, flux, background, poses of each segment..., smooth modes...]: global (any, images, 1). */
 __kernel void collect(__global const real *mode_partial, __global const real *segment_sum,
-                      __global const real *segment_phasor, __global const real *objective,
-                      __global const real *photometry, __global real *result, const int first, const int segments,
-                      const int smooth, const int padded_modes, const int chunks, const int partials,
-                      const real twice_wavenumber) {
-    const int image = get_global_id(1), outputs = 3 + segments + smooth;
+                      __global const real *objective, __global const real *photometry, __global real *result,
+                      const int first, const int stands, const int smooth, const int padded_modes, const int chunks,
+                      const int partials, const real twice_wavenumber) {
+    const int image = get_global_id(1), outputs = 3 + stands + smooth;
     for (int output = get_global_id(0); output < outputs; output += get_global_size(0)) {
         wide value = 0;
         if (output == 0) {
             for (int i = 0; i < partials; i++) value += objective[(size_t)image * partials + i];
         } else if (output < 3) {
             value = photometry[2 * image + output - 1];
-        } else if (output < 3 + segments) {
-            const int s = output - 3;
-            __global const real *sum = segment_sum + ((size_t)image * segments + s) * 2;
-            __global const real *q = segment_phasor + ((size_t)(first + image) * segments + s) * 2;
-            value = twice_wavenumber * (q[0] * sum[1] - q[1] * sum[0]);
+        } else if (output < 3 + stands) {
+            value = twice_wavenumber * segment_sum[(size_t)image * stands + output - 3];
         } else {
-            const int mode = output - 3 - segments;
+            const int mode = output - 3 - stands;
             for (int c = 0; c < chunks; c++) value += mode_partial[((size_t)image * chunks + c) * padded_modes + mode];
             value *= twice_wavenumber;
         }

@@ -21,10 +21,12 @@
 
 pub mod ao;
 mod atomic;
+pub mod bench;
 pub mod capi;
 pub mod device;
 pub mod error;
 pub mod estimate;
+pub mod experiment;
 pub mod fourier;
 pub mod grid;
 pub mod imaging;
@@ -32,6 +34,7 @@ pub mod io;
 pub mod metrics;
 pub mod modes;
 pub mod optimize;
+pub mod planner;
 pub mod plot;
 pub mod pupil;
 pub mod reproduce;

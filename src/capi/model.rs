@@ -8,6 +8,7 @@ use super::sized::{self, Options};
 use super::status::cophase_status;
 use crate::estimate::{Arrays, Estimator};
 use crate::modes::Group;
+use crate::planner;
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
@@ -81,6 +82,9 @@ fn hand_out(estimator: Estimator, out: *mut *mut cophase_model) -> Result<()> {
 /// directory: where the files are looked for that the scene names; NULL for the working directory.
 /// model: receives the handle, which the caller gives back with cophase_model_destroy.
 ///
+/// Where the scene has estimate.budget_nm the model is planned, the cheapest whose error stays within it, which takes
+/// some seconds more.
+///
 /// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted; COPHASE_BAD_FILE for a file of the scene's.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_create(
@@ -91,7 +95,7 @@ pub unsafe extern "C" fn cophase_model_create(
     fence(|| {
         let out = place(model, "model")?;
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
-        let scene = Scene::from_text(scene_text, directory)?;
+        let scene = planner::resolved(&Scene::from_text(scene_text, directory)?, None)?;
         // Bad pixels are known frame by frame only: who has them says so in the scene (estimate.sampling).
         hand_out(Estimator::new(&scene, false)?, out)
     })

@@ -55,6 +55,9 @@ pub struct Arguments {
     /// Ours (gauss-newton), the paper's method as a whole (bfgs), or its objective with our optimiser (paper)
     #[arg(long, value_parser = ["gauss-newton", "bfgs", "paper"])]
     optimizer: Option<String>,
+    /// RMS error that is allowed, nm, noise included: plans the cheapest model that keeps it (see cophase plan)
+    #[arg(long, value_name = "NM")]
+    budget_nm: Option<f64>,
     /// The estimator: static modes, fitted image by image
     #[arg(long, value_parser = ["modal"])]
     method: Option<String>,
@@ -103,7 +106,10 @@ impl Arguments {
                 Error::file(&self.images, reason)
             })?,
         };
-        self.settings.apply(&scene, &self.options())
+        let budget = self.budget_nm.map(|nm| nm.to_string());
+        let mut options = self.options();
+        options.extend(budget.as_deref().map(|nm| ("estimate.budget_nm", nm)));
+        self.settings.apply(&scene, &options)
     }
 }
 
@@ -112,9 +118,13 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     arguments.check_outputs()?;
     let images = io::read_images(&arguments.images, arguments.mask.as_deref())?;
     let truth = files::truth(&arguments.images)?;
+    let mut scene = arguments.scene()?;
+    if let Some(budget_nm) = scene.estimate.budget_nm {
+        scene = super::plan::planned(&scene, budget_nm, terminal, &interrupt)?.scene;
+    }
     let job = Job {
         name: arguments.images.as_path(),
-        scene: arguments.scene()?,
+        scene,
         // What the command line says goes before what the file says.
         read_noise_e: images.read_noise_e.filter(|_| !arguments.settings.names("image.read_noise_e")),
         images,

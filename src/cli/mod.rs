@@ -3,6 +3,7 @@
 //! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2 (bad usage), 130
 //! (stopped by Ctrl-C, as shells count it).
 
+mod bench;
 mod compare;
 mod demo;
 mod devices;
@@ -12,6 +13,7 @@ mod files;
 mod image;
 mod interrupt;
 mod picture;
+mod plan;
 mod report;
 mod reproduce;
 mod scene;
@@ -32,6 +34,7 @@ const FIRST_STEPS: &str = "First steps:
   cophase image scene.toml -o images.fits       a simulated image with its truth
   cophase estimate images.fits -o est.fits      phasing and NCPA maps from it
   cophase compare est.fits --truth images.fits  how far they are from the truth
+  cophase plan keck-artificial --budget-nm 1    the cheapest model for 1 nm
   cophase simulate keck-onsky -o onsky.fits     a minute of sky behind an AO loop
 
 Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 130 stopped by Ctrl-C.";
@@ -53,10 +56,12 @@ enum Verb {
     Image(image::Arguments),
     Simulate(simulate::Arguments),
     Estimate(estimate::Arguments),
+    Plan(plan::Arguments),
     Compare(compare::Arguments),
     Devices(devices::Arguments),
     Demo(demo::Arguments),
     Reproduce(reproduce::Arguments),
+    Bench(bench::Arguments),
 }
 
 /// Runs the verb.
@@ -71,10 +76,12 @@ pub fn run(cli: Cli) -> Result<()> {
         Verb::Image(arguments) => image::run(&arguments, &terminal),
         Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
         Verb::Estimate(arguments) => estimate::run(&arguments, &terminal),
+        Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
         Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
+        Verb::Bench(arguments) => bench::run(&arguments, &terminal),
     }
 }
 

@@ -6,9 +6,9 @@ use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::Prepared;
 use super::recipe::Recipe;
-use super::residual::photometry;
+use super::residual::{photometry, reduced_chi2};
 use super::runner::{Next, Runner, settings};
-use crate::imaging::{Chain, CpuChain, Exposure};
+use crate::imaging::{Chain, CpuChain, Evaluation, Exposure};
 use crate::optimize::{ArgminBfgs, CancelFlag, StopReason};
 use crate::scene::Optimizer;
 use crate::{Error, Result};
@@ -72,13 +72,19 @@ impl Fitter<'_> {
         let exposures: Vec<Exposure> = prepared.iter().map(|image| image.exposure.clone()).collect();
         chain.load(&exposures)?;
         match self.recipe.optimizer {
-            Optimizer::Bfgs => self.paper(chain, &exposures, watch),
+            Optimizer::Bfgs => self.paper(chain, &exposures, prepared, watch),
             Optimizer::GaussNewton | Optimizer::Paper => self.lock_step(chain, prepared, start_nm, watch),
         }
     }
 
     /// The paper's way, image by image: BFGS from zero, coefficients in radians, tolerance 1e-6 on the gradient.
-    fn paper(&self, chain: &mut Chain, exposures: &[Exposure], watch: &mut Watch) -> Result<Vec<Minimum>> {
+    fn paper(
+        &self,
+        chain: &mut Chain,
+        exposures: &[Exposure],
+        prepared: &[&mut Prepared],
+        watch: &mut Watch,
+    ) -> Result<Vec<Minimum>> {
         let nm = self.model.optics.parts().wavelength_nm / std::f64::consts::TAU;
         let solver = ArgminBfgs {
             gradient_tolerance: 1e-6,
@@ -101,7 +107,10 @@ impl Fitter<'_> {
             let coefficients_nm: Vec<f64> = outcome.x.iter().map(|x| x * nm).collect();
             let psf = self.judge.psf(ArrayView1::from(&coefficients_nm));
             let (flux_e, background_e) = photometry(exposure, &psf);
-            minima.push(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason });
+            let floor_e2 = &prepared[image].floor_variance_e2;
+            let reduced_chi2 =
+                reduced_chi2(&psf, (flux_e, background_e), exposure, floor_e2, self.model.optics.modes());
+            minima.push(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, reduced_chi2 });
             watch(image + 1, count);
         }
         Ok(minima)
@@ -124,7 +133,7 @@ impl Fitter<'_> {
             runner.begin(metric, start_nm, self.deadline)?;
             Ok(runner)
         };
-        let mut runners = prepared.iter().zip(start_nm).map(runner).collect::<Result<Vec<_>>>()?;
+        let mut runners = prepared.par_iter().zip(start_nm).map(runner).collect::<Result<Vec<_>>>()?;
         let mut active: Vec<usize> = (0..count).collect();
         while !active.is_empty() {
             let mut points = Array2::zeros((active.len(), modes));
@@ -132,23 +141,34 @@ impl Fitter<'_> {
                 row.assign(&ArrayView1::from(runners[image].point()));
             }
             let evaluations = chain.evaluate(&active, points.view())?;
-            let (mut going, mut ended) = (Vec::with_capacity(active.len()), Vec::new());
-            for (&image, evaluation) in active.iter().zip(&evaluations) {
-                match runners[image].tell(evaluation) {
-                    Next::Psf => ended.push(image),
-                    _ => going.push(image),
+            let told: Vec<(&mut Runner, &mut &mut Prepared, &Evaluation)> = {
+                let images = runners.iter_mut().zip(prepared.iter_mut()).enumerate();
+                // `active` is in ascending order.
+                let mut next = active.iter().zip(&evaluations).peekable();
+                let own = |(image, (runner, prepared))| {
+                    next.next_if(|(at, _)| **at == image).map(|(_, evaluation)| (runner, prepared, evaluation))
+                };
+                images.filter_map(own).collect()
+            };
+            let step = |(runner, prepared, evaluation): (&mut Runner, &mut &mut Prepared, &Evaluation)| {
+                let next = runner.tell(evaluation);
+                if next != Next::Psf {
+                    return next;
+                }
+                let psf = self.judge.psf(ArrayView1::from(runner.point()));
+                runner.settle(&psf, prepared)
+            };
+            let next: Vec<Next> = told.into_par_iter().map(step).collect();
+            let reloaded = active.iter().zip(&next).filter(|(_, next)| **next == Next::Reload).map(|(&image, _)| image);
+            let reloaded: Vec<(usize, &Exposure)> = reloaded.map(|image| (image, &prepared[image].exposure)).collect();
+            chain.replace_all(&reloaded)?;
+            for (&image, next) in active.iter().zip(&next) {
+                if *next == Next::Nothing {
+                    stop_if_cancelled(runners[image].reason(), count - active.len(), count)?;
                 }
             }
-            let psf = |&image: &usize| self.judge.psf(ArrayView1::from(runners[image].point()));
-            let psfs: Vec<Vec<f64>> = ended.par_iter().map(psf).collect();
-            for (&image, psf) in ended.iter().zip(&psfs) {
-                if runners[image].settle(psf, prepared[image]) == Next::Reload {
-                    chain.replace(image, &prepared[image].exposure)?;
-                    going.push(image);
-                }
-                stop_if_cancelled(runners[image].reason(), count - active.len(), count)?;
-            }
-            active = going;
+            active =
+                active.into_iter().zip(&next).filter(|(_, next)| **next != Next::Nothing).map(|(i, _)| i).collect();
             watch(count - active.len(), count);
         }
         let minimum = |runner: Runner| {

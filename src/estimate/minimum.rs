@@ -10,6 +10,8 @@ pub(super) struct Minimum {
     pub(super) background_e: f64,
     pub(super) evaluations: usize,
     pub(super) reason: StopReason,
+    /// χ² per degree of freedom under the variances of the fitted model.
+    pub(super) reduced_chi2: f64,
 }
 
 impl Minimum {
@@ -21,6 +23,7 @@ impl Minimum {
             background_e: f64::NAN,
             evaluations: 0,
             reason: StopReason::Unfinished,
+            reduced_chi2: f64::NAN,
         }
     }
 }

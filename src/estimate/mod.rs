@@ -54,10 +54,11 @@ pub use status::{ImageReport, Status};
 
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
-use crate::scene::{Combine, Scene};
+use crate::scene::{Combine, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Reads images of one scene.
 pub struct Estimator {
@@ -67,6 +68,30 @@ pub struct Estimator {
     /// The f64 CPU chain: metric, weights, χ² and error bars come from it whatever chain fits.
     judge: CpuChain<f64>,
     metrics: Metrics,
+    own_basis: Arc<OwnBasis>,
+}
+
+/// What [`Estimator::fit_each`] found.
+#[derive(Debug, Clone)]
+pub struct EachImage {
+    /// `[image, mode]`, nm, pistons about their mean over the pupil; NaN for images that cannot be used.
+    pub coefficients_nm: Array2<f64>,
+    /// One report per image, in order.
+    pub reports: Vec<ImageReport>,
+}
+
+/// Whether two scenes have the same Karhunen-Loève basis.
+fn same_basis(one: &Scene, other: &Scene) -> bool {
+    let telescope = |scene: &Scene| {
+        let (samples, model) = (0, None);
+        PupilScene { samples, model, band_pass_cycles: None, band_stop_cycles: None, ..scene.pupil.clone() }
+    };
+    let modes = |scene: &Scene| (scene.modes.ncpa.clone(), scene.modes.ncpa_count);
+    telescope(one) == telescope(other)
+        && modes(one) == modes(other)
+        && one.mirror == other.mirror
+        && one.turbulence == other.turbulence
+        && one.directory() == other.directory()
 }
 
 /// The minima of a cube.
@@ -95,18 +120,34 @@ impl Estimator {
     /// # Errors
     /// As [`Estimator::new`].
     pub fn with_recipe(scene: &Scene, recipe: Recipe, native: bool) -> Result<Self> {
-        Self::with_own_basis(scene, recipe, native, &OwnBasis::default())
+        Self::with_own_basis(scene, recipe, native, Arc::default())
     }
 
-    fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
-        let model = Model::with_own_basis(scene, &recipe, native, own)?;
-        Ok(Self::of_model(scene, recipe, model))
+    /// An estimator of another scene, or for another recipe, that shares this one's Karhunen-Loève basis, which is most
+    /// of the time that an estimator costs: where the telescope, the mirror, the turbulence and the modes are the same,
+    /// and only the sampling and the fit differ. Otherwise it is made anew.
+    ///
+    /// # Errors
+    /// As [`Estimator::new`].
+    pub fn variant(&self, scene: &Scene, recipe: Recipe) -> Result<Self> {
+        let own_basis = if same_basis(&self.scene, scene) { self.own_basis.clone() } else { Arc::default() };
+        Self::with_own_basis(scene, recipe, false, own_basis)
+    }
+
+    fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own_basis: Arc<OwnBasis>) -> Result<Self> {
+        if let Some(budget_nm) = scene.estimate.budget_nm {
+            return Err(Error::Scene(format!(
+                "estimate.budget_nm = {budget_nm} asks for a plan: an estimator takes the scene that the planner makes of this one"
+            )));
+        }
+        let model = Model::with_own_basis(scene, &recipe, native, &own_basis)?;
+        Ok(Self { own_basis, ..Self::of_model(scene, recipe, model) })
     }
 
     fn of_model(scene: &Scene, recipe: Recipe, model: Model) -> Self {
         let judge = CpuChain::new(model.optics.clone());
         let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
-        Self { scene: scene.clone(), recipe, model, judge, metrics }
+        Self { scene: scene.clone(), recipe, model, judge, metrics, own_basis: Arc::default() }
     }
 
     /// The model that is compared with the images.
@@ -156,6 +197,33 @@ impl Estimator {
             Precision::F64 => "f64",
         };
         Ok(estimate)
+    }
+
+    /// What each image of a cube (`[image, y, x]`, electrons) says by itself, on `chain`: no combination, no error bars
+    /// and no maps, which take longer than the fits.
+    ///
+    /// # Errors
+    /// As [`Estimator::estimate`].
+    pub fn fit_each(
+        &self,
+        chain: &mut Chain,
+        cube: Cube,
+        cancel: Option<&CancelFlag>,
+        watch: &mut Watch,
+    ) -> Result<EachImage> {
+        let Fitted { refused, indices, prepared, minima } = self.fitted(chain, cube, cancel, watch)?;
+        let mut coefficients_nm = Array2::from_elem((refused.len(), self.model.optics.modes()), f64::NAN);
+        let mut reports: Vec<ImageReport> =
+            refused.into_iter().map(|refusal| status::unfitted(refusal.map_or(Status::Ok, Status::Unusable))).collect();
+        let pistons = pistons::Pistons::of(&self.model)?;
+        for ((&image, mut minimum), report) in
+            indices.iter().zip(minima.iter().cloned()).zip(status::judged(self, &prepared, &minima)?)
+        {
+            pistons.centre(&mut minimum.coefficients_nm);
+            coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
+            reports[image] = report;
+        }
+        Ok(EachImage { coefficients_nm, reports })
     }
 
     /// Prepares and fits every image.

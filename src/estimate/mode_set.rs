@@ -1,15 +1,16 @@
 //! Which modes are estimated: those of the scene, and the Zernikes that a recipe wants exactly.
 
 use super::recipe::Recipe;
+use crate::grid::Grid;
 use crate::imaging::Mode;
 use crate::io;
-use crate::modes::{self, Basis, Group, SmoothBasis};
+use crate::modes::{self, Basis, Group, Separable, SmoothBasis};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
-use std::cell::OnceCell;
+use std::sync::OnceLock;
 
 /// A mode is dropped where those before it already span all but this fraction of it.
 const SMALLEST_REMAINDER: f64 = 1e-3;
@@ -21,6 +22,14 @@ pub(super) enum Smooth {
 }
 
 impl Smooth {
+    /// The modes as products of functions of x and y on `grid`, where they are functions.
+    pub(super) fn products(&self, grid: Grid) -> Result<Option<Separable>> {
+        match self {
+            Self::Functions(Some(basis)) => Separable::of(basis, grid).map(Some),
+            Self::Functions(None) | Self::Maps(_) => Ok(None),
+        }
+    }
+
     /// Values at the lit samples, `[mode, lit]`.
     pub(super) fn at(&self, points: &[(f64, f64)], weights: &SegmentWeights) -> Result<Array2<f64>> {
         match self {
@@ -120,12 +129,12 @@ impl ModeSet {
 
 /// The scene's own basis, which costs a second to build: made once for all recipes of a scene.
 #[derive(Default)]
-pub(super) struct OwnBasis(OnceCell<Option<SmoothBasis>>);
+pub(super) struct OwnBasis(OnceLock<Option<SmoothBasis>>);
 
 impl OwnBasis {
     /// No basis, whatever the scene says.
     pub(super) fn none() -> Self {
-        Self(OnceCell::from(None))
+        Self(OnceLock::from(None))
     }
 
     fn of(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {

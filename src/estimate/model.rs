@@ -5,13 +5,13 @@ use super::mode_set::{ModeSet, OwnBasis};
 use super::plan::{Plan, band_limited_weights};
 use super::prepare::Preparation;
 use super::recipe::Recipe;
-use crate::Result;
 use crate::fourier::Sampling;
 use crate::imaging::{Mode, Optics, OpticsParts};
 use crate::modes::{Basis, Group};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{PupilModel, Scene};
 use crate::telescope::{Diversity, Telescope};
+use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
 
@@ -64,6 +64,13 @@ impl Model {
     ) -> Result<Self> {
         let pixels = Plan::of(scene, recipe, native, diversity, &telescope.pupil);
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
+        if let Some(samples) = scene.estimate.samples.filter(|&samples| !band_limited && samples != scene.pupil.samples)
+        {
+            return Err(Error::Scene(format!(
+                "estimate.samples = {samples} needs a band-limited model of a pupil that is known finely; leave it out, or name \
+                 pupil.samples"
+            )));
+        }
         let (grid, weights) = if band_limited {
             band_limited_weights(scene, &telescope, &pixels)?
         } else if recipe.pupil_model == PupilModel::Area {
@@ -87,6 +94,7 @@ impl Model {
             slopes,
             diversity_nm: points.iter().map(|&(x, y)| diversity.at(x, y)).collect(),
             basis: set.smooth.at(&points, &weights)?,
+            products: set.smooth.products(grid)?,
             modes: set.kinds,
             weights,
         })?;

@@ -48,12 +48,13 @@ impl Plan {
         let spot = diversity.steepest_nm_m(pupil) * pupil.grid.width_m() / image.wavelength_nm;
         let mut half_width = (spot + SPOT_MARGIN).max(LEAST_HALF_WIDTH);
         // What the samples could pass beyond what the image needs.
-        let beyond = scene.pupil.samples as f64 / 2.0 - (half_width + spot + ABERRATION_CYCLES);
+        let samples = samples(scene) as f64;
+        let beyond = samples / 2.0 - (half_width + spot + ABERRATION_CYCLES);
         let spare_samples = beyond.clamp(SPARE_SAMPLES.0, SPARE_SAMPLES.1) as usize;
         if recipe.pupil_model == PupilModel::BandLimited {
             // Not wider than what the samples can carry: what aliases beyond that costs more than the light that is
             // left out, down to two thirds of the spot.
-            let carried = scene.pupil.samples as f64 / 2.0 - spare_samples as f64 - spot - ABERRATION_CYCLES;
+            let carried = samples / 2.0 - spare_samples as f64 - spot - ABERRATION_CYCLES;
             half_width = half_width.min(carried.max(spot * 2.0 / 3.0).max(LEAST_HALF_WIDTH));
         }
         let signal = 2.0 * per_lambda_over_d * half_width;
@@ -75,7 +76,12 @@ impl Plan {
     }
 }
 
-/// The scene's number of samples, spread over the pupil and some room around it, and the weights on them.
+/// Samples along a side of the grid on which a band-limited model of `scene` is fitted.
+fn samples(scene: &Scene) -> usize {
+    scene.estimate.samples.unwrap_or(scene.pupil.samples)
+}
+
+/// The model's number of samples, spread over the pupil and some room around it, and the weights on them.
 ///
 /// The pass band holds every frequency of the pupil that light of the spot can bring into the image: half the image and
 /// the spot, and a little for the aberrations.
@@ -85,7 +91,7 @@ pub(super) fn band_limited_weights(
     pixels: &Plan,
 ) -> Result<(Grid, SegmentWeights)> {
     let own = telescope.pupil.grid;
-    let samples = scene.pupil.samples;
+    let samples = samples(scene);
     let stretch = samples as f64 / (samples - 2 * pixels.spare_samples) as f64;
     let grid = Grid::new(samples, own.width_m() * stretch)?;
     let wanted = (pixels.half_width() + pixels.spot + ABERRATION_CYCLES) * stretch;

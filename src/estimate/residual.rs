@@ -38,14 +38,14 @@ pub(super) fn photometry(exposure: &Exposure, psf: &[f64]) -> (f64, f64) {
 /// χ² per degree of freedom of a minimum: 1 where the model is right.
 pub(super) fn reduced_chi2(
     psf: &[f64],
-    minimum: &Minimum,
+    (flux_e, background_e): (f64, f64),
     exposure: &Exposure,
     floor_variance_e2: &[f64],
     seen_modes: usize,
 ) -> f64 {
     let (mut sum, mut good) = (0.0, 0usize);
     for ((h, d), &floor) in psf.iter().zip(&exposure.data_e).zip(floor_variance_e2) {
-        let expected = minimum.flux_e * h + minimum.background_e;
+        let expected = flux_e * h + background_e;
         let variance = pixel_variance(expected, floor);
         if variance.is_finite() {
             sum += (expected - d).powi(2) / variance;

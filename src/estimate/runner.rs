@@ -4,7 +4,7 @@
 use super::minimum::Minimum;
 use super::prepare::Prepared;
 use super::recipe::Recipe;
-use super::residual::{photometry, reweigh};
+use super::residual::{photometry, reduced_chi2, reweigh};
 use crate::Result;
 use crate::imaging::{Evaluation, Precision};
 use crate::optimize::{
@@ -17,9 +17,15 @@ use std::time::Instant;
 /// Most often that the weights are renewed from the fitted model. Where the model is right two renewals settle it;
 /// where it misfits, each brings about a digit.
 const REWEIGHTINGS: usize = 8;
-/// Decrease of χ² that is left where a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. A finer step
-/// tolerance lowers it as its square.
+/// Decrease of χ² that is left where a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. Another step
+/// tolerance changes it as its square.
 const DECREMENT: f64 = 1e-5;
+/// The same where the first weights, those of the data's own noise, have done their work: one σ along one of a hundred
+/// directions. Beyond, the weights of the model lead to a better minimum by the same steps.
+const APPROACH: f64 = 1.0;
+/// New weights move the minimum by at most a tenth of what moved it since the last ones (where the model misfits; where
+/// it is right, by far less): they are not worth another fit where that is less than the step tolerance.
+const SETTLED_STEPS: f64 = 10.0;
 /// The step tolerance to which [`DECREMENT`] belongs.
 const DECREMENT_STEP_NM: f64 = 1e-3;
 /// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which the linearisation
@@ -44,12 +50,17 @@ pub(super) enum Next {
 pub(super) struct Runner {
     solver: QuasiNewton,
     reweighs: bool,
-    step_tolerance_nm: f64,
+    /// Step, nm, and decrease of the objective below which a fit ends.
+    tolerances: (f64, f64),
+    settled_nm: f64,
+    /// Whether it is on its way to the minimum with the first weights.
+    approaches: bool,
     reweightings: usize,
     /// Where the last weights were made.
     weighted_at: Vec<f64>,
     flux_e: f64,
     background_e: f64,
+    reduced_chi2: f64,
 }
 
 impl Runner {
@@ -59,14 +70,19 @@ impl Runner {
     /// [`crate::Error::Value`] for a tolerance out of range.
     pub(super) fn new(metric: &Arc<Metric>, recipe: &Recipe, settings: Settings) -> Result<Self> {
         let zeros = vec![0.0; metric.dimension()];
+        let tolerances = (settings.step_tolerance, settings.decrement_tolerance);
+        let settled_nm = SETTLED_STEPS * settings.step_tolerance;
         Ok(Self {
             solver: QuasiNewton::new(metric.clone(), &zeros, settings)?,
             reweighs: recipe.weighting == Weighting::Noise,
-            step_tolerance_nm: recipe.step_tolerance_nm,
+            tolerances,
+            settled_nm,
+            approaches: false,
             reweightings: 0,
             weighted_at: zeros,
             flux_e: f64::NAN,
             background_e: f64::NAN,
+            reduced_chi2: f64::NAN,
         })
     }
 
@@ -82,8 +98,10 @@ impl Runner {
     ) -> Result<()> {
         self.solver.begin(metric, scale, start_nm)?;
         self.solver.set_deadline(deadline);
+        self.approaches = self.reweighs;
+        self.set_tolerances()?;
         self.reweightings = 0;
-        (self.flux_e, self.background_e) = (f64::NAN, f64::NAN);
+        (self.flux_e, self.background_e, self.reduced_chi2) = (f64::NAN, f64::NAN, f64::NAN);
         Ok(())
     }
 
@@ -101,10 +119,25 @@ impl Runner {
     }
 
     /// Takes the PSF where the solver ended: finds flux and background, and renews the weights where that could still
-    /// move the minimum.
+    /// move the minimum. Where it does not, this was the last, and χ² is found too.
     pub(super) fn settle(&mut self, psf: &[f64], image: &mut Prepared) -> Next {
+        let next = self.renew(psf, image);
+        if next == Next::Nothing {
+            let photometry = (self.flux_e, self.background_e);
+            self.reduced_chi2 =
+                reduced_chi2(psf, photometry, &image.exposure, &image.floor_variance_e2, self.weighted_at.len());
+        }
+        next
+    }
+
+    fn renew(&mut self, psf: &[f64], image: &mut Prepared) -> Next {
         (self.flux_e, self.background_e) = photometry(&image.exposure, psf);
         if !(self.reweighs && self.unsettled() && self.reason().converged()) {
+            return Next::Nothing;
+        }
+        self.approaches = false;
+        // They were in range when the machine was made.
+        if self.set_tolerances().is_err() {
             return Next::Nothing;
         }
         reweigh(&mut image.exposure, psf, (self.flux_e, self.background_e), &image.floor_variance_e2);
@@ -113,6 +146,16 @@ impl Runner {
         match self.solver.restart_objective() {
             Progress::Continue => Next::Reload,
             Progress::Done => Next::Nothing,
+        }
+    }
+
+    fn set_tolerances(&mut self) -> Result<()> {
+        let (step_nm, decrement) = self.tolerances;
+        if self.approaches {
+            // The decrease alone decides: what a step in nm is worth depends on the star's brightness.
+            self.solver.set_tolerances(step_nm, decrement.max(APPROACH))
+        } else {
+            self.solver.set_tolerances(step_nm, decrement)
         }
     }
 
@@ -127,13 +170,13 @@ impl Runner {
         minimum.coefficients_nm.copy_from_slice(&outcome.x);
         (minimum.flux_e, minimum.background_e) = (self.flux_e, self.background_e);
         (minimum.evaluations, minimum.reason) = (outcome.evaluations, outcome.reason);
+        minimum.reduced_chi2 = self.reduced_chi2;
     }
 
-    /// Whether new weights could still move the minimum by more than the tolerance.
+    /// Whether new weights could still move the minimum by more than matters.
     fn unsettled(&self) -> bool {
         let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
-        self.reweightings == 0
-            || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > self.step_tolerance_nm)
+        self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > self.settled_nm)
     }
 }
 
@@ -148,7 +191,7 @@ pub(super) fn settings(
         max_evaluations: recipe.max_evaluations,
         step_tolerance: recipe.step_tolerance_nm,
         decrement_tolerance: match recipe.weighting {
-            Weighting::Noise => DECREMENT * (recipe.step_tolerance_nm / DECREMENT_STEP_NM).powi(2).min(1.0),
+            Weighting::Noise => (DECREMENT * (recipe.step_tolerance_nm / DECREMENT_STEP_NM).powi(2)).min(APPROACH),
             Weighting::None => 0.0,
         },
         relative_decrement_tolerance: 0.0,

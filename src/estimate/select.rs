@@ -7,6 +7,7 @@ use crate::optimize::CancelFlag;
 use crate::scene::{Sampling, Scene};
 use crate::{Error, Result};
 use ndarray::{ArrayView3, Axis};
+use std::sync::Arc;
 
 /// Images as they were read.
 #[derive(Debug, Clone, Copy)]
@@ -90,11 +91,11 @@ impl Ladder<'_> {
 
     /// The estimate in the smallest basis that explains the images.
     fn climb(&self, cube: Cube, native: bool, open: &mut Open, watch: &mut Watch) -> Result<(Estimator, Estimate)> {
-        let own = OwnBasis::default();
+        let own = Arc::<OwnBasis>::default();
         let mut best: Option<(Estimator, Estimate)> = None;
         let mut seconds = 0.0;
         for recipe in &self.recipes {
-            let estimator = Estimator::with_own_basis(self.scene, recipe.clone(), native, &own)?;
+            let estimator = Estimator::with_own_basis(self.scene, recipe.clone(), native, own.clone())?;
             let estimate = self.fit(&estimator, cube, open, watch)?;
             seconds += estimate.seconds;
             let chi2 = estimate.typical_chi2();

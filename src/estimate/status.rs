@@ -4,13 +4,11 @@ use super::Estimator;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{Prepared, Refusal};
-use super::residual::reduced_chi2;
 use super::sequence::{SEQUENCE, distances, outliers};
 use crate::Result;
 use crate::optimize::StopReason;
 use crate::scene::Combine;
-use ndarray::{Array2, ArrayView1, Axis};
-use rayon::prelude::*;
+use ndarray::{Array2, Axis};
 
 /// What became of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,14 +98,9 @@ impl ImageReport {
 /// Those of [`Tilts::new`].
 pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Result<Vec<ImageReport>> {
     let tilts = Tilts::new(&estimator.model)?;
-    let mut reports: Vec<ImageReport> = prepared
-        .par_iter()
-        .zip(minima)
-        .map(|(prepared, minimum)| {
-            let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
-            judge(&estimator.model, &tilts, prepared, minimum, &psf)
-        })
-        .collect();
+    let pairs = prepared.iter().zip(minima);
+    let mut reports: Vec<ImageReport> =
+        pairs.map(|(prepared, minimum)| judge(&estimator.model, &tilts, prepared, minimum)).collect();
     judge_together(&mut reports);
     Ok(reports)
 }
@@ -126,10 +119,9 @@ pub(super) fn judge_together(reports: &mut [ImageReport]) {
     }
 }
 
-/// Judges one minimum by itself. `tilts` are the slopes of each mode, `psf` is that of the minimum.
-pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum, psf: &[f64]) -> ImageReport {
-    let (exposure, floor_variance_e2) = (&prepared.exposure, &prepared.floor_variance_e2);
-    let reduced_chi2 = reduced_chi2(psf, minimum, exposure, floor_variance_e2, model.optics.modes());
+/// Judges one minimum by itself. `tilts` are the slopes of each mode.
+pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum) -> ImageReport {
+    let reduced_chi2 = minimum.reduced_chi2;
     let status = match minimum.reason {
         reason if !reason.converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
         _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,

@@ -4,8 +4,9 @@ use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
+use super::work::Shapes;
+use crate::Result;
 use crate::device::Device;
-use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::sync::Arc;
 
@@ -47,7 +48,7 @@ impl Chain {
     pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
         let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
         let on_device = || -> Result<Self> {
-            let layout = layout(&optics)?;
+            let layout = layout(&optics);
             let device = Device::open(&info, false)?;
             let chain = Box::new(GpuChain::new(&device, precision, &layout, capacity)?);
             let name = format!("{} ({})", info.address(), info.name.trim());
@@ -82,13 +83,24 @@ impl Chain {
     /// # Errors
     /// As [`Chain::load`], and [`Error::Shape`] where there is no such image.
     pub fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()> {
+        self.replace_all(&[(image, exposure)])
+    }
+
+    /// Replaces some images of the batch.
+    ///
+    /// # Errors
+    /// As [`Chain::replace`]; which images were replaced is not known then.
+    pub fn replace_all(&mut self, exposures: &[(usize, &Exposure)]) -> Result<()> {
         match self {
-            Self::Cpu64(chain) => chain.replace(image, exposure),
-            Self::Cpu32(chain) => chain.replace(image, exposure),
             Self::Device { chain, optics, .. } => {
-                exposure.check(optics.sampling().pixels)?;
-                chain.replace(image, &exposure.data_e, &exposure.weight, exposure.photometry.into())
+                exposures.iter().try_for_each(|(_, exposure)| exposure.check(optics.sampling().pixels))?;
+                let parts = exposures.iter().map(|(image, exposure)| {
+                    (*image, exposure.data_e.as_slice(), exposure.weight.as_slice(), exposure.photometry.into())
+                });
+                chain.replace_all(&parts.collect::<Vec<_>>())
             }
+            Self::Cpu64(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
+            Self::Cpu32(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
         }
     }
 
@@ -112,6 +124,15 @@ impl Chain {
                 };
                 Ok((0..images.len()).map(evaluation).collect())
             }
+        }
+    }
+
+    /// The shapes that the work of an evaluation follows from: see [`Shapes::work`].
+    pub fn shapes(&self) -> Shapes {
+        match self {
+            Self::Cpu64(chain) => Shapes::of(chain.optics(), chain.fft_points()),
+            Self::Cpu32(chain) => Shapes::of(chain.optics(), chain.fft_points()),
+            Self::Device { chain, optics, .. } => Shapes::of(optics, chain.fft_points()),
         }
     }
 
@@ -144,17 +165,16 @@ impl From<Photometry> for GpuPhotometry {
 }
 
 /// The model as the device takes it.
-fn layout(optics: &Optics) -> Result<GpuLayout> {
+pub(super) fn layout(optics: &Optics) -> GpuLayout {
     let parts = optics.parts();
     let indices = |list: &[u32]| list.iter().map(|&i| i as usize).collect::<Vec<usize>>();
     let mode = |mode: &Mode| match *mode {
-        Mode::Piston(segment) => Ok(GpuMode::Segment(segment)),
-        Mode::Smooth(row) => Ok(GpuMode::Smooth(row)),
-        Mode::Tip(_) | Mode::Tilt(_) => Err(Error::Device(
-            "segment tip and tilt do not run on OpenCL yet: use the device cpu, or modes.segment = \"piston\"".into(),
-        )),
+        Mode::Piston(segment) => GpuMode::Segment(segment),
+        Mode::Tip(segment) => GpuMode::Tip(segment),
+        Mode::Tilt(segment) => GpuMode::Tilt(segment),
+        Mode::Smooth(row) => GpuMode::Smooth(row),
     };
-    Ok(GpuLayout {
+    GpuLayout {
         samples: parts.sampling.samples,
         pixels: parts.sampling.pixels,
         samples_per_lambda_over_d: parts.sampling.pixels_per_lambda_over_d,
@@ -167,6 +187,7 @@ fn layout(optics: &Optics) -> Result<GpuLayout> {
         segment_start: indices(&parts.weights.offsets),
         segment_index: indices(&parts.weights.segment),
         segment_weight: parts.weights.weight.clone(),
-        modes: parts.modes.iter().map(mode).collect::<Result<_>>()?,
-    })
+        segment_slopes: parts.slopes.clone(),
+        modes: parts.modes.iter().map(mode).collect(),
+    }
 }

@@ -238,6 +238,7 @@ mod tests {
         let of_segment =
             |s| if tilts { vec![Mode::Piston(s), Mode::Tip(s), Mode::Tilt(s)] } else { vec![Mode::Piston(s)] };
         let parts = OpticsParts {
+            products: None,
             sampling: Sampling::new(n, m, 1.9).unwrap(),
             wavelength_nm: 2000.0,
             diversity_nm: (0..lit.len()).map(|p| 900.0 * (0.02 * p as f64).sin()).collect(),

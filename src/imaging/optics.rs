@@ -1,6 +1,7 @@
 //! What light meets: the immutable model of one scene, in double precision, from which every chain is made.
 
 use crate::fourier::Sampling;
+use crate::modes::Separable;
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -34,6 +35,8 @@ pub struct OpticsParts {
     pub diversity_nm: Vec<f64>,
     /// Smooth modes at the lit samples, `[mode, lit]`, nm per nm.
     pub basis: Array2<f64>,
+    /// The same modes on the whole grid as products of functions of x and y, where they are known so.
+    pub products: Option<Separable>,
     /// What each coefficient moves.
     pub modes: Vec<Mode>,
 }
@@ -74,6 +77,16 @@ impl Optics {
                 return Err(Error::Shape(format!("the {what} has {length} samples, the pupil {lit} lit ones")));
             }
         }
+        if let Some(products) = &parts.products {
+            let functions: usize = products.groups.iter().sum();
+            let coefficients: usize = products.groups.iter().map(|k| k * k).sum();
+            let fit = products.lines.dim() == (functions, samples)
+                && products.matrix.dim() == (parts.basis.nrows(), coefficients)
+                && products.lines.iter().chain(&products.matrix).all(|v| v.is_finite());
+            if !fit {
+                return Err(Error::Shape("the products do not describe the smooth basis on this grid".into()));
+            }
+        }
         let finite = parts.diversity_nm.iter().chain(&parts.basis).chain(&parts.weights.weight).all(|v| v.is_finite());
         if !finite {
             return Err(Error::Value("the diversity, a mode or the pupil holds a value that is not finite".into()));
@@ -109,6 +122,15 @@ impl Optics {
     /// Shapes of pupil and image.
     pub fn sampling(&self) -> Sampling {
         self.parts.sampling
+    }
+
+    /// Floating-point operations of one objective with its gradient, about: folded matrix products of `n·m·(n + m)`
+    /// multiply-adds forward and as many back; two products of the smooth modes with the lit samples; and what each
+    /// segment's share of a sample, each sample and each pixel take by themselves.
+    pub fn operations(&self) -> f64 {
+        let (n, m) = (self.parts.sampling.samples as f64, self.parts.sampling.pixels as f64);
+        let (lit, shares) = (self.parts.weights.lit.len() as f64, self.parts.weights.weight.len() as f64);
+        4.0 * n * m * (n + m) + 4.0 * self.parts.basis.nrows() as f64 * lit + 40.0 * lit + 12.0 * shares + 30.0 * m * m
     }
 
     /// Factor on |U|² that makes the PSF sum to 1 over an unbounded detector: 1/((n·q)²·ΣA²) by Parseval.

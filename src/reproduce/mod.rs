@@ -6,33 +6,27 @@
 //! the pupil (weight A) in nm, piston, tip and tilt removed.
 
 mod artificial_source;
-mod case;
 mod diversity;
-mod draw;
 pub mod figures;
 mod on_sky;
 mod on_sky_images;
 mod on_sky_table;
 mod samples;
-pub mod statistics;
-mod table;
 mod table_rows;
 
 pub use artificial_source::{ArtificialSource, WayResult, artificial_source};
-pub use case::{Bound, Case, Pulls, Trial, Way};
 pub use diversity::{Diversity, DiversityPoint, diversity};
-pub use draw::{Draw, draws};
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};
 pub use on_sky_images::{ImageNumber, ImageNumbers, image_numbers};
 pub use on_sky_table::{OnSky, RowDraw, RowResult, on_sky, reduction_percent};
 pub use samples::{Samples, SamplesPoint, samples};
-pub use table::{Cell, Table};
 pub use table_rows::{Conditions, Published, ROWS, Row, Segments, VARIANTS};
+
+pub use crate::experiment::{Bound, Case, Cell, Draw, Progress, Pulls, Table, Trial, Way, draws, statistics};
 
 use crate::optimize::CancelFlag;
 use crate::{Error, Result};
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// What can be reproduced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -205,38 +199,5 @@ impl Target {
             Target::Strehl => figures::strehl(&options.conditions(), seeds, &progress)?.report(&options.directory),
             Target::Psd => figures::psd(&options.conditions(), seeds, &progress)?.report(&options.directory),
         }
-    }
-}
-
-/// Who waits, and whether they still want to. Counts fitted images over a whole experiment.
-pub struct Progress<'a> {
-    watch: &'a (dyn Fn(usize, usize) + Sync),
-    cancel: Option<&'a CancelFlag>,
-    done: AtomicUsize,
-    total: AtomicUsize,
-}
-
-impl<'a> Progress<'a> {
-    /// `watch` is told (done, total); `cancel` stops the experiment where it goes up.
-    pub fn new(watch: &'a (dyn Fn(usize, usize) + Sync), cancel: Option<&'a CancelFlag>) -> Self {
-        Self { watch, cancel, done: AtomicUsize::new(0), total: AtomicUsize::new(0) }
-    }
-
-    fn expect(&self, total: usize) {
-        self.total.store(total, Ordering::Relaxed);
-        (self.watch)(0, total);
-    }
-
-    fn add(&self, images: usize) {
-        let done = self.done.fetch_add(images, Ordering::Relaxed) + images;
-        (self.watch)(done, self.total.load(Ordering::Relaxed).max(done));
-    }
-
-    fn check(&self) -> Result<()> {
-        if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            let (done, total) = (self.done.load(Ordering::Relaxed), self.total.load(Ordering::Relaxed));
-            return Err(Error::Interrupted(format!("{done} of {total} steps were done")));
-        }
-        Ok(())
     }
 }

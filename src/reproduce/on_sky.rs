@@ -83,7 +83,7 @@ impl Sequence {
     pub fn behind(mut simulator: Simulator, progress: &Progress) -> Result<Self> {
         progress.check()?;
         let mut shots: Vec<Shot> = Vec::new();
-        let watch = &mut ao::Progress { watch: None, cancel: progress.cancel.map(|flag| &**flag) };
+        let watch = &mut ao::Progress { watch: None, cancel: progress.cancel().map(|flag| &**flag) };
         let summary = simulator.run(&mut shots, watch)?;
         let (rows, columns) = simulator.scene().image.frame_shape();
         let mut images_e = Array3::zeros((shots.len(), rows, columns));
@@ -204,7 +204,7 @@ impl Reader {
             let bad = sequence.images_e.mapv(|_| false);
             let mut chain = Chain::cpu(self.estimator.model().optics.clone(), self.precision);
             let images_e = sequence.images_e.view();
-            self.estimator.estimate(&mut chain, images_e, bad.view(), None, progress.cancel, &mut watch)
+            self.estimator.estimate(&mut chain, images_e, bad.view(), None, progress.cancel(), &mut watch)
         };
         // Whoever waits was told to expect all images.
         progress.add(self.estimator.scene().image.count.saturating_sub(done.get()));

@@ -24,6 +24,23 @@ impl Scene {
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose())
     }
 
+    /// The scene with `key` left to its default.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for a key that does not exist, and where the scene does not hold together without it.
+    pub fn without(&self, key: &str) -> Result<Self> {
+        let mut document: DocumentMut = self
+            .text()
+            .parse()
+            .map_err(|error| Error::Internal(format!("the text of a valid scene is no TOML: {error}")))?;
+        let sections = directory_of_keys();
+        let (section, name) = known_key(&sections, key)?;
+        if let Some(table) = document.get_mut(section).and_then(toml_edit::Item::as_table_like_mut) {
+            table.remove(name);
+        }
+        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose())
+    }
+
     /// [`Scene::with`] one other value.
     ///
     /// # Errors

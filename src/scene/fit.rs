@@ -2,7 +2,7 @@
 
 use super::Purpose;
 use super::table::{Check, Reader, default, section, unset};
-use super::value::{ANY, above, between};
+use super::value::{ANY, above, between, even};
 use super::words::{
     Combine, DeviceChoice, Method, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes, Weighting, Zernikes,
 };
@@ -62,10 +62,14 @@ section! {
         recentre: Option<bool>, ANY, unset("as the recipe does");
         /// The pixels that the fit compares.
         sampling: Sampling, ANY, default(Sampling::Auto);
+        /// Samples along a side of the grid on which a band-limited model is fitted; maps stay on the pupil's.
+        samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
         /// Most evaluations of the objective for one image.
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
         /// The fit stops where no coefficient would move by more than this.
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("as the recipe does");
+        /// RMS error that is allowed to the phasing and to the NCPA each, noise included: the model is then planned, the cheapest that keeps it.
+        budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
         /// Memory that an estimate may take beside its images, 1e9 bytes; larger work is cut into tiles.
         memory_gb: f64, above(0.0, 1e6), default(4.0);
         /// How the images of a sequence become one estimate; outliers are told among 8 images or more.

@@ -2,6 +2,7 @@
 
 use crate::io;
 use crate::modes::{SmoothBasis, Zernikes, noll_orders};
+use crate::pupil::Pupil;
 use crate::scene::{Scene, Zernikes as Span};
 use crate::telescope::{MapOnGrid, Telescope};
 use crate::{Error, Result};
@@ -138,6 +139,32 @@ impl Truth {
     /// Whether any segment is tilted.
     pub(super) fn tilts_segments(&self) -> bool {
         self.tip_tilt_nm.iter().flatten().any(|&tilt| tilt != 0.0)
+    }
+
+    /// The maps, phasing and NCPA, on the grid of `pupil`, `[y, x]`, nm, NaN outside: models of any size can be held
+    /// against the same wavefront. Segments are taken in piston only.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a pupil with other segments than the scene's.
+    pub fn maps_on(&self, pupil: &Pupil) -> Result<[Array2<f64>; 2]> {
+        if pupil.segments.len() != self.piston_nm.len() {
+            let (given, wanted) = (pupil.segments.len(), self.piston_nm.len());
+            return Err(Error::Shape(format!("a pupil of {given} segments was given: the truth has {wanted}")));
+        }
+        let lit: Vec<((usize, usize), usize)> = pupil
+            .owner
+            .indexed_iter()
+            .filter(|(_, owner)| **owner >= 0)
+            .map(|(at, &owner)| (at, owner as usize))
+            .collect();
+        let at = |((y, x), _): &((usize, usize), usize)| (pupil.grid.coordinate_m(*x), pupil.grid.coordinate_m(*y));
+        let (xs, ys): (Vec<f64>, Vec<f64>) = lit.iter().map(at).unzip();
+        let outside = Array2::from_elem(pupil.owner.dim(), f64::NAN);
+        let (mut phasing_nm, mut ncpa_nm) = (outside.clone(), outside);
+        for ((at, owner), ncpa) in lit.into_iter().zip(self.ncpa_at(&xs, &ys)?) {
+            (phasing_nm[at], ncpa_nm[at]) = (self.piston_nm[owner], ncpa);
+        }
+        Ok([phasing_nm, ncpa_nm])
     }
 
     /// Both maps as a cube, phasing first.

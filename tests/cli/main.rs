@@ -1,6 +1,7 @@
 //! The program as a person or a script runs it: each test starts the binary in a folder of its own.
 
 mod bad_input;
+mod bench;
 mod frames;
 mod odd_images;
 mod simulate;

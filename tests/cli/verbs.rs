@@ -276,3 +276,43 @@ fn a_sequence_says_how_it_was_combined() {
     let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
     assert_eq!(file.i64_column("IMAGES", "USED").unwrap(), [1; 9]);
 }
+
+#[test]
+fn a_budget_is_planned_and_estimated() {
+    let desk = Desk::with_images(&[]);
+    let planned = desk.succeeds(&["plan", "scene.toml", "--budget-nm", "3", "-o", "planned.toml", "--json"]);
+    let json: Value = serde_json::from_str(&planned.out).unwrap();
+    let mut promised = ["budget_nm", "met", "shortfall", "reference", "chosen", "choices", "omissions"];
+    promised.sort();
+    assert_eq!(keys(&json), promised);
+    assert_eq!((&json["budget_nm"], &json["met"]), (&3.0.into(), &true.into()), "{json}");
+    let (chosen, reference) = (&json["chosen"], &json["reference"]);
+    assert!(
+        number(chosen, "error_nm") <= 3.0 && number(chosen, "megaflops") < number(reference, "megaflops"),
+        "{json}"
+    );
+    assert!(json["choices"].as_array().unwrap().iter().any(|choice| choice["kept"] == true), "{json}");
+    // The file is a scene like any other, and leads to the same estimate as the option.
+    let (with_file, _) = desk.estimates_well("images.fits", &["--scene", "planned.toml"]);
+    let (with_option, _) = desk.estimates_well("images.fits", &["--budget-nm", "3"]);
+    assert_eq!(number(&with_file, "phasing_rms_nm"), number(&with_option, "phasing_rms_nm"));
+    assert_eq!(with_file["precision"], "f32", "{with_file}");
+    // The maps stay on the scene's grid, so that the truth is told beside them.
+    let table = desk.succeeds(&["plan", "scene.toml", "--budget-nm", "3"]).out;
+    assert!(table.contains("the plan") && table.contains("estimate.samples"), "{table}");
+    let estimate = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--budget-nm", "3"]).out;
+    assert!(estimate.contains("residual [nm]"), "{estimate}");
+    // Noise that is more than the budget is said, and is no failure.
+    let short = desk.succeeds(&["plan", "scene.toml", "--budget-nm", "0.01"]);
+    assert!(short.err.contains("noise alone"), "{}", short.err);
+}
+
+#[test]
+fn a_plan_without_a_budget_is_refused() {
+    let desk = Desk::with_scene();
+    let refused = desk.run(&["plan", "scene.toml"]);
+    assert_eq!(refused.status, 1);
+    assert!(refused.err.contains("--budget-nm"), "{}", refused.err);
+    let refused = desk.run(&["plan", "scene.toml", "--budget-nm", "-2"]);
+    assert!(refused.status != 0 && !refused.err.contains("panicked"), "{}", refused.err);
+}

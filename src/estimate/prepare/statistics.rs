@@ -18,12 +18,12 @@ impl Statistics {
         let (rows, columns) = data.dim();
         let inner = |size: usize| size / 8..size - size / 8;
         let (inner_rows, inner_columns) = (inner(rows), inner(columns));
-        let outside = data
-            .indexed_iter()
-            .zip(bad)
-            .filter(|(((v, u), _), bad)| !(**bad || inner_rows.contains(v) && inner_columns.contains(u)));
         self.values.clear();
-        self.values.extend(outside.map(|((_, &d), _)| d));
+        for (v, (data, bad)) in data.outer_iter().zip(bad.outer_iter()).enumerate() {
+            let hidden = if inner_rows.contains(&v) { inner_columns.clone() } else { 0..0 };
+            let good = data.iter().zip(&bad).enumerate().filter(|(u, (_, bad))| !(**bad || hidden.contains(u)));
+            self.values.extend(good.map(|(_, (&d, _))| d));
+        }
         let level = median(&mut self.values);
         self.values.iter_mut().for_each(|d| *d = (*d - level).abs());
         (level, 1.4826 * median(&mut self.values))

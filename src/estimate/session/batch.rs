@@ -1,13 +1,13 @@
 //! Fits on a device: all images in lock-step.
 
-use super::{Call, Image, ImageResult, Shared, interrupted, unusable, write_start};
+use super::{Call, Image, ImageResult, Minimum, Shared, interrupted, unusable, write_start};
 use crate::estimate::fit::Fitter;
 use crate::estimate::prepare::{Prepared, Preparer, Refusal, Ringing};
 use crate::estimate::runner::{Runner, settings};
 use crate::estimate::status::judge;
 use crate::imaging::{Chain, Exposure};
 use crate::{Error, Result};
-use ndarray::{ArrayView1, ArrayView2};
+use ndarray::ArrayView2;
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -53,8 +53,7 @@ impl Batch {
         for (&index, mut minimum) in taken.iter().zip(minima) {
             pistons.centre(&mut minimum.coefficients_nm);
             let (image, result) = (&mut images[index], &mut results[index]);
-            let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
-            result.report = judge(&estimator.model, tilts, &image.prepared, &minimum, &psf);
+            result.report = judge(&estimator.model, tilts, &image.prepared, &minimum);
             result.coefficients_nm.copy_from_slice(&minimum.coefficients_nm);
             (image.minimum, image.fitted) = (minimum, true);
         }
@@ -63,12 +62,7 @@ impl Batch {
         Ok(())
     }
 
-    fn minima(
-        &mut self,
-        call: &Call,
-        prepared: &mut [&mut Prepared],
-        start_nm: &[&[f64]],
-    ) -> Result<Vec<super::Minimum>> {
+    fn minima(&mut self, call: &Call, prepared: &mut [&mut Prepared], start_nm: &[&[f64]]) -> Result<Vec<Minimum>> {
         let Shared { estimator, recipe, cancel, .. } = call.shared;
         let fitter = Fitter {
             model: &estimator.model,

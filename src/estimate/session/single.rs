@@ -180,15 +180,13 @@ impl<T: Polynomial> Lane<T> {
         if self.runner.reason() == StopReason::Cancelled { Err(interrupted()) } else { Ok(()) }
     }
 
-    /// Writes what [`Lane::minimize`] found. The PSF is still that of the minimum: the mean piston, which is taken out
-    /// here, does not show in it.
+    /// Writes what [`Lane::minimize`] found.
     fn report(&self, call: &Call, image: &mut Image, result: &mut ImageResult) {
         let Shared { estimator, tilts, pistons, .. } = call.shared;
         self.runner.write(&mut image.minimum);
         pistons.centre(&mut image.minimum.coefficients_nm);
         image.fitted = true;
-        let psf = self.judge.psf();
-        result.report = judge(&estimator.model, tilts, &image.prepared, &image.minimum, psf);
+        result.report = judge(&estimator.model, tilts, &image.prepared, &image.minimum);
         result.coefficients_nm.copy_from_slice(&image.minimum.coefficients_nm);
     }
 }

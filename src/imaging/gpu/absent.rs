@@ -22,6 +22,16 @@ impl GpuChain {
         match *self {}
     }
 
+    /// Points of the FFT that transforms.
+    pub fn fft_points(&self) -> Option<usize> {
+        match *self {}
+    }
+
+    /// Bytes of the device that the chain takes.
+    pub fn bytes(&self) -> u64 {
+        match *self {}
+    }
+
     /// Room for images.
     pub fn capacity(&self) -> usize {
         match *self {}
@@ -35,11 +45,11 @@ impl GpuChain {
         match *self {}
     }
 
-    /// Replaces one image.
+    /// Replaces images.
     ///
     /// # Errors
     /// Never: there is no chain to call it on.
-    pub fn replace(&mut self, _: usize, _: &[f64], _: &[f64], _: GpuPhotometry) -> Result<()> {
+    pub fn replace_all(&mut self, _: &[(usize, &[f64], &[f64], GpuPhotometry)]) -> Result<()> {
         match *self {}
     }
 

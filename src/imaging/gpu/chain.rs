@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::fold::Shape;
+use super::room::memory_of;
 use super::stages::Stages;
 use super::{GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use crate::device::{Build, Device, Precision};
@@ -16,9 +17,14 @@ const FOLDED_AT_ONCE: usize = 32;
 /// The chain on a device, with room for a number of images. It is not shared between threads: its kernels remember
 /// their arguments.
 pub struct GpuChain {
+    device: Device,
+    build: Build,
     layout: GpuLayout,
     shape: Shape,
     stages: Stages,
+    /// The same with matrix products in place of the FFT, for what an FFT inside a kernel leaves no trace of: made where it
+    /// is first wanted.
+    matrix: Option<Box<GpuChain>>,
     photometry: Vec<GpuPhotometry>,
     /// What was taken off the data of each image: see [`Folded::offset`].
     offsets: Vec<f64>,
@@ -31,7 +37,10 @@ impl GpuChain {
     /// [`Error::Shape`] or [`Error::Value`] for a layout whose arrays do not fit each other, [`Error::Device`] where the
     /// device lacks the precision or the memory.
     pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, capacity: usize) -> Result<Self> {
-        Self::with_build(device, Build::for_device(device.info(), precision), layout, capacity)
+        layout.check()?;
+        let build = Build::for_device(device.info(), precision);
+        let fft = Shape::fft(layout, build.vector);
+        Self::with_build(device, Build { fft, ..build }, layout, capacity)
     }
 
     /// [`GpuChain::new`] with a vector width of the caller's choice.
@@ -39,18 +48,52 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::new`].
     pub fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
+        Self::with_memory(device, build, layout, capacity, memory_of(device.info()))
+    }
+
+    /// [`GpuChain::with_build`] in at most `memory_bytes` of the device: with less of it tiles are smaller.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::new`]; [`Error::Device`] with the bytes wanted and there, where they do not suffice.
+    pub fn with_memory(
+        device: &Device,
+        build: Build,
+        layout: &GpuLayout,
+        capacity: usize,
+        memory_bytes: u64,
+    ) -> Result<Self> {
         layout.check()?;
         if capacity == 0 {
             return Err(Error::Value("a chain with room for 0 images computes nothing: 1 or more is needed".into()));
         }
-        let shape = Shape::new(layout, build.vector);
-        let stages = Stages::new(device, build, layout, shape, capacity)?;
-        Ok(Self { layout: layout.clone(), shape, stages, photometry: Vec::new(), offsets: Vec::new() })
+        let shape = Shape::new(layout, build);
+        let stages = Stages::new(device, build, layout, shape, capacity, memory_bytes)?;
+        Ok(Self {
+            device: device.clone(),
+            build,
+            layout: layout.clone(),
+            shape,
+            stages,
+            matrix: None,
+            photometry: Vec::new(),
+            offsets: Vec::new(),
+        })
     }
 
     /// Coefficients of the model.
     pub fn modes(&self) -> usize {
         self.layout.modes.len()
+    }
+
+    /// Points of the FFT that transforms, `None` where matrices do: what the work of an evaluation depends on beyond the
+    /// model.
+    pub fn fft_points(&self) -> Option<usize> {
+        self.build.fft.map(|fft| fft.points())
+    }
+
+    /// Bytes of the device that the chain takes: what never changes, what each image takes, and what a tile takes.
+    pub fn bytes(&self) -> u64 {
+        self.stages.bytes()
     }
 
     /// Room for images.
@@ -106,21 +149,36 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::load`], and [`Error::Shape`] where there is no such image.
     pub fn replace(&mut self, image: usize, data: &[f64], weights: &[f64], photometry: GpuPhotometry) -> Result<()> {
+        self.replace_all(&[(image, data, weights, photometry)])
+    }
+
+    /// Replaces images that are loaded: which, their data, weights and photometry.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::replace`].
+    pub fn replace_all(&mut self, images: &[(usize, &[f64], &[f64], GpuPhotometry)]) -> Result<()> {
         let (m, loaded) = (self.layout.pixels, self.photometry.len());
-        if image >= loaded {
-            return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+        let fold = |&(image, data, weights, ref photometry): &(usize, &[f64], &[f64], GpuPhotometry)| {
+            if image >= loaded {
+                return Err(Error::Shape(format!("image {image} is not among the {loaded} loaded")));
+            }
+            if data.len() != m * m || weights.len() != m * m {
+                let (data, weights) = (data.len(), weights.len());
+                return Err(Error::Shape(format!(
+                    "{data} data and {weights} weights are not an image of {m} x {m} pixels"
+                )));
+            }
+            Folded::new(&self.shape, m, data, weights, photometry)
+                .map_err(|what| Error::Value(format!("image {image} {what}")))
+        };
+        for images in images.chunks(FOLDED_AT_ONCE) {
+            let folded = images.par_iter().map(fold).collect::<Result<Vec<_>>>()?;
+            for ((image, _, _, photometry), folded) in images.iter().zip(&folded) {
+                self.stages.load(*image, folded)?;
+                self.offsets[*image] = folded.offset;
+                self.photometry[*image] = *photometry;
+            }
         }
-        if data.len() != m * m || weights.len() != m * m {
-            let (data, weights) = (data.len(), weights.len());
-            return Err(Error::Shape(format!(
-                "{data} data and {weights} weights are not an image of {m} x {m} pixels"
-            )));
-        }
-        let folded = Folded::new(&self.shape, m, data, weights, &photometry)
-            .map_err(|what| Error::Value(format!("image {image} {what}")))?;
-        self.stages.load(image, &folded)?;
-        self.offsets[image] = folded.offset;
-        self.photometry[image] = photometry;
         Ok(())
     }
 
@@ -134,11 +192,12 @@ impl GpuChain {
         if let Some(image) = active.iter().find(|i| **i >= self.photometry.len()) {
             return Err(Error::Shape(format!("image {image} is not among the {} loaded", self.photometry.len())));
         }
-        let (turns, phasors) = self.inputs(active.len(), coefficients)?;
+        let (turns, stands) = self.inputs(active.len(), coefficients)?;
         let fitted = active.iter().any(|&i| !matches!(self.photometry[i], GpuPhotometry::Known { .. }));
-        let results = self.stages.evaluate(active, &turns, &phasors, fitted)?;
+        let results = self.stages.evaluate(active, &turns, &stands, fitted)?;
 
-        let outputs = 3 + self.layout.segments + self.layout.smooth.len();
+        let (poses, smooth) = (self.layout.poses(), self.layout.smooth.len());
+        let outputs = 3 + self.layout.segments * poses + smooth;
         let mut evaluation = GpuEvaluation {
             objective: Vec::with_capacity(active.len()),
             gradient: Vec::with_capacity(active.len() * self.modes()),
@@ -149,9 +208,11 @@ impl GpuChain {
             evaluation.objective.push(result[0]);
             evaluation.flux_e.push(result[1]);
             evaluation.background_e.push(result[2] + self.offsets[image]);
-            let (segments, smooth) = result[3..].split_at(self.layout.segments);
+            let (segments, smooth) = result[3..].split_at(self.layout.segments * poses);
             evaluation.gradient.extend(self.layout.modes.iter().map(|mode| match *mode {
-                GpuMode::Segment(s) => segments[s],
+                GpuMode::Segment(s) => segments[s * poses],
+                GpuMode::Tip(s) => segments[s * poses + 1],
+                GpuMode::Tilt(s) => segments[s * poses + 2],
                 GpuMode::Smooth(j) => smooth[j],
             }));
         }
@@ -164,13 +225,20 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::evaluate`].
     pub fn psf(&mut self, coefficients: &[f64]) -> Result<Vec<f64>> {
+        if self.build.fft.is_some() {
+            let matrix = match self.matrix.take() {
+                Some(matrix) => matrix,
+                None => Box::new(Self::with_build(&self.device, Build { fft: None, ..self.build }, &self.layout, 1)?),
+            };
+            return self.matrix.insert(matrix).psf(coefficients);
+        }
         let (m, modes) = (self.layout.pixels, self.modes());
         let images = coefficients.len().checked_div(modes).unwrap_or(1);
         let mut psfs = Vec::with_capacity(images * m * m);
         for first in (0..images).step_by(self.stages.focal_tile()) {
             let count = (images - first).min(self.stages.focal_tile());
-            let (turns, phasors) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
-            let focal = self.stages.focal(count, &turns, &phasors)?;
+            let (turns, poses) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
+            let focal = self.stages.focal(count, &turns, &poses)?;
             for image in focal.chunks_exact(self.shape.pixels() * 2).take(count) {
                 psfs.extend(self.unfold(image));
             }
@@ -191,8 +259,8 @@ impl GpuChain {
         })
     }
 
-    /// Smooth coefficients in turns `[image][smooth mode]`, and the phasors of the segments `[image][segment][re, im]`
-    /// times the root of the intensity scale, so that |U|² is the PSF.
+    /// Smooth coefficients in turns `[image][smooth mode]`, and how the segments stand, `[image][segment]`: re and im of
+    /// the phasor of the piston, times the root of the intensity scale, so that |U|² is the PSF, then tip and tilt, turns.
     fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
         let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
         if coefficients.len() != images * modes {
@@ -211,20 +279,23 @@ impl GpuChain {
         }
         let amplitude = self.layout.intensity_scale.sqrt();
         let mut turns = vec![0.0; images * smooth];
-        let mut pistons = vec![0.0; images * segments];
+        let mut stands = vec![[0.0; 3]; images * segments];
         for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
             for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
+                let amount = coefficient / self.layout.wavelength_nm;
                 match *mode {
-                    GpuMode::Segment(s) => pistons[image * segments + s] += coefficient / self.layout.wavelength_nm,
-                    GpuMode::Smooth(j) => turns[image * smooth + j] += coefficient / self.layout.wavelength_nm,
+                    GpuMode::Segment(s) => stands[image * segments + s][0] += amount,
+                    GpuMode::Tip(s) => stands[image * segments + s][1] += amount,
+                    GpuMode::Tilt(s) => stands[image * segments + s][2] += amount,
+                    GpuMode::Smooth(j) => turns[image * smooth + j] += amount,
                 }
             }
         }
-        let phasor = |turns: f64| {
-            let (sine, cosine) = (TAU * (turns - turns.round())).sin_cos();
-            [amplitude * cosine, amplitude * sine]
+        let pose = |[piston, tip, tilt]: [f64; 3]| {
+            let (sine, cosine) = (TAU * (piston - piston.round())).sin_cos();
+            [amplitude * cosine, amplitude * sine, tip, tilt]
         };
-        Ok((turns, pistons.into_iter().flat_map(phasor).collect()))
+        Ok((turns, stands.into_iter().flat_map(pose).collect()))
     }
 }
 

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use super::layout::GpuLayout;
+use crate::device::{Build, FftPlan};
 
 /// Output rows that one work-item carries down the columns; `TALL` of `common.cl`.
 pub(super) const TALL: usize = 6;
@@ -21,17 +22,20 @@ pub(super) struct Shape {
     pub rows: usize,
     /// `rows`, padded to whole vectors.
     pub width: usize,
-    /// Image rows from the axis to the edge, m/2 + 1.
+    /// Image rows on one side of the axis, m/2.
     pub pairs: usize,
     /// `pairs`, padded to whole vectors.
     pub span: usize,
     /// Turns per sample and pixel.
     pub step: f64,
+    /// In place of the matrix products.
+    pub fft: Option<FftPlan>,
 }
 
 impl Shape {
-    pub fn new(layout: &GpuLayout, vector: usize) -> Self {
-        let (rows, pairs) = (layout.samples / 2, layout.pixels / 2 + 1);
+    pub fn new(layout: &GpuLayout, build: Build) -> Self {
+        let vector = build.vector;
+        let (rows, pairs) = (layout.samples / 2, layout.pixels / 2);
         Self {
             vector,
             rows,
@@ -39,24 +43,55 @@ impl Shape {
             pairs,
             span: pairs.next_multiple_of(vector),
             step: 1.0 / (layout.samples as f64 * layout.samples_per_lambda_over_d),
+            fft: build.fft,
         }
+    }
+
+    /// The FFT for a whole image of `layout`, where one is at hand: as many pixels as the padded pupil has samples, in
+    /// vectors of whole rows.
+    pub fn fft(layout: &GpuLayout, vector: usize) -> Option<FftPlan> {
+        let (points, exact) = (layout.pixels, layout.samples as f64 * layout.samples_per_lambda_over_d);
+        // 1e-9 of a sample over the whole grid is below the rounding of f64.
+        let whole = vector > 1 && points.is_multiple_of(vector) && (exact - points as f64).abs() < 1e-9;
+        FftPlan::new(points, layout.samples / 2).filter(|_| whole)
+    }
+
+    /// Rows of the pupil on one side of the axis as the FFT reads them.
+    pub fn side_rows(&self) -> usize {
+        self.fft.map_or(0, |fft| fft.lit * fft.b).max(self.width)
+    }
+
+    /// `[b][r][cos, sin]` of the angle b r / (a b).
+    pub fn twiddles(&self) -> Vec<f64> {
+        let Some(fft) = self.fft else { return Vec::new() };
+        let turn = |turns: f64| [(TAU * turns).cos(), (TAU * turns).sin()];
+        let points = fft.points() as f64;
+        (0..fft.b).flat_map(|b| (0..fft.a).flat_map(move |r| turn((b * r) as f64 / points))).collect()
     }
 
     /// Numbers that one image of data, or of weights, takes.
     pub fn pixels(&self) -> usize {
-        self.pairs * 4 * self.span
+        self.fft.map_or(self.pairs * 4 * self.span, |fft| fft.points().pow(2))
     }
 
     /// Where pixel (row, column) of an image of `m` pixels stands: `[pair][+v, -v][+u, -u][u]`.
+    /// With an FFT: `[vector of v][u][lane of v]`, both in its order of frequencies.
     pub fn pixel(&self, m: usize, row: usize, column: usize) -> usize {
-        let (v, below) = signed(row, m);
-        let (u, left) = signed(column, m);
+        if let Some(fft) = self.fft {
+            let [v, u] = [row, column].map(|i| {
+                let frequency = (i + m / 2) % m;
+                frequency % fft.a * fft.b + frequency / fft.a
+            });
+            return (v / self.vector * m + u) * self.vector + v % self.vector;
+        }
+        let (v, below) = fold(row, m);
+        let (u, left) = fold(column, m);
         ((v * 2 + below) * 2 + left) * self.span + u
     }
 
     fn angle(&self, sample: usize, pixel: usize) -> f64 {
         // Reduced to a turn before the multiplication by 2 pi, so that the table is right to the last digit.
-        let turns = (sample as f64 + 0.5) * pixel as f64 * self.step;
+        let turns = (sample as f64 + 0.5) * (pixel as f64 + 0.5) * self.step;
         TAU * (turns - turns.round())
     }
 
@@ -90,6 +125,26 @@ impl Shape {
         table
     }
 
+    /// Numbers of each of the four tables, or of the twiddles that stand in their place.
+    pub fn table_sizes(&self) -> [usize; 5] {
+        if let Some(fft) = self.fft {
+            return [0, 0, 0, 0, 2 * fft.points()];
+        }
+        let columns = |outputs: usize, inputs: usize| outputs.next_multiple_of(TALL) * inputs * 2;
+        [
+            columns(self.pairs, self.rows),
+            2 * self.span * self.rows,
+            2 * self.width * self.pairs,
+            columns(self.rows, self.pairs),
+            0,
+        ]
+    }
+
+    /// Numbers that the FFT of one image needs beside its field and wave: one line, and the samples of both sides.
+    pub fn fft_scratch(&self) -> [usize; 2] {
+        self.fft.map_or([0; 2], |fft| [fft.points() * 2 * self.vector, self.side_rows() * 4 * self.vector])
+    }
+
     /// The four tables, in the order in which the stages use them: y to v, x to u, u to x, v to y.
     pub fn tables(&self) -> [Vec<f64>; 4] {
         let forward = |sample, pixel| self.angle(sample, pixel);
@@ -108,9 +163,9 @@ pub(super) fn row_chunks(vectors: usize) -> usize {
     (vectors / 2).max(1)
 }
 
-/// Distance of pixel `i` of `m` from the axis, and 1 where it lies on the negative side.
-fn signed(i: usize, m: usize) -> (usize, usize) {
-    if i >= m / 2 { (i - m / 2, 0) } else { (m / 2 - i, 1) }
+/// How many of `size` samples or pixels lie between the axis and number `i`, and 1 where it lies on the negative side.
+fn fold(i: usize, size: usize) -> (usize, usize) {
+    if i >= size / 2 { (i - size / 2, 0) } else { (size / 2 - 1 - i, 1) }
 }
 
 /// The pupil in blocks: one block is `VEC` samples in x, in all four quadrants. There is one wherever a sample of its
@@ -133,10 +188,13 @@ pub(super) struct Blocks {
     pub entry_start: Vec<i32>,
     /// Segment of each entry.
     pub entry_segment: Vec<i32>,
-    /// Where each entry's samples stand among the planes of g: `2 q blocks + b`.
+    /// Where each entry's samples stand among the planes of g.
     pub entry_place: Vec<i32>,
     /// Weights of each entry, VEC of them.
     pub entry_weight: Vec<f64>,
+    /// Slopes of each entry, VEC of them; empty where no segment tilts.
+    pub entry_x: Vec<f64>,
+    pub entry_y: Vec<f64>,
     /// The same list by segment: `segment_start[s]..segment_start[s + 1]` of `segment_entry`.
     pub segment_start: Vec<i32>,
     pub segment_entry: Vec<i32>,
@@ -148,13 +206,12 @@ impl Blocks {
     }
 
     pub fn new(layout: &GpuLayout, shape: &Shape) -> Self {
-        let (n, half, vector) = (layout.samples, layout.samples / 2, shape.vector);
-        let fold = |i: usize| if i >= half { (i - half, 0) } else { (half - 1 - i, 1) };
+        let (n, vector) = (layout.samples, shape.vector);
         let spots: Vec<Spot> = layout
             .lit
             .iter()
             .map(|&flat| {
-                let ((row, below), (x, left)) = (fold(flat / n), fold(flat % n));
+                let ((row, below), (x, left)) = (fold(flat / n, n), fold(flat % n, n));
                 Spot { row, column: x / vector, quadrant: 2 * below + left, lane: x % vector, block: 0 }
             })
             .collect();
@@ -175,13 +232,17 @@ impl Blocks {
         }
         let spots: Vec<Spot> =
             spots.into_iter().map(|spot| Spot { block: number[spot.row][spot.column], ..spot }).collect();
-        blocks.fill_modes(layout, vector, &spots);
+        blocks.fill_modes(layout, shape, &spots);
         blocks.fill_segments(layout, vector, &spots);
         blocks
     }
 
-    fn fill_modes(&mut self, layout: &GpuLayout, vector: usize, spots: &[Spot]) {
-        let count = self.count();
+    fn fill_modes(&mut self, layout: &GpuLayout, shape: &Shape, spots: &[Spot]) {
+        let (count, vector, n) = (self.count(), shape.vector, layout.samples);
+        // The image axis lies on pixel m/2: half a pixel of tilt moves it to the middle of the array.
+        // The FFT takes the image as it is.
+        let half = if shape.fft.is_some() { 0.0 } else { 0.5 };
+        let tilt = |flat: usize| half * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
         let modes = layout.smooth.len().next_multiple_of(MODES_AT_ONCE);
         // A processor walks the modes of one block; neighbouring work-items of a GPU walk neighbouring blocks.
         [self.block_stride, self.mode_stride, self.quadrant_stride] =
@@ -189,7 +250,7 @@ impl Blocks {
         self.diversity = vec![0.0; 4 * count * vector];
         self.basis = vec![0.0; modes * 4 * count * vector];
         for (p, spot) in spots.iter().enumerate() {
-            let turns = layout.diversity_turns[p];
+            let turns = layout.diversity_turns[p] + tilt(layout.lit[p]);
             self.diversity[(spot.quadrant * count + spot.block) * vector + spot.lane] = turns - turns.round();
             let place = spot.block * self.block_stride + spot.quadrant * self.quadrant_stride + spot.lane;
             for (j, mode) in layout.smooth.iter().enumerate() {
@@ -199,22 +260,32 @@ impl Blocks {
     }
 
     fn fill_segments(&mut self, layout: &GpuLayout, vector: usize, spots: &[Spot]) {
-        // (block, quadrant, segment) -> the weights of the lanes.
-        let mut weights: BTreeMap<(usize, usize, usize), Vec<f64>> = BTreeMap::new();
+        // (block, quadrant, segment) -> weights and slopes of the lanes.
+        let mut weights: BTreeMap<(usize, usize, usize), [Vec<f64>; 3]> = BTreeMap::new();
         for (p, spot) in spots.iter().enumerate() {
             for e in layout.segment_start[p]..layout.segment_start[p + 1] {
                 let key = (spot.block, spot.quadrant, layout.segment_index[e]);
-                weights.entry(key).or_insert_with(|| vec![0.0; vector])[spot.lane] += layout.segment_weight[e];
+                let [weight, x, y] = weights.entry(key).or_insert_with(|| [0; 3].map(|_| vec![0.0; vector]));
+                weight[spot.lane] += layout.segment_weight[e];
+                if let Some(slopes) = &layout.segment_slopes {
+                    (x[spot.lane], y[spot.lane]) = (slopes.0[e], slopes.1[e]);
+                }
             }
         }
         let mut by_segment = vec![Vec::new(); layout.segments];
         let mut ends = vec![0; 4 * self.count() + 1];
-        for (entry, ((block, quadrant, segment), lanes)) in weights.into_iter().enumerate() {
+        for (entry, ((block, quadrant, segment), [weight, x, y])) in weights.into_iter().enumerate() {
             ends[4 * block + quadrant + 1] = entry as i32 + 1;
             by_segment[segment].push(entry as i32);
             self.entry_segment.push(segment as i32);
-            self.entry_place.push((2 * quadrant * self.count() + block) as i32);
-            self.entry_weight.extend(lanes);
+            // `COMPLEX` of common.cl.
+            let place = if vector == 1 { 2 * quadrant * self.count() + block } else { 8 * block + 2 * quadrant };
+            self.entry_place.push(place as i32);
+            self.entry_weight.extend(weight);
+            if layout.poses() > 1 {
+                self.entry_x.extend(x);
+                self.entry_y.extend(y);
+            }
         }
         // A quadrant without entries starts and ends where the one before it ended.
         for i in 1..ends.len() {

@@ -7,6 +7,10 @@ use crate::{Error, Result};
 pub enum GpuMode {
     /// The piston of this segment.
     Segment(usize),
+    /// The slope of this segment along x.
+    Tip(usize),
+    /// The slope of this segment along y.
+    Tilt(usize),
     /// The amount of this smooth mode.
     Smooth(usize),
 }
@@ -14,7 +18,8 @@ pub enum GpuMode {
 /// The forward model as plain arrays: pupil samples that light reaches, their weights and modes, and the sampling of the
 /// image. `n` is [`samples`](Self::samples), `m` is [`pixels`](Self::pixels).
 ///
-/// The field at lit sample p is `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi c_s/λ)` with `ψ_p = diversity_p + Σ_j B_jp y_j/λ`; the
+/// The field at lit sample p is `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi (c_s + t_s x_ps + u_s y_ps)/λ)` with
+/// `ψ_p = diversity_p + Σ_j B_jp y_j/λ`; the
 /// focal field is `U[v][u] = Σ E[y][x] exp(−2πi step ((x−(n−1)/2)(u−m/2) + (y−(n−1)/2)(v−m/2)))`, `step = 1/(n q)`, and
 /// the image is `intensity_scale |U|²`.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,6 +48,9 @@ pub struct GpuLayout {
     pub segment_index: Vec<usize>,
     /// Weight of each entry: amplitude, of either sign.
     pub segment_weight: Vec<f64>,
+    /// Where each entry lies on its segment, along x and y, nm of wavefront per nm of tip and of tilt; needed where a mode
+    /// is one of those.
+    pub segment_slopes: Option<(Vec<f64>, Vec<f64>)>,
     /// What each coefficient of the model is.
     pub modes: Vec<GpuMode>,
 }
@@ -133,16 +141,39 @@ impl GpuLayout {
         if let Some(s) = self.segment_index.iter().find(|s| **s >= self.segments) {
             return Err(Error::Shape(format!("segment {s} is outside 0..{}", self.segments)));
         }
-        match self.segment_weight.iter().find(|w| !w.is_finite()) {
-            Some(weight) => Err(Error::Value(format!("a segment weight is {weight}: finite numbers are needed"))),
+        if let Some(weight) = self.segment_weight.iter().find(|w| !w.is_finite()) {
+            return Err(Error::Value(format!("a segment weight is {weight}: finite numbers are needed")));
+        }
+        let Some((x, y)) = &self.segment_slopes else { return Ok(()) };
+        if x.len() != entries || y.len() != entries {
+            return Err(Error::Shape(format!(
+                "{} and {} segment slopes stand beside {entries} segments",
+                x.len(),
+                y.len()
+            )));
+        }
+        match x.iter().chain(y).find(|v| !v.is_finite()) {
+            Some(slope) => Err(Error::Value(format!("a segment slope is {slope}: finite numbers are needed"))),
             None => Ok(()),
         }
+    }
+
+    /// Numbers that say how a segment stands: piston, or piston, tip and tilt.
+    pub(super) fn poses(&self) -> usize {
+        let tilts = |mode: &GpuMode| matches!(mode, GpuMode::Tip(_) | GpuMode::Tilt(_));
+        if self.modes.iter().any(tilts) { 3 } else { 1 }
     }
 
     fn check_modes(&self) -> Result<()> {
         for (k, mode) in self.modes.iter().enumerate() {
             let (what, index, size) = match *mode {
                 GpuMode::Segment(s) => ("segment", s, self.segments),
+                GpuMode::Tip(s) | GpuMode::Tilt(s) if self.segment_slopes.is_some() => {
+                    ("segment tilt", s, self.segments)
+                }
+                GpuMode::Tip(_) | GpuMode::Tilt(_) => {
+                    return Err(Error::Shape(format!("mode {k} tilts a segment, and segment_slopes is absent")));
+                }
                 GpuMode::Smooth(j) => ("smooth mode", j, self.smooth.len()),
             };
             if index >= size {

@@ -2,9 +2,8 @@
 
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape};
 use super::layout::GpuLayout;
-use super::reals::Reals;
 use crate::Result;
-use crate::device::{Buffer, Build, Device, Precision};
+use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 
 /// Bytes of a tile's pupil arrays for each core of a processor: what its share of the last cache holds beside the
 /// images that stream through.
@@ -24,7 +23,7 @@ pub(super) fn padded(count: usize) -> usize {
 pub(super) struct Cut {
     /// Images that go through the stages together; a multiple of `GROUP`.
     pub tile: usize,
-    /// Images whose focal fields have room at once; a multiple of `GROUP`.
+    /// Images whose fields have room at once; a multiple of `GROUP`.
     pub focal_tile: usize,
     /// Work-items of `focus`; `None` on a GPU, where no work-item carries an image.
     pub workers: Option<usize>,
@@ -40,8 +39,6 @@ pub(super) struct Cut {
     pub output_items: usize,
     /// Work-items that share the images of a tile, for one block or one group of modes.
     pub group_items: usize,
-    /// Work-items that share the images of a tile, for one segment.
-    pub segment_items: usize,
     /// Row pairs of a strip of pixels.
     pub pairs_per_strip: usize,
     /// Work-items that share a strip.
@@ -51,13 +48,15 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    fn new(device: &Device, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
+    fn new(info: &DeviceInfo, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
         let number = build.precision.bytes();
-        let pupil = (shape.rows * 8 * shape.width + blocks * 20 * shape.vector) * number;
-        let focal = shape.pairs * 8 * (shape.width + shape.span) * number;
+        let phase = blocks * 4 * shape.vector * number;
+        let rest =
+            (shape.rows * 8 * shape.width + blocks * 16 * shape.vector + shape.pairs * 8 * (shape.width + shape.span))
+                * number;
         let fits = |budget: usize, bytes: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
         if build.is_scalar() {
-            let tile = fits(TILE_BYTES_GPU, pupil + focal);
+            let tile = fits(TILE_BYTES_GPU, phase + rest);
             Cut {
                 tile,
                 focal_tile: tile,
@@ -68,15 +67,14 @@ impl Cut {
                 block_items: blocks,
                 output_items: outputs,
                 group_items: tile / GROUP,
-                segment_items: tile / GROUP,
                 pairs_per_strip: 4,
                 lanes: 32,
                 blocks_per_chunk: 64,
             }
         } else {
-            let cores = device.info().compute_units.max(1) as usize;
+            let cores = info.compute_units.max(1) as usize;
             Cut {
-                tile: fits(TILE_BYTES_PER_CORE * cores, pupil),
+                tile: fits(TILE_BYTES_PER_CORE * cores, phase),
                 focal_tile: padded(WORKERS_PER_CORE * cores),
                 workers: Some(WORKERS_PER_CORE * cores),
                 focus_from: 2 * cores,
@@ -85,11 +83,9 @@ impl Cut {
                 block_items: 4,
                 output_items: 1,
                 group_items: 1,
-                // A mirror may be one segment: its work must be shared too.
-                segment_items: 2 * cores,
                 pairs_per_strip: 16,
                 lanes: 1,
-                blocks_per_chunk: 8,
+                blocks_per_chunk: 16,
             }
         }
     }
@@ -101,6 +97,8 @@ pub(super) struct Counts {
     pub capacity: usize,
     pub blocks: usize,
     pub segments: usize,
+    /// Numbers that say how a segment stands.
+    pub poses: usize,
     pub smooth: usize,
     /// Groups of `MODES_AT_ONCE` smooth modes.
     pub mode_groups: usize,
@@ -108,14 +106,14 @@ pub(super) struct Counts {
     pub strips: usize,
     /// Chunks of blocks of the projection.
     pub chunks: usize,
-    /// Objective, flux, background, and a derivative for each segment and smooth mode.
+    /// Objective, flux, background, and a derivative for each pose of each segment and each smooth mode.
     pub outputs: usize,
 }
 
 impl Counts {
     /// The counts, and the cut that some of them follow from.
     pub fn new(
-        device: &Device,
+        info: &DeviceInfo,
         build: Build,
         layout: &GpuLayout,
         shape: &Shape,
@@ -123,15 +121,17 @@ impl Counts {
         capacity: usize,
     ) -> (Self, Cut) {
         let (smooth, segments) = (layout.smooth.len(), layout.segments);
-        let outputs = 3 + segments + smooth;
-        let cut = Cut::new(device, build, shape, blocks.count(), outputs, capacity);
+        let poses = layout.poses();
+        let outputs = 3 + segments * poses + smooth;
+        let cut = Cut::new(info, build, shape, blocks.count(), outputs, capacity);
         let counts = Self {
             capacity,
             blocks: blocks.count(),
             segments,
+            poses,
             smooth,
             mode_groups: smooth.div_ceil(MODES_AT_ONCE),
-            strips: shape.pairs.div_ceil(cut.pairs_per_strip),
+            strips: shape.fft.map_or(shape.pairs.div_ceil(cut.pairs_per_strip), |fft| fft.points() / shape.vector),
             chunks: blocks.count().div_ceil(cut.blocks_per_chunk),
             outputs,
         };
@@ -144,6 +144,8 @@ pub(super) struct Scene {
     pub basis: Reals,
     pub diversity: Reals,
     pub entry_weight: Reals,
+    pub entry_x: Reals,
+    pub entry_y: Reals,
     pub place: Buffer<i32>,
     pub extent: Buffer<i32>,
     pub entry_start: Buffer<i32>,
@@ -155,16 +157,20 @@ pub(super) struct Scene {
     pub x_to_u: Reals,
     pub u_to_x: Reals,
     pub v_to_y: Reals,
+    /// Of the FFT; empty without.
+    pub twiddle: Reals,
 }
 
 impl Scene {
     pub fn new(device: &Device, precision: Precision, shape: &Shape, blocks: &Blocks) -> Result<Self> {
         let upload = |values: &[f64]| Reals::upload(device, precision, values);
-        let [y_to_v, x_to_u, u_to_x, v_to_y] = shape.tables();
+        let [y_to_v, x_to_u, u_to_x, v_to_y] = if shape.fft.is_some() { Default::default() } else { shape.tables() };
         Ok(Self {
             basis: upload(&blocks.basis)?,
             diversity: upload(&blocks.diversity)?,
             entry_weight: upload(&blocks.entry_weight)?,
+            entry_x: upload(&blocks.entry_x)?,
+            entry_y: upload(&blocks.entry_y)?,
             place: device.upload(&blocks.place)?,
             extent: device.upload(&blocks.extent)?,
             entry_start: device.upload(&blocks.entry_start)?,
@@ -176,6 +182,7 @@ impl Scene {
             x_to_u: upload(&x_to_u)?,
             u_to_x: upload(&u_to_x)?,
             v_to_y: upload(&v_to_y)?,
+            twiddle: upload(&shape.twiddles())?,
         })
     }
 }
@@ -193,7 +200,8 @@ pub(super) struct Batch {
     /// The images of each tile that `focus` has taken so far.
     pub next: Buffer<i32>,
     pub coefficients: Reals,
-    pub segment_phasor: Reals,
+    /// `[image][segment][re q, im q, tip, tilt]`.
+    pub pose: Reals,
     pub result: Reals,
 }
 
@@ -209,20 +217,24 @@ impl Batch {
             slot: device.buffer(active)?,
             next: device.buffer(active / GROUP)?,
             coefficients: zeros(active * counts.smooth)?,
-            segment_phasor: zeros(active * counts.segments * 2)?,
+            pose: zeros(active * counts.segments * 4)?,
             result: zeros(active * counts.outputs)?,
         })
     }
 }
 
-/// What the stages hand each other, for one tile.
+/// What the stages hand each other: `psi` to `mode_partial` for one tile, the rest for the images that are in work at once.
 pub(super) struct Scratch {
+    /// Smooth phase, then the derivative by it.
+    pub psi: Reals,
     pub field: Reals,
     pub wave: Reals,
+    /// One row of vectors in the FFT, and the samples of both sides before it.
+    pub line: Reals,
+    pub side: Reals,
     pub focal: Reals,
     pub phasor: Reals,
     pub lit_field: Reals,
-    pub slope: Reals,
     pub sums: Reals,
     pub objective: Reals,
     pub photometry: Reals,
@@ -233,20 +245,22 @@ pub(super) struct Scratch {
 impl Scratch {
     pub fn new(device: &Device, precision: Precision, shape: &Shape, counts: &Counts, cut: &Cut) -> Result<Self> {
         let zeros = |per_image: usize| Reals::zeros(device, precision, cut.tile * per_image);
-        let focal = |width: usize| Reals::zeros(device, precision, cut.focal_tile * shape.pairs * 8 * width);
+        let in_work = |per_image: usize| Reals::zeros(device, precision, cut.focal_tile * per_image);
         let partials = counts.strips * cut.lanes;
         Ok(Self {
             // Zero where the pupil has no block: neither the field nor its adjoint is ever written there.
-            field: zeros(shape.rows * 8 * shape.width)?,
-            wave: focal(shape.width)?,
-            focal: focal(shape.span)?,
-            phasor: zeros(counts.blocks * 8 * shape.vector)?,
-            lit_field: zeros(counts.blocks * 8 * shape.vector)?,
-            slope: zeros(counts.blocks * 4 * shape.vector)?,
+            field: in_work(shape.side_rows().max(shape.rows) * 8 * shape.width)?,
+            wave: in_work(shape.pairs * 8 * shape.width)?,
+            focal: in_work(shape.pixels() * 2)?,
+            line: in_work(shape.fft_scratch()[0])?,
+            side: in_work(shape.fft_scratch()[1])?,
+            phasor: in_work(counts.blocks * 8 * shape.vector)?,
+            lit_field: in_work(counts.blocks * 8 * shape.vector)?,
+            psi: zeros(counts.blocks * 4 * shape.vector)?,
             sums: zeros(partials * 3)?,
             objective: zeros(partials)?,
             photometry: zeros(2)?,
-            segment_sum: zeros(counts.segments * 2)?,
+            segment_sum: zeros(counts.segments * counts.poses)?,
             mode_partial: zeros(counts.chunks * counts.mode_groups * MODES_AT_ONCE)?,
         })
     }

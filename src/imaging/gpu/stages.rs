@@ -4,11 +4,13 @@ use super::chain::Folded;
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
 use super::layout::GpuLayout;
 use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
+use super::room::Room;
 use crate::Result;
-use crate::device::{Build, Device, Kernel};
+use crate::device::{Build, Device, Kernel, Reals};
 
 /// The stages of the chain with everything that they need on the device.
 pub(super) struct Stages {
+    bytes: u64,
     shape: Shape,
     cut: Cut,
     counts: Counts,
@@ -21,6 +23,7 @@ pub(super) struct Stages {
 
 /// One of each, bound to everything that does not change.
 struct Kernels {
+    smooth_phase: Kernel,
     pupil_field: Kernel,
     forward_columns: Kernel,
     forward_rows: Kernel,
@@ -59,21 +62,36 @@ impl Parts<'_> {
         let mut k = self.kernel(name)?;
         self.scratch.phasor.bind(&mut k, "phasor")?;
         self.scratch.lit_field.bind(&mut k, "lit_field")?;
+        self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.field.bind(&mut k, "field")?;
         k.buffer("place", &self.scene.place)?.int("blocks", self.counts.blocks)?;
         k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
         Ok(k)
     }
 
-    fn pupil_field(&self) -> Result<Kernel> {
-        let (scene, mut k) = (self.scene, self.pupil("pupil_field")?);
-        scene.diversity.bind(&mut k, "diversity")?;
-        scene.entry_weight.bind(&mut k, "entry_weight")?;
+    fn smooth_phase(&self) -> Result<Kernel> {
+        let mut k = self.kernel("smooth_phase")?;
+        self.scene.diversity.bind(&mut k, "diversity")?;
         self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
-        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?.int("segments", self.counts.segments)?;
-        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        self.scratch.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
         self.basis(&mut k)?;
         Ok(k)
+    }
+
+    fn pupil_field(&self) -> Result<Kernel> {
+        let (scene, mut k) = (self.scene, self.pupil("pupil_field")?);
+        self.poses(&mut k)?;
+        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        Ok(k)
+    }
+
+    /// How the segments stand, and where.
+    fn poses(&self, k: &mut Kernel) -> Result<()> {
+        self.scene.entry_weight.bind(k, "entry_weight")?;
+        self.scene.entry_x.bind(k, "entry_x")?;
+        self.scene.entry_y.bind(k, "entry_y")?;
+        self.batch.pose.bind(k, "pose")?.int("segments", self.counts.segments)?.int("poses", self.counts.poses)?;
+        Ok(())
     }
 
     fn basis(&self, k: &mut Kernel) -> Result<()> {
@@ -143,31 +161,54 @@ impl Parts<'_> {
         Ok(k)
     }
 
-    /// The eight kernels from columns to columns in one.
+    /// The kernels from the field to the projection on segments in one.
     fn focus(&self) -> Result<Kernel> {
         let (scene, scratch, batch, shape) = (self.scene, self.scratch, self.batch, self.shape);
-        let mut k = self.kernel("focus")?;
+        let mut k = self.kernel(if shape.fft.is_some() { "focus_fft" } else { "focus" })?;
+        let transform: &[(&str, &Reals)] = if shape.fft.is_some() {
+            &[("twiddle", &scene.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
+        } else {
+            &[
+                ("y_to_v", &scene.y_to_v),
+                ("x_to_u", &scene.x_to_u),
+                ("u_to_x", &scene.u_to_x),
+                ("v_to_y", &scene.v_to_y),
+            ]
+        };
+        for &(argument, reals) in transform {
+            reals.bind(&mut k, argument)?;
+        }
         for (argument, reals) in [
+            ("psi", &scratch.psi),
+            ("phasor", &scratch.phasor),
+            ("lit_field", &scratch.lit_field),
+            ("segment_sum", &scratch.segment_sum),
             ("field", &scratch.field),
             ("wave", &scratch.wave),
             ("focal", &scratch.focal),
             ("sums", &scratch.sums),
             ("objective", &scratch.objective),
             ("photometry", &scratch.photometry),
-            ("y_to_v", &scene.y_to_v),
-            ("x_to_u", &scene.x_to_u),
-            ("u_to_x", &scene.u_to_x),
-            ("v_to_y", &scene.v_to_y),
             ("data", &batch.data),
             ("weight", &batch.weight),
             ("known", &batch.known),
         ] {
             reals.bind(&mut k, argument)?;
         }
+        self.poses(&mut k)?;
+        k.buffer("place", &scene.place)?.int("blocks", self.counts.blocks)?;
+        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
+        k.buffer("entry_place", &scene.entry_place)?;
         k.buffer("extent", &scene.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
         k.buffer("next", &batch.next)?;
-        k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("width", shape.width)?.int("span", shape.span)?;
-        k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+        k.int("width", shape.width)?;
+        if shape.fft.is_some() {
+            k.int("side_rows", shape.side_rows())?;
+        } else {
+            k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("span", shape.span)?;
+            k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+        }
         Ok(k)
     }
 
@@ -176,24 +217,23 @@ impl Parts<'_> {
     }
 
     fn pupil_gradient(&self) -> Result<Kernel> {
-        let mut k = self.pupil("pupil_gradient")?;
-        self.scratch.slope.bind(&mut k, "slope")?;
-        Ok(k)
+        self.pupil("pupil_gradient")
     }
 
     fn project_segments(&self) -> Result<Kernel> {
         let (scene, mut k) = (self.scene, self.kernel("project_segments")?);
         self.scratch.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
-        scene.entry_weight.bind(&mut k, "entry_weight")?.buffer("entry_place", &scene.entry_place)?;
+        self.poses(&mut k)?;
         k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
-        self.scratch.segment_sum.bind(&mut k, "segment_sum")?.int("segments", self.counts.segments)?;
+        k.buffer("entry_place", &scene.entry_place)?;
+        self.scratch.segment_sum.bind(&mut k, "segment_sum")?;
         Ok(k)
     }
 
     fn project_modes(&self) -> Result<Kernel> {
         let mut k = self.kernel("project_modes")?;
         self.basis(&mut k)?;
-        self.scratch.slope.bind(&mut k, "slope")?;
+        self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
         k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
         k.int("blocks_per_chunk", self.cut.blocks_per_chunk)?;
@@ -206,9 +246,8 @@ impl Parts<'_> {
         scratch.segment_sum.bind(&mut k, "segment_sum")?;
         scratch.objective.bind(&mut k, "objective")?;
         scratch.photometry.bind(&mut k, "photometry")?;
-        self.batch.segment_phasor.bind(&mut k, "segment_phasor")?;
         self.batch.result.bind(&mut k, "result")?;
-        k.int("segments", counts.segments)?.int("smooth", counts.smooth)?;
+        k.int("stands", counts.segments * counts.poses)?.int("smooth", counts.smooth)?;
         k.int("padded_modes", counts.mode_groups * MODES_AT_ONCE)?.int("chunks", counts.chunks)?;
         k.int("partials", self.partials())?.real("twice_wavenumber", twice_wavenumber)?;
         Ok(k)
@@ -216,6 +255,7 @@ impl Parts<'_> {
 
     fn kernels(&self, twice_wavenumber: f64) -> Result<Kernels> {
         Ok(Kernels {
+            smooth_phase: self.smooth_phase()?,
             pupil_field: self.pupil_field()?,
             forward_columns: self.columns("forward_columns")?,
             forward_rows: self.rows("forward_rows")?,
@@ -234,9 +274,18 @@ impl Parts<'_> {
 }
 
 impl Stages {
-    pub fn new(device: &Device, build: Build, layout: &GpuLayout, shape: Shape, capacity: usize) -> Result<Self> {
+    pub fn new(
+        device: &Device,
+        build: Build,
+        layout: &GpuLayout,
+        shape: Shape,
+        capacity: usize,
+        memory_bytes: u64,
+    ) -> Result<Self> {
         let blocks = &Blocks::new(layout, &shape);
-        let (counts, cut) = Counts::new(device, build, layout, &shape, blocks, capacity);
+        let (counts, cut) = Counts::new(device.info(), build, layout, &shape, blocks, capacity);
+        let room = Room::new(build, &shape, blocks, &counts, &cut);
+        let cut = room.fit(cut, capacity, device.info(), memory_bytes)?;
         let scene = Scene::new(device, build.precision, &shape, blocks)?;
         let batch = Batch::new(device, build.precision, &shape, &counts)?;
         let scratch = Scratch::new(device, build.precision, &shape, &counts, &cut)?;
@@ -252,12 +301,17 @@ impl Stages {
             scratch: &scratch,
         };
         let kernels = parts.kernels(2.0 * std::f64::consts::TAU / layout.wavelength_nm)?;
-        Ok(Self { shape, cut, counts, batch, scratch, _scene: scene, kernels })
+        Ok(Self { bytes: room.bytes(capacity, &cut), shape, cut, counts, batch, scratch, _scene: scene, kernels })
     }
 
     /// Images whose focal fields can be had together.
     pub fn focal_tile(&self) -> usize {
         self.cut.focal_tile.min(self.cut.tile)
+    }
+
+    /// Bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Room for images.
@@ -276,33 +330,35 @@ impl Stages {
 
     /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
     /// `fitted`, none of them fits its photometry.
-    pub fn evaluate(&mut self, active: &[usize], turns: &[f64], phasors: &[f64], fitted: bool) -> Result<Vec<f64>> {
+    pub fn evaluate(&mut self, active: &[usize], turns: &[f64], poses: &[f64], fitted: bool) -> Result<Vec<f64>> {
         let Counts { capacity, smooth, segments, outputs, .. } = self.counts;
         let mut results = vec![0.0; active.len() * outputs];
         // A batch beyond the capacity (an image may be active more than once) goes in several rounds.
         for (round, active) in active.chunks(capacity).enumerate() {
             let (from, count) = (round * capacity, active.len());
-            self.write_inputs(count, &turns[from * smooth..], &phasors[from * segments * 2..])?;
+            self.write_inputs(count, &turns[from * smooth..], &poses[from * segments * 4..])?;
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
             self.batch.slot.write(0, &slots)?;
             // Few images are shared out among the cores stage by stage.
-            let workers = self.cut.workers.filter(|_| count >= self.cut.focus_from);
+            let workers = self.cut.workers.filter(|_| self.shape.fft.is_some() || count >= self.cut.focus_from);
             let limit = if workers.is_some() { self.cut.tile } else { self.focal_tile() };
             // Tiles of equal size: the last is not left with a few images.
             let tile = padded(count.div_ceil(count.div_ceil(limit)));
             self.batch.next.write(0, &vec![0; count.div_ceil(tile)])?;
             for (turn, first) in (0..count).step_by(tile).enumerate() {
                 let images = tile.min(count - first);
-                self.pupil_field(first, images)?;
+                self.smooth_phase(first, images)?;
                 match workers {
                     Some(workers) => self.focus(turn, first, images, workers)?,
                     None => {
+                        self.pupil_field(first, images)?;
                         self.transform(images)?;
                         self.pixels(first, images, fitted)?;
                         self.transform_adjoint(images)?;
+                        self.pupil_gradient(first, images)?;
                     }
                 }
-                self.gradient(first, images)?;
+                self.project_modes(first, images)?;
             }
             self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
         }
@@ -310,8 +366,9 @@ impl Stages {
     }
 
     /// The focal fields of at most a tile of images, folded.
-    pub fn focal(&mut self, count: usize, turns: &[f64], phasors: &[f64]) -> Result<Vec<f64>> {
-        self.write_inputs(count, turns, phasors)?;
+    pub fn focal(&mut self, count: usize, turns: &[f64], poses: &[f64]) -> Result<Vec<f64>> {
+        self.write_inputs(count, turns, poses)?;
+        self.smooth_phase(0, count)?;
         self.pupil_field(0, count)?;
         self.transform(count)?;
         let mut focal = vec![0.0; count * self.shape.pixels() * 2];
@@ -319,18 +376,22 @@ impl Stages {
         Ok(focal)
     }
 
-    fn write_inputs(&mut self, images: usize, turns: &[f64], phasors: &[f64]) -> Result<()> {
+    fn write_inputs(&mut self, images: usize, turns: &[f64], poses: &[f64]) -> Result<()> {
         self.batch.coefficients.write(0, &turns[..images * self.counts.smooth])?;
-        self.batch.segment_phasor.write(0, &phasors[..images * self.counts.segments * 2])
+        self.batch.pose.write(0, &poses[..images * self.counts.segments * 4])
     }
 
     // Kernels that carry GROUP images together take whole groups: what they compute beyond `images` is of leftovers of an
     // earlier tile (or zeros), and nothing reads it.
 
-    fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
-        let (images, k) = (padded(images), &mut self.kernels.pupil_field);
+    fn smooth_phase(&mut self, first: usize, images: usize) -> Result<()> {
+        let (images, k) = (padded(images), &mut self.kernels.smooth_phase);
         k.int("first", first)?.int("images", images)?;
         k.launch([self.counts.blocks, self.cut.group_items.min(images / GROUP), 1])
+    }
+
+    fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
+        self.kernels.pupil_field.int("first", first)?.launch([self.counts.blocks, images, 1])
     }
 
     fn focus(&mut self, turn: usize, first: usize, images: usize, workers: usize) -> Result<()> {
@@ -364,14 +425,17 @@ impl Stages {
         k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])
     }
 
-    fn gradient(&mut self, first: usize, images: usize) -> Result<()> {
+    fn pupil_gradient(&mut self, first: usize, images: usize) -> Result<()> {
         let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
         k.pupil_gradient.launch([cut.block_items, images, 1])?;
+        k.project_segments.int("first", first)?.launch([counts.segments, images, 1])
+    }
+
+    fn project_modes(&mut self, first: usize, images: usize) -> Result<()> {
+        let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
         let groups = images.div_ceil(GROUP);
         k.project_modes.int("images", groups * GROUP)?;
         k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(cut.group_items)])?;
-        k.project_segments.int("images", groups * GROUP)?;
-        k.project_segments.launch([counts.segments, groups.min(cut.segment_items), 1])?;
         k.collect.int("first", first)?.launch([cut.output_items, images, 1])
     }
 }

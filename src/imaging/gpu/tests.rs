@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 
 use super::*;
 use crate::device::tests::test_devices;
-use crate::device::{Build, Device, Precision};
+use crate::device::{Build, Device, FftPlan, Precision};
 
 /// A small asymmetric scene that hits every corner of the packing: extents that fill no vector, dark rows and blocks,
 /// segments that overlap with weights of either sign, a mode that nothing uses.
@@ -54,8 +54,19 @@ fn scene() -> GpuLayout {
         segment_start,
         segment_index,
         segment_weight,
+        segment_slopes: None,
         modes,
     }
+}
+
+/// The same with some segments that tilt, one of them along one axis only.
+fn tilted_scene() -> GpuLayout {
+    let mut layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(8);
+    let mut slopes = || layout.segment_index.iter().map(|_| 4.0 * random.random::<f64>() - 2.0).collect();
+    layout.segment_slopes = Some((slopes(), slopes()));
+    layout.modes.splice(4..4, [GpuMode::Tilt(2), GpuMode::Tip(0), GpuMode::Tip(2), GpuMode::Tilt(4), GpuMode::Tip(4)]);
+    layout
 }
 
 /// Images that the scene could have made, with bad pixels (one of them NaN) and uneven weights.
@@ -97,18 +108,40 @@ fn field_and_psf(layout: &GpuLayout, coefficients: &[f64]) -> (Vec<[Complex64; 3
     (pupil, psf)
 }
 
-fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64; 3]> {
-    let turn = |t: f64| Complex64::from_polar(1.0, TAU * t);
-    let amount = |mode: GpuMode| -> f64 {
-        layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == mode).map(|(_, c)| c / layout.wavelength_nm).sum()
+fn turn(t: f64) -> Complex64 {
+    Complex64::from_polar(1.0, TAU * t)
+}
+
+/// How much of `mode` there is, turns.
+fn amount(layout: &GpuLayout, coefficients: &[f64], mode: GpuMode) -> f64 {
+    layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == mode).map(|(_, c)| c / layout.wavelength_nm).sum()
+}
+
+fn slope(layout: &GpuLayout, entry: usize) -> (f64, f64) {
+    layout.segment_slopes.as_ref().map_or((0.0, 0.0), |(x, y)| (x[entry], y[entry]))
+}
+
+/// The phasor of each entry's segment where the entry is.
+fn stands(layout: &GpuLayout, coefficients: &[f64]) -> Vec<Complex64> {
+    let poses: Vec<[f64; 3]> = (0..layout.segments)
+        .map(|s| [GpuMode::Segment(s), GpuMode::Tip(s), GpuMode::Tilt(s)].map(|m| amount(layout, coefficients, m)))
+        .collect();
+    let stand = |(e, &s): (usize, &usize)| {
+        let ([c, t, u], (x, y)) = (poses[s], slope(layout, e));
+        turn(c + t * x + u * y)
     };
-    let pistons: Vec<Complex64> = (0..layout.segments).map(|s| turn(amount(GpuMode::Segment(s)))).collect();
+    layout.segment_index.iter().enumerate().map(stand).collect()
+}
+
+fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64; 3]> {
+    let amount = |mode: GpuMode| amount(layout, coefficients, mode);
+    let stands = stands(layout, coefficients);
     let smooth: Vec<f64> = (0..layout.smooth.len()).map(|j| amount(GpuMode::Smooth(j))).collect();
     (0..layout.lit.len())
         .map(|p| {
             let psi = layout.diversity_turns[p] + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
             let a: Complex64 = (layout.segment_start[p]..layout.segment_start[p + 1])
-                .map(|e| pistons[layout.segment_index[e]] * layout.segment_weight[e])
+                .map(|e| stands[e] * layout.segment_weight[e])
                 .sum();
             [turn(psi), a, a * turn(psi)]
         })
@@ -170,40 +203,41 @@ fn reference(layout: &GpuLayout, coefficients: &[f64], d: &[f64], w: &[f64], pho
                 .sum()
         })
         .collect();
-    let phasor = |s: usize| {
-        let nm: f64 =
-            layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == GpuMode::Segment(s)).map(|(_, c)| c).sum();
-        Complex64::from_polar(1.0, k * nm)
+    let stands = stands(layout, coefficients);
+    let segment = |s: usize, along: &dyn Fn(usize) -> f64| {
+        let each = |p: usize| {
+            (layout.segment_start[p]..layout.segment_start[p + 1])
+                .filter(|&e| layout.segment_index[e] == s)
+                .map(|e| along(e) * layout.segment_weight[e] * (stands[e].conj() * pupil[p][0].conj() * bar[p]).im)
+                .sum::<f64>()
+        };
+        2.0 * k * (0..bar.len()).map(each).sum::<f64>()
     };
     let gradient = layout.modes.iter().map(|mode| match *mode {
         GpuMode::Smooth(j) => {
             (0..bar.len()).map(|p| 2.0 * k * layout.smooth[j][p] * (pupil[p][2].conj() * bar[p]).im).sum::<f64>()
         }
-        GpuMode::Segment(s) => {
-            let q = phasor(s);
-            let each = |p: usize| {
-                (layout.segment_start[p]..layout.segment_start[p + 1])
-                    .filter(|&e| layout.segment_index[e] == s)
-                    .map(|e| 2.0 * k * layout.segment_weight[e] * (q.conj() * pupil[p][0].conj() * bar[p]).im)
-                    .sum::<f64>()
-            };
-            (0..bar.len()).map(each).sum()
-        }
+        GpuMode::Segment(s) => segment(s, &|_| 1.0),
+        GpuMode::Tip(s) => segment(s, &|e| slope(layout, e).0),
+        GpuMode::Tilt(s) => segment(s, &|e| slope(layout, e).1),
     });
     Answer { objective: (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum(), flux, background, gradient: gradient.collect() }
 }
 
 #[test]
 fn the_reference_agrees_with_its_own_finite_differences() {
-    let layout = scene();
+    [scene(), tilted_scene()].iter().for_each(differences_in);
+}
+
+fn differences_in(layout: &GpuLayout) {
     let mut random = ChaCha8Rng::seed_from_u64(1);
-    let images = images(&layout, 3, &mut random);
+    let images = images(layout, 3, &mut random);
     let size = layout.pixels * layout.pixels;
-    let c = coefficients(&layout, 1, &mut random);
+    let c = coefficients(layout, 1, &mut random);
     for image in 0..3 {
         let range = image * size..(image + 1) * size;
         let at = |c: &[f64]| {
-            reference(&layout, c, &images.data[range.clone()], &images.weights[range.clone()], images.photometry[image])
+            reference(layout, c, &images.data[range.clone()], &images.weights[range.clone()], images.photometry[image])
         };
         let answer = at(&c);
         let scale = answer.gradient.iter().fold(0.0f64, |a, g| a.max(g.abs()));
@@ -224,7 +258,7 @@ fn builds(device: &Device) -> Vec<Build> {
     let mut builds = Vec::new();
     for precision in [Precision::F32, Precision::F64] {
         if device.info().supports(precision) {
-            builds.extend([1, 4, 8, 16].map(|vector| Build { precision, vector }));
+            builds.extend([1, 4, 8, 16].map(|vector| Build { precision, vector, fft: None }));
         }
     }
     builds
@@ -258,26 +292,29 @@ fn psfs_agree_with_the_direct_sum() {
 
 #[test]
 fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
-    let layout = scene();
+    [scene(), tilted_scene()].iter().for_each(agreement_in);
+}
+
+fn agreement_in(layout: &GpuLayout) {
     let mut random = ChaCha8Rng::seed_from_u64(3);
-    let images = images(&layout, 6, &mut random);
+    let images = images(layout, 6, &mut random);
     let size = layout.pixels * layout.pixels;
     // Out of order, one of them twice, and more than the chain has room for: it goes in two rounds.
     let active = [4, 0, 5, 2, 2, 1, 3];
-    let c = coefficients(&layout, active.len(), &mut random);
+    let c = coefficients(layout, active.len(), &mut random);
     let wanted: Vec<Answer> = (active.iter().zip(c.chunks_exact(layout.modes.len())))
         .map(|(&i, c)| {
             let range = i * size..(i + 1) * size;
-            reference(&layout, c, &images.data[range.clone()], &images.weights[range], images.photometry[i])
+            reference(layout, c, &images.data[range.clone()], &images.weights[range], images.photometry[i])
         })
         .collect();
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         for build in builds(&device) {
-            let mut chain = GpuChain::with_build(&device, build, &layout, 6).unwrap();
+            let mut chain = GpuChain::with_build(&device, build, layout, 6).unwrap();
             // The second evaluation finds every scratch array dirty.
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
-            chain.evaluate(&[0, 1, 2, 3, 4, 5], &coefficients(&layout, 6, &mut random)).unwrap();
+            chain.evaluate(&[0, 1, 2, 3, 4, 5], &coefficients(layout, 6, &mut random)).unwrap();
             let found = chain.evaluate(&active, &c).unwrap();
             // Sums of 500 pixels and 250 samples of terms that err by 1e-7 (f32) or 1e-16 each: some 1e-6 or 1e-15 where
             // signs are random. Residuals here are of the order of the image, so nothing cancels.
@@ -337,17 +374,20 @@ fn a_faint_star_on_a_bright_background_keeps_its_digits() {
 
 #[test]
 fn an_image_alone_and_in_a_crowd_gives_the_same() {
-    let layout = scene();
+    [scene(), tilted_scene()].iter().for_each(crowd_in);
+}
+
+fn crowd_in(layout: &GpuLayout) {
     let mut random = ChaCha8Rng::seed_from_u64(4);
-    let images = images(&layout, 3, &mut random);
-    let c = coefficients(&layout, 3, &mut random);
+    let images = images(layout, 3, &mut random);
+    let c = coefficients(layout, 3, &mut random);
     let modes = layout.modes.len();
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         for build in builds(&device) {
             // So many that every processor goes through focus.cl, in several tiles; one goes stage by stage.
             let crowd: Vec<usize> = (0..3).cycle().take(2 * info.compute_units as usize + 37).collect();
-            let mut chain = GpuChain::with_build(&device, build, &layout, crowd.len()).unwrap();
+            let mut chain = GpuChain::with_build(&device, build, layout, crowd.len()).unwrap();
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
             let all: Vec<f64> = crowd.iter().flat_map(|&i| c[i * modes..(i + 1) * modes].to_vec()).collect();
             let together = chain.evaluate(&crowd, &all).unwrap();
@@ -359,6 +399,50 @@ fn an_image_alone_and_in_a_crowd_gives_the_same() {
                 let objective = (together.objective[i] / alone.objective[0] - 1.0).abs();
                 let gradient = distance(&together.gradient[i * modes..(i + 1) * modes], &alone.gradient);
                 assert!(objective < close && gradient < close, "{build:?} image {i}: {objective:e} {gradient:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
+    let whole = GpuLayout { pixels: 64, samples_per_lambda_over_d: 64.0 / 18.0, ..scene() };
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(6);
+        for (layout, fft) in [(&scene(), None), (&tilted_scene(), None), (&whole, FftPlan::new(64, 9)), (&whole, None)]
+        {
+            let own = |build: &Build| *build == Build::for_device(&info, build.precision);
+            for build in builds(&device).into_iter().filter(|b| own(b) || (b.vector == 1 && fft.is_none())) {
+                let build = Build { fft, ..build };
+                let capacity = 41;
+                let mut chain = GpuChain::with_build(&device, build, layout, capacity).unwrap();
+                // Not a byte beside: the sum over the buffers is taken where they are made.
+                assert_eq!(chain.bytes(), device.allocated_bytes(), "{build:?}");
+
+                // Less memory: smaller tiles, the same numbers.
+                let images = images(layout, 3, &mut random);
+                let data: Vec<usize> = (0..capacity).map(|i| i % 3).collect();
+                let c = coefficients(layout, capacity, &mut random);
+                chain.load(&images.data, &images.weights, &images.photometry).unwrap();
+                let wanted = chain.evaluate(&data, &c).unwrap();
+                let bytes = chain.bytes();
+                drop(chain);
+                assert_eq!(device.allocated_bytes(), 0);
+                let mut least = bytes;
+                while let Ok(chain) = GpuChain::with_memory(&device, build, layout, capacity, least - 1) {
+                    assert!(chain.bytes() < least && chain.bytes() == device.allocated_bytes(), "{build:?}");
+                    least = chain.bytes();
+                }
+                let mut small = GpuChain::with_memory(&device, build, layout, capacity, least).unwrap();
+                assert!(small.bytes() < bytes);
+                small.load(&images.data, &images.weights, &images.photometry).unwrap();
+                let found = small.evaluate(&data, &c).unwrap();
+                // As between an image alone and in a crowd.
+                let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
+                assert!(distance(&found.gradient, &wanted.gradient) < close, "{build:?}");
+                let refusal = GpuChain::with_memory(&device, build, layout, capacity, 1000).unwrap_err().to_string();
+                assert!(refusal.contains("1000") && refusal.contains("41 images"), "{refusal}");
             }
         }
     }

@@ -10,6 +10,7 @@ use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, s, stack};
 use rayon::prelude::*;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Images that are fitted in one batch. A fixed number, so that results do not depend on how many cores there are;
@@ -57,8 +58,8 @@ impl Way {
 
 /// An estimator and what its maps weigh.
 pub struct Case {
-    /// The estimator.
-    pub estimator: Estimator,
+    /// The estimator; a [`crate::estimate::Session`] shares it.
+    pub estimator: Arc<Estimator>,
     phasing: MapGram,
     ncpa: MapGram,
 }
@@ -112,7 +113,7 @@ impl Case {
     /// # Errors
     /// Those of [`Estimator::new`].
     pub fn new(scene: &Scene) -> Result<Self> {
-        let estimator = Estimator::new(scene, false)?;
+        let estimator = Arc::new(Estimator::new(scene, false)?);
         let model = estimator.model();
         let (pupil, maps) = (&model.telescope.pupil, model.basis.maps());
         let phasing = MapGram::new(pupil, maps.slice(s![..model.segment_modes, .., ..]))?;
@@ -141,7 +142,7 @@ impl Case {
         let bad = images_e.mapv(|_| false);
         let mut chain = Chain::cpu(self.estimator.model().optics.clone(), Precision::F64);
         let found =
-            self.estimator.estimate(&mut chain, images_e.view(), bad.view(), None, progress.cancel, &mut |_, _| {});
+            self.estimator.estimate(&mut chain, images_e.view(), bad.view(), None, progress.cancel(), &mut |_, _| {});
         let seconds = started.elapsed().as_secs_f64() / draws.len() as f64;
         match found {
             Ok(found) => draws.iter().enumerate().map(|(i, draw)| self.trial(&found, i, draw, seconds)).collect(),
@@ -152,23 +153,32 @@ impl Case {
     }
 
     fn trial(&self, found: &Estimate, image: usize, draw: &Draw, seconds: f64) -> Result<Trial> {
-        let model = self.estimator.model();
         let report = &found.images[image];
         let coefficients_nm = found.image_coefficients_nm.row(image).to_vec();
-        let truth = draw.truth_on(&model.telescope.pupil)?;
-        let residual = |group, truth: &Array2<f64>| {
-            residual_nm(&model.telescope.pupil, model.map_nm(&coefficients_nm, group).view(), truth.view())
-        };
+        let [phasing_nm, ncpa_nm] = self.residuals_nm(&coefficients_nm, draw)?;
         Ok(Trial {
             seed: draw.seed,
-            phasing_nm: residual(Group::Segment, &truth[0])?,
-            ncpa_nm: residual(Group::Ncpa, &truth[1])?,
+            phasing_nm,
+            ncpa_nm,
             reduced_chi2: report.reduced_chi2,
             evaluations: report.evaluations,
             seconds,
             status: report.status.word(),
             coefficients_nm,
         })
+    }
+
+    /// How far an estimate of one draw is from its truth: segment errors and NCPA, nm.
+    ///
+    /// # Errors
+    /// Those of [`Draw::truth_on`] and [`residual_nm`].
+    pub fn residuals_nm(&self, coefficients_nm: &[f64], draw: &Draw) -> Result<[f64; 2]> {
+        let model = self.estimator.model();
+        let [phasing, ncpa] = draw.truth_on(&model.telescope.pupil)?;
+        let residual = |group, truth: &Array2<f64>| {
+            residual_nm(&model.telescope.pupil, model.map_nm(coefficients_nm, group).view(), truth.view())
+        };
+        Ok([residual(Group::Segment, &phasing)?, residual(Group::Ncpa, &ncpa)?])
     }
 
     /// The bound at the estimate of one draw; NaN where there is no estimate.
@@ -179,8 +189,16 @@ impl Case {
         if trial.coefficients_nm.is_empty() {
             return Ok(Bound { phasing_nm: f64::NAN, ncpa_nm: f64::NAN, covariance_nm2: Array2::zeros((0, 0)) });
         }
-        let at = ArrayView1::from(&trial.coefficients_nm);
-        let covariance_nm2 = self.estimator.bound(at, draw.flux_e, self.estimator.scene().image.background_e)?;
+        self.bound_at(&trial.coefficients_nm, draw)
+    }
+
+    /// The bound for the image of one draw, at some wavefront, nm.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::bound`].
+    pub fn bound_at(&self, coefficients_nm: &[f64], draw: &Draw) -> Result<Bound> {
+        let background_e = self.estimator.scene().image.background_e;
+        let covariance_nm2 = self.estimator.bound(ArrayView1::from(coefficients_nm), draw.flux_e, background_e)?;
         let n = self.estimator.model().segment_modes;
         Ok(Bound {
             phasing_nm: self.phasing.expected_rms_nm(covariance_nm2.slice(s![..n, ..n]))?,

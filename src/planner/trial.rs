@@ -1,0 +1,140 @@
+//! Wavefronts of a scene, imaged without noise, and what a model makes of them.
+
+use super::Price;
+use crate::estimate::{Cube, Estimator};
+use crate::imaging::{Chain, Precision};
+use crate::metrics::{MapGram, residual_nm};
+use crate::modes::Group;
+use crate::optimize::CancelFlag;
+use crate::scene::{self, Scene};
+use crate::source::{self, Camera, Truth};
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array2, Array3, Axis, s};
+use rand::SeedableRng;
+use rand_chacha::ChaCha12Rng;
+use rayon::prelude::*;
+use std::time::Instant;
+
+/// Wavefronts that are drawn. The worst of eight stands for the scene: of a hundred more, one in nine is worse, by the
+/// head-room that [`super::walk`] leaves.
+pub(super) const DRAWS: usize = 8;
+/// Stream of the random numbers: not those of the scene's own images, so that no image is judged by itself.
+const STREAM: u64 = 0x70_6c_61_6e;
+/// What is drawn where the scene does not say: what segments and optics that were aligned once drift to.
+const ASSUMED: [(&str, &str); 2] = [("aberrations.segment_piston_rms_nm", "60"), ("aberrations.ncpa_rms_nm", "70")];
+
+/// The draws of one scene.
+pub(super) struct Trials {
+    /// Electrons without noise, `[draw, y, x]`.
+    frames_e: Array3<f64>,
+    bad: Array3<bool>,
+    truths: Vec<Truth>,
+    /// Electrons of the star, mean over the draws.
+    flux_e: f64,
+}
+
+impl Trials {
+    /// Draws and images wavefronts of `scene`.
+    pub(super) fn of(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Self> {
+        let scene = if scene.aberrations.is_some() { scene.clone() } else { scene.with(&ASSUMED)? };
+        let telescope = Telescope::of(&scene)?;
+        let camera = Camera::of(&scene, &telescope)?;
+        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let mut rng = ChaCha12Rng::seed_from_u64(seed);
+        rng.set_stream(STREAM);
+        let truths = (0..DRAWS).map(|_| Truth::draw(&scene, &telescope, &mut rng)).collect::<Result<Vec<_>>>()?;
+        let psf = |truth: &Truth| -> Result<(Array2<f64>, f64)> {
+            stop(cancel)?;
+            let psf = camera.psf(truth)?;
+            let flux_e = source::flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
+            Ok((psf * flux_e + scene.image.background_e, flux_e))
+        };
+        let made = truths.par_iter().map(psf).collect::<Result<Vec<_>>>()?;
+        let views: Vec<_> = made.iter().map(|(frame, _)| frame.view()).collect();
+        let frames_e =
+            ndarray::stack(Axis(0), &views).map_err(|error| Error::Internal(format!("the draws differ: {error}")))?;
+        let flux_e = made.iter().map(|(_, flux_e)| flux_e).sum::<f64>() / DRAWS as f64;
+        Ok(Self { bad: frames_e.mapv(|_| false), frames_e, truths, flux_e })
+    }
+
+    /// What `estimator` costs on these wavefronts.
+    pub(super) fn price(&self, estimator: &Estimator, cancel: Option<&CancelFlag>) -> Result<Price> {
+        stop(cancel)?;
+        let (model, scene) = (estimator.model(), estimator.scene());
+        let precision = match scene.estimate.precision {
+            scene::Precision::F32 => Precision::F32,
+            scene::Precision::F64 => Precision::F64,
+        };
+        let mut chain = Chain::cpu(model.optics.clone(), precision);
+        let cube = Cube { images_e: self.frames_e.view(), bad: self.bad.view(), read_noise_e: None };
+        let found = estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;
+        // Once more for the time: the first fit also makes the metrics.
+        let began = Instant::now();
+        estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;
+        let estimate_us = 1e6 * began.elapsed().as_secs_f64() / DRAWS as f64;
+        let errors = self
+            .truths
+            .par_iter()
+            .zip(found.coefficients_nm.axis_iter(Axis(0)).into_par_iter())
+            .map(|(truth, coefficients_nm)| errors_nm(estimator, truth, &coefficients_nm.to_vec()))
+            .collect::<Result<Vec<_>>>()?;
+        // A fit that failed is no model at all.
+        let worst = |part: usize| {
+            errors
+                .iter()
+                .map(|error| error[part])
+                .fold(0.0, |worst: f64, nm| if nm.is_nan() { nm } else { worst.max(nm) })
+        };
+        let model_nm = [worst(0), worst(1)].map(|nm| if nm.is_nan() { f64::INFINITY } else { nm });
+        let evaluations = found.reports.iter().map(|report| report.evaluations as f64).sum::<f64>() / DRAWS as f64;
+        Ok(Price {
+            model_nm,
+            noise_nm: self.noise_nm(estimator, &found.coefficients_nm)?,
+            evaluations,
+            megaflops: 1e-6 * evaluations * model.optics.operations(),
+            estimate_us,
+        })
+    }
+
+    /// What noise leaves of the scene's images together, at the first draw.
+    fn noise_nm(&self, estimator: &Estimator, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
+        let (model, scene) = (estimator.model(), estimator.scene());
+        let at = coefficients_nm.row(0);
+        if at.iter().any(|nm| !nm.is_finite()) {
+            return Ok([f64::INFINITY; 2]);
+        }
+        let covariance_nm2 = estimator.bound(at, self.flux_e, scene.image.background_e)?;
+        let (n, maps) = (model.segment_modes, model.basis.maps());
+        let pupil = &model.telescope.pupil;
+        let images = (scene.image.count as f64).sqrt();
+        let segments = MapGram::new(pupil, maps.slice(s![..n, .., ..]))?;
+        let ncpa = MapGram::new(pupil, maps.slice(s![n.., .., ..]))?;
+        Ok([
+            segments.expected_rms_nm(covariance_nm2.slice(s![..n, ..n]))? / images,
+            ncpa.expected_rms_nm(covariance_nm2.slice(s![n.., n..]))? / images,
+        ])
+    }
+}
+
+/// Residual RMS of phasing and NCPA, nm; NaN for an image that was not fitted.
+fn errors_nm(estimator: &Estimator, truth: &Truth, coefficients_nm: &[f64]) -> Result<[f64; 2]> {
+    if coefficients_nm.iter().any(|nm| !nm.is_finite()) {
+        return Ok([f64::NAN; 2]);
+    }
+    let model = estimator.model();
+    let pupil = &model.telescope.pupil;
+    let [phasing_nm, ncpa_nm] = truth.maps_on(pupil)?;
+    let residual =
+        |group, truth: &Array2<f64>| residual_nm(pupil, model.map_nm(coefficients_nm, group).view(), truth.view());
+    Ok([residual(Group::Segment, &phasing_nm)?, residual(Group::Ncpa, &ncpa_nm)?])
+}
+
+/// # Errors
+/// [`Error::Interrupted`] where the flag is up.
+fn stop(cancel: Option<&CancelFlag>) -> Result<()> {
+    if cancel.is_some_and(|flag| flag.load(std::sync::atomic::Ordering::Relaxed)) {
+        return Err(Error::Interrupted("nothing was planned".into()));
+    }
+    Ok(())
+}

@@ -1,0 +1,262 @@
+//! The search: one kind of choice after the other, each from the cheapest on.
+
+use super::omission::omissions;
+use super::trial::{DRAWS, Trials};
+use super::{Choice, Plan, Price};
+use crate::estimate::{Estimator, Recipe};
+use crate::optimize::CancelFlag;
+use crate::scene::{Crop, NcpaBasis, Optimizer, PupilModel, Scene};
+use crate::{Error, Result};
+
+/// What is left of the budget for wavefronts worse than those drawn, and for noise that is larger than its mean: the
+/// residual of a hundred modes scatters by 7 %.
+const HEADROOM: f64 = 1.15;
+/// Where the noise alone is above the budget, the error that a model may add to it, as a fraction.
+const BESIDE_NOISE: f64 = 0.1;
+/// Samples across the pupil that are tried: steps of an eighth or so, which is a quarter in time.
+const SAMPLES: [usize; 22] =
+    [32, 36, 40, 48, 54, 60, 64, 72, 80, 90, 96, 108, 120, 136, 160, 180, 200, 240, 288, 320, 400, 480];
+/// Pixels by which narrower crops differ.
+const CROP_STEP: usize = 8;
+/// Narrower crops that are tried.
+const CROPS: usize = 4;
+/// Step tolerances that are tried, nm, as fractions of the budget.
+const TOLERANCES: [f64; 4] = [0.3, 0.1, 0.03, 0.01];
+
+/// The exact Zernikes that are tried where the scene leaves them open, in the order of [`Recipe::ladder`].
+const EXACT: [&str; 2] = ["[2, 4]", "[2, 21]"];
+
+/// A candidate with its estimator, from which others take what they share.
+struct Candidate {
+    scene: Scene,
+    estimator: Estimator,
+    price: Price,
+}
+
+pub(super) struct Walk<'a> {
+    asked: &'a Scene,
+    budget_nm: f64,
+    cancel: Option<&'a CancelFlag>,
+    trials: Trials,
+    choices: Vec<Choice>,
+}
+
+impl<'a> Walk<'a> {
+    pub(super) fn new(scene: &'a Scene, budget_nm: f64, cancel: Option<&'a CancelFlag>) -> Result<Self> {
+        if scene.estimate.optimizer != Optimizer::GaussNewton {
+            return Err(Error::Scene(
+                "a budget was given where estimate.optimizer is the paper's method, whose error is its own; \
+                 \"gauss-newton\" is needed"
+                    .into(),
+            ));
+        }
+        Ok(Self { asked: scene, budget_nm, cancel, trials: Trials::of(scene, cancel)?, choices: Vec::new() })
+    }
+
+    pub(super) fn run(mut self) -> Result<Plan> {
+        let first = self.reference()?;
+        let reference = first.price;
+        let limit_nm = self.limit_nm(&first);
+        let mut best = self.sampled(first, limit_nm)?;
+        best = self.cropped(best, limit_nm)?;
+        best = self.single_precision(best, limit_nm)?;
+        best = self.stopped_early(best, limit_nm)?;
+        best = self.fewer_modes(best, limit_nm)?;
+        let omissions = omissions(self.asked, &best.scene, &best.estimator, best.price, self.cancel)?;
+        Ok(Plan {
+            scene: best.scene,
+            budget_nm: self.budget_nm,
+            reference,
+            chosen: best.price,
+            choices: self.choices,
+            omissions,
+            draws: DRAWS,
+        })
+    }
+
+    /// The error up to which a candidate is good enough.
+    fn limit_nm(&self, reference: &Candidate) -> f64 {
+        let noise_nm = reference.price.noise_nm.into_iter().fold(0.0, f64::max);
+        (self.budget_nm / HEADROOM).max(noise_nm * (1.0 + BESIDE_NOISE))
+    }
+
+    /// The scene's own model in double precision, with the exact Zernikes that its wavefronts ask for.
+    fn reference(&mut self) -> Result<Candidate> {
+        let scene = self.asked.with_override("estimate.precision", "f64")?;
+        let first = Estimator::new(&scene, false)?;
+        if Recipe::ladder(&scene).len() == 1 {
+            return self.candidate(&first, &scene);
+        }
+        let mut tried = Vec::new();
+        for exact in EXACT {
+            tried.push(self.candidate(&first, &scene.with_override("modes.exact_zernikes", exact)?)?);
+        }
+        // The smaller basis where it does not leak: where it is as good as noise lets anybody see.
+        let wide = tried.pop();
+        let narrow = tried.pop();
+        let (Some(narrow), Some(wide)) = (narrow, wide) else {
+            return Err(Error::Internal("no basis was tried".into()));
+        };
+        let narrow_is_enough = narrow.price.error_nm() <= wide.price.error_nm().max(self.limit_nm(&wide));
+        for (candidate, exact, kept) in [(&narrow, EXACT[0], narrow_is_enough), (&wide, EXACT[1], !narrow_is_enough)] {
+            self.choices.push(Choice {
+                key: "modes.exact_zernikes",
+                value: exact.into(),
+                kept,
+                price: candidate.price,
+            });
+        }
+        Ok(if narrow_is_enough { narrow } else { wide })
+    }
+
+    /// The fewest samples that are good enough, by bisection: the error falls with the samples.
+    fn sampled(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
+        if from.estimator.recipe().pupil_model != PupilModel::BandLimited || !from.estimator.model().telescope.is_fine()
+        {
+            // A map is as fine as it is.
+            return Ok(from);
+        }
+        if self.asked.estimate.samples.is_some() {
+            return Ok(from);
+        }
+        let own = from.scene.pupil.samples;
+        let truth = from.scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
+        let most = truth.unwrap_or(usize::MAX).min(4 * own);
+        let sizes: Vec<usize> = SAMPLES.into_iter().filter(|&samples| samples <= most).collect();
+        let (mut good, mut too_few, mut enough) = (None, 0, sizes.len());
+        while too_few < enough {
+            let middle = (too_few + enough) / 2;
+            let scene = from.scene.with_override("estimate.samples", &sizes[middle].to_string())?;
+            let candidate = self.candidate(&from.estimator, &scene)?;
+            let fits = candidate.price.error_nm() <= limit_nm;
+            self.note("estimate.samples", sizes[middle].to_string(), candidate.price);
+            if fits {
+                (good, enough) = (Some(candidate), middle);
+            } else {
+                too_few = middle + 1;
+            }
+        }
+        let best = good.unwrap_or(from);
+        let kept = best.scene.estimate.samples.unwrap_or(own).to_string();
+        self.keep("estimate.samples", &kept);
+        Ok(best)
+    }
+
+    /// The narrowest part of the image that is good enough.
+    fn cropped(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
+        if !matches!(self.asked.image.crop_pixels, Crop::Auto) {
+            return Ok(from);
+        }
+        let preparation = from.estimator.model().preparation;
+        let native = |pixels: usize| (pixels as f64 * preparation.native_along(0)).round() as usize;
+        let own = native(preparation.pixels).to_string();
+        // What the model found by itself, written down: the plan is to be the same when it is read again.
+        let scene = from.scene.with_override("image.crop_pixels", &own)?;
+        self.note("image.crop_pixels", own, from.price);
+        let mut best = Candidate { scene, ..from };
+        for step in 1..=CROPS {
+            let Some(pixels) = preparation.pixels.checked_sub(step * CROP_STEP).filter(|&pixels| pixels >= 16) else {
+                break;
+            };
+            let value = native(pixels).to_string();
+            let scene = best.scene.with_override("image.crop_pixels", &value)?;
+            let candidate = self.candidate(&best.estimator, &scene)?;
+            self.note("image.crop_pixels", value, candidate.price);
+            if candidate.price.error_nm() > limit_nm {
+                break;
+            }
+            if candidate.price.megaflops < best.price.megaflops {
+                best = candidate;
+            }
+        }
+        if let Crop::Pixels(pixels) = best.scene.image.crop_pixels {
+            self.keep("image.crop_pixels", &pixels.to_string());
+        }
+        Ok(best)
+    }
+
+    fn single_precision(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
+        self.one_or_the_other(from, "estimate.precision", "\"f32\"", limit_nm)
+    }
+
+    /// The loosest tolerance that is good enough.
+    fn stopped_early(&mut self, mut best: Candidate, limit_nm: f64) -> Result<Candidate> {
+        if self.asked.estimate.step_tolerance_nm.is_some() {
+            return Ok(best);
+        }
+        for fraction in TOLERANCES {
+            let value = format!("{}", rounded(fraction * self.budget_nm));
+            best = self.one_or_the_other(best, "estimate.step_tolerance_nm", &value, limit_nm)?;
+            if self.choices.last().is_some_and(|choice| choice.kept) {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// Fewer Karhunen-Loève modes where the scene does not say how many.
+    fn fewer_modes(&mut self, mut best: Candidate, limit_nm: f64) -> Result<Candidate> {
+        if best.scene.modes.ncpa != NcpaBasis::Kl {
+            return Ok(best);
+        }
+        let named = self.asked.names("modes.ncpa_count");
+        let mut count = best.scene.modes.ncpa_count;
+        while count >= 8 {
+            count /= 2;
+            let candidate =
+                self.candidate(&best.estimator, &best.scene.with_override("modes.ncpa_count", &count.to_string())?)?;
+            self.note("modes.ncpa_count", count.to_string(), candidate.price);
+            // The scene's own number is what was asked for; the price of another is told, and that is all.
+            if named || candidate.price.error_nm() > limit_nm || candidate.price.megaflops >= best.price.megaflops {
+                break;
+            }
+            best = candidate;
+            let kept = best.scene.modes.ncpa_count.to_string();
+            self.keep("modes.ncpa_count", &kept);
+        }
+        Ok(best)
+    }
+
+    /// `best` with `key` changed, where that is good enough and less work.
+    fn one_or_the_other(
+        &mut self,
+        best: Candidate,
+        key: &'static str,
+        value: &str,
+        limit_nm: f64,
+    ) -> Result<Candidate> {
+        let candidate = self.candidate(&best.estimator, &best.scene.with_override(key, value.trim_matches('"'))?)?;
+        self.note(key, value.to_string(), candidate.price);
+        // Single precision is no fewer operations, but each is half as long.
+        let cheaper = candidate.price.megaflops < best.price.megaflops || key == "estimate.precision";
+        if candidate.price.error_nm() <= limit_nm && cheaper {
+            self.keep(key, value);
+            return Ok(candidate);
+        }
+        Ok(best)
+    }
+
+    fn candidate(&self, like: &Estimator, scene: &Scene) -> Result<Candidate> {
+        let estimator = like.variant(scene, Recipe::of(scene))?;
+        let price = self.trials.price(&estimator, self.cancel)?;
+        Ok(Candidate { scene: scene.clone(), estimator, price })
+    }
+
+    fn note(&mut self, key: &'static str, value: String, price: Price) {
+        self.choices.push(Choice { key, value, kept: false, price });
+    }
+
+    /// Marks the one value of `key` that stays.
+    fn keep(&mut self, key: &str, value: &str) {
+        for choice in self.choices.iter_mut().filter(|choice| choice.key == key) {
+            choice.kept = choice.value == value;
+        }
+    }
+}
+
+/// One significant digit: a tolerance that a scene can show.
+fn rounded(value: f64) -> f64 {
+    let unit = 10f64.powf(value.log10().floor());
+    // Through the text, so that 3 × 0.1 is 0.3.
+    format!("{:e}", (value / unit).round() * unit).parse().map_or(value, |v: f64| (v * 1e12).round() / 1e12)
+}

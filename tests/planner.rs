@@ -1,0 +1,151 @@
+//! The planner: budgets are kept on wavefronts that it has not seen, at less work; and it says what it cannot do.
+
+use cophase::estimate::{Cube, Estimator};
+use cophase::imaging::{Chain, Precision};
+use cophase::metrics::residual_nm;
+use cophase::modes::Group;
+use cophase::planner::{self, Plan};
+use cophase::scene::{self, Crop, Scene};
+use cophase::source;
+use cophase::{Error, Result};
+use std::path::Path;
+
+/// Seven hexagons with a defocus that a coarse model blurs.
+const SMALL: &str = "
+[pupil]
+aperture = \"hexagonal\"
+rings = 1
+samples = 64
+
+[image]
+wavelength_nm = 2000
+samples_per_lambda_over_d = 2
+pixels = 64
+diversity_focus_waves_rms = 1.0
+peak_snr = 300
+read_noise_e = 20
+
+[aberrations]
+segment_piston_rms_nm = 60
+ncpa_rms_nm = 50
+ncpa_zernikes = [4, 10]
+seed = 1
+
+[modes]
+ncpa = \"zernike\"
+ncpa_count = 14
+exact_zernikes = []
+";
+
+fn small(settings: &[(&str, &str)]) -> Scene {
+    Scene::from_text(SMALL, Path::new("")).unwrap().with(settings).unwrap()
+}
+
+fn plan(scene: &Scene, budget_nm: f64) -> Result<Plan> {
+    planner::plan(scene, budget_nm, None)
+}
+
+/// Residuals of phasing and NCPA where the planned model reads an image of `scene` as the simulator makes it.
+fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
+    let made = source::images(scene).unwrap();
+    let estimator = Estimator::new(&plan.scene, false).unwrap();
+    let precision = match plan.scene.estimate.precision {
+        scene::Precision::F32 => Precision::F32,
+        scene::Precision::F64 => Precision::F64,
+    };
+    let mut chain = Chain::cpu(estimator.model().optics.clone(), precision);
+    let bad = made.images_e.mapv(|_| false);
+    let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };
+    let found = estimator.fit_each(&mut chain, cube, None, &mut |_, _| {}).unwrap();
+    let (model, coefficients_nm) = (estimator.model(), found.coefficients_nm.row(0).to_vec());
+    let pupil = &model.telescope.pupil;
+    let truth = made.truth.maps_on(pupil).unwrap();
+    let part = |group, truth| residual_nm(pupil, model.map_nm(&coefficients_nm, group).view(), truth).unwrap();
+    [part(Group::Segment, truth[0].view()), part(Group::Ncpa, truth[1].view())]
+}
+
+#[test]
+fn a_budget_is_kept_on_other_scenes_at_less_work() {
+    // Other draws, brighter and fainter stars, larger and smaller errors: each is planned for itself.
+    for (seed, snr, piston_nm, waves) in [(11, "300", "60", "1.0"), (12, "800", "30", "1.3"), (13, "400", "90", "0.8")]
+    {
+        let settings = [
+            ("image.peak_snr", snr),
+            ("aberrations.segment_piston_rms_nm", piston_nm),
+            ("image.diversity_focus_waves_rms", waves),
+        ];
+        let scene = small(&settings);
+        let plan = plan(&scene, 2.0).unwrap();
+        assert!(plan.is_met() && plan.shortfall().is_none(), "{:?}", plan.chosen);
+        assert!(plan.chosen.megaflops < 0.7 * plan.reference.megaflops, "{:?} {:?}", plan.chosen, plan.reference);
+        for image in 0..3 {
+            let other = scene.with_override("aberrations.seed", &(100 * seed + image).to_string()).unwrap();
+            let [phasing_nm, ncpa_nm] = residuals_nm(&plan, &other);
+            // A tenth beyond the budget is what a planner may be wrong by: its draws are eight.
+            assert!(phasing_nm < 2.2 && ncpa_nm < 2.2, "{seed} {image}: {phasing_nm} {ncpa_nm} {:?}", plan.chosen);
+        }
+    }
+}
+
+#[test]
+fn a_plan_is_a_scene_that_says_the_same_on_every_run() {
+    let scene = small(&[("estimate.budget_nm", "2")]);
+    let (first, second) = (plan(&scene, 2.0).unwrap(), plan(&scene, 2.0).unwrap());
+    assert_eq!(first.scene.text(), second.scene.text());
+    // The budget is spent: the plan is not planned again.
+    assert_eq!(first.scene.estimate.budget_nm, None);
+    assert_eq!(planner::resolved(&scene, None).unwrap().text(), first.scene.text());
+    // What was decided stands in it, and what was not asked for is as it was.
+    assert!(matches!(first.scene.image.crop_pixels, Crop::Pixels(_)));
+    assert!(first.scene.estimate.samples.is_some_and(|samples| samples < 64), "{:?}", first.scene.estimate.samples);
+    assert_eq!(first.scene.pupil, scene.pupil);
+    assert_eq!(first.scene.modes, scene.modes);
+    assert_eq!(first.scene.image.wavelength_nm, scene.image.wavelength_nm);
+    // One value of each key that was tried is in the plan, or none where the scene's own stayed.
+    for choice in &first.choices {
+        let kept = first.choices.iter().filter(|other| other.key == choice.key && other.kept).count();
+        assert!(kept <= 1, "{}", choice.key);
+    }
+}
+
+#[test]
+fn more_budget_never_costs_more() {
+    let work = [0.8, 2.0, 8.0].map(|budget_nm| plan(&small(&[]), budget_nm).unwrap().chosen.megaflops);
+    assert!(work[0] >= work[1] && work[1] >= work[2], "{work:?}");
+    assert!(work[0] > work[2], "{work:?}");
+}
+
+#[test]
+fn a_budget_below_the_noise_is_told_and_leaves_a_model_that_noise_rules() {
+    let plan = plan(&small(&[("image.peak_snr", "20")]), 0.1).unwrap();
+    assert!(!plan.is_met());
+    let sentence = plan.shortfall().unwrap();
+    assert!(sentence.contains("noise alone") && sentence.contains("images"), "{sentence}");
+    let noise_nm = plan.chosen.noise_nm.into_iter().fold(0.0, f64::max);
+    assert!(plan.chosen.error_nm() < 1.2 * noise_nm, "{:?}", plan.chosen);
+}
+
+#[test]
+fn a_filters_width_is_named_with_its_price() {
+    let plan = plan(&small(&[("image.bandwidth_fraction", "0.1")]), 6.0).unwrap();
+    let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap();
+    assert!(!bandwidth.modelled);
+    // Ten per cent of the wavelength blur a spot of 1 wave of defocus by a tenth: an error like that of the model itself.
+    assert!(bandwidth.without_nm > 1.3 * bandwidth.with_nm, "{bandwidth:?}");
+}
+
+#[test]
+fn what_cannot_be_planned_is_refused() {
+    for budget_nm in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let error = plan(&small(&[]), budget_nm).unwrap_err().to_string();
+        assert!(error.contains("budget") && error.contains("positive"), "{error}");
+    }
+    let error = plan(&small(&[("estimate.optimizer", "bfgs")]), 1.0).unwrap_err();
+    assert!(matches!(&error, Error::Scene(sentence) if sentence.contains("gauss-newton")), "{error}");
+    // An estimator of a scene with a budget would ignore it.
+    let error = Estimator::new(&small(&[("estimate.budget_nm", "1")]), false).err().unwrap();
+    assert!(error.to_string().contains("budget_nm"), "{error}");
+    let flag = cophase::optimize::CancelFlag::default();
+    flag.store(true, std::sync::atomic::Ordering::Relaxed);
+    assert!(matches!(planner::plan(&small(&[]), 1.0, Some(&flag)), Err(Error::Interrupted(_))));
+}
