@@ -21,6 +21,12 @@ fn main() -> cophase::Result<()> {
     }
     for info in devices {
         println!("{info}");
+        for precision in [cophase::device::Precision::F32, cophase::device::Precision::F64] {
+            if info.supports(precision) {
+                let device = cophase::device::Device::open(&info, false)?;
+                println!("    {precision}: {:.1?}", cophase::device::Peak::measure(&device, precision)?);
+            }
+        }
         for &(samples, pixels, batch) in &cases {
             for edges in [scene::Edges::Grey, scene::Edges::BandLimited] {
                 let layout = scene::keck_like(samples, pixels, edges);

@@ -100,12 +100,13 @@ __kernel void smooth_phase(__global const real *basis, __global const real *dive
     }
 }
 
-/* Phasor, field and folded field of one block of one image; `pose` is the image's [segment][re q, im q, t, u]. */
+/* Phasor, field and folded field of one block of one image; `pose` is the image's [segment][re q, im q, t, u]. With
+   `side_rows` the field is not folded but laid out as fft.cl wants it. */
 inline void field_block(__global const real *psi, __global const int *place, __global const int *entry_start,
                         __global const int *entry_segment, __global const real *entry_weight,
                         __global const real *entry_x, __global const real *entry_y, __global const real *pose,
                         __global real *phasor, __global real *lit_field, __global real *field, const int block,
-                        const int blocks, const int width, const int poses) {
+                        const int blocks, const int width, const int poses, const int side_rows) {
     vec er[4], ei[4];
 #pragma unroll
     for (int q = 0; q < 4; q++) {
@@ -133,6 +134,16 @@ inline void field_block(__global const real *psi, __global const int *place, __g
         AT(lit_field, at) = er[q];
         AT(lit_field, at + apart) = ei[q];
     }
+    if (side_rows) {
+#pragma unroll
+        for (int q = 0; q < 4; q++) {
+            __global real *out =
+                field + ((place[2 * block] + q / 2 * side_rows) * 4 + q % 2 * 2) * width + place[2 * block + 1];
+            AT(out, 0) = er[q];
+            AT(out, width) = ei[q];
+        }
+        return;
+    }
     __global real *out = field + (size_t)place[2 * block] * 8 * width + place[2 * block + 1];
     AT(out, 0 * width) = (er[0] + er[1]) + (er[2] + er[3]);
     AT(out, 1 * width) = (ei[0] + ei[1]) + (ei[2] + ei[3]);
@@ -155,5 +166,5 @@ __kernel void pupil_field(__global const real *psi, __global const int *place, _
     if (block >= blocks) return;
     field_block(psi + image * quads, place, entry_start, entry_segment, entry_weight, entry_x, entry_y,
                 pose + (first + image) * segments * 4, phasor + 2 * image * quads, lit_field + 2 * image * quads,
-                field + image * rows * 8 * width, block, blocks, width, poses);
+                field + image * rows * 8 * width, block, blocks, width, poses, 0);
 }

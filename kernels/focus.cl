@@ -41,7 +41,7 @@ __kernel void focus(__global real *psi, __global const int *place, __global cons
 
         for (int block = 0; block < blocks; block++)
             field_block(t, place, entry_start, entry_segment, entry_weight, entry_x, entry_y, stand, p, l, e, block, blocks,
-                        width, poses);
+                        width, poses, 0);
         for (int column = 0; column < columns; column++)
             forward_column(e, y_to_v, extent, w, column, 0, 1, rows, pairs, (pairs + TALL - 1) / TALL, width);
         for (int strip = 0; strip < strips; strip++) {
@@ -59,7 +59,7 @@ __kernel void focus(__global real *psi, __global const int *place, __global cons
         }
         for (int column = 0; column < columns; column++)
             adjoint_column(w, v_to_y, extent, e, column, 0, 1, pairs, (rows + TALL - 1) / TALL, width);
-        for (int block = 0; block < blocks; block++) gradient_block(e, l, p, place, t, block, blocks, width);
+        for (int block = 0; block < blocks; block++) gradient_block(e, l, p, place, t, block, blocks, width, 0);
         for (int segment = 0; segment < segments; segment++)
             segment_product(p, segment_entry, entry_place, entry_weight, entry_x, entry_y, stand + 4 * segment,
                             segment_sum + ((size_t)image * segments + segment) * poses, segment_start[segment],

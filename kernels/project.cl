@@ -10,13 +10,8 @@
  * and applies 2 k. focus.cl calls the functions before the kernels too. Every number has one writer: no atomics.
  */
 
-/* One block of one image: `psi` becomes D, `phasor` becomes g. */
-inline void gradient_block(__global const real *field, __global const real *lit_field, __global real *phasor,
-                           __global const int *place, __global real *psi, const int block, const int blocks,
-                           const int width) {
-    __global const real *in = field + (size_t)place[2 * block] * 8 * width + place[2 * block + 1];
-    /* Planes: x parity, then y parity, then re and im. */
-    vec re[4], im[4];
+/* The four quadrants of a block from its planes: x parity, then y parity, then re and im. */
+inline void unfold(__global const real *in, const int width, vec re[4], vec im[4]) {
     vec a = GET(in, 0), b = GET(in, 2 * width), c = GET(in, 4 * width), d = GET(in, 6 * width);
     re[0] = (a + b) + (c + d);
     re[1] = (a + b) - (c + d);
@@ -27,6 +22,23 @@ inline void gradient_block(__global const real *field, __global const real *lit_
     im[1] = (a + b) - (c + d);
     im[2] = (a - b) + (c - d);
     im[3] = (a - b) - (c - d);
+}
+
+/* One block of one image: `psi` becomes D, `phasor` becomes g. `side_rows` as in field_block. */
+inline void gradient_block(__global const real *field, __global const real *lit_field, __global real *phasor,
+                           __global const int *place, __global real *psi, const int block, const int blocks,
+                           const int width, const int side_rows) {
+    vec re[4], im[4];
+    if (side_rows) {
+#pragma unroll
+        for (int q = 0; q < 4; q++) {
+            __global const real *in =
+                field + ((place[2 * block] + q / 2 * side_rows) * 4 + q % 2 * 2) * width + place[2 * block + 1];
+            re[q] = GET(in, 0);
+            im[q] = GET(in, width);
+        }
+    } else
+        unfold(field + (size_t)place[2 * block] * 8 * width + place[2 * block + 1], width, re, im);
 #pragma unroll
     for (int q = 0; q < 4; q++) {
         const int at_re = COMPLEX(q, block, blocks) * VEC, at_im = at_re + COMPLEX_APART(blocks) * VEC;
@@ -81,7 +93,7 @@ __kernel void pupil_gradient(__global const real *field, __global const real *li
     const size_t image = get_global_id(1), quads = (size_t)blocks * 4 * VEC;
     for (int block = get_global_id(0); block < blocks; block += get_global_size(0))
         gradient_block(field + image * rows * 8 * width, lit_field + 2 * image * quads, phasor + 2 * image * quads, place,
-                       psi + image * quads, block, blocks, width);
+                       psi + image * quads, block, blocks, width, 0);
 }
 
 /* g (in phasor) -> segment_sum [image][segment][poses]: global (segments, images, 1). */

@@ -167,6 +167,8 @@ impl<'a> Job<'a> {
             let mut open = |estimator: &Estimator| {
                 interrupt.check("the model was built, no image was fitted")?;
                 let optics = estimator.model().optics.clone();
+                // No more are fitted at once.
+                let count = count.min(estimator.model().tiles().images);
                 devices::open_chain(scene.estimate.device, scene.estimate.precision, optics, count)
             };
             let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e };

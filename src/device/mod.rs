@@ -12,6 +12,9 @@ use crate::{Error, Result};
 mod absent;
 #[cfg(feature = "opencl")]
 mod discover;
+mod peak;
+#[cfg(feature = "opencl")]
+mod reals;
 #[cfg(feature = "opencl")]
 mod session;
 #[cfg(feature = "opencl")]
@@ -19,14 +22,18 @@ mod table;
 #[cfg(all(test, feature = "opencl"))]
 pub(crate) mod tests;
 
+pub use peak::Peak;
+
 #[cfg(not(feature = "opencl"))]
 pub use absent::{Device, devices};
 #[cfg(feature = "opencl")]
 pub use discover::devices;
 #[cfg(feature = "opencl")]
+pub(crate) use reals::Reals;
+#[cfg(feature = "opencl")]
 pub use session::{Buffer, Device, Element, Kernel, StageTime};
 #[cfg(feature = "opencl")]
-pub use table::{Build, Entry, Family, TABLE};
+pub use table::{Build, Entry, Family, FftPlan, TABLE};
 
 /// The arithmetic of a chain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::ffi::CString;
 use std::marker::PhantomData;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -49,6 +50,8 @@ struct Inner {
     id: core::DeviceId,
     context: core::Context,
     queue: core::CommandQueue,
+    /// Bytes in buffers.
+    allocated: AtomicU64,
     programs: Mutex<HashMap<Build, core::Program>>,
     /// Launches to be timed; `None` where timing is off.
     events: Option<Mutex<Vec<(&'static str, Event)>>>,
@@ -71,6 +74,7 @@ impl Device {
                 id,
                 context,
                 queue,
+                allocated: AtomicU64::new(0),
                 programs: Mutex::default(),
                 events: timed.then(Mutex::default),
             }),
@@ -80,6 +84,11 @@ impl Device {
     /// What it is.
     pub fn info(&self) -> &DeviceInfo {
         &self.inner.info
+    }
+
+    /// Bytes that buffers hold now.
+    pub fn allocated_bytes(&self) -> u64 {
+        self.inner.allocated.load(Ordering::Relaxed)
     }
 
     /// Waits until everything that was asked for is done.
@@ -118,6 +127,7 @@ impl Device {
             None,
         )
         .map_err(failed)?;
+        self.inner.allocated.fetch_add(bytes, Ordering::Relaxed);
         Ok(Buffer { device: self.clone(), mem, len, marker: PhantomData })
     }
 
@@ -280,6 +290,12 @@ impl<T: Element> Buffer<T> {
         // SAFETY: the range was checked, and a blocking read is done with `values` when it returns.
         unsafe { core::enqueue_read_buffer(queue, &self.mem, true, offset, values, None::<&Event>, None::<&mut Event>) }
             .map_err(failed)
+    }
+}
+
+impl<T: Element> Drop for Buffer<T> {
+    fn drop(&mut self) {
+        self.device.inner.allocated.fetch_sub((self.len * size_of::<T>()) as u64, Ordering::Relaxed);
     }
 }
 

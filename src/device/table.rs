@@ -71,6 +71,19 @@ pub const TABLE: &[Family] = &[
         source: include_str!("../../kernels/focus.cl"),
         entries: &[Entry { name: "focus", gpu_local: [32, 1, 1] }],
     },
+    Family {
+        file: "peak.cl",
+        source: include_str!("../../kernels/peak.cl"),
+        entries: &[
+            Entry { name: "peak_flops", gpu_local: [64, 1, 1] },
+            Entry { name: "peak_read", gpu_local: [64, 1, 1] },
+        ],
+    },
+    Family {
+        file: "fft.cl",
+        source: include_str!("../../kernels/fft.cl"),
+        entries: &[Entry { name: "focus_fft", gpu_local: [1, 1, 1] }],
+    },
 ];
 
 /// How a program is specialised. Every knob is a preprocessor definition that `common.cl` documents.
@@ -80,6 +93,41 @@ pub struct Build {
     pub precision: Precision,
     /// Numbers in one vector: 1, 4, 8 or 16.
     pub vector: usize,
+    /// The FFT that stands in for the matrix products, where there is one.
+    pub fft: Option<FftPlan>,
+}
+
+/// An FFT of a x b points in two passes, as `fft.cl` documents it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct FftPlan {
+    /// Points of the small transforms of the first pass.
+    pub a: usize,
+    /// Points of those of the second.
+    pub b: usize,
+    /// Blocks of b inputs that are not zero, on either side of the axis.
+    pub lit: usize,
+}
+
+impl FftPlan {
+    /// What `fft.cl` has small transforms for.
+    const RADICES: [usize; 5] = [8, 12, 15, 16, 20];
+
+    /// A plan for `points` of which the `lit_samples` next to the axis on either side are not zero; `None` where `points`
+    /// is no product of two radices. Of several the one that reads fewest zeros, then the most even one.
+    pub fn new(points: usize, lit_samples: usize) -> Option<Self> {
+        let plan = |a: usize| Self { a, b: points / a, lit: lit_samples.div_ceil(points / a) };
+        Self::RADICES
+            .into_iter()
+            .filter(|a| points.is_multiple_of(*a) && Self::RADICES.contains(&(points / a)))
+            .map(plan)
+            .filter(|plan| 2 * plan.lit <= plan.a)
+            .min_by_key(|plan| (plan.lit * plan.b, plan.a + plan.b, plan.b))
+    }
+
+    /// Its points.
+    pub fn points(&self) -> usize {
+        self.a * self.b
+    }
 }
 
 impl Build {
@@ -99,7 +147,7 @@ impl Build {
             Precision::F64 if single > 4 => single / 2,
             Precision::F64 => single,
         };
-        Self { precision, vector }
+        Self { precision, vector, fft: None }
     }
 
     /// Whether work-items run in lockstep, one number each: then work-groups are [`Entry::gpu_local`].
@@ -110,7 +158,15 @@ impl Build {
     /// Options of the OpenCL compiler. Argument names are kept because arguments are bound by name.
     pub(super) fn options(&self) -> String {
         let double = usize::from(self.precision == Precision::F64);
-        format!("-cl-std=CL1.2 -cl-kernel-arg-info -cl-mad-enable -DDOUBLE={double} -DVEC={}", self.vector)
+        // Zeros have no sign here: x + 0 is x, which prunes the small transforms of zeros.
+        let mut options = format!(
+            "-cl-std=CL1.2 -cl-kernel-arg-info -cl-mad-enable -cl-no-signed-zeros -DDOUBLE={double} -DVEC={}",
+            self.vector
+        );
+        if let Some(FftPlan { a, b, lit }) = self.fft {
+            options += &format!(" -DFFT_A={a} -DFFT_B={b} -DFFT_LIT={lit}");
+        }
+        options
     }
 }
 

@@ -30,12 +30,29 @@ fn every_kernel_compiles_at_every_precision_and_width() {
                 continue;
             }
             for vector in [1, 4, 8, 16] {
-                for entry in TABLE.iter().flat_map(|family| family.entries) {
-                    let kernel = device.kernel(entry.name, Build { precision, vector }).unwrap();
+                // A GPU has no use for the FFT.
+                let fft = FftPlan::new(240, 60).filter(|_| vector > 1);
+                for entry in TABLE.iter().filter(|f| f.file != "fft.cl" || fft.is_some()).flat_map(|f| f.entries) {
+                    let kernel = device.kernel(entry.name, Build { precision, vector, fft }).unwrap();
                     assert!(!kernel.arguments().is_empty(), "{} keeps the names of its arguments", entry.name);
                 }
             }
         }
+    }
+}
+
+/// No more than that the two ways of counting agree: how fast the machine is, is not for a test to say.
+#[test]
+fn a_measured_peak_is_a_number() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let peak = Peak::measure(&device, Precision::F32).unwrap();
+        println!("{info}: {peak:?}");
+        assert!([peak.gflops, peak.gflops_unit, peak.gbytes_s].iter().all(|rate| rate.is_finite() && *rate > 0.0));
+        // 2 operations at 1e9 of them a second take 2e-3 us; of two floors the higher one holds.
+        let peak = Peak { gflops: 1.0, gflops_unit: 1.0, gbytes_s: 10.0 };
+        assert_eq!(peak.floor_us(2.0, 10.0), 2e-3);
+        assert_eq!(peak.floor_us(2.0, 40.0), 4e-3);
     }
 }
 
@@ -127,4 +144,58 @@ fn without_a_library_there_are_no_devices() {
     // Loaded, but without a single OpenCL symbol.
     let counted = count("libm.so.6");
     assert!(counted.contains("devices: 0"), "{counted}");
+}
+
+/// What the test below runs in processes of its own: one small launch on every device of PoCL.
+#[test]
+fn a_kernel_runs() {
+    for info in test_devices().into_iter().filter(|info| info.platform_name == POCL) {
+        let device = Device::open(&info, false).unwrap();
+        let out = device.buffer::<f32>(1).unwrap();
+        let mut kernel = device.kernel("peak_flops", Build::for_device(&info, Precision::F32)).unwrap();
+        kernel.buffer("out", &out).unwrap().int("count", 1).unwrap();
+        kernel.real("scale", 0.5).unwrap().real("offset", 0.25).unwrap();
+        kernel.launch([1, 1, 1]).unwrap();
+        device.finish().unwrap();
+    }
+}
+
+const POCL: &str = "Portable Computing Language";
+
+/// Compiled programs are kept from one process to the next: by the drivers, each in a cache of its own (PoCL's is looked at
+/// here; NVIDIA's and Intel's do the same), keyed by source, options, device and driver version. A second cache
+/// of ours would only grow stale beside them.
+#[test]
+fn a_second_process_finds_the_programs_compiled() {
+    if !test_devices().iter().any(|info| info.platform_name == POCL) {
+        println!("skipped: PoCL is not here");
+        return;
+    }
+    let cache = tempfile::tempdir().unwrap();
+    let run = || {
+        let output = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "device::tests::a_kernel_runs"])
+            .env("POCL_CACHE_DIR", cache.path())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+        let mut libraries = Vec::new();
+        let mut folders = vec![cache.path().to_path_buf()];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).unwrap() {
+                let path = entry.unwrap().path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else if path.extension().is_some_and(|extension| extension == "so") {
+                    let written = path.metadata().unwrap().modified().unwrap();
+                    libraries.push((path, written));
+                }
+            }
+        }
+        libraries.sort();
+        libraries
+    };
+    let first = run();
+    assert!(!first.is_empty(), "PoCL left no compiled kernel in its cache");
+    assert_eq!(first, run(), "the second process compiled again");
 }

@@ -277,7 +277,7 @@ fn noise_at(
     let minimum = Minimum { coefficients_nm: coefficients_nm.to_vec(), ..minimum.clone() };
     let psf = estimator.judge.psf(ArrayView1::from(coefficients_nm));
     let variance_e2 = variance(&psf, &minimum, &prepared.floor_variance_e2);
-    let spread = Spread::of(estimator, from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
+    let spread = Spread::of(estimator, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
     Ok((spread.covariance(0).clone(), spread.fisher(0).clone()))
 }
 
@@ -292,19 +292,25 @@ fn few(
     used: &[usize],
     used_nm: &Array2<f64>,
 ) -> Result<(SingleImage, Array2<f64>)> {
-    let variance_e2 = |(prepared, minimum): (&Prepared, &Minimum)| {
-        let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
-        variance(&psf, minimum, &prepared.floor_variance_e2)
+    let variance_e2 = |&image: &usize| {
+        let psf = estimator.judge.psf(ArrayView1::from(&minima[image].coefficients_nm));
+        variance(&psf, &minima[image], &prepared[image].floor_variance_e2)
     };
-    let variances: Vec<Vec<f64>> = prepared.par_iter().zip(minima).map(variance_e2).collect();
-    let spread = Spread::of(estimator, prepared, minima, &variances)?;
     let count = used.len() as f64;
     let mut noise_nm2 = Array2::<f64>::zeros([estimator.model.optics.modes(); 2]);
-    for &image in used {
-        noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, spread.covariance(image));
+    let mut fisher = None;
+    // Where no fit converged they may be many, and each keeps two matrices.
+    for images in used.chunks(SEQUENCE) {
+        let variances: Vec<Vec<f64>> = images.par_iter().map(variance_e2).collect();
+        let spread = Spread::of(estimator, images, prepared, minima, &variances)?;
+        for (place, &image) in images.iter().enumerate() {
+            noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, spread.covariance(place));
+        }
+        fisher.get_or_insert_with(|| spread.fisher(0).clone());
     }
     let scatter_nm2 = of_few(noise_nm2.clone(), used_nm);
-    Ok((SingleImage { noise_nm2, scatter_nm2 }, spread.fisher(used[0]).clone()))
+    let fisher = fisher.ok_or_else(|| Error::Internal("no image is used".into()))?;
+    Ok((SingleImage { noise_nm2, scatter_nm2 }, fisher))
 }
 
 /// Covariance of one of a few images whose noise gives it `noise_nm2`: from four on, what their scatter shows where that

@@ -36,11 +36,33 @@ pub(super) struct Fitter<'a> {
 }
 
 impl Fitter<'_> {
-    /// Fits every prepared image on `chain`, from `start_nm` of each; the exposures leave with their last weights.
+    /// Fits every prepared image on `chain`, from `start_nm` of each; the exposures leave with their last weights. Memory
+    /// may have no room for all of them at once ([`Model::tiles`]): then they come in tiles, each of which `chain` must
+    /// hold. The result is the same: a fit depends on its own image alone.
     ///
     /// # Errors
     /// [`Error::Interrupted`] where the flag went up, and those of the chain.
     pub(super) fn fit(
+        &self,
+        chain: &mut Chain,
+        prepared: &mut [&mut Prepared],
+        start_nm: &[&[f64]],
+        watch: &mut Watch,
+    ) -> Result<Vec<Minimum>> {
+        let (count, tile) = (prepared.len(), self.model.tiles().images);
+        let mut minima = Vec::with_capacity(count);
+        for (prepared, start_nm) in prepared.chunks_mut(tile).zip(start_nm.chunks(tile)) {
+            let before = minima.len();
+            let mut watch = |done: usize, _: usize| watch(before + done, count);
+            minima.extend(self.fit_tile(chain, prepared, start_nm, &mut watch).map_err(|error| match error {
+                Error::Interrupted(_) if count > tile => interrupted(before, count),
+                other => other,
+            })?);
+        }
+        Ok(minima)
+    }
+
+    fn fit_tile(
         &self,
         chain: &mut Chain,
         prepared: &mut [&mut Prepared],
@@ -160,7 +182,11 @@ impl Fitter<'_> {
 
 fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()> {
     if reason == StopReason::Cancelled {
-        return Err(Error::Interrupted(format!("{done} of {count} images were fitted")));
+        return Err(interrupted(done, count));
     }
     Ok(())
+}
+
+fn interrupted(done: usize, count: usize) -> Error {
+    Error::Interrupted(format!("{done} of {count} images were fitted"))
 }

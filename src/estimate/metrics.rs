@@ -3,19 +3,19 @@
 //!
 //! For a star of flux S and a variance f without photons the weights are 1/(S·h + f) and the derivatives S·dh: in units
 //! of the flux, S times the matrix of weights 1/(h + f/S). So one parameter makes the family, and the flux is a scale of
-//! the coordinates. All members share one Jacobian.
+//! the coordinates. All members share one set of derivatives.
 
 use super::fisher::NULL_FLOOR;
+use super::gauss_newton::{Absorbed, Kept, Nuisances, products, rows_of_tile};
 use super::prepare::Prepared;
 use super::recipe::Recipe;
-use crate::Result;
 use crate::imaging::CpuChain;
 use crate::optimize::Metric;
 use crate::scene::Weighting;
-use faer::linalg::matmul::triangular::{BlockStructure, matmul};
-use faer::{Accum, MatMut, MatRef, Par};
-use ndarray::{Array1, Array2, Axis};
+use crate::{Error, Result};
+use ndarray::Array1;
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
 /// Ratio of neighbouring values of f/S: no image's own is more than a factor of two from one of them, as much as the
@@ -28,9 +28,9 @@ const LEVELS: usize = 10;
 
 /// The image of the flat wavefront and its derivatives, for a flux of 1.
 struct Flat {
-    psf: Array1<f64>,
-    /// `[mode, pixel]`, per nm.
-    jacobian: Array2<f64>,
+    psf: Vec<f64>,
+    /// The derivatives, where memory holds them.
+    kept: Option<Kept>,
     /// Value of the brightest pixel.
     peak: f64,
 }
@@ -38,18 +38,20 @@ struct Flat {
 /// The metrics of one model, each made when it is first asked for.
 pub(super) struct Metrics {
     weighting: Weighting,
-    fit_flux: bool,
-    fit_background: bool,
+    nuisances: Nuisances,
+    /// Memory for derivatives.
+    tile_bytes: usize,
     flat: OnceLock<Flat>,
     made: [OnceLock<Arc<Metric>>; LEVELS],
 }
 
 impl Metrics {
-    pub(super) fn new(recipe: &Recipe) -> Self {
+    /// With `tile_bytes` for derivatives at a time.
+    pub(super) fn new(recipe: &Recipe, tile_bytes: usize) -> Self {
         Self {
             weighting: recipe.weighting,
-            fit_flux: recipe.fit_flux,
-            fit_background: recipe.fit_background,
+            nuisances: Nuisances::of(recipe.fit_flux, recipe.fit_background),
+            tile_bytes,
             flat: OnceLock::new(),
             made: [const { OnceLock::new() }; LEVELS],
         }
@@ -61,7 +63,7 @@ impl Metrics {
     /// [`crate::Error::Value`] where no mode is seen at all.
     pub(super) fn make_all(&self, judge: &CpuChain<f64>) -> Result<()> {
         let levels = if self.weighting == Weighting::None { 1 } else { LEVELS };
-        (0..levels).into_par_iter().try_for_each(|level| self.level(judge, level).map(|_| ()))
+        self.make(judge, 0..levels)
     }
 
     /// Any of them, for its size.
@@ -103,78 +105,50 @@ impl Metrics {
 
     fn flat(&self, judge: &CpuChain<f64>) -> &Flat {
         self.flat.get_or_init(|| {
-            let (psf, jacobian) = judge.jacobian(Array1::zeros(judge.optics().modes()).view());
-            let peak = psf.iter().copied().fold(0.0, f64::max);
-            Flat { psf: Array1::from(psf), jacobian, peak }
+            let linear = judge.linear(Array1::zeros(judge.optics().modes()).view());
+            let peak = linear.psf().iter().copied().fold(0.0, f64::max);
+            let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
+            let kept = (rows == linear.pixels()).then(|| Kept::new(&linear, self.nuisances));
+            Flat { psf: linear.psf().to_vec(), kept, peak }
         })
     }
 
     fn level(&self, judge: &CpuChain<f64>, level: usize) -> Result<&Arc<Metric>> {
-        if let Some(metric) = self.made[level].get() {
-            return Ok(metric);
+        if self.made[level].get().is_none() {
+            self.make(judge, level..level + 1)?;
         }
-        let metric = Arc::new(self.make(self.flat(judge), level)?);
-        Ok(self.made[level].get_or_init(|| metric))
+        self.made[level].get().ok_or_else(|| Error::Internal("a metric was made and is not there".into()))
     }
 
-    fn make(&self, flat: &Flat, level: usize) -> Result<Metric> {
-        // The metric and the cost must use the same kind of weights: mixing them loses the capture range.
-        let weight = match self.weighting {
+    /// Makes some levels together: where the derivatives are not kept, they are computed once for all of them.
+    fn make(&self, judge: &CpuChain<f64>, levels: Range<usize>) -> Result<()> {
+        let flat = self.flat(judge);
+        let weights: Vec<Vec<f64>> = levels.clone().map(|level| self.weights(flat, level)).collect();
+        let matrices = match &flat.kept {
+            Some(kept) => kept.products(&weights),
+            None => {
+                let linear = judge.linear(Array1::zeros(judge.optics().modes()).view());
+                let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
+                products(&linear, self.nuisances, &weights, rows)
+            }
+        };
+        levels.into_par_iter().zip(matrices).try_for_each(|(level, matrix)| {
+            // What a fitted flux or background would absorb is no curvature.
+            let cleared = Absorbed::of(&matrix, self.nuisances).cleared(matrix);
+            let metric = Arc::new(Metric::from_gauss_newton(&cleared, NULL_FLOOR)?);
+            self.made[level].get_or_init(|| metric);
+            Ok(())
+        })
+    }
+
+    /// The metric and the cost must use the same kind of weights: mixing them loses the capture range.
+    fn weights(&self, flat: &Flat, level: usize) -> Vec<f64> {
+        match self.weighting {
             Weighting::Noise => {
                 let floor = Self::relative_floor(flat.peak, level);
-                flat.psf.mapv(|h| 1.0 / (h + floor))
+                flat.psf.iter().map(|h| 1.0 / (h + floor)).collect()
             }
-            Weighting::None => Array1::from_elem(flat.psf.len(), flat.peak.powi(-2)),
-        };
-        let nuisances = match (self.fit_flux, self.fit_background) {
-            (true, true) => vec![flat.psf.clone(), Array1::ones(weight.len())],
-            (true, false) => vec![flat.psf.clone()],
-            (false, _) => Vec::new(),
-        };
-        let root = weight.mapv(f64::sqrt);
-        let weighted = &flat.jacobian * &root;
-        let mut matrix = gram(&weighted);
-        for direction in orthonormal(nuisances.into_iter().map(|nuisance| nuisance * &root)) {
-            // What a fitted flux or background would absorb is no curvature: F − n nᵀ, n = J W d.
-            let along = weighted.dot(&direction);
-            for (mut row, &a) in matrix.axis_iter_mut(Axis(0)).zip(&along) {
-                row.scaled_add(-a, &along);
-            }
-        }
-        Metric::from_gauss_newton(&matrix, NULL_FLOOR)
-    }
-}
-
-/// Gram-Schmidt.
-fn orthonormal(vectors: impl Iterator<Item = Array1<f64>>) -> Vec<Array1<f64>> {
-    let mut directions: Vec<Array1<f64>> = Vec::new();
-    for mut vector in vectors {
-        for direction in &directions {
-            let along = vector.dot(direction);
-            vector.scaled_add(-along, direction);
-        }
-        let norm = vector.dot(&vector).sqrt();
-        if norm > 0.0 {
-            directions.push(vector / norm);
+            Weighting::None => vec![flat.peak.powi(-2); flat.psf.len()],
         }
     }
-    directions
-}
-
-/// a·aᵀ of a `[mode, pixel]` array in standard layout: one triangle computed, the other mirrored.
-fn gram(a: &Array2<f64>) -> Array2<f64> {
-    let (rows, columns) = a.dim();
-    let mut product = Array2::zeros((rows, rows));
-    if let (Some(a), Some(out)) = (a.as_slice(), product.as_slice_mut()) {
-        let a = MatRef::from_row_major_slice(a, rows, columns);
-        let out = MatMut::from_row_major_slice_mut(out, rows, rows);
-        let (lower, full) = (BlockStructure::TriangularLower, BlockStructure::Rectangular);
-        matmul(out, lower, Accum::Replace, a, full, a.transpose(), full, 1.0, Par::Seq);
-    }
-    for i in 0..rows {
-        for j in 0..i {
-            product[[j, i]] = product[[i, j]];
-        }
-    }
-    product
 }

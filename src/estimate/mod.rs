@@ -17,6 +17,8 @@ mod combine;
 mod file;
 mod fisher;
 mod fit;
+mod gauss_newton;
+mod memory;
 mod metrics;
 mod minimum;
 mod mode_set;
@@ -39,6 +41,7 @@ pub use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, Combined, Estimate};
 pub use file::write;
 pub use fit::Watch;
+pub use memory::{Memory, Tiles};
 use metrics::Metrics;
 use mode_set::OwnBasis;
 pub use model::Model;
@@ -143,7 +146,7 @@ impl Estimator {
 
     fn of_model(scene: &Scene, recipe: Recipe, model: Model) -> Self {
         let judge = CpuChain::new(model.optics.clone());
-        let metrics = Metrics::new(&recipe);
+        let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
         Self { scene: scene.clone(), recipe, model, judge, metrics, own_basis: Arc::default() }
     }
 
@@ -285,8 +288,15 @@ impl Estimator {
             (true, false) => crate::imaging::Photometry::FitFlux { background_e },
             (false, _) => crate::imaging::Photometry::Fixed { flux_e, background_e },
         };
-        let sensitivity = fisher::Sensitivity::at(&self.judge, coefficients_nm, flux_e, &weight, photometry);
-        let covariance_nm2 = sensitivity.covariance(&sensitivity.fisher(), None)?;
-        Ok(pistons::Pistons::of(&self.model)?.centred(&covariance_nm2))
+        let noise = (weight.as_slice(), None);
+        let sensitivity = fisher::Sensitivity::at(
+            &self.judge,
+            coefficients_nm,
+            flux_e,
+            noise,
+            photometry,
+            self.model.tiles().derivative_bytes,
+        );
+        Ok(pistons::Pistons::of(&self.model)?.centred(&sensitivity.covariance()?))
     }
 }

@@ -1,9 +1,10 @@
 //! Which modes are estimated: those of the scene, and the Zernikes that a recipe wants exactly.
 
 use super::recipe::Recipe;
+use crate::grid::Grid;
 use crate::imaging::Mode;
 use crate::io;
-use crate::modes::{self, Basis, Group, SmoothBasis};
+use crate::modes::{self, Basis, Group, Separable, SmoothBasis};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
 use crate::telescope::Telescope;
@@ -21,6 +22,14 @@ pub(super) enum Smooth {
 }
 
 impl Smooth {
+    /// The modes as products of functions of x and y on `grid`, where they are functions.
+    pub(super) fn products(&self, grid: Grid) -> Result<Option<Separable>> {
+        match self {
+            Self::Functions(Some(basis)) => Separable::of(basis, grid).map(Some),
+            Self::Functions(None) | Self::Maps(_) => Ok(None),
+        }
+    }
+
     /// Values at the lit samples, `[mode, lit]`.
     pub(super) fn at(&self, points: &[(f64, f64)], weights: &SegmentWeights) -> Result<Array2<f64>> {
         match self {

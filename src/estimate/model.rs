@@ -1,5 +1,6 @@
 //! The estimator's model of a scene: which modes, on which samples, compared with which pixels.
 
+use super::memory;
 use super::mode_set::{ModeSet, OwnBasis};
 use super::plan::{Plan, band_limited_weights};
 use super::prepare::Preparation;
@@ -28,6 +29,8 @@ pub struct Model {
     pub segment_modes: usize,
     /// Modes that were asked for but that the others already span.
     pub dropped: Vec<String>,
+    /// What an estimate may take, bytes.
+    pub(super) limit_bytes: usize,
     /// Side of the grid on which the model runs, m.
     grid_width_m: f64,
 }
@@ -43,6 +46,7 @@ impl Model {
 
     /// As [`Model::of`], with the scene's own basis kept for other recipes of the same scene.
     pub(super) fn with_own_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
+        memory::check_maps(scene)?;
         let telescope = Telescope::of(scene)?;
         let diversity = Diversity::of(scene, &telescope)?;
         let set = ModeSet::of(scene, scene.modes.segment, recipe, &telescope, own)?;
@@ -90,18 +94,22 @@ impl Model {
             slopes,
             diversity_nm: points.iter().map(|&(x, y)| diversity.at(x, y)).collect(),
             basis: set.smooth.at(&points, &weights)?,
+            products: set.smooth.products(grid)?,
             modes: set.kinds,
             weights,
         })?;
-        Ok(Self {
+        let model = Self {
             telescope,
             optics: Arc::new(optics),
             preparation: pixels.preparation,
             segment_modes: set.basis.groups().iter().filter(|group| **group == Group::Segment).count(),
             basis: set.basis,
             dropped: set.dropped,
+            limit_bytes: memory::limit_bytes(scene),
             grid_width_m: grid.width_m(),
-        })
+        };
+        model.check_memory()?;
+        Ok(model)
     }
 
     /// Width of the model's grid over that of the scene's.

@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use crate::{Error, Result};
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView1, ArrayView2, s};
 
 /// How a model's pistons make up their mean over the pupil.
 pub(super) struct Pistons {
@@ -33,14 +33,18 @@ impl Pistons {
 
     /// The covariance of coefficients that were brought to zero mean.
     pub(super) fn centred(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
-        // P = I − 1·shareᵀ on the pistons.
-        let mut projector = Array2::eye(covariance_nm2.nrows());
-        for i in 0..self.shares.len() {
-            for (j, share) in self.shares.iter().enumerate() {
-                projector[[i, j]] -= share;
-            }
-        }
-        let covariance_nm2 = projector.dot(covariance_nm2).dot(&projector.t());
+        // P C Pᵀ with P = I − 1·shareᵀ on the pistons: every piston loses the pistons' mean.
+        let count = self.shares.len();
+        let mut covariance_nm2 = covariance_nm2.clone();
+        let mean = |lines: ArrayView2<f64>| ArrayView1::from(&self.shares).dot(&lines);
+        let of_rows = mean(covariance_nm2.slice(s![..count, ..]));
+        covariance_nm2.slice_mut(s![..count, ..]).outer_iter_mut().for_each(|mut row| row -= &of_rows);
+        let of_columns = mean(covariance_nm2.slice(s![.., ..count]).t());
+        covariance_nm2
+            .slice_mut(s![.., ..count])
+            .columns_mut()
+            .into_iter()
+            .for_each(|mut column| column -= &of_columns);
         // Symmetric to the last bit, as who takes its eigenvalues may ask.
         (&covariance_nm2 + &covariance_nm2.t()) * 0.5
     }

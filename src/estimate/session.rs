@@ -193,7 +193,7 @@ impl Session {
         let estimator = &self.shared.estimator;
         let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
         let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-        let spread = Spread::of(estimator, from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
+        let spread = Spread::of(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
         Ok(spread.covariance(0) * result.report.reduced_chi2.max(1.0))
     }
 

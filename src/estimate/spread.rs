@@ -26,18 +26,21 @@ pub(super) struct Spread {
 }
 
 impl Spread {
-    /// Of the minima of `prepared`; `variance_e2` is that of each image's pixels under its fitted model.
+    /// Of some `images` among the minima of `prepared`, which it then knows by their place in that list; `variance_e2` is
+    /// that of the pixels of each of them under its fitted model.
     ///
     /// # Errors
     /// [`crate::Error::Value`] where an image sees no mode at all.
     pub(super) fn of(
         estimator: &Estimator,
+        images: &[usize],
         prepared: &[Prepared],
         minima: &[Minimum],
         variance_e2: &[Vec<f64>],
     ) -> Result<Self> {
         let alike_nm = ALIKE_WAVES * estimator.model.optics.parts().wavelength_nm;
         let alike = |a: usize, b: usize| {
+            let (a, b) = (images[a], images[b]);
             let differences =
                 minima[a].coefficients_nm.iter().zip(&minima[b].coefficients_nm).map(|(a, b)| (a - b).powi(2));
             (minima[a].flux_e / minima[b].flux_e - 1.0).abs() < ALIKE_FLUX
@@ -45,8 +48,8 @@ impl Spread {
                 && differences.sum::<f64>().sqrt() < alike_nm
         };
         let mut heads: Vec<usize> = Vec::new();
-        let mut of = Vec::with_capacity(minima.len());
-        for image in 0..minima.len() {
+        let mut of = Vec::with_capacity(images.len());
+        for image in 0..images.len() {
             let place = heads.iter().position(|&head| alike(image, head));
             of.push(place.unwrap_or(heads.len()));
             if place.is_none() {
@@ -54,18 +57,20 @@ impl Spread {
             }
         }
         let pistons = Pistons::of(&estimator.model)?;
+        // Images that are worked on at once share the memory.
+        let threads = rayon::current_num_threads().min(heads.len()).max(1);
         let matrices = |&head: &usize| {
-            let minimum = &minima[head];
-            let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &prepared[head].exposure);
-            let sensitivity =
-                Sensitivity::at(&estimator.judge, at, minimum.flux_e, &exposure.weight, exposure.photometry);
-            let fisher = sensitivity.fisher();
+            let (image, minimum) = (&prepared[images[head]], &minima[images[head]]);
+            let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &image.exposure);
             let variance_e2 = match estimator.recipe.weighting {
                 Weighting::Noise => None,
                 Weighting::None => Some(variance_e2[head].as_slice()),
             };
-            let covariance = pistons.centred(&sensitivity.covariance(&fisher, variance_e2)?);
-            Ok((fisher, covariance))
+            let noise = (exposure.weight.as_slice(), variance_e2);
+            let (judge, tile_bytes) = (&estimator.judge, estimator.model.tiles().derivative_bytes / threads);
+            let sensitivity = Sensitivity::at(judge, at, minimum.flux_e, noise, exposure.photometry, tile_bytes);
+            let covariance = pistons.centred(&sensitivity.covariance()?);
+            Ok((sensitivity.fisher, covariance))
         };
         let known = heads.par_iter().map(matrices).collect::<Result<Vec<_>>>()?;
         Ok(Self { of, known })

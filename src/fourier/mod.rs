@@ -17,6 +17,7 @@ mod product;
 
 pub use fft::FftTransform;
 pub use matrix::MatrixTransform;
+pub(crate) use product::panel_len;
 pub use product::{Factors, Product};
 
 use crate::{Error, Result};

@@ -17,7 +17,7 @@ const MOST_VECTORS: usize = 3;
 const MOST_LANES: usize = 16;
 
 /// Elements of scratch memory that [`Product::product`] needs for a depth.
-pub(super) fn panel_len(depth: usize) -> usize {
+pub(crate) fn panel_len(depth: usize) -> usize {
     depth * MOST_VECTORS * MOST_LANES
 }
 

@@ -4,6 +4,7 @@ use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
+use super::work::Shapes;
 use crate::Result;
 use crate::device::Device;
 use ndarray::ArrayView2;
@@ -126,6 +127,15 @@ impl Chain {
         }
     }
 
+    /// The shapes that the work of an evaluation follows from: see [`Shapes::work`].
+    pub fn shapes(&self) -> Shapes {
+        match self {
+            Self::Cpu64(chain) => Shapes::of(chain.optics(), chain.fft_points()),
+            Self::Cpu32(chain) => Shapes::of(chain.optics(), chain.fft_points()),
+            Self::Device { chain, optics, .. } => Shapes::of(optics, chain.fft_points()),
+        }
+    }
+
     /// The precision in which it runs.
     pub fn precision(&self) -> Precision {
         match self {
@@ -155,7 +165,7 @@ impl From<Photometry> for GpuPhotometry {
 }
 
 /// The model as the device takes it.
-fn layout(optics: &Optics) -> GpuLayout {
+pub(super) fn layout(optics: &Optics) -> GpuLayout {
     let parts = optics.parts();
     let indices = |list: &[u32]| list.iter().map(|&i| i as usize).collect::<Vec<usize>>();
     let mode = |mode: &Mode| match *mode {

@@ -49,6 +49,18 @@ impl<T: Polynomial> CpuChain<T> {
         &self.optics
     }
 
+    /// Points of the FFT that transforms, `None` where matrices do.
+    pub fn fft_points(&self) -> Option<usize> {
+        match self.transform {
+            Transform::Matrix(_) => None,
+            Transform::Fft(_) => self.optics.sampling().padded(),
+        }
+    }
+
+    pub(super) fn field(&self) -> &Field<T> {
+        &self.field
+    }
+
     /// Replaces the batch of images.
     ///
     /// # Errors

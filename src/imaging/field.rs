@@ -11,27 +11,39 @@
 
 use super::optics::{Mode, Optics};
 use super::phasor::{Polynomial, phasor};
+use super::smooth::{SmoothModes, SmoothScratch};
 use ndarray::ArrayView1;
 
-/// A stretch of neighbouring lit samples in which one segment shows.
+/// A stretch of neighbouring lit samples in which one segment shows, filled up to whole vectors with weights of 0.
 struct Run {
     segment: usize,
     first_lit: usize,
     first_weight: usize,
+    /// Samples, without the filling.
     length: usize,
 }
+
+/// Neighbouring lit samples of one row of the grid.
+struct Strip {
+    first_lit: usize,
+    /// Where the first one's real part lies in a row-planar grid; its imaginary part is `samples` further.
+    place: usize,
+    length: usize,
+}
+
+/// Samples that runs are worked on at once: a vector of the widest registers in f32, two in f64. The edge of a segment
+/// is rarely further from the other.
+const STRIDE: usize = 16;
 
 /// The stage, in the chain's precision.
 pub(super) struct Field<T> {
     samples: usize,
     lit: usize,
-    /// Where a lit sample's real part lies in a row-planar grid; its imaginary part is `samples` further.
-    place: Vec<u32>,
+    strips: Vec<Strip>,
     diversity_turns: Vec<T>,
-    /// Smooth modes in turns per nm, `[mode][lit]`.
-    basis: Vec<T>,
+    smooth: SmoothModes<T>,
     runs: Vec<Run>,
-    /// Weights in the order of the runs, scaled so that |U|² is the PSF.
+    /// Weights in the order of the runs and their fillings, scaled so that |U|² is the PSF.
     weight: Vec<T>,
     slopes: Option<(Vec<T>, Vec<T>)>,
     segments: usize,
@@ -53,12 +65,8 @@ pub(super) struct FieldState<T> {
     /// Sums over the samples of the derivatives by `pose` and by `smooth`.
     pose_bar: Vec<[f64; 3]>,
     smooth_bar: Vec<f64>,
+    smooth_scratch: SmoothScratch<T>,
 }
-
-/// Lit samples that are worked on at once: 69 modes of them stay in a 256 kB cache.
-const BLOCK: usize = 256;
-/// Independent partial sums of a reduction, so that it runs in vector registers.
-const LANES: usize = 32;
 
 impl<T: Polynomial> Field<T> {
     pub(super) fn new(optics: &Optics) -> Self {
@@ -68,20 +76,18 @@ impl<T: Polynomial> Field<T> {
         let (runs, order) = runs(&weights.offsets, &weights.segment, weights.segments);
         let samples = parts.sampling.samples;
         let turns_per_nm = 1.0 / parts.wavelength_nm;
-        let gather = |values: &[f64]| order.iter().map(|&e| T::of(values[e])).collect::<Vec<T>>();
+        let gather = |values: &[f64], scale: f64| {
+            order.iter().map(|e| e.map_or(T::zero(), |e| T::of(values[e] * scale))).collect::<Vec<T>>()
+        };
         Self {
             samples,
             lit: weights.lit.len(),
-            place: weights
-                .lit
-                .iter()
-                .map(|&p| 2 * (p / samples as u32) * samples as u32 + p % samples as u32)
-                .collect(),
+            strips: strips(&weights.lit, samples),
             diversity_turns: optics.diversity_turns().into_iter().map(T::of).collect(),
-            basis: parts.basis.iter().map(|&b| T::of(b * turns_per_nm)).collect(),
-            weight: order.iter().map(|&e| T::of(weights.weight[e] * amplitude)).collect(),
+            smooth: SmoothModes::new(optics),
+            weight: gather(&weights.weight, amplitude),
             slopes: match (&parts.slopes, optics.tilts_segments()) {
-                (Some((x, y)), true) => Some((gather(x), gather(y))),
+                (Some((x, y)), true) => Some((gather(x, 1.0), gather(y, 1.0))),
                 _ => None,
             },
             runs,
@@ -92,16 +98,18 @@ impl<T: Polynomial> Field<T> {
     }
 
     pub(super) fn state(&self) -> FieldState<T> {
-        let zeros = || vec![T::zero(); self.lit];
+        // The filling of the last run reaches beyond the last lit sample.
+        let zeros = || vec![T::zero(); self.lit + STRIDE];
         FieldState {
             turns: zeros(),
             phasor: [zeros(), zeros()],
             aperture: [zeros(), zeros()],
             back: [zeros(), zeros()],
             pose: vec![[T::zero(); 3]; self.segments],
-            smooth: vec![T::zero(); self.basis.len() / self.lit],
+            smooth: vec![T::zero(); self.smooth.len()],
             pose_bar: vec![[0.0; 3]; self.segments],
-            smooth_bar: vec![0.0; self.basis.len() / self.lit],
+            smooth_bar: vec![0.0; self.smooth.len()],
+            smooth_scratch: self.smooth.scratch(),
         }
     }
 
@@ -124,29 +132,22 @@ impl<T: Polynomial> Field<T> {
     #[inline(always)]
     pub(super) fn forward(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>, grid: &mut [T]) {
         self.set(coefficients_nm, state);
-        self.smooth_turns(state);
+        let turns = &mut state.turns[..self.lit];
+        turns.copy_from_slice(&self.diversity_turns);
+        self.smooth.add(&state.smooth, turns, &mut state.smooth_scratch);
         let [re, im] = &mut state.phasor;
         for ((re, im), &turns) in re.iter_mut().zip(im.iter_mut()).zip(&state.turns) {
             (*re, *im) = phasor(turns);
         }
         self.apertures(state);
         let ([p_re, p_im], [a_re, a_im]) = (&state.phasor, &state.aperture);
-        for p in 0..self.lit {
-            let place = self.place[p] as usize;
-            grid[place] = p_re[p] * a_re[p] - p_im[p] * a_im[p];
-            grid[place + self.samples] = p_re[p] * a_im[p] + p_im[p] * a_re[p];
-        }
-    }
-
-    #[inline(always)]
-    fn smooth_turns(&self, state: &mut FieldState<T>) {
-        state.turns.copy_from_slice(&self.diversity_turns);
-        for (block, turns) in state.turns.chunks_mut(BLOCK).enumerate() {
-            for (row, &y) in state.smooth.iter().enumerate() {
-                let basis = &self.basis[row * self.lit + block * BLOCK..][..turns.len()];
-                for (turns, &b) in turns.iter_mut().zip(basis) {
-                    *turns = b.mul_add(y, *turns);
-                }
+        for &Strip { first_lit, place, length } in &self.strips {
+            let [p_re, p_im, a_re, a_im] = [p_re, p_im, a_re, a_im].map(|plane| &plane[first_lit..][..length]);
+            let (re, im) = grid[place..].split_at_mut(self.samples);
+            let (re, im) = (&mut re[..length], &mut im[..length]);
+            for i in 0..length {
+                re[i] = p_re[i] * a_re[i] - p_im[i] * a_im[i];
+                im[i] = p_re[i] * a_im[i] + p_im[i] * a_re[i];
             }
         }
     }
@@ -157,21 +158,22 @@ impl<T: Polynomial> Field<T> {
         re.fill(T::zero());
         im.fill(T::zero());
         for run in &self.runs {
-            let weight = &self.weight[run.first_weight..][..run.length];
-            let re = &mut re[run.first_lit..][..run.length];
-            let im = &mut im[run.first_lit..][..run.length];
+            let filled = run.filled();
+            let weight = &self.weight[run.first_weight..][..filled];
+            let re = &mut re[run.first_lit..][..filled];
+            let im = &mut im[run.first_lit..][..filled];
             let [c, t, u] = state.pose[run.segment];
             match &self.slopes {
                 None => {
                     let (q_re, q_im) = phasor(c);
-                    for i in 0..run.length {
+                    for i in 0..filled {
                         re[i] = weight[i].mul_add(q_re, re[i]);
                         im[i] = weight[i].mul_add(q_im, im[i]);
                     }
                 }
                 Some((x, y)) => {
-                    let (x, y) = (&x[run.first_weight..][..run.length], &y[run.first_weight..][..run.length]);
-                    for i in 0..run.length {
+                    let (x, y) = (&x[run.first_weight..][..filled], &y[run.first_weight..][..filled]);
+                    for i in 0..filled {
                         let (q_re, q_im) = phasor(t.mul_add(x[i], u.mul_add(y[i], c)));
                         re[i] = weight[i].mul_add(q_re, re[i]);
                         im[i] = weight[i].mul_add(q_im, im[i]);
@@ -186,18 +188,22 @@ impl<T: Polynomial> Field<T> {
     pub(super) fn adjoint(&self, grid_bar: &[T], state: &mut FieldState<T>, gradient: &mut [f64]) {
         let ([p_re, p_im], [a_re, a_im]) = (&state.phasor, &state.aperture);
         let [g_re, g_im] = &mut state.back;
-        for p in 0..self.lit {
-            let place = self.place[p] as usize;
-            let (e_re, e_im) = (grid_bar[place], grid_bar[place + self.samples]);
-            g_re[p] = e_re * p_re[p] + e_im * p_im[p];
-            g_im[p] = e_im * p_re[p] - e_re * p_im[p];
-        }
-        for p in 0..self.lit {
-            state.turns[p] = g_im[p] * a_re[p] - g_re[p] * a_im[p];
+        for &Strip { first_lit, place, length } in &self.strips {
+            let lit = first_lit..first_lit + length;
+            let [p_re, p_im, a_re, a_im] = [p_re, p_im, a_re, a_im].map(|plane| &plane[lit.clone()]);
+            let (g_re, g_im) = (&mut g_re[lit.clone()], &mut g_im[lit.clone()]);
+            let turns = &mut state.turns[lit];
+            let (e_re, e_im) = grid_bar[place..].split_at(self.samples);
+            let (e_re, e_im) = (&e_re[..length], &e_im[..length]);
+            for i in 0..length {
+                g_re[i] = e_re[i] * p_re[i] + e_im[i] * p_im[i];
+                g_im[i] = e_im[i] * p_re[i] - e_re[i] * p_im[i];
+                turns[i] = g_im[i] * a_re[i] - g_re[i] * a_im[i];
+            }
         }
         let four_pi = 4.0 * std::f64::consts::PI;
         self.pose_gradient(state);
-        self.smooth_gradient(state);
+        self.smooth.project(&state.turns[..self.lit], &mut state.smooth_bar, &mut state.smooth_scratch);
         let (pose, smooth) = (&state.pose_bar, &state.smooth_bar);
         for (&mode, gradient) in self.modes.iter().zip(gradient.iter_mut()) {
             *gradient = four_pi
@@ -217,17 +223,27 @@ impl<T: Polynomial> Field<T> {
         let sums = &mut state.pose_bar;
         sums.fill([0.0; 3]);
         for run in &self.runs {
-            let weight = &self.weight[run.first_weight..][..run.length];
-            let (re, im) = (&g_re[run.first_lit..][..run.length], &g_im[run.first_lit..][..run.length]);
+            let filled = run.filled();
+            let weight = &self.weight[run.first_weight..][..filled];
+            let (re, im) = (&g_re[run.first_lit..][..filled], &g_im[run.first_lit..][..filled]);
             let [c, t, u] = state.pose[run.segment];
             let sum = &mut sums[run.segment];
             match &self.slopes {
                 None => {
                     let (q_re, q_im) = phasor(c);
-                    sum[0] += dot(weight, im) * q_re.wide() - dot(weight, re) * q_im.wide();
+                    let mut lanes = [[T::zero(); STRIDE]; 2];
+                    for first in (0..filled).step_by(STRIDE) {
+                        let [weight, re, im] = [weight, re, im].map(|values| &values[first..][..STRIDE]);
+                        for i in 0..STRIDE {
+                            lanes[0][i] = weight[i].mul_add(re[i], lanes[0][i]);
+                            lanes[1][i] = weight[i].mul_add(im[i], lanes[1][i]);
+                        }
+                    }
+                    let [re, im] = lanes.map(|lanes| lanes.iter().map(|lane| lane.wide()).sum::<f64>());
+                    sum[0] += im * q_re.wide() - re * q_im.wide();
                 }
                 Some((x, y)) => {
-                    let (x, y) = (&x[run.first_weight..][..run.length], &y[run.first_weight..][..run.length]);
+                    let (x, y) = (&x[run.first_weight..][..filled], &y[run.first_weight..][..filled]);
                     for i in 0..run.length {
                         let (q_re, q_im) = phasor(t.mul_add(x[i], u.mul_add(y[i], c)));
                         let part = weight[i] * (q_re * im[i] - q_im * re[i]);
@@ -240,36 +256,28 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Σ_p B_jp·dJ/dψ_p of each smooth mode.
-    #[inline(always)]
-    fn smooth_gradient(&self, state: &mut FieldState<T>) {
-        state.smooth_bar.fill(0.0);
-        for (block, values) in state.turns.chunks(BLOCK).enumerate() {
-            for (row, sum) in state.smooth_bar.iter_mut().enumerate() {
-                *sum += dot(&self.basis[row * self.lit + block * BLOCK..][..values.len()], values);
-            }
-        }
-    }
-
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.
     pub(super) fn derivative(&self, mode: Mode, state: &FieldState<T>, grid: &mut [T]) {
         let tau = T::of(std::f64::consts::TAU);
         let ([p_re, p_im], [a_re, a_im]) = (&state.phasor, &state.aperture);
         // i·2π·s·(re + i·im), s the derivative of the phase in turns per nm.
         let mut put = |p: usize, re: T, im: T, s: T| {
-            let place = self.place[p] as usize;
+            // The strips are in ascending order of their samples.
+            let strip = &self.strips[self.strips.partition_point(|strip| strip.first_lit <= p) - 1];
+            let place = strip.place + p - strip.first_lit;
             let (re, im) = (p_re[p] * re - p_im[p] * im, p_re[p] * im + p_im[p] * re);
             grid[place] -= tau * s * im;
             grid[place + self.samples] += tau * s * re;
         };
         let (Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) = mode else {
             let Mode::Smooth(row) = mode else { unreachable!("the other modes were taken above") };
-            for p in 0..self.lit {
-                put(p, a_re[p], a_im[p], self.basis[row * self.lit + p]);
+            for (p, &b) in self.smooth.map(row).iter().enumerate() {
+                put(p, a_re[p], a_im[p], b);
             }
             return;
         };
-        for run in self.runs.iter().filter(|run| run.segment == segment) {
+        let first = self.runs.partition_point(|run| run.segment < segment);
+        for run in self.runs[first..].iter().take_while(|run| run.segment == segment) {
             let [c, t, u] = state.pose[segment];
             for i in 0..run.length {
                 let entry = run.first_weight + i;
@@ -291,22 +299,16 @@ fn add<T: Polynomial>(to: &mut T, turns: f64) {
     *to += T::of(turns);
 }
 
-/// Sum of products, in `LANES` partial sums that are added in a fixed order: the same bits at any vector width.
-#[inline(always)]
-fn dot<T: Polynomial>(a: &[T], b: &[T]) -> f64 {
-    let mut lanes = [T::zero(); LANES];
-    let (a_blocks, b_blocks) = (a.chunks_exact(LANES), b.chunks_exact(LANES));
-    let rest: T = a_blocks.remainder().iter().zip(b_blocks.remainder()).fold(T::zero(), |sum, (&a, &b)| sum + a * b);
-    for (a, b) in a_blocks.zip(b_blocks) {
-        for i in 0..LANES {
-            lanes[i] = a[i].mul_add(b[i], lanes[i]);
-        }
+impl Run {
+    /// Samples with the filling.
+    fn filled(&self) -> usize {
+        self.length.next_multiple_of(STRIDE)
     }
-    lanes.iter().map(|lane| lane.wide()).sum::<f64>() + rest.wide()
 }
 
-/// The stretches of lit samples in which each segment shows, segment by segment, and the entries in that order.
-fn runs(offsets: &[u32], segment: &[u32], segments: usize) -> (Vec<Run>, Vec<usize>) {
+/// The stretches of lit samples in which each segment shows, segment by segment, and the entries in that order, with
+/// none in the filling.
+fn runs(offsets: &[u32], segment: &[u32], segments: usize) -> (Vec<Run>, Vec<Option<usize>>) {
     let mut entries: Vec<Vec<(usize, usize)>> = vec![Vec::new(); segments];
     for (p, bounds) in offsets.windows(2).enumerate() {
         for entry in bounds[0] as usize..bounds[1] as usize {
@@ -318,10 +320,29 @@ fn runs(offsets: &[u32], segment: &[u32], segments: usize) -> (Vec<Run>, Vec<usi
         for (p, entry) in entries {
             match runs.last_mut() {
                 Some(run) if run.segment == segment && run.first_lit + run.length == p => run.length += 1,
-                _ => runs.push(Run { segment, first_lit: p, first_weight: order.len(), length: 1 }),
+                _ => {
+                    order.resize(order.len().next_multiple_of(STRIDE), None);
+                    runs.push(Run { segment, first_lit: p, first_weight: order.len(), length: 1 });
+                }
             }
-            order.push(entry);
+            order.push(Some(entry));
         }
     }
+    order.resize(order.len().next_multiple_of(STRIDE), None);
     (runs, order)
+}
+
+/// The stretches of `lit` (ascending flat places) that lie side by side in a row.
+fn strips(lit: &[u32], samples: usize) -> Vec<Strip> {
+    let mut strips = Vec::<Strip>::new();
+    for (p, &flat) in lit.iter().enumerate() {
+        let (row, column) = (flat as usize / samples, flat as usize % samples);
+        let place = 2 * row * samples + column;
+        match strips.last_mut() {
+            // The end of a row and the start of the next are a row apart in the planes.
+            Some(strip) if strip.place + strip.length == place => strip.length += 1,
+            _ => strips.push(Strip { first_lit: p, place, length: 1 }),
+        }
+    }
+    strips
 }

@@ -13,14 +13,21 @@ pub mod cpu;
 mod detector;
 mod field;
 pub mod gpu;
+mod linear;
 mod optics;
 mod phasor;
+mod smooth;
+mod work;
 
 pub use chain::{Chain, Choice, Precision};
 pub use cpu::{CpuChain, Scratch};
 pub use detector::{Evaluation, Exposure, Loaded, Photometry};
+pub use linear::Linear;
 pub use optics::{Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
+pub use work::{Shapes, Work};
 
+#[cfg(all(test, feature = "opencl"))]
+mod agreement;
 #[cfg(test)]
 mod tests;

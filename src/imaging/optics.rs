@@ -1,6 +1,7 @@
 //! What light meets: the immutable model of one scene, in double precision, from which every chain is made.
 
 use crate::fourier::Sampling;
+use crate::modes::Separable;
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -34,6 +35,8 @@ pub struct OpticsParts {
     pub diversity_nm: Vec<f64>,
     /// Smooth modes at the lit samples, `[mode, lit]`, nm per nm.
     pub basis: Array2<f64>,
+    /// The same modes on the whole grid as products of functions of x and y, where they are known so.
+    pub products: Option<Separable>,
     /// What each coefficient moves.
     pub modes: Vec<Mode>,
 }
@@ -72,6 +75,16 @@ impl Optics {
         for (what, length) in [("diversity", parts.diversity_nm.len()), ("smooth basis", parts.basis.ncols())] {
             if length != lit {
                 return Err(Error::Shape(format!("the {what} has {length} samples, the pupil {lit} lit ones")));
+            }
+        }
+        if let Some(products) = &parts.products {
+            let functions: usize = products.groups.iter().sum();
+            let coefficients: usize = products.groups.iter().map(|k| k * k).sum();
+            let fit = products.lines.dim() == (functions, samples)
+                && products.matrix.dim() == (parts.basis.nrows(), coefficients)
+                && products.lines.iter().chain(&products.matrix).all(|v| v.is_finite());
+            if !fit {
+                return Err(Error::Shape("the products do not describe the smooth basis on this grid".into()));
             }
         }
         let finite = parts.diversity_nm.iter().chain(&parts.basis).chain(&parts.weights.weight).all(|v| v.is_finite());

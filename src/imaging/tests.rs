@@ -3,7 +3,10 @@
 
 use super::*;
 use crate::fourier::{Sampling, Transform};
+use crate::grid::Grid;
+use crate::modes::{Mirror, Separable, SmoothBasis, Zernikes};
 use crate::pupil::SegmentWeights;
+use approx::assert_relative_eq;
 use ndarray::{Array1, Array2};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -40,6 +43,7 @@ fn optics(samples: usize, pixels: usize, per_lambda_over_d: f64) -> Arc<Optics> 
             slopes,
             diversity_nm: random(count, 4000.0, &mut rng),
             basis: Array2::from_shape_vec((2, count), random(2 * count, 2.0, &mut rng)).unwrap(),
+            products: None,
             modes,
         })
         .unwrap(),
@@ -182,6 +186,7 @@ fn a_wavefront_that_grows_along_x_moves_the_spot_along_columns() {
         slopes: None,
         diversity_nm: vec![0.0; 256],
         basis: Array2::from_shape_vec((1, 256), tilt).unwrap(),
+        products: None,
         modes: vec![Mode::Smooth(0)],
     })
     .unwrap();
@@ -203,4 +208,44 @@ fn what_does_not_fit_is_refused() {
     let mut parts = optics.parts().clone();
     parts.modes.push(Mode::Smooth(2));
     assert!(Optics::new(parts).is_err());
+}
+
+#[test]
+fn modes_as_products_give_what_their_maps_give() {
+    let n = 24;
+    let optics = optics(n, 20, 2.1);
+    let grid = Grid::new(n, 3.0).unwrap();
+    // Enough modes that products are fewer operations than maps.
+    let zernikes = SmoothBasis::zernike(Zernikes::new(2..=21, 1.6).unwrap());
+    let mirror = SmoothBasis::influence(Mirror::new(5, 0.75, 0.15).unwrap().all());
+    let basis = zernikes.followed_by(&mirror);
+    let mut parts = optics.parts().clone();
+    let at = |p: &u32| (grid.coordinate_m(*p as usize % n), grid.coordinate_m(*p as usize / n));
+    let (xs, ys): (Vec<f64>, Vec<f64>) = parts.weights.lit.iter().map(at).unzip();
+    parts.basis = basis.evaluate(&xs, &ys).unwrap();
+    parts.modes = (0..basis.len()).map(Mode::Smooth).chain([Mode::Piston(1)]).collect();
+    let maps = Arc::new(Optics::new(parts.clone()).unwrap());
+    let products = Separable::of(&basis, grid).unwrap();
+    assert!(products.operations() < basis.len() * xs.len());
+    parts.products = Some(products);
+    let products = Arc::new(Optics::new(parts).unwrap());
+    let exposures = exposures(20);
+    let at = Array2::from_shape_fn((3, basis.len() + 1), |(i, j)| 60.0 * ((5 * i + 3 * j) as f64).sin());
+    fn found<T: Polynomial>(optics: &Arc<Optics>, exposures: &[Exposure], at: &Array2<f64>) -> Vec<Evaluation> {
+        let mut chain = CpuChain::<T>::new(optics.clone());
+        chain.load(exposures).unwrap();
+        chain.evaluate(&[0, 1, 2], at.view()).unwrap()
+    }
+    let norm = |gradient: &[f64]| gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+    let judged = found::<f64>(&maps, &exposures, &at);
+    // Phases of a few turns, rounded to 1e-16 and 6e-8 of themselves by either way.
+    for (found, bound) in
+        [(found::<f64>(&products, &exposures, &at), 1e-12), (found::<f32>(&products, &exposures, &at), 1e-4)]
+    {
+        for (found, judged) in found.iter().zip(&judged) {
+            assert_relative_eq!(found.objective, judged.objective, max_relative = bound);
+            let difference: Vec<f64> = found.gradient.iter().zip(&judged.gradient).map(|(a, b)| a - b).collect();
+            assert!(norm(&difference) < bound * norm(&judged.gradient), "{bound}");
+        }
+    }
 }

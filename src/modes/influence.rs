@@ -194,17 +194,21 @@ impl InfluenceFunctions {
         Ok(values)
     }
 
+    /// The functions of one coordinate whose products the influence functions are, `[column or row of actuators, point]`,
+    /// and the place `row·across + column` of each actuator among the products.
+    pub(super) fn along(&self, coordinates_m: &[f64]) -> (Array2<f64>, &[usize]) {
+        let rate = self.mirror.coupling.ln() / self.mirror.pitch_m.powi(2);
+        let line = Array2::from_shape_fn((self.mirror.actuators_across, coordinates_m.len()), |(i, point)| {
+            (rate * (coordinates_m[point] - self.mirror.coordinate_m(i)).powi(2)).exp()
+        });
+        (line, &self.indices)
+    }
+
     /// Writes the values into `values`, `[actuators, points]`. A Gaussian is the product of one in x and one in y:
     /// two exponentials per point and grid line instead of one per point and actuator.
     pub(super) fn fill(&self, xs_m: &[f64], ys_m: &[f64], mut values: ArrayViewMut2<f64>) {
         let across = self.mirror.actuators_across;
-        let rate = self.mirror.coupling.ln() / self.mirror.pitch_m.powi(2);
-        let line = |coordinates: &[f64]| {
-            Array2::from_shape_fn((across, coordinates.len()), |(i, point)| {
-                (rate * (coordinates[point] - self.mirror.coordinate_m(i)).powi(2)).exp()
-            })
-        };
-        let (along_x, along_y) = (line(xs_m), line(ys_m));
+        let (along_x, along_y) = (self.along(xs_m).0, self.along(ys_m).0);
         for (mut row, &index) in values.rows_mut().into_iter().zip(&self.indices) {
             ndarray::Zip::from(&mut row)
                 .and(along_x.row(index % across))

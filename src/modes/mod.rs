@@ -21,6 +21,7 @@ mod orthonormal;
 mod report;
 mod samples;
 mod segment;
+mod separable;
 mod smooth;
 mod von_karman;
 mod zernike;
@@ -32,6 +33,7 @@ pub use orthonormal::{Dropped, Orthonormal, join_exact, orthonormalise, zernike_
 pub use report::{Degeneracy, Direction, NULL_BELOW, WEAK_BELOW};
 pub use samples::Samples;
 pub use segment::SegmentModes;
+pub use separable::Separable;
 pub use smooth::{Functions, SmoothBasis};
 pub use von_karman::{R0_WAVELENGTH_NM, VonKarman};
 pub use zernike::{LARGEST_NOLL, Zernikes, noll_orders};

@@ -6,7 +6,7 @@ use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::linalg::general_mat_mul;
 use ndarray::parallel::prelude::*;
-use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, s};
+use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, s};
 
 /// Points evaluated at a time: 400 raw functions of them stay in the second-level cache (1.6 MB), and a grid of a
 /// million points needs no more memory than its result.
@@ -22,7 +22,7 @@ pub enum Functions {
 }
 
 impl Functions {
-    fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         match self {
             Functions::Zernike(zernikes) => zernikes.nolls().len(),
             Functions::Influence(influence) => influence.len(),
@@ -76,6 +76,16 @@ impl SmoothBasis {
     /// The combination that makes the modes from the raw functions, `[modes, functions]`.
     pub fn matrix(&self) -> ArrayView2<'_, f64> {
         self.matrix.view()
+    }
+
+    /// The raw functions, in the order of the columns of [`SmoothBasis::matrix`].
+    pub(super) fn functions(&self) -> &[Functions] {
+        &self.functions
+    }
+
+    /// What is added to the combinations, for each mode.
+    pub(super) fn offset(&self) -> ArrayView1<'_, f64> {
+        self.offset.view()
     }
 
     /// Values of the modes at the points (x, y), `[modes, points]`.

@@ -79,6 +79,12 @@ impl Metric {
         self.null_directions.view()
     }
 
+    /// `V Λ^(−1/2)`, `[dimension, rank]`, whose product with its transpose is the inverse of the matrix in the directions
+    /// that the data see; `None` is the identity.
+    pub fn whitening(&self) -> Option<ArrayView2<'_, f64>> {
+        self.whitening.as_ref().map(|whitening| whitening.view())
+    }
+
     /// Whether curvature stands behind these coordinates, so that a step of length one along −g/2 means something.
     pub fn is_whitened(&self) -> bool {
         self.whitening.is_some()

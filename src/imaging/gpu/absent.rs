@@ -22,6 +22,16 @@ impl GpuChain {
         match *self {}
     }
 
+    /// Points of the FFT that transforms.
+    pub fn fft_points(&self) -> Option<usize> {
+        match *self {}
+    }
+
+    /// Bytes of the device that the chain takes.
+    pub fn bytes(&self) -> u64 {
+        match *self {}
+    }
+
     /// Room for images.
     pub fn capacity(&self) -> usize {
         match *self {}

@@ -5,6 +5,7 @@ use std::f64::consts::TAU;
 use rayon::prelude::*;
 
 use super::fold::Shape;
+use super::room::memory_of;
 use super::stages::Stages;
 use super::{GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use crate::device::{Build, Device, Precision};
@@ -16,9 +17,14 @@ const FOLDED_AT_ONCE: usize = 32;
 /// The chain on a device, with room for a number of images. It is not shared between threads: its kernels remember
 /// their arguments.
 pub struct GpuChain {
+    device: Device,
+    build: Build,
     layout: GpuLayout,
     shape: Shape,
     stages: Stages,
+    /// The same with matrix products in place of the FFT, for what an FFT inside a kernel leaves no trace of: made where it
+    /// is first wanted.
+    matrix: Option<Box<GpuChain>>,
     photometry: Vec<GpuPhotometry>,
     /// What was taken off the data of each image: see [`Folded::offset`].
     offsets: Vec<f64>,
@@ -31,7 +37,10 @@ impl GpuChain {
     /// [`Error::Shape`] or [`Error::Value`] for a layout whose arrays do not fit each other, [`Error::Device`] where the
     /// device lacks the precision or the memory.
     pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, capacity: usize) -> Result<Self> {
-        Self::with_build(device, Build::for_device(device.info(), precision), layout, capacity)
+        layout.check()?;
+        let build = Build::for_device(device.info(), precision);
+        let fft = Shape::fft(layout, build.vector);
+        Self::with_build(device, Build { fft, ..build }, layout, capacity)
     }
 
     /// [`GpuChain::new`] with a vector width of the caller's choice.
@@ -39,18 +48,52 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::new`].
     pub fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
+        Self::with_memory(device, build, layout, capacity, memory_of(device.info()))
+    }
+
+    /// [`GpuChain::with_build`] in at most `memory_bytes` of the device: with less of it tiles are smaller.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::new`]; [`Error::Device`] with the bytes wanted and there, where they do not suffice.
+    pub fn with_memory(
+        device: &Device,
+        build: Build,
+        layout: &GpuLayout,
+        capacity: usize,
+        memory_bytes: u64,
+    ) -> Result<Self> {
         layout.check()?;
         if capacity == 0 {
             return Err(Error::Value("a chain with room for 0 images computes nothing: 1 or more is needed".into()));
         }
-        let shape = Shape::new(layout, build.vector);
-        let stages = Stages::new(device, build, layout, shape, capacity)?;
-        Ok(Self { layout: layout.clone(), shape, stages, photometry: Vec::new(), offsets: Vec::new() })
+        let shape = Shape::new(layout, build);
+        let stages = Stages::new(device, build, layout, shape, capacity, memory_bytes)?;
+        Ok(Self {
+            device: device.clone(),
+            build,
+            layout: layout.clone(),
+            shape,
+            stages,
+            matrix: None,
+            photometry: Vec::new(),
+            offsets: Vec::new(),
+        })
     }
 
     /// Coefficients of the model.
     pub fn modes(&self) -> usize {
         self.layout.modes.len()
+    }
+
+    /// Points of the FFT that transforms, `None` where matrices do: what the work of an evaluation depends on beyond the
+    /// model.
+    pub fn fft_points(&self) -> Option<usize> {
+        self.build.fft.map(|fft| fft.points())
+    }
+
+    /// Bytes of the device that the chain takes: what never changes, what each image takes, and what a tile takes.
+    pub fn bytes(&self) -> u64 {
+        self.stages.bytes()
     }
 
     /// Room for images.
@@ -182,6 +225,13 @@ impl GpuChain {
     /// # Errors
     /// As for [`GpuChain::evaluate`].
     pub fn psf(&mut self, coefficients: &[f64]) -> Result<Vec<f64>> {
+        if self.build.fft.is_some() {
+            let matrix = match self.matrix.take() {
+                Some(matrix) => matrix,
+                None => Box::new(Self::with_build(&self.device, Build { fft: None, ..self.build }, &self.layout, 1)?),
+            };
+            return self.matrix.insert(matrix).psf(coefficients);
+        }
         let (m, modes) = (self.layout.pixels, self.modes());
         let images = coefficients.len().checked_div(modes).unwrap_or(1);
         let mut psfs = Vec::with_capacity(images * m * m);

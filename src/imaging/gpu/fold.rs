@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use super::layout::GpuLayout;
+use crate::device::{Build, FftPlan};
 
 /// Output rows that one work-item carries down the columns; `TALL` of `common.cl`.
 pub(super) const TALL: usize = 6;
@@ -27,10 +28,13 @@ pub(super) struct Shape {
     pub span: usize,
     /// Turns per sample and pixel.
     pub step: f64,
+    /// In place of the matrix products.
+    pub fft: Option<FftPlan>,
 }
 
 impl Shape {
-    pub fn new(layout: &GpuLayout, vector: usize) -> Self {
+    pub fn new(layout: &GpuLayout, build: Build) -> Self {
+        let vector = build.vector;
         let (rows, pairs) = (layout.samples / 2, layout.pixels / 2);
         Self {
             vector,
@@ -39,16 +43,47 @@ impl Shape {
             pairs,
             span: pairs.next_multiple_of(vector),
             step: 1.0 / (layout.samples as f64 * layout.samples_per_lambda_over_d),
+            fft: build.fft,
         }
+    }
+
+    /// The FFT for a whole image of `layout`, where one is at hand: as many pixels as the padded pupil has samples, in
+    /// vectors of whole rows.
+    pub fn fft(layout: &GpuLayout, vector: usize) -> Option<FftPlan> {
+        let (points, exact) = (layout.pixels, layout.samples as f64 * layout.samples_per_lambda_over_d);
+        // 1e-9 of a sample over the whole grid is below the rounding of f64.
+        let whole = vector > 1 && points.is_multiple_of(vector) && (exact - points as f64).abs() < 1e-9;
+        FftPlan::new(points, layout.samples / 2).filter(|_| whole)
+    }
+
+    /// Rows of the pupil on one side of the axis as the FFT reads them.
+    pub fn side_rows(&self) -> usize {
+        self.fft.map_or(0, |fft| fft.lit * fft.b).max(self.width)
+    }
+
+    /// `[b][r][cos, sin]` of the angle b r / (a b).
+    pub fn twiddles(&self) -> Vec<f64> {
+        let Some(fft) = self.fft else { return Vec::new() };
+        let turn = |turns: f64| [(TAU * turns).cos(), (TAU * turns).sin()];
+        let points = fft.points() as f64;
+        (0..fft.b).flat_map(|b| (0..fft.a).flat_map(move |r| turn((b * r) as f64 / points))).collect()
     }
 
     /// Numbers that one image of data, or of weights, takes.
     pub fn pixels(&self) -> usize {
-        self.pairs * 4 * self.span
+        self.fft.map_or(self.pairs * 4 * self.span, |fft| fft.points().pow(2))
     }
 
     /// Where pixel (row, column) of an image of `m` pixels stands: `[pair][+v, -v][+u, -u][u]`.
+    /// With an FFT: `[vector of v][u][lane of v]`, both in its order of frequencies.
     pub fn pixel(&self, m: usize, row: usize, column: usize) -> usize {
+        if let Some(fft) = self.fft {
+            let [v, u] = [row, column].map(|i| {
+                let frequency = (i + m / 2) % m;
+                frequency % fft.a * fft.b + frequency / fft.a
+            });
+            return (v / self.vector * m + u) * self.vector + v % self.vector;
+        }
         let (v, below) = fold(row, m);
         let (u, left) = fold(column, m);
         ((v * 2 + below) * 2 + left) * self.span + u
@@ -88,6 +123,26 @@ impl Shape {
             }
         }
         table
+    }
+
+    /// Numbers of each of the four tables, or of the twiddles that stand in their place.
+    pub fn table_sizes(&self) -> [usize; 5] {
+        if let Some(fft) = self.fft {
+            return [0, 0, 0, 0, 2 * fft.points()];
+        }
+        let columns = |outputs: usize, inputs: usize| outputs.next_multiple_of(TALL) * inputs * 2;
+        [
+            columns(self.pairs, self.rows),
+            2 * self.span * self.rows,
+            2 * self.width * self.pairs,
+            columns(self.rows, self.pairs),
+            0,
+        ]
+    }
+
+    /// Numbers that the FFT of one image needs beside its field and wave: one line, and the samples of both sides.
+    pub fn fft_scratch(&self) -> [usize; 2] {
+        self.fft.map_or([0; 2], |fft| [fft.points() * 2 * self.vector, self.side_rows() * 4 * self.vector])
     }
 
     /// The four tables, in the order in which the stages use them: y to v, x to u, u to x, v to y.
@@ -185,7 +240,9 @@ impl Blocks {
     fn fill_modes(&mut self, layout: &GpuLayout, shape: &Shape, spots: &[Spot]) {
         let (count, vector, n) = (self.count(), shape.vector, layout.samples);
         // The image axis lies on pixel m/2: half a pixel of tilt moves it to the middle of the array.
-        let tilt = |flat: usize| 0.5 * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
+        // The FFT takes the image as it is.
+        let half = if shape.fft.is_some() { 0.0 } else { 0.5 };
+        let tilt = |flat: usize| half * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
         let modes = layout.smooth.len().next_multiple_of(MODES_AT_ONCE);
         // A processor walks the modes of one block; neighbouring work-items of a GPU walk neighbouring blocks.
         [self.block_stride, self.mode_stride, self.quadrant_stride] =

@@ -2,9 +2,8 @@
 
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape};
 use super::layout::GpuLayout;
-use super::reals::Reals;
 use crate::Result;
-use crate::device::{Buffer, Build, Device, Precision};
+use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 
 /// Bytes of a tile's pupil arrays for each core of a processor: what its share of the last cache holds beside the
 /// images that stream through.
@@ -49,7 +48,7 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    fn new(device: &Device, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
+    fn new(info: &DeviceInfo, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
         let number = build.precision.bytes();
         let phase = blocks * 4 * shape.vector * number;
         let rest =
@@ -73,7 +72,7 @@ impl Cut {
                 blocks_per_chunk: 64,
             }
         } else {
-            let cores = device.info().compute_units.max(1) as usize;
+            let cores = info.compute_units.max(1) as usize;
             Cut {
                 tile: fits(TILE_BYTES_PER_CORE * cores, phase),
                 focal_tile: padded(WORKERS_PER_CORE * cores),
@@ -86,7 +85,7 @@ impl Cut {
                 group_items: 1,
                 pairs_per_strip: 16,
                 lanes: 1,
-                blocks_per_chunk: 8,
+                blocks_per_chunk: 16,
             }
         }
     }
@@ -114,7 +113,7 @@ pub(super) struct Counts {
 impl Counts {
     /// The counts, and the cut that some of them follow from.
     pub fn new(
-        device: &Device,
+        info: &DeviceInfo,
         build: Build,
         layout: &GpuLayout,
         shape: &Shape,
@@ -124,7 +123,7 @@ impl Counts {
         let (smooth, segments) = (layout.smooth.len(), layout.segments);
         let poses = layout.poses();
         let outputs = 3 + segments * poses + smooth;
-        let cut = Cut::new(device, build, shape, blocks.count(), outputs, capacity);
+        let cut = Cut::new(info, build, shape, blocks.count(), outputs, capacity);
         let counts = Self {
             capacity,
             blocks: blocks.count(),
@@ -132,7 +131,7 @@ impl Counts {
             poses,
             smooth,
             mode_groups: smooth.div_ceil(MODES_AT_ONCE),
-            strips: shape.pairs.div_ceil(cut.pairs_per_strip),
+            strips: shape.fft.map_or(shape.pairs.div_ceil(cut.pairs_per_strip), |fft| fft.points() / shape.vector),
             chunks: blocks.count().div_ceil(cut.blocks_per_chunk),
             outputs,
         };
@@ -158,12 +157,14 @@ pub(super) struct Scene {
     pub x_to_u: Reals,
     pub u_to_x: Reals,
     pub v_to_y: Reals,
+    /// Of the FFT; empty without.
+    pub twiddle: Reals,
 }
 
 impl Scene {
     pub fn new(device: &Device, precision: Precision, shape: &Shape, blocks: &Blocks) -> Result<Self> {
         let upload = |values: &[f64]| Reals::upload(device, precision, values);
-        let [y_to_v, x_to_u, u_to_x, v_to_y] = shape.tables();
+        let [y_to_v, x_to_u, u_to_x, v_to_y] = if shape.fft.is_some() { Default::default() } else { shape.tables() };
         Ok(Self {
             basis: upload(&blocks.basis)?,
             diversity: upload(&blocks.diversity)?,
@@ -181,6 +182,7 @@ impl Scene {
             x_to_u: upload(&x_to_u)?,
             u_to_x: upload(&u_to_x)?,
             v_to_y: upload(&v_to_y)?,
+            twiddle: upload(&shape.twiddles())?,
         })
     }
 }
@@ -227,6 +229,9 @@ pub(super) struct Scratch {
     pub psi: Reals,
     pub field: Reals,
     pub wave: Reals,
+    /// One row of vectors in the FFT, and the samples of both sides before it.
+    pub line: Reals,
+    pub side: Reals,
     pub focal: Reals,
     pub phasor: Reals,
     pub lit_field: Reals,
@@ -244,9 +249,11 @@ impl Scratch {
         let partials = counts.strips * cut.lanes;
         Ok(Self {
             // Zero where the pupil has no block: neither the field nor its adjoint is ever written there.
-            field: in_work(shape.rows * 8 * shape.width)?,
+            field: in_work(shape.side_rows().max(shape.rows) * 8 * shape.width)?,
             wave: in_work(shape.pairs * 8 * shape.width)?,
-            focal: in_work(shape.pairs * 8 * shape.span)?,
+            focal: in_work(shape.pixels() * 2)?,
+            line: in_work(shape.fft_scratch()[0])?,
+            side: in_work(shape.fft_scratch()[1])?,
             phasor: in_work(counts.blocks * 8 * shape.vector)?,
             lit_field: in_work(counts.blocks * 8 * shape.vector)?,
             psi: zeros(counts.blocks * 4 * shape.vector)?,

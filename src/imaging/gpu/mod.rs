@@ -3,11 +3,12 @@
 //!
 //! The stages are those of `kernels/`: `field.cl` (coefficients to pupil field), `transform.cl` (pupil to focus as two
 //! folded real matrix products, and back), `pixels.cl` (photometry, objective, residuals), `project.cl` (pupil field to
-//! gradient); `focus.cl` joins the middle ones on a processor. A batch goes through them in tiles, so that the arrays of
-//! a tile stay in a processor's caches.
+//! gradient). On a processor `focus.cl` joins all but the products over modes into one kernel that carries an image from
+//! its phase to its slopes in one core's cache, and `fft.cl` does so with an FFT where the image is whole (as many pixels as
+//! the padded pupil has samples, a product of two of 8, 12, 15, 16 and 20). A batch goes through them in tiles.
 //!
-//! Vectors make some sizes cheaper than others: in f32 with 16 numbers to a vector, m/2 + 1 and n/2 are padded to
-//! multiples of 16, so that an image of 94 pixels costs what 66 to 94 do, and one of 96 as much as 126.
+//! Vectors make some sizes cheaper than others: in f32 with 16 numbers to a vector, m/2 and n/2 are padded to multiples of
+//! 16, so that an image of 96 pixels costs what 66 to 94 do.
 //!
 //! Without the feature `opencl` the same names are here, and [`GpuChain`] cannot be made.
 
@@ -20,7 +21,7 @@ mod fold;
 #[cfg(feature = "opencl")]
 mod memory;
 #[cfg(feature = "opencl")]
-mod reals;
+mod room;
 #[cfg(feature = "opencl")]
 mod stages;
 #[cfg(all(test, feature = "opencl"))]

@@ -4,11 +4,13 @@ use super::chain::Folded;
 use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape, TALL, row_chunks};
 use super::layout::GpuLayout;
 use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
+use super::room::Room;
 use crate::Result;
-use crate::device::{Build, Device, Kernel};
+use crate::device::{Build, Device, Kernel, Reals};
 
 /// The stages of the chain with everything that they need on the device.
 pub(super) struct Stages {
+    bytes: u64,
     shape: Shape,
     cut: Cut,
     counts: Counts,
@@ -162,7 +164,20 @@ impl Parts<'_> {
     /// The kernels from the field to the projection on segments in one.
     fn focus(&self) -> Result<Kernel> {
         let (scene, scratch, batch, shape) = (self.scene, self.scratch, self.batch, self.shape);
-        let mut k = self.kernel("focus")?;
+        let mut k = self.kernel(if shape.fft.is_some() { "focus_fft" } else { "focus" })?;
+        let transform: &[(&str, &Reals)] = if shape.fft.is_some() {
+            &[("twiddle", &scene.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
+        } else {
+            &[
+                ("y_to_v", &scene.y_to_v),
+                ("x_to_u", &scene.x_to_u),
+                ("u_to_x", &scene.u_to_x),
+                ("v_to_y", &scene.v_to_y),
+            ]
+        };
+        for &(argument, reals) in transform {
+            reals.bind(&mut k, argument)?;
+        }
         for (argument, reals) in [
             ("psi", &scratch.psi),
             ("phasor", &scratch.phasor),
@@ -174,10 +189,6 @@ impl Parts<'_> {
             ("sums", &scratch.sums),
             ("objective", &scratch.objective),
             ("photometry", &scratch.photometry),
-            ("y_to_v", &scene.y_to_v),
-            ("x_to_u", &scene.x_to_u),
-            ("u_to_x", &scene.u_to_x),
-            ("v_to_y", &scene.v_to_y),
             ("data", &batch.data),
             ("weight", &batch.weight),
             ("known", &batch.known),
@@ -191,8 +202,13 @@ impl Parts<'_> {
         k.buffer("entry_place", &scene.entry_place)?;
         k.buffer("extent", &scene.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
         k.buffer("next", &batch.next)?;
-        k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("width", shape.width)?.int("span", shape.span)?;
-        k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+        k.int("width", shape.width)?;
+        if shape.fft.is_some() {
+            k.int("side_rows", shape.side_rows())?;
+        } else {
+            k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("span", shape.span)?;
+            k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+        }
         Ok(k)
     }
 
@@ -258,9 +274,18 @@ impl Parts<'_> {
 }
 
 impl Stages {
-    pub fn new(device: &Device, build: Build, layout: &GpuLayout, shape: Shape, capacity: usize) -> Result<Self> {
+    pub fn new(
+        device: &Device,
+        build: Build,
+        layout: &GpuLayout,
+        shape: Shape,
+        capacity: usize,
+        memory_bytes: u64,
+    ) -> Result<Self> {
         let blocks = &Blocks::new(layout, &shape);
-        let (counts, cut) = Counts::new(device, build, layout, &shape, blocks, capacity);
+        let (counts, cut) = Counts::new(device.info(), build, layout, &shape, blocks, capacity);
+        let room = Room::new(build, &shape, blocks, &counts, &cut);
+        let cut = room.fit(cut, capacity, device.info(), memory_bytes)?;
         let scene = Scene::new(device, build.precision, &shape, blocks)?;
         let batch = Batch::new(device, build.precision, &shape, &counts)?;
         let scratch = Scratch::new(device, build.precision, &shape, &counts, &cut)?;
@@ -276,12 +301,17 @@ impl Stages {
             scratch: &scratch,
         };
         let kernels = parts.kernels(2.0 * std::f64::consts::TAU / layout.wavelength_nm)?;
-        Ok(Self { shape, cut, counts, batch, scratch, _scene: scene, kernels })
+        Ok(Self { bytes: room.bytes(capacity, &cut), shape, cut, counts, batch, scratch, _scene: scene, kernels })
     }
 
     /// Images whose focal fields can be had together.
     pub fn focal_tile(&self) -> usize {
         self.cut.focal_tile.min(self.cut.tile)
+    }
+
+    /// Bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        self.bytes
     }
 
     /// Room for images.
@@ -310,7 +340,7 @@ impl Stages {
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
             self.batch.slot.write(0, &slots)?;
             // Few images are shared out among the cores stage by stage.
-            let workers = self.cut.workers.filter(|_| count >= self.cut.focus_from);
+            let workers = self.cut.workers.filter(|_| self.shape.fft.is_some() || count >= self.cut.focus_from);
             let limit = if workers.is_some() { self.cut.tile } else { self.focal_tile() };
             // Tiles of equal size: the last is not left with a few images.
             let tile = padded(count.div_ceil(count.div_ceil(limit)));

@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 
 use super::*;
 use crate::device::tests::test_devices;
-use crate::device::{Build, Device, Precision};
+use crate::device::{Build, Device, FftPlan, Precision};
 
 /// A small asymmetric scene that hits every corner of the packing: extents that fill no vector, dark rows and blocks,
 /// segments that overlap with weights of either sign, a mode that nothing uses.
@@ -258,7 +258,7 @@ fn builds(device: &Device) -> Vec<Build> {
     let mut builds = Vec::new();
     for precision in [Precision::F32, Precision::F64] {
         if device.info().supports(precision) {
-            builds.extend([1, 4, 8, 16].map(|vector| Build { precision, vector }));
+            builds.extend([1, 4, 8, 16].map(|vector| Build { precision, vector, fft: None }));
         }
     }
     builds
@@ -399,6 +399,50 @@ fn crowd_in(layout: &GpuLayout) {
                 let objective = (together.objective[i] / alone.objective[0] - 1.0).abs();
                 let gradient = distance(&together.gradient[i * modes..(i + 1) * modes], &alone.gradient);
                 assert!(objective < close && gradient < close, "{build:?} image {i}: {objective:e} {gradient:e}");
+            }
+        }
+    }
+}
+
+#[test]
+fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
+    let whole = GpuLayout { pixels: 64, samples_per_lambda_over_d: 64.0 / 18.0, ..scene() };
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let mut random = ChaCha8Rng::seed_from_u64(6);
+        for (layout, fft) in [(&scene(), None), (&tilted_scene(), None), (&whole, FftPlan::new(64, 9)), (&whole, None)]
+        {
+            let own = |build: &Build| *build == Build::for_device(&info, build.precision);
+            for build in builds(&device).into_iter().filter(|b| own(b) || (b.vector == 1 && fft.is_none())) {
+                let build = Build { fft, ..build };
+                let capacity = 41;
+                let mut chain = GpuChain::with_build(&device, build, layout, capacity).unwrap();
+                // Not a byte beside: the sum over the buffers is taken where they are made.
+                assert_eq!(chain.bytes(), device.allocated_bytes(), "{build:?}");
+
+                // Less memory: smaller tiles, the same numbers.
+                let images = images(layout, 3, &mut random);
+                let data: Vec<usize> = (0..capacity).map(|i| i % 3).collect();
+                let c = coefficients(layout, capacity, &mut random);
+                chain.load(&images.data, &images.weights, &images.photometry).unwrap();
+                let wanted = chain.evaluate(&data, &c).unwrap();
+                let bytes = chain.bytes();
+                drop(chain);
+                assert_eq!(device.allocated_bytes(), 0);
+                let mut least = bytes;
+                while let Ok(chain) = GpuChain::with_memory(&device, build, layout, capacity, least - 1) {
+                    assert!(chain.bytes() < least && chain.bytes() == device.allocated_bytes(), "{build:?}");
+                    least = chain.bytes();
+                }
+                let mut small = GpuChain::with_memory(&device, build, layout, capacity, least).unwrap();
+                assert!(small.bytes() < bytes);
+                small.load(&images.data, &images.weights, &images.photometry).unwrap();
+                let found = small.evaluate(&data, &c).unwrap();
+                // As between an image alone and in a crowd.
+                let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
+                assert!(distance(&found.gradient, &wanted.gradient) < close, "{build:?}");
+                let refusal = GpuChain::with_memory(&device, build, layout, capacity, 1000).unwrap_err().to_string();
+                assert!(refusal.contains("1000") && refusal.contains("41 images"), "{refusal}");
             }
         }
     }

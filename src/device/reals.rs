@@ -1,10 +1,10 @@
 //! Device buffers of a precision that is chosen at run time; the host side is always f64.
 
+use super::{Buffer, Device, Kernel, Precision};
 use crate::Result;
-use crate::device::{Buffer, Device, Kernel, Precision};
 
 /// Numbers of either precision on a device.
-pub(super) enum Reals {
+pub(crate) enum Reals {
     F32(Buffer<f32>),
     F64(Buffer<f64>),
 }

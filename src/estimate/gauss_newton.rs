@@ -1,0 +1,203 @@
+//! Jᵀ W J: products over the pixels of the derivatives by the modes, made tile by tile of pixels, so that the derivatives
+//! of 2,400 modes at a million pixels (20 GB) never stand in memory at once.
+//!
+//! Beside the modes, a fitted flux and background have their rows: the PSF, and ones. What they would absorb is taken
+//! out of the finished matrix.
+
+use crate::imaging::Linear;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, MatMut, MatRef, Par};
+use ndarray::{Array2, ArrayView2, s};
+use rayon::prelude::*;
+
+/// Rows of a product that are one task. Its lower triangle is wanted: a strip of so many rows computes half a square of
+/// them too much.
+const STRIP: usize = 128;
+/// What is left of a nuisance's norm, squared, below which it is another's copy: rounding of sums over 10⁴ pixels.
+const COPY: f64 = 1e-13;
+
+/// Rows that a fitted flux and background add to those of the modes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Nuisances {
+    None,
+    Flux,
+    FluxAndBackground,
+}
+
+impl Nuisances {
+    pub(super) fn of(fit_flux: bool, fit_background: bool) -> Self {
+        match (fit_flux, fit_background) {
+            (false, _) => Self::None,
+            (true, false) => Self::Flux,
+            (true, true) => Self::FluxAndBackground,
+        }
+    }
+
+    pub(super) fn count(self) -> usize {
+        self as usize
+    }
+}
+
+/// Rows of pixels of a tile whose derivatives, plain and weighted, take at most `bytes`; one at least.
+pub(super) fn rows_of_tile(modes: usize, pixels: usize, bytes: usize) -> usize {
+    (bytes / bytes_of_row(modes, pixels)).clamp(1, pixels)
+}
+
+/// What one row of pixels takes in a tile.
+pub(super) fn bytes_of_row(modes: usize, pixels: usize) -> usize {
+    // The modes, two nuisances at most, plain and weighted.
+    2 * (modes + 2) * pixels * size_of::<f64>()
+}
+
+/// Derivatives that are kept for products with other weights.
+pub(super) struct Kept(Array2<f64>);
+
+impl Kept {
+    /// All of them: `[row, pixel]`.
+    pub(super) fn new(linear: &Linear, nuisances: Nuisances) -> Self {
+        Self(derivatives(linear, nuisances, 0..linear.pixels()))
+    }
+
+    /// As [`products`], from what is kept.
+    pub(super) fn products(&self, weights: &[Vec<f64>]) -> Vec<Array2<f64>> {
+        let mut all = zeros(self.0.nrows(), weights.len());
+        add_products(&self.0, weights, 0, &mut all);
+        all.iter_mut().for_each(mirror);
+        all
+    }
+}
+
+/// For each list of weights (one of each pixel, 0 or more), Σ over the pixels of weight × row × row, `[row, row]`: rows are
+/// the modes' derivatives per nm, for a flux of 1, and the nuisances. Made in tiles of `tile` rows of pixels.
+pub(super) fn products(linear: &Linear, nuisances: Nuisances, weights: &[Vec<f64>], tile: usize) -> Vec<Array2<f64>> {
+    let m = linear.pixels();
+    let mut all = zeros(linear.modes() + nuisances.count(), weights.len());
+    for first in (0..m).step_by(tile) {
+        let tile = derivatives(linear, nuisances, first..m.min(first + tile));
+        add_products(&tile, weights, first * m, &mut all);
+    }
+    all.iter_mut().for_each(mirror);
+    all
+}
+
+fn zeros(rows: usize, count: usize) -> Vec<Array2<f64>> {
+    (0..count).map(|_| Array2::zeros((rows, rows))).collect()
+}
+
+fn derivatives(linear: &Linear, nuisances: Nuisances, rows: std::ops::Range<usize>) -> Array2<f64> {
+    let (m, modes) = (linear.pixels(), linear.modes());
+    let mut tile = Array2::ones((modes + nuisances.count(), rows.len() * m));
+    linear.derivatives(rows.clone(), tile.slice_mut(s![..modes, ..]));
+    if nuisances != Nuisances::None {
+        let psf = &linear.psf()[rows.start * m..rows.end * m];
+        tile.row_mut(modes).iter_mut().zip(psf).for_each(|(value, h)| *value = *h);
+    }
+    tile
+}
+
+/// Adds a tile's part to the lower triangles; its first pixel is `first` of the image.
+fn add_products(tile: &Array2<f64>, weights: &[Vec<f64>], first: usize, all: &mut [Array2<f64>]) {
+    let mut weighted = Array2::zeros(tile.dim());
+    for (weight, product) in weights.iter().zip(all) {
+        let root: Vec<f64> = weight[first..first + tile.ncols()].iter().map(|w| w.sqrt()).collect();
+        let rows: Vec<_> = weighted.outer_iter_mut().zip(tile.outer_iter()).collect();
+        rows.into_par_iter().for_each(|(mut to, from)| {
+            to.iter_mut().zip(from).zip(&root).for_each(|((to, from), root)| *to = from * root);
+        });
+        add_gram(&weighted, product);
+    }
+}
+
+/// Adds a·aᵀ, the lower triangle and what its strips hold beside it.
+fn add_gram(a: &Array2<f64>, product: &mut Array2<f64>) {
+    let (rows, columns) = a.dim();
+    let (Some(a), Some(product)) = (a.as_slice(), product.as_slice_mut()) else { return };
+    product.par_chunks_mut(STRIP * rows).enumerate().for_each(|(strip, out)| {
+        let (first, count) = (strip * STRIP, out.len() / rows);
+        let all = MatRef::from_row_major_slice(&a[..(first + count) * columns], first + count, columns);
+        let out = MatMut::from_row_major_slice_mut(out, count, rows).subcols_mut(0, first + count);
+        matmul(out, Accum::Add, all.subrows(first, count), all.transpose(), 1.0, Par::Seq);
+    });
+}
+
+fn mirror(matrix: &mut Array2<f64>) {
+    for i in 0..matrix.nrows() {
+        for j in 0..i {
+            matrix[[j, i]] = matrix[[i, j]];
+        }
+    }
+}
+
+/// What a fitted flux and background would absorb, as seen with some weights.
+pub(super) struct Absorbed {
+    /// For each nuisance, what of its row is taken from each other row.
+    shares: Vec<Vec<f64>>,
+    modes: usize,
+}
+
+impl Absorbed {
+    /// Of `products` with the weights of the fit, whose last rows are the nuisances.
+    pub(super) fn of(products: &Array2<f64>, nuisances: Nuisances) -> Self {
+        let (mut rest, modes) = (products.clone(), products.nrows() - nuisances.count());
+        let mut shares = Vec::new();
+        for k in modes..products.nrows() {
+            let pivot = rest[[k, k]];
+            let share: Vec<f64> = if pivot > COPY * products[[k, k]] {
+                rest.column(k).iter().enumerate().map(|(i, v)| if i == k { 0.0 } else { v / pivot }).collect()
+            } else {
+                vec![0.0; products.nrows()]
+            };
+            take_out(&mut rest, k, &share);
+            shares.push(share);
+        }
+        Self { shares, modes }
+    }
+
+    /// The modes' part of a matrix of products, cleared of what is absorbed.
+    pub(super) fn cleared(&self, mut products: Array2<f64>) -> Array2<f64> {
+        for (k, share) in (self.modes..).zip(&self.shares) {
+            take_out(&mut products, k, share);
+        }
+        products.slice(s![..self.modes, ..self.modes]).to_owned()
+    }
+}
+
+/// row_i ← row_i − share_i·row_k, in the products: on both sides.
+fn take_out(products: &mut Array2<f64>, k: usize, share: &[f64]) {
+    let row = products.row(k).to_owned();
+    let own = row[k];
+    for (i, mut line) in products.outer_iter_mut().enumerate() {
+        for (j, value) in line.iter_mut().enumerate() {
+            // The same expression for [i, j] and [j, i], so that the matrix stays symmetric to the last bit.
+            *value += share[i] * share[j] * own - (share[i] * row[j] + share[j] * row[i]);
+        }
+    }
+}
+
+/// a·bᵀ of two row-major matrices, strip by strip on all threads.
+pub(super) fn times_transposed(a: ArrayView2<f64>, b: ArrayView2<f64>) -> Array2<f64> {
+    let (a, b) = (a.as_standard_layout(), b.as_standard_layout());
+    let (rows, depth, columns) = (a.nrows(), a.ncols(), b.nrows());
+    let mut product = Array2::zeros((rows, columns));
+    if let (Some(a), Some(b), Some(out)) = (a.as_slice(), b.as_slice(), product.as_slice_mut())
+        && columns * depth > 0
+    {
+        let b = MatRef::from_row_major_slice(b, columns, depth);
+        out.par_chunks_mut(STRIP * columns).zip(a.par_chunks(STRIP * depth)).for_each(|(out, a)| {
+            let count = out.len() / columns;
+            let a = MatRef::from_row_major_slice(a, count, depth);
+            matmul(
+                MatMut::from_row_major_slice_mut(out, count, columns),
+                Accum::Replace,
+                a,
+                b.transpose(),
+                1.0,
+                Par::Seq,
+            );
+        });
+    }
+    product
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,211 @@
+//! What an estimate takes of memory, by a formula, and how its work is cut where that is more than is allowed.
+//!
+//! With n pupil samples and m pixels a side, M modes of which D fill the pupil, L lit samples with E segment weights,
+//! T threads and I images, in bytes and with S = 8 for a number:
+//!
+//! ```text
+//! model     S·(D·n² + 3·D·L + 9·n² + 12·E + 24·L + 2·n·m) + 2²⁶
+//! threads   T·S·(12·n² + 12·m² + 10·k² + 4·n·m + 40·L + 8·frame),  k = max(n, m + 2)
+//! matrices  S·M²·(36 + 6·T)
+//! kept      I·S·(3·m² + 3·M)
+//! ─────────
+//! tiles     derivatives: twice 2·S·m·(M + 2) for each row of pixels, one at least
+//!           images:      S·(7·m² + 70·M) for each that is fitted at once, one at least
+//! ```
+//!
+//! All but `kept` and the images themselves, which the caller has brought, stays under `estimate.memory_gb`: the tiles
+//! share what the rest leaves. Cutting changes the sums over pixels by their rounding, and the fits by nothing. A device
+//! holds its share of `images` in its own memory.
+
+use super::gauss_newton::bytes_of_row;
+use super::model::Model;
+use crate::scene::{NcpaBasis, Scene, Zernikes};
+use crate::{Error, Result};
+
+/// The least that a fit takes, whatever its size: libraries, and the fine pupil on which the moments of a geometric one
+/// are taken.
+const BASE_BYTES: usize = 64 << 20;
+/// Bytes of a number.
+const NUMBER: usize = size_of::<f64>();
+/// Square matrices that a call of several images keeps: ten metrics, the products that became them, and eight images'
+/// Fisher matrix and covariance.
+const KEPT_MATRICES: usize = 36;
+/// Square matrices of one eigen-decomposition or inverse, its input and its result included.
+const WORKING_MATRICES: usize = 6;
+
+/// Memory of an estimate, bytes: upper bounds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Memory {
+    /// The model and what all threads share of it.
+    pub model: usize,
+    /// What threads need for themselves, all together.
+    pub threads: usize,
+    /// Matrices of modes × modes.
+    pub matrices: usize,
+    /// Each image of the cube, beside its frame.
+    pub kept_image: usize,
+    /// Derivatives at one row of pixels.
+    pub derivative_row: usize,
+    /// Rows of pixels that there are.
+    pub rows: usize,
+    /// Each image that is fitted at the same time.
+    pub fitted_image: usize,
+}
+
+/// What is worked on at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Tiles {
+    /// Bytes of derivatives.
+    pub derivative_bytes: usize,
+    /// Images that are fitted in lock-step.
+    pub images: usize,
+}
+
+impl Memory {
+    /// The least that works, without what each image of a cube adds.
+    pub fn least_bytes(&self) -> usize {
+        let tiles = 2 * self.derivative_row + self.fitted_image;
+        [self.model, self.threads, self.matrices, tiles].into_iter().fold(0, usize::saturating_add)
+    }
+
+    /// The most that an estimate from `images` images takes within `limit` bytes: less where it needs no tiles.
+    pub fn most_bytes(&self, images: usize, limit: usize) -> usize {
+        let tiles = self.tiles(limit);
+        let derivatives = 2 * tiles.derivative_bytes.min(self.rows * self.derivative_row);
+        let fitted = images.min(tiles.images).saturating_mul(self.fitted_image);
+        let kept = images.saturating_mul(self.kept_image);
+        [self.model, self.threads, self.matrices, derivatives, fitted, kept].into_iter().fold(0, usize::saturating_add)
+    }
+
+    /// The tiles within `limit` bytes: half of what is left is the images', a quarter the metrics' derivatives, a quarter
+    /// the Fisher matrices'.
+    pub fn tiles(&self, limit: usize) -> Tiles {
+        let spare = limit.saturating_sub(self.least_bytes());
+        Tiles { derivative_bytes: self.derivative_row + spare / 4, images: 1 + spare / 2 / self.fitted_image }
+    }
+
+    /// # Errors
+    /// [`Error::Scene`] where not even the smallest tiles fit.
+    fn check(&self, limit: usize) -> Result<()> {
+        let least = self.least_bytes();
+        if least <= limit { Ok(()) } else { Err(refused("a fit of this scene", least, limit)) }
+    }
+}
+
+impl Model {
+    /// What an estimate with this model takes on `threads` threads.
+    pub fn memory(&self, threads: usize) -> Memory {
+        let (parts, sampling) = (self.optics.parts(), self.optics.sampling());
+        let (n, m, modes) = (sampling.samples, sampling.pixels, self.optics.modes());
+        let (lit, entries, smooth) = (parts.weights.lit.len(), parts.weights.weight.len(), parts.basis.nrows());
+        let maps = self.telescope.pupil.grid.samples().pow(2);
+        let frame = self.preparation.frame[0] * self.preparation.frame[1];
+        let k = n.max(m + 2);
+        // The maps; the optics and two chains, which hold them at the lit samples; pupil, weights and tables.
+        let model = smooth * (maps + 3 * lit) + 9 * maps.max(n * n) + 12 * entries + 24 * lit + 2 * n * m;
+        // Two chains' scratch and that of the derivatives; a frame's preparation.
+        let thread = 12 * n * n + 12 * m * m + 10 * k * k + 4 * n * m + 40 * lit + 8 * frame;
+        let square = modes * modes * NUMBER;
+        Memory {
+            model: NUMBER * model + BASE_BYTES,
+            threads: threads.saturating_mul(NUMBER * thread),
+            matrices: square.saturating_mul(KEPT_MATRICES + WORKING_MATRICES * threads),
+            kept_image: NUMBER * (3 * m * m + 3 * modes),
+            derivative_row: bytes_of_row(modes, m),
+            rows: m,
+            fitted_image: NUMBER * (7 * m * m + 70 * modes),
+        }
+    }
+
+    /// How the work is cut to stay under the scene's `estimate.memory_gb`.
+    pub fn tiles(&self) -> Tiles {
+        self.memory(rayon::current_num_threads()).tiles(self.limit_bytes)
+    }
+
+    /// # Errors
+    /// [`Error::Scene`] where not even the smallest tiles stay under the limit.
+    pub(super) fn check_memory(&self) -> Result<()> {
+        self.memory(rayon::current_num_threads()).check(self.limit_bytes)
+    }
+}
+
+/// `estimate.memory_gb` in bytes.
+pub(super) fn limit_bytes(scene: &Scene) -> usize {
+    (scene.estimate.memory_gb * 1e9) as usize
+}
+
+/// Refuses a basis whose maps alone are more than is allowed, before it is made.
+///
+/// # Errors
+/// [`Error::Scene`].
+pub(super) fn check_maps(scene: &Scene) -> Result<()> {
+    let own = match scene.modes.ncpa {
+        NcpaBasis::Kl | NcpaBasis::Zernike => scene.modes.ncpa_count,
+        // A file's modes are as many as it holds, and are refused with the rest.
+        NcpaBasis::None | NcpaBasis::File(_) => 0,
+    };
+    let exact = match scene.modes.exact_zernikes {
+        Some(Zernikes::Span { first, last }) => last + 1 - first,
+        Some(Zernikes::None) | None => 0,
+    };
+    // The maps, and the values at the lit samples from which they are made.
+    let bytes = 2 * NUMBER * (own + exact) * scene.pupil.samples.pow(2);
+    let limit = limit_bytes(scene);
+    if bytes <= limit { Ok(()) } else { Err(refused("the maps of this scene's modes", bytes, limit)) }
+}
+
+fn refused(what: &str, wanted: usize, limit: usize) -> Error {
+    Error::Scene(format!(
+        "{what} would take {wanted} bytes of memory, where estimate.memory_gb allows {limit}: allow {} or more, or take \
+         fewer samples, modes or pixels",
+        (wanted as f64 / 1e8).ceil() / 10.0
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MEMORY: Memory = Memory {
+        model: 1000,
+        threads: 200,
+        matrices: 300,
+        kept_image: 10,
+        derivative_row: 40,
+        rows: 50,
+        fitted_image: 100,
+    };
+
+    #[test]
+    fn tiles_fill_the_limit_and_never_more() {
+        assert_eq!(MEMORY.least_bytes(), 1680);
+        assert_eq!(MEMORY.tiles(0), Tiles { derivative_bytes: 40, images: 1 });
+        for limit in [1680, 1777, 5000, 100_000] {
+            // Whatever the number of images: what each adds is not part of the limit.
+            for images in [1, 7, 4096] {
+                let most = MEMORY.most_bytes(images, limit);
+                assert!(most <= limit + images * MEMORY.kept_image, "{most} of {limit}");
+            }
+        }
+        // No tile is larger than the whole.
+        assert_eq!(MEMORY.most_bytes(3, usize::MAX), 1500 + 2 * 50 * 40 + 3 * 100 + 3 * 10);
+    }
+
+    #[test]
+    fn a_limit_below_the_least_is_refused_in_bytes() {
+        assert!(MEMORY.check(1680).is_ok());
+        let sentence = MEMORY.check(1679).unwrap_err().to_string();
+        assert!(sentence.contains("1680 bytes") && sentence.contains("allows 1679"), "{sentence}");
+    }
+
+    #[test]
+    fn a_basis_that_memory_cannot_hold_is_refused_before_it_is_made() {
+        let scene = Scene::preset("keck-artificial").unwrap();
+        assert!(check_maps(&scene).is_ok());
+        let many = scene
+            .with(&[("modes.ncpa_count", "10000"), ("pupil.samples", "2048"), ("aberrations.truth_samples", "2048")])
+            .unwrap();
+        let sentence = crate::estimate::Estimator::new(&many, false).err().unwrap().to_string();
+        assert!(sentence.contains("671088640000 bytes") && sentence.contains("allows 4000000000"), "{sentence}");
+    }
+}

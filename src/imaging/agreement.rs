@@ -1,0 +1,175 @@
+//! Every fast variant of the chain against the f64 one on the CPU, over random scenes: any grid, crop and sampling, segments
+//! that overlap, tilt or neither, any modes and photometry, batches of any size.
+
+use super::chain::layout;
+use super::gpu::GpuChain;
+use super::*;
+use crate::device::tests::test_devices;
+use crate::device::{Build, Device, FftPlan};
+use crate::fourier::Sampling;
+use crate::pupil::SegmentWeights;
+use ndarray::Array2;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
+
+const CASES: u64 = 16;
+
+struct Case {
+    optics: Arc<Optics>,
+    exposures: Vec<Exposure>,
+    active: Vec<usize>,
+    coefficients_nm: Array2<f64>,
+    /// The FFT of the whole image, where it is one.
+    fft: Option<FftPlan>,
+}
+
+fn uniform(count: usize, scale: f64, random: &mut impl Rng) -> Vec<f64> {
+    (0..count).map(|_| scale * (2.0 * random.random::<f64>() - 1.0)).collect()
+}
+
+/// Even grids of 8 to 46 samples and 6 to 62 pixels; one case in three is a whole image of 64 to 144 pixels.
+fn sampling(seed: u64, random: &mut impl Rng) -> (Sampling, Option<FftPlan>) {
+    if seed.is_multiple_of(3) {
+        let pixels = [64, 96, 128, 144, 160, 240][(seed / 3 % 6) as usize];
+        // Oversampled 2 to 3 times: the outer blocks of the FFT are dark.
+        let samples = pixels / 4 * 2 - 2 * random.random_range(0..3);
+        let sampling = Sampling::new(samples, pixels, pixels as f64 / samples as f64).unwrap();
+        return (sampling, FftPlan::new(pixels, samples / 2));
+    }
+    let (samples, pixels) = (2 * random.random_range(4..24), 2 * random.random_range(3..32));
+    (Sampling::new(samples, pixels, 1.0 + 2.0 * random.random::<f64>()).unwrap(), None)
+}
+
+fn case(seed: u64) -> Case {
+    let random = &mut ChaCha8Rng::seed_from_u64(seed);
+    let (sampling, fft) = sampling(seed, random);
+    let n = sampling.samples;
+    // A lopsided ellipse with a hole and some dark samples.
+    let lit: Vec<u32> = (0..(n * n) as u32)
+        .filter(|&p| {
+            let [y, x] = [p as usize / n, p as usize % n].map(|i| (2 * i + 1) as f64 / n as f64 - 1.0);
+            let r = (x - 0.1).powi(2) + (1.2 * y).powi(2);
+            (0.05..1.0).contains(&r) && random.random::<f64>() < 0.95
+        })
+        .collect();
+    let segments = random.random_range(1..8);
+    let (mut offsets, mut segment, mut weight) = (vec![0], Vec::new(), Vec::new());
+    for &p in &lit {
+        for s in 0..segments.min(1 + random.random_range(0..3)) {
+            segment.push((p / 3 + s) % segments);
+            weight.push(if s == 0 { 1.0 } else { 0.3 * random.random::<f64>() - 0.15 });
+        }
+        offsets.push(weight.len() as u32);
+    }
+    let (count, entries, smooth) = (lit.len(), weight.len(), random.random_range(0..9));
+    let tilts = random.random::<bool>();
+    let mut modes: Vec<Mode> = (0..segments as usize).map(Mode::Piston).collect();
+    if tilts {
+        modes.extend((0..segments as usize).flat_map(|s| [Mode::Tip(s), Mode::Tilt(s)]));
+    }
+    modes.extend((0..smooth).rev().map(Mode::Smooth));
+    let energy = weight.iter().map(|w| w * w).sum();
+    let parts = OpticsParts {
+        products: None,
+        sampling,
+        wavelength_nm: 1650.0,
+        weights: SegmentWeights { segments: segments as usize, lit, offsets, segment, weight, energy },
+        slopes: tilts.then(|| (uniform(entries, 1.7, random), uniform(entries, 1.7, random))),
+        diversity_nm: uniform(count, 1500.0, random),
+        basis: Array2::from_shape_vec((smooth, count), uniform(smooth * count, 1.5, random)).unwrap(),
+        modes,
+    };
+    let optics = Arc::new(Optics::new(parts).unwrap());
+    let images = random.random_range(1..4);
+    let exposures: Vec<_> = (0..images).map(|i| exposure(&optics, i, random)).collect();
+    let active: Vec<usize> = (0..random.random_range(1..12)).map(|i| (i * 7 + 1) % images).collect();
+    let coefficients = uniform(active.len() * optics.modes(), 120.0, random);
+    let coefficients_nm = Array2::from_shape_vec((active.len(), optics.modes()), coefficients).unwrap();
+    Case { optics, exposures, active, coefficients_nm, fft }
+}
+
+/// An image that the scene could have made, with uneven weights and bad pixels.
+fn exposure(optics: &Arc<Optics>, kind: usize, random: &mut impl Rng) -> Exposure {
+    let truth = uniform(optics.modes(), 120.0, random);
+    let psf = CpuChain::<f64>::new(optics.clone()).psf(ndarray::ArrayView1::from(&truth));
+    let peak = psf.iter().fold(0.0f64, |peak, &h| peak.max(h));
+    let flux_e = 1e4 / peak;
+    Exposure {
+        data_e: psf.iter().map(|h| flux_e * h + 12.0 + 20.0 * random.random::<f64>()).collect(),
+        weight: psf
+            .iter()
+            .map(|_| if random.random::<f64>() < 0.03 { 0.0 } else { 0.2 + random.random::<f64>() })
+            .collect(),
+        photometry: [
+            Photometry::FitBoth,
+            Photometry::FitFlux { background_e: 18.0 },
+            Photometry::Fixed { flux_e: 0.9 * flux_e, background_e: 20.0 },
+        ][kind],
+    }
+}
+
+/// Largest relative distance of objective, flux and gradient (of its 2-norm) over the images.
+fn apart(found: &[Evaluation], wanted: &[Evaluation]) -> f64 {
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+    let one = |(f, w): (&Evaluation, &Evaluation)| {
+        let difference = norm(&mut f.gradient.iter().zip(&w.gradient).map(|(f, w)| f - w));
+        (difference / norm(&mut w.gradient.iter().copied()))
+            .max((f.objective / w.objective - 1.0).abs())
+            .max((f.flux_e / w.flux_e - 1.0).abs())
+    };
+    found.iter().zip(wanted).map(one).fold(0.0, f64::max)
+}
+
+/// What the device of `info` may be given: its own build, with the FFT where the image is whole, and a GPU's.
+fn builds(info: &crate::device::DeviceInfo, fft: Option<FftPlan>) -> Vec<Build> {
+    let mut builds = Vec::new();
+    for precision in [Precision::F32, Precision::F64].into_iter().filter(|p| info.supports(*p)) {
+        let own = Build::for_device(info, precision);
+        builds.extend([own, Build { vector: 1, ..own }]);
+        builds.extend(fft.filter(|_| own.vector > 1).map(|_| Build { fft, ..own }));
+    }
+    builds
+}
+
+/// f32: phases of up to 10 rad in 24 bits err by 6e-7, the sums over pixels and samples by less, and the residuals, of the
+/// order of the image itself, do not cancel: 1e-5 is ten times what is seen. f64: the same, 2e-9 smaller.
+fn allowed(precision: Precision) -> f64 {
+    if precision == Precision::F32 { 1e-5 } else { 1e-11 }
+}
+
+#[test]
+fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
+    let devices = test_devices();
+    let mut worst = [0.0f64; 2];
+    for seed in 0..CASES {
+        let case = case(seed);
+        let mut judge = CpuChain::<f64>::new(case.optics.clone());
+        judge.load(&case.exposures).unwrap();
+        let wanted = judge.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
+        let mut check = |what: &str, chain: &mut Chain| {
+            chain.load(&case.exposures).unwrap();
+            let found = chain.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
+            let (distance, precision) = (apart(&found, &wanted), chain.precision());
+            worst[usize::from(precision == Precision::F64)] =
+                worst[usize::from(precision == Precision::F64)].max(distance);
+            assert!(
+                distance < allowed(precision),
+                "case {seed}, {what}: {distance:e} apart ({:?}, {} modes)",
+                case.optics.sampling(),
+                case.optics.modes()
+            );
+        };
+        check("CPU in f32", &mut Chain::cpu(case.optics.clone(), Precision::F32));
+        for info in &devices {
+            let device = Device::open(info, false).unwrap();
+            for build in builds(info, case.fft) {
+                let chain = GpuChain::with_build(&device, build, &layout(&case.optics), case.exposures.len()).unwrap();
+                let name = info.address();
+                let (optics, precision) = (case.optics.clone(), build.precision);
+                check(&format!("{build:?}"), &mut Chain::Device { chain: Box::new(chain), optics, precision, name });
+            }
+        }
+    }
+    println!("furthest apart: f32 {:.1e}, f64 {:.1e}", worst[0], worst[1]);
+}
