@@ -1,33 +1,17 @@
 //! The least time that an evaluation can take here: its operations at the processor's peak, or the bytes that it must read
 //! at the bandwidth of the memory that holds them, whichever is longer.
 
-use crate::device::{Choice, DeviceKind, Precision};
-use crate::imaging::Optics;
+use crate::Result;
+use crate::device::{Choice, Device, DeviceKind, Peak, Precision};
+use crate::imaging::Work;
 use pulp::{Arch, NullaryFnOnce, Simd, WithSimd};
 use rayon::prelude::*;
 use std::hint::black_box;
 use std::time::Instant;
 
-/// What one objective with its gradient takes, for one image.
-#[derive(Debug, Clone, Copy)]
-pub struct Work {
-    /// Additions and multiplications: [`Optics::operations`].
-    pub flops: f64,
-    /// Pixels and weights, which differ from image to image and are read once; modes and matrices serve all images.
-    pub bytes: f64,
-}
-
-impl Work {
-    /// Of one model.
-    pub fn of(optics: &Optics, precision: Precision) -> Self {
-        let pixels = optics.sampling().pixels as f64;
-        Self { flops: optics.operations(), bytes: 2.0 * pixels * pixels * precision.bytes() as f64 }
-    }
-}
-
-/// What a device can do.
+/// What a device can do at best: its peaks.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Peak {
+pub struct Rates {
     /// Operations per second of all its cores, a fused multiply-add counted as two.
     pub flops_per_s: f64,
     /// Bytes per second that its cores together read of a set of the asked size.
@@ -45,28 +29,32 @@ pub struct Floor {
 
 impl Floor {
     /// `work` at `peak`.
-    pub fn of(work: Work, peak: Peak) -> Self {
+    pub fn of(work: Work, peak: Rates) -> Self {
         let (arithmetic_s, memory_s) = (work.flops / peak.flops_per_s, work.bytes / peak.bytes_per_s);
         Self { us: 1e6 * arithmetic_s.max(memory_s), arithmetic: arithmetic_s >= memory_s }
     }
 }
 
-impl Peak {
+impl Rates {
     /// Measured on the processor: `threads` at work, on a set of `bytes` in all.
     pub fn of_cpu(precision: Precision, threads: usize, bytes: f64) -> Self {
         Self { flops_per_s: arithmetic(precision, threads), bytes_per_s: reading(threads, bytes) }
     }
 
-    /// Of what `device` means here, with `batch` images at work on a set of `bytes`; `None` where there is nothing that
-    /// measures it: a graphics processor.
-    pub(super) fn of(device: Choice, precision: Precision, batch: usize, bytes: f64) -> Option<Self> {
+    /// Of what `device` means here, with `batch` images at work on a set of `bytes`.
+    ///
+    /// # Errors
+    /// Those of [`Peak::measure`].
+    pub(super) fn of(device: Choice, precision: Precision, batch: usize, bytes: f64) -> Result<Self> {
         let cores = rayon::current_num_threads();
-        match device.resolve().ok()? {
+        let Some(info) = device.resolve()? else {
             // The CPU chain gives each image a thread of its own.
-            None => Some(Self::of_cpu(precision, cores.min(batch), bytes)),
-            Some(info) if info.kind == DeviceKind::Cpu => Some(Self::of_cpu(precision, cores, bytes)),
-            Some(_) => None,
-        }
+            return Ok(Self::of_cpu(precision, cores.min(batch), bytes));
+        };
+        let peak = Peak::measure(&Device::open(&info, false)?, precision)?;
+        // A batch that fits the caches of a processor is not read from beyond them.
+        let cached = if info.kind == DeviceKind::Cpu { reading(cores, bytes) } else { 0.0 };
+        Ok(Self { flops_per_s: 1e9 * peak.gflops, bytes_per_s: cached.max(1e9 * peak.gbytes_s) })
     }
 }
 
@@ -175,7 +163,7 @@ mod tests {
 
     #[test]
     fn the_longer_of_two_times_is_the_floor() {
-        let peak = Peak { flops_per_s: 1e9, bytes_per_s: 1e8 };
+        let peak = Rates { flops_per_s: 1e9, bytes_per_s: 1e8 };
         assert_eq!(Floor::of(Work { flops: 2e3, bytes: 1e2 }, peak), Floor { us: 2.0, arithmetic: true });
         assert_eq!(Floor::of(Work { flops: 2e3, bytes: 1e3 }, peak), Floor { us: 10.0, arithmetic: false });
     }

@@ -7,9 +7,9 @@ use crate::scene::{Aperture, Optimizer, PupilModel, Scene};
 use crate::{Error, Result};
 use std::str::FromStr;
 
-/// Sizes of the default models, as fractions of the scene's samples: 72, 90, 108 and 120 of 120. With band-limited edges
-/// they run from an error of a nanometre to the Cramér-Rao bound.
-const FRACTIONS: [f64; 4] = [0.6, 0.75, 0.9, 1.0];
+/// Sizes of the default models, as fractions of the scene's samples: 72, 96 and 120 of 120. With band-limited edges they
+/// run from an error of a nanometre to the Cramér-Rao bound.
+const FRACTIONS: [f64; 3] = [0.6, 0.8, 1.0];
 
 /// Which part of the image is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,7 +38,7 @@ impl FromStr for Crop {
 /// The points that are measured: every combination.
 #[derive(Debug, Clone)]
 pub struct Grid {
-    /// Samples along a side of the pupil grid; empty for the default, which is the scene's own number and three smaller
+    /// Samples along a side of the pupil grid; empty for the default, which is the scene's own number and two smaller
     /// ones.
     pub samples: Vec<usize>,
     /// Parts of the image.
@@ -69,7 +69,7 @@ impl Default for Grid {
             devices: Vec::new(),
             budgets_nm: Vec::new(),
             precisions: vec![Precision::F32, Precision::F64],
-            batches: vec![1, 200],
+            batches: vec![1, 100],
             images: 8,
             repeats: 3,
         }

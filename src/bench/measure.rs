@@ -1,13 +1,14 @@
 //! One point: a session's evaluations and fits, timed, and held against the truth and the f64 CPU chain.
 
 use super::SetUp;
-use super::floor::{Floor, Peak, Work};
+use super::floor::{Floor, Rates};
 use super::grid::{Grid, ModelPlan, Variant, device_name};
 use super::point::{Point, Spread};
 use crate::Result;
 use crate::estimate::{Estimator, FitOptions, Session, SessionOptions};
 use crate::experiment::statistics::{median, rms};
 use crate::experiment::{Case, Draw, Progress};
+use crate::imaging::Chain;
 use ndarray::Array2;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -61,8 +62,9 @@ pub(super) fn point(
     let (evaluation, gradient_error) = evaluations(&mut session, set_up, variant, grid, draws, progress)?;
     let fits = fits(&mut session, set_up, variant, grid, draws, progress)?;
     let optics = &estimator.model().optics;
-    let work = Work::of(optics, variant.precision);
-    let peak = Peak::of(variant.device, variant.precision, variant.batch, work.bytes * variant.batch as f64);
+    let &Variant { device, precision, batch } = variant;
+    let work = Chain::open(optics.clone(), device, precision, 1)?.shapes().work(precision, batch);
+    let peak = Rates::of(device, precision, batch, work.bytes * batch as f64)?;
     Ok(Point {
         device: device_name(variant.device),
         precision: variant.precision,
@@ -84,7 +86,7 @@ pub(super) fn point(
         reduced_chi2: fits.reduced_chi2,
         work,
         peak,
-        floor: peak.map(|peak| Floor::of(work, peak)),
+        floor: Floor::of(work, peak),
         model_set_up_s: set_up.seconds,
         session_set_up_s: set_up_s,
         gradient_error,

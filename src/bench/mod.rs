@@ -16,7 +16,7 @@ mod grid;
 mod measure;
 mod point;
 
-pub use floor::{Floor, Peak, Work};
+pub use floor::{Floor, Rates};
 pub use front::{pareto, picture};
 pub use grid::{Crop, Grid};
 pub use point::{Cell, Point, Spread, columns, record, table};

@@ -1,9 +1,10 @@
 //! What was measured at one point, and the columns in which it is written.
 
-use super::floor::{Floor, Peak, Work};
+use super::floor::{Floor, Rates};
 use crate::device::Precision;
 use crate::experiment::Table;
 use crate::experiment::statistics::quantile;
+use crate::imaging::Work;
 
 pub use crate::experiment::Cell;
 
@@ -67,10 +68,10 @@ pub struct Point {
     pub reduced_chi2: f64,
     /// Of one evaluation.
     pub work: Work,
-    /// Of the device, where it was measured.
-    pub peak: Option<Peak>,
+    /// Of the device.
+    pub peak: Rates,
     /// Of one evaluation.
-    pub floor: Option<Floor>,
+    pub floor: Floor,
     /// Modes, pupil, diversity: once per model.
     pub model_set_up_s: f64,
     /// Memory, metric, compiled kernels: once per session.
@@ -89,7 +90,7 @@ impl Point {
 
     /// The part of the time of an evaluation that its floor takes.
     pub fn floor_fraction(&self) -> f64 {
-        self.floor.map_or(f64::NAN, |floor| floor.us / (1e6 * self.evaluation.median_s))
+        self.floor.us / (1e6 * self.evaluation.median_s)
     }
 }
 
@@ -116,17 +117,13 @@ const COLUMNS: [Column; 37] = [
     Column("evaluation_us", "evaluation us", |point| us(point.evaluation.median_s)),
     Column("evaluation_lower_us", "", |point| us(point.evaluation.lower_s)),
     Column("evaluation_upper_us", "", |point| us(point.evaluation.upper_s)),
-    Column("floor_us", "floor us", |point| us(point.floor.map_or(f64::NAN, |floor| 1e-6 * floor.us))),
+    Column("floor_us", "floor us", |point| us(1e-6 * point.floor.us)),
     Column("floor_fraction", "fraction", |point| Cell::Number(point.floor_fraction(), 2)),
-    Column("floor_of", "", |point| {
-        point.floor.map_or("", |floor| if floor.arithmetic { "arithmetic" } else { "memory" }).into()
-    }),
+    Column("floor_of", "", |point| (if point.floor.arithmetic { "arithmetic" } else { "memory" }).into()),
     Column("mflop", "", |point| Cell::Number(1e-6 * point.work.flops, 2)),
     Column("kilobytes", "", |point| Cell::Number(1e-3 * point.work.bytes, 1)),
-    Column("peak_gflop_per_s", "", |point| {
-        Cell::Number(point.peak.map_or(f64::NAN, |peak| 1e-9 * peak.flops_per_s), 1)
-    }),
-    Column("peak_gb_per_s", "", |point| Cell::Number(point.peak.map_or(f64::NAN, |peak| 1e-9 * peak.bytes_per_s), 1)),
+    Column("peak_gflop_per_s", "", |point| Cell::Number(1e-9 * point.peak.flops_per_s, 1)),
+    Column("peak_gb_per_s", "", |point| Cell::Number(1e-9 * point.peak.bytes_per_s, 1)),
     Column("estimate_us", "estimate us", |point| us(point.estimate.median_s)),
     Column("estimate_lower_us", "25 %", |point| us(point.estimate.lower_s)),
     Column("estimate_upper_us", "75 %", |point| us(point.estimate.upper_s)),

@@ -33,7 +33,7 @@ pub struct Arguments {
     scene: PathBuf,
     #[command(flatten)]
     settings: Settings,
-    /// Samples along a side of the pupil grid [default: the scene's, and 0.6, 0.75 and 0.9 of it]
+    /// Samples along a side of the pupil grid [default: the scene's, and 0.6 and 0.8 of it]
     #[arg(long, value_name = "N,...", value_delimiter = ',')]
     samples: Vec<usize>,
     /// Pixels along a side of the fitted image, at 2 pixels per lambda/D where the image has more; auto is what carries
@@ -53,7 +53,7 @@ pub struct Arguments {
     #[arg(long, value_name = "TYPE,...", value_delimiter = ',', default_value = "f32,f64")]
     precision: Vec<Precision>,
     /// Images that are fitted at a time
-    #[arg(long, value_name = "N,...", value_delimiter = ',', default_value = "1,200", value_parser = batch)]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', default_value = "1,100", value_parser = batch)]
     batch: Vec<usize>,
     /// Different images, each with a truth of its own
     #[arg(long, value_name = "N", default_value = "8", value_parser = clap::value_parser!(u32).range(1..=1000))]
