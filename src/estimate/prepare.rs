@@ -208,8 +208,8 @@ impl Preparer {
             };
             let (values, marks) = (frame.data_e.row(at), frame.bad.row(at));
             // Most rows have no bad pixel: without a way out of the loop it runs in vectors.
-            let dirty =
-                values.iter().zip(marks).fold(false, |dirty, (value, marked)| dirty | *marked | !value.is_finite());
+            let marked = marks.iter().fold(false, |any, marked| any | *marked);
+            let dirty = marked || !values.as_slice().is_some_and(all_finite);
             if !dirty && !flip_x {
                 data.assign(&values);
                 bad.fill(false);
@@ -260,6 +260,19 @@ fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>, level: f64) -> std::r
         _ if flux_e <= 0.0 => Err(Refusal::NoStar { flux_e }),
         _ => Ok(()),
     }
+}
+
+/// Whether all of a row are finite: 0 times a number that is not is no number.
+fn all_finite(row: &[f64]) -> bool {
+    const LANES: usize = 8;
+    let mut lanes = [0.0; LANES];
+    let (parts, rest) = row.as_chunks::<LANES>();
+    for part in parts {
+        for i in 0..LANES {
+            lanes[i] += 0.0 * part[i];
+        }
+    }
+    lanes.iter().sum::<f64>() == 0.0 && rest.iter().all(|value| value.is_finite())
 }
 
 /// What a row of good pixels holds.

@@ -1,5 +1,6 @@
 //! The coordinates in which a least-squares problem looks round.
 
+use super::pairs::dot;
 use crate::{Error, Result};
 use faer::{Mat, Side};
 use ndarray::{Array2, ArrayView2};
@@ -96,7 +97,10 @@ impl Metric {
             None => x.copy_from_slice(z),
             Some(whitening) => {
                 for (x, row) in x.iter_mut().zip(whitening.rows()) {
-                    *x = row.iter().zip(z).map(|(w, z)| w * z).sum();
+                    *x = match row.as_slice() {
+                        Some(row) => dot(row, z),
+                        None => row.iter().zip(z).map(|(w, z)| w * z).sum(),
+                    };
                 }
             }
         }
