@@ -40,6 +40,10 @@ function a_model(scene, m)
     must_fail('BAD_ARGUMENT', 'directory', @() cophase.Model(scene, 3));
     must_fail('BAD_ARGUMENT', 'Pupil, Segments, Modes or Diversity_nm', @() cophase.Model(scene, '', 'Pupille', 1));
     must_fail('BAD_ARGUMENT', 'no value', @() cophase.Model(scene, '', 'Pupil'));
+    planned = cophase.Model([scene sprintf('\n[estimate]\nbudget_nm = 20\n')]);
+    assert(planned.Names, m.Names);
+    assert(planned.Pixels < m.Pixels);
+    delete(planned);
     assert(numel(m.Names), m.Modes);
     assert(m.SegmentModes > 0 && m.SegmentModes < m.Modes);
     assert(iscellstr(m.Names) && numel(unique(m.Names)) == m.Modes);

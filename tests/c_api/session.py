@@ -14,6 +14,19 @@ import numpy as np
 from support import BACKGROUND_E, COUNT, FLUX_E, failure, stars
 
 
+def budgets(scene, model, frames):
+    # A budget in the scene plans the model, in this language as in any other: less of it, that reads the same.
+    planned = cophase.Model(scene + "\n[estimate]\nbudget_nm = 20\n")
+    assert planned.mode_names == model.mode_names and planned.samples == model.samples
+    assert planned.pixels < model.pixels
+    found = cophase.Session(planned, capacity=COUNT).fit(frames).coefficients_nm
+    exact = cophase.Session(model, capacity=COUNT).fit(frames).coefficients_nm
+    for one, other in zip(found, exact):
+        for part, wanted in zip(planned.wavefront_nm(one), model.wavefront_nm(other)):
+            assert np.nanstd(part - wanted) < 40
+    failure(lambda: cophase.Model(scene + "\n[estimate]\nbudget_nm = 0\n"), cophase.BadSceneError)
+
+
 def models(scene, model):
     assert len(model.mode_names) == len(set(model.mode_names)) == model.modes
     assert 0 < model.segment_modes < model.modes and f"{model.modes} modes" in repr(model)
@@ -285,6 +298,7 @@ def main(scene, dump):
     frames, truth_nm = stars(model)
     c, covariance_nm2 = fits(model, session, frames, truth_nm)
     models(scene, model)
+    budgets(scene, model, frames)
     from_arrays()
     choices(model)
     layouts(model, session, frames, c)
