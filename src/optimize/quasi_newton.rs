@@ -194,8 +194,8 @@ impl QuasiNewton {
     }
 
     /// The objective has changed a little (its weights, say): forgets its value, keeps the curvature, and goes on from
-    /// the best point, which is asked for again. Evaluations go on counting; [`Progress::Done`] if none are left, or no
-    /// time.
+    /// the best point, or, where it stopped because the next step was too small to matter, from the end of that step,
+    /// which costs nothing now. Evaluations go on counting; [`Progress::Done`] if none are left, or no time.
     pub fn restart_objective(&mut self) -> Progress {
         if self.phase == Phase::Searching {
             self.take_kept();
@@ -203,7 +203,13 @@ impl QuasiNewton {
         if let Some(reason) = self.out_of_patience() {
             return self.finish(reason);
         }
-        self.trial_x.copy_from_slice(&self.outcome.x);
+        let proposed =
+            matches!(self.outcome.reason, StopReason::StepBelowTolerance | StopReason::DecrementBelowTolerance);
+        if self.phase == Phase::Done && proposed && self.outcome.proposed_step <= self.settings.max_step {
+            self.set_trial(1.0);
+        } else {
+            self.trial_x.copy_from_slice(&self.outcome.x);
+        }
         self.outcome.reason = StopReason::Unfinished;
         self.phase = Phase::Anchor;
         self.forgot = false;

@@ -1,5 +1,6 @@
 //! The estimator end to end on a small telescope: seven hexagons, Zernike NCPA.
 
+mod agreement;
 mod arrays;
 mod sequence;
 mod session;
