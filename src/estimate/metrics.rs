@@ -5,7 +5,7 @@
 //! of the flux, S times the matrix of weights 1/(h + f/S). So one parameter makes the family, and the flux is a scale of
 //! the coordinates. All members share one set of derivatives.
 
-use super::fisher::NULL_FLOOR;
+use super::fisher::null_floor;
 use super::gauss_newton::{Absorbed, Kept, Nuisances, products, rows_of_tile};
 use super::prepare::Prepared;
 use super::recipe::Recipe;
@@ -132,10 +132,11 @@ impl Metrics {
                 products(&linear, self.nuisances, &weights, rows)
             }
         };
+        let floor = null_floor(judge.optics().modes(), flat.psf.len());
         levels.into_par_iter().zip(matrices).try_for_each(|(level, matrix)| {
             // What a fitted flux or background would absorb is no curvature.
             let cleared = Absorbed::of(&matrix, self.nuisances).cleared(matrix);
-            let metric = Arc::new(Metric::from_gauss_newton(&cleared, NULL_FLOOR)?);
+            let metric = Arc::new(Metric::from_gauss_newton(&cleared, floor)?);
             self.made[level].get_or_init(|| metric);
             Ok(())
         })
