@@ -187,15 +187,15 @@ fn fits(
         write(session, draws, first, batch)?;
         // The first fit touches memory, and on a device compiles for shapes that it has not seen: it is not timed.
         session.fit(batch, &options)?;
-        for number in first..draws.len().min(first + batch) {
-            let result = &session.results()[number - first].report;
+        for (image, draw) in draws[first..].iter().take(batch).enumerate() {
+            let result = &session.results()[image].report;
             evaluations.push(result.evaluations as f64);
-            let Some(found) = fitted(session, number - first) else { continue };
+            let Some(found) = fitted(session, image) else { continue };
             chi2.push(result.reduced_chi2);
-            for (all, one) in residuals_nm.iter_mut().zip(set_up.case.residuals_nm(&found, &draws[number])?) {
+            for (all, one) in residuals_nm.iter_mut().zip(set_up.case.residuals_nm(&found, draw)?) {
                 all.push(one);
             }
-            if let Some(judge) = &set_up.judge.coefficients_nm[number] {
+            if let Some(judge) = &set_up.judge.coefficients_nm[first + image] {
                 let off: Vec<f64> = found.iter().zip(judge).map(|(found, judge)| found - judge).collect();
                 errors_nm.push(rms(&off));
             }
