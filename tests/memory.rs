@@ -130,7 +130,7 @@ fn error_bars_from_tiles_are_those_of_the_whole() {
     assert!(tiled.model().tiles().derivative_bytes < memory.rows * memory.derivative_row / 4);
     let at = Array1::zeros(whole.model().optics.modes());
     let [whole, tiled] = [whole, tiled].map(|estimator| estimator.bound(at.view(), 1e6, 1.0).unwrap());
-    let off = |(i, j)| (tiled[(i, j)] - whole[(i, j)] as f64).abs() / (whole[(i, i)] * whole[(j, j)]).sqrt();
+    let off = |(i, j)| (tiled[(i, j)] - whole[(i, j)]).abs() / (whole[(i, i)] * whole[(j, j)]).sqrt();
     let worst = whole.indexed_iter().map(|(at, _)| off(at)).fold(0.0, f64::max);
     // The matrices differ by 1e-12 of their diagonal at most, and inversion multiplies that by their condition: no
     // direction but piston is seen less than 1e-5 as well as another here.

@@ -152,7 +152,7 @@ impl<T: Polynomial> Products<T> {
         for &(place, length) in &self.strips {
             let (turns, after) = rest.split_at_mut(length);
             for (turns, &sum) in turns.iter_mut().zip(&grid[place..][..length]) {
-                *turns = *turns + sum;
+                *turns += sum;
             }
             rest = after;
         }
