@@ -44,7 +44,7 @@ impl Chain {
     /// hold the model, and the CPU otherwise.
     ///
     /// # Errors
-    /// [`Error::Device`] where OpenCL was asked for and there is no such device, or it cannot run this model.
+    /// [`crate::Error::Device`] where OpenCL was asked for and there is no such device, or it cannot run this model.
     pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
         let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
         let on_device = || -> Result<Self> {
@@ -63,7 +63,7 @@ impl Chain {
     /// Replaces the batch of images.
     ///
     /// # Errors
-    /// As [`Exposure::check`]; [`Error::Device`] where a device fails.
+    /// As [`Exposure::check`]; [`crate::Error::Device`] where a device fails.
     pub fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
         match self {
             Self::Cpu64(chain) => chain.load(exposures),
@@ -81,7 +81,7 @@ impl Chain {
     /// Replaces one image of the batch.
     ///
     /// # Errors
-    /// As [`Chain::load`], and [`Error::Shape`] where there is no such image.
+    /// As [`Chain::load`], and [`crate::Error::Shape`] where there is no such image.
     pub fn replace(&mut self, image: usize, exposure: &Exposure) -> Result<()> {
         self.replace_all(&[(image, exposure)])
     }
@@ -107,7 +107,7 @@ impl Chain {
     /// Objectives and gradients of `images` at `coefficients_nm` (`[image, mode]`, nm), in that order.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the arrays do not fit; [`Error::Device`] where a device fails.
+    /// [`crate::Error::Shape`] where the arrays do not fit; [`crate::Error::Device`] where a device fails.
     pub fn evaluate(&mut self, images: &[usize], coefficients_nm: ArrayView2<f64>) -> Result<Vec<Evaluation>> {
         match self {
             Self::Cpu64(chain) => chain.evaluate(images, coefficients_nm),
