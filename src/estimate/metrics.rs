@@ -7,6 +7,7 @@
 
 use super::fisher::null_floor;
 use super::gauss_newton::{Absorbed, Kept, Nuisances, products, rows_of_tile};
+use super::memory::MATRICES_AT_ONCE;
 use super::prepare::Prepared;
 use super::recipe::Recipe;
 use crate::imaging::CpuChain;
@@ -63,7 +64,10 @@ impl Metrics {
     /// [`crate::Error::Value`] where no mode is seen at all.
     pub(super) fn make_all(&self, judge: &CpuChain<f64>) -> Result<()> {
         let levels = if self.weighting == Weighting::None { 1 } else { LEVELS };
-        self.make(judge, 0..levels)
+        // As many together as memory was counted for.
+        (0..levels)
+            .step_by(MATRICES_AT_ONCE)
+            .try_for_each(|first| self.make(judge, first..levels.min(first + MATRICES_AT_ONCE)))
     }
 
     /// Any of them, for its size.

@@ -3,6 +3,7 @@
 
 use super::Estimator;
 use super::fisher::Sensitivity;
+use super::memory::MATRICES_AT_ONCE;
 use super::minimum::Minimum;
 use super::pistons::Pistons;
 use super::prepare::Prepared;
@@ -58,7 +59,7 @@ impl Spread {
         }
         let pistons = Pistons::of(&estimator.model)?;
         // Images that are worked on at once share the memory.
-        let threads = rayon::current_num_threads().min(heads.len()).max(1);
+        let threads = MATRICES_AT_ONCE.min(heads.len()).max(1);
         let matrices = |&head: &usize| {
             let (image, minimum) = (&prepared[images[head]], &minima[images[head]]);
             let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &image.exposure);
@@ -72,7 +73,10 @@ impl Spread {
             let covariance = pistons.centred(&sensitivity.covariance()?);
             Ok((sensitivity.fisher, covariance))
         };
-        let known = heads.par_iter().map(matrices).collect::<Result<Vec<_>>>()?;
+        let mut known = Vec::with_capacity(heads.len());
+        for heads in heads.chunks(MATRICES_AT_ONCE) {
+            known.extend(heads.par_iter().map(matrices).collect::<Result<Vec<_>>>()?);
+        }
         Ok(Self { of, known })
     }
 

@@ -71,7 +71,7 @@ section! {
         /// RMS error that is allowed to the phasing and to the NCPA each, noise included: the model is then planned, the cheapest that keeps it.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
         /// Memory that an estimate may take beside its images, 1e9 bytes; larger work is cut into tiles.
-        memory_gb: f64, above(0.0, 1e6), default(4.0);
+        memory_gb: f64, above(0.0, 1e6), default(8.0);
         /// How the images of a sequence become one estimate; outliers are told among 8 images or more.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// The estimator.
