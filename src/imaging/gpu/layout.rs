@@ -159,6 +159,7 @@ impl GpuLayout {
     }
 
     /// Numbers that say how a segment stands: piston, or piston, tip and tilt.
+    #[cfg(feature = "opencl")]
     pub(super) fn poses(&self) -> usize {
         let tilts = |mode: &GpuMode| matches!(mode, GpuMode::Tip(_) | GpuMode::Tilt(_));
         if self.modes.iter().any(tilts) { 3 } else { 1 }
