@@ -126,6 +126,15 @@ fn a_budget_below_the_noise_is_told_and_leaves_a_model_that_noise_rules() {
 }
 
 #[test]
+fn a_scene_without_a_truth_is_planned_for_what_its_modes_can_hold() {
+    let (start, end) = (SMALL.find("[aberrations]").unwrap(), SMALL.find("[modes]").unwrap());
+    let text = SMALL[..start].to_string() + &SMALL[end..].replace("ncpa_count = 14", "ncpa_count = 5");
+    let plan = plan(&Scene::from_text(&text, Path::new("")).unwrap(), 5.0).unwrap();
+    assert!(plan.is_met(), "{:?}", plan.chosen);
+    assert_eq!(plan.scene.aberrations, None);
+}
+
+#[test]
 fn a_filters_width_is_named_with_its_price() {
     let plan = plan(&small(&[("image.bandwidth_fraction", "0.1")]), 6.0).unwrap();
     let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap();

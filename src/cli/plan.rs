@@ -14,7 +14,7 @@ const EXAMPLES: &str = "Examples:
   cophase plan scene.toml --budget-nm 1 -o planned.toml         the scene with the choices written in
   cophase estimate images.fits -o est.fits --budget-nm 1        plan and estimate at once
 
-Wavefronts are drawn from the scene's [aberrations] (60 nm of pistons and 70 nm of NCPA where it has none), imaged \
+Wavefronts are drawn from the scene's [aberrations] (where it has none: 60 nm of pistons and 70 nm of low Zernikes, as far as its modes hold them), imaged \
 without noise on the fine pupil and read by each candidate: its model error is the worst that is left. The noise is the \
 Cramér-Rao bound of the candidate's pixels for the scene's star, over the root of image.count. A choice never changes \
 modes that the scene names.

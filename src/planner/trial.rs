@@ -6,7 +6,7 @@ use crate::imaging::{Chain, Precision};
 use crate::metrics::{MapGram, residual_nm};
 use crate::modes::Group;
 use crate::optimize::CancelFlag;
-use crate::scene::{self, Scene};
+use crate::scene::{self, NcpaBasis, Scene, SegmentModes, Zernikes};
 use crate::source::{self, Camera, Truth};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -21,8 +21,11 @@ use std::time::Instant;
 pub(super) const DRAWS: usize = 8;
 /// Stream of the random numbers: not those of the scene's own images, so that no image is judged by itself.
 const STREAM: u64 = 0x70_6c_61_6e;
-/// What is drawn where the scene does not say: what segments and optics that were aligned once drift to.
-const ASSUMED: [(&str, &str); 2] = [("aberrations.segment_piston_rms_nm", "60"), ("aberrations.ncpa_rms_nm", "70")];
+/// Pistons that are drawn where the scene does not say, nm RMS, and NCPA: what segments and optics that were aligned
+/// once drift to.
+const ASSUMED_NM: [&str; 2] = ["60", "70"];
+/// The last Noll index of the NCPA then.
+const ASSUMED_LAST_NOLL: usize = 18;
 
 /// The draws of one scene.
 pub(super) struct Trials {
@@ -37,13 +40,13 @@ pub(super) struct Trials {
 impl Trials {
     /// Draws and images wavefronts of `scene`.
     pub(super) fn of(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Self> {
-        let scene = if scene.aberrations.is_some() { scene.clone() } else { scene.with(&ASSUMED)? };
-        let telescope = Telescope::of(&scene)?;
-        let camera = Camera::of(&scene, &telescope)?;
+        let scene = &if scene.aberrations.is_some() { scene.clone() } else { assumed(scene)? };
+        let telescope = Telescope::of(scene)?;
+        let camera = Camera::of(scene, &telescope)?;
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
         let mut rng = ChaCha12Rng::seed_from_u64(seed);
         rng.set_stream(STREAM);
-        let truths = (0..DRAWS).map(|_| Truth::draw(&scene, &telescope, &mut rng)).collect::<Result<Vec<_>>>()?;
+        let truths = (0..DRAWS).map(|_| Truth::draw(scene, &telescope, &mut rng)).collect::<Result<Vec<_>>>()?;
         let psf = |truth: &Truth| -> Result<(Array2<f64>, f64)> {
             stop(cancel)?;
             let psf = camera.psf(truth)?;
@@ -115,6 +118,28 @@ impl Trials {
             ncpa.expected_rms_nm(covariance_nm2.slice(s![n.., n..]))? / images,
         ])
     }
+}
+
+/// `scene` with aberrations that its own modes can hold: what else there may be, nobody has said.
+fn assumed(scene: &Scene) -> Result<Scene> {
+    let last = match scene.modes.ncpa {
+        NcpaBasis::Kl => ASSUMED_LAST_NOLL,
+        NcpaBasis::Zernike => ASSUMED_LAST_NOLL.min(scene.modes.ncpa_count + 1),
+        NcpaBasis::None | NcpaBasis::File(_) => match scene.modes.exact_zernikes {
+            Some(Zernikes::Span { last, .. }) => ASSUMED_LAST_NOLL.min(last),
+            _ => 0,
+        },
+    };
+    let [piston_nm, ncpa_nm] = ASSUMED_NM;
+    let span = format!("[4, {last}]");
+    let mut settings = vec![("aberrations.segment_piston_rms_nm", piston_nm)];
+    if last >= 4 {
+        settings.extend([("aberrations.ncpa_rms_nm", ncpa_nm), ("aberrations.ncpa_zernikes", span.as_str())]);
+    }
+    if scene.modes.segment == SegmentModes::None {
+        settings[0].1 = "0";
+    }
+    scene.with(&settings)
 }
 
 /// Residual RMS of phasing and NCPA, nm; NaN for an image that was not fitted.

@@ -23,6 +23,7 @@ def budgets(scene, model, frames):
     exact = cophase.Session(model, capacity=COUNT).fit(frames).coefficients_nm
     for one, other in zip(found, exact):
         for part, wanted in zip(planned.wavefront_nm(one), model.wavefront_nm(other)):
+            # Twice the budget, which does not count the tilt that the two parts share.
             assert np.nanstd(part - wanted) < 40
     failure(lambda: cophase.Model(scene + "\n[estimate]\nbudget_nm = 0\n"), cophase.BadSceneError)
 
