@@ -44,6 +44,11 @@ pub fn picture(points: &[Point]) -> CurvePicture {
         series.push(quartiles(&chosen, colour));
         series.push(one(label.clone(), &chosen, style));
     }
+    // Unseen: room for the legend beside the points.
+    let least = points.iter().map(|point| 1e6 * point.estimate.lower_s).fold(f64::INFINITY, f64::min);
+    let most = points.iter().map(Point::error_nm).fold(0.0, f64::max);
+    let unseen = SeriesStyle { stroke: Stroke::None, marker: Marker::None, colour: None };
+    series.push(Series { x: vec![0.3 * least], y: vec![most], style: unseen, ..Default::default() });
     let bound = points.iter().max_by_key(|point| (point.samples, point.pixels));
     CurvePicture {
         title: "Error against time, image by image and in batches".into(),
