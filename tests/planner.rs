@@ -135,6 +135,16 @@ fn a_scene_without_a_truth_is_planned_for_what_its_modes_can_hold() {
 }
 
 #[test]
+fn tilted_segments_are_priced_as_they_are() {
+    // Segments that tilt by 20 nm, and are estimated in piston, tip and tilt: prices that forgot the tilts would find
+    // no model within 15 nm.
+    let scene = small(&[("aberrations.segment_tip_tilt_rms_nm", "20"), ("modes.segment", "piston-tip-tilt")]);
+    let plan = plan(&scene, 4.0).unwrap();
+    assert!(plan.reference.error_nm() < 4.0, "{:?}", plan.reference);
+    assert!(plan.is_met(), "{:?}", plan.chosen);
+}
+
+#[test]
 fn a_filters_width_is_named_with_its_price() {
     let plan = plan(&small(&[("image.bandwidth_fraction", "0.1")]), 6.0).unwrap();
     let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap();

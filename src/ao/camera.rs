@@ -272,7 +272,6 @@ impl Colour {
         };
         let (mut re, mut im) = (optics.footprint.zeros(), optics.footprint.zeros());
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
-        let unit = optics.truth.tilt_unit_m(optics.telescope);
         let at = |&cell: &u32| (grid.coordinate_m(cell as usize % n), grid.coordinate_m(cell as usize / n));
         let (xs_m, ys_m): (Vec<f64>, Vec<f64>) = weights.lit.iter().map(at).unzip();
         let mut smooth_nm = if view.ncpa { optics.truth.ncpa_at(&xs_m, &ys_m)? } else { vec![0.0; xs_m.len()] };
@@ -287,7 +286,7 @@ impl Colour {
             let place = y * stride + x;
             let (mut sum_re, mut sum_im) = (0.0, 0.0);
             for (&segment, share) in segments.iter().zip(shares) {
-                let own = optics.truth.segment_nm(optics.telescope, segment as usize, unit, x_m, y_m);
+                let own = optics.truth.segment_nm(&optics.telescope.pupil, segment as usize, x_m, y_m);
                 let nm = if view.segments { own - f64::from(optics.segments_nm[place]) } else { 0.0 };
                 let (sin, cos) = phasor(nm);
                 (sum_re, sum_im) = (sum_re + share * cos, sum_im + share * sin);

@@ -396,10 +396,9 @@ fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint
 /// The segments' errors over the map, nm: each sample shows the segment that owns it.
 fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Lines {
     let mut map = footprint.zeros();
-    let unit = truth.tilt_unit_m(telescope);
     for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
         let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
-        map[y * footprint.stride() + x] = truth.segment_nm(telescope, owner as usize, unit, x_m, y_m) as f32;
+        map[y * footprint.stride() + x] = truth.segment_nm(&telescope.pupil, owner as usize, x_m, y_m) as f32;
     }
     map
 }

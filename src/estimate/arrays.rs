@@ -56,6 +56,7 @@ impl Estimator {
             Some(map) => diversity_of(map.clone(), &telescope.pupil)?,
             None => Diversity::of(scene, &telescope)?,
         };
+        super::refuse_budget(scene)?;
         let (recipe, set) = modes_of(scene, arrays, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
         Ok(Self::of_model(scene, recipe, model))

@@ -80,6 +80,20 @@ pub struct EachImage {
     pub reports: Vec<ImageReport>,
 }
 
+/// That `scene` has no budget left, which an estimator would ignore.
+///
+/// # Errors
+/// [`Error::Scene`].
+fn refuse_budget(scene: &Scene) -> Result<()> {
+    match scene.estimate.budget_nm {
+        None => Ok(()),
+        Some(budget_nm) => Err(Error::Scene(format!(
+            "estimate.budget_nm = {budget_nm} asks for a plan, which needs a telescope that the scene describes: an \
+             estimator takes the scene that the planner makes of this one, or one without a budget"
+        ))),
+    }
+}
+
 /// Whether two scenes have the same Karhunen-Loève basis.
 fn same_basis(one: &Scene, other: &Scene) -> bool {
     let telescope = |scene: &Scene| {
@@ -135,11 +149,7 @@ impl Estimator {
     }
 
     fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own_basis: Arc<OwnBasis>) -> Result<Self> {
-        if let Some(budget_nm) = scene.estimate.budget_nm {
-            return Err(Error::Scene(format!(
-                "estimate.budget_nm = {budget_nm} asks for a plan: an estimator takes the scene that the planner makes of this one"
-            )));
-        }
+        refuse_budget(scene)?;
         let model = Model::with_own_basis(scene, &recipe, native, &own_basis)?;
         Ok(Self { own_basis, ..Self::of_model(scene, recipe, model) })
     }

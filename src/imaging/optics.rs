@@ -124,15 +124,6 @@ impl Optics {
         self.parts.sampling
     }
 
-    /// Floating-point operations of one objective with its gradient, about: folded matrix products of `n·m·(n + m)`
-    /// multiply-adds forward and as many back; two products of the smooth modes with the lit samples; and what each
-    /// segment's share of a sample, each sample and each pixel take by themselves.
-    pub fn operations(&self) -> f64 {
-        let (n, m) = (self.parts.sampling.samples as f64, self.parts.sampling.pixels as f64);
-        let (lit, shares) = (self.parts.weights.lit.len() as f64, self.parts.weights.weight.len() as f64);
-        4.0 * n * m * (n + m) + 4.0 * self.parts.basis.nrows() as f64 * lit + 40.0 * lit + 12.0 * shares + 30.0 * m * m
-    }
-
     /// Factor on |U|² that makes the PSF sum to 1 over an unbounded detector: 1/((n·q)²·ΣA²) by Parseval.
     pub fn intensity_scale(&self) -> f64 {
         self.parts.sampling.step().powi(2) / self.parts.weights.energy

@@ -22,12 +22,13 @@ pub struct Omission {
     pub because: String,
 }
 
-/// Prices what `planned` leaves out.
+/// Prices what `planned` leaves out, on the wavefronts of `trials`.
 pub(super) fn omissions(
     asked: &Scene,
     planned: &Scene,
     like: &Estimator,
     chosen: Price,
+    trials: &Trials,
     cancel: Option<&CancelFlag>,
 ) -> Result<Vec<Omission>> {
     let mut omissions = Vec::new();
@@ -47,7 +48,6 @@ pub(super) fn omissions(
             because: format!("the model has one wavelength, the images have a filter of {} %", 100.0 * width),
         });
     }
-    let trials = Trials::of(planned, cancel)?;
     let mut alternative = |what, key, value: &str, because: String| -> Result<()> {
         let scene = planned.with_override(key, value)?;
         let price = trials.price(&like.variant(&scene, Recipe::of(&scene))?, cancel)?;

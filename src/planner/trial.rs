@@ -95,7 +95,7 @@ impl Trials {
             model_nm,
             noise_nm: self.noise_nm(estimator, &found.coefficients_nm)?,
             evaluations,
-            megaflops: 1e-6 * evaluations * model.optics.operations(),
+            megaflops: 1e-6 * evaluations * chain.shapes().work(precision, DRAWS).flops,
             estimate_us,
         })
     }
@@ -108,15 +108,18 @@ impl Trials {
             return Ok([f64::INFINITY; 2]);
         }
         let covariance_nm2 = estimator.bound(at, self.flux_e, scene.image.background_e)?;
-        let (n, maps) = (model.segment_modes, model.basis.maps());
-        let pupil = &model.telescope.pupil;
+        let (n, pupil) = (model.segment_modes, &model.telescope.pupil);
         let images = (scene.image.count as f64).sqrt();
-        let segments = MapGram::new(pupil, maps.slice(s![..n, .., ..]))?;
-        let ncpa = MapGram::new(pupil, maps.slice(s![n.., .., ..]))?;
-        Ok([
-            segments.expected_rms_nm(covariance_nm2.slice(s![..n, ..n]))? / images,
-            ncpa.expected_rms_nm(covariance_nm2.slice(s![n.., n..]))? / images,
-        ])
+        // By products and not by maps, which thousands of segment modes would fill the memory with.
+        let weight = &pupil.amplitude / pupil.weight_sum();
+        let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
+        let gram = MapGram::of_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
+        let of = |part: std::ops::Range<usize>| -> Result<f64> {
+            let mut own = Array2::zeros(covariance_nm2.dim());
+            own.slice_mut(s![part.clone(), part.clone()]).assign(&covariance_nm2.slice(s![part.clone(), part]));
+            Ok(gram.expected_rms_nm(own.view())? / images)
+        };
+        Ok([of(0..n)?, of(n..covariance_nm2.nrows())?])
     }
 }
 

@@ -62,7 +62,7 @@ impl<'a> Walk<'a> {
         best = self.single_precision(best, limit_nm)?;
         best = self.stopped_early(best, limit_nm)?;
         best = self.fewer_modes(best, limit_nm)?;
-        let omissions = omissions(self.asked, &best.scene, &best.estimator, best.price, self.cancel)?;
+        let omissions = omissions(self.asked, &best.scene, &best.estimator, best.price, &self.trials, self.cancel)?;
         Ok(Plan {
             scene: best.scene,
             budget_nm: self.budget_nm,

@@ -1,6 +1,6 @@
 //! The camera: the exact field on a fine grid, its image at the detector's sampling, photon and read noise.
 
-use super::truth::{Truth, segment_radius_rms};
+use super::truth::Truth;
 use crate::Result;
 use crate::fourier::{Sampling, Transform};
 use crate::grid::Grid;
@@ -93,13 +93,12 @@ impl<'a> Camera<'a> {
         let mut field = vec![0.0f64; 2 * n * n];
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
         let pistons: Vec<(f64, f64)> = truth.piston_nm.iter().map(|&nm| phasor(nm)).collect();
-        let unit = segment_radius_rms(self.telescope);
         for (((p, segments, weights), &opd), &flat) in self.weights.rows().zip(opd_nm).zip(&self.weights.lit) {
             let (mut re, mut im) = (0.0, 0.0);
             for (&segment, weight) in segments.iter().zip(weights) {
                 let (sin, cos) = if truth.tilts_segments() {
                     let (x, y) = self.at(flat);
-                    phasor(truth.segment_nm(self.telescope, segment as usize, unit, x, y))
+                    phasor(truth.segment_nm(&self.telescope.pupil, segment as usize, x, y))
                 } else {
                     pistons[segment as usize]
                 };

@@ -21,6 +21,8 @@ pub struct Truth {
     /// Non-common path aberrations likewise.
     pub ncpa_nm: Array2<f64>,
     ncpa: Ncpa,
+    /// The length on which a segment's tilt of 1 nm RMS rises by 1 nm, m.
+    tilt_unit_m: f64,
 }
 
 enum Ncpa {
@@ -91,21 +93,10 @@ impl Truth {
     fn assemble(telescope: &Telescope, piston_nm: Vec<f64>, tip_tilt_nm: Vec<[f64; 2]>, ncpa: Ncpa) -> Result<Self> {
         let pupil = &telescope.pupil;
         let outside = Array2::from_elem(pupil.amplitude.dim(), f64::NAN);
-        let mut truth = Self { piston_nm, tip_tilt_nm, phasing_nm: outside.clone(), ncpa_nm: outside, ncpa };
-        let unit = segment_radius_rms(telescope);
-        for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
-            let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
-            truth.phasing_nm[[y, x]] = truth.segment_nm(telescope, owner as usize, unit, x_m, y_m);
-        }
-        let mut points = Vec::new();
-        for ((y, x), _) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
-            points.push((y, x));
-        }
-        let at = |(y, x): (usize, usize)| (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
-        let (xs, ys): (Vec<f64>, Vec<f64>) = points.iter().copied().map(at).unzip();
-        for (&(y, x), value) in points.iter().zip(truth.ncpa_at(&xs, &ys)?) {
-            truth.ncpa_nm[[y, x]] = value;
-        }
+        let tilt_unit_m = segment_radius_rms(telescope);
+        let mut truth =
+            Self { piston_nm, tip_tilt_nm, phasing_nm: outside.clone(), ncpa_nm: outside, ncpa, tilt_unit_m };
+        [truth.phasing_nm, truth.ncpa_nm] = truth.maps_on(pupil)?;
         Ok(truth)
     }
 
@@ -124,16 +115,10 @@ impl Truth {
         })
     }
 
-    /// The length on which a segment's tilt of 1 nm RMS rises by 1 nm, m: what [`Truth::segment_nm`] wants.
-    pub(crate) fn tilt_unit_m(&self, telescope: &Telescope) -> f64 {
-        segment_radius_rms(telescope)
-    }
-
-    /// The error of `segment` at a point, nm; `unit_m` is [`Truth::tilt_unit_m`].
-    pub(crate) fn segment_nm(&self, telescope: &Telescope, segment: usize, unit_m: f64, x_m: f64, y_m: f64) -> f64 {
-        let centre = telescope.pupil.segments[segment];
-        let [tip, tilt] = self.tip_tilt_nm[segment];
-        self.piston_nm[segment] + (tip * (x_m - centre.x_m) + tilt * (y_m - centre.y_m)) / unit_m
+    /// The error of `segment` at a point, nm; the centres of the segments are those of `pupil`.
+    pub(crate) fn segment_nm(&self, pupil: &Pupil, segment: usize, x_m: f64, y_m: f64) -> f64 {
+        let (centre, [tip, tilt]) = (pupil.segments[segment], self.tip_tilt_nm[segment]);
+        self.piston_nm[segment] + (tip * (x_m - centre.x_m) + tilt * (y_m - centre.y_m)) / self.tilt_unit_m
     }
 
     /// Whether any segment is tilted.
@@ -142,7 +127,7 @@ impl Truth {
     }
 
     /// The maps, phasing and NCPA, on the grid of `pupil`, `[y, x]`, nm, NaN outside: models of any size can be held
-    /// against the same wavefront. Segments are taken in piston only.
+    /// against the same wavefront.
     ///
     /// # Errors
     /// [`Error::Shape`] for a pupil with other segments than the scene's.
@@ -162,7 +147,9 @@ impl Truth {
         let outside = Array2::from_elem(pupil.owner.dim(), f64::NAN);
         let (mut phasing_nm, mut ncpa_nm) = (outside.clone(), outside);
         for ((at, owner), ncpa) in lit.into_iter().zip(self.ncpa_at(&xs, &ys)?) {
-            (phasing_nm[at], ncpa_nm[at]) = (self.piston_nm[owner], ncpa);
+            let (y, x) = at;
+            phasing_nm[at] = self.segment_nm(pupil, owner, pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
+            ncpa_nm[at] = ncpa;
         }
         Ok([phasing_nm, ncpa_nm])
     }
@@ -174,7 +161,7 @@ impl Truth {
 }
 
 /// RMS of x over a segment, m: √(5/24) of the side for a hexagon; measured, so that it holds for any segment.
-pub(super) fn segment_radius_rms(telescope: &Telescope) -> f64 {
+fn segment_radius_rms(telescope: &Telescope) -> f64 {
     let pupil = &telescope.pupil;
     let (mut weight, mut square) = (0.0, 0.0);
     for (((y, x), &owner), &a) in

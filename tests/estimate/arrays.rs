@@ -127,6 +127,10 @@ fn arrays_and_files_are_the_same_model() {
         modes: Some(modes),
         diversity_nm: Some(diversity_nm),
     };
+    // A planner cannot simulate what the scene does not describe: a budget is refused and not ignored.
+    let budget = format!("{image}[estimate]\nbudget_nm = 1\n");
+    let error = Estimator::from_arrays(&for_arrays(&budget), &arrays).err().unwrap();
+    assert!(error.to_string().contains("budget_nm"), "{error}");
     // The width is stated by the one and not by the other: nothing here has a length.
     let of_arrays = Estimator::from_arrays(&for_arrays(image), &arrays).unwrap();
     assert_eq!(of_arrays.model().basis.names(), of_files.model().basis.names());
