@@ -150,12 +150,18 @@ impl Fitter<'_> {
                 };
                 images.filter_map(own).collect()
             };
+            // A device gives no PSFs.
+            let single = if let Chain::Cpu32(chain) = &*chain { Some(chain) } else { None };
             let step = |(runner, prepared, evaluation): (&mut Runner, &mut &mut Prepared, &Evaluation)| {
                 let next = runner.tell(evaluation);
                 if next != Next::Psf {
                     return next;
                 }
-                let psf = self.judge.psf(ArrayView1::from(runner.point()));
+                let point = ArrayView1::from(runner.point());
+                let psf = single.map_or_else(
+                    || self.judge.psf(point),
+                    |chain| chain.psf(point).into_iter().map(f64::from).collect(),
+                );
                 runner.settle(&psf, prepared)
             };
             let next: Vec<Next> = told.into_par_iter().map(step).collect();

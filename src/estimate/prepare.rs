@@ -137,6 +137,14 @@ impl Sampled<'_> {
     fn is_bad(&self, at: (usize, usize)) -> bool {
         self.bad.is_some_and(|bad| bad[at])
     }
+
+    /// The `size` pixels of a row from `(row, column)` on, where the frame has them all and none is bad.
+    fn good_stretch(&self, (row, column): (usize, usize), size: usize) -> Option<&[f64]> {
+        let stretch = column..column + size;
+        let bad = self.bad.map(|bad| bad.row(row).to_slice().and_then(|bad| bad.get(stretch.clone())));
+        let good = bad.is_none_or(|bad| bad.is_some_and(|bad| !bad.iter().fold(false, |any, bad| any | *bad)));
+        self.data.row(row).to_slice().and_then(|data| data.get(stretch)).filter(|_| good)
+    }
 }
 
 impl Preparer {
@@ -169,10 +177,13 @@ impl Preparer {
         if self.reduction.is_some() && ringing == Ringing::Refused && lost > 0 {
             return Err(Refusal::BadPixelsWouldRing { bad: lost });
         }
-        let (level, scatter) = self.statistics.of_border(&self.data, &self.bad);
+        let level = self.statistics.level_of_border(&self.data, &self.bad);
         refuse_unusable(&self.data, &self.bad, level)?;
         // Without a stated read noise the border's scatter stands for it; 1 e⁻ keeps weights finite on synthetic frames.
-        let read_noise_e = if frame.read_noise_e > 0.0 { frame.read_noise_e } else { scatter.max(1.0) };
+        let read_noise_e = match frame.read_noise_e {
+            stated if stated > 0.0 => stated,
+            _ => self.statistics.scatter_about(level).max(1.0),
+        };
         let sampled = match &mut self.reduction {
             Some(reduction) => Sampled { data: reduction.run(&self.data), bad: None },
             None => Sampled { data: &self.data, bad: Some(&self.bad) },
@@ -344,6 +355,11 @@ fn crop(frame: &Sampled, size: usize, floor: f64, prepared: &mut Prepared) -> us
     let lines = prepared.exposure.data_e.chunks_exact_mut(size).zip(prepared.floor_variance_e2.chunks_exact_mut(size));
     for (v, (data, floor_variance)) in lines.enumerate() {
         let row = from(v, rows, shift_y);
+        if let Some(whole) = row.zip(from(0, columns, shift_x)).and_then(|at| frame.good_stretch(at, size)) {
+            data.copy_from_slice(whole);
+            floor_variance.fill(floor);
+            continue;
+        }
         for (u, (data, floor_variance)) in data.iter_mut().zip(floor_variance).enumerate() {
             let there = row.zip(from(u, columns, shift_x));
             *data = there.map_or(0.0, |at| frame.data[at]);

@@ -65,7 +65,10 @@ macro_rules! product {
                     }
                     let mut first = 0;
                     while first < cols {
-                        let vectors = (cols - first).div_ceil(lanes).min(cols / lanes).min(MOST_VECTORS);
+                        let left = (cols - first).div_ceil(lanes);
+                        // Two panels of two vectors rather than one of three and one of one, which waits for its sums.
+                        let most = if left == MOST_VECTORS + 1 { 2 } else { MOST_VECTORS };
+                        let vectors = left.min(cols / lanes).min(most);
                         // The last panel ends with the last column.
                         let start = first.min(cols - vectors * lanes);
                         match vectors {

@@ -63,7 +63,16 @@ impl Exposure {
                 self.weight.len()
             )));
         }
-        if self.data_e.iter().any(|d| !d.is_finite()) || self.weight.iter().any(|w| !(w.is_finite() && *w >= 0.0)) {
+        // 0 times a number that is not finite is no number. Without a way out, the loop runs in vectors.
+        let (mut zeros, mut negative) = ([0.0; LANES], false);
+        let (data, weight) = (self.data_e.chunks(LANES), self.weight.chunks(LANES));
+        for (data, weight) in data.zip(weight) {
+            for ((zero, data), weight) in zeros.iter_mut().zip(data).zip(weight) {
+                *zero += 0.0 * data + 0.0 * weight;
+                negative |= *weight < 0.0;
+            }
+        }
+        if negative || zeros.iter().any(|zero| *zero != 0.0) {
             return Err(Error::Value(
                 "an exposure's data must be finite, and its weights finite and not negative".into(),
             ));
@@ -82,8 +91,11 @@ pub struct Loaded<T> {
     sum_wd: f64,
 }
 
-/// Independent partial sums, in double precision.
-const LANES: usize = 8;
+/// Independent partial sums, so that they run in vectors.
+const LANES: usize = 16;
+/// Vectors that are summed in the chain's precision before the sums go on in double precision: in f32 their rounding is
+/// that of the products.
+const SPAN: usize = 4;
 
 impl<T: Polynomial> Loaded<T> {
     /// Room for an exposure of `pixels` a side, in which nothing has weight yet.
@@ -99,8 +111,14 @@ impl<T: Polynomial> Loaded<T> {
         fill(&mut self.data, &exposure.data_e);
         fill(&mut self.weight, &exposure.weight);
         self.photometry = exposure.photometry;
-        self.sum_w = exposure.weight.iter().sum();
-        self.sum_wd = exposure.weight.iter().zip(&exposure.data_e).map(|(w, d)| w * d).sum();
+        let (mut w, mut wd) = ([0.0; LANES], [0.0; LANES]);
+        for (weight, data) in exposure.weight.chunks(LANES).zip(exposure.data_e.chunks(LANES)) {
+            for (i, (weight, data)) in weight.iter().zip(data).enumerate() {
+                w[i] += weight;
+                wd[i] += weight * data;
+            }
+        }
+        [self.sum_w, self.sum_wd] = [w, wd].map(|lanes| lanes.iter().sum());
     }
 
     /// |U|² from the row-planar focal field.
@@ -114,20 +132,11 @@ impl<T: Polynomial> Loaded<T> {
         }
     }
 
-    /// Flux and background for this PSF, and the objective, into `evaluation`. In f32 the model and the residual are rounded to 6e-8 of
-    /// the brightest pixel; all sums over pixels run in double precision.
+    /// Flux and background for this PSF, into `evaluation`. In f32 the model and the residual are rounded to 6e-8 of the
+    /// brightest pixel; sums over pixels run in double precision.
     #[inline(always)]
     pub(super) fn forward(&self, psf: &[T], evaluation: &mut Evaluation) {
-        let (flux_e, background_e) = self.photometry(psf);
-        let (flux, background) = (T::of(flux_e), T::of(background_e));
-        let mut lanes = [0.0; LANES];
-        for ((psf, data), weight) in psf.chunks(LANES).zip(self.data.chunks(LANES)).zip(self.weight.chunks(LANES)) {
-            for i in 0..psf.len() {
-                let residual = psf[i].mul_add(flux, background - data[i]);
-                lanes[i] += (weight[i] * residual * residual).wide();
-            }
-        }
-        (evaluation.objective, evaluation.flux_e, evaluation.background_e) = (lanes.iter().sum(), flux_e, background_e);
+        (evaluation.flux_e, evaluation.background_e) = self.photometry(psf);
     }
 
     #[inline(always)]
@@ -135,36 +144,81 @@ impl<T: Polynomial> Loaded<T> {
         if let Photometry::Fixed { flux_e, background_e } = self.photometry {
             return (flux_e, background_e);
         }
-        let (mut wh, mut whh, mut whd) = ([0.0; LANES], [0.0; LANES], [0.0; LANES]);
-        for ((psf, data), weight) in psf.chunks(LANES).zip(self.data.chunks(LANES)).zip(self.weight.chunks(LANES)) {
-            for i in 0..psf.len() {
-                let product = weight[i] * psf[i];
-                wh[i] += product.wide();
-                whh[i] += (product * psf[i]).wide();
-                whd[i] += (product * data[i]).wide();
+        let mut sums = [[0.0; LANES]; 3];
+        let spans = psf.chunks(SPAN * LANES).zip(self.data.chunks(SPAN * LANES)).zip(self.weight.chunks(SPAN * LANES));
+        for ((psf, data), weight) in spans {
+            let mut lanes = [[T::zero(); LANES]; 3];
+            for ((psf, data), weight) in psf.chunks(LANES).zip(data.chunks(LANES)).zip(weight.chunks(LANES)) {
+                match (psf.as_array(), data.as_array(), weight.as_array()) {
+                    (Some(psf), Some(data), Some(weight)) => add_moments(&mut lanes, psf, data, weight),
+                    _ => add_moments(&mut lanes, &filled(psf), &filled(data), &filled(weight)),
+                }
+            }
+            for (sums, lanes) in sums.iter_mut().zip(&lanes) {
+                sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane.wide());
             }
         }
-        let [wh, whh, whd] = [wh, whh, whd].map(|lanes| lanes.iter().sum::<f64>());
+        let [wh, whh, whd] = sums.map(|lanes| lanes.iter().sum::<f64>());
         self.photometry.solve(self.sum_w, self.sum_wd, wh, whh, whd)
     }
 
-    /// Ū on the row-planar grid, written over the focal field.
+    /// The objective into `evaluation`, whose flux and background it takes, and Ū on the row-planar grid, written over
+    /// the focal field.
     #[inline(always)]
-    pub(super) fn adjoint(&self, evaluation: &Evaluation, psf: &[T], focus: &mut [T], pixels: usize) {
+    pub(super) fn adjoint(&self, evaluation: &mut Evaluation, psf: &[T], focus: &mut [T], pixels: usize) {
         let (flux, background) = (T::of(evaluation.flux_e), T::of(evaluation.background_e));
-        let twice_flux = T::of(2.0 * evaluation.flux_e);
+        let twice_flux = flux + flux;
+        let mut sums = [0.0; LANES];
         for (v, row) in focus.chunks_exact_mut(2 * pixels).enumerate() {
             let (re, im) = row.split_at_mut(pixels);
             let line = v * pixels..(v + 1) * pixels;
             let (psf, data, weight) = (&psf[line.clone()], &self.data[line.clone()], &self.weight[line]);
-            for u in 0..pixels {
+            let mut lanes = [T::zero(); LANES];
+            let whole = pixels - pixels % LANES;
+            let mut pixel = |u: usize, lane: &mut T| {
                 let residual = psf[u].mul_add(flux, background - data[u]);
-                let slope = twice_flux * weight[u] * residual;
+                let weighted = weight[u] * residual;
+                *lane = weighted.mul_add(residual, *lane);
+                let slope = twice_flux * weighted;
                 re[u] *= slope;
                 im[u] *= slope;
+            };
+            for first in (0..whole).step_by(LANES) {
+                for (i, lane) in lanes.iter_mut().enumerate() {
+                    pixel(first + i, lane);
+                }
             }
+            for u in whole..pixels {
+                pixel(u, &mut lanes[u - whole]);
+            }
+            sums.iter_mut().zip(&lanes).for_each(|(sum, lane)| *sum += lane.wide());
         }
+        evaluation.objective = sums.iter().sum();
     }
+}
+
+/// Adds w·h, w·h² and w·h·d of a vector of pixels.
+#[inline(always)]
+fn add_moments<T: Polynomial>(
+    [wh, whh, whd]: &mut [[T; LANES]; 3],
+    psf: &[T; LANES],
+    data: &[T; LANES],
+    weight: &[T; LANES],
+) {
+    for i in 0..LANES {
+        let product = weight[i] * psf[i];
+        wh[i] += product;
+        whh[i] = product.mul_add(psf[i], whh[i]);
+        whd[i] = product.mul_add(data[i], whd[i]);
+    }
+}
+
+/// A vector's beginning, and zeros.
+#[inline(always)]
+fn filled<T: Polynomial>(part: &[T]) -> [T; LANES] {
+    let mut lanes = [T::zero(); LANES];
+    lanes[..part.len()].copy_from_slice(part);
+    lanes
 }
 
 impl Photometry {

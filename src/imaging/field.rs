@@ -9,61 +9,69 @@
 //!
 //! `dJ/dψ_p = 4π·Im(g_p·a_p*)`,  `dJ/dc_s = (4π/λ)·Im(q_s*·Σ_p w_ps·g_p)`,  `dJ/dy_j = Σ_p B_jp·dJ/dψ_p`.
 
+//!
+//! The grid is worked on in blocks of neighbouring samples of a row: phase, phasor, aperture and field of a block stay in
+//! vector registers, with the weights of the segments that show in it read in order.
+
 use super::optics::{Mode, Optics};
 use super::phasor::{Polynomial, phasor};
 use super::smooth::{SmoothModes, SmoothScratch};
 use ndarray::ArrayView1;
 
-/// A stretch of neighbouring lit samples in which one segment shows, filled up to whole vectors with weights of 0.
-struct Run {
-    segment: usize,
-    first_lit: usize,
-    first_weight: usize,
-    /// Samples, without the filling.
-    length: usize,
-}
+/// Samples of a block: a vector of the widest registers in f32, two in f64. The rows of the grid are filled up to whole
+/// blocks.
+pub(super) const BLOCK: usize = 16;
 
-/// Neighbouring lit samples of one row of the grid.
-struct Strip {
-    first_lit: usize,
-    /// Where the first one's real part lies in a row-planar grid; its imaginary part is `samples` further.
-    place: usize,
-    length: usize,
-}
+type Lanes<T> = [T; BLOCK];
 
-/// Samples that runs are worked on at once: a vector of the widest registers in f32, two in f64. The edge of a segment
-/// is rarely further from the other.
-const STRIDE: usize = 16;
+/// The segments that show in the blocks of the grid. A share is one segment in one block.
+struct Shares<T> {
+    /// Where the shares of each block begin; one more at the end.
+    first: Vec<usize>,
+    segment: Vec<usize>,
+    /// Scaled so that |U|² is the PSF; 0 where the segment does not show.
+    weight: Vec<Lanes<T>>,
+    /// What a segment's tip and its tilt of 1 nm add to the phase, nm, where segments tilt.
+    slopes: Option<Vec<[Lanes<T>; 2]>>,
+    /// The shares of each segment, with their blocks.
+    of_segment: Vec<Vec<(usize, usize)>>,
+}
 
 /// The stage, in the chain's precision.
 pub(super) struct Field<T> {
     samples: usize,
-    lit: usize,
-    strips: Vec<Strip>,
-    diversity_turns: Vec<T>,
+    /// Flat places of the lit samples in rows of whole blocks.
+    lit: Vec<usize>,
+    /// On the grid of whole blocks.
+    diversity_turns: Vec<Lanes<T>>,
     smooth: SmoothModes<T>,
-    runs: Vec<Run>,
-    /// Weights in the order of the runs and their fillings, scaled so that |U|² is the PSF.
-    weight: Vec<T>,
-    slopes: Option<(Vec<T>, Vec<T>)>,
-    segments: usize,
+    shares: Shares<T>,
     turns_per_nm: f64,
     modes: Vec<Mode>,
 }
 
+/// What the backward pass needs of the forward one, for each block.
+#[derive(Clone, Copy)]
+struct BlockState<T> {
+    phasor: [Lanes<T>; 2],
+    aperture: [Lanes<T>; 2],
+}
+
 /// One image's memory for this stage.
 pub(super) struct FieldState<T> {
-    /// Smooth phase, turns; then dJ/dψ.
-    pub(super) turns: Vec<T>,
-    phasor: [Vec<T>; 2],
-    pub(super) aperture: [Vec<T>; 2],
-    /// `Ē·P*`.
-    back: [Vec<T>; 2],
+    /// Smooth phase without the diversity, turns.
+    turns: Vec<T>,
+    /// dJ/dψ, up to its factor; 0 in blocks where no segment shows.
+    turns_bar: Vec<T>,
+    blocks: Vec<BlockState<T>>,
     /// Piston, tip and tilt of each segment, turns.
     pose: Vec<[T; 3]>,
+    /// exp(2πi·piston) of each segment.
+    piston: Vec<[T; 2]>,
     smooth: Vec<T>,
-    /// Sums over the samples of the derivatives by `pose` and by `smooth`.
-    pose_bar: Vec<[f64; 3]>,
+    /// Sums over the samples of the derivatives by `pose`, in lanes (of `Σ w·g` where segments do not tilt), and by
+    /// `smooth`.
+    pose_bar: Vec<[Lanes<T>; 3]>,
     smooth_bar: Vec<f64>,
     smooth_scratch: SmoothScratch<T>,
 }
@@ -71,43 +79,36 @@ pub(super) struct FieldState<T> {
 impl<T: Polynomial> Field<T> {
     pub(super) fn new(optics: &Optics) -> Self {
         let parts = optics.parts();
-        let weights = &parts.weights;
-        let amplitude = optics.intensity_scale().sqrt();
-        let (runs, order) = runs(&weights.offsets, &weights.segment, weights.segments);
         let samples = parts.sampling.samples;
-        let turns_per_nm = 1.0 / parts.wavelength_nm;
-        let gather = |values: &[f64], scale: f64| {
-            order.iter().map(|e| e.map_or(T::zero(), |e| T::of(values[e] * scale))).collect::<Vec<T>>()
-        };
+        let stride = samples.next_multiple_of(BLOCK);
+        let place = |&flat: &u32| flat as usize / samples * stride + flat as usize % samples;
+        let lit: Vec<usize> = parts.weights.lit.iter().map(place).collect();
+        let mut diversity_turns = vec![[T::zero(); BLOCK]; samples * stride / BLOCK];
+        for (&place, turns) in lit.iter().zip(optics.diversity_turns()) {
+            diversity_turns[place / BLOCK][place % BLOCK] = T::of(turns);
+        }
         Self {
             samples,
-            lit: weights.lit.len(),
-            strips: strips(&weights.lit, samples),
-            diversity_turns: optics.diversity_turns().into_iter().map(T::of).collect(),
+            diversity_turns,
             smooth: SmoothModes::new(optics),
-            weight: gather(&weights.weight, amplitude),
-            slopes: match (&parts.slopes, optics.tilts_segments()) {
-                (Some((x, y)), true) => Some((gather(x, 1.0), gather(y, 1.0))),
-                _ => None,
-            },
-            runs,
-            segments: weights.segments,
-            turns_per_nm,
+            shares: Shares::new(optics, &lit, samples * stride / BLOCK),
+            lit,
+            turns_per_nm: 1.0 / parts.wavelength_nm,
             modes: parts.modes.clone(),
         }
     }
 
     pub(super) fn state(&self) -> FieldState<T> {
-        // The filling of the last run reaches beyond the last lit sample.
-        let zeros = || vec![T::zero(); self.lit + STRIDE];
+        let (blocks, segments) = (self.diversity_turns.len(), self.shares.of_segment.len());
+        let zeros = [[T::zero(); BLOCK]; 2];
         FieldState {
-            turns: zeros(),
-            phasor: [zeros(), zeros()],
-            aperture: [zeros(), zeros()],
-            back: [zeros(), zeros()],
-            pose: vec![[T::zero(); 3]; self.segments],
+            turns: vec![T::zero(); blocks * BLOCK],
+            turns_bar: vec![T::zero(); blocks * BLOCK],
+            blocks: vec![BlockState { phasor: zeros, aperture: zeros }; blocks],
+            pose: vec![[T::zero(); 3]; segments],
+            piston: vec![[T::zero(); 2]; segments],
             smooth: vec![T::zero(); self.smooth.len()],
-            pose_bar: vec![[0.0; 3]; self.segments],
+            pose_bar: vec![[[T::zero(); BLOCK]; 3]; segments],
             smooth_bar: vec![0.0; self.smooth.len()],
             smooth_scratch: self.smooth.scratch(),
         }
@@ -126,59 +127,36 @@ impl<T: Polynomial> Field<T> {
                 Mode::Tilt(s) => add(&mut state.pose[s][2], nm * self.turns_per_nm),
             }
         }
+        for (piston, &[turns, ..]) in state.piston.iter_mut().zip(&state.pose) {
+            *piston = phasor(turns).into();
+        }
     }
 
     /// Coefficients (nm) to the field on the row-planar pupil grid. `grid` must be zero outside the lit samples.
     #[inline(always)]
     pub(super) fn forward(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>, grid: &mut [T]) {
         self.set(coefficients_nm, state);
-        let turns = &mut state.turns[..self.lit];
-        turns.copy_from_slice(&self.diversity_turns);
-        self.smooth.add(&state.smooth, turns, &mut state.smooth_scratch);
-        let [re, im] = &mut state.phasor;
-        for ((re, im), &turns) in re.iter_mut().zip(im.iter_mut()).zip(&state.turns) {
-            (*re, *im) = phasor(turns);
-        }
-        self.apertures(state);
-        let ([p_re, p_im], [a_re, a_im]) = (&state.phasor, &state.aperture);
-        for &Strip { first_lit, place, length } in &self.strips {
-            let [p_re, p_im, a_re, a_im] = [p_re, p_im, a_re, a_im].map(|plane| &plane[first_lit..][..length]);
-            let (re, im) = grid[place..].split_at_mut(self.samples);
-            let (re, im) = (&mut re[..length], &mut im[..length]);
-            for i in 0..length {
-                re[i] = p_re[i] * a_re[i] - p_im[i] * a_im[i];
-                im[i] = p_re[i] * a_im[i] + p_im[i] * a_re[i];
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn apertures(&self, state: &mut FieldState<T>) {
-        let [re, im] = &mut state.aperture;
-        re.fill(T::zero());
-        im.fill(T::zero());
-        for run in &self.runs {
-            let filled = run.filled();
-            let weight = &self.weight[run.first_weight..][..filled];
-            let re = &mut re[run.first_lit..][..filled];
-            let im = &mut im[run.first_lit..][..filled];
-            let [c, t, u] = state.pose[run.segment];
-            match &self.slopes {
-                None => {
-                    let (q_re, q_im) = phasor(c);
-                    for i in 0..filled {
-                        re[i] = weight[i].mul_add(q_re, re[i]);
-                        im[i] = weight[i].mul_add(q_im, im[i]);
-                    }
+        self.smooth.phase(&state.smooth, &mut state.turns, &mut state.smooth_scratch);
+        let turns = state.turns.as_chunks::<BLOCK>().0;
+        let across = self.samples.div_ceil(BLOCK);
+        let rows = grid.chunks_exact_mut(2 * self.samples).enumerate();
+        for (y, row) in rows {
+            let (re, im) = row.split_at_mut(self.samples);
+            for (x, block) in (y * across..(y + 1) * across).enumerate() {
+                let shares = self.shares.of(block);
+                if shares.is_empty() {
+                    continue;
                 }
-                Some((x, y)) => {
-                    let (x, y) = (&x[run.first_weight..][..filled], &y[run.first_weight..][..filled]);
-                    for i in 0..filled {
-                        let (q_re, q_im) = phasor(t.mul_add(x[i], u.mul_add(y[i], c)));
-                        re[i] = weight[i].mul_add(q_re, re[i]);
-                        im[i] = weight[i].mul_add(q_im, im[i]);
-                    }
+                let [p_re, p_im] = phasors(&turns[block], &self.diversity_turns[block]);
+                let [a_re, a_im] = self.shares.aperture(shares, &state.pose, &state.piston);
+                let (mut e_re, mut e_im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
+                for i in 0..BLOCK {
+                    e_re[i] = p_re[i].mul_add(a_re[i], -(p_im[i] * a_im[i]));
+                    e_im[i] = p_re[i].mul_add(a_im[i], p_im[i] * a_re[i]);
                 }
+                state.blocks[block] = BlockState { phasor: [p_re, p_im], aperture: [a_re, a_im] };
+                put(&mut re[x * BLOCK..], &e_re);
+                put(&mut im[x * BLOCK..], &e_im);
             }
         }
     }
@@ -186,163 +164,241 @@ impl<T: Polynomial> Field<T> {
     /// Ē on the row-planar pupil grid to the gradient per nm of each coefficient.
     #[inline(always)]
     pub(super) fn adjoint(&self, grid_bar: &[T], state: &mut FieldState<T>, gradient: &mut [f64]) {
-        let ([p_re, p_im], [a_re, a_im]) = (&state.phasor, &state.aperture);
-        let [g_re, g_im] = &mut state.back;
-        for &Strip { first_lit, place, length } in &self.strips {
-            let lit = first_lit..first_lit + length;
-            let [p_re, p_im, a_re, a_im] = [p_re, p_im, a_re, a_im].map(|plane| &plane[lit.clone()]);
-            let (g_re, g_im) = (&mut g_re[lit.clone()], &mut g_im[lit.clone()]);
-            let turns = &mut state.turns[lit];
-            let (e_re, e_im) = grid_bar[place..].split_at(self.samples);
-            let (e_re, e_im) = (&e_re[..length], &e_im[..length]);
-            for i in 0..length {
-                g_re[i] = e_re[i] * p_re[i] + e_im[i] * p_im[i];
-                g_im[i] = e_im[i] * p_re[i] - e_re[i] * p_im[i];
-                turns[i] = g_im[i] * a_re[i] - g_re[i] * a_im[i];
+        state.pose_bar.fill([[T::zero(); BLOCK]; 3]);
+        let turns_bar = state.turns_bar.as_chunks_mut::<BLOCK>().0;
+        let across = self.samples.div_ceil(BLOCK);
+        for (y, row) in grid_bar.chunks_exact(2 * self.samples).enumerate() {
+            let (re, im) = row.split_at(self.samples);
+            for (x, block) in (y * across..(y + 1) * across).enumerate() {
+                let shares = self.shares.of(block);
+                if shares.is_empty() {
+                    continue;
+                }
+                let (e_re, e_im) = (take(&re[x * BLOCK..]), take(&im[x * BLOCK..]));
+                let BlockState { phasor: [p_re, p_im], aperture: [a_re, a_im] } = &state.blocks[block];
+                let (mut g_re, mut g_im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
+                let turns_bar = &mut turns_bar[block];
+                for i in 0..BLOCK {
+                    g_re[i] = e_re[i].mul_add(p_re[i], e_im[i] * p_im[i]);
+                    g_im[i] = e_im[i].mul_add(p_re[i], -(e_re[i] * p_im[i]));
+                    turns_bar[i] = g_im[i].mul_add(a_re[i], -(g_re[i] * a_im[i]));
+                }
+                self.shares.collect(shares, [&g_re, &g_im], &state.pose, &mut state.pose_bar);
             }
         }
+        self.smooth.project(&state.turns_bar, &mut state.smooth_bar, &mut state.smooth_scratch);
+        self.gradient(state, gradient);
+    }
+
+    /// Puts the gradient together from its sums.
+    #[inline(always)]
+    fn gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
         let four_pi = 4.0 * std::f64::consts::PI;
-        self.pose_gradient(state);
-        self.smooth.project(&state.turns[..self.lit], &mut state.smooth_bar, &mut state.smooth_scratch);
-        let (pose, smooth) = (&state.pose_bar, &state.smooth_bar);
+        let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
+        let turned = self.shares.slopes.is_some();
         for (&mode, gradient) in self.modes.iter().zip(gradient.iter_mut()) {
             *gradient = four_pi
                 * match mode {
-                    Mode::Smooth(row) => smooth[row],
-                    Mode::Piston(s) => pose[s][0] * self.turns_per_nm,
-                    Mode::Tip(s) => pose[s][1] * self.turns_per_nm,
-                    Mode::Tilt(s) => pose[s][2] * self.turns_per_nm,
+                    Mode::Smooth(row) => state.smooth_bar[row],
+                    Mode::Piston(s) if turned => sum(&state.pose_bar[s][0]) * self.turns_per_nm,
+                    Mode::Piston(s) => {
+                        let ([q_re, q_im], [re, im, _]) = (state.piston[s], &state.pose_bar[s]);
+                        (sum(im) * q_re.wide() - sum(re) * q_im.wide()) * self.turns_per_nm
+                    }
+                    Mode::Tip(s) => sum(&state.pose_bar[s][1]) * self.turns_per_nm,
+                    Mode::Tilt(s) => sum(&state.pose_bar[s][2]) * self.turns_per_nm,
                 };
-        }
-    }
-
-    /// Σ_p w·Im(q*·g)·(1, x, y) of each segment.
-    #[inline(always)]
-    fn pose_gradient(&self, state: &mut FieldState<T>) {
-        let [g_re, g_im] = &state.back;
-        let sums = &mut state.pose_bar;
-        sums.fill([0.0; 3]);
-        for run in &self.runs {
-            let filled = run.filled();
-            let weight = &self.weight[run.first_weight..][..filled];
-            let (re, im) = (&g_re[run.first_lit..][..filled], &g_im[run.first_lit..][..filled]);
-            let [c, t, u] = state.pose[run.segment];
-            let sum = &mut sums[run.segment];
-            match &self.slopes {
-                None => {
-                    let (q_re, q_im) = phasor(c);
-                    let mut lanes = [[T::zero(); STRIDE]; 2];
-                    for first in (0..filled).step_by(STRIDE) {
-                        let [weight, re, im] = [weight, re, im].map(|values| &values[first..][..STRIDE]);
-                        for i in 0..STRIDE {
-                            lanes[0][i] = weight[i].mul_add(re[i], lanes[0][i]);
-                            lanes[1][i] = weight[i].mul_add(im[i], lanes[1][i]);
-                        }
-                    }
-                    let [re, im] = lanes.map(|lanes| lanes.iter().map(|lane| lane.wide()).sum::<f64>());
-                    sum[0] += im * q_re.wide() - re * q_im.wide();
-                }
-                Some((x, y)) => {
-                    let (x, y) = (&x[run.first_weight..][..filled], &y[run.first_weight..][..filled]);
-                    for i in 0..run.length {
-                        let (q_re, q_im) = phasor(t.mul_add(x[i], u.mul_add(y[i], c)));
-                        let part = weight[i] * (q_re * im[i] - q_im * re[i]);
-                        sum[0] += part.wide();
-                        sum[1] += (part * x[i]).wide();
-                        sum[2] += (part * y[i]).wide();
-                    }
-                }
-            }
         }
     }
 
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.
     pub(super) fn derivative(&self, mode: Mode, state: &FieldState<T>, grid: &mut [T]) {
         let tau = T::of(std::f64::consts::TAU);
-        let ([p_re, p_im], [a_re, a_im]) = (&state.phasor, &state.aperture);
-        // i·2π·s·(re + i·im), s the derivative of the phase in turns per nm.
-        let mut put = |p: usize, re: T, im: T, s: T| {
-            // The strips are in ascending order of their samples.
-            let strip = &self.strips[self.strips.partition_point(|strip| strip.first_lit <= p) - 1];
-            let place = strip.place + p - strip.first_lit;
-            let (re, im) = (p_re[p] * re - p_im[p] * im, p_re[p] * im + p_im[p] * re);
-            grid[place] -= tau * s * im;
-            grid[place + self.samples] += tau * s * re;
+        let stride = self.samples.next_multiple_of(BLOCK);
+        // i·2π·s·P·(re + i·im), s the derivative of the phase in turns per nm.
+        let mut put = |place: usize, re: T, im: T, s: T| {
+            let [p_re, p_im] = state.blocks[place / BLOCK].phasor.map(|lanes| lanes[place % BLOCK]);
+            let (re, im) = (p_re * re - p_im * im, p_re * im + p_im * re);
+            let at = 2 * self.samples * (place / stride) + place % stride;
+            grid[at] -= tau * s * im;
+            grid[at + self.samples] += tau * s * re;
         };
         let (Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) = mode else {
             let Mode::Smooth(row) = mode else { unreachable!("the other modes were taken above") };
-            for (p, &b) in self.smooth.map(row).iter().enumerate() {
-                put(p, a_re[p], a_im[p], b);
+            for (&place, &b) in self.lit.iter().zip(self.smooth.map(row)) {
+                let [re, im] = state.blocks[place / BLOCK].aperture.map(|lanes| lanes[place % BLOCK]);
+                put(place, re, im, b);
             }
             return;
         };
-        let first = self.runs.partition_point(|run| run.segment < segment);
-        for run in self.runs[first..].iter().take_while(|run| run.segment == segment) {
-            let [c, t, u] = state.pose[segment];
-            for i in 0..run.length {
-                let entry = run.first_weight + i;
-                let (x, y) = self.slopes.as_ref().map_or((T::zero(), T::zero()), |(x, y)| (x[entry], y[entry]));
+        let [c, t, u] = state.pose[segment];
+        for &(block, share) in &self.shares.of_segment[segment] {
+            for i in 0..BLOCK {
+                let weight = self.shares.weight[share][i];
+                if weight == T::zero() {
+                    continue;
+                }
+                let slopes = self.shares.slopes.as_ref();
+                let [x, y] = slopes.map_or([T::zero(); 2], |slopes| slopes[share].map(|lanes| lanes[i]));
                 let (q_re, q_im) = phasor(t.mul_add(x, u.mul_add(y, c)));
                 let along = match mode {
                     Mode::Tip(_) => x,
                     Mode::Tilt(_) => y,
                     _ => T::one(),
                 };
-                let weight = self.weight[entry];
-                put(run.first_lit + i, weight * q_re, weight * q_im, along * T::of(self.turns_per_nm));
+                put(block * BLOCK + i, weight * q_re, weight * q_im, along * T::of(self.turns_per_nm));
             }
         }
     }
+}
+
+impl<T: Polynomial> Shares<T> {
+    /// The shares in `blocks` blocks, in which `lit` are the flat places of the lit samples.
+    fn new(optics: &Optics, lit: &[usize], blocks: usize) -> Self {
+        let parts = optics.parts();
+        let weights = &parts.weights;
+        let slopes = parts.slopes.as_ref().filter(|_| optics.tilts_segments());
+        let amplitude = optics.intensity_scale().sqrt();
+        let mut entries = Vec::with_capacity(weights.weight.len());
+        for (&place, bounds) in lit.iter().zip(weights.offsets.windows(2)) {
+            for entry in bounds[0] as usize..bounds[1] as usize {
+                entries.push((place / BLOCK, weights.segment[entry] as usize, place % BLOCK, entry));
+            }
+        }
+        entries.sort_unstable();
+        let mut shares = Self {
+            first: Vec::with_capacity(blocks + 1),
+            segment: Vec::new(),
+            weight: Vec::new(),
+            slopes: slopes.map(|_| Vec::new()),
+            of_segment: vec![Vec::new(); weights.segments],
+        };
+        let mut own = entries.chunk_by(|one, next| (one.0, one.1) == (next.0, next.1)).peekable();
+        for block in 0..blocks {
+            shares.first.push(shares.segment.len());
+            while let Some(entries) = own.next_if(|entries| entries[0].0 == block) {
+                let gather = |values: &[f64], scale: f64| {
+                    let mut lanes = [T::zero(); BLOCK];
+                    entries.iter().for_each(|&(_, _, lane, entry)| lanes[lane] = T::of(values[entry] * scale));
+                    lanes
+                };
+                let segment = entries[0].1;
+                shares.of_segment[segment].push((block, shares.segment.len()));
+                shares.segment.push(segment);
+                shares.weight.push(gather(&weights.weight, amplitude));
+                if let (Some(to), Some((x, y))) = (&mut shares.slopes, slopes) {
+                    to.push([gather(x, 1.0), gather(y, 1.0)]);
+                }
+            }
+        }
+        shares.first.push(shares.segment.len());
+        shares
+    }
+
+    #[inline(always)]
+    fn of(&self, block: usize) -> std::ops::Range<usize> {
+        self.first[block]..self.first[block + 1]
+    }
+
+    /// a = Σ w·q of a block.
+    #[inline(always)]
+    fn aperture(&self, shares: std::ops::Range<usize>, pose: &[[T; 3]], piston: &[[T; 2]]) -> [Lanes<T>; 2] {
+        let (mut re, mut im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
+        let own = self.segment[shares.clone()].iter().zip(&self.weight[shares.clone()]);
+        let Some(slopes) = &self.slopes else {
+            for (&segment, weight) in own {
+                let [q_re, q_im] = piston[segment];
+                for i in 0..BLOCK {
+                    re[i] = weight[i].mul_add(q_re, re[i]);
+                    im[i] = weight[i].mul_add(q_im, im[i]);
+                }
+            }
+            return [re, im];
+        };
+        for ((&segment, weight), slopes) in own.zip(&slopes[shares]) {
+            let [q_re, q_im] = tilted(pose[segment], slopes);
+            for i in 0..BLOCK {
+                re[i] = weight[i].mul_add(q_re[i], re[i]);
+                im[i] = weight[i].mul_add(q_im[i], im[i]);
+            }
+        }
+        [re, im]
+    }
+
+    /// Adds what g = Ē·P* of a block says of each segment: `Σ w·g` where segments do not tilt, and
+    /// `Σ w·Im(q*·g)·(1, x, y)` where they do. A lane sums one sample in sixteen of a segment, some tens or hundreds: in
+    /// f32 its rounding is that of a few products.
+    #[inline(always)]
+    fn collect(
+        &self,
+        shares: std::ops::Range<usize>,
+        [g_re, g_im]: [&Lanes<T>; 2],
+        pose: &[[T; 3]],
+        sums: &mut [[Lanes<T>; 3]],
+    ) {
+        let own = self.segment[shares.clone()].iter().zip(&self.weight[shares.clone()]);
+        let Some(slopes) = &self.slopes else {
+            for (&segment, weight) in own {
+                let [re, im, _] = &mut sums[segment];
+                for i in 0..BLOCK {
+                    re[i] = weight[i].mul_add(g_re[i], re[i]);
+                    im[i] = weight[i].mul_add(g_im[i], im[i]);
+                }
+            }
+            return;
+        };
+        for ((&segment, weight), slopes) in own.zip(&slopes[shares]) {
+            let [q_re, q_im] = tilted(pose[segment], slopes);
+            let ([x, y], [piston, tip, tilt]) = (slopes, &mut sums[segment]);
+            for i in 0..BLOCK {
+                let part = weight[i] * (q_re[i] * g_im[i] - q_im[i] * g_re[i]);
+                piston[i] += part;
+                tip[i] = part.mul_add(x[i], tip[i]);
+                tilt[i] = part.mul_add(y[i], tilt[i]);
+            }
+        }
+    }
+}
+
+/// exp(2πi·(c + t·x + u·y)).
+#[inline(always)]
+fn tilted<T: Polynomial>([c, t, u]: [T; 3], [x, y]: &[Lanes<T>; 2]) -> [Lanes<T>; 2] {
+    let (mut re, mut im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
+    for i in 0..BLOCK {
+        (re[i], im[i]) = phasor(t.mul_add(x[i], u.mul_add(y[i], c)));
+    }
+    [re, im]
+}
+
+/// exp(2πi·(a + b)).
+#[inline(always)]
+fn phasors<T: Polynomial>(a: &Lanes<T>, b: &Lanes<T>) -> [Lanes<T>; 2] {
+    let (mut re, mut im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
+    for i in 0..BLOCK {
+        (re[i], im[i]) = phasor(a[i] + b[i]);
+    }
+    [re, im]
+}
+
+/// Writes a block, or what of it fits into the rest of a row.
+#[inline(always)]
+fn put<T: Copy>(row: &mut [T], lanes: &Lanes<T>) {
+    match row.first_chunk_mut::<BLOCK>() {
+        Some(whole) => *whole = *lanes,
+        None => row.iter_mut().zip(lanes).for_each(|(to, &from)| *to = from),
+    }
+}
+
+/// Reads a block; what lies beyond the end of the row is 0.
+#[inline(always)]
+fn take<T: Polynomial>(row: &[T]) -> Lanes<T> {
+    row.first_chunk::<BLOCK>().copied().unwrap_or_else(|| {
+        let mut lanes = [T::zero(); BLOCK];
+        lanes.iter_mut().zip(row).for_each(|(to, &from)| *to = from);
+        lanes
+    })
 }
 
 fn add<T: Polynomial>(to: &mut T, turns: f64) {
     *to += T::of(turns);
-}
-
-impl Run {
-    /// Samples with the filling.
-    fn filled(&self) -> usize {
-        self.length.next_multiple_of(STRIDE)
-    }
-}
-
-/// The stretches of lit samples in which each segment shows, segment by segment, and the entries in that order, with
-/// none in the filling.
-fn runs(offsets: &[u32], segment: &[u32], segments: usize) -> (Vec<Run>, Vec<Option<usize>>) {
-    let mut entries: Vec<Vec<(usize, usize)>> = vec![Vec::new(); segments];
-    for (p, bounds) in offsets.windows(2).enumerate() {
-        for entry in bounds[0] as usize..bounds[1] as usize {
-            entries[segment[entry] as usize].push((p, entry));
-        }
-    }
-    let (mut runs, mut order) = (Vec::<Run>::new(), Vec::new());
-    for (segment, entries) in entries.into_iter().enumerate() {
-        for (p, entry) in entries {
-            match runs.last_mut() {
-                Some(run) if run.segment == segment && run.first_lit + run.length == p => run.length += 1,
-                _ => {
-                    order.resize(order.len().next_multiple_of(STRIDE), None);
-                    runs.push(Run { segment, first_lit: p, first_weight: order.len(), length: 1 });
-                }
-            }
-            order.push(Some(entry));
-        }
-    }
-    order.resize(order.len().next_multiple_of(STRIDE), None);
-    (runs, order)
-}
-
-/// The stretches of `lit` (ascending flat places) that lie side by side in a row.
-fn strips(lit: &[u32], samples: usize) -> Vec<Strip> {
-    let mut strips = Vec::<Strip>::new();
-    for (p, &flat) in lit.iter().enumerate() {
-        let (row, column) = (flat as usize / samples, flat as usize % samples);
-        let place = 2 * row * samples + column;
-        match strips.last_mut() {
-            // The end of a row and the start of the next are a row apart in the planes.
-            Some(strip) if strip.place + strip.length == place => strip.length += 1,
-            _ => strips.push(Strip { first_lit: p, place, length: 1 }),
-        }
-    }
-    strips
 }

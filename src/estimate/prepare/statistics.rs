@@ -2,9 +2,9 @@
 
 use ndarray::{Array2, s};
 
-/// Pixels of a border that are enough: their median is known to 1.5 % of their scatter, and a quarter of a frame's pixels
+/// Pixels of a border that are enough: their median is known to 2 % of their scatter, and a quarter of a frame's pixels
 /// and more are border.
-const ENOUGH: usize = 8192;
+const ENOUGH: usize = 4096;
 
 /// The memory in which medians are selected.
 pub(super) struct Statistics {
@@ -17,9 +17,8 @@ impl Statistics {
         Self { values: Vec::with_capacity(pixels) }
     }
 
-    /// Median and scatter (1.4826 times the median deviation) of the frame's border, an eighth of each side wide; of a
-    /// large frame, of its rows at equal distances.
-    pub(super) fn of_border(&mut self, data: &Array2<f64>, bad: &Array2<bool>) -> (f64, f64) {
+    /// Median of the frame's border, an eighth of each side wide; of a large frame, of its rows at equal distances.
+    pub(super) fn level_of_border(&mut self, data: &Array2<f64>, bad: &Array2<bool>) -> f64 {
         let (rows, columns) = data.dim();
         let inner = |size: usize| size / 8..size - size / 8;
         let (inner_rows, inner_columns) = (inner(rows), inner(columns));
@@ -32,9 +31,13 @@ impl Statistics {
                 self.values.extend(data.iter().zip(bad).filter(|(_, bad)| !**bad).map(|(&d, _)| d));
             }
         }
-        let level = median(&mut self.values);
+        median(&mut self.values)
+    }
+
+    /// Scatter of the same pixels about their `level`: 1.4826 times the median deviation. They are lost by it.
+    pub(super) fn scatter_about(&mut self, level: f64) -> f64 {
         self.values.iter_mut().for_each(|d| *d = (*d - level).abs());
-        (level, 1.4826 * median(&mut self.values))
+        1.4826 * median(&mut self.values)
     }
 }
 

@@ -25,8 +25,8 @@ struct Lane<T: Polynomial> {
     preparer: Preparer,
     runner: Runner,
     scratch: Scratch<T>,
-    /// For the f64 chain, which finds flux and background and makes the weights whatever chain fits.
-    judge: Scratch<f64>,
+    /// A PSF in double precision: sums over it find flux, background and χ².
+    psf: Vec<f64>,
     evaluation: Evaluation,
     start_nm: Vec<f64>,
 }
@@ -114,7 +114,7 @@ impl<T: Polynomial> Lane<T> {
             preparer: Preparer::new(estimator.model.preparation),
             runner: Runner::new(metric, &shared.recipe, settings)?,
             scratch: chain.scratch(),
-            judge: estimator.judge.scratch(),
+            psf: vec![0.0; estimator.model.preparation.pixels.pow(2)],
             evaluation: chain.evaluation(),
             start_nm: vec![0.0; shared.modes()],
         })
@@ -170,8 +170,9 @@ impl<T: Polynomial> Lane<T> {
             }
             let point = ArrayView1::from(self.runner.point());
             if next == Next::Psf {
-                let psf = estimator.judge.psf_in(point, &mut self.judge);
-                next = self.runner.settle(psf, &mut image.prepared);
+                let psf = chain.psf_in(point, &mut self.scratch);
+                self.psf.iter_mut().zip(psf).for_each(|(wide, &value)| *wide = value.wide());
+                next = self.runner.settle(&self.psf, &mut image.prepared);
             } else {
                 chain.evaluate_one(loaded, point, &mut self.scratch, &mut self.evaluation);
                 next = self.runner.tell(&self.evaluation);
