@@ -15,6 +15,7 @@ mod evidence;
 mod linalg;
 mod lit;
 mod passes;
+mod sensor;
 mod statics;
 mod true_phases;
 
@@ -22,6 +23,7 @@ pub use calm_loop::CalmLoop;
 pub use covariance::{MeanCovariance, ResidualCovariance};
 pub use evidence::{Evidence, Family};
 pub use lit::LitSamples;
-pub use passes::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+pub use passes::{Knows, Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+pub use sensor::{Sensed, SensorModel};
 pub use statics::{StaticErrors, StaticModel};
 pub use true_phases::TruePhases;

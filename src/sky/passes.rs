@@ -2,9 +2,11 @@
 
 use super::calm_loop::CalmLoop;
 use super::evidence::Family;
+use super::sensor::{Sensed, SensorModel};
 use super::statics::{NcpaModes, StaticErrors, StaticModel};
 use super::{LitSamples, ResidualCovariance};
 use crate::metrics::MapGram;
+use crate::modes::SmoothBasis;
 use crate::optimize::CancelFlag;
 use crate::pupil::Pupil;
 use crate::scene::Scene;
@@ -20,6 +22,20 @@ pub struct Measured {
     pub phase_nm: Array2<f64>,
     /// χ² per degree of freedom of each image; 1 where phases are known.
     pub reduced_chi2: Vec<f64>,
+    /// What the wavefront sensor measured meanwhile, mean over each exposure, `[image, slope]`, mas; none without
+    /// telemetry.
+    pub slopes_mas: Option<Array2<f64>>,
+}
+
+/// What is known of the loop in front of the camera: each level with all before it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Knows {
+    /// Nothing: its answer to the pistons passes for NCPA.
+    Nothing,
+    /// All that a scene says of it: it is closed on the pistons alone.
+    Loop,
+    /// What its sensor measured during each exposure.
+    Telemetry,
 }
 
 /// The static wavefront found so far, about which phases are sought.
@@ -49,8 +65,8 @@ pub trait PhaseSource {
 pub struct PassRecipe {
     /// How the NCPA are described; the family with the highest evidence is taken.
     pub families: Vec<Family>,
-    /// Whether the loop is known, so that it can be closed on the pistons alone.
-    pub knows_loop: bool,
+    /// What is known of the loop.
+    pub knows: Knows,
     /// Error of each sample of the mean phase beside the turbulence's, nm.
     pub floor_nm: f64,
     /// Most passes.
@@ -61,7 +77,7 @@ pub struct PassRecipe {
 
 impl Default for PassRecipe {
     fn default() -> Self {
-        Self { families: vec![Family::Zernike], knows_loop: true, floor_nm: 3.0, max_passes: 5, settled: 0.5 }
+        Self { families: vec![Family::Zernike], knows: Knows::Telemetry, floor_nm: 3.0, max_passes: 5, settled: 0.5 }
     }
 }
 
@@ -115,6 +131,11 @@ const ANSWERS: usize = 8;
 /// Change of pistons below which the loop's answer stands, nm.
 const ANSWERED_NM: f64 = 0.05;
 
+/// Comparisons of phases with slopes in a pass: a quad cell is not linear, and each takes nine tenths off what is left.
+const SENSED: usize = 6;
+/// Change of the NCPA, RMS, below which they are enough, nm.
+const SENSED_NM: f64 = 0.2;
+
 /// Seeks static errors pass after pass; returns all of them, the last one last.
 ///
 /// # Errors
@@ -130,7 +151,7 @@ pub fn find_statics(
     let all = source.lit().clone();
     let kept = all.with_glass(LEAST_GLASS);
     let lit = all.selected(&kept);
-    let mut answers = recipe.knows_loop.then(|| Answers::of(scene, &all, &kept)).transpose()?;
+    let mut answers = (recipe.knows >= Knows::Loop).then(|| Answers::of(scene, &all, &kept)).transpose()?;
     let families = recipe
         .families
         .iter()
@@ -157,7 +178,22 @@ pub fn find_statics(
         for ncpa in &families {
             let pistons = answers.as_ref().map_or(lit.pistons.clone(), |answers| &lit.pistons + &answers.linear);
             let model = StaticModel::new(pistons.view(), ncpa.at_kept.view(), &ncpa.groups, &covariance)?;
-            let errors = behind(&model, &sequence.mean_nm, answers.as_mut())?;
+            let mut errors = behind(&model, &sequence.mean_nm, answers.as_mut(), None)?;
+            if let Some(slopes_mas) = measured.slopes_mas.as_ref().filter(|_| recipe.knows >= Knows::Telemetry) {
+                let slopes_mas = slopes_mas.select(Axis(0), &sequence.used);
+                let phases_nm = &sequence.residuals_nm + &sequence.mean_nm;
+                let mut sensor = SensorModel::of(scene, &telescope, &lit, &ncpa.basis)?;
+                for _ in 0..SENSED {
+                    let (pistons, before) = (&errors.pistons_nm, &errors.ncpa_nm);
+                    let sensed = sensor.ncpa(&lit, phases_nm.view(), slopes_mas.view(), pistons, before)?;
+                    let next = behind(&model, &sequence.mean_nm, answers.as_mut(), Some(&sensed))?;
+                    let moved: f64 = next.ncpa_nm.iter().zip(before).map(|(now, then)| (now - then).powi(2)).sum();
+                    errors = next;
+                    if moved.sqrt() < SENSED_NM {
+                        break;
+                    }
+                }
+            }
             if best.as_ref().is_none_or(|(other, _)| errors.log_evidence > other.log_evidence) {
                 best = Some((errors, ncpa));
             }
@@ -181,13 +217,18 @@ pub fn find_statics(
 }
 
 /// The static errors behind a mean phase, the loop's answer to them run again until it stands.
-fn behind(model: &StaticModel, mean_nm: &Array1<f64>, answers: Option<&mut Answers>) -> Result<StaticErrors> {
-    let Some(answers) = answers else { return model.estimate(mean_nm.view()) };
-    let mut errors = model.estimate(mean_nm.view())?;
+fn behind(
+    model: &StaticModel,
+    mean_nm: &Array1<f64>,
+    answers: Option<&mut Answers>,
+    sensed: Option<&Sensed>,
+) -> Result<StaticErrors> {
+    let mut errors = model.estimate(mean_nm.view(), sensed)?;
+    let Some(answers) = answers else { return Ok(errors) };
     for _ in 0..ANSWERS {
         let pistons_nm = Array1::from(errors.pistons_nm.clone());
         let nonlinear_nm = answers.at_kept(&errors.pistons_nm)? - pistons_nm.dot(&answers.linear);
-        errors = model.estimate((mean_nm - &nonlinear_nm).view())?;
+        errors = model.estimate((mean_nm - &nonlinear_nm).view(), sensed)?;
         let moved = errors.pistons_nm.iter().zip(&pistons_nm).map(|(now, then)| (now - then).abs());
         if moved.fold(0.0, f64::max) < ANSWERED_NM {
             break;
@@ -263,6 +304,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 /// A family of NCPA modes, on the samples and on the scene's grid.
 struct Ncpa {
     family: Family,
+    basis: SmoothBasis,
     groups: Vec<usize>,
     at_all: Array2<f64>,
     at_kept: Array2<f64>,
@@ -283,7 +325,16 @@ impl Ncpa {
         let segments = pistons.len_of(Axis(0));
         let maps = ndarray::concatenate(Axis(0), &[pistons.view(), smooth.view()])
             .map_err(|error| Error::Internal(format!("maps of two sizes: {error}")))?;
-        Ok(Self { family, groups: modes.groups, at_kept: at_all.select(Axis(1), kept), at_all, maps, segments, gram })
+        Ok(Self {
+            basis: modes.basis,
+            family,
+            groups: modes.groups,
+            at_kept: at_all.select(Axis(1), kept),
+            at_all,
+            maps,
+            segments,
+            gram,
+        })
     }
 
     fn pass(

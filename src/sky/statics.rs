@@ -1,7 +1,7 @@
 //! From a mean phase to pistons and NCPA: generalised least squares under the covariance of the turbulence's mean.
 
-use super::MeanCovariance;
 use super::evidence::{Evidence, Family, Group, strongest};
+use super::{MeanCovariance, Sensed};
 use crate::modes::{self, SmoothBasis};
 use crate::scene::Scene;
 use crate::telescope::Telescope;
@@ -126,15 +126,29 @@ impl StaticModel {
 
     /// The static errors behind a mean phase, nm at each sample.
     ///
+    /// `sensed` is what slopes say of the NCPA beside the phases.
+    ///
     /// # Errors
-    /// [`Error::Shape`] for another number of samples.
-    pub fn estimate(&self, mean_nm: ArrayView1<f64>) -> Result<StaticErrors> {
+    /// [`Error::Shape`] for another number of samples or of NCPA modes.
+    pub fn estimate(&self, mean_nm: ArrayView1<f64>, sensed: Option<&Sensed>) -> Result<StaticErrors> {
         if mean_nm.len() != self.columns.ncols() {
             let (given, needed) = (mean_nm.len(), self.columns.ncols());
             return Err(Error::Shape(format!("a mean phase of {given} samples was given: {needed} are needed")));
         }
+        let (mut information, mut b) = (self.information.clone(), self.solved.dot(&mean_nm));
+        if let Some(Sensed { coefficients_nm, information: more, .. }) = sensed {
+            let ncpa = self.segments..self.columns.nrows() - 1;
+            if coefficients_nm.len() != ncpa.len() {
+                let (given, needed) = (coefficients_nm.len(), ncpa.len());
+                return Err(Error::Shape(format!("slopes of {given} NCPA modes were given: {needed} are needed")));
+            }
+            let mut part = information.slice_mut(s![ncpa.clone(), ncpa.clone()]);
+            part += more;
+            let mut part = b.slice_mut(s![ncpa]);
+            part += &more.dot(coefficients_nm);
+        }
         let Evidence { coefficients_nm, covariance_nm2, log_evidence, strengths_nm } =
-            strongest(&self.information, &self.solved.dot(&mean_nm), &self.groups)?;
+            strongest(&information, &b, &self.groups)?;
         let last = coefficients_nm.len() - 1;
         Ok(StaticErrors {
             pistons_nm: coefficients_nm.slice(s![..self.segments]).to_vec(),
