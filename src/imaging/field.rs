@@ -131,10 +131,29 @@ impl<T: Polynomial> Field<T> {
     /// Coefficients (nm) to the field on the row-planar pupil grid. `grid` must be zero outside the lit samples.
     #[inline(always)]
     pub(super) fn forward(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>, grid: &mut [T]) {
+        state.turns[..self.lit].copy_from_slice(&self.diversity_turns);
+        self.forward_from(coefficients_nm, state, grid);
+    }
+
+    /// The same with a phase of its own at each lit sample, turns, beside what the coefficients make.
+    #[inline(always)]
+    pub(super) fn forward_free(
+        &self,
+        coefficients_nm: ArrayView1<f64>,
+        free_turns: &[T],
+        state: &mut FieldState<T>,
+        grid: &mut [T],
+    ) {
+        let parts = self.diversity_turns.iter().zip(free_turns);
+        state.turns[..self.lit].iter_mut().zip(parts).for_each(|(turns, (&own, &free))| *turns = own + free);
+        self.forward_from(coefficients_nm, state, grid);
+    }
+
+    /// The same from the phase in the state to which the coefficients add theirs.
+    #[inline(always)]
+    fn forward_from(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>, grid: &mut [T]) {
         self.set(coefficients_nm, state);
-        let turns = &mut state.turns[..self.lit];
-        turns.copy_from_slice(&self.diversity_turns);
-        self.smooth.add(&state.smooth, turns, &mut state.smooth_scratch);
+        self.smooth.add(&state.smooth, &mut state.turns[..self.lit], &mut state.smooth_scratch);
         let [re, im] = &mut state.phasor;
         for ((re, im), &turns) in re.iter_mut().zip(im.iter_mut()).zip(&state.turns) {
             (*re, *im) = phasor(turns);
@@ -254,6 +273,13 @@ impl<T: Polynomial> Field<T> {
                 }
             }
         }
+    }
+
+    /// dJ/dψ at each lit sample, per turn, as [`Field::adjoint`] left it.
+    #[inline(always)]
+    pub(super) fn free_gradient(&self, state: &FieldState<T>, gradient: &mut [T]) {
+        let four_pi = T::of(4.0 * std::f64::consts::PI);
+        gradient.iter_mut().zip(&state.turns[..self.lit]).for_each(|(out, &slope)| *out = four_pi * slope);
     }
 
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.

@@ -15,15 +15,25 @@ mod evidence;
 mod linalg;
 mod lit;
 mod passes;
+mod precondition;
+mod prior;
+mod retrieve;
+mod retrieved;
 mod sensor;
 mod statics;
+#[cfg(test)]
+mod tests;
 mod true_phases;
+mod worker;
 
 pub use calm_loop::CalmLoop;
 pub use covariance::{MeanCovariance, ResidualCovariance};
 pub use evidence::{Evidence, Family};
 pub use lit::LitSamples;
 pub use passes::{Knows, Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+pub use prior::{Spectrum, Unknown};
+pub use retrieve::{Phases, RetrievalRecipe, RetrievalReport, Retriever, Statics};
+pub use retrieved::RetrievedPhases;
 pub use sensor::{Sensed, SensorModel};
 pub use statics::{StaticErrors, StaticModel};
 pub use true_phases::TruePhases;
