@@ -38,8 +38,10 @@ impl LitSamples {
         let mut glass = vec![0.0; places.len()];
         for (sample, (_, segments, shares)) in weights.rows().enumerate() {
             glass[sample] = shares.iter().sum();
-            for (&segment, share) in segments.iter().zip(shares) {
-                pistons[[segment as usize, sample]] += share / glass[sample];
+            // As retrieved phases show pistons: low-passed weights ring below 0, where a mean by weight would mean nothing.
+            let whole: f64 = shares.iter().map(|share| share.abs()).sum();
+            for (&segment, share) in segments.iter().zip(shares).filter(|_| whole > 0.0) {
+                pistons[[segment as usize, sample]] += share.abs() / whole;
             }
         }
         let (xs_m, ys_m) = places.iter().map(|&place| (at(place % samples), at(place / samples))).unzip();

@@ -118,7 +118,7 @@ impl Pass {
 }
 
 /// Samples with less glass than this are left out: images hardly see their phase.
-const LEAST_GLASS: f64 = 0.25;
+const LEAST_GLASS: f64 = 0.5;
 
 /// Images whose χ² is beyond the median by more than this many median deviations (scaled to normal ones) are left out.
 const CLIPPED_AT: f64 = 5.0;
