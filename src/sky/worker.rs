@@ -353,6 +353,9 @@ fn variance_e2(electrons: f64, floor_e2: f64, model_error: f64) -> f64 {
     electrons.max(0.0) + floor_e2 + (model_error * electrons).powi(2)
 }
 
+/// Less glass than this in a sample is the ringing of its neighbours'.
+const LEAST_GLASS: f64 = 0.1;
+
 /// The wavefront at each lit sample that some coefficients make, nm.
 pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
     let parts = optics.parts();
@@ -369,15 +372,16 @@ pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
     let slope = |entry: usize| parts.slopes.as_ref().map_or([0.0; 2], |(x, y)| [x[entry], y[entry]]);
     let mut entry = 0;
     let at = |(p, (_, segments, weights)): (usize, (usize, &[u32], &[f64]))| {
-        let (mut sum, mut whole) = (0.0, 0.0);
-        for (&segment, weight) in segments.iter().zip(weights) {
+        let (mut sum, mut whole, mut sizes) = (0.0, 0.0, [0.0; 2]);
+        for (&segment, &weight) in segments.iter().zip(weights) {
             let ([piston, tip, tilt], [x, y]) = (poses[segment as usize], slope(entry));
-            // Low-passed weights ring below 0, where a mean by weight would mean nothing.
-            sum += weight.abs() * (piston + tip * x + tilt * y);
-            whole += weight.abs();
+            let nm = piston + tip * x + tilt * y;
+            (sum, whole) = (sum + weight * nm, whole + weight);
+            sizes = [sizes[0] + weight.abs() * nm, sizes[1] + weight.abs()];
             entry += 1;
         }
-        let own = if whole > 0.0 { sum / whole } else { 0.0 };
+        // Beyond the rim low-passed weights ring about 0, where their mean would mean nothing.
+        let own = if whole > LEAST_GLASS { sum / whole } else { sizes[0] / sizes[1] };
         own + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
     };
     parts.weights.rows().enumerate().map(at).collect()
