@@ -67,7 +67,8 @@ impl<T: Polynomial> Engine<T> {
         typical: Typical,
     ) -> Result<Self> {
         let (parts, samples) = (model.optics.parts(), model.optics.sampling().samples);
-        let mut square = Square::new(&parts.weights.lit, samples, pitch_m, margin_m, prior)?;
+        let glass: Vec<f64> = parts.weights.rows().map(|(.., weights)| weights.iter().sum()).collect();
+        let mut square = Square::new((&parts.weights.lit, &glass), samples, pitch_m, margin_m, prior)?;
         let mut areas = vec![0.0; parts.weights.segments];
         for (&segment, &weight) in parts.weights.segment.iter().zip(&parts.weights.weight) {
             areas[segment as usize] += weight;
@@ -232,7 +233,10 @@ impl<T: Polynomial> Worker<T> {
             let turns = statics.map_nm.iter().map(|nm| T::of(nm / wavelength_nm));
             self.base_turns.iter_mut().zip(turns).for_each(|(out, turns)| *out = turns);
         }
-        self.solver.begin(&engine.metric, 1.0, &self.start)
+        // The coordinates' information is less than the image's by this much, and the curvature in them more.
+        let scale = (information_nm2 / self.information_nm2).sqrt();
+        let scale = if scale.is_finite() { scale } else { 1.0 };
+        self.solver.begin(&engine.metric, scale, &self.start)
     }
 
     fn minimise(&mut self, engine: &Engine<T>) {
