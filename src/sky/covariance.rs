@@ -5,7 +5,7 @@
 //! preconditioned by the inverse spectrum (the exact inverse but for the pupil's edge) take two dozen iterations for
 //! four digits, whatever the number of samples.
 
-use super::LitSamples;
+use super::{LitSamples, Spectrum};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use num_complex::Complex64;
@@ -72,6 +72,22 @@ impl ResidualCovariance {
         this.transform(&mut field, &*this.forward.clone());
         this.spectrum_nm2 = field.iter().map(|value| value.re.max(0.0)).collect();
         Ok(this)
+    }
+
+    /// This covariance with no less than `spectrum` at any frequency.
+    ///
+    /// A retrieval by maximum a posteriori lowers what it hardly sees. Its phases scatter less there than the turbulence
+    /// does; they show static errors less too, and a covariance as small as their scatter would rest the estimate on just
+    /// these frequencies.
+    pub fn at_least(mut self, spectrum: &Spectrum, pitch_m: f64) -> Self {
+        let n = self.padded;
+        let step_per_m = 1.0 / (n as f64 * pitch_m);
+        let frequency = |k: usize| (if k <= n / 2 { k as f64 } else { k as f64 - n as f64 }) * step_per_m;
+        for (at, value) in self.spectrum_nm2.iter_mut().enumerate() {
+            let least = spectrum.at(frequency(at % n).hypot(frequency(at / n))) / (pitch_m * pitch_m);
+            *value = value.max(least);
+        }
+        self
     }
 
     /// The largest lag that matters: no pair is farther apart than the pupil is wide, and none at its width is left.

@@ -10,7 +10,9 @@
 //! from the other; what the loop answers to them is known by closing it on them alone, without turbulence and noise.
 
 mod calm_loop;
+mod commands;
 mod covariance;
+mod estimate;
 mod evidence;
 mod linalg;
 mod lit;
@@ -21,19 +23,22 @@ mod retrieve;
 mod retrieved;
 mod sensor;
 mod statics;
-#[cfg(test)]
-mod tests;
 mod true_phases;
 mod worker;
 
 pub use calm_loop::CalmLoop;
+pub use commands::Commands;
 pub use covariance::{MeanCovariance, ResidualCovariance};
+pub use estimate::{FullPhase, SkyImages, knows, read, write};
 pub use evidence::{Evidence, Family};
 pub use lit::LitSamples;
-pub use passes::{Knows, Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+pub use passes::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
 pub use prior::{Spectrum, Unknown};
 pub use retrieve::{Phases, RetrievalRecipe, RetrievalReport, Retriever, Statics};
 pub use retrieved::RetrievedPhases;
 pub use sensor::{Sensed, SensorModel};
 pub use statics::{StaticErrors, StaticModel};
 pub use true_phases::TruePhases;
+
+#[cfg(test)]
+mod tests;

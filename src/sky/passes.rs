@@ -4,12 +4,12 @@ use super::calm_loop::CalmLoop;
 use super::evidence::Family;
 use super::sensor::{Sensed, SensorModel};
 use super::statics::{NcpaModes, StaticErrors, StaticModel};
-use super::{LitSamples, ResidualCovariance};
+use super::{LitSamples, ResidualCovariance, Spectrum};
 use crate::metrics::MapGram;
 use crate::modes::SmoothBasis;
 use crate::optimize::CancelFlag;
 use crate::pupil::Pupil;
-use crate::scene::Scene;
+use crate::scene::{Knows, Scene};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, s};
@@ -27,17 +27,6 @@ pub struct Measured {
     pub slopes_mas: Option<Array2<f64>>,
 }
 
-/// What is known of the loop in front of the camera: each level with all before it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Knows {
-    /// Nothing: its answer to the pistons passes for NCPA.
-    Nothing,
-    /// All that a scene says of it: it is closed on the pistons alone.
-    Loop,
-    /// What its sensor measured during each exposure.
-    Telemetry,
-}
-
 /// The static wavefront found so far, about which phases are sought.
 #[derive(Debug, Clone)]
 pub struct StaticWavefront {
@@ -51,6 +40,11 @@ pub struct StaticWavefront {
 pub trait PhaseSource {
     /// The samples on which they are known.
     fn lit(&self) -> &LitSamples;
+
+    /// The least spectrum that the wavefront really has, where the phases may show less.
+    fn least(&self) -> Option<&Spectrum> {
+        None
+    }
 
     /// The phases, sought about `found`; `None` where a source has nothing to gain from it and its phases stay as they
     /// were.
@@ -71,13 +65,14 @@ pub struct PassRecipe {
     pub floor_nm: f64,
     /// Most passes.
     pub max_passes: usize,
-    /// The last pass changed phasing and NCPA by less than this fraction of their error bars.
+    /// The last pass changed phasing and NCPA by less than this fraction of their error bars. What is left to change is about
+    /// as much again.
     pub settled: f64,
 }
 
 impl Default for PassRecipe {
     fn default() -> Self {
-        Self { families: vec![Family::Zernike], knows: Knows::Telemetry, floor_nm: 3.0, max_passes: 5, settled: 0.5 }
+        Self { families: vec![Family::Zernike], knows: Knows::Telemetry, floor_nm: 3.0, max_passes: 8, settled: 0.25 }
     }
 }
 
@@ -88,6 +83,8 @@ pub struct Pass {
     pub errors: StaticErrors,
     /// The family of their NCPA.
     pub family: Family,
+    /// Names of its modes.
+    pub ncpa_names: Vec<String>,
     /// Segment errors, `[y, x]` on the scene's grid, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
     /// Non-common path aberrations likewise.
@@ -98,7 +95,7 @@ pub struct Pass {
     pub ncpa_sigma_nm: Array2<f64>,
     /// RMS over the pupil that the residuals are expected to have, phasing and NCPA, piston, tip and tilt removed, nm.
     pub expected_nm: [f64; 2],
-    /// RMS change of both since the pass before, nm; NaN for the first.
+    /// By how much both differ from the static wavefront about which the phases were sought, RMS, nm; NaN for the first.
     pub changed_nm: [f64; 2],
     /// The images that were used.
     pub used_images: Vec<usize>,
@@ -136,6 +133,9 @@ const SENSED: usize = 6;
 /// Change of the NCPA, RMS, below which they are enough, nm.
 const SENSED_NM: f64 = 0.2;
 
+/// Most that a pass is led beyond what it found, in steps from the pass before.
+const FARTHEST: f64 = 2.0;
+
 /// Seeks static errors pass after pass; returns all of them, the last one last.
 ///
 /// # Errors
@@ -160,6 +160,7 @@ pub fn find_statics(
     let mut passes: Vec<Pass> = Vec::new();
     let mut found: Option<StaticWavefront> = None;
     let mut measured = None;
+    let mut path: Vec<Step> = Vec::new();
     for _ in 0..recipe.max_passes {
         if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(Error::Interrupted(format!("{} passes were made", passes.len())));
@@ -172,7 +173,10 @@ pub fn find_statics(
         }
         let Some(measured) = &measured else { return Err(Error::Internal("a source without phases".into())) };
         let sequence = Sequence::of(measured, &kept)?;
-        let residual = ResidualCovariance::of_scatter(&lit, sequence.residuals_nm.view())?;
+        let mut residual = ResidualCovariance::of_scatter(&lit, sequence.residuals_nm.view())?;
+        if let Some(least) = source.least() {
+            residual = residual.at_least(least, lit.pitch_m);
+        }
         let covariance = residual.of_mean(sequence.used.len(), recipe.floor_nm, &lit);
         let mut best: Option<(StaticErrors, &Ncpa)> = None;
         for ncpa in &families {
@@ -201,12 +205,15 @@ pub fn find_statics(
         let Some((errors, ncpa)) = best else {
             return Err(Error::Value("no family of NCPA modes was given: at least 1 is needed".into()));
         };
-        let pass = ncpa.pass(errors, &telescope.pupil, passes.last(), &sequence, residual.rms_nm())?;
-        let mut smooth_nm = Array1::from(pass.errors.ncpa_nm.clone()).dot(&ncpa.at_all);
+        let about = path.last().map(|step| step.about.clone());
+        let pass = ncpa.pass(errors, &telescope.pupil, about, &sequence, residual.rms_nm())?;
+        let next = next_about(&mut path, coefficients(&pass.errors));
+        let pistons_nm = next.slice(s![..lit.pistons.nrows()]).to_vec();
+        let mut smooth_nm = next.slice(s![lit.pistons.nrows()..]).dot(&ncpa.at_all);
         if let Some(answers) = &mut answers {
-            smooth_nm += &answers.calm.answer_nm(&pass.errors.pistons_nm)?;
+            smooth_nm += &answers.calm.answer_nm(&pistons_nm)?;
         }
-        found = Some(StaticWavefront { pistons_nm: pass.errors.pistons_nm.clone(), smooth_nm });
+        found = Some(StaticWavefront { pistons_nm, smooth_nm });
         let settled = (0..2).all(|i| pass.changed_nm[i] < recipe.settled * pass.expected_nm[i]);
         passes.push(pass);
         if settled {
@@ -214,6 +221,43 @@ pub fn find_statics(
         }
     }
     Ok(passes)
+}
+
+/// A pass on the way: where its phases were sought, and what came of it; nm, pistons and NCPA.
+struct Step {
+    about: Array1<f64>,
+    found: Array1<f64>,
+}
+
+/// Where the next pass looks. A pass that recovers a part of what its static wavefront still lacks approaches the answer
+/// as a geometric series, which two passes determine (Anderson's acceleration of depth one); `path` ends in the place for
+/// the next step.
+fn next_about(path: &mut Vec<Step>, found: Array1<f64>) -> Array1<f64> {
+    let last = match path.last_mut() {
+        None => {
+            path.push(Step { about: Array1::zeros(found.len()), found: found.clone() });
+            0
+        }
+        Some(step) => {
+            step.found = found.clone();
+            path.len() - 1
+        }
+    };
+    let mut next = found;
+    if last > 0 && path[last].found.len() == path[last - 1].found.len() {
+        let [before, now] = [&path[last - 1], &path[last]].map(|step| &step.found - &step.about);
+        let turn = &now - &before;
+        let share = now.dot(&turn) / turn.dot(&turn).max(f64::MIN_POSITIVE);
+        // Beyond three times the last step the series is not geometric.
+        next.scaled_add(-share.clamp(-FARTHEST, 0.5), &(&path[last].found - &path[last - 1].found));
+    }
+    path.push(Step { about: next.clone(), found: next.clone() });
+    next
+}
+
+/// Pistons and NCPA in turn.
+fn coefficients(errors: &StaticErrors) -> Array1<f64> {
+    errors.pistons_nm.iter().chain(&errors.ncpa_nm).copied().collect()
 }
 
 /// The static errors behind a mean phase, the loop's answer to them run again until it stands.
@@ -341,11 +385,11 @@ impl Ncpa {
         &self,
         errors: StaticErrors,
         pupil: &Pupil,
-        before: Option<&Pass>,
+        about: Option<Array1<f64>>,
         sequence: &Sequence,
         residual_rms_nm: f64,
     ) -> Result<Pass> {
-        let coefficients: Array1<f64> = errors.pistons_nm.iter().chain(&errors.ncpa_nm).copied().collect();
+        let coefficients = coefficients(&errors);
         let ranges = [0..self.segments, self.segments..coefficients.len()];
         let map = |range: &std::ops::Range<usize>| self.map(&coefficients, range.clone(), pupil);
         let [phasing_nm, ncpa_nm] = [map(&ranges[0]), map(&ranges[1])];
@@ -353,15 +397,19 @@ impl Ncpa {
         let expected_nm = [0, 1].map(|i| self.gram[i].expected_rms_nm(part(&ranges[i])));
         let [phasing_expected, ncpa_expected] = expected_nm;
         let sigma = |range: &std::ops::Range<usize>| self.sigma(part(range), range.clone(), pupil);
-        let changed_nm = match before {
+        let changed_nm = match about.filter(|about| about.len() == coefficients.len()) {
             None => [f64::NAN; 2],
-            Some(before) => [
-                crate::metrics::residual_nm(pupil, phasing_nm.view(), before.phasing_nm.view())?,
-                crate::metrics::residual_nm(pupil, ncpa_nm.view(), before.ncpa_nm.view())?,
-            ],
+            Some(about) => {
+                let change = |i: usize| {
+                    let before_nm = self.map(&about, ranges[i].clone(), pupil);
+                    crate::metrics::residual_nm(pupil, [&phasing_nm, &ncpa_nm][i].view(), before_nm.view())
+                };
+                [change(0)?, change(1)?]
+            }
         };
         Ok(Pass {
             family: self.family,
+            ncpa_names: self.basis.names().to_vec(),
             phasing_sigma_nm: sigma(&ranges[0]),
             ncpa_sigma_nm: sigma(&ranges[1]),
             expected_nm: [phasing_expected?, ncpa_expected?],

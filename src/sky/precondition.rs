@@ -53,26 +53,28 @@ pub(super) struct SquareScratch<T> {
 }
 
 impl<T: Real> Square<T> {
-    /// The square for the samples `lit` (flat places on a grid of `samples` a side, `pitch_m` apart), with a margin of
-    /// `margin_m` so that opposite rims of the pupil are strangers.
+    /// The square for the samples `lit` (flat places on a grid of `samples` a side, `pitch_m` apart, and the glass in
+    /// each), with a margin of `margin_m` so that opposite rims of the pupil are strangers. What rings beyond the rim need
+    /// not be one.
     ///
     /// # Errors
     /// Those of [`Hartley::new`].
     pub(super) fn new(
-        lit: &[u32],
+        (lit, glass): (&[u32], &[f64]),
         samples: usize,
         pitch_m: f64,
         margin_m: f64,
         spectrum: &Spectrum,
     ) -> crate::Result<Self> {
         let place = |&p: &u32| [p as usize % samples, p as usize / samples];
-        let span = |axis: usize| {
-            let places = lit.iter().map(|p| place(p)[axis]);
-            (places.clone().min().unwrap_or(0), places.max().unwrap_or(0) + 1)
+        let span = |axis: usize, least: f64| {
+            let places = lit.iter().zip(glass).filter(|(_, glass)| **glass >= least).map(|(p, _)| place(p)[axis]);
+            (places.clone().min().unwrap_or(0), places.max().map_or(0, |last| last + 1))
         };
-        let [(left, right), (bottom, top)] = [span(0), span(1)];
-        let extent = (right - left).max(top - bottom);
-        let side = good_side(extent + (margin_m / pitch_m).ceil() as usize);
+        let longest = |least: f64| (0..2).map(|axis| span(axis, least)).map(|(a, b)| b - a).max().unwrap_or(0);
+        let ([(left, right), (bottom, _)], margin) =
+            ([0, 1].map(|axis| span(axis, f64::NEG_INFINITY)), (margin_m / pitch_m).ceil() as usize);
+        let side = good_side(longest(f64::NEG_INFINITY).max(longest(0.5) + margin));
         let index = |p| {
             let [x, y] = place(p);
             ((x - left) * side + y - bottom) as u32
@@ -254,7 +256,7 @@ mod tests {
         let lit: Vec<u32> =
             (0..48 * 48).filter(|p| (p % 48 - 24i32).pow(2) + (p / 48 - 23).pow(2) < 400).map(|p| p as u32).collect();
         let density = (0..60).map(|k| 50.0 / (1.0 + (0.1 * f64::from(k)).powi(2)).powf(11.0 / 6.0)).collect();
-        Square::new(&lit, 48, 0.1, 0.5, &Spectrum::new(0.1, density).unwrap()).unwrap()
+        Square::new((&lit, &vec![1.0; lit.len()]), 48, 0.1, 0.5, &Spectrum::new(0.1, density).unwrap()).unwrap()
     }
 
     fn white(count: usize, seed: u64) -> Vec<f64> {

@@ -74,7 +74,8 @@ impl Spectrum {
     /// scene has a loop and layers: each layer through the loop's rejection `1/(1 + g·z^(−lag)/(1 − z^(−1)))` at the
     /// temporal frequency f·v (servo-lag), and what the sensor folds into the band through the loop's response (aliasing;
     /// Rigaut, Véran & Lai 1998, SPIE 3353, 1038: the ratio of the slopes' transfer functions, of a mean over a
-    /// subaperture). Where it has no loop: a band as flat as the spectrum at the cut-off.
+    /// subaperture). Where it has no loop: a band as flat as the spectrum at the cut-off. All of it averaged over the
+    /// exposure, in which layers move.
     ///
     /// The sensor's own noise is left out: for stars behind which images are worth taking it is below 10 nm.
     ///
@@ -159,6 +160,7 @@ struct Theory {
     layers: Vec<(f64, [f64; 2])>,
     /// Gain, frames of lag, seconds a frame.
     control: Option<(f64, f64, f64)>,
+    exposure_s: f64,
 }
 
 impl Theory {
@@ -174,25 +176,29 @@ impl Theory {
             cut_off_per_m: 0.5 / scene.mirror.pitch_m,
             lenslet_m: width_m.zip(lenslets).map_or(scene.mirror.pitch_m, |(width, lenslets)| width / lenslets),
             layers: air.fractions.iter().zip(&air.wind_m_s).zip(&air.wind_dir_rad).map(layer).collect(),
+            exposure_s: scene.image.exposure_s,
             control: scene.control.as_ref().map(|c| (c.gain, c.lag_frames as f64, 1.0 / c.frame_rate_hz)),
         })
     }
 
     fn density(&self, fx: f64, fy: f64) -> f64 {
-        let f = fx.hypot(fy);
-        if fx.abs().max(fy.abs()) > self.cut_off_per_m {
-            return self.turbulence.psd_nm2_m2(f);
+        let own = self.turbulence.psd_nm2_m2(fx.hypot(fy));
+        let in_band = fx.abs().max(fy.abs()) <= self.cut_off_per_m;
+        if self.layers.is_empty() {
+            return if in_band { self.turbulence.psd_nm2_m2(self.cut_off_per_m) } else { own };
         }
-        match &self.control {
-            Some(control) if !self.layers.is_empty() => {
-                let layer = |&(share, velocity): &(f64, [f64; 2])| {
-                    let [rejected, _] = responses(control, fx * velocity[0] + fy * velocity[1]);
-                    share * (rejected * self.turbulence.psd_nm2_m2(f) + self.aliased(fx, fy, velocity, control))
-                };
-                self.layers.iter().map(layer).sum()
-            }
-            _ => self.turbulence.psd_nm2_m2(self.cut_off_per_m),
-        }
+        let layer = |&(share, velocity): &(f64, [f64; 2])| {
+            let passing_hz = fx * velocity[0] + fy * velocity[1];
+            // What passes during an exposure averages out.
+            let smeared = sinc(self.exposure_s * passing_hz).powi(2);
+            let density = match &self.control {
+                _ if !in_band => own,
+                None => self.turbulence.psd_nm2_m2(self.cut_off_per_m),
+                Some(control) => responses(control, passing_hz)[0] * own + self.aliased(fx, fy, velocity, control),
+            };
+            share * smeared * density
+        };
+        self.layers.iter().map(layer).sum()
     }
 
     /// What the sensor takes for a wavefront at (fx, fy), and the loop puts on the mirror.
@@ -261,7 +267,7 @@ mod tests {
     /// (Rigaut et al. 1998), 0.28 with a real mirror's edges.
     #[test]
     fn the_fitting_error_is_the_textbooks() {
-        let scene = scene();
+        let scene = scene().with_override("image.exposure_s", "1e-6").unwrap();
         let nothing = Unknown { piston_rms_nm: 0.0, ncpa_rms_nm: 0.0 };
         let spectrum = Spectrum::of_scene(&scene, nothing).unwrap();
         let cut_off = 0.5 / scene.mirror.pitch_m;

@@ -1,6 +1,8 @@
 //! Phases that are retrieved from images, pass after pass about the static wavefront found before.
 
-use super::{LitSamples, Measured, PhaseSource, Phases, RetrievalReport, Retriever, StaticWavefront, Statics};
+use super::{
+    LitSamples, Measured, PhaseSource, Phases, RetrievalReport, Retriever, Spectrum, StaticWavefront, Statics,
+};
 use crate::estimate::Cube;
 use crate::optimize::CancelFlag;
 use crate::{Error, Result};
@@ -9,6 +11,7 @@ use ndarray::{Array2, Array3};
 /// Where phases come from for images of a sequence.
 pub struct RetrievedPhases<'a> {
     retriever: &'a Retriever,
+    prior: &'a Spectrum,
     lit: LitSamples,
     images_e: &'a Array3<f64>,
     bad: &'a Array3<bool>,
@@ -23,12 +26,13 @@ pub struct RetrievedPhases<'a> {
 }
 
 impl<'a> RetrievedPhases<'a> {
-    /// For images that `retriever` reads, with what the wavefront sensor measured meanwhile, if that is known.
+    /// For images that `retriever` reads with `prior`, with what the wavefront sensor measured meanwhile, if that is known.
     ///
     /// # Errors
     /// [`Error::Shape`] for telemetry of another number of images.
     pub fn new(
         retriever: &'a Retriever,
+        prior: &'a Spectrum,
         cube: (&'a Array3<f64>, &'a Array3<bool>, Option<f64>),
         slopes_mas: Option<Array2<f64>>,
         cancel: Option<&'a CancelFlag>,
@@ -38,7 +42,9 @@ impl<'a> RetrievedPhases<'a> {
         let count = images_e.dim().0;
         if let Some(slopes_mas) = slopes_mas.as_ref().filter(|slopes_mas| slopes_mas.nrows() != count) {
             let rows = slopes_mas.nrows();
-            return Err(Error::Shape(format!("{rows} sets of slopes were given with {count} images: one each is needed")));
+            return Err(Error::Shape(format!(
+                "{rows} sets of slopes were given with {count} images: one each is needed"
+            )));
         }
         let model = retriever.model();
         let samples = model.optics.sampling().samples;
@@ -46,6 +52,7 @@ impl<'a> RetrievedPhases<'a> {
         let lit = LitSamples::of(samples, pitch_m, &model.optics.parts().weights)?;
         Ok(Self {
             retriever,
+            prior,
             lit,
             images_e,
             bad,
@@ -64,12 +71,14 @@ impl PhaseSource for RetrievedPhases<'_> {
         &self.lit
     }
 
+    fn least(&self) -> Option<&Spectrum> {
+        Some(self.prior)
+    }
+
     fn phases(&mut self, found: Option<&StaticWavefront>) -> Result<Option<Measured>> {
         let started = std::time::Instant::now();
-        let statics = found.map(|found| Statics {
-            segments_nm: found.pistons_nm.clone(),
-            map_nm: found.smooth_nm.to_vec(),
-        });
+        let statics =
+            found.map(|found| Statics { segments_nm: found.pistons_nm.clone(), map_nm: found.smooth_nm.to_vec() });
         let cube = Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e };
         let Phases { phase_nm, reports, .. } =
             self.retriever.retrieve(cube, statics.as_ref(), self.cancel, self.watch)?;

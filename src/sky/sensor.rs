@@ -82,6 +82,18 @@ impl SensorModel {
         self.slopes_mas.len()
     }
 
+    /// The slopes of the modes alone with these coefficients, mas.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of modes.
+    pub fn slopes_mas(&mut self, segments: usize, ncpa_nm: &[f64]) -> Result<Array1<f64>> {
+        if ncpa_nm.len() != self.modes.nrows() {
+            let (given, needed) = (ncpa_nm.len(), self.modes.nrows());
+            return Err(Error::Shape(format!("{given} NCPA coefficients were given: {needed} are needed")));
+        }
+        self.measure(&vec![0.0; segments], ArrayView1::from(ncpa_nm).dot(&self.modes).view())
+    }
+
     /// The slopes of a phase: pistons with sharp edges, and the rest at the fine samples.
     fn measure(&mut self, pistons_nm: &[f64], rest_nm: ArrayView1<f64>) -> Result<Array1<f64>> {
         debug_assert_eq!(self.map_nm.len(), self.footprint.len());

@@ -67,7 +67,8 @@ impl<T: Polynomial> Engine<T> {
         typical: Typical,
     ) -> Result<Self> {
         let (parts, samples) = (model.optics.parts(), model.optics.sampling().samples);
-        let mut square = Square::new(&parts.weights.lit, samples, pitch_m, margin_m, prior)?;
+        let glass: Vec<f64> = parts.weights.rows().map(|(.., weights)| weights.iter().sum()).collect();
+        let mut square = Square::new((&parts.weights.lit, &glass), samples, pitch_m, margin_m, prior)?;
         let mut areas = vec![0.0; parts.weights.segments];
         for (&segment, &weight) in parts.weights.segment.iter().zip(&parts.weights.weight) {
             areas[segment as usize] += weight;
@@ -232,7 +233,10 @@ impl<T: Polynomial> Worker<T> {
             let turns = statics.map_nm.iter().map(|nm| T::of(nm / wavelength_nm));
             self.base_turns.iter_mut().zip(turns).for_each(|(out, turns)| *out = turns);
         }
-        self.solver.begin(&engine.metric, 1.0, &self.start)
+        // The coordinates' information is less than the image's by this much, and the curvature in them more.
+        let scale = (information_nm2 / self.information_nm2).sqrt();
+        let scale = if scale.is_finite() { scale } else { 1.0 };
+        self.solver.begin(&engine.metric, scale, &self.start)
     }
 
     fn minimise(&mut self, engine: &Engine<T>) {
@@ -353,6 +357,9 @@ fn variance_e2(electrons: f64, floor_e2: f64, model_error: f64) -> f64 {
     electrons.max(0.0) + floor_e2 + (model_error * electrons).powi(2)
 }
 
+/// Less glass than this in a sample is the ringing of its neighbours'.
+const LEAST_GLASS: f64 = 0.1;
+
 /// The wavefront at each lit sample that some coefficients make, nm.
 pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
     let parts = optics.parts();
@@ -369,15 +376,16 @@ pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
     let slope = |entry: usize| parts.slopes.as_ref().map_or([0.0; 2], |(x, y)| [x[entry], y[entry]]);
     let mut entry = 0;
     let at = |(p, (_, segments, weights)): (usize, (usize, &[u32], &[f64]))| {
-        let (mut sum, mut whole) = (0.0, 0.0);
-        for (&segment, weight) in segments.iter().zip(weights) {
+        let (mut sum, mut whole, mut sizes) = (0.0, 0.0, [0.0; 2]);
+        for (&segment, &weight) in segments.iter().zip(weights) {
             let ([piston, tip, tilt], [x, y]) = (poses[segment as usize], slope(entry));
-            // Low-passed weights ring below 0, where a mean by weight would mean nothing.
-            sum += weight.abs() * (piston + tip * x + tilt * y);
-            whole += weight.abs();
+            let nm = piston + tip * x + tilt * y;
+            (sum, whole) = (sum + weight * nm, whole + weight);
+            sizes = [sizes[0] + weight.abs() * nm, sizes[1] + weight.abs()];
             entry += 1;
         }
-        let own = if whole > 0.0 { sum / whole } else { 0.0 };
+        // Beyond the rim low-passed weights ring about 0, where their mean would mean nothing.
+        let own = if whole > LEAST_GLASS { sum / whole } else { sizes[0] / sizes[1] };
         own + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
     };
     parts.weights.rows().enumerate().map(at).collect()
