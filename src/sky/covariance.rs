@@ -257,3 +257,85 @@ fn add(to: &mut [Complex64], what: &[Complex64], times: [f64; 2]) {
         *to += Complex64::new(times[0] * what.re, times[1] * what.im);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pupil::SegmentWeights;
+
+    /// A ring of glass on 24 × 24 samples, 0.1 m apart: one segment.
+    fn lit() -> LitSamples {
+        let at = |i: usize| i as f64 - 11.5;
+        let glass = |&p: &u32| (3.0..11.0).contains(&at(p as usize % 24).hypot(at(p as usize / 24)));
+        let lit: Vec<u32> = (0..576).filter(glass).collect();
+        let count = lit.len();
+        let weights = SegmentWeights {
+            segments: 1,
+            offsets: (0..=count as u32).collect(),
+            segment: vec![0; count],
+            weight: vec![1.0; count],
+            energy: count as f64,
+            lit,
+        };
+        LitSamples::of(24, 0.1, &weights).unwrap()
+    }
+
+    /// Numbers without a pattern, of unit variance.
+    fn noise(count: usize) -> Vec<f64> {
+        use rand_distr::Distribution;
+        let mut rng = crate::source::stream(5, 0);
+        (0..count).map(|_| rand_distr::StandardNormal.sample(&mut rng)).collect()
+    }
+
+    #[test]
+    fn scatter_shows_its_variance_and_its_length() {
+        let (lit, images) = (lit(), 60);
+        // Each map is white noise averaged over 3 × 3 samples: variance 1/9, correlation (1 − lag/3) along an axis.
+        let residuals = {
+            let white = Array2::from_shape_vec((images, 26 * 26), noise(images * 676)).unwrap();
+            Array2::from_shape_fn((images, lit.len()), |(image, sample)| {
+                let (y, x) = (lit.places[sample] / 24, lit.places[sample] % 24);
+                (0..9).map(|k| white[[image, (y + k / 3) * 26 + x + k % 3]]).sum::<f64>() / 9.0
+            })
+        };
+        let covariance = ResidualCovariance::of_scatter(&lit, residuals.view()).unwrap();
+        // 60 images of some 40 independent patches: variance to 1/√1200 = 3 %; three of those. Negative eigenvalues that are
+        // left out, and the mean that is not, move it by a few per cent.
+        assert!((covariance.rms_nm() * 3.0 - 1.0).abs() < 0.1, "{}", covariance.rms_nm());
+        let mean = covariance.of_mean(10, 0.0, &lit);
+        let mut one = vec![Complex64::default(); lit.len()];
+        let middle = lit.len() / 2 + 3;
+        one[middle] = 1.0.into();
+        let column = mean.times(&one);
+        let beside = (0..lit.len()).find(|&s| lit.places[s] == lit.places[middle] + 1).unwrap();
+        // The mean of ten: a tenth. Two thirds beside it, less the taper; to the same 10 %.
+        assert!((column[middle].re * 90.0 - 1.0).abs() < 0.2, "{}", column[middle].re);
+        assert!((column[beside].re / column[middle].re - 2.0 / 3.0).abs() < 0.07);
+    }
+
+    #[test]
+    fn the_inverse_is_one() {
+        let lit = lit();
+        let smooth = |image: usize, sample: usize| {
+            (lit.xs_m[sample] * (3.0 + image as f64) + image as f64).sin() * 30.0 + lit.ys_m[sample] * image as f64
+        };
+        let residuals = Array2::from_shape_fn((7, lit.len()), |(image, sample)| smooth(image, sample));
+        let covariance = ResidualCovariance::of_scatter(&lit, residuals.view()).unwrap();
+        let mean = covariance.of_mean(7, 1.0, &lit);
+        let columns = Array2::from_shape_vec((3, lit.len()), noise(3 * lit.len())).unwrap();
+        let solved = mean.solve(columns.view()).unwrap();
+        for (column, solved) in columns.outer_iter().zip(solved.outer_iter()) {
+            let back = mean.times(&solved.iter().map(|&v| v.into()).collect::<Vec<_>>());
+            let off: f64 = back.iter().zip(column).map(|(back, v)| (back.re - v).powi(2)).sum();
+            // What the iteration stops at, and rounding in the residual that it follows.
+            assert!(off.sqrt() < 1.1 * SOLVED * column.dot(&column).sqrt());
+        }
+    }
+
+    #[test]
+    fn one_image_and_other_samples_are_refused() {
+        let lit = lit();
+        assert!(ResidualCovariance::of_scatter(&lit, Array2::zeros((1, lit.len())).view()).is_err());
+        assert!(ResidualCovariance::of_scatter(&lit, Array2::zeros((5, 3)).view()).is_err());
+    }
+}

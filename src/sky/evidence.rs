@@ -85,3 +85,50 @@ fn posterior(information: &Array2<f64>, b: &Array1<f64>, groups: &[Group], varia
     let log_evidence = 0.5 * (coefficients_nm.dot(b) - inverse.log_determinant);
     Ok(Evidence { coefficients_nm, covariance_nm2, log_evidence, strengths_nm: Vec::new() })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn group(columns: std::ops::Range<usize>) -> Group {
+        Group { columns, variance_nm2: 100.0, fixed: false }
+    }
+
+    #[test]
+    fn what_the_data_do_not_support_falls_to_nothing() {
+        // Ten coefficients seen with an error of 1 nm each: five of about 20 nm, five that are only their errors.
+        let seen = [21.0, -18.0, 25.0, -22.0, 15.0, 0.9, -0.7, 0.4, -1.1, 0.2];
+        let (information, b) = (Array2::eye(10), Array1::from(seen.to_vec()));
+        let found = strongest(&information, &b, &[group(0..5), group(5..10)]).unwrap();
+        let rms = |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
+        // The variance of the best evidence is that of what is seen less that of its error.
+        assert!(
+            (found.strengths_nm[0] - (rms(&seen[..5]).powi(2) - 1.0).sqrt()).abs() < 0.1,
+            "{:?}",
+            found.strengths_nm
+        );
+        // The second group shows 0.74 nm where errors alone make 1: nothing is left. It falls as the steps go on.
+        assert!(found.strengths_nm[1] < 0.3, "{:?}", found.strengths_nm);
+        assert!(rms(&found.coefficients_nm.to_vec()[5..]) < 0.1);
+        // And with its prior the error bar of what is not there is smaller than the data's.
+        assert!(found.covariance_nm2[[9, 9]] < 0.1 && (found.covariance_nm2[[0, 0]] - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn a_fixed_group_stays_and_the_posterior_is_the_textbooks() {
+        let information = ndarray::array![[2.0, 0.5], [0.5, 1.0]];
+        let b = ndarray::array![3.0, -1.0];
+        let fixed = Group { fixed: true, ..group(0..2) };
+        let found = strongest(&information, &b, &[fixed]).unwrap();
+        // (F + 1/100)⁻¹ by hand.
+        let (p, q, r) = (2.01, 0.5, 1.01);
+        let determinant = p * r - q * q;
+        let expected = [(r * b[0] - q * b[1]) / determinant, (p * b[1] - q * b[0]) / determinant];
+        for (found, expected) in found.coefficients_nm.iter().zip(expected) {
+            // Rounding of a two by two system of order 1.
+            assert!((found - expected).abs() < 1e-12);
+        }
+        let log = 0.5 * (found.coefficients_nm.dot(&b) - (100.0f64.powi(2) * determinant).ln());
+        assert!((found.log_evidence - log).abs() < 1e-12 && found.strengths_nm == [10.0]);
+    }
+}

@@ -112,3 +112,91 @@ impl Recorder for TruePhases {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ao::Progress;
+    use crate::metrics::residual_nm;
+    use crate::scene::{Knows, Scene};
+    use crate::sky::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+
+    /// Phases that are known from the start.
+    struct Known(LitSamples, Option<Measured>);
+
+    impl PhaseSource for Known {
+        fn lit(&self) -> &LitSamples {
+            &self.0
+        }
+        fn phases(&mut self, _: Option<&StaticWavefront>) -> Result<Option<Measured>> {
+            Ok(self.1.take())
+        }
+    }
+
+    /// A small Keck, seven segments behind ten lenslets, 40 images in two seconds.
+    fn run() -> (Simulator, TruePhases) {
+        let settings = [
+            ("pupil.aperture", "hexagonal"),
+            ("pupil.rings", "1"),
+            ("pupil.grid_m", "5.625"),
+            ("pupil.samples", "60"),
+            ("image.pixels", "64"),
+            ("image.count", "40"),
+            ("image.interval_s", "0.05"),
+            ("image.exposure_s", "0.0"),
+            ("wavefront_sensor.lenslets_across", "10"),
+            ("mirror.actuators_across", "11"),
+            ("control.settle_s", "0.2"),
+        ];
+        let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
+        let mut simulator = Simulator::new(&scene).unwrap();
+        let mut phases = TruePhases::of(&simulator).unwrap();
+        simulator.run(&mut phases, &mut Progress::default()).unwrap();
+        (simulator, phases)
+    }
+
+    #[test]
+    fn the_more_is_known_the_less_is_left() {
+        let (simulator, run) = run();
+        let phase_nm = run.phases_nm().unwrap();
+        let count = phase_nm.nrows();
+        assert_eq!((count, run.shots.len()), (40, 40));
+        let slopes = run.shots[0].mean_slopes_mas.len();
+        let slopes_mas = Array2::from_shape_fn((count, slopes), |(i, k)| f64::from(run.shots[i].mean_slopes_mas[k]));
+        // A frozen exposure is one frame.
+        assert_eq!(run.shots[3].mean_slopes_mas, run.shots[3].slopes_mas);
+        let find = |knows: Knows| -> Pass {
+            let measured = Measured {
+                phase_nm: phase_nm.clone(),
+                reduced_chi2: vec![1.0; count],
+                slopes_mas: Some(slopes_mas.clone()),
+            };
+            let recipe = PassRecipe { knows, ..PassRecipe::default() };
+            let mut known = Known(run.lit().clone(), Some(measured));
+            find_statics(simulator.scene(), &mut known, &recipe, None).unwrap().pop().unwrap()
+        };
+        let pupil = &simulator.telescope().pupil;
+        let truth = simulator.truth();
+        let left = |pass: &Pass| {
+            [
+                residual_nm(pupil, pass.phasing_nm.view(), truth.phasing_nm.view()).unwrap(),
+                residual_nm(pupil, pass.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap(),
+            ]
+        };
+        let passes = [Knows::Spectrum, Knows::Loop, Knows::Telemetry].map(find);
+        let [spectrum, known_loop, telemetry] = [0, 1, 2].map(|i| left(&passes[i]));
+        println!("{spectrum:.2?} {known_loop:.2?} {telemetry:.2?}");
+        // Without the loop its answer to the pistons passes for NCPA; without slopes the mean of the turbulence does.
+        assert!(known_loop[1] < 0.8 * spectrum[1] && telemetry[1] < 0.5 * known_loop[1]);
+        // An error bar is the root of a mean square over some ten degrees of freedom: one draw scatters by a quarter, and
+        // stays below twice it.
+        for (left, pass) in [(known_loop, &passes[1]), (telemetry, &passes[2])] {
+            assert!(
+                left[0] < 2.0 * pass.expected_nm[0] && left[1] < 2.0 * pass.expected_nm[1],
+                "{:?}",
+                pass.expected_nm
+            );
+        }
+        assert!(telemetry[0] < 15.0 && telemetry[1] < 10.0, "64 and 73 nm were put in");
+    }
+}
