@@ -39,6 +39,7 @@ pub mod plot;
 pub mod pupil;
 pub mod reproduce;
 pub mod scene;
+pub mod sky;
 pub mod source;
 pub mod telescope;
 

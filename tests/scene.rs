@@ -157,8 +157,8 @@ fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
             "scene line 2: modes.ncpa = \"zernikes\" is not accepted; \"kl\", \"zernike\" or \"none\" is needed",
         ),
         (
-            "[estimate]\nmethod = \"full-phase\"\n[image]\nwavelength_nm = 2000\npixels = 240",
-            "scene line 2: estimate.method = \"full-phase\" is not accepted; \"modal\" (\"full-phase\" is not available in this version) is needed",
+            "[estimate]\nmethod = \"full-fase\"\n[image]\nwavelength_nm = 2000\npixels = 240",
+            "scene line 2: estimate.method = \"full-fase\" is not accepted; \"modal\" or \"full-phase\" is needed",
         ),
     ];
     for (text, message) in cases {

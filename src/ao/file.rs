@@ -11,7 +11,7 @@ use std::path::Path;
 /// Writes what a run of `simulator` delivered. The file appears whole or not at all.
 ///
 /// `IMAGES` (electrons), the truth as [`crate::source::write`] has it, and the telemetry at the middle of each exposure:
-/// `SLOPES` (`[image, slope]`, mas, all x then all y), `COMMANDS` (`[image, actuator]`, nm), table `SHOTS` (time and
+/// `SLOPES` (`[image, slope]`, mas, all x then all y; `SLOPES_MEAN` over the exposure), `COMMANDS` (`[image, actuator]`, nm), table `SHOTS` (time and
 /// residual). `SUBAPERTURES` and `ACTUATORS` say which they are, `INTERACTION` (`[slope, actuator]`, mas per nm) how they
 /// hang together.
 ///
@@ -59,6 +59,7 @@ fn telemetry(file: &mut FitsWriter, simulator: &Simulator, shots: &[Shot]) -> Re
             .map_err(|error| Error::Internal(format!("telemetry of uneven length: {error}")))
     };
     file.image("SLOPES", &rows(&|shot| &shot.slopes_mas)?, Pixel::F32, "mas")?;
+    file.image("SLOPES_MEAN", &rows(&|shot| &shot.mean_slopes_mas)?, Pixel::F32, "mas")?;
     file.image("COMMANDS", &rows(&|shot| &shot.commands_nm)?, Pixel::F32, "nm")?;
     let column = |of: &dyn Fn(&Shot) -> f64| shots.iter().map(of).collect();
     let shots = [

@@ -83,6 +83,8 @@ pub struct Shot {
     pub image_e: Array2<f32>,
     /// Slopes in the frame at the middle of the exposure, `[all x, all y]`, mas.
     pub slopes_mas: Vec<f32>,
+    /// Their mean over the frames of the exposure, mas.
+    pub mean_slopes_mas: Vec<f32>,
     /// Commands in that frame, nm.
     pub commands_nm: Vec<f32>,
     /// RMS of the residual wavefront in that frame, nm.
@@ -256,6 +258,8 @@ struct Closing<'a> {
     /// Images that were exposed and wait for the darkroom, and the number of those that came back.
     waiting: VecDeque<Shot>,
     next: usize,
+    /// Sum of the slopes over the exposure so far.
+    slopes_mas: Vec<f32>,
     /// Sums over the frames after settling.
     settled: f64,
     square_nm2: f64,
@@ -273,6 +277,7 @@ impl<'a> Closing<'a> {
             run: 0,
             waiting: VecDeque::new(),
             next: 0,
+            slopes_mas: Vec::new(),
             settled: 0.0,
             square_nm2: 0.0,
             strehl_marechal: 0.0,
@@ -326,6 +331,12 @@ impl<'a> Closing<'a> {
     /// Hands the wavefront to the darkroom if an image is being taken; returns the image that comes next.
     fn expose(&mut self, residual_nm: &[f32], image: usize, exposed: &SyncSender<Film>) -> Result<usize> {
         let Some(place) = self.schedule.place(self.run, image) else { return Ok(image) };
+        let share = 1.0 / self.schedule.exposure as f32;
+        let slopes_mas = self.plant.last(residual_nm).slopes_mas;
+        if place == 0 {
+            self.slopes_mas = vec![0.0; slopes_mas.len()];
+        }
+        self.slopes_mas.iter_mut().zip(slopes_mas).for_each(|(sum, slope)| *sum += share * slope);
         if place == self.schedule.exposure / 2 {
             let frame = self.plant.last(residual_nm);
             self.waiting.push_back(Shot {
@@ -334,12 +345,16 @@ impl<'a> Closing<'a> {
                     / self.schedule.rate_hz,
                 image_e: Array2::zeros((0, 0)),
                 slopes_mas: frame.slopes_mas.to_vec(),
+                mean_slopes_mas: Vec::new(),
                 commands_nm: frame.commands_nm.to_vec(),
                 residual_rms_nm: frame.residual_rms_nm,
             });
         }
         let last = place + 1 == self.schedule.exposure;
-        let film = Film { image, residual_nm: residual_nm.to_vec(), share: 1.0 / self.schedule.exposure as f32, last };
+        if let Some(shot) = self.waiting.back_mut().filter(|_| last) {
+            shot.mean_slopes_mas = std::mem::take(&mut self.slopes_mas);
+        }
+        let film = Film { image, residual_nm: residual_nm.to_vec(), share, last };
         // A darkroom that is gone has panicked, which its own end reports.
         exposed.send(film).map_err(|_| Error::Internal("the thread of the camera is gone".into()))?;
         Ok(if last { image + 1 } else { image })

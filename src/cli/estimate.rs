@@ -4,10 +4,10 @@ use super::figures::{self, Residual, Row};
 use super::files::{self, Settings, Truth};
 use super::interrupt::Interrupt;
 use super::terminal::Terminal;
-use super::{devices, picture, report};
+use super::{devices, full_phase, picture, report};
 use cophase::estimate::{self, Cube, Estimate, Estimator};
 use cophase::io::{self, Images};
-use cophase::scene::{DeviceChoice, Scene};
+use cophase::scene::{DeviceChoice, Method, Scene};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -16,6 +16,7 @@ const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o est.fits      from what 'cophase image' made
   cophase estimate nirc2.fits --scene scene.toml -o est.fits --plot est.png
   cophase estimate images.fits -o paper.fits --optimizer bfgs
+  cophase estimate onsky.fits -o est.fits --method full-phase --commands corrections.fits
 
 Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension. Pixels \
 that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
@@ -58,9 +59,16 @@ pub struct Arguments {
     /// RMS error that is allowed, nm, noise included: plans the cheapest model that keeps it (see cophase plan)
     #[arg(long, value_name = "NM")]
     budget_nm: Option<f64>,
-    /// The estimator: static modes, fitted image by image
-    #[arg(long, value_parser = ["modal"])]
+    /// The estimator: static modes, fitted image by image (modal), or the whole wavefront behind each image of a sequence
+    /// behind adaptive optics (full-phase)
+    #[arg(long, value_parser = ["modal", "full-phase"])]
     method: Option<String>,
+    /// What full-phase assumes of the adaptive optics: nothing, its spectrum, the loop, its telemetry [default: the most there is]
+    #[arg(long, value_parser = ["nothing", "spectrum", "loop", "telemetry"])]
+    knows: Option<String>,
+    /// Also write corrections, with full-phase: what to add to segments, mirror and reference slopes
+    #[arg(long, value_name = "FILE")]
+    commands: Option<PathBuf>,
     #[command(flatten)]
     settings: Settings,
     /// Print the result as JSON
@@ -83,6 +91,7 @@ impl Arguments {
             ("estimate.precision", &self.precision),
             ("estimate.optimizer", &self.optimizer),
             ("estimate.method", &self.method),
+            ("estimate.knows", &self.knows),
         ];
         options.into_iter().filter_map(|(key, value)| Some((key, value.as_deref()?))).collect()
     }
@@ -91,6 +100,9 @@ impl Arguments {
         let mut inputs: Vec<&Path> = vec![&self.images];
         inputs.extend([&self.scene, &self.mask].into_iter().flatten().map(PathBuf::as_path));
         files::check_output(&self.output, &inputs)?;
+        if let Some(commands) = &self.commands {
+            files::check_output(commands, &inputs)?;
+        }
         if let Some(plot) = &self.plot {
             files::check_picture(plot, &inputs)?;
         }
@@ -122,16 +134,21 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if let Some(budget_nm) = scene.estimate.budget_nm {
         scene = super::plan::planned(&scene, budget_nm, terminal, &interrupt)?.scene;
     }
-    let job = Job {
-        name: arguments.images.as_path(),
-        scene,
-        // What the command line says goes before what the file says.
-        read_noise_e: images.read_noise_e.filter(|_| !arguments.settings.names("image.read_noise_e")),
-        images,
-        truth,
-    };
+    // What the command line says goes before what the file says.
+    let read_noise_e = images.read_noise_e.filter(|_| !arguments.settings.names("image.read_noise_e"));
+    let (name, output, plot) = (arguments.images.as_path(), arguments.output.as_path(), arguments.plot.as_deref());
+    if scene.estimate.method == Method::FullPhase {
+        let wanted = full_phase::Wanted { output, plot, commands: arguments.commands.as_deref(), json: arguments.json };
+        let given = full_phase::Given { name, scene: &scene, images, read_noise_e, truth };
+        return full_phase::run(given, &wanted, terminal, &interrupt);
+    }
+    if let Some(commands) = &arguments.commands {
+        let reason = "corrections come from the full-phase estimate: --method full-phase is needed";
+        return Err(Error::file(commands, reason));
+    }
+    let job = Job { name, scene, read_noise_e, images, truth };
     let found = job.run(terminal, &interrupt)?;
-    found.write(&arguments.output, arguments.plot.as_deref())?;
+    found.write(output, plot)?;
     found.tell(arguments.json, arguments.verbose, terminal)
 }
 

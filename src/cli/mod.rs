@@ -10,6 +10,7 @@ mod devices;
 mod estimate;
 mod figures;
 mod files;
+mod full_phase;
 mod image;
 mod interrupt;
 mod picture;

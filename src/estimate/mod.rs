@@ -54,7 +54,7 @@ pub use status::{ImageReport, Status};
 
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
-use crate::scene::{Combine, PupilScene, Scene};
+use crate::scene::{Combine, Method, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
 use rayon::prelude::*;
@@ -91,6 +91,21 @@ fn refuse_budget(scene: &Scene) -> Result<()> {
             "estimate.budget_nm = {budget_nm} asks for a plan, which needs a telescope that the scene describes: an \
              estimator takes the scene that the planner makes of this one, or one without a budget"
         ))),
+    }
+}
+
+/// That `scene` asks for static modes, fitted image by image.
+///
+/// # Errors
+/// [`Error::Scene`].
+fn refuse_full_phase(scene: &Scene) -> Result<()> {
+    match scene.estimate.method {
+        Method::Modal => Ok(()),
+        Method::FullPhase => Err(Error::Scene(
+            "estimate.method = \"full-phase\" reads whole sequences at once, with 'cophase estimate' or sky::read: a modal \
+             estimator takes \"modal\""
+                .into(),
+        )),
     }
 }
 
@@ -150,6 +165,7 @@ impl Estimator {
 
     fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own_basis: Arc<OwnBasis>) -> Result<Self> {
         refuse_budget(scene)?;
+        refuse_full_phase(scene)?;
         let model = Model::with_own_basis(scene, &recipe, native, &own_basis)?;
         Ok(Self { own_basis, ..Self::of_model(scene, recipe, model) })
     }

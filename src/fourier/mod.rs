@@ -12,10 +12,12 @@
 
 pub mod definition;
 mod fft;
+mod hartley;
 mod matrix;
 mod product;
 
 pub use fft::FftTransform;
+pub use hartley::Hartley;
 pub use matrix::MatrixTransform;
 pub(crate) use product::panel_len;
 pub use product::{Factors, Product};

@@ -1,5 +1,7 @@
 //! The chain on the CPU: one image per thread at a time, in f64 (the judge) or f32.
 
+mod free;
+
 use super::detector::{Evaluation, Exposure, Loaded};
 use super::field::{Field, FieldState};
 use super::optics::Optics;

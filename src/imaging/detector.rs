@@ -149,7 +149,7 @@ impl<T: Polynomial> Loaded<T> {
         for ((psf, data), weight) in spans {
             let mut lanes = [[T::zero(); LANES]; 3];
             for ((psf, data), weight) in psf.chunks(LANES).zip(data.chunks(LANES)).zip(weight.chunks(LANES)) {
-                match (psf.as_array(), data.as_array(), weight.as_array()) {
+                match (psf.first_chunk(), data.first_chunk(), weight.first_chunk()) {
                     (Some(psf), Some(data), Some(weight)) => add_moments(&mut lanes, psf, data, weight),
                     _ => add_moments(&mut lanes, &filled(psf), &filled(data), &filled(weight)),
                 }

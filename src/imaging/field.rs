@@ -15,27 +15,9 @@
 
 use super::optics::{Mode, Optics};
 use super::phasor::{Polynomial, phasor};
+use super::shares::{BLOCK, Lanes, Shares};
 use super::smooth::{SmoothModes, SmoothScratch};
 use ndarray::ArrayView1;
-
-/// Samples of a block: a vector of the widest registers in f32, two in f64. The rows of the grid are filled up to whole
-/// blocks.
-pub(super) const BLOCK: usize = 16;
-
-type Lanes<T> = [T; BLOCK];
-
-/// The segments that show in the blocks of the grid. A share is one segment in one block.
-struct Shares<T> {
-    /// Where the shares of each block begin; one more at the end.
-    first: Vec<usize>,
-    segment: Vec<usize>,
-    /// Scaled so that |U|² is the PSF; 0 where the segment does not show.
-    weight: Vec<Lanes<T>>,
-    /// What a segment's tip and its tilt of 1 nm add to the phase, nm, where segments tilt.
-    slopes: Option<Vec<[Lanes<T>; 2]>>,
-    /// The shares of each segment, with their blocks.
-    of_segment: Vec<Vec<(usize, usize)>>,
-}
 
 /// The stage, in the chain's precision.
 pub(super) struct Field<T> {
@@ -137,6 +119,27 @@ impl<T: Polynomial> Field<T> {
     pub(super) fn forward(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>, grid: &mut [T]) {
         self.set(coefficients_nm, state);
         self.smooth.phase(&state.smooth, &mut state.turns, &mut state.smooth_scratch);
+        self.field(state, grid);
+    }
+
+    /// The same with a phase of its own at each lit sample, turns, beside what the coefficients make.
+    #[inline(always)]
+    pub(super) fn forward_free(
+        &self,
+        coefficients_nm: ArrayView1<f64>,
+        free_turns: &[T],
+        state: &mut FieldState<T>,
+        grid: &mut [T],
+    ) {
+        self.set(coefficients_nm, state);
+        self.smooth.phase(&state.smooth, &mut state.turns, &mut state.smooth_scratch);
+        self.lit.iter().zip(free_turns).for_each(|(&place, &free)| state.turns[place] += free);
+        self.field(state, grid);
+    }
+
+    /// The field of the phase and the poses that stand in the state.
+    #[inline(always)]
+    fn field(&self, state: &mut FieldState<T>, grid: &mut [T]) {
         let turns = state.turns.as_chunks::<BLOCK>().0;
         let across = self.samples.div_ceil(BLOCK);
         let rows = grid.chunks_exact_mut(2 * self.samples).enumerate();
@@ -211,6 +214,13 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
+    /// dJ/dψ at each lit sample, per turn, as [`Field::adjoint`] left it.
+    #[inline(always)]
+    pub(super) fn free_gradient(&self, state: &FieldState<T>, gradient: &mut [T]) {
+        let four_pi = T::of(4.0 * std::f64::consts::PI);
+        gradient.iter_mut().zip(&self.lit).for_each(|(out, &place)| *out = four_pi * state.turns_bar[place]);
+    }
+
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.
     pub(super) fn derivative(&self, mode: Mode, state: &FieldState<T>, grid: &mut [T]) {
         let tau = T::of(std::f64::consts::TAU);
@@ -250,124 +260,6 @@ impl<T: Polynomial> Field<T> {
             }
         }
     }
-}
-
-impl<T: Polynomial> Shares<T> {
-    /// The shares in `blocks` blocks, in which `lit` are the flat places of the lit samples.
-    fn new(optics: &Optics, lit: &[usize], blocks: usize) -> Self {
-        let parts = optics.parts();
-        let weights = &parts.weights;
-        let slopes = parts.slopes.as_ref().filter(|_| optics.tilts_segments());
-        let amplitude = optics.intensity_scale().sqrt();
-        let mut entries = Vec::with_capacity(weights.weight.len());
-        for (&place, bounds) in lit.iter().zip(weights.offsets.windows(2)) {
-            for entry in bounds[0] as usize..bounds[1] as usize {
-                entries.push((place / BLOCK, weights.segment[entry] as usize, place % BLOCK, entry));
-            }
-        }
-        entries.sort_unstable();
-        let mut shares = Self {
-            first: Vec::with_capacity(blocks + 1),
-            segment: Vec::new(),
-            weight: Vec::new(),
-            slopes: slopes.map(|_| Vec::new()),
-            of_segment: vec![Vec::new(); weights.segments],
-        };
-        let mut own = entries.chunk_by(|one, next| (one.0, one.1) == (next.0, next.1)).peekable();
-        for block in 0..blocks {
-            shares.first.push(shares.segment.len());
-            while let Some(entries) = own.next_if(|entries| entries[0].0 == block) {
-                let gather = |values: &[f64], scale: f64| {
-                    let mut lanes = [T::zero(); BLOCK];
-                    entries.iter().for_each(|&(_, _, lane, entry)| lanes[lane] = T::of(values[entry] * scale));
-                    lanes
-                };
-                let segment = entries[0].1;
-                shares.of_segment[segment].push((block, shares.segment.len()));
-                shares.segment.push(segment);
-                shares.weight.push(gather(&weights.weight, amplitude));
-                if let (Some(to), Some((x, y))) = (&mut shares.slopes, slopes) {
-                    to.push([gather(x, 1.0), gather(y, 1.0)]);
-                }
-            }
-        }
-        shares.first.push(shares.segment.len());
-        shares
-    }
-
-    #[inline(always)]
-    fn of(&self, block: usize) -> std::ops::Range<usize> {
-        self.first[block]..self.first[block + 1]
-    }
-
-    /// a = Σ w·q of a block.
-    #[inline(always)]
-    fn aperture(&self, shares: std::ops::Range<usize>, pose: &[[T; 3]], piston: &[[T; 2]]) -> [Lanes<T>; 2] {
-        let (mut re, mut im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
-        let own = self.segment[shares.clone()].iter().zip(&self.weight[shares.clone()]);
-        let Some(slopes) = &self.slopes else {
-            for (&segment, weight) in own {
-                let [q_re, q_im] = piston[segment];
-                for i in 0..BLOCK {
-                    re[i] = weight[i].mul_add(q_re, re[i]);
-                    im[i] = weight[i].mul_add(q_im, im[i]);
-                }
-            }
-            return [re, im];
-        };
-        for ((&segment, weight), slopes) in own.zip(&slopes[shares]) {
-            let [q_re, q_im] = tilted(pose[segment], slopes);
-            for i in 0..BLOCK {
-                re[i] = weight[i].mul_add(q_re[i], re[i]);
-                im[i] = weight[i].mul_add(q_im[i], im[i]);
-            }
-        }
-        [re, im]
-    }
-
-    /// Adds what g = Ē·P* of a block says of each segment: `Σ w·g` where segments do not tilt, and
-    /// `Σ w·Im(q*·g)·(1, x, y)` where they do. A lane sums one sample in sixteen of a segment, some tens or hundreds: in
-    /// f32 its rounding is that of a few products.
-    #[inline(always)]
-    fn collect(
-        &self,
-        shares: std::ops::Range<usize>,
-        [g_re, g_im]: [&Lanes<T>; 2],
-        pose: &[[T; 3]],
-        sums: &mut [[Lanes<T>; 3]],
-    ) {
-        let own = self.segment[shares.clone()].iter().zip(&self.weight[shares.clone()]);
-        let Some(slopes) = &self.slopes else {
-            for (&segment, weight) in own {
-                let [re, im, _] = &mut sums[segment];
-                for i in 0..BLOCK {
-                    re[i] = weight[i].mul_add(g_re[i], re[i]);
-                    im[i] = weight[i].mul_add(g_im[i], im[i]);
-                }
-            }
-            return;
-        };
-        for ((&segment, weight), slopes) in own.zip(&slopes[shares]) {
-            let [q_re, q_im] = tilted(pose[segment], slopes);
-            let ([x, y], [piston, tip, tilt]) = (slopes, &mut sums[segment]);
-            for i in 0..BLOCK {
-                let part = weight[i] * (q_re[i] * g_im[i] - q_im[i] * g_re[i]);
-                piston[i] += part;
-                tip[i] = part.mul_add(x[i], tip[i]);
-                tilt[i] = part.mul_add(y[i], tilt[i]);
-            }
-        }
-    }
-}
-
-/// exp(2πi·(c + t·x + u·y)).
-#[inline(always)]
-fn tilted<T: Polynomial>([c, t, u]: [T; 3], [x, y]: &[Lanes<T>; 2]) -> [Lanes<T>; 2] {
-    let (mut re, mut im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
-    for i in 0..BLOCK {
-        (re[i], im[i]) = phasor(t.mul_add(x[i], u.mul_add(y[i], c)));
-    }
-    [re, im]
 }
 
 /// exp(2πi·(a + b)).

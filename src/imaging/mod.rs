@@ -16,6 +16,7 @@ pub mod gpu;
 mod linear;
 mod optics;
 mod phasor;
+mod shares;
 mod smooth;
 mod work;
 

@@ -5,9 +5,9 @@
 //! stay in the second-level cache: 0.4 instead of 0.65 million multiply-adds each way for 86 modes on 108×108 samples,
 //! and 0.4 MB instead of 5.2.
 
-use super::field::BLOCK;
 use super::optics::Optics;
 use super::phasor::Polynomial;
+use super::shares::BLOCK;
 use crate::fourier::{Factors, panel_len};
 use crate::modes::Separable;
 use ndarray::{Array2, s};

@@ -249,3 +249,54 @@ fn modes_as_products_give_what_their_maps_give() {
         }
     }
 }
+
+/// The free phase: central differences along random directions, the modes' own path at zero, and single precision.
+#[test]
+fn the_gradient_in_the_free_phase_is_exact() {
+    fn at<T: Polynomial>(
+        optics: &Arc<Optics>,
+        exposure: &Exposure,
+        c: &Array1<f64>,
+        free: &[f64],
+    ) -> (Evaluation, Vec<f64>) {
+        let chain = CpuChain::<T>::new(optics.clone());
+        let (mut image, mut evaluation, mut scratch) = (chain.room(), chain.evaluation(), chain.scratch());
+        chain.set(&mut image, exposure).unwrap();
+        let free: Vec<T> = free.iter().map(|&v| T::of(v)).collect();
+        let mut gradient = vec![T::nan(); free.len()];
+        chain.evaluate_free(&image, c.view(), &free, &mut scratch, &mut evaluation, &mut gradient);
+        (evaluation, gradient.iter().map(|g| g.wide()).collect())
+    }
+    let optics = optics(12, 14, 1.9);
+    let (exposures, c) = (exposures(14), coefficients(1, optics.modes()).row(0).to_owned());
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let lit = optics.parts().weights.lit.len();
+    for exposure in &exposures {
+        let free = random(lit, 0.3, &mut rng);
+        let (here, gradient) = at::<f64>(&optics, exposure, &c, &free);
+        let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+        for _ in 0..5 {
+            let along = random(lit, 1.0, &mut rng);
+            let slope: f64 = gradient.iter().zip(&along).map(|(g, v)| g * v).sum();
+            // As in the modes' test: truncation (2πh)²/6 = 7e-10 at 1e-5 turns, rounding 2e-16·J/h of about the same.
+            let h = 1e-5;
+            let shifted = |by: f64| -> f64 {
+                let free: Vec<f64> = free.iter().zip(&along).map(|(f, v)| f + by * v).collect();
+                at::<f64>(&optics, exposure, &c, &free).0.objective
+            };
+            let difference = (shifted(h) - shifted(-h)) / (2.0 * h);
+            assert!((difference - slope).abs() < 1e-6 * norm, "{difference} {slope} of {norm}");
+        }
+        // The contract of numerics: 1e-5 in f32, for objective and gradient.
+        let (narrow, narrow_gradient) = at::<f32>(&optics, exposure, &c, &free);
+        assert!((narrow.objective / here.objective - 1.0).abs() < 1e-5);
+        let error = gradient.iter().zip(&narrow_gradient).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+        assert!(error < 1e-5 * norm, "{error:e} of {norm:e}");
+        // Nothing free is the modes alone, to the bit.
+        let mut chain = CpuChain::<f64>::new(optics.clone());
+        chain.load(std::slice::from_ref(exposure)).unwrap();
+        let alone = chain.evaluate(&[0], c.view().insert_axis(ndarray::Axis(0))).unwrap().remove(0);
+        let (with, _) = at::<f64>(&optics, exposure, &c, &vec![0.0; lit]);
+        assert_eq!((alone.objective.to_bits(), alone.gradient), (with.objective.to_bits(), with.gradient));
+    }
+}

@@ -19,6 +19,8 @@ pub struct Metric {
     dimension: usize,
     /// `V Λ^(−1/2)`, `[dimension, rank]`; `None` is the identity.
     whitening: Option<Array2<f64>>,
+    /// Whether the curvature is known.
+    whitened: bool,
     /// Unit vectors, `[nullity, dimension]`.
     null_directions: Array2<f64>,
 }
@@ -26,7 +28,12 @@ pub struct Metric {
 impl Metric {
     /// The caller's own coordinates, about whose curvature nothing is known.
     pub fn identity(dimension: usize) -> Self {
-        Metric { dimension, whitening: None, null_directions: Array2::zeros((0, dimension)) }
+        Metric { dimension, whitening: None, whitened: false, null_directions: Array2::zeros((0, dimension)) }
+    }
+
+    /// The caller's own coordinates, which the caller has whitened: the Hessian is about 2·I in them.
+    pub fn whitened(dimension: usize) -> Self {
+        Metric { whitened: true, ..Self::identity(dimension) }
     }
 
     /// Whitening from `gauss_newton` = Jᵀ W J, `[n, n]`, symmetric and positive semi-definite (the lower triangle is
@@ -62,7 +69,7 @@ impl Metric {
         let whitening =
             Array2::from_shape_fn((n, n - nullity), |(i, k)| vectors[(i, n - 1 - k)] / values[n - 1 - k].sqrt());
         let null_directions = Array2::from_shape_fn((nullity, n), |(k, i)| vectors[(i, k)]);
-        Ok(Metric { dimension: n, whitening: Some(whitening), null_directions })
+        Ok(Metric { dimension: n, whitening: Some(whitening), whitened: true, null_directions })
     }
 
     /// Length of x.
@@ -88,7 +95,7 @@ impl Metric {
 
     /// Whether curvature stands behind these coordinates, so that a step of length one along −g/2 means something.
     pub fn is_whitened(&self) -> bool {
-        self.whitening.is_some()
+        self.whitened
     }
 
     /// `x = V Λ^(−1/2) z`: a displacement `z` of length [`rank`](Self::rank) in the caller's coordinates.

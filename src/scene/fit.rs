@@ -4,7 +4,7 @@ use super::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
-    Combine, DeviceChoice, Method, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes, Weighting, Zernikes,
+    Combine, DeviceChoice, Knows, Method, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes, Weighting, Zernikes,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -76,6 +76,8 @@ section! {
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// The estimator.
         method: Method, ANY, default(Method::Modal);
+        /// method = "full-phase": what is assumed of the adaptive optics.
+        knows: Option<Knows>, ANY, unset("telemetry where the images bring it, else the loop where the scene has one, else the spectrum");
         /// Where it runs.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
         /// Precision of the imaging chain.
@@ -83,4 +85,11 @@ section! {
     }
 }
 
-impl Check for EstimateScene {}
+impl Check for EstimateScene {
+    fn check(&mut self, reader: &Reader) -> Result<()> {
+        if self.method == Method::Modal {
+            reader.refuse(&["knows"], "where estimate.method is \"modal\"")?;
+        }
+        Ok(())
+    }
+}

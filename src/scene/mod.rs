@@ -27,7 +27,7 @@ pub use fit::{EstimateScene, ModesScene};
 pub use reference::reference;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
-    Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optimizer,
+    Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Knows, Loop, Method, NcpaBasis, Optimizer,
     Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting, Zernikes,
 };
 

@@ -236,22 +236,29 @@ words! {
     }
 }
 
-/// The estimator.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Method {
-    /// Static modes, fitted image by image.
-    Modal,
+words! {
+    /// The estimator.
+    #[derive(Copy)]
+    Method {
+        /// Static modes, fitted image by image.
+        Modal = "modal",
+        /// The whole wavefront behind each image of a sequence, and static errors from all of them together.
+        FullPhase = "full-phase",
+    }
 }
 
-impl FromToml for Method {
-    fn accepted(_: &Range) -> String {
-        "\"modal\" (\"full-phase\" is not available in this version)".into()
-    }
-    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
-        (value.as_str()? == "modal").then_some(Self::Modal)
-    }
-    fn to_toml(&self) -> String {
-        "\"modal\"".into()
+words! {
+    /// What a full-phase estimate assumes of the adaptive optics in front of the camera: each level with all before it.
+    #[derive(Copy, PartialOrd, Ord)]
+    Knows {
+        /// Nothing: the mirror's pitch, and a spectrum of ordinary seeing.
+        Nothing = "nothing",
+        /// The spectrum of the residual wavefront, from the scene's turbulence and control.
+        Spectrum = "spectrum",
+        /// The loop: what it answers to the pistons is found by closing it on them alone.
+        Loop = "loop",
+        /// What its sensor measured during each exposure.
+        Telemetry = "telemetry",
     }
 }
 

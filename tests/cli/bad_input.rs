@@ -71,7 +71,7 @@ fn scenes_that_cannot_be() {
         ("wavelength_nm = 2000", "wavelength_nm = -1", "wavelength_nm = -1"),
         ("[modes]", "[mode]", "did you mean 'modes'?"),
         ("ncpa = \"zernike\"", "ncpa = zernike", "not TOML"),
-        ("[pupil]", "[estimate]\nmethod = \"full-phase\"\n[pupil]", "full-phase"),
+        ("[pupil]", "[estimate]\nmethod = \"full-face\"\n[pupil]", "full-face"),
     ];
     for (from, to, word) in scenes {
         std::fs::write(desk.path("odd.toml"), SMALL.replacen(from, to, 1)).unwrap();
@@ -179,7 +179,7 @@ fn bad_usage_is_status_2() {
         (&["estimate", "images.fits", "-o", "e.fits", "--device", "gpu"], "opencl:P:D"),
         (&["estimate", "images.fits", "-o", "e.fits", "--precision", "f16"], "f32"),
         (&["estimate", "images.fits", "-o", "e.fits", "--optimizer", "sgd"], "gauss-newton"),
-        (&["estimate", "images.fits", "-o", "e.fits", "--method", "full-phase"], "modal"),
+        (&["estimate", "images.fits", "-o", "e.fits", "--method", "full-face"], "modal"),
         (&["image", "scene.toml", "-o", "e.fits", "--set", "image.pixels"], "section.key=value"),
         (&["image", "scene.toml", "-o", "e.fits", "--seed", "-1"], "-1"),
         (&["image", "scene.toml", "-o", "e.fits", "--seed", "9223372036854775808"], "9223372036854775807"),

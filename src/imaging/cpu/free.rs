@@ -1,0 +1,66 @@
+//! The chain with a phase of its own at every lit sample: what a retrieval of the whole wavefront varies. The modes are
+//! there too; an evaluation whose free phase is zero is bitwise that of the modes alone.
+
+use super::{Backward, CpuChain, Evaluation, Loaded, Polynomial, Scratch, vectorised};
+use ndarray::ArrayView1;
+use pulp::NullaryFnOnce;
+
+impl<T: Polynomial> CpuChain<T> {
+    /// Objective and gradient of one image at `coefficients_nm` and, at each lit sample, `free_turns` (phase over 2π)
+    /// beside them: the gradient in the coefficients into `evaluation`, that in the free phase, per turn, into
+    /// `free_gradient`. Nothing is allocated.
+    ///
+    /// # Panics
+    /// Where the pieces were made by a chain of another model, or the free phase does not have a number for each lit
+    /// sample.
+    pub fn evaluate_free(
+        &self,
+        image: &Loaded<T>,
+        coefficients_nm: ArrayView1<f64>,
+        free_turns: &[T],
+        scratch: &mut Scratch<T>,
+        evaluation: &mut Evaluation,
+        free_gradient: &mut [T],
+    ) {
+        let lit = self.optics.parts().weights.lit.len();
+        assert_eq!((free_turns.len(), free_gradient.len()), (lit, lit), "a number for each lit sample");
+        vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
+        vectorised(Backward { chain: self, image, memory: scratch, evaluation });
+        self.field.free_gradient(&scratch.field, free_gradient);
+    }
+
+    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) there, in the caller's memory.
+    ///
+    /// # Panics
+    /// As [`CpuChain::evaluate_free`].
+    pub fn psf_free_in<'s>(
+        &self,
+        coefficients_nm: ArrayView1<f64>,
+        free_turns: &[T],
+        scratch: &'s mut Scratch<T>,
+    ) -> &'s [T] {
+        assert_eq!(free_turns.len(), self.optics.parts().weights.lit.len(), "a number for each lit sample");
+        vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
+        &scratch.psf
+    }
+}
+
+/// Coefficients and free phase to the PSF.
+struct ForwardFree<'a, T: Polynomial> {
+    chain: &'a CpuChain<T>,
+    coefficients_nm: ArrayView1<'a, f64>,
+    free_turns: &'a [T],
+    memory: &'a mut Scratch<T>,
+}
+
+impl<T: Polynomial> NullaryFnOnce for ForwardFree<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { chain, coefficients_nm, free_turns, memory } = self;
+        chain.field.forward_free(coefficients_nm, free_turns, &mut memory.field, &mut memory.pupil);
+        chain.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
+        Loaded::intensity(&memory.focus, &mut memory.psf, chain.optics.sampling().pixels);
+    }
+}

@@ -1,0 +1,194 @@
+//! The full-phase estimate of a sequence: images in, static errors with error bars out, and their file.
+
+use super::passes::{Pass, PassRecipe, find_statics};
+use super::{RetrievalRecipe, RetrievalReport, RetrievedPhases, Retriever, Spectrum, Unknown};
+use crate::io::{Column, FitsWriter, Pixel};
+use crate::optimize::CancelFlag;
+use crate::pupil::Pupil;
+use crate::scene::{Knows, Scene};
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array2, Array3};
+use std::path::Path;
+use std::time::Instant;
+
+/// A sequence behind an adaptive optics.
+#[derive(Debug, Clone)]
+pub struct SkyImages {
+    /// Electrons, `[image, y, x]`.
+    pub images_e: Array3<f64>,
+    /// Bad pixels likewise.
+    pub bad: Array3<bool>,
+    /// Read noise of a pixel, RMS electrons; `None` takes the scene's.
+    pub read_noise_e: Option<f64>,
+    /// What the wavefront sensor measured meanwhile, mean over each exposure, `[image, slope]`, mas; none without telemetry.
+    pub slopes_mas: Option<Array2<f64>>,
+}
+
+/// What a full-phase estimate found.
+#[derive(Debug, Clone)]
+pub struct FullPhase {
+    /// All passes; the last one is the estimate.
+    pub passes: Vec<Pass>,
+    /// How the retrieval of each image went in the last pass.
+    pub reports: Vec<RetrievalReport>,
+    /// What was assumed of the adaptive optics.
+    pub knows: Knows,
+    /// The pupil on which maps are.
+    pub pupil: Pupil,
+    /// Wall-clock time, s; that in retrievals.
+    pub seconds: f64,
+    /// Of it, in retrievals of all passes, s.
+    pub retrieval_seconds: f64,
+}
+
+impl FullPhase {
+    /// The last pass.
+    ///
+    /// # Errors
+    /// [`Error::Internal`] never: an estimate has a pass at least.
+    pub fn result(&self) -> Result<&Pass> {
+        self.passes.last().ok_or_else(|| Error::Internal("an estimate without a pass".into()))
+    }
+}
+
+/// What is assumed of the adaptive optics of `scene` for images with or without telemetry.
+///
+/// # Errors
+/// [`Error::Scene`] where the scene asks for more than there is.
+pub fn knows(scene: &Scene, telemetry: bool) -> Result<Knows> {
+    let has_loop = scene.control.is_some() && scene.wavefront_sensor.is_some();
+    let there = match (has_loop, telemetry) {
+        (true, true) => Knows::Telemetry,
+        (true, false) => Knows::Loop,
+        (false, _) => Knows::Spectrum,
+    };
+    match scene.estimate.knows {
+        None => Ok(there),
+        Some(wanted) if wanted <= there => Ok(wanted),
+        Some(wanted) => Err(Error::Scene(format!(
+            "estimate.knows = \"{}\" is more than there is: the {}, and \"{}\" is accepted",
+            wanted.word(),
+            if has_loop { "images come without slopes" } else { "scene has no [wavefront_sensor] and [control]" },
+            there.word()
+        ))),
+    }
+}
+
+/// The spectrum that is expected of the dynamic wavefront.
+fn prior(scene: &Scene, knows: Knows) -> Result<Spectrum> {
+    if knows > Knows::Nothing {
+        return Spectrum::of_scene(scene, Unknown::default());
+    }
+    // Ordinary seeing, r0 = 16 cm at 500 nm, beyond what the mirror's pitch corrects; below, as much as there: a flat band.
+    // Kolmogorov: 0.0229·r0^(−5/3)·f^(−11/3) rad²·m².
+    const ENTRIES: usize = 200;
+    let cut_off_per_m = 0.5 / scene.mirror.pitch_m;
+    let step_per_m = cut_off_per_m / 40.0;
+    let nm_per_rad = 500.0 / std::f64::consts::TAU;
+    let at = |k: usize| {
+        let f = (step_per_m * k as f64).max(cut_off_per_m);
+        0.0229 * 0.16f64.powf(-5.0 / 3.0) * f.powf(-11.0 / 3.0) * nm_per_rad * nm_per_rad
+    };
+    Spectrum::new(step_per_m, (0..ENTRIES).map(at).collect())
+}
+
+/// Reads a sequence: retrieval, static errors, and again about what was found. `watch` is told how many images of a pass are
+/// done.
+///
+/// # Errors
+/// Those of building the model; [`Error::Image`] where fewer than two images can be used; [`Error::Interrupted`].
+pub fn read(
+    scene: &Scene,
+    images: &SkyImages,
+    cancel: Option<&CancelFlag>,
+    watch: &(dyn Fn(usize) + Sync),
+) -> Result<FullPhase> {
+    let started = Instant::now();
+    let knows = knows(scene, images.slopes_mas.is_some())?;
+    let prior = prior(scene, knows)?;
+    // Pistons as coefficients of their own let each image trade an edge for a field that is nearly one: the field alone
+    // shows what an image says.
+    let retrieval = RetrievalRecipe { piston_rms_nm: 0.0, ..RetrievalRecipe::default() };
+    let retriever = Retriever::new(scene, &prior, retrieval)?;
+    let cube = (&images.images_e, &images.bad, images.read_noise_e);
+    let mut source = RetrievedPhases::new(&retriever, &prior, cube, images.slopes_mas.clone(), cancel, watch)?;
+    let recipe = PassRecipe { knows, ..PassRecipe::default() };
+    let passes = find_statics(scene, &mut source, &recipe, cancel)?;
+    let (reports, retrieval_seconds) = (std::mem::take(&mut source.reports), source.seconds);
+    let pupil = Telescope::of(scene)?.pupil;
+    let seconds = started.elapsed().as_secs_f64();
+    Ok(FullPhase { passes, reports, knows, pupil, seconds, retrieval_seconds })
+}
+
+/// Writes an estimate in the layout of the modal one, and the table `PASSES`; beside it the true maps (phasing, NCPA; nm), where
+/// they are known. The file appears whole or not at all.
+///
+/// # Errors
+/// [`Error::File`] where the file cannot be written.
+pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Array2<f64>; 2]>) -> Result<()> {
+    let pass = found.result()?;
+    let mut file = FitsWriter::create(path)?;
+    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
+    file.card("PRIMARY", "METHOD", "full-phase", "estimator")?;
+    file.card("PRIMARY", "KNOWS", found.knows.word(), "what it assumes of the adaptive optics")?;
+    file.card("PRIMARY", "ELAPSED", found.seconds, "seconds for the estimate")?;
+    file.card("PRIMARY", "NIMAGES", found.reports.len() as i64, "images read")?;
+    file.card("PRIMARY", "NUSED", pass.used_images.len() as i64, "images used")?;
+    file.card("PRIMARY", "CHI2", pass.reduced_chi2, "median reduced chi-square")?;
+    for (name, map) in [
+        ("PHASING", &pass.phasing_nm),
+        ("NCPA", &pass.ncpa_nm),
+        ("WAVEFRONT", &(&pass.phasing_nm + &pass.ncpa_nm)),
+        ("PHASING_SIGMA", &pass.phasing_sigma_nm),
+        ("NCPA_SIGMA", &pass.ncpa_sigma_nm),
+    ] {
+        file.image(name, map, Pixel::F64, "nm")?;
+    }
+    file.card("WAVEFRONT", "GRID_M", found.pupil.grid.width_m(), "side of the map, m")?;
+    for (name, map) in ["TRUTH_PHASING", "TRUTH_NCPA"].into_iter().zip(truth.into_iter().flatten()) {
+        file.image(name, map, Pixel::F64, "nm")?;
+    }
+    modes(&mut file, pass)?;
+    let of = |value: &dyn Fn(&Pass) -> f64| found.passes.iter().map(value).collect::<Vec<f64>>();
+    let passes = [
+        Column::f64("PHASING_CHANGE_NM", "nm", of(&|pass| pass.changed_nm[0])),
+        Column::f64("NCPA_CHANGE_NM", "nm", of(&|pass| pass.changed_nm[1])),
+        Column::f64("PHASING_EXPECTED_NM", "nm", of(&|pass| pass.expected_nm[0])),
+        Column::f64("NCPA_EXPECTED_NM", "nm", of(&|pass| pass.expected_nm[1])),
+        Column::f64("CHI2", "", of(&|pass| pass.reduced_chi2)),
+    ];
+    file.table("PASSES", &passes)?;
+    let of = |value: &dyn Fn(&RetrievalReport) -> f64| found.reports.iter().map(value).collect::<Vec<f64>>();
+    let status = |report: &RetrievalReport| match &report.refusal {
+        Some(_) => "unusable",
+        None if report.reason.converged() => "ok",
+        None => "not-converged",
+    };
+    let images = [
+        Column::text("STATUS", found.reports.iter().map(status)),
+        Column::i64("EVALUATIONS", found.reports.iter().map(|report| report.evaluations as i64).collect()),
+        Column::f64("CHI2", "", of(&|report| report.reduced_chi2)),
+        Column::f64("FLUX_E", "electron", of(&|report| report.flux_e)),
+        Column::f64("BACKGROUND_E", "electron", of(&|report| report.background_e)),
+        Column::i64("USED", (0..found.reports.len()).map(|i| i64::from(pass.used_images.contains(&i))).collect()),
+    ];
+    file.table("IMAGES", &images)?;
+    file.text("SCENE", scene.text())?;
+    file.finish()
+}
+
+fn modes(file: &mut FitsWriter, pass: &Pass) -> Result<()> {
+    let errors = &pass.errors;
+    let segments = errors.pistons_nm.len();
+    let names = crate::modes::SegmentModes::Piston.names(segments);
+    let groups = (0..segments + errors.ncpa_nm.len()).map(|mode| if mode < segments { "segment" } else { "ncpa" });
+    let sigma_nm = errors.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect();
+    let columns = [
+        Column::text("NAME", names.iter().chain(&pass.ncpa_names)),
+        Column::text("GROUP", groups),
+        Column::f64("ESTIMATE_NM", "nm", errors.pistons_nm.iter().chain(&errors.ncpa_nm).copied().collect()),
+        Column::f64("SIGMA_NM", "nm", sigma_nm),
+    ];
+    file.table("MODES", &columns)
+}

@@ -1,0 +1,44 @@
+//! Full-phase retrieval, and static errors from a sequence of phases.
+//!
+//! ```text
+//! phases ─ mean ─ generalised least squares ─ pistons, NCPA ─┐
+//!   ↑       └ scatter ─ covariance ─┘  ↑                      │
+//!   └──────── static phase ────────────┼── calm loop ─────────┘      pass after pass, until one changes nothing
+//! ```
+//!
+//! What a loop has made of the pistons is smooth and pistons are edges, so a covariance like that of turbulence tells one
+//! from the other; what the loop answers to them is known by closing it on them alone, without turbulence and noise.
+
+mod calm_loop;
+mod commands;
+mod covariance;
+mod estimate;
+mod evidence;
+mod linalg;
+mod lit;
+mod passes;
+mod precondition;
+mod prior;
+mod retrieve;
+mod retrieved;
+mod sensor;
+mod statics;
+mod true_phases;
+mod worker;
+
+pub use calm_loop::CalmLoop;
+pub use commands::Commands;
+pub use covariance::{MeanCovariance, ResidualCovariance};
+pub use estimate::{FullPhase, SkyImages, knows, read, write};
+pub use evidence::{Evidence, Family};
+pub use lit::LitSamples;
+pub use passes::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+pub use prior::{Spectrum, Unknown};
+pub use retrieve::{Phases, RetrievalRecipe, RetrievalReport, Retriever, Statics};
+pub use retrieved::RetrievedPhases;
+pub use sensor::{Sensed, SensorModel};
+pub use statics::{StaticErrors, StaticModel};
+pub use true_phases::TruePhases;
+
+#[cfg(test)]
+mod tests;

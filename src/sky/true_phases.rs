@@ -1,0 +1,202 @@
+//! The phases that a simulated run really had: what a perfect retrieval would find, to tell its errors from the rest's.
+
+use super::LitSamples;
+use crate::ao::{Frame, Recorder, Schedule, Shot, Simulator};
+use crate::{Error, Result};
+use ndarray::{Array1, Array2};
+
+/// Gathers the dynamic wavefront of each exposure, averaged over its frames, on the scene's grid. Hand it to
+/// [`Simulator::run`].
+pub struct TruePhases {
+    schedule: Schedule,
+    lit: LitSamples,
+    segments_nm: Vec<f32>,
+    /// For each sample of the simulator's map with glass: its place, the lit sample that holds it, its share.
+    cells: Vec<(u32, u32, f64)>,
+    /// What does not change, nm.
+    static_nm: Array1<f64>,
+    image: usize,
+    dynamic_nm: Vec<f64>,
+    images: usize,
+    exposed: Vec<f64>,
+    /// The images with the telemetry of each.
+    pub shots: Vec<Shot>,
+}
+
+impl TruePhases {
+    /// For a run of `simulator`, from its start.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for a scene without a loop; those of the telescope.
+    pub fn of(simulator: &Simulator) -> Result<Self> {
+        let scene = simulator.scene();
+        let Some(control) = &scene.control else {
+            return Err(Error::Scene(format!("{}: the section [control] is missing: a run needs it", scene.name())));
+        };
+        let (telescope, truth) = (simulator.telescope(), simulator.truth());
+        let grid = telescope.pupil.grid;
+        let lit = LitSamples::of(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
+        let mut static_nm = Array1::from(truth.ncpa_at(&lit.xs_m, &lit.ys_m)?);
+        static_nm += &Array1::from(truth.piston_nm.clone()).dot(&lit.pistons);
+        Ok(Self {
+            schedule: Schedule::of(scene, control.settle_s, control.frame_rate_hz),
+            segments_nm: simulator.segments_nm().to_vec(),
+            cells: cells(simulator, &lit),
+            static_nm,
+            image: 0,
+            dynamic_nm: vec![0.0; lit.len()],
+            images: 0,
+            exposed: Vec::new(),
+            shots: Vec::new(),
+            lit,
+        })
+    }
+
+    /// The samples.
+    pub fn lit(&self) -> &LitSamples {
+        &self.lit
+    }
+
+    /// The phases of all exposures so far, static and dynamic, nm, `[image, sample]`.
+    ///
+    /// # Errors
+    /// [`Error::Internal`] never.
+    pub fn phases_nm(&self) -> Result<Array2<f64>> {
+        let dynamic_nm = Array2::from_shape_vec((self.images, self.lit.len()), self.exposed.clone())
+            .map_err(|error| Error::Internal(format!("exposures of uneven length: {error}")))?;
+        Ok(dynamic_nm + &self.static_nm)
+    }
+}
+
+/// Which sample of `lit` holds each sample of the simulator's finer grid.
+fn cells(simulator: &Simulator, lit: &LitSamples) -> Vec<(u32, u32, f64)> {
+    let (pupil, stride, n) = (simulator.pupil(), simulator.footprint().stride(), lit.samples);
+    let mut sample_at = vec![None; n * n];
+    lit.places.iter().enumerate().for_each(|(sample, &place)| sample_at[place] = Some(sample));
+    let cell = |i: usize| ((pupil.grid.coordinate_m(i) / lit.pitch_m + n as f64 / 2.0) as usize).min(n - 1);
+    let glass = pupil.amplitude.indexed_iter().filter(|(_, amplitude)| **amplitude > 0.0);
+    let mut cells: Vec<(u32, u32, f64)> = glass
+        .filter_map(|((y, x), &amplitude)| {
+            let sample = sample_at[cell(y) * n + cell(x)]?;
+            Some(((y * stride + x) as u32, sample as u32, amplitude))
+        })
+        .collect();
+    let mut whole = vec![0.0; lit.len()];
+    cells.iter().for_each(|&(_, sample, amplitude)| whole[sample as usize] += amplitude);
+    cells.iter_mut().for_each(|(_, sample, amplitude)| *amplitude /= whole[*sample as usize]);
+    cells
+}
+
+impl Recorder for TruePhases {
+    fn frame(&mut self, frame: &Frame) -> Result<()> {
+        let Some(since) = frame.number.checked_sub(self.schedule.start(self.image)) else { return Ok(()) };
+        if self.image >= self.schedule.images || since >= self.schedule.exposure {
+            return Ok(());
+        }
+        let share = 1.0 / self.schedule.exposure as f64;
+        for &(place, sample, weight) in &self.cells {
+            let moving = f64::from(frame.residual_nm[place as usize] - self.segments_nm[place as usize]);
+            self.dynamic_nm[sample as usize] += share * weight * moving;
+        }
+        if since + 1 == self.schedule.exposure {
+            self.exposed.append(&mut self.dynamic_nm);
+            self.dynamic_nm.resize(self.lit.len(), 0.0);
+            self.images += 1;
+            self.image += 1;
+        }
+        Ok(())
+    }
+
+    fn shot(&mut self, shot: Shot) -> Result<()> {
+        self.shots.push(shot);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ao::Progress;
+    use crate::metrics::residual_nm;
+    use crate::scene::{Knows, Scene};
+    use crate::sky::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+
+    /// Phases that are known from the start.
+    struct Known(LitSamples, Option<Measured>);
+
+    impl PhaseSource for Known {
+        fn lit(&self) -> &LitSamples {
+            &self.0
+        }
+        fn phases(&mut self, _: Option<&StaticWavefront>) -> Result<Option<Measured>> {
+            Ok(self.1.take())
+        }
+    }
+
+    /// A small Keck, seven segments behind ten lenslets, 40 images in two seconds.
+    fn run() -> (Simulator, TruePhases) {
+        let settings = [
+            ("pupil.aperture", "hexagonal"),
+            ("pupil.rings", "1"),
+            ("pupil.grid_m", "5.625"),
+            ("pupil.samples", "60"),
+            ("image.pixels", "64"),
+            ("image.count", "40"),
+            ("image.interval_s", "0.05"),
+            ("image.exposure_s", "0.0"),
+            ("wavefront_sensor.lenslets_across", "10"),
+            ("mirror.actuators_across", "11"),
+            ("control.settle_s", "0.2"),
+        ];
+        let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
+        let mut simulator = Simulator::new(&scene).unwrap();
+        let mut phases = TruePhases::of(&simulator).unwrap();
+        simulator.run(&mut phases, &mut Progress::default()).unwrap();
+        (simulator, phases)
+    }
+
+    #[test]
+    fn the_more_is_known_the_less_is_left() {
+        let (simulator, run) = run();
+        let phase_nm = run.phases_nm().unwrap();
+        let count = phase_nm.nrows();
+        assert_eq!((count, run.shots.len()), (40, 40));
+        let slopes = run.shots[0].mean_slopes_mas.len();
+        let slopes_mas = Array2::from_shape_fn((count, slopes), |(i, k)| f64::from(run.shots[i].mean_slopes_mas[k]));
+        // A frozen exposure is one frame.
+        assert_eq!(run.shots[3].mean_slopes_mas, run.shots[3].slopes_mas);
+        let find = |knows: Knows| -> Pass {
+            let measured = Measured {
+                phase_nm: phase_nm.clone(),
+                reduced_chi2: vec![1.0; count],
+                slopes_mas: Some(slopes_mas.clone()),
+            };
+            let recipe = PassRecipe { knows, ..PassRecipe::default() };
+            let mut known = Known(run.lit().clone(), Some(measured));
+            find_statics(simulator.scene(), &mut known, &recipe, None).unwrap().pop().unwrap()
+        };
+        let pupil = &simulator.telescope().pupil;
+        let truth = simulator.truth();
+        let left = |pass: &Pass| {
+            [
+                residual_nm(pupil, pass.phasing_nm.view(), truth.phasing_nm.view()).unwrap(),
+                residual_nm(pupil, pass.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap(),
+            ]
+        };
+        let passes = [Knows::Spectrum, Knows::Loop, Knows::Telemetry].map(find);
+        let [spectrum, known_loop, telemetry] = [0, 1, 2].map(|i| left(&passes[i]));
+        println!("{spectrum:.2?} {known_loop:.2?} {telemetry:.2?}");
+        // Without the loop its answer to the pistons passes for NCPA; without slopes the mean of the turbulence does.
+        assert!(known_loop[1] < 0.8 * spectrum[1] && telemetry[1] < 0.5 * known_loop[1]);
+        // An error bar is the root of a mean square over some ten degrees of freedom: one draw scatters by a quarter, and
+        // stays below twice it.
+        for (left, pass) in [(known_loop, &passes[1]), (telemetry, &passes[2])] {
+            assert!(
+                left[0] < 2.0 * pass.expected_nm[0] && left[1] < 2.0 * pass.expected_nm[1],
+                "{:?}",
+                pass.expected_nm
+            );
+        }
+        assert!(telemetry[0] < 15.0 && telemetry[1] < 10.0, "64 and 73 nm were put in");
+    }
+}

@@ -1,0 +1,392 @@
+//! One image's retrieval, in memory that one thread keeps.
+
+use super::precondition::{Filter, Square, SquareScratch};
+use super::prior::Spectrum;
+use super::retrieve::{RetrievalRecipe, RetrievalReport, Statics};
+use crate::Result;
+use crate::estimate::{Model, Prepared};
+use crate::imaging::{
+    CpuChain, Evaluation, Exposure, Loaded, Mode, Optics, Photometry, Polynomial, Precision, Scratch,
+};
+use crate::optimize::{Metric, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings};
+use ndarray::{Array1, ArrayView1};
+use std::f64::consts::TAU;
+use std::sync::{Arc, Mutex};
+
+/// Tip and tilt of the whole pupil are known this badly, nm RMS: a few pixels.
+const POINTING_RMS_NM: f64 = 2000.0;
+
+/// What all images and threads share.
+pub(super) struct Engine<T: Polynomial> {
+    chain: CpuChain<T>,
+    square: Square<T>,
+    metric: Arc<Metric>,
+    settings: Settings,
+    recipe: RetrievalRecipe,
+    /// The coefficients that vary, the RMS that is expected of each, nm, and how many samples each moves by 1 nm RMS.
+    free: Vec<(usize, f64, f64)>,
+    /// Memory of threads that are not at work now.
+    idle: Mutex<Vec<Worker<T>>>,
+}
+
+/// What an image shows.
+pub(super) struct Found {
+    pub(super) phase_nm: Vec<f64>,
+    pub(super) coefficients_nm: Vec<f64>,
+    pub(super) report: RetrievalReport,
+}
+
+/// One thread's memory.
+struct Worker<T: Polynomial> {
+    solver: QuasiNewton,
+    start: Vec<f64>,
+    loaded: Loaded<T>,
+    scratch: Scratch<T>,
+    evaluation: Evaluation,
+    square: SquareScratch<T>,
+    filter: Filter<T>,
+    /// nm of each free coefficient for 1 of its white number, and the weight of that number's square in the prior.
+    scales: Vec<[f64; 2]>,
+    coefficients_nm: Array1<f64>,
+    base_nm: Vec<f64>,
+    base_turns: Vec<T>,
+    turns: Vec<T>,
+    turns_bar: Vec<T>,
+    gradient: Vec<f64>,
+    /// Of the image, on the phase of each sample.
+    information_nm2: f64,
+}
+
+impl<T: Polynomial> Engine<T> {
+    pub(super) fn new(
+        model: &Model,
+        prior: &Spectrum,
+        pitch_m: f64,
+        margin_m: f64,
+        recipe: &RetrievalRecipe,
+        typical: Typical,
+    ) -> Result<Self> {
+        let (parts, samples) = (model.optics.parts(), model.optics.sampling().samples);
+        let glass: Vec<f64> = parts.weights.rows().map(|(.., weights)| weights.iter().sum()).collect();
+        let mut square = Square::new((&parts.weights.lit, &glass), samples, pitch_m, margin_m, prior)?;
+        let mut areas = vec![0.0; parts.weights.segments];
+        for (&segment, &weight) in parts.weights.segment.iter().zip(&parts.weights.weight) {
+            areas[segment as usize] += weight;
+        }
+        let known = |mode: &Mode| match *mode {
+            Mode::Piston(segment) => (recipe.piston_rms_nm, areas[segment]),
+            Mode::Tip(segment) | Mode::Tilt(segment) => (recipe.segment_tilt_rms_nm, areas[segment]),
+            Mode::Smooth(_) => (POINTING_RMS_NM, areas.iter().sum()),
+        };
+        let known = parts.modes.iter().map(known).enumerate();
+        let free: Vec<_> = known.map(|(k, (rms, count))| (k, rms, count)).filter(|(_, rms, _)| *rms > 0.0).collect();
+        let settings = Settings {
+            max_evaluations: recipe.max_evaluations,
+            relative_decrement_tolerance: recipe.decrement_tolerance,
+            memory: recipe.memory,
+            resolution: match recipe.precision {
+                Precision::F32 => RESOLUTION_F32,
+                Precision::F64 => RESOLUTION_F64,
+            },
+            ..Settings::default()
+        };
+        let chain = CpuChain::new(model.optics.clone());
+        probe(&chain, &mut square, prior, recipe, &typical)?;
+        Ok(Self {
+            metric: Arc::new(Metric::whitened(square.len() + free.len())),
+            chain,
+            square,
+            settings,
+            recipe: recipe.clone(),
+            free,
+            idle: Mutex::new(Vec::new()),
+        })
+    }
+
+    /// The wavefront behind one image.
+    ///
+    /// # Errors
+    /// Broken promises of this module's.
+    pub(super) fn retrieve(&self, mut prepared: Prepared, statics: Option<&Statics>) -> Result<Found> {
+        let idle = self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop();
+        let mut worker = match idle {
+            Some(worker) => worker,
+            None => Worker::new(self)?,
+        };
+        let found = worker.retrieve(self, &mut prepared, statics)?;
+        self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(worker);
+        Ok(found)
+    }
+
+    /// A wavefront drawn from `spectrum`, nm.
+    pub(super) fn draw_nm(&self, spectrum: &Spectrum, seed: u64) -> Vec<f64> {
+        self.square.draw(spectrum, 1.0, seed).into_iter().map(|nm| nm.wide()).collect()
+    }
+
+    /// Information that an exposure carries on the phase of each lit sample, nm⁻².
+    ///
+    /// Σ_x w (∂(S·h_x)/∂φ_p)² with ∂h_x/∂φ_p = −2 Im(U_x*·F_xp·E_p): the phase of U_x* F_xp E_p is anything, so its
+    /// square is half that of the size, and |F_xp·E_p|² is the same for all pixels, 1/((n·q)²·Σ A²) of the whole light.
+    /// So h = 2·S·Σ_x w·S·h_x/((n·q)²·ΣA²) a radian squared: twice the photons of a sample where photon noise rules.
+    fn information_nm2(&self, flux_e: f64, weighed_e: f64) -> f64 {
+        let radians = TAU / self.chain.optics().parts().wavelength_nm;
+        information_rad2(self.chain.optics(), flux_e, weighed_e) * radians * radians
+    }
+}
+
+impl<T: Polynomial> Worker<T> {
+    fn new(engine: &Engine<T>) -> Result<Self> {
+        let (chain, square) = (&engine.chain, &engine.square);
+        let lit = chain.optics().parts().weights.lit.len();
+        let start = vec![0.0; engine.metric.dimension()];
+        let zeros = || vec![T::zero(); lit];
+        Ok(Self {
+            solver: QuasiNewton::new(engine.metric.clone(), &start, engine.settings.clone())?,
+            gradient: start.clone(),
+            start,
+            loaded: chain.room(),
+            scratch: chain.scratch(),
+            evaluation: chain.evaluation(),
+            square: square.scratch(),
+            filter: square.filter(),
+            scales: vec![[0.0; 2]; engine.free.len()],
+            coefficients_nm: Array1::zeros(chain.optics().modes()),
+            base_nm: vec![0.0; chain.optics().modes()],
+            base_turns: zeros(),
+            turns: zeros(),
+            turns_bar: zeros(),
+            information_nm2: 0.0,
+        })
+    }
+
+    fn retrieve(&mut self, engine: &Engine<T>, prepared: &mut Prepared, statics: Option<&Statics>) -> Result<Found> {
+        self.begin(engine, prepared, statics)?;
+        self.minimise(engine);
+        for _ in 0..engine.recipe.renewals {
+            if !self.solver.outcome().reason.converged() {
+                break;
+            }
+            self.weigh_by_model(engine, prepared)?;
+            if self.solver.restart_objective() == Progress::Done {
+                break;
+            }
+            self.minimise(engine);
+        }
+        self.place(engine, Point::Best);
+        let psf = engine.chain.psf_free_in(self.coefficients_nm.view(), &self.turns, &mut self.scratch);
+        let (flux_e, background_e) = (self.evaluation.flux_e, self.evaluation.background_e);
+        let (mut chi2, mut good) = (0.0, 0usize);
+        for ((h, &d), &floor) in psf.iter().zip(&prepared.exposure.data_e).zip(&prepared.floor_variance_e2) {
+            let expected = flux_e * h.wide() + background_e;
+            let variance = variance_e2(expected, floor, engine.recipe.model_error);
+            if variance.is_finite() {
+                chi2 += (expected - d).powi(2) / variance;
+                good += 1;
+            }
+        }
+        // Flux and background beside what field and coefficients take.
+        let glass = engine.chain.optics().parts().weights.energy;
+        let taken = engine.square.freedom(self.information_nm2, glass) + self.scales.len() as f64;
+        let outcome = self.solver.outcome();
+        let report = RetrievalReport {
+            reduced_chi2: chi2 / (good as f64 - taken - 2.0).max(1.0),
+            evaluations: outcome.evaluations,
+            reason: outcome.reason,
+            flux_e,
+            background_e,
+            refusal: None,
+        };
+        let wavelength_nm = engine.chain.optics().parts().wavelength_nm;
+        let coefficients_nm = self.coefficients_nm.to_vec();
+        let mut phase_nm = shown_nm(engine.chain.optics(), &coefficients_nm);
+        phase_nm.iter_mut().zip(&self.turns).for_each(|(nm, turns)| *nm += turns.wide() * wavelength_nm);
+        Ok(Found { phase_nm, coefficients_nm, report })
+    }
+
+    /// Takes up an image: its weights, its coordinates, its static wavefront.
+    fn begin(&mut self, engine: &Engine<T>, prepared: &mut Prepared, statics: Option<&Statics>) -> Result<()> {
+        let (mut flux_e, mut weighed_e) = (0.0, 0.0);
+        let exposure = &mut prepared.exposure;
+        let pixels = exposure.weight.iter_mut().zip(&exposure.data_e).zip(&prepared.floor_variance_e2);
+        for ((weight, &data), &floor) in pixels {
+            *weight = 1.0 / variance_e2(data, floor, engine.recipe.model_error);
+            let light = data - prepared.level_e;
+            flux_e += if floor.is_finite() { light } else { 0.0 };
+            weighed_e += *weight * light.max(0.0);
+        }
+        engine.chain.set(&mut self.loaded, &prepared.exposure)?;
+        self.information_nm2 = engine.information_nm2(flux_e, weighed_e);
+        // As far as the linearisation is to be believed: coordinates in which a bright star fixes every sample to a nm
+        // would send the first steps, which start a wavefront's RMS away, into what it sees worst. With 24 times this
+        // number six images of turbulence take a third more evaluations, to twice the error.
+        let information_nm2 = self.information_nm2.min(1.0 / engine.square.variance_nm2());
+        let wavelength_nm = engine.chain.optics().parts().wavelength_nm;
+        engine.square.set(information_nm2, 1.0 / wavelength_nm, &mut self.filter);
+        for (scale, (_, rms_nm, count)) in self.scales.iter_mut().zip(&engine.free) {
+            let seen = information_nm2 * count;
+            *scale = [1.0 / (seen + rms_nm.powi(-2)).sqrt(), 1.0 / (1.0 + seen * rms_nm * rms_nm)];
+        }
+        self.base_nm.fill(0.0);
+        self.base_turns.fill(T::zero());
+        if let Some(statics) = statics {
+            self.base_nm[..statics.segments_nm.len()].copy_from_slice(&statics.segments_nm);
+            let turns = statics.map_nm.iter().map(|nm| T::of(nm / wavelength_nm));
+            self.base_turns.iter_mut().zip(turns).for_each(|(out, turns)| *out = turns);
+        }
+        // The coordinates' information is less than the image's by this much, and the curvature in them more.
+        let scale = (information_nm2 / self.information_nm2).sqrt();
+        let scale = if scale.is_finite() { scale } else { 1.0 };
+        self.solver.begin(&engine.metric, scale, &self.start)
+    }
+
+    fn minimise(&mut self, engine: &Engine<T>) {
+        loop {
+            self.place(engine, Point::Asked);
+            engine.chain.evaluate_free(
+                &self.loaded,
+                self.coefficients_nm.view(),
+                &self.turns,
+                &mut self.scratch,
+                &mut self.evaluation,
+                &mut self.turns_bar,
+            );
+            let (field, coefficients) = self.gradient.split_at_mut(engine.square.len());
+            engine.square.field_adjoint(&self.filter, &self.turns_bar, &mut self.square, field);
+            let (y, u) = self.solver.ask().split_at(engine.square.len());
+            let mut objective = self.evaluation.objective + self.filter.add_prior(y, field);
+            for (((out, &(k, ..)), &u), [scale, prior]) in
+                coefficients.iter_mut().zip(&engine.free).zip(u).zip(&self.scales)
+            {
+                objective += prior * u * u;
+                *out = self.evaluation.gradient[k] * scale + 2.0 * prior * u;
+            }
+            if self.solver.tell(objective, &self.gradient) == Progress::Done {
+                return;
+            }
+        }
+    }
+
+    /// Phase and coefficients of a point.
+    fn place(&mut self, engine: &Engine<T>, point: Point) {
+        let at = match point {
+            Point::Asked => self.solver.ask(),
+            Point::Best => &self.solver.outcome().x,
+        };
+        let (y, u) = at.split_at(engine.square.len());
+        engine.square.field(&self.filter, y, &mut self.square, &mut self.turns);
+        self.turns.iter_mut().zip(&self.base_turns).for_each(|(turns, &base)| *turns += base);
+        self.coefficients_nm.assign(&ArrayView1::from(&self.base_nm));
+        for ((&(k, ..), &u), [scale, _]) in engine.free.iter().zip(u).zip(&self.scales) {
+            self.coefficients_nm[k] += scale * u;
+        }
+    }
+
+    /// Weighs the exposure by the variances that the fitted model gives it.
+    fn weigh_by_model(&mut self, engine: &Engine<T>, prepared: &mut Prepared) -> Result<()> {
+        self.place(engine, Point::Best);
+        let psf = engine.chain.psf_free_in(self.coefficients_nm.view(), &self.turns, &mut self.scratch);
+        let (flux_e, background_e) = (self.evaluation.flux_e, self.evaluation.background_e);
+        let pixels = prepared.exposure.weight.iter_mut().zip(psf).zip(&prepared.floor_variance_e2);
+        for ((weight, h), &floor) in pixels {
+            *weight = 1.0 / variance_e2(flux_e * h.wide() + background_e, floor, engine.recipe.model_error);
+        }
+        engine.chain.set(&mut self.loaded, &prepared.exposure)
+    }
+}
+
+/// Twice the photons of a sample, where their noise rules: see [`Engine::information_nm2`].
+fn information_rad2(optics: &Optics, flux_e: f64, weighed_e: f64) -> f64 {
+    2.0 * flux_e * weighed_e * optics.intensity_scale()
+}
+
+/// An image such as the scene expects.
+pub(super) struct Typical {
+    pub(super) flux_e: f64,
+    pub(super) background_e: f64,
+    /// Variance of a pixel without light, e².
+    pub(super) floor_e2: f64,
+}
+
+/// Fields whose images are looked at to find what an image tells of each spatial frequency, and steps in each.
+const PROBES: u64 = 8;
+/// Size of a step, turns: small enough that the gradient is linear to a percent, large enough for single precision.
+const PROBE_TURNS: f64 = 1e-3;
+
+/// How well an image of a wavefront drawn from the prior tells each spatial frequency. Where data and model are equal the
+/// Hessian is the Gauss-Newton matrix, so a difference of two gradients, one of which is 0, is its product with a step.
+fn probe<T: Polynomial>(
+    chain: &CpuChain<T>,
+    square: &mut Square<T>,
+    prior: &Spectrum,
+    recipe: &RetrievalRecipe,
+    typical: &Typical,
+) -> Result<()> {
+    let optics = chain.optics().clone();
+    let nothing = Array1::zeros(optics.modes());
+    let (mut scratch, mut evaluation, mut loaded) = (chain.scratch(), chain.evaluation(), chain.room());
+    let drawn = square.draw(prior, 1.0 / optics.parts().wavelength_nm, 0);
+    let photometry = Photometry::Fixed { flux_e: typical.flux_e, background_e: typical.background_e };
+    let psf = chain.psf_free_in(nothing.view(), &drawn, &mut scratch);
+    let data_e: Vec<f64> = psf.iter().map(|h| typical.flux_e * h.wide() + typical.background_e).collect();
+    let weight: Vec<f64> = data_e.iter().map(|&e| 1.0 / variance_e2(e, typical.floor_e2, recipe.model_error)).collect();
+    let weighed_e = data_e.iter().zip(&weight).map(|(e, w)| (e - typical.background_e) * w).sum();
+    chain.set(&mut loaded, &Exposure { data_e, weight, photometry })?;
+    // A gradient per turn is 2·JᵀWJ·step; the information is per radian.
+    let scale = T::of(1.0 / (2.0 * PROBE_TURNS * TAU * TAU * information_rad2(&optics, typical.flux_e, weighed_e)));
+    let mut turns = drawn.clone();
+    square.probe(PROBES, |step, product| {
+        for ((turns, &drawn), &step) in turns.iter_mut().zip(&drawn).zip(step) {
+            *turns = drawn + step * T::of(PROBE_TURNS);
+        }
+        chain.evaluate_free(&loaded, nothing.view(), &turns, &mut scratch, &mut evaluation, product);
+        product.iter_mut().for_each(|value| *value *= scale);
+    });
+    Ok(())
+}
+
+/// Which point of the optimiser's.
+#[derive(Clone, Copy)]
+enum Point {
+    Asked,
+    Best,
+}
+
+/// Variance of a pixel of which `electrons` are expected: their photon noise, the floor (infinite for a bad pixel), and
+/// what the model does not know of it.
+fn variance_e2(electrons: f64, floor_e2: f64, model_error: f64) -> f64 {
+    electrons.max(0.0) + floor_e2 + (model_error * electrons).powi(2)
+}
+
+/// Less glass than this in a sample is the ringing of its neighbours'.
+const LEAST_GLASS: f64 = 0.1;
+
+/// The wavefront at each lit sample that some coefficients make, nm.
+pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
+    let parts = optics.parts();
+    let mut poses = vec![[0.0; 3]; parts.weights.segments];
+    let mut smooth = Vec::new();
+    for (&mode, &nm) in parts.modes.iter().zip(coefficients_nm) {
+        match mode {
+            Mode::Piston(segment) => poses[segment][0] += nm,
+            Mode::Tip(segment) => poses[segment][1] += nm,
+            Mode::Tilt(segment) => poses[segment][2] += nm,
+            Mode::Smooth(row) => smooth.push((row, nm)),
+        }
+    }
+    let slope = |entry: usize| parts.slopes.as_ref().map_or([0.0; 2], |(x, y)| [x[entry], y[entry]]);
+    let mut entry = 0;
+    let at = |(p, (_, segments, weights)): (usize, (usize, &[u32], &[f64]))| {
+        let (mut sum, mut whole, mut sizes) = (0.0, 0.0, [0.0; 2]);
+        for (&segment, &weight) in segments.iter().zip(weights) {
+            let ([piston, tip, tilt], [x, y]) = (poses[segment as usize], slope(entry));
+            let nm = piston + tip * x + tilt * y;
+            (sum, whole) = (sum + weight * nm, whole + weight);
+            sizes = [sizes[0] + weight.abs() * nm, sizes[1] + weight.abs()];
+            entry += 1;
+        }
+        // Beyond the rim low-passed weights ring about 0, where their mean would mean nothing.
+        let own = if whole > LEAST_GLASS { sum / whole } else { sizes[0] / sizes[1] };
+        own + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
+    };
+    parts.weights.rows().enumerate().map(at).collect()
+}
