@@ -1,6 +1,7 @@
 //! From a detector frame to the exposure that the chain compares with: checked, reduced to the model's sampling with
 //! its noise carried along, centred, cropped, weighted.
 
+mod extent;
 mod reduction;
 mod refusal;
 mod statistics;
@@ -11,6 +12,7 @@ use super::recipe::Recipe;
 use crate::imaging::{Exposure, Photometry};
 use crate::scene::Weighting;
 use crate::{Error, Result};
+use extent::{Extent, all_finite};
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use reduction::Reduction;
 use statistics::Statistics;
@@ -122,6 +124,8 @@ pub(super) struct Preparer {
     /// The frame in the model's orientation, `[y, x]`; bad pixels hold 0.
     data: Array2<f64>,
     bad: Array2<bool>,
+    /// Of each row of the frame, and then of each row at the model's sampling.
+    extents: Vec<Extent>,
     statistics: Statistics,
     reduction: Option<Reduction>,
 }
@@ -131,6 +135,8 @@ struct Sampled<'a> {
     data: &'a Array2<f64>,
     /// `None` after a reduction, which leaves no pixel out.
     bad: Option<&'a Array2<bool>>,
+    /// Of each row.
+    extents: &'a [Extent],
 }
 
 impl Sampled<'_> {
@@ -154,6 +160,7 @@ impl Preparer {
             plan,
             data: Array2::zeros(shape),
             bad: Array2::from_elem(shape, false),
+            extents: vec![Extent::NOTHING; shape.0.max(plan.reduced[1])],
             statistics: Statistics::with_room(shape.0 * shape.1),
             reduction: (plan.reduced != plan.frame).then(|| Reduction::new(plan.frame, plan.reduced)),
         }
@@ -178,15 +185,21 @@ impl Preparer {
             return Err(Refusal::BadPixelsWouldRing { bad: lost });
         }
         let level = self.statistics.level_of_border(&self.data, &self.bad);
-        refuse_unusable(&self.data, &self.bad, level)?;
+        refuse_unusable(&self.extents[..self.plan.frame[1]], level)?;
         // Without a stated read noise the border's scatter stands for it; 1 e⁻ keeps weights finite on synthetic frames.
         let read_noise_e = match frame.read_noise_e {
             stated if stated > 0.0 => stated,
             _ => self.statistics.scatter_about(level).max(1.0),
         };
         let sampled = match &mut self.reduction {
-            Some(reduction) => Sampled { data: reduction.run(&self.data), bad: None },
-            None => Sampled { data: &self.data, bad: Some(&self.bad) },
+            Some(reduction) => {
+                let data = reduction.run(&self.data);
+                for (extent, row) in self.extents.iter_mut().zip(data.outer_iter()) {
+                    *extent = row.as_slice().map_or(Extent::NOTHING, Extent::of);
+                }
+                Sampled { data, bad: None, extents: &self.extents }
+            }
+            None => Sampled { data: &self.data, bad: Some(&self.bad), extents: &self.extents },
         };
         let area = self.plan.native_pixels();
         prepared.level_e = level * area;
@@ -210,11 +223,12 @@ impl Preparer {
         let [flip_x, flip_y] = self.plan.flip;
         let from = |i: usize, size: usize, flip: bool| if flip { (i > 0).then(|| size - i) } else { Some(i) };
         let mut lost = 0;
-        let lines = self.data.outer_iter_mut().zip(self.bad.outer_iter_mut());
-        for (v, (mut data, mut bad)) in lines.enumerate() {
+        let lines = self.data.outer_iter_mut().zip(self.bad.outer_iter_mut()).zip(&mut self.extents);
+        for (v, ((mut data, mut bad), extent)) in lines.enumerate() {
             let Some(at) = from(v, rows, flip_y) else {
                 data.fill(0.0);
                 bad.fill(true);
+                *extent = Extent::NOTHING;
                 continue;
             };
             let (values, marks) = (frame.data_e.row(at), frame.bad.row(at));
@@ -224,6 +238,8 @@ impl Preparer {
             if !dirty && !flip_x {
                 data.assign(&values);
                 bad.fill(false);
+                // Frames are in rows.
+                *extent = data.as_slice().map_or(Extent::NOTHING, Extent::of);
                 continue;
             }
             lost += values.iter().zip(marks).filter(|(value, marked)| **marked || !value.is_finite()).count();
@@ -232,6 +248,8 @@ impl Preparer {
                 *data = good.map_or(0.0, |u| values[u]);
                 *bad = good.is_none();
             }
+            let good = data.iter().zip(&bad).filter(|(_, bad)| !**bad);
+            *extent = good.fold(Extent::NOTHING, |extent, (&value, _)| extent.with(value));
         }
         // The row that a flip wraps around is not read, and counts.
         if flip_y {
@@ -243,25 +261,9 @@ impl Preparer {
 }
 
 /// Refuses frames without a star in them. `level` is the border's.
-fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>, level: f64) -> std::result::Result<(), Refusal> {
-    let (mut good, mut least, mut most, mut flux_e) = (0usize, f64::MAX, f64::MIN, 0.0);
-    for (row, bad) in data.outer_iter().zip(bad.outer_iter()) {
-        match (row.as_slice(), bad.iter().fold(false, |any, bad| any | *bad)) {
-            (Some(row), false) => {
-                let extent = Extent::of(row);
-                good += row.len();
-                (least, most) = (least.min(extent.least), most.max(extent.most));
-                flux_e += extent.sum - level * row.len() as f64;
-            }
-            _ => {
-                for (&value, _) in row.iter().zip(bad).filter(|(_, bad)| !**bad) {
-                    good += 1;
-                    (least, most) = (least.min(value), most.max(value));
-                    flux_e += value - level;
-                }
-            }
-        }
-    }
+fn refuse_unusable(rows: &[Extent], level: f64) -> std::result::Result<(), Refusal> {
+    let Extent { good, least, most, sum } = rows.iter().fold(Extent::NOTHING, |all, row| all.and(row));
+    let flux_e = sum - level * good as f64;
     match good {
         0 => Err(Refusal::NoGoodPixel),
         // Fewer pixels than this cannot fix even a handful of modes.
@@ -273,62 +275,15 @@ fn refuse_unusable(data: &Array2<f64>, bad: &Array2<bool>, level: f64) -> std::r
     }
 }
 
-/// Whether all of a row are finite: 0 times a number that is not is no number.
-fn all_finite(row: &[f64]) -> bool {
-    const LANES: usize = 8;
-    let mut lanes = [0.0; LANES];
-    let (parts, rest) = row.as_chunks::<LANES>();
-    for part in parts {
-        for i in 0..LANES {
-            lanes[i] += 0.0 * part[i];
-        }
-    }
-    lanes.iter().sum::<f64>() == 0.0 && rest.iter().all(|value| value.is_finite())
-}
-
-/// What a row of good pixels holds.
-struct Extent {
-    least: f64,
-    most: f64,
-    sum: f64,
-}
-
-impl Extent {
-    /// In eight parts, so that it runs in vectors.
-    fn of(row: &[f64]) -> Self {
-        const LANES: usize = 8;
-        let (mut least, mut most, mut sum) = ([f64::MAX; LANES], [f64::MIN; LANES], [0.0; LANES]);
-        let (parts, rest) = row.as_chunks::<LANES>();
-        for part in parts {
-            for i in 0..LANES {
-                least[i] = if part[i] < least[i] { part[i] } else { least[i] };
-                most[i] = if part[i] > most[i] { part[i] } else { most[i] };
-                sum[i] += part[i];
-            }
-        }
-        let all = |values: [f64; LANES]| values.into_iter();
-        Self {
-            least: all(least).chain(rest.iter().copied()).fold(f64::MAX, f64::min),
-            most: all(most).chain(rest.iter().copied()).fold(f64::MIN, f64::max),
-            sum: all(sum).sum::<f64>() + rest.iter().sum::<f64>(),
-        }
-    }
-}
-
 /// Whole pixels from the axis to the star's centroid; 0 within 3 pixels, where exact tip and tilt do better.
 fn off_axis(frame: &Sampled, level: f64) -> [i64; 2] {
     let (rows, columns) = frame.data.dim();
     // Only what stands out: 5 % of the brightest pixel, so that noise far away does not pull.
-    let rows_of = frame.data.outer_iter();
-    let brightest =
-        rows_of.filter_map(|row| row.as_slice().map(Extent::of)).fold(f64::MIN, |most, row| most.max(row.most)) - level;
+    let brightest = frame.extents[..rows].iter().fold(f64::MIN, |most, row| most.max(row.most)) - level;
     let threshold = level + 0.05 * brightest;
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-    for (v, row) in frame.data.outer_iter().enumerate() {
-        // Most rows hold nothing that stands out.
-        if !row.iter().fold(false, |any, &value| any | (value > threshold)) {
-            continue;
-        }
+    // Most rows hold nothing that stands out.
+    for (v, row) in frame.data.outer_iter().enumerate().filter(|(v, _)| frame.extents[*v].most > threshold) {
         for (u, &value) in row.iter().enumerate() {
             if value > threshold && !frame.is_bad((v, u)) {
                 let value = value - level;
