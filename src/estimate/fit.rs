@@ -1,6 +1,7 @@
-//! Fitting a batch of images: all of them advance in lock-step, one batched evaluation per step; those that are done
-//! drop out.
+//! Fitting a batch of images. On a device all of them advance in lock-step, one batched evaluation per step, and those
+//! that are done drop out; on the CPU each thread leads one image after the other to its end. The fits are the same.
 
+use super::alone::Alone;
 use super::metrics::Metrics;
 use super::minimum::Minimum;
 use super::model::Model;
@@ -8,13 +9,13 @@ use super::prepare::Prepared;
 use super::recipe::Recipe;
 use super::residual::{photometry, reduced_chi2};
 use super::runner::{Next, Runner, settings};
-use crate::imaging::{Chain, CpuChain, Evaluation, Exposure};
+use crate::imaging::{Chain, CpuChain, Evaluation, Exposure, Polynomial, Precision};
 use crate::optimize::{ArgminBfgs, CancelFlag, StopReason};
 use crate::scene::Optimizer;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
 use rayon::prelude::*;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// What a caller sees while it waits: images done of all.
 pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
@@ -23,6 +24,9 @@ pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
 /// a few roundings. Where much is unexplained the gradient never gets small against them, and 2,000 evaluations are
 /// spent on nothing; with it 330 lead to within 1e-4 nm of the same point (150 nm of turbulence).
 const PAPER_COST_TOLERANCE: f64 = 1e-13;
+
+/// Time between two reports of how far the fits on the CPU are, about: the threads wait for each other then.
+const REPORT: Duration = Duration::from_millis(100);
 
 /// What every fit of a call shares.
 pub(super) struct Fitter<'a> {
@@ -69,12 +73,62 @@ impl Fitter<'_> {
         start_nm: &[&[f64]],
         watch: &mut Watch,
     ) -> Result<Vec<Minimum>> {
+        if self.recipe.optimizer != Optimizer::Bfgs {
+            let precision = chain.precision();
+            match chain {
+                Chain::Cpu32(chain) => return self.side_by_side(chain, precision, prepared, start_nm, watch),
+                Chain::Cpu64(chain) => return self.side_by_side(chain, precision, prepared, start_nm, watch),
+                Chain::Device { .. } => {}
+            }
+        }
         let exposures: Vec<Exposure> = prepared.iter().map(|image| image.exposure.clone()).collect();
         chain.load(&exposures)?;
         match self.recipe.optimizer {
             Optimizer::Bfgs => self.paper(chain, &exposures, prepared, watch),
             Optimizer::GaussNewton | Optimizer::Paper => self.lock_step(chain, prepared, start_nm, watch),
         }
+    }
+
+    /// Our way on the CPU: each thread leads one image after the other.
+    fn side_by_side<T: Polynomial>(
+        &self,
+        chain: &CpuChain<T>,
+        precision: Precision,
+        prepared: &mut [&mut Prepared],
+        start_nm: &[&[f64]],
+        watch: &mut Watch,
+    ) -> Result<Vec<Minimum>> {
+        let wavelength_nm = self.model.optics.parts().wavelength_nm;
+        let settings = settings(wavelength_nm, self.recipe, precision, self.cancel);
+        let (count, modes) = (prepared.len(), self.model.optics.modes());
+        let any = self.metrics.any(self.judge)?;
+        let memory =
+            || -> Result<_> { Ok((Runner::new(any, self.recipe, settings.clone())?, Alone::new(chain), chain.room())) };
+        let mut minima = Vec::with_capacity(count);
+        let (mut rest, mut part) = (prepared, rayon::current_num_threads());
+        while !rest.is_empty() {
+            let began = Instant::now();
+            let (now, later) = rest.split_at_mut(part.min(rest.len()));
+            rest = later;
+            let images = now.par_iter_mut().zip(&start_nm[minima.len()..]);
+            let found = images.map_init(memory, |memory, (image, start_nm)| {
+                let (runner, alone, loaded) = memory.as_mut().map_err(|error| error.clone())?;
+                runner.begin(self.metrics.of(self.judge, image)?, start_nm, self.deadline)?;
+                alone.lead(chain, runner, image, loaded)?;
+                let mut minimum = Minimum::room(modes);
+                runner.write(&mut minimum);
+                Ok(minimum)
+            });
+            for minimum in found.collect::<Result<Vec<_>>>()? {
+                stop_if_cancelled(minimum.reason, minima.len(), count)?;
+                minima.push(minimum);
+            }
+            watch(minima.len(), count);
+            if began.elapsed() < REPORT {
+                part *= 2;
+            }
+        }
+        Ok(minima)
     }
 
     /// The paper's way, image by image: BFGS from zero, coefficients in radians, tolerance 1e-6 on the gradient.
@@ -116,7 +170,7 @@ impl Fitter<'_> {
         Ok(minima)
     }
 
-    /// Our way: one batched evaluation per step for all images that are still on their way.
+    /// Our way on a device: one batched evaluation per step for all images that are still on their way.
     fn lock_step(
         &self,
         chain: &mut Chain,
@@ -150,18 +204,13 @@ impl Fitter<'_> {
                 };
                 images.filter_map(own).collect()
             };
-            // A device gives no PSFs.
-            let single = if let Chain::Cpu32(chain) = &*chain { Some(chain) } else { None };
             let step = |(runner, prepared, evaluation): (&mut Runner, &mut &mut Prepared, &Evaluation)| {
                 let next = runner.tell(evaluation);
                 if next != Next::Psf {
                     return next;
                 }
-                let point = ArrayView1::from(runner.point());
-                let psf = single.map_or_else(
-                    || self.judge.psf(point),
-                    |chain| chain.psf(point).into_iter().map(f64::from).collect(),
-                );
+                // A device gives no PSFs.
+                let psf = self.judge.psf(ArrayView1::from(runner.point()));
                 runner.settle(&psf, prepared)
             };
             let next: Vec<Next> = told.into_par_iter().map(step).collect();

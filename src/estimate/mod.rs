@@ -11,6 +11,7 @@
 //! them, in memory that is taken once, and an [`Accumulator`] keeps what they say together.
 
 mod accumulator;
+mod alone;
 mod arrays;
 mod calibration;
 mod combine;

@@ -2,12 +2,13 @@
 
 use super::{Call, Image, ImageResult, SessionOptions, Shared, interrupted, unusable, write_start};
 use crate::Result;
+use crate::estimate::alone::Alone;
 use crate::estimate::prepare::{Preparer, Ringing};
-use crate::estimate::runner::{Next, Runner, settings};
+use crate::estimate::runner::{Runner, settings};
 use crate::estimate::status::judge;
-use crate::imaging::{CpuChain, Evaluation, Loaded, Polynomial, Precision, Scratch};
+use crate::imaging::{CpuChain, Loaded, Polynomial, Precision};
 use crate::optimize::StopReason;
-use ndarray::{ArrayView1, ArrayView2};
+use ndarray::ArrayView2;
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -24,10 +25,7 @@ pub(super) struct Single<T: Polynomial> {
 struct Lane<T: Polynomial> {
     preparer: Preparer,
     runner: Runner,
-    scratch: Scratch<T>,
-    /// A PSF in double precision: sums over it find flux, background and χ².
-    psf: Vec<f64>,
-    evaluation: Evaluation,
+    alone: Alone<T>,
     start_nm: Vec<f64>,
 }
 
@@ -75,9 +73,9 @@ impl<T: Polynomial> Single<T> {
         let (chain, modes) = (&self.chain, coefficients_nm.ncols());
         let one = |lane: &mut Lane<T>, image: usize, loaded: &Loaded<T>, objective: &mut f64, gradient: &mut [f64]| {
             let at = coefficients_nm.row(image);
-            chain.evaluate_one(loaded, at, &mut lane.scratch, &mut lane.evaluation);
-            *objective = lane.evaluation.objective;
-            gradient.copy_from_slice(&lane.evaluation.gradient);
+            let found = lane.alone.evaluate(chain, loaded, at);
+            *objective = found.objective;
+            gradient.copy_from_slice(&found.gradient);
         };
         let count = objectives.len();
         if let [lane] = self.lanes.as_mut_slice() {
@@ -113,9 +111,7 @@ impl<T: Polynomial> Lane<T> {
         Ok(Self {
             preparer: Preparer::new(estimator.model.preparation),
             runner: Runner::new(metric, &shared.recipe, settings)?,
-            scratch: chain.scratch(),
-            psf: vec![0.0; estimator.model.preparation.pixels.pow(2)],
-            evaluation: chain.evaluation(),
+            alone: Alone::new(chain),
             start_nm: vec![0.0; shared.modes()],
         })
     }
@@ -163,21 +159,7 @@ impl<T: Polynomial> Lane<T> {
         write_start(&mut self.start_nm, call.start_of(index));
         let metric = estimator.metrics.of(&estimator.judge, &image.prepared)?;
         self.runner.begin(metric, &self.start_nm, call.deadline)?;
-        let mut next = Next::Reload;
-        while next != Next::Nothing {
-            if next == Next::Reload {
-                chain.set(loaded, &image.prepared.exposure)?;
-            }
-            let point = ArrayView1::from(self.runner.point());
-            if next == Next::Psf {
-                let psf = chain.psf_in(point, &mut self.scratch);
-                self.psf.iter_mut().zip(psf).for_each(|(wide, &value)| *wide = value.wide());
-                next = self.runner.settle(&self.psf, &mut image.prepared);
-            } else {
-                chain.evaluate_one(loaded, point, &mut self.scratch, &mut self.evaluation);
-                next = self.runner.tell(&self.evaluation);
-            }
-        }
+        self.alone.lead(chain, &mut self.runner, &mut image.prepared, loaded)?;
         if self.runner.reason() == StopReason::Cancelled { Err(interrupted()) } else { Ok(()) }
     }
 
