@@ -358,7 +358,7 @@ fn variance_e2(electrons: f64, floor_e2: f64, model_error: f64) -> f64 {
 }
 
 /// Less glass than this in a sample is the ringing of its neighbours'.
-const LEAST_GLASS: f64 = 0.1;
+pub(super) const LEAST_GLASS: f64 = 0.1;
 
 /// The wavefront at each lit sample that some coefficients make, nm.
 pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
