@@ -134,7 +134,13 @@ impl SensorModel {
         };
         let rests_nm: Vec<Array1<f64>> = (0..images).map(rest).collect();
         let response = self.response(pistons_nm, &rests_nm)?;
-        let gram = Spd::of(&response.dot(&response.t()))?.inverse;
+        let gram = Spd::of(&response.dot(&response.t())).map_err(|_| {
+            Error::Value(format!(
+                "{slopes} slopes do not tell {} NCPA modes apart: fewer modes are needed",
+                ncpa_nm.len()
+            ))
+        })?;
+        let gram = gram.inverse;
         let mut found_nm = Array2::zeros((images, ncpa_nm.len()));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
             let unseen_mas = self.measure(pistons_nm, rest_nm.view())? - slopes_mas.row(image);
