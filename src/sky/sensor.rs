@@ -174,7 +174,7 @@ fn sensed(found_nm: Array2<f64>, known_nm: &[f64]) -> Sensed {
     let variance_nm2 = (&deviations * &deviations).sum_axis(Axis(0)) / (images - 1.0).max(1.0);
     let information = Array2::from_diag(&variance_nm2.mapv(|nm2| 1.0 / (nm2 / images + MODEL_NM * MODEL_NM)));
     Sensed {
-        coefficients_nm: mean_nm + &ArrayView1::from(known_nm),
+        coefficients_nm: mean_nm + ArrayView1::from(known_nm),
         information,
         scatter_nm: variance_nm2.mapv(f64::sqrt),
     }
