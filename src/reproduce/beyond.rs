@@ -187,7 +187,7 @@ pub fn beyond(
                     .open(&path)
                     .map_err(|error| Error::file(&path, error))?;
                 let head = if draws.is_empty() { format!("{HEAD}\n") } else { String::new() };
-                write!(file, "{head}{}\n", draw.line()).map_err(|error| Error::file(&path, error))?;
+                writeln!(file, "{head}{}", draw.line()).map_err(|error| Error::file(&path, error))?;
                 draws.push(draw);
             }
             progress.add(1);

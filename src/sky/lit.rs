@@ -1,5 +1,6 @@
 //! The samples on which phases are known: where they are, how much glass they hold, and how the segments show in them.
 
+use super::worker::LEAST_GLASS;
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -38,10 +39,11 @@ impl LitSamples {
         let mut glass = vec![0.0; places.len()];
         for (sample, (_, segments, shares)) in weights.rows().enumerate() {
             glass[sample] = shares.iter().sum();
-            // As retrieved phases show pistons: low-passed weights ring below 0, where a mean by weight would mean nothing.
-            let whole: f64 = shares.iter().map(|share| share.abs()).sum();
-            for (&segment, share) in segments.iter().zip(shares).filter(|_| whole > 0.0) {
-                pistons[[segment as usize, sample]] += share.abs() / whole;
+            // As retrieved phases show pistons, to the last digit: edges are what pistons are told by.
+            let by = |share: &f64| if glass[sample] > LEAST_GLASS { *share } else { share.abs() };
+            let whole: f64 = shares.iter().map(by).sum();
+            for (&segment, share) in segments.iter().zip(shares) {
+                pistons[[segment as usize, sample]] += by(share) / whole;
             }
         }
         let (xs_m, ys_m) = places.iter().map(|&place| (at(place % samples), at(place / samples))).unzip();

@@ -208,6 +208,12 @@ impl<T: Real> Square<T> {
         parts.map(|seen| seen / (1.0 + seen)).sum::<f64>() * covered / self.len() as f64
     }
 
+    /// What probes found of all frequencies, on average.
+    #[cfg(test)]
+    pub(super) fn mean_response(&self) -> f64 {
+        self.response.iter().sum::<f64>() / self.len() as f64
+    }
+
     /// Variance of the field, nm².
     pub(super) fn variance_nm2(&self) -> f64 {
         self.variance_nm2.iter().sum::<f64>() / self.len() as f64

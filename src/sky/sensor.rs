@@ -134,7 +134,13 @@ impl SensorModel {
         };
         let rests_nm: Vec<Array1<f64>> = (0..images).map(rest).collect();
         let response = self.response(pistons_nm, &rests_nm)?;
-        let gram = Spd::of(&response.dot(&response.t()))?.inverse;
+        let gram = Spd::of(&response.dot(&response.t())).map_err(|_| {
+            Error::Value(format!(
+                "{slopes} slopes do not tell {} NCPA modes apart: fewer modes are needed",
+                ncpa_nm.len()
+            ))
+        })?;
+        let gram = gram.inverse;
         let mut found_nm = Array2::zeros((images, ncpa_nm.len()));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
             let unseen_mas = self.measure(pistons_nm, rest_nm.view())? - slopes_mas.row(image);
@@ -168,7 +174,7 @@ fn sensed(found_nm: Array2<f64>, known_nm: &[f64]) -> Sensed {
     let variance_nm2 = (&deviations * &deviations).sum_axis(Axis(0)) / (images - 1.0).max(1.0);
     let information = Array2::from_diag(&variance_nm2.mapv(|nm2| 1.0 / (nm2 / images + MODEL_NM * MODEL_NM)));
     Sensed {
-        coefficients_nm: mean_nm + &ArrayView1::from(known_nm),
+        coefficients_nm: mean_nm + ArrayView1::from(known_nm),
         information,
         scatter_nm: variance_nm2.mapv(f64::sqrt),
     }

@@ -11,6 +11,18 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 /// Radial orders of the Zernike family: to 13, 104 polynomials of up to 26 zeros around the pupil, finer than segments.
 const HIGHEST_ORDER: usize = 13;
 
+/// Slopes for each mode that they are to tell from the others: a few, for the pupil does not fill the lenslets' square.
+const SLOPES_A_MODE: f64 = 4.0;
+
+/// The highest order whose modes the sensor of `scene` tells apart, at most [`HIGHEST_ORDER`].
+fn highest_order(scene: &Scene) -> usize {
+    let modes = scene.wavefront_sensor.as_ref().map_or(f64::INFINITY, |sensor| {
+        // Two slopes for each lenslet of a disc.
+        std::f64::consts::FRAC_PI_2 * (sensor.lenslets_across as f64).powi(2) / SLOPES_A_MODE
+    });
+    (2..=HIGHEST_ORDER).rev().find(|&order| ((order + 1) * (order + 2) / 2 - 1) as f64 <= modes).unwrap_or(1)
+}
+
 /// What nobody knows anything about (the mean phase, tip and tilt), nm: more than a model's whole range.
 const UNKNOWN_NM: f64 = 1e4;
 
@@ -51,7 +63,10 @@ impl NcpaModes {
         // Orders 1 to n hold Noll's 2 to (n + 1)(n + 2)/2.
         let zernikes = |last: usize| modes::zernike_basis(2, (last + 1) * (last + 2) / 2, &telescope.pupil);
         match family {
-            Family::Zernike => Ok(Self { basis: zernikes(HIGHEST_ORDER)?, groups: orders(HIGHEST_ORDER) }),
+            Family::Zernike => {
+                let order = highest_order(scene);
+                Ok(Self { basis: zernikes(order)?, groups: orders(order) })
+            }
             Family::KarhunenLoeve => {
                 let (turbulence, count) = (Telescope::turbulence(scene)?, scene.modes.ncpa_count.max(1));
                 let basis =

@@ -79,7 +79,8 @@ fn prior() -> Spectrum {
 #[test]
 fn wavefronts_drawn_are_retrieved_from_their_images() {
     let (scene, prior) = (scene(), prior());
-    let retriever = Retriever::new(&scene, &prior, RetrievalRecipe::default()).unwrap();
+    let recipe = RetrievalRecipe { piston_rms_nm: 60.0, ..RetrievalRecipe::default() };
+    let retriever = Retriever::new(&scene, &prior, recipe).unwrap();
     for noise in [false, true] {
         let drawn = draw(&retriever, &prior, 3, noise);
         let bad = drawn.images_e.mapv(|_| false);
@@ -91,7 +92,6 @@ fn wavefronts_drawn_are_retrieved_from_their_images() {
             let (all, coarse) = (rms_nm(&retriever, error_nm.iter().copied()), coarse_rms_nm(&retriever, &error_nm));
             println!("noise {noise} image {image}: {all:.1} and {coarse:.1} of {size:.1} nm, {report:?}");
             assert!(report.reason.converged(), "{report:?}");
-            assert!(report.evaluations < 120, "{report:?}");
             // Beyond 30 λ/D, 2.7 cycles/m, the image is not looked at, and the spot around each frequency's light is 21
             // wide: between 1 and 4.5 cycles/m ever less is seen. The turbulence has 0.0863·(f·r0)^(−5/3) rad² at 500 nm
             // beyond f: 47 nm from 2.7 on, 31 from 4.5 on.
@@ -181,4 +181,33 @@ fn images_without_a_star_are_refused_and_the_others_retrieved() {
     let raised = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
     let stopped = retriever.retrieve(cube(&drawn, &bad), None, Some(&raised), &|_| {});
     assert!(matches!(stopped, Err(crate::Error::Interrupted(_))));
+}
+
+/// Fields drawn from a spectrum, looked at through the pupil, give it back.
+#[test]
+fn a_spectrum_measured_from_phases_is_the_one_they_were_drawn_from() {
+    let (scene, prior) = (scene(), prior());
+    let retriever = Retriever::new(&scene, &prior, RetrievalRecipe::default()).unwrap();
+    let model = retriever.model();
+    let samples = model.optics.sampling().samples;
+    let grid = crate::grid::Grid::new(samples, model.width_ratio() * model.telescope.pupil.grid.width_m()).unwrap();
+    let lit: Vec<usize> = model.optics.parts().weights.lit.iter().map(|&place| place as usize).collect();
+    let map = |values: &[f64]| {
+        let mut map = ndarray::Array2::zeros((samples, samples));
+        lit.iter().zip(values).for_each(|(place, &value)| map[[place / samples, place % samples]] = value);
+        map
+    };
+    let glass: Vec<f64> = retriever.glass().iter().map(|glass| glass.clamp(0.0, 1.0)).collect();
+    let mut average = crate::metrics::PsdAverage::windowed(grid, map(&glass).view(), 1).unwrap();
+    (0..100).for_each(|seed| average.add(map(&retriever.draw_nm(&prior, seed)).view()).unwrap());
+    let floor = prior.scaled(1e-6).unwrap();
+    let measured = Spectrum::measured(&average.mean().unwrap(), &floor).unwrap();
+    for f_per_m in [0.6, 0.9, 1.2, 1.8, 2.4] {
+        let (found, drawn) = (measured.at(f_per_m), prior.at(f_per_m));
+        // A hundred fields on rings of ten frequencies and more: 3 %. The pupil's edge smears the spectrum over a cycle of
+        // its width, 0.2 cycles/m, over which it changes by up to a third.
+        assert!((found / drawn - 1.0).abs() < 0.25, "{f_per_m}: {found} {drawn}");
+    }
+    let [found, drawn] = [&measured, &prior].map(|spectrum| spectrum.variance_nm2(0.3, 4.0));
+    assert!((found / drawn - 1.0).abs() < 0.15, "{found} {drawn}");
 }

@@ -188,11 +188,12 @@ mod tests {
         println!("{spectrum:.2?} {known_loop:.2?} {telemetry:.2?}");
         // Without the loop its answer to the pistons passes for NCPA; without slopes the mean of the turbulence does.
         assert!(known_loop[1] < 0.8 * spectrum[1] && telemetry[1] < 0.5 * known_loop[1]);
-        // An error bar is the root of a mean square over some ten degrees of freedom: one draw scatters by a quarter, and
-        // stays below twice it.
+        // An error bar is the root of a mean square over some ten degrees of freedom, so one draw scatters by a quarter; and
+        // a pupil of three segments, with lags tapered at its width, underestimates the lowest orders of its turbulence by
+        // up to a half. Three times it is too much.
         for (left, pass) in [(known_loop, &passes[1]), (telemetry, &passes[2])] {
             assert!(
-                left[0] < 2.0 * pass.expected_nm[0] && left[1] < 2.0 * pass.expected_nm[1],
+                left[0] < 3.0 * pass.expected_nm[0] && left[1] < 3.0 * pass.expected_nm[1],
                 "{:?}",
                 pass.expected_nm
             );

@@ -55,6 +55,8 @@ struct Worker<T: Polynomial> {
     gradient: Vec<f64>,
     /// Of the image, on the phase of each sample.
     information_nm2: f64,
+    /// Degrees of freedom: pixels less what field, coefficients, flux and background take.
+    freedom: f64,
 }
 
 impl<T: Polynomial> Engine<T> {
@@ -82,7 +84,8 @@ impl<T: Polynomial> Engine<T> {
         let free: Vec<_> = known.map(|(k, (rms, count))| (k, rms, count)).filter(|(_, rms, _)| *rms > 0.0).collect();
         let settings = Settings {
             max_evaluations: recipe.max_evaluations,
-            relative_decrement_tolerance: recipe.decrement_tolerance,
+            decrement_tolerance: recipe.decrement_tolerance,
+            relative_decrement_tolerance: 0.0,
             memory: recipe.memory,
             resolution: match recipe.precision {
                 Precision::F32 => RESOLUTION_F32,
@@ -156,12 +159,13 @@ impl<T: Polynomial> Worker<T> {
             turns: zeros(),
             turns_bar: zeros(),
             information_nm2: 0.0,
+            freedom: 1.0,
         })
     }
 
     fn retrieve(&mut self, engine: &Engine<T>, prepared: &mut Prepared, statics: Option<&Statics>) -> Result<Found> {
         self.begin(engine, prepared, statics)?;
-        self.minimise(engine);
+        self.minimise(engine)?;
         for _ in 0..engine.recipe.renewals {
             if !self.solver.outcome().reason.converged() {
                 break;
@@ -170,26 +174,22 @@ impl<T: Polynomial> Worker<T> {
             if self.solver.restart_objective() == Progress::Done {
                 break;
             }
-            self.minimise(engine);
+            self.minimise(engine)?;
         }
         self.place(engine, Point::Best);
         let psf = engine.chain.psf_free_in(self.coefficients_nm.view(), &self.turns, &mut self.scratch);
         let (flux_e, background_e) = (self.evaluation.flux_e, self.evaluation.background_e);
-        let (mut chi2, mut good) = (0.0, 0usize);
+        let mut chi2 = 0.0;
         for ((h, &d), &floor) in psf.iter().zip(&prepared.exposure.data_e).zip(&prepared.floor_variance_e2) {
             let expected = flux_e * h.wide() + background_e;
             let variance = variance_e2(expected, floor, engine.recipe.model_error);
             if variance.is_finite() {
                 chi2 += (expected - d).powi(2) / variance;
-                good += 1;
             }
         }
-        // Flux and background beside what field and coefficients take.
-        let glass = engine.chain.optics().parts().weights.energy;
-        let taken = engine.square.freedom(self.information_nm2, glass) + self.scales.len() as f64;
         let outcome = self.solver.outcome();
         let report = RetrievalReport {
-            reduced_chi2: chi2 / (good as f64 - taken - 2.0).max(1.0),
+            reduced_chi2: chi2 / self.freedom,
             evaluations: outcome.evaluations,
             reason: outcome.reason,
             flux_e,
@@ -216,6 +216,10 @@ impl<T: Polynomial> Worker<T> {
         }
         engine.chain.set(&mut self.loaded, &prepared.exposure)?;
         self.information_nm2 = engine.information_nm2(flux_e, weighed_e);
+        let good = prepared.exposure.weight.iter().filter(|weight| **weight > 0.0).count();
+        let glass = engine.chain.optics().parts().weights.energy;
+        let taken = engine.square.freedom(self.information_nm2, glass) + (self.scales.len() + 2) as f64;
+        self.freedom = (good as f64 - taken).max(1.0);
         // As far as the linearisation is to be believed: coordinates in which a bright star fixes every sample to a nm
         // would send the first steps, which start a wavefront's RMS away, into what it sees worst. With 24 times this
         // number six images of turbulence take a third more evaluations, to twice the error.
@@ -239,7 +243,7 @@ impl<T: Polynomial> Worker<T> {
         self.solver.begin(&engine.metric, scale, &self.start)
     }
 
-    fn minimise(&mut self, engine: &Engine<T>) {
+    fn minimise(&mut self, engine: &Engine<T>) -> Result<()> {
         loop {
             self.place(engine, Point::Asked);
             engine.chain.evaluate_free(
@@ -260,8 +264,14 @@ impl<T: Polynomial> Worker<T> {
                 objective += prior * u * u;
                 *out = self.evaluation.gradient[k] * scale + 2.0 * prior * u;
             }
+            let misfit = (self.evaluation.objective - self.freedom).max(0.0);
+            let tolerance = engine.recipe.decrement_tolerance + engine.recipe.misfit_tolerance * misfit;
+            // A misfit that is not finite is the solver's business.
+            if tolerance.is_finite() {
+                self.solver.set_tolerances(0.0, tolerance)?;
+            }
             if self.solver.tell(objective, &self.gradient) == Progress::Done {
-                return;
+                return Ok(());
             }
         }
     }
@@ -358,7 +368,7 @@ fn variance_e2(electrons: f64, floor_e2: f64, model_error: f64) -> f64 {
 }
 
 /// Less glass than this in a sample is the ringing of its neighbours'.
-const LEAST_GLASS: f64 = 0.1;
+pub(super) const LEAST_GLASS: f64 = 0.1;
 
 /// The wavefront at each lit sample that some coefficients make, nm.
 pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
@@ -389,4 +399,31 @@ pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
         own + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
     };
     parts.weights.rows().enumerate().map(at).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::Recipe;
+    use crate::scene::Scene;
+
+    /// What an image tells of a sample by formula, against what probes of the chain say on average over all frequencies.
+    #[test]
+    fn the_information_of_a_sample_is_what_probes_find() {
+        let settings = [("pupil.samples", "64"), ("modes.ncpa", "none"), ("modes.exact_zernikes", "[2, 3]")];
+        let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
+        let model = Model::of(&scene, &Recipe::of(&scene), false).unwrap();
+        let prior = Spectrum::of_scene(&scene, super::super::Unknown::default()).unwrap();
+        let pitch_m = 11.25 * model.width_ratio() / 64.0;
+        let typical = Typical { flux_e: 1e9, background_e: 0.0, floor_e2: 100.0 };
+        let engine = Engine::<f64>::new(&model, &prior, pitch_m, 1.0, &RetrievalRecipe::default(), typical).unwrap();
+        // A sample counts by the square of its amplitude, and those that ring beyond the rim have next to none.
+        let weights = &model.optics.parts().weights;
+        let amplitude = |weights: &[f64]| weights.iter().sum::<f64>();
+        let light = weights.rows().map(|(.., weights)| amplitude(weights).powi(2)).sum::<f64>();
+        let (found, expected) = (engine.square.mean_response(), light / weights.lit.len() as f64);
+        // Eight probes of some thousand samples know their mean to 1 %. The formula takes the phase between a sample's
+        // light and the image's for anything, and that is what a spot of 40 λ/D has, to a tenth.
+        assert!((found / expected - 1.0).abs() < 0.1, "{found} {expected}");
+    }
 }
