@@ -23,7 +23,7 @@ impl<T: Real> Hartley<T> {
     /// # Errors
     /// [`crate::Error::Shape`] for a side that is odd or zero: rows are transformed in pairs.
     pub fn new(side: usize) -> crate::Result<Self> {
-        if side == 0 || side % 2 != 0 {
+        if side == 0 || !side.is_multiple_of(2) {
             return Err(crate::Error::Shape(format!(
                 "a Hartley transform of {side} numbers a side cannot be made: an even number is needed"
             )));
