@@ -16,6 +16,10 @@ use std::sync::{Arc, Mutex};
 /// Tip and tilt of the whole pupil are known this badly, nm RMS: a few pixels.
 const POINTING_RMS_NM: f64 = 2000.0;
 
+/// Misfit, in degrees of freedom, beyond which it is not what the model leaves of a bright star's image (4 to 5) but a fit
+/// that is still on its way: it does not count for when to stop.
+const LARGEST_MISFIT: f64 = 5.0;
+
 /// What all images and threads share.
 pub(super) struct Engine<T: Polynomial> {
     chain: CpuChain<T>,
@@ -264,7 +268,7 @@ impl<T: Polynomial> Worker<T> {
                 objective += prior * u * u;
                 *out = self.evaluation.gradient[k] * scale + 2.0 * prior * u;
             }
-            let misfit = (self.evaluation.objective - self.freedom).max(0.0);
+            let misfit = (self.evaluation.objective - self.freedom).clamp(0.0, LARGEST_MISFIT * self.freedom);
             let tolerance = engine.recipe.decrement_tolerance + engine.recipe.misfit_tolerance * misfit;
             // A misfit that is not finite is the solver's business.
             if tolerance.is_finite() {
