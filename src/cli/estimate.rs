@@ -16,7 +16,7 @@ const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o est.fits      from what 'cophase image' made
   cophase estimate nirc2.fits --scene scene.toml -o est.fits --plot est.png
   cophase estimate images.fits -o paper.fits --optimizer bfgs
-  cophase estimate onsky.fits -o est.fits --method full-phase --commands corrections.fits
+  cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
 
 Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension. Pixels \
 that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
