@@ -99,7 +99,7 @@ pub struct StaticModel {
 
 impl StaticModel {
     /// The model of pistons that show as `pistons` and NCPA that show as `ncpa`, both `[mode, sample]`, on samples whose
-    /// mean phase has `covariance`; `groups` as in [`NcpaModes`].
+    /// mean phase has `covariance`; `groups` as in `NcpaModes`.
     ///
     /// # Errors
     /// [`Error::Shape`] for maps or groups that do not fit each other; those of [`MeanCovariance::solve`].
