@@ -140,6 +140,13 @@ fn warn(name: &str, found: &FullPhase, terminal: &Terminal) -> Result<()> {
             pass.reduced_chi2
         ));
     }
+    if matches!(found.knows, Knows::Nothing | Knows::Spectrum) {
+        terminal.warn(&format!(
+            "{name}: with estimate.knows = \"{}\" the loop's answer to the pistons counts as NCPA, and is not in its \
+             error bars",
+            found.knows.word()
+        ));
+    }
     Ok(())
 }
 
