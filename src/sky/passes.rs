@@ -2,17 +2,16 @@
 
 use super::calm_loop::CalmLoop;
 use super::evidence::Family;
+use super::ncpa::Ncpa;
 use super::sensor::{Sensed, SensorModel};
-use super::statics::{NcpaModes, StaticErrors, StaticModel};
+use super::sequence::Sequence;
+use super::statics::{StaticErrors, StaticModel};
 use super::{LitSamples, ResidualCovariance, Spectrum};
-use crate::metrics::MapGram;
-use crate::modes::SmoothBasis;
 use crate::optimize::CancelFlag;
-use crate::pupil::Pupil;
 use crate::scene::{Knows, Scene};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, s};
+use ndarray::{Array1, Array2, Axis, s};
 use std::sync::atomic::Ordering;
 
 /// Phases behind the images of a sequence.
@@ -116,12 +115,6 @@ impl Pass {
 
 /// Samples with less glass than this are left out: images hardly see their phase.
 const LEAST_GLASS: f64 = 0.5;
-
-/// Images whose χ² is beyond the median by more than this many median deviations (scaled to normal ones) are left out.
-const CLIPPED_AT: f64 = 5.0;
-
-/// Median deviation of a normal variable, over its standard deviation.
-const NORMAL_MEDIAN_DEVIATION: f64 = 0.6745;
 
 /// Runs of the calm loop in a pass: its nonlinear part is a tenth of the linear one, and each takes that off what is left.
 const ANSWERS: usize = 8;
@@ -256,7 +249,7 @@ fn next_about(path: &mut Vec<Step>, found: Array1<f64>) -> Array1<f64> {
 }
 
 /// Pistons and NCPA in turn.
-fn coefficients(errors: &StaticErrors) -> Array1<f64> {
+pub(super) fn coefficients(errors: &StaticErrors) -> Array1<f64> {
     errors.pistons_nm.iter().chain(&errors.ncpa_nm).copied().collect()
 }
 
@@ -300,162 +293,6 @@ impl Answers {
     }
 }
 
-/// Images that can be used, their mean and what is left of each.
-struct Sequence {
-    used: Vec<usize>,
-    mean_nm: Array1<f64>,
-    residuals_nm: Array2<f64>,
-    reduced_chi2: f64,
-}
-
-impl Sequence {
-    fn of(measured: &Measured, kept: &[usize]) -> Result<Self> {
-        let used = unclipped(measured);
-        if used.len() < 2 {
-            let (used, all) = (used.len(), measured.reduced_chi2.len());
-            return Err(Error::Image(format!("{used} of {all} images can be used: at least 2 are needed")));
-        }
-        let mut residuals_nm = measured.phase_nm.select(Axis(0), &used).select(Axis(1), kept);
-        for mut row in residuals_nm.outer_iter_mut() {
-            let mean = row.mean().unwrap_or(0.0);
-            row -= mean;
-        }
-        let count = used.len() as f64;
-        let mean_nm = residuals_nm.sum_axis(Axis(0)) / count;
-        residuals_nm -= &mean_nm;
-        let reduced_chi2 = median(used.iter().map(|&image| measured.reduced_chi2[image]).collect());
-        Ok(Self { used, mean_nm, residuals_nm, reduced_chi2 })
-    }
-}
-
-/// The images whose χ² is like the others'.
-fn unclipped(measured: &Measured) -> Vec<usize> {
-    let chi2 = &measured.reduced_chi2;
-    let usable =
-        |&image: &usize| chi2[image].is_finite() && measured.phase_nm.row(image).iter().all(|nm| nm.is_finite());
-    let usable: Vec<usize> = (0..chi2.len()).filter(usable).collect();
-    let middle = median(usable.iter().map(|&image| chi2[image]).collect());
-    let deviation =
-        median(usable.iter().map(|&image| (chi2[image] - middle).abs()).collect()) / NORMAL_MEDIAN_DEVIATION;
-    usable.into_iter().filter(|&image| chi2[image] <= middle + CLIPPED_AT * deviation).collect()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
-/// A family of NCPA modes, on the samples and on the scene's grid.
-struct Ncpa {
-    family: Family,
-    basis: SmoothBasis,
-    groups: Vec<usize>,
-    at_all: Array2<f64>,
-    at_kept: Array2<f64>,
-    /// All static modes on the scene's grid, pistons first, `[mode, y, x]`.
-    maps: Array3<f64>,
-    segments: usize,
-    gram: [MapGram; 2],
-}
-
-impl Ncpa {
-    fn of(family: Family, scene: &Scene, telescope: &Telescope, lit: &LitSamples, kept: &[usize]) -> Result<Self> {
-        let modes = NcpaModes::of(family, scene, telescope)?;
-        let at_all = modes.basis.evaluate(&lit.xs_m, &lit.ys_m)?;
-        let pupil = &telescope.pupil;
-        let smooth = modes.basis.sampled(pupil)?.maps();
-        let pistons = crate::modes::SegmentModes::Piston.maps(pupil)?.maps();
-        let gram = [MapGram::new(pupil, pistons.view())?, MapGram::new(pupil, smooth.view())?];
-        let segments = pistons.len_of(Axis(0));
-        let maps = ndarray::concatenate(Axis(0), &[pistons.view(), smooth.view()])
-            .map_err(|error| Error::Internal(format!("maps of two sizes: {error}")))?;
-        Ok(Self {
-            basis: modes.basis,
-            family,
-            groups: modes.groups,
-            at_kept: at_all.select(Axis(1), kept),
-            at_all,
-            maps,
-            segments,
-            gram,
-        })
-    }
-
-    fn pass(
-        &self,
-        errors: StaticErrors,
-        pupil: &Pupil,
-        about: Option<Array1<f64>>,
-        sequence: &Sequence,
-        residual_rms_nm: f64,
-    ) -> Result<Pass> {
-        let coefficients = coefficients(&errors);
-        let ranges = [0..self.segments, self.segments..coefficients.len()];
-        let map = |range: &std::ops::Range<usize>| self.map(&coefficients, range.clone(), pupil);
-        let [phasing_nm, ncpa_nm] = [map(&ranges[0]), map(&ranges[1])];
-        let part = |range: &std::ops::Range<usize>| errors.covariance_nm2.slice(s![range.clone(), range.clone()]);
-        let expected_nm = [0, 1].map(|i| self.gram[i].expected_rms_nm(part(&ranges[i])));
-        let [phasing_expected, ncpa_expected] = expected_nm;
-        let sigma = |range: &std::ops::Range<usize>| self.sigma(part(range), range.clone(), pupil);
-        let changed_nm = match about.filter(|about| about.len() == coefficients.len()) {
-            None => [f64::NAN; 2],
-            Some(about) => {
-                let change = |i: usize| {
-                    let before_nm = self.map(&about, ranges[i].clone(), pupil);
-                    crate::metrics::residual_nm(pupil, [&phasing_nm, &ncpa_nm][i].view(), before_nm.view())
-                };
-                [change(0)?, change(1)?]
-            }
-        };
-        Ok(Pass {
-            family: self.family,
-            ncpa_names: self.basis.names().to_vec(),
-            phasing_sigma_nm: sigma(&ranges[0]),
-            ncpa_sigma_nm: sigma(&ranges[1]),
-            expected_nm: [phasing_expected?, ncpa_expected?],
-            changed_nm,
-            used_images: sequence.used.clone(),
-            reduced_chi2: sequence.reduced_chi2,
-            residual_rms_nm,
-            phasing_nm,
-            ncpa_nm,
-            errors,
-        })
-    }
-
-    /// Modes that do not show at a sample are NaN nowhere: the pupil's owner says where the map ends.
-    fn map(&self, coefficients: &Array1<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
-        let mut map = Array2::zeros(pupil.amplitude.dim());
-        for mode in range {
-            map.scaled_add(coefficients[mode], &self.maps.index_axis(Axis(0), mode));
-        }
-        outside_to_nan(map, pupil)
-    }
-
-    fn sigma(&self, covariance_nm2: ArrayView2<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
-        let maps = self.maps.slice(s![range, .., ..]);
-        let flat: Array2<f64> = Array2::from_shape_fn((maps.dim().0, pupil.amplitude.len()), |(mode, at)| {
-            maps[[mode, at / maps.dim().2, at % maps.dim().2]]
-        });
-        let half = covariance_nm2.dot(&flat);
-        let variance = (&half * &flat).sum_axis(Axis(0));
-        let n = pupil.amplitude.ncols();
-        outside_to_nan(
-            Array2::from_shape_fn(pupil.amplitude.dim(), |(y, x)| variance[y * n + x].max(0.0).sqrt()),
-            pupil,
-        )
-    }
-}
-
-fn outside_to_nan(mut map: Array2<f64>, pupil: &Pupil) -> Array2<f64> {
-    ndarray::Zip::from(&mut map).and(&pupil.owner).for_each(|value, &owner| {
-        if owner < 0 {
-            *value = f64::NAN;
-        }
-    });
-    map
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -471,17 +308,5 @@ mod tests {
         }
         // 45 % of 45 % would be left without the extrapolation; rounding is with it.
         assert!((&about - &truth).iter().all(|off| off.abs() < 1e-10), "{about}");
-    }
-
-    #[test]
-    fn images_that_stand_out_are_left_out() {
-        let mut reduced_chi2 = vec![2.0, 2.1, 1.9, 2.05, 1.95, 2.0, 60.0, f64::NAN];
-        let mut phase_nm = Array2::zeros((8, 3));
-        phase_nm[[0, 1]] = f64::NAN;
-        let measured = Measured { phase_nm, reduced_chi2: reduced_chi2.clone(), slopes_mas: None };
-        assert_eq!(unclipped(&measured), [1, 2, 3, 4, 5]);
-        reduced_chi2.fill(1.0);
-        let alike = Measured { phase_nm: Array2::zeros((8, 3)), reduced_chi2, slopes_mas: None };
-        assert_eq!(unclipped(&alike).len(), 8);
     }
 }

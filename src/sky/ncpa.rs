@@ -1,0 +1,132 @@
+//! A family of NCPA modes beside the pistons: on the samples of phases, and as maps with their error bars.
+
+use super::LitSamples;
+use super::evidence::Family;
+use super::passes::{Pass, coefficients};
+use super::sequence::Sequence;
+use super::statics::{NcpaModes, StaticErrors};
+use crate::metrics::MapGram;
+use crate::modes::SmoothBasis;
+use crate::pupil::Pupil;
+use crate::scene::Scene;
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, s};
+
+/// A family of NCPA modes, on the samples and on the scene's grid.
+pub(super) struct Ncpa {
+    family: Family,
+    pub(super) basis: SmoothBasis,
+    pub(super) groups: Vec<usize>,
+    pub(super) at_all: Array2<f64>,
+    pub(super) at_kept: Array2<f64>,
+    /// All static modes on the scene's grid, pistons first, `[mode, y, x]`.
+    maps: Array3<f64>,
+    segments: usize,
+    gram: [MapGram; 2],
+}
+
+impl Ncpa {
+    pub(super) fn of(
+        family: Family,
+        scene: &Scene,
+        telescope: &Telescope,
+        lit: &LitSamples,
+        kept: &[usize],
+    ) -> Result<Self> {
+        let modes = NcpaModes::of(family, scene, telescope)?;
+        let at_all = modes.basis.evaluate(&lit.xs_m, &lit.ys_m)?;
+        let pupil = &telescope.pupil;
+        let smooth = modes.basis.sampled(pupil)?.maps();
+        let pistons = crate::modes::SegmentModes::Piston.maps(pupil)?.maps();
+        let gram = [MapGram::new(pupil, pistons.view())?, MapGram::new(pupil, smooth.view())?];
+        let segments = pistons.len_of(Axis(0));
+        let maps = ndarray::concatenate(Axis(0), &[pistons.view(), smooth.view()])
+            .map_err(|error| Error::Internal(format!("maps of two sizes: {error}")))?;
+        Ok(Self {
+            basis: modes.basis,
+            family,
+            groups: modes.groups,
+            at_kept: at_all.select(Axis(1), kept),
+            at_all,
+            maps,
+            segments,
+            gram,
+        })
+    }
+
+    /// What a pass found, as maps with their error bars; `about` is the static wavefront about which its phases were sought.
+    pub(super) fn pass(
+        &self,
+        errors: StaticErrors,
+        pupil: &Pupil,
+        about: Option<Array1<f64>>,
+        sequence: &Sequence,
+        residual_rms_nm: f64,
+    ) -> Result<Pass> {
+        let coefficients = coefficients(&errors);
+        let ranges = [0..self.segments, self.segments..coefficients.len()];
+        let map = |range: &std::ops::Range<usize>| self.map(&coefficients, range.clone(), pupil);
+        let [phasing_nm, ncpa_nm] = [map(&ranges[0]), map(&ranges[1])];
+        let part = |range: &std::ops::Range<usize>| errors.covariance_nm2.slice(s![range.clone(), range.clone()]);
+        let expected_nm = [0, 1].map(|i| self.gram[i].expected_rms_nm(part(&ranges[i])));
+        let [phasing_expected, ncpa_expected] = expected_nm;
+        let sigma = |range: &std::ops::Range<usize>| self.sigma(part(range), range.clone(), pupil);
+        let changed_nm = match about.filter(|about| about.len() == coefficients.len()) {
+            None => [f64::NAN; 2],
+            Some(about) => {
+                let change = |i: usize| {
+                    let before_nm = self.map(&about, ranges[i].clone(), pupil);
+                    crate::metrics::residual_nm(pupil, [&phasing_nm, &ncpa_nm][i].view(), before_nm.view())
+                };
+                [change(0)?, change(1)?]
+            }
+        };
+        Ok(Pass {
+            family: self.family,
+            ncpa_names: self.basis.names().to_vec(),
+            phasing_sigma_nm: sigma(&ranges[0]),
+            ncpa_sigma_nm: sigma(&ranges[1]),
+            expected_nm: [phasing_expected?, ncpa_expected?],
+            changed_nm,
+            used_images: sequence.used.clone(),
+            reduced_chi2: sequence.reduced_chi2,
+            residual_rms_nm,
+            phasing_nm,
+            ncpa_nm,
+            errors,
+        })
+    }
+
+    /// Modes that do not show at a sample are NaN nowhere: the pupil's owner says where the map ends.
+    fn map(&self, coefficients: &Array1<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
+        let mut map = Array2::zeros(pupil.amplitude.dim());
+        for mode in range {
+            map.scaled_add(coefficients[mode], &self.maps.index_axis(Axis(0), mode));
+        }
+        outside_to_nan(map, pupil)
+    }
+
+    fn sigma(&self, covariance_nm2: ArrayView2<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
+        let maps = self.maps.slice(s![range, .., ..]);
+        let flat: Array2<f64> = Array2::from_shape_fn((maps.dim().0, pupil.amplitude.len()), |(mode, at)| {
+            maps[[mode, at / maps.dim().2, at % maps.dim().2]]
+        });
+        let half = covariance_nm2.dot(&flat);
+        let variance = (&half * &flat).sum_axis(Axis(0));
+        let n = pupil.amplitude.ncols();
+        outside_to_nan(
+            Array2::from_shape_fn(pupil.amplitude.dim(), |(y, x)| variance[y * n + x].max(0.0).sqrt()),
+            pupil,
+        )
+    }
+}
+
+fn outside_to_nan(mut map: Array2<f64>, pupil: &Pupil) -> Array2<f64> {
+    ndarray::Zip::from(&mut map).and(&pupil.owner).for_each(|value, &owner| {
+        if owner < 0 {
+            *value = f64::NAN;
+        }
+    });
+    map
+}
