@@ -120,7 +120,7 @@ fn known(
 }
 
 /// χ² per degree of freedom of images that the model explains but for what it cannot know of turbulence beyond its samples:
-/// 2.4 behind a bright star; a plate scale off by 1 % makes it ten times that.
+/// 4.4 to 4.8 behind a bright star at 120 samples; a plate scale off by 0.5 % makes it 13.
 const EXPLAINED: f64 = 6.0;
 
 fn warn(name: &str, found: &FullPhase, terminal: &Terminal) -> Result<()> {
@@ -179,7 +179,10 @@ fn summary(found: &FullPhase) -> Result<Summary> {
 fn table(name: &str, found: &FullPhase, residual: Option<&Residual>) -> Result<String> {
     let pass = found.result()?;
     let rms_nm = rms_nm(found, pass)?;
-    let passes = report::counted(found.passes.len(), "pass").replace("passs", "passes");
+    let passes: String = match found.passes.len() {
+        1 => "1 pass".into(),
+        count => format!("{count} passes"),
+    };
     let mut text = format!(
         "{name}: {} of {} used, {passes}, knows {}\n\n",
         pass.used_images.len(),

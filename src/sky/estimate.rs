@@ -5,7 +5,7 @@ use super::{RetrievalRecipe, RetrievalReport, RetrievedPhases, Retriever, Spectr
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::optimize::CancelFlag;
 use crate::pupil::Pupil;
-use crate::scene::{Knows, Scene};
+use crate::scene::{DeviceChoice, Knows, Scene};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
@@ -105,6 +105,13 @@ pub fn read(
     watch: &(dyn Fn(usize) + Sync),
 ) -> Result<FullPhase> {
     let started = Instant::now();
+    if matches!(scene.estimate.device, DeviceChoice::OpenCl | DeviceChoice::OpenClDevice { .. }) {
+        return Err(Error::Scene(
+            "estimate.device asks for OpenCL, on which the full-phase estimate does not run yet: \"auto\" or \"cpu\" is \
+             needed"
+                .into(),
+        ));
+    }
     let knows = knows(scene, images.slopes_mas.is_some())?;
     let prior = prior(scene, knows)?;
     // Pistons as coefficients of their own let each image trade an edge for a field that is nearly one: the field alone
