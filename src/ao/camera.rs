@@ -3,7 +3,7 @@
 use super::footprint::{Footprint, LANES};
 use super::lines::Lines;
 use super::phase::unit_phasor;
-use crate::pupil::{Pupil, SegmentWeights};
+use crate::pupil::{BandLimit, Pupil, SegmentWeights};
 use crate::scene::ImageScene;
 use crate::source::Truth;
 use crate::telescope::{Diversity, Telescope};
@@ -17,13 +17,21 @@ use std::sync::Arc;
 /// Wavelengths that stand for a filter of finite width; the error of their mean falls as their number squared.
 const WAVELENGTHS_OF_A_BAND: usize = 7;
 
+/// Samples around the glass on which a low-passed edge rings, and wavefronts are wanted: beyond them it is below 1 %.
+pub(super) const MARGIN_SAMPLES: usize = 4;
+
+/// What aberrations and turbulence add to the frequencies of the pupil that shape an image, cycles over the grid.
+const ABERRATION_CYCLES: f64 = 8.0;
+/// Least room for a low pass between its pass band and the Nyquist frequency, cycles over the grid.
+const HALF_TRANSITION: f64 = 12.0;
+
 /// Rows of the field that are transformed before they are turned into columns: a line of the cache holds 8 complex numbers.
 const TOGETHER: usize = 8;
 
 /// What the camera looks at and through, beside the residual wavefront of the loop.
 #[derive(Debug, Clone, Copy)]
 pub struct View {
-    /// Whether the segments' errors are there: with their exact share of each sample at the borders.
+    /// Whether the segments' errors are there, each with its own weight in the samples at the borders.
     pub segments: bool,
     /// Whether the NCPA are there.
     pub ncpa: bool,
@@ -115,7 +123,7 @@ impl ScienceCamera {
     pub fn new(view: View, optics: &Optics) -> Result<Self> {
         let n = optics.footprint.samples();
         let count = if view.bandwidth_fraction > 0.0 { WAVELENGTHS_OF_A_BAND } else { 1 };
-        let weights = optics.telescope.area_weights(optics.pupil.grid)?;
+        let weights = edges(&view, optics)?;
         let colours: Vec<Colour> = (0..count)
             .map(|i| {
                 let place = (i as f64 + 0.5) / count as f64 - 0.5;
@@ -238,6 +246,31 @@ impl ScienceCamera {
     }
 }
 
+/// How the segments show in the samples: low-passed where the pupil is known finely enough.
+///
+/// Shares of area are a low pass too, and a poor one: at 240 samples over 11.25 m it takes 10 % off an edge at the frequencies
+/// that land on the rim of an image 120 λ/D wide, and folds 6 % of others onto them. Pistons read from such images come out
+/// 3 to 5 % too small.
+fn edges(view: &View, optics: &Optics) -> Result<SegmentWeights> {
+    let (grid, telescope) = (optics.pupil.grid, optics.telescope);
+    let n = grid.samples() as f64;
+    let half_width = view.rows.max(view.columns) as f64 / (2.0 * view.samples_per_lambda_over_d);
+    let spot = if view.diversity {
+        optics.diversity.steepest_nm_m(&telescope.pupil) * grid.width_m() / view.wavelength_nm
+    } else {
+        0.0
+    };
+    let pass = (half_width + spot + ABERRATION_CYCLES).min(n / 2.0 - HALF_TRANSITION);
+    if pass > 0.0
+        && telescope.is_fine()
+        && let Ok(limit) = BandLimit::new(pass, grid.samples())
+        && let Ok(weights) = telescope.band_limited_weights(grid, &limit)
+    {
+        return Ok(weights);
+    }
+    telescope.area_weights(grid)
+}
+
 /// Where the transform of length `padded` holds pixel `u` of an image whose axis is its pixel `pixels/2`.
 fn unwrapped(u: usize, pixels: usize, padded: usize) -> usize {
     (u + padded - pixels / 2) % padded
@@ -282,6 +315,9 @@ impl Colour {
         }
         for ((cell, segments, shares), smooth_nm) in weights.rows().zip(smooth_nm) {
             let (y, x) = (cell / n, cell % n);
+            if !optics.footprint.span(y).contains(&x) {
+                continue;
+            }
             let (x_m, y_m) = (grid.coordinate_m(x), grid.coordinate_m(y));
             let place = y * stride + x;
             let (mut sum_re, mut sum_im) = (0.0, 0.0);

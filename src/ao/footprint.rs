@@ -23,21 +23,30 @@ pub struct Footprint {
 impl Footprint {
     /// The footprint of `pupil`.
     pub fn of(pupil: &Pupil) -> Self {
+        Self::with_margin(pupil, 0)
+    }
+
+    /// The footprint of `pupil`, whose spans hold `margin` samples around the glass too.
+    pub fn with_margin(pupil: &Pupil, margin: usize) -> Self {
         let samples = pupil.grid.samples();
         let stride = samples.next_multiple_of(LANES);
         let mut amplitude = Lines::zeros(samples * stride);
-        let mut spans = Vec::with_capacity(samples);
+        let mut glass = Vec::with_capacity(samples);
         for (row, out) in pupil.amplitude.rows().into_iter().zip(amplitude.chunks_exact_mut(stride)) {
             for (out, &a) in out.iter_mut().zip(row) {
                 *out = a as f32;
             }
-            let first = row.iter().position(|&a| a > 0.0);
-            let last = row.iter().rposition(|&a| a > 0.0);
-            spans.push(match (first, last) {
-                (Some(first), Some(last)) => first / LANES * LANES..(last + 1).next_multiple_of(LANES),
-                _ => 0..0,
-            });
+            glass.push(row.iter().position(|&a| a > 0.0).zip(row.iter().rposition(|&a| a > 0.0)));
         }
+        let near = |y: usize| glass[y.saturating_sub(margin)..samples.min(y + margin + 1)].iter().flatten();
+        let span = |y: usize| match (near(y).map(|ends| ends.0).min(), near(y).map(|ends| ends.1).max()) {
+            (Some(first), Some(last)) => {
+                let end = samples.min(last + 1 + margin).next_multiple_of(LANES);
+                first.saturating_sub(margin) / LANES * LANES..end
+            }
+            _ => 0..0,
+        };
+        let spans = (0..samples).map(span).collect();
         let total = amplitude.iter().map(|&a| f64::from(a)).sum();
         Self { samples, stride, spans, amplitude: Arc::new(amplitude), total }
     }
@@ -58,7 +67,7 @@ impl Footprint {
         self.samples * self.stride
     }
 
-    /// The columns of row `y` that hold all of its light: both ends multiples of [`LANES`], empty where it is dark.
+    /// The columns of row `y` that hold all of its light and the margin: both ends multiples of [`LANES`], empty where it is dark.
     pub fn span(&self, y: usize) -> Range<usize> {
         self.spans[y].clone()
     }
@@ -99,5 +108,13 @@ mod tests {
         }
         // Single precision: 9,000 terms of at most 1.
         assert!((f64::from(inside) / pupil.weight_sum() - 1.0).abs() < 1e-5);
+        let (wider, margin) = (Footprint::with_margin(&pupil, 5), 5);
+        let near = |y: usize, x: usize| {
+            let rows = y.saturating_sub(margin)..(y + margin + 1).min(120);
+            rows.into_iter()
+                .any(|v| (x.saturating_sub(margin)..(x + margin + 1).min(120)).any(|u| pupil.amplitude[[v, u]] > 0.0))
+        };
+        assert!((0..120 * 120).all(|at| !near(at / 120, at % 120) || wider.span(at / 120).contains(&(at % 120))));
+        assert!((0..120).all(|y| wider.span(y).end <= wider.stride()));
     }
 }

@@ -6,7 +6,7 @@
 //! ```
 
 use super::atmosphere::Atmosphere;
-use super::camera::{Optics, ScienceCamera, View};
+use super::camera::{self, Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::footprint::Footprint;
 use super::lines::Lines;
@@ -145,7 +145,7 @@ impl Simulator {
         let (sensing, control_scene) = sections(scene)?;
         let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
         let pupil = telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)?;
-        let footprint = Footprint::of(&pupil);
+        let footprint = Footprint::with_margin(&pupil, camera::MARGIN_SAMPLES);
         let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?;
         let influence = actuators(scene, &lenslets)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);

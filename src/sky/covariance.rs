@@ -19,6 +19,10 @@ const FEWEST_PAIRS: f64 = 50.0;
 /// Residual at which a column is solved, of its own norm: a posterior to four digits.
 const SOLVED: f64 = 1e-4;
 
+/// What nobody knows of a mean phase at frequencies that no image shows, nm RMS of a sample: more than turbulence and static
+/// errors have there together.
+const UNSEEN_NM: f64 = 300.0;
+
 /// Iterations after which a column stays as it is: ten times what one takes.
 const MOST_ITERATIONS: usize = 250;
 
@@ -31,6 +35,8 @@ pub struct ResidualCovariance {
     places: Vec<usize>,
     /// Eigenvalues, nm², `[ky, kx]`, none negative.
     spectrum_nm2: Vec<f64>,
+    /// Which of them are of frequencies that no image shows.
+    unseen: Vec<bool>,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
 }
@@ -80,12 +86,21 @@ impl ResidualCovariance {
     /// does; they show static errors less too, and a covariance as small as their scatter would rest the estimate on just
     /// these frequencies.
     pub fn at_least(mut self, spectrum: &Spectrum, pitch_m: f64) -> Self {
-        let n = self.padded;
-        let step_per_m = 1.0 / (n as f64 * pitch_m);
-        let frequency = |k: usize| (if k <= n / 2 { k as f64 } else { k as f64 - n as f64 }) * step_per_m;
         for (at, value) in self.spectrum_nm2.iter_mut().enumerate() {
-            let least = spectrum.at(frequency(at % n).hypot(frequency(at / n))) / (pitch_m * pitch_m);
+            let least = spectrum.at(frequency_per_m(at, self.padded, pitch_m)) / (pitch_m * pitch_m);
             *value = value.max(least);
+        }
+        self
+    }
+
+    /// This covariance for phases of which nothing is known beyond `seen_to_per_m`.
+    ///
+    /// What a retrieval by maximum a posteriori cannot see it leaves as it was before. Edges of segments stand out from
+    /// turbulence the more, the higher the frequency, so an estimate that believed these phases would rest on what is not
+    /// there: pass after pass it would recover half of the pistons that are still missing, and errors would double.
+    pub fn seen_to(mut self, seen_to_per_m: f64, pitch_m: f64) -> Self {
+        for (at, unseen) in self.unseen.iter_mut().enumerate() {
+            *unseen = frequency_per_m(at, self.padded, pitch_m) > seen_to_per_m;
         }
         self
     }
@@ -107,6 +122,7 @@ impl ResidualCovariance {
             padded,
             places: lit.places.iter().map(|&place| place / lit.samples * padded + place % lit.samples).collect(),
             spectrum_nm2: Vec::new(),
+            unseen: vec![false; padded * padded],
             forward: planner.plan_fft_forward(padded),
             inverse: planner.plan_fft_inverse(padded),
         }
@@ -148,9 +164,17 @@ impl ResidualCovariance {
         let floor_nm2: Vec<f64> = lit.glass.iter().map(|glass| (floor_nm / glass.clamp(0.1, 1.0)).powi(2)).collect();
         let middle = floor_nm.powi(2);
         let share = 1.0 / images as f64;
-        let inverse_per_nm2 = self.spectrum_nm2.iter().map(|nm2| 1.0 / (nm2 * share + middle)).collect();
-        MeanCovariance { of_one: self, share, floor_nm2, inverse_per_nm2 }
+        let of_mean = |(nm2, &unseen): (&f64, &bool)| nm2 * share + if unseen { UNSEEN_NM * UNSEEN_NM } else { 0.0 };
+        let spectrum_nm2: Vec<f64> = self.spectrum_nm2.iter().zip(&self.unseen).map(of_mean).collect();
+        let inverse_per_nm2 = spectrum_nm2.iter().map(|nm2| 1.0 / (nm2 + middle)).collect();
+        MeanCovariance { of_one: self, spectrum_nm2, floor_nm2, inverse_per_nm2 }
     }
+}
+
+/// That of the place `[ky, kx]` on a square of `n` samples a side.
+fn frequency_per_m(place: usize, n: usize, pitch_m: f64) -> f64 {
+    let cycles = |k: usize| k.min(n - k) as f64;
+    cycles(place % n).hypot(cycles(place / n)) / (n as f64 * pitch_m)
 }
 
 /// In place, square.
@@ -171,7 +195,7 @@ fn transpose(field: &mut [Complex64], n: usize) {
 /// Covariance of a mean of images.
 pub struct MeanCovariance<'a> {
     of_one: &'a ResidualCovariance,
-    share: f64,
+    spectrum_nm2: Vec<f64>,
     floor_nm2: Vec<f64>,
     inverse_per_nm2: Vec<f64>,
 }
@@ -179,7 +203,7 @@ pub struct MeanCovariance<'a> {
 impl MeanCovariance<'_> {
     /// C·v for two vectors at once, which are the real and the imaginary part of one.
     pub fn times(&self, vectors: &[Complex64]) -> Vec<Complex64> {
-        let mut product = self.filtered(vectors, |at| self.of_one.spectrum_nm2[at] * self.share);
+        let mut product = self.filtered(vectors, |at| self.spectrum_nm2[at]);
         product.iter_mut().zip(vectors).zip(&self.floor_nm2).for_each(|((out, v), floor)| *out += v * floor);
         product
     }

@@ -22,6 +22,7 @@ mod precondition;
 mod prior;
 mod retrieve;
 mod retrieved;
+mod sampling;
 mod sensor;
 mod sequence;
 mod statics;

@@ -45,6 +45,11 @@ pub trait PhaseSource {
         None
     }
 
+    /// The highest spatial frequency that the phases show, 1/m.
+    fn seen_to_per_m(&self) -> f64 {
+        f64::INFINITY
+    }
+
     /// The phases, sought about `found`; `None` where a source has nothing to gain from it and its phases stay as they
     /// were.
     ///
@@ -170,6 +175,7 @@ pub fn find_statics(
         if let Some(least) = source.least() {
             residual = residual.at_least(least, lit.pitch_m);
         }
+        let residual = residual.seen_to(source.seen_to_per_m(), lit.pitch_m);
         let covariance = residual.of_mean(sequence.used.len(), recipe.floor_nm, &lit);
         let mut best: Option<(StaticErrors, &Ncpa)> = None;
         for ncpa in &families {

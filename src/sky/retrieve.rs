@@ -10,12 +10,14 @@
 //! on that image alone: the same bits in any batch, on any number of threads.
 
 use super::prior::Spectrum;
+use super::sampling::{sampled, seen_to_per_m};
 use super::worker::{Engine, Found, Typical};
 use crate::estimate::{Cube, Frame, Model, Preparation, Recipe};
 use crate::imaging::{CpuChain, Precision};
 use crate::optimize::{CancelFlag, StopReason};
 use crate::scene::Scene;
 use crate::source::flux_e;
+use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis};
 use rayon::prelude::*;
@@ -114,6 +116,7 @@ pub struct Retriever {
     retrieval: RetrievalRecipe,
     read_noise_e: f64,
     points_m: Vec<(f64, f64)>,
+    seen_to_per_m: f64,
     engine: AnyEngine,
 }
 
@@ -123,7 +126,8 @@ enum AnyEngine {
 }
 
 impl Retriever {
-    /// For images of `scene` whose dynamic wavefront has the spectrum `prior`.
+    /// For images of `scene` whose dynamic wavefront has the spectrum `prior`, on as many samples and pixels as its segments
+    /// want unless `estimate.samples` and `image.crop_pixels` say.
     ///
     /// # Errors
     /// Those of [`Model::of`]; [`Error::Value`] for a recipe out of range.
@@ -136,6 +140,7 @@ impl Retriever {
             ("modes.exact_zernikes", "[2, 3]"),
             ("estimate.optimizer", "gauss-newton"),
         ])?;
+        let scene = sampled(&scene, &Telescope::of(&scene)?)?;
         let recipe = Recipe::of(&scene);
         let model = Model::of(&scene, &recipe, false)?;
         let samples = model.optics.sampling().samples;
@@ -156,12 +161,19 @@ impl Retriever {
             Precision::F32 => AnyEngine::Single(Engine::new(&model, prior, pitch_m, margin_m, &retrieval, typical)?),
             Precision::F64 => AnyEngine::Double(Engine::new(&model, prior, pitch_m, margin_m, &retrieval, typical)?),
         };
-        Ok(Self { read_noise_e: scene.image.read_noise_e, model, recipe, retrieval, points_m, engine })
+        let seen_to_per_m = seen_to_per_m(&scene, &model)?;
+        let read_noise_e = scene.image.read_noise_e;
+        Ok(Self { read_noise_e, model, recipe, retrieval, points_m, seen_to_per_m, engine })
     }
 
     /// The model that is compared with the images: its segments' modes, then tip and tilt.
     pub fn model(&self) -> &Model {
         &self.model
+    }
+
+    /// The highest spatial frequency that the images show, 1/m: beyond it a wavefront is what the prior says.
+    pub fn seen_to_per_m(&self) -> f64 {
+        self.seen_to_per_m
     }
 
     /// How it is done.

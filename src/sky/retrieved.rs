@@ -75,6 +75,10 @@ impl PhaseSource for RetrievedPhases<'_> {
         Some(self.prior)
     }
 
+    fn seen_to_per_m(&self) -> f64 {
+        self.retriever.seen_to_per_m()
+    }
+
     fn phases(&mut self, found: Option<&StaticWavefront>) -> Result<Option<Measured>> {
         let started = std::time::Instant::now();
         let statics =
