@@ -8,9 +8,11 @@
 use super::atmosphere::Atmosphere;
 use super::camera::{Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
+use super::drift::Drift;
 use super::footprint::Footprint;
 use super::lines::Lines;
 use super::profile::{Profile, Stage};
+use super::run::Schedule;
 use super::sensor::{Lenslets, Light, Sensor};
 use super::surface::Surface;
 use super::valid_map;
@@ -24,6 +26,7 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Stroke with which the interaction matrix is taken, nm: a thirtieth of the sensor's wavelength, so that the answer is
@@ -54,6 +57,8 @@ pub struct Frame<'a> {
 pub(super) struct Plant {
     pub(super) footprint: Footprint,
     segments_nm: Lines,
+    /// What moves the segments' errors, and the NCPA.
+    pub(super) drift: Option<Arc<Drift>>,
     surface: Surface,
     sensor: Sensor,
     light: Option<Light>,
@@ -71,6 +76,9 @@ impl Plant {
     pub(super) fn frame(&mut self, opd_nm: &mut [f32]) -> Result<()> {
         let started = Instant::now();
         self.commands_nm.copy_from_slice(self.controller.commands_nm());
+        if let Some(drift) = &self.drift {
+            drift.segments_at(self.number, &mut self.segments_nm);
+        }
         let moments = self.surface.correct(&self.commands_nm, &self.segments_nm, opd_nm)?;
         let mean = moments[0] / self.footprint.total();
         self.residual_rms_nm = (moments[1] / self.footprint.total() - mean * mean).max(0.0).sqrt();
@@ -145,12 +153,15 @@ impl Simulator {
         let (sensing, control_scene) = sections(scene)?;
         let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
         let pupil = telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)?;
-        let footprint = Footprint::of(&pupil);
-        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?;
+        // Which lenslets are used was chosen for perfect segments.
+        let lit = reflecting(&pupil, &truth);
+        let footprint = Footprint::of(&lit);
+        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?.before(&lit);
         let influence = actuators(scene, &lenslets)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
-        let mut sensor = Sensor::new(sensing, lenslets, &pupil, &footprint)?;
+        let mut sensor = Sensor::new(sensing, lenslets, &lit, &footprint)?;
         let interaction = interaction(&mut sensor, &mut surface, &footprint)?;
+        let sensor = sensor.as_it_is(sensing, &lit, &footprint)?;
         let lenslets = sensor.lenslets();
         let mask = match sensing.mask {
             SensorMask::None => vec![false; lenslets.subapertures.len()],
@@ -180,8 +191,12 @@ impl Simulator {
         noise.set_stream(SENSOR_STREAM);
         let noisy = sensing.photon_noise || sensing.read_noise_e > 0.0;
         let light = noisy.then(|| Light::new(sensing, lenslets.pitch_m, frame_s, noise));
+        let segments_nm = segments_nm(&truth, &telescope, &pupil, &footprint);
+        let schedule = Schedule::of(scene, control_scene.settle_s, control_scene.frame_rate_hz);
+        let drift = Drift::of(&truth, &pupil, &footprint, &segments_nm, &schedule, frame_s)?;
         let plant = Plant {
-            segments_nm: segments_nm(&truth, &telescope, &pupil, &footprint),
+            segments_nm,
+            drift: drift.map(Arc::new),
             slopes_mas: vec![0.0; sensor.slopes()],
             commands_nm: vec![0.0; surface.actuators()],
             controller: law.start(),
@@ -391,6 +406,17 @@ fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint
         }
     }
     Ok(matrix)
+}
+
+/// The pupil with each segment's amplitude.
+fn reflecting(pupil: &Pupil, truth: &Truth) -> Pupil {
+    let mut lit = pupil.clone();
+    ndarray::Zip::from(&mut lit.amplitude).and(&pupil.owner).for_each(|amplitude, &owner| {
+        if owner >= 0 {
+            *amplitude *= truth.amplitude[owner as usize];
+        }
+    });
+    lit
 }
 
 /// The segments' errors over the map, nm: each sample shows the segment that owns it.
