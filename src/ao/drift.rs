@@ -69,3 +69,73 @@ impl Drift {
         residual_nm.iter_mut().zip(&*self.ncpa_nm).for_each(|(out, drift)| *out += minutes * drift);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::ao::{CALM, Frame, Progress, Recorder, Shot, Simulator};
+    use crate::scene::Scene;
+    use ndarray::Array2;
+
+    /// The residual wavefront of the first and of the last frame, and the images.
+    #[derive(Default)]
+    struct Ends {
+        first_nm: Vec<f32>,
+        last_nm: Vec<f32>,
+        images_e: Vec<Array2<f32>>,
+    }
+
+    impl Recorder for Ends {
+        fn frame(&mut self, frame: &Frame) -> crate::Result<()> {
+            if frame.number == 0 {
+                self.first_nm = frame.residual_nm.to_vec();
+            }
+            self.last_nm = frame.residual_nm.to_vec();
+            Ok(())
+        }
+        fn shot(&mut self, shot: Shot) -> crate::Result<()> {
+            self.images_e.push(shot.image_e);
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn statics_drift_evenly_about_the_middle() {
+        let small = include_str!("../../tests/c_api/small.toml");
+        let scene = Scene::from_text(small, "".as_ref()).unwrap().with(&CALM).unwrap();
+        let quiet = [
+            ("control.settle_s", "0"),
+            // A mirror that hardly moves: what changes are the segments.
+            ("control.gain", "1e-9"),
+            ("image.exposure_s", "0"),
+            ("image.interval_s", "0.1"),
+            ("image.count", "7"),
+            ("image.photon_noise", "false"),
+            ("image.read_noise_e", "0"),
+            ("aberrations.drift_nm_per_min", "2000"),
+        ];
+        let mut simulator = Simulator::new(&scene.with(&quiet).unwrap()).unwrap();
+        let still_nm = simulator.segments_nm().to_vec();
+        let mut ends = Ends::default();
+        simulator.run(&mut ends, &mut Progress::default()).unwrap();
+        let rms = |map_nm: &[f32]| {
+            let amplitude = simulator.footprint().amplitude();
+            let square = |(nm, a): (&f32, &f32)| f64::from(a * nm * nm);
+            (map_nm.iter().zip(amplitude).map(square).sum::<f64>() / simulator.footprint().total()).sqrt()
+        };
+        let gained: Vec<f32> = ends.last_nm.iter().zip(&ends.first_nm).map(|(last, first)| last - first).collect();
+        // 0.6 s of 2,000 nm a minute; grey samples at the edges show their owner's whole piston: a per cent.
+        assert!((rms(&gained) / 20.0 - 1.0).abs() < 0.02, "{}", rms(&gained));
+        let middle: Vec<f32> =
+            (0..still_nm.len()).map(|i| (ends.last_nm[i] + ends.first_nm[i]) / 2.0 - still_nm[i]).collect();
+        // Half of a frame's 0.03 nm, and single precision.
+        assert!(rms(&middle) < 0.1, "{}", rms(&middle));
+        // The NCPA, which the residual wavefront does not show, have gained half of it since the middle.
+        let mut ncpa_nm = simulator.footprint().zeros();
+        simulator.plant.drift.as_ref().unwrap().add_ncpa(simulator.frames(), &mut ncpa_nm);
+        assert!((rms(&ncpa_nm) / 10.0 - 1.0).abs() < 0.02, "{}", rms(&ncpa_nm));
+        // An image moves with its square.
+        let far = |a: &Array2<f32>, b: &Array2<f32>| (a - b).mapv(|e| e * e).sum();
+        let [first, next, last] = [0, 1, 6].map(|i| &ends.images_e[i]);
+        assert!(far(first, last) > 10.0 * far(first, next));
+    }
+}

@@ -13,6 +13,7 @@ mod drift;
 mod file;
 mod footprint;
 mod lines;
+mod parts;
 mod phase;
 mod profile;
 mod run;

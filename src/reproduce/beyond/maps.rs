@@ -19,8 +19,9 @@ const PREFIX: &str = "NCPA";
 /// Samples of the held map: 24 to a pitch of the mirror, so that what lies between them is a straight line to 1e-3.
 const HELD_SAMPLES: usize = 480;
 
-/// Weight that keeps actuators which the map hardly shows from flying off, of the strongest one's.
-const RIDGE: f64 = 1e-3;
+/// Weight that keeps actuators which the map hardly shows from flying off, of the strongest one's. A tenth of it holds 0.5 to
+/// 2 nm more of Keck's maps, and goes on half as far again where they show nothing.
+const RIDGE: f64 = 1e-2;
 
 /// Least glass of a sample of a map that counts.
 const LEAST_GLASS: f64 = 0.5;
@@ -165,8 +166,8 @@ mod tests {
         }
         let held = held_maps(folder.path(), &scene, out.path()).unwrap();
         assert_eq!((held.len(), held[0].turned, held[1].turned), (2, false, true));
-        // A wave of 12 pitches is held but for the ridge and the edge: a hundredth. Checks are not, but for the edge.
-        assert!(held[0].left_nm < 0.02 * held[0].rms_nm, "{held:?}");
+        // A wave of 12 pitches is held but for the ridge and the edge: a few hundredths. Checks are not, but for the edge.
+        assert!(held[0].left_nm < 0.05 * held[0].rms_nm, "{held:?}");
         assert!((held[1].left_nm / 20.0 - 1.0).abs() < 0.05, "{held:?}");
         let truth = read_map(&held[1].held, None).unwrap();
         let grid = Grid::new(HELD_SAMPLES, 11.25).unwrap();
