@@ -104,9 +104,10 @@ impl ResidualCovariance {
         let share = 1.0 / images as f64;
         let n2 = (self.padded * self.padded) as f64;
         let gain_nm2 = self.spectrum_nm2.iter().map(|nm2| nm2 * share / n2).collect();
-        // Scaled to about 1 in single precision: conjugate gradients do not ask for the scale of what preconditions them.
-        let inverse = |nm2: &f64| (middle / (nm2 * share + middle) / n2) as f32;
-        let inverse = self.spectrum_nm2.iter().map(inverse).collect();
+        // Scaled to 1 and less in single precision: conjugate gradients do not ask for the scale of what preconditions them.
+        let strength = |nm2: &f64| (nm2 * share + middle).max(f64::MIN_POSITIVE);
+        let weakest = self.spectrum_nm2.iter().map(strength).fold(f64::MAX, f64::min);
+        let inverse = self.spectrum_nm2.iter().map(|nm2| (weakest / strength(nm2) / n2) as f32).collect();
         MeanCovariance { of_one: self, gain_nm2, floor_nm2, inverse }
     }
 }

@@ -68,6 +68,7 @@ pub fn beyond(
     let path = directory.join("beyond-draws.csv");
     let kept = std::fs::read_to_string(&path).unwrap_or_default();
     let mut draws: Vec<BeyondDraw> = kept.lines().skip(1).filter_map(BeyondDraw::parse).collect();
+    let mut failed = Vec::new();
     let wanted = |draw: &BeyondDraw| draw.seed <= seeds && rows.iter().any(|row| row.name == draw.row);
     progress.expect(rows.len() * seeds);
     progress.add(draws.iter().filter(|draw| wanted(draw)).count());
@@ -76,24 +77,42 @@ pub fn beyond(
             rows.iter().filter(|row| !draws.iter().any(|draw| draw.row == row.name && draw.seed == seed)).collect();
         for group in groups(&missing, conditions, seed)? {
             let mut images = None;
-            for (row, made) in group.members {
+            for (row, made) in &group.members {
                 progress.check()?;
-                let draw = match (row.first, &mut images) {
-                    (Some(first), _) => row.two_steps(first, conditions, seed, progress)?,
-                    (None, Some(behind)) => row.draw(behind, &made, seed, progress)?,
-                    (None, images) => {
-                        let behind = images.insert(Behind::of(Simulator::new(&group.longest)?, progress)?);
-                        row.draw(behind, &made, seed, progress)?
+                match one(row, made, &group.longest, &mut images, (conditions, seed), progress) {
+                    Ok(draw) => {
+                        keep(&path, &draw, draws.is_empty())?;
+                        draws.push(draw);
                     }
-                };
-                keep(&path, &draw, draws.is_empty())?;
-                draws.push(draw);
+                    Err(error @ (Error::Interrupted(_) | Error::File { .. })) => return Err(error),
+                    // A row that cannot be made is told, and the others go on.
+                    Err(error) => failed.push(format!("{}, seed {seed}: {error}", row.name)),
+                }
                 progress.add(1);
             }
         }
     }
     draws.retain(wanted);
-    Ok(Beyond { rows: rows.to_vec(), draws })
+    Ok(Beyond { rows: rows.to_vec(), draws, failed })
+}
+
+/// One draw; `images` are those of its group, made for the first who wants them.
+fn one(
+    row: &BeyondRow,
+    made: &Scene,
+    longest: &Scene,
+    images: &mut Option<Behind>,
+    (conditions, seed): (&Conditions, usize),
+    progress: &Progress,
+) -> Result<BeyondDraw> {
+    if let Some(first) = row.first {
+        return row.two_steps(first, conditions, seed, progress);
+    }
+    let behind = match images {
+        Some(behind) => behind,
+        None => images.insert(Behind::of(Simulator::new(longest)?, progress)?),
+    };
+    row.draw(behind, made, seed, progress)
 }
 
 /// Adds a draw to the file of them.

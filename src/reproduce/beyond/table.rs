@@ -19,6 +19,8 @@ pub struct Beyond {
     pub rows: Vec<BeyondRow>,
     /// Draws.
     pub draws: Vec<BeyondDraw>,
+    /// Draws that could not be made, and why.
+    pub failed: Vec<String>,
 }
 
 impl Beyond {
@@ -168,6 +170,9 @@ impl Beyond {
             held.write_csv(&directory.join("beyond-maps.csv"))?;
             text += &format!("Measured NCPA, nm RMS, and what the mirror cannot hold of them\n{}", held.text());
         }
+        for failure in &self.failed {
+            text += &format!("Not made: {failure}\n");
+        }
         Ok(Report { text, files })
     }
 }
@@ -187,7 +192,7 @@ mod tests {
     fn a_row_tells_what_is_worse_and_what_is_wrong() {
         let rows = vec![BEYOND_ROWS[0].clone(), BEYOND_ROWS[1].clone()];
         let draws = vec![draw(NOMINAL, 1, 5.0, 1.0), draw("25 images", 1, 31.0, 2.0), draw("25 images", 2, 7.0, 1.1)];
-        let text = Beyond { rows, draws }.table().csv();
+        let text = Beyond { rows, draws, failed: Vec::new() }.table().csv();
         let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
         let column = |name: &str| lines[0].iter().position(|head| *head == name).unwrap();
         assert_eq!((lines[1][column("not_worse")], lines[1][column("flagged")]), ("1/1", "0/1"));
