@@ -325,13 +325,15 @@ impl Colour {
                 let own = optics.truth.segment_nm(&optics.telescope.pupil, segment as usize, x_m, y_m);
                 let nm = if view.segments { own - f64::from(optics.segments_nm[place]) } else { 0.0 };
                 let (sin, cos) = phasor(nm);
+                let share = share * optics.truth.amplitude[segment as usize];
                 (sum_re, sum_im) = (sum_re + share * cos, sum_im + share * sin);
             }
             let (sin, cos) = phasor(smooth_nm);
             re[place] = (sum_re * cos - sum_im * sin) as f32;
             im[place] = (sum_re * sin + sum_im * cos) as f32;
         }
-        let scale = (1.0 / (length * length * weights.energy)) as f32;
+        let light = weights.energy * optics.truth.throughput(optics.telescope);
+        let scale = (1.0 / (length * length * light)) as f32;
         Ok(Self { turns_per_nm: (1.0 / wavelength_nm) as f32, re, im, scale, route })
     }
 

@@ -4,13 +4,16 @@
 //! the modes of its mirror: a simulator with the estimator's shortcuts would only confirm them.
 
 mod atmosphere;
+mod calm;
 mod camera;
 mod control;
 mod darkroom;
 mod divergence;
+mod drift;
 mod file;
 mod footprint;
 mod lines;
+mod parts;
 mod phase;
 mod profile;
 mod run;
@@ -22,6 +25,7 @@ mod valid_map;
 mod work;
 
 pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
+pub use calm::CALM;
 pub use camera::{ScienceCamera, View, strehl_on_axis};
 pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stability, segment_mask};
 pub use divergence::Divergence;

@@ -11,7 +11,7 @@ use super::lines::Lines;
 use super::profile::{Profile, Stage};
 use super::simulator::{Frame, Plant, Simulator, sections};
 use crate::scene::Scene;
-use crate::source::flux_e;
+use crate::source::{Pixels, flux_e};
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::collections::VecDeque;
@@ -174,11 +174,20 @@ impl Simulator {
         let schedule = Schedule::of(&scene, control.settle_s, control.frame_rate_hz);
         let mut camera = self.camera(View::of(&scene.image))?;
         // The star's flux is that of the static aberrations alone: what peak_snr means does not hang on the loop.
-        let peak = camera.psf(self.segments_nm()).iter().copied().fold(0.0, f32::max);
-        let flux_e = flux_e(&scene.image, f64::from(peak));
+        let pixels = Pixels::of(&scene);
+        let peak = pixels.see(camera.psf(self.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));
+        let flux_e = flux_e(&scene.image, peak);
         let footprint = self.plant.footprint.clone();
         let first_frame = self.plant.number;
-        let darkroom = Darkroom { camera, scene: scene.clone(), flux_e, footprint: footprint.clone(), first_frame };
+        let darkroom = Darkroom {
+            camera,
+            pixels,
+            drift: self.plant.drift.clone(),
+            scene: scene.clone(),
+            flux_e,
+            footprint: footprint.clone(),
+            first_frame,
+        };
         let before = self.plant.profile;
         let watch = Watch::new(self.frame_s(), sensing.wavelength_nm, self.stability());
         let (atmosphere, plant) = (&mut self.atmosphere, &mut self.plant);
@@ -354,7 +363,7 @@ impl<'a> Closing<'a> {
         if let Some(shot) = self.waiting.back_mut().filter(|_| last) {
             shot.mean_slopes_mas = std::mem::take(&mut self.slopes_mas);
         }
-        let film = Film { image, residual_nm: residual_nm.to_vec(), share, last };
+        let film = Film { image, frame: self.run, residual_nm: residual_nm.to_vec(), share, last };
         // A darkroom that is gone has panicked, which its own end reports.
         exposed.send(film).map_err(|_| Error::Internal("the thread of the camera is gone".into()))?;
         Ok(if last { image + 1 } else { image })

@@ -8,14 +8,16 @@
 use super::atmosphere::Atmosphere;
 use super::camera::{self, Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
+use super::drift::Drift;
 use super::footprint::Footprint;
 use super::lines::Lines;
+use super::parts::{actuators, interaction, reflecting, segments_nm};
 use super::profile::{Profile, Stage};
+use super::run::Schedule;
 use super::sensor::{Lenslets, Light, Sensor};
 use super::surface::Surface;
-use super::valid_map;
 use crate::grid::Grid;
-use crate::modes::{InfluenceFunctions, Mirror, karhunen_loeve_complete};
+use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
 use crate::pupil::Pupil;
 use crate::scene::{ControlBasis, ControlScene, Scene, SensorMask, SensorScene};
 use crate::source::{Truth, stream};
@@ -24,11 +26,8 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use std::sync::Arc;
 use std::time::Instant;
-
-/// Stroke with which the interaction matrix is taken, nm: a thirtieth of the sensor's wavelength, so that the answer is
-/// linear to 1 %, and its second order cancels between push and pull.
-const POKE_NM: f32 = 20.0;
 
 /// Stream of the sensor's noise under the seed of the turbulence; the layers have the first ones.
 const SENSOR_STREAM: u64 = 1 << 32;
@@ -54,6 +53,8 @@ pub struct Frame<'a> {
 pub(super) struct Plant {
     pub(super) footprint: Footprint,
     segments_nm: Lines,
+    /// What moves the segments' errors, and the NCPA.
+    pub(super) drift: Option<Arc<Drift>>,
     surface: Surface,
     sensor: Sensor,
     light: Option<Light>,
@@ -71,6 +72,9 @@ impl Plant {
     pub(super) fn frame(&mut self, opd_nm: &mut [f32]) -> Result<()> {
         let started = Instant::now();
         self.commands_nm.copy_from_slice(self.controller.commands_nm());
+        if let Some(drift) = &self.drift {
+            drift.segments_at(self.number, &mut self.segments_nm);
+        }
         let moments = self.surface.correct(&self.commands_nm, &self.segments_nm, opd_nm)?;
         let mean = moments[0] / self.footprint.total();
         self.residual_rms_nm = (moments[1] / self.footprint.total() - mean * mean).max(0.0).sqrt();
@@ -145,12 +149,15 @@ impl Simulator {
         let (sensing, control_scene) = sections(scene)?;
         let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
         let pupil = telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)?;
-        let footprint = Footprint::with_margin(&pupil, camera::MARGIN_SAMPLES);
-        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?;
+        // Which lenslets are used was chosen for perfect segments.
+        let lit = reflecting(&pupil, &truth);
+        let footprint = Footprint::with_margin(&lit, camera::MARGIN_SAMPLES);
+        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?.before(&lit);
         let influence = actuators(scene, &lenslets)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
-        let mut sensor = Sensor::new(sensing, lenslets, &pupil, &footprint)?;
+        let mut sensor = Sensor::new(sensing, lenslets, &lit, &footprint)?;
         let interaction = interaction(&mut sensor, &mut surface, &footprint)?;
+        let sensor = sensor.as_it_is(sensing, &lit, &footprint)?;
         let lenslets = sensor.lenslets();
         let mask = match sensing.mask {
             SensorMask::None => vec![false; lenslets.subapertures.len()],
@@ -180,8 +187,12 @@ impl Simulator {
         noise.set_stream(SENSOR_STREAM);
         let noisy = sensing.photon_noise || sensing.read_noise_e > 0.0;
         let light = noisy.then(|| Light::new(sensing, lenslets.pitch_m, frame_s, noise));
+        let segments_nm = segments_nm(&truth, &telescope, &pupil, &footprint);
+        let schedule = Schedule::of(scene, control_scene.settle_s, control_scene.frame_rate_hz);
+        let drift = Drift::of(&truth, &pupil, &footprint, &segments_nm, &schedule, frame_s)?;
         let plant = Plant {
-            segments_nm: segments_nm(&truth, &telescope, &pupil, &footprint),
+            segments_nm,
+            drift: drift.map(Arc::new),
             slopes_mas: vec![0.0; sensor.slopes()],
             commands_nm: vec![0.0; surface.actuators()],
             controller: law.start(),
@@ -347,58 +358,4 @@ impl Simulator {
         self.plant.surface.add(commands_nm, 1.0, &mut map)?;
         Ok(map)
     }
-}
-
-/// The actuators of the scene's mirror: those of its map, or those at a corner of a subaperture in use. One farther out
-/// would move only the edge of what the sensor sees, and the noise of its command would be a hundred times the others'.
-fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
-    let part = &scene.mirror;
-    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
-    if let Some(file) = &part.actuator_file {
-        let path = scene.resolve(file);
-        return mirror.from_map(&valid_map::text(&path)?).map_err(|error| Error::file(&path, error));
-    }
-    let middle = (lenslets.across as f64 - 1.0) / 2.0;
-    let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
-    // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
-    let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
-    mirror.chosen(|x_m, y_m| {
-        let beside = |&place: &usize| {
-            (centre(place % lenslets.across) - x_m).abs() <= reach_m
-                && (centre(place / lenslets.across) - y_m).abs() <= reach_m
-        };
-        lenslets.subapertures.iter().any(beside)
-    })
-}
-
-/// Pushes and pulls each actuator in front of a flat wavefront, without noise: `[slopes, actuators]`, mas per nm.
-fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint) -> Result<Array2<f64>> {
-    let (slopes, actuators) = (sensor.slopes(), surface.actuators());
-    let mut matrix = Array2::zeros((slopes, actuators));
-    let mut command = vec![0.0; actuators];
-    let mut measured = [vec![0.0; slopes], vec![0.0; slopes]];
-    let mut map = footprint.zeros();
-    for (actuator, mut column) in matrix.columns_mut().into_iter().enumerate() {
-        for (sign, measured) in [1.0, -1.0].into_iter().zip(&mut measured) {
-            map.fill(0.0);
-            command[actuator] = sign * POKE_NM;
-            surface.add(&command, 1.0, &mut map)?;
-            sensor.measure(&map, None, measured)?;
-        }
-        command[actuator] = 0.0;
-        for ((out, push), pull) in column.iter_mut().zip(&measured[0]).zip(&measured[1]) {
-            *out = f64::from(push - pull) / f64::from(2.0 * POKE_NM);
-        }
-    }
-    Ok(matrix)
-}
-
-/// The segments' errors over the map, nm: each sample shows the segment that owns it.
-fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Lines {
-    let mut map = footprint.zeros();
-    for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
-        let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
-        map[y * footprint.stride() + x] = truth.segment_nm(&telescope.pupil, owner as usize, x_m, y_m) as f32;
-    }
-    map
 }

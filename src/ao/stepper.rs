@@ -4,7 +4,7 @@ use super::camera::{ScienceCamera, View};
 use super::divergence::{Divergence, Watch};
 use super::simulator::{Frame, Simulator, sections};
 use crate::scene::Scene;
-use crate::source::{expose, flux_e, stream};
+use crate::source::{Pixels, expose, flux_e, stream};
 use crate::{Error, Result};
 use ndarray::Array2;
 
@@ -17,6 +17,7 @@ const FRAME_STREAM: u64 = 3 << 32;
 pub struct Stepper {
     simulator: Simulator,
     camera: ScienceCamera,
+    pixels: Pixels,
     flux_e: f64,
     watch: Watch,
     divergence: Option<Divergence>,
@@ -32,10 +33,11 @@ impl Stepper {
         let simulator = Simulator::new(scene)?;
         let mut camera = simulator.camera(View::of(&scene.image))?;
         // As in a run: the star's flux is that of the static aberrations alone.
-        let peak = camera.psf(simulator.segments_nm()).iter().copied().fold(0.0, f32::max);
-        let flux_e = flux_e(&scene.image, f64::from(peak));
+        let pixels = Pixels::of(scene);
+        let peak = pixels.see(camera.psf(simulator.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));
+        let flux_e = flux_e(&scene.image, peak);
         let watch = Watch::new(simulator.frame_s(), sensing.wavelength_nm, simulator.stability());
-        Ok(Self { simulator, camera, flux_e, watch, divergence: None })
+        Ok(Self { simulator, camera, pixels, flux_e, watch, divergence: None })
     }
 
     /// Advances the loop by `frames` frames. A loop that diverges goes on: see [`Stepper::divergence`].
@@ -82,10 +84,14 @@ impl Stepper {
     /// As [`Stepper::last`].
     pub fn image_e(&mut self) -> Result<Array2<f32>> {
         let number = self.last()?.number;
-        let psf = self.camera.psf(&self.simulator.residual_nm);
+        let mut residual_nm = self.simulator.residual_nm.clone();
+        if let Some(drift) = &self.simulator.plant.drift {
+            drift.add_ncpa(number, &mut residual_nm);
+        }
+        let psf = self.pixels.see(self.camera.psf(&residual_nm).mapv(f64::from));
         let scene = self.simulator.scene();
         let mut rng = stream(scene.turbulence.seed, FRAME_STREAM + number);
-        Ok(psf.mapv(|h| expose(&scene.image, f64::from(h), self.flux_e, &mut rng) as f32))
+        Ok(psf.mapv(|h| expose(&scene.image, h, self.flux_e, &mut rng) as f32))
     }
 
     /// When the loop ran away, if it has.

@@ -11,6 +11,7 @@ const EXAMPLES: &str = "Examples:
   cophase reproduce table -o results                        the paper's table: some six minutes
   cophase reproduce artificial-source -o results            24 draws: a few minutes
   cophase reproduce diversity -o results --seeds 3
+  cophase reproduce beyond -o results --row '10 images' --row '128 nm' --seeds 10
   cophase reproduce all -o results --quick                  a look at the shapes";
 
 /// Examples, and every target with what it shows.
@@ -41,6 +42,12 @@ pub struct Arguments {
     /// Telescope behind the AO loop: paper (segments of 0.862 m, a pupil of 10.49 m) or real (0.9 m)
     #[arg(long, value_name = "WHICH", default_value = "paper", value_parser = segments)]
     segments: Segments,
+    /// Row of beyond to make, by name; may be given more than once [default: all]
+    #[arg(long, value_name = "NAME")]
+    row: Vec<String>,
+    /// Folder of measured NCPA maps (NCPA*.fits, nm, over the pupil's grid): one more row of beyond for each
+    #[arg(long, value_name = "FOLDER")]
+    maps: Option<PathBuf>,
     /// Print what was written as JSON, not the tables
     #[arg(long)]
     json: bool,
@@ -80,6 +87,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         directory: arguments.output.clone(),
         quick: arguments.quick,
         segments: arguments.segments,
+        rows: arguments.row.clone(),
+        maps: arguments.maps.clone(),
     };
     let mut written = Vec::new();
     for target in &arguments.targets.0 {

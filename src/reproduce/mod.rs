@@ -16,7 +16,7 @@ mod samples;
 mod table_rows;
 
 pub use artificial_source::{ArtificialSource, WayResult, artificial_source};
-pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, beyond};
+pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, HeldMap, beyond, beyond_rows, held_maps};
 pub use diversity::{Diversity, DiversityPoint, diversity};
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};
 pub use on_sky_images::{ImageNumber, ImageNumbers, image_numbers};
@@ -68,6 +68,10 @@ pub struct Options {
     pub quick: bool,
     /// The telescope behind the loop.
     pub segments: Segments,
+    /// Rows of [`Target::Beyond`] by name; none are all.
+    pub rows: Vec<String>,
+    /// Folder of measured maps of NCPA, each of which is a row of [`Target::Beyond`].
+    pub maps: Option<PathBuf>,
 }
 
 impl Options {
@@ -210,9 +214,9 @@ impl Target {
             Target::Strehl => figures::strehl(&options.conditions(), seeds, &progress)?.report(&options.directory),
             Target::Psd => figures::psd(&options.conditions(), seeds, &progress)?.report(&options.directory),
             Target::Beyond => {
-                let rows: Vec<&BeyondRow> =
-                    BEYOND_ROWS.iter().take(if options.quick { 3 } else { usize::MAX }).collect();
-                beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?.report(&options.directory)
+                let (rows, maps) = beyond_rows(options)?;
+                let table = beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?;
+                table.report(&maps, &options.directory)
             }
         }
     }

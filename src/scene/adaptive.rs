@@ -94,6 +94,10 @@ section! {
         pixels_per_lenslet: Option<usize>, even(2.0, 128.0), unset("8, or the largest that divides evenly below");
         /// detector = "pixels": pixels with less than this count as dark.
         threshold_e: f64, between(0.0, 1e9), default(0.0);
+        /// How far the lenslets have moved along x and y since the interaction matrix was taken, in subapertures.
+        shift_subapertures: Vec<f64>, between(-0.5, 0.5), default([0.0, 0.0]);
+        /// Slopes over those when the interaction matrix was taken: below 1 where spots have grown since.
+        slope_gain: f64, above(0.0, 10.0), default(1.0);
         /// Wavelength at which the sensor works.
         wavelength_nm: f64, above(0.0, 1e6), default(640.0);
         /// Photons of a star of magnitude 0 (default: 4.01e12 / 368, the R band).
@@ -123,6 +127,11 @@ impl Check for SensorScene {
                 2 * self.samples_per_lenslet
             );
             return Err(reader.error("pixels_per_lenslet", sentence));
+        }
+        if self.shift_subapertures.len() != 2 {
+            let count = self.shift_subapertures.len();
+            let sentence = format!("wavefront_sensor.shift_subapertures has {count} values; [x, y] is needed");
+            return Err(reader.error("shift_subapertures", sentence));
         }
         Ok(())
     }

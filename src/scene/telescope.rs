@@ -176,6 +176,10 @@ section! {
         background_e: f64, between(0.0, 1e12), default(0.0);
         /// Whether a simulated image has photon noise.
         photon_noise: bool, ANY, default(true);
+        /// RMS over a simulated detector of its pixels' responses about 1.
+        pixel_response_rms: f64, between(0.0, 0.3), default(0.0);
+        /// Side of the square over which a pixel of a simulated image gathers light, over the pitch; 0 is a point.
+        pixel_fill: f64, between(0.0, 1.0), default(0.0);
         /// Images in a simulated sequence.
         count: usize, between(1.0, 1e6), default(1usize);
         /// From the start of one image to the start of the next; 0 is back to back.
@@ -242,6 +246,8 @@ section! {
         segment_piston_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// RMS over the pupil of the segments' tips and tilts.
         segment_tip_tilt_rms_nm: f64, between(0.0, 1e6), default(0.0);
+        /// RMS over the segments of their reflectivities about 1.
+        segment_reflectivity_rms: f64, between(0.0, 0.3), default(0.0);
         /// RMS over the pupil of the non-common path aberrations.
         ncpa_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// First and last Noll index of the Zernikes that they are made of.
@@ -250,6 +256,8 @@ section! {
         ncpa_power_law: f64, between(-20.0, 20.0), default(-2.0);
         /// FITS map of the non-common path aberrations, nm, in place of Zernikes.
         ncpa_file: Option<PathBuf>, ANY, unset("Zernikes");
+        /// RMS by which the pistons drift in a minute, and as much the NCPA: evenly, about the middle of a loop's images.
+        drift_nm_per_min: f64, between(0.0, 1e6), default(0.0);
         /// Samples along a side of the grid on which the truth is made.
         truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 for each of the pupil's, or those of its file");
         /// Seed of the draw, and of the images' noise.

@@ -4,22 +4,19 @@
 //! pistons rather than multiplied out.
 
 use super::LitSamples;
-use crate::ao::Simulator;
+use crate::ao::{CALM, Simulator};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
 
-/// No turbulence, no noise of the sensor, and no aberrations but those it is asked about.
-const CALM: [(&str, &str); 9] = [
-    ("turbulence.fractions", "[]"),
-    ("turbulence.heights_m", "[]"),
-    ("turbulence.wind_m_s", "[]"),
-    ("turbulence.wind_dir_rad", "[]"),
-    ("wavefront_sensor.photon_noise", "false"),
-    ("wavefront_sensor.read_noise_e", "0.0"),
+/// No aberrations but those it is asked about.
+const FLAT: [(&str, &str); 6] = [
+    ("aberrations.ncpa_file", ""),
     ("aberrations.segment_piston_rms_nm", "0.0"),
     ("aberrations.segment_tip_tilt_rms_nm", "0.0"),
+    ("aberrations.segment_reflectivity_rms", "0.0"),
     ("aberrations.ncpa_rms_nm", "0.0"),
+    ("aberrations.drift_nm_per_min", "0.0"),
 ];
 
 /// A mirror whose commands move by less than this from frame to frame is at rest: at a gain of 0.3 what is left to move is
@@ -49,10 +46,8 @@ impl CalmLoop {
     /// # Errors
     /// Those of [`Simulator::new`].
     pub fn of(scene: &Scene, lit: &LitSamples) -> Result<Self> {
-        let calm: Vec<_> = CALM
-            .into_iter()
-            .filter(|(key, _)| scene.aberrations.is_some() || !key.starts_with("aberrations"))
-            .collect();
+        let aberrations = scene.aberrations.iter().flat_map(|_| FLAT);
+        let calm: Vec<_> = CALM.into_iter().chain(aberrations).collect();
         let simulator = Simulator::new(&scene.with(&calm)?)?;
         let stride = simulator.footprint().stride();
         let owner = simulator.pupil().owner.indexed_iter().filter(|(_, owner)| **owner >= 0);

@@ -5,13 +5,12 @@
 //! preconditioned by the inverse spectrum (the exact inverse but for the pupil's edge) take two dozen iterations for
 //! four digits, whatever the number of samples.
 
+use super::convolver::{Convolver, Room, transform};
 use super::{LitSamples, Spectrum};
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
-use num_complex::Complex64;
+use ndarray::{Array2, ArrayView2, Axis};
+use num_complex::{Complex, Complex64};
 use rayon::prelude::*;
-use rustfft::{Fft, FftPlanner};
-use std::sync::Arc;
 
 /// Pairs of samples at a lag below which it is not measured: their mean would be noise.
 const FEWEST_PAIRS: f64 = 50.0;
@@ -23,6 +22,9 @@ const SOLVED: f64 = 1e-4;
 /// errors have there together.
 const UNSEEN_NM: f64 = 300.0;
 
+/// Maps whose power is summed by one thread: enough to pay for its memory.
+const MAPS_TOGETHER: usize = 16;
+
 /// Iterations after which a column stays as it is: ten times what one takes.
 const MOST_ITERATIONS: usize = 250;
 
@@ -31,14 +33,13 @@ const MOST_ITERATIONS: usize = 250;
 pub struct ResidualCovariance {
     /// Samples along a side of the grid with room for every lag.
     padded: usize,
-    /// The place of each lit sample on it.
-    places: Vec<usize>,
-    /// Eigenvalues, nm², `[ky, kx]`, none negative.
+    /// Eigenvalues, nm², `[kx, ky]`, none negative.
     spectrum_nm2: Vec<f64>,
     /// Which of them are of frequencies that no image shows.
     unseen: Vec<bool>,
-    forward: Arc<dyn Fft<f64>>,
-    inverse: Arc<dyn Fft<f64>>,
+    /// Convolutions in either precision: products with the covariance need the one, its approximate inverse only the other.
+    double: Convolver<f64>,
+    single: Convolver<f32>,
 }
 
 impl ResidualCovariance {
@@ -57,13 +58,13 @@ impl ResidualCovariance {
         if samples != lit.len() {
             return Err(Error::Shape(format!("phases of {samples} samples were given: {} are needed", lit.len())));
         }
-        let mut this = Self::room(lit);
-        let pairs = this.autocorrelation(std::iter::once(ndarray::Array1::ones(samples).view()));
-        let products = this.autocorrelation(residuals_nm.outer_iter());
+        let double = Convolver::of(lit);
+        let pairs = autocorrelation(&double, Array2::ones((1, samples)).view());
+        let products = autocorrelation(&double, residuals_nm);
         // The scatter about a mean of n is (n − 1)/n of that about the truth.
         let unbiased = 1.0 / (images - 1) as f64;
-        let n = this.padded;
-        let reach_m = this.reach_m(lit);
+        let n = double.padded;
+        let reach_m = reach_m(lit);
         let lag = |k: usize| (if k <= n / 2 { k as f64 } else { k as f64 - n as f64 }) * lit.pitch_m;
         let mut field: Vec<Complex64> = (0..n * n)
             .map(|at| {
@@ -75,9 +76,9 @@ impl ResidualCovariance {
                 Complex64::new(measured * taper, 0.0)
             })
             .collect();
-        this.transform(&mut field, &*this.forward.clone());
-        this.spectrum_nm2 = field.iter().map(|value| value.re.max(0.0)).collect();
-        Ok(this)
+        transform(&mut field, n, &*double.forward);
+        let spectrum_nm2 = field.iter().map(|value| value.re.max(0.0)).collect();
+        Ok(Self { padded: n, spectrum_nm2, unseen: vec![false; n * n], double, single: Convolver::of(lit) })
     }
 
     /// This covariance with no less than `spectrum` at any frequency.
@@ -105,54 +106,6 @@ impl ResidualCovariance {
         self
     }
 
-    /// The largest lag that matters: no pair is farther apart than the pupil is wide, and none at its width is left.
-    fn reach_m(&self, lit: &LitSamples) -> f64 {
-        let wide = |values: &[f64]| {
-            let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(low, high), &v| (low.min(v), high.max(v)));
-            high - low
-        };
-        wide(&lit.xs_m).max(wide(&lit.ys_m)).max(lit.pitch_m)
-    }
-
-    fn room(lit: &LitSamples) -> Self {
-        // Lags of either sign, up to the grid's width, without wrapping.
-        let padded = 2 * lit.samples;
-        let mut planner = FftPlanner::new();
-        Self {
-            padded,
-            places: lit.places.iter().map(|&place| place / lit.samples * padded + place % lit.samples).collect(),
-            spectrum_nm2: Vec::new(),
-            unseen: vec![false; padded * padded],
-            forward: planner.plan_fft_forward(padded),
-            inverse: planner.plan_fft_inverse(padded),
-        }
-    }
-
-    /// Σ over maps and over pairs of samples at each lag.
-    fn autocorrelation<'a>(&self, maps: impl Iterator<Item = ArrayView1<'a, f64>>) -> Vec<f64> {
-        let n2 = self.padded * self.padded;
-        let mut power = vec![Complex64::default(); n2];
-        let mut field = vec![Complex64::default(); n2];
-        for map in maps {
-            field.fill(Complex64::default());
-            for (&place, &value) in self.places.iter().zip(map) {
-                field[place] = value.into();
-            }
-            self.transform(&mut field, &*self.forward);
-            power.iter_mut().zip(&field).for_each(|(sum, value)| sum.re += value.norm_sqr());
-        }
-        self.transform(&mut power, &*self.inverse);
-        power.iter().map(|value| value.re / n2 as f64).collect()
-    }
-
-    /// Rows, then columns, in place, not normalised.
-    fn transform(&self, field: &mut [Complex64], fft: &dyn Fft<f64>) {
-        fft.process(field);
-        transpose(field, self.padded);
-        fft.process(field);
-        transpose(field, self.padded);
-    }
-
     /// RMS of a residual, nm.
     pub fn rms_nm(&self) -> f64 {
         (self.spectrum_nm2.iter().sum::<f64>()).sqrt() / self.padded as f64
@@ -164,58 +117,104 @@ impl ResidualCovariance {
         let floor_nm2: Vec<f64> = lit.glass.iter().map(|glass| (floor_nm / glass.clamp(0.1, 1.0)).powi(2)).collect();
         let middle = floor_nm.powi(2);
         let share = 1.0 / images as f64;
+        let n2 = (self.padded * self.padded) as f64;
         let of_mean = |(nm2, &unseen): (&f64, &bool)| nm2 * share + if unseen { UNSEEN_NM * UNSEEN_NM } else { 0.0 };
-        let spectrum_nm2: Vec<f64> = self.spectrum_nm2.iter().zip(&self.unseen).map(of_mean).collect();
-        let inverse_per_nm2 = spectrum_nm2.iter().map(|nm2| 1.0 / (nm2 + middle)).collect();
-        MeanCovariance { of_one: self, spectrum_nm2, floor_nm2, inverse_per_nm2 }
+        let mean_nm2: Vec<f64> = self.spectrum_nm2.iter().zip(&self.unseen).map(of_mean).collect();
+        let gain_nm2 = mean_nm2.iter().map(|nm2| nm2 / n2).collect();
+        // Scaled to 1 and less in single precision: conjugate gradients do not ask for the scale of what preconditions them.
+        let strength = |nm2: &f64| (nm2 + middle).max(f64::MIN_POSITIVE);
+        let weakest = mean_nm2.iter().map(strength).fold(f64::MAX, f64::min);
+        let inverse = mean_nm2.iter().map(|nm2| (weakest / strength(nm2) / n2) as f32).collect();
+        MeanCovariance { of_one: self, gain_nm2, floor_nm2, inverse }
     }
 }
 
-/// That of the place `[ky, kx]` on a square of `n` samples a side.
+/// That of the place `[kx, ky]` on a square of `n` samples a side.
 fn frequency_per_m(place: usize, n: usize, pitch_m: f64) -> f64 {
     let cycles = |k: usize| k.min(n - k) as f64;
     cycles(place % n).hypot(cycles(place / n)) / (n as f64 * pitch_m)
 }
 
-/// In place, square.
-fn transpose(field: &mut [Complex64], n: usize) {
-    // Tiles that stay in the cache: 16 × 16 complex numbers are 4 kB.
-    const TILE: usize = 16;
-    for y0 in (0..n).step_by(TILE) {
-        for x0 in (y0..n).step_by(TILE) {
-            for y in y0..(y0 + TILE).min(n) {
-                for x in x0.max(y + 1)..(x0 + TILE).min(n) {
-                    field.swap(y * n + x, x * n + y);
-                }
-            }
+/// The largest lag that matters: no pair is farther apart than the pupil is wide, and none at its width is left.
+fn reach_m(lit: &LitSamples) -> f64 {
+    let wide = |values: &[f64]| {
+        let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(low, high), &v| (low.min(v), high.max(v)));
+        high - low
+    };
+    wide(&lit.xs_m).max(wide(&lit.ys_m)).max(lit.pitch_m)
+}
+
+/// Σ over maps, `[map, sample]`, and over pairs of samples at each lag, `[x, y]`.
+fn autocorrelation(convolver: &Convolver<f64>, maps: ArrayView2<f64>) -> Vec<f64> {
+    let n2 = convolver.padded * convolver.padded;
+    // Two maps go as the real and the imaginary part of one: their cross terms are odd in frequency, and the real part of
+    // what comes back has none of them.
+    let of_some = |maps: ArrayView2<f64>| {
+        let (mut power, mut room) = (vec![0.0; n2], convolver.room());
+        for pair in maps.axis_chunks_iter(Axis(0), 2) {
+            let last = pair.nrows() - 1;
+            let both = (0..pair.ncols()).map(|i| Complex64::new(pair[[0, i]], last as f64 * pair[[last, i]]));
+            convolver.spectrum(both, &mut room);
+            power.iter_mut().zip(&room.turned).for_each(|(sum, value)| *sum += value.norm_sqr());
         }
+        power
+    };
+    // Parts of a fixed size, summed in turn: the same bits whatever the threads.
+    let parts: Vec<Vec<f64>> = maps.axis_chunks_iter(Axis(0), MAPS_TOGETHER).into_par_iter().map(of_some).collect();
+    let mut power = vec![0.0; n2];
+    for part in parts {
+        power.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
     }
+    let mut power: Vec<Complex64> = power.into_iter().map(Complex64::from).collect();
+    transform(&mut power, convolver.padded, &*convolver.inverse);
+    power.iter().map(|value| value.re / n2 as f64).collect()
 }
 
 /// Covariance of a mean of images.
 pub struct MeanCovariance<'a> {
     of_one: &'a ResidualCovariance,
-    spectrum_nm2: Vec<f64>,
+    /// Spectrum of the mean over the points of the grid, nm².
+    gain_nm2: Vec<f64>,
     floor_nm2: Vec<f64>,
-    inverse_per_nm2: Vec<f64>,
+    /// About the inverse, but for its scale.
+    inverse: Vec<f32>,
+}
+
+/// Memory of a solution.
+struct Rooms {
+    double: Room<f64>,
+    single: Room<f32>,
 }
 
 impl MeanCovariance<'_> {
+    fn rooms(&self) -> Rooms {
+        Rooms { double: self.of_one.double.room(), single: self.of_one.single.room() }
+    }
+
     /// C·v for two vectors at once, which are the real and the imaginary part of one.
     pub fn times(&self, vectors: &[Complex64]) -> Vec<Complex64> {
-        let mut product = self.filtered(vectors, |at| self.spectrum_nm2[at]);
-        product.iter_mut().zip(vectors).zip(&self.floor_nm2).for_each(|((out, v), floor)| *out += v * floor);
+        let mut product = vec![Complex64::default(); vectors.len()];
+        self.times_into(vectors, &mut product, &mut self.of_one.double.room());
         product
     }
 
-    fn filtered(&self, vectors: &[Complex64], gain: impl Fn(usize) -> f64) -> Vec<Complex64> {
-        let n2 = self.of_one.padded * self.of_one.padded;
-        let mut field = vec![Complex64::default(); n2];
-        self.of_one.places.iter().zip(vectors).for_each(|(&place, value)| field[place] = *value);
-        self.of_one.transform(&mut field, &*self.of_one.forward);
-        field.iter_mut().enumerate().for_each(|(at, value)| *value *= gain(at) / n2 as f64);
-        self.of_one.transform(&mut field, &*self.of_one.inverse);
-        self.of_one.places.iter().map(|&place| field[place]).collect()
+    fn times_into(&self, vectors: &[Complex64], product: &mut [Complex64], room: &mut Room<f64>) {
+        let filtered = self.of_one.double.filtered(vectors.iter().copied(), &self.gain_nm2, room);
+        for (((out, value), v), floor) in product.iter_mut().zip(filtered).zip(vectors).zip(&self.floor_nm2) {
+            *out = value + v * floor;
+        }
+    }
+
+    /// About C⁻¹·v, but for a factor. In single precision: it only has to be the same linear map every time, to a part in
+    /// 10⁶.
+    fn precondition(&self, vectors: &[Complex64], out: &mut [Complex64], room: &mut Room<f32>) {
+        let largest =
+            vectors.iter().fold([f64::MIN_POSITIVE; 2], |[re, im], v| [re.max(v.re.abs()), im.max(v.im.abs())]);
+        let narrow = |v: &Complex64| Complex::new((v.re / largest[0]) as f32, (v.im / largest[1]) as f32);
+        let filtered = self.of_one.single.filtered(vectors.iter().map(narrow), &self.inverse, room);
+        for (out, value) in out.iter_mut().zip(filtered) {
+            *out = Complex64::new(f64::from(value.re) * largest[0], f64::from(value.im) * largest[1]);
+        }
     }
 
     /// C⁻¹ of each row of `columns`, `[column, sample]`, per nm².
@@ -225,41 +224,46 @@ impl MeanCovariance<'_> {
     pub fn solve(&self, columns: ArrayView2<f64>) -> Result<Array2<f64>> {
         let mut solved = Array2::zeros(columns.dim());
         let pairs = columns.axis_chunks_iter(Axis(0), 2).into_par_iter();
-        solved.axis_chunks_iter_mut(Axis(0), 2).into_par_iter().zip(pairs).try_for_each(|(mut out, pair)| {
-            let both = |sample: usize| {
-                Complex64::new(pair[[0, sample]], if pair.nrows() > 1 { pair[[1, sample]] } else { 0.0 })
-            };
-            let right: Vec<Complex64> = (0..pair.ncols()).map(both).collect();
-            for (sample, value) in self.solve_pair(right)?.into_iter().enumerate() {
-                out[[0, sample]] = value.re;
-                if out.nrows() > 1 {
-                    out[[1, sample]] = value.im;
+        let outs = solved.axis_chunks_iter_mut(Axis(0), 2).into_par_iter();
+        outs.zip(pairs).try_for_each_init(
+            || self.rooms(),
+            |rooms, (mut out, pair)| {
+                let both = |sample: usize| {
+                    Complex64::new(pair[[0, sample]], if pair.nrows() > 1 { pair[[1, sample]] } else { 0.0 })
+                };
+                let right: Vec<Complex64> = (0..pair.ncols()).map(both).collect();
+                for (sample, value) in self.solve_pair(right, rooms)?.into_iter().enumerate() {
+                    out[[0, sample]] = value.re;
+                    if out.nrows() > 1 {
+                        out[[1, sample]] = value.im;
+                    }
                 }
-            }
-            Ok(())
-        })?;
+                Ok(())
+            },
+        )?;
         Ok(solved)
     }
 
     /// Conjugate gradients on two right sides at once, each with steps of its own.
-    fn solve_pair(&self, right: Vec<Complex64>) -> Result<Vec<Complex64>> {
+    fn solve_pair(&self, right: Vec<Complex64>, rooms: &mut Rooms) -> Result<Vec<Complex64>> {
         let wanted = dots(&right, &right).map(|square| square * SOLVED * SOLVED);
         let mut x = vec![Complex64::default(); right.len()];
         let mut residual = right;
-        let precondition = |r: &[Complex64]| self.filtered(r, |at| self.inverse_per_nm2[at]);
-        let mut direction = precondition(&residual);
+        let mut preconditioned = x.clone();
+        self.precondition(&residual, &mut preconditioned, &mut rooms.single);
+        let (mut direction, mut product) = (preconditioned.clone(), x.clone());
         let mut gain = dots(&residual, &direction);
         for _ in 0..MOST_ITERATIONS {
             let left = dots(&residual, &residual);
             if (0..2).all(|i| left[i] <= wanted[i]) {
                 return Ok(x);
             }
-            let product = self.times(&direction);
+            self.times_into(&direction, &mut product, &mut rooms.double);
             let curvature = dots(&direction, &product);
             let step = [0, 1].map(|i| if curvature[i] > 0.0 { gain[i] / curvature[i] } else { 0.0 });
             add(&mut x, &direction, step);
             add(&mut residual, &product, step.map(|s| -s));
-            let preconditioned = precondition(&residual);
+            self.precondition(&residual, &mut preconditioned, &mut rooms.single);
             let next = dots(&residual, &preconditioned);
             let keep = [0, 1].map(|i| if gain[i] > 0.0 { next[i] / gain[i] } else { 0.0 });
             for (d, p) in direction.iter_mut().zip(&preconditioned) {

@@ -11,6 +11,7 @@
 
 mod calm_loop;
 mod commands;
+mod convolver;
 mod covariance;
 mod estimate;
 mod evidence;

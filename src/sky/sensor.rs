@@ -13,6 +13,7 @@ use crate::scene::Scene;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+use rayon::prelude::*;
 
 /// Push and pull with which the sensor's response to a mode is taken, nm RMS: small against its wavelength.
 const POKE_NM: f64 = 10.0;
@@ -47,6 +48,8 @@ pub struct SensorModel {
     modes: Array2<f64>,
     map_nm: Vec<f32>,
     slopes_mas: Vec<f32>,
+    /// Slopes for 1 nm of each mode, `[mode, slope]`, mas, and what finds modes in slopes, once they were measured.
+    response: Option<(Array2<f64>, Array2<f64>)>,
 }
 
 impl SensorModel {
@@ -62,7 +65,8 @@ impl SensorModel {
         let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
         let pupil = telescope.pupil_on(grid)?;
         let footprint = Footprint::of(&pupil);
-        let sensor = Sensor::new(sensing, Lenslets::of(sensing, &pupil, scene.directory())?, &pupil, &footprint)?;
+        let sensor = Sensor::new(sensing, Lenslets::of(sensing, &pupil, scene.directory())?, &pupil, &footprint)?
+            .as_it_is(sensing, &pupil, &footprint)?;
         let fine = Samples::of(&pupil)?;
         let n = grid.samples();
         let place = |&at: &usize| (at / n * footprint.stride() + at % n, pupil.owner[[at / n, at % n]].max(0) as usize);
@@ -72,6 +76,7 @@ impl SensorModel {
             modes: basis.evaluate(&fine.xs_m, &fine.ys_m)?,
             map_nm: footprint.zeros().to_vec(),
             slopes_mas: vec![0.0; sensor.slopes()],
+            response: None,
             sensor,
             footprint,
         })
@@ -132,20 +137,28 @@ impl SensorModel {
             let fine = |sources: &[(u32, f64); 4]| sources.iter().map(|&(s, w)| w * smooth_nm[s as usize]).sum::<f64>();
             self.sources.iter().map(fine).collect::<Array1<f64>>() - &known_nm
         };
-        let rests_nm: Vec<Array1<f64>> = (0..images).map(rest).collect();
-        let response = self.response(pistons_nm, &rests_nm)?;
-        let gram = Spd::of(&response.dot(&response.t())).map_err(|_| {
-            Error::Value(format!(
-                "{slopes} slopes do not tell {} NCPA modes apart: fewer modes are needed",
-                ncpa_nm.len()
-            ))
-        })?;
-        let gram = gram.inverse;
+        let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
+        // Taken once: static errors that are a little better known change the response by less than its images scatter, and
+        // what is sought is where nothing is left, whatever the step.
+        let (response, gram) = match self.response.take() {
+            Some(known) => known,
+            None => {
+                let response = self.response(pistons_nm, &rests_nm)?;
+                let gram = Spd::of(&response.dot(&response.t())).map_err(|_| {
+                    Error::Value(format!(
+                        "{slopes} slopes do not tell {} NCPA modes apart: fewer modes are needed",
+                        ncpa_nm.len()
+                    ))
+                })?;
+                (response, gram.inverse)
+            }
+        };
         let mut found_nm = Array2::zeros((images, ncpa_nm.len()));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
             let unseen_mas = self.measure(pistons_nm, rest_nm.view())? - slopes_mas.row(image);
             found_nm.row_mut(image).assign(&gram.dot(&response.dot(&unseen_mas)));
         }
+        self.response = Some((response, gram));
         Ok(sensed(found_nm, ncpa_nm))
     }
 

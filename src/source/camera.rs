@@ -1,5 +1,6 @@
 //! The camera: the exact field on a fine grid, its image at the detector's sampling, photon and read noise.
 
+use super::pixels::Pixels;
 use super::truth::Truth;
 use crate::Result;
 use crate::fourier::{Sampling, Transform};
@@ -49,7 +50,7 @@ impl<'a> Camera<'a> {
         let (rows, columns) = image.frame_shape();
         // The axis is on pixel M/2 of either.
         let [y, x] = [rows, columns].map(|size| image.pixels / 2 - size / 2);
-        Ok(psf.slice_move(s![y..y + rows, x..x + columns]))
+        Ok(Pixels::of(self.scene).see(psf.slice_move(s![y..y + rows, x..x + columns])))
     }
 
     /// The PSF on `image.pixels` pixels a side.
@@ -102,6 +103,7 @@ impl<'a> Camera<'a> {
                 } else {
                     pistons[segment as usize]
                 };
+                let weight = weight * truth.amplitude[segment as usize];
                 (re, im) = (re + weight * cos, im + weight * sin);
             }
             let (sin, cos) = phasor(opd);
@@ -112,7 +114,7 @@ impl<'a> Camera<'a> {
         let transform = Transform::matrix(sampling);
         let mut focus = vec![0.0f64; 2 * m * m];
         transform.forward(&field, &mut focus, &mut transform.workspace());
-        let scale = sampling.step().powi(2) / self.weights.energy;
+        let scale = sampling.step().powi(2) / (self.weights.energy * truth.throughput(self.telescope));
         Ok(Array2::from_shape_fn((m, m), |(v, u)| {
             scale * (focus[2 * m * v + u].powi(2) + focus[2 * m * v + m + u].powi(2))
         }))

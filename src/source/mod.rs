@@ -5,15 +5,17 @@
 
 mod camera;
 pub(crate) mod file;
+mod pixels;
 mod truth;
 
 pub use camera::{Camera, expose, flux_e};
 pub use file::write;
+pub(crate) use pixels::Pixels;
 pub use truth::Truth;
 
-use crate::Result;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
+use crate::{Error, Result};
 use ndarray::Array3;
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
@@ -32,8 +34,16 @@ pub struct SourceImages {
 /// bits.
 ///
 /// # Errors
-/// Those of building the telescope, and [`crate::Error::File`] for a map that cannot be read.
+/// Those of building the telescope, and [`Error::File`] for a map that cannot be read; [`Error::Scene`] for aberrations that
+/// drift, for these images have no time.
 pub fn images(scene: &Scene) -> Result<SourceImages> {
+    if let Some(aberrations) = scene.aberrations.as_ref().filter(|aberrations| aberrations.drift_nm_per_min > 0.0) {
+        return Err(Error::Scene(format!(
+            "{}: aberrations.drift_nm_per_min = {} has no meaning for images without a loop; 0 is accepted",
+            scene.name(),
+            aberrations.drift_nm_per_min
+        )));
+    }
     let telescope = Telescope::of(scene)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
     let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;

@@ -20,7 +20,11 @@ pub struct Truth {
     pub phasing_nm: Array2<f64>,
     /// Non-common path aberrations likewise.
     pub ncpa_nm: Array2<f64>,
+    /// Amplitude that each segment reflects, about 1.
+    pub amplitude: Vec<f64>,
     ncpa: Ncpa,
+    /// What pistons and NCPA gain in a minute, nm; none where they stay.
+    drift: Option<(Vec<f64>, Ncpa)>,
     /// The length on which a segment's tilt of 1 nm RMS rises by 1 nm, m.
     tilt_unit_m: f64,
 }
@@ -50,29 +54,41 @@ impl Truth {
         let areas = telescope.pupil.segment_areas();
         let whole: f64 = areas.iter().sum();
         let mean = |values: &[f64]| values.iter().zip(&areas).map(|(v, a)| v * a).sum::<f64>() / whole;
-        let mut piston_nm: Vec<f64> = (0..segments).map(|_| normal()).collect();
-        let centre = mean(&piston_nm);
-        piston_nm.iter_mut().for_each(|p| *p -= centre);
-        let square: Vec<f64> = piston_nm.iter().map(|p| p * p).collect();
-        scale_to(&mut piston_nm, mean(&square).sqrt(), aberrations.segment_piston_rms_nm);
+        // One normal number for each segment, of zero mean and the RMS given.
+        let for_each = |normal: &mut dyn FnMut() -> f64, rms: f64| {
+            let mut values: Vec<f64> = (0..segments).map(|_| normal()).collect();
+            let centre = mean(&values);
+            values.iter_mut().for_each(|p| *p -= centre);
+            let square: Vec<f64> = values.iter().map(|p| p * p).collect();
+            scale_to(&mut values, mean(&square).sqrt(), rms);
+            values
+        };
+        let piston_nm = for_each(&mut normal, aberrations.segment_piston_rms_nm);
         let mut tilts: Vec<f64> = (0..2 * segments).map(|_| normal()).collect();
         let square: Vec<f64> = tilts.chunks(2).map(|t| t[0] * t[0] + t[1] * t[1]).collect();
         scale_to(&mut tilts, mean(&square).sqrt(), aberrations.segment_tip_tilt_rms_nm);
         let tip_tilt_nm = tilts.chunks(2).map(|t| [t[0], t[1]]).collect();
+        let (span, power) = (aberrations.ncpa_zernikes, aberrations.ncpa_power_law);
         let ncpa = if let Some(file) = &aberrations.ncpa_file {
             let path = scene.resolve(file);
             let map = MapOnGrid::new(io::read_map(&path, None)?, telescope.pupil.grid.width_m());
             Ncpa::Map(map.map_err(|error| Error::file(&path, error))?)
         } else {
-            draw_zernikes(
-                aberrations.ncpa_zernikes,
-                aberrations.ncpa_power_law,
-                aberrations.ncpa_rms_nm,
-                telescope,
-                normal,
-            )?
+            draw_zernikes(span, power, aberrations.ncpa_rms_nm, telescope, &mut normal)?
         };
-        Self::assemble(telescope, piston_nm, tip_tilt_nm, ncpa)
+        // Drawn last: they change nothing of what a seed has always meant.
+        let reflectivity = for_each(&mut normal, aberrations.segment_reflectivity_rms);
+        let drift_nm = aberrations.drift_nm_per_min;
+        let drift = if drift_nm > 0.0 {
+            let pistons_nm = for_each(&mut normal, drift_nm);
+            Some((pistons_nm, draw_zernikes(span, power, drift_nm, telescope, &mut normal)?))
+        } else {
+            None
+        };
+        let mut truth = Self::assemble(telescope, piston_nm, tip_tilt_nm, ncpa)?;
+        truth.amplitude = reflectivity.into_iter().map(|more| (1.0 + more).max(0.0).sqrt()).collect();
+        truth.drift = drift;
+        Ok(truth)
     }
 
     /// These aberrations with other pistons, nm, one for each segment of `telescope`: segments that were corrected.
@@ -87,15 +103,17 @@ impl Truth {
         if let Some(piston) = piston_nm.iter().find(|piston| !piston.is_finite()) {
             return Err(Error::Value(format!("a piston of {piston} nm is impossible: it must be finite")));
         }
-        Self::assemble(telescope, piston_nm, self.tip_tilt_nm, self.ncpa)
+        let corrected = Self::assemble(telescope, piston_nm, self.tip_tilt_nm, self.ncpa)?;
+        Ok(Self { amplitude: self.amplitude, drift: self.drift, ..corrected })
     }
 
     fn assemble(telescope: &Telescope, piston_nm: Vec<f64>, tip_tilt_nm: Vec<[f64; 2]>, ncpa: Ncpa) -> Result<Self> {
         let pupil = &telescope.pupil;
         let outside = Array2::from_elem(pupil.amplitude.dim(), f64::NAN);
         let tilt_unit_m = segment_radius_rms(telescope);
-        let mut truth =
-            Self { piston_nm, tip_tilt_nm, phasing_nm: outside.clone(), ncpa_nm: outside, ncpa, tilt_unit_m };
+        let amplitude = vec![1.0; piston_nm.len()];
+        let (phasing_nm, ncpa_nm, drift) = (outside.clone(), outside, None);
+        let mut truth = Self { piston_nm, tip_tilt_nm, phasing_nm, ncpa_nm, amplitude, ncpa, drift, tilt_unit_m };
         [truth.phasing_nm, truth.ncpa_nm] = truth.maps_on(pupil)?;
         Ok(truth)
     }
@@ -105,14 +123,24 @@ impl Truth {
     /// # Errors
     /// [`Error::Shape`] for lists of unequal length.
     pub fn ncpa_at(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Vec<f64>> {
-        Ok(match &self.ncpa {
-            Ncpa::None => vec![0.0; xs_m.len()],
-            Ncpa::Map(map) => xs_m.iter().zip(ys_m).map(|(&x, &y)| map.at(x, y)).collect(),
-            Ncpa::Zernikes { basis, coefficients_nm, offset_nm } => {
-                let coefficients = ndarray::ArrayView1::from(coefficients_nm);
-                (coefficients.dot(&basis.evaluate(xs_m, ys_m)?) + *offset_nm).to_vec()
-            }
-        })
+        self.ncpa.at(xs_m, ys_m)
+    }
+
+    /// Light that the segments reflect over that of perfect ones; `telescope` has them.
+    pub(crate) fn throughput(&self, telescope: &Telescope) -> f64 {
+        let areas = telescope.pupil.segment_areas();
+        let light = |(area, amplitude): (&f64, &f64)| area * amplitude * amplitude;
+        areas.iter().zip(&self.amplitude).map(light).sum::<f64>() / areas.iter().sum::<f64>()
+    }
+
+    /// What each segment's piston gains in a minute, nm; none where they stay.
+    pub(crate) fn piston_drift_nm(&self) -> Option<&[f64]> {
+        self.drift.as_ref().map(|(pistons_nm, _)| &pistons_nm[..])
+    }
+
+    /// What the NCPA gain in a minute at points of the pupil plane, nm.
+    pub(crate) fn ncpa_drift_at(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Vec<f64>> {
+        self.drift.as_ref().map_or_else(|| Ok(vec![0.0; xs_m.len()]), |(_, ncpa)| ncpa.at(xs_m, ys_m))
     }
 
     /// The error of `segment` at a point, nm; the centres of the segments are those of `pupil`.
@@ -160,6 +188,19 @@ impl Truth {
     }
 }
 
+impl Ncpa {
+    fn at(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Vec<f64>> {
+        Ok(match self {
+            Ncpa::None => vec![0.0; xs_m.len()],
+            Ncpa::Map(map) => xs_m.iter().zip(ys_m).map(|(&x, &y)| map.at(x, y)).collect(),
+            Ncpa::Zernikes { basis, coefficients_nm, offset_nm } => {
+                let coefficients = ndarray::ArrayView1::from(coefficients_nm);
+                (coefficients.dot(&basis.evaluate(xs_m, ys_m)?) + *offset_nm).to_vec()
+            }
+        })
+    }
+}
+
 /// RMS of x over a segment, m: √(5/24) of the side for a hexagon; measured, so that it holds for any segment.
 fn segment_radius_rms(telescope: &Telescope) -> f64 {
     let pupil = &telescope.pupil;
@@ -184,7 +225,7 @@ fn draw_zernikes(
     power: f64,
     rms_nm: f64,
     telescope: &Telescope,
-    mut normal: impl FnMut() -> f64,
+    normal: &mut dyn FnMut() -> f64,
 ) -> Result<Ncpa> {
     // Piston (Noll 1) is not seen by anything.
     let nolls: Vec<usize> = span.indices().filter(|&noll| noll > 1).collect();

@@ -5,6 +5,7 @@
 
 mod geometric;
 mod light;
+mod moved;
 mod pixels;
 mod quad_cell;
 
@@ -17,6 +18,7 @@ use crate::pupil::Pupil;
 use crate::scene::{SensorDetector, SensorScene};
 use crate::{Error, Result};
 use geometric::Geometric;
+use moved::Moved;
 use pixels::Pixels;
 use quad_cell::QuadCell;
 use std::path::Path;
@@ -60,20 +62,19 @@ impl Lenslets {
             )));
         }
         let full = (samples * samples) as f64;
-        let sum = |index: usize, power: i32| -> f64 {
+        let glass = |index: usize| -> f64 {
             let (row, column) = (index / across * samples, index % across * samples);
-            let cell = pupil.amplitude.slice(ndarray::s![row..row + samples, column..column + samples]);
-            cell.iter().map(|a| a.powi(power)).sum::<f64>() / full
+            pupil.amplitude.slice(ndarray::s![row..row + samples, column..column + samples]).sum() / full
         };
         let subapertures: Vec<usize> = match &scene.subaperture_file {
             // A subaperture without any light has no slope, whatever the map says.
             Some(file) => {
                 let marked = super::valid_map::read(&directory.join(file), across)?;
-                marked.into_iter().filter(|&index| sum(index, 1) > 0.0).collect()
+                marked.into_iter().filter(|&index| glass(index) > 0.0).collect()
             }
             None => {
                 let least = scene.min_light_ratio.max(f64::MIN_POSITIVE);
-                (0..across * across).filter(|&index| sum(index, 1) >= least).collect()
+                (0..across * across).filter(|&index| glass(index) >= least).collect()
             }
         };
         if subapertures.is_empty() {
@@ -82,9 +83,21 @@ impl Lenslets {
                 scene.min_light_ratio
             )));
         }
+        let pitch_m = pupil.grid.width_m() / across as f64;
+        Ok(Self { across, samples, pitch_m, subapertures, light: Vec::new() }.before(pupil))
+    }
+
+    /// The same lenslets in use before another pupil on the same grid.
+    pub fn before(mut self, pupil: &Pupil) -> Self {
+        let (across, samples) = (self.across, self.samples);
         // The field's amplitude is the share of glass; its light the square.
-        let light = subapertures.iter().map(|&index| sum(index, 2)).collect();
-        Ok(Self { across, samples, pitch_m: pupil.grid.width_m() / across as f64, subapertures, light })
+        let light = |&index: &usize| {
+            let (row, column) = (index / across * samples, index % across * samples);
+            let cell = pupil.amplitude.slice(ndarray::s![row..row + samples, column..column + samples]);
+            cell.iter().map(|a| a * a).sum::<f64>() / (samples * samples) as f64
+        };
+        self.light = self.subapertures.iter().map(light).collect();
+        self
     }
 }
 
@@ -95,6 +108,14 @@ enum Detector {
 }
 
 impl Detector {
+    fn of(scene: &SensorScene, lenslets: &Lenslets, grid: &Grid, footprint: &Footprint) -> Self {
+        match scene.detector {
+            SensorDetector::QuadCell => Self::QuadCell(QuadCell::new(lenslets, footprint, scene.wavelength_nm)),
+            SensorDetector::Pixels => Self::Pixels(Pixels::new(scene, lenslets, footprint)),
+            SensorDetector::Geometric => Self::Geometric(Geometric::new(lenslets, grid, footprint)),
+        }
+    }
+
     /// Slopes in the detector's own unit.
     fn raw(&mut self, opd_nm: &[f32], light: Option<&mut Light>, slopes: &mut [f32]) {
         match self {
@@ -114,6 +135,8 @@ pub struct Sensor {
     reference: Vec<f32>,
     /// mas for one of the detector's own unit.
     unit_mas: f32,
+    /// Lenslets that have moved since.
+    moved: Option<Moved>,
 }
 
 impl Sensor {
@@ -125,14 +148,10 @@ impl Sensor {
     /// # Errors
     /// [`Error::Value`] for a sensor that does not respond to a tilt.
     pub fn new(scene: &SensorScene, lenslets: Lenslets, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
-        let detector = match scene.detector {
-            SensorDetector::QuadCell => Detector::QuadCell(QuadCell::new(&lenslets, footprint, scene.wavelength_nm)),
-            SensorDetector::Pixels => Detector::Pixels(Pixels::new(scene, &lenslets, footprint)),
-            SensorDetector::Geometric => Detector::Geometric(Geometric::new(&lenslets, &pupil.grid, footprint)),
-        };
+        let detector = Detector::of(scene, &lenslets, &pupil.grid, footprint);
         let slopes = 2 * lenslets.subapertures.len();
         let map = footprint.len();
-        let mut sensor = Self { lenslets, detector, map, reference: vec![0.0; slopes], unit_mas: 1.0 };
+        let mut sensor = Self { lenslets, detector, map, reference: vec![0.0; slopes], unit_mas: 1.0, moved: None };
         let mut flat = vec![0.0; slopes];
         sensor.detector.raw(&footprint.zeros(), None, &mut flat);
         let mut tilted = vec![0.0; slopes];
@@ -149,6 +168,31 @@ impl Sensor {
         sensor.unit_mas = CALIBRATION_MAS as f32 / response;
         sensor.reference = flat.iter().map(|slope| slope * sensor.unit_mas).collect();
         Ok(sensor)
+    }
+
+    /// This sensor as it is now, some time after its calibration: with the scene's shift of the lenslets and gain of the
+    /// slopes. `pupil` and `footprint` are those it was made with.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for lenslets that have left a subaperture in use without light.
+    pub fn as_it_is(mut self, scene: &SensorScene, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
+        self.unit_mas *= scene.slope_gain as f32;
+        self.reference.iter_mut().for_each(|slope| *slope *= scene.slope_gain as f32);
+        let [x, y] = [0, 1].map(|axis| scene.shift_subapertures.get(axis).copied().unwrap_or(0.0));
+        if (x, y) != (0.0, 0.0) {
+            let samples = self.lenslets.samples as f64;
+            let (moved, seen) = Moved::by([x * samples, y * samples], pupil, footprint);
+            self.lenslets = self.lenslets.before(&seen);
+            if self.lenslets.light.iter().any(|&light| light <= 0.0) {
+                return Err(Error::Value(format!(
+                    "wavefront_sensor.shift_subapertures = [{x}, {y}] leaves a subaperture in use without light: less is \
+                     accepted"
+                )));
+            }
+            self.detector = Detector::of(scene, &self.lenslets, &pupil.grid, &Footprint::of(&seen));
+            self.moved = Some(moved);
+        }
+        Ok(self)
     }
 
     /// The lenslets and which of them are used.
@@ -175,6 +219,7 @@ impl Sensor {
                 self.map
             )));
         }
+        let opd_nm = self.moved.as_mut().map_or(opd_nm, |moved| moved.look(opd_nm));
         self.detector.raw(opd_nm, light, slopes_mas);
         for (slope, reference) in slopes_mas.iter_mut().zip(&self.reference) {
             *slope = *slope * self.unit_mas - reference;

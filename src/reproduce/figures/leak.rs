@@ -1,8 +1,9 @@
 //! Section 4: the loop closed on the segments' steps alone. Whatever the mirror then shows has leaked into it, and
 //! stands in the way of every estimate.
 
-use super::setup::{self, CALM};
+use super::setup;
 use crate::Result;
+use crate::ao::CALM;
 use crate::ao::Simulator;
 use crate::plot::{CaptionedMap, MapScale, MapsPicture};
 use crate::reproduce::statistics::{mean, standard_deviation};

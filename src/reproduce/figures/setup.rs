@@ -1,4 +1,4 @@
-//! What the figures share: rows of the table, a calm sky, maps.
+//! What the figures share: rows of the table, maps.
 
 use crate::ao::Simulator;
 use crate::plot::{CaptionedMap, MapScale};
@@ -7,16 +7,6 @@ use crate::reproduce::Row;
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::Array2;
-
-/// No turbulence, and no noise of the sensor.
-pub(super) const CALM: [(&str, &str); 6] = [
-    ("turbulence.fractions", "[]"),
-    ("turbulence.heights_m", "[]"),
-    ("turbulence.wind_m_s", "[]"),
-    ("turbulence.wind_dir_rad", "[]"),
-    ("wavefront_sensor.photon_noise", "false"),
-    ("wavefront_sensor.read_noise_e", "0.0"),
-];
 
 /// The row of the table of that name.
 pub(super) fn row(name: &str) -> Result<&'static Row> {

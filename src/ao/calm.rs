@@ -1,0 +1,11 @@
+//! A loop without a sky.
+
+/// Settings of a scene without turbulence, and without noise of the sensor.
+pub const CALM: [(&str, &str); 6] = [
+    ("turbulence.fractions", "[]"),
+    ("turbulence.heights_m", "[]"),
+    ("turbulence.wind_m_s", "[]"),
+    ("turbulence.wind_dir_rad", "[]"),
+    ("wavefront_sensor.photon_noise", "false"),
+    ("wavefront_sensor.read_noise_e", "0.0"),
+];

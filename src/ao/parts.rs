@@ -1,0 +1,83 @@
+//! What a simulator is put together from: its actuators, their interaction matrix, its segments.
+
+use super::footprint::Footprint;
+use super::lines::Lines;
+use super::sensor::{Lenslets, Sensor};
+use super::surface::Surface;
+use super::valid_map;
+use crate::modes::{InfluenceFunctions, Mirror};
+use crate::pupil::Pupil;
+use crate::scene::Scene;
+use crate::source::Truth;
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::Array2;
+
+/// Stroke with which the interaction matrix is taken, nm: a thirtieth of the sensor's wavelength, so that the answer is
+/// linear to 1 %, and its second order cancels between push and pull.
+const POKE_NM: f32 = 20.0;
+
+/// The actuators of the scene's mirror: those of its map, or those at a corner of a subaperture in use. One farther out
+/// would move only the edge of what the sensor sees, and the noise of its command would be a hundred times the others'.
+pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
+    let part = &scene.mirror;
+    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
+    if let Some(file) = &part.actuator_file {
+        let path = scene.resolve(file);
+        return mirror.from_map(&valid_map::text(&path)?).map_err(|error| Error::file(&path, error));
+    }
+    let middle = (lenslets.across as f64 - 1.0) / 2.0;
+    let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
+    // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
+    let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
+    mirror.chosen(|x_m, y_m| {
+        let beside = |&place: &usize| {
+            (centre(place % lenslets.across) - x_m).abs() <= reach_m
+                && (centre(place / lenslets.across) - y_m).abs() <= reach_m
+        };
+        lenslets.subapertures.iter().any(beside)
+    })
+}
+
+/// Pushes and pulls each actuator in front of a flat wavefront, without noise: `[slopes, actuators]`, mas per nm.
+pub(super) fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint) -> Result<Array2<f64>> {
+    let (slopes, actuators) = (sensor.slopes(), surface.actuators());
+    let mut matrix = Array2::zeros((slopes, actuators));
+    let mut command = vec![0.0; actuators];
+    let mut measured = [vec![0.0; slopes], vec![0.0; slopes]];
+    let mut map = footprint.zeros();
+    for (actuator, mut column) in matrix.columns_mut().into_iter().enumerate() {
+        for (sign, measured) in [1.0, -1.0].into_iter().zip(&mut measured) {
+            map.fill(0.0);
+            command[actuator] = sign * POKE_NM;
+            surface.add(&command, 1.0, &mut map)?;
+            sensor.measure(&map, None, measured)?;
+        }
+        command[actuator] = 0.0;
+        for ((out, push), pull) in column.iter_mut().zip(&measured[0]).zip(&measured[1]) {
+            *out = f64::from(push - pull) / f64::from(2.0 * POKE_NM);
+        }
+    }
+    Ok(matrix)
+}
+
+/// The pupil with each segment's amplitude.
+pub(super) fn reflecting(pupil: &Pupil, truth: &Truth) -> Pupil {
+    let mut lit = pupil.clone();
+    ndarray::Zip::from(&mut lit.amplitude).and(&pupil.owner).for_each(|amplitude, &owner| {
+        if owner >= 0 {
+            *amplitude *= truth.amplitude[owner as usize];
+        }
+    });
+    lit
+}
+
+/// The segments' errors over the map, nm: each sample shows the segment that owns it.
+pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Lines {
+    let mut map = footprint.zeros();
+    for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
+        let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
+        map[y * footprint.stride() + x] = truth.segment_nm(&telescope.pupil, owner as usize, x_m, y_m) as f32;
+    }
+    map
+}
