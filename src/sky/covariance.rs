@@ -20,7 +20,7 @@ const SOLVED: f64 = 1e-4;
 
 /// What nobody knows of a mean phase at frequencies that no image shows, nm RMS of a sample: more than turbulence and static
 /// errors have there together.
-const UNSEEN_NM: f64 = 300.0;
+const UNSEEN_NM: f64 = 50.0;
 
 /// Maps whose power is summed by one thread: enough to pay for its memory.
 const MAPS_TOGETHER: usize = 16;

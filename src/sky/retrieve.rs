@@ -26,6 +26,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// How a retrieval is done.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RetrievalRecipe {
+    /// Cycles across a segment (the root of its area) to which its edges are to be seen, where the scene leaves samples and
+    /// pixels open.
+    pub cycles_across_a_segment: f64,
     /// Precision of the chain; the steps are always taken in double.
     pub precision: Precision,
     /// What the model does not know (motion in an exposure, flat field), as a fraction of a pixel's signal: its square
@@ -57,6 +60,7 @@ pub struct RetrievalRecipe {
 impl Default for RetrievalRecipe {
     fn default() -> Self {
         Self {
+            cycles_across_a_segment: 8.0,
             precision: Precision::F32,
             model_error: 0.003,
             decrement_tolerance: 3.0,
@@ -140,7 +144,7 @@ impl Retriever {
             ("modes.exact_zernikes", "[2, 3]"),
             ("estimate.optimizer", "gauss-newton"),
         ])?;
-        let scene = sampled(&scene, &Telescope::of(&scene)?)?;
+        let scene = sampled(&scene, &Telescope::of(&scene)?, retrieval.cycles_across_a_segment)?;
         let recipe = Recipe::of(&scene);
         let model = Model::of(&scene, &recipe, false)?;
         let samples = model.optics.sampling().samples;
@@ -295,6 +299,7 @@ impl RetrievalReport {
 /// [`Error::Value`] for the first number out of range.
 fn check(recipe: &RetrievalRecipe) -> Result<()> {
     let numbers = [
+        ("cycles_across_a_segment", recipe.cycles_across_a_segment),
         ("model_error", recipe.model_error),
         ("decrement_tolerance", recipe.decrement_tolerance),
         ("misfit_tolerance", recipe.misfit_tolerance),

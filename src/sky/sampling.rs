@@ -8,11 +8,6 @@ use crate::estimate::Model;
 use crate::scene::{Crop, PupilModel, Scene};
 use crate::telescope::{Diversity, Telescope};
 
-/// Cycles across a segment (the root of its area) to which its edges are to be seen. Behind Keck's loop 75 images leave
-/// 3.3 nm of phasing with 8, in three passes; with 6 the edges that are seen are worth 4.2 nm, with 9 a retrieval takes twice
-/// as long for 3.2.
-const CYCLES_ACROSS_A_SEGMENT: f64 = 8.0;
-
 /// Spare samples around the pupil, and cycles that aberrations add, together, on each side.
 const SPARE: f64 = 8.0;
 
@@ -25,18 +20,18 @@ fn spot(scene: &Scene, telescope: &Telescope) -> Result<f64> {
     Ok(steepest_nm_m * telescope.pupil.grid.width_m() / scene.image.wavelength_nm)
 }
 
-/// `scene` with the pixels and samples that its segments want, where it leaves them open.
+/// `scene` with the pixels and samples that show `cycles` across a segment, where it leaves them open.
 ///
 /// # Errors
 /// Those of the diversity.
-pub(super) fn sampled(scene: &Scene, telescope: &Telescope) -> Result<Scene> {
+pub(super) fn sampled(scene: &Scene, telescope: &Telescope, cycles: f64) -> Result<Scene> {
     let image = &scene.image;
     let (rows, columns) = image.frame_shape();
     let larger = rows.max(columns);
     let areas_m2 = telescope.pupil.segment_areas();
     let segment_m = (areas_m2.iter().sum::<f64>() / areas_m2.len() as f64).sqrt();
     let spot = spot(scene, telescope)?;
-    let wanted = (CYCLES_ACROSS_A_SEGMENT / segment_m * telescope.pupil.grid.width_m() - spot).max(LEAST_HALF_WIDTH);
+    let wanted = (cycles / segment_m * telescope.pupil.grid.width_m() - spot).max(LEAST_HALF_WIDTH);
     let native = 8 * (2.0 * image.samples_per_lambda_over_d * wanted / 8.0).ceil() as usize;
     let pixels = match image.crop_pixels {
         Crop::Auto => native.min(larger / 2 * 2),
