@@ -81,10 +81,11 @@ assert(max(abs(c.Pistons_nm)), 5);
 assert(c.Limited > 0 && c.CorrectedModes > 0);
 c = f.corrections();
 
-% MATLAB's memory has columns: transposed, it has the rows that the other languages dump.
+% MATLAB's memory has columns: transposed, it has the rows that the other languages dump. A covariance is its own
+% transpose, but for rounding: the gateway hands it on as it lies.
 out = fopen(dump, 'w');
 fwrite(out, permute(double(frames), [2 1 3]), 'double');
-for values = {slopes_mas, e.Coefficients_nm, e.Sigma_nm, e.Covariance_nm2.', e.Phasing_nm.', e.Ncpa_nm.', ...
+for values = {slopes_mas, e.Coefficients_nm, e.Sigma_nm, e.Covariance_nm2, e.Phasing_nm.', e.Ncpa_nm.', ...
         e.PhasingSigmaMap_nm.', e.NcpaSigmaMap_nm.', c.Pistons_nm, c.Actuators_nm, c.Actuators_m, c.Slopes_mas}
     fwrite(out, double(values{1}), 'double');
 end

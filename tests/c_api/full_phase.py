@@ -55,7 +55,7 @@ def watched(full_phase, frames, slopes_mas):
     """What looks on may stop an estimate, and the next one runs. Whatever the thread, the numbers are the same."""
 
     def stop(_):
-        raise Enough
+        raise Enough("enough was seen")
 
     failure(lambda: full_phase.estimate(frames, slopes_mas, progress=stop), Enough)
     seen, found = [], []

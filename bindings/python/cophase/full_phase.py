@@ -50,15 +50,15 @@ class FullPhaseEstimate:
     phasing_sigma_nm, ncpa_sigma_nm : (samples, samples) array
         Their error bars, 1 sigma.
     report : record
-        ``images`` that were read and ``used``; ``passes`` that were made, and whether they ``settled`` (1) or ran out (0);
-        ``phasing_rms_nm`` and its error bar ``phasing_sigma_nm``, ``ncpa_rms_nm`` and its ``ncpa_sigma_nm`` (RMS over the
-        pupil, tip and tilt removed); ``phasing_change_nm`` and ``ncpa_change_nm`` of the last pass; ``reduced_chi2``, the
-        median of the images used; ``seconds`` that it took. Read as ``report.used``.
+        ``images`` that were read and ``used``; ``passes`` that were made, and whether they ``settled`` (1) or ran out
+        (0); ``phasing_rms_nm`` and its error bar ``phasing_sigma_nm``, ``ncpa_rms_nm`` and its ``ncpa_sigma_nm`` (RMS
+        over the pupil, tip and tilt removed); ``phasing_change_nm`` and ``ncpa_change_nm`` of the last pass;
+        ``reduced_chi2``, the median of the images used; ``seconds`` that it took. Read as ``report.used``.
     knows : str
         What was assumed of the adaptive optics.
     reports : (images,) record array
-        ``status``, a number (:attr:`status` has its name); whether it was ``used`` (1, else 0); ``evaluations`` of the model;
-        ``reduced_chi2``; ``flux_e``; ``background_e``.
+        ``status``, a number (:attr:`status` has its name); whether it was ``used`` (1, else 0); ``evaluations`` of the
+        model; ``reduced_chi2``; ``flux_e``; ``background_e``.
     messages : list of str
         What became of each image, in a sentence.
     warnings : list of str
@@ -88,7 +88,9 @@ class FullPhaseEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """What to add to segments, mirror and reference slopes, in the library's order; a positive command raises the wavefront.
+    """What to add to segments, mirror and reference slopes, in the library's order.
+
+    A positive command raises the wavefront.
 
     Attributes
     ----------
@@ -117,15 +119,15 @@ class Corrections:
 class FullPhase(Handle):
     """Static errors from a sequence of exposures behind adaptive optics, by the whole wavefront behind each.
 
-    The estimator of ``cophase estimate --method full-phase``: pistons of the segments and non-common path aberrations (NCPA)
-    from all exposures together. One call at a time (:class:`cophase.BusyError` otherwise), but for :meth:`cancel` and
-    :attr:`retrieved`; other Python threads run on during a call.
+    The estimator of ``cophase estimate --method full-phase``: pistons of the segments and non-common path aberrations
+    (NCPA) from all exposures together. One call at a time (:class:`cophase.BusyError` otherwise), but for :meth:`cancel`
+    and :attr:`retrieved`; other Python threads run on during a call.
 
     Parameters
     ----------
     scene : str
-        A scene as TOML, which need not name the method. With ``[wavefront_sensor]`` and ``[control]`` it describes the loop
-        in front of the camera.
+        A scene as TOML, which need not name the method. With ``[wavefront_sensor]`` and ``[control]`` it describes the
+        loop in front of the camera.
     directory : path, optional
         Where the files are looked for that the scene names; without it, the working directory.
 
@@ -264,17 +266,18 @@ class FullPhase(Handle):
 
     @property
     def retrieved(self) -> int:
-        """Wavefronts that the estimate running in another thread, or else the last one, has retrieved, in all passes."""
+        """Wavefronts that the estimate in another thread, or else the last one, has retrieved, in all passes."""
         return scalar("uint64_t", lib.cophase_full_phase_progress, self._handle)
 
     def cancel(self) -> None:
-        """Makes the estimate that is running in another thread, or else the next one, raise :class:`cophase.Interrupted`."""
+        """Makes the estimate that is running in another thread, or else the next one, raise
+        :class:`cophase.Interrupted`."""
         check(lib.cophase_full_phase_cancel(self._handle))
 
     def images_needed(self, phasing_nm: float = math.inf, ncpa_nm: float = math.inf) -> int:
-        """How many further images like those of the last estimate bring both error bars down to these, nm RMS over the pupil.
+        """How many further images like those of the last estimate bring both error bars down to these.
 
-        0 where they are there. Infinity asks nothing.
+        nm RMS over the pupil. 0 where they are there. Infinity asks nothing.
         """
         return scalar("uint64_t", lib.cophase_full_phase_images_needed, self._handle, phasing_nm, ncpa_nm)
 
