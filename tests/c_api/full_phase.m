@@ -66,7 +66,7 @@ assert(numel(e.Names), numel(e.Coefficients_nm));
 assert(e.SegmentModes, 7);
 assert(e.Sigma_nm, sqrt(diag(e.Covariance_nm2)), -1e-12);
 assert(class(e.Phasing_nm), 'single');
-% Half of the truth is found by far: four exposures leave some 15 of 60 and 5 of 50 nm.
+% Half of the truth is found by far: four exposures leave 8 of 60 and 7 of 50 nm.
 found = {e.Phasing_nm, e.Ncpa_nm};
 for k = 1:2
     glass = ~isnan(truth{k});

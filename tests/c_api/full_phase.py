@@ -88,7 +88,7 @@ def main(scene, dump):
     assert len(found.mode_names) == found.coefficients_nm.size and found.segment_modes == 7
     assert not any("loop's answer" in sentence for sentence in found.warnings)
     assert np.allclose(found.sigma_nm**2, found.covariance_nm2.diagonal(), rtol=1e-12, atol=0)
-    # Half of the truth is found by far: four exposures leave some 15 of 60 and 5 of 50 nm.
+    # Half of the truth is found by far: four exposures leave 8 of 60 and 7 of 50 nm.
     for estimate, true in zip((found.phasing_nm, found.ncpa_nm), truth):
         assert np.nanstd(estimate - true) < 0.5 * np.nanstd(true)
     assert full_phase.images_needed() == 0 and full_phase.images_needed(phasing_nm=0.1) > COUNT

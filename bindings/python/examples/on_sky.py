@@ -16,7 +16,8 @@ import numpy as np
 # %% [markdown]
 # ## The telescope
 #
-# The preset is Keck. Seven of its segments are enough here, and quick; turbulence is frozen during each exposure.
+# The preset is Keck. Seven of its segments are enough here, and quick, with less defocus for a smaller detector; turbulence
+# is frozen during each exposure.
 
 # %%
 scene = cophase.preset("keck-onsky")
@@ -29,6 +30,7 @@ for key, value in {
     "exposure_s": 0.0,
     "lenslets_across": 10,
     "actuators_across": 11,
+    "diversity_focus_waves_rms": 1.0,
 }.items():
     scene, found = re.subn(rf"^{key} .*$", f"{key} = {value}", scene, flags=re.MULTILINE)
     assert found == 1, key
@@ -94,6 +96,8 @@ print(f"{corrections.corrected_modes} NCPA modes to correct, with {corrections.a
 
 # %% [markdown]
 # ## The picture
+#
+# The error bar of a map holds what is piston and tilt of all segments together, which the sigma above leaves out.
 
 # %%
 figure, axes = plt.subplots(2, 4, figsize=(15, 7), layout="constrained")
