@@ -198,7 +198,7 @@ fn modes(file: &mut FitsWriter, pass: &Pass) -> Result<()> {
     let segments = errors.pistons_nm.len();
     let groups = (0..segments + errors.ncpa_nm.len()).map(|mode| if mode < segments { "segment" } else { "ncpa" });
     let columns = [
-        Column::text("NAME", &pass.mode_names()),
+        Column::text("NAME", pass.mode_names()),
         Column::text("GROUP", groups),
         Column::f64("ESTIMATE_NM", "nm", pass.coefficients_nm()),
         Column::f64("SIGMA_NM", "nm", pass.sigma_nm()),
