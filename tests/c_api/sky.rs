@@ -23,7 +23,7 @@ pub(super) fn is_that_of_rust(dump: &Path) {
     let mut values = values.iter().map(|&bytes| f64::from_ne_bytes(bytes));
     let mut next = |count| -> Vec<f64> { values.by_ref().take(count).collect() };
 
-    let scene = Scene::from_file(&scene()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
+    let scene = Scene::from_file(scene()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
     let (rows, columns) = scene.image.frame_shape();
     let images_e = Array3::from_shape_vec((COUNT, rows, columns), next(COUNT * rows * columns)).unwrap();
     assert!(images_e != images_e.slice(s![.., ..;-1, ..]) && images_e != images_e.slice(s![.., .., ..;-1]));
