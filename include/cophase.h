@@ -7,6 +7,22 @@
 #include <stddef.h>
 #include <stdint.h>
 
+// What a full-phase estimate assumes of the adaptive optics: what the scene says (estimate.knows), or else the most that
+// there is.
+#define COPHASE_KNOWS_MOST 0
+
+// Nothing: the mirror's pitch, and a spectrum of ordinary seeing.
+#define COPHASE_KNOWS_NOTHING 1
+
+// The spectrum of the residual wavefront, from the scene's turbulence and control.
+#define COPHASE_KNOWS_SPECTRUM 2
+
+// The loop as well: what it answers to the pistons is found by closing it on them alone.
+#define COPHASE_KNOWS_LOOP 3
+
+// What its wavefront sensor measured during each exposure as well.
+#define COPHASE_KNOWS_TELEMETRY 4
+
 // Element type of a cophase_input: float.
 #define COPHASE_F32 1
 
@@ -82,6 +98,13 @@
 // Where a session's model runs: the CPU chain, or an OpenCL device. Immutable: any thread may use it.
 typedef struct cophase_device cophase_device;
 
+// The estimator of `cophase estimate --method full-phase`: the whole wavefront behind each exposure of a sequence, and
+// static errors, pistons of the segments and non-common path aberrations (NCPA), from all of them together.
+//
+// Calls that take it as const may run in several threads at once; any other only while no other call runs
+// (COPHASE_BUSY otherwise), but for cophase_full_phase_cancel and cophase_full_phase_progress, which are meant to race.
+typedef struct cophase_full_phase cophase_full_phase;
+
 // What images are compared with: a telescope, its modes and their names, the diversity, the camera. Immutable: any
 // thread may use it at any time.
 typedef struct cophase_model cophase_model;
@@ -108,6 +131,72 @@ typedef struct cophase_simulator cophase_simulator;
 // What became of a call: COPHASE_OK, or why it failed. Numbers are permanent; a later version may have more.
 typedef int32_t cophase_status;
 
+// Corrections, in numbers. Later versions may append fields.
+typedef struct cophase_correction_report {
+  // Segments whose pistons are to be moved.
+  uint64_t segments;
+  // Actuators of the mirror; 0 without a loop in the scene.
+  uint64_t actuators;
+  // Slopes of the wavefront sensor; 0 without a loop in the scene.
+  uint64_t slopes;
+  // NCPA modes that are corrected: those whose estimate is above its error bar.
+  uint64_t corrected_modes;
+  // Commands that were cut at the limit.
+  uint64_t limited;
+} cophase_correction_report;
+
+// What became of an image of a full-phase estimate. Later versions may append fields.
+typedef struct cophase_full_phase_image {
+  // COPHASE_IMAGE_OK, COPHASE_IMAGE_NOT_CONVERGED or COPHASE_IMAGE_UNUSABLE.
+  int32_t status;
+  // 1 where the image was used; 0 where it could not be, or where its χ² is not like the others'.
+  int32_t used;
+  // Evaluations of the model in the last pass.
+  uint64_t evaluations;
+  // χ² per degree of freedom; NaN for an image that could not be used.
+  double reduced_chi2;
+  // The star, electrons.
+  double flux_e;
+  // Background, electrons per pixel of the frame.
+  double background_e;
+} cophase_full_phase_image;
+
+// A stack of `count` maps or images of `rows` × `cols` float elements (row = y, col = x) in memory of the caller's.
+//
+// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`. Strides count elements, not bytes, and
+// may be negative; that of an extent of 1 does not matter. So C order has row_stride = cols and col_stride = 1, MATLAB's
+// column order row_stride = 1 and col_stride = rows, and a map can be turned over or put into a larger one without a
+// copy. The elements of an output must not overlap. The layout of this struct is permanent.
+typedef struct cophase_array_f32 {
+  // Element (0, 0, 0).
+  float *data;
+  // Maps or images.
+  size_t count;
+  // Rows of each.
+  size_t rows;
+  // Columns of each.
+  size_t cols;
+  // Elements from one map to the next.
+  ptrdiff_t count_stride;
+  // Elements from one row to the next.
+  ptrdiff_t row_stride;
+  // Elements from one column to the next.
+  ptrdiff_t col_stride;
+} cophase_array_f32;
+
+// How a full-phase estimate is made.
+typedef struct cophase_full_phase_options {
+  // Filled in by cophase_full_phase_options_init.
+  size_t struct_size;
+  // What is assumed of the adaptive optics: COPHASE_KNOWS_MOST, or another of the COPHASE_KNOWS_ numbers. Default:
+  // COPHASE_KNOWS_MOST.
+  int32_t knows;
+  // Threads that it runs on; 0 for as many as the machine has processors. Default: 0.
+  int32_t threads;
+  // Read noise of a pixel, RMS electrons; NaN for what the scene says. Default: NaN.
+  double read_noise_e;
+} cophase_full_phase_options;
+
 // A stack of `count` frames or maps of `rows` × `cols` elements (row = y, col = x) in memory of the caller's, which is
 // only read, and only during the call.
 //
@@ -133,6 +222,53 @@ typedef struct cophase_input {
   ptrdiff_t col_stride;
 } cophase_input;
 
+// What a camera's raw values mean: electrons = (raw − dark)·gain/flat.
+typedef struct cophase_calibration {
+  // Filled in by cophase_calibration_init.
+  size_t struct_size;
+  // 1 x rows x cols: signal without light, raw units. Data NULL: none.
+  struct cophase_input dark;
+  // 1 x rows x cols: relative response, about 1. Data NULL: all alike.
+  struct cophase_input flat;
+  // 1 x rows x cols: pixels that are not 0 take no part. Data NULL: all do.
+  struct cophase_input bad;
+  // Electrons per raw unit. Default: 1.
+  double gain_e;
+  // Pixels that read as much or more take no part, raw units. Default: infinity.
+  double saturation;
+} cophase_calibration;
+
+// What a full-phase estimate found. Later versions may append fields.
+typedef struct cophase_full_phase_report {
+  // Images that were read.
+  uint64_t images;
+  // Those that were used.
+  uint64_t used;
+  // Passes that were made, each about the static wavefront that the one before found.
+  uint64_t passes;
+  // 1 where the last pass changed less than a fraction of the error bars; 0 where there were no more to be had.
+  int32_t settled;
+  // What was assumed of the adaptive optics: one of the COPHASE_KNOWS_ numbers, not COPHASE_KNOWS_MOST.
+  int32_t knows;
+  // The segments' part of the wavefront, nm RMS over the pupil, piston, tip and tilt removed.
+  double phasing_rms_nm;
+  // Its error bar, nm RMS over the pupil.
+  double phasing_sigma_nm;
+  // The non-common path aberrations, likewise.
+  double ncpa_rms_nm;
+  // Their error bar, nm RMS over the pupil.
+  double ncpa_sigma_nm;
+  // By how much the last pass changed the phasing, nm RMS over the pupil; NaN if it was the only one.
+  double phasing_change_nm;
+  // By how much it changed the NCPA, likewise.
+  double ncpa_change_nm;
+  // Median χ² per degree of freedom of the images that were used: turbulence finer than the model's samples makes it 4
+  // to 5 behind a bright star.
+  double reduced_chi2;
+  // Time that it took, s.
+  double seconds;
+} cophase_full_phase_report;
+
 // A telescope, its modes and its diversity as maps of the caller's; see cophase_model_create_from_arrays.
 typedef struct cophase_model_arrays {
   // Filled in by cophase_model_arrays_init.
@@ -147,29 +283,6 @@ typedef struct cophase_model_arrays {
   // 1 x n x n: the diversity, nm of wavefront. Data NULL: that of the scene.
   struct cophase_input diversity_nm;
 } cophase_model_arrays;
-
-// A stack of `count` maps or images of `rows` × `cols` float elements (row = y, col = x) in memory of the caller's.
-//
-// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`. Strides count elements, not bytes, and
-// may be negative; that of an extent of 1 does not matter. So C order has row_stride = cols and col_stride = 1, MATLAB's
-// column order row_stride = 1 and col_stride = rows, and a map can be turned over or put into a larger one without a
-// copy. The elements of an output must not overlap. The layout of this struct is permanent.
-typedef struct cophase_array_f32 {
-  // Element (0, 0, 0).
-  float *data;
-  // Maps or images.
-  size_t count;
-  // Rows of each.
-  size_t rows;
-  // Columns of each.
-  size_t cols;
-  // Elements from one map to the next.
-  ptrdiff_t count_stride;
-  // Elements from one row to the next.
-  ptrdiff_t row_stride;
-  // Elements from one column to the next.
-  ptrdiff_t col_stride;
-} cophase_array_f32;
 
 // How a session is made.
 typedef struct cophase_session_options {
@@ -189,22 +302,6 @@ typedef struct cophase_session_options {
   // 0.
   double step_tolerance_nm;
 } cophase_session_options;
-
-// What a camera's raw values mean: electrons = (raw − dark)·gain/flat.
-typedef struct cophase_calibration {
-  // Filled in by cophase_calibration_init.
-  size_t struct_size;
-  // 1 x rows x cols: signal without light, raw units. Data NULL: none.
-  struct cophase_input dark;
-  // 1 x rows x cols: relative response, about 1. Data NULL: all alike.
-  struct cophase_input flat;
-  // 1 x rows x cols: pixels that are not 0 take no part. Data NULL: all do.
-  struct cophase_input bad;
-  // Electrons per raw unit. Default: 1.
-  double gain_e;
-  // Pixels that read as much or more take no part, raw units. Default: infinity.
-  double saturation;
-} cophase_calibration;
 
 // How frames are fitted.
 typedef struct cophase_fit_options {
@@ -266,6 +363,38 @@ typedef struct cophase_report {
 extern "C" {
 #endif // __cplusplus
 
+// Works out the corrections that the last estimate calls for: what to add to segments, mirror and reference slopes. Do
+// no harm: a mode whose estimate is under its error bar is left alone. Where the scene has a loop this takes about a
+// second at the size of Keck.
+//
+// limit_nm: no command is larger; NaN for the mirror's stroke and, for segments, a quarter of the wavelength.
+// report: NULL if it is not wanted; report_size: sizeof(cophase_correction_report).
+//
+// COPHASE_BAD_VALUE before the first estimate.
+cophase_status cophase_full_phase_correct(struct cophase_full_phase *full_phase,
+                                          double limit_nm,
+                                          struct cophase_correction_report *report,
+                                          size_t report_size);
+
+// The corrections that cophase_full_phase_correct worked out, in this library's order; a positive command raises the
+// wavefront. Any of the pointers may be NULL for what is not wanted, and its number then does not matter.
+//
+// pistons_nm: receives segments numbers: what to add to each segment's piston, nm of wavefront.
+// actuators_nm: receives actuators numbers: what to add to each command of the mirror, nm of wavefront.
+// actuators_m: receives actuators x 2 numbers: where each actuator is, x and y, m.
+// slopes_mas: receives slopes numbers: what to add to the sensor's reference, along x for every subaperture, then along y;
+//   it keeps the mirror where the commands put it.
+//
+// COPHASE_BAD_VALUE before cophase_full_phase_correct, COPHASE_BAD_SHAPE for other numbers than its report's.
+cophase_status cophase_full_phase_corrections(const struct cophase_full_phase *full_phase,
+                                              double *pistons_nm,
+                                              size_t segments,
+                                              double *actuators_nm,
+                                              double *actuators_m,
+                                              size_t actuators,
+                                              double *slopes_mas,
+                                              size_t slopes);
+
 // The devices of this machine, one line each: the name that cophase_device_open takes, a tab, and what it is. The CPU
 // chain is always there, and the first.
 //
@@ -299,6 +428,137 @@ cophase_status cophase_device_name(const struct cophase_device *device,
 // of it was written. Longer sentences than 2048 bytes are cut off.
 size_t cophase_last_error(char *text,
                           size_t capacity);
+
+// What became of each image of the last estimate.
+//
+// reports: receives count reports, each in report_size bytes; report_size: sizeof(cophase_full_phase_image). count: the
+//   number of images in that estimate. COPHASE_BAD_VALUE before the first estimate, here and below.
+cophase_status cophase_full_phase_images(const struct cophase_full_phase *full_phase,
+                                         struct cophase_full_phase_image *reports,
+                                         size_t report_size,
+                                         size_t count);
+
+// What became of an image of the last estimate, in a sentence. `text`, `capacity` and `length` are as in
+// cophase_device_list.
+//
+// COPHASE_BAD_VALUE for an image that was not in it.
+cophase_status cophase_full_phase_image_message(const struct cophase_full_phase *full_phase,
+                                                size_t image,
+                                                char *text,
+                                                size_t capacity,
+                                                size_t *length);
+
+// What somebody should know before using the last estimate, a sentence in each line; empty where there is nothing: images
+// that were left out, a scene that does not explain the images, passes that did not settle, a loop that is not known.
+// `text`, `capacity` and `length` are as in cophase_device_list.
+cophase_status cophase_full_phase_warnings(const struct cophase_full_phase *full_phase,
+                                           char *text,
+                                           size_t capacity,
+                                           size_t *length);
+
+// Number of static modes of the last estimate: pistons of the segments, then NCPA.
+cophase_status cophase_full_phase_mode_count(const struct cophase_full_phase *full_phase, size_t *modes);
+
+// Number of those that move segments; they come first.
+cophase_status cophase_full_phase_segment_mode_count(const struct cophase_full_phase *full_phase,
+                                                     size_t *modes);
+
+// Name of a mode, from 0. The text lives until the next estimate begins.
+//
+// COPHASE_BAD_VALUE for a mode that there is not.
+cophase_status cophase_full_phase_mode_name(const struct cophase_full_phase *full_phase,
+                                            size_t mode,
+                                            const char **name);
+
+// Coefficients of the static modes, nm.
+//
+// coefficients_nm, sigma_nm: receive modes numbers; sigma_nm (1σ of each) may be NULL. modes:
+// cophase_full_phase_mode_count.
+cophase_status cophase_full_phase_coefficients_nm(const struct cophase_full_phase *full_phase,
+                                                  double *coefficients_nm,
+                                                  double *sigma_nm,
+                                                  size_t modes);
+
+// Their covariance, nm². covariance_nm2: receives modes x modes numbers.
+cophase_status cophase_full_phase_covariance_nm2(const struct cophase_full_phase *full_phase,
+                                                 double *covariance_nm2,
+                                                 size_t modes);
+
+// Rows, and columns, of a map.
+cophase_status cophase_full_phase_samples(const struct cophase_full_phase *full_phase, size_t *samples);
+
+// The static errors as maps, nm: map 0 the phasing errors of the segments, map 1 the NCPA, maps 2 and 3 their error bars
+// (1σ). NaN outside the pupil.
+//
+// out: 4 x samples x samples, see cophase_full_phase_samples.
+cophase_status cophase_full_phase_maps_nm(const struct cophase_full_phase *full_phase,
+                                          const struct cophase_array_f32 *out);
+
+// How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
+// `*images`; 0 where they are there. Infinity asks nothing.
+cophase_status cophase_full_phase_images_needed(const struct cophase_full_phase *full_phase,
+                                                double phasing_nm,
+                                                double ncpa_nm,
+                                                uint64_t *images);
+
+// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_full_phase_options).
+cophase_status cophase_full_phase_options_init(struct cophase_full_phase_options *options,
+                                               size_t struct_size);
+
+// Makes a full-phase estimator of a scene, which its estimate.method need not name. Nothing is built yet.
+//
+// scene_text: a scene as TOML, in UTF-8; it is copied. With [wavefront_sensor] and [control] it describes the loop in front
+//   of the camera.
+// directory: where the files are looked for that the scene names; NULL for the working directory.
+// full_phase: receives the handle, which the caller gives back with cophase_full_phase_destroy.
+//
+// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted: also for keys that are for static modes alone,
+// such as estimate.optimizer.
+cophase_status cophase_full_phase_create(const char *scene_text,
+                                         const char *directory,
+                                         struct cophase_full_phase **full_phase);
+
+// Frees a full-phase estimator; NULL is fine. No other call on it may be running, and none may follow.
+void cophase_full_phase_destroy(struct cophase_full_phase *full_phase);
+
+// Rows and columns of a detector frame.
+cophase_status cophase_full_phase_frame_shape(const struct cophase_full_phase *full_phase,
+                                              size_t *rows,
+                                              size_t *cols);
+
+// Says what the raw values of coming frames mean. The maps are copied. NULL: frames are electrons, as they are until the
+// first call.
+cophase_status cophase_full_phase_calibrate(struct cophase_full_phase *full_phase,
+                                            const struct cophase_calibration *calibration);
+
+// Reads a sequence. 75 exposures of Keck take some ten seconds on two.
+//
+// frames: count x rows x cols, see cophase_full_phase_frame_shape; 2 or more exposures of the same static errors. Values
+//   that are not finite are bad pixels. The optical axis is in row rows/2 and column cols/2.
+// slopes_mas: telemetry, 1 x count x slopes: what the wavefront sensor measured meanwhile, mean over each exposure, along x
+//   for every subaperture, then along y; NULL without.
+// options: NULL for the defaults.
+// report: NULL if it is not wanted; report_size: sizeof(cophase_full_phase_report). All else that was found is asked for
+//   by the calls below.
+//
+// COPHASE_BAD_SCENE where more is to be known than there is, such as the loop in a scene without one; COPHASE_BAD_SHAPE
+// for frames or slopes of another shape; COPHASE_BAD_IMAGE where fewer than two images can be used; COPHASE_INTERRUPTED
+// after cophase_full_phase_cancel. A call that fails leaves the estimate before it as it was.
+cophase_status cophase_full_phase_estimate(struct cophase_full_phase *full_phase,
+                                           const struct cophase_input *frames,
+                                           const struct cophase_input *slopes_mas,
+                                           const struct cophase_full_phase_options *options,
+                                           struct cophase_full_phase_report *report,
+                                           size_t report_size);
+
+// Makes the estimate that is running in another thread, or else the next one, return COPHASE_INTERRUPTED, before the next
+// image or the next pass: within a second or two at the size of Keck. [RT]
+cophase_status cophase_full_phase_cancel(const struct cophase_full_phase *full_phase);
+
+// Wavefronts that the estimate running in another thread, or else the last one, has retrieved so far, in all passes
+// together; each pass has one for each image. [RT]
+cophase_status cophase_full_phase_progress(const struct cophase_full_phase *full_phase,
+                                           uint64_t *retrieved);
 
 // Builds the model that a scene describes. This takes about half a second at the size of Keck.
 //

@@ -18,7 +18,8 @@ function build(library_directory, output_directory)
     if nargin < 2
         output_directory = here;
     end
-    nouns = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'session', 'fit', 'sequence', 'simulator'};
+    nouns = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'session', 'fit', 'sequence', 'simulator', ...
+        'full_phase'};
     sources = strcat(fullfile(here, 'gateway', nouns), '.c');
     include = ['-I' fullfile(root, 'include')];
     library = {['-L' library_directory], '-lcophase'};

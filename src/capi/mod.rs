@@ -9,8 +9,11 @@
 #![allow(rustdoc::broken_intra_doc_links)]
 
 mod array;
+mod corrections;
 mod device;
 mod failure;
+mod found;
+mod full_phase;
 mod handle;
 mod input;
 mod model;
@@ -26,8 +29,11 @@ mod status;
 mod version;
 
 pub use array::cophase_array_f32;
+pub use corrections::*;
 pub use device::{cophase_device, cophase_device_close, cophase_device_list, cophase_device_name, cophase_device_open};
 pub use failure::cophase_last_error;
+pub use found::*;
+pub use full_phase::*;
 pub use input::{COPHASE_F32, COPHASE_F64, COPHASE_I32, COPHASE_U8, COPHASE_U16, cophase_input};
 pub use model::*;
 pub use options::*;

@@ -1,15 +1,15 @@
 //! What a caller may choose of sessions, calibrations and fits.
 
 use super::handle::fence;
-use super::input::{COPHASE_F32, COPHASE_F64, cophase_input};
+use super::input::{COPHASE_F32, COPHASE_F64, Input, cophase_input};
 use super::pointer::numbers;
 use super::sized::{self, Options};
 use super::status::cophase_status;
 use crate::device::Choice;
-use crate::estimate::{FitOptions, SessionOptions};
+use crate::estimate::{Calibration, CameraMaps, FitOptions, SessionOptions};
 use crate::imaging::Precision;
 use crate::{Error, Result};
-use ndarray::ArrayView2;
+use ndarray::{Array2, ArrayView2};
 use std::time::Duration;
 
 /// How a session is made.
@@ -165,10 +165,6 @@ pub(super) unsafe fn fit_options<'a>(
     if deadline_s.is_nan() || deadline_s < 0.0 {
         return Err(Error::Value(format!("options->deadline_s is {deadline_s}: 0 or more is accepted")));
     }
-    let read_noise_e = options.read_noise_e;
-    if read_noise_e < 0.0 || read_noise_e.is_infinite() {
-        return Err(Error::Value(format!("options->read_noise_e is {read_noise_e}: 0 or more, or NaN, is accepted")));
-    }
     let start_nm = if options.start_nm.is_null() {
         None
     } else {
@@ -179,7 +175,33 @@ pub(super) unsafe fn fit_options<'a>(
     Ok(FitOptions {
         // A deadline beyond what a clock can hold is none.
         deadline: (deadline_s > 0.0).then(|| Duration::try_from_secs_f64(deadline_s).ok()).flatten(),
-        read_noise_e: (!read_noise_e.is_nan()).then_some(read_noise_e),
+        read_noise_e: read_noise_e(options.read_noise_e)?,
         start_nm,
     })
+}
+
+/// A caller's read noise, checked; `None` for what the scene says.
+pub(super) fn read_noise_e(given: f64) -> Result<Option<f64>> {
+    if given < 0.0 || given.is_infinite() {
+        return Err(Error::Value(format!("options->read_noise_e is {given}: 0 or more, or NaN, is accepted")));
+    }
+    Ok((!given.is_nan()).then_some(given))
+}
+
+/// A caller's calibration for frames of `shape` (rows, columns); electrons for NULL.
+pub(super) unsafe fn calibration(
+    calibration: *const cophase_calibration,
+    shape @ (rows, cols): (usize, usize),
+) -> Result<Calibration> {
+    let given = unsafe { sized::read(calibration, "calibration") }?;
+    let map = |array: &cophase_input, name: &'static str| -> Result<Option<Array2<f64>>> {
+        let Some(input) = (unsafe { Input::optional(array, name) })? else { return Ok(None) };
+        input.must_be([1, rows, cols])?.map().map(Some)
+    };
+    let maps = CameraMaps {
+        dark: map(&given.dark, "calibration->dark")?,
+        flat: map(&given.flat, "calibration->flat")?,
+        bad: map(&given.bad, "calibration->bad")?.map(|bad| bad.mapv(|value| value != 0.0)),
+    };
+    Calibration::new(shape, maps, given.gain_e, given.saturation)
 }

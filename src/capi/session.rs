@@ -4,7 +4,9 @@ use super::device::{choice, cophase_device};
 use super::handle::{Handle, fence, give_back, given_back, null};
 use super::input::{Input, cophase_input};
 use super::model::{check_modes, cophase_model, estimator};
-use super::options::{cophase_calibration, cophase_fit_options, cophase_session_options, fit_options, session_options};
+use super::options::{
+    self, cophase_calibration, cophase_fit_options, cophase_session_options, fit_options, session_options,
+};
 use super::pointer::{numbers, place, put_text, room};
 use super::report::cophase_report;
 use super::sized::{self, Reports};
@@ -12,7 +14,7 @@ use super::status::cophase_status;
 use crate::estimate::{Calibration, CameraMaps, Session};
 use crate::optimize::CancelFlag;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView2};
+use ndarray::ArrayView2;
 use std::sync::atomic::Ordering;
 
 /// One thread's workspace: its memory, its kernels, its queue. Making it pays every cost that comes once.
@@ -109,18 +111,7 @@ pub unsafe extern "C" fn cophase_session_calibrate(
 ) -> cophase_status {
     unsafe {
         change(session, |working| {
-            let given = sized::read(calibration, "calibration")?;
-            let shape @ (rows, cols) = working.calibration.shape();
-            let map = |array: &cophase_input, name: &'static str| -> Result<Option<Array2<f64>>> {
-                let Some(input) = Input::optional(array, name)? else { return Ok(None) };
-                input.must_be([1, rows, cols])?.map().map(Some)
-            };
-            let maps = CameraMaps {
-                dark: map(&given.dark, "calibration->dark")?,
-                flat: map(&given.flat, "calibration->flat")?,
-                bad: map(&given.bad, "calibration->bad")?.map(|bad| bad.mapv(|value| value != 0.0)),
-            };
-            let made = Calibration::new(shape, maps, given.gain_e, given.saturation)?;
+            let made = options::calibration(calibration, working.calibration.shape())?;
             let preparation = &working.session.estimator().model().preparation;
             if made.bad_pixels() > 0 && preparation.reduced != preparation.frame {
                 return Err(Error::Value(format!(

@@ -50,7 +50,7 @@ pub struct Arguments {
     /// Where to run: auto, cpu, opencl or opencl:P:D, as 'cophase devices' lists them
     #[arg(long, value_parser = device)]
     device: Option<String>,
-    /// Precision of the imaging model
+    /// Precision of the imaging model [default: f64, or f32 with full-phase]
     #[arg(long, value_parser = ["f64", "f32"])]
     precision: Option<String>,
     /// Ours (gauss-newton), the paper's method as a whole (bfgs), or its objective with our optimiser (paper)

@@ -1,6 +1,6 @@
 //! `cophase estimate --method full-phase`: a sequence behind adaptive optics.
 
-use super::figures::{Residual, detrended};
+use super::figures::Residual;
 use super::files::Truth;
 use super::interrupt::Interrupt;
 use super::report;
@@ -8,7 +8,7 @@ use super::terminal::Terminal;
 use cophase::io::{FitsReader, Images};
 use cophase::plot::{EstimatePicture, MapTriple, ModalBars, ModeGroup};
 use cophase::scene::{Knows, Scene};
-use cophase::sky::{self, Commands, FullPhase, Pass, SkyImages};
+use cophase::sky::{self, Commands, FullPhase, SkyImages};
 use cophase::{Error, Result};
 use ndarray::Array2;
 use serde::Serialize;
@@ -94,7 +94,9 @@ pub fn run(given: Given, wanted: &Wanted, terminal: &Terminal, interrupt: &Inter
         let name = name.file_name().unwrap_or(name.as_os_str()).to_string_lossy();
         picture(&name, &found, known.as_ref())?.draw(plot)?;
     }
-    warn(&name.display().to_string(), &found, terminal)?;
+    for sentence in found.warnings()? {
+        terminal.warn(&format!("{}: {sentence}", name.display()));
+    }
     if wanted.json {
         return terminal.json(&summary(&found)?);
     }
@@ -119,44 +121,9 @@ fn known(
     }
 }
 
-/// χ² per degree of freedom of images that the model explains but for what it cannot know of turbulence beyond its samples:
-/// 4.4 to 4.8 behind a bright star at 120 samples; a plate scale off by 0.5 % makes it 13.
-const EXPLAINED: f64 = 6.0;
-
-fn warn(name: &str, found: &FullPhase, terminal: &Terminal) -> Result<()> {
-    let pass = found.result()?;
-    let (used, all) = (pass.used_images.len(), found.reports.len());
-    if used < all {
-        terminal.warn(&format!(
-            "{name}: {} left out; see table IMAGES of the output",
-            report::counted(all - used, "image")
-        ));
-    }
-    if pass.reduced_chi2 > EXPLAINED {
-        terminal.warn(&format!(
-            "{name}: the residual of the typical image is {:.1} times the noise (reduced χ² {:.1}): the scene differs from \
-             the instrument, and the error bars do not know by how much",
-            pass.reduced_chi2.sqrt(),
-            pass.reduced_chi2
-        ));
-    }
-    if matches!(found.knows, Knows::Nothing | Knows::Spectrum) {
-        terminal.warn(&format!(
-            "{name}: with estimate.knows = \"{}\" the loop's answer to the pistons counts as NCPA, and is not in its \
-             error bars",
-            found.knows.word()
-        ));
-    }
-    Ok(())
-}
-
-fn rms_nm(found: &FullPhase, pass: &Pass) -> Result<[f64; 2]> {
-    Ok([detrended(&found.pupil, pass.phasing_nm.view())?.1, detrended(&found.pupil, pass.ncpa_nm.view())?.1])
-}
-
 fn summary(found: &FullPhase) -> Result<Summary> {
     let pass = found.result()?;
-    let [phasing_rms_nm, ncpa_rms_nm] = rms_nm(found, pass)?;
+    let [phasing_rms_nm, ncpa_rms_nm] = found.rms_nm()?;
     Ok(Summary {
         images: found.reports.len(),
         used: pass.used_images.len(),
@@ -168,8 +135,8 @@ fn summary(found: &FullPhase) -> Result<Summary> {
         reduced_chi2: pass.reduced_chi2,
         evaluations: found.reports.iter().map(|report| report.evaluations).sum(),
         device: "cpu",
-        precision: "f32",
-        status: if pass.reduced_chi2 > EXPLAINED { "misfit" } else { "ok" },
+        precision: found.precision.word(),
+        status: if found.misfits()? { "misfit" } else { "ok" },
         method: "full-phase",
         knows: found.knows.word(),
         passes: found.passes.len(),
@@ -178,7 +145,7 @@ fn summary(found: &FullPhase) -> Result<Summary> {
 
 fn table(name: &str, found: &FullPhase, residual: Option<&Residual>) -> Result<String> {
     let pass = found.result()?;
-    let rms_nm = rms_nm(found, pass)?;
+    let rms_nm = found.rms_nm()?;
     let passes: String = match found.passes.len() {
         1 => "1 pass".into(),
         count => format!("{count} passes"),
@@ -219,7 +186,7 @@ fn picture(name: &str, found: &FullPhase, known: Option<&(Truth, Residual)>) -> 
     let segments = pass.errors.pistons_nm.len();
     let short = |ncpa: &String| ncpa.replace("noll-", "noll ").replace("kl-", "kl ");
     let names = (0..segments).map(|segment| format!("piston {segment}")).chain(pass.ncpa_names.iter().map(short));
-    let rms_nm = rms_nm(found, pass)?;
+    let rms_nm = found.rms_nm()?;
     let part = |i: usize, what: &str| format!("{what} {:.2} nm RMS (1σ {:.2})", rms_nm[i], pass.expected_nm[i]);
     Ok(EstimatePicture {
         title: format!("Phasing and NCPA from {name}"),
@@ -249,8 +216,8 @@ fn picture(name: &str, found: &FullPhase, known: Option<&(Truth, Residual)>) -> 
             groups: (0..segments + pass.ncpa_names.len())
                 .map(|mode| if mode < segments { ModeGroup::Segment } else { ModeGroup::Ncpa })
                 .collect(),
-            estimate_nm: pass.errors.pistons_nm.iter().chain(&pass.errors.ncpa_nm).copied().collect(),
-            sigma_nm: pass.errors.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect(),
+            estimate_nm: pass.coefficients_nm(),
+            sigma_nm: pass.sigma_nm(),
             truth_nm: None,
         },
         image: None,

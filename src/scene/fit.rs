@@ -80,15 +80,35 @@ section! {
         knows: Option<Knows>, ANY, unset("telemetry where the images bring it, else the loop where the scene has one, else the spectrum");
         /// Where it runs.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
-        /// Precision of the imaging chain.
+        /// Precision of the imaging chain; "f32" unless named where method = "full-phase".
         precision: Precision, ANY, default(Precision::F64);
     }
 }
 
 impl Check for EstimateScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
-        if self.method == Method::Modal {
-            reader.refuse(&["knows"], "where estimate.method is \"modal\"")?;
+        match self.method {
+            Method::Modal => reader.refuse(&["knows"], "where estimate.method is \"modal\""),
+            Method::FullPhase => self.check_full_phase(reader),
+        }
+    }
+}
+
+impl EstimateScene {
+    /// What an estimator of whole wavefronts has no use for is refused rather than ignored.
+    fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
+        let modal = ["weighting", "max_evaluations", "step_tolerance_nm", "budget_nm", "combine"];
+        reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
+        if self.optimizer != Optimizer::GaussNewton {
+            let sentence = format_args!(
+                "estimate.optimizer = \"{}\" is a recipe for static modes, which estimate.method = \"full-phase\" does \
+                 not follow; leave it out",
+                self.optimizer.word()
+            );
+            return Err(reader.error("optimizer", sentence));
+        }
+        if !reader.named("precision") {
+            self.precision = Precision::F32;
         }
         Ok(())
     }

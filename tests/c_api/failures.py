@@ -14,6 +14,7 @@ import threading
 
 import cophase
 import numpy as np
+from cophase._interrupt import interruptible
 from cophase._library import lib, words
 from support import failure, stars
 
@@ -144,7 +145,7 @@ def ctrl_c(model, frame):
         calls.append(frame)
         os.kill(os.getpid(), signal.SIGINT)
 
-    assert stopped(lambda: session._interruptible(call)) and len(calls) == 1
+    assert stopped(lambda: interruptible(call, session.cancel)) and len(calls) == 1
     assert session.fit(frame).status == "OK"
 
 

@@ -71,6 +71,15 @@ static void refused_model(const struct setting *s)
     CHECK(cophase_model_create("[pupil]\napertur = 3\n", NULL, &made) == COPHASE_BAD_SCENE);
 }
 
+static void full_phase(const struct setting *s)
+{
+    cophase_full_phase *made = NULL;
+
+    (void)s;
+    CHECK(cophase_full_phase_create(scene, NULL, &made) == COPHASE_OK);
+    cophase_full_phase_destroy(made);
+}
+
 /* Doing it `times` times leaves the memory flat: a tenth of that comes first, for what is made once and kept. */
 static void repeat(const char *what, void (*once)(const struct setting *), const struct setting *s, long times,
                    long most_pages)
@@ -110,6 +119,7 @@ int main(int argc, char **argv)
     repeat("sequence", sequence, &s, times, FEW);
     repeat("refused model", refused_model, &s, times, FEW);
     repeat("model", model, &s, times / 100, MANY); /* each takes 50 ms */
+    repeat("full-phase estimator", full_phase, &s, times / 10, FEW); /* each reads a scene */
     repeat("session", session, &s, times, FEW);
     repeat("session with a fit", working_session, &s, times, FEW);
     done_with(&s);

@@ -15,6 +15,7 @@ use std::process::Command;
 mod fits;
 mod octave;
 mod python;
+mod sky;
 
 /// Enough for the loop to have closed.
 const FRAMES: u64 = 300;

@@ -1,6 +1,6 @@
 //! The MATLAB package under Octave, on the library that cargo built: simulator, fits, help and examples.
 
-use super::{dumps_the_same, fits, here, is_here, libraries, root};
+use super::{dumps_the_same, fits, here, is_here, libraries, root, sky};
 use std::path::Path;
 use std::process::Command;
 
@@ -42,6 +42,17 @@ fn fits_have_the_bits_of_rust() {
             passes(&mut command);
             fits::are_those_of_rust(&scene, &dump);
         }
+    }
+}
+
+#[test]
+fn full_phase_estimates_have_the_bits_of_rust() {
+    let scratch = tempfile::tempdir().unwrap();
+    let dump = scratch.path().join("dump");
+    if let Some(mut command) = octave("full_phase.m", scratch.path()) {
+        command.args([&sky::scene(), &dump, &root().join("bindings/matlab"), &libraries()]).arg(scratch.path());
+        passes(&mut command);
+        sky::is_that_of_rust(&dump);
     }
 }
 

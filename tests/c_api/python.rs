@@ -1,6 +1,6 @@
 //! The Python package on the library that cargo built: the simulator, fits, failures, the wheel.
 
-use super::{dumps_the_same, fits, here, is_here, libraries, library, root};
+use super::{dumps_the_same, fits, here, is_here, libraries, library, root, sky};
 use std::process::Command;
 
 /// `script` with the package on Python's path, where Python runs what it `needs`; where not and `variable` is set, a failure.
@@ -42,6 +42,16 @@ fn fits_have_the_bits_of_rust() {
             passes(command.args([&scene, &dump]));
             fits::are_those_of_rust(&scene, &dump);
         }
+    }
+}
+
+#[test]
+fn full_phase_estimates_have_the_bits_of_rust() {
+    let directory = tempfile::tempdir().unwrap();
+    let dump = directory.path().join("dump");
+    if let Some(mut command) = with_package("full_phase.py") {
+        passes(command.args([&sky::scene(), &dump]));
+        sky::is_that_of_rust(&dump);
     }
 }
 

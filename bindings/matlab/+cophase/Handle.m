@@ -2,7 +2,8 @@ classdef Handle < handle
     %HANDLE  What the classes of this package have in common: an object of the library's.
     %   It is freed with the last variable that holds it, or by delete. Those that were made from it live on.
     %
-    %   See also cophase.Model, cophase.Session, cophase.Sequence, cophase.Simulator.
+    %   See also cophase.Model, cophase.Session, cophase.Sequence, cophase.Simulator,
+    %   cophase.FullPhase.
 
     properties (Hidden, SetAccess = private)
         id = 0 % the gateway's number for it; 0 is nobody's

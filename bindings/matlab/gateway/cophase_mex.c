@@ -60,7 +60,8 @@ static const command COMMANDS[] = {
 };
 
 static const command *const TABLES[] = {
-    COMMANDS, MODEL_COMMANDS, SESSION_COMMANDS, FIT_COMMANDS, SEQUENCE_COMMANDS, SIMULATOR_COMMANDS,
+    COMMANDS,          MODEL_COMMANDS,     SESSION_COMMANDS,    FIT_COMMANDS,
+    SEQUENCE_COMMANDS, SIMULATOR_COMMANDS, FULL_PHASE_COMMANDS,
 };
 
 static const command *command_of(const char *name, int inputs)

@@ -40,6 +40,11 @@ static cophase_status do_fit_work(void *argument)
                                fit->reports, sizeof(cophase_report));
 }
 
+static cophase_status cancel(const void *session)
+{
+    return cophase_session_cancel((const cophase_session *)session);
+}
+
 static mxArray *struct_of(const cophase_report *reports, size_t count)
 {
     static const char *FIELDS[] = {"Status",       "BadPixels", "Evaluations", "ReducedChi2", "Flux_e",
@@ -77,7 +82,7 @@ static void do_fit(int outputs, mxArray **out, int inputs, const mxArray **in)
     out[0] = mxCreateDoubleMatrix(fit.modes, fit.frames.count, mxREAL);
     fit.coefficients_nm = (double *)mxGetData(out[0]);
     session->images = 0;
-    interruptible(fit.session, do_fit_work, &fit);
+    interruptible(cancel, fit.session, do_fit_work, &fit);
     session->images = fit.frames.count;
     if (outputs > 1)
         out[1] = struct_of(fit.reports, fit.frames.count);

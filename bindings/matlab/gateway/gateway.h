@@ -19,7 +19,8 @@ typedef struct command {
 } command;
 
 /* Each ends with a name of NULL. */
-extern const command MODEL_COMMANDS[], SESSION_COMMANDS[], FIT_COMMANDS[], SEQUENCE_COMMANDS[], SIMULATOR_COMMANDS[];
+extern const command MODEL_COMMANDS[], SESSION_COMMANDS[], FIT_COMMANDS[], SEQUENCE_COMMANDS[], SIMULATOR_COMMANDS[],
+    FULL_PHASE_COMMANDS[];
 
 /* Takes as many arguments as it is given: for `most`. */
 #define ANY_NUMBER 1000
@@ -54,6 +55,9 @@ const double *doubles(const mxArray *value, size_t rows, size_t cols, const char
  * no other one has is enough. */
 void options(int inputs, const mxArray **in, const char *const *names, const mxArray **values);
 
+/* What raw values mean, from 'Dark', dark, ... (session.c). */
+cophase_calibration calibration_of(int inputs, const mxArray **in);
+
 /* ---- results (arguments.c) */
 
 /* Single maps (y, x, k) of `side` x `side` samples, and the library's view of them. */
@@ -67,7 +71,7 @@ void set_number(mxArray *record, size_t index, const char *field, double value);
  * MATLAB holds numbers that are never used again, not pointers: one that is stale, made up, or of another noun finds
  * nothing, instead of memory that is not what it was taken for. */
 
-typedef enum noun { MODEL, SESSION, SEQUENCE, SIMULATOR } noun;
+typedef enum noun { MODEL, SESSION, SEQUENCE, SIMULATOR, FULL_PHASE } noun;
 
 typedef struct live {
     double id;
@@ -91,8 +95,9 @@ void handle_delete_all(void);
 
 /* ---- Ctrl-C (interrupt.c) */
 
-/* Does the work in a thread of its own, while this one waits for Ctrl-C and then cancels the session; returns when the
+/* Does the work in a thread of its own, while this one waits for Ctrl-C and then cancels the object; returns when the
  * work is done. Raises what the work fails with, COPHASE_INTERRUPTED after Ctrl-C in any case. */
-void interruptible(const cophase_session *session, cophase_status (*work)(void *), void *argument);
+typedef cophase_status cancel_call(const void *object);
+void interruptible(cancel_call *cancel, const void *object, cophase_status (*work)(void *), void *argument);
 
 #endif

@@ -5,7 +5,7 @@
 static live *all_live = NULL;
 static double last_id = 0.0;
 
-static const char *const CLASSES[] = {"Model", "Session", "Sequence", "Simulator"};
+static const char *const CLASSES[] = {"Model", "Session", "Sequence", "Simulator", "FullPhase"};
 
 static void destroy_object(noun noun, void *object)
 {
@@ -21,6 +21,9 @@ static void destroy_object(noun noun, void *object)
         break;
     case SIMULATOR:
         cophase_simulator_destroy((cophase_simulator *)object);
+        break;
+    case FULL_PHASE:
+        cophase_full_phase_destroy((cophase_full_phase *)object);
         break;
     }
 }

@@ -8,9 +8,9 @@
 
 #if defined(_WIN32) && defined(MATLAB_MEX_FILE)
 
-void interruptible(const cophase_session *session, cophase_status (*work)(void *), void *argument)
+void interruptible(cancel_call *cancel, const void *object, cophase_status (*work)(void *), void *argument)
 {
-    (void)session;
+    (void)cancel, (void)object;
     check(work(argument));
 }
 
@@ -57,6 +57,8 @@ static int ctrl_c(void)
 #define STACK_BYTES (8u << 20)
 
 typedef struct job {
+    cancel_call *cancel;
+    const void *object; /* to be cancelled */
     cophase_status (*work)(void *);
     void *argument;
     cophase_status status;
@@ -82,7 +84,7 @@ static void *do_work(void *argument)
 }
 
 /* Until the job is done; tells whether there was a Ctrl-C before. */
-static int wait_for(job *job, const cophase_session *session)
+static int wait_for(job *job)
 {
     int pressed = 0;
 
@@ -96,7 +98,7 @@ static int wait_for(job *job, const cophase_session *session)
         until.tv_nsec %= 1000000000L;
         pthread_cond_timedwait(&job->ended, &job->lock, &until);
         if (!job->done && !pressed && ctrl_c()) {
-            cophase_session_cancel(session);
+            job->cancel(job->object);
             pressed = 1;
         }
     }
@@ -105,7 +107,7 @@ static int wait_for(job *job, const cophase_session *session)
 }
 
 /* The job in a thread of its own, or where none is to be had in this one, deaf to Ctrl-C. */
-static int run(job *job, const cophase_session *session)
+static int run(job *job)
 {
     pthread_attr_t attributes;
     pthread_t thread;
@@ -119,31 +121,33 @@ static int run(job *job, const cophase_session *session)
         do_work(job);
         return 0;
     }
-    pressed = wait_for(job, session);
+    pressed = wait_for(job);
     pthread_join(thread, NULL);
     return pressed;
 }
 
-void interruptible(const cophase_session *session, cophase_status (*work)(void *), void *argument)
+void interruptible(cancel_call *cancel, const void *object, cophase_status (*work)(void *), void *argument)
 {
     job job;
     int pressed;
 
     memset(&job, 0, sizeof job);
+    job.cancel = cancel;
+    job.object = object;
     job.work = work;
     job.argument = argument;
     pthread_mutex_init(&job.lock, NULL);
     pthread_cond_init(&job.ended, NULL);
-    pressed = run(&job, session);
+    pressed = run(&job);
     pthread_cond_destroy(&job.ended);
     pthread_mutex_destroy(&job.lock);
 
-    /* Cancelled when all was done but the end: that would fall on the next fit, which nobody wants to stop. Let it fall
+    /* Cancelled when all was done but the end: that would fall on the next call, which nobody wants to stop. Let it fall
      * on this one, once more. */
     if (pressed && job.status != COPHASE_INTERRUPTED)
         work(argument);
     if (pressed)
-        fail(COPHASE_INTERRUPTED, "Ctrl-C stopped the fit: its images have no estimate");
+        fail(COPHASE_INTERRUPTED, "Ctrl-C stopped it: these images have no estimate");
     if (job.status != COPHASE_OK)
         fail(job.status, "%s", job.sentence);
 }

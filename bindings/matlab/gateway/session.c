@@ -75,14 +75,12 @@ static void do_delete(int outputs, mxArray **out, int inputs, const mxArray **in
 static const char *const CALIBRATION[] = {"Dark", "Flat", "Bad", "Gain_e", "Saturation", NULL};
 enum { DARK, FLAT, BAD, GAIN_E, SATURATION, CALIBRATION_COUNT };
 
-/* (session, 'Dark', dark, ...); without options there is none. */
-static void do_calibrate(int outputs, mxArray **out, int inputs, const mxArray **in)
+cophase_calibration calibration_of(int inputs, const mxArray **in)
 {
-    const live *session = handle_of(in[0], SESSION);
     const mxArray *given[CALIBRATION_COUNT];
     cophase_calibration calibration;
 
-    options(inputs - 1, in + 1, CALIBRATION, given);
+    options(inputs, in, CALIBRATION, given);
     check(cophase_calibration_init(&calibration, sizeof calibration));
     if (given[DARK] != NULL)
         calibration.dark = input(given[DARK], "Dark");
@@ -94,6 +92,15 @@ static void do_calibrate(int outputs, mxArray **out, int inputs, const mxArray *
         calibration.gain_e = number(given[GAIN_E], "Gain_e");
     if (given[SATURATION] != NULL)
         calibration.saturation = number(given[SATURATION], "Saturation");
+    return calibration;
+}
+
+/* (session, 'Dark', dark, ...); without options there is none. */
+static void do_calibrate(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const live *session = handle_of(in[0], SESSION);
+    const cophase_calibration calibration = calibration_of(inputs - 1, in + 1);
+
     check(cophase_session_calibrate((cophase_session *)session->object, &calibration));
 }
 

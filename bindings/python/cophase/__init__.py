@@ -14,6 +14,11 @@ And a minute of sky to try it on:
 >>> simulator = cophase.Simulator(cophase.preset("keck-onsky"))
 >>> simulator.step(100)
 >>> simulator.residual_rms_nm, simulator.image_e.shape
+
+Static errors from a sequence of exposures behind adaptive optics:
+
+>>> estimate = cophase.FullPhase(cophase.preset("keck-onsky")).estimate(frames, slopes_mas)
+>>> estimate.report.phasing_sigma_nm, estimate.phasing_nm
 """
 
 from ._library import version
@@ -32,6 +37,7 @@ from .errors import (
     Interrupted,
     PanicError,
 )
+from .full_phase import Corrections, FullPhase, FullPhaseEstimate
 from .model import Model
 from .scene import preset
 from .sequence import Estimate, Sequence
@@ -46,10 +52,13 @@ __all__ = [
     "BadShapeError",
     "BadValueError",
     "BusyError",
+    "Corrections",
     "DeviceError",
     "Error",
     "Estimate",
     "Fit",
+    "FullPhase",
+    "FullPhaseEstimate",
     "InternalError",
     "Interrupted",
     "Model",

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-import threading
-from concurrent.futures import Future
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import images, input_view, numbers, record, values
 from ._handle import Handle
+from ._interrupt import interruptible
 from ._library import check, ffi, lib, options, scalar, text, text_of, words
-from .errors import Error
 from .model import Model
 
 _REPORT = record("cophase_report")
@@ -220,40 +217,8 @@ class Session(Handle):
         if deadline_s is not None and deadline_s <= _SOON_S:
             call()
         else:
-            self._interruptible(call)
+            interruptible(call, self.cancel)
         return Fit(coefficients_nm, reports)
-
-    def _interruptible(self, call: Callable[[], None]) -> None:
-        """Makes a call that Ctrl-C cancels.
-
-        Python handles a signal in the main thread alone, and only between its own instructions: so that thread must
-        wait in Python while another one is inside the library.
-        """
-        if threading.current_thread() is not threading.main_thread():
-            call()
-            return
-        done: Future[None] = Future()
-
-        def work() -> None:
-            try:
-                call()
-                done.set_result(None)
-            except BaseException as error:  # noqa: BLE001 - for the thread that waits
-                done.set_exception(error)
-
-        thread = threading.Thread(target=work, name="cophase.Session.fit")
-        try:
-            thread.start()
-            done.result()
-        except KeyboardInterrupt:
-            self.cancel()
-            if thread.is_alive():
-                thread.join()
-            if done.done() and done.exception() is None:
-                # It was over before it could be cancelled, and the next one must not be in its place.
-                with suppress(Error):
-                    call()
-            raise
 
     def cancel(self) -> None:
         """Makes the fit that is running in another thread, or else the next one, raise :class:`cophase.Interrupted`.

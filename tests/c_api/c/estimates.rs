@@ -1,6 +1,7 @@
 //! What C sees of a model and of its fits is what Rust sees.
 
 use super::super::fits::{are_those_of_rust, scenes};
+use super::super::sky;
 use super::{doubles, dumps, here, same};
 use cophase::estimate::Estimator;
 use cophase::modes::Group;
@@ -31,4 +32,9 @@ fn fits_have_the_bits_of_rust() {
     for scene in scenes(directory.path()) {
         dumps("session.c", &[&scene], |dump| are_those_of_rust(&scene, dump));
     }
+}
+
+#[test]
+fn full_phase_estimates_have_the_bits_of_rust() {
+    dumps("full_phase.c", &[&sky::scene()], sky::is_that_of_rust);
 }

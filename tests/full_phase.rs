@@ -1,0 +1,125 @@
+//! Full-phase estimates of a small telescope: what they take of the scene, and what corrections do to the true errors behind
+//! the exposures that they were estimated from, by which their order and their sign are told.
+
+use cophase::ao::{Sensor, Stepper};
+use cophase::modes::Samples;
+use cophase::scene::{Precision, Scene};
+use cophase::sky::{Commands, SkyImages, read};
+use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
+use std::path::{Path, PathBuf};
+
+/// A small telescope behind a loop.
+fn sky() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/c_api/sky.toml")
+}
+
+/// Exposures behind the loop, with the slopes that were measured meanwhile.
+fn exposures(stepper: &mut Stepper, count: usize) -> SkyImages {
+    let (mut images_e, mut slopes_mas) = (Vec::new(), Vec::new());
+    stepper.step(300).unwrap();
+    for _ in 0..count {
+        stepper.step(60).unwrap();
+        images_e.push(stepper.image_e().unwrap().mapv(f64::from));
+        slopes_mas.extend(stepper.last().unwrap().slopes_mas.iter().map(|&mas| f64::from(mas)));
+    }
+    let views: Vec<_> = images_e.iter().map(|image| image.view()).collect();
+    let images_e: Array3<f64> = ndarray::stack(Axis(0), &views).unwrap();
+    let slopes_mas = Array2::from_shape_vec((count, slopes_mas.len() / count), slopes_mas).unwrap();
+    SkyImages { bad: images_e.mapv(|_| false), images_e, read_noise_e: None, slopes_mas: Some(slopes_mas) }
+}
+
+fn rms(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+#[test]
+fn precision_is_honoured_and_hardly_matters() {
+    let single = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
+    let double = single.with_override("estimate.precision", "f64").unwrap();
+    let images = exposures(&mut Stepper::new(&single).unwrap(), 3);
+    let [single, double] = [single, double].map(|scene| read(&scene, &images, None, &|_| {}).unwrap());
+    assert_eq!((single.precision, double.precision), (Precision::F32, Precision::F64));
+    let [one, other] = [&single, &double].map(|found| found.result().unwrap());
+    let (one_nm, other_nm) = (one.coefficients_nm(), other.coefficients_nm());
+    assert_ne!(one_nm, other_nm);
+    // A retrieval stops within a fraction of what its noise leaves, in either precision somewhere else.
+    let within = |((one, other), sigma): ((&f64, &f64), f64)| (one - other).abs() < sigma;
+    assert!(one_nm.iter().zip(&other_nm).zip(other.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
+}
+
+#[test]
+fn what_is_for_static_modes_alone_is_refused() {
+    let scene = Scene::from_file(sky()).unwrap();
+    for (key, value) in [
+        ("estimate.optimizer", "bfgs"),
+        ("estimate.optimizer", "paper"),
+        ("estimate.weighting", "none"),
+        ("estimate.max_evaluations", "10"),
+        ("estimate.step_tolerance_nm", "0.1"),
+        ("estimate.budget_nm", "1"),
+        ("estimate.combine", "median"),
+    ] {
+        let modal = scene.with_override(key, value).unwrap();
+        let sentence = modal.with_override("estimate.method", "full-phase").unwrap_err().to_string();
+        let named = sentence.contains(key) && sentence.contains("estimate.method = \"full-phase\"");
+        assert!(named || sentence.contains("where estimate.method is \"full-phase\""), "{sentence}");
+        assert!(sentence.ends_with("leave it out") && !sentence.contains('\n'), "{sentence}");
+    }
+}
+
+#[test]
+fn corrections_take_off_what_is_really_there() {
+    // Maps on the samples of the wavefront sensor.
+    let settings = [("pupil.samples", "80"), ("estimate.method", "full-phase")];
+    let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
+    let mut stepper = Stepper::new(&scene).unwrap();
+    let images = exposures(&mut stepper, 6);
+    let found = read(&scene, &images, None, &|_| {}).unwrap();
+    let commands = Commands::of(&scene, found.result().unwrap(), None).unwrap();
+    let simulator = stepper.simulator();
+    let (truth, pupil) = (simulator.truth(), simulator.pupil());
+
+    // Six exposures leave 16 of 60 nm of pistons, since what is under its error bar is left alone, and 5 of 50 nm of NCPA:
+    // with the wrong sign or in the wrong order twice as much, or 1.4 times, would be left and not less than half.
+    let left: Vec<f64> = truth.piston_nm.iter().zip(&commands.pistons_nm).map(|(nm, add)| nm + add).collect();
+    println!("pistons of {:.1} nm, {:.1} left", rms(&truth.piston_nm), rms(&left));
+    assert!(rms(&left) < 0.5 * rms(&truth.piston_nm));
+
+    let influence = simulator.influence();
+    let (places, moves): (Vec<[f64; 2]>, Vec<f64>) = commands.actuators_nm.iter().copied().unzip();
+    assert!(places.iter().zip(influence.positions_m()).all(|(place, (x_m, y_m))| *place == [x_m, y_m]));
+    let samples = Samples::of(pupil).unwrap();
+    let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
+    let surface_nm = ArrayView1::from(&moves).dot(&shapes);
+    let map = |at: &dyn Fn(usize, usize) -> f64| {
+        let mut map = Array2::from_elem(pupil.amplitude.dim(), f64::NAN);
+        let n = map.ncols();
+        samples.indices.iter().enumerate().for_each(|(i, &place)| map[[place / n, place % n]] = at(i, place));
+        map
+    };
+    let ncpa_nm = truth.ncpa_nm.as_slice().unwrap();
+    let rms_nm = |map: ArrayView2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map).unwrap().view()).unwrap();
+    // The mirror's surface is taken off the wavefront.
+    let before_nm = rms_nm(map(&|_, place| ncpa_nm[place]).view());
+    let after_nm = rms_nm(map(&|i, place| ncpa_nm[place] - surface_nm[i]).view());
+    println!("NCPA of {before_nm:.1} nm, {after_nm:.1} left");
+    assert!(after_nm < 0.5 * before_nm);
+
+    // A loop that drives its slopes to the new reference leaves the wavefront that the mirror made: what the sensor says of
+    // it is what was added to the reference. A quad cell is not linear, and the mirror holds nine tenths of the NCPA.
+    let (sensing, footprint) = (scene.wavefront_sensor.as_ref().unwrap(), simulator.footprint());
+    let mut sensor = Sensor::new(sensing, simulator.lenslets().clone(), pupil, footprint).unwrap();
+    let mut opd_nm = footprint.zeros().to_vec();
+    let n = pupil.amplitude.ncols();
+    for (&place, surface_nm) in samples.indices.iter().zip(&surface_nm) {
+        opd_nm[place / n * footprint.stride() + place % n] = -surface_nm as f32;
+    }
+    let mut seen_mas = vec![0.0; sensor.slopes()];
+    sensor.measure(&opd_nm, None, &mut seen_mas).unwrap();
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|value| value * value).sum::<f64>().sqrt();
+    let off = norm(&mut seen_mas.iter().zip(&commands.slopes_mas).map(|(seen, add)| f64::from(*seen) - add));
+    let all = norm(&mut seen_mas.iter().map(|&seen| f64::from(seen)));
+    println!("slopes of {all:.1} mas, {off:.1} off");
+    assert!(off < 0.5 * all);
+}
