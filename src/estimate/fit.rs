@@ -204,26 +204,28 @@ impl Fitter<'_> {
                 };
                 images.filter_map(own).collect()
             };
-            let step = |(runner, prepared, evaluation): (&mut Runner, &mut &mut Prepared, &Evaluation)| {
-                let next = runner.tell(evaluation);
-                if next != Next::Psf {
-                    return next;
-                }
-                // A device gives no PSFs.
-                let psf = self.judge.psf(ArrayView1::from(runner.point()));
-                runner.settle(&psf, prepared)
-            };
-            let next: Vec<Next> = told.into_par_iter().map(step).collect();
-            let reloaded = active.iter().zip(&next).filter(|(_, next)| **next == Next::Reload).map(|(&image, _)| image);
-            let reloaded: Vec<(usize, &Exposure)> = reloaded.map(|image| (image, &prepared[image].exposure)).collect();
-            chain.replace_all(&reloaded)?;
+            let step =
+                |(runner, prepared, evaluation): (&mut Runner, &mut &mut Prepared, &Evaluation)| -> Result<Next> {
+                    let next = runner.tell(evaluation);
+                    // A device gives no PSFs.
+                    let psf = |runner: &Runner| self.judge.psf(ArrayView1::from(runner.point()));
+                    match next {
+                        Next::Evaluation => {}
+                        Next::Renewal => runner.renew(&psf(runner), prepared)?,
+                        Next::Psf => runner.settle(&psf(runner), prepared),
+                    }
+                    Ok(next)
+                };
+            let next = told.into_par_iter().map(step).collect::<Result<Vec<Next>>>()?;
+            let renewed = active.iter().zip(&next).filter(|(_, next)| **next == Next::Renewal).map(|(&image, _)| image);
+            let renewed: Vec<(usize, &Exposure)> = renewed.map(|image| (image, &prepared[image].exposure)).collect();
+            chain.replace_all(&renewed)?;
             for (&image, next) in active.iter().zip(&next) {
-                if *next == Next::Nothing {
+                if *next == Next::Psf {
                     stop_if_cancelled(runners[image].reason(), count - active.len(), count)?;
                 }
             }
-            active =
-                active.into_iter().zip(&next).filter(|(_, next)| **next != Next::Nothing).map(|(i, _)| i).collect();
+            active = active.into_iter().zip(&next).filter(|(_, next)| **next != Next::Psf).map(|(i, _)| i).collect();
             watch(count - active.len(), count);
         }
         let minimum = |runner: Runner| {

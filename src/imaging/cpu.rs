@@ -120,6 +120,15 @@ impl<T: Polynomial> CpuChain<T> {
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
     }
 
+    /// As [`CpuChain::evaluate_one`] at the coefficients of the [`CpuChain::psf_in`] that `scratch` was last used for,
+    /// whose PSF is not made again: bitwise the same.
+    ///
+    /// # Panics
+    /// As [`CpuChain::evaluate_one`].
+    pub fn evaluate_there(&self, image: &Loaded<T>, scratch: &mut Scratch<T>, evaluation: &mut Evaluation) {
+        vectorised(Backward { chain: self, image, memory: scratch, evaluation });
+    }
+
     /// The PSF as [`CpuChain::psf`] gives it, in the caller's memory.
     pub fn psf_in<'s>(&self, coefficients_nm: ArrayView1<f64>, scratch: &'s mut Scratch<T>) -> &'s [T] {
         vectorised(Forward { chain: self, coefficients_nm, memory: scratch });
