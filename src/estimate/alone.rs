@@ -4,12 +4,14 @@
 use super::prepare::Prepared;
 use super::runner::{Next, Runner};
 use crate::Result;
-use crate::imaging::{CpuChain, Evaluation, Loaded, Polynomial, Scratch};
+use crate::imaging::{CpuChain, Evaluation, Flat, Loaded, Polynomial, Scratch};
 use ndarray::ArrayView1;
 
 /// One thread's memory for it.
 pub(super) struct Alone<T: Polynomial> {
     scratch: Scratch<T>,
+    /// Where most fits begin.
+    flat: Flat<T>,
     evaluation: Evaluation,
     /// A PSF in double precision: sums over it find flux, background and χ².
     psf: Vec<f64>,
@@ -22,6 +24,7 @@ impl<T: Polynomial> Alone<T> {
         let pixels = chain.optics().sampling().pixels;
         Self {
             scratch: chain.scratch(),
+            flat: chain.flat(),
             evaluation: chain.evaluation(),
             psf: vec![0.0; pixels * pixels],
             seen_nm: vec![f64::NAN; chain.optics().modes()],
@@ -41,6 +44,10 @@ impl<T: Polynomial> Alone<T> {
     ) -> Result<()> {
         chain.set(loaded, &image.exposure)?;
         let mut next = Next::Evaluation;
+        if runner.point().iter().all(|&nm| nm == 0.0) {
+            chain.evaluate_flat(loaded, &mut self.flat, &mut self.evaluation);
+            next = runner.tell(&self.evaluation);
+        }
         loop {
             next = match next {
                 Next::Evaluation => {
