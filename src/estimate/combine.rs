@@ -160,9 +160,9 @@ pub(super) fn combine(
     mut minima: Vec<Minimum>,
 ) -> Result<Estimate> {
     let model = &estimator.model;
-    let pistons = Pistons::of(model)?;
+    let pistons = &estimator.pistons;
     minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
-    let reports = judged(estimator, prepared, &minima)?;
+    let reports = judged(estimator, prepared, &minima);
     // The reports of those that were fitted take the places of those that say why not.
     let reason =
         |refused: Option<Refusal>| refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable);
@@ -232,7 +232,7 @@ pub(super) fn subset(
     if used.is_empty() {
         return Err(nothing_fitted(&reports));
     }
-    let pistons = Pistons::of(model)?;
+    let pistons = &estimator.pistons;
     let used_nm = coefficients_nm.select(Axis(0), &used);
     let single_nm2 = if is_sequence(&reports) {
         pistons.centred(&scatter(&used_nm, how, &estimate.single.noise_nm2))
