@@ -178,7 +178,7 @@ pub(super) fn combine(
     let Selection { used, clipped } = Selection::of(&of_reports, &fitted_nm, how);
     let Some(&first) = used.first() else { return Err(nothing_fitted(&of_reports)) };
     let used_nm = fitted_nm.select(Axis(0), &used);
-    let coefficients_nm = centre(&pistons, &used_nm, how);
+    let coefficients_nm = centre(pistons, &used_nm, how);
     let (single, fisher) = if is_sequence(&of_reports) {
         let (noise_nm2, fisher) = noise_at(estimator, &prepared[first], &minima[first], &coefficients_nm)?;
         let scatter_nm2 = pistons.centred(&scatter(&used_nm, how, &noise_nm2));
@@ -240,7 +240,7 @@ pub(super) fn subset(
         estimate.single.scatter_nm2.clone()
     };
     let combined = Combined {
-        coefficients_nm: centre(&pistons, &used_nm, how),
+        coefficients_nm: centre(pistons, &used_nm, how),
         covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()),
     };
     let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
