@@ -120,6 +120,12 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
         }
     };
     let first = run(&toy, &mut machine);
+    // It ends there too, lower than at the last point that was evaluated: by what it promised, to a half.
+    let mut end = vec![0.0; toy.len()];
+    machine.write_end(&mut end);
+    let gained = machine.outcome().f - toy.evaluate(&end).0;
+    let promised = machine.outcome().predicted_decrease;
+    assert!((gained - promised).abs() < 0.5 * promised, "{gained} of {promised}");
     toy.reweight(&machine.outcome().x.clone());
     assert_eq!(machine.restart_objective(), Progress::Continue);
     // It goes on from the end of the step that was too small to be worth an evaluation.

@@ -59,7 +59,7 @@ impl Estimator {
         super::refuse_budget(scene)?;
         let (recipe, set) = modes_of(scene, arrays, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
-        Ok(Self::of_model(scene, recipe, model))
+        Self::of_model(scene, recipe, model)
     }
 }
 

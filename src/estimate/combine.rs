@@ -160,9 +160,9 @@ pub(super) fn combine(
     mut minima: Vec<Minimum>,
 ) -> Result<Estimate> {
     let model = &estimator.model;
-    let pistons = Pistons::of(model)?;
+    let pistons = &estimator.pistons;
     minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
-    let reports = judged(estimator, prepared, &minima)?;
+    let reports = judged(estimator, prepared, &minima);
     // The reports of those that were fitted take the places of those that say why not.
     let reason =
         |refused: Option<Refusal>| refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable);
@@ -178,7 +178,7 @@ pub(super) fn combine(
     let Selection { used, clipped } = Selection::of(&of_reports, &fitted_nm, how);
     let Some(&first) = used.first() else { return Err(nothing_fitted(&of_reports)) };
     let used_nm = fitted_nm.select(Axis(0), &used);
-    let coefficients_nm = centre(&pistons, &used_nm, how);
+    let coefficients_nm = centre(pistons, &used_nm, how);
     let (single, fisher) = if is_sequence(&of_reports) {
         let (noise_nm2, fisher) = noise_at(estimator, &prepared[first], &minima[first], &coefficients_nm)?;
         let scatter_nm2 = pistons.centred(&scatter(&used_nm, how, &noise_nm2));
@@ -232,7 +232,7 @@ pub(super) fn subset(
     if used.is_empty() {
         return Err(nothing_fitted(&reports));
     }
-    let pistons = Pistons::of(model)?;
+    let pistons = &estimator.pistons;
     let used_nm = coefficients_nm.select(Axis(0), &used);
     let single_nm2 = if is_sequence(&reports) {
         pistons.centred(&scatter(&used_nm, how, &estimate.single.noise_nm2))
@@ -240,7 +240,7 @@ pub(super) fn subset(
         estimate.single.scatter_nm2.clone()
     };
     let combined = Combined {
-        coefficients_nm: centre(&pistons, &used_nm, how),
+        coefficients_nm: centre(pistons, &used_nm, how),
         covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()),
     };
     let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();

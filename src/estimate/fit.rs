@@ -15,6 +15,7 @@ use crate::scene::Optimizer;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
 use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// What a caller sees while it waits: images done of all.
@@ -102,7 +103,11 @@ impl Fitter<'_> {
         let settings = settings(wavelength_nm, self.recipe, precision, self.cancel);
         let (count, modes) = (prepared.len(), self.model.optics.modes());
         let any = self.metrics.any(self.judge)?;
-        let memory =
+        // A thread's memory is taken up again by whoever comes next: to make it takes as long as a fit.
+        let idle = Mutex::new(Vec::new());
+        let take = || idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let put_back = |memory| idle.lock().unwrap_or_else(PoisonError::into_inner).push(memory);
+        let make =
             || -> Result<_> { Ok((Runner::new(any, self.recipe, settings.clone())?, Alone::new(chain), chain.room())) };
         let mut minima = Vec::with_capacity(count);
         let (mut rest, mut part) = (prepared, rayon::current_num_threads());
@@ -111,12 +116,14 @@ impl Fitter<'_> {
             let (now, later) = rest.split_at_mut(part.min(rest.len()));
             rest = later;
             let images = now.par_iter_mut().zip(&start_nm[minima.len()..]);
-            let found = images.map_init(memory, |memory, (image, start_nm)| {
-                let (runner, alone, loaded) = memory.as_mut().map_err(|error| error.clone())?;
+            let found = images.map(|(image, start_nm)| {
+                let mut memory = take().map_or_else(make, Ok)?;
+                let (runner, alone, loaded) = &mut memory;
                 runner.begin(self.metrics.of(self.judge, image)?, start_nm, self.deadline)?;
                 alone.lead(chain, runner, image, loaded)?;
                 let mut minimum = Minimum::room(modes);
                 runner.write(&mut minimum);
+                put_back(memory);
                 Ok(minimum)
             });
             for minimum in found.collect::<Result<Vec<_>>>()? {
@@ -204,26 +211,28 @@ impl Fitter<'_> {
                 };
                 images.filter_map(own).collect()
             };
-            let step = |(runner, prepared, evaluation): (&mut Runner, &mut &mut Prepared, &Evaluation)| {
-                let next = runner.tell(evaluation);
-                if next != Next::Psf {
-                    return next;
-                }
-                // A device gives no PSFs.
-                let psf = self.judge.psf(ArrayView1::from(runner.point()));
-                runner.settle(&psf, prepared)
-            };
-            let next: Vec<Next> = told.into_par_iter().map(step).collect();
-            let reloaded = active.iter().zip(&next).filter(|(_, next)| **next == Next::Reload).map(|(&image, _)| image);
-            let reloaded: Vec<(usize, &Exposure)> = reloaded.map(|image| (image, &prepared[image].exposure)).collect();
-            chain.replace_all(&reloaded)?;
+            let step =
+                |(runner, prepared, evaluation): (&mut Runner, &mut &mut Prepared, &Evaluation)| -> Result<Next> {
+                    let next = runner.tell(evaluation);
+                    // A device gives no PSFs.
+                    let psf = |runner: &Runner| self.judge.psf(ArrayView1::from(runner.point()));
+                    match next {
+                        Next::Evaluation => {}
+                        Next::Renewal => runner.renew(&psf(runner), prepared)?,
+                        Next::Psf => runner.settle(&psf(runner), prepared),
+                    }
+                    Ok(next)
+                };
+            let next = told.into_par_iter().map(step).collect::<Result<Vec<Next>>>()?;
+            let renewed = active.iter().zip(&next).filter(|(_, next)| **next == Next::Renewal).map(|(&image, _)| image);
+            let renewed: Vec<(usize, &Exposure)> = renewed.map(|image| (image, &prepared[image].exposure)).collect();
+            chain.replace_all(&renewed)?;
             for (&image, next) in active.iter().zip(&next) {
-                if *next == Next::Nothing {
+                if *next == Next::Psf {
                     stop_if_cancelled(runners[image].reason(), count - active.len(), count)?;
                 }
             }
-            active =
-                active.into_iter().zip(&next).filter(|(_, next)| **next != Next::Nothing).map(|(i, _)| i).collect();
+            active = active.into_iter().zip(&next).filter(|(_, next)| **next != Next::Psf).map(|(i, _)| i).collect();
             watch(count - active.len(), count);
         }
         let minimum = |runner: Runner| {

@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! model     S·(D·n² + 3·D·L + 9·n² + 12·E + 24·L + 2·n·m) + 2²⁶
-//! threads   T·S·(12·n² + 12·m² + 10·k² + 4·n·m + 40·L + 8·frame),  k = max(n, m + 2)
+//! threads   T·S·(21·n² + 17·m² + 10·k² + 4·n·m + 40·L + 8·frame),  k = max(n, m + 2)
 //! matrices  S·M²·(26 + 7·min(T, 4))
 //! kept      I·S·(3·m² + 3·M)
 //! ─────────
@@ -108,8 +108,8 @@ impl Model {
         let k = n.max(m + 2);
         // The maps; the optics and two chains, which hold them at the lit samples; pupil, weights and tables.
         let model = smooth * (maps + 3 * lit) + 9 * maps.max(n * n) + 12 * entries + 24 * lit + 2 * n * m;
-        // Two chains' scratch and that of the derivatives; a frame's preparation.
-        let thread = 12 * n * n + 12 * m * m + 10 * k * k + 4 * n * m + 40 * lit + 8 * frame;
+        // Two chains' scratch, one's for the flat wavefront, and that of the derivatives; a frame's preparation.
+        let thread = 21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * lit + 8 * frame;
         let square = modes * modes * NUMBER;
         Memory {
             model: NUMBER * model + BASE_BYTES,

@@ -46,11 +46,13 @@ pub use memory::{Memory, Tiles};
 use metrics::Metrics;
 use mode_set::OwnBasis;
 pub use model::Model;
+use pistons::Pistons;
 pub use prepare::{Frame, Preparation, Prepared, Refusal};
 use prepare::{Preparer, Ringing};
 pub use recipe::Recipe;
 pub use select::{Cube, Open, read};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
+use status::Tilts;
 pub use status::{ImageReport, Status};
 
 use crate::imaging::{Chain, CpuChain, Precision};
@@ -59,7 +61,7 @@ use crate::scene::{Combine, Method, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Reads images of one scene.
 pub struct Estimator {
@@ -69,6 +71,9 @@ pub struct Estimator {
     /// The f64 CPU chain: metric, weights, χ² and error bars come from it whatever chain fits.
     judge: CpuChain<f64>,
     metrics: Metrics,
+    /// Means over the pupil, which take as long as some fits.
+    pistons: Pistons,
+    tilts: Tilts,
     own_basis: Arc<OwnBasis>,
 }
 
@@ -168,13 +173,14 @@ impl Estimator {
         refuse_budget(scene)?;
         refuse_full_phase(scene)?;
         let model = Model::with_own_basis(scene, &recipe, native, &own_basis)?;
-        Ok(Self { own_basis, ..Self::of_model(scene, recipe, model) })
+        Ok(Self { own_basis, ..Self::of_model(scene, recipe, model)? })
     }
 
-    fn of_model(scene: &Scene, recipe: Recipe, model: Model) -> Self {
+    fn of_model(scene: &Scene, recipe: Recipe, model: Model) -> Result<Self> {
         let judge = CpuChain::new(model.optics.clone());
         let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
-        Self { scene: scene.clone(), recipe, model, judge, metrics, own_basis: Arc::default() }
+        let (pistons, tilts) = (Pistons::of(&model)?, Tilts::new(&model)?);
+        Ok(Self { scene: scene.clone(), recipe, model, judge, metrics, pistons, tilts, own_basis: Arc::default() })
     }
 
     /// The model that is compared with the images.
@@ -242,11 +248,10 @@ impl Estimator {
         let mut coefficients_nm = Array2::from_elem((refused.len(), self.model.optics.modes()), f64::NAN);
         let mut reports: Vec<ImageReport> =
             refused.into_iter().map(|refusal| status::unfitted(refusal.map_or(Status::Ok, Status::Unusable))).collect();
-        let pistons = pistons::Pistons::of(&self.model)?;
         for ((&image, mut minimum), report) in
-            indices.iter().zip(minima.iter().cloned()).zip(status::judged(self, &prepared, &minima)?)
+            indices.iter().zip(minima.iter().cloned()).zip(status::judged(self, &prepared, &minima))
         {
-            pistons.centre(&mut minimum.coefficients_nm);
+            self.pistons.centre(&mut minimum.coefficients_nm);
             coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
             reports[image] = report;
         }
@@ -260,12 +265,16 @@ impl Estimator {
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
         frames.iter().try_for_each(|frame| preparation.checked(*frame))?;
-        let prepare = |preparer: &mut Preparer, frame: Frame| {
+        let idle = Mutex::new(Vec::new());
+        let prepare = |frame: Frame| {
+            let taken = idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
+            let mut preparer = taken.unwrap_or_else(|| Preparer::new(preparation));
             let mut prepared = preparation.room();
-            preparer.prepare(frame, &self.recipe, Ringing::Accepted, &mut prepared).map(|()| prepared)
+            let outcome = preparer.prepare(frame, &self.recipe, Ringing::Accepted, &mut prepared);
+            idle.lock().unwrap_or_else(PoisonError::into_inner).push(preparer);
+            outcome.map(|()| prepared)
         };
-        let outcomes: Vec<std::result::Result<Prepared, Refusal>> =
-            frames.into_par_iter().map_init(|| Preparer::new(preparation), prepare).collect();
+        let outcomes: Vec<std::result::Result<Prepared, Refusal>> = frames.into_par_iter().map(prepare).collect();
         let refused: Vec<Option<Refusal>> = outcomes.iter().map(|outcome| outcome.as_ref().err().copied()).collect();
         let indices: Vec<usize> = (0..refused.len()).filter(|&image| refused[image].is_none()).collect();
         let mut prepared: Vec<Prepared> = outcomes.into_iter().flatten().collect();
@@ -324,6 +333,6 @@ impl Estimator {
             photometry,
             self.model.tiles().derivative_bytes,
         );
-        Ok(pistons::Pistons::of(&self.model)?.centred(&sensitivity.covariance()?))
+        Ok(self.pistons.centred(&sensitivity.covariance()?))
     }
 }

@@ -12,7 +12,7 @@ use super::recipe::Recipe;
 use crate::imaging::{Exposure, Photometry};
 use crate::scene::Weighting;
 use crate::{Error, Result};
-use extent::{Extent, all_finite};
+use extent::{Extent, of_clean_rows};
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use reduction::Reduction;
 use statistics::Statistics;
@@ -132,22 +132,22 @@ pub(super) struct Preparer {
 
 /// A frame at the model's sampling, before it is cropped.
 struct Sampled<'a> {
-    data: &'a Array2<f64>,
+    data: ArrayView2<'a, f64>,
     /// `None` after a reduction, which leaves no pixel out.
-    bad: Option<&'a Array2<bool>>,
+    bad: Option<ArrayView2<'a, bool>>,
     /// Of each row.
     extents: &'a [Extent],
 }
 
 impl Sampled<'_> {
     fn is_bad(&self, at: (usize, usize)) -> bool {
-        self.bad.is_some_and(|bad| bad[at])
+        self.bad.as_ref().is_some_and(|bad| bad[at])
     }
 
     /// The `size` pixels of a row from `(row, column)` on, where the frame has them all and none is bad.
     fn good_stretch(&self, (row, column): (usize, usize), size: usize) -> Option<&[f64]> {
         let stretch = column..column + size;
-        let bad = self.bad.map(|bad| bad.row(row).to_slice().and_then(|bad| bad.get(stretch.clone())));
+        let bad = self.bad.as_ref().map(|bad| bad.row(row).to_slice().and_then(|bad| bad.get(stretch.clone())));
         let good = bad.is_none_or(|bad| bad.is_some_and(|bad| !bad.iter().fold(false, |any, bad| any | *bad)));
         self.data.row(row).to_slice().and_then(|data| data.get(stretch)).filter(|_| good)
     }
@@ -180,11 +180,15 @@ impl Preparer {
         ringing: Ringing,
         prepared: &mut Prepared,
     ) -> std::result::Result<(), Refusal> {
-        let lost = self.orient(frame);
+        // Most frames are good and stand as the model's do: they are read where they are.
+        let flipped = self.plan.flip != [false; 2];
+        let clean = if flipped { None } else { of_clean_rows(frame.data_e, frame.bad, &mut self.extents) };
+        let lost = if clean.is_some() { 0 } else { self.orient(frame) };
         if self.reduction.is_some() && ringing == Ringing::Refused && lost > 0 {
             return Err(Refusal::BadPixelsWouldRing { bad: lost });
         }
-        let level = self.statistics.level_of_border(&self.data, &self.bad);
+        let (data, bad) = if clean.is_some() { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
+        let level = self.statistics.level_of_border(data, bad);
         refuse_unusable(&self.extents[..self.plan.frame[1]], level)?;
         // Without a stated read noise the border's scatter stands for it; 1 e⁻ keeps weights finite on synthetic frames.
         let read_noise_e = match frame.read_noise_e {
@@ -193,13 +197,13 @@ impl Preparer {
         };
         let sampled = match &mut self.reduction {
             Some(reduction) => {
-                let data = reduction.run(&self.data);
+                let data = reduction.run(data);
                 for (extent, row) in self.extents.iter_mut().zip(data.outer_iter()) {
                     *extent = row.as_slice().map_or(Extent::NOTHING, Extent::of);
                 }
-                Sampled { data, bad: None, extents: &self.extents }
+                Sampled { data: data.view(), bad: None, extents: &self.extents }
             }
-            None => Sampled { data: &self.data, bad: Some(&self.bad), extents: &self.extents },
+            None => Sampled { data, bad: clean.is_none().then_some(bad), extents: &self.extents },
         };
         let area = self.plan.native_pixels();
         prepared.level_e = level * area;
@@ -234,12 +238,11 @@ impl Preparer {
             let (values, marks) = (frame.data_e.row(at), frame.bad.row(at));
             // Most rows have no bad pixel: without a way out of the loop it runs in vectors.
             let marked = marks.iter().fold(false, |any, marked| any | *marked);
-            let dirty = marked || !values.as_slice().is_some_and(all_finite);
-            if !dirty && !flip_x {
+            let whole = values.as_slice().filter(|_| !marked && !flip_x).and_then(Extent::of_finite);
+            if let Some(whole) = whole {
                 data.assign(&values);
                 bad.fill(false);
-                // Frames are in rows.
-                *extent = data.as_slice().map_or(Extent::NOTHING, Extent::of);
+                *extent = whole;
                 continue;
             }
             lost += values.iter().zip(marks).filter(|(value, marked)| **marked || !value.is_finite()).count();
@@ -329,15 +332,21 @@ fn crop(frame: &Sampled, size: usize, floor: f64, prepared: &mut Prepared) -> us
 /// The first weights of cropped data, and how its flux and background are found.
 fn weigh(prepared: &mut Prepared, recipe: &Recipe) {
     let Prepared { exposure: Exposure { data_e, weight, photometry }, floor_variance_e2: floor, .. } = prepared;
-    let good = || data_e.iter().zip(floor.iter()).filter(|(_, floor)| floor.is_finite());
-    let brightest = good().fold(0.0f64, |m, (&d, _)| m.max(d));
-    for ((weight, d), floor) in weight.iter_mut().zip(data_e.iter()).zip(floor.iter()) {
-        *weight = match recipe.weighting {
-            Weighting::Noise => 1.0 / (d.max(0.0) + floor),
+    match recipe.weighting {
+        Weighting::Noise => {
+            for ((weight, d), floor) in weight.iter_mut().zip(data_e.iter()).zip(floor.iter()) {
+                *weight = 1.0 / (d.max(0.0) + floor);
+            }
+        }
+        Weighting::None => {
+            let good = data_e.iter().zip(floor.iter()).filter(|(_, floor)| floor.is_finite());
+            let brightest = good.fold(0.0f64, |m, (&d, _)| m.max(d));
             // Scaled by the brightest pixel, so that a tolerance means the same for a bright and for a faint star.
-            Weighting::None if floor.is_finite() => 1.0 / (brightest * brightest),
-            Weighting::None => 0.0,
-        };
+            let scale = 1.0 / (brightest * brightest);
+            weight.iter_mut().zip(floor.iter()).for_each(|(weight, floor)| {
+                *weight = if floor.is_finite() { scale } else { 0.0 };
+            });
+        }
     }
     *photometry = match (recipe.fit_flux, recipe.fit_background) {
         (true, true) => Photometry::FitBoth,

@@ -26,6 +26,9 @@ const APPROACH: f64 = 1.0;
 /// New weights move the minimum by at most a tenth of what moved it since the last ones (where the model misfits; where
 /// it is right, by far less): they are not worth another fit where that is less than the step tolerance.
 const SETTLED_STEPS: f64 = 10.0;
+/// The first weights have done their work where the next step is this many tolerances too: less than [`SETTLED_STEPS`],
+/// so that what the fit still moves rarely asks for new weights once more.
+const APPROACH_STEPS: f64 = 5.0;
 /// The step tolerance to which [`DECREMENT`] belongs.
 const DECREMENT_STEP_NM: f64 = 1e-3;
 /// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which the linearisation
@@ -38,12 +41,11 @@ const LARGEST_STEP_WAVES: f64 = 0.2;
 pub(super) enum Next {
     /// Objective and gradient at [`Runner::point`].
     Evaluation,
-    /// The same, but the exposure has new weights: load it first.
-    Reload,
-    /// The PSF at [`Runner::point`], for [`Runner::settle`].
+    /// The PSF at [`Runner::point`] for [`Runner::renew`], and then objective and gradient there, of the exposure with its
+    /// new weights.
+    Renewal,
+    /// The PSF at [`Runner::point`], for [`Runner::settle`], and no more.
     Psf,
-    /// Nothing: read the minimum.
-    Nothing,
 }
 
 /// One image on its way.
@@ -53,8 +55,6 @@ pub(super) struct Runner {
     /// Step, nm, and decrease of the objective below which a fit ends.
     tolerances: (f64, f64),
     settled_nm: f64,
-    /// Whether it is on its way to the minimum with the first weights.
-    approaches: bool,
     reweightings: usize,
     /// Where the last weights were made.
     weighted_at: Vec<f64>,
@@ -77,7 +77,6 @@ impl Runner {
             reweighs: recipe.weighting == Weighting::Noise,
             tolerances,
             settled_nm,
-            approaches: false,
             reweightings: 0,
             weighted_at: zeros,
             flux_e: f64::NAN,
@@ -98,9 +97,8 @@ impl Runner {
     ) -> Result<()> {
         self.solver.begin(metric, scale, start_nm)?;
         self.solver.set_deadline(deadline);
-        self.approaches = self.reweighs;
-        self.set_tolerances()?;
         self.reweightings = 0;
+        self.set_tolerances()?;
         (self.flux_e, self.background_e, self.reduced_chi2) = (f64::NAN, f64::NAN, f64::NAN);
         Ok(())
     }
@@ -112,48 +110,38 @@ impl Runner {
 
     /// Takes objective and gradient at [`Runner::point`].
     pub(super) fn tell(&mut self, evaluation: &Evaluation) -> Next {
-        match self.solver.tell(evaluation.objective, &evaluation.gradient) {
-            Progress::Continue => Next::Evaluation,
-            Progress::Done => Next::Psf,
+        if self.solver.tell(evaluation.objective, &evaluation.gradient) == Progress::Continue {
+            return Next::Evaluation;
         }
+        let renews = self.reweighs && self.unsettled() && self.reason().converged();
+        if renews && self.solver.restart_objective() == Progress::Continue { Next::Renewal } else { Next::Psf }
     }
 
-    /// Takes the PSF where the solver ended: finds flux and background, and renews the weights where that could still
-    /// move the minimum. Where it does not, this was the last, and χ² is found too.
-    pub(super) fn settle(&mut self, psf: &[f64], image: &mut Prepared) -> Next {
-        let next = self.renew(psf, image);
-        if next == Next::Nothing {
-            let photometry = (self.flux_e, self.background_e);
-            self.reduced_chi2 =
-                reduced_chi2(psf, photometry, &image.exposure, &image.floor_variance_e2, self.weighted_at.len());
-        }
-        next
-    }
-
-    fn renew(&mut self, psf: &[f64], image: &mut Prepared) -> Next {
-        (self.flux_e, self.background_e) = photometry(&image.exposure, psf);
-        if !(self.reweighs && self.unsettled() && self.reason().converged()) {
-            return Next::Nothing;
-        }
-        self.approaches = false;
-        // They were in range when the machine was made.
-        if self.set_tolerances().is_err() {
-            return Next::Nothing;
-        }
-        reweigh(&mut image.exposure, psf, (self.flux_e, self.background_e), &image.floor_variance_e2);
+    /// Renews the weights from the PSF at [`Runner::point`].
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] for a tolerance out of range.
+    pub(super) fn renew(&mut self, psf: &[f64], image: &mut Prepared) -> Result<()> {
+        let photometry = photometry(&image.exposure, psf);
+        reweigh(&mut image.exposure, psf, photometry, &image.floor_variance_e2);
         self.reweightings += 1;
-        self.weighted_at.copy_from_slice(&self.solver.outcome().x);
-        match self.solver.restart_objective() {
-            Progress::Continue => Next::Reload,
-            Progress::Done => Next::Nothing,
-        }
+        self.weighted_at.copy_from_slice(self.solver.ask());
+        self.set_tolerances()
+    }
+
+    /// Takes the PSF where the solver ended: finds flux, background and χ².
+    pub(super) fn settle(&mut self, psf: &[f64], image: &Prepared) {
+        let photometry = photometry(&image.exposure, psf);
+        (self.flux_e, self.background_e) = photometry;
+        self.reduced_chi2 =
+            reduced_chi2(psf, photometry, &image.exposure, &image.floor_variance_e2, self.weighted_at.len());
     }
 
     fn set_tolerances(&mut self) -> Result<()> {
         let (step_nm, decrement) = self.tolerances;
-        if self.approaches {
-            // The decrease alone decides: what a step in nm is worth depends on the star's brightness.
-            self.solver.set_tolerances(step_nm, decrement.max(APPROACH))
+        if self.reweighs && self.reweightings == 0 {
+            // What a step in nm is worth depends on the star's brightness: of a faint one the decrease decides.
+            self.solver.set_tolerances(APPROACH_STEPS * step_nm, decrement.max(APPROACH))
         } else {
             self.solver.set_tolerances(step_nm, decrement)
         }
@@ -164,10 +152,11 @@ impl Runner {
         self.solver.outcome().reason
     }
 
-    /// Writes where it stands.
+    /// Writes where it ends. Flux, background and χ² are those of the best point that was evaluated, from which the last
+    /// step, where there is one, leads by less than the tolerances.
     pub(super) fn write(&self, minimum: &mut Minimum) {
         let outcome = self.solver.outcome();
-        minimum.coefficients_nm.copy_from_slice(&outcome.x);
+        self.solver.write_end(&mut minimum.coefficients_nm);
         (minimum.flux_e, minimum.background_e) = (self.flux_e, self.background_e);
         (minimum.evaluations, minimum.reason) = (outcome.evaluations, outcome.reason);
         minimum.reduced_chi2 = self.reduced_chi2;

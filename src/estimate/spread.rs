@@ -5,7 +5,6 @@ use super::Estimator;
 use super::fisher::Sensitivity;
 use super::memory::MATRICES_AT_ONCE;
 use super::minimum::Minimum;
-use super::pistons::Pistons;
 use super::prepare::Prepared;
 use crate::Result;
 use crate::scene::Weighting;
@@ -57,7 +56,7 @@ impl Spread {
                 heads.push(image);
             }
         }
-        let pistons = Pistons::of(&estimator.model)?;
+        let pistons = &estimator.pistons;
         // Images that are worked on at once share the memory.
         let threads = MATRICES_AT_ONCE.min(heads.len()).max(1);
         let matrices = |&head: &usize| {

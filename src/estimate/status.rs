@@ -93,16 +93,12 @@ impl ImageReport {
 }
 
 /// The reports on the minima of `prepared`.
-///
-/// # Errors
-/// Those of [`Tilts::new`].
-pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Result<Vec<ImageReport>> {
-    let tilts = Tilts::new(&estimator.model)?;
+pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
     let pairs = prepared.iter().zip(minima);
     let mut reports: Vec<ImageReport> =
-        pairs.map(|(prepared, minimum)| judge(&estimator.model, &tilts, prepared, minimum)).collect();
+        pairs.map(|(prepared, minimum)| judge(&estimator.model, &estimator.tilts, prepared, minimum)).collect();
     judge_together(&mut reports);
-    Ok(reports)
+    reports
 }
 
 /// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.

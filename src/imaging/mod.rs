@@ -21,7 +21,7 @@ mod smooth;
 mod work;
 
 pub use chain::{Chain, Choice, Precision};
-pub use cpu::{CpuChain, Scratch};
+pub use cpu::{CpuChain, Flat, Scratch};
 pub use detector::{Evaluation, Exposure, Loaded, Photometry};
 pub use linear::Linear;
 pub use optics::{Mode, Optics, OpticsParts};

@@ -168,6 +168,37 @@ fn single_precision_agrees_and_batches_do_not_matter() {
 }
 
 #[test]
+fn what_is_not_computed_twice_is_bitwise_what_it_was() {
+    fn compare<T: Polynomial>() {
+        let chain = CpuChain::<T>::new(optics(12, 10, 2.2));
+        let (mut scratch, mut flat) = (chain.scratch(), chain.flat());
+        let bits = |found: &Evaluation| {
+            let gradient: Vec<u64> = found.gradient.iter().map(|g| g.to_bits()).collect();
+            (found.objective.to_bits(), found.flux_e.to_bits(), found.background_e.to_bits(), gradient)
+        };
+        let places = [coefficients(1, 11).row(0).to_owned(), Array1::zeros(11)];
+        // The second image meets what the first has left.
+        for exposure in &exposures(10) {
+            let mut image = chain.room();
+            chain.set(&mut image, exposure).unwrap();
+            let mut found = chain.evaluation();
+            let [_, expected] = places.each_ref().map(|place| {
+                let mut expected = chain.evaluation();
+                chain.evaluate_one(&image, place.view(), &mut scratch, &mut expected);
+                chain.psf_in(place.view(), &mut scratch);
+                chain.evaluate_there(&image, &mut scratch, &mut found);
+                assert_eq!(bits(&found), bits(&expected));
+                expected
+            });
+            chain.evaluate_flat(&image, &mut flat, &mut found);
+            assert_eq!(bits(&found), bits(&expected));
+        }
+    }
+    compare::<f32>();
+    compare::<f64>();
+}
+
+#[test]
 fn a_wavefront_that_grows_along_x_moves_the_spot_along_columns() {
     let (samples, pixels) = (16, 16);
     let lit: Vec<u32> = (0..256).collect();

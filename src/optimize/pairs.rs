@@ -1,5 +1,7 @@
 //! The curvature that an optimiser remembers: L-BFGS pairs and the two-loop product.
 
+use pulp::{Arch, NullaryFnOnce};
+
 /// A pair counts only if the angle between step and change of gradient says so: s·y > this·|s||y|. Below, the pair is
 /// rounding or negative curvature, and would make the inverse Hessian indefinite or huge.
 const LEAST_COSINE: f64 = 1e-8;
@@ -80,18 +82,7 @@ impl Pairs {
     /// `vector` ← H·`vector`, H the inverse Hessian that the pairs make of `inverse_curvature`·I (Nocedal & Wright,
     /// algorithm 7.4).
     pub fn apply(&mut self, inverse_curvature: f64, vector: &mut [f64]) {
-        for age in 0..self.len {
-            let k = self.slot(age);
-            let alpha = self.rho[k] * dot(&self.steps[self.range(k)], vector);
-            self.alpha[k] = alpha;
-            add_scaled(vector, -alpha, &self.changes[self.range(k)]);
-        }
-        vector.iter_mut().for_each(|v| *v *= inverse_curvature);
-        for age in (0..self.len).rev() {
-            let k = self.slot(age);
-            let beta = self.rho[k] * dot(&self.changes[self.range(k)], vector);
-            add_scaled(vector, self.alpha[k] - beta, &self.steps[self.range(k)]);
-        }
+        Arch::new().dispatch(Apply { pairs: self, inverse_curvature, vector });
     }
 
     /// The slot of the pair of this age, 0 the newest.
@@ -108,7 +99,36 @@ impl Pairs {
     }
 }
 
+/// [`Pairs::apply`], compiled for the widest vectors that this processor has; the sums are the same bits at every width.
+struct Apply<'a> {
+    pairs: &'a mut Pairs,
+    inverse_curvature: f64,
+    vector: &'a mut [f64],
+}
+
+impl NullaryFnOnce for Apply<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { pairs, inverse_curvature, vector } = self;
+        for age in 0..pairs.len {
+            let k = pairs.slot(age);
+            let alpha = pairs.rho[k] * dot(&pairs.steps[pairs.range(k)], vector);
+            pairs.alpha[k] = alpha;
+            add_scaled(vector, -alpha, &pairs.changes[pairs.range(k)]);
+        }
+        vector.iter_mut().for_each(|v| *v *= inverse_curvature);
+        for age in (0..pairs.len).rev() {
+            let k = pairs.slot(age);
+            let beta = pairs.rho[k] * dot(&pairs.changes[pairs.range(k)], vector);
+            add_scaled(vector, pairs.alpha[k] - beta, &pairs.steps[pairs.range(k)]);
+        }
+    }
+}
+
 /// a·b.
+#[inline(always)]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     // Eight partial sums, added in a fixed order: one sum waits for each addition before the next.
     const LANES: usize = 8;
@@ -123,7 +143,8 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// a ← a + scale·b.
-fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
+#[inline(always)]
+pub(super) fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += scale * b);
 }
 

@@ -141,6 +141,23 @@ impl QuasiNewton {
         Ok(())
     }
 
+    /// Writes where it ends: the iterate, or, where it stopped because the next step was too small to be worth an
+    /// evaluation, the end of that step. The metric and the pairs know that step to a fraction of its length, so that it
+    /// leaves a fraction of the error that the iterate has.
+    pub fn write_end(&self, x: &mut [f64]) {
+        x.copy_from_slice(&self.outcome.x);
+        if self.phase == Phase::Done && self.proposes() {
+            x.iter_mut().zip(&self.direction_x).for_each(|(x, d)| *x += d);
+        }
+    }
+
+    /// Whether it stopped before a step that a model stands behind.
+    fn proposes(&self) -> bool {
+        let before_a_step =
+            matches!(self.outcome.reason, StopReason::StepBelowTolerance | StopReason::DecrementBelowTolerance);
+        before_a_step && self.outcome.proposed_step <= self.settings.max_step
+    }
+
     /// The point to evaluate, in the caller's coordinates. After [`Progress::Done`]: the best point.
     pub fn ask(&self) -> &[f64] {
         &self.trial_x
@@ -203,9 +220,7 @@ impl QuasiNewton {
         if let Some(reason) = self.out_of_patience() {
             return self.finish(reason);
         }
-        let proposed =
-            matches!(self.outcome.reason, StopReason::StepBelowTolerance | StopReason::DecrementBelowTolerance);
-        if self.phase == Phase::Done && proposed && self.outcome.proposed_step <= self.settings.max_step {
+        if self.phase == Phase::Done && self.proposes() {
             self.set_trial(1.0);
         } else {
             self.trial_x.copy_from_slice(&self.outcome.x);

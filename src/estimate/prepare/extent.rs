@@ -1,5 +1,8 @@
 //! What the rows of a frame hold, in vectors.
 
+use ndarray::ArrayView2;
+use pulp::{Arch, NullaryFnOnce};
+
 /// What the good pixels of a row hold.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Extent {
@@ -12,25 +15,15 @@ pub(super) struct Extent {
 impl Extent {
     pub(super) const NOTHING: Self = Self { good: 0, least: f64::MAX, most: f64::MIN, sum: 0.0 };
 
-    /// Of a row without a bad pixel: in eight parts, so that it runs in vectors.
+    /// Of a row without a bad pixel.
     pub(super) fn of(row: &[f64]) -> Self {
-        const LANES: usize = 8;
-        let (mut least, mut most, mut sum) = ([f64::MAX; LANES], [f64::MIN; LANES], [0.0; LANES]);
-        let (parts, rest) = row.as_chunks::<LANES>();
-        for part in parts {
-            for i in 0..LANES {
-                least[i] = if part[i] < least[i] { part[i] } else { least[i] };
-                most[i] = if part[i] > most[i] { part[i] } else { most[i] };
-                sum[i] += part[i];
-            }
-        }
-        let whole = Self {
-            good: LANES * parts.len(),
-            least: least.into_iter().fold(f64::MAX, f64::min),
-            most: most.into_iter().fold(f64::MIN, f64::max),
-            sum: sum.iter().sum(),
-        };
-        rest.iter().fold(whole, |extent, &value| extent.with(value))
+        Arch::new().dispatch(Row(row)).0
+    }
+
+    /// The same, where all of the row are finite.
+    pub(super) fn of_finite(row: &[f64]) -> Option<Self> {
+        let (extent, finite) = Arch::new().dispatch(Row(row));
+        finite.then_some(extent)
     }
 
     pub(super) fn with(self, value: f64) -> Self {
@@ -47,15 +40,67 @@ impl Extent {
     }
 }
 
-/// Whether all of a row are finite: 0 times a number that is not is no number.
-pub(super) fn all_finite(row: &[f64]) -> bool {
-    const LANES: usize = 8;
-    let mut lanes = [0.0; LANES];
-    let (parts, rest) = row.as_chunks::<LANES>();
-    for part in parts {
-        for i in 0..LANES {
-            lanes[i] += 0.0 * part[i];
+/// The extents of all rows of a frame into `extents`, where none of its pixels is marked as bad or not finite; `None`
+/// where one is, or where its rows are not contiguous.
+pub(super) fn of_clean_rows(data: ArrayView2<f64>, bad: ArrayView2<bool>, extents: &mut [Extent]) -> Option<()> {
+    let (data, marks) = (data.to_slice()?, bad.to_slice()?);
+    Arch::new().dispatch(Frame { data, marks, columns: bad.ncols(), extents }).then_some(())
+}
+
+/// [`of_clean_rows`] of contiguous rows, compiled for the widest vectors that this processor has.
+struct Frame<'a> {
+    data: &'a [f64],
+    marks: &'a [bool],
+    columns: usize,
+    extents: &'a mut [Extent],
+}
+
+impl NullaryFnOnce for Frame<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn call(self) -> bool {
+        // Without a way out of the loop it runs in vectors.
+        if self.marks.iter().fold(false, |any, marked| any | *marked) {
+            return false;
         }
+        let rows = self.data.chunks_exact(self.columns).zip(self.extents);
+        rows.fold(true, |all, (row, extent)| {
+            let finite;
+            (*extent, finite) = Row(row).call();
+            all & finite
+        })
     }
-    lanes.iter().sum::<f64>() == 0.0 && rest.iter().all(|value| value.is_finite())
+}
+
+/// The extent of a row, and whether all of it is finite: in eight parts, so that it runs in vectors.
+struct Row<'a>(&'a [f64]);
+
+impl NullaryFnOnce for Row<'_> {
+    type Output = (Extent, bool);
+
+    #[inline(always)]
+    fn call(self) -> (Extent, bool) {
+        const LANES: usize = 8;
+        let (mut least, mut most, mut sum) = ([f64::MAX; LANES], [f64::MIN; LANES], [0.0; LANES]);
+        // 0 times a number that is not finite is no number.
+        let mut zeros = [0.0; LANES];
+        let (parts, rest) = self.0.as_chunks::<LANES>();
+        for part in parts {
+            for i in 0..LANES {
+                least[i] = if part[i] < least[i] { part[i] } else { least[i] };
+                most[i] = if part[i] > most[i] { part[i] } else { most[i] };
+                sum[i] += part[i];
+                zeros[i] += 0.0 * part[i];
+            }
+        }
+        let whole = Extent {
+            good: LANES * parts.len(),
+            least: least.into_iter().fold(f64::MAX, f64::min),
+            most: most.into_iter().fold(f64::MIN, f64::max),
+            sum: sum.iter().sum(),
+        };
+        let finite = zeros.iter().sum::<f64>() == 0.0 && rest.iter().all(|value| value.is_finite());
+        (rest.iter().fold(whole, |extent, &value| extent.with(value)), finite)
+    }
 }

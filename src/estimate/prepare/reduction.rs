@@ -1,6 +1,6 @@
 //! The reduction of a frame to the model's sampling.
 
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
@@ -29,7 +29,7 @@ impl Reduction {
     }
 
     /// `data` (`[y, x]`) reduced.
-    pub(super) fn run(&mut self, data: &Array2<f64>) -> &Array2<f64> {
+    pub(super) fn run(&mut self, data: ArrayView2<f64>) -> &Array2<f64> {
         let rows = data.nrows();
         for (y, row) in data.rows().into_iter().enumerate() {
             let kept = self.along_x.reduce(row.iter().map(|&value| Complex64::from(value)));

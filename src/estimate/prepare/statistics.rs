@@ -1,6 +1,6 @@
 //! What the border of a frame says of its background.
 
-use ndarray::{Array2, s};
+use ndarray::{ArrayView2, s};
 
 /// Pixels of a border that are enough: their median is known to 2 % of their scatter, and a quarter of a frame's pixels
 /// and more are border.
@@ -18,7 +18,7 @@ impl Statistics {
     }
 
     /// Median of the frame's border, an eighth of each side wide; of a large frame, of its rows at equal distances.
-    pub(super) fn level_of_border(&mut self, data: &Array2<f64>, bad: &Array2<bool>) -> f64 {
+    pub(super) fn level_of_border(&mut self, data: ArrayView2<f64>, bad: ArrayView2<bool>) -> f64 {
         let (rows, columns) = data.dim();
         let inner = |size: usize| size / 8..size - size / 8;
         let (inner_rows, inner_columns) = (inner(rows), inner(columns));
