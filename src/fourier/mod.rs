@@ -52,6 +52,19 @@ impl Real for f64 {
     }
 }
 
+/// The smallest even number from `least` on without a prime factor beyond 5: what an FFT is fast at.
+pub fn fast_side(least: usize) -> usize {
+    let smooth = |mut n: usize| {
+        for prime in [2, 3, 5] {
+            while n.is_multiple_of(prime) {
+                n /= prime;
+            }
+        }
+        n == 1
+    };
+    (least.max(2).next_multiple_of(2)..).step_by(2).find(|&n| smooth(n)).unwrap_or(least)
+}
+
 /// Shapes of a transform: n×n samples to m×m pixels, `pixels_per_lambda_over_d` pixels per λ over the grid's width.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sampling {

@@ -108,3 +108,9 @@ fn odd_sizes_are_refused() {
     assert!(Sampling::new(8, 9, 2.0).is_err());
     assert!(Sampling::new(8, 8, 0.0).is_err());
 }
+
+#[test]
+fn sides_are_those_that_ffts_like() {
+    assert_eq!([fast_side(0), fast_side(7), fast_side(121), fast_side(128)], [2, 8, 128, 128]);
+    assert_eq!(fast_side(151), 160);
+}

@@ -4,6 +4,7 @@
 //! spectrum stays turned, `[kx, ky]`, which saves two transpositions of four.
 
 use super::LitSamples;
+use crate::fourier::fast_side;
 use num_complex::{Complex, Complex64};
 use rustfft::{Fft, FftNum, FftPlanner};
 use std::sync::Arc;
@@ -32,7 +33,7 @@ pub(super) struct Room<T> {
 impl<T: FftNum> Convolver<T> {
     pub(super) fn of(lit: &LitSamples) -> Self {
         // Lags of either sign, up to the grid's width, without wrapping.
-        let padded = 2 * lit.samples;
+        let padded = fast_side(2 * lit.samples);
         let mut planner = FftPlanner::new();
         Self {
             padded,

@@ -12,7 +12,7 @@
 //! speaks louder, y² where the prior does. For any h this is the same objective in other coordinates: h need not be right.
 
 use super::prior::Spectrum;
-use crate::fourier::{Hartley, Real};
+use crate::fourier::{Hartley, Real, fast_side};
 use num_complex::Complex;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -74,7 +74,7 @@ impl<T: Real> Square<T> {
         let longest = |least: f64| (0..2).map(|axis| span(axis, least)).map(|(a, b)| b - a).max().unwrap_or(0);
         let ([(left, right), (bottom, _)], margin) =
             ([0, 1].map(|axis| span(axis, f64::NEG_INFINITY)), (margin_m / pitch_m).ceil() as usize);
-        let side = good_side(longest(f64::NEG_INFINITY).max(longest(0.5) + margin));
+        let side = fast_side(longest(f64::NEG_INFINITY).max(longest(0.5) + margin));
         let index = |p| {
             let [x, y] = place(p);
             ((x - left) * side + y - bottom) as u32
@@ -237,19 +237,6 @@ impl<T> Filter<T> {
     }
 }
 
-/// The smallest even number from `least` on without a prime factor beyond 5: what an FFT is fast at.
-fn good_side(least: usize) -> usize {
-    let smooth = |mut n: usize| {
-        for prime in [2, 3, 5] {
-            while n.is_multiple_of(prime) {
-                n /= prime;
-            }
-        }
-        n == 1
-    };
-    (least.max(2).next_multiple_of(2)..).step_by(2).find(|&n| smooth(n)).unwrap_or(least)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -312,11 +299,5 @@ mod tests {
         let step = 1.0 / (square.hartley.side() as f64 * 0.1);
         let sum: f64 = square.variance_nm2.iter().map(|s| s * 0.01 * step * step).sum();
         assert!((sum / expected - 1.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn sides_are_those_that_ffts_like() {
-        assert_eq!([good_side(0), good_side(7), good_side(121), good_side(128)], [2, 8, 128, 128]);
-        assert_eq!(good_side(151), 160);
     }
 }

@@ -5,6 +5,7 @@
 
 use crate::Result;
 use crate::estimate::Model;
+use crate::fourier::fast_side;
 use crate::scene::{Crop, PupilModel, Scene};
 use crate::telescope::{Diversity, Telescope};
 
@@ -44,7 +45,7 @@ pub(super) fn sampled(scene: &Scene, telescope: &Telescope, cycles: f64) -> Resu
         && scene.pupil.model.is_none_or(|model| model == PupilModel::BandLimited);
     // A map is to be twice as fine as what is made of it.
     let finest = telescope.truth_samples() / 2;
-    let samples = (8 * ((half_width + spot + SPARE) / 4.0).ceil() as usize).min(finest / 2 * 2).max(own);
+    let samples = fast_side((2.0 * (half_width + spot + SPARE)).ceil() as usize).min(finest / 2 * 2).max(own);
     let (pixels, samples) = (pixels.to_string(), samples.to_string());
     let mut settings = vec![("image.crop_pixels", &pixels[..])];
     if free {
