@@ -54,15 +54,17 @@ impl Real for f64 {
 
 /// The smallest even number from `least` on without a prime factor beyond 5: what an FFT is fast at.
 pub fn fast_side(least: usize) -> usize {
-    let smooth = |mut n: usize| {
-        for prime in [2, 3, 5] {
-            while n.is_multiple_of(prime) {
-                n /= prime;
-            }
+    (least.max(2).next_multiple_of(2)..).step_by(2).find(|&n| is_smooth(n, &[2, 3, 5])).unwrap_or(least)
+}
+
+/// Whether `n` is a product of `primes`.
+fn is_smooth(mut n: usize, primes: &[usize]) -> bool {
+    for &prime in primes {
+        while n.is_multiple_of(prime) {
+            n /= prime;
         }
-        n == 1
-    };
-    (least.max(2).next_multiple_of(2)..).step_by(2).find(|&n| smooth(n)).unwrap_or(least)
+    }
+    n == 1
 }
 
 /// Shapes of a transform: n×n samples to m×m pixels, `pixels_per_lambda_over_d` pixels per λ over the grid's width.
@@ -131,6 +133,8 @@ pub struct Workspace<T: Real> {
 /// an AVX-512 processor, forward and adjoint, (n, m), f32 / f64: 2.4 / 2.6 at (120, 112), 4.2 / 4.1 at (120, 240), 4.0 /
 /// 3.6 at (240, 240), 6.1 / 5.2 at (240, 480). Where the two are within a third of each other the choice hardly matters.
 const FFT_OPERATION: f64 = 4.0;
+/// The same for a length with a prime factor beyond 7: Rader's algorithm goes through a convolution.
+const FFT_OPERATION_ROUGH: f64 = 10.0;
 
 impl<T: Real> Transform<T> {
     /// The cheaper of the two for `sampling`, by their operations: `2mn(n+m)` multiply-adds a pass for the matrices,
@@ -140,7 +144,8 @@ impl<T: Real> Transform<T> {
         match sampling.padded() {
             Some(padded) => {
                 let length = padded as f64;
-                let fft = FFT_OPERATION * 5.0 * length * length.log2() * (n + m);
+                let operation = if is_smooth(padded, &[2, 3, 5, 7]) { FFT_OPERATION } else { FFT_OPERATION_ROUGH };
+                let fft = operation * 5.0 * length * length.log2() * (n + m);
                 let matrix = 2.0 * n * m * (n + m);
                 if fft < matrix { Self::Fft(FftTransform::new(sampling, padded)) } else { Self::matrix(sampling) }
             }
