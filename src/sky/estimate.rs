@@ -2,6 +2,7 @@
 
 use super::found::FullPhase;
 use super::passes::{Pass, PassRecipe, find_statics};
+use super::plate_scale;
 use super::{RetrievalRecipe, RetrievalReport, RetrievedPhases, Retriever, Spectrum, Unknown};
 use crate::ao::Lenslets;
 use crate::grid::Grid;
@@ -136,6 +137,14 @@ pub fn read(
     } else {
         usual
     };
+    let plate_scale = plate_scale::found(scene, &prior, &retrieval, images, cancel)?.unwrap_or(1.0);
+    let own_scale;
+    let scene = if plate_scale == 1.0 {
+        scene
+    } else {
+        own_scale = plate_scale::scaled(scene, plate_scale)?;
+        &own_scale
+    };
     let retriever = Retriever::new(scene, &prior, retrieval)?;
     let cube = (&images.images_e, &images.bad, images.read_noise_e);
     let mut source = RetrievedPhases::new(&retriever, &prior, cube, images.slopes_mas.clone(), cancel, watch)?;
@@ -143,7 +152,8 @@ pub fn read(
     let passes = find_statics(scene, &mut source, &recipe, cancel)?;
     let (reports, retrieval_seconds) = (std::mem::take(&mut source.reports), source.seconds);
     let (pupil, seconds) = (telescope.pupil, started.elapsed().as_secs_f64());
-    Ok(FullPhase { passes, reports, knows, precision: scene.estimate.precision, pupil, seconds, retrieval_seconds })
+    let precision = scene.estimate.precision;
+    Ok(FullPhase { passes, reports, knows, plate_scale, precision, pupil, seconds, retrieval_seconds })
 }
 
 /// Writes an estimate in the layout of the modal one, and the table `PASSES`; beside it the true maps (phasing, NCPA; nm), where
@@ -161,6 +171,7 @@ pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Arra
     file.card("PRIMARY", "ELAPSED", found.seconds, "seconds for the estimate")?;
     file.card("PRIMARY", "NIMAGES", found.reports.len() as i64, "images read")?;
     file.card("PRIMARY", "NUSED", pass.used_images.len() as i64, "images used")?;
+    file.card("PRIMARY", "SCALE", found.plate_scale, "pixels per lambda/D over the scene's")?;
     file.card("PRIMARY", "CHI2", pass.reduced_chi2, "median reduced chi-square")?;
     for (name, map) in [
         ("PHASING", &pass.phasing_nm),

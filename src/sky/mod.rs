@@ -20,6 +20,7 @@ mod linalg;
 mod lit;
 mod ncpa;
 mod passes;
+mod plate_scale;
 mod precondition;
 mod prior;
 mod retrieve;
