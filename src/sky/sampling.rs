@@ -12,7 +12,8 @@ use crate::telescope::{Diversity, Telescope};
 /// Spare samples around the pupil, and cycles that aberrations add, together, on each side.
 const SPARE: f64 = 8.0;
 
-/// Least half-width of what is fitted, λ over the grid: the light of single segments spreads this far.
+/// Least half-width of what is fitted beyond the spot, and in all, λ over the grid: where there is light worth fitting.
+const SPOT_MARGIN: f64 = 3.0;
 const LEAST_HALF_WIDTH: f64 = 16.0;
 
 /// Half-width of the defocused spot, λ over the grid's width.
@@ -32,7 +33,8 @@ pub(super) fn sampled(scene: &Scene, telescope: &Telescope, cycles: f64) -> Resu
     let areas_m2 = telescope.pupil.segment_areas();
     let segment_m = (areas_m2.iter().sum::<f64>() / areas_m2.len() as f64).sqrt();
     let spot = spot(scene, telescope)?;
-    let wanted = (cycles / segment_m * telescope.pupil.grid.width_m() - spot).max(LEAST_HALF_WIDTH);
+    let edges = cycles / segment_m * telescope.pupil.grid.width_m() - spot;
+    let wanted = edges.max(spot + SPOT_MARGIN).max(LEAST_HALF_WIDTH);
     let native = 8 * (2.0 * image.samples_per_lambda_over_d * wanted / 8.0).ceil() as usize;
     let pixels = match image.crop_pixels {
         Crop::Auto => native.min(larger / 2 * 2),

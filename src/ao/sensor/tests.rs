@@ -180,7 +180,8 @@ fn lenslets_that_have_moved_see_the_wavefront_beside_them() {
         now.measure(&map, None, &mut after).unwrap();
         let gained = [0.1, -0.3].map(|shift| 2.0 * a * shift * 0.5625 * MAS_PER_NM_M);
         let both: Vec<usize> = full(&still).into_iter().filter(|&i| now.lenslets().light[i] > 0.999).collect();
-        assert!(both.len() > 100);
+        // Those without a gap between segments in them, here and there.
+        assert!(both.len() > 50, "{} of {}", both.len(), full(&still).len());
         for i in both {
             for (axis, gained) in gained.into_iter().enumerate() {
                 let at = axis * 248 + i;
