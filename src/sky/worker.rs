@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 /// Tip and tilt of the whole pupil are known this badly, nm RMS: a few pixels.
 const POINTING_RMS_NM: f64 = 2000.0;
 
-/// Misfit, in degrees of freedom, beyond which it is not what the model leaves of a bright star's image (4 to 5) but a fit
+/// Misfit, in degrees of freedom, beyond which it is not what the model leaves of a bright star's image (about 1) but a fit
 /// that is still on its way: it does not count for when to stop.
 const LARGEST_MISFIT: f64 = 5.0;
 
