@@ -130,11 +130,12 @@ pub struct Workspace<T: Real> {
 }
 
 /// Time of an operation of the FFT over that of a multiply-add of the matrix product. `cargo bench --bench transform`, on
-/// an AVX-512 processor, forward and adjoint, (n, m), f32 / f64: 2.4 / 2.6 at (120, 112), 4.2 / 4.1 at (120, 240), 4.0 /
-/// 3.6 at (240, 240), 6.1 / 5.2 at (240, 480). Where the two are within a third of each other the choice hardly matters.
-const FFT_OPERATION: f64 = 4.0;
-/// The same for a length with a prime factor beyond 7: Rader's algorithm goes through a convolution.
-const FFT_OPERATION_ROUGH: f64 = 10.0;
+/// an AVX-512 processor, forward and adjoint, (n, m), f32 / f64: 5.3 at (120, 112), 5.3 / 4.5 at (144, 152), 7.5 / 6.5 at
+/// (120, 240), 6.0 at (240, 240), 9.7 at (240, 480). Where the two are within a third of each other the choice hardly matters.
+const FFT_OPERATION: f64 = 6.5;
+/// The same for a length with a prime factor beyond 7, for which Rader's algorithm goes through a convolution: 11.2 / 7.4 at
+/// (144, 152) in 272 = 2⁴·17, 19 / 14 at (180, 208) in 344 = 2³·43.
+const FFT_OPERATION_ROUGH: f64 = 13.0;
 
 impl<T: Real> Transform<T> {
     /// The cheaper of the two for `sampling`, by their operations: `2mn(n+m)` multiply-adds a pass for the matrices,
