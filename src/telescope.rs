@@ -314,6 +314,11 @@ impl Diversity {
         }
         steepest
     }
+
+    /// Half-width of the spot that it makes of a point, by geometry, λ over the width of the grid of `pupil`.
+    pub fn spot(&self, pupil: &Pupil, wavelength_nm: f64) -> f64 {
+        self.steepest_nm_m(pupil) * pupil.grid.width_m() / wavelength_nm
+    }
 }
 
 #[cfg(test)]

@@ -255,20 +255,13 @@ fn edges(view: &View, optics: &Optics) -> Result<SegmentWeights> {
     let (grid, telescope) = (optics.pupil.grid, optics.telescope);
     let n = grid.samples() as f64;
     let half_width = view.rows.max(view.columns) as f64 / (2.0 * view.samples_per_lambda_over_d);
-    let spot = if view.diversity {
-        optics.diversity.steepest_nm_m(&telescope.pupil) * grid.width_m() / view.wavelength_nm
-    } else {
-        0.0
-    };
+    let spot = if view.diversity { optics.diversity.spot(&telescope.pupil, view.wavelength_nm) } else { 0.0 };
     let pass = (half_width + spot + ABERRATION_CYCLES).min(n / 2.0 - HALF_TRANSITION);
-    if pass > 0.0
-        && telescope.is_fine()
-        && let Ok(limit) = BandLimit::new(pass, grid.samples())
-        && let Ok(weights) = telescope.band_limited_weights(grid, &limit)
-    {
-        return Ok(weights);
+    // A map is to be twice as fine as what is made of it, and a handful of samples has no room for a transition.
+    if pass <= 0.0 || !telescope.is_fine() || telescope.truth_samples() < 2 * grid.samples() {
+        return telescope.area_weights(grid);
     }
-    telescope.area_weights(grid)
+    telescope.band_limited_weights(grid, &BandLimit::new(pass, grid.samples())?)
 }
 
 /// Where the transform of length `padded` holds pixel `u` of an image whose axis is its pixel `pixels/2`.

@@ -47,6 +47,7 @@ use metrics::Metrics;
 use mode_set::OwnBasis;
 pub use model::Model;
 use pistons::Pistons;
+pub(crate) use plan::{LEAST_HALF_WIDTH, SPOT_MARGIN};
 pub use prepare::{Frame, Preparation, Prepared, Refusal};
 use prepare::{Preparer, Ringing};
 pub use recipe::Recipe;

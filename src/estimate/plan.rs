@@ -18,9 +18,9 @@ const HALF_TRANSITION: f64 = 8.0;
 /// What the aberrations add to the frequencies of the defocus, cycles.
 const ABERRATION_CYCLES: f64 = 4.0;
 /// λ/D around the geometric spot that still carry signal worth fitting.
-const SPOT_MARGIN: f64 = 3.0;
+pub(crate) const SPOT_MARGIN: f64 = 3.0;
 /// Least half-width of the fitted image, λ/D: without defocus the light of single segments still spreads this far.
-const LEAST_HALF_WIDTH: f64 = 16.0;
+pub(crate) const LEAST_HALF_WIDTH: f64 = 16.0;
 
 /// Which pixels are compared.
 pub(super) struct Plan {
@@ -45,7 +45,7 @@ impl Plan {
             !native && recipe.sampling != Sampling::Native && frame_sampling > 2.0 && nyquist.into_iter().all(whole);
         let (reduced, per_lambda_over_d) =
             if wanted { (nyquist.map(|pixels| pixels.round() as usize), 2.0) } else { (frame, frame_sampling) };
-        let spot = diversity.steepest_nm_m(pupil) * pupil.grid.width_m() / image.wavelength_nm;
+        let spot = diversity.spot(pupil, image.wavelength_nm);
         let mut half_width = (spot + SPOT_MARGIN).max(LEAST_HALF_WIDTH);
         // What the samples could pass beyond what the image needs.
         let samples = samples(scene) as f64;

@@ -360,6 +360,24 @@ mod tests {
         }
     }
 
+    /// An estimate weighs a ripple by C⁻¹: beyond what is seen next to nothing.
+    #[test]
+    fn ripples_that_are_not_seen_do_not_count() {
+        let lit = lit();
+        let white = Array2::from_shape_vec((30, lit.len()), noise(30 * lit.len())).unwrap();
+        let weight = |seen_to_per_m: f64, f_per_m: f64| {
+            let covariance = ResidualCovariance::of_scatter(&lit, white.view()).unwrap().seen_to(seen_to_per_m, 0.1);
+            let ripple = |sample: usize| (std::f64::consts::TAU * f_per_m * lit.xs_m[sample]).cos();
+            let column = Array2::from_shape_fn((1, lit.len()), |(_, sample)| ripple(sample));
+            let mean = covariance.of_mean(30, 1.0, &lit);
+            mean.solve(column.view()).unwrap().row(0).dot(&column.row(0))
+        };
+        // 1.3 nm² of noise and floor against 50² nm². Within, a third: 0.7 of the plane is free here, and at the edges of a pupil
+        // of 24 samples its ripples make up some of any other.
+        assert!(weight(3.0, 4.2) < 1e-3 * weight(f64::INFINITY, 4.2));
+        assert!(weight(3.0, 1.0) > 0.6 * weight(f64::INFINITY, 1.0));
+    }
+
     #[test]
     fn one_image_and_other_samples_are_refused() {
         let lit = lit();

@@ -3,6 +3,7 @@
 //! A pupil that is 1 % wider in the model than it is puts the rim of the defocused spot a third of a pixel off, all round:
 //! no wavefront explains that, so χ² has a sharp minimum where the scale is right. It is found from a few of the images.
 
+use super::found::EXPLAINED;
 use super::retrieve::{RetrievalRecipe, Retriever};
 use super::{SkyImages, Spectrum};
 use crate::estimate::Cube;
@@ -13,9 +14,6 @@ use ndarray::Axis;
 
 /// Images that are asked: the minimum is sharp.
 const ASKED: usize = 6;
-
-/// χ² per degree of freedom up to which a model is as good as models are: see [`super::found::EXPLAINED`].
-const EXPLAINED: f64 = super::found::EXPLAINED;
 
 /// Farthest that the scene's plate scale may be off, and how far apart the first tries are: χ² is a bowl of about this width.
 const FARTHEST: f64 = 0.03;
@@ -87,4 +85,27 @@ pub(super) fn found(
 pub(super) fn scaled(scene: &Scene, scale: f64) -> Result<Scene> {
     let sampling = (scene.image.samples_per_lambda_over_d * scale).to_string();
     scene.with(&[("image.samples_per_lambda_over_d", &sampling)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sky::Unknown;
+    use crate::sky::tests::{draw, prior, scene};
+
+    #[test]
+    fn a_scale_that_is_not_the_scenes_is_found_and_its_own_left_alone() {
+        let (scene, prior) = (scene(), prior());
+        let recipe = RetrievalRecipe::default();
+        let retriever = Retriever::new(&scene, &prior, recipe.clone()).unwrap();
+        let images_e = draw(&retriever, &prior, 3, true).images_e;
+        let bad = images_e.mapv(|_| false);
+        let images = SkyImages { images_e, bad, read_noise_e: None, slopes_mas: None };
+        assert_eq!(found(&scene, &prior, &recipe, &images, None).unwrap(), None);
+        let off = scaled(&scene, 1.02).unwrap();
+        let wide = Spectrum::of_scene(&off, Unknown { piston_rms_nm: 0.0, ncpa_rms_nm: 40.0 }).unwrap();
+        let back = 1.02 * found(&off, &wide, &recipe, &images, None).unwrap().unwrap();
+        // The last step is 0.03 % or more, and so is the noise of three images of a pupil half as wide as Keck's.
+        assert!((back - 1.0).abs() < 1e-3, "{back}");
+    }
 }

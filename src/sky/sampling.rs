@@ -4,7 +4,7 @@
 //! the defocused spot f λ/D to either side: an image shows it as long as a part of the copy lands on its pixels.
 
 use crate::Result;
-use crate::estimate::Model;
+use crate::estimate::{LEAST_HALF_WIDTH, Model, SPOT_MARGIN};
 use crate::fourier::fast_side;
 use crate::scene::{Crop, PupilModel, Scene};
 use crate::telescope::{Diversity, Telescope};
@@ -12,14 +12,9 @@ use crate::telescope::{Diversity, Telescope};
 /// Spare samples around the pupil, and cycles that aberrations add, together, on each side.
 const SPARE: f64 = 8.0;
 
-/// Least half-width of what is fitted beyond the spot, and in all, λ over the grid: where there is light worth fitting.
-const SPOT_MARGIN: f64 = 3.0;
-const LEAST_HALF_WIDTH: f64 = 16.0;
-
 /// Half-width of the defocused spot, λ over the grid's width.
 fn spot(scene: &Scene, telescope: &Telescope) -> Result<f64> {
-    let steepest_nm_m = Diversity::of(scene, telescope)?.steepest_nm_m(&telescope.pupil);
-    Ok(steepest_nm_m * telescope.pupil.grid.width_m() / scene.image.wavelength_nm)
+    Ok(Diversity::of(scene, telescope)?.spot(&telescope.pupil, scene.image.wavelength_nm))
 }
 
 /// `scene` with the pixels and samples that show `cycles` across a segment, where it leaves them open.
@@ -66,4 +61,37 @@ pub(super) fn seen_to_per_m(scene: &Scene, model: &Model) -> Result<f64> {
     let half_width = sampling.pixels as f64 / (2.0 * sampling.pixels_per_lambda_over_d);
     let shown_per_m = half_width / model_width_m + spot(scene, &model.telescope)? / width_m;
     Ok(shown_per_m.min(0.5 * samples / model_width_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sizes(settings: &[(&str, &str)]) -> (Option<usize>, Crop) {
+        let scene = Scene::preset("keck-onsky").unwrap().with(settings).unwrap();
+        let scene = sampled(&scene, &Telescope::of(&scene).unwrap(), 8.0).unwrap();
+        (scene.estimate.samples, scene.image.crop_pixels)
+    }
+
+    #[test]
+    fn segments_want_samples_and_pixels_where_the_scene_leaves_them_open() {
+        assert_eq!(sizes(&[]), (Some(144), Crop::Pixels(152)));
+        assert_eq!(sizes(&[("estimate.samples", "120"), ("image.crop_pixels", "104")]), (Some(120), Crop::Pixels(104)));
+        // A frame has no more pixels than it has.
+        assert_eq!(sizes(&[("image.pixels", "128")]).1, Crop::Pixels(128));
+        // Large segments want few: what remains is the light around the spot, some 25 λ/D and 3 to either side.
+        let large = [("pupil.aperture", "hexagonal"), ("pupil.rings", "1"), ("pupil.segment_side_m", "2.0")];
+        let (_, Crop::Pixels(pixels)) = sizes(&large) else { panic!("no crop") };
+        assert!((104..=128).contains(&pixels), "{pixels}");
+    }
+
+    #[test]
+    fn what_is_seen_is_what_lands_on_the_pixels() {
+        let scene = Scene::preset("keck-onsky").unwrap().with(&[("image.crop_pixels", "152")]).unwrap();
+        let scene = scene.with(&[("estimate.samples", "144")]).unwrap();
+        let model = Model::of(&scene, &crate::estimate::Recipe::of(&scene), false).unwrap();
+        let seen = seen_to_per_m(&scene, &model).unwrap();
+        let spot = spot(&scene, &model.telescope).unwrap();
+        assert!((seen - (38.0 + spot) / 11.25).abs() < 1e-9, "{seen}");
+    }
 }

@@ -9,8 +9,8 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
 /// Radial orders of the Zernike family: to 13, 104 polynomials of up to 26 zeros around the pupil, finer than segments. What
-/// Keck's mirror holds of three measured maps has more (16, 37 and 32 nm are left); but with 16 orders ten images leave 18 nm of
-/// NCPA where they leave 2 to 6 with 13.
+/// Keck's mirror holds of three measured maps has more (16, 37 and 32 nm are left); but with 16 orders ten images of one draw leave
+/// 18 nm of NCPA where they leave 6 with 13.
 const HIGHEST_ORDER: usize = 13;
 
 /// Slopes for each mode that they are to tell from the others: a few, for the pupil does not fill the lenslets' square.

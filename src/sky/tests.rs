@@ -7,7 +7,7 @@ use crate::scene::Scene;
 use ndarray::{Array1, Array3, s};
 
 /// Seven segments of 0.9 m behind a mirror of 0.5625 m pitch: a small Keck.
-fn scene() -> Scene {
+pub(super) fn scene() -> Scene {
     let settings = [
         ("pupil.aperture", "hexagonal"),
         ("pupil.rings", "1"),
@@ -21,12 +21,12 @@ fn scene() -> Scene {
 }
 
 /// Frames of wavefronts drawn from the prior with pistons of 60 nm, and those wavefronts.
-struct Drawn {
-    images_e: Array3<f64>,
+pub(super) struct Drawn {
+    pub(super) images_e: Array3<f64>,
     wavefronts_nm: Vec<Vec<f64>>,
 }
 
-fn draw(retriever: &Retriever, prior: &Spectrum, count: usize, noise: bool) -> Drawn {
+pub(super) fn draw(retriever: &Retriever, prior: &Spectrum, count: usize, noise: bool) -> Drawn {
     let mut rng = crate::source::stream(7, 0);
     let scene = scene();
     let (rows, columns) = scene.image.frame_shape();
@@ -72,7 +72,7 @@ fn cube<'a>(drawn: &'a Drawn, bad: &'a Array3<bool>) -> Cube<'a> {
     Cube { images_e: drawn.images_e.view(), bad: bad.view(), read_noise_e: None }
 }
 
-fn prior() -> Spectrum {
+pub(super) fn prior() -> Spectrum {
     Spectrum::of_scene(&scene(), Unknown { piston_rms_nm: 0.0, ncpa_rms_nm: 40.0 }).unwrap()
 }
 

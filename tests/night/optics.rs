@@ -76,8 +76,8 @@ fn images_of_the_loop_and_of_an_artificial_source_agree_without_turbulence() {
     let expected = camera.psf(simulator.truth()).unwrap();
     let peak = expected.iter().copied().fold(0.0, f64::max);
     let worst = psf.iter().zip(&expected).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
-    println!("{}", worst / peak);
-    assert!(worst < 0.02 * peak, "{}", worst / peak);
+    // Both low-pass their edges, on 240 and on 960 samples: 0.06 % of the peak is between them.
+    assert!(worst < 1.5e-3 * peak, "{}", worst / peak);
 }
 
 #[test]
