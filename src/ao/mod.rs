@@ -28,6 +28,7 @@ pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
 pub use calm::CALM;
 pub use camera::{ScienceCamera, View, strehl_on_axis};
 pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stability, segment_mask};
+pub(crate) use control::{Svd, svd};
 pub use divergence::Divergence;
 pub use file::write;
 pub use footprint::{Footprint, LANES};

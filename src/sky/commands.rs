@@ -1,7 +1,8 @@
 //! Corrections from an estimate: what to add to the segments' pistons, to the mirror's commands, to the sensor's reference.
 //!
-//! Do no harm: a mode whose estimate is under its error bar is left alone. Segments and subapertures are in this
-//! program's order, wavefront in nm, a positive command raises the wavefront.
+//! Do no harm: a mode whose estimate is under its error bar is left alone, and so is where the star stands: the plane through the
+//! pistons, which images hardly see, and tip and tilt. Segments and subapertures are in this program's order, wavefront in
+//! nm, a positive command raises the wavefront.
 
 use super::evidence::Family;
 use super::linalg::Spd;
@@ -11,10 +12,11 @@ use super::{LitSamples, SensorModel};
 use crate::ao::Simulator;
 use crate::io::{Column, FitsWriter};
 use crate::modes::Samples;
+use crate::pupil::Segment;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, ArrayView1};
+use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use std::path::Path;
 
 /// Corrections.
@@ -22,7 +24,7 @@ use std::path::Path;
 pub struct Commands {
     /// To add to each segment's piston, nm; 0 where its estimate is under its error bar.
     pub pistons_nm: Vec<f64>,
-    /// Estimate of each piston and its error bar, nm.
+    /// Estimate of each piston and its error bar, nm; both without the plane through all of them.
     pub estimate_nm: Vec<[f64; 2]>,
     /// NCPA modes that are corrected.
     pub corrected_modes: usize,
@@ -49,14 +51,18 @@ impl Commands {
         }
         let errors = &pass.errors;
         let segments = errors.pistons_nm.len();
+        let telescope = Telescope::of(scene)?;
         let sigma = |mode: usize| errors.covariance_nm2[[mode, mode]].max(0.0).sqrt();
         let mut limited = 0;
         let mut cut = |command_nm: f64, limit_nm: f64| {
             limited += usize::from(command_nm.abs() > limit_nm);
             command_nm.clamp(-limit_nm, limit_nm)
         };
+        let flat = without_plane(&telescope.pupil.segments);
+        let pistons_nm = flat.dot(&ArrayView1::from(&errors.pistons_nm));
+        let covariance_nm2 = flat.dot(&errors.covariance_nm2.slice(s![..segments, ..segments])).dot(&flat);
         let estimate_nm: Vec<[f64; 2]> =
-            errors.pistons_nm.iter().enumerate().map(|(segment, &nm)| [nm, sigma(segment)]).collect();
+            pistons_nm.iter().zip(covariance_nm2.diag()).map(|(&nm, nm2)| [nm, nm2.max(0.0).sqrt()]).collect();
         let piston_limit_nm = limit_nm.unwrap_or(scene.image.wavelength_nm / 4.0);
         let piston = |[nm, sigma_nm]: &[f64; 2]| if nm.abs() > *sigma_nm { cut(-nm, piston_limit_nm) } else { 0.0 };
         let pistons_nm = estimate_nm.iter().map(piston).collect();
@@ -74,7 +80,7 @@ impl Commands {
             limited: 0,
         };
         if scene.control.is_some() && scene.wavefront_sensor.is_some() {
-            let (commands_nm, slopes_mas) = behind_a_loop(scene, pass.family, &ncpa_nm, segments)?;
+            let (commands_nm, slopes_mas) = behind_a_loop(scene, &telescope, pass.family, &ncpa_nm, segments)?;
             let stroke_nm = limit_nm.or(scene.mirror.stroke_limit_nm).unwrap_or(f64::INFINITY);
             this.actuators_nm = commands_nm.into_iter().map(|(at, nm)| (at, cut(nm, stroke_nm))).collect();
             this.slopes_mas = slopes_mas;
@@ -115,17 +121,35 @@ impl Commands {
     }
 }
 
+/// What takes the plane through all pistons out of them, `[segment, segment]`; only their mean where three segments or fewer
+/// are nothing but a plane.
+fn without_plane(segments: &[Segment]) -> Array2<f64> {
+    let count = segments.len();
+    let of = |value: &dyn Fn(&Segment) -> f64| segments.iter().map(value).collect::<Array1<f64>>();
+    let plane = [of(&|_| 1.0), of(&|segment| segment.x_m), of(&|segment| segment.y_m)];
+    let mut flat = Array2::eye(count);
+    for direction in plane.into_iter().take(if count > 3 { 3 } else { 1 }) {
+        let new: Array1<f64> = flat.dot(&direction);
+        let (left, all) = (new.dot(&new), direction.dot(&direction));
+        // Segments in a row along an axis have no such direction.
+        if left > 1e-12 * all {
+            flat -= &(&new.view().insert_axis(Axis(1)) * &new.view().insert_axis(Axis(0)) / left);
+        }
+    }
+    flat
+}
+
 /// Offsets of the mirror, and of the sensor's reference that keeps them there. The mirror is subtracted, so it takes the
 /// shape of the NCPA; the sensor then sees their opposite.
 #[allow(clippy::type_complexity)] // two lists, used once
 fn behind_a_loop(
     scene: &Scene,
+    telescope: &Telescope,
     family: Family,
     ncpa_nm: &[f64],
     segments: usize,
 ) -> Result<(Vec<([f64; 2], f64)>, Vec<f64>)> {
-    let telescope = Telescope::of(scene)?;
-    let modes = NcpaModes::of(family, scene, &telescope)?;
+    let modes = NcpaModes::of(family, scene, telescope)?;
     let samples = Samples::of(&telescope.pupil)?;
     let simulator = Simulator::new(scene)?;
     let influence = simulator.influence();
@@ -140,6 +164,27 @@ fn behind_a_loop(
     let grid = telescope.pupil.grid;
     let lit = LitSamples::of(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
     let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
-    let slopes_mas = SensorModel::of(scene, &telescope, &lit, &modes.basis)?.slopes_mas(segments, &opposite_nm)?;
+    let slopes_mas = SensorModel::of(scene, telescope, &lit, &modes.basis)?.slopes_mas(segments, &opposite_nm)?;
     Ok((at.zip(commands_nm).collect(), slopes_mas.to_vec()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plane_is_taken_out_of_pistons_and_nothing_else() {
+        let at = |x_m: f64, y_m: f64| Segment { x_m, y_m };
+        let segments = [at(0.0, 0.0), at(1.0, 0.0), at(0.5, 0.9), at(-0.5, 0.9), at(-1.0, 0.1), at(0.4, -0.9)];
+        let flat = without_plane(&segments);
+        let plane: Array1<f64> = segments.iter().map(|segment| 3.0 - 7.0 * segment.x_m + 2.0 * segment.y_m).collect();
+        assert!(flat.dot(&plane).iter().all(|nm| nm.abs() < 1e-13));
+        // A projection whose rank lacks three.
+        assert!((&flat.dot(&flat) - &flat).iter().all(|off| off.abs() < 1e-14));
+        assert!((flat.diag().sum() - 3.0).abs() < 1e-13);
+        let mean = without_plane(&segments[..3]);
+        assert!((mean.diag().sum() - 2.0).abs() < 1e-14);
+        let row = without_plane(&[at(-1.5, 0.0), at(-0.5, 0.0), at(0.5, 0.0), at(1.5, 0.0)]);
+        assert!((row.diag().sum() - 2.0).abs() < 1e-14);
+    }
 }

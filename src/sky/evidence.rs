@@ -20,7 +20,10 @@ const LEAST_NM2: f64 = 1e-2;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Family {
     /// Zernike polynomials, orthonormal over the pupil, a group for each radial order.
-    Zernike,
+    Zernike {
+        /// The last of these; fewer where the sensor does not tell as many modes apart.
+        highest_order: usize,
+    },
     /// Karhunen-Loève modes of the mirror, in groups that grow with their number.
     KarhunenLoeve,
 }

@@ -20,12 +20,14 @@ mod linalg;
 mod lit;
 mod ncpa;
 mod passes;
+mod path;
 mod plate_scale;
 mod precondition;
 mod prior;
 mod retrieve;
 mod retrieved;
 mod sampling;
+mod sensed;
 mod sensor;
 mod sequence;
 mod statics;
@@ -43,7 +45,8 @@ pub use passes::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_
 pub use prior::{Spectrum, Unknown};
 pub use retrieve::{Phases, RetrievalRecipe, RetrievalReport, Retriever, Statics};
 pub use retrieved::RetrievedPhases;
-pub use sensor::{Sensed, SensorModel};
+pub use sensed::Sensed;
+pub use sensor::SensorModel;
 pub use statics::{StaticErrors, StaticModel};
 pub use true_phases::TruePhases;
 

@@ -5,14 +5,15 @@
 //! turbulence, its aliases, the mirror and the segments drop out image by image, and what is left scatters with the
 //! noise of sensor and retrieval: 2 nm of a mode in an image instead of 20.
 
-use super::{LitSamples, linalg::Spd};
+use super::LitSamples;
+use super::sensed::{Response, Sensed};
 use crate::ao::{Footprint, Lenslets, Sensor};
 use crate::grid::Grid;
 use crate::modes::{Samples, SmoothBasis};
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use rayon::prelude::*;
 
 /// Push and pull with which the sensor's response to a mode is taken, nm RMS: small against its wavelength.
@@ -24,17 +25,6 @@ const RESPONDING: usize = 6;
 
 /// Part of a subaperture's light without which a fine sample's phase is taken from its neighbours.
 const SHARE_LOST: f64 = 1e-3;
-
-/// NCPA as phases and slopes together show them.
-#[derive(Debug, Clone)]
-pub struct Sensed {
-    /// Coefficient of each mode, nm.
-    pub coefficients_nm: Array1<f64>,
-    /// Information on them, per nm²: the inverse of the covariance of their mean.
-    pub information: Array2<f64>,
-    /// Scatter of each mode from image to image, nm.
-    pub scatter_nm: Array1<f64>,
-}
 
 /// The sensor of a scene behind phases on other samples than its own.
 pub struct SensorModel {
@@ -48,8 +38,8 @@ pub struct SensorModel {
     modes: Array2<f64>,
     map_nm: Vec<f32>,
     slopes_mas: Vec<f32>,
-    /// Slopes for 1 nm of each mode, `[mode, slope]`, mas, and what finds modes in slopes, once they were measured.
-    response: Option<(Array2<f64>, Array2<f64>)>,
+    /// What modes do to the slopes, once it was measured.
+    response: Option<Response>,
 }
 
 impl SensorModel {
@@ -140,26 +130,18 @@ impl SensorModel {
         let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
         // Taken once: static errors that are a little better known change the response by less than its images scatter, and
         // what is sought is where nothing is left, whatever the step.
-        let (response, gram) = match self.response.take() {
+        let response = match self.response.take() {
             Some(known) => known,
-            None => {
-                let response = self.response(pistons_nm, &rests_nm)?;
-                let gram = Spd::of(&response.dot(&response.t())).map_err(|_| {
-                    Error::Value(format!(
-                        "{slopes} slopes do not tell {} NCPA modes apart: fewer modes are needed",
-                        ncpa_nm.len()
-                    ))
-                })?;
-                (response, gram.inverse)
-            }
+            None => Response::of(self.response(pistons_nm, &rests_nm)?),
         };
-        let mut found_nm = Array2::zeros((images, ncpa_nm.len()));
+        let mut unseen_mas = Array2::zeros((images, slopes));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
-            let unseen_mas = self.measure(pistons_nm, rest_nm.view())? - slopes_mas.row(image);
-            found_nm.row_mut(image).assign(&gram.dot(&response.dot(&unseen_mas)));
+            let expected_mas = self.measure(pistons_nm, rest_nm.view())?;
+            unseen_mas.row_mut(image).assign(&(expected_mas - slopes_mas.row(image)));
         }
-        self.response = Some((response, gram));
-        Ok(sensed(found_nm, ncpa_nm))
+        let sensed = response.sensed(unseen_mas.view(), ncpa_nm)?;
+        self.response = Some(response);
+        Ok(sensed)
     }
 
     /// Slopes for 1 nm of each mode about some of the phases, `[mode, slope]`, mas.
@@ -178,24 +160,6 @@ impl SensorModel {
         Ok(response)
     }
 }
-
-/// Mean and scatter of what each image shows beside what is known.
-fn sensed(found_nm: Array2<f64>, known_nm: &[f64]) -> Sensed {
-    let images = found_nm.nrows() as f64;
-    let mean_nm = found_nm.sum_axis(Axis(0)) / images;
-    let deviations = &found_nm - &mean_nm;
-    let variance_nm2 = (&deviations * &deviations).sum_axis(Axis(0)) / (images - 1.0).max(1.0);
-    let information = Array2::from_diag(&variance_nm2.mapv(|nm2| 1.0 / (nm2 / images + MODEL_NM * MODEL_NM)));
-    Sensed {
-        coefficients_nm: mean_nm + ArrayView1::from(known_nm),
-        information,
-        scatter_nm: variance_nm2.mapv(f64::sqrt),
-    }
-}
-
-/// How well the model of the sensor knows a mode, nm: phases are read between coarser samples, and what turbulence has
-/// beyond them is missing. Measured: 1.5 nm over 33 modes of true phases.
-const MODEL_NM: f64 = 0.25;
 
 /// Bilinear interpolation between lit samples; where some are dark the others stand for them, where all are, the nearest.
 fn sources(lit: &LitSamples, fine: &Samples) -> Vec<[(u32, f64); 4]> {

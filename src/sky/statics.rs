@@ -8,21 +8,16 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
-/// Radial orders of the Zernike family: to 13, 104 polynomials of up to 26 zeros around the pupil, finer than segments. What
-/// Keck's mirror holds of three measured maps has more (16, 37 and 32 nm are left); but with 16 orders ten images of one draw leave
-/// 18 nm of NCPA where they leave 6 with 13.
-const HIGHEST_ORDER: usize = 13;
+/// Slopes of the lenslets' disc for each mode that they are to tell from the others: the pupil leaves three quarters of them.
+const SLOPES_A_MODE: f64 = 2.7;
 
-/// Slopes for each mode that they are to tell from the others: a few, for the pupil does not fill the lenslets' square.
-const SLOPES_A_MODE: f64 = 4.0;
-
-/// The highest order whose modes the sensor of `scene` tells apart, at most [`HIGHEST_ORDER`].
-fn highest_order(scene: &Scene) -> usize {
+/// The highest order whose modes the sensor of `scene` tells apart, at most `wanted`.
+fn highest_order(scene: &Scene, wanted: usize) -> usize {
     let modes = scene.wavefront_sensor.as_ref().map_or(f64::INFINITY, |sensor| {
         // Two slopes for each lenslet of a disc.
         std::f64::consts::FRAC_PI_2 * (sensor.lenslets_across as f64).powi(2) / SLOPES_A_MODE
     });
-    (2..=HIGHEST_ORDER).rev().find(|&order| ((order + 1) * (order + 2) / 2 - 1) as f64 <= modes).unwrap_or(1)
+    (2..=wanted).rev().find(|&order| ((order + 1) * (order + 2) / 2 - 1) as f64 <= modes).unwrap_or(1)
 }
 
 /// What nobody knows anything about (the mean phase, tip and tilt), nm: more than a model's whole range.
@@ -38,6 +33,9 @@ pub struct StaticErrors {
     pub pistons_nm: Vec<f64>,
     /// Coefficients of the NCPA's modes, nm.
     pub ncpa_nm: Vec<f64>,
+    /// What the mean phase has of the same modes though the sensor saw it, nm: turbulence that did not average out, and
+    /// actuators that the loop hardly feels and lets wander. 0 without telemetry, which alone tells it from NCPA.
+    pub followed_nm: Vec<f64>,
     /// Posterior covariance of both in turn, nm²: how far they may be off.
     pub covariance_nm2: Array2<f64>,
     /// Logarithm of the evidence, to compare families of modes on the same phases.
@@ -45,6 +43,22 @@ pub struct StaticErrors {
     /// The strength of each group of modes that the phases support, nm RMS of a mode: pistons, tip and tilt, then the
     /// others in turn.
     pub strengths_nm: Vec<f64>,
+}
+
+impl StaticErrors {
+    /// The strength of the higher one of the last two of `groups` groups of NCPA modes, nm RMS of a mode.
+    pub(super) fn highest_nm(&self, groups: usize) -> f64 {
+        // The pistons come first.
+        self.strengths_nm[groups.max(3) - 1..=groups].iter().copied().fold(0.0, f64::max)
+    }
+
+    /// These, where phases show only these shares of an error of the pistons and of the NCPA.
+    pub(super) fn widened(mut self, [pistons, ncpa]: [f64; 2]) -> Self {
+        let segments = self.pistons_nm.len();
+        let share = |mode: usize| if mode < segments { pistons } else { ncpa };
+        self.covariance_nm2.indexed_iter_mut().for_each(|((i, j), nm2)| *nm2 /= share(i) * share(j));
+        self
+    }
 }
 
 /// NCPA modes and the groups that share a variance.
@@ -65,8 +79,8 @@ impl NcpaModes {
         // Orders 1 to n hold Noll's 2 to (n + 1)(n + 2)/2.
         let zernikes = |last: usize| modes::zernike_basis(2, (last + 1) * (last + 2) / 2, &telescope.pupil);
         match family {
-            Family::Zernike => {
-                let order = highest_order(scene);
+            Family::Zernike { highest_order: wanted } => {
+                let order = highest_order(scene, wanted);
                 Ok(Self { basis: zernikes(order)?, groups: orders(order) })
             }
             Family::KarhunenLoeve => {
@@ -92,23 +106,27 @@ impl NcpaModes {
 /// What static errors do to a mean phase, held against the covariance of the turbulence in it.
 pub struct StaticModel {
     segments: usize,
+    ncpa: usize,
+    /// Pistons, NCPA and the mean phase, `[column, sample]`.
     columns: Array2<f64>,
     /// C⁻¹ of the columns.
     solved: Array2<f64>,
     information: Array2<f64>,
+    /// The column that each unknown shows as: what the sensor saw has those of the NCPA again.
+    shows_as: Vec<usize>,
     groups: Vec<Group>,
 }
 
 impl StaticModel {
     /// The model of pistons that show as `pistons` and NCPA that show as `ncpa`, both `[mode, sample]`, on samples whose
-    /// mean phase has `covariance`; `groups` as in `NcpaModes`.
+    /// mean phase has `covariance`; `groups` as in `NcpaModes`, and whether slopes will tell NCPA from what the sensor saw.
     ///
     /// # Errors
     /// [`Error::Shape`] for maps or groups that do not fit each other; those of [`MeanCovariance::solve`].
     pub fn new(
         pistons: ArrayView2<f64>,
         ncpa: ArrayView2<f64>,
-        groups: &[usize],
+        (groups, telemetry): (&[usize], bool),
         covariance: &MeanCovariance,
     ) -> Result<Self> {
         let (segments, samples) = pistons.dim();
@@ -128,49 +146,69 @@ impl StaticModel {
         let solved = covariance.solve(columns.view())?;
         let half = solved.dot(&columns.t());
         let information = (&half + &half.t()) / 2.0;
-        let searched = |columns, variance_nm2: f64| Group { columns, variance_nm2, fixed: false };
+        let modes = ncpa.nrows();
+        let (all, offset) = (0..segments + modes, segments + modes);
+        let again = if telemetry { segments..segments + modes } else { 0..0 };
+        let shows_as: Vec<usize> = all.chain(again).chain([offset]).collect();
+        let information = information.select(Axis(0), &shows_as).select(Axis(1), &shows_as);
+        let searched = |columns, start_nm: f64| Group { columns, variance_nm2: start_nm * start_nm, fixed: false };
         let known = |columns| Group { columns, variance_nm2: UNKNOWN_NM * UNKNOWN_NM, fixed: true };
-        let mut all = vec![searched(0..segments, START_NM * START_NM)];
+        let mut all = vec![searched(0..segments, START_NM)];
         let mut first = segments;
-        for (place, &size) in groups.iter().enumerate() {
-            let columns = first..first + size;
-            all.push(if place == 0 { known(columns) } else { searched(columns, START_NM * START_NM) });
-            first += size;
+        for start_nm in [START_NM, START_NM / 3.0].into_iter().take(if telemetry { 2 } else { 1 }) {
+            for (place, &size) in groups.iter().enumerate() {
+                let columns = first..first + size;
+                all.push(if place == 0 { known(columns) } else { searched(columns, start_nm) });
+                first += size;
+            }
         }
         all.push(known(first..first + 1));
-        Ok(Self { segments, columns, solved, information, groups: all })
+        Ok(Self { segments, ncpa: modes, columns, solved, information, shows_as, groups: all })
     }
 
     /// The static errors behind a mean phase, nm at each sample.
     ///
-    /// `sensed` is what slopes say of the NCPA beside the phases.
+    /// `sensed` is what slopes say of the NCPA beside the phases. The search for strengths begins at those of `before`.
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of samples or of NCPA modes.
-    pub fn estimate(&self, mean_nm: ArrayView1<f64>, sensed: Option<&Sensed>) -> Result<StaticErrors> {
+    pub fn estimate(
+        &self,
+        mean_nm: ArrayView1<f64>,
+        sensed: Option<&Sensed>,
+        before: Option<&StaticErrors>,
+    ) -> Result<StaticErrors> {
         if mean_nm.len() != self.columns.ncols() {
             let (given, needed) = (mean_nm.len(), self.columns.ncols());
             return Err(Error::Shape(format!("a mean phase of {given} samples was given: {needed} are needed")));
         }
-        let (mut information, mut b) = (self.information.clone(), self.solved.dot(&mean_nm));
-        if let Some(Sensed { coefficients_nm, information: more, .. }) = sensed {
-            let ncpa = self.segments..self.columns.nrows() - 1;
-            if coefficients_nm.len() != ncpa.len() {
-                let (given, needed) = (coefficients_nm.len(), ncpa.len());
+        let mut information = self.information.clone();
+        let mut b = self.solved.dot(&mean_nm).select(Axis(0), &self.shows_as);
+        if let Some(Sensed { information: more, b: more_b, .. }) = sensed {
+            let ncpa = self.segments..self.segments + self.ncpa;
+            if more_b.len() != ncpa.len() {
+                let (given, needed) = (more_b.len(), ncpa.len());
                 return Err(Error::Shape(format!("slopes of {given} NCPA modes were given: {needed} are needed")));
             }
             let mut part = information.slice_mut(s![ncpa.clone(), ncpa.clone()]);
             part += more;
             let mut part = b.slice_mut(s![ncpa]);
-            part += &more.dot(coefficients_nm);
+            part += more_b;
+        }
+        let mut groups = self.groups.clone();
+        for (group, nm) in groups.iter_mut().zip(before.iter().flat_map(|errors| &errors.strengths_nm)) {
+            group.variance_nm2 = nm * nm;
         }
         let Evidence { coefficients_nm, covariance_nm2, log_evidence, strengths_nm } =
-            strongest(&information, &b, &self.groups)?;
-        let last = coefficients_nm.len() - 1;
+            strongest(&information, &b, &groups)?;
+        let (ncpa, last) = (self.segments + self.ncpa, coefficients_nm.len() - 1);
+        let mut followed_nm = coefficients_nm.slice(s![ncpa..last]).to_vec();
+        followed_nm.resize(self.ncpa, 0.0);
         Ok(StaticErrors {
             pistons_nm: coefficients_nm.slice(s![..self.segments]).to_vec(),
-            ncpa_nm: coefficients_nm.slice(s![self.segments..last]).to_vec(),
-            covariance_nm2: covariance_nm2.slice(s![..last, ..last]).to_owned(),
+            ncpa_nm: coefficients_nm.slice(s![self.segments..ncpa]).to_vec(),
+            followed_nm,
+            covariance_nm2: covariance_nm2.slice(s![..ncpa, ..ncpa]).to_owned(),
             log_evidence,
             strengths_nm,
         })

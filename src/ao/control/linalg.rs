@@ -6,7 +6,7 @@ use ndarray::Array2;
 use num_complex::Complex64;
 
 /// `matrix = left · diag(values) · rightᵀ`, values falling.
-pub(super) struct Svd {
+pub(crate) struct Svd {
     /// `[rows, min(rows, columns)]`, orthonormal columns.
     pub left: Array2<f64>,
     pub values: Vec<f64>,
@@ -15,7 +15,7 @@ pub(super) struct Svd {
 }
 
 /// The singular value decomposition of a finite matrix.
-pub(super) fn svd(matrix: &Array2<f64>) -> Result<Svd> {
+pub(crate) fn svd(matrix: &Array2<f64>) -> Result<Svd> {
     let (rows, columns) = matrix.dim();
     if rows == 0 || columns == 0 {
         return Ok(Svd { left: Array2::zeros((rows, 0)), values: Vec::new(), right: Array2::zeros((columns, 0)) });

@@ -33,6 +33,7 @@ mod testing;
 pub use controller::Controller;
 pub use inpaint::Inpainting;
 pub use law::ControlLaw;
+pub(crate) use linalg::{Svd, svd};
 pub use mask::segment_mask;
 pub use plant::Plant;
 pub use reconstructor::Reconstructor;
