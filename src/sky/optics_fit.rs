@@ -5,7 +5,8 @@
 //! retrieval, χ² and how improbable its wavefront is, has a sharp minimum where the optics are right.
 //!
 //! Numbers of the scene are sought one by one, in steps. The amplitudes of the segments are among the unknowns of a
-//! retrieval (`amplitudes`): one look at a few images tells them all. Whatever explains the images best is taken first.
+//! retrieval (`amplitudes`): one look at a few images tells them all. Whatever explains the images best is taken first;
+//! what explains them ends the search.
 
 use super::optics_found::OpticsFound;
 use super::retrieve::{RetrievalRecipe, Retriever};
@@ -141,6 +142,12 @@ struct Answer {
     ln_amplitudes: Vec<f64>,
 }
 
+impl Answer {
+    fn explains(&self) -> bool {
+        self.reduced_chi2 <= CALLS
+    }
+}
+
 /// The images that are asked.
 struct Witness<'a> {
     images_e: Array3<f64>,
@@ -166,10 +173,28 @@ impl Witness<'_> {
         })
     }
 
-    /// The best value of `unknown` for a telescope otherwise like `optics`, whose merit is known.
-    fn number(&self, optics: &Optics, unknown: &Unknown, own: f64, merit: f64) -> Result<(Optics, f64)> {
+    /// Of optics that differ from `optics` in one thing, those that explain the images best, or the first that explain them.
+    fn best(&self, optics: &Optics, answer: &Answer) -> Result<(Optics, Answer)> {
+        let amplitudes = self.amplitudes(optics)?;
+        let its = self.ask(&amplitudes, 0.0)?;
+        let mut best = (amplitudes, its);
+        for unknown in Unknown::all(&optics.scene) {
+            if best.1.explains() {
+                break;
+            }
+            let tried = self.number(optics, &unknown, answer.reduced_objective)?;
+            let its = self.ask(&tried, 0.0)?;
+            if its.reduced_objective < best.1.reduced_objective {
+                best = (tried, its);
+            }
+        }
+        Ok(best)
+    }
+
+    /// A telescope otherwise like `optics`, whose merit is known, with the best value of `unknown`.
+    fn number(&self, optics: &Optics, unknown: &Unknown, merit: f64) -> Result<Optics> {
         let glass = optics.telescope()?.pupil.amplitude;
-        let (value, merit) = unknown.minimum((own, merit), |value| {
+        let (value, _) = unknown.minimum((unknown.own, merit), |value| {
             let tried = optics.with(unknown.key, value)?;
             // An obscuration within the segment that is missing obscures nothing.
             if unknown.key.starts_with("pupil.") && tried.telescope()?.pupil.amplitude == glass {
@@ -177,17 +202,15 @@ impl Witness<'_> {
             }
             Ok(self.ask(&tried, 0.0)?.reduced_objective)
         })?;
-        Ok((optics.with(unknown.key, value)?, merit))
+        optics.with(unknown.key, value)
     }
 
     /// A telescope otherwise like `optics` with the amplitudes of the segments that the images show.
-    fn amplitudes(&self, optics: &Optics) -> Result<(Optics, f64)> {
+    fn amplitudes(&self, optics: &Optics) -> Result<Optics> {
         let ln = self.ask(optics, AMPLITUDE_RMS)?.ln_amplitudes;
         let known = optics.amplitudes.iter().copied().chain(std::iter::repeat(1.0));
         let amplitudes = ln.iter().zip(known).map(|(ln, known)| known * ln.exp()).collect();
-        let tried = Optics { amplitudes, ..optics.clone() };
-        let merit = self.ask(&tried, 0.0)?.reduced_objective;
-        Ok((tried, merit))
+        Ok(Optics { amplitudes, scene: optics.scene.clone() })
     }
 }
 
@@ -207,29 +230,20 @@ pub(super) fn found(
     let (images_e, bad) = (images.images_e.select(Axis(0), &asked), images.bad.select(Axis(0), &asked));
     let witness = Witness { images_e, bad, read_noise_e: images.read_noise_e, prior, recipe, cancel };
     let mut optics = Optics { scene: scene.clone(), amplitudes: Vec::new() };
-    let mut unknowns = Unknown::all(scene);
+    let mut answer = match witness.ask(&optics, 0.0) {
+        // What is wrong with images is told where all of them are read.
+        Err(Error::Image(_)) => return OpticsFound::of(scene, optics.scene, optics.amplitudes),
+        answer => answer?,
+    };
     for _ in 0..ROUNDS {
-        let answer = match witness.ask(&optics, 0.0) {
-            // What is wrong with images is told where all of them are read.
-            Err(Error::Image(_)) => break,
-            answer => answer?,
-        };
-        if answer.reduced_chi2 <= CALLS {
+        if answer.explains() {
             break;
         }
-        let own = answer.reduced_objective;
-        let mut best = witness.amplitudes(&optics)?;
-        for unknown in &unknowns {
-            let tried = witness.number(&optics, unknown, unknown.own, own)?;
-            if tried.1 < best.1 {
-                best = tried;
-            }
-        }
-        if best.1 >= WORTH * own {
+        let (tried, its) = witness.best(&optics, &answer)?;
+        if its.reduced_objective >= WORTH * answer.reduced_objective {
             break;
         }
-        optics = best.0;
-        unknowns = Unknown::all(&optics.scene);
+        (optics, answer) = (tried, its);
     }
     OpticsFound::of(scene, optics.scene, optics.amplitudes)
 }
