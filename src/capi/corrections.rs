@@ -44,7 +44,7 @@ pub unsafe extern "C" fn cophase_full_phase_correct(
             let found = working.found_mut()?;
             let report = Reports::at(report, report_size)?;
             let limit_nm = (!limit_nm.is_nan()).then_some(limit_nm);
-            let commands = Commands::of(&found.scene, found.pass()?, limit_nm)?;
+            let commands = Commands::of(&found.full_phase.scene, found.pass()?, limit_nm)?;
             report.put(
                 0,
                 &cophase_correction_report {

@@ -10,7 +10,7 @@ use super::pointer::{place, put, put_text, room};
 use super::report::{COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK, COPHASE_IMAGE_UNUSABLE};
 use super::sized::Reports;
 use super::status::cophase_status;
-use crate::scene::{Knows, Scene};
+use crate::scene::Knows;
 use crate::sky::{Commands, FullPhase, Pass, RetrievalReport};
 use crate::{Error, Result};
 use ndarray::Axis;
@@ -18,9 +18,7 @@ use std::ffi::{CString, c_char};
 
 /// The last estimate.
 pub(super) struct Found {
-    /// With what was asked of this estimate.
-    pub(super) scene: Scene,
-    full_phase: FullPhase,
+    pub(super) full_phase: FullPhase,
     names: Vec<CString>,
     pub(super) commands: Option<Commands>,
 }
@@ -79,12 +77,12 @@ pub struct cophase_full_phase_image {
 }
 
 impl Found {
-    pub(super) fn new(scene: Scene, full_phase: FullPhase) -> Result<Self> {
+    pub(super) fn new(full_phase: FullPhase) -> Result<Self> {
         let name = |name: String| {
             CString::new(name).map_err(|error| Error::Internal(format!("a mode's name holds a zero: {error}")))
         };
         let names = full_phase.result()?.mode_names().into_iter().map(name).collect::<Result<_>>()?;
-        Ok(Self { scene, full_phase, names, commands: None })
+        Ok(Self { full_phase, names, commands: None })
     }
 
     pub(super) fn pass(&self) -> Result<&Pass> {

@@ -262,7 +262,7 @@ pub unsafe extern "C" fn cophase_full_phase_estimate(
         if let Err(Error::Interrupted(_)) = found {
             full_phase.cancel.store(false, Ordering::Relaxed);
         }
-        let found = Found::new(scene, found?)?;
+        let found = Found::new(found?)?;
         unsafe { report.put(0, &found.report()?) };
         working.found = Some(found);
         Ok(())

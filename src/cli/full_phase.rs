@@ -88,7 +88,7 @@ pub fn run(given: Given, wanted: &Wanted, terminal: &Terminal, interrupt: &Inter
     let maps = known.as_ref().map(|(truth, _)| [&truth.phasing_nm, &truth.ncpa_nm]);
     sky::write(wanted.output, scene, &found, maps)?;
     if let Some(commands) = wanted.commands {
-        Commands::of(scene, found.result()?, None)?.write(commands)?;
+        Commands::of(&found.scene, found.result()?, None)?.write(commands)?;
     }
     if let Some(plot) = wanted.plot {
         let name = name.file_name().unwrap_or(name.as_os_str()).to_string_lossy();

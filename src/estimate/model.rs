@@ -44,6 +44,18 @@ impl Model {
         Self::with_own_basis(scene, recipe, native, &OwnBasis::default())
     }
 
+    /// As [`Model::of`], reduced to Nyquist sampling, for a telescope that is the scene's but for the amplitudes of its
+    /// segments.
+    ///
+    /// # Errors
+    /// As [`Model::of`].
+    pub fn of_telescope(scene: &Scene, recipe: &Recipe, telescope: Telescope) -> Result<Self> {
+        memory::check_maps(scene)?;
+        let diversity = Diversity::of(scene, &telescope)?;
+        let set = ModeSet::of(scene, scene.modes.segment, recipe, &telescope, &OwnBasis::default())?;
+        Self::assemble(scene, recipe, false, telescope, &diversity, set)
+    }
+
     /// As [`Model::of`], with the scene's own basis kept for other recipes of the same scene.
     pub(super) fn with_own_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         memory::check_maps(scene)?;
@@ -76,7 +88,7 @@ impl Model {
         } else if recipe.pupil_model == PupilModel::Area {
             (telescope.pupil.grid, telescope.area_weights(telescope.pupil.grid)?)
         } else {
-            (telescope.pupil.grid, SegmentWeights::hard(&telescope.pupil))
+            (telescope.pupil.grid, telescope.hard_weights())
         };
         let per_lambda_over_d = pixels.per_lambda_over_d * telescope.pupil.grid.width_m() / grid.width_m();
         let sampling = Sampling::new(grid.samples(), pixels.preparation.pixels, per_lambda_over_d)?;

@@ -48,7 +48,9 @@ pub(super) struct FieldState<T> {
     blocks: Vec<BlockState<T>>,
     /// Piston, tip and tilt of each segment, turns.
     pose: Vec<[T; 3]>,
-    /// exp(2πi·piston) of each segment.
+    /// Amplitude of each segment over that of its weights.
+    amplitude: Vec<T>,
+    /// That times exp(2πi·piston).
     piston: Vec<[T; 2]>,
     smooth: Vec<T>,
     /// Sums over the samples of the derivatives by `pose`, in lanes (of `Σ w·g` where segments do not tilt), and by
@@ -56,6 +58,13 @@ pub(super) struct FieldState<T> {
     pose_bar: Vec<[Lanes<T>; 3]>,
     smooth_bar: Vec<f64>,
     smooth_scratch: SmoothScratch<T>,
+}
+
+impl<T: Polynomial> FieldState<T> {
+    /// Amplitude of each segment over that of its weights.
+    pub(super) fn amplitudes(&mut self) -> &mut [T] {
+        &mut self.amplitude
+    }
 }
 
 impl<T: Polynomial> Field<T> {
@@ -88,6 +97,7 @@ impl<T: Polynomial> Field<T> {
             turns_bar: vec![T::zero(); blocks * BLOCK],
             blocks: vec![BlockState { phasor: zeros, aperture: zeros }; blocks],
             pose: vec![[T::zero(); 3]; segments],
+            amplitude: vec![T::one(); segments],
             piston: vec![[T::zero(); 2]; segments],
             smooth: vec![T::zero(); self.smooth.len()],
             pose_bar: vec![[[T::zero(); BLOCK]; 3]; segments],
@@ -109,8 +119,9 @@ impl<T: Polynomial> Field<T> {
                 Mode::Tilt(s) => add(&mut state.pose[s][2], nm * self.turns_per_nm),
             }
         }
-        for (piston, &[turns, ..]) in state.piston.iter_mut().zip(&state.pose) {
-            *piston = phasor(turns).into();
+        for ((piston, &[turns, ..]), &amplitude) in state.piston.iter_mut().zip(&state.pose).zip(&state.amplitude) {
+            let (re, im) = phasor(turns);
+            *piston = [amplitude * re, amplitude * im];
         }
     }
 
@@ -219,6 +230,20 @@ impl<T: Polynomial> Field<T> {
     pub(super) fn free_gradient(&self, state: &FieldState<T>, gradient: &mut [T]) {
         let four_pi = T::of(4.0 * std::f64::consts::PI);
         gradient.iter_mut().zip(&self.lit).for_each(|(out, &place)| *out = four_pi * state.turns_bar[place]);
+    }
+
+    /// Whether segments have amplitudes of their own: where they tilt, phasors are made sample by sample, without.
+    pub(super) fn has_amplitudes(&self) -> bool {
+        self.shares.slopes.is_none()
+    }
+
+    /// dJ/d ln of each segment's amplitude, as [`Field::adjoint`] left it: `2·Re(q_s*·Σ w·g)`, beside the piston's
+    /// imaginary part.
+    pub(super) fn amplitude_gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
+        let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
+        for ((gradient, [q_re, q_im]), [re, im, _]) in gradient.iter_mut().zip(&state.piston).zip(&state.pose_bar) {
+            *gradient = 2.0 * (sum(re) * q_re.wide() + sum(im) * q_im.wide());
+        }
     }
 
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.

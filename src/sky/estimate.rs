@@ -1,8 +1,8 @@
 //! The full-phase estimate of a sequence: images in, static errors with error bars out, and their file.
 
 use super::found::FullPhase;
+use super::optics_fit;
 use super::passes::{Pass, PassRecipe, find_statics};
-use super::plate_scale;
 use super::{RetrievalRecipe, RetrievalReport, RetrievedPhases, Retriever, Spectrum, Unknown};
 use crate::ao::Lenslets;
 use crate::grid::Grid;
@@ -120,10 +120,13 @@ pub fn read(
         ));
     }
     let knows = knows(scene, images.slopes_mas.is_some())?;
-    let telescope = Telescope::of(scene)?;
-    if let Some(slopes_mas) = images.slopes_mas.as_ref().filter(|_| knows >= Knows::Telemetry) {
-        check_slopes(scene, &telescope, slopes_mas)?;
-    }
+    let slopes_mas = images.slopes_mas.as_ref().filter(|_| knows >= Knows::Telemetry);
+    let own_sensor = slopes_mas.map_or(Ok(()), |slopes_mas| check_slopes(scene, &Telescope::of(scene)?, slopes_mas));
+    // Slopes of another number of subapertures may be those behind the pupil that the images show.
+    let own_sensor = match own_sensor {
+        Err(Error::Shape(_)) if scene.pupil.extent_m().is_some() => own_sensor,
+        other => Ok(other?),
+    };
     let prior = prior(scene, knows)?;
     let precision = match scene.estimate.precision {
         Precision::F32 => ChainPrecision::F32,
@@ -137,23 +140,21 @@ pub fn read(
     } else {
         usual
     };
-    let plate_scale = plate_scale::found(scene, &prior, &retrieval, images, cancel)?.unwrap_or(1.0);
-    let own_scale;
-    let scene = if plate_scale == 1.0 {
-        scene
-    } else {
-        own_scale = plate_scale::scaled(scene, plate_scale)?;
-        &own_scale
-    };
-    let retriever = Retriever::new(scene, &prior, retrieval)?;
+    let optics = optics_fit::found(scene, &prior, &retrieval, images, cancel)?;
+    let found_sensor = slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
+    // A shadow that was found moves no lenslet that the slopes say is there.
+    let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
+    own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
+    let retriever = Retriever::with_telescope(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
     let cube = (&images.images_e, &images.bad, images.read_noise_e);
     let mut source = RetrievedPhases::new(&retriever, &prior, cube, images.slopes_mas.clone(), cancel, watch)?;
     let recipe = PassRecipe { knows, ..PassRecipe::default() };
-    let passes = find_statics(scene, &mut source, &recipe, cancel)?;
+    let passes = find_statics(&static_scene, &mut source, &recipe, cancel)?;
     let (reports, retrieval_seconds) = (std::mem::take(&mut source.reports), source.seconds);
-    let (pupil, seconds) = (telescope.pupil, started.elapsed().as_secs_f64());
+    let (pupil, seconds) = (Telescope::of(&static_scene)?.pupil, started.elapsed().as_secs_f64());
     let precision = scene.estimate.precision;
-    Ok(FullPhase { passes, reports, knows, plate_scale, precision, pupil, seconds, retrieval_seconds })
+    let scene = static_scene;
+    Ok(FullPhase { passes, reports, knows, optics, scene, precision, pupil, seconds, retrieval_seconds })
 }
 
 /// Writes an estimate in the layout of the modal one, and the table `PASSES`; beside it the true maps (phasing, NCPA; nm), where
@@ -171,7 +172,13 @@ pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Arra
     file.card("PRIMARY", "ELAPSED", found.seconds, "seconds for the estimate")?;
     file.card("PRIMARY", "NIMAGES", found.reports.len() as i64, "images read")?;
     file.card("PRIMARY", "NUSED", pass.used_images.len() as i64, "images used")?;
-    file.card("PRIMARY", "SCALE", found.plate_scale, "pixels per lambda/D over the scene's")?;
+    file.card("PRIMARY", "SCALE", found.optics.plate_scale, "pixels per lambda/D over the scene's")?;
+    if let Some(metres) = found.optics.central_obscuration_m {
+        file.card("PRIMARY", "OBSCUR_M", metres, "central obscuration found, m")?;
+    }
+    if let Some(metres) = found.optics.spider_width_m {
+        file.card("PRIMARY", "SPIDER_M", metres, "width of the spider's vanes found, m")?;
+    }
     file.card("PRIMARY", "CHI2", pass.reduced_chi2, "median reduced chi-square")?;
     for (name, map) in [
         ("PHASING", &pass.phasing_nm),
@@ -211,6 +218,10 @@ pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Arra
         Column::i64("USED", (0..found.reports.len()).map(|i| i64::from(pass.used_images.contains(&i))).collect()),
     ];
     file.table("IMAGES", &images)?;
+    let reflectivities = &found.optics.segment_reflectivities;
+    if !reflectivities.is_empty() {
+        file.table("REFLECTIVITIES", &[Column::f64("REFLECTIVITY", "", reflectivities.clone())])?;
+    }
     file.text("SCENE", scene.text())?;
     file.finish()
 }

@@ -1,10 +1,10 @@
 //! What a full-phase estimate found, in the terms that programs and bindings report it in.
 
-use super::RetrievalReport;
 use super::passes::{Pass, PassRecipe, coefficients};
+use super::{OpticsFound, RetrievalReport};
 use crate::modes::SegmentModes;
 use crate::pupil::Pupil;
-use crate::scene::{Knows, Precision};
+use crate::scene::{Knows, Precision, Scene};
 use crate::{Error, Result};
 
 /// χ² per degree of freedom of images that the model explains but for what it cannot know of turbulence: behind a bright star
@@ -20,8 +20,11 @@ pub struct FullPhase {
     pub reports: Vec<RetrievalReport>,
     /// What was assumed of the adaptive optics.
     pub knows: Knows,
-    /// Pixels per λ/D over the scene's, where the images said that they are others; 1 where they did not.
-    pub plate_scale: f64,
+    /// Optics that the images said are others than the scene's.
+    pub optics: OpticsFound,
+    /// The scene by which static errors were sought, and corrections are to be made: with the optics that were found, unless
+    /// the sensor's subapertures speak against them.
+    pub scene: Scene,
     /// Precision of the imaging chain.
     pub precision: Precision,
     /// The pupil on which maps are.
@@ -66,7 +69,9 @@ impl FullPhase {
     /// # Errors
     /// As [`FullPhase::result`].
     pub fn misfits(&self) -> Result<bool> {
-        Ok(self.result()?.reduced_chi2 > EXPLAINED)
+        // Where optics were looked for, what was found should have explained the images.
+        let explained = if self.optics.warnings().is_empty() { EXPLAINED } else { super::optics_fit::CALLS };
+        Ok(self.result()?.reduced_chi2 > explained)
     }
 
     /// What somebody should know before using the estimate, in a sentence each.
@@ -81,12 +86,7 @@ impl FullPhase {
             let were = if left_out == 1 { "was" } else { "were" };
             sentences.push(format!("{left_out} of {all} images {were} left out"));
         }
-        if self.plate_scale != 1.0 {
-            sentences.push(format!(
-                "pixels are {:+.2} % finer than image.samples_per_lambda_over_d says, and were taken so",
-                100.0 * (self.plate_scale - 1.0)
-            ));
-        }
+        sentences.extend(self.optics.warnings());
         if self.misfits()? {
             sentences.push(format!(
                 "the residual of the typical image is {:.1} times the noise (reduced χ² {:.1}): the scene differs from the \

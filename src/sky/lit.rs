@@ -1,6 +1,6 @@
 //! The samples on which phases are known: where they are, how much glass they hold, and how the segments show in them.
 
-use super::worker::LEAST_GLASS;
+use crate::imaging::{Mode, Optics};
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -73,4 +73,38 @@ impl LitSamples {
             ..*self
         }
     }
+}
+
+/// Less glass than this in a sample is the ringing of its neighbours'.
+pub(super) const LEAST_GLASS: f64 = 0.1;
+
+/// The wavefront at each lit sample that some coefficients make, nm.
+pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
+    let parts = optics.parts();
+    let mut poses = vec![[0.0; 3]; parts.weights.segments];
+    let mut smooth = Vec::new();
+    for (&mode, &nm) in parts.modes.iter().zip(coefficients_nm) {
+        match mode {
+            Mode::Piston(segment) => poses[segment][0] += nm,
+            Mode::Tip(segment) => poses[segment][1] += nm,
+            Mode::Tilt(segment) => poses[segment][2] += nm,
+            Mode::Smooth(row) => smooth.push((row, nm)),
+        }
+    }
+    let slope = |entry: usize| parts.slopes.as_ref().map_or([0.0; 2], |(x, y)| [x[entry], y[entry]]);
+    let mut entry = 0;
+    let at = |(p, (_, segments, weights)): (usize, (usize, &[u32], &[f64]))| {
+        let (mut sum, mut whole, mut sizes) = (0.0, 0.0, [0.0; 2]);
+        for (&segment, &weight) in segments.iter().zip(weights) {
+            let ([piston, tip, tilt], [x, y]) = (poses[segment as usize], slope(entry));
+            let nm = piston + tip * x + tilt * y;
+            (sum, whole) = (sum + weight * nm, whole + weight);
+            sizes = [sizes[0] + weight.abs() * nm, sizes[1] + weight.abs()];
+            entry += 1;
+        }
+        // Beyond the rim low-passed weights ring about 0, where their mean would mean nothing.
+        let own = if whole > LEAST_GLASS { sum / whole } else { sizes[0] / sizes[1] };
+        own + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
+    };
+    parts.weights.rows().enumerate().map(at).collect()
 }

@@ -9,6 +9,7 @@
 //! What a loop has made of the pistons is smooth and pistons are edges, so a covariance like that of turbulence tells one
 //! from the other; what the loop answers to them is known by closing it on them alone, without turbulence and noise.
 
+mod amplitudes;
 mod calm_loop;
 mod commands;
 mod convolver;
@@ -19,11 +20,13 @@ mod found;
 mod linalg;
 mod lit;
 mod ncpa;
+mod optics_fit;
+mod optics_found;
 mod passes;
 mod path;
-mod plate_scale;
 mod precondition;
 mod prior;
+mod probe;
 mod retrieve;
 mod retrieved;
 mod sampling;
@@ -41,6 +44,7 @@ pub use estimate::{SkyImages, knows, read, write};
 pub use evidence::{Evidence, Family};
 pub use found::FullPhase;
 pub use lit::LitSamples;
+pub use optics_found::OpticsFound;
 pub use passes::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
 pub use prior::{Spectrum, Unknown};
 pub use retrieve::{Phases, RetrievalRecipe, RetrievalReport, Retriever, Statics};

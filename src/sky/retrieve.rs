@@ -10,8 +10,9 @@
 //! on that image alone: the same bits in any batch, on any number of threads.
 
 use super::prior::Spectrum;
+use super::probe::Typical;
 use super::sampling::{sampled, seen_to_per_m};
-use super::worker::{Engine, Found, Typical};
+use super::worker::{Engine, Found};
 use crate::estimate::{Cube, Frame, Model, Preparation, Recipe};
 use crate::imaging::{CpuChain, Precision};
 use crate::optimize::{CancelFlag, StopReason};
@@ -56,6 +57,9 @@ pub struct RetrievalRecipe {
     pub piston_rms_nm: f64,
     /// The same of segments' tilts, where the scene estimates them.
     pub segment_tilt_rms_nm: f64,
+    /// RMS that the amplitudes of the segments are expected to have about those of the model, as a fraction; 0 takes them
+    /// for known.
+    pub segment_amplitude_rms: f64,
 }
 
 impl Default for RetrievalRecipe {
@@ -71,6 +75,7 @@ impl Default for RetrievalRecipe {
             renewals: 0,
             piston_rms_nm: 0.0,
             segment_tilt_rms_nm: 0.0,
+            segment_amplitude_rms: 0.0,
         }
     }
 }
@@ -92,6 +97,8 @@ pub struct Phases {
     pub phase_nm: Array2<f64>,
     /// Of it, what the coefficients hold: segments, then tip and tilt, nm, `[image, coefficient]`.
     pub coefficients_nm: Array2<f64>,
+    /// Logarithm of each segment's amplitude over the model's, `[image, segment]`; no columns where amplitudes are known.
+    pub ln_amplitudes: Array2<f64>,
     /// One for each image.
     pub reports: Vec<RetrievalReport>,
 }
@@ -102,6 +109,9 @@ pub struct RetrievalReport {
     /// χ² per degree of freedom under the noise and the model error of the fitted model; NaN for an image that cannot be
     /// used.
     pub reduced_chi2: f64,
+    /// What was minimised, χ² under the data's weights and what the prior adds, over the same degrees of freedom: a model that
+    /// is not the instrument's shows here where wavefronts could be found that explain the image, and are improbable.
+    pub reduced_objective: f64,
     /// Evaluations of objective and gradient.
     pub evaluations: usize,
     /// Why it stopped.
@@ -137,6 +147,19 @@ impl Retriever {
     /// # Errors
     /// Those of [`Model::of`]; [`Error::Value`] for a recipe out of range.
     pub fn new(scene: &Scene, prior: &Spectrum, retrieval: RetrievalRecipe) -> Result<Self> {
+        Self::with_telescope(scene, Telescope::of(scene)?, prior, retrieval)
+    }
+
+    /// As [`Retriever::new`], for a telescope that is the scene's but for the amplitudes of its segments.
+    ///
+    /// # Errors
+    /// As [`Retriever::new`].
+    pub fn with_telescope(
+        scene: &Scene,
+        telescope: Telescope,
+        prior: &Spectrum,
+        retrieval: RetrievalRecipe,
+    ) -> Result<Self> {
         check(&retrieval)?;
         // The field holds what the NCPA modes would; tip and tilt can be larger than any spectrum says.
         let scene = scene.with(&[
@@ -145,9 +168,9 @@ impl Retriever {
             ("modes.exact_zernikes", "[2, 3]"),
             ("estimate.optimizer", "gauss-newton"),
         ])?;
-        let scene = sampled(&scene, &Telescope::of(&scene)?, retrieval.cycles_across_a_segment)?;
+        let scene = sampled(&scene, &telescope, retrieval.cycles_across_a_segment)?;
         let recipe = Recipe::of(&scene);
-        let model = Model::of(&scene, &recipe, false)?;
+        let model = Model::of_telescope(&scene, &recipe, telescope)?;
         let samples = model.optics.sampling().samples;
         let pitch_m = model.width_ratio() * model.telescope.pupil.grid.width_m() / samples as f64;
         let at = |i: usize| (i as f64 - (samples as f64 - 1.0) / 2.0) * pitch_m;
@@ -199,7 +222,7 @@ impl Retriever {
 
     /// The wavefront at each lit sample that coefficients of [`Retriever::model`] make, nm; fewer leave the others at 0.
     pub fn shown_nm(&self, coefficients_nm: &[f64]) -> Vec<f64> {
-        super::worker::shown_nm(&self.model.optics, coefficients_nm)
+        super::lit::shown_nm(&self.model.optics, coefficients_nm)
     }
 
     /// A wavefront drawn from `spectrum`, nm at each lit sample: for simulations.
@@ -232,12 +255,16 @@ impl Retriever {
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
         let mut phase_nm = Array2::from_elem((frames.len(), lit), f64::NAN);
         let mut coefficients_nm = Array2::from_elem((frames.len(), modes), f64::NAN);
+        let varied =
+            if self.retrieval.segment_amplitude_rms > 0.0 { self.model.optics.parts().weights.segments } else { 0 };
+        let mut ln_amplitudes = Array2::from_elem((frames.len(), varied), f64::NAN);
         let done = AtomicUsize::new(0);
         let rows = phase_nm.axis_iter_mut(Axis(0)).zip(coefficients_nm.axis_iter_mut(Axis(0)));
+        let rows = rows.zip(ln_amplitudes.axis_iter_mut(Axis(0)));
         let jobs: Vec<_> = frames.iter().zip(rows).collect();
         let reports = jobs
             .into_par_iter()
-            .map(|(frame, (mut phase_nm, mut coefficients_nm))| {
+            .map(|(frame, ((mut phase_nm, mut coefficients_nm), mut ln_amplitudes))| {
                 if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
                     let (done, all) = (done.load(Ordering::Relaxed), frames.len());
                     return Err(Error::Interrupted(format!("{done} of {all} wavefronts were retrieved")));
@@ -250,9 +277,10 @@ impl Retriever {
                             AnyEngine::Single(engine) => engine.retrieve(prepared, statics)?,
                             AnyEngine::Double(engine) => engine.retrieve(prepared, statics)?,
                         };
-                        let Found { phase_nm: phase, coefficients_nm: coefficients, report } = found;
+                        let Found { phase_nm: phase, coefficients_nm: coefficients, ln_amplitudes: ln, report } = found;
                         phase_nm.iter_mut().zip(phase).for_each(|(out, phase)| *out = phase);
                         coefficients_nm.iter_mut().zip(coefficients).for_each(|(out, nm)| *out = nm);
+                        ln_amplitudes.iter_mut().zip(ln).for_each(|(out, ln)| *out = ln);
                         report
                     }
                 };
@@ -260,7 +288,7 @@ impl Retriever {
                 Ok(report)
             })
             .collect::<Result<Vec<_>>>()?;
-        Ok(Phases { phase_nm, coefficients_nm, reports })
+        Ok(Phases { phase_nm, coefficients_nm, ln_amplitudes, reports })
     }
 
     fn preparation(&self) -> &Preparation {
@@ -287,6 +315,7 @@ impl RetrievalReport {
     fn refused(refusal: String) -> Self {
         Self {
             reduced_chi2: f64::NAN,
+            reduced_objective: f64::NAN,
             evaluations: 0,
             reason: StopReason::Unfinished,
             flux_e: f64::NAN,
@@ -306,6 +335,7 @@ fn check(recipe: &RetrievalRecipe) -> Result<()> {
         ("misfit_tolerance", recipe.misfit_tolerance),
         ("piston_rms_nm", recipe.piston_rms_nm),
         ("segment_tilt_rms_nm", recipe.segment_tilt_rms_nm),
+        ("segment_amplitude_rms", recipe.segment_amplitude_rms),
     ];
     match numbers.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
         Some((name, value)) => {

@@ -1,14 +1,15 @@
 //! One image's retrieval, in memory that one thread keeps.
 
+use super::amplitudes::Amplitudes;
+use super::lit::shown_nm;
 use super::precondition::{Filter, Square, SquareScratch};
 use super::prior::Spectrum;
+use super::probe::{Typical, information_rad2, probe, variance_e2};
 use super::retrieve::{RetrievalRecipe, RetrievalReport, Statics};
-use crate::Result;
 use crate::estimate::{Model, Prepared};
-use crate::imaging::{
-    CpuChain, Evaluation, Exposure, Loaded, Mode, Optics, Photometry, Polynomial, Precision, Scratch,
-};
+use crate::imaging::{CpuChain, Evaluation, Loaded, Mode, Polynomial, Precision, Scratch};
 use crate::optimize::{Metric, Progress, QuasiNewton, RESOLUTION_F32, RESOLUTION_F64, Settings};
+use crate::{Error, Result};
 use ndarray::{Array1, ArrayView1};
 use std::f64::consts::TAU;
 use std::sync::{Arc, Mutex};
@@ -29,6 +30,8 @@ pub(super) struct Engine<T: Polynomial> {
     recipe: RetrievalRecipe,
     /// The coefficients that vary, the RMS that is expected of each, nm, and how many samples each moves by 1 nm RMS.
     free: Vec<(usize, f64, f64)>,
+    /// How many samples each segment fills where its amplitude varies; none where amplitudes are known.
+    filled: Vec<f64>,
     /// Memory of threads that are not at work now.
     idle: Mutex<Vec<Worker<T>>>,
 }
@@ -37,6 +40,8 @@ pub(super) struct Engine<T: Polynomial> {
 pub(super) struct Found {
     pub(super) phase_nm: Vec<f64>,
     pub(super) coefficients_nm: Vec<f64>,
+    /// Logarithm of each segment's amplitude over the model's, where it varies.
+    pub(super) ln_amplitudes: Vec<f64>,
     pub(super) report: RetrievalReport,
 }
 
@@ -51,6 +56,7 @@ struct Worker<T: Polynomial> {
     filter: Filter<T>,
     /// nm of each free coefficient for 1 of its white number, and the weight of that number's square in the prior.
     scales: Vec<[f64; 2]>,
+    amplitudes: Amplitudes,
     coefficients_nm: Array1<f64>,
     base_nm: Vec<f64>,
     base_turns: Vec<T>,
@@ -99,13 +105,20 @@ impl<T: Polynomial> Engine<T> {
         };
         let chain = CpuChain::new(model.optics.clone());
         probe(&chain, &mut square, prior, recipe, &typical)?;
+        let filled = if recipe.segment_amplitude_rms > 0.0 { areas } else { Vec::new() };
+        if !(filled.is_empty() || chain.has_amplitudes()) {
+            return Err(Error::Value(
+                "segments that tilt have no amplitudes of their own: modes.segment = \"piston\" is needed".into(),
+            ));
+        }
         Ok(Self {
-            metric: Arc::new(Metric::whitened(square.len() + free.len())),
+            metric: Arc::new(Metric::whitened(square.len() + free.len() + filled.len())),
             chain,
             square,
             settings,
             recipe: recipe.clone(),
             free,
+            filled,
             idle: Mutex::new(Vec::new()),
         })
     }
@@ -157,6 +170,7 @@ impl<T: Polynomial> Worker<T> {
             square: square.scratch(),
             filter: square.filter(),
             scales: vec![[0.0; 2]; engine.free.len()],
+            amplitudes: Amplitudes::new(engine.recipe.segment_amplitude_rms, &engine.filled),
             coefficients_nm: Array1::zeros(chain.optics().modes()),
             base_nm: vec![0.0; chain.optics().modes()],
             base_turns: zeros(),
@@ -194,6 +208,7 @@ impl<T: Polynomial> Worker<T> {
         let outcome = self.solver.outcome();
         let report = RetrievalReport {
             reduced_chi2: chi2 / self.freedom,
+            reduced_objective: outcome.f / self.freedom,
             evaluations: outcome.evaluations,
             reason: outcome.reason,
             flux_e,
@@ -204,7 +219,8 @@ impl<T: Polynomial> Worker<T> {
         let coefficients_nm = self.coefficients_nm.to_vec();
         let mut phase_nm = shown_nm(engine.chain.optics(), &coefficients_nm);
         phase_nm.iter_mut().zip(&self.turns).for_each(|(nm, turns)| *nm += turns.wide() * wavelength_nm);
-        Ok(Found { phase_nm, coefficients_nm, report })
+        let ln_amplitudes = self.amplitudes.ln().to_vec();
+        Ok(Found { phase_nm, coefficients_nm, ln_amplitudes, report })
     }
 
     /// Takes up an image: its weights, its coordinates, its static wavefront.
@@ -222,7 +238,8 @@ impl<T: Polynomial> Worker<T> {
         self.information_nm2 = engine.information_nm2(flux_e, weighed_e);
         let good = prepared.exposure.weight.iter().filter(|weight| **weight > 0.0).count();
         let glass = engine.chain.optics().parts().weights.energy;
-        let taken = engine.square.freedom(self.information_nm2, glass) + (self.scales.len() + 2) as f64;
+        let taken =
+            engine.square.freedom(self.information_nm2, glass) + (self.scales.len() + engine.filled.len() + 2) as f64;
         self.freedom = (good as f64 - taken).max(1.0);
         // As far as the linearisation is to be believed: coordinates in which a bright star fixes every sample to a nm
         // would send the first steps, which start a wavefront's RMS away, into what it sees worst. With 24 times this
@@ -234,6 +251,7 @@ impl<T: Polynomial> Worker<T> {
             let seen = information_nm2 * count;
             *scale = [1.0 / (seen + rms_nm.powi(-2)).sqrt(), 1.0 / (1.0 + seen * rms_nm * rms_nm)];
         }
+        self.amplitudes.begin(information_nm2 * (wavelength_nm / TAU).powi(2));
         self.base_nm.fill(0.0);
         self.base_turns.fill(T::zero());
         if let Some(statics) = statics {
@@ -258,10 +276,13 @@ impl<T: Polynomial> Worker<T> {
                 &mut self.evaluation,
                 &mut self.turns_bar,
             );
-            let (field, coefficients) = self.gradient.split_at_mut(engine.square.len());
+            let (field, others) = self.gradient.split_at_mut(engine.square.len());
+            let (coefficients, amplitudes) = others.split_at_mut(engine.free.len());
             engine.square.field_adjoint(&self.filter, &self.turns_bar, &mut self.square, field);
             let (y, u) = self.solver.ask().split_at(engine.square.len());
             let mut objective = self.evaluation.objective + self.filter.add_prior(y, field);
+            engine.chain.amplitude_gradient(&self.scratch, amplitudes);
+            objective += self.amplitudes.add_prior(&u[engine.free.len()..], amplitudes);
             for (((out, &(k, ..)), &u), [scale, prior]) in
                 coefficients.iter_mut().zip(&engine.free).zip(u).zip(&self.scales)
             {
@@ -293,6 +314,7 @@ impl<T: Polynomial> Worker<T> {
         for ((&(k, ..), &u), [scale, _]) in engine.free.iter().zip(u).zip(&self.scales) {
             self.coefficients_nm[k] += scale * u;
         }
+        self.amplitudes.place(&u[engine.free.len()..], &mut self.scratch);
     }
 
     /// Weighs the exposure by the variances that the fitted model gives it.
@@ -308,101 +330,11 @@ impl<T: Polynomial> Worker<T> {
     }
 }
 
-/// Twice the photons of a sample, where their noise rules: see [`Engine::information_nm2`].
-fn information_rad2(optics: &Optics, flux_e: f64, weighed_e: f64) -> f64 {
-    2.0 * flux_e * weighed_e * optics.intensity_scale()
-}
-
-/// An image such as the scene expects.
-pub(super) struct Typical {
-    pub(super) flux_e: f64,
-    pub(super) background_e: f64,
-    /// Variance of a pixel without light, e².
-    pub(super) floor_e2: f64,
-}
-
-/// Fields whose images are looked at to find what an image tells of each spatial frequency, and steps in each.
-const PROBES: u64 = 8;
-/// Size of a step, turns: small enough that the gradient is linear to a percent, large enough for single precision.
-const PROBE_TURNS: f64 = 1e-3;
-
-/// How well an image of a wavefront drawn from the prior tells each spatial frequency. Where data and model are equal the
-/// Hessian is the Gauss-Newton matrix, so a difference of two gradients, one of which is 0, is its product with a step.
-fn probe<T: Polynomial>(
-    chain: &CpuChain<T>,
-    square: &mut Square<T>,
-    prior: &Spectrum,
-    recipe: &RetrievalRecipe,
-    typical: &Typical,
-) -> Result<()> {
-    let optics = chain.optics().clone();
-    let nothing = Array1::zeros(optics.modes());
-    let (mut scratch, mut evaluation, mut loaded) = (chain.scratch(), chain.evaluation(), chain.room());
-    let drawn = square.draw(prior, 1.0 / optics.parts().wavelength_nm, 0);
-    let photometry = Photometry::Fixed { flux_e: typical.flux_e, background_e: typical.background_e };
-    let psf = chain.psf_free_in(nothing.view(), &drawn, &mut scratch);
-    let data_e: Vec<f64> = psf.iter().map(|h| typical.flux_e * h.wide() + typical.background_e).collect();
-    let weight: Vec<f64> = data_e.iter().map(|&e| 1.0 / variance_e2(e, typical.floor_e2, recipe.model_error)).collect();
-    let weighed_e = data_e.iter().zip(&weight).map(|(e, w)| (e - typical.background_e) * w).sum();
-    chain.set(&mut loaded, &Exposure { data_e, weight, photometry })?;
-    // A gradient per turn is 2·JᵀWJ·step; the information is per radian.
-    let scale = T::of(1.0 / (2.0 * PROBE_TURNS * TAU * TAU * information_rad2(&optics, typical.flux_e, weighed_e)));
-    let mut turns = drawn.clone();
-    square.probe(PROBES, |step, product| {
-        for ((turns, &drawn), &step) in turns.iter_mut().zip(&drawn).zip(step) {
-            *turns = drawn + step * T::of(PROBE_TURNS);
-        }
-        chain.evaluate_free(&loaded, nothing.view(), &turns, &mut scratch, &mut evaluation, product);
-        product.iter_mut().for_each(|value| *value *= scale);
-    });
-    Ok(())
-}
-
 /// Which point of the optimiser's.
 #[derive(Clone, Copy)]
 enum Point {
     Asked,
     Best,
-}
-
-/// Variance of a pixel of which `electrons` are expected: their photon noise, the floor (infinite for a bad pixel), and
-/// what the model does not know of it.
-fn variance_e2(electrons: f64, floor_e2: f64, model_error: f64) -> f64 {
-    electrons.max(0.0) + floor_e2 + (model_error * electrons).powi(2)
-}
-
-/// Less glass than this in a sample is the ringing of its neighbours'.
-pub(super) const LEAST_GLASS: f64 = 0.1;
-
-/// The wavefront at each lit sample that some coefficients make, nm.
-pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
-    let parts = optics.parts();
-    let mut poses = vec![[0.0; 3]; parts.weights.segments];
-    let mut smooth = Vec::new();
-    for (&mode, &nm) in parts.modes.iter().zip(coefficients_nm) {
-        match mode {
-            Mode::Piston(segment) => poses[segment][0] += nm,
-            Mode::Tip(segment) => poses[segment][1] += nm,
-            Mode::Tilt(segment) => poses[segment][2] += nm,
-            Mode::Smooth(row) => smooth.push((row, nm)),
-        }
-    }
-    let slope = |entry: usize| parts.slopes.as_ref().map_or([0.0; 2], |(x, y)| [x[entry], y[entry]]);
-    let mut entry = 0;
-    let at = |(p, (_, segments, weights)): (usize, (usize, &[u32], &[f64]))| {
-        let (mut sum, mut whole, mut sizes) = (0.0, 0.0, [0.0; 2]);
-        for (&segment, &weight) in segments.iter().zip(weights) {
-            let ([piston, tip, tilt], [x, y]) = (poses[segment as usize], slope(entry));
-            let nm = piston + tip * x + tilt * y;
-            (sum, whole) = (sum + weight * nm, whole + weight);
-            sizes = [sizes[0] + weight.abs() * nm, sizes[1] + weight.abs()];
-            entry += 1;
-        }
-        // Beyond the rim low-passed weights ring about 0, where their mean would mean nothing.
-        let own = if whole > LEAST_GLASS { sum / whole } else { sizes[0] / sizes[1] };
-        own + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
-    };
-    parts.weights.rows().enumerate().map(at).collect()
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
-//! The chain with a phase of its own at every lit sample: what a retrieval of the whole wavefront varies. The modes are
-//! there too; an evaluation whose free phase is zero is bitwise that of the modes alone.
+//! The chain with a phase of its own at every lit sample, and an amplitude of its own for every segment: what a retrieval
+//! of the whole wavefront varies. The modes are there too; an evaluation whose free phase is zero and whose amplitudes are
+//! 1 is bitwise that of the modes alone.
 
 use super::{Backward, CpuChain, Evaluation, Loaded, Polynomial, Scratch, vectorised};
 use ndarray::ArrayView1;
@@ -42,6 +43,25 @@ impl<T: Polynomial> CpuChain<T> {
         assert_eq!(free_turns.len(), self.optics.parts().weights.lit.len(), "a number for each lit sample");
         vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
         &scratch.psf
+    }
+}
+
+impl<T: Polynomial> CpuChain<T> {
+    /// Whether [`Scratch::set_amplitudes`] is heard: not where segments tilt.
+    pub fn has_amplitudes(&self) -> bool {
+        self.field.has_amplitudes()
+    }
+
+    /// The gradient of the last [`CpuChain::evaluate_free`] in `scratch` by the logarithm of each segment's amplitude.
+    pub fn amplitude_gradient(&self, scratch: &Scratch<T>, gradient: &mut [f64]) {
+        self.field.amplitude_gradient(&scratch.field, gradient);
+    }
+}
+
+impl<T: Polynomial> Scratch<T> {
+    /// The amplitude of each segment over that of its weights, from now on; 1 where nothing was said.
+    pub fn set_amplitudes(&mut self, amplitudes: impl Iterator<Item = f64>) {
+        self.field.amplitudes().iter_mut().zip(amplitudes).for_each(|(own, amplitude)| *own = T::of(amplitude));
     }
 }
 
