@@ -81,6 +81,24 @@ fn an_exact_metric_solves_any_quadratic_in_three_evaluations() {
 }
 
 #[test]
+fn steps_that_shrink_slowly_are_followed_until_what_they_leave_is_below_the_tolerance() {
+    // The model thinks the parabola four times as curved as it is: each step goes a quarter of the way, and three times the
+    // next step is left after it.
+    let mut parabola = |x: &[f64]| Ok((0.25 * x[0] * x[0], vec![0.5 * x[0]]));
+    let settings = Settings {
+        step_tolerance: 1.0,
+        relative_decrement_tolerance: 0.0,
+        memory: 0,
+        scaling: Scaling::Metric,
+        ..Settings::default()
+    };
+    let out = minimize(&mut parabola, Arc::new(Metric::whitened(1)), &[100.0], settings).unwrap();
+    assert_eq!(out.reason, StopReason::StepBelowTolerance);
+    // A step below 1/3, from below 4/3; without looking ahead it would end near 4.
+    assert!(out.x[0] < 4.0 / 3.0 && out.x[0] > 0.75, "{}", out.x[0]);
+}
+
+#[test]
 fn the_metric_saves_most_evaluations_of_a_phase_retrieval() {
     for (rms_rad, saving) in [(0.3, 2.5), (0.6, 1.8), (1.2, 1.3)] {
         let (mut with, mut fixed, mut without) = (0, 0, 0);

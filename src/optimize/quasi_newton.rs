@@ -11,6 +11,9 @@ use std::time::Instant;
 /// Inverse curvature of J = Σ w r² in coordinates whitened by its Gauss-Newton matrix: the Hessian is 2·I.
 const WHITENED: f64 = 0.5;
 
+/// Least that steps are taken to shrink by: where they do not shrink rounding rules, and nothing follows from them.
+const SLOWEST: f64 = 0.8;
+
 /// Whether to go on asking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[must_use]
@@ -293,9 +296,12 @@ impl QuasiNewton {
         let noise = self.settings.resolution * scale + self.settings.resolution_floor;
         let modelled = self.metric.is_whitened() || !self.pairs.is_empty();
         if modelled {
+            // Steps that shrink by a factor r leave r/(1 − r) times the last of them.
+            let shrinks = step / self.outcome.proposed_step;
+            let left = if shrinks > 0.5 { step / (1.0 / shrinks.min(SLOWEST) - 1.0) } else { step };
             (self.outcome.proposed_step, self.outcome.predicted_decrease) = (step, decrease);
             let Settings { step_tolerance, decrement_tolerance, relative_decrement_tolerance, .. } = self.settings;
-            if step < step_tolerance {
+            if left < step_tolerance {
                 return Some(StopReason::StepBelowTolerance);
             }
             if decrease < decrement_tolerance || decrease < relative_decrement_tolerance * scale {

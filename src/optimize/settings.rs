@@ -26,7 +26,8 @@ pub enum Scaling {
 pub struct Settings {
     /// Evaluations of objective and gradient, in all, over restarts too; at least 1.
     pub max_evaluations: usize,
-    /// Stop when the largest |component| of the proposed step, in the caller's units, is below this; 0 turns it off.
+    /// Stop when the largest |component| of the proposed step, in the caller's units, is below this, and of those that would
+    /// follow it if steps went on shrinking as this one did; 0 turns it off.
     pub step_tolerance: f64,
     /// Stop when the predicted decrease −g·d/2 (half the squared Newton decrement) is below this, in the units of
     /// the objective; 0 turns it off. For a χ² one unit is one standard deviation along one direction. The prediction
