@@ -14,6 +14,10 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 /// would make some seem ten times surer than others.
 const COMMON_IMAGES: f64 = 4.0;
 
+/// Least scatter of a slope, mas, and of a direction, in units of its slopes': copies of one image are not infinitely sure.
+const LEAST_MAS: f64 = 1e-3;
+const LEAST: f64 = 1e-3;
+
 /// NCPA as phases and slopes together show them: their normal equations, for modes in nm.
 #[derive(Debug, Clone)]
 pub struct Sensed {
@@ -49,7 +53,7 @@ impl Response {
         let scatter_mas = &unseen_mas - &mean_mas;
         // Each slope in units of its own scatter: lenslets that the pupil hardly lights know less.
         let own_mas2: Array1<f64> = scatter_mas.axis_iter(Axis(1)).map(squares).collect();
-        let unit_mas = shrunk(&own_mas2, freedom).mapv(f64::sqrt);
+        let unit_mas = shrunk(&own_mas2, freedom, LEAST_MAS).mapv(f64::sqrt);
         let Svd { left, values, right } = svd(&(&self.response_mas / &unit_mas))?;
         let (mean, scatter) = (mean_mas / &unit_mas, scatter_mas / &unit_mas);
         let seen = mean.dot(&right);
@@ -59,7 +63,7 @@ impl Response {
         let other_variance = (all_squares - seen_squares.sum()).max(0.0) / (freedom * others);
         let unexplained = &mean - &right.dot(&seen);
         let model_variance = (squares(unexplained.view()) / others - other_variance / images).max(0.0);
-        let weights = shrunk(&seen_squares, freedom).mapv(|variance| 1.0 / (variance / images + model_variance));
+        let weights = shrunk(&seen_squares, freedom, LEAST).mapv(|variance| 1.0 / (variance / images + model_variance));
         let values = Array1::from(values);
         let weighted = &left * &(&values * &weights);
         let information = (&weighted * &values).dot(&left.t());
@@ -70,10 +74,10 @@ impl Response {
 }
 
 /// Variances from sums of squares with `freedom` degrees of freedom each: as if [`COMMON_IMAGES`] more images had scattered like
-/// the mean of all.
-fn shrunk(squares: &Array1<f64>, freedom: f64) -> Array1<f64> {
+/// the mean of all, and by `least` or more.
+fn shrunk(squares: &Array1<f64>, freedom: f64, least: f64) -> Array1<f64> {
     let common = squares.sum() / (freedom * squares.len().max(1) as f64);
-    squares.mapv(|own| ((own + COMMON_IMAGES * common) / (freedom + COMMON_IMAGES)).max(f64::MIN_POSITIVE))
+    squares.mapv(|own| ((own + COMMON_IMAGES * common) / (freedom + COMMON_IMAGES)).max(least * least))
 }
 
 #[cfg(test)]
@@ -128,5 +132,16 @@ mod tests {
         // As one image would: √400 times the noise's 0.079 nm.
         assert!((sigma_nm[0] / 1.58 - 1.0).abs() < 0.3, "{sigma_nm:?}");
         assert!((found_nm[0] - 12.0).abs() < 3.0 * sigma_nm[0], "{found_nm}");
+    }
+
+    #[test]
+    fn copies_of_one_image_say_something_finite() {
+        let one = unseen(1, [12.0, -7.0, 0.0], 0.0, 0.0);
+        let copies = ndarray::concatenate(Axis(0), &[one.view(), one.view(), one.view()]).unwrap();
+        let sensed = Response::of(response()).sensed(copies.view(), &[0.0; 3]).unwrap();
+        let (found_nm, sigma_nm) = solved(&sensed, 100.0);
+        // Without noise what is left is rounding, and the prior's pull: (σ/100 nm)² of it.
+        assert!((found_nm[0] - 12.0).abs() < 1e-6 && (found_nm[1] + 7.0).abs() < 1e-6, "{found_nm}");
+        assert!(sigma_nm.iter().all(|nm| nm.is_finite() && *nm > 0.0), "{sigma_nm:?}");
     }
 }

@@ -8,7 +8,7 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
-/// Slopes of the lenslets' disc for each mode that they are to tell from the others: the pupil leaves three quarters of them.
+/// Slopes of the lenslets' disc for each mode that they are to tell from the others: the pupil leaves two thirds of them.
 const SLOPES_A_MODE: f64 = 2.7;
 
 /// The highest order whose modes the sensor of `scene` tells apart, at most `wanted`.
