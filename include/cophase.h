@@ -298,8 +298,8 @@ typedef struct cophase_session_options {
   int32_t threads;
   // Most evaluations of the model for one image; 0 for what the scene says. Default: 0.
   size_t max_evaluations;
-  // A fit stops where no coefficient would move by more than this; 0 for what the scene says. Default:
-  // 0.
+  // A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this; 0 for what
+  // the scene says. Default: 0.
   double step_tolerance_nm;
 } cophase_session_options;
 

@@ -1,6 +1,6 @@
 //! Files that appear whole or not at all: written under a temporary name beside their target, then renamed onto it.
 
-use crate::{Error, Result};
+use crate::{Error, Result, fault};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -60,9 +60,14 @@ impl Target {
             Error::file(&self.path, format!("cannot be written: {}; nothing was left behind", cause(&error)))
         };
         let mut temporary = self.temporary()?;
-        temporary.write_all(bytes).map_err(failed)?;
+        let (first, second) = bytes.split_at(bytes.len() / 2);
+        temporary.write_all(first).map_err(failed)?;
+        fault::killed(1);
+        temporary.write_all(second).map_err(failed)?;
         temporary.as_file().sync_all().map_err(failed)?;
+        fault::killed(2);
         temporary.persist(&self.real).map_err(|error| failed(error.error))?;
+        fault::killed(3);
         // The rename is on the disk once the directory is; a file system that cannot do this has still renamed.
         let _ = std::fs::File::open(self.directory()).and_then(|directory| directory.sync_all());
         Ok(())

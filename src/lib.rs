@@ -27,6 +27,7 @@ pub mod device;
 pub mod error;
 pub mod estimate;
 pub mod experiment;
+mod fault;
 pub mod fourier;
 pub mod grid;
 pub mod imaging;

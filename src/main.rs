@@ -3,10 +3,16 @@
 mod cli;
 
 use clap::Parser;
+use cophase::Error;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match cli::run(cli::Cli::parse()) {
+    let cli = cli::Cli::parse();
+    let panic = cli::catch_panics();
+    // What a verb holds is dropped on the way here: temporary files go, and files that were there stay.
+    let outcome = catch_unwind(AssertUnwindSafe(|| cli::run(cli)));
+    match outcome.unwrap_or_else(|_| Err(Error::Panic(panic.sentence()))) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => cli::fail(&error),
     }

@@ -81,21 +81,33 @@ fn an_exact_metric_solves_any_quadratic_in_three_evaluations() {
 }
 
 #[test]
-fn steps_that_shrink_slowly_are_followed_until_what_they_leave_is_below_the_tolerance() {
-    // The model thinks the parabola four times as curved as it is: each step goes a quarter of the way, and three times the
-    // next step is left after it.
-    let mut parabola = |x: &[f64]| Ok((0.25 * x[0] * x[0], vec![0.5 * x[0]]));
-    let settings = Settings {
+fn many_small_components_of_a_step_add_up() {
+    // A hundred directions of which the model thinks the parabola four times as curved as it is: each step goes a quarter of
+    // the way, in all of them, and its RMS over the hundred is ten times its largest component.
+    let mut parabola =
+        |x: &[f64]| Ok((0.25 * x.iter().map(|x| x * x).sum::<f64>(), x.iter().map(|x| 0.5 * x).collect()));
+    let largest = Settings {
         step_tolerance: 1.0,
         relative_decrement_tolerance: 0.0,
         memory: 0,
         scaling: Scaling::Metric,
         ..Settings::default()
     };
-    let out = minimize(&mut parabola, Arc::new(Metric::whitened(1)), &[100.0], settings).unwrap();
-    assert_eq!(out.reason, StopReason::StepBelowTolerance);
-    // A step below 1/3, from below 4/3; without looking ahead it would end near 4.
-    assert!(out.x[0] < 4.0 / 3.0 && out.x[0] > 0.75, "{}", out.x[0]);
+    let weighted = Settings { step_weights: Some(vec![1.0; 100].into()), ..largest.clone() };
+    let mut end = |settings: Settings| {
+        let out = minimize(&mut parabola, Arc::new(Metric::whitened(100)), &[100.0; 100], settings).unwrap();
+        assert_eq!(out.reason, StopReason::StepBelowTolerance);
+        out.x[0]
+    };
+    // A step of a component is a quarter of it: the first below 1, and the first below 0.1, from within a factor of 3/4.
+    let (alone, together) = (end(largest), end(weighted.clone()));
+    assert!(alone < 4.0 && alone > 3.0 * 0.75, "{alone}");
+    assert!(together < 0.4 && together > 0.3 * 0.75, "{together}");
+    for (weights, reason) in [(vec![1.0; 99], "99 step weights"), (vec![f64::NAN; 100], "a step weight is NaN")] {
+        let wrong = Settings { step_weights: Some(weights.into()), ..weighted.clone() };
+        let error = minimize(&mut parabola, Arc::new(Metric::whitened(100)), &[1.0; 100], wrong).unwrap_err();
+        assert!(error.to_string().contains(reason), "{error}");
+    }
 }
 
 #[test]

@@ -29,10 +29,15 @@ exact_zernikes = []
 [estimate]
 fit_background = false
 recentre = false
+step_tolerance_nm = {tolerance_nm}
 """
 
+#: Where our own models stop, nm: a tenth of what they err by. The model of the peers goes on to the default.
+OWN_TOLERANCE_NM = 0.1
+DEFAULT_TOLERANCE_NM = 0.001
 
-def scene(samples: int, crop: int) -> str:
+
+def scene(samples: int, crop: int, tolerance_nm: float) -> str:
     return SCENE.format(
         grid_m=GRID_M,
         samples=samples,
@@ -42,13 +47,14 @@ def scene(samples: int, crop: int) -> str:
         crop=crop,
         read_noise_e=READ_NOISE_E,
         ncpa_count=len(NOLL),
+        tolerance_nm=tolerance_nm,
     )
 
 
 def same_arrays(telescope: Telescope) -> cophase.Model:
     """The model that the peers have: the same grey pupil, modes and diversity, every pixel."""
     return cophase.Model.from_arrays(
-        scene(len(telescope.amplitude), PIXELS),
+        scene(len(telescope.amplitude), PIXELS, DEFAULT_TOLERANCE_NM),
         pupil=telescope.amplitude,
         segments=telescope.labels.astype(float),
         modes=telescope.ncpa,
@@ -59,7 +65,7 @@ def same_arrays(telescope: Telescope) -> cophase.Model:
 def own(samples: int, crop: int) -> tuple[cophase.Model, Telescope]:
     """Our own model of the same telescope: a band-limited pupil and the pixels that carry signal. With it the telescope
     whose modes are those of the model."""
-    model = cophase.Model(scene(samples, crop))
+    model = cophase.Model(scene(samples, crop, OWN_TOLERANCE_NM))
     telescope = Telescope.of(samples)
     units = np.eye(model.modes)[model.segment_modes :]
     return model, replace(telescope, ncpa=np.stack([model.wavefront_nm(unit)[1] for unit in units]))

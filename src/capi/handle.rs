@@ -2,7 +2,7 @@
 
 use super::failure::keep;
 use super::status::{COPHASE_OK, cophase_status};
-use crate::{Error, Result};
+use crate::{Error, Result, fault};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -84,7 +84,7 @@ impl<T: Send> Handle<T> {
             handle.whole()?;
             // Not every call that says COPHASE_PANIC: another object that it was given may be the one that panicked.
             let _poison = PoisonIfPanicking(&handle.poisoned);
-            fault()?;
+            fault::in_a_call()?;
             body(&handle.value)
         })
     }
@@ -129,23 +129,6 @@ impl Drop for PoisonIfPanicking<'_> {
 /// What a call says of a handle that is NULL.
 pub(super) fn null(name: &str) -> Error {
     Error::Argument(format!("{name} is NULL: a handle that its create call made is accepted"))
-}
-
-/// A fault on demand, so that tests in other languages can see what a broken promise looks like: in a build with debug
-/// assertions, which no release has, `COPHASE_FAULT=panic` or `=internal` in the environment is one.
-fn fault() -> Result<()> {
-    #[cfg(debug_assertions)]
-    {
-        // Not `std::env`, which allocates: calls that must not are tested in such builds too.
-        let wanted = unsafe { libc::getenv(c"COPHASE_FAULT".as_ptr()) };
-        let wanted = if wanted.is_null() { c"" } else { unsafe { std::ffi::CStr::from_ptr(wanted) } };
-        match wanted.to_bytes() {
-            b"panic" => panic!("COPHASE_FAULT asked for it"),
-            b"internal" => return Err(Error::Internal("COPHASE_FAULT asked for it".into())),
-            _ => {}
-        }
-    }
-    Ok(())
 }
 
 fn after_a_panic() -> Error {

@@ -29,8 +29,8 @@ pub struct cophase_session_options {
     pub threads: i32,
     /// Most evaluations of the model for one image; 0 for what the scene says. Default: 0.
     pub max_evaluations: usize,
-    /// A fit stops where no coefficient would move by more than this; 0 for what the scene says. Default:
-    /// 0.
+    /// A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this; 0 for what
+    /// the scene says. Default: 0.
     pub step_tolerance_nm: f64,
 }
 

@@ -246,13 +246,17 @@ impl<'a> Found<'a> {
     /// Prints the result, and what is odd about it.
     pub fn tell(&self, json: bool, verbose: bool, terminal: &Terminal) -> Result<()> {
         let (name, model, estimate) = (self.name.display().to_string(), self.estimator.model(), &self.estimate);
-        for sentence in report::warnings(&name, model, estimate) {
+        let held = self.estimator.held_diversity()?;
+        for sentence in report::warnings(&name, &self.estimator, &held, estimate) {
             terminal.warn(&sentence);
         }
         if json {
             return terminal.json(&report::Summary::of(estimate, &self.rows));
         }
         terminal.show(&report::table(&name, model, estimate, &self.rows, self.model_s))?;
+        if let Some(sentence) = report::of_diversity(&held, self.estimator.scene()) {
+            terminal.show(&sentence)?;
+        }
         if verbose {
             terminal.show(&format!("\n{}\n", estimate.degeneracy))?;
         }

@@ -13,6 +13,7 @@ mod files;
 mod full_phase;
 mod image;
 mod interrupt;
+mod panics;
 mod picture;
 mod plan;
 mod report;
@@ -25,6 +26,8 @@ use clap::{Parser, Subcommand};
 use cophase::{Error, Result};
 use std::process::ExitCode;
 use terminal::Terminal;
+
+pub use panics::catch_panics;
 
 const ABOUT: &str = "Reads defocused images of a star; says what the mirror segments, and what the optics behind the \
 adaptive optics, do to the wavefront: in nm, with error bars.";

@@ -1,9 +1,9 @@
 //! An estimate in words and numbers: the table, the warnings, the JSON.
 
 use super::figures::Row;
-use cophase::estimate::{Estimate, ImageReport, Model, Status};
+use cophase::estimate::{Estimate, Estimator, HeldDiversity, ImageReport, Model, Status};
 use cophase::io::Images;
-use cophase::scene::Combine;
+use cophase::scene::{Combine, Scene};
 use serde::Serialize;
 
 /// Images named one by one in a warning; the others are counted.
@@ -117,9 +117,28 @@ pub fn file_warnings(name: &str, images: &Images) -> Vec<String> {
     repaired.into_iter().chain(non_finite).collect()
 }
 
+/// What holds of every image of this scene: what it can and cannot say of the diversity.
+pub fn of_diversity(held: &HeldDiversity, scene: &Scene) -> Option<String> {
+    (held.is_held() && scene.estimate.diversity_error == 0.0).then(|| {
+        format!(
+            "The NCPA count from the scene's diversity: 1 % more of it would read as {:.1} nm of them \
+             (estimate.diversity_error is for the error bars).\n",
+            0.01 * held.rms_nm
+        )
+    })
+}
+
 /// What a person should know of the estimate.
-pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
-    let mut sentences: Vec<String> = Vec::new();
+pub fn warnings(name: &str, estimator: &Estimator, held: &HeldDiversity, estimate: &Estimate) -> Vec<String> {
+    let model = estimator.model();
+    let mut sentences: Vec<String> = estimate.device_failure.iter().map(|reason| format!("{name}: {reason}")).collect();
+    if held.is_too_small(estimator.scene().image.wavelength_nm) {
+        sentences.push(format!(
+            "the scene's diversity is {:.1} nm RMS: an image in focus does not tell an even aberration from its negative, and \
+             the signs of these maps are not known",
+            held.rms_nm
+        ));
+    }
     let together = about_sequence(estimate);
     for word in ["unusable", "not-converged", "wrong-minimum", "misfit"] {
         if word == "misfit"
@@ -148,9 +167,9 @@ pub fn warnings(name: &str, model: &Model, estimate: &Estimate) -> Vec<String> {
         let dropped = counted(model.dropped.len(), "mode");
         sentences.push(format!("{dropped} left out, for the others span them: {}", listed(&model.dropped)));
     }
-    let unseen = estimate.degeneracy.null.iter().map(|direction| &direction.description);
-    for direction in unseen.filter(|description| !is_global_piston(description)) {
-        sentences.push(format!("the images do not see this direction at all, and 0 is reported for it: {direction}"));
+    for direction in estimate.degeneracy.null.iter().filter(|direction| !direction.is_global_piston()) {
+        let what = &direction.description;
+        sentences.push(format!("the images do not see this direction at all, and 0 is reported for it: {what}"));
     }
     sentences
 }
@@ -189,11 +208,6 @@ fn about_image(image: &ImageReport, used: bool) -> Option<String> {
         Status::NotConverged(reason) => Some(format!("left out, the fit did not converge ({reason})")),
         Status::Unusable(reason) => Some(format!("left out, {reason}")),
     }
-}
-
-/// The one direction that no image can see.
-fn is_global_piston(description: &str) -> bool {
-    description.ends_with("(global piston)")
 }
 
 fn listed(names: &[String]) -> String {

@@ -12,6 +12,10 @@ use crate::{Error, Result};
 mod absent;
 #[cfg(feature = "opencl")]
 mod discover;
+#[cfg(feature = "opencl")]
+mod fault;
+#[cfg(feature = "opencl")]
+mod held;
 mod peak;
 #[cfg(feature = "opencl")]
 mod reals;

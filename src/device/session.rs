@@ -13,11 +13,13 @@ use ocl::core::{
 };
 
 use super::discover::{failed, resolve};
+use super::fault::Fault;
+use super::held::Held;
 use super::table::{Build, Entry, find, program_text};
 use super::{DeviceInfo, Precision};
 use crate::{Error, Result};
 
-/// Lines of a failed build's log that an error carries: the first error stands there in every compiler seen.
+/// Lines of a failed build's log that an error carries: what follows from the first error is often hundreds.
 const LOG_LINES: usize = 12;
 
 /// A number that a kernel can hold.
@@ -48,11 +50,12 @@ pub struct Device {
 struct Inner {
     info: DeviceInfo,
     id: core::DeviceId,
-    context: core::Context,
-    queue: core::CommandQueue,
+    context: Held<core::Context>,
+    queue: Held<core::CommandQueue>,
+    fault: Fault,
     /// Bytes in buffers.
     allocated: AtomicU64,
-    programs: Mutex<HashMap<Build, core::Program>>,
+    programs: Mutex<HashMap<Build, Arc<Held<core::Program>>>>,
     /// Launches to be timed; `None` where timing is off.
     events: Option<Mutex<Vec<(&'static str, Event)>>>,
 }
@@ -72,8 +75,9 @@ impl Device {
             inner: Arc::new(Inner {
                 info: info.clone(),
                 id,
-                context,
-                queue,
+                context: context.into(),
+                queue: queue.into(),
+                fault: Fault::from_environment(),
                 allocated: AtomicU64::new(0),
                 programs: Mutex::default(),
                 events: timed.then(Mutex::default),
@@ -86,6 +90,12 @@ impl Device {
         &self.inner.info
     }
 
+    /// Makes it fail on demand.
+    #[cfg(all(test, debug_assertions))]
+    pub(crate) fn fault(&self) -> &Fault {
+        &self.inner.fault
+    }
+
     /// Bytes that buffers hold now.
     pub fn allocated_bytes(&self) -> u64 {
         self.inner.allocated.load(Ordering::Relaxed)
@@ -96,6 +106,7 @@ impl Device {
     /// # Errors
     /// [`Error::Device`] where the device failed.
     pub fn finish(&self) -> Result<()> {
+        self.inner.fault.strike()?;
         core::finish(&self.inner.queue).map_err(failed)
     }
 
@@ -113,12 +124,14 @@ impl Device {
                 self.info().address()
             )));
         }
+        self.inner.fault.strike()?;
         // SAFETY: no host pointer is involved; the buffer is filled below before anyone can read it.
-        let mem = unsafe { core::create_buffer(&self.inner.context, MemFlags::READ_WRITE, len, None::<&[T]>) }
+        let mem = unsafe { core::create_buffer(&*self.inner.context, MemFlags::READ_WRITE, len, None::<&[T]>) }
             .map_err(failed)?;
+        let mem = Held::from(mem);
         core::enqueue_fill_buffer::<T, _, _, _>(
             &self.inner.queue,
-            &mem,
+            &*mem,
             T::default(),
             0,
             len,
@@ -160,7 +173,7 @@ impl Device {
         Kernel::new(self.clone(), &program, entry, build)
     }
 
-    fn program(&self, build: Build) -> Result<core::Program> {
+    fn program(&self, build: Build) -> Result<Arc<Held<core::Program>>> {
         let mut programs = self.inner.programs.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(program) = programs.get(&build) {
             return Ok(program.clone());
@@ -168,7 +181,8 @@ impl Device {
         let no_nul = |e| Error::Internal(format!("a kernel file holds a NUL: {e}"));
         let source = CString::new(program_text()).map_err(no_nul)?;
         let options = CString::new(build.options()).map_err(no_nul)?;
-        let program = core::create_program_with_source(&self.inner.context, &[source]).map_err(failed)?;
+        let program = core::create_program_with_source(&*self.inner.context, &[source]).map_err(failed)?;
+        let program = Arc::new(Held::from(program));
         if let Err(error) = core::build_program(&program, Some(&[self.inner.id]), &options, None, None) {
             // `ocl` fetches the log itself for a failed build, and else says what happened.
             let log = core::get_program_build_info(&program, self.inner.id, ProgramBuildInfo::BuildLog)
@@ -179,7 +193,7 @@ impl Device {
                 "the compiler of {} refuses the kernels ({}): {}",
                 self.info().address(),
                 build.options(),
-                tail(&log)
+                excerpt(&log)
             )));
         }
         programs.insert(build, program.clone());
@@ -225,16 +239,18 @@ fn device_time(event: &Event) -> Result<Duration> {
     Ok(Duration::from_nanos(at(ProfilingInfo::End)?.saturating_sub(at(ProfilingInfo::Start)?)))
 }
 
-/// The end of a build log: the last lines that are not blank, joined.
-fn tail(log: &str) -> String {
+/// What a build log says first of errors, on one line; its end where it names none.
+pub(super) fn excerpt(log: &str) -> String {
     let lines: Vec<&str> = log.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
-    lines[lines.len().saturating_sub(LOG_LINES)..].join(" | ")
+    let error = lines.iter().position(|line| line.to_ascii_lowercase().contains("error"));
+    let first = error.unwrap_or(lines.len().saturating_sub(LOG_LINES));
+    lines[first..].iter().take(LOG_LINES).copied().collect::<Vec<_>>().join(" | ")
 }
 
 /// Numbers on a device.
 pub struct Buffer<T: Element> {
     device: Device,
-    mem: core::Mem,
+    mem: Held<core::Mem>,
     len: usize,
     marker: PhantomData<T>,
 }
@@ -269,10 +285,11 @@ impl<T: Element> Buffer<T> {
         if values.is_empty() {
             return Ok(());
         }
-        let queue = &self.device.inner.queue;
+        self.device.inner.fault.strike()?;
+        let queue = &*self.device.inner.queue;
         // SAFETY: the range was checked, and a blocking write is done with `values` when it returns.
         unsafe {
-            core::enqueue_write_buffer(queue, &self.mem, true, offset, values, None::<&Event>, None::<&mut Event>)
+            core::enqueue_write_buffer(queue, &*self.mem, true, offset, values, None::<&Event>, None::<&mut Event>)
         }
         .map_err(failed)
     }
@@ -286,10 +303,13 @@ impl<T: Element> Buffer<T> {
         if values.is_empty() {
             return Ok(());
         }
-        let queue = &self.device.inner.queue;
+        self.device.inner.fault.strike()?;
+        let queue = &*self.device.inner.queue;
         // SAFETY: the range was checked, and a blocking read is done with `values` when it returns.
-        unsafe { core::enqueue_read_buffer(queue, &self.mem, true, offset, values, None::<&Event>, None::<&mut Event>) }
-            .map_err(failed)
+        unsafe {
+            core::enqueue_read_buffer(queue, &*self.mem, true, offset, values, None::<&Event>, None::<&mut Event>)
+        }
+        .map_err(failed)
     }
 }
 
@@ -302,7 +322,7 @@ impl<T: Element> Drop for Buffer<T> {
 /// One kernel with its arguments. It remembers them: bind once what does not change.
 pub struct Kernel {
     device: Device,
-    kernel: core::Kernel,
+    kernel: Held<core::Kernel>,
     name: &'static str,
     local: [usize; 3],
     arguments: Vec<String>,
@@ -311,7 +331,7 @@ pub struct Kernel {
 
 impl Kernel {
     fn new(device: Device, program: &core::Program, entry: &'static Entry, build: Build) -> Result<Self> {
-        let kernel = core::create_kernel(program, entry.name).map_err(failed)?;
+        let kernel = Held::from(core::create_kernel(program, entry.name).map_err(failed)?);
         let KernelInfoResult::NumArgs(count) = core::get_kernel_info(&kernel, KernelInfo::NumArgs).map_err(failed)?
         else {
             return Err(Error::Internal(format!("OpenCL does not count the arguments of {}", entry.name)));
@@ -381,6 +401,7 @@ impl Kernel {
         }
         let global = [0, 1, 2].map(|i| global[i].next_multiple_of(self.local[i]));
         let inner = &self.device.inner;
+        inner.fault.strike()?;
         let mut event = inner.events.as_ref().map(|_| Event::null());
         // SAFETY: every argument is bound by name to what it is declared as, and each kernel's own checks keep it within
         // its buffers.

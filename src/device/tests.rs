@@ -1,9 +1,7 @@
 //! Everything here that needs OpenCL says so and passes where there is none; `COPHASE_REQUIRE_OPENCL=1` makes that a
 //! failure.
 //!
-//! To look for data races and overruns in the kernels: `COPHASE_OPENCL_LIBRARY=/usr/lib/oclgrind/liboclgrind-rt.so
-//! OCLGRIND_DATA_RACES=1 OCLGRIND_LOG=oclgrind.log cargo test --lib direct_sum`, and read the log: oclgrind itself exits
-//! with 0.
+//! `scripts/check-kernels` looks for data races and overruns in the kernels.
 
 use super::*;
 
@@ -115,6 +113,33 @@ fn a_bad_name_is_an_error_and_not_a_crash() {
         assert!(kernel.int("no_such_argument", 1).is_err());
         assert!(kernel.int("images", usize::MAX).is_err());
     }
+}
+
+/// No vector has five numbers, so the type that the kernels are told to use does not exist.
+#[test]
+fn kernels_that_do_not_compile_are_refused_with_the_compilers_words() {
+    for info in test_devices() {
+        let device = Device::open(&info, false).unwrap();
+        let build = Build { precision: Precision::F32, vector: 5, fft: None };
+        for _ in 0..2 {
+            let message = device.kernel("smooth_phase", build).err().expect("must be refused").to_string();
+            assert!(message.contains("refuses the kernels (") && message.contains("error"), "{message}");
+            assert_eq!(message.lines().count(), 1, "{message}");
+        }
+        // The device goes on.
+        assert!(device.kernel("smooth_phase", Build { vector: 4, ..build }).is_ok());
+    }
+}
+
+#[test]
+fn a_log_is_told_from_its_first_error_on() {
+    let warnings = (0..40).map(|i| format!("a.cl:{i}: warning: unused\n\n")).collect::<String>();
+    let errors = (0..30).map(|i| format!("  a.cl:{i}: error: number {i}\n")).collect::<String>();
+    let told = session::excerpt(&format!("{warnings}{errors}"));
+    assert!(told.starts_with("a.cl:0: error: number 0 | a.cl:1: error"), "{told}");
+    assert!(told.ends_with("number 11"), "{told}");
+    assert!(session::excerpt(&warnings).ends_with("a.cl:39: warning: unused"));
+    assert_eq!(session::excerpt(""), "");
 }
 
 /// What the test below reads from a process of its own: the loader looks for the library once per process. Several

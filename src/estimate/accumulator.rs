@@ -112,7 +112,7 @@ impl Accumulator {
     pub fn estimate(&self) -> Result<RunningEstimate> {
         let (single_nm2, selected, coefficients_nm) = self.single()?;
         let how = self.estimator.recipe().combine;
-        let covariance_nm2 = single_nm2 * shrinkage_of_variance(how, selected.used.len());
+        let covariance_nm2 = self.estimator.with_common(single_nm2 * shrinkage_of_variance(how, selected.used.len()));
         let square = |group, of: &dyn Fn(usize, usize) -> f64| self.mean_square(group, of).max(0.0).sqrt();
         let rms = |group| square(group, &|i, j| coefficients_nm[i] * coefficients_nm[j]);
         let sigma = |group| square(group, &|i, j| covariance_nm2[[i, j]]);
@@ -144,7 +144,26 @@ impl Accumulator {
             }
         }
         let now = self.estimate()?;
-        let ratio = (now.phasing_sigma_nm / phasing_nm).max(now.ncpa_sigma_nm / ncpa_nm);
+        // What all images share no number of them averages out.
+        let shared = |group| match &self.estimator.common_nm2 {
+            Some(common_nm2) => self.mean_square(group, &|i, j| common_nm2[[i, j]]).max(0.0),
+            None => 0.0,
+        };
+        let mut ratio = 0.0f64;
+        for (group, sigma_nm, wanted_nm) in
+            [(Group::Segment, now.phasing_sigma_nm, phasing_nm), (Group::Ncpa, now.ncpa_sigma_nm, ncpa_nm)]
+        {
+            let shared_nm2 = shared(group);
+            if wanted_nm.powi(2) <= shared_nm2 {
+                return Err(Error::Value(format!(
+                    "an error of {wanted_nm} nm is out of reach of any number of images: estimate.diversity_error alone makes \
+                     {:.3} nm",
+                    shared_nm2.sqrt()
+                )));
+            }
+            let averaged_nm2 = (sigma_nm.powi(2) - shared_nm2).max(0.0);
+            ratio = ratio.max((averaged_nm2 / (wanted_nm.powi(2) - shared_nm2)).sqrt());
+        }
         if ratio <= 1.0 {
             return Ok(0);
         }

@@ -95,6 +95,8 @@ pub struct Estimate {
     pub seconds: f64,
     /// Where it ran.
     pub device: String,
+    /// Why a device that `auto` had taken did not end what it began, as a sentence.
+    pub device_failure: Option<String>,
     /// In which precision.
     pub precision: &'static str,
     /// What a single image is worth.
@@ -186,7 +188,7 @@ pub(super) fn combine(
     } else {
         few(estimator, prepared, &minima, &reports, &used, &used_nm)?
     };
-    let covariance_nm2 = &single.scatter_nm2 * shrinkage_of_variance(how, used.len());
+    let covariance_nm2 = estimator.with_common(&single.scatter_nm2 * shrinkage_of_variance(how, used.len()));
     let combined = Combined { coefficients_nm, covariance_nm2 };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
@@ -207,6 +209,7 @@ pub(super) fn combine(
         single,
         seconds: 0.0,
         device: String::new(),
+        device_failure: None,
         precision: "",
     })
 }
@@ -241,7 +244,7 @@ pub(super) fn subset(
     };
     let combined = Combined {
         coefficients_nm: centre(pistons, &used_nm, how),
-        covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()),
+        covariance_nm2: estimator.with_common(single_nm2 * shrinkage_of_variance(how, used.len())),
     };
     let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);

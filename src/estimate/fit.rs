@@ -76,10 +76,10 @@ impl Fitter<'_> {
     ) -> Result<Vec<Minimum>> {
         if self.recipe.optimizer != Optimizer::Bfgs {
             let precision = chain.precision();
-            match chain {
+            match chain.running() {
                 Chain::Cpu32(chain) => return self.side_by_side(chain, precision, prepared, start_nm, watch),
                 Chain::Cpu64(chain) => return self.side_by_side(chain, precision, prepared, start_nm, watch),
-                Chain::Device { .. } => {}
+                Chain::Device { .. } | Chain::Auto(_) => {}
             }
         }
         let exposures: Vec<Exposure> = prepared.iter().map(|image| image.exposure.clone()).collect();
@@ -99,8 +99,7 @@ impl Fitter<'_> {
         start_nm: &[&[f64]],
         watch: &mut Watch,
     ) -> Result<Vec<Minimum>> {
-        let wavelength_nm = self.model.optics.parts().wavelength_nm;
-        let settings = settings(wavelength_nm, self.recipe, precision, self.cancel);
+        let settings = settings(self.model, self.recipe, precision, self.cancel);
         let (count, modes) = (prepared.len(), self.model.optics.modes());
         let any = self.metrics.any(self.judge)?;
         // A thread's memory is taken up again by whoever comes next: to make it takes as long as a fit.
@@ -185,8 +184,7 @@ impl Fitter<'_> {
         start_nm: &[&[f64]],
         watch: &mut Watch,
     ) -> Result<Vec<Minimum>> {
-        let wavelength_nm = self.model.optics.parts().wavelength_nm;
-        let settings = settings(wavelength_nm, self.recipe, chain.precision(), self.cancel);
+        let settings = settings(self.model, self.recipe, chain.precision(), self.cancel);
         let (count, modes) = (prepared.len(), self.model.optics.modes());
         let runner = |(image, start_nm): (&&mut Prepared, &&[f64])| -> Result<Runner> {
             let metric = self.metrics.of(self.judge, image)?;

@@ -15,6 +15,7 @@ mod alone;
 mod arrays;
 mod calibration;
 mod combine;
+mod diversity_error;
 mod file;
 mod fisher;
 mod fit;
@@ -29,6 +30,7 @@ mod plan;
 mod prepare;
 mod recipe;
 mod residual;
+mod restart;
 mod runner;
 mod select;
 mod sequence;
@@ -40,6 +42,7 @@ pub use accumulator::{Accumulator, RunningEstimate};
 pub use arrays::Arrays;
 pub use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, Combined, Estimate};
+pub use diversity_error::HeldDiversity;
 pub use file::write;
 pub use fit::Watch;
 pub use memory::{Memory, Tiles};
@@ -75,6 +78,8 @@ pub struct Estimator {
     /// Means over the pupil, which take as long as some fits.
     pistons: Pistons,
     tilts: Tilts,
+    /// Covariance that all images share, nm².
+    common_nm2: Option<Array2<f64>>,
     own_basis: Arc<OwnBasis>,
 }
 
@@ -181,7 +186,9 @@ impl Estimator {
         let judge = CpuChain::new(model.optics.clone());
         let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
         let (pistons, tilts) = (Pistons::of(&model)?, Tilts::new(&model)?);
-        Ok(Self { scene: scene.clone(), recipe, model, judge, metrics, pistons, tilts, own_basis: Arc::default() })
+        let common_nm2 = diversity_error::common(&model, scene)?;
+        let (scene, own_basis) = (scene.clone(), Arc::default());
+        Ok(Self { scene, recipe, model, judge, metrics, pistons, tilts, common_nm2, own_basis })
     }
 
     /// The model that is compared with the images.
@@ -226,6 +233,7 @@ impl Estimator {
         let mut estimate = combine::combine(self, refused, &indices, &prepared, minima)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();
+        estimate.device_failure = chain.failure().map(str::to_owned);
         estimate.precision = match chain.precision() {
             Precision::F32 => "f32",
             Precision::F64 => "f64",
@@ -267,7 +275,7 @@ impl Estimator {
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
         frames.iter().try_for_each(|frame| preparation.checked(*frame))?;
         let idle = Mutex::new(Vec::new());
-        let prepare = |frame: Frame| {
+        let prepare = |&frame: &Frame| {
             let taken = idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
             let mut preparer = taken.unwrap_or_else(|| Preparer::new(preparation));
             let mut prepared = preparation.room();
@@ -275,7 +283,7 @@ impl Estimator {
             idle.lock().unwrap_or_else(PoisonError::into_inner).push(preparer);
             outcome.map(|()| prepared)
         };
-        let outcomes: Vec<std::result::Result<Prepared, Refusal>> = frames.into_par_iter().map(prepare).collect();
+        let outcomes: Vec<std::result::Result<Prepared, Refusal>> = frames.par_iter().map(prepare).collect();
         let refused: Vec<Option<Refusal>> = outcomes.iter().map(|outcome| outcome.as_ref().err().copied()).collect();
         let indices: Vec<usize> = (0..refused.len()).filter(|&image| refused[image].is_none()).collect();
         let mut prepared: Vec<Prepared> = outcomes.into_iter().flatten().collect();
@@ -283,13 +291,23 @@ impl Estimator {
             let reason = refused.into_iter().flatten().next().map(|refusal| refusal.to_string());
             return Err(Error::Image(reason.unwrap_or_else(|| "there is no image to estimate from".into())));
         }
-        let minima = self.fitter(cancel).fit(
+        let mut minima = self.fitter(cancel).fit(
             chain,
             &mut prepared.iter_mut().collect::<Vec<_>>(),
             &vec![vec![0.0; self.model.optics.modes()].as_slice(); indices.len()],
             watch,
         )?;
+        let again = |place: usize| prepare(&frames[indices[place]]).ok();
+        self.restart(chain, &again, &mut prepared, &mut minima, cancel)?;
         Ok(Fitted { refused, indices, prepared, minima })
+    }
+
+    /// The covariance of an estimate, nm², from what noise and scatter make of it: with the errors that all images share.
+    fn with_common(&self, covariance_nm2: Array2<f64>) -> Array2<f64> {
+        match &self.common_nm2 {
+            Some(common_nm2) => covariance_nm2 + common_nm2,
+            None => covariance_nm2,
+        }
     }
 
     fn fitter<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> fit::Fitter<'a> {

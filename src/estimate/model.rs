@@ -25,6 +25,8 @@ pub struct Model {
     pub preparation: Preparation,
     /// Names, groups and maps (on the scene's grid, `[mode, y, x]`, nm per nm) of the modes.
     pub basis: Basis,
+    /// Mean square of each mode over the pupil, nm² for a coefficient of 1 nm.
+    pub(super) mean_squares: Arc<[f64]>,
     /// Number of segment modes; they come first.
     pub segment_modes: usize,
     /// Modes that were asked for but that the others already span.
@@ -111,6 +113,7 @@ impl Model {
             weights,
         })?;
         let model = Self {
+            mean_squares: set.basis.mean_squares(&telescope.pupil.amplitude)?.into(),
             telescope,
             optics: Arc::new(optics),
             preparation: pixels.preparation,

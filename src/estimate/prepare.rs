@@ -296,7 +296,8 @@ fn off_axis(frame: &Sampled, level: f64) -> [i64; 2] {
     }
     [(x, columns), (y, rows)].map(|(moment, size)| {
         let offset = moment / sum - (size / 2) as f64;
-        if offset.abs() > 3.0 { offset.round() as i64 } else { 0 }
+        // Beyond the frame no mean of its pixels lies: their sums have overflowed.
+        if (3.0..size as f64).contains(&offset.abs()) { offset.round() as i64 } else { 0 }
     })
 }
 

@@ -31,8 +31,10 @@ pub struct Recipe {
     pub exact_zernikes: Zernikes,
     /// Most evaluations for one image.
     pub max_evaluations: usize,
-    /// The fit stops where no coefficient would move by more than this.
+    /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
     pub step_tolerance_nm: f64,
+    /// How often a fit that ended in a wrong minimum is tried again from elsewhere.
+    pub restarts: usize,
     /// How the images become one estimate.
     pub combine: Combine,
 }
@@ -81,6 +83,7 @@ impl Recipe {
             } else {
                 1e-3
             }),
+            restarts: estimate.restarts.unwrap_or(if ours { 3 } else { 0 }),
             combine: estimate.combine.unwrap_or(if ours { Combine::ClippedMean } else { Combine::Mean }),
         }
     }

@@ -2,6 +2,7 @@
 //! It neither evaluates nor allocates: the batch in lock-step and the loop over single images drive the same machine.
 
 use super::minimum::Minimum;
+use super::model::Model;
 use super::prepare::Prepared;
 use super::recipe::Recipe;
 use super::residual::{photometry, reduced_chi2, reweigh};
@@ -170,15 +171,11 @@ impl Runner {
 }
 
 /// How far the solver goes.
-pub(super) fn settings(
-    wavelength_nm: f64,
-    recipe: &Recipe,
-    precision: Precision,
-    cancel: Option<&CancelFlag>,
-) -> Settings {
+pub(super) fn settings(model: &Model, recipe: &Recipe, precision: Precision, cancel: Option<&CancelFlag>) -> Settings {
     Settings {
         max_evaluations: recipe.max_evaluations,
         step_tolerance: recipe.step_tolerance_nm,
+        step_weights: Some(model.mean_squares.clone()),
         decrement_tolerance: match recipe.weighting {
             Weighting::Noise => (DECREMENT * (recipe.step_tolerance_nm / DECREMENT_STEP_NM).powi(2)).min(APPROACH),
             Weighting::None => 0.0,
@@ -188,7 +185,7 @@ pub(super) fn settings(
             Precision::F32 => RESOLUTION_F32,
             Precision::F64 => RESOLUTION_F64,
         },
-        max_step: LARGEST_STEP_WAVES * wavelength_nm,
+        max_step: LARGEST_STEP_WAVES * model.optics.parts().wavelength_nm,
         cancel: cancel.cloned(),
         ..Settings::default()
     }

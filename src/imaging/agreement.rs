@@ -15,11 +15,11 @@ use std::sync::Arc;
 
 const CASES: u64 = 16;
 
-struct Case {
-    optics: Arc<Optics>,
-    exposures: Vec<Exposure>,
-    active: Vec<usize>,
-    coefficients_nm: Array2<f64>,
+pub(super) struct Case {
+    pub optics: Arc<Optics>,
+    pub exposures: Vec<Exposure>,
+    pub active: Vec<usize>,
+    pub coefficients_nm: Array2<f64>,
     /// The FFT of the whole image, where it is one.
     fft: Option<FftPlan>,
 }
@@ -41,7 +41,7 @@ fn sampling(seed: u64, random: &mut impl Rng) -> (Sampling, Option<FftPlan>) {
     (Sampling::new(samples, pixels, 1.0 + 2.0 * random.random::<f64>()).unwrap(), None)
 }
 
-fn case(seed: u64) -> Case {
+pub(super) fn case(seed: u64) -> Case {
     let random = &mut ChaCha8Rng::seed_from_u64(seed);
     let (sampling, fft) = sampling(seed, random);
     let n = sampling.samples;
@@ -110,7 +110,7 @@ fn exposure(optics: &Arc<Optics>, kind: usize, random: &mut impl Rng) -> Exposur
 }
 
 /// Largest relative distance of objective, flux and gradient (of its 2-norm) over the images.
-fn apart(found: &[Evaluation], wanted: &[Evaluation]) -> f64 {
+pub(super) fn apart(found: &[Evaluation], wanted: &[Evaluation]) -> f64 {
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
     let one = |(f, w): (&Evaluation, &Evaluation)| {
         let difference = norm(&mut f.gradient.iter().zip(&w.gradient).map(|(f, w)| f - w));
@@ -134,7 +134,7 @@ fn builds(info: &crate::device::DeviceInfo, fft: Option<FftPlan>) -> Vec<Build> 
 
 /// f32: phases of up to 10 rad in 24 bits err by 6e-7, the sums over pixels and samples by less, and the residuals, of the
 /// order of the image itself, do not cancel: 1e-5 is ten times what is seen. f64: the same, 2e-9 smaller.
-fn allowed(precision: Precision) -> f64 {
+pub(super) fn allowed(precision: Precision) -> f64 {
     if precision == Precision::F32 { 1e-5 } else { 1e-11 }
 }
 

@@ -2,6 +2,7 @@
 
 use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
+use super::fallback::Fallback;
 use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
 use super::work::Shapes;
@@ -29,6 +30,8 @@ pub enum Chain {
         /// What reports call the device.
         name: String,
     },
+    /// A device that `auto` took, and the CPU where it fails.
+    Auto(Fallback),
 }
 
 impl Chain {
@@ -41,7 +44,7 @@ impl Chain {
     }
 
     /// A chain where `choice` says, with room for `capacity` images. `auto` takes a GPU that has the precision and can
-    /// hold the model, and the CPU otherwise.
+    /// hold the model, and the CPU otherwise and where the GPU fails later: see [`Fallback`].
     ///
     /// # Errors
     /// [`crate::Error::Device`] where OpenCL was asked for and there is no such device, or it cannot run this model.
@@ -56,6 +59,7 @@ impl Chain {
         };
         match on_device() {
             Err(_) if choice == Choice::Auto => Ok(Self::cpu(optics, precision)),
+            Ok(device) if choice == Choice::Auto => Ok(Self::Auto(Fallback::new(device, optics.clone()))),
             other => other,
         }
     }
@@ -68,6 +72,7 @@ impl Chain {
         match self {
             Self::Cpu64(chain) => chain.load(exposures),
             Self::Cpu32(chain) => chain.load(exposures),
+            Self::Auto(chain) => chain.load(exposures),
             Self::Device { chain, optics, .. } => {
                 exposures.iter().try_for_each(|exposure| exposure.check(optics.sampling().pixels))?;
                 let data: Vec<f64> = exposures.iter().flat_map(|exposure| exposure.data_e.iter().copied()).collect();
@@ -101,6 +106,7 @@ impl Chain {
             }
             Self::Cpu64(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
             Self::Cpu32(chain) => exposures.iter().try_for_each(|&(image, exposure)| chain.replace(image, exposure)),
+            Self::Auto(chain) => chain.replace_all(exposures),
         }
     }
 
@@ -112,6 +118,7 @@ impl Chain {
         match self {
             Self::Cpu64(chain) => chain.evaluate(images, coefficients_nm),
             Self::Cpu32(chain) => chain.evaluate(images, coefficients_nm),
+            Self::Auto(chain) => chain.evaluate(images, coefficients_nm),
             Self::Device { chain, .. } => {
                 let modes = chain.modes();
                 let coefficients: Vec<f64> = coefficients_nm.iter().copied().collect();
@@ -133,6 +140,7 @@ impl Chain {
             Self::Cpu64(chain) => Shapes::of(chain.optics(), chain.fft_points()),
             Self::Cpu32(chain) => Shapes::of(chain.optics(), chain.fft_points()),
             Self::Device { chain, optics, .. } => Shapes::of(optics, chain.fft_points()),
+            Self::Auto(fallback) => fallback.chain().shapes(),
         }
     }
 
@@ -142,6 +150,7 @@ impl Chain {
             Self::Cpu64(_) => Precision::F64,
             Self::Cpu32(_) => Precision::F32,
             Self::Device { precision, .. } => *precision,
+            Self::Auto(fallback) => fallback.chain().precision(),
         }
     }
 
@@ -150,6 +159,23 @@ impl Chain {
         match self {
             Self::Cpu64(_) | Self::Cpu32(_) => "cpu".into(),
             Self::Device { name, .. } => name.clone(),
+            Self::Auto(fallback) => fallback.chain().device_name(),
+        }
+    }
+
+    /// Why the device that `auto` took does not compute any more, as a sentence.
+    pub fn failure(&self) -> Option<&str> {
+        if let Self::Auto(fallback) = self { fallback.failure() } else { None }
+    }
+
+    /// The CPU's chain, where it has taken a device's place for good; else this one.
+    pub fn running(&mut self) -> &mut Self {
+        if self.failure().is_none() {
+            return self;
+        }
+        match self {
+            Self::Auto(fallback) => fallback.chain_mut(),
+            other => other,
         }
     }
 }

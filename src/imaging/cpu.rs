@@ -124,7 +124,7 @@ impl<T: Polynomial> CpuChain<T> {
         evaluation: &mut Evaluation,
     ) {
         vectorised(Forward { chain: self, coefficients_nm, memory: scratch });
-        vectorised(Backward { chain: self, image, memory: scratch, evaluation });
+        self.evaluate_there(image, scratch, evaluation);
     }
 
     /// As [`CpuChain::evaluate_one`] at the coefficients of the [`CpuChain::psf_in`] that `scratch` was last used for,
@@ -133,6 +133,7 @@ impl<T: Polynomial> CpuChain<T> {
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
     pub fn evaluate_there(&self, image: &Loaded<T>, scratch: &mut Scratch<T>, evaluation: &mut Evaluation) {
+        crate::fault::in_a_worker();
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
     }
 

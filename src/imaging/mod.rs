@@ -11,6 +11,7 @@
 pub mod chain;
 pub mod cpu;
 mod detector;
+mod fallback;
 mod field;
 pub mod gpu;
 mod linear;
@@ -23,6 +24,7 @@ mod work;
 pub use chain::{Chain, Choice, Precision};
 pub use cpu::{CpuChain, Flat, Scratch};
 pub use detector::{Evaluation, Exposure, Loaded, Photometry};
+pub use fallback::Fallback;
 pub use linear::Linear;
 pub use optics::{Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;

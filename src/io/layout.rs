@@ -75,6 +75,13 @@ pub(super) struct Layout {
     pub notes: Notes,
 }
 
+impl Layout {
+    /// Whether an HDU is a tile-compressed image.
+    pub fn holds_compressed(&self) -> bool {
+        self.hdus.iter().any(|hdu| hdu.kind == Kind::Compressed)
+    }
+}
+
 /// Walks all headers of `source`, which has `length` bytes.
 ///
 /// # Errors

@@ -25,8 +25,8 @@ const TSTRING: i32 = 16;
 
 /// A FITS file open for reading. The file itself is never written or touched.
 ///
-/// Standard files are read from the disk; `.gz` and sloppy ones from a mended copy in memory, see
-/// [`FitsReader::repaired`].
+/// Standard files are read from the disk; `.gz` and sloppy ones, and those with a tile-compressed image, from a mended copy
+/// in memory, see [`FitsReader::repaired`].
 pub struct FitsReader {
     path: PathBuf,
     handle: Handle,
@@ -57,7 +57,7 @@ impl FitsReader {
     fn from_source(path: &Path, source: &mut (impl Read + Seek), direct: Option<&Path>) -> Outcome<Self> {
         let length = source.seek(std::io::SeekFrom::End(0)).map_err(|error| format!("cannot be read: {error}"))?;
         let layout = layout::scan(source, length)?;
-        let handle = match direct.filter(|_| layout.notes.sentence().is_none()) {
+        let handle = match direct.filter(|_| layout.notes.sentence().is_none() && !layout.holds_compressed()) {
             Some(plain) => Handle::open(plain)?,
             None => Handle::from_bytes(&mend::standard_file(&layout, source)?)?,
         };

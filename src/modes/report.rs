@@ -41,6 +41,13 @@ pub struct Direction {
     pub description: String,
 }
 
+impl Direction {
+    /// Whether it is the one direction that no image can see.
+    pub fn is_global_piston(&self) -> bool {
+        self.description.ends_with("(global piston)")
+    }
+}
+
 impl Degeneracy {
     /// Reads a symmetric positive semi-definite `[modes, modes]` matrix: products of modes over the pupil, or a Fisher
     /// matrix. Directions with singular values below `weak_below` are listed as weak.

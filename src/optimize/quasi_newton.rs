@@ -11,9 +11,6 @@ use std::time::Instant;
 /// Inverse curvature of J = Σ w r² in coordinates whitened by its Gauss-Newton matrix: the Hessian is 2·I.
 const WHITENED: f64 = 0.5;
 
-/// Least that steps are taken to shrink by: where they do not shrink rounding rules, and nothing follows from them.
-const SLOWEST: f64 = 0.8;
-
 /// Whether to go on asking.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[must_use]
@@ -69,6 +66,10 @@ impl QuasiNewton {
         settings.check()?;
         check_start(start)?;
         check_dimension(start, &metric)?;
+        if let Some(weights) = settings.step_weights.as_ref().filter(|weights| weights.len() != start.len()) {
+            let (given, needed) = (weights.len(), start.len());
+            return Err(Error::Shape(format!("{given} step weights were given where {needed} are needed")));
+        }
         // Metrics of one size may differ in rank: room for the largest.
         let (n, rank) = (metric.dimension(), metric.rank());
         let room = || {
@@ -138,7 +139,7 @@ impl QuasiNewton {
     /// # Errors
     /// [`Error::Value`] for one that is negative or not finite; nothing has changed then.
     pub fn set_tolerances(&mut self, step_tolerance: f64, decrement_tolerance: f64) -> Result<()> {
-        let changed = Settings { step_tolerance, decrement_tolerance, cancel: None, ..self.settings };
+        let changed = Settings { step_tolerance, decrement_tolerance, ..Settings::default() };
         changed.check()?;
         (self.settings.step_tolerance, self.settings.decrement_tolerance) = (step_tolerance, decrement_tolerance);
         Ok(())
@@ -296,12 +297,9 @@ impl QuasiNewton {
         let noise = self.settings.resolution * scale + self.settings.resolution_floor;
         let modelled = self.metric.is_whitened() || !self.pairs.is_empty();
         if modelled {
-            // Steps that shrink by a factor r leave r/(1 − r) times the last of them.
-            let shrinks = step / self.outcome.proposed_step;
-            let left = if shrinks > 0.5 { step / (1.0 / shrinks.min(SLOWEST) - 1.0) } else { step };
             (self.outcome.proposed_step, self.outcome.predicted_decrease) = (step, decrease);
             let Settings { step_tolerance, decrement_tolerance, relative_decrement_tolerance, .. } = self.settings;
-            if left < step_tolerance {
+            if step < step_tolerance && self.step_rms() < step_tolerance {
                 return Some(StopReason::StepBelowTolerance);
             }
             if decrease < decrement_tolerance || decrease < relative_decrement_tolerance * scale {
@@ -317,6 +315,12 @@ impl QuasiNewton {
         self.phase = Phase::Searching;
         self.set_trial(first);
         None
+    }
+
+    /// Root of the sum of the squares of the proposed step's components, each in its own weight; 0 without weights.
+    fn step_rms(&self) -> f64 {
+        let weights = self.settings.step_weights.iter().flat_map(|weights| weights.iter());
+        weights.zip(&self.direction_x).map(|(weight, d)| weight * d * d).sum::<f64>().sqrt()
     }
 
     /// Sets the direction −H·g in both coordinates and returns the slope of the objective along it.

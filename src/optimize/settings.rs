@@ -2,6 +2,7 @@
 
 use super::CancelFlag;
 use crate::{Error, Result};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// [`Settings::resolution`] of a sum of about a million terms in f64, accumulated in blocks: some 50 roundings.
@@ -26,9 +27,12 @@ pub enum Scaling {
 pub struct Settings {
     /// Evaluations of objective and gradient, in all, over restarts too; at least 1.
     pub max_evaluations: usize,
-    /// Stop when the largest |component| of the proposed step, in the caller's units, is below this, and of those that would
-    /// follow it if steps went on shrinking as this one did; 0 turns it off.
+    /// Stop when the largest |component| of the proposed step, in the caller's units, is below this, and its RMS by
+    /// [`step_weights`](Self::step_weights) too; 0 turns it off.
     pub step_tolerance: f64,
+    /// Weight of the square of each component in the RMS of a step, 0 or more: many small components add up. Without
+    /// weights the largest component decides alone.
+    pub step_weights: Option<Arc<[f64]>>,
     /// Stop when the predicted decrease −g·d/2 (half the squared Newton decrement) is below this, in the units of
     /// the objective; 0 turns it off. For a χ² one unit is one standard deviation along one direction. The prediction
     /// is the model's: good in whitened coordinates, but off by factors of ten where the metric is the identity.
@@ -58,6 +62,7 @@ impl Default for Settings {
         Settings {
             max_evaluations: 200,
             step_tolerance: 0.0,
+            step_weights: None,
             decrement_tolerance: 0.0,
             relative_decrement_tolerance: 1e-10,
             memory: 20,
@@ -87,6 +92,12 @@ impl Settings {
         ];
         if let Some((name, value)) = non_negative.iter().find(|(_, v)| !(*v >= 0.0 && v.is_finite())) {
             return Err(Error::Value(format!("{name} is {value}, where a finite number of 0 or more is needed")));
+        }
+        let weights = self.step_weights.iter().flat_map(|weights| weights.iter());
+        if let Some(weight) = weights.copied().find(|weight| !(*weight >= 0.0 && weight.is_finite())) {
+            return Err(Error::Value(format!(
+                "a step weight is {weight}, where a finite number of 0 or more is needed"
+            )));
         }
         if self.max_step.is_nan() || self.max_step <= 0.0 {
             return Err(Error::Value(format!("max_step is {}, where a positive number is needed", self.max_step)));

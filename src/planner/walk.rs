@@ -21,6 +21,9 @@ const SAMPLES: [usize; 24] =
 const CROP_STEP: usize = 8;
 /// Narrower crops that are tried.
 const CROPS: usize = 4;
+/// Work that a narrower crop must stay below, as a fraction: for less than a twentieth it is not worth the noise that it adds,
+/// and the evaluations that it will take when the tolerance is loosened.
+const WORTH_A_CROP: f64 = 0.95;
 /// Step tolerances that are tried, nm, as fractions of the budget: a fit takes the step that is below the tolerance, and
 /// is left with a third of its length or so. Twice the budget would save a twentieth of the evaluations of a plan of Keck
 /// for 1 nm, for a fifth more error.
@@ -168,7 +171,7 @@ impl<'a> Walk<'a> {
             if candidate.price.error_nm() > limit_nm {
                 break;
             }
-            if candidate.price.megaflops < best.price.megaflops {
+            if candidate.price.megaflops < WORTH_A_CROP * best.price.megaflops {
                 best = candidate;
             }
         }
@@ -240,7 +243,8 @@ impl<'a> Walk<'a> {
     }
 
     fn candidate(&self, like: &Estimator, scene: &Scene) -> Result<Candidate> {
-        let estimator = like.variant(scene, Recipe::of(scene))?;
+        // A model that leads to a wrong minimum is not worth another try.
+        let estimator = like.variant(scene, Recipe { restarts: 0, ..Recipe::of(scene) })?;
         let price = self.trials.price(&estimator, self.cancel)?;
         Ok(Candidate { scene: scene.clone(), estimator, price })
     }

@@ -9,6 +9,7 @@ mod artificial_source;
 mod beyond;
 mod diversity;
 pub mod figures;
+mod hard_cases;
 mod on_sky;
 mod on_sky_images;
 mod on_sky_table;
@@ -18,6 +19,7 @@ mod table_rows;
 pub use artificial_source::{ArtificialSource, WayResult, artificial_source};
 pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, HeldMap, beyond, beyond_rows, held_maps};
 pub use diversity::{Diversity, DiversityPoint, diversity};
+pub use hard_cases::{HARD_CASES, HardCase, HardCases, Spoil, Verdict, hard_cases};
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};
 pub use on_sky_images::{ImageNumber, ImageNumbers, image_numbers};
 pub use on_sky_table::{OnSky, RowDraw, RowResult, on_sky, reduction_percent};
@@ -55,6 +57,8 @@ pub enum Target {
     Psd,
     /// Beyond the paper: the full-phase estimate behind each kind of loop.
     Beyond,
+    /// What goes wrong, and whether the answer says so.
+    HardCases,
 }
 
 /// How a target is run.
@@ -68,7 +72,7 @@ pub struct Options {
     pub quick: bool,
     /// The telescope behind the loop.
     pub segments: Segments,
-    /// Rows of [`Target::Beyond`] by name; none are all.
+    /// Rows of [`Target::Beyond`], or cases of [`Target::HardCases`], by name; none are all.
     pub rows: Vec<String>,
     /// Folder of measured maps of NCPA, each of which is a row of [`Target::Beyond`].
     pub maps: Option<PathBuf>,
@@ -96,7 +100,7 @@ pub struct Report {
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 11] = [
+    pub const ALL: [Target; 12] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -108,6 +112,7 @@ impl Target {
         Target::Strehl,
         Target::Psd,
         Target::Beyond,
+        Target::HardCases,
     ];
 
     /// The figures of section 4 that are neither the table's nor that of the number of images.
@@ -127,6 +132,7 @@ impl Target {
             Target::Strehl => "strehl",
             Target::Psd => "psd",
             Target::Beyond => "beyond",
+            Target::HardCases => "hard-cases",
         }
     }
 
@@ -148,6 +154,7 @@ impl Target {
             Target::Beyond => {
                 "full-phase estimates behind a loop, beside the paper's way; draws that are there are kept"
             }
+            Target::HardCases => "hard cases: is the answer right, and where it is not, does it say so?",
         }
     }
 
@@ -157,7 +164,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource => 24,
-            Target::Samples => 8,
+            Target::Samples | Target::HardCases => 8,
             Target::Diversity => 6,
             Target::Table | Target::Images => 3,
             // Half a minute each on two cores; --seeds 10 goes on from there.
@@ -213,6 +220,9 @@ impl Target {
             Target::Modes => figures::modes(&options.conditions(), seeds, &progress)?.report(&options.directory),
             Target::Strehl => figures::strehl(&options.conditions(), seeds, &progress)?.report(&options.directory),
             Target::Psd => figures::psd(&options.conditions(), seeds, &progress)?.report(&options.directory),
+            Target::HardCases => {
+                hard_cases(&HardCase::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
+            }
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
                 let table = beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?;

@@ -66,12 +66,16 @@ section! {
         samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
         /// Most evaluations of the objective for one image.
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
-        /// The fit stops where no coefficient would move by more than this.
+        /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("as the recipe does");
+        /// How often a fit that ended in a wrong minimum is tried again from elsewhere; a session, which has no time, never does.
+        restarts: Option<usize>, between(0.0, 1000.0), unset("3; 0 with the paper's recipes");
         /// RMS error that is allowed to the phasing and to the NCPA each, noise included: the model is then planned, the cheapest that keeps it.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
         /// Memory that an estimate may take beside its images, 1e9 bytes; larger work is cut into tiles.
         memory_gb: f64, above(0.0, 1e6), default(8.0);
+        /// Standard deviation of the diversity's amplitude over itself, for the error bars: the NCPA's modes take an error of it for their own.
+        diversity_error: f64, between(0.0, 1.0), default(0.0);
         /// How the images of a sequence become one estimate; outliers are told among 8 images or more.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// The estimator.
@@ -97,7 +101,15 @@ impl Check for EstimateScene {
 impl EstimateScene {
     /// What an estimator of whole wavefronts has no use for is refused rather than ignored.
     fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
-        let modal = ["weighting", "max_evaluations", "step_tolerance_nm", "budget_nm", "combine"];
+        let modal = [
+            "weighting",
+            "max_evaluations",
+            "step_tolerance_nm",
+            "restarts",
+            "budget_nm",
+            "diversity_error",
+            "combine",
+        ];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(

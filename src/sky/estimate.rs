@@ -9,7 +9,7 @@ use crate::grid::Grid;
 use crate::imaging::Precision as ChainPrecision;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::optimize::CancelFlag;
-use crate::scene::{DeviceChoice, Knows, Precision, Scene};
+use crate::scene::{DeviceChoice, Knows, Precision, Scene, SegmentModes};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
@@ -118,6 +118,12 @@ pub fn read(
              needed"
                 .into(),
         ));
+    }
+    if scene.modes.segment != SegmentModes::Piston {
+        return Err(Error::Scene(format!(
+            "modes.segment = \"{}\" is not what the full-phase estimate seeks beside the NCPA: \"piston\" is needed",
+            scene.modes.segment.word()
+        )));
     }
     let knows = knows(scene, images.slopes_mas.is_some())?;
     let slopes_mas = images.slopes_mas.as_ref().filter(|_| knows >= Knows::Telemetry);

@@ -1,7 +1,7 @@
 //! What a full-phase estimate found, in the terms that programs and bindings report it in.
 
 use super::passes::{Pass, PassRecipe, coefficients};
-use super::{OpticsFound, RetrievalReport};
+use super::{OpticsFound, RetrievalReport, SegmentTilts};
 use crate::modes::SegmentModes;
 use crate::pupil::Pupil;
 use crate::scene::{Knows, Precision, Scene};
@@ -93,6 +93,13 @@ impl FullPhase {
                  instrument, and the error bars do not know by how much",
                 pass.reduced_chi2.sqrt(),
                 pass.reduced_chi2
+            ));
+        }
+        if let Some(tilts) = pass.segment_tilts.filter(SegmentTilts::are_there) {
+            sentences.push(format!(
+                "single segments seem to be tilted, by {:.0} nm RMS and more: pistons and NCPA have taken a share of it for \
+                 theirs, and their error bars do not know",
+                tilts.rms_nm
             ));
         }
         if !self.settled()? {

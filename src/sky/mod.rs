@@ -30,6 +30,7 @@ mod probe;
 mod retrieve;
 mod retrieved;
 mod sampling;
+mod segment_tilts;
 mod sensed;
 mod sensor;
 mod sequence;
@@ -49,6 +50,7 @@ pub use passes::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_
 pub use prior::{Spectrum, Unknown};
 pub use retrieve::{Phases, RetrievalRecipe, RetrievalReport, Retriever, Statics};
 pub use retrieved::RetrievedPhases;
+pub use segment_tilts::SegmentTilts;
 pub use sensed::Sensed;
 pub use sensor::SensorModel;
 pub use statics::{StaticErrors, StaticModel};

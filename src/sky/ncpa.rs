@@ -92,6 +92,7 @@ impl Ncpa {
             used_images: sequence.used.clone(),
             reduced_chi2: sequence.reduced_chi2,
             residual_rms_nm,
+            segment_tilts: None,
             phasing_nm,
             ncpa_nm,
             errors,

@@ -4,6 +4,7 @@ use super::calm_loop::CalmLoop;
 use super::evidence::Family;
 use super::ncpa::Ncpa;
 use super::path::Path;
+use super::segment_tilts::SegmentTilts;
 use super::sensed::Sensed;
 use super::sensor::SensorModel;
 use super::sequence::Sequence;
@@ -114,6 +115,8 @@ pub struct Pass {
     pub reduced_chi2: f64,
     /// RMS of the wavefront about its mean, nm.
     pub residual_rms_nm: f64,
+    /// What the mean phase still holds of tilts of single segments; of the last pass.
+    pub segment_tilts: Option<SegmentTilts>,
 }
 
 impl Pass {
@@ -160,7 +163,7 @@ pub fn find_statics(
     let mut passes: Vec<Pass> = Vec::new();
     let mut found: Option<StaticWavefront> = None;
     let mut measured = None;
-    let mut path = Path::default();
+    let (mut path, mut scatter) = (Path::default(), None);
     for _ in 0..recipe.max_passes {
         if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(Error::Interrupted(format!("{} passes were made", passes.len())));
@@ -194,12 +197,17 @@ pub fn find_statics(
         // Without telemetry turbulence that did not average out goes on, too.
         let goes_on = telemetry && pass.errors.highest_nm(ncpa.groups.len()) > GOES_ON_NM;
         passes.push(pass);
+        scatter = Some((residual, sequence.used.len()));
         let finer = if goes_on { families.next().map(|next| search.family(Some(next))).transpose()? } else { None };
         match finer.filter(|finer| finer.groups.len() > ncpa.groups.len()) {
             Some(finer) => ncpa = finer,
             None if settled => break,
             None => {}
         }
+    }
+    if let (Some(last), Some((residual, images))) = (passes.last_mut(), scatter) {
+        let covariance = residual.of_mean(images, recipe.floor_nm, &search.lit);
+        last.segment_tilts = Some(SegmentTilts::of(last.errors.unexplained_nm.view(), &covariance, &search.lit)?);
     }
     Ok(passes)
 }

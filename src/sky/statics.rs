@@ -40,6 +40,8 @@ pub struct StaticErrors {
     pub covariance_nm2: Array2<f64>,
     /// Logarithm of the evidence, to compare families of modes on the same phases.
     pub log_evidence: f64,
+    /// What none of these explains of the mean phase, nm at each sample.
+    pub unexplained_nm: Array1<f64>,
     /// The strength of each group of modes that the phases support, nm RMS of a mode: pistons, tip and tilt, then the
     /// others in turn.
     pub strengths_nm: Vec<f64>,
@@ -204,7 +206,12 @@ impl StaticModel {
         let (ncpa, last) = (self.segments + self.ncpa, coefficients_nm.len() - 1);
         let mut followed_nm = coefficients_nm.slice(s![ncpa..last]).to_vec();
         followed_nm.resize(self.ncpa, 0.0);
+        let mut unexplained_nm = mean_nm.to_owned();
+        for (&column, &nm) in self.shows_as.iter().zip(&coefficients_nm) {
+            unexplained_nm.scaled_add(-nm, &self.columns.row(column));
+        }
         Ok(StaticErrors {
+            unexplained_nm,
             pistons_nm: coefficients_nm.slice(s![..self.segments]).to_vec(),
             ncpa_nm: coefficients_nm.slice(s![self.segments..ncpa]).to_vec(),
             followed_nm,

@@ -2,6 +2,8 @@
 
 mod bad_input;
 mod bench;
+#[cfg(debug_assertions)]
+mod faults;
 mod frames;
 mod odd_images;
 mod simulate;

@@ -2,6 +2,7 @@
 
 mod agreement;
 mod arrays;
+mod diversity;
 mod sequence;
 mod session;
 

@@ -9,7 +9,8 @@ classdef Session < cophase.Handle
     %      'Device'            'cpu', 'auto', 'opencl' or an address that cophase.devices lists; 'cpu'
     %      'Threads'           of the processor: 1, or 0 for all that there are; 1
     %      'MaxEvaluations'    most evaluations of the model for an image; what the scene says
-    %      'StepTolerance_nm'  a fit ends where no coefficient would move by more; what the scene says
+    %      'StepTolerance_nm'  a fit ends where neither a coefficient nor the wavefront's RMS would
+    %                          move by more; what the scene says
     %   The beginning of a name is enough, whatever its case.
     %
     %   Methods:

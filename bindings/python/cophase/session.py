@@ -70,7 +70,8 @@ class Session(Handle):
     max_evaluations : int, optional
         Of the model, for one image; without it, what the scene says.
     step_tolerance_nm : float, optional
-        A fit stops where no coefficient would move by more than this; without it, what the scene says.
+        A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this; without it,
+        what the scene says.
 
     Raises
     ------

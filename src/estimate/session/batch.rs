@@ -21,8 +21,7 @@ impl Batch {
     /// [`Error::Value`] for settings out of range.
     pub(super) fn new(chain: Chain, shared: &Shared) -> Result<Self> {
         let estimator = &shared.estimator;
-        let wavelength_nm = estimator.model.optics.parts().wavelength_nm;
-        let settings = settings(wavelength_nm, &shared.recipe, chain.precision(), None);
+        let settings = settings(&estimator.model, &shared.recipe, chain.precision(), None);
         Runner::new(estimator.metrics.any(&estimator.judge)?, &shared.recipe, settings)?;
         Ok(Self { chain })
     }

@@ -20,7 +20,8 @@ pub struct SessionOptions {
     pub threads: usize,
     /// Most evaluations for one image; `None` takes the recipe's.
     pub max_evaluations: Option<usize>,
-    /// A fit stops where no coefficient would move by more than this, nm; `None` takes the recipe's.
+    /// A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this, nm; `None` takes
+    /// the recipe's.
     pub step_tolerance_nm: Option<f64>,
 }
 

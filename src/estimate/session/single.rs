@@ -105,8 +105,7 @@ struct Place<'a, T> {
 impl<T: Polynomial> Lane<T> {
     fn new(chain: &CpuChain<T>, shared: &Shared, precision: Precision) -> Result<Self> {
         let estimator = &shared.estimator;
-        let wavelength_nm = estimator.model.optics.parts().wavelength_nm;
-        let settings = settings(wavelength_nm, &shared.recipe, precision, Some(&shared.cancel));
+        let settings = settings(&estimator.model, &shared.recipe, precision, Some(&shared.cancel));
         let metric = estimator.metrics.any(&estimator.judge)?;
         Ok(Self {
             preparer: Preparer::new(estimator.model.preparation),

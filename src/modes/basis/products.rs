@@ -54,6 +54,18 @@ impl Basis {
         Ok(self.local.iter().map(of_list).chain(self.dense.outer_iter().map(of_map)).collect())
     }
 
+    /// Mean square of each mode over the pupil, weighted by `amplitude` `[y, x]`: of a coefficient of 1 nm, nm².
+    ///
+    /// # Errors
+    /// As [`Basis::visible_gram`].
+    pub fn mean_squares(&self, amplitude: &Array2<f64>) -> Result<Vec<f64>> {
+        let weight = amplitude / self.total_of(amplitude)?;
+        let of_list =
+            |list: &super::LocalMap| list.iter().map(|&(at, v)| v * v * weight[self.place(at as usize)]).sum();
+        let of_map = |mode: ArrayView2<f64>| Zip::from(mode).and(&weight).fold(0.0, |sum, v, w| sum + v * v * w);
+        Ok(self.local.iter().map(of_list).chain(self.dense.outer_iter().map(of_map)).collect())
+    }
+
     /// Σ over the samples of `weight` times the product of each two modes, `[mode, mode]`.
     ///
     /// # Errors
@@ -93,12 +105,7 @@ impl Basis {
     /// [`Error::Shape`] where the amplitude has another shape than the maps; [`Error::Value`] where it sums to no
     /// positive number.
     pub fn visible_gram(&self, amplitude: &Array2<f64>) -> Result<Array2<f64>> {
-        self.check_shape(amplitude)?;
-        let total = amplitude.sum();
-        if !(total.is_finite() && total > 0.0) {
-            return Err(Error::Value(format!("the pupil amplitude sums to {total}: a positive sum is needed")));
-        }
-        let weight = amplitude / total;
+        let weight = amplitude / self.total_of(amplitude)?;
         let means = Array1::from(self.along(&weight)?);
         let mut gram = self.gram(&weight)?;
         for (mut row, &mean) in gram.outer_iter_mut().zip(&means) {
@@ -135,6 +142,16 @@ impl Basis {
             }
         });
         Array2::from_shape_vec((samples, samples), variance).unwrap_or_default()
+    }
+
+    /// The sum of an amplitude on the grid of the maps.
+    fn total_of(&self, amplitude: &Array2<f64>) -> Result<f64> {
+        self.check_shape(amplitude)?;
+        let total = amplitude.sum();
+        if !(total.is_finite() && total > 0.0) {
+            return Err(Error::Value(format!("the pupil amplitude sums to {total}: a positive sum is needed")));
+        }
+        Ok(total)
     }
 
     fn check_shape(&self, map: &Array2<f64>) -> Result<()> {
@@ -220,6 +237,12 @@ mod tests {
         assert!(same(&lists.visible_gram(&weight).unwrap(), &maps.visible_gram(&weight).unwrap()));
         let along = |basis: &Basis| Array2::from_shape_vec((1, 5), basis.along(&weight).unwrap()).unwrap();
         assert!(same(&along(&lists), &along(&maps)));
+        // Mean squares are the gram's diagonal.
+        for basis in [&lists, &maps] {
+            let gram = basis.gram(&(&weight / weight.sum())).unwrap();
+            let squares = basis.mean_squares(&weight).unwrap();
+            assert!(gram.diag().iter().zip(&squares).all(|(a, b)| (a - b).abs() < ROUNDING && *a > 0.0));
+        }
         let root = Array2::from_shape_fn((5, 5), |(i, j)| ((3 * i + 7 * j) as f64).sin());
         let covariance = root.dot(&root.t());
         for range in [0..3, 3..5, 1..4, 0..5] {

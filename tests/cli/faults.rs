@@ -1,0 +1,194 @@
+//! Faults of the machine and of ours: a status and a sentence, and every file whole or as it was. Most are made on demand,
+//! which only builds with debug assertions can (`COPHASE_FAULT`, see `src/fault.rs`).
+
+use crate::{Desk, Done};
+use std::os::unix::process::ExitStatusExt;
+use std::process::Command;
+
+const ESTIMATE: [&str; 5] = ["estimate", "images.fits", "-o", "est.fits", "--json"];
+
+fn with_fault(desk: &Desk, fault: &str, arguments: &[&str]) -> Command {
+    let mut command = desk.command(arguments);
+    command.env("COPHASE_FAULT", fault).env_remove("RUST_BACKTRACE");
+    command
+}
+
+/// The address of an OpenCL device here, if there is one.
+fn opencl() -> Option<String> {
+    let first = cophase::device::devices().unwrap_or_default().into_iter().find(|info| info.f64);
+    let required = std::env::var("COPHASE_REQUIRE_OPENCL").as_deref() == Ok("1");
+    assert!(first.is_some() || !required, "COPHASE_REQUIRE_OPENCL=1, and no OpenCL device was found");
+    if first.is_none() {
+        println!("skipped: no OpenCL device was found");
+    }
+    first.map(|info| info.address())
+}
+
+#[test]
+fn without_a_driver_auto_runs_and_opencl_says_so() {
+    let desk = Desk::with_images(&[]);
+    std::fs::create_dir(desk.path("no-drivers")).unwrap();
+    let without = |arguments: &[&str]| {
+        let mut command = desk.command(arguments);
+        // A loader that reads files finds none; one that is told libraries by name finds none of those either.
+        command.env("OCL_ICD_VENDORS", desk.path("no-drivers")).env("OCL_ICD_FILENAMES", "");
+        Done::from(command.output().unwrap())
+    };
+    let done = without(&[&ESTIMATE[..], &["--device", "auto"]].concat());
+    assert_eq!(done.status, 0, "{}", done.err);
+    assert!(done.out.contains("\"device\": \"cpu\""), "{}", done.out);
+    std::fs::remove_file(desk.path("est.fits")).unwrap();
+    for device in ["opencl", "opencl:0:0"] {
+        let arguments = [&ESTIMATE[..], &["--device", device]].concat();
+        without(&arguments).failed(&arguments, &["OpenCL", "CPU chain"]);
+    }
+    let done = without(&["devices"]);
+    assert!(done.status == 0 && done.out.contains("no OpenCL device was found"), "{}", done.out);
+    assert!(!desk.files().contains(&"est.fits".to_string()));
+}
+
+/// The process dies at three moments of a write. Before the rename what was there is there, with a temporary file beside it
+/// that nothing reads; after it the new file is whole.
+#[test]
+fn a_process_killed_while_it_writes_leaves_a_whole_file_or_the_old_one() {
+    let desk = Desk::with_images(&[]);
+    desk.succeeds(&ESTIMATE);
+    let whole = std::fs::read(desk.path("est.fits")).unwrap().len();
+    for (before, old) in [("absent", None), ("there", Some("what was there"))] {
+        for stage in ["1", "2", "3"] {
+            let _ = std::fs::remove_file(desk.path("est.fits"));
+            if let Some(old) = old {
+                std::fs::write(desk.path("est.fits"), old).unwrap();
+            }
+            let ended = with_fault(&desk, &format!("kill:{stage}"), &ESTIMATE).output().unwrap().status;
+            assert_eq!(ended.signal(), Some(libc::SIGKILL), "{before}, stage {stage}");
+            match (stage, old) {
+                // The times in its cards differ, and nothing else: cards do not move the data.
+                ("3", _) => assert_eq!(std::fs::read(desk.path("est.fits")).unwrap().len(), whole),
+                (_, Some(old)) => assert_eq!(std::fs::read_to_string(desk.path("est.fits")).unwrap(), old),
+                (_, None) => assert!(!desk.path("est.fits").exists(), "stage {stage}"),
+            }
+            let left = desk.files().into_iter().filter(|name| name.ends_with(".tmp")).collect::<Vec<_>>();
+            assert_eq!(left.len(), usize::from(stage != "3"), "{left:?}");
+            left.iter().for_each(|name| std::fs::remove_file(desk.path(name)).unwrap());
+        }
+    }
+    // What a killed process leaves beside the target hinders no other.
+    with_fault(&desk, "kill:1", &ESTIMATE).output().unwrap();
+    desk.succeeds(&ESTIMATE);
+    desk.json(&["compare", "est.fits", "--json"]);
+}
+
+#[test]
+fn a_thread_that_panics_is_a_status_and_a_sentence() {
+    let desk = Desk::with_images(&["image.count=3"]);
+    std::fs::write(desk.path("est.fits"), "what was there").unwrap();
+    let before = desk.files();
+    let done = Done::from(with_fault(&desk, "worker", &ESTIMATE).output().unwrap());
+    assert_eq!((done.status, done.out.as_str()), (1, ""), "{}", done.err);
+    assert_eq!(done.err.lines().count(), 1, "{}", done.err);
+    for word in ["cophase: internal error, please report it", "in a thread of the pool", "src/fault.rs"] {
+        assert!(done.err.contains(word), "{}", done.err);
+    }
+    assert_eq!(desk.files(), before);
+    assert_eq!(std::fs::read_to_string(desk.path("est.fits")).unwrap(), "what was there");
+    // Who wants to see where it came from still does.
+    let traced = with_fault(&desk, "worker", &ESTIMATE).env("RUST_BACKTRACE", "1").output().unwrap();
+    assert!(String::from_utf8_lossy(&traced.stderr).contains("stack backtrace"));
+}
+
+#[test]
+fn a_device_that_was_named_and_fails_is_a_status() {
+    let Some(device) = opencl() else { return };
+    let desk = Desk::with_images(&["image.count=3"]);
+    let arguments = [&ESTIMATE[..], &["--device", &device]].concat();
+    let before = desk.files();
+    // While the chain is made, while images are brought, and between evaluations.
+    for fault in ["device:1", "device:40", "device:90", "lost:1", "lost:60", "lost:120"] {
+        let done = Done::from(with_fault(&desk, fault, &arguments).output().unwrap());
+        done.failed(&arguments, &["OpenCL failed", "COPHASE_FAULT, command"]);
+        assert_eq!(desk.files(), before, "{fault}");
+    }
+    // `auto` takes a GPU alone, and says where it does not end on it.
+    let gpu = cophase::device::devices().unwrap().iter().any(|info| info.kind == cophase::device::DeviceKind::Gpu);
+    for fault in ["device:1", "lost:60", "lost:120"] {
+        let arguments = [&ESTIMATE[..], &["--device", "auto"]].concat();
+        let done = Done::from(with_fault(&desk, fault, &arguments).output().unwrap());
+        assert!(done.status == 0 && done.out.contains("\"device\": \"cpu\""), "{fault}: {}", done.err);
+        let said = done.err.contains("the CPU has taken its place");
+        assert_eq!(said, gpu && fault.starts_with("lost"), "{fault}: {}", done.err);
+    }
+}
+
+/// Programs are compiled by the driver, and kept by it from one process to the next. Two processes that begin on one empty
+/// cache do not disturb each other.
+#[test]
+fn two_processes_share_one_cache_of_compiled_programs() {
+    let Some(device) = opencl() else { return };
+    let desk = Desk::with_images(&[]);
+    let cache = desk.path("cache");
+    std::fs::create_dir(&cache).unwrap();
+    let start = |output: &str| {
+        let mut command = desk.command(&["estimate", "images.fits", "-o", output, "--json", "--device", &device]);
+        command.env("POCL_CACHE_DIR", &cache).stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped());
+        command.spawn().unwrap()
+    };
+    let both = [start("one.fits"), start("two.fits")];
+    for child in both {
+        let done = Done::from(child.wait_with_output().unwrap());
+        assert_eq!(done.status, 0, "{}", done.err);
+    }
+    let maps = ["one.fits", "two.fits"].map(|name| cophase::io::read_map(desk.path(name), Some("PHASING")).unwrap());
+    // The same bits: NaN outside the pupil is no number.
+    assert!(maps[0].iter().zip(&maps[1]).all(|(one, two)| one.to_bits() == two.to_bits()));
+}
+
+/// Across the C boundary such a panic is a status too: of the call, and of every later one on the same object. The fault is
+/// asked for in a process of its own (this test again, with the variable set).
+#[test]
+fn a_thread_that_panics_is_a_status_of_the_c_call() {
+    use cophase::capi::*;
+    use std::ptr::{null, null_mut};
+    if std::env::var_os("COPHASE_FAULT").is_none() {
+        let name = "faults::a_thread_that_panics_is_a_status_of_the_c_call";
+        let mut child = Command::new(std::env::current_exe().unwrap());
+        let output = child.args([name, "--exact"]).env("COPHASE_FAULT", "worker").output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+        return;
+    }
+    let scene = std::ffi::CString::new(crate::SMALL).unwrap();
+    let frames =
+        vec![100.0; 2 * 64 * 64].into_iter().enumerate().map(|(i, e)| e + (i % 97) as f64).collect::<Vec<f64>>();
+    let array = cophase_input {
+        data: frames.as_ptr().cast(),
+        element: COPHASE_F64,
+        count: 2,
+        rows: 64,
+        cols: 64,
+        count_stride: 64 * 64,
+        row_stride: 64,
+        col_stride: 1,
+    };
+    let (mut model, mut session, mut modes) = (null_mut(), null_mut(), 0);
+    let mut options = std::mem::MaybeUninit::<cophase_session_options>::uninit();
+    // SAFETY: live locals, handles that the calls made, and an array that is there.
+    unsafe {
+        cophase_session_options_init(options.as_mut_ptr(), size_of::<cophase_session_options>());
+        ((*options.as_mut_ptr()).capacity, (*options.as_mut_ptr()).threads) = (2, 0);
+        assert_eq!(cophase_model_create(scene.as_ptr(), null(), &mut model), COPHASE_OK);
+        assert_eq!(cophase_model_mode_count(model, &mut modes), COPHASE_OK);
+        assert_eq!(cophase_session_create(null(), model, options.as_ptr(), &mut session), COPHASE_OK);
+        let mut coefficients_nm = vec![7.0; 2 * modes];
+        for _ in 0..2 {
+            let out = coefficients_nm.as_mut_ptr();
+            let status = cophase_session_fit(session, &array, null(), out, modes, null_mut(), 0);
+            assert_eq!(status, COPHASE_PANIC);
+        }
+        assert!(coefficients_nm.iter().all(|&nm| nm == 7.0));
+        cophase_session_destroy(session);
+        // The model was only read, and makes sessions as before.
+        assert_eq!(cophase_session_create(null(), model, options.as_ptr(), &mut session), COPHASE_OK);
+        cophase_session_destroy(session);
+        cophase_model_destroy(model);
+    }
+}
