@@ -1,6 +1,7 @@
 //! Scenes: what is accepted, what is refused and in which words, and that no text makes the parser panic.
 
 use cophase::Error;
+use cophase::pupil::{Aperture as Mirror, HexagonalParameters};
 use cophase::scene::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -119,6 +120,15 @@ fn the_extent_of_the_keck_pupil() {
     // One hexagon is widest along x.
     let one = parse(&format!("{SMALLEST}[pupil]\nrings = 0\ncentral_segment = true\nsegment_side_m = 2")).unwrap();
     assert_eq!(one.pupil.extent_m(), Some(4.0));
+    // Turned by any angle it is what the outermost vertices say; rounding.
+    for (rings, rotation_deg) in [(0, 17.0), (1, -5.0), (3, 0.6), (3, 30.0), (4, 44.0)] {
+        let text = format!("{SMALLEST}[pupil]\nrings = {rings}\ncentral_segment = true\nrotation_deg = {rotation_deg}");
+        let parameters =
+            HexagonalParameters { rings, central_segment: true, rotation_deg, ..HexagonalParameters::keck() };
+        let width_m = Mirror::hexagonal(&parameters).unwrap().width_m();
+        let extent_m = parse(&text).unwrap().pupil.extent_m().unwrap();
+        assert!((extent_m - width_m).abs() < 1e-13 * width_m, "{rings} {rotation_deg}: {extent_m} {width_m}");
+    }
 }
 
 #[test]

@@ -254,6 +254,7 @@ impl<'a> Found<'a> {
             return terminal.json(&report::Summary::of(estimate, &self.rows));
         }
         terminal.show(&report::table(&name, model, estimate, &self.rows, self.model_s))?;
+        terminal.show(&report::of_optics(self.estimator.fitted_optics()))?;
         if let Some(sentence) = report::of_diversity(&held, self.estimator.scene()) {
             terminal.show(&sentence)?;
         }

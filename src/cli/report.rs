@@ -1,7 +1,7 @@
 //! An estimate in words and numbers: the table, the warnings, the JSON.
 
 use super::figures::Row;
-use cophase::estimate::{Estimate, Estimator, HeldDiversity, ImageReport, Model, Status};
+use cophase::estimate::{Estimate, Estimator, FittedOptic, HeldDiversity, ImageReport, Model, Status};
 use cophase::io::Images;
 use cophase::scene::{Combine, Scene};
 use serde::Serialize;
@@ -117,6 +117,19 @@ pub fn file_warnings(name: &str, images: &Images) -> Vec<String> {
     repaired.into_iter().chain(non_finite).collect()
 }
 
+/// The optics that were fitted, one a line.
+pub fn of_optics(optics: &[FittedOptic]) -> String {
+    let line = |optic: &FittedOptic| {
+        let FittedOptic { scene, value, sigma, .. } = optic;
+        if optic.is_told() {
+            format!("{} = {value:.6} ± {sigma:.1e} (the scene says {scene})\n", optic.key())
+        } else {
+            format!("{} = {scene}, as the scene says: the modes do all that it does\n", optic.key())
+        }
+    };
+    optics.iter().map(line).collect()
+}
+
 /// What holds of every image of this scene: what it can and cannot say of the diversity.
 pub fn of_diversity(held: &HeldDiversity, scene: &Scene) -> Option<String> {
     (held.is_held() && scene.estimate.diversity_error == 0.0).then(|| {
@@ -137,6 +150,14 @@ pub fn warnings(name: &str, estimator: &Estimator, held: &HeldDiversity, estimat
             "the scene's diversity is {:.1} nm RMS: an image in focus does not tell an even aberration from its negative, and \
              the signs of these maps are not known",
             held.rms_nm
+        ));
+    }
+    for optic in estimator.fitted_optics().iter().filter(|optic| !optic.is_told()) {
+        let (word, key) = (optic.optic.word(), optic.key());
+        sentences.push(format!(
+            "estimate.fit_optics names \"{word}\", which these images do not tell from the modes: {key} stays {}, and the error \
+             bars do not hold its error",
+            optic.scene
         ));
     }
     let together = about_sequence(estimate);

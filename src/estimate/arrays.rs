@@ -57,6 +57,7 @@ impl Estimator {
             None => Diversity::of(scene, &telescope)?,
         };
         super::refuse_budget(scene)?;
+        super::refuse_fit_optics(scene)?;
         let (recipe, set) = modes_of(scene, arrays, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
         Self::of_model(scene, recipe, model)

@@ -1,6 +1,6 @@
 //! Writing an estimate as FITS, in the layout of the conventions.
 
-use super::{Estimate, Estimator};
+use super::{Estimate, Estimator, FittedOptic};
 use crate::Result;
 use crate::io::{Column, FitsWriter, Pixel};
 use ndarray::Array2;
@@ -61,6 +61,20 @@ pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate, truth: Opt
             Column::i64("USED", (0..images.len()).map(|i| i64::from(estimate.used_images.contains(&i))).collect()),
         ],
     )?;
+    let optics = estimator.fitted_optics();
+    if !optics.is_empty() {
+        let numbers = |f: &dyn Fn(&FittedOptic) -> f64| optics.iter().map(f).collect::<Vec<f64>>();
+        file.table(
+            "OPTICS",
+            &[
+                Column::text("KEY", optics.iter().map(FittedOptic::key)),
+                Column::f64("SCENE", "", numbers(&|optic| optic.scene)),
+                Column::f64("VALUE", "", numbers(&|optic| optic.value)),
+                Column::f64("SIGMA", "", numbers(&|optic| optic.sigma)),
+                Column::f64("TOLD", "", numbers(&|optic| optic.told)),
+            ],
+        )?;
+    }
     file.image("COEFFICIENTS", &estimate.image_coefficients_nm, Pixel::F64, "nm")?;
     file.text("SCENE", estimator.scene().text())?;
     file.finish()

@@ -74,7 +74,10 @@ impl Sensitivity {
 }
 
 /// F⁻¹ in the directions that the data see: those above `floor`, a fraction of the strongest.
-fn pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Result<Array2<f64>> {
+///
+/// # Errors
+/// [`crate::Error::Value`] where no direction is seen at all.
+pub(super) fn pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Result<Array2<f64>> {
     // Scaled to a unit diagonal, so that "null" does not depend on the units of a mode.
     let scale = fisher.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });
     let scaled = fisher * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));

@@ -7,7 +7,7 @@
 use crate::imaging::Linear;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array1, Array2, ArrayView2, s};
 use rayon::prelude::*;
 
 /// Rows of a product that are one task. Its lower triangle is wanted: a strip of so many rows computes half a square of
@@ -77,6 +77,21 @@ pub(super) fn products(linear: &Linear, nuisances: Nuisances, weights: &[Vec<f64
         add_products(&tile, weights, first * m, &mut all);
     }
     all.iter_mut().for_each(mirror);
+    all
+}
+
+/// Jᵀ v: how far each of some `vectors` over the pixels lies along the derivatives of the modes, `[mode, vector]`. In tiles of
+/// `tile` rows of pixels.
+pub(super) fn along(linear: &Linear, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
+    let m = linear.pixels();
+    let mut all = Array2::zeros((linear.modes(), vectors.len()));
+    for first in (0..m).step_by(tile) {
+        let rows = first..m.min(first + tile);
+        let tile = derivatives(linear, Nuisances::None, rows.clone());
+        for (vector, mut column) in vectors.iter().zip(all.columns_mut()) {
+            column += &tile.dot(&vector.slice(s![rows.start * m..rows.end * m]));
+        }
+    }
     all
 }
 

@@ -19,6 +19,7 @@ mod diversity_error;
 mod file;
 mod fisher;
 mod fit;
+mod fit_optics;
 mod gauss_newton;
 mod memory;
 mod metrics;
@@ -45,6 +46,7 @@ pub use combine::{Combination, Combined, Estimate};
 pub use diversity_error::HeldDiversity;
 pub use file::write;
 pub use fit::Watch;
+pub use fit_optics::FittedOptic;
 pub use memory::{Memory, Tiles};
 use metrics::Metrics;
 use mode_set::OwnBasis;
@@ -81,6 +83,7 @@ pub struct Estimator {
     /// Covariance that all images share, nm².
     common_nm2: Option<Array2<f64>>,
     own_basis: Arc<OwnBasis>,
+    fitted_optics: Vec<FittedOptic>,
 }
 
 /// What [`Estimator::fit_each`] found.
@@ -104,6 +107,21 @@ fn refuse_budget(scene: &Scene) -> Result<()> {
              estimator takes the scene that the planner makes of this one, or one without a budget"
         ))),
     }
+}
+
+/// That `scene` leaves no optics to be fitted, which an estimator would ignore.
+///
+/// # Errors
+/// [`Error::Scene`].
+fn refuse_fit_optics(scene: &Scene) -> Result<()> {
+    if scene.estimate.fit_optics.is_empty() {
+        return Ok(());
+    }
+    Err(Error::Scene(
+        "estimate.fit_optics asks for images before there is a model, with 'cophase estimate' or estimate::read: an \
+         estimator takes a scene with the numbers that these found"
+            .into(),
+    ))
 }
 
 /// That `scene` asks for static modes, fitted image by image.
@@ -177,6 +195,7 @@ impl Estimator {
 
     fn with_own_basis(scene: &Scene, recipe: Recipe, native: bool, own_basis: Arc<OwnBasis>) -> Result<Self> {
         refuse_budget(scene)?;
+        refuse_fit_optics(scene)?;
         refuse_full_phase(scene)?;
         let model = Model::with_own_basis(scene, &recipe, native, &own_basis)?;
         Ok(Self { own_basis, ..Self::of_model(scene, recipe, model)? })
@@ -188,12 +207,18 @@ impl Estimator {
         let (pistons, tilts) = (Pistons::of(&model)?, Tilts::new(&model)?);
         let common_nm2 = diversity_error::common(&model, scene)?;
         let (scene, own_basis) = (scene.clone(), Arc::default());
-        Ok(Self { scene, recipe, model, judge, metrics, pistons, tilts, common_nm2, own_basis })
+        let fitted_optics = Vec::new();
+        Ok(Self { scene, recipe, model, judge, metrics, pistons, tilts, common_nm2, own_basis, fitted_optics })
     }
 
     /// The model that is compared with the images.
     pub fn model(&self) -> &Model {
         &self.model
+    }
+
+    /// What `estimate.fit_optics` found, in its order; its numbers are those of [`Estimator::scene`].
+    pub fn fitted_optics(&self) -> &[FittedOptic] {
+        &self.fitted_optics
     }
 
     /// How it is fitted.
@@ -308,6 +333,14 @@ impl Estimator {
             Some(common_nm2) => covariance_nm2 + common_nm2,
             None => covariance_nm2,
         }
+    }
+
+    /// Has all images share this covariance too, nm².
+    fn share(&mut self, covariance_nm2: &Array2<f64>) {
+        self.common_nm2 = Some(match &self.common_nm2 {
+            Some(before) => before + covariance_nm2,
+            None => covariance_nm2.clone(),
+        });
     }
 
     fn fitter<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> fit::Fitter<'a> {

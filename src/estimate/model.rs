@@ -67,6 +67,14 @@ impl Model {
         Self::assemble(scene, recipe, native, telescope, &diversity, set)
     }
 
+    /// The model of `beside`, a scene that differs from `scene` by a little of its optics, for the modes of `scene`.
+    pub(super) fn beside(scene: &Scene, beside: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
+        let set = ModeSet::of(scene, scene.modes.segment, recipe, &Telescope::of(scene)?, own)?;
+        let telescope = Telescope::of(beside)?;
+        let diversity = Diversity::of(beside, &telescope)?;
+        Self::assemble(beside, recipe, native, telescope, &diversity, set)
+    }
+
     /// The model of these parts; of `scene`, its image and how the pupil is band-limited.
     pub(super) fn assemble(
         scene: &Scene,

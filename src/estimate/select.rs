@@ -1,7 +1,7 @@
 //! Which basis the images ask for: the smallest that explains them.
 
 use super::mode_set::OwnBasis;
-use super::{Estimate, Estimator, Recipe, Watch};
+use super::{Estimate, Estimator, Recipe, Watch, fit_optics};
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
 use crate::scene::{Sampling, Scene};
@@ -38,7 +38,8 @@ const PILOTS: usize = 6;
 
 /// Estimates the static wavefront behind `cube` with the smallest basis of [`Recipe::ladder`] that explains it, on the
 /// chain that `open` makes for a model. Of a sequence of more than twelve images, six spread over it choose the basis.
-/// Frames with bad pixels are compared at their native sampling: a reduction would smear them.
+/// Frames with bad pixels are compared at their native sampling: a reduction would smear them. Where `estimate.fit_optics`
+/// names optics they are found first, in the largest basis, which is then the estimate's.
 ///
 /// # Errors
 /// Those of [`Estimator::new`], of [`Estimator::estimate`] and of `open`.
@@ -50,6 +51,11 @@ pub fn read(
     watch: &mut Watch,
 ) -> Result<(Estimator, Estimate)> {
     let ladder = Ladder { scene, recipes: Recipe::ladder(scene), cancel };
+    if !scene.estimate.fit_optics.is_empty() {
+        let estimator = fit_optics::estimator(scene, cube, ladder.native(cube), cancel)?;
+        let estimate = ladder.fit(&estimator, cube, open, watch)?;
+        return Ok((estimator, estimate));
+    }
     let count = cube.images_e.dim().0;
     if count > SHORT && ladder.recipes.len() > 1 {
         // In the middles of equal parts of the sequence.

@@ -30,6 +30,8 @@ pub struct HexagonalParameters {
     pub spider_width_m: f64,
     /// Directions of the arms, degrees counter-clockwise from +x: each is a line across the pupil through its centre.
     pub spider_angles_deg: Vec<f64>,
+    /// Rotation of segments and spiders about the axis, degrees counter-clockwise.
+    pub rotation_deg: f64,
 }
 
 impl HexagonalParameters {
@@ -43,6 +45,7 @@ impl HexagonalParameters {
             obscuration_diameter_m: 0.0,
             spider_width_m: 0.0,
             spider_angles_deg: Vec::new(),
+            rotation_deg: 0.0,
         }
     }
 
@@ -72,6 +75,9 @@ impl HexagonalParameters {
         }
         match self.spider_angles_deg.iter().find(|angle| !angle.is_finite()) {
             Some(angle) => value(format!("a spider at {angle} degrees is impossible: a finite angle is needed")),
+            None if !self.rotation_deg.is_finite() => {
+                value(format!("a rotation by {} degrees is impossible: a finite angle is needed", self.rotation_deg))
+            }
             None => Ok(()),
         }
     }
@@ -119,7 +125,8 @@ pub struct Aperture {
 
 impl Aperture {
     /// Hexagonal segments in rings, vertices on ±x, centres √3·side + gap apart; numbered ring by ring from the
-    /// innermost, within a ring by the polar angle of the centre in [0, 2π), counter-clockwise from +x.
+    /// innermost, within a ring by the polar angle of the centre in [0, 2π), counter-clockwise from +x. All of it then turned
+    /// by the rotation.
     ///
     /// # Errors
     /// [`Error::Value`] for lengths that are negative or not finite, a mirror without segments, more than 64 rings, or
@@ -129,16 +136,16 @@ impl Aperture {
         let pitch = 3f64.sqrt() * parameters.segment_side_m + parameters.gap_m;
         let segments: Vec<Segment> = (usize::from(!parameters.central_segment)..=parameters.rings)
             .flat_map(ring)
-            .map(|(q, r)| Segment {
-                x_m: pitch * 3f64.sqrt() / 2.0 * f64::from(q),
-                y_m: pitch * (f64::from(q) / 2.0 + f64::from(r)),
-            })
+            .map(|(q, r)| [pitch * 3f64.sqrt() / 2.0 * f64::from(q), pitch * (f64::from(q) / 2.0 + f64::from(r))])
+            .map(|centre| turned(centre, parameters.rotation_deg))
+            .map(|[x_m, y_m]| Segment { x_m, y_m })
             .collect();
         let disc = disc(parameters.obscuration_diameter_m);
         let spiders = spiders(parameters);
         let mut glass = Vec::with_capacity(segments.len());
         for (index, segment) in segments.iter().enumerate() {
-            let outline = Polygon::regular(6, [segment.x_m, segment.y_m], parameters.segment_side_m);
+            let centre = [segment.x_m, segment.y_m];
+            let outline = Polygon::regular(6, centre, parameters.segment_side_m, parameters.rotation_deg.to_radians());
             let whole = outline.area();
             let lit = Glass::new(outline, disc.as_ref(), &spiders);
             // A sliver this small is rounding left over from the clipping.
@@ -219,10 +226,16 @@ fn ring(radius: usize) -> Vec<(i32, i32)> {
     cells
 }
 
+/// A point turned about the axis; by 0 not even by a rounding.
+fn turned([x, y]: Point, angle_deg: f64) -> Point {
+    let (sin, cos) = angle_deg.to_radians().sin_cos();
+    [cos * x - sin * y, sin * x + cos * y]
+}
+
 /// The polygon that has the area of the obscuration's disc.
 fn disc(diameter: f64) -> Option<Polygon> {
     let step = 2.0 * PI / DISC_SIDES as f64;
-    (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, [0.0; 2], diameter / 2.0 * (step / step.sin()).sqrt()))
+    (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, [0.0; 2], diameter / 2.0 * (step / step.sin()).sqrt(), 0.0))
 }
 
 /// Normal and half width of each arm.
@@ -231,7 +244,7 @@ fn spiders(parameters: &HexagonalParameters) -> Vec<(Point, f64)> {
         return Vec::new();
     }
     let normal = |angle: &f64| {
-        let (sin, cos) = angle.to_radians().sin_cos();
+        let (sin, cos) = (angle + parameters.rotation_deg).to_radians().sin_cos();
         ([-sin, cos], parameters.spider_width_m / 2.0)
     };
     parameters.spider_angles_deg.iter().map(normal).collect()

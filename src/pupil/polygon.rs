@@ -11,10 +11,10 @@ pub(crate) type Point = [f64; 2];
 pub(crate) struct Polygon(pub(crate) Vec<Point>);
 
 impl Polygon {
-    /// The regular polygon of `sides` sides around `centre`, first vertex on the +x side.
-    pub(crate) fn regular(sides: usize, centre: Point, radius: f64) -> Self {
+    /// The regular polygon of `sides` sides around `centre`, its first vertex in the direction `first_rad` from +x.
+    pub(crate) fn regular(sides: usize, centre: Point, radius: f64, first_rad: f64) -> Self {
         let vertex = |i: usize| {
-            let (sin, cos) = (2.0 * PI * i as f64 / sides as f64).sin_cos();
+            let (sin, cos) = (2.0 * PI * i as f64 / sides as f64 + first_rad).sin_cos();
             [centre[0] + radius * cos, centre[1] + radius * sin]
         };
         Self((0..sides).map(vertex).collect())
@@ -135,7 +135,7 @@ mod tests {
         assert_eq!(half.area(), 0.5);
         assert_eq!(square().clip_band(0, 1.5, 2.0).area(), 0.5);
         assert_eq!(square().clip([0.0, 1.0], 4.0), Polygon::default());
-        assert_eq!(square().intersection(&Polygon::regular(4, [1.0, 2.0], 1.0)).area(), 0.5);
+        assert_eq!(square().intersection(&Polygon::regular(4, [1.0, 2.0], 1.0, 0.0)).area(), 0.5);
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! `[modes]` and `[estimate]`: what is estimated, and how.
 
 use super::Purpose;
+use super::lists::Zernikes;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
-    Combine, DeviceChoice, Knows, Method, NcpaBasis, Optimizer, Precision, Sampling, SegmentModes, Weighting, Zernikes,
+    Combine, DeviceChoice, Knows, Method, NcpaBasis, Optic, Optimizer, Precision, Sampling, SegmentModes, Weighting,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -76,6 +77,8 @@ section! {
         memory_gb: f64, above(0.0, 1e6), default(8.0);
         /// Standard deviation of the diversity's amplitude over itself, for the error bars: the NCPA's modes take an error of it for their own.
         diversity_error: f64, between(0.0, 1.0), default(0.0);
+        /// Numbers of the scene that are fitted beside the modes, of up to six of the images together: image.samples_per_lambda_over_d, pupil.rotation_deg, image.diversity_focus_waves_rms.
+        fit_optics: Vec<Optic>, ANY, default([]);
         /// How the images of a sequence become one estimate; outliers are told among 8 images or more.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// The estimator.
@@ -92,13 +95,27 @@ section! {
 impl Check for EstimateScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         match self.method {
-            Method::Modal => reader.refuse(&["knows"], "where estimate.method is \"modal\""),
+            Method::Modal => self.check_modal(reader),
             Method::FullPhase => self.check_full_phase(reader),
         }
     }
 }
 
 impl EstimateScene {
+    fn check_modal(&self, reader: &Reader) -> Result<()> {
+        reader.refuse(&["knows"], "where estimate.method is \"modal\"")?;
+        if self.fit_optics.is_empty() {
+            return Ok(());
+        }
+        // The paper's recipes have no weights by which to tell optics from modes; a plan is made before there are images.
+        if self.optimizer != Optimizer::GaussNewton || self.weighting == Some(Weighting::None) {
+            let sentence =
+                "estimate.fit_optics needs weights by the noise: optimizer = \"gauss-newton\", and weighting left out";
+            return Err(reader.error("fit_optics", sentence));
+        }
+        reader.not_both("budget_nm", "fit_optics")
+    }
+
     /// What an estimator of whole wavefronts has no use for is refused rather than ignored.
     fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
         let modal = [
@@ -108,6 +125,7 @@ impl EstimateScene {
             "restarts",
             "budget_nm",
             "diversity_error",
+            "fit_optics",
             "combine",
         ];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;

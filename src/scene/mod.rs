@@ -15,6 +15,7 @@
 mod adaptive;
 mod edit;
 mod fit;
+mod lists;
 mod reference;
 mod table;
 mod telescope;
@@ -24,11 +25,12 @@ mod words;
 pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
 pub use edit::split_setting;
 pub use fit::{EstimateScene, ModesScene};
+pub use lists::Zernikes;
 pub use reference::reference;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
-    Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Knows, Loop, Method, NcpaBasis, Optimizer,
-    Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting, Zernikes,
+    Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Knows, Loop, Method, NcpaBasis, Optic,
+    Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting,
 };
 
 use crate::{Error, Result};

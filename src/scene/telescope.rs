@@ -1,9 +1,10 @@
 //! `[pupil]`, `[image]` and `[aberrations]`: the telescope, its camera, and the truth of a simulated image.
 
 use super::Purpose;
+use super::lists::Zernikes;
 use super::table::{Check, Reader, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
-use super::words::{Aperture, Crop, PupilModel, Zernikes};
+use super::words::{Aperture, Crop, PupilModel};
 use crate::Result;
 use std::path::PathBuf;
 
@@ -28,6 +29,8 @@ section! {
         spider_width_m: f64, between(0.0, 10.0), default(0.0);
         /// Directions of the spider's lines through the centre, counter-clockwise from +x; two vanes each.
         spider_angles_deg: Vec<f64>, between(-360.0, 360.0), default([0.0, 60.0, 120.0]);
+        /// Rotation of segments and spiders about the axis, counter-clockwise; modes, diversity and mirror stay.
+        rotation_deg: f64, between(-360.0, 360.0), default(0.0);
         /// Side of the square grid; λ/D means λ/grid_m.
         grid_m: Option<f64>, above(0.0, 1000.0), unset("the smallest that holds the pupil");
         /// Samples along a side of the estimator's grid; a file with more is a fine map.
@@ -44,21 +47,27 @@ section! {
 impl PupilScene {
     /// Side of the smallest square, centred on the axis, that holds the hexagons, m; `None` for a pupil from a file.
     ///
-    /// Centres stand `p = √3·side + gap` apart with vertices on ±x, so the outermost of R rings reach `R·p·√3/2 + side`
-    /// along x and `R·p + side·√3/2` along y.
+    /// Centres stand `p = √3·side + gap` apart, the outermost of R rings' corners `R·p` from the axis at 30° + k·60°, and the
+    /// vertices of each hexagon `side` from its centre at k·60°: along u the mirror reaches the largest `R·p·cos` of the
+    /// one and the largest `side·cos` of the other, of the angles to u.
     pub fn extent_m(&self) -> Option<f64> {
         if matches!(self.aperture, Aperture::File(_)) {
             return None;
         }
-        let half_height = 3f64.sqrt() / 2.0; // of a hexagon of side 1
         let (side, reach) =
-            (self.segment_side_m, self.rings as f64 * (2.0 * half_height * self.segment_side_m + self.segment_gap_m));
-        Some(2.0 * f64::max(reach * half_height + side, reach + side * half_height))
+            (self.segment_side_m, self.rings as f64 * (3f64.sqrt() * self.segment_side_m + self.segment_gap_m));
+        // The cosine of the least angle between u and one of six directions, the first of them at `first`.
+        let nearest = |u_deg: f64, first_deg: f64| {
+            let off_deg = (u_deg - first_deg - self.rotation_deg).rem_euclid(60.0);
+            off_deg.min(60.0 - off_deg).to_radians().cos()
+        };
+        let along = |u_deg| reach * nearest(u_deg, 30.0) + side * nearest(u_deg, 0.0);
+        Some(2.0 * f64::max(along(0.0), along(90.0)))
     }
 
     fn check_file(&self, file: &std::path::Path, reader: &Reader) -> Result<()> {
         reader.not_both("aperture", "file")?;
-        let geometry = ["rings", "segment_side_m", "segment_gap_m", "central_segment"];
+        let geometry = ["rings", "segment_side_m", "segment_gap_m", "central_segment", "rotation_deg"];
         let blocked = ["central_obscuration_m", "spider_width_m", "spider_angles_deg"];
         reader.refuse(&[geometry.as_slice(), &blocked].concat(), "where the pupil comes from a file")?;
         if self.grid_m.is_none() && reader.source.purpose == Purpose::Whole {

@@ -55,6 +55,19 @@ words! {
 }
 
 words! {
+    /// A number of the scene that can be fitted beside the modes.
+    #[derive(Copy)]
+    Optic {
+        /// Pixels per λ/D.
+        PlateScale = "plate-scale",
+        /// Rotation of the pupil.
+        Rotation = "rotation",
+        /// Amplitude of the defocus.
+        Defocus = "defocus",
+    }
+}
+
+words! {
     /// How the model samples the pupil.
     #[derive(Copy)]
     PupilModel {
@@ -351,53 +364,6 @@ impl FromToml for Crop {
         match self {
             Self::Auto => "\"auto\"".into(),
             Self::Pixels(pixels) => pixels.to_string(),
-        }
-    }
-}
-
-/// A span of Zernike polynomials by Noll's index (1 is piston).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Zernikes {
-    /// None: `[]` or `"none"`.
-    None,
-    /// All from `first` to `last`: `[first, last]`.
-    Span {
-        /// First Noll index.
-        first: usize,
-        /// Last Noll index, not before `first`.
-        last: usize,
-    },
-}
-
-impl Zernikes {
-    /// The Noll indices, in order.
-    pub fn indices(&self) -> std::ops::Range<usize> {
-        match *self {
-            Self::None => 0..0,
-            Self::Span { first, last } => first..last + 1,
-        }
-    }
-}
-
-impl FromToml for Zernikes {
-    fn accepted(range: &Range) -> String {
-        format!("[first, last] Noll index, first not after last, each{range}, or [] for none")
-    }
-    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
-        if let Some(word) = value.as_str() {
-            return (word == "none").then_some(Self::None);
-        }
-        let ends: Option<Vec<usize>> = value.as_array()?.iter().map(|item| usize::from_toml(item, range)).collect();
-        match *ends?.as_slice() {
-            [] => Some(Self::None),
-            [first, last] if first <= last => Some(Self::Span { first, last }),
-            _ => None,
-        }
-    }
-    fn to_toml(&self) -> String {
-        match self {
-            Self::None => "[]".into(),
-            Self::Span { first, last } => format!("[{first}, {last}]"),
         }
     }
 }

@@ -13,6 +13,28 @@ fn keys(json: &Value) -> Vec<&str> {
 }
 
 #[test]
+fn optics_that_are_fitted_are_told_and_written() {
+    let desk = Desk::with_images(&["image.samples_per_lambda_over_d=2.01"]);
+    let set =
+        ["--set", "image.samples_per_lambda_over_d=2", "--set", "estimate.fit_optics=[\"plate-scale\", \"defocus\"]"];
+    let done = desk.succeeds(&[&["estimate", "images.fits", "-o", "est.fits"], &set[..]].concat());
+    assert!(done.out.contains("image.samples_per_lambda_over_d = 2.01"), "{}", done.out);
+    assert!(done.out.contains("(the scene says 2)"), "{}", done.out);
+    // Zernikes hold the focus.
+    assert!(done.out.contains("image.diversity_focus_waves_rms = 1, as the scene says"), "{}", done.out);
+    assert!(done.err.contains("estimate.fit_optics names \"defocus\", which these images do not tell"), "{}", done.err);
+    let path = desk.path("est.fits");
+    let mut file = FitsReader::open(&path).unwrap();
+    let number = |file: &mut FitsReader, column: &str| file.f64_column("OPTICS", column).unwrap();
+    let (found, sigma) = (number(&mut file, "VALUE"), number(&mut file, "SIGMA"));
+    assert_eq!(number(&mut file, "SCENE"), [2.0, 1.0]);
+    // The model's own error is a tenth of the noise.
+    assert!((found[0] - 2.01).abs() < 5.0 * sigma[0] && sigma[0] < 1e-3 && found[1] == 1.0, "{found:?} {sigma:?}");
+    let scene = text_column(&path, "SCENE", "LINE").join("\n");
+    assert!(scene.contains(&found[0].to_string()), "{scene}");
+}
+
+#[test]
 fn image_estimate_compare() {
     let desk = Desk::with_images(&[]);
     let (json, err) = desk.estimates_well("images.fits", &["--plot", "est.png"]);

@@ -3,6 +3,7 @@
 mod agreement;
 mod arrays;
 mod diversity;
+mod optics;
 mod sequence;
 mod session;
 

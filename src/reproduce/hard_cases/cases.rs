@@ -66,13 +66,24 @@ const WEAK_DEFOCUS: [Settings; 2] = [
     &[("aberrations.segment_piston_rms_nm", "500"), ("image.diversity_focus_waves_rms", "0.5")],
     &[("aberrations.segment_piston_rms_nm", "500"), ("image.diversity_focus_waves_rms", "0.25")],
 ];
+/// Optics that are fitted beside the modes, and how far off the scene is.
+const FITTED: [Settings; 3] = [
+    &[("image.samples_per_lambda_over_d", "1.98"), ("estimate.fit_optics", "[\"plate-scale\"]")],
+    &[("image.samples_per_lambda_over_d", "2.02"), ("estimate.fit_optics", "[\"plate-scale\"]")],
+    &[("image.diversity_focus_waves_rms", "1.575"), ("estimate.fit_optics", "[\"defocus\"]")],
+];
+const TURNED: [Settings; 3] = [
+    &[("pupil.rotation_deg", "1")],
+    &[("pupil.rotation_deg", "0")],
+    &[("pupil.rotation_deg", "0"), ("estimate.fit_optics", "[\"rotation\"]")],
+];
 /// A fit that ends in a wrong minimum stays there.
 const ONE_TRY: Settings = &[("estimate.restarts", "0")];
 /// Each of twenty Zernikes twice.
 const DOUBLED: Settings = &[("modes.ncpa", "zernike"), ("modes.ncpa_count", "20"), ("modes.exact_zernikes", "[2, 21]")];
 
 /// All of them.
-pub static HARD_CASES: [HardCase; 67] = [
+pub static HARD_CASES: [HardCase; 72] = [
     case("nominal", "64 nm pistons, 73 nm NCPA", &[], Spoil::None, &[]),
     strong("pistons 128 nm", &[("aberrations.segment_piston_rms_nm", "128")]),
     strong("pistons 250 nm", &[("aberrations.segment_piston_rms_nm", "250")]),
@@ -129,6 +140,9 @@ pub static HARD_CASES: [HardCase; 67] = [
     ),
     model("plate scale 1 % small", &[], &[("image.samples_per_lambda_over_d", "1.98")]),
     model("plate scale 1 % large", &[], &[("image.samples_per_lambda_over_d", "2.02")]),
+    model("plate scale 1 % small, fitted", &[], FITTED[0]),
+    model("plate scale 1 % large, fitted", &[], FITTED[1]),
+    model("defocus 5 % large, asked for", &[], FITTED[2]),
     model("background 0.1 %", BACKGROUNDS[0], &[]),
     model("background 1 %", BACKGROUNDS[1], &[]),
     model("pixel responses 2 %", &[("image.pixel_response_rms", "0.02")], &[]),
@@ -144,7 +158,9 @@ pub static HARD_CASES: [HardCase; 67] = [
         &[("pupil.central_obscuration_m", "2.48")],
         &[("pupil.central_obscuration_m", "0")],
     ),
-    case("model wrong", "pupil rotated by a degree", &[], Spoil::Rotated(1.0), &[]),
+    case("model wrong", "image rotated by a degree", &[], Spoil::Rotated(1.0), &[]),
+    model("pupil rotated by a degree", TURNED[0], TURNED[1]),
+    model("pupil rotated by a degree, fitted", TURNED[0], TURNED[2]),
     data("image off by 3 pixels", Spoil::Moved(3.0, -2.0)),
     data("image off by half a pixel", Spoil::Moved(0.5, 0.5)),
     data("hot pixel", Spoil::Hot),

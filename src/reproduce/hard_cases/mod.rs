@@ -13,7 +13,7 @@ pub use verdict::Verdict;
 use super::Progress;
 use crate::Result;
 use crate::device::Choice;
-use crate::estimate::{Estimator, Recipe};
+use crate::estimate::{Cube, Estimator, Recipe};
 use crate::imaging::{Chain, Precision};
 use crate::scene::Scene;
 use crate::{Error, estimate};
@@ -47,14 +47,16 @@ pub fn hard_cases(cases: &[HardCase], seeds: usize, progress: &Progress) -> Resu
 fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &Estimator, progress: &Progress) -> Result<Vec<Verdict>> {
     let made = base.with(case.made)?;
     let read = made.with(case.read)?;
-    let judge = like.variant(&read, Recipe::of(&read)).and_then(Judge::new);
+    let fits_optics = !read.estimate.fit_optics.is_empty();
+    let judge = if fits_optics { None } else { Some(like.variant(&read, Recipe::of(&read)).and_then(Judge::new)) };
     let verdict = |number: usize| -> Result<Verdict> {
         progress.check()?;
         let scene = made.with_override("aberrations.seed", &(1 + number).to_string())?;
         let image = spoil::made(&scene, case.spoil)?;
         let verdict = match &judge {
-            Ok(judge) => judged(judge, &image, number, progress),
-            Err(error) => Ok(Verdict::refused(error)),
+            None => judged_with_optics(&read, &image, progress),
+            Some(Ok(judge)) => judged(judge, &image, number, progress),
+            Some(Err(error)) => Ok(Verdict::refused(error)),
         };
         progress.add(1);
         verdict
@@ -88,6 +90,19 @@ fn judged(judge: &Judge, image: &spoil::Made, number: usize, progress: &Progress
         verdict.opencl_nm = off_nm(&mut device).unwrap_or(f64::NAN);
     }
     Ok(verdict)
+}
+
+/// As [`judged`], by an estimator whose optics are those that this image shows; in double precision alone.
+fn judged_with_optics(scene: &Scene, image: &spoil::Made, progress: &Progress) -> Result<Verdict> {
+    let (image_e, bad) = spoil::marked(&image.image_e);
+    let (image_e, bad) = (image_e.insert_axis(Axis(0)), bad.insert_axis(Axis(0)));
+    let cube = Cube { images_e: image_e.view(), bad: bad.view(), read_noise_e: None };
+    let mut open = |estimator: &Estimator| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
+    match estimate::read(scene, cube, &mut open, progress.cancel(), &mut |_, _| {}) {
+        Ok((estimator, found)) => Judge::new(estimator)?.verdict(&found, image),
+        Err(error @ Error::Interrupted(_)) => Err(error),
+        Err(error) => Ok(Verdict::refused(&error)),
+    }
 }
 
 /// What `cophase estimate` makes of the image.

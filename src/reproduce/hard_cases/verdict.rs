@@ -103,7 +103,9 @@ impl Judge {
     /// Of one image's estimate, against what is behind it.
     pub(super) fn verdict(&self, found: &Estimate, made: &Made) -> Result<Verdict> {
         let report = &found.images[0];
-        let unseen = self.has_no_sign || found.degeneracy.null.iter().any(|direction| !direction.is_global_piston());
+        let hidden = self.estimator.fitted_optics().iter().any(|optic| !optic.is_told());
+        let unseen =
+            self.has_no_sign || hidden || found.degeneracy.null.iter().any(|direction| !direction.is_global_piston());
         let word = if report.status == Status::Ok && unseen { "blind" } else { report.status.word() };
         let n = self.estimator.model().segment_modes;
         let covariance = &found.combined.covariance_nm2;

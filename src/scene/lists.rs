@@ -1,0 +1,66 @@
+//! Values that are lists with a grammar of their own.
+
+use super::value::{FromToml, Range};
+use super::words::Optic;
+use toml_edit::Value;
+
+/// A span of Zernike polynomials by Noll's index (1 is piston).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Zernikes {
+    /// None: `[]` or `"none"`.
+    None,
+    /// All from `first` to `last`: `[first, last]`.
+    Span {
+        /// First Noll index.
+        first: usize,
+        /// Last Noll index, not before `first`.
+        last: usize,
+    },
+}
+
+impl Zernikes {
+    /// The Noll indices, in order.
+    pub fn indices(&self) -> std::ops::Range<usize> {
+        match *self {
+            Self::None => 0..0,
+            Self::Span { first, last } => first..last + 1,
+        }
+    }
+}
+
+impl FromToml for Zernikes {
+    fn accepted(range: &Range) -> String {
+        format!("[first, last] Noll index, first not after last, each{range}, or [] for none")
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        if let Some(word) = value.as_str() {
+            return (word == "none").then_some(Self::None);
+        }
+        let ends: Option<Vec<usize>> = value.as_array()?.iter().map(|item| usize::from_toml(item, range)).collect();
+        match *ends?.as_slice() {
+            [] => Some(Self::None),
+            [first, last] if first <= last => Some(Self::Span { first, last }),
+            _ => None,
+        }
+    }
+    fn to_toml(&self) -> String {
+        match self {
+            Self::None => "[]".into(),
+            Self::Span { first, last } => format!("[{first}, {last}]"),
+        }
+    }
+}
+
+impl FromToml for Vec<Optic> {
+    fn accepted(range: &Range) -> String {
+        format!("a list of {}", Optic::accepted(range))
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        let optics: Self = value.as_array()?.iter().map(|item| Optic::from_toml(item, range)).collect::<Option<_>>()?;
+        let twice = (1..optics.len()).any(|i| optics[..i].contains(&optics[i]));
+        (!twice).then_some(optics)
+    }
+    fn to_toml(&self) -> String {
+        format!("[{}]", self.iter().map(FromToml::to_toml).collect::<Vec<_>>().join(", "))
+    }
+}

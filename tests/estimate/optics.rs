@@ -1,0 +1,106 @@
+//! Optics that are not the scene's, fitted beside the modes.
+
+use super::{estimate, promised, residuals, scene};
+use cophase::Error;
+use cophase::estimate::{Cube, Estimator, read};
+use cophase::scene::Scene;
+use cophase::source;
+use ndarray::Array3;
+
+const NO_NCPA: [(&str, &str); 3] =
+    [("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("aberrations.ncpa_rms_nm", "0")];
+
+/// The estimator that `scene` makes of images of `made`; with its residuals and what the error bars promise, nm.
+fn found(made: &Scene, scene: &Scene) -> (Estimator, [f64; 2], [f64; 2]) {
+    let made = source::images(made).unwrap();
+    let (estimator, found) = estimate(scene, &made.images_e, &made.images_e.mapv(|_| false));
+    let (residuals, promised) = (residuals(&estimator, &found, &made), promised(&estimator, &found));
+    (estimator, residuals, promised)
+}
+
+#[test]
+fn plate_scale_and_rotation_are_found_with_error_bars() {
+    let made = scene(&[("image.samples_per_lambda_over_d", "3.02"), ("pupil.rotation_deg", "0.6")]);
+    // A truth on a pupil that is turned against the estimate's cannot be held against it.
+    let (_, unaware_nm, _) = found(&made, &scene(&[("pupil.rotation_deg", "0.6")]));
+    let asked = scene(&[("estimate.fit_optics", "[\"plate-scale\", \"rotation\"]")]);
+    let (estimator, residual_nm, promised_nm) = found(&made, &asked);
+    let optics = estimator.fitted_optics();
+    for (optic, (own, truth)) in optics.iter().zip([(3.0, 3.02), (0.0, 0.6)]) {
+        assert!(optic.is_told() && optic.scene == own && optic.told > 0.1, "{optic:?}");
+        // Four error bars, each far below what was off.
+        assert!((optic.value - truth).abs() < 4.0 * optic.sigma, "{optic:?}");
+        assert!(optic.sigma < 0.01 * (truth - own), "{optic:?}");
+    }
+    // Half as much again as the error bars: a draw of a few tens of modes.
+    for (residual_nm, promised_nm) in residual_nm.iter().zip(promised_nm) {
+        assert!(*residual_nm < 1.5 * promised_nm, "{residual_nm} {promised_nm}");
+    }
+    assert!(unaware_nm[1] > 10.0 * residual_nm[1], "{unaware_nm:?}: nothing was wrong without");
+    // What was found is in the scene, which asks for no more.
+    let scene = estimator.scene();
+    assert_eq!([scene.image.samples_per_lambda_over_d, scene.pupil.rotation_deg], [optics[0].value, optics[1].value]);
+    assert!(scene.estimate.fit_optics.is_empty());
+}
+
+#[test]
+fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
+    // As it is sampled where a plate scale is fitted.
+    let own = scene(&[("estimate.sampling", "native")]);
+    let made = source::images(&own).unwrap();
+    let bad = made.images_e.mapv(|_| false);
+    let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);
+    let (estimator, fitted) = read(&own.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap());
+    let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
+    let at = |value: f64| read(&own.with(&[(optic.key(), &value.to_string())]).unwrap()).1.combined;
+    // The modes of two plate scales, which are taken for known, forty error bars either way: the samplings of models that are
+    // nearer to each other differ by as much (0.01 nm).
+    let known = at(optic.value);
+    let [below, above] = [-40.0, 40.0].map(|sigmas| at(optic.value + sigmas * optic.sigma).coefficients_nm);
+    let more_nm2 = (&fitted.combined.covariance_nm2 - &known.covariance_nm2).diag().to_vec();
+    let moved_nm: Vec<f64> = below.iter().zip(&above).map(|(below, above)| (above - below) / 80.0).collect();
+    let largest = moved_nm.iter().fold(0.0f64, |most, nm| most.max(nm.abs()));
+    assert!(largest > 0.005, "{moved_nm:?}: the plate scale moves nothing");
+    // Those differences and a step tolerance of 0.001 nm, over eighty.
+    for (more_nm2, moved_nm) in more_nm2.iter().zip(&moved_nm) {
+        assert!((more_nm2.max(0.0).sqrt() - moved_nm.abs()).abs() < 0.02 * largest, "{more_nm2} {moved_nm}");
+    }
+}
+
+#[test]
+fn a_defocus_is_found_only_where_no_mode_holds_it() {
+    let made = scene(&[("image.diversity_focus_waves_rms", "0.82")]);
+    let asked = ("estimate.fit_optics", "[\"defocus\"]");
+    let (estimator, _, _) = found(&made, &scene(&[asked]));
+    let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
+    assert!(!optic.is_told() && optic.value == 0.8 && optic.told < 1e-5, "{optic:?}");
+    let (estimator, residual_nm, promised_nm) =
+        found(&made.with(&NO_NCPA).unwrap(), &scene(&[asked]).with(&NO_NCPA).unwrap());
+    let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
+    assert!(optic.is_told() && (optic.value - 0.82).abs() < 4.0 * optic.sigma, "{optic:?}");
+    // Seven pistons scatter more about their error bars than a hundred modes.
+    assert!(residual_nm[0] < 2.5 * promised_nm[0], "{residual_nm:?} {promised_nm:?}");
+}
+
+#[test]
+fn what_cannot_be_fitted_is_refused_in_a_sentence() {
+    let asked = |what: &str| scene(&[("estimate.fit_optics", what)]);
+    let sentence = |outcome: cophase::Result<()>| match outcome {
+        Err(Error::Scene(sentence) | Error::Image(sentence)) => sentence,
+        other => panic!("{other:?}"),
+    };
+    // There is no image yet.
+    let early = sentence(Estimator::new(&asked("[\"rotation\"]"), false).map(|_| ()));
+    assert!(early.contains("asks for images before there is a model"), "{early}");
+    let with = |settings: &[(&str, &str)]| sentence(asked("[\"rotation\"]").with(settings).map(|_| ()));
+    assert!(with(&[("estimate.optimizer", "bfgs")]).contains("needs weights by the noise"));
+    assert!(with(&[("estimate.budget_nm", "1")]).contains("fit_optics"));
+    assert!(with(&[("estimate.method", "full-phase")]).contains("fit_optics"));
+    assert!(with(&[("estimate.fit_optics", "[\"rotation\", \"rotation\"]")]).contains("\"plate-scale\""));
+    // An image that shows nothing of them.
+    let images_e = Array3::from_elem((1, 132, 132), 100.0);
+    let bad = images_e.mapv(|_| false);
+    let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
+    let nothing = read(&asked("[\"rotation\"]"), cube, &mut |_| panic!("no chain is needed"), None, &mut |_, _| {});
+    assert!(sentence(nothing.map(|_| ())).contains("100"));
+}
