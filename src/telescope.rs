@@ -268,3 +268,28 @@ fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
         .map_err(|error| Error::Internal(error.to_string()))?;
     Ok(Pupil { grid, amplitude, owner: owners, segments: fine.pupil().segments.clone() })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn amplitudes_are_shared_out_over_the_light_or_refused() {
+        let scene = Scene::preset("keck-artificial").unwrap();
+        let telescope = Telescope::of(&scene.with(&[("pupil.rings", "1")]).unwrap()).unwrap();
+        let alike = telescope.clone().with_amplitudes(vec![3.0; 6]).unwrap();
+        // Equal areas: equal amplitudes are 1, whatever their unit; rounding.
+        assert!(alike.amplitudes().iter().all(|amplitude| (amplitude - 1.0).abs() < 1e-12));
+        let refused = |amplitudes: Vec<f64>| match telescope.clone().with_amplitudes(amplitudes) {
+            Err(Error::Value(sentence)) => sentence,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(refused(vec![1.0; 5]), "5 amplitudes were given for 6 segments: one each is needed");
+        for (bad, word) in [(0.0, "0"), (-1.0, "-1"), (f64::NAN, "NaN"), (f64::INFINITY, "inf")] {
+            let mut amplitudes = vec![1.0; 6];
+            amplitudes[4] = bad;
+            let sentence = refused(amplitudes);
+            assert!(sentence.contains(&format!("reflects {word} of the mean")), "{sentence}");
+        }
+    }
+}
