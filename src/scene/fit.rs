@@ -101,15 +101,7 @@ impl Check for EstimateScene {
 impl EstimateScene {
     /// What an estimator of whole wavefronts has no use for is refused rather than ignored.
     fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
-        let modal = [
-            "weighting",
-            "max_evaluations",
-            "step_tolerance_nm",
-            "restarts",
-            "budget_nm",
-            "diversity_error",
-            "combine",
-        ];
+        let modal = ["weighting", "max_evaluations", "step_tolerance_nm", "restarts", "budget_nm", "combine"];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(
