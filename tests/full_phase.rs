@@ -1,7 +1,9 @@
 //! Full-phase estimates of a small telescope: what they take of the scene, and what corrections do to the true errors behind
 //! the exposures that they were estimated from, by which their order and their sign are told.
 
+use cophase::Error;
 use cophase::ao::{Sensor, Stepper};
+use cophase::io::{FitsWriter, Pixel};
 use cophase::modes::Samples;
 use cophase::scene::{Precision, Scene};
 use cophase::sky::{Commands, SkyImages, read};
@@ -60,6 +62,34 @@ fn what_is_for_static_modes_alone_is_refused() {
         let named = sentence.contains(key) && sentence.contains("estimate.method = \"full-phase\"");
         assert!(named || sentence.contains("where estimate.method is \"full-phase\""), "{sentence}");
         assert!(sentence.ends_with("leave it out") && !sentence.contains('\n'), "{sentence}");
+    }
+}
+
+/// Before any image is looked at: these are empty.
+#[test]
+fn an_error_of_a_diversity_that_no_mode_holds_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("ripples.fits");
+    let mut file = FitsWriter::create(&path).unwrap();
+    // 24 cycles across the grid, where the modes that ten lenslets tell apart have nine zeros across the pupil.
+    let ripples = Array2::from_shape_fn((96, 96), |(_, x)| 1500.0 * (std::f64::consts::TAU * x as f64 / 4.0).cos());
+    file.image("PRIMARY", &ripples, Pixel::F64, "nm").unwrap();
+    file.finish().unwrap();
+    let path = path.display().to_string();
+    let unsure = [("estimate.method", "full-phase"), ("estimate.diversity_error", "0.02")];
+    let ripples = [("image.diversity_focus_waves_rms", ""), ("image.diversity_file", &*path)];
+    let images_e = Array3::zeros((3, 72, 80));
+    for settings in [&ripples[..], &[("image.diversity_focus_waves_rms", "0")]] {
+        let scene = Scene::from_file(sky()).unwrap().with(&[settings, &unsure].concat()).unwrap();
+        let bad = images_e.mapv(|_| false);
+        let images = SkyImages { images_e: images_e.clone(), bad, read_noise_e: None, slopes_mas: None };
+        match read(&scene, &images, None, &|_| {}).map(|_| ()) {
+            Err(Error::Scene(sentence)) => {
+                assert!(sentence.starts_with("estimate.diversity_error = 0.02 needs modes"), "{sentence}");
+                assert!(sentence.contains("hold a focus"), "{sentence}");
+            }
+            other => panic!("{other:?}"),
+        }
     }
 }
 

@@ -308,7 +308,8 @@ pub unsafe extern "C" fn cophase_full_phase_maps_nm(
 }
 
 /// How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
-/// `*images`; 0 where they are there. Infinity asks nothing.
+/// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_VALUE where estimate.diversity_error alone makes
+/// more: all images share it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_full_phase_images_needed(
     full_phase: *const cophase_full_phase,
@@ -325,7 +326,7 @@ pub unsafe extern "C" fn cophase_full_phase_images_needed(
                     )));
                 }
             }
-            put(images, "images", found.pass()?.further_images([phasing_nm, ncpa_nm]) as u64)
+            put(images, "images", found.pass()?.further_images([phasing_nm, ncpa_nm])? as u64)
         })
     }
 }

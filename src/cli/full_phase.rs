@@ -162,16 +162,21 @@ fn table(name: &str, found: &FullPhase, residual: Option<&Residual>) -> Result<S
         let residual = residual.map(|residual| format!("{:>16.3}", residual.rms_nm[i])).unwrap_or_default();
         text += &format!("{what:<12}{:>10.3}{:>12.3}{residual}\n", rms_nm[i], pass.expected_nm[i]);
     }
-    let further = pass.further_images([pass.expected_nm[0] / 2.0, pass.expected_nm[1] / 2.0]);
+    let further = match pass.further_images([pass.expected_nm[0] / 2.0, pass.expected_nm[1] / 2.0]) {
+        Ok(further) => format!("Half the error bars take {further} more images."),
+        Err(_) => "No number of images halves the error bars: they hold estimate.diversity_error.".into(),
+    };
+    let of_diversity = report::of_diversity(&pass.diversity, &found.scene).unwrap_or_default();
     Ok(text
         + &format!(
-            "\nRMS over the pupil, tip and tilt removed. Reduced χ² {:.2}. Half the error bars take {further} more images.\n\
+            "\nRMS over the pupil, tip and tilt removed. Reduced χ² {:.2}. {further}\n\
              {:.1} s, {:.1} of them in {} retrievals.\n",
             pass.reduced_chi2,
             found.seconds,
             found.retrieval_seconds,
             found.reports.len() * found.passes.len(),
-        ))
+        )
+        + &of_diversity)
 }
 
 fn picture(name: &str, found: &FullPhase, known: Option<&(Truth, Residual)>) -> Result<EstimatePicture> {

@@ -2,6 +2,7 @@
 
 use super::Estimator;
 use super::combine::{Combined, centre, is_sequence, of_few};
+use super::diversity_error::within_reach;
 use super::pistons::Pistons;
 use super::sequence::{median, scatter, shrinkage_of_variance};
 use super::session::Session;
@@ -154,13 +155,7 @@ impl Accumulator {
             [(Group::Segment, now.phasing_sigma_nm, phasing_nm), (Group::Ncpa, now.ncpa_sigma_nm, ncpa_nm)]
         {
             let shared_nm2 = shared(group);
-            if wanted_nm.powi(2) <= shared_nm2 {
-                return Err(Error::Value(format!(
-                    "an error of {wanted_nm} nm is out of reach of any number of images: estimate.diversity_error alone makes \
-                     {:.3} nm",
-                    shared_nm2.sqrt()
-                )));
-            }
+            within_reach(wanted_nm, shared_nm2)?;
             let averaged_nm2 = (sigma_nm.powi(2) - shared_nm2).max(0.0);
             ratio = ratio.max((averaged_nm2 / (wanted_nm.powi(2) - shared_nm2)).sqrt());
         }

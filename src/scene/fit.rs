@@ -118,16 +118,8 @@ impl EstimateScene {
 
     /// What an estimator of whole wavefronts has no use for is refused rather than ignored.
     fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
-        let modal = [
-            "weighting",
-            "max_evaluations",
-            "step_tolerance_nm",
-            "restarts",
-            "budget_nm",
-            "diversity_error",
-            "fit_optics",
-            "combine",
-        ];
+        let modal =
+            ["weighting", "max_evaluations", "step_tolerance_nm", "restarts", "budget_nm", "fit_optics", "combine"];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(

@@ -1,6 +1,7 @@
 //! The full-phase estimate of a sequence: images in, static errors with error bars out, and their file.
 
 use super::found::FullPhase;
+use super::ncpa::check_diversity;
 use super::optics_fit;
 use super::passes::{Pass, PassRecipe, find_statics};
 use super::{RetrievalRecipe, RetrievalReport, RetrievedPhases, Retriever, Spectrum, Unknown};
@@ -125,7 +126,11 @@ pub fn read(
             scene.modes.segment.word()
         )));
     }
-    let knows = knows(scene, images.slopes_mas.is_some())?;
+    let recipe = PassRecipe { knows: knows(scene, images.slopes_mas.is_some())?, ..PassRecipe::default() };
+    let knows = recipe.knows;
+    if let Some(&coarsest) = recipe.families.first() {
+        check_diversity(coarsest, scene, &Telescope::of(scene)?)?;
+    }
     let slopes_mas = images.slopes_mas.as_ref().filter(|_| knows >= Knows::Telemetry);
     let own_sensor = slopes_mas.map_or(Ok(()), |slopes_mas| check_slopes(scene, &Telescope::of(scene)?, slopes_mas));
     // Slopes of another number of subapertures may be those behind the pupil that the images show.
@@ -154,7 +159,6 @@ pub fn read(
     let retriever = Retriever::with_telescope(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
     let cube = (&images.images_e, &images.bad, images.read_noise_e);
     let mut source = RetrievedPhases::new(&retriever, &prior, cube, images.slopes_mas.clone(), cancel, watch)?;
-    let recipe = PassRecipe { knows, ..PassRecipe::default() };
     let passes = find_statics(&static_scene, &mut source, &recipe, cancel)?;
     let (reports, retrieval_seconds) = (std::mem::take(&mut source.reports), source.seconds);
     let (pupil, seconds) = (Telescope::of(&static_scene)?.pupil, started.elapsed().as_secs_f64());

@@ -60,8 +60,7 @@ impl FullPhase {
     /// As [`FullPhase::result`].
     pub fn settled(&self) -> Result<bool> {
         let (pass, recipe) = (self.result()?, PassRecipe::default());
-        let changed = |i: usize| pass.changed_nm[i] >= recipe.settled * pass.expected_nm[i];
-        Ok(self.passes.len() < recipe.max_passes || !(0..2).any(changed))
+        Ok(self.passes.len() < recipe.max_passes || !pass.moved(recipe.settled))
     }
 
     /// Whether the typical image's residual is more than the noise and what the model cannot know.

@@ -5,6 +5,7 @@ use super::evidence::Family;
 use super::passes::{Pass, coefficients};
 use super::sequence::Sequence;
 use super::statics::{NcpaModes, StaticErrors};
+use crate::estimate::HeldDiversity;
 use crate::metrics::MapGram;
 use crate::modes::SmoothBasis;
 use crate::pupil::Pupil;
@@ -24,6 +25,9 @@ pub(super) struct Ncpa {
     maps: Array3<f64>,
     segments: usize,
     gram: [MapGram; 2],
+    diversity: HeldDiversity,
+    /// Covariance of the modes, nm², that an error of the diversity makes in all images alike; none where it is known.
+    shared_nm2: Option<Array2<f64>>,
 }
 
 impl Ncpa {
@@ -37,7 +41,10 @@ impl Ncpa {
         let modes = NcpaModes::of(family, scene, telescope)?;
         let at_all = modes.basis.evaluate(&lit.xs_m, &lit.ys_m)?;
         let pupil = &telescope.pupil;
-        let smooth = modes.basis.sampled(pupil)?.maps();
+        let sampled = modes.basis.sampled(pupil)?;
+        let diversity = HeldDiversity::of(scene, telescope, &sampled, 0)?;
+        let shared_nm2 = shared_nm2(&diversity, scene)?;
+        let smooth = sampled.maps();
         let pistons = crate::modes::SegmentModes::Piston.maps(pupil)?.maps();
         let gram = [MapGram::new(pupil, pistons.view())?, MapGram::new(pupil, smooth.view())?];
         let segments = pistons.len_of(Axis(0));
@@ -52,13 +59,15 @@ impl Ncpa {
             maps,
             segments,
             gram,
+            diversity,
+            shared_nm2,
         })
     }
 
     /// What a pass found, as maps with their error bars; `about` is the static wavefront about which its phases were sought.
     pub(super) fn pass(
         &self,
-        errors: StaticErrors,
+        mut errors: StaticErrors,
         pupil: &Pupil,
         about: Option<Array1<f64>>,
         sequence: &Sequence,
@@ -68,9 +77,18 @@ impl Ncpa {
         let ranges = [0..self.segments, self.segments..coefficients.len()];
         let map = |range: &std::ops::Range<usize>| self.map(&coefficients, range.clone(), pupil);
         let [phasing_nm, ncpa_nm] = [map(&ranges[0]), map(&ranges[1])];
+        let expected = |covariance_nm2: &Array2<f64>| -> Result<[f64; 2]> {
+            let of =
+                |i: usize| self.gram[i].expected_rms_nm(covariance_nm2.slice(s![ranges[i].clone(), ranges[i].clone()]));
+            Ok([of(0)?, of(1)?])
+        };
+        let averaged_nm = expected(&errors.covariance_nm2)?;
+        if let Some(shared_nm2) = &self.shared_nm2 {
+            let mut ncpa_nm2 = errors.covariance_nm2.slice_mut(s![self.segments.., self.segments..]);
+            ncpa_nm2 += shared_nm2;
+        }
+        let expected_nm = expected(&errors.covariance_nm2)?;
         let part = |range: &std::ops::Range<usize>| errors.covariance_nm2.slice(s![range.clone(), range.clone()]);
-        let expected_nm = [0, 1].map(|i| self.gram[i].expected_rms_nm(part(&ranges[i])));
-        let [phasing_expected, ncpa_expected] = expected_nm;
         let sigma = |range: &std::ops::Range<usize>| self.sigma(part(range), range.clone(), pupil);
         let changed_nm = match about.filter(|about| about.len() == coefficients.len()) {
             None => [f64::NAN; 2],
@@ -87,8 +105,10 @@ impl Ncpa {
             ncpa_names: self.basis.names().to_vec(),
             phasing_sigma_nm: sigma(&ranges[0]),
             ncpa_sigma_nm: sigma(&ranges[1]),
-            expected_nm: [phasing_expected?, ncpa_expected?],
+            expected_nm,
+            averaged_nm,
             changed_nm,
+            diversity: self.diversity.clone(),
             used_images: sequence.used.clone(),
             reduced_chi2: sequence.reduced_chi2,
             residual_rms_nm,
@@ -121,6 +141,28 @@ impl Ncpa {
             pupil,
         )
     }
+}
+
+/// What an error of the diversity makes of the modes that hold it.
+fn shared_nm2(diversity: &HeldDiversity, scene: &Scene) -> Result<Option<Array2<f64>>> {
+    let fraction = scene.estimate.diversity_error;
+    let left = 100.0 * diversity.outside;
+    let remedy =
+        format!("the full-phase estimate's Zernike polynomials leave {left:.0} % of this one, and hold a focus");
+    (fraction > 0.0).then(|| diversity.covariance_nm2(fraction, &remedy)).transpose()
+}
+
+/// Refuses a scene whose diversity is known to a fraction and is nothing that modes of `family` hold, before any image is
+/// read.
+///
+/// # Errors
+/// [`Error::Scene`]; those of making the modes.
+pub(super) fn check_diversity(family: Family, scene: &Scene, telescope: &Telescope) -> Result<()> {
+    if scene.estimate.diversity_error > 0.0 {
+        let sampled = NcpaModes::of(family, scene, telescope)?.basis.sampled(&telescope.pupil)?;
+        shared_nm2(&HeldDiversity::of(scene, telescope, &sampled, 0)?, scene)?;
+    }
+    Ok(())
 }
 
 fn outside_to_nan(mut map: Array2<f64>, pupil: &Pupil) -> Array2<f64> {

@@ -10,6 +10,7 @@ use super::sensor::SensorModel;
 use super::sequence::Sequence;
 use super::statics::{StaticErrors, StaticModel};
 use super::{LitSamples, ResidualCovariance, Spectrum};
+use crate::estimate::{HeldDiversity, within_reach};
 use crate::optimize::CancelFlag;
 use crate::scene::{Knows, Scene};
 use crate::telescope::Telescope;
@@ -107,6 +108,8 @@ pub struct Pass {
     pub ncpa_sigma_nm: Array2<f64>,
     /// RMS over the pupil that the residuals are expected to have, phasing and NCPA, piston, tip and tilt removed, nm.
     pub expected_nm: [f64; 2],
+    /// Likewise without what all images and passes share: an error of the diversity (`estimate.diversity_error`).
+    pub averaged_nm: [f64; 2],
     /// By how much both differ from the static wavefront about which the phases were sought, RMS, nm; NaN for the first.
     pub changed_nm: [f64; 2],
     /// The images that were used.
@@ -115,6 +118,8 @@ pub struct Pass {
     pub reduced_chi2: f64,
     /// RMS of the wavefront about its mean, nm.
     pub residual_rms_nm: f64,
+    /// The diversity as the NCPA's modes hold it.
+    pub diversity: HeldDiversity,
     /// What the mean phase still holds of tilts of single segments; of the last pass.
     pub segment_tilts: Option<SegmentTilts>,
 }
@@ -122,9 +127,24 @@ pub struct Pass {
 impl Pass {
     /// Further images like these after which the expected residuals are `wanted_nm`, phasing and NCPA: the variance of a
     /// mean falls as their number.
-    pub fn further_images(&self, wanted_nm: [f64; 2]) -> usize {
-        let factor = (0..2).map(|i| (self.expected_nm[i] / wanted_nm[i]).powi(2)).fold(1.0, f64::max);
-        ((factor - 1.0) * self.used_images.len() as f64).ceil() as usize
+    ///
+    /// # Errors
+    /// [`Error::Value`] where no number of them gets there, for all share an error of the diversity.
+    pub fn further_images(&self, wanted_nm: [f64; 2]) -> Result<usize> {
+        let mut factor = 1.0f64;
+        for (i, wanted_nm) in wanted_nm.into_iter().enumerate() {
+            let averaged_nm = self.averaged_nm[i];
+            let shared_nm2 = (self.expected_nm[i].powi(2) - averaged_nm.powi(2)).max(0.0);
+            within_reach(wanted_nm, shared_nm2)?;
+            factor = factor.max((averaged_nm / (wanted_nm.powi(2) - shared_nm2).sqrt()).powi(2));
+        }
+        Ok(((factor - 1.0) * self.used_images.len() as f64).ceil() as usize)
+    }
+
+    /// Whether it changed phasing or NCPA by no less than the fraction `settled` of what is averaged in their error bars: what
+    /// all passes share says nothing of what further ones change.
+    pub(super) fn moved(&self, settled: f64) -> bool {
+        (0..2).any(|i| self.changed_nm[i] >= settled * self.averaged_nm[i])
     }
 }
 
@@ -193,7 +213,8 @@ pub fn find_statics(
         let errors = errors.widened(shares);
         let pass = ncpa.pass(errors, &search.telescope.pupil, about, &sequence, residual.rms_nm())?;
         found = Some(search.shown(&ncpa, &path.depart(), &pass.errors)?);
-        let settled = (0..2).all(|i| pass.changed_nm[i] < recipe.settled * pass.expected_nm[i]);
+        // The first changed nothing that was there before.
+        let settled = !pass.changed_nm.iter().any(|nm| nm.is_nan()) && !pass.moved(recipe.settled);
         // Without telemetry turbulence that did not average out goes on, too.
         let goes_on = telemetry && pass.errors.highest_nm(ncpa.groups.len()) > GOES_ON_NM;
         passes.push(pass);

@@ -23,6 +23,10 @@ fn highest_order(scene: &Scene, wanted: usize) -> usize {
 /// What nobody knows anything about (the mean phase, tip and tilt), nm: more than a model's whole range.
 const UNKNOWN_NM: f64 = 1e4;
 
+/// Pistons as nobody has corrected them, nm: what is left of those that images do not tell, their mean and the plane through
+/// them, by an estimate that corrected the others.
+const UNTOUCHED_NM: f64 = 30.0;
+
 /// Where the search for the strength of a group begins, nm.
 const START_NM: f64 = 30.0;
 
@@ -201,8 +205,10 @@ impl StaticModel {
         for (group, nm) in groups.iter_mut().zip(before.iter().flat_map(|errors| &errors.strengths_nm)) {
             group.variance_nm2 = nm * nm;
         }
+        let strongest = strongest(&information, &b, &groups)?;
+        let pistons_nm = strongest.strengths_nm[0];
         let Evidence { coefficients_nm, covariance_nm2, log_evidence, strengths_nm } =
-            strongest(&information, &b, &groups)?;
+            strongest.corrected_before(self.segments, pistons_nm, UNTOUCHED_NM)?;
         let (ncpa, last) = (self.segments + self.ncpa, coefficients_nm.len() - 1);
         let mut followed_nm = coefficients_nm.slice(s![ncpa..last]).to_vec();
         followed_nm.resize(self.ncpa, 0.0);

@@ -119,7 +119,7 @@ mod tests {
     use crate::ao::Progress;
     use crate::metrics::residual_nm;
     use crate::scene::{Knows, Scene};
-    use crate::sky::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
+    use crate::sky::{Commands, Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
 
     /// Phases that are known from the start.
     struct Known(LitSamples, Option<Measured>);
@@ -199,5 +199,61 @@ mod tests {
             );
         }
         assert!(telemetry[0] < 15.0 && telemetry[1] < 10.0, "64 and 73 nm were put in");
+    }
+
+    /// All images and passes share it: neither the estimate, nor when passes end, nor what further images bring hangs on it.
+    #[test]
+    fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
+        let (simulator, run) = run();
+        let phase_nm = run.phases_nm().unwrap();
+        let fraction = 0.1;
+        let find = |scene: &Scene| -> Pass {
+            let reduced_chi2 = vec![1.0; phase_nm.nrows()];
+            let measured = Measured { phase_nm: phase_nm.clone(), reduced_chi2, slopes_mas: None };
+            let recipe = PassRecipe { knows: Knows::Loop, ..PassRecipe::default() };
+            find_statics(scene, &mut Known(run.lit().clone(), Some(measured)), &recipe, None).unwrap().pop().unwrap()
+        };
+        let known = simulator.scene();
+        let (sure, mut unsure) = (find(known), find(&known.with_override("estimate.diversity_error", "0.1").unwrap()));
+        assert_eq!(sure.coefficients_nm(), unsure.coefficients_nm());
+        assert_eq!((sure.averaged_nm, sure.expected_nm), (unsure.averaged_nm, sure.averaged_nm));
+
+        // A focus is Noll's 4, the third of the modes, and of 1.5 waves RMS over the finest pupil: a part in a hundred.
+        let segments = sure.errors.pistons_nm.len();
+        let (rms_nm, along_nm) = (1.5 * known.image.wavelength_nm, &sure.diversity.coefficients_nm);
+        assert!((along_nm[2].abs() / rms_nm - 1.0).abs() < 0.01 && sure.diversity.is_held(), "{:?}", sure.diversity);
+        let more_nm2 = &unsure.errors.covariance_nm2 - &sure.errors.covariance_nm2;
+        let along = |mode: usize| if mode < segments { 0.0 } else { fraction * along_nm[mode - segments] };
+        // Rounding of variances of some 10⁵ nm².
+        let off_nm2 = more_nm2.indexed_iter().map(|((i, j), nm2)| (nm2 - along(i) * along(j)).abs());
+        assert!(off_nm2.fold(0.0, f64::max) < 1e-9);
+        // 7 segments and their neighbourhood on 60 samples: the diversity of the map, to as much of it as modes do not hold.
+        let diversity = crate::telescope::Diversity::of(known, simulator.telescope()).unwrap();
+        let grid = simulator.telescope().pupil.grid;
+        for ((y, x), sigma_nm) in unsure.ncpa_sigma_nm.indexed_iter().filter(|(_, nm)| nm.is_finite()) {
+            let more_nm = (sigma_nm.powi(2) - sure.ncpa_sigma_nm[[y, x]].powi(2)).sqrt();
+            let shown_nm = fraction * diversity.at(grid.coordinate_m(x), grid.coordinate_m(y)).abs();
+            assert!((more_nm - shown_nm).abs() < 0.01 * fraction * rms_nm, "{more_nm} {shown_nm}");
+        }
+        let shared_nm = (unsure.expected_nm[1].powi(2) - sure.expected_nm[1].powi(2)).sqrt();
+        assert!((shared_nm / (fraction * rms_nm) - 1.0).abs() < 0.01, "{shared_nm}");
+        assert_eq!(unsure.expected_nm[0], sure.expected_nm[0]);
+
+        // Twice what is averaged moved, which is a tenth of the error bar.
+        unsure.changed_nm = [0.0, 2.0 * unsure.averaged_nm[1]];
+        assert!(unsure.moved(0.25) && unsure.changed_nm[1] < unsure.expected_nm[1]);
+        // Four times the images halve what is averaged, and nothing the rest.
+        let half_nm = [f64::INFINITY, shared_nm.hypot(sure.expected_nm[1] / 2.0)];
+        let count = unsure.used_images.len();
+        // Rounded up, from a difference of squares.
+        assert!((3 * count..=3 * count + 1).contains(&unsure.further_images(half_nm).unwrap()));
+        let sentence = unsure.further_images([f64::INFINITY, 0.9 * shared_nm]).unwrap_err().to_string();
+        assert!(sentence.contains("out of reach"), "{sentence}");
+
+        // Do no harm: the focus is under its error bar, and nothing else is.
+        let corrected = |pass: &Pass| Commands::of(known, pass, None).unwrap();
+        let [all, but_focus] = [&sure, &unsure].map(corrected);
+        assert_eq!(all.corrected_modes, but_focus.corrected_modes + 1);
+        assert_eq!(all.pistons_nm, but_focus.pistons_nm);
     }
 }

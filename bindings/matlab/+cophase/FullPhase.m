@@ -122,7 +122,8 @@ classdef FullPhase < cophase.Handle
         function images = imagesNeeded(self, phasing_nm, ncpa_nm)
             %IMAGESNEEDED  How many more images an accuracy asks for.
             %   n = f.imagesNeeded(phasing_nm, ncpa_nm) returns the number of further images like those of the last
-            %   estimate until both error bars, RMS over the pupil, are at most these. Inf asks nothing of one.
+            %   estimate until both error bars, RMS over the pupil, are at most these. Inf asks nothing of one. An error
+            %   below what estimate.diversity_error alone makes is refused: all images share it.
             %
             %   Example:
             %       n = f.imagesNeeded(4, Inf);

@@ -278,6 +278,11 @@ class FullPhase(Handle):
         """How many further images like those of the last estimate bring both error bars down to these.
 
         nm RMS over the pupil. 0 where they are there. Infinity asks nothing.
+
+        Raises
+        ------
+        BadValueError
+            Where ``estimate.diversity_error``, which all images share, alone makes more.
         """
         return scalar("uint64_t", lib.cophase_full_phase_images_needed, self._handle, phasing_nm, ncpa_nm)
 

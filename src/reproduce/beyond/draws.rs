@@ -150,7 +150,9 @@ fn modal(reader: &Scene) -> Result<Scene> {
     let settings = [("estimate.method", "modal"), ("estimate.knows", ""), ("wavefront_sensor.slope_gain", "1.0")];
     let still = [("wavefront_sensor.shift_subapertures", "[0.0, 0.0]"), ("turbulence.wind_m_s", "[]")];
     let air = [("turbulence.wind_dir_rad", "[]"), ("turbulence.fractions", "[]"), ("turbulence.heights_m", "[]")];
-    reader.with(&settings)?.with(&[&still[..], &air].concat())
+    // Its modes need not hold the diversity, and its error bars are not asked for.
+    let known = [("estimate.diversity_error", "0")];
+    reader.with(&settings)?.with(&[&still[..], &air, &known].concat())
 }
 
 impl BeyondRow {
