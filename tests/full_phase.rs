@@ -73,7 +73,7 @@ fn an_error_of_a_diversity_that_no_mode_holds_is_refused() {
     let mut file = FitsWriter::create(&path).unwrap();
     // 24 cycles across the grid, where the modes that ten lenslets tell apart have nine zeros across the pupil.
     let ripples = Array2::from_shape_fn((96, 96), |(_, x)| 1500.0 * (std::f64::consts::TAU * x as f64 / 4.0).cos());
-    file.image("PRIMARY", &ripples, Pixel::F64, "nm").unwrap();
+    file.image("DIVERSITY", &ripples, Pixel::F64, "nm").unwrap();
     file.finish().unwrap();
     let path = path.display().to_string();
     let unsure = [("estimate.method", "full-phase"), ("estimate.diversity_error", "0.02")];
