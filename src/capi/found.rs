@@ -308,8 +308,8 @@ pub unsafe extern "C" fn cophase_full_phase_maps_nm(
 }
 
 /// How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
-/// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_VALUE where estimate.diversity_error alone makes
-/// more: all images share it.
+/// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_VALUE where what all images
+/// share (an error of the diversity, NCPA finer than the modes) alone makes more.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_full_phase_images_needed(
     full_phase: *const cophase_full_phase,

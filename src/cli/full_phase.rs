@@ -164,7 +164,7 @@ fn table(name: &str, found: &FullPhase, residual: Option<&Residual>) -> Result<S
     }
     let further = match pass.further_images([pass.expected_nm[0] / 2.0, pass.expected_nm[1] / 2.0]) {
         Ok(further) => format!("Half the error bars take {further} more images."),
-        Err(_) => "No number of images halves the error bars: they hold estimate.diversity_error.".into(),
+        Err(_) => "No number of images halves the error bars: they hold what all images share.".into(),
     };
     let of_diversity = report::of_diversity(&pass.diversity, &found.scene).unwrap_or_default();
     Ok(text

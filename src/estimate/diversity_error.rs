@@ -88,15 +88,15 @@ impl HeldDiversity {
     }
 }
 
-/// Refuses a wanted error that no number of images reaches, for all of them share `shared_nm2` of the diversity's.
+/// Refuses a wanted error that no number of images reaches, for all of them share `shared_nm2`.
 ///
 /// # Errors
 /// [`Error::Value`].
 pub fn within_reach(wanted_nm: f64, shared_nm2: f64) -> Result<()> {
     if shared_nm2 > 0.0 && wanted_nm.powi(2) <= shared_nm2 {
         return Err(Error::Value(format!(
-            "an error of {wanted_nm} nm is out of reach of any number of images: estimate.diversity_error alone makes \
-             {:.3} nm",
+            "an error of {wanted_nm} nm is out of reach of any number of images: what all of them share, as an error of the \
+             diversity, alone makes {:.3} nm",
             shared_nm2.sqrt()
         )));
     }

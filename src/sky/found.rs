@@ -101,6 +101,14 @@ impl FullPhase {
                 tilts.rms_nm
             ));
         }
+        if pass.beyond_nm > 0.0 {
+            sentences.push(format!(
+                "the NCPA go on beyond the {} modes that the sensor tells apart: some {:.1} nm of them are in no map, and in the \
+                 error bars alone",
+                pass.errors.ncpa_nm.len(),
+                pass.beyond_nm
+            ));
+        }
         if !self.settled()? {
             let [phasing_nm, ncpa_nm] = pass.changed_nm;
             sentences.push(format!(

@@ -107,6 +107,7 @@ impl Ncpa {
             ncpa_sigma_nm: sigma(&ranges[1]),
             expected_nm,
             averaged_nm,
+            beyond_nm: 0.0,
             changed_nm,
             diversity: self.diversity.clone(),
             used_images: sequence.used.clone(),

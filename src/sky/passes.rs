@@ -83,8 +83,9 @@ impl Default for PassRecipe {
     fn default() -> Self {
         // To order 13, 104 polynomials of up to 26 zeros around the pupil, and to 20, 230 of them: of what Keck's mirror holds
         // of three measured maps 13 orders leave 29, 33 and 16 nm, 17 leave 18, 25 and 9, and 20 leave 14, 16 and 8, in three times
-        // the time.
-        let families = vec![Family::Zernike { highest_order: 13 }, Family::Zernike { highest_order: 20 }];
+        // the time. To 24, of the second map 13.
+        let zernike = |highest_order, dense| Family::Zernike { highest_order, dense };
+        let families = vec![zernike(13, false), zernike(20, false), zernike(24, true)];
         Self { families, knows: Knows::Telemetry, floor_nm: 3.0, max_passes: 8, settled: 0.25 }
     }
 }
@@ -108,8 +109,11 @@ pub struct Pass {
     pub ncpa_sigma_nm: Array2<f64>,
     /// RMS over the pupil that the residuals are expected to have, phasing and NCPA, piston, tip and tilt removed, nm.
     pub expected_nm: [f64; 2],
-    /// Likewise without what all images and passes share: an error of the diversity (`estimate.diversity_error`).
+    /// Likewise without what all images and passes share: an error of the diversity (`estimate.diversity_error`), and
+    /// [`Pass::beyond_nm`].
     pub averaged_nm: [f64; 2],
+    /// RMS of NCPA that go on beyond the finest modes that there are, nm, as these fall; 0 where they do not go on.
+    pub beyond_nm: f64,
     /// By how much both differ from the static wavefront about which the phases were sought, RMS, nm; NaN for the first.
     pub changed_nm: [f64; 2],
     /// The images that were used.
@@ -129,7 +133,7 @@ impl Pass {
     /// mean falls as their number.
     ///
     /// # Errors
-    /// [`Error::Value`] where no number of them gets there, for all share an error of the diversity.
+    /// [`Error::Value`] where no number of them gets there, for what all share.
     pub fn further_images(&self, wanted_nm: [f64; 2]) -> Result<usize> {
         let mut factor = 1.0f64;
         for (i, wanted_nm) in wanted_nm.into_iter().enumerate() {
@@ -139,6 +143,13 @@ impl Pass {
             factor = factor.max((averaged_nm / (wanted_nm.powi(2) - shared_nm2).sqrt()).powi(2));
         }
         Ok(((factor - 1.0) * self.used_images.len() as f64).ceil() as usize)
+    }
+
+    /// Has the error bars of the NCPA hold as much that no mode describes, in the whole pupil alike.
+    fn go_beyond(&mut self, beyond_nm: f64) {
+        self.beyond_nm = beyond_nm;
+        self.expected_nm[1] = self.expected_nm[1].hypot(beyond_nm);
+        self.ncpa_sigma_nm.mapv_inplace(|nm| nm.hypot(beyond_nm));
     }
 
     /// Whether it changed phasing or NCPA by no less than the fraction `settled` of what is averaged in their error bars: what
@@ -183,7 +194,7 @@ pub fn find_statics(
     let mut passes: Vec<Pass> = Vec::new();
     let mut found: Option<StaticWavefront> = None;
     let mut measured = None;
-    let (mut path, mut scatter) = (Path::default(), None);
+    let (mut path, mut scatter, mut beyond_nm) = (Path::default(), None, 0.0);
     for _ in 0..recipe.max_passes {
         if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(Error::Interrupted(format!("{} passes were made", passes.len())));
@@ -217,10 +228,12 @@ pub fn find_statics(
         let settled = !pass.changed_nm.iter().any(|nm| nm.is_nan()) && !pass.moved(recipe.settled);
         // Without telemetry turbulence that did not average out goes on, too.
         let goes_on = telemetry && pass.errors.highest_nm(ncpa.groups.len()) > GOES_ON_NM;
+        let orders = ncpa.groups.len();
+        beyond_nm = if goes_on { pass.errors.beyond_nm(orders) } else { 0.0 };
         passes.push(pass);
         scatter = Some((residual, sequence.used.len()));
         let finer = if goes_on { families.next().map(|next| search.family(Some(next))).transpose()? } else { None };
-        match finer.filter(|finer| finer.groups.len() > ncpa.groups.len()) {
+        match finer.filter(|finer| finer.groups.len() > orders) {
             Some(finer) => ncpa = finer,
             None if settled => break,
             None => {}
@@ -229,6 +242,7 @@ pub fn find_statics(
     if let (Some(last), Some((residual, images))) = (passes.last_mut(), scatter) {
         let covariance = residual.of_mean(images, recipe.floor_nm, &search.lit);
         last.segment_tilts = Some(SegmentTilts::of(last.errors.unexplained_nm.view(), &covariance, &search.lit)?);
+        last.go_beyond(beyond_nm);
     }
     Ok(passes)
 }

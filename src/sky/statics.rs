@@ -10,15 +10,21 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
 /// Slopes of the lenslets' disc for each mode that they are to tell from the others: the pupil leaves two thirds of them.
 const SLOPES_A_MODE: f64 = 2.7;
+/// Likewise of dense modes: a third more slopes than modes are in the pupil.
+const SLOPES_A_DENSE_MODE: f64 = 1.9;
 
 /// The highest order whose modes the sensor of `scene` tells apart, at most `wanted`.
-fn highest_order(scene: &Scene, wanted: usize) -> usize {
+fn highest_order(scene: &Scene, wanted: usize, dense: bool) -> usize {
+    let slopes_a_mode = if dense { SLOPES_A_DENSE_MODE } else { SLOPES_A_MODE };
     let modes = scene.wavefront_sensor.as_ref().map_or(f64::INFINITY, |sensor| {
         // Two slopes for each lenslet of a disc.
-        std::f64::consts::FRAC_PI_2 * (sensor.lenslets_across as f64).powi(2) / SLOPES_A_MODE
+        std::f64::consts::FRAC_PI_2 * (sensor.lenslets_across as f64).powi(2) / slopes_a_mode
     });
     (2..=wanted).rev().find(|&order| ((order + 1) * (order + 2) / 2 - 1) as f64 <= modes).unwrap_or(1)
 }
+
+/// Least power of the order as which the variance of a mode falls: polished glass and turbulence have 3.7 and more.
+const LEAST_STEEPNESS: f64 = 3.0;
 
 /// What nobody knows anything about (the mean phase, tip and tilt), nm: more than a model's whole range.
 const UNKNOWN_NM: f64 = 1e4;
@@ -58,6 +64,23 @@ impl StaticErrors {
         self.strengths_nm[groups.max(3) - 1..=groups].iter().copied().fold(0.0, f64::max)
     }
 
+    /// RMS over the pupil of NCPA finer than the last of `groups` orders, nm, if the strength of a mode goes on falling as a
+    /// power of the order, as it does over the finer half of those that were found: with the variance s² of a mode of the
+    /// last order N, and s² ∝ n^−q, Σ (n + 1)·s²·(n/N)^−q over n > N is about s²·N²/(q − 2).
+    pub(super) fn beyond_nm(&self, groups: usize) -> f64 {
+        let finer = (groups / 2).max(1)..=groups;
+        let points: Vec<(f64, f64)> =
+            finer.map(|order| ((order as f64).ln(), 2.0 * self.strengths_nm[order].ln())).collect();
+        let count = points.len() as f64;
+        let (x, y) = points.iter().fold((0.0, 0.0), |(sx, sy), (x, y)| (sx + x / count, sy + y / count));
+        let (across, along) =
+            points.iter().fold((0.0, 0.0), |(c, a), (u, v)| (c + (u - x) * (v - y), a + (u - x).powi(2)));
+        let steepness = if along > 0.0 { (-across / along).max(LEAST_STEEPNESS) } else { LEAST_STEEPNESS };
+        let last = groups as f64;
+        let variance_nm2 = (y - steepness * (last.ln() - x)).exp();
+        (variance_nm2 * last * last / (steepness - 2.0)).sqrt()
+    }
+
     /// These, where phases show only these shares of an error of the pistons and of the NCPA.
     pub(super) fn widened(mut self, [pistons, ncpa]: [f64; 2]) -> Self {
         let segments = self.pistons_nm.len();
@@ -85,8 +108,8 @@ impl NcpaModes {
         // Orders 1 to n hold Noll's 2 to (n + 1)(n + 2)/2.
         let zernikes = |last: usize| modes::zernike_basis(2, (last + 1) * (last + 2) / 2, &telescope.pupil);
         match family {
-            Family::Zernike { highest_order: wanted } => {
-                let order = highest_order(scene, wanted);
+            Family::Zernike { highest_order: wanted, dense } => {
+                let order = highest_order(scene, wanted, dense);
                 Ok(Self { basis: zernikes(order)?, groups: orders(order) })
             }
             Family::KarhunenLoeve => {
@@ -236,5 +259,51 @@ impl StaticModel {
     pub fn shown_nm(&self, errors: &StaticErrors) -> Array1<f64> {
         let coefficients: Array1<f64> = errors.pistons_nm.iter().chain(&errors.ncpa_nm).copied().collect();
         coefficients.dot(&self.columns.slice(s![..coefficients.len(), ..]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_beyond_the_last_order_is_the_sum_of_a_power_law() {
+        let orders = 20;
+        let strength_nm = |order: f64, steepness: f64| 100.0 * order.powf(-steepness / 2.0);
+        let errors = |steepness: f64| StaticErrors {
+            pistons_nm: Vec::new(),
+            ncpa_nm: Vec::new(),
+            followed_nm: Vec::new(),
+            covariance_nm2: Array2::zeros((0, 0)),
+            log_evidence: 0.0,
+            unexplained_nm: Array1::zeros(0),
+            strengths_nm: std::iter::once(60.0)
+                .chain((1..=orders).map(|order| strength_nm(order as f64, steepness)))
+                .collect(),
+        };
+        for steepness in [3.5, 4.0, 6.0] {
+            // Mode by mode, to where the rest is a thousandth.
+            let variance = |order: u32| f64::from(order + 1) * strength_nm(f64::from(order), steepness).powi(2);
+            let sum: f64 = (orders as u32 + 1..20_000).map(variance).sum();
+            // The sum that begins at 20.5, and the one mode that an order has more, against an integral from 20: 10 % at the
+            // steepest.
+            let beyond_nm = errors(steepness).beyond_nm(orders);
+            assert!((beyond_nm / sum.sqrt() - 1.0).abs() < 0.1, "{steepness}: {beyond_nm} {}", sum.sqrt());
+        }
+        // Strengths that do not fall, which noise may make, leave no infinity.
+        let level_nm = errors(0.0).beyond_nm(orders);
+        assert!((level_nm / (100.0 * 20.0) - 1.0).abs() < 0.5, "{level_nm}");
+    }
+
+    #[test]
+    fn modes_are_as_many_as_the_sensor_tells_apart() {
+        let with = |lenslets: &str| {
+            Scene::preset("keck-onsky").unwrap().with(&[("wavefront_sensor.lenslets_across", lenslets)]).unwrap()
+        };
+        let keck = with("20");
+        assert_eq!(
+            [(13, false), (20, false), (24, false), (24, true)].map(|(n, d)| highest_order(&keck, n, d)),
+            [13, 20, 20, 24]
+        );
     }
 }

@@ -123,7 +123,7 @@ classdef FullPhase < cophase.Handle
             %IMAGESNEEDED  How many more images an accuracy asks for.
             %   n = f.imagesNeeded(phasing_nm, ncpa_nm) returns the number of further images like those of the last
             %   estimate until both error bars, RMS over the pupil, are at most these. Inf asks nothing of one. An error
-            %   below what estimate.diversity_error alone makes is refused: all images share it.
+            %   below what all images share (an error of the diversity, NCPA finer than the modes) is refused.
             %
             %   Example:
             %       n = f.imagesNeeded(4, Inf);

@@ -282,7 +282,7 @@ class FullPhase(Handle):
         Raises
         ------
         BadValueError
-            Where ``estimate.diversity_error``, which all images share, alone makes more.
+            Where what all images share (an error of the diversity, NCPA finer than the modes) alone makes more.
         """
         return scalar("uint64_t", lib.cophase_full_phase_images_needed, self._handle, phasing_nm, ncpa_nm)
 
