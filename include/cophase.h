@@ -495,8 +495,8 @@ cophase_status cophase_full_phase_maps_nm(const struct cophase_full_phase *full_
                                           const struct cophase_array_f32 *out);
 
 // How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
-// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_VALUE where estimate.diversity_error alone makes
-// more: all images share it.
+// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_VALUE where what all images
+// share (an error of the diversity, NCPA finer than the modes) alone makes more.
 cophase_status cophase_full_phase_images_needed(const struct cophase_full_phase *full_phase,
                                                 double phasing_nm,
                                                 double ncpa_nm,
