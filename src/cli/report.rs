@@ -124,7 +124,7 @@ pub fn of_optics(optics: &[FittedOptic]) -> String {
         if optic.is_told() {
             format!("{} = {value:.6} ± {sigma:.1e} (the scene says {scene})\n", optic.key())
         } else {
-            format!("{} = {scene}, as the scene says: the modes do all that it does\n", optic.key())
+            format!("{} = {value} (the scene says {scene}): not told, the modes do all that it does\n", optic.key())
         }
     };
     optics.iter().map(line).collect()
@@ -157,7 +157,7 @@ pub fn warnings(name: &str, estimator: &Estimator, held: &HeldDiversity, estimat
         sentences.push(format!(
             "estimate.fit_optics names \"{word}\", which these images do not tell from the modes: {key} stays {}, and the error \
              bars do not hold its error",
-            optic.scene
+            optic.value
         ));
     }
     let together = about_sequence(estimate);

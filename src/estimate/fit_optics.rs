@@ -30,7 +30,7 @@ use std::sync::atomic::Ordering;
 
 /// Images that are asked: optics that all share are known better than what each has of its own.
 const ASKED: usize = 6;
-/// Most rounds of fits and steps. From 2 % of plate scale and half a degree five were enough.
+/// Most rounds of fits and steps: 12 % of plate scale and six degrees away a scene is another one.
 const ROUNDS: usize = 12;
 /// The last step moved the optics by less than this fraction of their error bars.
 const SETTLED: f64 = 0.1;
@@ -46,7 +46,7 @@ pub struct FittedOptic {
     pub optic: Optic,
     /// What the scene says, in the unit of [`FittedOptic::key`].
     pub scene: f64,
-    /// What the images say; the scene's where they say nothing.
+    /// What the images say; where they say nothing it is not moved, and the scene's but for rounds that thought otherwise.
     pub value: f64,
     /// Its error bar, 1σ; infinite where the modes hold it.
     pub sigma: f64,
@@ -178,6 +178,7 @@ impl Search<'_> {
             match (better, refusal) {
                 (Some(better), _) => (values, round) = better?,
                 (None, Some(refusal)) => return Err(refusal),
+                // A minimum as good as rounding tells, or one that χ² calls a misfit.
                 (None, None) => break,
             }
         }

@@ -146,7 +146,7 @@ impl Pass {
     }
 
     /// Has the error bars of the NCPA hold as much that no mode describes, in the whole pupil alike.
-    fn go_beyond(&mut self, beyond_nm: f64) {
+    pub(super) fn go_beyond(&mut self, beyond_nm: f64) {
         self.beyond_nm = beyond_nm;
         self.expected_nm[1] = self.expected_nm[1].hypot(beyond_nm);
         self.ncpa_sigma_nm.mapv_inplace(|nm| nm.hypot(beyond_nm));

@@ -10,7 +10,7 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
 /// Slopes of the lenslets' disc for each mode that they are to tell from the others: the pupil leaves two thirds of them.
 const SLOPES_A_MODE: f64 = 2.7;
-/// Likewise of dense modes: a third more slopes than modes are in the pupil.
+/// Likewise of dense modes: a quarter more slopes than modes are in the pupil.
 const SLOPES_A_DENSE_MODE: f64 = 1.9;
 
 /// The highest order whose modes the sensor of `scene` tells apart, at most `wanted`.
@@ -68,7 +68,8 @@ impl StaticErrors {
     /// power of the order, as it does over the finer half of those that were found: with the variance s² of a mode of the
     /// last order N, and s² ∝ n^−q, Σ (n + 1)·s²·(n/N)^−q over n > N is about s²·N²/(q − 2).
     pub(super) fn beyond_nm(&self, groups: usize) -> f64 {
-        let finer = (groups / 2).max(1)..=groups;
+        // The first is tip and tilt, which nobody knows.
+        let finer = (groups / 2).max(2)..=groups;
         let points: Vec<(f64, f64)> =
             finer.map(|order| ((order as f64).ln(), 2.0 * self.strengths_nm[order].ln())).collect();
         let count = points.len() as f64;
@@ -290,6 +291,8 @@ mod tests {
             let beyond_nm = errors(steepness).beyond_nm(orders);
             assert!((beyond_nm / sum.sqrt() - 1.0).abs() < 0.1, "{steepness}: {beyond_nm} {}", sum.sqrt());
         }
+        // Two orders, of which the first is tip and tilt: the one that is left, and the least steepness.
+        assert!((errors(4.0).beyond_nm(2) / (strength_nm(2.0, 4.0) * 2.0) - 1.0).abs() < 1e-12);
         // Strengths that do not fall, which noise may make, leave no infinity.
         let level_nm = errors(0.0).beyond_nm(orders);
         assert!((level_nm / (100.0 * 20.0) - 1.0).abs() < 0.5, "{level_nm}");

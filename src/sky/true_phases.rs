@@ -250,6 +250,16 @@ mod tests {
         let sentence = unsure.further_images([f64::INFINITY, 0.9 * shared_nm]).unwrap_err().to_string();
         assert!(sentence.contains("out of reach"), "{sentence}");
 
+        // NCPA that no mode describes are in the error bars of theirs alone, and no number of images takes them out.
+        let mut beyond = sure.clone();
+        beyond.go_beyond(50.0);
+        assert_eq!((beyond.expected_nm[0], beyond.averaged_nm), (sure.expected_nm[0], sure.averaged_nm));
+        assert_eq!(beyond.expected_nm[1], sure.expected_nm[1].hypot(50.0));
+        for (wider_nm, sigma_nm) in beyond.ncpa_sigma_nm.iter().zip(&sure.ncpa_sigma_nm) {
+            assert!(wider_nm.is_nan() && sigma_nm.is_nan() || *wider_nm == sigma_nm.hypot(50.0));
+        }
+        assert!(beyond.further_images([f64::INFINITY, 49.0]).is_err());
+
         // Do no harm: the focus is under its error bar, and nothing else is.
         let corrected = |pass: &Pass| Commands::of(known, pass, None).unwrap();
         let [all, but_focus] = [&sure, &unsure].map(corrected);

@@ -21,7 +21,7 @@ fn optics_that_are_fitted_are_told_and_written() {
     assert!(done.out.contains("image.samples_per_lambda_over_d = 2.01"), "{}", done.out);
     assert!(done.out.contains("(the scene says 2)"), "{}", done.out);
     // Zernikes hold the focus.
-    assert!(done.out.contains("image.diversity_focus_waves_rms = 1, as the scene says"), "{}", done.out);
+    assert!(done.out.contains("image.diversity_focus_waves_rms = 1 (the scene says 1): not told"), "{}", done.out);
     assert!(done.err.contains("estimate.fit_optics names \"defocus\", which these images do not tell"), "{}", done.err);
     let path = desk.path("est.fits");
     let mut file = FitsReader::open(&path).unwrap();
