@@ -170,6 +170,7 @@ mod scene {
             segment_weight: Vec::new(),
             segment_slopes: None,
             modes: (0..36).map(GpuMode::Segment).chain((0..66).map(GpuMode::Smooth)).collect(),
+            free_phase: false,
         };
         for list in lists.values() {
             layout.segment_index.extend(list.iter().map(|e| e.0));

@@ -11,6 +11,8 @@
  * reads 4 vectors of the basis and GROUP coefficients for 16 multiply-adds. On a processor one work-item takes all images
  * of the tile, so that its slice of the basis (modes x 4 vectors) stays in the first cache; psi is all that it writes.
  *
+ * add_free adds a phase of its own at each lit sample, where the model has one: the way back is take_free of project.cl.
+ *
  * The rest is one block of one image: pupil_field on its own, or a part of focus.cl. For the way back the phasors
  * exp(2 pi i psi) and the field are left as they are too, as [quadrant, block][re, im] (COMPLEX in common.cl).
  *
@@ -98,6 +100,15 @@ __kernel void smooth_phase(__global const real *basis, __global const real *dive
             for (int q = 0; q < 4; q++)
                 AT(psi, ((size_t)(group + i) * blocks * 4 + PLANE(q, block, blocks)) * VEC) = sum[i][q];
     }
+}
+
+/* psi += free [image][lit sample], turns, each sample at `lit_place` of its image's psi: global (any, images, 1). */
+__kernel void add_free(__global real *psi, __global const real *free, __global const int *lit_place, const int first,
+                       const int lit, const int blocks) {
+    const size_t image = get_global_id(1);
+    __global real *t = psi + image * blocks * 4 * VEC;
+    __global const real *f = free + (first + image) * lit;
+    for (int p = get_global_id(0); p < lit; p += get_global_size(0)) t[lit_place[p]] += f[p];
 }
 
 /* Phasor, field and folded field of one block of one image; `pose` is the image's [segment][re q, im q, t, u]. With

@@ -7,7 +7,7 @@
  *
  * pupil_gradient unfolds Ebar, one block and image at a time, into D and g (without 2 k). project_modes multiplies D with
  * the basis over a chunk of blocks, project_segments g with the weights of a segment; collect adds what the chunks left
- * and applies 2 k. focus.cl calls the functions before the kernels too. Every number has one writer: no atomics.
+ * and applies 2 k. take_free leaves D itself where each sample has a phase of its own. focus.cl calls the functions before the kernels too. Every number has one writer: no atomics.
  */
 
 /* The four quadrants of a block from its planes: x parity, then y parity, then re and im. */
@@ -147,6 +147,15 @@ __kernel void project_modes(__global const real *basis, __global const real *psi
                 mode_partial[((size_t)(image + i) * chunks + chunk) * groups * 4 + group * 4 + j] =
                     sum_lanes(sum[j][i]);
     }
+}
+
+/* D (in psi) -> free [image][lit sample], per turn: global (any, images, 1). */
+__kernel void take_free(__global const real *psi, __global real *free, __global const int *lit_place, const int first,
+                        const int lit, const int blocks, const real twice_turn) {
+    const size_t image = get_global_id(1);
+    __global const real *d = psi + image * blocks * 4 * VEC;
+    __global real *f = free + (first + image) * lit;
+    for (int p = get_global_id(0); p < lit; p += get_global_size(0)) f[p] = twice_turn * d[lit_place[p]];
 }
 
 /* -> result [image][objective, flux, background, poses of each segment..., smooth modes...]: global (any, images, 1). */

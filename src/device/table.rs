@@ -34,6 +34,7 @@ pub const TABLE: &[Family] = &[
         source: include_str!("../../kernels/field.cl"),
         entries: &[
             Entry { name: "smooth_phase", gpu_local: [64, 1, 1] },
+            Entry { name: "add_free", gpu_local: [64, 1, 1] },
             Entry { name: "pupil_field", gpu_local: [64, 1, 1] },
         ],
     },
@@ -63,6 +64,7 @@ pub const TABLE: &[Family] = &[
             Entry { name: "pupil_gradient", gpu_local: [64, 1, 1] },
             Entry { name: "project_modes", gpu_local: [32, 1, 1] },
             Entry { name: "project_segments", gpu_local: [32, 1, 1] },
+            Entry { name: "take_free", gpu_local: [64, 1, 1] },
             Entry { name: "collect", gpu_local: [32, 1, 1] },
         ],
     },

@@ -2,7 +2,7 @@
 //! that overlap, tilt or neither, any modes and photometry, batches of any size.
 
 use super::chain::layout;
-use super::gpu::GpuChain;
+use super::gpu::{GpuChain, GpuLayout};
 use super::*;
 use crate::device::tests::test_devices;
 use crate::device::{Build, Device, FftPlan};
@@ -121,6 +121,25 @@ pub(super) fn apart(found: &[Evaluation], wanted: &[Evaluation]) -> f64 {
     found.iter().zip(wanted).map(one).fold(0.0, f64::max)
 }
 
+/// A phase of its own at each lit sample of each active image, of up to a third of a turn either way.
+pub(super) fn free_phase(case: &Case) -> Vec<f64> {
+    let lit = case.optics.parts().weights.lit.len();
+    uniform(case.active.len() * lit, 0.3, &mut ChaCha8Rng::seed_from_u64(lit as u64))
+}
+
+/// Largest relative distance of the derivatives by it over the images, in the 2-norm.
+pub(super) fn slopes_apart(found: &[f64], wanted: &[f64], images: usize) -> f64 {
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+    let lit = wanted.len() / images;
+    let rows = found.chunks_exact(lit).zip(wanted.chunks_exact(lit));
+    // Not by f64::max alone, to which NaN is nothing.
+    let one = |(f, w): (&[f64], &[f64])| {
+        let distance = norm(&mut f.iter().zip(w).map(|(f, w)| f - w)) / norm(&mut w.iter().copied());
+        if distance.is_nan() { f64::INFINITY } else { distance }
+    };
+    rows.map(one).fold(0.0, f64::max)
+}
+
 /// What the device of `info` may be given: its own build, with the FFT where the image is whole, and a GPU's.
 fn builds(info: &crate::device::DeviceInfo, fft: Option<FftPlan>) -> Vec<Build> {
     let mut builds = Vec::new();
@@ -147,10 +166,22 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
         let mut judge = CpuChain::<f64>::new(case.optics.clone());
         judge.load(&case.exposures).unwrap();
         let wanted = judge.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
+        let free = free_phase(&case);
+        let mut wanted_slopes = vec![f64::NAN; free.len()];
+        let wanted_free =
+            judge.evaluate_free_all(&case.active, case.coefficients_nm.view(), &free, &mut wanted_slopes).unwrap();
         let mut check = |what: &str, chain: &mut Chain| {
             chain.load(&case.exposures).unwrap();
             let found = chain.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
-            let (distance, precision) = (apart(&found, &wanted), chain.precision());
+            let mut slopes = vec![f64::NAN; free.len()];
+            let found_free =
+                chain.evaluate_free(&case.active, case.coefficients_nm.view(), &free, &mut slopes).unwrap();
+            let distance = (apart(&found, &wanted).max(apart(&found_free, &wanted_free))).max(slopes_apart(
+                &slopes,
+                &wanted_slopes,
+                case.active.len(),
+            ));
+            let precision = chain.precision();
             worst[usize::from(precision == Precision::F64)] =
                 worst[usize::from(precision == Precision::F64)].max(distance);
             assert!(
@@ -164,7 +195,8 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
         for info in &devices {
             let device = Device::open(info, false).unwrap();
             for build in builds(info, case.fft) {
-                let chain = GpuChain::with_build(&device, build, &layout(&case.optics), case.exposures.len()).unwrap();
+                let layout = GpuLayout { free_phase: true, ..layout(&case.optics) };
+                let chain = GpuChain::with_build(&device, build, &layout, case.exposures.len()).unwrap();
                 let name = info.address();
                 let (optics, precision) = (case.optics.clone(), build.precision);
                 check(&format!("{build:?}"), &mut Chain::Device { chain: Box::new(chain), optics, precision, name });

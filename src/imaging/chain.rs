@@ -3,7 +3,7 @@
 use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
 use super::fallback::Fallback;
-use super::gpu::{GpuChain, GpuLayout, GpuMode, GpuPhotometry};
+use super::gpu::{GpuChain, GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
 use super::work::Shapes;
 use crate::Result;
@@ -49,9 +49,27 @@ impl Chain {
     /// # Errors
     /// [`crate::Error::Device`] where OpenCL was asked for and there is no such device, or it cannot run this model.
     pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
+        Self::open_as(optics, choice, precision, capacity, false)
+    }
+
+    /// As [`Chain::open`], for [`Chain::evaluate_free`] too.
+    ///
+    /// # Errors
+    /// As [`Chain::open`].
+    pub fn open_free(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
+        Self::open_as(optics, choice, precision, capacity, true)
+    }
+
+    fn open_as(
+        optics: Arc<Optics>,
+        choice: Choice,
+        precision: Precision,
+        capacity: usize,
+        free_phase: bool,
+    ) -> Result<Self> {
         let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
         let on_device = || -> Result<Self> {
-            let layout = layout(&optics);
+            let layout = GpuLayout { free_phase, ..layout(&optics) };
             let device = Device::open(&info, false)?;
             let chain = Box::new(GpuChain::new(&device, precision, &layout, capacity)?);
             let name = format!("{} ({})", info.address(), info.name.trim());
@@ -120,16 +138,31 @@ impl Chain {
             Self::Cpu32(chain) => chain.evaluate(images, coefficients_nm),
             Self::Auto(chain) => chain.evaluate(images, coefficients_nm),
             Self::Device { chain, .. } => {
-                let modes = chain.modes();
                 let coefficients: Vec<f64> = coefficients_nm.iter().copied().collect();
-                let found = chain.evaluate(images, &coefficients)?;
-                let evaluation = |i: usize| Evaluation {
-                    objective: found.objective[i],
-                    flux_e: found.flux_e[i],
-                    background_e: found.background_e[i],
-                    gradient: found.gradient[i * modes..(i + 1) * modes].to_vec(),
-                };
-                Ok((0..images.len()).map(evaluation).collect())
+                Ok(by_image(chain.evaluate(images, &coefficients)?, chain.modes()))
+            }
+        }
+    }
+
+    /// As [`Chain::evaluate`] with a phase of its own at each lit sample, turns, `[image][lit sample]`, beside the modes;
+    /// the derivative by it, per turn, goes into `slopes`. For a chain that [`Chain::open_free`] made, or of the CPU.
+    ///
+    /// # Errors
+    /// As [`Chain::evaluate`].
+    pub fn evaluate_free(
+        &mut self,
+        images: &[usize],
+        coefficients_nm: ArrayView2<f64>,
+        free: &[f64],
+        slopes: &mut [f64],
+    ) -> Result<Vec<Evaluation>> {
+        match self {
+            Self::Cpu64(chain) => chain.evaluate_free_all(images, coefficients_nm, free, slopes),
+            Self::Cpu32(chain) => chain.evaluate_free_all(images, coefficients_nm, free, slopes),
+            Self::Auto(chain) => chain.evaluate_free(images, coefficients_nm, free, slopes),
+            Self::Device { chain, .. } => {
+                let coefficients: Vec<f64> = coefficients_nm.iter().copied().collect();
+                Ok(by_image(chain.evaluate_free(images, &coefficients, free, slopes)?, chain.modes()))
             }
         }
     }
@@ -180,6 +213,17 @@ impl Chain {
     }
 }
 
+/// What a device found, image by image.
+fn by_image(found: GpuEvaluation, modes: usize) -> Vec<Evaluation> {
+    let evaluation = |i: usize| Evaluation {
+        objective: found.objective[i],
+        flux_e: found.flux_e[i],
+        background_e: found.background_e[i],
+        gradient: found.gradient[i * modes..(i + 1) * modes].to_vec(),
+    };
+    (0..found.objective.len()).map(evaluation).collect()
+}
+
 impl From<Photometry> for GpuPhotometry {
     fn from(photometry: Photometry) -> Self {
         match photometry {
@@ -215,5 +259,6 @@ pub(super) fn layout(optics: &Optics) -> GpuLayout {
         segment_weight: parts.weights.weight.clone(),
         segment_slopes: parts.slopes.clone(),
         modes: parts.modes.iter().map(mode).collect(),
+        free_phase: false,
     }
 }

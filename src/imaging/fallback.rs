@@ -55,8 +55,18 @@ impl Fallback {
         self.guarded(|chain| chain.evaluate(images, coefficients_nm))
     }
 
+    pub(super) fn evaluate_free(
+        &mut self,
+        images: &[usize],
+        coefficients_nm: ArrayView2<f64>,
+        free: &[f64],
+        slopes: &mut [f64],
+    ) -> Result<Vec<Evaluation>> {
+        self.guarded(|chain| chain.evaluate_free(images, coefficients_nm, free, slopes))
+    }
+
     /// Makes a call, and makes it again on the CPU where the device fails.
-    fn guarded<R>(&mut self, call: impl Fn(&mut Chain) -> Result<R>) -> Result<R> {
+    fn guarded<R>(&mut self, mut call: impl FnMut(&mut Chain) -> Result<R>) -> Result<R> {
         match call(&mut self.chain) {
             Err(Error::Device(reason)) if self.failure.is_none() => {
                 let mut cpu = Chain::cpu(self.optics.clone(), self.chain.precision());
@@ -73,9 +83,9 @@ impl Fallback {
 
 #[cfg(all(test, feature = "opencl", debug_assertions))]
 mod tests {
-    use super::super::agreement::{allowed, apart, case};
+    use super::super::agreement::{allowed, apart, case, free_phase, slopes_apart};
     use super::super::chain::layout;
-    use super::super::gpu::GpuChain;
+    use super::super::gpu::{GpuChain, GpuLayout};
     use super::*;
     use crate::device::tests::test_devices;
     use crate::device::{Device, Precision};
@@ -96,9 +106,14 @@ mod tests {
             };
             judge.replace(0, &other).unwrap();
             let second = judge.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
+            let free = free_phase(&case);
+            let mut wanted_slopes = vec![f64::NAN; free.len()];
+            let third =
+                judge.evaluate_free_all(&case.active, case.coefficients_nm.view(), &free, &mut wanted_slopes).unwrap();
+            let layout = GpuLayout { free_phase: true, ..layout(&case.optics) };
             let run = |failing: Option<(u64, u64)>| {
                 let device = Device::open(&info, false).unwrap();
-                let made = GpuChain::new(&device, Precision::F64, &layout(&case.optics), case.exposures.len()).unwrap();
+                let made = GpuChain::new(&device, Precision::F64, &layout, case.exposures.len()).unwrap();
                 let before = device.fault().commands();
                 if let Some((from, end)) = failing {
                     device.fault().arm(before + from, before.saturating_add(end));
@@ -112,6 +127,10 @@ mod tests {
                 chain.replace(0, &other).unwrap();
                 let found = chain.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
                 assert!(apart(&found, &second) < allowed(precision), "{failing:?}");
+                let mut slopes = vec![f64::NAN; free.len()];
+                let found = chain.evaluate_free(&case.active, case.coefficients_nm.view(), &free, &mut slopes).unwrap();
+                let distance = apart(&found, &third).max(slopes_apart(&slopes, &wanted_slopes, case.active.len()));
+                assert!(distance < allowed(precision), "{failing:?}");
                 assert_eq!(chain.failure().is_some(), failing.is_some(), "{failing:?}");
                 assert_eq!(chain.device_name() == "cpu", failing.is_some());
                 device.fault().commands() - before

@@ -2,9 +2,11 @@
 //! of the whole wavefront varies. The modes are there too; an evaluation whose free phase is zero and whose amplitudes are
 //! 1 is bitwise that of the modes alone.
 
-use super::{Backward, CpuChain, Evaluation, Loaded, Polynomial, Scratch, vectorised};
-use ndarray::ArrayView1;
+use super::{Backward, CpuChain, Evaluation, Loaded, Polynomial, Scratch, check_batch, vectorised};
+use crate::{Error, Result};
+use ndarray::{ArrayView1, ArrayView2};
 use pulp::NullaryFnOnce;
+use rayon::prelude::*;
 
 impl<T: Polynomial> CpuChain<T> {
     /// Objective and gradient of one image at `coefficients_nm` and, at each lit sample, `free_turns` (phase over 2π)
@@ -28,6 +30,43 @@ impl<T: Polynomial> CpuChain<T> {
         vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
         self.field.free_gradient(&scratch.field, free_gradient);
+    }
+
+    /// As [`CpuChain::evaluate_free`] for `images` of the batch, on every core: `free_turns` and `free_gradient` are
+    /// `[image][lit sample]`, rounded to the chain's precision.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where the arrays do not fit the batch and the model.
+    pub fn evaluate_free_all(
+        &self,
+        images: &[usize],
+        coefficients_nm: ArrayView2<f64>,
+        free_turns: &[f64],
+        free_gradient: &mut [f64],
+    ) -> Result<Vec<Evaluation>> {
+        check_batch(images, coefficients_nm, self.images.len(), self.optics.modes())?;
+        let lit = self.optics.parts().weights.lit.len();
+        let given = (free_turns.len(), free_gradient.len());
+        if given != (images.len() * lit, images.len() * lit) {
+            return Err(Error::Shape(format!(
+                "{} free phases and room for {} derivatives were given for {} images of {lit} samples",
+                given.0,
+                given.1,
+                images.len()
+            )));
+        }
+        let rows = free_turns.par_chunks_exact(lit).zip(free_gradient.par_chunks_exact_mut(lit)).zip(images);
+        let one = |(i, ((turns, gradient), &image)): (usize, ((&[f64], &mut [f64]), &usize))| {
+            let (mut memory, mut evaluation) = (self.take(), self.evaluation());
+            let turns: Vec<T> = turns.iter().map(|&turns| T::of(turns)).collect();
+            let mut slopes = vec![T::zero(); lit];
+            let (image, at) = (&self.images[image], coefficients_nm.row(i));
+            self.evaluate_free(image, at, &turns, &mut memory, &mut evaluation, &mut slopes);
+            self.put_back(memory);
+            gradient.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope.wide());
+            evaluation
+        };
+        Ok(rows.enumerate().map(one).collect())
     }
 
     /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) there, in the caller's memory.

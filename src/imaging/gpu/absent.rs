@@ -61,6 +61,14 @@ impl GpuChain {
         match *self {}
     }
 
+    /// The same at free phases.
+    ///
+    /// # Errors
+    /// Never: there is no chain to call it on.
+    pub fn evaluate_free(&mut self, _: &[usize], _: &[f64], _: &[f64], _: &mut [f64]) -> Result<GpuEvaluation> {
+        match *self {}
+    }
+
     /// The PSFs.
     ///
     /// # Errors

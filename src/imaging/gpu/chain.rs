@@ -85,6 +85,11 @@ impl GpuChain {
         self.layout.modes.len()
     }
 
+    /// Samples that have a phase of their own.
+    fn free(&self) -> usize {
+        if self.layout.free_phase { self.layout.lit.len() } else { 0 }
+    }
+
     /// Points of the FFT that transforms, `None` where matrices do: what the work of an evaluation depends on beyond the
     /// model.
     pub fn fft_points(&self) -> Option<usize> {
@@ -189,12 +194,38 @@ impl GpuChain {
     /// [`Error::Shape`] for an image that is not loaded or a list of another length; [`Error::Value`] for a coefficient
     /// that is not finite; [`Error::Device`] where the device failed.
     pub fn evaluate(&mut self, active: &[usize], coefficients: &[f64]) -> Result<GpuEvaluation> {
+        let free = vec![0.0; active.len() * self.free()];
+        self.evaluate_free(active, coefficients, &free, &mut free.clone())
+    }
+
+    /// As [`GpuChain::evaluate`] at `free` phases, turns, `[active image][lit sample]`, of a model that has them: the
+    /// derivative of the objective by them, per turn, goes into `slopes`.
+    ///
+    /// # Errors
+    /// As for [`GpuChain::evaluate`].
+    pub fn evaluate_free(
+        &mut self,
+        active: &[usize],
+        coefficients: &[f64],
+        free: &[f64],
+        slopes: &mut [f64],
+    ) -> Result<GpuEvaluation> {
+        let wanted = active.len() * self.free();
+        if free.len() != wanted || slopes.len() != wanted {
+            return Err(Error::Shape(format!(
+                "{} free phases and room for {} derivatives were given for {} images of {} samples that have one",
+                free.len(),
+                slopes.len(),
+                active.len(),
+                self.free()
+            )));
+        }
         if let Some(image) = active.iter().find(|i| **i >= self.photometry.len()) {
             return Err(Error::Shape(format!("image {image} is not among the {} loaded", self.photometry.len())));
         }
         let (turns, stands) = self.inputs(active.len(), coefficients)?;
         let fitted = active.iter().any(|&i| !matches!(self.photometry[i], GpuPhotometry::Known { .. }));
-        let results = self.stages.evaluate(active, &turns, &stands, fitted)?;
+        let results = self.stages.evaluate(active, &turns, &stands, (free, slopes), fitted)?;
 
         let (poses, smooth) = (self.layout.poses(), self.layout.smooth.len());
         let outputs = 3 + self.layout.segments * poses + smooth;

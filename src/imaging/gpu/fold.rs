@@ -198,6 +198,8 @@ pub(super) struct Blocks {
     /// The same list by segment: `segment_start[s]..segment_start[s + 1]` of `segment_entry`.
     pub segment_start: Vec<i32>,
     pub segment_entry: Vec<i32>,
+    /// Where each lit sample stands among the planes of psi; empty where none has a phase of its own.
+    pub lit_place: Vec<i32>,
 }
 
 impl Blocks {
@@ -232,9 +234,19 @@ impl Blocks {
         }
         let spots: Vec<Spot> =
             spots.into_iter().map(|spot| Spot { block: number[spot.row][spot.column], ..spot }).collect();
+        if layout.free_phase {
+            blocks.lit_place = spots.iter().map(|spot| blocks.plane(spot, vector) as i32).collect();
+        }
         blocks.fill_modes(layout, shape, &spots);
         blocks.fill_segments(layout, vector, &spots);
         blocks
+    }
+
+    /// Where the sample stands among planes of numbers: `PLANE` of common.cl.
+    fn plane(&self, spot: &Spot, vector: usize) -> usize {
+        let block =
+            if vector == 1 { spot.quadrant * self.count() + spot.block } else { 4 * spot.block + spot.quadrant };
+        block * vector + spot.lane
     }
 
     fn fill_modes(&mut self, layout: &GpuLayout, shape: &Shape, spots: &[Spot]) {

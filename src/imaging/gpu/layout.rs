@@ -53,6 +53,8 @@ pub struct GpuLayout {
     pub segment_slopes: Option<(Vec<f64>, Vec<f64>)>,
     /// What each coefficient of the model is.
     pub modes: Vec<GpuMode>,
+    /// Whether each lit sample has a phase of its own beside the modes: then ψ_p holds it, too.
+    pub free_phase: bool,
 }
 
 impl GpuLayout {

@@ -106,6 +106,8 @@ pub(super) struct Counts {
     pub strips: usize,
     /// Chunks of blocks of the projection.
     pub chunks: usize,
+    /// Lit samples with a phase of their own: all, or none.
+    pub free: usize,
     /// Objective, flux, background, and a derivative for each pose of each segment and each smooth mode.
     pub outputs: usize,
 }
@@ -133,6 +135,7 @@ impl Counts {
             mode_groups: smooth.div_ceil(MODES_AT_ONCE),
             strips: shape.fft.map_or(shape.pairs.div_ceil(cut.pairs_per_strip), |fft| fft.points() / shape.vector),
             chunks: blocks.count().div_ceil(cut.blocks_per_chunk),
+            free: if layout.free_phase { layout.lit.len() } else { 0 },
             outputs,
         };
         (counts, cut)
@@ -153,6 +156,7 @@ pub(super) struct Scene {
     pub entry_place: Buffer<i32>,
     pub segment_start: Buffer<i32>,
     pub segment_entry: Buffer<i32>,
+    pub lit_place: Buffer<i32>,
     pub y_to_v: Reals,
     pub x_to_u: Reals,
     pub u_to_x: Reals,
@@ -178,6 +182,7 @@ impl Scene {
             entry_place: device.upload(&blocks.entry_place)?,
             segment_start: device.upload(&blocks.segment_start)?,
             segment_entry: device.upload(&blocks.segment_entry)?,
+            lit_place: device.upload(&blocks.lit_place)?,
             y_to_v: upload(&y_to_v)?,
             x_to_u: upload(&x_to_u)?,
             u_to_x: upload(&u_to_x)?,
@@ -202,6 +207,8 @@ pub(super) struct Batch {
     pub coefficients: Reals,
     /// `[image][segment][re q, im q, tip, tilt]`.
     pub pose: Reals,
+    /// `[image][lit sample]`: the free phase, turns, and after an evaluation the derivative by it.
+    pub free: Reals,
     pub result: Reals,
 }
 
@@ -218,6 +225,7 @@ impl Batch {
             next: device.buffer(active / GROUP)?,
             coefficients: zeros(active * counts.smooth)?,
             pose: zeros(active * counts.segments * 4)?,
+            free: zeros(active * counts.free)?,
             result: zeros(active * counts.outputs)?,
         })
     }

@@ -27,7 +27,7 @@ impl Room {
         let (real, int) = (build.precision.bytes(), size_of::<i32>());
         let lists = [&blocks.place, &blocks.extent, &blocks.entry_start, &blocks.entry_segment, &blocks.entry_place]
             .into_iter()
-            .chain([&blocks.segment_start, &blocks.segment_entry])
+            .chain([&blocks.segment_start, &blocks.segment_entry, &blocks.lit_place])
             .map(|list| list.len().max(1))
             .sum::<usize>();
         let arrays = [&blocks.basis, &blocks.diversity, &blocks.entry_weight, &blocks.entry_x, &blocks.entry_y]
@@ -40,12 +40,12 @@ impl Room {
         let focus = shape.pairs * 8 * shape.width + shape.pixels() * 2 + shape.fft_scratch().iter().sum::<usize>();
         let modes = counts.chunks * counts.mode_groups * MODES_AT_ONCE;
         // A buffer of nothing is one of one number.
-        let empty = [shape.fft_scratch()[0], shape.fft_scratch()[1], counts.smooth, modes];
+        let empty = [shape.fft_scratch()[0], shape.fft_scratch()[1], counts.smooth, modes, counts.free];
         let empty = empty.iter().filter(|numbers| **numbers == 0).count();
         Self {
             scene: (arrays + tables + empty) * real + lists * int,
             image: (2 * shape.pixels() + 4) * real + int,
-            active: (counts.smooth + 4 * counts.segments + counts.outputs) * real + int + int / GROUP,
+            active: (counts.smooth + 4 * counts.segments + counts.free + counts.outputs) * real + int + int / GROUP,
             tile_image: (counts.blocks * 4 * shape.vector + 4 * partials + 2 + counts.segments * counts.poses + modes)
                 * real,
             in_work: (pupil + focus) * real,

@@ -24,6 +24,8 @@ pub(super) struct Stages {
 /// One of each, bound to everything that does not change.
 struct Kernels {
     smooth_phase: Kernel,
+    add_free: Kernel,
+    take_free: Kernel,
     pupil_field: Kernel,
     forward_columns: Kernel,
     forward_rows: Kernel,
@@ -37,6 +39,15 @@ struct Kernels {
     project_modes: Kernel,
     project_segments: Kernel,
     collect: Kernel,
+}
+
+/// Which way the free phase goes.
+#[derive(Clone, Copy)]
+enum Way {
+    /// To the images.
+    There,
+    /// The derivative, from them.
+    Back,
 }
 
 /// What the binding functions read.
@@ -75,6 +86,19 @@ impl Parts<'_> {
         self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
         self.scratch.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
         self.basis(&mut k)?;
+        Ok(k)
+    }
+
+    /// Free phases, and the derivatives by them.
+    fn free(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.kernel(name)?;
+        self.scratch.psi.bind(&mut k, "psi")?;
+        self.batch.free.bind(&mut k, "free")?;
+        k.buffer("lit_place", &self.scene.lit_place)?;
+        k.int("lit", self.counts.free)?.int("blocks", self.counts.blocks)?;
+        if name == "take_free" {
+            k.real("twice_turn", 2.0 * std::f64::consts::TAU)?;
+        }
         Ok(k)
     }
 
@@ -256,6 +280,8 @@ impl Parts<'_> {
     fn kernels(&self, twice_wavenumber: f64) -> Result<Kernels> {
         Ok(Kernels {
             smooth_phase: self.smooth_phase()?,
+            add_free: self.free("add_free")?,
+            take_free: self.free("take_free")?,
             pupil_field: self.pupil_field()?,
             forward_columns: self.columns("forward_columns")?,
             forward_rows: self.rows("forward_rows")?,
@@ -329,14 +355,24 @@ impl Stages {
     }
 
     /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
-    /// `fitted`, none of them fits its photometry.
-    pub fn evaluate(&mut self, active: &[usize], turns: &[f64], poses: &[f64], fitted: bool) -> Result<Vec<f64>> {
-        let Counts { capacity, smooth, segments, outputs, .. } = self.counts;
+    /// `fitted`, none of them fits its photometry. `free` is the free phase of a model that has one, and the derivative by
+    /// it goes into `slopes`.
+    pub fn evaluate(
+        &mut self,
+        active: &[usize],
+        turns: &[f64],
+        poses: &[f64],
+        (free, slopes): (&[f64], &mut [f64]),
+        fitted: bool,
+    ) -> Result<Vec<f64>> {
+        let Counts { capacity, smooth, segments, outputs, free: lit, .. } = self.counts;
         let mut results = vec![0.0; active.len() * outputs];
         // A batch beyond the capacity (an image may be active more than once) goes in several rounds.
         for (round, active) in active.chunks(capacity).enumerate() {
             let (from, count) = (round * capacity, active.len());
             self.write_inputs(count, &turns[from * smooth..], &poses[from * segments * 4..])?;
+            let own = from * lit..(from + count) * lit;
+            self.batch.free.write(0, &free[own.clone()])?;
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
             self.batch.slot.write(0, &slots)?;
             // Few images are shared out among the cores stage by stage.
@@ -348,6 +384,7 @@ impl Stages {
             for (turn, first) in (0..count).step_by(tile).enumerate() {
                 let images = tile.min(count - first);
                 self.smooth_phase(first, images)?;
+                self.free_phase(first, images, Way::There)?;
                 match workers {
                     Some(workers) => self.focus(turn, first, images, workers)?,
                     None => {
@@ -359,8 +396,10 @@ impl Stages {
                     }
                 }
                 self.project_modes(first, images)?;
+                self.free_phase(first, images, Way::Back)?;
             }
             self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
+            self.batch.free.read(0, &mut slopes[own])?;
         }
         Ok(results)
     }
@@ -388,6 +427,18 @@ impl Stages {
         let (images, k) = (padded(images), &mut self.kernels.smooth_phase);
         k.int("first", first)?.int("images", images)?;
         k.launch([self.counts.blocks, self.cut.group_items.min(images / GROUP), 1])
+    }
+
+    fn free_phase(&mut self, first: usize, images: usize, way: Way) -> Result<()> {
+        let k = match way {
+            Way::There => &mut self.kernels.add_free,
+            Way::Back => &mut self.kernels.take_free,
+        };
+        if self.counts.free == 0 {
+            return Ok(());
+        }
+        // As many work-items as for the blocks, of which a sample is a small part.
+        k.int("first", first)?.launch([self.cut.block_items, images, 1])
     }
 
     fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {

@@ -56,6 +56,7 @@ fn scene() -> GpuLayout {
         segment_weight,
         segment_slopes: None,
         modes,
+        free_phase: false,
     }
 }
 
@@ -67,6 +68,26 @@ fn tilted_scene() -> GpuLayout {
     layout.segment_slopes = Some((slopes(), slopes()));
     layout.modes.splice(4..4, [GpuMode::Tilt(2), GpuMode::Tip(0), GpuMode::Tip(2), GpuMode::Tilt(4), GpuMode::Tip(4)]);
     layout
+}
+
+/// The same with a phase of its own at each lit sample.
+fn free_scene() -> GpuLayout {
+    GpuLayout { free_phase: true, ..scene() }
+}
+
+/// A free phase of up to half a turn either way for each of `images`; none where the layout has none.
+fn free_phases(layout: &GpuLayout, images: usize, random: &mut impl Rng) -> Vec<f64> {
+    let count = if layout.free_phase { images * layout.lit.len() } else { 0 };
+    (0..count).map(|_| random.random::<f64>() - 0.5).collect()
+}
+
+/// A free phase is to its image what the diversity is to all.
+fn with_free(layout: &GpuLayout, free: &[f64]) -> GpuLayout {
+    let free = free.iter().copied().chain(std::iter::repeat(0.0));
+    GpuLayout {
+        diversity_turns: layout.diversity_turns.iter().zip(free).map(|(d, f)| d + f).collect(),
+        ..layout.clone()
+    }
 }
 
 /// Images that the scene could have made, with bad pixels (one of them NaN) and uneven weights.
@@ -168,6 +189,8 @@ struct Answer {
     flux: f64,
     background: f64,
     gradient: Vec<f64>,
+    /// Derivative by the phase of each lit sample, per turn.
+    slopes: Vec<f64>,
 }
 
 fn reference(layout: &GpuLayout, coefficients: &[f64], d: &[f64], w: &[f64], photometry: GpuPhotometry) -> Answer {
@@ -213,15 +236,15 @@ fn reference(layout: &GpuLayout, coefficients: &[f64], d: &[f64], w: &[f64], pho
         };
         2.0 * k * (0..bar.len()).map(each).sum::<f64>()
     };
+    let slopes: Vec<f64> = pupil.iter().zip(&bar).map(|(p, bar)| 2.0 * TAU * (p[2].conj() * bar).im).collect();
     let gradient = layout.modes.iter().map(|mode| match *mode {
-        GpuMode::Smooth(j) => {
-            (0..bar.len()).map(|p| 2.0 * k * layout.smooth[j][p] * (pupil[p][2].conj() * bar[p]).im).sum::<f64>()
-        }
+        GpuMode::Smooth(j) => layout.smooth[j].iter().zip(&slopes).map(|(b, d)| b * d / layout.wavelength_nm).sum(),
         GpuMode::Segment(s) => segment(s, &|_| 1.0),
         GpuMode::Tip(s) => segment(s, &|e| slope(layout, e).0),
         GpuMode::Tilt(s) => segment(s, &|e| slope(layout, e).1),
     });
-    Answer { objective: (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum(), flux, background, gradient: gradient.collect() }
+    let objective = (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum();
+    Answer { objective, flux, background, gradient: gradient.collect(), slopes }
 }
 
 #[test]
@@ -292,7 +315,7 @@ fn psfs_agree_with_the_direct_sum() {
 
 #[test]
 fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
-    [scene(), tilted_scene()].iter().for_each(agreement_in);
+    [scene(), tilted_scene(), free_scene()].iter().for_each(agreement_in);
 }
 
 fn agreement_in(layout: &GpuLayout) {
@@ -302,10 +325,12 @@ fn agreement_in(layout: &GpuLayout) {
     // Out of order, one of them twice, and more than the chain has room for: it goes in two rounds.
     let active = [4, 0, 5, 2, 2, 1, 3];
     let c = coefficients(layout, active.len(), &mut random);
-    let wanted: Vec<Answer> = (active.iter().zip(c.chunks_exact(layout.modes.len())))
-        .map(|(&i, c)| {
-            let range = i * size..(i + 1) * size;
-            reference(layout, c, &images.data[range.clone()], &images.weights[range], images.photometry[i])
+    let free = free_phases(layout, active.len(), &mut random);
+    let lit = free.len() / active.len();
+    let wanted: Vec<Answer> = (active.iter().zip(c.chunks_exact(layout.modes.len())).enumerate())
+        .map(|(k, (&i, c))| {
+            let (range, layout) = (i * size..(i + 1) * size, with_free(layout, &free[k * lit..(k + 1) * lit]));
+            reference(&layout, c, &images.data[range.clone()], &images.weights[range], images.photometry[i])
         })
         .collect();
     for info in test_devices() {
@@ -315,23 +340,26 @@ fn agreement_in(layout: &GpuLayout) {
             // The second evaluation finds every scratch array dirty.
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
             chain.evaluate(&[0, 1, 2, 3, 4, 5], &coefficients(layout, 6, &mut random)).unwrap();
-            let found = chain.evaluate(&active, &c).unwrap();
+            let mut slopes = vec![f64::NAN; free.len()];
+            let found = chain.evaluate_free(&active, &c, &free, &mut slopes).unwrap();
             // Sums of 500 pixels and 250 samples of terms that err by 1e-7 (f32) or 1e-16 each: some 1e-6 or 1e-15 where
             // signs are random. Residuals here are of the order of the image, so nothing cancels.
             let [close, closer] = if build.precision == Precision::F32 { [1e-5, 1e-5] } else { [1e-12, 1e-11] };
             for (i, wanted) in wanted.iter().enumerate() {
                 let gradient = &found.gradient[i * layout.modes.len()..(i + 1) * layout.modes.len()];
+                let slopes = &slopes[i * lit..(i + 1) * lit];
                 let errors = [
                     (found.objective[i] / wanted.objective - 1.0).abs(),
                     (found.flux_e[i] / wanted.flux - 1.0).abs(),
                     (found.background_e[i] - wanted.background).abs() / wanted.flux.abs() * 22.0,
                     distance(gradient, &wanted.gradient),
+                    if layout.free_phase { distance(slopes, &wanted.slopes) } else { 0.0 },
                 ];
                 if i == 0 {
-                    println!("{build:?}: objective, flux, background, gradient within {errors:?}");
+                    println!("{build:?}: objective, flux, background, gradient, slopes within {errors:?}");
                 }
                 assert!(errors[..3].iter().all(|e| *e < close), "{build:?} image {i}: {errors:?}");
-                assert!(errors[3] < closer, "{build:?} image {i}: {errors:?}");
+                assert!(errors[3..].iter().all(|e| *e < closer), "{build:?} image {i}: {errors:?}");
             }
         }
     }
@@ -374,7 +402,7 @@ fn a_faint_star_on_a_bright_background_keeps_its_digits() {
 
 #[test]
 fn an_image_alone_and_in_a_crowd_gives_the_same() {
-    [scene(), tilted_scene()].iter().for_each(crowd_in);
+    [scene(), tilted_scene(), free_scene()].iter().for_each(crowd_in);
 }
 
 fn crowd_in(layout: &GpuLayout) {
@@ -390,15 +418,23 @@ fn crowd_in(layout: &GpuLayout) {
             let mut chain = GpuChain::with_build(&device, build, layout, crowd.len()).unwrap();
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
             let all: Vec<f64> = crowd.iter().flat_map(|&i| c[i * modes..(i + 1) * modes].to_vec()).collect();
-            let together = chain.evaluate(&crowd, &all).unwrap();
+            let free = free_phases(layout, 3, &mut random);
+            let lit = free.len() / 3;
+            let all_free: Vec<f64> = crowd.iter().flat_map(|&i| free[i * lit..(i + 1) * lit].to_vec()).collect();
+            let mut slopes = vec![f64::NAN; all_free.len()];
+            let together = chain.evaluate_free(&crowd, &all, &all_free, &mut slopes).unwrap();
             // The same sums in the same order; only where the compiler fuses a product into a sum may differ: a few
             // roundings, far below the errors of the test above.
             let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
             for (i, &image) in crowd.iter().enumerate() {
-                let alone = chain.evaluate(&[image], &c[image * modes..(image + 1) * modes]).unwrap();
+                let mut slopes_alone = vec![f64::NAN; lit];
+                let (own, own_free) = (&c[image * modes..(image + 1) * modes], &free[image * lit..(image + 1) * lit]);
+                let alone = chain.evaluate_free(&[image], own, own_free, &mut slopes_alone).unwrap();
                 let objective = (together.objective[i] / alone.objective[0] - 1.0).abs();
                 let gradient = distance(&together.gradient[i * modes..(i + 1) * modes], &alone.gradient);
-                assert!(objective < close && gradient < close, "{build:?} image {i}: {objective:e} {gradient:e}");
+                let slopes = if lit > 0 { distance(&slopes[i * lit..(i + 1) * lit], &slopes_alone) } else { 0.0 };
+                let apart = objective.max(gradient).max(slopes);
+                assert!(apart < close, "{build:?} image {i}: {objective:e} {gradient:e} {slopes:e}");
             }
         }
     }
@@ -410,7 +446,9 @@ fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         let mut random = ChaCha8Rng::seed_from_u64(6);
-        for (layout, fft) in [(&scene(), None), (&tilted_scene(), None), (&whole, FftPlan::new(64, 9)), (&whole, None)]
+        let plain = [scene(), tilted_scene(), free_scene()];
+        for (layout, fft) in
+            [(&plain[0], None), (&plain[1], None), (&plain[2], None), (&whole, FftPlan::new(64, 9)), (&whole, None)]
         {
             let own = |build: &Build| *build == Build::for_device(&info, build.precision);
             for build in builds(&device).into_iter().filter(|b| own(b) || (b.vector == 1 && fft.is_none())) {
