@@ -45,6 +45,33 @@ fn precision_is_honoured_and_hardly_matters() {
     assert!(one_nm.iter().zip(&other_nm).zip(other.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
 }
 
+/// The whole estimate on every OpenCL device: what it says of itself, and the CPU's answer.
+#[test]
+fn a_device_is_honoured_and_hardly_matters() {
+    let settings = [("estimate.method", "full-phase"), ("estimate.precision", "f64"), ("estimate.device", "cpu")];
+    let cpu = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
+    let images = exposures(&mut Stepper::new(&cpu).unwrap(), 3);
+    let absent = cpu.with_override("estimate.device", "opencl:99:0").unwrap();
+    assert!(matches!(read(&absent, &images, None, &|_| {}), Err(Error::Device(_))));
+    let devices = cophase::device::devices().unwrap_or_default();
+    let required = std::env::var("COPHASE_REQUIRE_OPENCL").as_deref() == Ok("1");
+    assert!(!devices.is_empty() || !required, "COPHASE_REQUIRE_OPENCL=1, and no OpenCL device was found");
+    let wanted = read(&cpu, &images, None, &|_| {}).unwrap();
+    assert_eq!((wanted.device.as_str(), &wanted.device_failure), ("cpu", &None));
+    let (wanted_nm, sigma_nm) = (wanted.result().unwrap().coefficients_nm(), wanted.result().unwrap().sigma_nm());
+    for info in devices.iter().filter(|info| info.f64) {
+        let scene = cpu.with_override("estimate.device", &info.address()).unwrap();
+        let found = read(&scene, &images, None, &|_| {}).unwrap();
+        assert!(found.device.starts_with(&info.address()), "{}", found.device);
+        let coefficients_nm = found.result().unwrap().coefficients_nm();
+        // The same steps in other roundings, which grow with each: some hundred of them make 1e-3 of an error bar of 1e-16.
+        let parts = coefficients_nm.iter().zip(&wanted_nm).zip(&sigma_nm);
+        let apart = parts.map(|((a, b), sigma)| (a - b).abs() / sigma).fold(0.0, f64::max);
+        println!("{info}: {apart:.1e} error bars apart");
+        assert!(apart < 0.02, "{info}: {apart} error bars");
+    }
+}
+
 #[test]
 fn what_is_for_static_modes_alone_is_refused() {
     let scene = Scene::from_file(sky()).unwrap();

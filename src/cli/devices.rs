@@ -2,8 +2,8 @@
 
 use super::terminal::Terminal;
 use cophase::Result;
-use cophase::device::{self, Choice};
-use cophase::imaging::{self, Chain, Optics};
+use cophase::device;
+use cophase::imaging::{Chain, Optics};
 use cophase::scene::{DeviceChoice, Precision};
 use serde::Serialize;
 use std::sync::Arc;
@@ -72,17 +72,7 @@ fn list() -> (Vec<Listed>, Option<String>) {
 /// # Errors
 /// [`cophase::Error::Device`] where the choice is not here.
 pub fn open_chain(choice: DeviceChoice, precision: Precision, optics: Arc<Optics>, capacity: usize) -> Result<Chain> {
-    let precision = match precision {
-        Precision::F32 => imaging::Precision::F32,
-        Precision::F64 => imaging::Precision::F64,
-    };
-    let choice = match choice {
-        DeviceChoice::Auto => Choice::Auto,
-        DeviceChoice::Cpu => Choice::Cpu,
-        DeviceChoice::OpenCl => Choice::OpenCl,
-        DeviceChoice::OpenClDevice { platform, device } => Choice::OpenClAt(platform, device),
-    };
-    Chain::open(optics, choice, precision, capacity)
+    Chain::open(optics, choice.into(), precision.into(), capacity)
 }
 
 /// What Linux calls the processor; its architecture elsewhere.

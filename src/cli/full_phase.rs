@@ -24,7 +24,7 @@ pub struct Wanted<'a> {
 
 /// What `estimate --json` prints; the keys of the modal estimate, and what this one has beside.
 #[derive(Serialize)]
-struct Summary {
+struct Summary<'a> {
     images: usize,
     used: usize,
     seconds: f64,
@@ -34,7 +34,7 @@ struct Summary {
     ncpa_sigma_nm: f64,
     reduced_chi2: f64,
     evaluations: usize,
-    device: &'static str,
+    device: &'a str,
     precision: &'static str,
     status: &'static str,
     method: &'static str,
@@ -121,7 +121,7 @@ fn known(
     }
 }
 
-fn summary(found: &FullPhase) -> Result<Summary> {
+fn summary(found: &FullPhase) -> Result<Summary<'_>> {
     let pass = found.result()?;
     let [phasing_rms_nm, ncpa_rms_nm] = found.rms_nm()?;
     Ok(Summary {
@@ -134,7 +134,7 @@ fn summary(found: &FullPhase) -> Result<Summary> {
         ncpa_sigma_nm: pass.expected_nm[1],
         reduced_chi2: pass.reduced_chi2,
         evaluations: found.reports.iter().map(|report| report.evaluations).sum(),
-        device: "cpu",
+        device: &found.device,
         precision: found.precision.word(),
         status: if found.misfits()? { "misfit" } else { "ok" },
         method: "full-phase",
@@ -170,11 +170,13 @@ fn table(name: &str, found: &FullPhase, residual: Option<&Residual>) -> Result<S
     Ok(text
         + &format!(
             "\nRMS over the pupil, tip and tilt removed. Reduced χ² {:.2}. {further}\n\
-             {:.1} s, {:.1} of them in {} retrievals.\n",
+             {:.1} s, {:.1} of them in {} retrievals, on {} in {}.\n",
             pass.reduced_chi2,
             found.seconds,
             found.retrieval_seconds,
             found.reports.len() * found.passes.len(),
+            found.device,
+            found.precision.word(),
         )
         + &of_diversity)
 }

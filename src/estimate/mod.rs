@@ -15,6 +15,7 @@ mod alone;
 mod arrays;
 mod calibration;
 mod combine;
+mod device;
 mod diversity_error;
 mod file;
 mod fisher;

@@ -2,11 +2,11 @@
 
 use super::Price;
 use crate::estimate::{Cube, Estimator};
-use crate::imaging::{Chain, Precision};
+use crate::imaging::Chain;
 use crate::metrics::{MapGram, residual_nm};
 use crate::modes::Group;
 use crate::optimize::CancelFlag;
-use crate::scene::{self, NcpaBasis, Scene, SegmentModes, Zernikes};
+use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
 use crate::source::{self, Camera, Truth};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -65,10 +65,7 @@ impl Trials {
     pub(super) fn price(&self, estimator: &Estimator, cancel: Option<&CancelFlag>) -> Result<Price> {
         stop(cancel)?;
         let (model, scene) = (estimator.model(), estimator.scene());
-        let precision = match scene.estimate.precision {
-            scene::Precision::F32 => Precision::F32,
-            scene::Precision::F64 => Precision::F64,
-        };
+        let precision = scene.estimate.precision.into();
         let mut chain = Chain::cpu(model.optics.clone(), precision);
         let cube = Cube { images_e: self.frames_e.view(), bad: self.bad.view(), read_noise_e: None };
         let found = estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;

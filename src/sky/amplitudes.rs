@@ -31,14 +31,17 @@ impl Amplitudes {
     }
 
     /// Goes to the white numbers `u`.
-    pub(super) fn place<T: Polynomial>(&mut self, u: &[f64], scratch: &mut Scratch<T>) {
-        if u.is_empty() {
-            return;
-        }
+    pub(super) fn place(&mut self, u: &[f64]) {
         for ((ln, u), [scale, _]) in self.ln.iter_mut().zip(u).zip(&self.scales) {
             *ln = scale * u;
         }
-        scratch.set_amplitudes(self.ln.iter().map(|ln| ln.exp()));
+    }
+
+    /// Has `scratch` hold the amplitudes, where they vary.
+    pub(super) fn show<T: Polynomial>(&self, scratch: &mut Scratch<T>) {
+        if !self.ln.is_empty() {
+            scratch.set_amplitudes(self.ln.iter().map(|ln| ln.exp()));
+        }
     }
 
     /// The prior at `u`; turns a gradient by the logarithms into one by `u`, with the prior's added.

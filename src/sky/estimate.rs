@@ -7,10 +7,9 @@ use super::passes::{Pass, PassRecipe, find_statics};
 use super::{RetrievalRecipe, RetrievalReport, RetrievedPhases, Retriever, Spectrum, Unknown};
 use crate::ao::Lenslets;
 use crate::grid::Grid;
-use crate::imaging::Precision as ChainPrecision;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::optimize::CancelFlag;
-use crate::scene::{DeviceChoice, Knows, Precision, Scene, SegmentModes};
+use crate::scene::{Knows, Scene, SegmentModes};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
@@ -113,13 +112,6 @@ pub fn read(
     watch: &(dyn Fn(usize) + Sync),
 ) -> Result<FullPhase> {
     let started = Instant::now();
-    if matches!(scene.estimate.device, DeviceChoice::OpenCl | DeviceChoice::OpenClDevice { .. }) {
-        return Err(Error::Scene(
-            "estimate.device asks for OpenCL, on which the full-phase estimate does not run yet: \"auto\" or \"cpu\" is \
-             needed"
-                .into(),
-        ));
-    }
     if scene.modes.segment != SegmentModes::Piston {
         return Err(Error::Scene(format!(
             "modes.segment = \"{}\" is not what the full-phase estimate seeks beside the NCPA: \"piston\" is needed",
@@ -139,13 +131,10 @@ pub fn read(
         other => Ok(other?),
     };
     let prior = prior(scene, knows)?;
-    let precision = match scene.estimate.precision {
-        Precision::F32 => ChainPrecision::F32,
-        Precision::F64 => ChainPrecision::F64,
-    };
+    let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
     // Pistons as coefficients of their own let each image trade an edge for a field that is nearly one: the field alone
     // shows what an image says.
-    let usual = RetrievalRecipe { precision, piston_rms_nm: 0.0, ..RetrievalRecipe::default() };
+    let usual = RetrievalRecipe { device, precision, piston_rms_nm: 0.0, ..RetrievalRecipe::default() };
     let retrieval = if images.images_e.dim().0 <= FEW_IMAGES {
         RetrievalRecipe { cycles_across_a_segment: usual.cycles_across_a_segment * FARTHER, ..usual }
     } else {
@@ -161,10 +150,23 @@ pub fn read(
     let mut source = RetrievedPhases::new(&retriever, &prior, cube, images.slopes_mas.clone(), cancel, watch)?;
     let passes = find_statics(&static_scene, &mut source, &recipe, cancel)?;
     let (reports, retrieval_seconds) = (std::mem::take(&mut source.reports), source.seconds);
+    let (device, device_failure) = retriever.device();
     let (pupil, seconds) = (Telescope::of(&static_scene)?.pupil, started.elapsed().as_secs_f64());
     let precision = scene.estimate.precision;
     let scene = static_scene;
-    Ok(FullPhase { passes, reports, knows, optics, scene, precision, pupil, seconds, retrieval_seconds })
+    Ok(FullPhase {
+        passes,
+        reports,
+        knows,
+        optics,
+        scene,
+        device,
+        device_failure,
+        precision,
+        pupil,
+        seconds,
+        retrieval_seconds,
+    })
 }
 
 /// Writes an estimate in the layout of the modal one, and the table `PASSES`; beside it the true maps (phasing, NCPA; nm), where
@@ -178,6 +180,7 @@ pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Arra
     file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
     file.card("PRIMARY", "METHOD", "full-phase", "estimator")?;
     file.card("PRIMARY", "KNOWS", found.knows.word(), "what it assumes of the adaptive optics")?;
+    file.card("PRIMARY", "DEVICE", found.device.as_str(), "where the retrievals ran")?;
     file.card("PRIMARY", "PRECISIO", found.precision.word(), "precision of the imaging chain")?;
     file.card("PRIMARY", "ELAPSED", found.seconds, "seconds for the estimate")?;
     file.card("PRIMARY", "NIMAGES", found.reports.len() as i64, "images read")?;

@@ -25,6 +25,10 @@ pub struct FullPhase {
     /// The scene by which static errors were sought, and corrections are to be made: with the optics that were found, unless
     /// the sensor's subapertures speak against them.
     pub scene: Scene,
+    /// What reports call that on which the retrievals ran; the search for optics is always the CPU's.
+    pub device: String,
+    /// That the device which `auto` took was lost on the way, and the CPU took its place, as a sentence.
+    pub device_failure: Option<String>,
     /// Precision of the imaging chain.
     pub precision: Precision,
     /// The pupil on which maps are.
@@ -85,6 +89,7 @@ impl FullPhase {
             let were = if left_out == 1 { "was" } else { "were" };
             sentences.push(format!("{left_out} of {all} images {were} left out"));
         }
+        sentences.extend(self.device_failure.clone());
         sentences.extend(self.optics.warnings());
         if self.misfits()? {
             sentences.push(format!(

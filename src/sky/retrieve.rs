@@ -9,18 +9,20 @@
 //! beside the coefficients of segments, tip and tilt, with what the prior says of each added. One image's result depends
 //! on that image alone: the same bits in any batch, on any number of threads.
 
+use super::engine::Engine;
+use super::lockstep::Asked;
+use super::phases::Phases;
 use super::prior::Spectrum;
 use super::probe::Typical;
 use super::sampling::{sampled, seen_to_per_m};
-use super::worker::{Engine, Found};
 use crate::estimate::{Cube, Frame, Model, Preparation, Recipe};
-use crate::imaging::{CpuChain, Precision};
-use crate::optimize::{CancelFlag, StopReason};
+use crate::imaging::{Choice, CpuChain, Polynomial, Precision};
+use crate::optimize::CancelFlag;
 use crate::scene::Scene;
 use crate::source::flux_e;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, Axis};
+use ndarray::Array1;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -31,6 +33,9 @@ pub struct RetrievalRecipe {
     /// pixels open. Behind Keck's loop 75 images leave 3.6 nm of phasing with 8; with 6, what edges are seen is worth 4.3 nm
     /// (one draw).
     pub cycles_across_a_segment: f64,
+    /// Where the chain runs. On the CPU every thread has an image of its own; on a device a batch goes in lock-step. Where
+    /// amplitudes of segments vary it is the CPU all the same.
+    pub device: Choice,
     /// Precision of the chain; the steps are always taken in double.
     pub precision: Precision,
     /// What the model does not know (motion in an exposure, flat field), as a fraction of a pixel's signal: its square
@@ -44,13 +49,13 @@ pub struct RetrievalRecipe {
     /// than its samples, motion) even a perfect retrieval leaves, and to follow it is to fit it. A fifth of this takes two
     /// thirds more evaluations of a bright star's images, for 2.7 nm of error at the mirror's frequencies in place of 3.0.
     pub misfit_tolerance: f64,
+    /// Most images that go together on a device: fewer leave it idle, more gain nothing.
+    pub most_together: usize,
     /// Most evaluations for one image.
     pub max_evaluations: usize,
     /// Pairs of steps and changes of gradient that the optimiser remembers: 3 do what 10 do, to 5 % of the evaluations,
     /// and of 16,000 numbers each they are what an evaluation costs beside the optics.
     pub memory: usize,
-    /// How often the weights, first those of the data, are renewed from the fitted model.
-    pub renewals: usize,
     /// RMS that each segment's piston is expected to have beside [`Statics`], nm. 0 leaves pistons to the field, whose
     /// spectrum has room for them: then a mean over images is what the images show, and not where a field that is nearly
     /// an edge was traded for one. A single image's error is the same, 23 nm, either way.
@@ -66,13 +71,14 @@ impl Default for RetrievalRecipe {
     fn default() -> Self {
         Self {
             cycles_across_a_segment: 8.0,
+            device: Choice::Cpu,
             precision: Precision::F32,
             model_error: 0.003,
             decrement_tolerance: 3.0,
             misfit_tolerance: 0.015,
+            most_together: 128,
             max_evaluations: 200,
             memory: 4,
-            renewals: 0,
             piston_rms_nm: 0.0,
             segment_tilt_rms_nm: 0.0,
             segment_amplitude_rms: 0.0,
@@ -87,41 +93,6 @@ pub struct Statics {
     pub segments_nm: Vec<f64>,
     /// The rest, nm at each lit sample.
     pub map_nm: Vec<f64>,
-}
-
-/// What the images of a batch show.
-#[derive(Debug, Clone)]
-pub struct Phases {
-    /// The whole wavefront, static and dynamic, piston, tip and tilt included, nm, `[image, lit sample]`; NaN for an image
-    /// that cannot be used. Where a sample belongs to several segments it shows their mean by weight.
-    pub phase_nm: Array2<f64>,
-    /// Of it, what the coefficients hold: segments, then tip and tilt, nm, `[image, coefficient]`.
-    pub coefficients_nm: Array2<f64>,
-    /// Logarithm of each segment's amplitude over the model's, `[image, segment]`; no columns where amplitudes are known.
-    pub ln_amplitudes: Array2<f64>,
-    /// One for each image.
-    pub reports: Vec<RetrievalReport>,
-}
-
-/// How one image's retrieval went.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RetrievalReport {
-    /// χ² per degree of freedom under the noise and the model error of the fitted model; NaN for an image that cannot be
-    /// used.
-    pub reduced_chi2: f64,
-    /// What was minimised, χ² under the data's weights and what the prior adds, over the same degrees of freedom: a model that
-    /// is not the instrument's shows here where wavefronts could be found that explain the image, and are improbable.
-    pub reduced_objective: f64,
-    /// Evaluations of objective and gradient.
-    pub evaluations: usize,
-    /// Why it stopped.
-    pub reason: StopReason,
-    /// Electrons of the star.
-    pub flux_e: f64,
-    /// Electrons per pixel of the background.
-    pub background_e: f64,
-    /// Why the image cannot be used.
-    pub refusal: Option<String>,
 }
 
 /// Retrieves wavefronts behind images of one scene.
@@ -204,6 +175,15 @@ impl Retriever {
         self.seen_to_per_m
     }
 
+    /// What reports call the device on which the last images were retrieved, and why it does not compute any more, where
+    /// `auto` took one and it was lost.
+    pub fn device(&self) -> (String, Option<String>) {
+        match &self.engine {
+            AnyEngine::Single(engine) => engine.device(),
+            AnyEngine::Double(engine) => engine.device(),
+        }
+    }
+
     /// How it is done.
     pub fn retrieval(&self) -> &RetrievalRecipe {
         &self.retrieval
@@ -246,49 +226,59 @@ impl Retriever {
         cancel: Option<&CancelFlag>,
         watch: &(dyn Fn(usize) + Sync),
     ) -> Result<Phases> {
-        let (lit, modes) = (self.points_m.len(), self.model.optics.modes());
         if let Some(statics) = statics {
             self.check_statics(statics)?;
         }
         let read_noise_e = cube.read_noise_e.unwrap_or(self.read_noise_e);
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
-        let mut phase_nm = Array2::from_elem((frames.len(), lit), f64::NAN);
-        let mut coefficients_nm = Array2::from_elem((frames.len(), modes), f64::NAN);
-        let varied =
-            if self.retrieval.segment_amplitude_rms > 0.0 { self.model.optics.parts().weights.segments } else { 0 };
-        let mut ln_amplitudes = Array2::from_elem((frames.len(), varied), f64::NAN);
+        let take = |image: usize| match self.preparation().prepare(frames[image], &self.recipe) {
+            Ok(prepared) => Ok(Ok(prepared)),
+            Err(Error::Image(refusal)) => Ok(Err(refusal)),
+            Err(error) => Err(error),
+        };
+        let asked = Asked { images: frames.len(), take: &take, statics, cancel };
+        match &self.engine {
+            AnyEngine::Single(engine) => self.retrieve_with(engine, &asked, watch),
+            AnyEngine::Double(engine) => self.retrieve_with(engine, &asked, watch),
+        }
+    }
+
+    fn retrieve_with<T: Polynomial>(
+        &self,
+        engine: &Engine<T>,
+        asked: &Asked,
+        watch: &(dyn Fn(usize) + Sync),
+    ) -> Result<Phases> {
+        let parts = self.model.optics.parts();
+        let varied = if self.retrieval.segment_amplitude_rms > 0.0 { parts.weights.segments } else { 0 };
+        let mut phases = Phases::unfinished(asked.images, [parts.weights.lit.len(), parts.modes.len(), varied]);
+        let mut done = 0;
+        // A batch ends its images one after the other, in whatever order.
+        let on_device = engine.retrieve_on_device(asked, &mut |image, found| {
+            phases.keep(image, found);
+            done += 1;
+            watch(done);
+        })?;
+        if on_device {
+            return Ok(phases);
+        }
         let done = AtomicUsize::new(0);
-        let rows = phase_nm.axis_iter_mut(Axis(0)).zip(coefficients_nm.axis_iter_mut(Axis(0)));
-        let rows = rows.zip(ln_amplitudes.axis_iter_mut(Axis(0)));
-        let jobs: Vec<_> = frames.iter().zip(rows).collect();
-        let reports = jobs
-            .into_par_iter()
-            .map(|(frame, ((mut phase_nm, mut coefficients_nm), mut ln_amplitudes))| {
-                if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-                    let (done, all) = (done.load(Ordering::Relaxed), frames.len());
-                    return Err(Error::Interrupted(format!("{done} of {all} wavefronts were retrieved")));
-                }
-                let report = match self.preparation().prepare(*frame, &self.recipe) {
-                    Err(Error::Image(refusal)) => RetrievalReport::refused(refusal),
-                    Err(error) => return Err(error),
-                    Ok(prepared) => {
-                        let found = match &self.engine {
-                            AnyEngine::Single(engine) => engine.retrieve(prepared, statics)?,
-                            AnyEngine::Double(engine) => engine.retrieve(prepared, statics)?,
-                        };
-                        let Found { phase_nm: phase, coefficients_nm: coefficients, ln_amplitudes: ln, report } = found;
-                        phase_nm.iter_mut().zip(phase).for_each(|(out, phase)| *out = phase);
-                        coefficients_nm.iter_mut().zip(coefficients).for_each(|(out, nm)| *out = nm);
-                        ln_amplitudes.iter_mut().zip(ln).for_each(|(out, ln)| *out = ln);
-                        report
-                    }
-                };
-                watch(done.fetch_add(1, Ordering::Relaxed) + 1);
-                Ok(report)
-            })
-            .collect::<Result<Vec<_>>>()?;
-        Ok(Phases { phase_nm, coefficients_nm, ln_amplitudes, reports })
+        let rows: Vec<_> = phases.rows().enumerate().collect();
+        rows.into_par_iter().try_for_each(|(image, row)| {
+            if asked.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                let (done, all) = (done.load(Ordering::Relaxed), asked.images);
+                return Err(Error::Interrupted(format!("{done} of {all} wavefronts were retrieved")));
+            }
+            let found = match (asked.take)(image)? {
+                Ok(prepared) => Ok(engine.retrieve(prepared, asked.statics)?),
+                Err(refusal) => Err(refusal),
+            };
+            row.keep(found);
+            watch(done.fetch_add(1, Ordering::Relaxed) + 1);
+            Ok(())
+        })?;
+        Ok(phases)
     }
 
     fn preparation(&self) -> &Preparation {
@@ -307,20 +297,6 @@ impl Retriever {
         match statics.segments_nm.iter().chain(&statics.map_nm).find(|nm| !nm.is_finite()) {
             Some(nm) => Err(Error::Value(format!("a static wavefront of {nm} nm was given: finite values are needed"))),
             None => Ok(()),
-        }
-    }
-}
-
-impl RetrievalReport {
-    fn refused(refusal: String) -> Self {
-        Self {
-            reduced_chi2: f64::NAN,
-            reduced_objective: f64::NAN,
-            evaluations: 0,
-            reason: StopReason::Unfinished,
-            flux_e: f64::NAN,
-            background_e: f64::NAN,
-            refusal: Some(refusal),
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::estimate::Cube;
-use crate::imaging::{CpuChain, Precision};
+use crate::imaging::{Choice, CpuChain, Precision};
 use crate::scene::Scene;
 use ndarray::{Array1, Array3, s};
 
@@ -219,4 +219,59 @@ fn a_spectrum_measured_from_phases_is_the_one_they_were_drawn_from() {
     }
     let [found, drawn] = [&measured, &prior].map(|spectrum| spectrum.variance_nm2(0.3, 4.0));
     assert!((found / drawn - 1.0).abs() < 0.15, "{found} {drawn}");
+}
+
+/// On a device, three at a time, what the CPU finds image by image; a frame without a star among them.
+#[cfg(feature = "opencl")]
+#[test]
+fn a_device_finds_in_lock_step_what_the_cpu_finds() {
+    let (scene, prior) = (scene(), prior());
+    let recipe = |device, precision| RetrievalRecipe {
+        device,
+        precision,
+        most_together: 3,
+        max_evaluations: 60,
+        ..RetrievalRecipe::default()
+    };
+    let on = |device, precision| Retriever::new(&scene, &prior, recipe(device, precision)).unwrap();
+    let judge = on(Choice::Cpu, Precision::F64);
+    let mut drawn = draw(&judge, &prior, 7, true);
+    drawn.images_e.slice_mut(s![1, .., ..]).fill(5.0);
+    let bad = drawn.images_e.mapv(|_| false);
+    let wanted = judge.retrieve(cube(&drawn, &bad), None, None, &|_| {}).unwrap();
+    for info in crate::device::tests::test_devices() {
+        for precision in [Precision::F64, Precision::F32].into_iter().filter(|&precision| info.supports(precision)) {
+            let retriever = on(info.address().parse().unwrap(), precision);
+            let most = std::sync::atomic::AtomicUsize::new(0);
+            let watch = |done: usize| {
+                most.fetch_max(done, std::sync::atomic::Ordering::Relaxed);
+            };
+            let found = retriever.retrieve(cube(&drawn, &bad), None, None, &watch).unwrap();
+            assert_eq!(most.into_inner(), 7);
+            let (name, failure) = retriever.device();
+            assert!(name.starts_with(&info.address()) && failure.is_none(), "{name} {failure:?}");
+            assert!(found.reports[1].refusal.is_some() && found.phase_nm.row(1).iter().all(|nm| nm.is_nan()));
+            let statics = Statics { segments_nm: vec![0.0; 7], map_nm: vec![0.0; retriever.points_m().len()] };
+            let again = retriever.retrieve(cube(&drawn, &bad), Some(&statics), None, &|_| {}).unwrap();
+            assert_eq!(again.phase_nm.row(0), found.phase_nm.row(0), "the same bits from the same input");
+            for image in [0, 2, 3, 4, 5, 6] {
+                let (one, other) = (&found.reports[image], &wanted.reports[image]);
+                let pairs = found.phase_nm.row(image).into_iter().zip(wanted.phase_nm.row(image));
+                let apart = rms_nm(&retriever, pairs.map(|(a, b)| a - b));
+                println!("{precision} image {image}: {apart:.1e} nm apart, {one:?}");
+                // In f64 the same steps; roundings of 1e-15 grow a little with each. In f32 they are other steps to the same
+                // minimum, within what ends them: a deviation or two (image 5 of 6 nm), a tenth of the error of a retrieval.
+                let allowed = if precision == Precision::F64 { 1e-6 } else { 5.0 };
+                assert!(apart < allowed, "{precision} image {image}: {apart} nm");
+                if precision == Precision::F64 {
+                    assert_eq!((one.evaluations, one.reason), (other.evaluations, other.reason));
+                }
+            }
+            let raised = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
+            let stopped = retriever.retrieve(cube(&drawn, &bad), None, Some(&raised), &|_| {});
+            assert!(matches!(stopped, Err(crate::Error::Interrupted(_))));
+        }
+    }
+    let nowhere = recipe(Choice::OpenClAt(99, 0), Precision::F32);
+    assert!(matches!(Retriever::new(&scene, &prior, nowhere).err(), Some(crate::Error::Device(_))));
 }

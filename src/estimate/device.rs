@@ -1,0 +1,24 @@
+//! Words of the scene in the terms of the chain.
+
+use crate::imaging::{Choice, Precision};
+use crate::scene;
+
+impl From<scene::DeviceChoice> for Choice {
+    fn from(word: scene::DeviceChoice) -> Self {
+        match word {
+            scene::DeviceChoice::Auto => Choice::Auto,
+            scene::DeviceChoice::Cpu => Choice::Cpu,
+            scene::DeviceChoice::OpenCl => Choice::OpenCl,
+            scene::DeviceChoice::OpenClDevice { platform, device } => Choice::OpenClAt(platform, device),
+        }
+    }
+}
+
+impl From<scene::Precision> for Precision {
+    fn from(word: scene::Precision) -> Self {
+        match word {
+            scene::Precision::F32 => Precision::F32,
+            scene::Precision::F64 => Precision::F64,
+        }
+    }
+}
