@@ -9,6 +9,7 @@ use super::Estimator;
 use super::model::Model;
 use crate::modes::Basis;
 use crate::optimize::Metric;
+use crate::pupil::Pupil;
 use crate::scene::Scene;
 use crate::telescope::{Diversity, Telescope};
 use crate::{Error, Result};
@@ -32,6 +33,48 @@ pub struct HeldDiversity {
     pub rms_nm: f64,
 }
 
+/// What modes hold of a map: least squares over a pupil, weight A, piston removed.
+pub struct Holder {
+    weight: Array2<f64>,
+    metric: Metric,
+    segment_modes: usize,
+}
+
+/// What modes hold of a map.
+pub struct Held {
+    /// Their coefficients, one for each mode of the basis; 0 for segments.
+    pub coefficients_nm: Array1<f64>,
+    /// Mean square over the pupil, nm².
+    pub square: f64,
+}
+
+impl Holder {
+    /// For the modes of `basis` behind the first `segment_modes`, at least one.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a basis of another pupil.
+    pub fn of(pupil: &Pupil, basis: &Basis, segment_modes: usize) -> Result<Self> {
+        let gram = basis.visible_gram(&pupil.amplitude)?;
+        let metric = Metric::from_gauss_newton(&gram.slice_move(s![segment_modes.., segment_modes..]), NULL_FLOOR)?;
+        Ok(Self { weight: &pupil.amplitude / pupil.weight_sum(), metric, segment_modes })
+    }
+
+    /// What the modes of `basis`, for which this was made, hold of `map_nm`; where there is no glass it may be anything but
+    /// NaN.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a map of another size.
+    pub fn held(&self, basis: &Basis, map_nm: &Array2<f64>) -> Result<Held> {
+        let map_nm = map_nm - (map_nm * &self.weight).sum();
+        let along = Array1::from(basis.along(&(&map_nm * &self.weight))?);
+        let (mut unit, mut coefficients_nm) = (vec![0.0; self.metric.rank()], Array1::zeros(basis.len()));
+        self.metric.gradient_to_z(along.slice(s![self.segment_modes..]).as_slice().unwrap_or_default(), &mut unit);
+        let mut smooth = coefficients_nm.slice_mut(s![self.segment_modes..]);
+        self.metric.to_x(&unit, smooth.as_slice_mut().unwrap_or_default());
+        Ok(Held { coefficients_nm, square: unit.iter().map(|z| z * z).sum() })
+    }
+}
+
 impl HeldDiversity {
     /// By least squares over the pupil of `telescope` (weight A, piston removed), on the modes of `basis` behind the first
     /// `segment_modes`.
@@ -39,24 +82,19 @@ impl HeldDiversity {
     /// # Errors
     /// [`Error::File`] for a map of the diversity that cannot be read.
     pub fn of(scene: &Scene, telescope: &Telescope, basis: &Basis, segment_modes: usize) -> Result<Self> {
-        let (pupil, n) = (&telescope.pupil, segment_modes);
+        let pupil = &telescope.pupil;
         let diversity = Diversity::of(scene, telescope)?;
         let coordinate = |at: usize| pupil.grid.coordinate_m(at);
+        let dim = pupil.amplitude.dim();
+        let map = Array2::from_shape_fn(dim, |(y, x)| diversity.at(coordinate(x), coordinate(y)));
         let weight = &pupil.amplitude / pupil.weight_sum();
-        let map = Array2::from_shape_fn(weight.dim(), |(y, x)| diversity.at(coordinate(x), coordinate(y)));
         let map = &map - (&map * &weight).sum();
         let square = (&map * &map * &weight).sum();
-        let nothing = Self { coefficients_nm: Array1::zeros(basis.len()), outside: 1.0, rms_nm: square.sqrt() };
-        if n == basis.len() || square == 0.0 {
-            return Ok(nothing);
+        if segment_modes == basis.len() || square == 0.0 {
+            let coefficients_nm = Array1::zeros(basis.len());
+            return Ok(Self { coefficients_nm, outside: 1.0, rms_nm: square.sqrt() });
         }
-        let along = Array1::from(basis.along(&(&map * &weight))?);
-        let gram = basis.visible_gram(&pupil.amplitude)?;
-        let metric = Metric::from_gauss_newton(&gram.slice_move(s![n.., n..]), NULL_FLOOR)?;
-        let (mut unit, mut coefficients_nm) = (vec![0.0; metric.rank()], nothing.coefficients_nm);
-        metric.gradient_to_z(along.slice(s![n..]).as_slice().unwrap_or_default(), &mut unit);
-        metric.to_x(&unit, coefficients_nm.slice_mut(s![n..]).as_slice_mut().unwrap_or_default());
-        let held: f64 = unit.iter().map(|z| z * z).sum();
+        let Held { coefficients_nm, square: held } = Holder::of(pupil, basis, segment_modes)?.held(basis, &map)?;
         Ok(Self { coefficients_nm, outside: (1.0 - held / square).max(0.0).sqrt(), rms_nm: square.sqrt() })
     }
 

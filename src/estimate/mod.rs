@@ -44,7 +44,7 @@ pub use accumulator::{Accumulator, RunningEstimate};
 pub use arrays::Arrays;
 pub use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, Combined, Estimate};
-pub use diversity_error::{HeldDiversity, within_reach};
+pub use diversity_error::{Held, HeldDiversity, Holder, within_reach};
 pub use file::write;
 pub use fit::Watch;
 pub use fit_optics::FittedOptic;

@@ -124,9 +124,10 @@ impl FullPhase {
         }
         if self.knows < Knows::Loop {
             sentences.push(format!(
-                "with estimate.knows = \"{}\" the loop's answer to the pistons counts as NCPA, and is not in its error \
-                 bars",
-                self.knows.word()
+                "with estimate.knows = \"{}\" the loop's answer to the pistons counts as NCPA: their error bars hold {:.0} nm \
+                 for it",
+                self.knows.word(),
+                pass.answer_nm
             ));
         }
         Ok(sentences)

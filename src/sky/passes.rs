@@ -109,11 +109,14 @@ pub struct Pass {
     pub ncpa_sigma_nm: Array2<f64>,
     /// RMS over the pupil that the residuals are expected to have, phasing and NCPA, piston, tip and tilt removed, nm.
     pub expected_nm: [f64; 2],
-    /// Likewise without what all images and passes share: an error of the diversity (`estimate.diversity_error`), and
-    /// [`Pass::beyond_nm`].
+    /// Likewise without what all images and passes share: an error of the diversity (`estimate.diversity_error`),
+    /// [`Pass::beyond_nm`] and [`Pass::answer_nm`].
     pub averaged_nm: [f64; 2],
     /// RMS of NCPA that go on beyond the finest modes that there are, nm, as these fall; 0 where they do not go on.
     pub beyond_nm: f64,
+    /// RMS of what a loop that is not known is expected to have made of the pistons, nm, which counts as NCPA; 0 where the loop
+    /// is known.
+    pub answer_nm: f64,
     /// By how much both differ from the static wavefront about which the phases were sought, RMS, nm; NaN for the first.
     pub changed_nm: [f64; 2],
     /// The images that were used.
@@ -271,7 +274,7 @@ impl<'a> Search<'a> {
         let Some(&family) = family else {
             return Err(Error::Value("no family of NCPA modes was given: at least 1 is needed".into()));
         };
-        Ncpa::of(family, self.scene, &self.telescope, &self.all, &self.kept)
+        Ncpa::of(family, self.scene, &self.telescope, (&self.all, &self.kept), self.answers.is_some())
     }
 
     /// The static errors behind phases that scatter with `residual`, and slopes measured meanwhile (`[image, slope]`, mas).

@@ -191,7 +191,7 @@ mod tests {
         // An error bar is the root of a mean square over some ten degrees of freedom, so one draw scatters by a quarter; and
         // a pupil of three segments, with lags tapered at its width, underestimates the lowest orders of its turbulence by
         // up to a half. Three times it is too much.
-        for (left, pass) in [(known_loop, &passes[1]), (telemetry, &passes[2])] {
+        for (left, pass) in [(spectrum, &passes[0]), (known_loop, &passes[1]), (telemetry, &passes[2])] {
             assert!(
                 left[0] < 3.0 * pass.expected_nm[0] && left[1] < 3.0 * pass.expected_nm[1],
                 "{:?}",
@@ -199,6 +199,15 @@ mod tests {
             );
         }
         assert!(telemetry[0] < 15.0 && telemetry[1] < 10.0, "64 and 73 nm were put in");
+        // The less is known the larger the error bar; what the loop may have answered no number of images takes out.
+        let [wide, narrow, narrowest] = [0, 1, 2].map(|i| passes[i].expected_nm[1]);
+        assert!(wide > narrow && narrow > narrowest, "{wide} {narrow} {narrowest}");
+        let [unknown, known, _] = &passes;
+        assert_eq!((known.answer_nm, known.averaged_nm), (0.0, known.expected_nm));
+        // Pistons of 64 nm of which the modes hold most and the pupil's plane takes some, times 0.58.
+        assert!((15.0..40.0).contains(&unknown.answer_nm), "{}", unknown.answer_nm);
+        assert!((unknown.expected_nm[1] / unknown.averaged_nm[1].hypot(unknown.answer_nm) - 1.0).abs() < 1e-9);
+        assert!(unknown.further_images([f64::INFINITY, 0.9 * unknown.answer_nm]).is_err());
     }
 
     /// All images and passes share it: neither the estimate, nor when passes end, nor what further images bring hangs on it.
