@@ -751,6 +751,14 @@ cophase_status cophase_session_image_message(const struct cophase_session *sessi
                                              size_t capacity,
                                              size_t *length);
 
+// That the device which "auto" chose was lost, and that the session goes on on the CPU, in a sentence; empty where it was
+// not. A device that was named fails with COPHASE_DEVICE instead. `text`, `capacity` and `length` are as in
+// cophase_device_list.
+cophase_status cophase_session_device_failure(const struct cophase_session *session,
+                                              char *text,
+                                              size_t capacity,
+                                              size_t *length);
+
 // Covariance of the coefficients of an image of the last fit, nm²: as its noise makes it, scaled by its χ² where the
 // model misfits. Takes as long as some hundred evaluations.
 //

@@ -72,6 +72,18 @@ fn a_device_is_honoured_and_hardly_matters() {
     }
 }
 
+/// In focus an image does not tell an even aberration from its negative.
+#[test]
+fn images_in_focus_have_no_signs_and_it_is_said() {
+    let scene = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
+    let said = |waves: &str| {
+        let scene = scene.with_override("image.diversity_focus_waves_rms", waves).unwrap();
+        let images = exposures(&mut Stepper::new(&scene).unwrap(), 3);
+        read(&scene, &images, None, &|_| {}).unwrap().warnings().unwrap().join("\n").contains("signs of these maps")
+    };
+    assert!(said("0.001") && !said("1.5"));
+}
+
 #[test]
 fn what_is_for_static_modes_alone_is_refused() {
     let scene = Scene::from_file(sky()).unwrap();

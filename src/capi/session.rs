@@ -218,6 +218,24 @@ pub unsafe extern "C" fn cophase_session_image_message(
     }
 }
 
+/// That the device which "auto" chose was lost, and that the session goes on on the CPU, in a sentence; empty where it was
+/// not. A device that was named fails with COPHASE_DEVICE instead. `text`, `capacity` and `length` are as in
+/// cophase_device_list.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_session_device_failure(
+    session: *const cophase_session,
+    text: *mut std::ffi::c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> cophase_status {
+    unsafe {
+        read(session, |working| {
+            let sentence = working.session.device_failure().unwrap_or_default();
+            put_text(text, capacity, length, sentence)
+        })
+    }
+}
+
 /// Covariance of the coefficients of an image of the last fit, nm²: as its noise makes it, scaled by its χ² where the
 /// model misfits. Takes as long as some hundred evaluations.
 ///

@@ -145,13 +145,7 @@ pub fn of_diversity(held: &HeldDiversity, scene: &Scene) -> Option<String> {
 pub fn warnings(name: &str, estimator: &Estimator, held: &HeldDiversity, estimate: &Estimate) -> Vec<String> {
     let model = estimator.model();
     let mut sentences: Vec<String> = estimate.device_failure.iter().map(|reason| format!("{name}: {reason}")).collect();
-    if held.is_too_small(estimator.scene().image.wavelength_nm) {
-        sentences.push(format!(
-            "the scene's diversity is {:.1} nm RMS: an image in focus does not tell an even aberration from its negative, and \
-             the signs of these maps are not known",
-            held.rms_nm
-        ));
-    }
+    sentences.extend(held.warning(estimator.scene().image.wavelength_nm));
     for optic in estimator.fitted_optics().iter().filter(|optic| !optic.is_told()) {
         let (word, key) = (optic.optic.word(), optic.key());
         sentences.push(format!(

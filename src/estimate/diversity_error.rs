@@ -120,6 +120,17 @@ impl HeldDiversity {
         self.rms_nm < LEAST_WAVES * wavelength_nm
     }
 
+    /// That it is, where it is, as a sentence.
+    pub fn warning(&self, wavelength_nm: f64) -> Option<String> {
+        self.is_too_small(wavelength_nm).then(|| {
+            format!(
+                "the scene's diversity is {:.1} nm RMS: an image in focus does not tell an even aberration from its negative, \
+                 and the signs of these maps are not known",
+                self.rms_nm
+            )
+        })
+    }
+
     /// Whether an error of the diversity would be read as NCPA, and leave no trace.
     pub fn is_held(&self) -> bool {
         self.outside < HELD

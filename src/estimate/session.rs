@@ -3,6 +3,8 @@
 mod batch;
 mod options;
 mod single;
+#[cfg(all(test, feature = "opencl", debug_assertions))]
+mod tests;
 
 pub use options::{FitOptions, ImageResult, SessionOptions};
 
@@ -120,6 +122,14 @@ impl Session {
     /// The estimator whose model is fitted.
     pub fn estimator(&self) -> &Arc<Estimator> {
         &self.shared.estimator
+    }
+
+    /// That the device which `auto` took was lost, and the CPU has taken its place, as a sentence.
+    pub fn device_failure(&self) -> Option<&str> {
+        match &self.engine {
+            Engine::Cpu64(_) | Engine::Cpu32(_) => None,
+            Engine::Device(batch) => batch.failure(),
+        }
     }
 
     /// Most images of a call.

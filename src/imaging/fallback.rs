@@ -19,7 +19,7 @@ pub struct Fallback {
 
 impl Fallback {
     /// Guards `device`, a chain for `optics`.
-    pub(super) fn new(device: Chain, optics: Arc<Optics>) -> Self {
+    pub(crate) fn new(device: Chain, optics: Arc<Optics>) -> Self {
         Self { chain: Box::new(device), optics, exposures: Vec::new(), failure: None }
     }
 

@@ -90,6 +90,7 @@ impl FullPhase {
             sentences.push(format!("{left_out} of {all} images {were} left out"));
         }
         sentences.extend(self.device_failure.clone());
+        sentences.extend(pass.diversity.warning(self.scene.image.wavelength_nm));
         sentences.extend(self.optics.warnings());
         if self.misfits()? {
             sentences.push(format!(

@@ -28,6 +28,16 @@ static int message_says(const struct setting *s, const char *part)
     return strstr(text, part) != NULL;
 }
 
+/* No device is lost where none was chosen. */
+static void no_device_is_lost(const struct setting *s)
+{
+    char text[8] = "xxx";
+    size_t length = 7;
+
+    CHECK(cophase_session_device_failure(s->session, text, sizeof text, &length) == COPHASE_OK);
+    CHECK(length == 0 && text[0] == '\0' && text[1] == 'x');
+}
+
 static void names(void)
 {
     CHECK(strcmp(cophase_image_status_name(COPHASE_IMAGE_OK), "OK") == 0);
@@ -205,6 +215,7 @@ int main(int argc, char **argv)
     s = setting_of(scene);
     free(scene);
     names();
+    no_device_is_lost(&s);
     statuses(&s);
     one_bad_among_good(&s);
     deadlines(&s);

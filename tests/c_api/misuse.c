@@ -93,6 +93,9 @@ static void null_sessions(const struct setting *s)
     NULL_IS_REFUSED("session", cophase_session_image_message(NULL, 0, text, sizeof text, &size));
     NULL_IS_REFUSED("text", cophase_session_image_message(s->session, 0, NULL, 1, &size));
     NULL_IS_REFUSED("length", cophase_session_image_message(s->session, 0, text, sizeof text, NULL));
+    NULL_IS_REFUSED("session", cophase_session_device_failure(NULL, text, sizeof text, &size));
+    NULL_IS_REFUSED("text", cophase_session_device_failure(s->session, NULL, 1, &size));
+    NULL_IS_REFUSED("length", cophase_session_device_failure(s->session, text, sizeof text, NULL));
     NULL_IS_REFUSED("session", cophase_session_covariance_nm2(NULL, 0, values, s->modes));
     NULL_IS_REFUSED("covariance_nm2", cophase_session_covariance_nm2(s->session, 0, NULL, s->modes));
     CHECK(session == NULL && size == 7);

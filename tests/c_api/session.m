@@ -165,6 +165,7 @@ function reports(m, s, frames)
     assert(all(abs([report.Background_e] - 30) < 3));
     assert(all(isfinite([report.Tip_nm report.Tilt_nm])));
     assert(~isempty(s.message(1)) && ischar(s.message(3)));
+    assert(isempty(s.deviceFailure()) && ischar(s.deviceFailure()));
     must_fail('BAD_VALUE', 'up to 3', @() s.message(4));
     must_fail('BAD_VALUE', 'the image is 0', @() s.covariance(0));
     must_fail('BAD_ARGUMENT', 'the image', @() s.covariance('one'));

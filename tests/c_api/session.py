@@ -121,6 +121,7 @@ def fits(model, session, frames, truth_nm):
         # Six sigma: not one in ten million of these errors is larger.
         assert (error_nm**2 < 36 * np.diag(covariance_nm2)).all(), (error_nm, np.diag(covariance_nm2) ** 0.5)
         assert session.message(k)
+    assert session.device_failure == ""
     failure(lambda: session.message(COUNT), cophase.BadValueError)
     failure(lambda: session.message(-1), OverflowError)
 

@@ -104,6 +104,15 @@ classdef Session < cophase.Handle
             cophase_mex('session.calibrate', self.id, varargin{:});
         end
 
+        function sentence = deviceFailure(self)
+            %DEVICEFAILURE  Whether the device was lost.
+            %   s.deviceFailure() says that the device which 'auto' chose was lost and the CPU has taken its place; empty
+            %   where it was not. A device that was named fails with cophase:DEVICE instead.
+            %
+            %   See also cophase.Session.fit, cophase.devices.
+            sentence = cophase_mex('session.device_failure', self.id);
+        end
+
         function covariance_nm2 = covariance(self, image)
             %COVARIANCE  Of the coefficients of an image.
             %   C = s.covariance(k) returns the covariance, m.Modes x m.Modes, nm^2, of image k of the last fit; of the

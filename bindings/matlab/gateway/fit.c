@@ -111,6 +111,17 @@ static void do_message(int outputs, mxArray **out, int inputs, const mxArray **i
     out[0] = mxCreateString(sentence);
 }
 
+/* (session): that its device was lost, and the CPU has taken its place; empty where it was not. */
+static void do_device_failure(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const live *session = handle_of(in[0], SESSION);
+    char sentence[2049];
+    size_t length;
+
+    check(cophase_session_device_failure(session_of(session), sentence, sizeof sentence, &length));
+    out[0] = mxCreateString(sentence);
+}
+
 /* (session, image): modes x modes, nm^2. */
 static void do_covariance(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
@@ -151,6 +162,7 @@ static void do_evaluate(int outputs, mxArray **out, int inputs, const mxArray **
 const command FIT_COMMANDS[] = {
     {"session.fit", 2, ANY_NUMBER, do_fit},
     {"session.message", 2, 2, do_message},
+    {"session.device_failure", 1, 1, do_device_failure},
     {"session.covariance", 2, 2, do_covariance},
     {"session.load", 2, ANY_NUMBER, do_load},
     {"session.evaluate", 2, 2, do_evaluate},

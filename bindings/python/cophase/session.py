@@ -232,6 +232,14 @@ class Session(Handle):
         """Why an image of the last fit has the status that it has, in a sentence."""
         return text_of(lib.cophase_session_image_message, self._handle, image)
 
+    @property
+    def device_failure(self) -> str:
+        """That the device which ``"auto"`` chose was lost, and that the CPU has taken its place; empty where it was not.
+
+        A device that was named raises :class:`cophase.DeviceError` instead.
+        """
+        return text_of(lib.cophase_session_device_failure, self._handle)
+
     def covariance_nm2(self, image: int = 0) -> NDArray[np.float64]:
         """Covariance ``(modes, modes)`` of the coefficients of an image of the last fit, nm^2.
 

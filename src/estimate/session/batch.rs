@@ -26,6 +26,11 @@ impl Batch {
         Ok(Self { chain })
     }
 
+    /// That the device was lost and the CPU has taken its place, as a sentence.
+    pub(super) fn failure(&self) -> Option<&str> {
+        self.chain.failure()
+    }
+
     pub(super) fn fit(&mut self, call: &Call, images: &mut [Image], results: &mut [ImageResult]) -> Result<()> {
         let began = Instant::now();
         let refused = prepare(call, images);

@@ -80,6 +80,12 @@ impl GpuChain {
         })
     }
 
+    /// Where it runs.
+    #[cfg(all(test, debug_assertions))]
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
+    }
+
     /// Coefficients of the model.
     pub fn modes(&self) -> usize {
         self.layout.modes.len()
