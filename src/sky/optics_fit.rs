@@ -12,6 +12,7 @@ use super::optics_found::OpticsFound;
 use super::retrieve::{RetrievalRecipe, Retriever};
 use super::{SkyImages, Spectrum};
 use crate::estimate::Cube;
+use crate::imaging::Choice;
 use crate::optimize::CancelFlag;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
@@ -160,7 +161,8 @@ struct Witness<'a> {
 
 impl Witness<'_> {
     fn ask(&self, optics: &Optics, segment_amplitude_rms: f64) -> Result<Answer> {
-        let recipe = RetrievalRecipe { segment_amplitude_rms, ..self.recipe.clone() };
+        // Six images of optics that are never asked again are not worth compiling kernels for.
+        let recipe = RetrievalRecipe { segment_amplitude_rms, device: Choice::Cpu, ..self.recipe.clone() };
         let retriever = Retriever::with_telescope(&optics.scene, optics.telescope()?, self.prior, recipe)?;
         let cube = Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e };
         let phases = retriever.retrieve(cube, None, self.cancel, &|_| {})?;

@@ -1,4 +1,5 @@
-//! The whole wavefront behind each image of a sequence: maximum a posteriori, image by image, on every core.
+//! The whole wavefront behind each image of a sequence: maximum a posteriori, image by image on every core, or all together
+//! on a device.
 //!
 //! ```text
 //! frame ─ prepare ─ weigh ─ information ─ Filter ┐
@@ -7,7 +8,8 @@
 //!
 //! The objective is that of the modal fit, `Σ w·(S·h + b − d)²`, over a phase of its own at each lit sample ([`Square`])
 //! beside the coefficients of segments, tip and tilt, with what the prior says of each added. One image's result depends
-//! on that image alone: the same bits in any batch, on any number of threads.
+//! on that image alone: on the CPU the same bits in any batch, on any number of threads; on a device to rounding, where small
+//! batches take other kernels than large ones.
 
 use super::engine::Engine;
 use super::lockstep::Asked;

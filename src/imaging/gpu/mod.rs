@@ -15,9 +15,13 @@
 mod layout;
 
 #[cfg(feature = "opencl")]
+mod bind;
+#[cfg(feature = "opencl")]
 mod chain;
 #[cfg(feature = "opencl")]
 mod fold;
+#[cfg(feature = "opencl")]
+mod folded;
 #[cfg(feature = "opencl")]
 mod memory;
 #[cfg(feature = "opencl")]
