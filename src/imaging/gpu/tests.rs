@@ -315,15 +315,32 @@ fn psfs_agree_with_the_direct_sum() {
 
 #[test]
 fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
-    [scene(), tilted_scene(), free_scene()].iter().for_each(agreement_in);
-}
-
-fn agreement_in(layout: &GpuLayout) {
-    let mut random = ChaCha8Rng::seed_from_u64(3);
-    let images = images(layout, 6, &mut random);
-    let size = layout.pixels * layout.pixels;
     // Out of order, one of them twice, and more than the chain has room for: it goes in two rounds.
     let active = [4, 0, 5, 2, 2, 1, 3];
+    for layout in [scene(), tilted_scene(), free_scene()] {
+        agreement_in(&layout, &active, builds);
+    }
+}
+
+/// A whole image of the least that there is a plan for.
+fn whole_scene() -> GpuLayout {
+    GpuLayout { pixels: 64, samples_per_lambda_over_d: 64.0 / 18.0, free_phase: true, ..scene() }
+}
+
+#[test]
+fn the_fft_agrees_with_the_direct_sum() {
+    let builds = |device: &Device| {
+        let precisions = [Precision::F32, Precision::F64].into_iter().filter(|&p| device.info().supports(p));
+        precisions.map(|precision| Build { precision, vector: 4, fft: FftPlan::new(64, 9) }).collect()
+    };
+    agreement_in(&whole_scene(), &[1, 0], builds);
+}
+
+fn agreement_in(layout: &GpuLayout, active: &[usize], builds: impl Fn(&Device) -> Vec<Build>) {
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let count = active.iter().max().unwrap() + 1;
+    let images = images(layout, count, &mut random);
+    let size = layout.pixels * layout.pixels;
     let c = coefficients(layout, active.len(), &mut random);
     let free = free_phases(layout, active.len(), &mut random);
     let lit = free.len() / active.len();
@@ -336,12 +353,13 @@ fn agreement_in(layout: &GpuLayout) {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         for build in builds(&device) {
-            let mut chain = GpuChain::with_build(&device, build, layout, 6).unwrap();
+            let mut chain = GpuChain::with_build(&device, build, layout, count).unwrap();
             // The second evaluation finds every scratch array dirty.
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
-            chain.evaluate(&[0, 1, 2, 3, 4, 5], &coefficients(layout, 6, &mut random)).unwrap();
+            let all: Vec<usize> = (0..count).collect();
+            chain.evaluate(&all, &coefficients(layout, count, &mut random)).unwrap();
             let mut slopes = vec![f64::NAN; free.len()];
-            let found = chain.evaluate_free(&active, &c, &free, &mut slopes).unwrap();
+            let found = chain.evaluate_free(active, &c, &free, &mut slopes).unwrap();
             // Sums of 500 pixels and 250 samples of terms that err by 1e-7 (f32) or 1e-16 each: some 1e-6 or 1e-15 where
             // signs are random. Residuals here are of the order of the image, so nothing cancels.
             let [close, closer] = if build.precision == Precision::F32 { [1e-5, 1e-5] } else { [1e-12, 1e-11] };
@@ -442,7 +460,7 @@ fn crowd_in(layout: &GpuLayout) {
 
 #[test]
 fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
-    let whole = GpuLayout { pixels: 64, samples_per_lambda_over_d: 64.0 / 18.0, ..scene() };
+    let whole = whole_scene();
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         let mut random = ChaCha8Rng::seed_from_u64(6);
