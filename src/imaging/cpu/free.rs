@@ -55,18 +55,18 @@ impl<T: Polynomial> CpuChain<T> {
                 images.len()
             )));
         }
-        let rows = free_turns.par_chunks_exact(lit).zip(free_gradient.par_chunks_exact_mut(lit)).zip(images);
-        let one = |(i, ((turns, gradient), &image)): (usize, ((&[f64], &mut [f64]), &usize))| {
+        let rows = free_turns.par_chunks_exact(lit).zip(free_gradient.par_chunks_exact_mut(lit));
+        let one = |i: usize, turns: &[f64], gradient: &mut [f64]| {
             let (mut memory, mut evaluation) = (self.take(), self.evaluation());
             let turns: Vec<T> = turns.iter().map(|&turns| T::of(turns)).collect();
             let mut slopes = vec![T::zero(); lit];
-            let (image, at) = (&self.images[image], coefficients_nm.row(i));
+            let (image, at) = (&self.images[images[i]], coefficients_nm.row(i));
             self.evaluate_free(image, at, &turns, &mut memory, &mut evaluation, &mut slopes);
             self.put_back(memory);
             gradient.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope.wide());
             evaluation
         };
-        Ok(rows.enumerate().map(one).collect())
+        Ok(rows.enumerate().map(|(i, (turns, gradient))| one(i, turns, gradient)).collect())
     }
 
     /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) there, in the caller's memory.
