@@ -7,7 +7,8 @@
  *
  * pupil_gradient unfolds Ebar, one block and image at a time, into D and g (without 2 k). project_modes multiplies D with
  * the basis over a chunk of blocks, project_segments g with the weights of a segment; collect adds what the chunks left
- * and applies 2 k. take_free leaves D itself where each sample has a phase of its own. focus.cl calls the functions before the kernels too. Every number has one writer: no atomics.
+ * and applies 2 k. take_free leaves D itself where each sample has a phase of its own. focus.cl calls the functions before
+ * the kernels too. Every number has one writer: no atomics.
  */
 
 /* The four quadrants of a block from its planes: x parity, then y parity, then re and im. */

@@ -60,9 +60,8 @@ pub(super) struct Descent<T: Polynomial> {
 impl<T: Polynomial> Descent<T> {
     pub(super) fn new(engine: &Engine<T>) -> Result<Self> {
         let (chain, square) = (&engine.chain, &engine.square);
-        let lit = chain.optics().parts().weights.lit.len();
         let start = vec![0.0; engine.metric.dimension()];
-        let zeros = || vec![T::zero(); lit];
+        let zeros = || vec![T::zero(); engine.lit()];
         Ok(Self {
             solver: QuasiNewton::new(engine.metric.clone(), &start, engine.settings.clone())?,
             gradient: start.clone(),
@@ -127,8 +126,8 @@ impl<T: Polynomial> Descent<T> {
         self.solver.begin(&engine.metric, scale, &self.start)
     }
 
-    /// Goes to the point that is asked for: [`Descent::coefficients_nm`], [`Descent::turns`] and [`Descent::amplitudes`] are
-    /// its.
+    /// Goes to the point that is asked for: what [`Descent::coefficients_nm`], [`Descent::turns`] and
+    /// [`Descent::show_amplitudes`] say from now on.
     pub(super) fn place(&mut self, engine: &Engine<T>, square: &mut SquareScratch<T>) {
         self.place_at(Point::Asked, engine, square);
     }

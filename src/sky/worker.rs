@@ -25,7 +25,7 @@ impl<T: Polynomial> Room<T> {
         Self {
             square: engine.square.scratch(),
             scratch: chain.scratch(),
-            turns_bar: vec![T::zero(); chain.optics().parts().weights.lit.len()],
+            turns_bar: vec![T::zero(); engine.lit()],
             loaded: chain.room(),
             evaluation: chain.evaluation(),
         }

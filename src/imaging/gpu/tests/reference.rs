@@ -1,0 +1,286 @@
+//! Scenes for the device, their images, and the answer written out sum by sum in f64.
+
+use num_complex::Complex64;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::TAU;
+
+use super::super::{GpuLayout, GpuMode, GpuPhotometry};
+
+/// A small asymmetric scene that hits every corner of the packing: extents that fill no vector, dark rows and blocks,
+/// segments that overlap with weights of either sign, a mode that nothing uses.
+pub(super) fn scene() -> GpuLayout {
+    let (n, segments, smooth): (usize, _, _) = (18, 5, 7);
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let lit: Vec<usize> = (0..n * n)
+        .filter(|i| {
+            let (y, x) = (i / n, i % n);
+            // Dark: an edge, two corners, and on the axis a whole row and a hole, which no block may forget.
+            let hole = y.abs_diff(8).min(y.abs_diff(9)) < 3 && x.abs_diff(8).min(x.abs_diff(9)) < 4;
+            !matches!(y, 8 | 9)
+                && !hole
+                && y > 1
+                && x < 17
+                && (y + x) < 29
+                && !(x < 5 && y > 9)
+                && random.random::<f64>() < 0.9
+        })
+        .collect();
+    let mut uniform = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
+    let (mut segment_start, mut segment_index, mut segment_weight) = (vec![0], Vec::new(), Vec::new());
+    for (p, index) in lit.iter().enumerate() {
+        for s in 0..1 + p % 3 {
+            segment_index.push((index / 70 + s) % segments);
+            segment_weight.push(if s == 0 { uniform(0.5, 1.0) } else { uniform(-0.2, 0.2) });
+        }
+        segment_start.push(segment_index.len());
+    }
+    let diversity_turns = lit.iter().map(|_| uniform(-3.0, 3.0)).collect();
+    let smooth: Vec<Vec<f64>> = (0..smooth).map(|_| lit.iter().map(|_| uniform(-1.5, 1.5)).collect()).collect();
+    let mut modes: Vec<GpuMode> = (0..segments).map(GpuMode::Segment).collect();
+    modes.splice(2..2, (0..smooth.len() - 1).rev().map(GpuMode::Smooth));
+    GpuLayout {
+        samples: n,
+        pixels: 22,
+        samples_per_lambda_over_d: 1.3,
+        wavelength_nm: 1650.0,
+        intensity_scale: 2.5e-5,
+        lit,
+        diversity_turns,
+        smooth,
+        segments,
+        segment_start,
+        segment_index,
+        segment_weight,
+        segment_slopes: None,
+        modes,
+        free_phase: false,
+    }
+}
+
+/// The same with some segments that tilt, one of them along one axis only.
+pub(super) fn tilted_scene() -> GpuLayout {
+    let mut layout = scene();
+    let mut random = ChaCha8Rng::seed_from_u64(8);
+    let mut slopes = || layout.segment_index.iter().map(|_| 4.0 * random.random::<f64>() - 2.0).collect();
+    layout.segment_slopes = Some((slopes(), slopes()));
+    layout.modes.splice(4..4, [GpuMode::Tilt(2), GpuMode::Tip(0), GpuMode::Tip(2), GpuMode::Tilt(4), GpuMode::Tip(4)]);
+    layout
+}
+
+/// The same with a phase of its own at each lit sample.
+pub(super) fn free_scene() -> GpuLayout {
+    GpuLayout { free_phase: true, ..scene() }
+}
+
+/// A free phase of up to half a turn either way for each of `images`; none where the layout has none.
+pub(super) fn free_phases(layout: &GpuLayout, images: usize, random: &mut impl Rng) -> Vec<f64> {
+    let count = if layout.free_phase { images * layout.lit.len() } else { 0 };
+    (0..count).map(|_| random.random::<f64>() - 0.5).collect()
+}
+
+/// A free phase is to its image what the diversity is to all.
+pub(super) fn with_free(layout: &GpuLayout, free: &[f64]) -> GpuLayout {
+    let free = free.iter().copied().chain(std::iter::repeat(0.0));
+    GpuLayout {
+        diversity_turns: layout.diversity_turns.iter().zip(free).map(|(d, f)| d + f).collect(),
+        ..layout.clone()
+    }
+}
+
+/// Images that the scene could have made, with bad pixels (one of them NaN) and uneven weights.
+pub(super) struct Images {
+    pub(super) data: Vec<f64>,
+    pub(super) weights: Vec<f64>,
+    pub(super) photometry: Vec<GpuPhotometry>,
+}
+
+pub(super) fn images(layout: &GpuLayout, count: usize, random: &mut impl Rng) -> Images {
+    let size = layout.pixels * layout.pixels;
+    let (mut data, mut weights, mut photometry) = (Vec::new(), Vec::new(), Vec::new());
+    for image in 0..count {
+        let truth = coefficients(layout, 1, random);
+        let (_, psf) = field_and_psf(layout, &truth);
+        for (i, h) in psf.iter().enumerate() {
+            let bad = (i + image) % 53 == 0;
+            data.push(if bad { f64::NAN } else { 4e4 * h + 12.0 + random.random::<f64>() * 20.0 });
+            weights.push(if bad { 0.0 } else { 0.2 + random.random::<f64>() });
+        }
+        photometry.push(match image % 3 {
+            0 => GpuPhotometry::FitBoth,
+            1 => GpuPhotometry::FitFlux { background_e: 15.0 },
+            _ => GpuPhotometry::Known { flux_e: 3.7e4, background_e: 20.0 },
+        });
+    }
+    assert_eq!(data.len(), count * size);
+    Images { data, weights, photometry }
+}
+
+pub(super) fn coefficients(layout: &GpuLayout, images: usize, random: &mut impl Rng) -> Vec<f64> {
+    (0..images * layout.modes.len()).map(|_| 150.0 * (random.random::<f64>() - 0.5)).collect()
+}
+
+/// Pupil: P, a and E = a P at each lit sample, and the PSF: the definition, sum by sum.
+pub(super) fn field_and_psf(layout: &GpuLayout, coefficients: &[f64]) -> (Vec<[Complex64; 3]>, Vec<f64>) {
+    let pupil = pupil(layout, coefficients);
+    let psf = focal(layout, &pupil).iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
+    (pupil, psf)
+}
+
+pub(super) fn turn(t: f64) -> Complex64 {
+    Complex64::from_polar(1.0, TAU * t)
+}
+
+/// How much of `mode` there is, turns.
+pub(super) fn amount(layout: &GpuLayout, coefficients: &[f64], mode: GpuMode) -> f64 {
+    layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == mode).map(|(_, c)| c / layout.wavelength_nm).sum()
+}
+
+pub(super) fn slope(layout: &GpuLayout, entry: usize) -> (f64, f64) {
+    layout.segment_slopes.as_ref().map_or((0.0, 0.0), |(x, y)| (x[entry], y[entry]))
+}
+
+/// The phasor of each entry's segment where the entry is.
+pub(super) fn stands(layout: &GpuLayout, coefficients: &[f64]) -> Vec<Complex64> {
+    let poses: Vec<[f64; 3]> = (0..layout.segments)
+        .map(|s| [GpuMode::Segment(s), GpuMode::Tip(s), GpuMode::Tilt(s)].map(|m| amount(layout, coefficients, m)))
+        .collect();
+    let stand = |(e, &s): (usize, &usize)| {
+        let ([c, t, u], (x, y)) = (poses[s], slope(layout, e));
+        turn(c + t * x + u * y)
+    };
+    layout.segment_index.iter().enumerate().map(stand).collect()
+}
+
+pub(super) fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64; 3]> {
+    let amount = |mode: GpuMode| amount(layout, coefficients, mode);
+    let stands = stands(layout, coefficients);
+    let smooth: Vec<f64> = (0..layout.smooth.len()).map(|j| amount(GpuMode::Smooth(j))).collect();
+    (0..layout.lit.len())
+        .map(|p| {
+            let psi = layout.diversity_turns[p] + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
+            let a: Complex64 = (layout.segment_start[p]..layout.segment_start[p + 1])
+                .map(|e| stands[e] * layout.segment_weight[e])
+                .sum();
+            [turn(psi), a, a * turn(psi)]
+        })
+        .collect()
+}
+
+/// exp(-2 pi i step (x u + y v)) of a lit sample and a pixel.
+pub(super) fn kernel(layout: &GpuLayout, sample: usize, pixel: usize) -> Complex64 {
+    let (n, m) = (layout.samples, layout.pixels);
+    let centre = |i: usize| i as f64 - (n as f64 - 1.0) / 2.0;
+    let axis = |i: usize| i as f64 - m as f64 / 2.0;
+    let turns = centre(sample % n) * axis(pixel % m) + centre(sample / n) * axis(pixel / m);
+    Complex64::from_polar(1.0, -TAU * turns / (n as f64 * layout.samples_per_lambda_over_d))
+}
+
+pub(super) fn focal(layout: &GpuLayout, pupil: &[[Complex64; 3]]) -> Vec<Complex64> {
+    (0..layout.pixels * layout.pixels)
+        .map(|pixel| layout.lit.iter().zip(pupil).map(|(&sample, p)| p[2] * kernel(layout, sample, pixel)).sum())
+        .collect()
+}
+
+pub(super) struct Answer {
+    pub(super) objective: f64,
+    pub(super) flux: f64,
+    pub(super) background: f64,
+    pub(super) gradient: Vec<f64>,
+    /// Derivative by the phase of each lit sample, per turn.
+    pub(super) slopes: Vec<f64>,
+}
+
+pub(super) fn reference(
+    layout: &GpuLayout,
+    coefficients: &[f64],
+    d: &[f64],
+    w: &[f64],
+    photometry: GpuPhotometry,
+) -> Answer {
+    let pupil = pupil(layout, coefficients);
+    let u = focal(layout, &pupil);
+    let h: Vec<f64> = u.iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
+    let good = || (0..h.len()).filter(|&i| w[i] > 0.0);
+    let (flux, background) = match photometry {
+        GpuPhotometry::Known { flux_e, background_e } => (flux_e, background_e),
+        GpuPhotometry::FitFlux { background_e } => {
+            let top: f64 = good().map(|i| w[i] * h[i] * (d[i] - background_e)).sum();
+            (top / good().map(|i| w[i] * h[i] * h[i]).sum::<f64>(), background_e)
+        }
+        GpuPhotometry::FitBoth => {
+            // About the weighted means: the well-conditioned form of the normal equations.
+            let weight: f64 = good().map(|i| w[i]).sum();
+            let mean = |f: &[f64]| good().map(|i| w[i] * f[i]).sum::<f64>() / weight;
+            let (mh, md) = (mean(&h), mean(d));
+            let top: f64 = good().map(|i| w[i] * (h[i] - mh) * (d[i] - md)).sum();
+            let flux = top / good().map(|i| w[i] * (h[i] - mh).powi(2)).sum::<f64>();
+            (flux, md - flux * mh)
+        }
+    };
+    let r: Vec<f64> = (0..h.len()).map(|i| if w[i] > 0.0 { flux * h[i] + background - d[i] } else { 0.0 }).collect();
+    let k = TAU / layout.wavelength_nm;
+    // dJ/dE* at each lit sample, through the adjoint sum.
+    let bar: Vec<Complex64> = layout
+        .lit
+        .iter()
+        .map(|&sample| {
+            (0..h.len())
+                .map(|i| u[i] * kernel(layout, sample, i).conj() * (2.0 * layout.intensity_scale * flux * w[i] * r[i]))
+                .sum()
+        })
+        .collect();
+    let stands = stands(layout, coefficients);
+    let segment = |s: usize, along: &dyn Fn(usize) -> f64| {
+        let each = |p: usize| {
+            (layout.segment_start[p]..layout.segment_start[p + 1])
+                .filter(|&e| layout.segment_index[e] == s)
+                .map(|e| along(e) * layout.segment_weight[e] * (stands[e].conj() * pupil[p][0].conj() * bar[p]).im)
+                .sum::<f64>()
+        };
+        2.0 * k * (0..bar.len()).map(each).sum::<f64>()
+    };
+    let slopes: Vec<f64> = pupil.iter().zip(&bar).map(|(p, bar)| 2.0 * TAU * (p[2].conj() * bar).im).collect();
+    let gradient = layout.modes.iter().map(|mode| match *mode {
+        GpuMode::Smooth(j) => layout.smooth[j].iter().zip(&slopes).map(|(b, d)| b * d / layout.wavelength_nm).sum(),
+        GpuMode::Segment(s) => segment(s, &|_| 1.0),
+        GpuMode::Tip(s) => segment(s, &|e| slope(layout, e).0),
+        GpuMode::Tilt(s) => segment(s, &|e| slope(layout, e).1),
+    });
+    let objective = (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum();
+    Answer { objective, flux, background, gradient: gradient.collect(), slopes }
+}
+
+/// A whole image of the least that there is a plan for.
+pub(super) fn whole_scene() -> GpuLayout {
+    GpuLayout { pixels: 64, samples_per_lambda_over_d: 64.0 / 18.0, free_phase: true, ..scene() }
+}
+
+#[test]
+fn the_reference_agrees_with_its_own_finite_differences() {
+    [scene(), tilted_scene()].iter().for_each(differences_in);
+}
+
+fn differences_in(layout: &GpuLayout) {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let images = images(layout, 3, &mut random);
+    let size = layout.pixels * layout.pixels;
+    let c = coefficients(layout, 1, &mut random);
+    for image in 0..3 {
+        let range = image * size..(image + 1) * size;
+        let at = |c: &[f64]| {
+            reference(layout, c, &images.data[range.clone()], &images.weights[range.clone()], images.photometry[image])
+        };
+        let answer = at(&c);
+        let scale = answer.gradient.iter().fold(0.0f64, |a, g| a.max(g.abs()));
+        for k in 0..c.len() {
+            // A step of 1e-5 wave: the cubic term of the difference is (2 pi 1e-5)^2 ~ 4e-9 of the gradient, the rounding
+            // 1e-16 J/(step g) ~ 1e-10.
+            let step = 0.0165;
+            let shifted =
+                |by: f64| at(&c.iter().enumerate().map(|(i, v)| v + if i == k { by } else { 0.0 }).collect::<Vec<_>>());
+            let difference = (shifted(step).objective - shifted(-step).objective) / (2.0 * step);
+            assert!((difference - answer.gradient[k]).abs() < 1e-6 * scale, "{k}: {difference} {}", answer.gradient[k]);
+        }
+    }
+}
