@@ -365,6 +365,28 @@ fn bases_from_files_are_checked() {
 }
 
 #[test]
+fn at_most_so_many_modes_are_those_that_the_samples_tell_apart() {
+    let turbulence = VonKarman::new(0.16, 50.0).unwrap();
+    let all = |samples: usize, most: usize| {
+        let pupil = keck_like(samples);
+        let actuators = keck_mirror().near(&pupil, Mirror::DEFAULT_MARGIN_PITCHES).unwrap();
+        let kl = karhunen_loeve_at_most(&actuators, &pupil, &turbulence, most).unwrap();
+        (kl, pupil, actuators)
+    };
+    let (few, pupil, actuators) = all(40, 12);
+    let exact = karhunen_loeve(&actuators, &pupil, &turbulence, 12).unwrap();
+    assert_eq!((few.basis.matrix(), &few.variances_nm2), (exact.basis.matrix(), &exact.variances_nm2));
+    let whole = karhunen_loeve_complete(&actuators, &pupil, &turbulence).unwrap();
+    assert_eq!(all(40, 10_000).0.basis.len(), whole.basis.len());
+    // One sample a pitch: some modes differ between samples alone. All are asked for and refused, and at most all are those
+    // that are left, as many as variances.
+    let (coarse, pupil, actuators) = all(20, 10_000);
+    assert!(karhunen_loeve_complete(&actuators, &pupil, &turbulence).is_err());
+    assert!((100..whole.basis.len()).contains(&coarse.basis.len()), "{}", coarse.basis.len());
+    assert_eq!(coarse.basis.len(), coarse.variances_nm2.len());
+}
+
+#[test]
 fn impossible_requests_are_refused_with_a_sentence() {
     let pupil = keck_like(40);
     let turbulence = VonKarman::new(0.16, 50.0).unwrap();

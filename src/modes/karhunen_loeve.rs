@@ -60,7 +60,20 @@ pub fn karhunen_loeve(
     turbulence: &VonKarman,
     count: usize,
 ) -> Result<KarhunenLoeve> {
-    modes(influence, pupil, turbulence, Some(count))
+    modes(influence, pupil, turbulence, Wanted::Exactly(count))
+}
+
+/// The first `most`, or as many as the mirror can make and the pupil's samples tell apart.
+///
+/// # Errors
+/// Those of [`Samples::of`]; [`Error::Value`] for a grid that is too wide for the pitch.
+pub fn karhunen_loeve_at_most(
+    influence: &InfluenceFunctions,
+    pupil: &Pupil,
+    turbulence: &VonKarman,
+    most: usize,
+) -> Result<KarhunenLoeve> {
+    modes(influence, pupil, turbulence, Wanted::AtMost(most.max(1)))
 }
 
 /// All that the mirror can make.
@@ -72,14 +85,22 @@ pub fn karhunen_loeve_complete(
     pupil: &Pupil,
     turbulence: &VonKarman,
 ) -> Result<KarhunenLoeve> {
-    modes(influence, pupil, turbulence, None)
+    modes(influence, pupil, turbulence, Wanted::All)
+}
+
+/// How many modes.
+#[derive(Debug, Clone, Copy)]
+enum Wanted {
+    Exactly(usize),
+    AtMost(usize),
+    All,
 }
 
 fn modes(
     influence: &InfluenceFunctions,
     pupil: &Pupil,
     turbulence: &VonKarman,
-    count: Option<usize>,
+    wanted: Wanted,
 ) -> Result<KarhunenLoeve> {
     let working = working_pupil(pupil, influence.mirror().pitch_m())?;
     let samples = Samples::of(&working)?;
@@ -91,7 +112,11 @@ fn modes(
 
     let (orthonormal, truncated) = geometric_modes(&weighted.dot(&values.t()))?;
     let available = orthonormal.ncols();
-    let count = count.unwrap_or(available);
+    let count = match wanted {
+        Wanted::Exactly(count) => count,
+        Wanted::AtMost(most) => most.min(available),
+        Wanted::All => available,
+    };
     if count == 0 || count > available {
         let text = format!("{count} Karhunen-Loève modes were asked for: this mirror makes 1 to {available}");
         return Err(Error::Value(text));
@@ -106,11 +131,13 @@ fn modes(
     let names = (0..count).map(|mode| format!("kl-{mode:0width$}")).collect();
     let raw = SmoothBasis::influence(influence.clone()).combined(names, &combination, &mean);
     let modes = orthonormalise(&raw, pupil, 1e-3)?;
-    if let Some(lost) = modes.dropped.first() {
+    let lost = |name: &String| modes.dropped.iter().any(|dropped| dropped.name == *name);
+    if let (Some(lost), Wanted::Exactly(_) | Wanted::All) = (modes.dropped.first(), wanted) {
         let text = format!("the pupil's samples are too few to tell {} from the modes before it", lost.name);
         return Err(Error::Value(text));
     }
-    let variances_nm2 = strongest.iter().map(|&mode| variances[mode]).collect();
+    let kept = strongest.iter().zip(raw.names()).filter(|(_, name)| !lost(name));
+    let variances_nm2 = kept.map(|(&mode, _)| variances[mode]).collect();
     Ok(KarhunenLoeve { basis: modes.basis, variances_nm2, truncated })
 }
 

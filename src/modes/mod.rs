@@ -28,7 +28,7 @@ mod zernike;
 
 pub use basis::{Basis, Group};
 pub use influence::{InfluenceFunctions, Mirror, marked_cells};
-pub use karhunen_loeve::{KarhunenLoeve, karhunen_loeve, karhunen_loeve_complete};
+pub use karhunen_loeve::{KarhunenLoeve, karhunen_loeve, karhunen_loeve_at_most, karhunen_loeve_complete};
 pub use orthonormal::{Dropped, Orthonormal, join_exact, orthonormalise, zernike_basis};
 pub use report::{Degeneracy, Direction, NULL_BELOW, WEAK_BELOW};
 pub use samples::Samples;

@@ -23,11 +23,10 @@ pub enum Family {
     Zernike {
         /// The last of these; fewer where the sensor does not tell as many modes apart.
         highest_order: usize,
-        /// Whether modes may be as dense as slopes are, for NCPA that are strong in all of them.
-        dense: bool,
     },
-    /// Karhunen-Loève modes of the mirror, in groups that grow with their number.
-    KarhunenLoeve,
+    /// Karhunen-Loève modes of the mirror, all that the sensor tells apart, in groups as large as the orders of Zernike
+    /// polynomials. What they do not hold nothing corrects.
+    Mirror,
 }
 
 /// A group of coefficients with one variance.

@@ -178,8 +178,7 @@ impl Ncpa {
 fn shared_nm2(diversity: &HeldDiversity, scene: &Scene) -> Result<Option<Array2<f64>>> {
     let fraction = scene.estimate.diversity_error;
     let left = 100.0 * diversity.outside;
-    let remedy =
-        format!("the full-phase estimate's Zernike polynomials leave {left:.0} % of this one, and hold a focus");
+    let remedy = format!("the full-phase estimate's modes leave {left:.0} % of this one, and hold a focus");
     (fraction > 0.0).then(|| diversity.covariance_nm2(fraction, &remedy)).transpose()
 }
 

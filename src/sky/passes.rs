@@ -81,11 +81,10 @@ pub struct PassRecipe {
 
 impl Default for PassRecipe {
     fn default() -> Self {
-        // To order 13, 104 polynomials of up to 26 zeros around the pupil, and to 20, 230 of them: of what Keck's mirror holds
-        // of three measured maps 13 orders leave 29, 33 and 16 nm, 17 leave 18, 25 and 9, and 20 leave 14, 16 and 8, in three times
-        // the time. To 24, of the second map 13.
-        let zernike = |highest_order, dense| Family::Zernike { highest_order, dense };
-        let families = vec![zernike(13, false), zernike(20, false), zernike(24, true)];
+        // To order 13, 104 polynomials of up to 26 zeros around the pupil: few, so that NCPA which end there are known well. Of
+        // what Keck's mirror holds of three measured maps they leave 29, 33 and 16 nm, those to order 20 (230 of them) 14, 16
+        // and 8, to 24 of the second map 13; the mirror's own 274 leave nothing.
+        let families = vec![Family::Zernike { highest_order: 13 }, Family::Mirror];
         Self { families, knows: Knows::Telemetry, floor_nm: 3.0, max_passes: 8, settled: 0.25 }
     }
 }
@@ -232,7 +231,9 @@ pub fn find_statics(
         // Without telemetry turbulence that did not average out goes on, too.
         let goes_on = telemetry && pass.errors.highest_nm(ncpa.groups.len()) > GOES_ON_NM;
         let orders = ncpa.groups.len();
-        beyond_nm = if goes_on { pass.errors.beyond_nm(orders) } else { 0.0 };
+        // NCPA that went on beyond the coarsest family fall slowly: they go on beyond the next, however little is seen of it.
+        let finest = pass.family != recipe.families[0];
+        beyond_nm = if goes_on || finest { pass.errors.beyond_nm(orders) } else { 0.0 };
         passes.push(pass);
         scatter = Some((residual, sequence.used.len()));
         let finer = if goes_on { families.next().map(|next| search.family(Some(next))).transpose()? } else { None };

@@ -10,16 +10,23 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
 /// Slopes of the lenslets' disc for each mode that they are to tell from the others: the pupil leaves two thirds of them.
 const SLOPES_A_MODE: f64 = 2.7;
-/// Likewise of dense modes: a quarter more slopes than modes are in the pupil.
-const SLOPES_A_DENSE_MODE: f64 = 1.9;
+/// Likewise of a mirror's modes, all of which the loop must tell apart: a quarter more slopes than modes are in the pupil.
+const SLOPES_A_MIRROR_MODE: f64 = 1.9;
 
-/// The highest order whose modes the sensor of `scene` tells apart, at most `wanted`.
-fn highest_order(scene: &Scene, wanted: usize, dense: bool) -> usize {
-    let slopes_a_mode = if dense { SLOPES_A_DENSE_MODE } else { SLOPES_A_MODE };
-    let modes = scene.wavefront_sensor.as_ref().map_or(f64::INFINITY, |sensor| {
+/// Most modes of a mirror: what they cost goes as their number, and images have few pixels for more.
+const MOST_MIRROR_MODES: usize = 400;
+
+/// How many modes the sensor of `scene` tells apart, of which each takes so many slopes of the lenslets' disc.
+fn told_apart(scene: &Scene, slopes_a_mode: f64) -> f64 {
+    scene.wavefront_sensor.as_ref().map_or(f64::INFINITY, |sensor| {
         // Two slopes for each lenslet of a disc.
         std::f64::consts::FRAC_PI_2 * (sensor.lenslets_across as f64).powi(2) / slopes_a_mode
-    });
+    })
+}
+
+/// The highest order whose modes the sensor of `scene` tells apart, at most `wanted`.
+fn highest_order(scene: &Scene, wanted: usize) -> usize {
+    let modes = told_apart(scene, SLOPES_A_MODE);
     (2..=wanted).rev().find(|&order| ((order + 1) * (order + 2) / 2 - 1) as f64 <= modes).unwrap_or(1)
 }
 
@@ -109,14 +116,14 @@ impl NcpaModes {
         // Orders 1 to n hold Noll's 2 to (n + 1)(n + 2)/2.
         let zernikes = |last: usize| modes::zernike_basis(2, (last + 1) * (last + 2) / 2, &telescope.pupil);
         match family {
-            Family::Zernike { highest_order: wanted, dense } => {
-                let order = highest_order(scene, wanted, dense);
+            Family::Zernike { highest_order: wanted } => {
+                let order = highest_order(scene, wanted);
                 Ok(Self { basis: zernikes(order)?, groups: orders(order) })
             }
-            Family::KarhunenLoeve => {
-                let (turbulence, count) = (Telescope::turbulence(scene)?, scene.modes.ncpa_count.max(1));
-                let basis =
-                    modes::karhunen_loeve(&telescope.influence(scene)?, &telescope.pupil, &turbulence, count)?.basis;
+            Family::Mirror => {
+                let (influence, turbulence) = (telescope.influence(scene)?, Telescope::turbulence(scene)?);
+                let most = (told_apart(scene, SLOPES_A_MIRROR_MODE) as usize).clamp(1, MOST_MIRROR_MODES);
+                let basis = modes::karhunen_loeve_at_most(&influence, &telescope.pupil, &turbulence, most)?.basis;
                 // As many to a group as orders of a Zernike basis have.
                 let mut groups: Vec<usize> = Vec::new();
                 let mut left = basis.len();
@@ -304,9 +311,13 @@ mod tests {
             Scene::preset("keck-onsky").unwrap().with(&[("wavefront_sensor.lenslets_across", lenslets)]).unwrap()
         };
         let keck = with("20");
-        assert_eq!(
-            [(13, false), (20, false), (24, false), (24, true)].map(|(n, d)| highest_order(&keck, n, d)),
-            [13, 20, 20, 24]
-        );
+        // 628 slopes in the lenslets' disc, of which 2.7 a mode are 233 modes: 230 to order 20.
+        assert_eq!([13, 20, 24].map(|order| highest_order(&keck, order)), [13, 20, 20]);
+        let mirror = |scene: &Scene| NcpaModes::of(Family::Mirror, scene, &Telescope::of(scene).unwrap()).unwrap();
+        // All of Keck's mirror, and of what ten lenslets tell apart 157/1.9.
+        let modes = mirror(&keck);
+        assert_eq!(modes.groups.iter().sum::<usize>(), modes.basis.len());
+        assert!((250..297).contains(&modes.basis.len()) && modes.groups[..3] == [2, 3, 4], "{}", modes.basis.len());
+        assert_eq!(mirror(&with("10")).basis.len(), 82);
     }
 }

@@ -104,6 +104,12 @@ impl Behind {
         Ok(Self { images_e, slopes_mas, phasing_nm, ncpa_nm, pupil, paper_nm: Vec::new() })
     }
 
+    /// These, estimates of whose NCPA are held against `ncpa_nm`, if any, in place of all that they show.
+    pub(super) fn held_against(mut self, ncpa_nm: Option<Array2<f64>>) -> Self {
+        self.ncpa_nm = ncpa_nm.unwrap_or(self.ncpa_nm);
+        self
+    }
+
     /// Residuals of maps against the truth. Where one of the pupils has no glass there is nothing to compare.
     fn residuals_nm(&self, phasing_nm: &Array2<f64>, ncpa_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let on = |map: &Array2<f64>| map.mapv(|nm| if nm.is_finite() { nm } else { 0.0 });

@@ -1,8 +1,9 @@
 //! NCPA that were measured on a telescope, as far as its mirror can hold them.
 //!
 //! A measured map ends at the glass of its day, and has detail that no mode of the mirror follows. What the mirror's
-//! influence functions make of it is smooth, goes on where the map has no light, and is the truth of a row; how much of
-//! the map they leave is told beside it.
+//! influence functions make of it is smooth and goes on where the map has no light. Images are made with the map and,
+//! where it shows nothing, with what the mirror makes of it; estimates are held against what the mirror makes of it, and how
+//! much of the map that leaves is told beside.
 
 use crate::grid::Grid;
 use crate::io::{FitsWriter, Pixel, read_map};
@@ -31,8 +32,10 @@ const LEAST_GLASS: f64 = 0.5;
 pub struct HeldMap {
     /// Name of its file without the ending.
     pub name: String,
-    /// The file that holds what the mirror does, nm.
+    /// The file of what the mirror makes of it, nm.
     pub held: PathBuf,
+    /// The file of the map, which goes on as the mirror does where it shows nothing, nm.
+    pub whole: PathBuf,
     /// RMS of the map over the glass that it shows; piston, tip and tilt removed, nm.
     pub rms_nm: f64,
     /// RMS of what the mirror cannot hold of it, nm.
@@ -97,12 +100,28 @@ fn held(path: &Path, scene: &Scene, telescope: &Telescope, directory: &Path) -> 
     let left_nm = &left_nm - &fitted(&planes, left_nm.view(), 0.0)?.dot(&planes);
     let rms = |values: &Array1<f64>| (values.dot(values) / values.len() as f64).sqrt();
     let name = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let held = directory.join(format!("held-{name}.fits"));
-    let held = std::path::absolute(&held).map_err(|error| Error::file(&held, error))?;
-    let mut file = FitsWriter::create(&held)?;
-    file.image("NCPA", &surface(&influence, &commands_nm, width_m)?, Pixel::F64, "nm")?;
-    file.finish()?;
-    Ok(HeldMap { name, held, rms_nm: rms(&wanted_nm), left_nm: rms(&left_nm), turned })
+    let held_nm = surface(&influence, &commands_nm, width_m)?;
+    let whole_nm = &held_nm + &spread(&places, &left_nm, rows);
+    let written = |what: &str, map_nm: &Array2<f64>| -> Result<PathBuf> {
+        let path = directory.join(format!("{what}-{name}.fits"));
+        let path = std::path::absolute(&path).map_err(|error| Error::file(&path, error))?;
+        let mut file = FitsWriter::create(&path)?;
+        file.image("NCPA", map_nm, Pixel::F64, "nm")?;
+        file.finish()?;
+        Ok(path)
+    };
+    let (held, whole) = (written("held", &held_nm)?, written("whole", &whole_nm)?);
+    Ok(HeldMap { name, held, whole, rms_nm: rms(&wanted_nm), left_nm: rms(&left_nm), turned })
+}
+
+/// Values at `places` of a map of `side` samples, and 0 elsewhere, on the samples of the surface: each takes the value of the
+/// map's sample that it lies in, as the map says no more.
+fn spread(places: &[(usize, usize)], values: &Array1<f64>, side: usize) -> Array2<f64> {
+    let mut map = Array2::zeros((side, side));
+    places.iter().zip(values).for_each(|(&at, &value)| map[at] = value);
+    Array2::from_shape_fn((HELD_SAMPLES, HELD_SAMPLES), |(y, x)| {
+        map[[y * side / HELD_SAMPLES, x * side / HELD_SAMPLES]]
+    })
 }
 
 /// Whether a sample of a map says something of the glass behind it.
@@ -169,10 +188,15 @@ mod tests {
         // A wave of 12 pitches is held but for the ridge and the edge: a few hundredths. Checks are not, but for the edge.
         assert!(held[0].left_nm < 0.05 * held[0].rms_nm, "{held:?}");
         assert!((held[1].left_nm / 20.0 - 1.0).abs() < 0.05, "{held:?}");
-        let truth = read_map(&held[1].held, None).unwrap();
+        let smooth = read_map(&held[1].held, None).unwrap();
         let grid = Grid::new(HELD_SAMPLES, 11.25).unwrap();
-        assert_eq!(truth.dim(), (HELD_SAMPLES, HELD_SAMPLES));
-        assert!(truth.iter().all(|nm| nm.abs() < 300.0), "it goes on where the map shows nothing, and nowhere far");
+        assert_eq!(smooth.dim(), (HELD_SAMPLES, HELD_SAMPLES));
+        assert!(smooth.iter().all(|nm| nm.abs() < 300.0), "it goes on where the map shows nothing, and nowhere far");
+        // The whole has the checks where the map shows something: as told, there.
+        let rest = read_map(&held[1].whole, None).unwrap() - &smooth;
+        let shown = rest.iter().filter(|nm| **nm != 0.0);
+        let rms_nm = (shown.clone().map(|nm| nm * nm).sum::<f64>() / shown.count() as f64).sqrt();
+        assert!((rms_nm / held[1].left_nm - 1.0).abs() < 1e-9, "{rms_nm} {held:?}");
         assert!(grid.pitch_m() < 0.03);
     }
 

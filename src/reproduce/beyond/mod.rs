@@ -35,7 +35,7 @@ pub fn beyond_rows(options: &Options) -> Result<(Vec<BeyondRow>, Vec<HeldMap>)> 
     };
     let of_map = |map: &HeldMap| BeyondRow {
         name: Cow::Owned(map.name.clone()),
-        map: Some(map.held.clone()),
+        map: Some(map.clone()),
         ..BEYOND_ROWS[0].clone()
     };
     let measured: Vec<BeyondRow> = maps.iter().map(of_map).collect();
@@ -110,7 +110,7 @@ fn one(
     }
     let behind = match images {
         Some(behind) => behind,
-        None => images.insert(Behind::of(Simulator::new(longest)?, progress)?),
+        None => images.insert(Behind::of(Simulator::new(longest)?, progress)?.held_against(row.held_nm(longest)?)),
     };
     row.draw(behind, made, seed, progress)
 }

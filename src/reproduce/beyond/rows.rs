@@ -1,10 +1,14 @@
 //! The rows: sequences, what is known of the loop, and what may be wrong.
 
+use super::HeldMap;
 use crate::reproduce::{Conditions, Row};
 use crate::scene::Scene;
+use crate::source::{Truth, stream};
+use crate::telescope::Telescope;
 use crate::{Error, Result};
+use ndarray::Array2;
 use std::borrow::Cow;
-use std::path::PathBuf;
+use std::path::Path;
 
 type Settings = &'static [(&'static str, &'static str)];
 
@@ -21,8 +25,8 @@ pub struct BeyondRow {
     pub made: Settings,
     /// Beside `made`, what is different in what reads them.
     pub read: Settings,
-    /// The NCPA in place of drawn ones: a FITS map, nm.
-    pub map: Option<PathBuf>,
+    /// Measured NCPA in place of drawn ones.
+    pub map: Option<HeldMap>,
 }
 
 const fn row(name: &'static str, loop_row: &'static str, made: Settings, read: Settings) -> BeyondRow {
@@ -135,14 +139,14 @@ impl BeyondRow {
         let seed = seed.to_string();
         let seeds = [("image.count", IMAGES), ("aberrations.seed", &*seed), ("turbulence.seed", &*seed)];
         let scene = row.scene(conditions)?.with(&seeds)?.with(&conditions.settings)?.with(self.made)?;
-        let Some(map) = &self.map else { return Ok(scene) };
-        let path = map.display().to_string();
-        scene.with(&[
-            ("aberrations.ncpa_rms_nm", ""),
-            ("aberrations.ncpa_zernikes", ""),
-            ("aberrations.ncpa_power_law", ""),
-            ("aberrations.ncpa_file", &path),
-        ])
+        self.map.as_ref().map_or(Ok(scene.clone()), |map| with_map(&scene, &map.whole))
+    }
+
+    /// The NCPA that an estimate is held against, where those of `made` have more than any mode of the mirror.
+    pub(super) fn held_nm(&self, made: &Scene) -> Result<Option<Array2<f64>>> {
+        let Some(map) = &self.map else { return Ok(None) };
+        let (held, telescope) = (with_map(made, &map.held)?, Telescope::of(made)?);
+        Ok(Some(Truth::draw(&held, &telescope, &mut stream(0, 0))?.ncpa_nm))
     }
 
     /// What reads images that `made` has made.
@@ -152,6 +156,16 @@ impl BeyondRow {
     pub(super) fn reader(&self, made: &Scene) -> Result<Scene> {
         made.with(&[("estimate.method", "full-phase")])?.with(self.read)
     }
+}
+
+/// `scene` with the NCPA of a map.
+fn with_map(scene: &Scene, map: &Path) -> Result<Scene> {
+    scene.with(&[
+        ("aberrations.ncpa_rms_nm", ""),
+        ("aberrations.ncpa_zernikes", ""),
+        ("aberrations.ncpa_power_law", ""),
+        ("aberrations.ncpa_file", &map.display().to_string()),
+    ])
 }
 
 #[cfg(test)]

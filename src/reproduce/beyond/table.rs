@@ -67,7 +67,9 @@ impl Beyond {
         for (row, draws) in self.filled() {
             let of = |value: &dyn Fn(&BeyondDraw) -> f64| draws.iter().map(|draw| value(draw)).collect::<Vec<f64>>();
             let worst = |i: usize| of(&|draw| draw.residuals_nm()[i]).into_iter().fold(f64::NAN, f64::max);
-            let pull = |i: usize| rms(&of(&|draw| draw.residuals_nm()[i] / draw.sigmas_nm()[i]));
+            // Error bars are of all that is there.
+            let beyond_nm = [0.0, row.map.as_ref().map_or(0.0, |map| map.left_nm)];
+            let pull = |i: usize| rms(&of(&|draw| draw.residuals_nm()[i].hypot(beyond_nm[i]) / draw.sigmas_nm()[i]));
             let average = |value: &dyn Fn(&BeyondDraw) -> f64| mean(&of(value));
             let count = |test: &dyn Fn(&BeyondDraw) -> bool| {
                 Cell::Text(format!("{}/{}", draws.iter().filter(|draw| test(draw)).count(), draws.len()))
