@@ -3,8 +3,10 @@
 //! Shared by whatever makes images and whatever reads them, so that both mean the same telescope; how each samples it
 //! is its own affair.
 
+mod band;
 mod diversity;
 
+pub use band::{band, wavelengths_needed};
 pub use diversity::{Diversity, MapOnGrid};
 
 use crate::grid::Grid;

@@ -146,11 +146,18 @@ fn tilted_segments_are_priced_as_they_are() {
 
 #[test]
 fn a_filters_width_is_named_with_its_price() {
-    let plan = plan(&small(&[("image.bandwidth_fraction", "0.1")]), 6.0).unwrap();
-    let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap();
-    assert!(!bandwidth.modelled);
-    // Ten per cent of the wavelength blur a spot of 1 wave of defocus by a tenth: an error like that of the model itself.
-    assert!(bandwidth.without_nm > 1.3 * bandwidth.with_nm, "{bandwidth:?}");
+    let priced = |width: &str| {
+        let plan = plan(&small(&[("image.bandwidth_fraction", width)]), 2.0).unwrap();
+        let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap().clone();
+        (plan.scene.estimate.wavelengths, bandwidth)
+    };
+    // A narrow filter is not worth a second wavelength; a tenth of the wavelength blurs a spot of 1 wave of defocus by as
+    // much, more than the budget.
+    let (wavelengths, narrow) = priced("0.015");
+    assert!(wavelengths == Some(1) && !narrow.modelled && narrow.without_nm < 2.0, "{wavelengths:?} {narrow:?}");
+    let (wavelengths, broad) = priced("0.1");
+    assert!(wavelengths > Some(1) && broad.modelled && broad.with_nm < 2.0, "{wavelengths:?} {broad:?}");
+    assert!(broad.without_nm > 2.0, "{broad:?}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::phase::unit_phasor;
 use crate::pupil::{BandLimit, Pupil, SegmentWeights};
 use crate::scene::ImageScene;
 use crate::source::Truth;
-use crate::telescope::{Diversity, Telescope};
+use crate::telescope::{Diversity, Telescope, band};
 use crate::{Error, Result};
 use ndarray::Array2;
 use num_complex::Complex32;
@@ -14,7 +14,7 @@ use pulp::{Arch, NullaryFnOnce};
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-/// Wavelengths that stand for a filter of finite width; the error of their mean falls as their number squared.
+/// Wavelengths that stand for a filter of finite width: a spot of 20 λ/D needs as many where that is 12 %.
 const WAVELENGTHS_OF_A_BAND: usize = 7;
 
 /// Samples around the glass on which a low-passed edge rings, and wavefronts are wanted: beyond them it is below 1 %.
@@ -85,7 +85,7 @@ struct Colour {
     /// The static field over the map, to be turned by the residual wavefront (which holds the segments' errors).
     re: Lines,
     im: Lines,
-    /// PSF per |transform|².
+    /// What it adds to the PSF per |transform|².
     scale: f32,
     route: Route,
 }
@@ -124,11 +124,9 @@ impl ScienceCamera {
         let n = optics.footprint.samples();
         let count = if view.bandwidth_fraction > 0.0 { WAVELENGTHS_OF_A_BAND } else { 1 };
         let weights = edges(&view, optics)?;
-        let colours: Vec<Colour> = (0..count)
-            .map(|i| {
-                let place = (i as f64 + 0.5) / count as f64 - 0.5;
-                Colour::new(&view, view.wavelength_nm * (1.0 + place * view.bandwidth_fraction), optics, &weights)
-            })
+        let colours: Vec<Colour> = band(view.bandwidth_fraction, count)
+            .into_iter()
+            .map(|(ratio, share)| Colour::new(&view, (view.wavelength_nm * ratio, share), optics, &weights))
             .collect::<Result<_>>()?;
         let longest = colours.iter().map(|colour| colour.padded(n)).max().unwrap_or(n);
         let scratch = colours.iter().map(|colour| colour.scratch()).max().unwrap_or(0);
@@ -153,7 +151,6 @@ impl ScienceCamera {
     /// Adds the PSF of `residual_nm`, a map over the footprint, to `sum`, `[x, y]` (columns first: see
     /// [`ScienceCamera::upright`]). A PSF sums to 1 over an unbounded detector.
     pub fn add(&mut self, residual_nm: &[f32], sum: &mut [f32]) {
-        let share = 1.0 / self.colours.len() as f32;
         for colour in self.colours.clone().iter() {
             self.columns(colour, residual_nm);
             let n = self.footprint.samples();
@@ -163,13 +160,13 @@ impl ScienceCamera {
                     Route::Fft(fft) => {
                         fft.process_with_scratch(line, &mut self.scratch);
                         for (v, out) in out.iter_mut().enumerate() {
-                            *out += share * colour.scale * line[unwrapped(v, rows, padded)].norm_sqr();
+                            *out += colour.scale * line[unwrapped(v, rows, padded)].norm_sqr();
                         }
                     }
                     Route::Matrix { y, .. } => {
                         let line = ndarray::aview1(&line[..n]);
                         for (row, out) in y.rows().into_iter().zip(out) {
-                            *out += share * colour.scale * row.dot(&line).norm_sqr();
+                            *out += colour.scale * row.dot(&line).norm_sqr();
                         }
                     }
                 }
@@ -270,7 +267,13 @@ fn unwrapped(u: usize, pixels: usize, padded: usize) -> usize {
 }
 
 impl Colour {
-    fn new(view: &View, wavelength_nm: f64, optics: &Optics, weights: &SegmentWeights) -> Result<Self> {
+    /// Light of one wavelength, nm, that has this share of all.
+    fn new(
+        view: &View,
+        (wavelength_nm, light_share): (f64, f64),
+        optics: &Optics,
+        weights: &SegmentWeights,
+    ) -> Result<Self> {
         let (grid, stride) = (&optics.pupil.grid, optics.footprint.stride());
         let n = grid.samples();
         // A pixel is a fixed angle: it spans fewer λ/D where λ is longer.
@@ -326,7 +329,7 @@ impl Colour {
             im[place] = (sum_re * sin + sum_im * cos) as f32;
         }
         let light = weights.energy * optics.truth.throughput(optics.telescope);
-        let scale = (1.0 / (length * length * light)) as f32;
+        let scale = (light_share / (length * length * light)) as f32;
         Ok(Self { turns_per_nm: (1.0 / wavelength_nm) as f32, re, im, scale, route })
     }
 

@@ -1,5 +1,5 @@
 //! Numbers of the scene that are fitted beside the modes: the plate scale, the rotation of the pupil, the amplitude of the
-//! defocus.
+//! defocus, the width of the filter.
 //!
 //! Each image has modes a of its own; the optics θ are those of all. With J the derivatives of an image's electrons, cleared
 //! of what its flux and background absorb, W its weights and r its residual, Gauss-Newton about the images' own minima
@@ -15,6 +15,7 @@
 
 mod normal;
 
+use super::band;
 use super::minimum::Minimum;
 use super::mode_set::OwnBasis;
 use super::model::Model;
@@ -32,6 +33,8 @@ use std::sync::atomic::Ordering;
 const ASKED: usize = 6;
 /// Most rounds of fits and steps: 12 % of plate scale and six degrees away a scene is another one.
 const ROUNDS: usize = 12;
+/// Step of a filter's width.
+const WIDTH_STEP: f64 = 1e-3;
 /// The last step moved the optics by less than this fraction of their error bars.
 const SETTLED: f64 = 0.1;
 /// Steps of the derivatives to which a rounding moves the optics: they are not sought beyond.
@@ -71,6 +74,7 @@ fn key(optic: Optic) -> &'static str {
         Optic::PlateScale => "image.samples_per_lambda_over_d",
         Optic::Rotation => "pupil.rotation_deg",
         Optic::Defocus => "image.diversity_focus_waves_rms",
+        Optic::Bandwidth => "image.bandwidth_fraction",
     }
 }
 
@@ -94,6 +98,9 @@ fn number(scene: &Scene, optic: Optic) -> Result<(f64, f64)> {
         Optic::Rotation => Ok((scene.pupil.rotation_deg, 0.05)),
         Optic::Defocus if scene.image.diversity_file.is_some() => missing("a diversity from a file"),
         Optic::Defocus => Ok((scene.image.diversity_focus_waves_rms, 5e-3)),
+        // An image does not know a width from its negative: it says nothing of how to leave 0.
+        Optic::Bandwidth if scene.image.bandwidth_fraction == 0.0 => missing("light of one wavelength"),
+        Optic::Bandwidth => Ok((scene.image.bandwidth_fraction, WIDTH_STEP.min(0.5 * scene.image.bandwidth_fraction))),
     }
 }
 
@@ -114,7 +121,11 @@ pub(super) fn estimator(scene: &Scene, cube: Cube, native: bool, cancel: Option<
     let optics = scene.estimate.fit_optics.clone();
     let numbers: Vec<(f64, f64)> = optics.iter().map(|&optic| number(scene, optic)).collect::<Result<_>>()?;
     let (own, steps): (Vec<f64>, Vec<f64>) = numbers.into_iter().unzip();
-    let fixed = scene.with(&[("estimate.fit_optics", "[]")])?;
+    let mut fixed = scene.with(&[("estimate.fit_optics", "[]")])?;
+    if optics.contains(&Optic::Bandwidth) && scene.estimate.wavelengths.is_none() {
+        // As many for all widths: their number must not change from one to the next.
+        fixed = fixed.with(&[("estimate.wavelengths", &band::enough_beyond(&fixed)?.to_string())])?;
+    }
     let recipe = Recipe::of(&fixed);
     // Another plate scale would be another reduction.
     let native = native || optics.contains(&Optic::PlateScale);

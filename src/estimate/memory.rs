@@ -1,11 +1,11 @@
 //! What an estimate takes of memory, by a formula, and how its work is cut where that is more than is allowed.
 //!
 //! With n pupil samples and m pixels a side, M modes of which D fill the pupil, L lit samples with E segment weights,
-//! T threads and I images, in bytes and with S = 8 for a number:
+//! C wavelengths, T threads and I images, in bytes and with S = 8 for a number:
 //!
 //! ```text
-//! model     S·(D·n² + 3·D·L + 9·n² + 12·E + 24·L + 2·n·m) + 2²⁶
-//! threads   T·S·(21·n² + 17·m² + 10·k² + 4·n·m + 40·L + 8·frame),  k = max(n, m + 2)
+//! model     S·(D·n² + C·(3·D·L + 9·n² + 12·E + 24·L + 2·n·m)) + 2²⁶
+//! threads   T·S·(C·(21·n² + 17·m² + 10·k² + 4·n·m + 40·L) + 8·frame),  k = max(n, m + 2)
 //! matrices  S·M²·(26 + 7·min(T, 4))
 //! kept      I·S·(3·m² + 3·M)
 //! ─────────
@@ -107,9 +107,11 @@ impl Model {
         let frame = self.preparation.frame[0] * self.preparation.frame[1];
         let k = n.max(m + 2);
         // The maps; the optics and two chains, which hold them at the lit samples; pupil, weights and tables.
-        let model = smooth * (maps + 3 * lit) + 9 * maps.max(n * n) + 12 * entries + 24 * lit + 2 * n * m;
+        let colours = parts.colours.len();
+        let each = 3 * smooth * lit + 9 * maps.max(n * n) + 12 * entries + 24 * lit + 2 * n * m;
+        let model = smooth * maps + colours * each;
         // Two chains' scratch, one's for the flat wavefront, and that of the derivatives; a frame's preparation.
-        let thread = 21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * lit + 8 * frame;
+        let thread = colours * (21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * lit) + 8 * frame;
         let square = modes * modes * NUMBER;
         Memory {
             model: NUMBER * model + BASE_BYTES,

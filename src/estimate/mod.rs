@@ -13,6 +13,7 @@
 mod accumulator;
 mod alone;
 mod arrays;
+mod band;
 mod calibration;
 mod combine;
 mod device;

@@ -1,10 +1,10 @@
 //! The estimator's model of a scene: which modes, on which samples, compared with which pixels.
 
-use super::memory;
 use super::mode_set::{ModeSet, OwnBasis};
 use super::plan::{Plan, band_limited_weights};
 use super::prepare::Preparation;
 use super::recipe::Recipe;
+use super::{band, memory};
 use crate::fourier::Sampling;
 use crate::imaging::{Mode, Optics, OpticsParts};
 use crate::modes::{Basis, Group};
@@ -113,6 +113,7 @@ impl Model {
         let optics = Optics::new(OpticsParts {
             sampling,
             wavelength_nm: scene.image.wavelength_nm,
+            colours: band::colours(scene, &telescope, diversity)?,
             slopes,
             diversity_nm: points.iter().map(|&(x, y)| diversity.at(x, y)).collect(),
             basis: set.smooth.at(&points, &weights)?,

@@ -74,6 +74,7 @@ pub(super) fn case(seed: u64) -> Case {
         products: None,
         sampling,
         wavelength_nm: 1650.0,
+        colours: vec![Colour::ALONE],
         weights: SegmentWeights { segments: segments as usize, lit, offsets, segment, weight, energy },
         slopes: tilts.then(|| (uniform(entries, 1.7, random), uniform(entries, 1.7, random))),
         diversity_nm: uniform(count, 1500.0, random),

@@ -6,8 +6,8 @@ use super::fallback::Fallback;
 use super::gpu::{GpuChain, GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
 use super::work::Shapes;
-use crate::Result;
 use crate::device::Device;
+use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::sync::Arc;
 
@@ -44,7 +44,7 @@ impl Chain {
     }
 
     /// A chain where `choice` says, with room for `capacity` images. `auto` takes a GPU that has the precision and can
-    /// hold the model, and the CPU otherwise and where the GPU fails later: see [`Fallback`].
+    /// hold the model, which has one wavelength, and the CPU otherwise and where the GPU fails later: see [`Fallback`].
     ///
     /// # Errors
     /// [`crate::Error::Device`] where OpenCL was asked for and there is no such device, or it cannot run this model.
@@ -68,6 +68,16 @@ impl Chain {
         free_phase: bool,
     ) -> Result<Self> {
         let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
+        if !optics.has_one_wavelength() {
+            if choice == Choice::Auto {
+                return Ok(Self::cpu(optics, precision));
+            }
+            let count = optics.parts().colours.len();
+            return Err(Error::Device(format!(
+                "a model of {count} wavelengths runs on the CPU alone: device = \"cpu\" or \"auto\", or estimate.wavelengths = 1, \
+                 is accepted"
+            )));
+        }
         let on_device = || -> Result<Self> {
             let layout = GpuLayout { free_phase, ..layout(&optics) };
             let device = Device::open(&info, false)?;

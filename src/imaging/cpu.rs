@@ -1,4 +1,5 @@
-//! The chain on the CPU: one image per thread at a time, in f64 (the judge) or f32.
+//! The chain on the CPU: one image per thread at a time, in f64 (the judge) or f32. A model of several wavelengths goes through
+//! field and transform once for each, and through the detector once.
 
 mod free;
 
@@ -6,7 +7,7 @@ use super::detector::{Evaluation, Exposure, Loaded};
 use super::field::{Field, FieldState};
 use super::optics::Optics;
 use super::phasor::Polynomial;
-use crate::fourier::{Transform, Workspace};
+use crate::fourier::{Sampling, Transform, Workspace};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use pulp::NullaryFnOnce;
@@ -16,41 +17,51 @@ use std::sync::{Arc, Mutex};
 /// Forward model and adjoint on the CPU, for a batch of images.
 pub struct CpuChain<T: Polynomial> {
     optics: Arc<Optics>,
-    field: Field<T>,
-    transform: Transform<T>,
+    colours: Vec<Stages<T>>,
     images: Vec<Loaded<T>>,
     /// Memory of threads that are not evaluating now: taken, used, put back.
     idle: Mutex<Vec<Scratch<T>>>,
 }
 
+/// What light of one wavelength goes through.
+struct Stages<T: Polynomial> {
+    field: Field<T>,
+    transform: Transform<T>,
+}
+
 /// What one thread needs for one evaluation at a time: made by [`CpuChain::scratch`].
 pub struct Scratch<T: Polynomial> {
+    colours: Vec<ColourScratch<T>>,
+    pupil_bar: Vec<T>,
+    psf: Vec<T>,
+}
+
+/// What it needs for each colour.
+struct ColourScratch<T: Polynomial> {
     field: FieldState<T>,
     pupil: Vec<T>,
-    pupil_bar: Vec<T>,
     focus: Vec<T>,
-    psf: Vec<T>,
     workspace: Workspace<T>,
 }
 
 /// The flat wavefront, whose field and PSF are the same for every image: made by [`CpuChain::flat`], for one thread.
 pub struct Flat<T: Polynomial> {
     scratch: Scratch<T>,
-    /// The focal field, which an evaluation writes over.
-    focus: Vec<T>,
+    /// The focal field of each colour, which an evaluation writes over.
+    focus: Vec<Vec<T>>,
 }
 
 impl<T: Polynomial> CpuChain<T> {
-    /// A chain for `optics` with the transform that is cheaper for its sampling.
+    /// A chain for `optics` with the transforms that are cheaper for its sampling.
     pub fn new(optics: Arc<Optics>) -> Self {
-        let transform = Transform::choose(optics.sampling());
-        Self::with_transform(optics, transform)
+        Self::with_transforms(optics, Transform::choose)
     }
 
-    /// A chain with a given transform.
-    pub fn with_transform(optics: Arc<Optics>, transform: Transform<T>) -> Self {
-        let field = Field::new(&optics);
-        Self { optics, field, transform, images: Vec::new(), idle: Mutex::new(Vec::new()) }
+    /// A chain whose transform of each colour is what `transform` makes for its sampling.
+    pub fn with_transforms(optics: Arc<Optics>, transform: impl Fn(Sampling) -> Transform<T>) -> Self {
+        let stages = |optics: &Optics| Stages { field: Field::new(optics), transform: transform(optics.sampling()) };
+        let colours = optics.colours().iter().map(stages).collect();
+        Self { optics, colours, images: Vec::new(), idle: Mutex::new(Vec::new()) }
     }
 
     /// The model.
@@ -58,16 +69,17 @@ impl<T: Polynomial> CpuChain<T> {
         &self.optics
     }
 
-    /// Points of the FFT that transforms, `None` where matrices do.
+    /// Points of the FFT that transforms the first colour, `None` where matrices do.
     pub fn fft_points(&self) -> Option<usize> {
-        match self.transform {
+        match self.colours[0].transform {
             Transform::Matrix(_) => None,
-            Transform::Fft(_) => self.optics.sampling().padded(),
+            Transform::Fft(_) => self.optics.colours()[0].sampling().padded(),
         }
     }
 
-    pub(super) fn field(&self) -> &Field<T> {
-        &self.field
+    /// The field of each colour.
+    pub(super) fn fields(&self) -> impl Iterator<Item = &Field<T>> {
+        self.colours.iter().map(|colour| &colour.field)
     }
 
     /// Replaces the batch of images.
@@ -141,7 +153,7 @@ impl<T: Polynomial> CpuChain<T> {
     pub fn flat(&self) -> Flat<T> {
         let mut scratch = self.scratch();
         self.psf_in(Array1::zeros(self.optics.modes()).view(), &mut scratch);
-        Flat { focus: scratch.focus.clone(), scratch }
+        Flat { focus: scratch.colours.iter().map(|colour| colour.focus.clone()).collect(), scratch }
     }
 
     /// As [`CpuChain::evaluate_one`] at the flat wavefront, in little more than half of the time: bitwise the same.
@@ -149,7 +161,11 @@ impl<T: Polynomial> CpuChain<T> {
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
     pub fn evaluate_flat(&self, image: &Loaded<T>, flat: &mut Flat<T>, evaluation: &mut Evaluation) {
-        flat.scratch.focus.copy_from_slice(&flat.focus);
+        flat.scratch
+            .colours
+            .iter_mut()
+            .zip(&flat.focus)
+            .for_each(|(colour, focus)| colour.focus.copy_from_slice(focus));
         self.evaluate_there(image, &mut flat.scratch, evaluation);
     }
 
@@ -196,19 +212,21 @@ impl<T: Polynomial> CpuChain<T> {
         let mut jacobian = Array2::from_elem((self.optics.modes(), here.psf.len()), T::zero());
         let modes = &self.optics.parts().modes;
         let rows: Vec<_> = jacobian.outer_iter_mut().zip(modes).collect();
-        let (state, field) = (&here.field, &here.focus);
+        let at = &here.colours;
         rows.into_par_iter().for_each(|(mut row, &mode)| {
             let mut memory = self.take();
-            memory.pupil.fill(T::zero());
-            self.field.derivative(mode, state, &mut memory.pupil);
-            self.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-            // The grid goes back as it came: zero outside the lit samples.
-            memory.pupil.fill(T::zero());
-            let lines = field.chunks_exact(2 * pixels).zip(memory.focus.chunks_exact(2 * pixels));
-            for (v, (at, along)) in lines.enumerate() {
-                for u in 0..pixels {
-                    let real = at[u] * along[u] + at[pixels + u] * along[pixels + u];
-                    row[v * pixels + u] = real + real;
+            for ((stages, at), memory) in self.colours.iter().zip(at).zip(&mut memory.colours) {
+                memory.pupil.fill(T::zero());
+                stages.field.derivative(mode, &at.field, &mut memory.pupil);
+                stages.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
+                // The grid goes back as it came: zero outside the lit samples.
+                memory.pupil.fill(T::zero());
+                let lines = at.focus.chunks_exact(2 * pixels).zip(memory.focus.chunks_exact(2 * pixels));
+                for (v, (at, along)) in lines.enumerate() {
+                    for u in 0..pixels {
+                        let real = at[u] * along[u] + at[pixels + u] * along[pixels + u];
+                        row[v * pixels + u] += real + real;
+                    }
                 }
             }
             self.put_back(memory);
@@ -221,13 +239,29 @@ impl<T: Polynomial> CpuChain<T> {
     /// Memory for one thread.
     pub fn scratch(&self) -> Scratch<T> {
         let (n, m) = (self.optics.sampling().samples, self.optics.sampling().pixels);
-        Scratch {
-            field: self.field.state(),
+        let colour = |stages: &Stages<T>| ColourScratch {
+            field: stages.field.state(),
             pupil: vec![T::zero(); 2 * n * n],
-            pupil_bar: vec![T::zero(); 2 * n * n],
             focus: vec![T::zero(); 2 * m * m],
+            workspace: stages.transform.workspace(),
+        };
+        Scratch {
+            colours: self.colours.iter().map(colour).collect(),
+            pupil_bar: vec![T::zero(); 2 * n * n],
             psf: vec![T::zero(); m * m],
-            workspace: self.transform.workspace(),
+        }
+    }
+
+    /// The fields that stand in the pupils of `memory` to the PSF.
+    #[inline(always)]
+    fn to_psf(&self, memory: &mut Scratch<T>) {
+        let pixels = self.optics.sampling().pixels;
+        for (i, (stages, colour)) in self.colours.iter().zip(&mut memory.colours).enumerate() {
+            stages.transform.forward(&colour.pupil, &mut colour.focus, &mut colour.workspace);
+            match i {
+                0 => Loaded::intensity(&colour.focus, &mut memory.psf, pixels),
+                _ => Loaded::add_intensity(&colour.focus, &mut memory.psf, pixels),
+            }
         }
     }
 
@@ -261,9 +295,10 @@ impl<T: Polynomial> NullaryFnOnce for Forward<'_, T> {
     #[inline(always)]
     fn call(self) {
         let Self { chain, coefficients_nm, memory } = self;
-        chain.field.forward(coefficients_nm, &mut memory.field, &mut memory.pupil);
-        chain.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-        Loaded::intensity(&memory.focus, &mut memory.psf, chain.optics.sampling().pixels);
+        for (stages, colour) in chain.colours.iter().zip(&mut memory.colours) {
+            stages.field.forward(coefficients_nm, &mut colour.field, &mut colour.pupil);
+        }
+        chain.to_psf(memory);
     }
 }
 
@@ -282,9 +317,13 @@ impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
     fn call(self) {
         let Self { chain, image, memory, evaluation } = self;
         image.forward(&memory.psf, evaluation);
-        image.adjoint(evaluation, &memory.psf, &mut memory.focus, chain.optics.sampling().pixels);
-        chain.transform.adjoint(&memory.focus, &mut memory.pupil_bar, &mut memory.workspace);
-        chain.field.adjoint(&memory.pupil_bar, &mut memory.field, &mut evaluation.gradient);
+        evaluation.gradient.fill(0.0);
+        for (stages, colour) in chain.colours.iter().zip(&mut memory.colours) {
+            // The objective is that of all colours together, each time the same.
+            image.adjoint(evaluation, &memory.psf, &mut colour.focus, chain.optics.sampling().pixels);
+            stages.transform.adjoint(&colour.focus, &mut memory.pupil_bar, &mut colour.workspace);
+            stages.field.adjoint(&memory.pupil_bar, &mut colour.field, &mut evaluation.gradient);
+        }
     }
 }
 

@@ -132,6 +132,17 @@ impl<T: Polynomial> Loaded<T> {
         }
     }
 
+    /// As [`Loaded::intensity`], added to what other colours made.
+    #[inline(always)]
+    pub(super) fn add_intensity(focus: &[T], psf: &mut [T], pixels: usize) {
+        for (row, psf) in focus.chunks_exact(2 * pixels).zip(psf.chunks_exact_mut(pixels)) {
+            let (re, im) = row.split_at(pixels);
+            for u in 0..pixels {
+                psf[u] += re[u].mul_add(re[u], im[u] * im[u]);
+            }
+        }
+    }
+
     /// Flux and background for this PSF, into `evaluation`. In f32 the model and the residual are rounded to 6e-8 of the
     /// brightest pixel; sums over pixels run in double precision.
     #[inline(always)]

@@ -29,6 +29,8 @@ pub(super) struct Field<T> {
     smooth: SmoothModes<T>,
     shares: Shares<T>,
     turns_per_nm: f64,
+    /// Turns at this wavelength for one at the model's.
+    turns_of_free: T,
     modes: Vec<Mode>,
 }
 
@@ -85,6 +87,7 @@ impl<T: Polynomial> Field<T> {
             shares: Shares::new(optics, &lit, samples * stride / BLOCK),
             lit,
             turns_per_nm: 1.0 / parts.wavelength_nm,
+            turns_of_free: T::of(1.0 / optics.colour().ratio),
             modes: parts.modes.clone(),
         }
     }
@@ -133,7 +136,8 @@ impl<T: Polynomial> Field<T> {
         self.field(state, grid);
     }
 
-    /// The same with a phase of its own at each lit sample, turns, beside what the coefficients make.
+    /// The same with a phase of its own at each lit sample, turns at the model's wavelength, beside what the coefficients
+    /// make.
     #[inline(always)]
     pub(super) fn forward_free(
         &self,
@@ -144,7 +148,9 @@ impl<T: Polynomial> Field<T> {
     ) {
         self.set(coefficients_nm, state);
         self.smooth.phase(&state.smooth, &mut state.turns, &mut state.smooth_scratch);
-        self.lit.iter().zip(free_turns).for_each(|(&place, &free)| state.turns[place] += free);
+        self.lit.iter().zip(free_turns).for_each(|(&place, &free)| {
+            state.turns[place] = self.turns_of_free.mul_add(free, state.turns[place]);
+        });
         self.field(state, grid);
     }
 
@@ -175,7 +181,7 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Ē on the row-planar pupil grid to the gradient per nm of each coefficient.
+    /// Ē on the row-planar pupil grid to the derivative per nm of each coefficient, which is added to `gradient`.
     #[inline(always)]
     pub(super) fn adjoint(&self, grid_bar: &[T], state: &mut FieldState<T>, gradient: &mut [f64]) {
         state.pose_bar.fill([[T::zero(); BLOCK]; 3]);
@@ -204,14 +210,14 @@ impl<T: Polynomial> Field<T> {
         self.gradient(state, gradient);
     }
 
-    /// Puts the gradient together from its sums.
+    /// Adds the gradient that the sums make.
     #[inline(always)]
     fn gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
         let four_pi = 4.0 * std::f64::consts::PI;
         let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
         let turned = self.shares.slopes.is_some();
         for (&mode, gradient) in self.modes.iter().zip(gradient.iter_mut()) {
-            *gradient = four_pi
+            *gradient += four_pi
                 * match mode {
                     Mode::Smooth(row) => state.smooth_bar[row],
                     Mode::Piston(s) if turned => sum(&state.pose_bar[s][0]) * self.turns_per_nm,
@@ -225,11 +231,11 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// dJ/dψ at each lit sample, per turn, as [`Field::adjoint`] left it.
+    /// Adds dJ/dψ at each lit sample, per turn at the model's wavelength, as [`Field::adjoint`] left it.
     #[inline(always)]
     pub(super) fn free_gradient(&self, state: &FieldState<T>, gradient: &mut [T]) {
-        let four_pi = T::of(4.0 * std::f64::consts::PI);
-        gradient.iter_mut().zip(&self.lit).for_each(|(out, &place)| *out = four_pi * state.turns_bar[place]);
+        let factor = T::of(4.0 * std::f64::consts::PI) * self.turns_of_free;
+        gradient.iter_mut().zip(&self.lit).for_each(|(out, &place)| *out += factor * state.turns_bar[place]);
     }
 
     /// Whether segments have amplitudes of their own: where they tilt, phasors are made sample by sample, without.
@@ -237,12 +243,12 @@ impl<T: Polynomial> Field<T> {
         self.shares.slopes.is_none()
     }
 
-    /// dJ/d ln of each segment's amplitude, as [`Field::adjoint`] left it: `2·Re(q_s*·Σ w·g)`, beside the piston's
+    /// Adds dJ/d ln of each segment's amplitude, as [`Field::adjoint`] left it: `2·Re(q_s*·Σ w·g)`, beside the piston's
     /// imaginary part.
     pub(super) fn amplitude_gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
         let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
         for ((gradient, [q_re, q_im]), [re, im, _]) in gradient.iter_mut().zip(&state.piston).zip(&state.pose_bar) {
-            *gradient = 2.0 * (sum(re) * q_re.wide() + sum(im) * q_im.wide());
+            *gradient += 2.0 * (sum(re) * q_re.wide() + sum(im) * q_im.wide());
         }
     }
 

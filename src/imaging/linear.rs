@@ -5,6 +5,7 @@
 //! `4·n·m·(n + m)`: a thirtieth for one of 800 segments. And it costs a few rows no more than their share.
 
 use super::cpu::CpuChain;
+use super::field::Field;
 use super::optics::{Mode, Optics};
 use crate::fourier::{Sampling, Transform};
 use faer::linalg::matmul::matmul;
@@ -16,29 +17,60 @@ use std::ops::Range;
 /// The model at one point, linearised: see [`CpuChain::linear`].
 pub struct Linear<'a> {
     chain: &'a CpuChain<f64>,
+    colours: Vec<OneColour<'a>>,
+    psf: Vec<f64>,
+    /// Rows and columns of the pupil in which each segment shows.
+    boxes: Vec<[Range<usize>; 2]>,
+}
+
+/// Light of one wavelength.
+struct OneColour<'a> {
+    field: &'a Field<f64>,
     state: super::field::FieldState<f64>,
     transform: Transform<f64>,
     /// The field on the pixels, row-planar. Of the same transform as the derivatives: others differ by a phase.
     focus: Vec<f64>,
-    psf: Vec<f64>,
     waves: Waves,
-    /// Rows and columns of the pupil in which each segment shows.
-    boxes: Vec<[Range<usize>; 2]>,
+    pixels: usize,
 }
 
 impl CpuChain<f64> {
     /// The model linearised at `coefficients_nm`.
     pub fn linear(&self, coefficients_nm: ArrayView1<f64>) -> Linear<'_> {
-        let sampling = self.optics().sampling();
+        let colour = |(optics, field): (Optics, _)| OneColour::at(coefficients_nm, field, optics.sampling());
+        let colours: Vec<OneColour> = self.optics().colours().into_iter().zip(self.fields()).map(colour).collect();
+        let mut psf = vec![0.0; self.optics().sampling().pixels.pow(2)];
+        colours.iter().for_each(|colour| colour.add_psf(&mut psf));
+        Linear { chain: self, colours, psf, boxes: boxes(self.optics()) }
+    }
+}
+
+impl<'a> OneColour<'a> {
+    fn at(coefficients_nm: ArrayView1<f64>, field: &'a Field<f64>, sampling: Sampling) -> Self {
         let (n, m) = (sampling.samples, sampling.pixels);
         let transform = Transform::matrix(sampling);
-        let mut state = self.field().state();
+        let mut state = field.state();
         let (mut pupil, mut focus) = (vec![0.0; 2 * n * n], vec![0.0; 2 * m * m]);
-        self.field().forward(coefficients_nm, &mut state, &mut pupil);
+        field.forward(coefficients_nm, &mut state, &mut pupil);
         transform.forward(&pupil, &mut focus, &mut transform.workspace());
-        let lines = focus.chunks_exact(2 * m).flat_map(|line| line[..m].iter().zip(&line[m..]));
-        let psf = lines.map(|(re, im)| re * re + im * im).collect();
-        Linear { chain: self, state, transform, focus, psf, waves: Waves::new(sampling), boxes: boxes(self.optics()) }
+        Self { field, state, transform, focus, waves: Waves::new(sampling), pixels: m }
+    }
+
+    fn add_psf(&self, psf: &mut [f64]) {
+        let m = self.pixels;
+        let lines = self.focus.chunks_exact(2 * m).flat_map(|line| line[..m].iter().zip(&line[m..]));
+        psf.iter_mut().zip(lines).for_each(|(psf, (re, im))| *psf += re * re + im * im);
+    }
+
+    /// Adds d|U|² = 2 Re(U*·dU) of some rows.
+    fn intensity(&self, rows: &Range<usize>, along: &[f64], mut out: ArrayViewMut1<f64>) {
+        let m = self.pixels;
+        let at = self.focus[2 * m * rows.start..2 * m * rows.end].chunks_exact(2 * m);
+        for ((at, along), mut out) in at.zip(along.chunks_exact(2 * m)).zip(out.exact_chunks_mut(m)) {
+            for (u, out) in out.iter_mut().enumerate() {
+                *out += 2.0 * (at[u] * along[u] + at[m + u] * along[m + u]);
+            }
+        }
     }
 }
 
@@ -69,11 +101,14 @@ impl Linear<'_> {
         let lines: Vec<_> = out.outer_iter_mut().zip(modes).collect();
         lines.into_par_iter().for_each_init(
             || Room::new(self),
-            |room, (out, &mode)| match mode {
-                Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
-                    self.patch(mode, &self.boxes[s], &rows, room, out);
-                }
-                _ => self.whole(mode, &rows, room, out),
+            |room, (mut out, &mode)| {
+                out.fill(0.0);
+                self.colours.iter().for_each(|colour| match mode {
+                    Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
+                        self.patch(colour, mode, &self.boxes[s], &rows, room, out.view_mut());
+                    }
+                    _ => self.whole(colour, mode, &rows, room, out.view_mut()),
+                });
             },
         );
     }
@@ -85,21 +120,22 @@ impl Linear<'_> {
         2 * ys.len() * (xs.len() + m) < n * (n + m)
     }
 
-    fn whole(&self, mode: Mode, rows: &Range<usize>, room: &mut Room, out: ArrayViewMut1<f64>) {
+    fn whole(&self, colour: &OneColour, mode: Mode, rows: &Range<usize>, room: &mut Room, out: ArrayViewMut1<f64>) {
         let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
         let Whole { pupil, focus, workspace } = room.whole.get_or_insert_with(|| Whole {
             pupil: vec![0.0; 2 * n * n],
             focus: vec![0.0; 2 * m * m],
-            workspace: self.transform.workspace(),
+            workspace: colour.transform.workspace(),
         });
         pupil.fill(0.0);
-        self.chain.field().derivative(mode, &self.state, pupil);
-        self.transform.forward(pupil, focus, workspace);
-        self.intensity(rows, &focus[2 * m * rows.start..2 * m * rows.end], out);
+        colour.field.derivative(mode, &colour.state, pupil);
+        colour.transform.forward(pupil, focus, workspace);
+        colour.intensity(rows, &focus[2 * m * rows.start..2 * m * rows.end], out);
     }
 
     fn patch(
         &self,
+        colour: &OneColour,
         mode: Mode,
         [ys, xs]: &[Range<usize>; 2],
         rows: &Range<usize>,
@@ -109,10 +145,10 @@ impl Linear<'_> {
         let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
         let (height, width, count) = (ys.len(), xs.len(), rows.len());
         // The derivative is written into the whole pupil, of which only the box is ever touched and cleared again.
-        self.chain.field().derivative(mode, &self.state, &mut room.pupil);
+        colour.field.derivative(mode, &colour.state, &mut room.pupil);
         let samples = MatRef::from_row_major_slice(&room.pupil, n, 2 * n);
         let [d_re, d_im] = [0, n].map(|plane| samples.submatrix(ys.start, plane + xs.start, height, width));
-        let [c, s] = [&self.waves.cos, &self.waves.sin].map(|table| MatRef::from_row_major_slice(table, n, m));
+        let [c, s] = [&colour.waves.cos, &colour.waves.sin].map(|table| MatRef::from_row_major_slice(table, n, m));
         let [cx, sx] = [c, s].map(|table| table.subrows(xs.start, width));
         // (re + i·im)(c − i·s) along x, then along y.
         let a = &mut room.along_x[..2 * height * m];
@@ -129,18 +165,7 @@ impl Linear<'_> {
         for line in room.pupil[2 * n * ys.start..2 * n * ys.end].chunks_exact_mut(n) {
             line[xs.clone()].fill(0.0);
         }
-        self.intensity(rows, &room.along_y[..2 * count * m], out);
-    }
-
-    /// d|U|² = 2 Re(U*·dU) of some rows.
-    fn intensity(&self, rows: &Range<usize>, along: &[f64], mut out: ArrayViewMut1<f64>) {
-        let m = self.pixels();
-        let at = self.focus[2 * m * rows.start..2 * m * rows.end].chunks_exact(2 * m);
-        for ((at, along), mut out) in at.zip(along.chunks_exact(2 * m)).zip(out.exact_chunks_mut(m)) {
-            for (u, out) in out.iter_mut().enumerate() {
-                *out = 2.0 * (at[u] * along[u] + at[m + u] * along[m + u]);
-            }
-        }
+        colour.intensity(rows, &room.along_y[..2 * count * m], out);
     }
 }
 
@@ -212,14 +237,14 @@ fn boxes(optics: &Optics) -> Vec<[Range<usize>; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::OpticsParts;
+    use crate::imaging::{Colour, OpticsParts};
     use crate::pupil::SegmentWeights;
     use ndarray::Array2;
     use std::sync::Arc;
 
     /// Nine segments in a square of 27×27 samples of 30, each of which reaches one sample into its neighbours, and a wave
     /// over all of them.
-    fn optics(tilts: bool) -> Arc<Optics> {
+    fn optics(tilts: bool, colours: &[Colour]) -> Arc<Optics> {
         let (n, m, side) = (30, 14, 9);
         let (mut lit, mut offsets, mut segment, mut weight) = (Vec::new(), vec![0], Vec::new(), Vec::new());
         for (y, x) in (0..27).flat_map(|y| (0..27).map(move |x| (y, x))) {
@@ -241,6 +266,7 @@ mod tests {
             products: None,
             sampling: Sampling::new(n, m, 1.9).unwrap(),
             wavelength_nm: 2000.0,
+            colours: colours.to_vec(),
             diversity_nm: (0..lit.len()).map(|p| 900.0 * (0.02 * p as f64).sin()).collect(),
             basis: Array2::from_shape_fn((1, lit.len()), |(_, p)| (0.05 * p as f64).cos()),
             modes: (0..9).flat_map(of_segment).chain([Mode::Smooth(0)]).collect(),
@@ -260,8 +286,10 @@ mod tests {
     /// Derivatives from boxes and from the whole pupil agree, all rows at once and in tiles.
     #[test]
     fn derivatives_in_tiles_are_those_of_the_whole_image() {
-        for tilts in [false, true] {
-            let chain = CpuChain::<f64>::new(optics(tilts));
+        let three = [(0.95, 0.3), (1.0, 0.4), (1.04, 0.3)].map(|(ratio, share)| Colour { ratio, share });
+        let alone = [Colour::ALONE];
+        for (tilts, colours) in [(false, &alone[..]), (true, &alone), (false, &three), (true, &three)] {
+            let chain = CpuChain::<f64>::new(optics(tilts, colours));
             let modes = chain.optics().modes();
             let at = ndarray::Array1::from_shape_fn(modes, |i| 60.0 * (i as f64 * 1.7).sin());
             let linear = chain.linear(at.view());

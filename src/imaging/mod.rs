@@ -26,7 +26,7 @@ pub use cpu::{CpuChain, Flat, Scratch};
 pub use detector::{Evaluation, Exposure, Loaded, Photometry};
 pub use fallback::Fallback;
 pub use linear::Linear;
-pub use optics::{Mode, Optics, OpticsParts};
+pub use optics::{Colour, Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
 pub use work::{Shapes, Work};
 

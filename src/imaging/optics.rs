@@ -19,13 +19,29 @@ pub enum Mode {
     Smooth(usize),
 }
 
+/// One of the wavelengths that a model's image is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Colour {
+    /// Its wavelength over that of the model.
+    pub ratio: f64,
+    /// Its share of the light.
+    pub share: f64,
+}
+
+impl Colour {
+    /// All light, at the model's own wavelength.
+    pub const ALONE: Self = Self { ratio: 1.0, share: 1.0 };
+}
+
 /// The plain arrays that make an [`Optics`].
 #[derive(Debug, Clone)]
 pub struct OpticsParts {
     /// Shapes of pupil and image.
     pub sampling: Sampling,
-    /// Wavelength, nm.
+    /// Wavelength, nm: the one to which `sampling` belongs.
     pub wavelength_nm: f64,
+    /// The wavelengths of the light, whose images add; shares sum to 1.
+    pub colours: Vec<Colour>,
     /// How the segments show in the lit samples.
     pub weights: SegmentWeights,
     /// Coordinates of each entry of `weights` on its segment along x and y, scaled to unit RMS over the segment; needed
@@ -45,6 +61,8 @@ pub struct OpticsParts {
 #[derive(Debug, Clone)]
 pub struct Optics {
     parts: OpticsParts,
+    /// What part of the whole this is, where it is one colour of a model of several.
+    colour: Colour,
 }
 
 impl Optics {
@@ -58,6 +76,13 @@ impl Optics {
         let samples = parts.sampling.samples;
         if !(parts.wavelength_nm.is_finite() && parts.wavelength_nm > 0.0) {
             return Err(Error::Value(format!("a wavelength of {} nm is impossible", parts.wavelength_nm)));
+        }
+        let bad = |value: f64| !(value.is_finite() && value > 0.0);
+        let light: f64 = parts.colours.iter().map(|colour| colour.share).sum();
+        // Shares are quotients: rounding leaves 1e-16 a colour.
+        if parts.colours.iter().any(|colour| bad(colour.ratio) || bad(colour.share)) || (light - 1.0).abs() > 1e-9 {
+            let text = format!("colours {:?} are impossible: positive ratios, and shares of sum 1", parts.colours);
+            return Err(Error::Value(text));
         }
         if lit == 0 || !(parts.weights.energy.is_finite() && parts.weights.energy > 0.0) {
             return Err(Error::Value("the pupil holds no glass: no sample is lit".into()));
@@ -106,7 +131,7 @@ impl Optics {
                 )));
             }
         }
-        Ok(Self { parts })
+        Ok(Self { parts, colour: Colour::ALONE })
     }
 
     /// The arrays inside.
@@ -124,9 +149,39 @@ impl Optics {
         self.parts.sampling
     }
 
-    /// Factor on |U|² that makes the PSF sum to 1 over an unbounded detector: 1/((n·q)²·ΣA²) by Parseval.
+    /// The model at each of its wavelengths, whose images add. A pixel is a fixed angle: it spans fewer λ/D where λ is longer.
+    pub fn colours(&self) -> Vec<Self> {
+        let alone = |&colour: &Colour| {
+            let Sampling { samples, pixels, pixels_per_lambda_over_d } = self.parts.sampling;
+            let parts = OpticsParts {
+                sampling: Sampling {
+                    samples,
+                    pixels,
+                    pixels_per_lambda_over_d: pixels_per_lambda_over_d * colour.ratio,
+                },
+                wavelength_nm: self.parts.wavelength_nm * colour.ratio,
+                colours: vec![Colour::ALONE],
+                ..self.parts.clone()
+            };
+            Self { parts, colour }
+        };
+        if self.has_one_wavelength() { vec![self.clone()] } else { self.parts.colours.iter().map(alone).collect() }
+    }
+
+    /// Whether all light has the model's wavelength.
+    pub fn has_one_wavelength(&self) -> bool {
+        self.parts.colours == [Colour::ALONE]
+    }
+
+    /// What part of a model of several wavelengths this is; [`Colour::ALONE`] for a whole one.
+    pub(super) fn colour(&self) -> Colour {
+        self.colour
+    }
+
+    /// Factor on |U|² that makes the PSF sum to the share of the light over an unbounded detector: 1/((n·q)²·ΣA²) of it by
+    /// Parseval.
     pub fn intensity_scale(&self) -> f64 {
-        self.parts.sampling.step().powi(2) / self.parts.weights.energy
+        self.colour.share * self.parts.sampling.step().powi(2) / self.parts.weights.energy
     }
 
     /// The diversity in turns, reduced to [−½, ½]: the same field, with its digits where single precision can see them.

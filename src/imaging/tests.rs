@@ -39,6 +39,7 @@ fn optics(samples: usize, pixels: usize, per_lambda_over_d: f64) -> Arc<Optics> 
         Optics::new(OpticsParts {
             sampling: Sampling::new(samples, pixels, per_lambda_over_d).unwrap(),
             wavelength_nm: 2168.6,
+            colours: vec![Colour::ALONE],
             weights: SegmentWeights { segments: 3, lit, offsets, segment, weight, energy },
             slopes,
             diversity_nm: random(count, 4000.0, &mut rng),
@@ -48,6 +49,12 @@ fn optics(samples: usize, pixels: usize, per_lambda_over_d: f64) -> Arc<Optics> 
         })
         .unwrap(),
     )
+}
+
+/// The same in light of three wavelengths.
+fn in_colours(optics: &Optics) -> Arc<Optics> {
+    let colours = [(0.9, 0.3), (1.0, 0.45), (1.12, 0.25)].map(|(ratio, share)| Colour { ratio, share }).to_vec();
+    Arc::new(Optics::new(OpticsParts { colours, ..optics.parts().clone() }).unwrap())
 }
 
 fn exposures(pixels: usize) -> Vec<Exposure> {
@@ -75,10 +82,12 @@ fn coefficients(images: usize, modes: usize) -> Array2<f64> {
 #[test]
 fn the_gradient_is_the_central_difference() {
     for (samples, pixels, q) in [(10, 14, 1.9), (12, 8, 2.0), (8, 16, 2.0)] {
-        let optics = optics(samples, pixels, q);
-        for transform in [Some(Transform::matrix(optics.sampling())), Transform::fft(optics.sampling())] {
-            let Some(transform) = transform else { continue };
-            let mut chain = CpuChain::<f64>::with_transform(optics.clone(), transform);
+        let one = optics(samples, pixels, q);
+        let fft = |sampling| Transform::fft(sampling).unwrap_or_else(|| Transform::matrix(sampling));
+        let ways: [(_, &dyn Fn(Sampling) -> Transform<f64>); 3] =
+            [(&one, &Transform::matrix), (&one, &fft), (&in_colours(&one), &fft)];
+        for (optics, transform) in ways {
+            let mut chain = CpuChain::<f64>::with_transforms(optics.clone(), transform);
             chain.load(&exposures(pixels)).unwrap();
             let c = coefficients(3, optics.modes());
             let at = chain.evaluate(&[0, 1, 2], c.view()).unwrap();
@@ -198,6 +207,35 @@ fn what_is_not_computed_twice_is_bitwise_what_it_was() {
     compare::<f64>();
 }
 
+/// Against models of one wavelength each, of which nothing knows that they belong together.
+#[test]
+fn images_of_several_wavelengths_add() {
+    let optics = in_colours(&optics(12, 14, 1.9));
+    let c = coefficients(1, optics.modes()).row(0).to_owned();
+    let mut sum = vec![0.0; 14 * 14];
+    for colour in &optics.parts().colours {
+        let alone = OpticsParts {
+            sampling: Sampling::new(12, 14, 1.9 * colour.ratio).unwrap(),
+            wavelength_nm: 2168.6 * colour.ratio,
+            colours: vec![Colour::ALONE],
+            ..optics.parts().clone()
+        };
+        let psf = CpuChain::<f64>::new(Arc::new(Optics::new(alone).unwrap())).psf(c.view());
+        sum.iter_mut().zip(psf).for_each(|(sum, psf)| *sum += colour.share * psf);
+    }
+    let psf = CpuChain::<f64>::new(optics.clone()).psf(c.view());
+    let peak = psf.iter().copied().fold(0.0, f64::max);
+    // Rounding of sums of a hundred terms.
+    assert!(psf.iter().zip(&sum).all(|(a, b)| (a - b).abs() < 1e-13 * peak));
+    // A device takes one wavelength: by name it is refused, and by itself the CPU takes its place.
+    let open = |choice| Chain::open(optics.clone(), choice, Precision::F64, 1);
+    assert_eq!(open(Choice::Auto).unwrap().device_name(), "cpu");
+    let parts = optics.parts();
+    for colours in [vec![], vec![Colour { ratio: 1.0, share: 0.5 }], vec![Colour { ratio: -1.0, share: 1.0 }]] {
+        assert!(Optics::new(OpticsParts { colours, ..parts.clone() }).is_err());
+    }
+}
+
 #[test]
 fn a_wavefront_that_grows_along_x_moves_the_spot_along_columns() {
     let (samples, pixels) = (16, 16);
@@ -206,6 +244,7 @@ fn a_wavefront_that_grows_along_x_moves_the_spot_along_columns() {
     let optics = Optics::new(OpticsParts {
         sampling: Sampling::new(samples, pixels, 2.0).unwrap(),
         wavelength_nm: 1000.0,
+        colours: vec![Colour::ALONE],
         weights: SegmentWeights {
             segments: 1,
             offsets: (0..=256).collect(),
@@ -289,7 +328,12 @@ fn the_gradient_in_the_amplitudes_is_exact() {
     let mut parts = tilting.parts().clone();
     parts.modes = vec![Mode::Piston(0), Mode::Piston(1), Mode::Piston(2), Mode::Smooth(0)];
     parts.slopes = None;
-    let optics = Arc::new(Optics::new(parts).unwrap());
+    let one = Arc::new(Optics::new(parts).unwrap());
+    amplitudes_are_exact(in_colours(&one));
+    amplitudes_are_exact(one);
+}
+
+fn amplitudes_are_exact(optics: Arc<Optics>) {
     let chain = CpuChain::<f64>::new(optics.clone());
     assert!(chain.has_amplitudes());
     let mut rng = ChaCha8Rng::seed_from_u64(13);
@@ -344,13 +388,14 @@ fn the_gradient_in_the_free_phase_is_exact() {
         chain.evaluate_free(&image, c.view(), &free, &mut scratch, &mut evaluation, &mut gradient);
         (evaluation, gradient.iter().map(|g| g.wide()).collect())
     }
-    let optics = optics(12, 14, 1.9);
-    let (exposures, c) = (exposures(14), coefficients(1, optics.modes()).row(0).to_owned());
+    let one = optics(12, 14, 1.9);
+    let (exposures, c) = (exposures(14), coefficients(1, one.modes()).row(0).to_owned());
     let mut rng = ChaCha8Rng::seed_from_u64(11);
-    let lit = optics.parts().weights.lit.len();
-    for exposure in &exposures {
+    let lit = one.parts().weights.lit.len();
+    let three = in_colours(&one);
+    for (exposure, optics) in exposures.iter().flat_map(|exposure| [(exposure, &one), (exposure, &three)]) {
         let free = random(lit, 0.3, &mut rng);
-        let (here, gradient) = at::<f64>(&optics, exposure, &c, &free);
+        let (here, gradient) = at::<f64>(optics, exposure, &c, &free);
         let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         for _ in 0..5 {
             let along = random(lit, 1.0, &mut rng);
@@ -359,13 +404,13 @@ fn the_gradient_in_the_free_phase_is_exact() {
             let h = 1e-5;
             let shifted = |by: f64| -> f64 {
                 let free: Vec<f64> = free.iter().zip(&along).map(|(f, v)| f + by * v).collect();
-                at::<f64>(&optics, exposure, &c, &free).0.objective
+                at::<f64>(optics, exposure, &c, &free).0.objective
             };
             let difference = (shifted(h) - shifted(-h)) / (2.0 * h);
             assert!((difference - slope).abs() < 1e-6 * norm, "{difference} {slope} of {norm}");
         }
         // The contract of numerics: 1e-5 in f32, for objective and gradient.
-        let (narrow, narrow_gradient) = at::<f32>(&optics, exposure, &c, &free);
+        let (narrow, narrow_gradient) = at::<f32>(optics, exposure, &c, &free);
         assert!((narrow.objective / here.objective - 1.0).abs() < 1e-5);
         let error = gradient.iter().zip(&narrow_gradient).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
         assert!(error < 1e-5 * norm, "{error:e} of {norm:e}");
@@ -373,7 +418,7 @@ fn the_gradient_in_the_free_phase_is_exact() {
         let mut chain = CpuChain::<f64>::new(optics.clone());
         chain.load(std::slice::from_ref(exposure)).unwrap();
         let alone = chain.evaluate(&[0], c.view().insert_axis(ndarray::Axis(0))).unwrap().remove(0);
-        let (with, _) = at::<f64>(&optics, exposure, &c, &vec![0.0; lit]);
+        let (with, _) = at::<f64>(optics, exposure, &c, &vec![0.0; lit]);
         assert_eq!((alone.objective.to_bits(), alone.gradient), (with.objective.to_bits(), with.gradient));
     }
 }

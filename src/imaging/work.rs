@@ -13,7 +13,7 @@
 //! | segments | 8 E; where they tilt 16 E and two sines and cosines for each |
 //! | pixels: intensity, sums, residual, source | 30 m² |
 //!
-//! and bytes from memory: data and weights, 2 m² b; the basis, L M b/B, read once for the batch; coefficients up and gradient
+//! Light of several wavelengths takes all but the pixels' as often. Bytes from memory: data and weights, 2 m² b; the basis, L M b/B, read once for the batch; coefficients up and gradient
 //! down, 16 a mode. Zeros of padding are in neither, nor what a variant computes twice.
 
 use super::chain::Precision;
@@ -47,6 +47,8 @@ pub struct Shapes {
     pub modes: usize,
     /// Whether segments tilt.
     pub tilts: bool,
+    /// Wavelengths of the light.
+    pub colours: usize,
 }
 
 impl Shapes {
@@ -62,13 +64,14 @@ impl Shapes {
             smooth: parts.basis.nrows(),
             modes: parts.modes.len(),
             tilts: optics.tilts_segments(),
+            colours: parts.colours.len(),
         }
     }
 
     /// Work of one image's objective and gradient in a batch of `batch`.
     pub fn work(&self, precision: Precision, batch: usize) -> Work {
-        let [n, m, lit, entries, smooth, modes] =
-            [self.samples, self.pixels, self.lit, self.entries, self.smooth, self.modes].map(|count| count as f64);
+        let counts = [self.samples, self.pixels, self.lit, self.entries, self.smooth, self.modes, self.colours];
+        let [n, m, lit, entries, smooth, modes, colours] = counts.map(|count| count as f64);
         let transform = match self.fft {
             Some(points) => 10.0 * points as f64 * (points as f64).log2() * (n + m),
             None => 4.0 * n * m * (n + m),
@@ -77,8 +80,8 @@ impl Shapes {
         let segments = if self.tilts { entries * (16.0 + 2.0 * turn) } else { 8.0 * entries };
         let number = precision.bytes() as f64;
         Work {
-            flops: transform + lit * (4.0 * smooth + turn + 20.0) + segments + 30.0 * m * m,
-            bytes: number * (2.0 * m * m + lit * smooth / batch.max(1) as f64) + 16.0 * modes,
+            flops: colours * (transform + lit * (4.0 * smooth + turn + 20.0) + segments) + 30.0 * m * m,
+            bytes: number * (2.0 * m * m + colours * lit * smooth / batch.max(1) as f64) + 16.0 * modes,
         }
     }
 }
@@ -98,6 +101,7 @@ mod tests {
             smooth: 66,
             modes: 102,
             tilts: false,
+            colours: 1,
         };
         let work = matrix.work(Precision::F32, 200);
         // 41.472 M of products, 2.376 M of modes, 0.45 M of fields, 0.072 M of segments, 1.728 M of pixels.
@@ -105,6 +109,9 @@ mod tests {
         // 460,800 of images, 11,880 of the basis, 1,632 of coefficients and gradient.
         assert_eq!(work.bytes, 474_312.0);
         let fft = Shapes { fft: Some(240), ..matrix }.work(Precision::F32, 200);
+        // Three wavelengths: three times all but the pixels', and the basis.
+        let three = Shapes { colours: 3, ..matrix }.work(Precision::F32, 200);
+        assert_eq!((three.flops, three.bytes), (3.0 * (46.098e6 - 1.728e6) + 1.728e6, 474_312.0 + 2.0 * 11_880.0));
         // log2 240 = 7.9069: 6.8316 M in place of the products.
         assert!((fft.flops - (46.098e6 - 41.472e6 + 6.8316e6)).abs() < 100.0, "{}", fft.flops);
     }

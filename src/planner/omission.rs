@@ -35,18 +35,16 @@ pub(super) fn omissions(
     let own = chosen.error_nm();
     let width = asked.image.bandwidth_fraction;
     if width > 0.0 {
-        // The images of the plan have the filter's width; the model never does. Without it the same model is priced on
-        // images of one wavelength.
-        let narrow = planned.with_override("image.bandwidth_fraction", "0")?;
-        let one_wavelength =
-            Trials::of(&narrow, cancel)?.price(&like.variant(&narrow, Recipe::of(&narrow))?, cancel)?;
-        omissions.push(Omission {
-            what: "bandwidth of the filter",
-            modelled: false,
-            with_nm: one_wavelength.error_nm(),
-            without_nm: own,
-            because: format!("the model has one wavelength, the images have a filter of {} %", 100.0 * width),
-        });
+        // The images have the filter's width, and the plan may have it or not: the other one is priced beside it.
+        let modelled = !like.model().optics.has_one_wavelength();
+        let other = planned.with_override("estimate.wavelengths", if modelled { "1" } else { "" })?;
+        let model = like.variant(&other, Recipe::of(&other))?;
+        let other_nm = trials.price(&model, cancel)?.error_nm();
+        let [with_nm, without_nm] = if modelled { [own, other_nm] } else { [other_nm, own] };
+        let broad = if modelled { like.model() } else { model.model() };
+        let times = broad.optics.parts().colours.len();
+        let because = format!("the filter of {} % takes {times} wavelengths, and as often the time", 100.0 * width);
+        omissions.push(Omission { what: "bandwidth of the filter", modelled, with_nm, without_nm, because });
     }
     let mut alternative = |what, key, value: &str, because: String| -> Result<()> {
         let scene = planned.with_override(key, value)?;

@@ -64,6 +64,7 @@ impl<'a> Walk<'a> {
         let reference = first.price;
         let limit_nm = self.limit_nm(&first);
         let mut best = self.sampled(first, limit_nm)?;
+        best = self.fewer_wavelengths(best, limit_nm)?;
         best = self.cropped(best, limit_nm)?;
         best = self.single_precision(best, limit_nm)?;
         best = self.stopped_early(best, limit_nm)?;
@@ -146,6 +147,24 @@ impl<'a> Walk<'a> {
         let kept = best.scene.estimate.samples.unwrap_or(own).to_string();
         self.keep("estimate.samples", &kept);
         Ok(best)
+    }
+
+    /// The fewest wavelengths that are good enough: each takes its time.
+    fn fewer_wavelengths(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
+        let own = from.estimator.model().optics.parts().colours.len();
+        if own == 1 || self.asked.estimate.wavelengths.is_some() {
+            return Ok(from);
+        }
+        for count in (1..own).map(|count| count.to_string()) {
+            let scene = from.scene.with_override("estimate.wavelengths", &count)?;
+            let candidate = self.candidate(&from.estimator, &scene)?;
+            self.note("estimate.wavelengths", count.clone(), candidate.price);
+            if candidate.price.error_nm() <= limit_nm && candidate.price.megaflops < from.price.megaflops {
+                self.keep("estimate.wavelengths", &count);
+                return Ok(candidate);
+            }
+        }
+        Ok(from)
     }
 
     /// The narrowest part of the image that is good enough.

@@ -65,6 +65,8 @@ section! {
         sampling: Sampling, ANY, default(Sampling::Auto);
         /// Samples along a side of the grid on which a band-limited model is fitted; maps stay on the pupil's.
         samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
+        /// Wavelengths of the model, whose images add; an evaluation takes as many times as long.
+        wavelengths: Option<usize>, between(1.0, 99.0), unset("as many as image.bandwidth_fraction needs; 1 with the paper's recipes");
         /// Most evaluations of the objective for one image.
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
         /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
@@ -77,7 +79,7 @@ section! {
         memory_gb: f64, above(0.0, 1e6), default(8.0);
         /// Standard deviation of the diversity's amplitude over itself, for the error bars: the NCPA's modes take an error of it for their own.
         diversity_error: f64, between(0.0, 1.0), default(0.0);
-        /// Numbers of the scene that are fitted beside the modes, of up to six of the images together: image.samples_per_lambda_over_d, pupil.rotation_deg, image.diversity_focus_waves_rms.
+        /// Numbers of the scene that are fitted beside the modes, of up to six of the images together: image.samples_per_lambda_over_d, pupil.rotation_deg, image.diversity_focus_waves_rms, image.bandwidth_fraction.
         fit_optics: Vec<Optic>, ANY, default([]);
         /// How the images of a sequence become one estimate; outliers are told among 8 images or more.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");

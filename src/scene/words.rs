@@ -64,6 +64,8 @@ words! {
         Rotation = "rotation",
         /// Amplitude of the defocus.
         Defocus = "defocus",
+        /// Width of the filter.
+        Bandwidth = "bandwidth",
     }
 }
 

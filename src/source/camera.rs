@@ -7,14 +7,14 @@ use crate::fourier::{Sampling, Transform};
 use crate::grid::Grid;
 use crate::pupil::SegmentWeights;
 use crate::scene::{ImageScene, Scene};
-use crate::telescope::{Diversity, Telescope};
+use crate::telescope::{Diversity, Telescope, band, wavelengths_needed};
 use ndarray::{Array2, s};
 use rand::Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 
-/// Wavelengths that stand for a filter of finite width: a flat filter of 1.5 % is then exact to far below the noise
-/// (the error of an n-point mean falls as n⁻²), one of 20 % to a percent of its effect.
-const WAVELENGTHS_OF_A_BAND: usize = 7;
+/// Least wavelengths that stand for a filter of finite width, and twice those that a model of it needs: what a model leaves out
+/// is to show.
+const LEAST_WAVELENGTHS: usize = 7;
 
 /// The scene's camera behind its telescope.
 pub struct Camera<'a> {
@@ -60,13 +60,12 @@ impl<'a> Camera<'a> {
         if image.bandwidth_fraction == 0.0 {
             return self.monochromatic(truth, &opd_nm, image.wavelength_nm);
         }
+        let count = LEAST_WAVELENGTHS.max(2 * wavelengths_needed(self.scene, self.telescope, &self.diversity));
         let mut sum = Array2::zeros((image.pixels, image.pixels));
-        for i in 0..WAVELENGTHS_OF_A_BAND {
-            let place = (i as f64 + 0.5) / WAVELENGTHS_OF_A_BAND as f64 - 0.5;
-            sum +=
-                &self.monochromatic(truth, &opd_nm, image.wavelength_nm * (1.0 + place * image.bandwidth_fraction))?;
+        for (ratio, share) in band(image.bandwidth_fraction, count) {
+            sum.scaled_add(share, &self.monochromatic(truth, &opd_nm, image.wavelength_nm * ratio)?);
         }
-        Ok(sum / WAVELENGTHS_OF_A_BAND as f64)
+        Ok(sum)
     }
 
     /// NCPA and diversity at the lit samples, nm.

@@ -44,6 +44,28 @@ fn plate_scale_and_rotation_are_found_with_error_bars() {
 }
 
 #[test]
+fn a_filters_width_is_modelled_and_found() {
+    let broad = |width: &str, more: &[(&str, &str)]| scene(&[&[("image.bandwidth_fraction", width)], more].concat());
+    let made = broad("0.1", &[]);
+    // One wavelength is no model of it; as many as it needs are; a width that is a fifth too small is found.
+    let (_, narrow_nm, _) = found(&made, &broad("0.1", &[("estimate.wavelengths", "1")]));
+    let (known, known_nm, promised_nm) = found(&made, &made);
+    assert!(known.model().optics.parts().colours.len() > 2 && known.fitted_optics().is_empty());
+    let (fitted, fitted_nm, fitted_promised_nm) =
+        found(&made, &broad("0.08", &[("estimate.fit_optics", "[\"bandwidth\"]")]));
+    let [optic] = fitted.fitted_optics() else { panic!("one was asked for") };
+    assert!(optic.is_told() && optic.scene == 0.08 && optic.key() == "image.bandwidth_fraction", "{optic:?}");
+    assert!((optic.value - 0.1).abs() < 4.0 * optic.sigma && optic.sigma < 0.002, "{optic:?}");
+    for (residual_nm, promised_nm) in
+        known_nm.iter().chain(&fitted_nm).zip(promised_nm.iter().chain(&fitted_promised_nm))
+    {
+        // As in the test above.
+        assert!(*residual_nm < 1.5 * promised_nm, "{residual_nm} {promised_nm}");
+    }
+    assert!(narrow_nm[1] > 3.0 * known_nm[1], "{narrow_nm:?} {known_nm:?}: nothing was wrong without");
+}
+
+#[test]
 fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     // As it is sampled where a plate scale is fitted.
     let own = scene(&[("estimate.sampling", "native")]);
@@ -82,6 +104,14 @@ fn a_defocus_is_found_only_where_no_mode_holds_it() {
     assert!(residual_nm[0] < 2.5 * promised_nm[0], "{residual_nm:?} {promised_nm:?}");
 }
 
+/// What `scene` says of an image without anything.
+fn read_of(scene: &Scene) -> cophase::Result<()> {
+    let images_e = Array3::from_elem((1, 132, 132), 100.0);
+    let bad = images_e.mapv(|_| false);
+    let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
+    read(scene, cube, &mut |_| panic!("no chain is needed"), None, &mut |_, _| {}).map(|_| ())
+}
+
 #[test]
 fn what_cannot_be_fitted_is_refused_in_a_sentence() {
     let asked = |what: &str| scene(&[("estimate.fit_optics", what)]);
@@ -97,10 +127,8 @@ fn what_cannot_be_fitted_is_refused_in_a_sentence() {
     assert!(with(&[("estimate.budget_nm", "1")]).contains("fit_optics"));
     assert!(with(&[("estimate.method", "full-phase")]).contains("fit_optics"));
     assert!(with(&[("estimate.fit_optics", "[\"rotation\", \"rotation\"]")]).contains("\"plate-scale\""));
+    let narrow = sentence(read_of(&asked("[\"bandwidth\"]")));
+    assert!(narrow.contains("one wavelength"), "{narrow}");
     // An image that shows nothing of them.
-    let images_e = Array3::from_elem((1, 132, 132), 100.0);
-    let bad = images_e.mapv(|_| false);
-    let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-    let nothing = read(&asked("[\"rotation\"]"), cube, &mut |_| panic!("no chain is needed"), None, &mut |_, _| {});
-    assert!(sentence(nothing.map(|_| ())).contains("100"));
+    assert!(sentence(read_of(&asked("[\"rotation\"]"))).contains("100"));
 }

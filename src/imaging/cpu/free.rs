@@ -2,7 +2,7 @@
 //! of the whole wavefront varies. The modes are there too; an evaluation whose free phase is zero and whose amplitudes are
 //! 1 is bitwise that of the modes alone.
 
-use super::{Backward, CpuChain, Evaluation, Loaded, Polynomial, Scratch, check_batch, vectorised};
+use super::{Backward, CpuChain, Evaluation, Field, Loaded, Polynomial, Scratch, check_batch, vectorised};
 use crate::{Error, Result};
 use ndarray::{ArrayView1, ArrayView2};
 use pulp::NullaryFnOnce;
@@ -29,7 +29,10 @@ impl<T: Polynomial> CpuChain<T> {
         assert_eq!((free_turns.len(), free_gradient.len()), (lit, lit), "a number for each lit sample");
         vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
-        self.field.free_gradient(&scratch.field, free_gradient);
+        free_gradient.fill(T::zero());
+        for (stages, colour) in self.colours.iter().zip(&scratch.colours) {
+            stages.field.free_gradient(&colour.field, free_gradient);
+        }
     }
 
     /// As [`CpuChain::evaluate_free`] for `images` of the batch, on every core: `free_turns` and `free_gradient` are
@@ -88,19 +91,25 @@ impl<T: Polynomial> CpuChain<T> {
 impl<T: Polynomial> CpuChain<T> {
     /// Whether [`Scratch::set_amplitudes`] is heard: not where segments tilt.
     pub fn has_amplitudes(&self) -> bool {
-        self.field.has_amplitudes()
+        self.fields().all(Field::has_amplitudes)
     }
 
     /// The gradient of the last [`CpuChain::evaluate_free`] in `scratch` by the logarithm of each segment's amplitude.
     pub fn amplitude_gradient(&self, scratch: &Scratch<T>, gradient: &mut [f64]) {
-        self.field.amplitude_gradient(&scratch.field, gradient);
+        gradient.fill(0.0);
+        for (stages, colour) in self.colours.iter().zip(&scratch.colours) {
+            stages.field.amplitude_gradient(&colour.field, gradient);
+        }
     }
 }
 
 impl<T: Polynomial> Scratch<T> {
     /// The amplitude of each segment over that of its weights, from now on; 1 where nothing was said.
-    pub fn set_amplitudes(&mut self, amplitudes: impl Iterator<Item = f64>) {
-        self.field.amplitudes().iter_mut().zip(amplitudes).for_each(|(own, amplitude)| *own = T::of(amplitude));
+    pub fn set_amplitudes(&mut self, amplitudes: impl Iterator<Item = f64> + Clone) {
+        for colour in &mut self.colours {
+            let own = colour.field.amplitudes().iter_mut();
+            own.zip(amplitudes.clone()).for_each(|(own, amplitude)| *own = T::of(amplitude));
+        }
     }
 }
 
@@ -118,8 +127,9 @@ impl<T: Polynomial> NullaryFnOnce for ForwardFree<'_, T> {
     #[inline(always)]
     fn call(self) {
         let Self { chain, coefficients_nm, free_turns, memory } = self;
-        chain.field.forward_free(coefficients_nm, free_turns, &mut memory.field, &mut memory.pupil);
-        chain.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-        Loaded::intensity(&memory.focus, &mut memory.psf, chain.optics.sampling().pixels);
+        for (stages, colour) in chain.colours.iter().zip(&mut memory.colours) {
+            stages.field.forward_free(coefficients_nm, free_turns, &mut colour.field, &mut colour.pupil);
+        }
+        chain.to_psf(memory);
     }
 }

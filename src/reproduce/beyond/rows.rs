@@ -49,7 +49,7 @@ const LOOP: Settings = &[("estimate.knows", "loop")];
 pub(super) const NOMINAL: &str = "75 images";
 
 /// All rows but those of measured maps.
-pub static BEYOND_ROWS: [BeyondRow; 37] = [
+pub static BEYOND_ROWS: [BeyondRow; 38] = [
     same(NOMINAL, "zonal", &[]),
     same("25 images", "zonal", &[("image.count", "25")]),
     same("10 images", "zonal", &[("image.count", "10")]),
@@ -87,6 +87,7 @@ pub static BEYOND_ROWS: [BeyondRow; 37] = [
     zonal("mirror's pitch 1 % too large", &[], &[("mirror.pitch_m", "0.568")]),
     same("10 ms exposures", "zonal", &[("image.exposure_s", "0.010")]),
     zonal("1.5 % bandwidth", &[("image.bandwidth_fraction", "0.015")], &[("image.bandwidth_fraction", "0")]),
+    same("1.5 % bandwidth, known", "zonal", &[("image.bandwidth_fraction", "0.015")]),
     // What a scene says of a simulated detector, of reflectivities and of a drift, no reader asks.
     same("pixel responses of 2 %", "zonal", &[("image.pixel_response_rms", "0.02")]),
     same("pixels that are squares", "zonal", &[("image.pixel_fill", "1.0")]),

@@ -67,10 +67,11 @@ const WEAK_DEFOCUS: [Settings; 2] = [
     &[("aberrations.segment_piston_rms_nm", "500"), ("image.diversity_focus_waves_rms", "0.25")],
 ];
 /// Optics that are fitted beside the modes, and how far off the scene is.
-const FITTED: [Settings; 3] = [
+const FITTED: [Settings; 4] = [
     &[("image.samples_per_lambda_over_d", "1.98"), ("estimate.fit_optics", "[\"plate-scale\"]")],
     &[("image.samples_per_lambda_over_d", "2.02"), ("estimate.fit_optics", "[\"plate-scale\"]")],
     &[("image.diversity_focus_waves_rms", "1.575"), ("estimate.fit_optics", "[\"defocus\"]")],
+    &[("image.bandwidth_fraction", "0.04"), ("estimate.fit_optics", "[\"bandwidth\"]")],
 ];
 const TURNED: [Settings; 3] = [
     &[("pupil.rotation_deg", "1")],
@@ -83,7 +84,7 @@ const ONE_TRY: Settings = &[("estimate.restarts", "0")];
 const DOUBLED: Settings = &[("modes.ncpa", "zernike"), ("modes.ncpa_count", "20"), ("modes.exact_zernikes", "[2, 21]")];
 
 /// All of them.
-pub static HARD_CASES: [HardCase; 72] = [
+pub static HARD_CASES: [HardCase; 74] = [
     case("nominal", "64 nm pistons, 73 nm NCPA", &[], Spoil::None, &[]),
     strong("pistons 128 nm", &[("aberrations.segment_piston_rms_nm", "128")]),
     strong("pistons 250 nm", &[("aberrations.segment_piston_rms_nm", "250")]),
@@ -149,6 +150,8 @@ pub static HARD_CASES: [HardCase; 72] = [
     model("pixels that are squares", &[("image.pixel_fill", "1")], &[]),
     model("bandwidth 1.5 %", &[("image.bandwidth_fraction", "0.015")], &[("image.bandwidth_fraction", "0")]),
     model("bandwidth 5 %", &[("image.bandwidth_fraction", "0.05")], &[("image.bandwidth_fraction", "0")]),
+    model("bandwidth 5 %, known", &[("image.bandwidth_fraction", "0.05")], &[]),
+    model("bandwidth 5 %, taken for 4 %, fitted", &[("image.bandwidth_fraction", "0.05")], FITTED[3]),
     model("segment tilts 30 nm", &[("aberrations.segment_tip_tilt_rms_nm", "30")], &[]),
     model("reflectivities 5 %", &[("aberrations.segment_reflectivity_rms", "0.05")], &[]),
     model("NCPA of high order", &[("aberrations.ncpa_zernikes", "[4, 200]"), ("aberrations.ncpa_power_law", "0")], &[]),

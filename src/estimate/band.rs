@@ -1,0 +1,65 @@
+//! The wavelengths of a model.
+
+use crate::imaging::Colour;
+use crate::scene::{Optimizer, Scene};
+use crate::telescope::{Diversity, Telescope, band, wavelengths_needed};
+use crate::{Error, Result};
+
+/// Most wavelengths that are taken where the scene does not say: a band of 30 % behind the paper's defocus.
+const MOST: usize = 15;
+
+/// The wavelengths of the model of `scene`.
+///
+/// # Errors
+/// [`Error::Scene`] for several wavelengths of a filter without width.
+pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> Result<Vec<Colour>> {
+    let width = scene.image.bandwidth_fraction;
+    let count = match scene.estimate.wavelengths {
+        Some(count) if count > 1 && width == 0.0 => {
+            return Err(Error::Scene(format!(
+                "estimate.wavelengths = {count} needs a filter with a width, and image.bandwidth_fraction is 0; leave one of \
+                 them out"
+            )));
+        }
+        Some(count) => count,
+        // The paper's recipes know one.
+        None if scene.estimate.optimizer != Optimizer::GaussNewton => 1,
+        None => wavelengths_needed(scene, telescope, diversity).min(MOST),
+    };
+    if count == 1 {
+        return Ok(vec![Colour::ALONE]);
+    }
+    Ok(band(width, count).into_iter().map(|(ratio, share)| Colour { ratio, share }).collect())
+}
+
+/// Wavelengths that are enough for a filter half as wide again as that of `scene`.
+///
+/// # Errors
+/// Those of building the telescope.
+pub(super) fn enough_beyond(scene: &Scene) -> Result<usize> {
+    let telescope = Telescope::of(scene)?;
+    let needed = wavelengths_needed(scene, &telescope, &Diversity::of(scene, &telescope)?);
+    Ok((needed + needed.div_ceil(2)).min(MOST))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_says_how_many_or_its_filter_does() {
+        let with = |settings: &[(&str, &str)]| {
+            let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
+            let telescope = Telescope::of(&scene).unwrap();
+            colours(&scene, &telescope, &Diversity::of(&scene, &telescope).unwrap())
+        };
+        assert_eq!(with(&[]).unwrap(), [Colour::ALONE]);
+        assert_eq!(with(&[("image.bandwidth_fraction", "0.5")]).unwrap().len(), MOST);
+        let broad = ("image.bandwidth_fraction", "0.1");
+        assert_eq!(with(&[broad, ("estimate.wavelengths", "1")]).unwrap(), [Colour::ALONE]);
+        let named = with(&[broad, ("estimate.wavelengths", "2")]).unwrap();
+        assert!((named[0].ratio - (1.0 - 0.05 / 3f64.sqrt())).abs() < 1e-12 && named[0].share == named[1].share);
+        let sentence = with(&[("estimate.wavelengths", "3")]).unwrap_err().to_string();
+        assert!(sentence.contains("image.bandwidth_fraction"), "{sentence}");
+    }
+}
