@@ -78,6 +78,8 @@ pub fn table(name: &str, model: &Model, estimate: &Estimate, rows: &[Row; 3], mo
     }
     let masked: usize = estimate.images.iter().map(|image| image.bad_pixels).sum();
     let masked = if masked > 0 { format!(", {} masked", counted(masked, "pixel")) } else { String::new() };
+    let cut: usize = estimate.images.iter().map(|image| image.cut_pixels).sum();
+    let masked = if cut > 0 { format!("{masked}, {} that stood out cut", counted(cut, "pixel")) } else { masked };
     let error_bars = if estimate.is_sequence() { " Error bars from the scatter between images." } else { "" };
     text + &format!(
         "\nRMS over the pupil, tip and tilt removed. Reduced χ² {:.3}{masked}.{error_bars}\n{} in {:.2} s on {} in {}; the model took {model_s:.2} s.\n",

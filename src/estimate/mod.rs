@@ -28,10 +28,12 @@ mod metrics;
 mod minimum;
 mod mode_set;
 mod model;
+mod outliers;
 mod pistons;
 mod plan;
 mod prepare;
 mod recipe;
+mod recut;
 mod residual;
 mod restart;
 mod runner;
@@ -58,6 +60,7 @@ pub(crate) use plan::{LEAST_HALF_WIDTH, SPOT_MARGIN};
 pub use prepare::{Frame, Preparation, Prepared, Refusal};
 use prepare::{Preparer, Ringing};
 pub use recipe::Recipe;
+pub use recut::{WithoutOutliers, without_outliers};
 pub use select::{Cube, Open, read};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 use status::Tilts;
@@ -324,7 +327,16 @@ impl Estimator {
             &vec![vec![0.0; self.model.optics.modes()].as_slice(); indices.len()],
             watch,
         )?;
-        let again = |place: usize| prepare(&frames[indices[place]]).ok();
+        let own: Vec<Frame> = indices.iter().map(|&image| frames[image]).collect();
+        let ready = |frame: &Frame| prepare(frame).ok();
+        let cleaned = self.without_outliers(chain, &own, &ready, (&mut prepared, &mut minima), cancel)?;
+        let again = |place: usize| match &cleaned[place] {
+            Some(cleaned) => {
+                let again = ready(&cleaned.frame(read_noise_e))?;
+                Some(Prepared { cut_pixels: cleaned.cut, ..again })
+            }
+            None => ready(&own[place]),
+        };
         self.restart(chain, &again, &mut prepared, &mut minima, cancel)?;
         Ok(Fitted { refused, indices, prepared, minima })
     }

@@ -54,6 +54,8 @@ pub struct Prepared {
     pub shift_pixels: [i64; 2],
     /// Pixels that take no part.
     pub bad_pixels: usize,
+    /// Pixels of the frame that nobody had marked and that stood out: they were cut out.
+    pub cut_pixels: usize,
 }
 
 /// What becomes of bad pixels where the sampling is reduced.
@@ -98,6 +100,7 @@ impl Preparation {
             level_e: 0.0,
             shift_pixels: [0, 0],
             bad_pixels: 0,
+            cut_pixels: 0,
         }
     }
 

@@ -69,6 +69,8 @@ pub struct ImageReport {
     pub tip_tilt_nm: [f64; 2],
     /// Pixels of the fitted part that were bad.
     pub bad_pixels: usize,
+    /// Pixels of the frame that nobody had marked bad, that stood out, and that were cut out.
+    pub cut_pixels: usize,
 }
 
 impl ImageReport {
@@ -132,6 +134,7 @@ pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: 
         background_e: minimum.background_e / model.preparation.native_pixels(),
         tip_tilt_nm: tilts.of(&minimum.coefficients_nm, prepared.shift_pixels),
         bad_pixels: prepared.bad_pixels,
+        cut_pixels: prepared.cut_pixels,
     }
 }
 
@@ -145,6 +148,7 @@ pub(super) fn unfitted(status: Status) -> ImageReport {
         background_e: f64::NAN,
         tip_tilt_nm: [f64::NAN; 2],
         bad_pixels: 0,
+        cut_pixels: 0,
     }
 }
 

@@ -6,6 +6,7 @@ use super::optics_fit;
 use super::passes::{Pass, PassRecipe, find_statics};
 use super::{RetrievalRecipe, RetrievalReport, RetrievedPhases, Retriever, Spectrum, Unknown};
 use crate::ao::Lenslets;
+use crate::estimate::{WithoutOutliers, without_outliers};
 use crate::grid::Grid;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::optimize::CancelFlag;
@@ -13,6 +14,7 @@ use crate::scene::{Knows, Scene, SegmentModes};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
+use std::borrow::Cow;
 use std::path::Path;
 use std::time::Instant;
 
@@ -131,6 +133,8 @@ pub fn read(
         other => Ok(other?),
     };
     let prior = prior(scene, knows)?;
+    let (images, cut_pixels) = clean(scene, images);
+    let images = &*images;
     let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
     // Pistons as coefficients of their own let each image trade an edge for a field that is nearly one: the field alone
     // shows what an image says.
@@ -156,6 +160,7 @@ pub fn read(
     let scene = static_scene;
     Ok(FullPhase {
         passes,
+        cut_pixels,
         reports,
         knows,
         optics,
@@ -167,6 +172,18 @@ pub fn read(
         seconds,
         retrieval_seconds,
     })
+}
+
+/// `images` without single pixels that stand out, and how many did in each.
+fn clean<'a>(scene: &Scene, images: &'a SkyImages) -> (Cow<'a, SkyImages>, Vec<usize>) {
+    match without_outliers(scene, &images.images_e, &images.bad, images.read_noise_e) {
+        None => (Cow::Borrowed(images), vec![0; images.images_e.dim().0]),
+        Some(WithoutOutliers { images_e, cut_pixels }) => {
+            let SkyImages { bad, read_noise_e, slopes_mas, .. } = images;
+            let (bad, slopes_mas) = (bad.clone(), slopes_mas.clone());
+            (Cow::Owned(SkyImages { images_e, bad, read_noise_e: *read_noise_e, slopes_mas }), cut_pixels)
+        }
+    }
 }
 
 /// Writes an estimate in the layout of the modal one, and the table `PASSES`; beside it the true maps (phasing, NCPA; nm), where

@@ -18,6 +18,8 @@ pub struct FullPhase {
     pub passes: Vec<Pass>,
     /// How the retrieval of each image went in the last pass.
     pub reports: Vec<RetrievalReport>,
+    /// Single pixels of each image that nobody had marked bad, that stood out, and that were taken off it.
+    pub cut_pixels: Vec<usize>,
     /// What was assumed of the adaptive optics.
     pub knows: Knows,
     /// Optics that the images said are others than the scene's.
@@ -88,6 +90,16 @@ impl FullPhase {
         if left_out > 0 {
             let were = if left_out == 1 { "was" } else { "were" };
             sentences.push(format!("{left_out} of {all} images {were} left out"));
+        }
+        let spoilt = self.cut_pixels.iter().filter(|pixels| **pixels > 0).count();
+        if spoilt > 0 {
+            let (pixels, were) = match self.cut_pixels.iter().sum::<usize>() {
+                1 => ("1 pixel".into(), "was"),
+                many => (format!("{many} pixels"), "were"),
+            };
+            sentences.push(format!(
+                "{pixels} that stood out of {spoilt} of {all} images {were} taken off (cosmic rays, hot pixels)"
+            ));
         }
         sentences.extend(self.device_failure.clone());
         sentences.extend(pass.diversity.warning(self.scene.image.wavelength_nm));

@@ -1,0 +1,130 @@
+//! Another fit for an image that the model does not explain, without the pixels that stand out.
+
+use super::Estimator;
+use super::minimum::Minimum;
+use super::outliers::{Cleaned, OutlierFinder};
+use super::prepare::{Frame, Prepared};
+use super::status::{Status, judged};
+use crate::Result;
+use crate::imaging::Chain;
+use crate::optimize::CancelFlag;
+use crate::scene::{Scene, Weighting};
+use ndarray::{Array2, Array3, Axis};
+use rayon::prelude::*;
+
+/// Makes a frame ready; none where it cannot be used.
+pub(super) type Prepare<'a> = dyn Fn(&Frame) -> Option<Prepared> + Sync + 'a;
+
+impl Estimator {
+    /// Seeks single pixels in those of `frames` that were not explained, and fits them again without. Returns the frames in
+    /// which there were any, and keeps what is better.
+    ///
+    /// # Errors
+    /// As [`super::fit::Fitter::fit`].
+    pub(super) fn without_outliers(
+        &self,
+        chain: &mut Chain,
+        frames: &[Frame],
+        prepare: &Prepare,
+        (prepared, minima): (&mut [Prepared], &mut [Minimum]),
+        cancel: Option<&CancelFlag>,
+    ) -> Result<Vec<Option<Cleaned>>> {
+        let mut cleaned: Vec<Option<Cleaned>> = frames.iter().map(|_| None).collect();
+        // The paper's recipes know no noise from which a pixel could stand out.
+        if self.recipe.weighting != Weighting::Noise {
+            return Ok(cleaned);
+        }
+        let reports = judged(self, prepared, minima);
+        let unexplained: Vec<usize> = (0..minima.len()).filter(|&place| reports[place].status != Status::Ok).collect();
+        let Some(finder) = (!unexplained.is_empty()).then(|| OutlierFinder::of(&self.scene)).flatten() else {
+            return Ok(cleaned);
+        };
+        let seek = |&place: &usize| {
+            let found = usable(finder.clean(frames[place])?, &frames[place], self.compares_native_pixels());
+            let fresh = prepare(&found.frame(frames[place].read_noise_e))?;
+            Some((place, found, fresh))
+        };
+        let found: Vec<(usize, Cleaned, Prepared)> = unexplained.par_iter().filter_map(seek).collect();
+        if found.is_empty() {
+            return Ok(cleaned);
+        }
+        let start = vec![0.0; self.model.optics.modes()];
+        let (mut places, mut fresh) = (Vec::new(), Vec::new());
+        for (place, found, prepared) in found {
+            cleaned[place] = Some(found);
+            places.push(place);
+            fresh.push(prepared);
+        }
+        let room = &mut fresh.iter_mut().collect::<Vec<_>>();
+        let again = self.fitter(cancel).fit(chain, room, &vec![start.as_slice(); places.len()], &mut |_, _| {})?;
+        for ((place, again), mut fresh) in places.into_iter().zip(again).zip(fresh) {
+            let before = &mut minima[place];
+            let evaluations = before.evaluations + again.evaluations;
+            if again.reduced_chi2 < before.reduced_chi2 || before.reduced_chi2.is_nan() {
+                fresh.cut_pixels = cleaned[place].as_ref().map_or(0, |cleaned| cleaned.cut);
+                (*before, prepared[place]) = (again, fresh);
+            } else {
+                cleaned[place] = None;
+            }
+            before.evaluations = evaluations;
+        }
+        Ok(cleaned)
+    }
+
+    fn compares_native_pixels(&self) -> bool {
+        let preparation = self.model.preparation;
+        preparation.reduced == preparation.frame
+    }
+}
+
+impl Cleaned {
+    /// As a frame.
+    pub(super) fn frame(&self, read_noise_e: f64) -> Frame<'_> {
+        Frame { data_e: self.data_e.view(), bad: self.bad.view(), read_noise_e }
+    }
+}
+
+/// What an estimator takes: pixels that stood out are bad where each is compared by itself; where a reduction would smear
+/// the hole they keep what is theirs.
+fn usable(found: Cleaned, frame: &Frame, native: bool) -> Cleaned {
+    let Cleaned { data_e, bad, cut } = found;
+    if native {
+        Cleaned { data_e: frame.data_e.to_owned(), bad, cut }
+    } else {
+        Cleaned { data_e, bad: frame.bad.to_owned(), cut }
+    }
+}
+
+/// A cube of images without the single pixels that stand out, and how many these were in each.
+pub struct WithoutOutliers {
+    /// Electrons, `[image, y, x]`; where a pixel stood out, what it has without that.
+    pub images_e: Array3<f64>,
+    /// How many pixels stood out in each image.
+    pub cut_pixels: Vec<usize>,
+}
+
+/// Takes single pixels that stand out off images of `scene` (`[image, y, x]`), before anybody looks at them; none where there are
+/// none.
+pub fn without_outliers(
+    scene: &Scene,
+    images_e: &Array3<f64>,
+    bad: &Array3<bool>,
+    read_noise_e: Option<f64>,
+) -> Option<WithoutOutliers> {
+    let finder = OutlierFinder::of(scene)?;
+    let read_noise_e = read_noise_e.unwrap_or(scene.image.read_noise_e);
+    let seek = |image: usize| -> Option<(Array2<f64>, usize)> {
+        let (data_e, bad) = (images_e.index_axis(Axis(0), image), bad.index_axis(Axis(0), image));
+        finder.clean(Frame { data_e, bad, read_noise_e }).map(|found| (found.data_e, found.cut))
+    };
+    let found: Vec<Option<(Array2<f64>, usize)>> = (0..images_e.dim().0).into_par_iter().map(seek).collect();
+    if found.iter().all(Option::is_none) {
+        return None;
+    }
+    let mut cleaned = WithoutOutliers { images_e: images_e.clone(), cut_pixels: vec![0; found.len()] };
+    for (image, (data_e, cut)) in found.into_iter().enumerate().filter_map(|(image, found)| Some((image, found?))) {
+        cleaned.images_e.index_axis_mut(Axis(0), image).assign(&data_e);
+        cleaned.cut_pixels[image] = cut;
+    }
+    Some(cleaned)
+}
