@@ -70,6 +70,35 @@ fn one_image_gives_both_maps_within_their_error_bars() {
 }
 
 #[test]
+fn pixels_that_stand_out_are_cut_where_no_model_explains_the_image() {
+    // Each pixel by itself, and four of nine in one, where a hole would be smeared.
+    for sampling in ["native", "nyquist"] {
+        let scene = scene(&[("estimate.sampling", sampling)]);
+        let made = source::images(&scene).unwrap();
+        let bad = made.images_e.mapv(|_| false);
+        let (_, clean) = estimate(&scene, &made.images_e, &bad);
+        assert_eq!((clean.images[0].status, clean.images[0].cut_pixels), (Status::Ok, 0));
+        let peak_e = made.images_e.iter().copied().fold(0.0, f64::max);
+        let mut images_e = made.images_e.clone();
+        // Hot, dead, and the track of a cosmic ray.
+        images_e[[0, 70, 60]] += 10.0 * peak_e;
+        let brightest = made.images_e.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0;
+        images_e[brightest] = 0.0;
+        [(40, 90), (41, 91), (42, 92)].iter().for_each(|&(y, x)| images_e[[0, y, x]] += 0.3 * peak_e);
+        let (estimator, found) = estimate(&scene, &images_e, &bad);
+        let report = &found.images[0];
+        assert_eq!((report.status, report.cut_pixels), (Status::Ok, 5), "{sampling}: chi2 {}", report.reduced_chi2);
+        for (residual, promised) in residuals(&estimator, &found, &made).into_iter().zip(promised(&estimator, &found)) {
+            // As in the test above.
+            assert!(residual < 1.7 * promised, "{sampling}: {residual} {promised}");
+        }
+        // The paper's way knows no noise that a pixel could stand out of.
+        let paper = scene.with(&[("estimate.optimizer", "paper")]).unwrap();
+        assert_eq!(estimate(&paper, &images_e, &bad).1.images[0].cut_pixels, 0);
+    }
+}
+
+#[test]
 fn bad_pixels_cost_nothing_when_marked() {
     let scene = scene(&[]);
     let made = source::images(&scene).unwrap();
