@@ -6,7 +6,7 @@
 mod band;
 mod diversity;
 
-pub use band::{band, wavelengths_needed};
+pub use band::{band, wavelengths_needed, wavelengths_to};
 pub use diversity::{Diversity, MapOnGrid};
 
 use crate::grid::Grid;

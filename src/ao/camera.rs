@@ -6,16 +6,13 @@ use super::phase::unit_phasor;
 use crate::pupil::{BandLimit, Pupil, SegmentWeights};
 use crate::scene::ImageScene;
 use crate::source::Truth;
-use crate::telescope::{Diversity, Telescope, band};
+use crate::telescope::{Diversity, Telescope, band, wavelengths_to};
 use crate::{Error, Result};
 use ndarray::Array2;
 use num_complex::Complex32;
 use pulp::{Arch, NullaryFnOnce};
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
-
-/// Wavelengths that stand for a filter of finite width: a spot of 20 λ/D needs as many where that is 12 %.
-const WAVELENGTHS_OF_A_BAND: usize = 7;
 
 /// Samples around the glass on which a low-passed edge rings, and wavefronts are wanted: beyond them it is below 1 %.
 pub(super) const MARGIN_SAMPLES: usize = 4;
@@ -122,7 +119,9 @@ impl ScienceCamera {
     /// [`Error::Shape`] for an image wider than the samples of the pupil can carry.
     pub fn new(view: View, optics: &Optics) -> Result<Self> {
         let n = optics.footprint.samples();
-        let count = if view.bandwidth_fraction > 0.0 { WAVELENGTHS_OF_A_BAND } else { 1 };
+        // Speckles of what no loop corrects reach the corners.
+        let corner = 0.5 * (view.rows as f64).hypot(view.columns as f64) / view.samples_per_lambda_over_d;
+        let count = wavelengths_to(corner, view.bandwidth_fraction);
         let weights = edges(&view, optics)?;
         let colours: Vec<Colour> = band(view.bandwidth_fraction, count)
             .into_iter()

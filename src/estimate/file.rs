@@ -58,6 +58,8 @@ pub fn write(path: &Path, estimator: &Estimator, estimate: &Estimate, truth: Opt
             Column::f64("BACKGROUND_E", "electron", numbers(&|image| image.background_e)),
             Column::f64("TIP_NM", "nm", numbers(&|image| image.tip_tilt_nm[0])),
             Column::f64("TILT_NM", "nm", numbers(&|image| image.tip_tilt_nm[1])),
+            Column::i64("BAD_PIXELS", images.iter().map(|image| image.bad_pixels as i64).collect()),
+            Column::i64("CUT_PIXELS", images.iter().map(|image| image.cut_pixels as i64).collect()),
             Column::i64("USED", (0..images.len()).map(|i| i64::from(estimate.used_images.contains(&i))).collect()),
         ],
     )?;

@@ -61,6 +61,7 @@ pub use prepare::{Frame, Preparation, Prepared, Refusal};
 use prepare::{Preparer, Ringing};
 pub use recipe::Recipe;
 pub use recut::{WithoutOutliers, without_outliers};
+pub(crate) use residual::photometry;
 pub use select::{Cube, Open, read};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 use status::Tilts;

@@ -26,7 +26,7 @@ pub(super) fn reweigh(exposure: &mut Exposure, psf: &[f64], (flux_e, background_
 }
 
 /// Flux and background of an exposure for a given PSF.
-pub(super) fn photometry(exposure: &Exposure, psf: &[f64]) -> (f64, f64) {
+pub(crate) fn photometry(exposure: &Exposure, psf: &[f64]) -> (f64, f64) {
     let mut sums = [[0.0; LANES]; 5];
     let [w, wd, wh, whh, whd] = &mut sums;
     let pixels = exposure.weight.chunks(LANES).zip(exposure.data_e.chunks(LANES)).zip(psf.chunks(LANES));

@@ -9,7 +9,7 @@ use super::precondition::{Filter, SquareScratch};
 use super::probe::variance_e2;
 use super::retrieve::Statics;
 use crate::Result;
-use crate::estimate::Prepared;
+use crate::estimate::{Prepared, photometry};
 use crate::imaging::{Evaluation, Polynomial, Scratch};
 use crate::optimize::{Progress, QuasiNewton};
 use ndarray::{Array1, ArrayView1};
@@ -52,9 +52,6 @@ pub(super) struct Descent<T: Polynomial> {
     information_nm2: f64,
     /// Degrees of freedom: pixels less what field, coefficients, flux and background take.
     freedom: f64,
-    /// Of the last evaluation.
-    flux_e: f64,
-    background_e: f64,
 }
 
 impl<T: Polynomial> Descent<T> {
@@ -75,8 +72,6 @@ impl<T: Polynomial> Descent<T> {
             turns: zeros(),
             information_nm2: 0.0,
             freedom: 1.0,
-            flux_e: 0.0,
-            background_e: 0.0,
         })
     }
 
@@ -172,7 +167,6 @@ impl<T: Polynomial> Descent<T> {
         of_amplitudes: impl FnOnce(&mut [f64]),
         square: &mut SquareScratch<T>,
     ) -> Result<Progress> {
-        (self.flux_e, self.background_e) = (evaluation.flux_e, evaluation.background_e);
         let (field, others) = self.gradient.split_at_mut(engine.square.len());
         let (coefficients, amplitudes) = others.split_at_mut(engine.free.len());
         engine.square.field_adjoint(&self.filter, turns_bar, square, field);
@@ -206,10 +200,11 @@ impl<T: Polynomial> Descent<T> {
         self.place_at(Point::Best, engine, square);
         self.show_amplitudes(scratch);
         let psf = engine.chain.psf_free_in(self.coefficients_nm.view(), &self.turns, scratch);
-        let (flux_e, background_e) = (self.flux_e, self.background_e);
+        let psf: Vec<f64> = psf.iter().map(|h| h.wide()).collect();
+        let (flux_e, background_e) = photometry(&prepared.exposure, &psf);
         let mut chi2 = 0.0;
         for ((h, &d), &floor) in psf.iter().zip(&prepared.exposure.data_e).zip(&prepared.floor_variance_e2) {
-            let expected = flux_e * h.wide() + background_e;
+            let expected = flux_e * h + background_e;
             let variance = variance_e2(expected, floor, engine.recipe.model_error);
             if variance.is_finite() {
                 chi2 += (expected - d).powi(2) / variance;

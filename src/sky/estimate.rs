@@ -245,6 +245,7 @@ pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Arra
         Column::f64("CHI2", "", of(&|report| report.reduced_chi2)),
         Column::f64("FLUX_E", "electron", of(&|report| report.flux_e)),
         Column::f64("BACKGROUND_E", "electron", of(&|report| report.background_e)),
+        Column::i64("CUT_PIXELS", found.cut_pixels.iter().map(|&pixels| pixels as i64).collect()),
         Column::i64("USED", (0..found.reports.len()).map(|i| i64::from(pass.used_images.contains(&i))).collect()),
     ];
     file.table("IMAGES", &images)?;

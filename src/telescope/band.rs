@@ -11,7 +11,12 @@ use crate::scene::Scene;
 /// filter's width does; 1 without a width.
 pub fn wavelengths_needed(scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> usize {
     let (width, spot) = (scene.image.bandwidth_fraction, diversity.spot(&telescope.pupil, scene.image.wavelength_nm));
-    if width > 0.0 { (2.0 + 2.0 * spot * width).ceil() as usize } else { 1 }
+    wavelengths_to(spot, width)
+}
+
+/// Wavelengths that a filter of `width` (of its mean wavelength) needs where light reaches so many λ/D from the axis.
+pub fn wavelengths_to(reach_lambda_over_d: f64, width: f64) -> usize {
+    if width > 0.0 { (2.0 + 2.0 * reach_lambda_over_d * width).ceil() as usize } else { 1 }
 }
 
 /// A flat filter of `width` (of its mean wavelength) by `count` wavelengths: each over the mean, and its share of the light.
@@ -61,7 +66,7 @@ mod tests {
     #[test]
     fn as_many_wavelengths_as_are_needed_average_the_rim_of_the_spot() {
         for (spot, width) in [(20.0, 0.015), (20.0, 0.05), (20.0, 0.2), (60.0, 0.1)] {
-            let count = (2.0f64 + 2.0 * spot * width).ceil() as usize;
+            let count = wavelengths_to(spot, width);
             let turns = |ratio: f64| std::f64::consts::TAU * spot * (ratio - 1.0);
             let mean: f64 = band(width, count).iter().map(|(ratio, share)| share * turns(*ratio).cos()).sum();
             let whole = std::f64::consts::PI * spot * width;
@@ -76,8 +81,8 @@ mod tests {
             let telescope = Telescope::of(&scene).unwrap();
             wavelengths_needed(&scene, &telescope, &Diversity::of(&scene, &telescope).unwrap())
         };
-        // A spot of some twenty λ/D.
-        assert_eq!(["0", "0.015", "0.05"].map(count), [1, 3, 4]);
-        assert!((9..13).contains(&count("0.2")), "{}", count("0.2"));
+        // A spot between 20 and 25 λ/D: 2 + 0.6 to 0.75, 2 + 2 to 2.5, 2 + 8 to 10, the next whole number each.
+        assert_eq!(["0", "0.015", "0.05"].map(count), [1, 3, 5]);
+        assert!((11..=12).contains(&count("0.2")), "{}", count("0.2"));
     }
 }

@@ -314,7 +314,9 @@ static void results(const struct sky *s, cophase_full_phase *full_phase, FILE *f
     CHECK(cophase_full_phase_mode_count(full_phase, &modes) == COPHASE_OK && modes > 10);
     CHECK(cophase_full_phase_segment_mode_count(full_phase, &segments) == COPHASE_OK && segments == 7);
     CHECK(cophase_full_phase_mode_name(full_phase, 0, &name) == COPHASE_OK && strstr(name, "piston") != NULL);
-    CHECK(cophase_full_phase_mode_name(full_phase, modes - 1, &name) == COPHASE_OK && strstr(name, "noll-") != NULL);
+    CHECK(cophase_full_phase_mode_name(full_phase, modes - 1, &name) == COPHASE_OK);
+    /* The last is one of the NCPA: of Zernikes, or of the mirror where these are not enough. */
+    CHECK(strncmp(name, "noll-", 5) == 0 || strncmp(name, "kl-", 3) == 0);
     REFUSED(COPHASE_BAD_VALUE, "mode is", cophase_full_phase_mode_name(full_phase, modes, &name));
     coefficients_nm = doubles(modes), sigma_nm = doubles(modes), covariance_nm2 = doubles(modes * modes);
     REFUSED(COPHASE_BAD_SHAPE, "modes is", cophase_full_phase_coefficients_nm(full_phase, coefficients_nm, NULL, modes - 1));

@@ -111,17 +111,20 @@ fn a_broad_filter_is_the_mean_of_its_colours_at_fixed_angles() {
     let still = simulator.segments_nm().to_vec();
     let broad = simulator.camera(View { bandwidth_fraction: 0.2, ..view }).unwrap().psf(&still);
     let mut mean = ndarray::Array2::<f32>::zeros((128, 128));
-    for i in 0..7 {
-        let stretch = 1.0 + 0.2 * ((f64::from(i) + 0.5) / 7.0 - 0.5);
+    for i in 0..120 {
+        let stretch = 1.0 + 0.2 * ((f64::from(i) + 0.5) / 120.0 - 0.5);
         let colour = View {
             wavelength_nm: view.wavelength_nm * stretch,
             samples_per_lambda_over_d: view.samples_per_lambda_over_d * stretch,
             ..view
         };
-        mean += &(simulator.camera(colour).unwrap().psf(&still) / 7.0);
+        mean += &(simulator.camera(colour).unwrap().psf(&still) / 120.0);
     }
     let peak = mean.iter().copied().fold(0.0, f32::max);
-    assert!(broad.iter().zip(&mean).all(|(a, b)| (a - b).abs() < 2e-5 * peak));
+    let worst = broad.iter().zip(&mean).map(|(a, b)| (a - b).abs() / peak).fold(0.0, f32::max);
+    println!("broad against the mean of many: {worst:e} of the peak");
+    // Rounding in single precision leaves 1.2e-5, and the midpoints themselves 3e-5 at 60, a quarter of it at 120.
+    assert!(worst < 4e-5);
     let narrow = simulator.camera(view).unwrap().psf(&still);
     assert!(broad.iter().zip(&narrow).any(|(a, b)| (a - b).abs() > 0.05 * peak), "the filter must matter");
 }
