@@ -49,18 +49,24 @@ impl HardCases {
     /// Residual of each draw against its error bar, by what was said of it.
     pub fn picture(&self) -> CurvePicture {
         let all: Vec<&Verdict> = self.cases.iter().flat_map(|(_, verdicts)| verdicts).collect();
-        let kinds: [(&str, Test); 5] = [
-            ("right, and said to be", |v| v.is_right() && !v.is_flagged()),
-            ("right, but flagged", |v| v.is_right() && v.is_flagged()),
-            ("right for the defocus of the scene", |v| v.is_right_given_diversity() && !v.is_flagged()),
-            ("wrong, and flagged", |v| !v.is_right() && v.is_flagged()),
-            ("wrong and unflagged", |v| v.is_wrong_and_unflagged()),
+        // Kinds of few draws over those of many; each has its colour, and those set apart are diamonds.
+        let kinds: [(&str, Test, usize, Marker); 5] = [
+            ("right, and said to be", |v| v.is_right() && !v.is_flagged(), 0, Marker::Disc),
+            ("right, but flagged", |v| v.is_right() && v.is_flagged(), 1, Marker::Disc),
+            ("wrong, and flagged", |v| !v.is_right() && v.is_flagged(), 3, Marker::Disc),
+            (
+                "right for the defocus of the scene",
+                |v| v.is_right_given_diversity() && !v.is_flagged(),
+                2,
+                Marker::Diamond,
+            ),
+            ("wrong and unflagged", |v| v.is_wrong_and_unflagged(), 4, Marker::Disc),
         ];
         let mut series = Vec::new();
-        for (colour, (label, of_kind)) in kinds.into_iter().enumerate() {
+        for (label, of_kind, colour, marker) in kinds {
             let parts = all.iter().filter(|v| of_kind(v)).flat_map(|v| v.sigma_nm.into_iter().zip(v.error_nm));
             let (x, y) = parts.filter(|(x, y)| *x > 0.0 && *x < MOST_NM && *y > 0.0 && y.is_finite()).unzip();
-            let style = SeriesStyle { stroke: Stroke::None, marker: Marker::Disc, colour: Some(colour) };
+            let style = SeriesStyle { stroke: Stroke::None, marker, colour: Some(colour) };
             series.push(Series { label: label.into(), x, y, y_err: None, style });
         }
         let (low, high) = (1e-3, 1e3);
