@@ -4,9 +4,8 @@
 //! stand alone. With the frame's transform zeroed up to that frequency (kernel k, `k(0)` the share that is left), a pixel too
 //! high by A is A·k about its place, and noise of variance v has the variance `Σ k²·v`. The pixel that stands out most is noted,
 //! what all that were noted have too much is found together, and is taken off, until none stands out (orthogonal matching
-//! pursuit, Pati et al. 1993). No model of the image is needed, and none
-//! can be led astray. Towards its border the frame is faded out, or the jump from one side to the other would stand out; what
-//! stands out there all the same is left where it is.
+//! pursuit, Pati et al. 1993). No model of the image is needed, and none can be led astray. Towards its border the frame is
+//! faded out, or the jump from one side to the other would stand out; what stands out there all the same is left where it is.
 
 use super::prepare::Frame;
 use crate::scene::Scene;

@@ -314,8 +314,7 @@ mod tests {
         // 628 slopes in the lenslets' disc, of which 2.7 a mode are 233 modes: 230 to order 20.
         assert_eq!([13, 20, 24].map(|order| highest_order(&keck, order)), [13, 20, 20]);
         let mirror = |scene: &Scene| NcpaModes::of(Family::Mirror, scene, &Telescope::of(scene).unwrap()).unwrap();
-        // All that Keck's mirror makes on the pupil's samples, fewer than 628/1.9, and of what ten
-        // lenslets tell apart 157/1.9.
+        // All that Keck's mirror makes on the pupil's samples, which is fewer than 628/1.9; of ten lenslets 157/1.9.
         let modes = mirror(&keck);
         let telescope = Telescope::of(&keck).unwrap();
         let (influence, turbulence) = (telescope.influence(&keck).unwrap(), Telescope::turbulence(&keck).unwrap());

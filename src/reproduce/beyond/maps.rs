@@ -1,4 +1,4 @@
-//! NCPA that were measured on a telescope, as far as its mirror can hold them.
+//! NCPA that were measured on a telescope, and what of them its mirror holds.
 //!
 //! A measured map ends at the glass of its day, and has detail that no mode of the mirror follows. What the mirror's
 //! influence functions make of it is smooth and goes on where the map has no light. Images are made with the map and,
