@@ -35,6 +35,7 @@ pub mod io;
 pub mod metrics;
 pub mod modes;
 pub mod optimize;
+pub mod pipeline;
 pub mod planner;
 pub mod plot;
 pub mod pupil;

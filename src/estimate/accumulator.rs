@@ -113,7 +113,7 @@ impl Accumulator {
     pub fn estimate(&self) -> Result<RunningEstimate> {
         let (single_nm2, selected, coefficients_nm) = self.single()?;
         let how = self.estimator.recipe().combine;
-        let covariance_nm2 = self.estimator.with_common(single_nm2 * shrinkage_of_variance(how, selected.used.len()));
+        let covariance_nm2 = self.estimator.with_shared(single_nm2 * shrinkage_of_variance(how, selected.used.len()));
         let square = |group, of: &dyn Fn(usize, usize) -> f64| self.mean_square(group, of).max(0.0).sqrt();
         let rms = |group| square(group, &|i, j| coefficients_nm[i] * coefficients_nm[j]);
         let sigma = |group| square(group, &|i, j| covariance_nm2[[i, j]]);
@@ -146,8 +146,9 @@ impl Accumulator {
         }
         let now = self.estimate()?;
         // What all images share no number of them averages out.
-        let shared = |group| match &self.estimator.common_nm2 {
-            Some(common_nm2) => self.mean_square(group, &|i, j| common_nm2[[i, j]]).max(0.0),
+        let all_shared_nm2 = self.estimator.shared_covariance_nm2();
+        let shared = |group| match &all_shared_nm2 {
+            Some(shared_nm2) => self.mean_square(group, &|i, j| shared_nm2[[i, j]]).max(0.0),
             None => 0.0,
         };
         let mut ratio = 0.0f64;

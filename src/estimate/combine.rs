@@ -79,6 +79,8 @@ pub struct Estimate {
     pub clipped_images: Vec<usize>,
     /// Mean or median over the images that were used.
     pub combined: Combined,
+    /// The part of the covariance that more images would average out, nm²; the rest is [`Estimator::shared_errors`].
+    pub averaged_covariance_nm2: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
     /// Non-common path aberrations likewise.
@@ -188,7 +190,8 @@ pub(super) fn combine(
     } else {
         few(estimator, prepared, &minima, &reports, &used, &used_nm)?
     };
-    let covariance_nm2 = estimator.with_common(&single.scatter_nm2 * shrinkage_of_variance(how, used.len()));
+    let averaged_covariance_nm2 = &single.scatter_nm2 * shrinkage_of_variance(how, used.len());
+    let covariance_nm2 = estimator.with_shared(averaged_covariance_nm2.clone());
     let combined = Combined { coefficients_nm, covariance_nm2 };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
@@ -206,6 +209,7 @@ pub(super) fn combine(
         images,
         image_coefficients_nm,
         combined,
+        averaged_covariance_nm2,
         single,
         seconds: 0.0,
         device: String::new(),
@@ -244,7 +248,7 @@ pub(super) fn subset(
     };
     let combined = Combined {
         coefficients_nm: centre(pistons, &used_nm, how),
-        covariance_nm2: estimator.with_common(single_nm2 * shrinkage_of_variance(how, used.len())),
+        covariance_nm2: estimator.with_shared(single_nm2 * shrinkage_of_variance(how, used.len())),
     };
     let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);

@@ -5,8 +5,8 @@
 //! focus. A scene that says how well the diversity is known gets error bars that hold it; to fit δ with a normal prior
 //! would give the same.
 
-use super::Estimator;
 use super::model::Model;
+use super::{Estimator, SharedError};
 use crate::modes::Basis;
 use crate::optimize::Metric;
 use crate::pupil::Pupil;
@@ -166,13 +166,16 @@ fn held(model: &Model, scene: &Scene) -> Result<HeldDiversity> {
     HeldDiversity::of(scene, &model.telescope, &model.basis, model.segment_modes)
 }
 
-/// The covariance that all images share, nm²: of a diversity that is known to a fraction of its amplitude; none where it is
-/// known.
+/// The error that all images share where the diversity is known to a fraction of its amplitude (`estimate.diversity_error`).
 ///
 /// # Errors
 /// [`Error::Scene`] where the modes do not hold the diversity.
-pub(super) fn common(model: &Model, scene: &Scene) -> Result<Option<Array2<f64>>> {
+pub(super) fn common(model: &Model, scene: &Scene) -> Result<Option<SharedError>> {
     let fraction = scene.estimate.diversity_error;
-    let of_held = || held(model, scene)?.covariance_nm2(fraction, "modes.exact_zernikes = [2, 4] holds a focus");
-    (fraction > 0.0).then(of_held).transpose()
+    if fraction == 0.0 {
+        return Ok(None);
+    }
+    let remedy = "modes.exact_zernikes = [2, 4] holds a focus";
+    let covariance_nm2 = held(model, scene)?.covariance_nm2(fraction, remedy)?;
+    Ok(Some(SharedError { name: "diversity", covariance_nm2 }))
 }

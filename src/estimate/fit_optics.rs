@@ -19,7 +19,7 @@ use super::band;
 use super::minimum::Minimum;
 use super::mode_set::OwnBasis;
 use super::model::Model;
-use super::{Cube, Estimator, Recipe};
+use super::{Cube, Estimator, Recipe, SharedError};
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
 use crate::scene::{Optic, Scene};
@@ -117,7 +117,13 @@ fn with(scene: &Scene, optics: &[Optic], values: &[f64]) -> Result<Scene> {
 /// # Errors
 /// Those of [`Estimator::new`] and of fits; [`Error::Scene`] for optics that the scene does not have;
 /// [`Error::Interrupted`].
-pub(super) fn estimator(scene: &Scene, cube: Cube, native: bool, cancel: Option<&CancelFlag>) -> Result<Estimator> {
+pub(super) fn estimator(
+    scene: &Scene,
+    recipe: &Recipe,
+    cube: Cube,
+    native: bool,
+    cancel: Option<&CancelFlag>,
+) -> Result<Estimator> {
     let optics = scene.estimate.fit_optics.clone();
     let numbers: Vec<(f64, f64)> = optics.iter().map(|&optic| number(scene, optic)).collect::<Result<_>>()?;
     let (own, steps): (Vec<f64>, Vec<f64>) = numbers.into_iter().unzip();
@@ -126,7 +132,7 @@ pub(super) fn estimator(scene: &Scene, cube: Cube, native: bool, cancel: Option<
         // As many for all widths: their number must not change from one to the next.
         fixed = fixed.with(&[("estimate.wavelengths", &band::enough_beyond(&fixed)?.to_string())])?;
     }
-    let recipe = Recipe::of(&fixed);
+    let recipe = recipe.clone();
     // Another plate scale would be another reduction.
     let native = native || optics.contains(&Optic::PlateScale);
     let count = cube.images_e.len_of(Axis(0));
@@ -196,7 +202,7 @@ impl Search<'_> {
         let scene = with(&self.scene, &self.optics, &values)?;
         let mut estimator =
             Estimator::with_own_basis(&scene, self.recipe.clone(), self.native, self.own_basis(&scene))?;
-        estimator.share(&round.common_nm2);
+        estimator.shared.push(SharedError { name: "fitted optics", covariance_nm2: round.common_nm2.clone() });
         let each = self.optics.iter().zip(own).zip(values).zip(round.sigma.iter().zip(&round.told));
         estimator.fitted_optics = each
             .map(|(((&optic, scene), value), (&sigma, &told))| FittedOptic { optic, scene, value, sigma, told })

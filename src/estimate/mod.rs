@@ -46,7 +46,7 @@ mod status;
 pub use accumulator::{Accumulator, RunningEstimate};
 pub use arrays::Arrays;
 pub use calibration::{Calibration, CameraMaps};
-pub use combine::{Combination, Combined, Estimate};
+pub use combine::{Combination, Combined, Compared, Estimate};
 pub use diversity_error::{Held, HeldDiversity, Holder, within_reach};
 pub use file::write;
 pub use fit::Watch;
@@ -62,7 +62,7 @@ use prepare::{Preparer, Ringing};
 pub use recipe::Recipe;
 pub use recut::{WithoutOutliers, without_outliers};
 pub(crate) use residual::photometry;
-pub use select::{Cube, Open, read};
+pub use select::{BasisCache, Cube, Open, read, select};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 use status::Tilts;
 pub use status::{ImageReport, Status};
@@ -86,10 +86,19 @@ pub struct Estimator {
     /// Means over the pupil, which take as long as some fits.
     pistons: Pistons,
     tilts: Tilts,
-    /// Covariance that all images share, nm².
-    common_nm2: Option<Array2<f64>>,
+    /// Errors that all images share.
+    shared: Vec<SharedError>,
     own_basis: Arc<OwnBasis>,
     fitted_optics: Vec<FittedOptic>,
+}
+
+/// An error that all images share.
+#[derive(Debug, Clone)]
+pub struct SharedError {
+    /// Its cause, in a word or two.
+    pub name: &'static str,
+    /// Its covariance, `[mode, mode]`, nm².
+    pub covariance_nm2: Array2<f64>,
 }
 
 /// What [`Estimator::fit_each`] found.
@@ -211,10 +220,10 @@ impl Estimator {
         let judge = CpuChain::new(model.optics.clone());
         let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
         let (pistons, tilts) = (Pistons::of(&model)?, Tilts::new(&model)?);
-        let common_nm2 = diversity_error::common(&model, scene)?;
+        let shared = diversity_error::common(&model, scene)?.into_iter().collect();
         let (scene, own_basis) = (scene.clone(), Arc::default());
         let fitted_optics = Vec::new();
-        Ok(Self { scene, recipe, model, judge, metrics, pistons, tilts, common_nm2, own_basis, fitted_optics })
+        Ok(Self { scene, recipe, model, judge, metrics, pistons, tilts, shared, own_basis, fitted_optics })
     }
 
     /// The model that is compared with the images.
@@ -342,20 +351,24 @@ impl Estimator {
         Ok(Fitted { refused, indices, prepared, minima })
     }
 
-    /// The covariance of an estimate, nm², from what noise and scatter make of it: with the errors that all images share.
-    fn with_common(&self, covariance_nm2: Array2<f64>) -> Array2<f64> {
-        match &self.common_nm2 {
-            Some(common_nm2) => covariance_nm2 + common_nm2,
-            None => covariance_nm2,
-        }
+    /// The errors that all images share, so that no number of images averages them out.
+    pub fn shared_errors(&self) -> &[SharedError] {
+        &self.shared
     }
 
-    /// Has all images share this covariance too, nm².
-    fn share(&mut self, covariance_nm2: &Array2<f64>) {
-        self.common_nm2 = Some(match &self.common_nm2 {
-            Some(before) => before + covariance_nm2,
-            None => covariance_nm2.clone(),
-        });
+    /// Covariance of all errors that the images share, nm²; `None` where there are none.
+    fn shared_covariance_nm2(&self) -> Option<Array2<f64>> {
+        let mut each = self.shared.iter().map(|shared| &shared.covariance_nm2);
+        let first = each.next()?.clone();
+        Some(each.fold(first, |sum, covariance_nm2| sum + covariance_nm2))
+    }
+
+    /// `covariance_nm2` of noise and scatter with that of the shared errors, nm².
+    fn with_shared(&self, covariance_nm2: Array2<f64>) -> Array2<f64> {
+        match self.shared_covariance_nm2() {
+            Some(shared_nm2) => covariance_nm2 + shared_nm2,
+            None => covariance_nm2,
+        }
     }
 
     fn fitter<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> fit::Fitter<'a> {

@@ -35,6 +35,8 @@ pub struct Recipe {
     pub step_tolerance_nm: f64,
     /// How often a fit that ended in a wrong minimum is tried again from elsewhere.
     pub restarts: usize,
+    /// Whether outlier pixels are sought in images that the model does not explain, and rejected.
+    pub reject_outliers: bool,
     /// How the images become one estimate.
     pub combine: Combine,
 }
@@ -84,6 +86,9 @@ impl Recipe {
                 1e-3
             }),
             restarts: estimate.restarts.unwrap_or(if ours { 3 } else { 0 }),
+            // The paper's recipes know no noise from which a pixel could be an outlier.
+            reject_outliers: estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None })
+                == Weighting::Noise,
             combine: estimate.combine.unwrap_or(if ours { Combine::ClippedMean } else { Combine::Mean }),
         }
     }

@@ -8,7 +8,7 @@ use super::status::{Status, judged};
 use crate::Result;
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
-use crate::scene::{Scene, Weighting};
+use crate::scene::Scene;
 use ndarray::{Array2, Array3, Axis};
 use rayon::prelude::*;
 
@@ -30,8 +30,7 @@ impl Estimator {
         cancel: Option<&CancelFlag>,
     ) -> Result<Vec<Option<Cleaned>>> {
         let mut cleaned: Vec<Option<Cleaned>> = frames.iter().map(|_| None).collect();
-        // The paper's recipes know no noise from which a pixel could stand out.
-        if self.recipe.weighting != Weighting::Noise {
+        if !self.recipe.reject_outliers {
             return Ok(cleaned);
         }
         let reports = judged(self, prepared, minima);

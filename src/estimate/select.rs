@@ -36,13 +36,14 @@ const SHORT: usize = 12;
 /// and the two bases are compared on the same images.
 const PILOTS: usize = 6;
 
-/// Estimates the static wavefront behind `cube` with the smallest basis of [`Recipe::ladder`] that explains it, on the
-/// chain that `open` makes for a model. Of a sequence of more than twelve images, six spread over it choose the basis.
-/// Frames with bad pixels are compared at their native sampling: a reduction would smear them. Where `estimate.fit_optics`
-/// names optics they are found first, in the largest basis, which is then the estimate's.
+/// Karhunen-Loève basis of a scene, which is most of what a model costs: made once for all models of one scene.
+#[derive(Clone, Default)]
+pub struct BasisCache(pub(super) Arc<OwnBasis>);
+
+/// [`select`] with the recipes of the scene, as [`Recipe::ladder`] has them.
 ///
 /// # Errors
-/// Those of [`Estimator::new`], of [`Estimator::estimate`] and of `open`.
+/// As [`select`].
 pub fn read(
     scene: &Scene,
     cube: Cube,
@@ -50,19 +51,39 @@ pub fn read(
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(Estimator, Estimate)> {
-    let ladder = Ladder { scene, recipes: Recipe::ladder(scene), cancel };
+    select(scene, &Recipe::ladder(scene), &BasisCache::default(), cube, open, cancel, watch)
+}
+
+/// Estimates the static wavefront behind `cube` with the first of `recipes`, smallest basis first, that explains it, on the
+/// chain that `open` makes for a model. Of a sequence of more than twelve images, six spread over it choose the basis.
+/// Frames with bad pixels are compared at their native sampling: a reduction would smear them. Where `estimate.fit_optics`
+/// names optics they are found first, with the last recipe, which is then the estimate's.
+///
+/// # Errors
+/// Those of [`Estimator::new`], of [`Estimator::estimate`] and of `open`; [`Error::Internal`] without a recipe.
+pub fn select(
+    scene: &Scene,
+    recipes: &[Recipe],
+    cache: &BasisCache,
+    cube: Cube,
+    open: &mut Open,
+    cancel: Option<&CancelFlag>,
+    watch: &mut Watch,
+) -> Result<(Estimator, Estimate)> {
+    let Some(largest) = recipes.last() else { return Err(Error::Internal("no recipe was given".into())) };
+    let ladder = Ladder { scene, recipes, cache, cancel };
+    let native = scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad);
     if !scene.estimate.fit_optics.is_empty() {
-        let estimator = fit_optics::estimator(scene, cube, ladder.native(cube), cancel)?;
+        let estimator = fit_optics::estimator(scene, largest, cube, native, cancel)?;
         let estimate = ladder.fit(&estimator, cube, open, watch)?;
         return Ok((estimator, estimate));
     }
     let count = cube.images_e.dim().0;
-    if count > SHORT && ladder.recipes.len() > 1 {
+    if count > SHORT && recipes.len() > 1 {
         // In the middles of equal parts of the sequence.
         let at: Vec<usize> = (0..PILOTS).map(|i| (2 * i + 1) * count / (2 * PILOTS)).collect();
         let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
         let pilots = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
-        let native = ladder.native(cube);
         // Pilots are not what the caller waits for.
         match ladder.climb(pilots, native, open, &mut |_, _| {}) {
             Ok((estimator, chosen)) => {
@@ -75,21 +96,18 @@ pub fn read(
             Err(error) => return Err(error),
         }
     }
-    ladder.climb(cube, ladder.native(cube), open, watch)
+    ladder.climb(cube, native, open, watch)
 }
 
 /// The recipes to choose from.
 struct Ladder<'a> {
     scene: &'a Scene,
-    recipes: Vec<Recipe>,
+    recipes: &'a [Recipe],
+    cache: &'a BasisCache,
     cancel: Option<&'a CancelFlag>,
 }
 
 impl Ladder<'_> {
-    fn native(&self, cube: Cube) -> bool {
-        self.scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad)
-    }
-
     fn fit(&self, estimator: &Estimator, cube: Cube, open: &mut Open, watch: &mut Watch) -> Result<Estimate> {
         let mut chain = open(estimator)?;
         estimator.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, self.cancel, watch)
@@ -97,11 +115,10 @@ impl Ladder<'_> {
 
     /// The estimate in the smallest basis that explains the images.
     fn climb(&self, cube: Cube, native: bool, open: &mut Open, watch: &mut Watch) -> Result<(Estimator, Estimate)> {
-        let own = Arc::<OwnBasis>::default();
         let mut best: Option<(Estimator, Estimate)> = None;
         let mut seconds = 0.0;
-        for recipe in &self.recipes {
-            let estimator = Estimator::with_own_basis(self.scene, recipe.clone(), native, own.clone())?;
+        for recipe in self.recipes {
+            let estimator = Estimator::with_own_basis(self.scene, recipe.clone(), native, self.cache.0.clone())?;
             let estimate = self.fit(&estimator, cube, open, watch)?;
             seconds += estimate.seconds;
             let chi2 = estimate.typical_chi2();

@@ -204,7 +204,7 @@ impl Session {
         let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
         let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
         let spread = Spread::of(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
-        Ok(estimator.with_common(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
+        Ok(estimator.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
     }
 
     /// The flag that stops the fit that is running, or else the next: another thread raises it, and the fit that

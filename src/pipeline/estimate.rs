@@ -1,0 +1,262 @@
+//! Estimate: the static wavefront behind images, with error bars, by either method.
+
+use super::budget::ErrorTerm;
+use super::images::TruthMaps;
+use super::outcome::{ImageOutcome, ImageStatus};
+use super::policy::Policy;
+use super::{file, report};
+use crate::estimate::Compared;
+use crate::modes::{Degeneracy, Group};
+use crate::pupil::Pupil;
+use crate::scene::{Combine, Knows, Method, Precision, Scene};
+use crate::sky::{Commands, Pass};
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView2};
+use std::path::Path;
+
+/// The static wavefront behind one image or many: modes, maps, error bars, and what became of each image.
+///
+/// Maps are `[y, x]` on the grid of [`Estimate::pupil`], nm of wavefront, NaN outside the pupil. Modes are those of
+/// [`Estimate::basis`]: segments first, then NCPA.
+#[derive(Debug, Clone)]
+pub struct Estimate {
+    /// The scene that was used: with the choices of a plan and the optical parameters that were fitted.
+    pub scene: Scene,
+    /// The policy that was followed.
+    pub policy: Policy,
+    /// Names and groups of the modes.
+    pub basis: Basis,
+    /// Coefficient of each mode, nm; pistons have zero mean over the pupil.
+    pub coefficients_nm: Vec<f64>,
+    /// Covariance of the coefficients, nm².
+    pub covariance_nm2: Array2<f64>,
+    /// Segment errors.
+    pub phasing_nm: Array2<f64>,
+    /// Non-common path aberrations.
+    pub ncpa_nm: Array2<f64>,
+    /// Error bar of the phasing map, 1σ.
+    pub phasing_sigma_nm: Array2<f64>,
+    /// Error bar of the NCPA map, 1σ.
+    pub ncpa_sigma_nm: Array2<f64>,
+    /// RMS over the pupil of the phasing, piston, tip and tilt removed, and its error bar.
+    pub phasing: Figure,
+    /// Likewise of the NCPA.
+    pub ncpa: Figure,
+    /// Likewise of their sum; the error bar is NaN in a MAP estimate, which does not compute it.
+    pub wavefront: Figure,
+    /// Contributions to the error bars of phasing and NCPA.
+    pub error_budget: Vec<ErrorTerm>,
+    /// Outcome of each image, in order.
+    pub images: Vec<ImageOutcome>,
+    /// Coefficients of each image, `[image, mode]`, nm, NaN for unusable ones; no rows in a MAP estimate.
+    pub image_coefficients_nm: Array2<f64>,
+    /// How the images were combined; `None` in a MAP estimate.
+    pub combine: Option<Combine>,
+    /// Median reduced χ² of the images that were used.
+    pub reduced_chi2: f64,
+    /// Whether error bars are from the scatter between images, as from eight images on.
+    pub is_sequence: bool,
+    /// The worst status that counts for the whole.
+    pub status: ImageStatus,
+    /// What was added to the scene's modes by model selection, in words.
+    pub model: String,
+    /// Optical parameters that were fitted, or found to differ from the scene's.
+    pub optics: Vec<OpticalParameter>,
+    /// Warnings: sentences that a user should read before using the numbers.
+    pub warnings: Vec<String>,
+    /// Remarks that hold for every image of this scene, and are no fault of these.
+    pub remarks: Vec<String>,
+    /// The pupil on which the maps are.
+    pub pupil: Pupil,
+    /// Where it ran.
+    pub device: String,
+    /// Precision of the imaging chain.
+    pub precision: Precision,
+    /// Wall-clock time of the estimate, s, without building the model where that is apart.
+    pub seconds: f64,
+    /// Wall-clock time of building the model, s.
+    pub model_seconds: f64,
+    /// First image that was used, beside its model; `None` in a MAP estimate.
+    pub compared: Option<Compared>,
+    /// Combinations of modes that the images see badly or not at all; `None` in a MAP estimate.
+    pub degeneracy: Option<Degeneracy>,
+    /// Maps that simulated images were made with, and the residual against them.
+    pub truth: Option<(TruthMaps, Comparison)>,
+    /// What only a MAP estimate has.
+    pub map: Option<MapSummary>,
+}
+
+/// Names and groups of modes, in order: segments first, then NCPA.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Basis {
+    /// Name of each mode.
+    pub names: Vec<String>,
+    /// Group of each mode.
+    pub groups: Vec<Group>,
+}
+
+/// RMS over the pupil, piston, tip and tilt removed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Figure {
+    /// RMS of the map, nm.
+    pub rms_nm: f64,
+    /// Expected RMS of its error, nm.
+    pub sigma_nm: f64,
+}
+
+/// An optical parameter that was fitted beside the modes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OpticalParameter {
+    /// Key of the scene.
+    pub key: String,
+    /// Value in the scene, in the unit of the key.
+    pub scene: f64,
+    /// Fitted value.
+    pub value: f64,
+    /// Error bar, 1σ: infinite where the modes take up all that the parameter does, NaN where it is not known.
+    pub sigma: f64,
+    /// Share of the parameter's effect on the image that neither the modes nor other parameters reproduce; NaN where it is
+    /// not known.
+    pub identifiable: f64,
+}
+
+/// Estimate minus truth, piston, tip and tilt removed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    /// Residual map of the phasing, `[y, x]`, nm.
+    pub phasing_nm: Array2<f64>,
+    /// Residual map of the NCPA.
+    pub ncpa_nm: Array2<f64>,
+    /// RMS of the residual of phasing, NCPA and their sum, nm.
+    pub rms_nm: [f64; 3],
+}
+
+/// Iterations of a MAP estimate, and what was assumed of the adaptive optics.
+#[derive(Debug, Clone)]
+pub struct MapSummary {
+    /// What was assumed of the adaptive optics.
+    pub knows: Knows,
+    /// All iterations; the last one is the estimate.
+    pub iterations: Vec<Pass>,
+    /// Whether they ended because the last one changed next to nothing.
+    pub has_settled: bool,
+    /// Wall-clock time in retrievals, s.
+    pub retrieval_seconds: f64,
+    /// Reflectivity of each segment over the mean; empty where all are taken to be alike.
+    pub segment_reflectivities: Vec<f64>,
+}
+
+impl Figure {
+    /// RMS of `map` over the pupil, piston, tip and tilt removed, with this error bar.
+    pub(super) fn of_map(pupil: &Pupil, map: ArrayView2<f64>, sigma_nm: f64) -> Result<Self> {
+        Ok(Self { rms_nm: detrended(pupil, map)?.1, sigma_nm })
+    }
+}
+
+/// `map` without piston, tip and tilt, and its RMS over the pupil.
+fn detrended(pupil: &Pupil, map: ArrayView2<f64>) -> Result<(Array2<f64>, f64)> {
+    let map = pupil.remove_piston_tip_tilt(map)?;
+    let rms = pupil.rms(map.view())?;
+    Ok((map, rms))
+}
+
+impl Comparison {
+    /// Compares maps on the grid of `pupil` with the truth.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] or [`Error::Value`] where a map is not one of this pupil.
+    pub fn new(pupil: &Pupil, phasing_nm: &Array2<f64>, ncpa_nm: &Array2<f64>, truth: &TruthMaps) -> Result<Self> {
+        let wanted = pupil.amplitude.dim();
+        let maps = [phasing_nm, ncpa_nm, &truth.phasing_nm, &truth.ncpa_nm];
+        if let Some(odd) = maps.into_iter().find(|map| map.dim() != wanted) {
+            let ((rows, columns), samples) = (odd.dim(), wanted.0);
+            return Err(Error::Shape(format!(
+                "a map has {columns}x{rows} samples where the estimate's pupil has {samples}x{samples}: they cannot be \
+                 compared"
+            )));
+        }
+        let (phasing_nm, phasing) = detrended(pupil, (phasing_nm - &truth.phasing_nm).view())?;
+        let (ncpa_nm, ncpa) = detrended(pupil, (ncpa_nm - &truth.ncpa_nm).view())?;
+        let wavefront = pupil.rms((&phasing_nm + &ncpa_nm).view())?;
+        Ok(Self { phasing_nm, ncpa_nm, rms_nm: [phasing, ncpa, wavefront] })
+    }
+}
+
+impl OpticalParameter {
+    /// Whether the images distinguish it from the modes.
+    pub fn is_identifiable(&self) -> bool {
+        !self.sigma.is_infinite()
+    }
+}
+
+impl Estimate {
+    /// Method of the estimate.
+    pub fn method(&self) -> Method {
+        if self.map.is_some() { Method::FullPhase } else { Method::Modal }
+    }
+
+    /// Standard deviation of each mode, nm.
+    pub fn sigma_nm(&self) -> Vec<f64> {
+        self.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect()
+    }
+
+    /// Phasing and NCPA together, `[y, x]`, nm.
+    pub fn wavefront_nm(&self) -> Array2<f64> {
+        &self.phasing_nm + &self.ncpa_nm
+    }
+
+    /// Number of modes that move segments; they come first.
+    pub fn segment_modes(&self) -> usize {
+        self.basis.groups.iter().filter(|group| **group == Group::Segment).count()
+    }
+
+    /// Number of images that were combined.
+    pub fn used(&self) -> usize {
+        self.images.iter().filter(|image| image.is_used).count()
+    }
+
+    /// Number of images that were fitted and left out as outliers.
+    pub fn clipped(&self) -> usize {
+        self.images.iter().filter(|image| image.is_clipped).count()
+    }
+
+    /// Evaluations of objective and gradient, all images together.
+    pub fn evaluations(&self) -> usize {
+        self.images.iter().map(|image| image.evaluations).sum()
+    }
+
+    /// The estimate as text: a table, the error budget, the warnings.
+    pub fn report(&self) -> String {
+        report::report(self)
+    }
+
+    /// Residual against the aberrations that simulated images were made with.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a truth on another grid.
+    pub fn compare(&self, truth: &TruthMaps) -> Result<Comparison> {
+        Comparison::new(&self.pupil, &self.phasing_nm, &self.ncpa_nm, truth)
+    }
+
+    /// Writes the estimate as FITS, whole or not at all.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the file cannot be written.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
+        file::write(path.as_ref(), self)
+    }
+
+    /// Corrections of segments, mirror and reference slopes. No command is larger than `limit_nm`; `None` takes the
+    /// mirror's stroke and, for segments, a quarter of the wavelength.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a limit that is not positive, and for a modal estimate, which has no corrections yet.
+    pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Commands> {
+        match self.map.as_ref().and_then(|map| map.iterations.last()) {
+            Some(iteration) => Commands::of(&self.scene, iteration, limit_nm),
+            None => Err(Error::Value(
+                "corrections come from the full-phase estimate: estimate.method = \"full-phase\" is needed".into(),
+            )),
+        }
+    }
+}

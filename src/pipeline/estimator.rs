@@ -1,0 +1,98 @@
+//! Estimator: a scene, a policy, and the estimate of images by them.
+
+use super::control::{Control, Stage};
+use super::estimate::Estimate;
+use super::images::Images;
+use super::policy::Policy;
+use super::{map, modal};
+use crate::estimate::BasisCache;
+use crate::planner;
+use crate::scene::{Method, Scene};
+use crate::{Error, Result};
+
+/// Estimates the static wavefront behind images of one scene.
+pub struct Estimator {
+    scene: Scene,
+    policy: Policy,
+    control: Control,
+    cache: BasisCache,
+}
+
+impl Estimator {
+    /// An estimator with the default policy. Where the scene names `estimate.budget_nm` the model is planned here, which
+    /// takes some seconds.
+    ///
+    /// # Errors
+    /// Those of [`planner::plan`].
+    pub fn new(scene: &Scene) -> Result<Self> {
+        Self::with_policy(scene, Policy::default(), Control::default())
+    }
+
+    /// An estimator with a policy and a control of the caller's.
+    ///
+    /// # Errors
+    /// Those of [`planner::plan`]; [`Error::Scene`] for a key that the policy does not honour; [`Error::Interrupted`].
+    pub fn with_policy(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
+        policy.check(scene)?;
+        let scene = match scene.estimate.budget_nm {
+            Some(_) => {
+                control.enter(Stage::Planning, 0);
+                let planned = planner::resolved(scene, Some(control.flag()));
+                acknowledged(&control, planned)?
+            }
+            None => scene.clone(),
+        };
+        Ok(Self { scene, policy, control, cache: BasisCache::default() })
+    }
+
+    /// The scene, with the choices of its plan where it named a budget.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The policy.
+    pub fn policy(&self) -> &Policy {
+        &self.policy
+    }
+
+    /// Progress and cancellation of [`Estimator::estimate`].
+    pub fn control(&self) -> &Control {
+        &self.control
+    }
+
+    /// Estimates the static wavefront behind `images`. What is wrong with single images is in their outcomes; what a user
+    /// should know of the whole is in [`Estimate::warnings`].
+    ///
+    /// # Errors
+    /// Those of building the telescope and its modes; [`Error::Shape`] for images of another size than the scene says,
+    /// or telemetry of another number; [`Error::Image`] where no image can be used (two in a MAP estimate);
+    /// [`Error::Device`] where the device that the scene names is not there or fails; [`Error::Interrupted`] after
+    /// [`Control::cancel`].
+    pub fn estimate(&self, images: &Images) -> Result<Estimate> {
+        images.check()?;
+        self.control.reset_progress();
+        let found = match self.scene.estimate.method {
+            Method::Modal => modal::estimate(&self.scene, &self.policy, &self.control, &self.cache, images),
+            Method::FullPhase => map::estimate(&self.scene, &self.policy, &self.control, images),
+        };
+        self.control.enter(Stage::Idle, 0);
+        let mut estimate = acknowledged(&self.control, found)?;
+        estimate.warnings.splice(0..0, images.notes.iter().cloned());
+        if let Some(truth) = &images.truth {
+            match estimate.compare(truth) {
+                Ok(residual) => estimate.truth = Some((truth.clone(), residual)),
+                // A truth on another grid says nothing of these maps, and is no reason to withhold them.
+                Err(error) => estimate.warnings.push(format!("the truth of these images is not shown: {error}")),
+            }
+        }
+        Ok(estimate)
+    }
+}
+
+/// Lowers the flag of a call that has ended for it.
+fn acknowledged<T>(control: &Control, outcome: Result<T>) -> Result<T> {
+    if let Err(Error::Interrupted(_)) = outcome {
+        control.acknowledge();
+    }
+    outcome
+}

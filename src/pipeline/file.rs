@@ -1,0 +1,140 @@
+//! Estimate file: FITS, in the layout of the conventions.
+
+use super::estimate::{Estimate, MapSummary, OpticalParameter};
+use super::{ErrorTerm, ImageOutcome};
+use crate::Result;
+use crate::io::{Column, FitsWriter, Pixel};
+use crate::scene::Combine;
+use crate::sky::Pass;
+use std::path::Path;
+
+/// Writes `estimate` to `path`, whole or not at all.
+pub(super) fn write(path: &Path, estimate: &Estimate) -> Result<()> {
+    let mut file = FitsWriter::create(path)?;
+    cards(&mut file, estimate)?;
+    maps(&mut file, estimate)?;
+    modes(&mut file, estimate)?;
+    images(&mut file, estimate)?;
+    error_budget(&mut file, &estimate.error_budget)?;
+    optics(&mut file, &estimate.optics)?;
+    if let Some(map) = &estimate.map {
+        iterations(&mut file, map)?;
+    }
+    if !estimate.warnings.is_empty() {
+        file.table("WARNINGS", &[Column::text("SENTENCE", &estimate.warnings)])?;
+    }
+    if estimate.image_coefficients_nm.nrows() > 0 {
+        file.image("COEFFICIENTS", &estimate.image_coefficients_nm, Pixel::F64, "nm")?;
+    }
+    file.text("SCENE", estimate.scene.text())?;
+    file.finish()
+}
+
+fn cards(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
+    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
+    file.card("PRIMARY", "METHOD", estimate.method().word(), "estimator")?;
+    file.card("PRIMARY", "POLICY", estimate.policy.name(), "policy of the estimate")?;
+    file.card("PRIMARY", "DEVICE", estimate.device.as_str(), "where the fit ran")?;
+    file.card("PRIMARY", "PRECISIO", estimate.precision.word(), "precision of the imaging chain")?;
+    file.card("PRIMARY", "OPTIMIZE", estimate.scene.estimate.optimizer.word(), "optimizer")?;
+    file.card("PRIMARY", "ELAPSED", estimate.seconds, "seconds for the estimate")?;
+    file.card("PRIMARY", "STATUS", estimate.status.word(), "worst status that counts for the whole")?;
+    file.card("PRIMARY", "NIMAGES", estimate.images.len() as i64, "images read")?;
+    file.card("PRIMARY", "NUSED", estimate.used() as i64, "images used")?;
+    file.card("PRIMARY", "NCLIPPED", estimate.clipped() as i64, "images left out as outliers")?;
+    if let Some(combine) = &estimate.combine {
+        file.card("PRIMARY", "COMBINE", Combine::word(combine), "how images were combined")?;
+    }
+    if let Some(map) = &estimate.map {
+        file.card("PRIMARY", "KNOWS", map.knows.word(), "what it assumes of the adaptive optics")?;
+    }
+    file.card("PRIMARY", "CHI2", estimate.reduced_chi2, "median reduced chi-square")
+}
+
+fn maps(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
+    let grid_m = estimate.pupil.grid.width_m();
+    let truth = estimate.truth.as_ref().map(|(truth, _)| truth);
+    let maps = [
+        ("PHASING", Some(&estimate.phasing_nm)),
+        ("NCPA", Some(&estimate.ncpa_nm)),
+        ("WAVEFRONT", Some(&estimate.wavefront_nm())),
+        ("PHASING_SIGMA", Some(&estimate.phasing_sigma_nm)),
+        ("NCPA_SIGMA", Some(&estimate.ncpa_sigma_nm)),
+        ("TRUTH_PHASING", truth.map(|truth| &truth.phasing_nm)),
+        ("TRUTH_NCPA", truth.map(|truth| &truth.ncpa_nm)),
+    ];
+    for (name, map) in maps.into_iter().filter_map(|(name, map)| Some((name, map?))) {
+        file.image(name, map, Pixel::F64, "nm")?;
+        file.card(name, "GRID_M", grid_m, "side of the map, m")?;
+    }
+    Ok(())
+}
+
+fn modes(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
+    let columns = [
+        Column::text("NAME", &estimate.basis.names),
+        Column::text("GROUP", estimate.basis.groups.iter().map(|group| group.name())),
+        Column::f64("ESTIMATE_NM", "nm", estimate.coefficients_nm.clone()),
+        Column::f64("SIGMA_NM", "nm", estimate.sigma_nm()),
+    ];
+    file.table("MODES", &columns)
+}
+
+fn images(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
+    let images = &estimate.images;
+    let reals = |value: &dyn Fn(&ImageOutcome) -> f64| images.iter().map(value).collect::<Vec<f64>>();
+    let integers = |value: &dyn Fn(&ImageOutcome) -> i64| images.iter().map(value).collect::<Vec<i64>>();
+    let columns = [
+        Column::text("STATUS", images.iter().map(|image| image.status.word())),
+        Column::i64("EVALUATIONS", integers(&|image| image.evaluations as i64)),
+        Column::f64("CHI2", "", reals(&|image| image.reduced_chi2)),
+        Column::f64("FLUX_E", "electron", reals(&|image| image.flux_e)),
+        Column::f64("BACKGROUND_E", "electron", reals(&|image| image.background_e)),
+        Column::f64("TIP_NM", "nm", reals(&|image| image.tip_tilt_nm[0])),
+        Column::f64("TILT_NM", "nm", reals(&|image| image.tip_tilt_nm[1])),
+        Column::i64("BAD_PIXELS", integers(&|image| image.bad_pixels as i64)),
+        Column::i64("REJECTED_PIXELS", integers(&|image| image.rejected_pixels as i64)),
+        Column::i64("USED", integers(&|image| i64::from(image.is_used))),
+    ];
+    file.table("IMAGES", &columns)
+}
+
+fn error_budget(file: &mut FitsWriter, terms: &[ErrorTerm]) -> Result<()> {
+    let columns = [
+        Column::text("NAME", terms.iter().map(|term| term.name.as_str())),
+        Column::f64("PHASING_NM", "nm", terms.iter().map(|term| term.phasing_nm).collect()),
+        Column::f64("NCPA_NM", "nm", terms.iter().map(|term| term.ncpa_nm).collect()),
+    ];
+    file.table("ERROR_BUDGET", &columns)
+}
+
+fn optics(file: &mut FitsWriter, optics: &[OpticalParameter]) -> Result<()> {
+    if optics.is_empty() {
+        return Ok(());
+    }
+    let reals = |value: &dyn Fn(&OpticalParameter) -> f64| optics.iter().map(value).collect::<Vec<f64>>();
+    let columns = [
+        Column::text("KEY", optics.iter().map(|parameter| parameter.key.as_str())),
+        Column::f64("SCENE", "", reals(&|parameter| parameter.scene)),
+        Column::f64("VALUE", "", reals(&|parameter| parameter.value)),
+        Column::f64("SIGMA", "", reals(&|parameter| parameter.sigma)),
+        Column::f64("IDENTIFIABLE", "", reals(&|parameter| parameter.identifiable)),
+    ];
+    file.table("OPTICS", &columns)
+}
+
+fn iterations(file: &mut FitsWriter, map: &MapSummary) -> Result<()> {
+    let reals = |value: &dyn Fn(&Pass) -> f64| map.iterations.iter().map(value).collect::<Vec<f64>>();
+    let columns = [
+        Column::f64("PHASING_CHANGE_NM", "nm", reals(&|iteration| iteration.changed_nm[0])),
+        Column::f64("NCPA_CHANGE_NM", "nm", reals(&|iteration| iteration.changed_nm[1])),
+        Column::f64("PHASING_EXPECTED_NM", "nm", reals(&|iteration| iteration.expected_nm[0])),
+        Column::f64("NCPA_EXPECTED_NM", "nm", reals(&|iteration| iteration.expected_nm[1])),
+        Column::f64("CHI2", "", reals(&|iteration| iteration.reduced_chi2)),
+    ];
+    file.table("ITERATIONS", &columns)?;
+    if map.segment_reflectivities.is_empty() {
+        return Ok(());
+    }
+    file.table("REFLECTIVITIES", &[Column::f64("REFLECTIVITY", "", map.segment_reflectivities.clone())])
+}

@@ -1,0 +1,124 @@
+//! Images of an estimate, with all that comes with them: bad pixels, read noise, telemetry, truth.
+
+use crate::io::{self, FitsReader};
+use crate::scene::Scene;
+use crate::source;
+use crate::{Error, Result};
+use ndarray::{Array2, Array3};
+use std::path::Path;
+
+/// Images to estimate from.
+#[derive(Debug, Clone)]
+pub struct Images {
+    /// Electrons, `[image, y, x]`.
+    pub images_e: Array3<f64>,
+    /// Bad pixels, `[image, y, x]`: they take no part. Pixels that are not finite are bad, too.
+    pub bad: Array3<bool>,
+    /// Read noise of a pixel, RMS electrons; `None` takes the scene's.
+    pub read_noise_e: Option<f64>,
+    /// Slopes of the wavefront sensor, mean over each exposure, `[image, slope]`, mas: along x for every subaperture, then
+    /// along y. A MAP estimate uses them; `None` without telemetry.
+    pub slopes_mas: Option<Array2<f64>>,
+    /// Aberrations that simulated images were made with.
+    pub truth: Option<TruthMaps>,
+    /// Sentences on what was repaired or masked when the images were read; they join the warnings of an estimate.
+    pub notes: Vec<String>,
+}
+
+/// Aberrations behind simulated images: maps `[y, x]`, nm, NaN outside the pupil.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TruthMaps {
+    /// Segment errors.
+    pub phasing_nm: Array2<f64>,
+    /// Non-common path aberrations.
+    pub ncpa_nm: Array2<f64>,
+}
+
+impl Images {
+    /// Images in electrons, `[image, y, x]`, whose finite pixels are all good.
+    pub fn new(images_e: Array3<f64>) -> Self {
+        let bad = images_e.mapv(|electrons| !electrons.is_finite());
+        Self { images_e, bad, read_noise_e: None, slopes_mas: None, truth: None, notes: Vec::new() }
+    }
+
+    /// Reads a FITS file: images, `BADPIX` or the file `mask`, the card `RON_E`, the telemetry (`SLOPES_MEAN`, else
+    /// `SLOPES`) and the truth (`TRUTH_PHASING`, `TRUTH_NCPA`), each where the file has it.
+    ///
+    /// # Errors
+    /// Those of [`io::read_images`].
+    pub fn read(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let read = io::read_images(path, mask)?;
+        let mut notes: Vec<String> = read.repaired.into_iter().collect();
+        if read.non_finite > 0 {
+            let (are, were) = if read.non_finite == 1 { ("is", "was") } else { ("are", "were") };
+            notes.push(format!("{} {are} not finite and {were} masked", counted(read.non_finite, "pixel")));
+        }
+        let (images_e, bad, read_noise_e) = (read.data, read.bad, read.read_noise_e);
+        let (slopes_mas, truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
+        Ok(Self { images_e, bad, read_noise_e, slopes_mas, truth, notes })
+    }
+
+    /// Simulated images of an artificial source, with their truth; see [`source::images`].
+    ///
+    /// # Errors
+    /// Those of [`source::images`].
+    pub fn simulated(scene: &Scene) -> Result<Self> {
+        let made = source::images(scene)?;
+        let truth = TruthMaps { phasing_nm: made.truth.phasing_nm, ncpa_nm: made.truth.ncpa_nm };
+        Ok(Self { truth: Some(truth), ..Self::new(made.images_e) })
+    }
+
+    /// Number of images.
+    pub fn len(&self) -> usize {
+        self.images_e.dim().0
+    }
+
+    /// Whether there is no image.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// # Errors
+    /// [`Error::Shape`] where mask or telemetry do not belong to the images; [`Error::Value`] for an impossible read noise.
+    pub(super) fn check(&self) -> Result<()> {
+        if self.bad.dim() != self.images_e.dim() {
+            let (mask, images) = (self.bad.dim(), self.images_e.dim());
+            return Err(Error::Shape(format!("the mask of bad pixels has the shape {mask:?}: {images:?} is accepted")));
+        }
+        if let Some(noise_e) = self.read_noise_e.filter(|noise_e| !(noise_e.is_finite() && *noise_e >= 0.0)) {
+            return Err(Error::Value(format!("read_noise_e is {noise_e}: 0 electrons or more is accepted")));
+        }
+        Ok(())
+    }
+}
+
+impl TruthMaps {
+    /// The truth in the FITS file `path`; `None` where it holds none.
+    ///
+    /// # Errors
+    /// [`Error::File`] where the file cannot be read.
+    pub fn read(path: &Path) -> Result<Option<Self>> {
+        let mut file = FitsReader::open(path)?;
+        if !["TRUTH_PHASING", "TRUTH_NCPA"].iter().all(|name| has(&file, name)) {
+            return Ok(None);
+        }
+        Ok(Some(Self { phasing_nm: file.map(Some("TRUTH_PHASING"))?, ncpa_nm: file.map(Some("TRUTH_NCPA"))? }))
+    }
+}
+
+fn has(file: &FitsReader, name: &str) -> bool {
+    file.names().iter().any(|known| known == name)
+}
+
+/// Telemetry of a file, if it has any.
+fn slopes_mas(path: &Path) -> Result<Option<Array2<f64>>> {
+    let mut file = FitsReader::open(path)?;
+    let name = ["SLOPES_MEAN", "SLOPES"].into_iter().find(|name| has(&file, name));
+    name.map(|name| file.map(Some(name))).transpose()
+}
+
+/// `1 image`, `2 images`.
+pub(super) fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}

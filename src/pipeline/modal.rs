@@ -1,0 +1,150 @@
+//! Modal estimate: static modes fitted to each image, and the images combined.
+
+use super::budget::ErrorTerm;
+use super::control::{Control, Stage};
+use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
+use super::images::Images;
+use super::outcome::{ImageOutcome, ImageStatus};
+use super::policy::Policy;
+use super::warnings;
+use crate::Result;
+use crate::estimate::{self, BasisCache, Cube, FittedOptic, Model};
+use crate::imaging::Chain;
+use crate::metrics::MapGram;
+use crate::modes::Group;
+use crate::scene::{Scene, Zernikes};
+use ndarray::Array2;
+use std::time::Instant;
+
+pub(super) fn estimate(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    cache: &BasisCache,
+    images: &Images,
+) -> Result<Estimate> {
+    let started = Instant::now();
+    let count = images.len();
+    control.enter(Stage::Preparing, 0);
+    let mut open = |estimator: &estimate::Estimator| {
+        control.check("the model was built, no image was fitted")?;
+        control.enter(Stage::Fitting, count);
+        let optics = estimator.model().optics.clone();
+        // No more are fitted at once.
+        let capacity = count.min(estimator.model().tiles().images);
+        Chain::open(optics, scene.estimate.device.into(), scene.estimate.precision.into(), capacity)
+    };
+    let mut watch = |done: usize, all: usize| {
+        control.advance_to(done);
+        if done == all {
+            control.enter(Stage::Combining, 0);
+        }
+    };
+    let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
+    let recipes = policy.recipes(scene);
+    let (fitter, found) = estimate::select(scene, &recipes, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
+    control.check("the images were fitted, nothing was written")?;
+    let model_seconds = started.elapsed().as_secs_f64() - found.seconds;
+    let model = fitter.model();
+    let held = fitter.held_diversity()?;
+    let errors = ExpectedErrors::new(model)?;
+    let sigma_nm = errors.rms_nm(&found.combined.covariance_nm2)?;
+    let pupil = model.telescope.pupil.clone();
+    let wavefront_nm = &found.phasing_nm + &found.ncpa_nm;
+    let outcomes = found.images.iter().enumerate().map(|(image, report)| {
+        let is_in = |list: &[usize]| list.contains(&image);
+        ImageOutcome::from_modal(report, is_in(&found.used_images), is_in(&found.clipped_images))
+    });
+    Ok(Estimate {
+        policy: *policy,
+        basis: Basis { names: model.basis.names().to_vec(), groups: model.basis.groups().to_vec() },
+        phasing: Figure::of_map(&pupil, found.phasing_nm.view(), sigma_nm[0])?,
+        ncpa: Figure::of_map(&pupil, found.ncpa_nm.view(), sigma_nm[1])?,
+        wavefront: Figure::of_map(&pupil, wavefront_nm.view(), sigma_nm[2])?,
+        error_budget: error_budget(&errors, &fitter, &found)?,
+        images: outcomes.collect(),
+        combine: Some(found.combine),
+        reduced_chi2: found.reduced_chi2(),
+        is_sequence: found.is_sequence(),
+        status: ImageStatus::from_modal(found.status()),
+        model: selected(&recipes, fitter.recipe().exact_zernikes),
+        optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
+        warnings: warnings::of_modal(&fitter, &held, &found),
+        remarks: warnings::of_diversity(&held, fitter.scene()).into_iter().collect(),
+        scene: fitter.scene().clone(),
+        pupil,
+        precision: scene.estimate.precision,
+        model_seconds,
+        seconds: found.seconds,
+        device: found.device,
+        coefficients_nm: found.combined.coefficients_nm,
+        covariance_nm2: found.combined.covariance_nm2,
+        phasing_nm: found.phasing_nm,
+        ncpa_nm: found.ncpa_nm,
+        phasing_sigma_nm: found.phasing_sigma_nm,
+        ncpa_sigma_nm: found.ncpa_sigma_nm,
+        image_coefficients_nm: found.image_coefficients_nm,
+        compared: Some(found.compared),
+        degeneracy: Some(found.degeneracy),
+        truth: None,
+        map: None,
+    })
+}
+
+impl From<&FittedOptic> for OpticalParameter {
+    fn from(optic: &FittedOptic) -> Self {
+        let FittedOptic { scene, value, sigma, told, .. } = *optic;
+        Self { key: optic.key().into(), scene, value, sigma, identifiable: told }
+    }
+}
+
+/// The basis that was chosen, in words.
+fn selected(recipes: &[estimate::Recipe], exact: Zernikes) -> String {
+    match exact {
+        Zernikes::None => "the scene's modes".into(),
+        Zernikes::Span { first, last } if recipes.len() > 1 => format!("Zernikes {first} to {last} added (by χ²)"),
+        Zernikes::Span { first, last } => format!("Zernikes {first} to {last} added"),
+    }
+}
+
+/// Expected RMS over the pupil of errors of the coefficients, piston, tip and tilt removed as in a residual.
+struct ExpectedErrors {
+    gram: MapGram,
+    groups: Vec<Group>,
+}
+
+impl ExpectedErrors {
+    fn new(model: &Model) -> Result<Self> {
+        let pupil = &model.telescope.pupil;
+        let weight = &pupil.amplitude / pupil.weight_sum();
+        let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
+        let gram = MapGram::of_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
+        Ok(Self { gram, groups: model.basis.groups().to_vec() })
+    }
+
+    /// Of phasing, NCPA and their sum, nm.
+    fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
+        let of = |keep: &dyn Fn(Group) -> bool| {
+            let inside = |(k, l): (usize, usize)| keep(self.groups[k]) && keep(self.groups[l]);
+            let part =
+                Array2::from_shape_fn(covariance_nm2.dim(), |at| if inside(at) { covariance_nm2[at] } else { 0.0 });
+            self.gram.expected_rms_nm(part.view())
+        };
+        Ok([of(&|group| group == Group::Segment)?, of(&|group| group == Group::Ncpa)?, of(&|_| true)?])
+    }
+}
+
+/// The terms that add up to the covariance: what the images average out, and what all of them share.
+fn error_budget(
+    errors: &ExpectedErrors,
+    fitter: &estimate::Estimator,
+    found: &estimate::Estimate,
+) -> Result<Vec<ErrorTerm>> {
+    let averaged = if found.is_sequence() { "scatter between images" } else { "noise" };
+    let shared = fitter.shared_errors().iter().map(|shared| (shared.name, &shared.covariance_nm2));
+    let term = |(name, covariance_nm2): (&str, &Array2<f64>)| -> Result<ErrorTerm> {
+        let [phasing_nm, ncpa_nm, _] = errors.rms_nm(covariance_nm2)?;
+        Ok(ErrorTerm { name: name.into(), phasing_nm, ncpa_nm })
+    };
+    std::iter::once((averaged, &found.averaged_covariance_nm2)).chain(shared).map(term).collect()
+}

@@ -1,0 +1,122 @@
+//! Report: an estimate as text.
+
+use super::estimate::{Estimate, Figure, MapSummary, OpticalParameter};
+use super::images::counted;
+use crate::scene::Combine;
+use std::fmt::Write;
+
+pub(super) fn report(estimate: &Estimate) -> String {
+    let mut text = format!("{}, {}\n\n", combination(estimate), modes(estimate));
+    text += &table(estimate);
+    text += &format!("\nRMS over the pupil, tip and tilt removed. {}\n", quality(estimate));
+    text += &effort(estimate);
+    if estimate.error_budget.len() > 1 {
+        text += &budget(estimate);
+    }
+    estimate.optics.iter().for_each(|parameter| text += &optics(parameter));
+    estimate.remarks.iter().for_each(|remark| text += &format!("{remark}\n"));
+    estimate.warnings.iter().for_each(|warning| text += &format!("Warning: {warning}.\n"));
+    text
+}
+
+/// How many images became the estimate, and how.
+fn combination(estimate: &Estimate) -> String {
+    let (count, used) = (estimate.images.len(), estimate.used());
+    let all = counted(count, "image");
+    let how = match estimate.combine {
+        Some(Combine::Median) if count > 1 => "median of ",
+        Some(Combine::ClippedMean) if count > 1 && estimate.is_sequence => "clipped mean of ",
+        Some(_) if count > 1 => "mean of ",
+        _ => return format!("{used} of {all} used"),
+    };
+    match estimate.clipped() {
+        0 => format!("{how}{used} of {all}"),
+        clipped => format!("{how}{used} of {all} ({clipped} clipped)"),
+    }
+}
+
+fn modes(estimate: &Estimate) -> String {
+    let (modes, segments) = (estimate.basis.names.len(), estimate.segment_modes());
+    let own = format!("{modes} modes ({segments} of the segments, {} of the NCPA)", modes - segments);
+    match &estimate.map {
+        None => own,
+        Some(map) => {
+            let iterations = counted(map.iterations.len(), "iteration");
+            format!("{own}, {iterations}, AO knowledge \"{}\"", map.knows.word())
+        }
+    }
+}
+
+fn table(estimate: &Estimate) -> String {
+    let residuals_nm = estimate.truth.as_ref().map(|(_, residual)| residual.rms_nm);
+    let head = if residuals_nm.is_some() { "   residual [nm]" } else { "" };
+    let mut text = format!("{:<12}{:>10}{:>12}{head}\n", "", "RMS [nm]", "1σ [nm]");
+    let rows = [("phasing", estimate.phasing), ("NCPA", estimate.ncpa), ("wavefront", estimate.wavefront)];
+    for (i, (name, Figure { rms_nm, sigma_nm })) in rows.into_iter().enumerate() {
+        let sigma = if sigma_nm.is_nan() { "-".into() } else { format!("{sigma_nm:.3}") };
+        let residual = residuals_nm.map(|nm| format!("{:>16.3}", nm[i])).unwrap_or_default();
+        // Writing into memory does not fail.
+        let _ = writeln!(text, "{name:<12}{rms_nm:>10.3}{sigma:>12}{residual}");
+    }
+    text
+}
+
+fn quality(estimate: &Estimate) -> String {
+    let pixels = |what: &dyn Fn(&super::ImageOutcome) -> usize| estimate.images.iter().map(what).sum::<usize>();
+    let mut text = format!("Reduced χ² {:.3}", estimate.reduced_chi2);
+    let (masked, rejected) = (pixels(&|image| image.bad_pixels), pixels(&|image| image.rejected_pixels));
+    if masked > 0 {
+        text += &format!(", {} masked", counted(masked, "pixel"));
+    }
+    if rejected > 0 {
+        text += &format!(", {} rejected", counted(rejected, "outlier pixel"));
+    }
+    text + if estimate.is_sequence { ". Error bars from the scatter between images." } else { "." }
+}
+
+/// Evaluations, time, device.
+fn effort(estimate: &Estimate) -> String {
+    let (seconds, device, precision) = (estimate.seconds, &estimate.device, estimate.precision.word());
+    match &estimate.map {
+        None => format!(
+            "{} in {seconds:.2} s on {device} in {precision}; the model took {:.2} s. Policy {}, {}.\n",
+            counted(estimate.evaluations(), "evaluation"),
+            estimate.model_seconds,
+            estimate.policy.name(),
+            estimate.model,
+        ),
+        Some(map) => format!(
+            "{seconds:.1} s, {:.1} of them in {} retrievals, on {device} in {precision}.\n{}",
+            map.retrieval_seconds,
+            estimate.images.len() * map.iterations.len(),
+            more_images(map),
+        ),
+    }
+}
+
+fn more_images(map: &MapSummary) -> String {
+    let Some(last) = map.iterations.last() else { return String::new() };
+    match last.further_images(last.expected_nm.map(|nm| nm / 2.0)) {
+        Ok(further) => format!("Half the error bars take {further} more images.\n"),
+        Err(_) => "No number of images halves the error bars: they include errors that all images share.\n".into(),
+    }
+}
+
+fn budget(estimate: &Estimate) -> String {
+    let mut text = format!("\n{:<34}{:>14}{:>11}\n", "Error budget [nm RMS]", "phasing", "NCPA");
+    for term in &estimate.error_budget {
+        let _ = writeln!(text, "{:<34}{:>14.3}{:>11.3}", term.name, term.phasing_nm, term.ncpa_nm);
+    }
+    text
+}
+
+fn optics(parameter: &OpticalParameter) -> String {
+    let OpticalParameter { key, scene, value, sigma, .. } = parameter;
+    if sigma.is_infinite() {
+        format!("{key} = {value} (the scene says {scene}): not identifiable, the modes reproduce all that it does\n")
+    } else if sigma.is_nan() {
+        format!("{key} = {value:.6} (the scene says {scene})\n")
+    } else {
+        format!("{key} = {value:.6} ± {sigma:.1e} (the scene says {scene})\n")
+    }
+}

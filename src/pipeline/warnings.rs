@@ -1,0 +1,115 @@
+//! Warnings: what a user should know before using an estimate, a sentence each.
+
+use super::images::counted;
+use crate::estimate::{self, HeldDiversity, ImageReport, Status};
+use crate::scene::Scene;
+
+/// Images named one by one in a warning; the others are counted.
+const NAMED_IMAGES: usize = 3;
+/// Modes named one by one in a warning; the others are counted.
+const NAMED_MODES: usize = 6;
+
+/// A remark on the diversity, which holds for every image of a scene: how much of it the NCPA take for theirs.
+pub(super) fn of_diversity(held: &HeldDiversity, scene: &Scene) -> Option<String> {
+    (held.is_held() && scene.estimate.diversity_error == 0.0).then(|| {
+        format!(
+            "The NCPA count from the scene's diversity: 1 % more of it would read as {:.1} nm of them \
+             (estimate.diversity_error is for the error bars).",
+            0.01 * held.rms_nm
+        )
+    })
+}
+
+/// Warnings of a modal estimate.
+pub(super) fn of_modal(fitter: &estimate::Estimator, held: &HeldDiversity, found: &estimate::Estimate) -> Vec<String> {
+    let model = fitter.model();
+    let mut sentences: Vec<String> = found.device_failure.iter().cloned().collect();
+    sentences.extend(held.warning(fitter.scene().image.wavelength_nm));
+    for optic in fitter.fitted_optics().iter().filter(|optic| !optic.is_told()) {
+        sentences.push(format!(
+            "estimate.fit_optics names \"{}\", which these images do not distinguish from the modes: {} stays {}, and the \
+             error bars do not include its error",
+            optic.optic.word(),
+            optic.key(),
+            optic.value
+        ));
+    }
+    sentences.extend(of_images(found));
+    if !model.dropped.is_empty() {
+        let dropped = counted(model.dropped.len(), "mode");
+        sentences.push(format!("{dropped} left out, because the others span them: {}", listed(&model.dropped)));
+    }
+    for direction in found.degeneracy.null.iter().filter(|direction| !direction.is_global_piston()) {
+        let what = &direction.description;
+        sentences.push(format!("the images do not see this direction at all, and 0 is reported for it: {what}"));
+    }
+    sentences
+}
+
+/// Warnings on single images, the worst kind first, and on a sequence as a whole.
+fn of_images(found: &estimate::Estimate) -> Vec<String> {
+    let mut sentences = Vec::new();
+    let together = of_sequence(found);
+    let count = found.images.len();
+    for word in ["unusable", "not-converged", "wrong-minimum", "misfit"] {
+        if word == "misfit"
+            && let Some(sentence) = &together
+        {
+            sentences.push(sentence.clone());
+            continue;
+        }
+        let concerned: Vec<(usize, &ImageReport)> =
+            found.images.iter().enumerate().filter(|(_, image)| image.status.word() == word).collect();
+        for (index, image) in concerned.iter().take(NAMED_IMAGES) {
+            let which = if count > 1 { format!("image {} of {count}: ", index + 1) } else { String::new() };
+            let sentence = of_image(image, found.used_images.contains(index));
+            sentences.extend(sentence.map(|sentence| which + &sentence));
+        }
+        if concerned.len() > NAMED_IMAGES {
+            let more = counted(concerned.len() - NAMED_IMAGES, "more image");
+            sentences.push(format!("the same holds for {more} ({word}); see table IMAGES of the output"));
+        }
+    }
+    sentences
+}
+
+/// A warning on a sequence whose typical image misfits.
+fn of_sequence(found: &estimate::Estimate) -> Option<String> {
+    let misfits = found.images.iter().filter(|image| image.status == Status::Misfit).count();
+    if !found.is_sequence() || 2 * misfits <= found.used() {
+        return None;
+    }
+    let chi2 = found.reduced_chi2();
+    Some(format!(
+        "the residual is {:.1} times the noise in the typical image (median reduced χ² {chi2:.1}): a wavefront that \
+         changes from image to image and that the modes do not span, as behind adaptive optics, or a scene that differs \
+         from the instrument; error bars are from the scatter between images, and do not include what all images share",
+        chi2.sqrt()
+    ))
+}
+
+fn of_image(image: &ImageReport, is_used: bool) -> Option<String> {
+    let chi2 = image.reduced_chi2;
+    match &image.status {
+        Status::Ok => None,
+        Status::Misfit => Some(format!(
+            "the residual is {:.1} times the noise (reduced χ² {chi2:.1}): the modes do not span what is there, or the \
+             scene differs from the instrument; error bars are scaled up by as much",
+            chi2.sqrt()
+        )),
+        Status::WrongMinimum => Some(format!(
+            "reduced χ² is {chi2:.0}: the fit is probably in a wrong minimum, or wavelength, diversity or orientation \
+             of the scene are not the image's"
+        )),
+        Status::NotConverged(reason) if is_used => Some(format!(
+            "the fit did not converge ({reason}), and there is no better image: these maps are no estimate"
+        )),
+        Status::NotConverged(reason) => Some(format!("left out, the fit did not converge ({reason})")),
+        Status::Unusable(reason) => Some(format!("left out, {reason}")),
+    }
+}
+
+fn listed(names: &[String]) -> String {
+    let first = names[..names.len().min(NAMED_MODES)].join(", ");
+    if names.len() > NAMED_MODES { format!("{first} and {} more", names.len() - NAMED_MODES) } else { first }
+}
