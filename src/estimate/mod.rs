@@ -11,16 +11,15 @@
 //! them, in memory that is taken once, and an [`Accumulator`] keeps what they say together.
 
 mod accumulator;
-mod alone;
 mod arrays;
 mod band;
 mod calibration;
 mod combine;
 mod device;
 mod diversity_error;
+mod engine;
 mod file;
 mod fisher;
-mod fit;
 mod fit_optics;
 mod gauss_newton;
 mod memory;
@@ -48,8 +47,9 @@ pub use arrays::Arrays;
 pub use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, Combined, Compared, Estimate};
 pub use diversity_error::{Held, HeldDiversity, Holder, within_reach};
+pub use engine::Watch;
+use engine::{FitState, FitTask, ImageFit};
 pub use file::write;
-pub use fit::Watch;
 pub use fit_optics::FittedOptic;
 pub use memory::{Memory, Tiles};
 use metrics::Metrics;
@@ -72,8 +72,7 @@ use crate::optimize::CancelFlag;
 use crate::scene::{Combine, Method, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
-use rayon::prelude::*;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// Reads images of one scene.
 pub struct Estimator {
@@ -176,6 +175,25 @@ struct Fitted {
     indices: Vec<usize>,
     prepared: Vec<Prepared>,
     minima: Vec<minimum::Minimum>,
+}
+
+impl Fitted {
+    fn from_fits(fits: Vec<ImageFit>) -> Self {
+        let mut fitted = Self { refused: Vec::new(), indices: Vec::new(), prepared: Vec::new(), minima: Vec::new() };
+        for (image, fit) in fits.into_iter().enumerate() {
+            let refused = match fit.state {
+                FitState::Refused(refusal) => Some(refusal),
+                FitState::NotBegun | FitState::Fitted => None,
+            };
+            fitted.refused.push(refused);
+            if fit.is_fitted() {
+                fitted.indices.push(image);
+                fitted.prepared.push(fit.prepared);
+                fitted.minima.push(fit.minimum);
+            }
+        }
+        fitted
+    }
 }
 
 impl Estimator {
@@ -307,48 +325,41 @@ impl Estimator {
         Ok(EachImage { coefficients_nm, reports })
     }
 
-    /// Prepares and fits every image.
+    /// Prepares and fits every image: outlier pixels rejected, fits in a wrong minimum restarted, as the recipe says.
     fn fitted(&self, chain: &mut Chain, cube: Cube, cancel: Option<&CancelFlag>, watch: &mut Watch) -> Result<Fitted> {
         let read_noise_e = cube.read_noise_e.unwrap_or(self.scene.image.read_noise_e);
         let preparation = self.model.preparation;
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
         frames.iter().try_for_each(|frame| preparation.checked(*frame))?;
-        let idle = Mutex::new(Vec::new());
-        let prepare = |&frame: &Frame| {
-            let taken = idle.lock().unwrap_or_else(PoisonError::into_inner).pop();
-            let mut preparer = taken.unwrap_or_else(|| Preparer::new(preparation));
-            let mut prepared = preparation.room();
-            let outcome = preparer.prepare(frame, &self.recipe, Ringing::Accepted, &mut prepared);
-            idle.lock().unwrap_or_else(PoisonError::into_inner).push(preparer);
-            outcome.map(|()| prepared)
-        };
-        let outcomes: Vec<std::result::Result<Prepared, Refusal>> = frames.par_iter().map(prepare).collect();
-        let refused: Vec<Option<Refusal>> = outcomes.iter().map(|outcome| outcome.as_ref().err().copied()).collect();
-        let indices: Vec<usize> = (0..refused.len()).filter(|&image| refused[image].is_none()).collect();
-        let mut prepared: Vec<Prepared> = outcomes.into_iter().flatten().collect();
-        if prepared.is_empty() {
-            let reason = refused.into_iter().flatten().next().map(|refusal| refusal.to_string());
-            return Err(Error::Image(reason.unwrap_or_else(|| "there is no image to estimate from".into())));
+        let task = self.task(cancel);
+        let mut fits = vec![ImageFit::new(&preparation, self.model.optics.modes()); frames.len()];
+        self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
+        if !fits.iter().any(ImageFit::is_fitted) {
+            let refused = fits.iter().find_map(|fit| match fit.state {
+                FitState::Refused(refusal) => Some(refusal.to_string()),
+                FitState::NotBegun | FitState::Fitted => None,
+            });
+            return Err(Error::Image(refused.unwrap_or_else(|| "there is no image to estimate from".into())));
         }
-        let mut minima = self.fitter(cancel).fit(
-            chain,
-            &mut prepared.iter_mut().collect::<Vec<_>>(),
-            &vec![vec![0.0; self.model.optics.modes()].as_slice(); indices.len()],
-            watch,
-        )?;
-        let own: Vec<Frame> = indices.iter().map(|&image| frames[image]).collect();
-        let ready = |frame: &Frame| prepare(frame).ok();
-        let cleaned = self.without_outliers(chain, &own, &ready, (&mut prepared, &mut minima), cancel)?;
-        let again = |place: usize| match &cleaned[place] {
-            Some(cleaned) => {
-                let again = ready(&cleaned.frame(read_noise_e))?;
-                Some(Prepared { cut_pixels: cleaned.cut, ..again })
-            }
-            None => ready(&own[place]),
+        let cleaned = self.reject_outliers(chain, &task, &frames, &mut fits)?;
+        self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
+        Ok(Fitted::from_fits(fits))
+    }
+
+    /// Prepares `frames` and fits them, each from the start of its fit.
+    fn fit_frames(
+        &self,
+        chain: &mut Chain,
+        task: &FitTask,
+        frames: &[Frame],
+        fits: &mut [ImageFit],
+        watch: &mut Watch,
+    ) -> Result<()> {
+        let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut Prepared| {
+            preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
         };
-        self.restart(chain, &again, &mut prepared, &mut minima, cancel)?;
-        Ok(Fitted { refused, indices, prepared, minima })
+        engine::fit(chain, task, &prepare, fits, watch)
     }
 
     /// The errors that all images share, so that no number of images averages them out.
@@ -371,9 +382,9 @@ impl Estimator {
         }
     }
 
-    fn fitter<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> fit::Fitter<'a> {
+    fn task<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> FitTask<'a> {
         let Self { model, judge, metrics, recipe, .. } = self;
-        fit::Fitter { model, judge, metrics, recipe, cancel, deadline: None }
+        FitTask { model, reference: judge, metrics, recipe, cancel, deadline: None }
     }
 
     /// Combines some images of `estimate` (which this estimator made) anew, without fitting them again: for a study of

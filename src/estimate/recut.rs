@@ -1,71 +1,53 @@
 //! Another fit for an image that the model does not explain, without the pixels that stand out.
 
 use super::Estimator;
-use super::minimum::Minimum;
+use super::engine::{FitTask, ImageFit};
 use super::outliers::{Cleaned, OutlierFinder};
-use super::prepare::{Frame, Prepared};
-use super::status::{Status, judged};
+use super::prepare::Frame;
+use super::status::Status;
 use crate::Result;
 use crate::imaging::Chain;
-use crate::optimize::CancelFlag;
 use crate::scene::Scene;
 use ndarray::{Array2, Array3, Axis};
 use rayon::prelude::*;
 
-/// Makes a frame ready; none where it cannot be used.
-pub(super) type Prepare<'a> = dyn Fn(&Frame) -> Option<Prepared> + Sync + 'a;
-
 impl Estimator {
-    /// Seeks single pixels in those of `frames` that were not explained, and fits them again without. Returns the frames in
-    /// which there were any, and keeps what is better.
+    /// Seeks outlier pixels in those of `frames` that the model does not explain, and fits these again without. Returns the
+    /// frames in which there were any, and keeps the better fit.
     ///
     /// # Errors
-    /// As [`super::fit::Fitter::fit`].
-    pub(super) fn without_outliers(
+    /// As [`super::engine::fit`].
+    pub(super) fn reject_outliers(
         &self,
         chain: &mut Chain,
+        task: &FitTask,
         frames: &[Frame],
-        prepare: &Prepare,
-        (prepared, minima): (&mut [Prepared], &mut [Minimum]),
-        cancel: Option<&CancelFlag>,
+        fits: &mut [ImageFit],
     ) -> Result<Vec<Option<Cleaned>>> {
         let mut cleaned: Vec<Option<Cleaned>> = frames.iter().map(|_| None).collect();
         if !self.recipe.reject_outliers {
             return Ok(cleaned);
         }
-        let reports = judged(self, prepared, minima);
-        let unexplained: Vec<usize> = (0..minima.len()).filter(|&place| reports[place].status != Status::Ok).collect();
+        let reports = self.reports(fits);
+        let unexplained: Vec<usize> =
+            (0..fits.len()).filter(|&image| fits[image].is_fitted() && reports[image].status != Status::Ok).collect();
         let Some(finder) = (!unexplained.is_empty()).then(|| OutlierFinder::of(&self.scene)).flatten() else {
             return Ok(cleaned);
         };
-        let seek = |&place: &usize| {
-            let found = usable(finder.clean(frames[place])?, &frames[place], self.compares_native_pixels());
-            let fresh = prepare(&found.frame(frames[place].read_noise_e))?;
-            Some((place, found, fresh))
+        let seek = |&image: &usize| {
+            Some((image, usable(finder.clean(frames[image])?, &frames[image], self.compares_native_pixels())))
         };
-        let found: Vec<(usize, Cleaned, Prepared)> = unexplained.par_iter().filter_map(seek).collect();
-        if found.is_empty() {
-            return Ok(cleaned);
-        }
-        let start = vec![0.0; self.model.optics.modes()];
-        let (mut places, mut fresh) = (Vec::new(), Vec::new());
-        for (place, found, prepared) in found {
-            cleaned[place] = Some(found);
-            places.push(place);
-            fresh.push(prepared);
-        }
-        let room = &mut fresh.iter_mut().collect::<Vec<_>>();
-        let again = self.fitter(cancel).fit(chain, room, &vec![start.as_slice(); places.len()], &mut |_, _| {})?;
-        for ((place, again), mut fresh) in places.into_iter().zip(again).zip(fresh) {
-            let before = &mut minima[place];
-            let evaluations = before.evaluations + again.evaluations;
-            if again.reduced_chi2 < before.reduced_chi2 || before.reduced_chi2.is_nan() {
-                fresh.cut_pixels = cleaned[place].as_ref().map_or(0, |cleaned| cleaned.cut);
-                (*before, prepared[place]) = (again, fresh);
-            } else {
-                cleaned[place] = None;
+        let found: Vec<(usize, Cleaned)> = unexplained.par_iter().filter_map(seek).collect();
+        let fresh = ImageFit::new(&self.model.preparation, self.model.optics.modes());
+        let mut again = vec![fresh; found.len()];
+        let without: Vec<Frame> =
+            found.iter().map(|(image, cleaned)| cleaned.frame(frames[*image].read_noise_e)).collect();
+        self.fit_frames(chain, task, &without, &mut again, &mut |_, _| {})?;
+        for ((image, found), mut again) in found.into_iter().zip(again) {
+            again.prepared.cut_pixels = found.cut;
+            if fits[image].improve(again) {
+                cleaned[image] = Some(found);
             }
-            before.evaluations = evaluations;
         }
         Ok(cleaned)
     }

@@ -4,12 +4,14 @@
 //! noise explains, or the fit has used up its evaluations. It is tried again from elsewhere, and the best is kept.
 
 use super::Estimator;
+use super::engine::{FitTask, ImageFit};
 use super::minimum::Minimum;
-use super::prepare::Prepared;
-use super::status::{Status, judged};
+use super::outliers::Cleaned;
+use super::prepare::Frame;
+use super::status::Status;
 use crate::Result;
 use crate::imaging::Chain;
-use crate::optimize::{CancelFlag, StopReason};
+use crate::optimize::StopReason;
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -22,41 +24,42 @@ const SEGMENT_WAVES: f64 = 0.05;
 /// See [`SEGMENT_WAVES`].
 const NCPA_WAVES: f64 = 0.02;
 
-/// Makes the image at a place among those that were prepared ready once more, with its first weights.
-pub(super) type Again<'a> = dyn Fn(usize) -> Option<Prepared> + 'a;
-
 impl Estimator {
-    /// Tries again those of `minima` that are in the wrong place, and keeps what is better.
+    /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier pixels that were rejected
+    /// from a frame stay so.
     ///
     /// # Errors
-    /// As [`super::fit::Fitter::fit`].
-    pub(super) fn restart(
+    /// As [`super::engine::fit`].
+    pub(super) fn restart<'a>(
         &self,
         chain: &mut Chain,
-        again: &Again,
-        prepared: &mut [Prepared],
-        minima: &mut [Minimum],
-        cancel: Option<&CancelFlag>,
+        task: &FitTask,
+        (frames, cleaned): (&'a [Frame<'a>], &'a [Option<Cleaned>]),
+        fits: &mut [ImageFit],
     ) -> Result<()> {
         for attempt in 1..=self.recipe.restarts {
-            let reports = judged(self, prepared, minima);
-            let lost = (0..minima.len()).filter(|&place| is_lost(&reports[place].status));
-            let (places, mut fresh): (Vec<usize>, Vec<Prepared>) =
-                lost.filter_map(|place| Some((place, again(place)?))).unzip();
-            if places.is_empty() {
+            let reports = self.reports(fits);
+            let is_lost = |&image: &usize| fits[image].is_fitted() && is_lost(&reports[image].status);
+            let lost: Vec<usize> = (0..fits.len()).filter(is_lost).collect();
+            if lost.is_empty() {
                 break;
             }
-            let starts: Vec<Vec<f64>> = places.iter().map(|&place| self.start(&minima[place], attempt)).collect();
-            let starts: Vec<&[f64]> = starts.iter().map(Vec::as_slice).collect();
-            let found =
-                self.fitter(cancel).fit(chain, &mut fresh.iter_mut().collect::<Vec<_>>(), &starts, &mut |_, _| {})?;
-            for ((place, found), fresh) in places.into_iter().zip(found).zip(fresh) {
-                let before = &mut minima[place];
-                let evaluations = before.evaluations + found.evaluations;
-                if found.reduced_chi2 < before.reduced_chi2 || before.reduced_chi2.is_nan() {
-                    (*before, prepared[place]) = (found, fresh);
+            let without = |&image: &usize| -> Frame<'a> {
+                match &cleaned[image] {
+                    Some(cleaned) => cleaned.frame(frames[image].read_noise_e),
+                    None => frames[image],
                 }
-                before.evaluations = evaluations;
+            };
+            let lost_frames: Vec<Frame> = lost.iter().map(without).collect();
+            let from = |&image: &usize| {
+                let start_nm = self.start(&fits[image].minimum, attempt);
+                ImageFit { start_nm, ..ImageFit::new(&self.model.preparation, self.model.optics.modes()) }
+            };
+            let mut again: Vec<ImageFit> = lost.iter().map(from).collect();
+            self.fit_frames(chain, task, &lost_frames, &mut again, &mut |_, _| {})?;
+            for (image, mut again) in lost.into_iter().zip(again) {
+                again.prepared.cut_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.cut);
+                fits[image].improve(again);
             }
         }
         Ok(())

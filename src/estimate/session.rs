@@ -1,28 +1,25 @@
-//! Fits for a caller who comes back with images again and again: all memory is taken once, when the session is made.
+//! Session: the pipeline of a real-time user, with all memory taken when it is made. Frames are fitted as
+//! [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no outlier search, no restarts.
 
-mod batch;
 mod options;
-mod single;
 #[cfg(all(test, feature = "opencl", debug_assertions))]
 mod tests;
 
 pub use options::{FitOptions, ImageResult, SessionOptions};
 
-use super::minimum::Minimum;
+use super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
 use super::pistons::Pistons;
-use super::prepare::{Frame, Prepared, Refusal};
+use super::prepare::{Frame, Prepared, Preparer, Refusal, Ringing};
 use super::residual::variance;
 use super::spread::Spread;
-use super::status::{Status, Tilts, unfitted};
+use super::status::{Status, Tilts, judge, unfitted};
 use super::{Estimator, Recipe};
 use crate::imaging::Chain;
 use crate::optimize::{CancelFlag, StopReason};
 use crate::scene::Optimizer;
 use crate::{Error, Result};
-use batch::Batch;
 use ndarray::{Array2, ArrayView1, ArrayView2, ArrayViewMut2};
 use options::write_start;
-use single::Single;
 use std::slice::from_ref;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -36,9 +33,10 @@ use std::time::Instant;
 /// it is [`Estimator::estimate`]'s, whatever the number of images and threads.
 pub struct Session {
     shared: Shared,
-    images: Vec<Image>,
+    frames: Vec<FrameBuffer>,
+    fits: Vec<ImageFit>,
     results: Vec<ImageResult>,
-    engine: Engine,
+    engine: Box<dyn Engine>,
     /// How many images the last fit was of, and how many are loaded for [`Session::evaluate`].
     fitted: usize,
     loaded: usize,
@@ -54,29 +52,10 @@ struct Shared {
     cancel: CancelFlag,
 }
 
-/// One image's memory.
-struct Image {
+/// Memory of a frame.
+struct FrameBuffer {
     data_e: Array2<f64>,
     bad: Array2<bool>,
-    prepared: Prepared,
-    minimum: Minimum,
-    /// Whether there is a fit behind `minimum`.
-    fitted: bool,
-}
-
-/// Where the fits run.
-enum Engine {
-    Cpu64(Box<Single<f64>>),
-    Cpu32(Box<Single<f32>>),
-    Device(Box<Batch>),
-}
-
-/// One call of [`Session::fit`], checked.
-struct Call<'a> {
-    shared: &'a Shared,
-    read_noise_e: f64,
-    start_nm: Option<ArrayView2<'a, f64>>,
-    deadline: Option<Instant>,
 }
 
 impl Session {
@@ -89,7 +68,7 @@ impl Session {
         if options.capacity == 0 {
             return Err(Error::Value("a session for 0 images was asked for, where 1 or more are needed".into()));
         }
-        Image::check_room(&estimator, options.capacity)?;
+        FrameBuffer::check_capacity(&estimator, options.capacity)?;
         let mut recipe = estimator.recipe.clone();
         if recipe.optimizer == Optimizer::Bfgs {
             return Err(Error::Value(
@@ -104,19 +83,18 @@ impl Session {
         let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::of(&estimator.model)?);
         let shared = Shared { estimator, recipe, tilts, pistons, cancel: CancelFlag::default() };
         let optics = shared.estimator.model.optics.clone();
-        let engine = match Chain::open(optics, options.device, options.precision, options.capacity)? {
-            Chain::Cpu64(chain) => Engine::Cpu64(Box::new(Single::new(chain, &shared, options)?)),
-            Chain::Cpu32(chain) => Engine::Cpu32(Box::new(Single::new(chain, &shared, options)?)),
-            chain => Engine::Device(Box::new(Batch::new(chain, &shared)?)),
-        };
-        let images = (0..options.capacity).map(|_| Image::room(&shared.estimator)).collect();
+        let chain = Chain::open(optics, options.device, options.precision, options.capacity)?;
+        let engine = shared.engine(chain, options)?;
+        let (preparation, modes) = (shared.estimator.model.preparation, shared.modes());
+        let frames = (0..options.capacity).map(|_| FrameBuffer::new(&preparation)).collect();
+        let fits = vec![ImageFit::new(&preparation, modes); options.capacity];
         let result = ImageResult {
-            coefficients_nm: vec![f64::NAN; shared.modes()],
+            coefficients_nm: vec![f64::NAN; modes],
             report: unfitted(Status::NotConverged(StopReason::Unfinished)),
             seconds: 0.0,
         };
         let results = vec![result; options.capacity];
-        Ok(Self { shared, images, results, engine, fitted: 0, loaded: 0 })
+        Ok(Self { shared, frames, fits, results, engine, fitted: 0, loaded: 0 })
     }
 
     /// The estimator whose model is fitted.
@@ -126,15 +104,12 @@ impl Session {
 
     /// That the device which `auto` took was lost, and the CPU has taken its place, as a sentence.
     pub fn device_failure(&self) -> Option<&str> {
-        match &self.engine {
-            Engine::Cpu64(_) | Engine::Cpu32(_) => None,
-            Engine::Device(batch) => batch.failure(),
-        }
+        self.engine.failure()
     }
 
     /// Most images of a call.
     pub fn capacity(&self) -> usize {
-        self.images.len()
+        self.frames.len()
     }
 
     /// The buffers of frame `image`, `[y, x]`: electrons, and bad pixels, which the caller fills before a fit. They
@@ -143,11 +118,11 @@ impl Session {
     /// # Errors
     /// [`Error::Shape`] beyond the capacity.
     pub fn frame_mut(&mut self, image: usize) -> Result<(ArrayViewMut2<'_, f64>, ArrayViewMut2<'_, bool>)> {
-        let capacity = self.images.len();
-        let image = self.images.get_mut(image).ok_or_else(|| {
+        let capacity = self.frames.len();
+        let frame = self.frames.get_mut(image).ok_or_else(|| {
             Error::Shape(format!("frame {image} was asked for, where the session has room for {capacity}"))
         })?;
-        Ok((image.data_e.view_mut(), image.bad.view_mut()))
+        Ok((frame.data_e.view_mut(), frame.bad.view_mut()))
     }
 
     /// Fits frames 0 to `count` − 1. What troubles one image is in its result.
@@ -161,23 +136,23 @@ impl Session {
         (self.fitted, self.loaded) = (0, 0);
         self.checked_count(count)?;
         self.checked_start(count, options.start_nm)?;
-        let call = Call {
-            shared: &self.shared,
-            read_noise_e: self.read_noise_e(options.read_noise_e)?,
-            start_nm: options.start_nm,
-            // A deadline beyond the end of the clock is none.
-            deadline: options.deadline.and_then(|time| began.checked_add(time)),
-        };
-        let (images, results) = (&mut self.images[..count], &mut self.results[..count]);
-        let outcome = match &mut self.engine {
-            Engine::Cpu64(single) => single.fit(&call, images, results),
-            Engine::Cpu32(single) => single.fit(&call, images, results),
-            Engine::Device(batch) => batch.fit(&call, images, results),
-        };
+        let read_noise_e = self.read_noise_e(options.read_noise_e)?;
+        // A deadline beyond the end of the clock is none.
+        let deadline = options.deadline.and_then(|time| began.checked_add(time));
+        for (image, fit) in self.fits[..count].iter_mut().enumerate() {
+            write_start(&mut fit.start_nm, options.start_nm.as_ref().map(|start_nm| start_nm.row(image)));
+        }
+        let task = self.shared.task(deadline);
+        let prepare = prepare(&self.frames, &self.shared.recipe, read_noise_e);
+        let outcome = self.engine.fit(&task, &prepare, &mut self.fits[..count], &mut |_, _| {});
         if let Err(Error::Interrupted(_)) = outcome {
             self.shared.cancel.store(false, Ordering::Relaxed);
+            return Err(interrupted());
         }
         outcome?;
+        for (fit, result) in self.fits[..count].iter_mut().zip(&mut self.results) {
+            self.shared.report(fit, result);
+        }
         self.fitted = count;
         Ok(())
     }
@@ -193,8 +168,8 @@ impl Session {
     /// # Errors
     /// [`Error::Value`] for an image that was not fitted, or that sees no mode at all.
     pub fn covariance_nm2(&self, image: usize) -> Result<Array2<f64>> {
-        let fitted = self.results().get(image).zip(self.images.get(image)).filter(|(_, image)| image.fitted);
-        let Some((result, Image { prepared, minimum, .. })) = fitted else {
+        let fitted = self.results().get(image).zip(self.fits.get(image)).filter(|(_, fit)| fit.is_fitted());
+        let Some((result, ImageFit { prepared, minimum, .. })) = fitted else {
             return Err(Error::Value(format!(
                 "image {image} has no covariance: the last fit was of {} images, and did not fit this one",
                 self.fitted
@@ -222,13 +197,9 @@ impl Session {
         (self.fitted, self.loaded) = (0, 0);
         self.checked_count(count)?;
         let read_noise_e = self.read_noise_e(read_noise_e)?;
-        let call = Call { shared: &self.shared, read_noise_e, start_nm: None, deadline: None };
-        let images = &mut self.images[..count];
-        match &mut self.engine {
-            Engine::Cpu64(single) => single.load(&call, images),
-            Engine::Cpu32(single) => single.load(&call, images),
-            Engine::Device(batch) => batch.load(&call, images),
-        }?;
+        let task = self.shared.task(None);
+        let prepare = prepare(&self.frames, &self.shared.recipe, read_noise_e);
+        self.engine.load(&task, &prepare, &mut self.fits[..count])?;
         self.loaded = count;
         Ok(())
     }
@@ -261,16 +232,11 @@ impl Session {
             let loaded = self.loaded;
             return Err(Error::Shape(format!("{count} images were to be evaluated, where {loaded} are loaded")));
         }
-        match &mut self.engine {
-            Engine::Cpu64(single) => single.evaluate(coefficients_nm, objectives, gradients),
-            Engine::Cpu32(single) => single.evaluate(coefficients_nm, objectives, gradients),
-            Engine::Device(batch) => return batch.evaluate(coefficients_nm, objectives, gradients),
-        }
-        Ok(())
+        self.engine.evaluate(coefficients_nm, objectives, gradients)
     }
 
     fn checked_count(&self, count: usize) -> Result<()> {
-        let capacity = self.images.len();
+        let capacity = self.frames.len();
         if count > capacity {
             return Err(Error::Shape(format!("{count} images were given, where the session has room for {capacity}")));
         }
@@ -308,11 +274,61 @@ impl Shared {
     fn modes(&self) -> usize {
         self.estimator.model.optics.modes()
     }
+
+    fn task(&self, deadline: Option<Instant>) -> FitTask<'_> {
+        let Estimator { model, judge, metrics, .. } = &*self.estimator;
+        FitTask { model, reference: judge, metrics, recipe: &self.recipe, cancel: Some(&self.cancel), deadline }
+    }
+
+    /// The engine for `chain`, with its memory.
+    fn engine(&self, chain: Chain, options: &SessionOptions) -> Result<Box<dyn Engine>> {
+        let threads = (options.threads > 0).then_some(options.threads);
+        Ok(match chain {
+            Chain::Cpu64(chain) => {
+                let mut engine = CpuEngine::new(chain, threads);
+                engine.allocate(&self.task(None), options.capacity)?;
+                Box::new(engine)
+            }
+            Chain::Cpu32(chain) => {
+                let mut engine = CpuEngine::new(chain, threads);
+                engine.allocate(&self.task(None), options.capacity)?;
+                Box::new(engine)
+            }
+            chain => Box::new(DeviceEngine::new(chain)),
+        })
+    }
+
+    /// Writes the outcome of a fit.
+    fn report(&self, fit: &mut ImageFit, result: &mut ImageResult) {
+        match fit.state {
+            FitState::Fitted => {
+                self.pistons.centre(&mut fit.minimum.coefficients_nm);
+                result.report = judge(&self.estimator.model, &self.tilts, &fit.prepared, &fit.minimum);
+                result.coefficients_nm.copy_from_slice(&fit.minimum.coefficients_nm);
+            }
+            FitState::Refused(refusal) => result.refuse(refusal),
+            FitState::NotBegun => result.not_begun(&fit.start_nm),
+        }
+        result.seconds = fit.seconds;
+    }
 }
 
-impl Image {
+/// Prepares the frames in the buffers; frames with bad pixels that a reduction would smear are refused.
+fn prepare<'a>(
+    frames: &'a [FrameBuffer],
+    recipe: &'a Recipe,
+    read_noise_e: f64,
+) -> impl Fn(usize, &mut Preparer, &mut Prepared) -> std::result::Result<(), Refusal> + Sync + 'a {
+    move |index, preparer, prepared| {
+        let FrameBuffer { data_e, bad } = &frames[index];
+        let frame = Frame { data_e: data_e.view(), bad: bad.view(), read_noise_e };
+        preparer.prepare(frame, recipe, Ringing::Refused, prepared)
+    }
+}
+
+impl FrameBuffer {
     /// Refuses a capacity that memory cannot hold, rather than find out while taking it.
-    fn check_room(estimator: &Estimator, capacity: usize) -> Result<()> {
+    fn check_capacity(estimator: &Estimator, capacity: usize) -> Result<()> {
         let preparation = &estimator.model.preparation;
         let [x, y] = preparation.frame;
         // A frame with its mask, and at the model's sampling data, weights and floor.
@@ -326,39 +342,12 @@ impl Image {
         Ok(())
     }
 
-    fn room(estimator: &Estimator) -> Self {
-        let preparation = &estimator.model.preparation;
+    fn new(preparation: &super::Preparation) -> Self {
         let shape = (preparation.frame[1], preparation.frame[0]);
-        Self {
-            data_e: Array2::zeros(shape),
-            bad: Array2::from_elem(shape, false),
-            prepared: preparation.room(),
-            minimum: Minimum::room(estimator.model.optics.modes()),
-            fitted: false,
-        }
-    }
-}
-
-impl<'a> Call<'a> {
-    fn start_of(&self, image: usize) -> Option<ArrayView1<'_, f64>> {
-        self.start_nm.as_ref().map(|start_nm| start_nm.row(image))
-    }
-
-    fn is_late(&self) -> bool {
-        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
-    }
-
-    /// # Errors
-    /// [`Error::Interrupted`] where the flag is up.
-    fn go_on(&self) -> Result<()> {
-        if self.shared.cancel.load(Ordering::Relaxed) { Err(interrupted()) } else { Ok(()) }
+        Self { data_e: Array2::zeros(shape), bad: Array2::from_elem(shape, false) }
     }
 }
 
 fn interrupted() -> Error {
     Error::Interrupted("the fit was cancelled".into())
-}
-
-fn unusable(image: usize, refusal: Refusal) -> Error {
-    Error::Image(format!("frame {image} cannot be used: {refusal}"))
 }

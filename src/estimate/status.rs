@@ -1,6 +1,7 @@
 //! What became of each image: judged by its own residual, and in a sequence by the others'.
 
 use super::Estimator;
+use super::engine::{FitState, ImageFit};
 use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{Prepared, Refusal};
@@ -91,6 +92,20 @@ impl ImageReport {
             }
             Status::Unusable(refusal) => refusal.to_string(),
         }
+    }
+}
+
+impl Estimator {
+    /// The reports on fits, in order.
+    pub(super) fn reports(&self, fits: &[ImageFit]) -> Vec<ImageReport> {
+        let report = |fit: &ImageFit| match fit.state {
+            FitState::Fitted => judge(&self.model, &self.tilts, &fit.prepared, &fit.minimum),
+            FitState::Refused(refusal) => unfitted(Status::Unusable(refusal)),
+            FitState::NotBegun => unfitted(Status::NotConverged(StopReason::Unfinished)),
+        };
+        let mut reports: Vec<ImageReport> = fits.iter().map(report).collect();
+        judge_together(&mut reports);
+        reports
     }
 }
 

@@ -70,10 +70,9 @@ impl ImageResult {
     }
 
     /// Its turn did not come in time.
-    pub(super) fn not_begun(&mut self, start_nm: Option<ArrayView1<f64>>) {
-        write_start(&mut self.coefficients_nm, start_nm);
+    pub(super) fn not_begun(&mut self, start_nm: &[f64]) {
+        self.coefficients_nm.copy_from_slice(start_nm);
         self.report = unfitted(Status::NotConverged(StopReason::DeadlineReached));
-        self.seconds = 0.0;
     }
 }
 

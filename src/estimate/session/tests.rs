@@ -1,6 +1,5 @@
 //! A session whose device is lost.
 
-use super::batch::Batch;
 use super::*;
 use crate::device::tests::test_devices;
 use crate::imaging::{Fallback, Precision};
@@ -22,7 +21,7 @@ fn a_device_that_is_lost_is_told() {
         let Chain::Device { chain: on_device, .. } = &chain else { panic!("a device that was named is opened") };
         let device = on_device.device().clone();
         let guarded = Chain::Auto(Fallback::new(chain, optics));
-        session.engine = Engine::Device(Box::new(Batch::new(guarded, &session.shared).unwrap()));
+        session.engine = Box::new(DeviceEngine::new(guarded));
         let mut fit = || {
             for (image, electrons) in made.images_e.outer_iter().enumerate() {
                 let (mut frame, mut bad) = session.frame_mut(image).unwrap();
