@@ -4,6 +4,14 @@ use crate::{Error, Result, fault};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// Writes `bytes` to `path`: the whole file appears by a rename, or what was there stays. A symbolic link is followed.
+///
+/// # Errors
+/// [`Error::File`] for a directory, a device or a pipe, or with the operating system's reason.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    Target::of(path)?.write(bytes)
+}
+
 /// Where a finished file goes.
 pub(crate) struct Target {
     path: PathBuf,

@@ -20,13 +20,11 @@
 //! See `ARCHITECTURE.md`: each module uses only those to the left of it.
 
 pub mod ao;
-mod atomic;
-pub mod bench;
+pub mod atomic;
 pub mod capi;
 pub mod device;
 pub mod error;
 pub mod estimate;
-pub mod experiment;
 mod fault;
 pub mod fourier;
 pub mod grid;
@@ -37,9 +35,7 @@ pub mod modes;
 pub mod optimize;
 pub mod pipeline;
 pub mod planner;
-pub mod plot;
 pub mod pupil;
-pub mod reproduce;
 pub mod scene;
 pub mod sky;
 pub mod source;

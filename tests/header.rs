@@ -1,5 +1,9 @@
 //! `include/cophase.h` is what cbindgen makes of src/capi, and compiles as C99 and as C++17.
 
+#[path = "common/libraries.rs"]
+mod libraries;
+
+use libraries::libraries;
 use std::path::Path;
 use std::process::Command;
 
@@ -54,8 +58,7 @@ fn names_and_versions_are_readable_from_c() {
 
 #[test]
 fn a_c_program_links_and_runs() {
-    // The shared library that cargo builds along with the tests lies among their dependencies.
-    let libraries = Path::new(env!("CARGO_BIN_EXE_cophase")).parent().unwrap().join("deps");
+    let libraries = libraries();
     let directory = tempfile::tempdir().unwrap();
     let program = directory.path().join("versions");
     let output = Command::new("cc")

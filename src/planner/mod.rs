@@ -59,7 +59,7 @@ impl Plan {
     /// # Errors
     /// [`Error::File`] where it cannot be written.
     pub fn write(&self, path: &std::path::Path) -> Result<()> {
-        crate::atomic::Target::of(path)?.write(self.scene.text().as_bytes())
+        crate::atomic::write(path, self.scene.text().as_bytes())
     }
 
     /// Whether the plan's error is within the budget.

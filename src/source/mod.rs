@@ -59,8 +59,9 @@ pub fn images(scene: &Scene) -> Result<SourceImages> {
     Ok(SourceImages { images_e, flux_e, truth })
 }
 
-/// Independent random numbers: stream 0 draws the aberrations, the others the noise of each image.
-pub(crate) fn stream(seed: u64, number: u64) -> ChaCha12Rng {
+/// Random numbers of the seed `aberrations.seed`: stream 0 draws the aberrations ([`Truth::draw`]), stream 1 + i the noise of
+/// image i. The streams are independent.
+pub fn stream(seed: u64, number: u64) -> ChaCha12Rng {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
     rng.set_stream(number);
     rng

@@ -13,15 +13,21 @@ pub struct Room {
     uses: Names,
 }
 
-/// All tables. A place is a room, or the start of a path under `src` where it holds a slash: `imaging/gpu` is
-/// `imaging/gpu.rs`, `imaging/gpu_batch.rs` and all of `imaging/gpu/`.
+/// The tables of one package. A place is a room, or the start of a path under `src` where it holds a slash: `imaging/gpu`
+/// is `imaging/gpu.rs`, `imaging/gpu_batch.rs` and all of `imaging/gpu/`.
 #[derive(Debug, Default)]
 pub struct Rules {
     pub rooms: BTreeMap<String, Room>,
+    /// Rooms of any package.
+    known: Names,
     /// Places, and the rooms that they may use besides those of their own room's row.
     exceptions: Vec<(Names, Names)>,
     /// Names from outside the crate, and the only places where they may stand.
     confined: Vec<(Names, Names)>,
+    /// Crates that the library must not depend on.
+    pub absent: Names,
+    /// Sets of files, of any package, that use each other in a circle and may for now.
+    pub cycles: Vec<Names>,
 }
 
 /// The file's room: its first folder, or itself. `file` is relative to `src`, without `.rs`.
@@ -39,7 +45,8 @@ fn quoted(cell: &str) -> Names {
 }
 
 impl Rules {
-    pub fn parse(markdown: &str) -> Self {
+    /// `package` ends the titles of the package's own tables: nothing for the library, " of the program" for the program.
+    pub fn parse(markdown: &str, package: &str) -> Self {
         let mut rules = Self::default();
         let mut section = "";
         for line in markdown.lines() {
@@ -48,10 +55,13 @@ impl Rules {
             }
             let cells: Vec<&str> = line.split('|').collect();
             // The head of a table and the line below it quote nothing.
-            if cells.len() < 5 || quoted(cells[1]).is_empty() {
+            if cells.len() < 4 || quoted(cells[1]).is_empty() {
                 continue;
             }
-            match section {
+            if section.starts_with("Rooms") {
+                rules.known.extend(quoted(cells[1]));
+            }
+            match section.strip_suffix(package).unwrap_or_default() {
                 "Rooms" => rules.rooms.extend(
                     quoted(cells[1])
                         .into_iter()
@@ -59,6 +69,11 @@ impl Rules {
                 ),
                 "Exceptions" => rules.exceptions.push((quoted(cells[1]), quoted(cells[2]))),
                 "Names that stay in their room" => rules.confined.push((quoted(cells[1]), quoted(cells[2]))),
+                _ => {}
+            }
+            match section {
+                "Crates that the library does without" => rules.absent.extend(quoted(cells[1])),
+                "File cycles that remain" => rules.cycles.push(quoted(cells[1])),
                 _ => {}
             }
         }
@@ -87,7 +102,7 @@ impl Rules {
         let mut faults: Vec<String> = named
             .collect::<BTreeSet<_>>()
             .into_iter()
-            .filter(|name| !self.rooms.contains_key(*name))
+            .filter(|name| !self.known.contains(*name))
             .map(|name| format!("the map names the room `{name}`, which has no row"))
             .collect();
         // Take away the rooms that use none of those left, until nothing changes: what stays uses itself in a circle.
@@ -112,21 +127,21 @@ impl Rules {
         // lib.rs is the door: it names every room.
         if room != "lib" {
             let Some(row) = self.rooms.get(room) else {
-                return vec![format!("src/{file}.rs: the room `{room}` has no row in ARCHITECTURE.md")];
+                return vec![format!("{file}.rs: the room `{room}` has no row in ARCHITECTURE.md")];
             };
             let excepted = self.exceptions.iter().filter(|(places, _)| places.iter().any(|place| lies_in(file, place)));
             let allowed: BTreeSet<&String> = row.uses.iter().chain(excepted.flat_map(|(_, uses)| uses)).collect();
             for name in &source.uses {
                 let used = exported.get(name).unwrap_or(name);
                 if used != room && !allowed.contains(used) {
-                    violations.push(format!("src/{file}.rs: `{room}` may not use `crate::{name}`"));
+                    violations.push(format!("{file}.rs: `{room}` may not use `crate::{name}`"));
                 }
             }
         }
         for (names, places) in &self.confined {
             if !places.iter().any(|place| lies_in(file, place)) {
                 let strays = names.intersection(&source.outside);
-                violations.extend(strays.map(|name| format!("src/{file}.rs: `{name}` belongs in {places:?} only")));
+                violations.extend(strays.map(|name| format!("{file}.rs: `{name}` belongs in {places:?} only")));
             }
         }
         violations

@@ -7,8 +7,9 @@ use std::collections::{BTreeMap, BTreeSet};
 /// What a file names.
 #[derive(Debug, Default)]
 pub struct Source {
-    /// Names at the root of the crate that a path leads to: `crate::grid::Grid`, `cophase::grid` and, from
-    /// `pupil/mod.rs`, `super::grid` all give `grid`. A glob of the root gives `*`, the root itself `self`.
+    /// Names at the root of the crate, or of another package of the workspace, that a path leads to: `crate::grid::Grid`,
+    /// `cophase::grid` and, from `pupil/mod.rs`, `super::grid` all give `grid`. A glob of the root gives `*`, the root itself
+    /// `self`.
     pub uses: BTreeSet<String>,
     /// First names of all other paths, so those of other crates; and `extern "C"`.
     pub outside: BTreeSet<String>,
@@ -19,11 +20,8 @@ pub struct Source {
 impl Source {
     /// Reads `text`, the file `file` (relative to `src`, without `.rs`).
     pub fn read(file: &str, text: &str) -> Self {
-        let tokens: TokenStream = text.parse().unwrap_or_else(|error| panic!("src/{file}.rs: {error}"));
-        let path = file.strip_suffix("/mod").unwrap_or(if matches!(file, "lib" | "main") { "" } else { file });
         let mut source = Self::default();
-        let module: Vec<&str> = path.split('/').filter(|name| !name.is_empty()).collect();
-        source.walk(&trees(tokens), &module);
+        source.walk(&tokens_of(file, text), &module_of(file));
         source
     }
 
@@ -47,7 +45,7 @@ impl Source {
                     }
                 }
                 TokenTree::Ident(name) if !continues_a_path(tokens, at) => match name.to_string().as_str() {
-                    "crate" | "cophase" if before_colons(tokens, at) => self.follow(tokens, at + 3, 0),
+                    "crate" | "cophase" | "cophase_cli" if before_colons(tokens, at) => self.follow(tokens, at + 3, 0),
                     "super" | "self" => self.follow(tokens, at, module.len()),
                     "extern" if declares_c(tokens.get(at + 1)) => {
                         self.outside.insert("extern \"C\"".into());
@@ -87,7 +85,7 @@ impl Source {
     }
 
     /// The position behind the item that the attribute at `at` takes out of the library.
-    fn skip_test_item(&mut self, tokens: &[TokenTree], mut at: usize, module: &[&str]) -> usize {
+    pub fn skip_test_item(&mut self, tokens: &[TokenTree], mut at: usize, module: &[&str]) -> usize {
         // An inner attribute, `#![cfg(test)]`, takes out the whole module.
         if is_punct(tokens.get(at + 1), '!') {
             return tokens.len();
@@ -108,6 +106,17 @@ impl Source {
         }
         at
     }
+}
+
+/// The tokens of the file `file`.
+pub fn tokens_of(file: &str, text: &str) -> Vec<TokenTree> {
+    trees(text.parse().unwrap_or_else(|error| panic!("{file}.rs: {error}")))
+}
+
+/// The module that is the file `file`, by the names that lead to it from the root.
+pub fn module_of(file: &str) -> Vec<&str> {
+    let path = file.strip_suffix("/mod").unwrap_or(if matches!(file, "lib" | "main") { "" } else { file });
+    path.split('/').filter(|name| !name.is_empty()).collect()
 }
 
 /// The room of each name that the door, `lib.rs`, re-exports: `pub use error::{Error, Result}` gives `Error → error`.
@@ -136,27 +145,27 @@ fn leaves(path: &[TokenTree]) -> Vec<String> {
     }
 }
 
-fn trees(stream: TokenStream) -> Vec<TokenTree> {
+pub fn trees(stream: TokenStream) -> Vec<TokenTree> {
     stream.into_iter().collect()
 }
 
 /// The members of a path's braces.
-fn branches(stream: TokenStream) -> Vec<Vec<TokenTree>> {
+pub fn branches(stream: TokenStream) -> Vec<Vec<TokenTree>> {
     trees(stream).split(|token| is_punct(Some(token), ',')).map(<[_]>::to_vec).collect()
 }
 
-fn is_punct(token: Option<&TokenTree>, mark: char) -> bool {
+pub fn is_punct(token: Option<&TokenTree>, mark: char) -> bool {
     matches!(token, Some(TokenTree::Punct(punct)) if punct.as_char() == mark)
 }
 
-fn ident(tokens: &[TokenTree], at: usize) -> Option<String> {
+pub fn ident(tokens: &[TokenTree], at: usize) -> Option<String> {
     match tokens.get(at) {
         Some(TokenTree::Ident(name)) => Some(name.to_string()),
         _ => None,
     }
 }
 
-fn before_colons(tokens: &[TokenTree], at: usize) -> bool {
+pub fn before_colons(tokens: &[TokenTree], at: usize) -> bool {
     is_punct(tokens.get(at + 1), ':') && is_punct(tokens.get(at + 2), ':')
 }
 
@@ -165,7 +174,7 @@ fn after_colons(tokens: &[TokenTree], at: usize) -> bool {
 }
 
 /// Whether the name at `at` is a later part of a path, or a method; `::ocl` begins a path, and so does `..ocl`.
-fn continues_a_path(tokens: &[TokenTree], at: usize) -> bool {
+pub fn continues_a_path(tokens: &[TokenTree], at: usize) -> bool {
     let before = |steps: usize| at.checked_sub(steps).and_then(|at| tokens.get(at));
     let named = at >= 3 && ident(tokens, at - 3).is_some_and(|name| name != "use");
     after_colons(tokens, at) && (named || is_punct(before(3), '>'))
@@ -188,7 +197,7 @@ fn declares_c(token: Option<&TokenTree>) -> bool {
 }
 
 /// Whether `#[cfg(test)]`, `#[cfg(all(test, ...))]` or the inner form stands at `at`.
-fn is_test_attribute(tokens: &[TokenTree], at: usize) -> bool {
+pub fn is_test_attribute(tokens: &[TokenTree], at: usize) -> bool {
     let body = at + 1 + usize::from(is_punct(tokens.get(at + 1), '!'));
     let Some(TokenTree::Group(attribute)) = tokens.get(body).filter(|_| is_punct(tokens.get(at), '#')) else {
         return false;

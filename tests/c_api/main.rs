@@ -8,11 +8,14 @@ mod c;
 
 use cophase::ao::Stepper;
 use cophase::scene::Scene;
+use libraries::libraries;
 use ndarray::Array2;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 mod fits;
+#[path = "../common/libraries.rs"]
+mod libraries;
 mod octave;
 mod python;
 mod sky;
@@ -26,11 +29,6 @@ fn here() -> PathBuf {
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-/// Where cargo puts the shared library along with the tests: among their dependencies.
-fn libraries() -> PathBuf {
-    Path::new(env!("CARGO_BIN_EXE_cophase")).parent().unwrap().join("deps")
 }
 
 fn library() -> PathBuf {

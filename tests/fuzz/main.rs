@@ -8,7 +8,6 @@ mod probes;
 
 mod fits;
 mod scenes;
-mod words;
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -5,12 +5,15 @@
 //! Where pkg-config or CMake is not installed its tests say so and pass; in CI they fail.
 #![cfg(target_os = "linux")]
 
+#[path = "../common/libraries.rs"]
+mod libraries;
 mod tree;
 
+use libraries::libraries;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use tree::{Tree, is_here, library_folder, run};
+use tree::{Tree, is_here, run};
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 const ABI: u32 = cophase::capi::COPHASE_ABI_VERSION;
@@ -114,7 +117,7 @@ fn the_symbols_are_the_functions_of_the_header() {
     assert_eq!(symbols(&tree.path().join("lib/libcophase.so"), &["--dynamic"]), declared);
     assert_eq!(symbols(&tree.path().join("lib/libcophase.a"), &["--extern-only"]), declared);
     // As cargo leaves it for who links from the source tree.
-    assert_eq!(symbols(&library_folder().join("libcophase.so"), &["--dynamic"]), declared);
+    assert_eq!(symbols(&libraries().join("libcophase.so"), &["--dynamic"]), declared);
 }
 
 fn pkg_config(tree: &Tree, asked: &[&str]) -> String {

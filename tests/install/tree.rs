@@ -1,5 +1,6 @@
 //! `make install` into a folder of one test's own.
 
+use super::libraries::libraries;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Mutex;
@@ -35,12 +36,12 @@ impl Tree {
     pub fn make(&self, goal: &str) {
         let _one = MAKE.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let assign = |variable: &str, path: &Path| format!("{variable}={}", path.display());
-        let profile = library_folder().parent().unwrap().file_name().unwrap().to_owned();
+        let profile = libraries().parent().unwrap().file_name().unwrap().to_owned();
         let build = Path::new(env!("CARGO_TARGET_TMPDIR")).join("c-library").join(profile);
         let mut make = Command::new("make");
         // A make above this one has no say.
         make.current_dir(env!("CARGO_MANIFEST_DIR")).env_remove("MAKEFLAGS").env_remove("MAKELEVEL").arg(goal);
-        make.arg(assign("ARCHIVE", &library_folder().join("libcophase.a"))).arg(assign("BUILD", &build));
+        make.arg(assign("ARCHIVE", &libraries().join("libcophase.a"))).arg(assign("BUILD", &build));
         make.arg(assign("PREFIX", &self.prefix)).args(self.destdir.iter().map(|path| assign("DESTDIR", path)));
         run(&mut make);
     }
@@ -71,11 +72,6 @@ impl Tree {
         files.sort();
         files
     }
-}
-
-/// Where cargo puts the libraries along with the tests: among their dependencies.
-pub fn library_folder() -> PathBuf {
-    Path::new(env!("CARGO_BIN_EXE_cophase")).parent().unwrap().join("deps")
 }
 
 /// What a command that must succeed prints.

@@ -1,18 +1,16 @@
 //! The example of a real-time controller does its work: every frame is estimated or counted as dropped, whatever the rate.
 
 use super::{command, compile, here, root, succeeded};
+use cophase::scene::Scene;
+use cophase::source;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
-/// Made by the program itself, so that the example's reader of FITS is tried on what users have.
+/// Written as the program writes them, so that the example's reader of FITS is tried on what users have.
 fn images(directory: &Path) -> PathBuf {
     let images = directory.join("images.fits");
-    let mut cophase = Command::new(env!("CARGO_BIN_EXE_cophase"));
-    cophase.arg("image").arg(here().join("tiny.toml")).arg("-o").arg(&images).arg("-q");
-    for setting in ["image.count=5", "image.peak_snr=300", "aberrations.segment_piston_rms_nm=50"] {
-        cophase.args(["--set", setting]);
-    }
-    succeeded(&mut cophase);
+    let settings = [("image.count", "5"), ("image.peak_snr", "300"), ("aberrations.segment_piston_rms_nm", "50")];
+    let scene = Scene::from_file(here().join("tiny.toml")).unwrap().with(&settings).unwrap();
+    source::write(&images, &scene, &source::images(&scene).unwrap()).unwrap();
     images
 }
 

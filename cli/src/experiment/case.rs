@@ -1,0 +1,290 @@
+//! One way to estimate, tried on many draws: residuals, bounds, pulls, time.
+
+use super::{Draw, Progress, statistics};
+use cophase::estimate::{Estimate, Estimator, Frame};
+use cophase::imaging::{Chain, Precision};
+use cophase::metrics::{MapGram, residual_nm};
+use cophase::modes::Group;
+use cophase::optimize::Metric;
+use cophase::scene::Scene;
+use cophase::{Error, Result};
+use ndarray::{Array1, Array2, ArrayView1, Axis, s, stack};
+use rayon::prelude::*;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Images that are fitted in one batch. A fixed number, so that results do not depend on how many cores there are;
+/// small, so that all cores have something to do.
+const BATCH: usize = 4;
+/// Directions of a covariance below this fraction of the largest variance are null: global piston alone, at rounding.
+/// The strongest and the weakest direction that an image sees differ by less than 1e6 in variance.
+const NULL_FLOOR: f64 = 1e-10;
+/// Evaluations that are timed; the median of this many ignores a machine that is busy for a moment.
+const TIMED: usize = 15;
+
+/// Whose choices a fit makes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// As published: hard-edged pupil, the scene's modes alone, no weights, BFGS from zero.
+    Paper,
+    /// What the scene's defaults do.
+    Ours,
+}
+
+impl Way {
+    /// The paper's, then ours.
+    pub const BOTH: [Way; 2] = [Way::Paper, Way::Ours];
+
+    /// One word for tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Way::Paper => "paper",
+            Way::Ours => "ours",
+        }
+    }
+
+    /// `scene` made to be fitted this way.
+    ///
+    /// # Errors
+    /// Those of [`Scene::with_override`].
+    pub fn of(self, scene: &Scene) -> Result<Scene> {
+        let optimizer = match self {
+            Way::Paper => "bfgs",
+            Way::Ours => "gauss-newton",
+        };
+        scene.with_override("estimate.optimizer", optimizer)
+    }
+}
+
+/// An estimator and what its maps weigh.
+pub struct Case {
+    /// The estimator; a [`cophase::estimate::Session`] shares it.
+    pub estimator: Arc<Estimator>,
+    phasing: MapGram,
+    ncpa: MapGram,
+}
+
+/// What became of one draw.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    /// The draw's seed.
+    pub seed: usize,
+    /// Residual of the segment errors, nm.
+    pub phasing_nm: f64,
+    /// Residual of the NCPA, nm.
+    pub ncpa_nm: f64,
+    /// χ² per degree of freedom.
+    pub reduced_chi2: f64,
+    /// Evaluations of objective and gradient.
+    pub evaluations: usize,
+    /// Wall-clock time for this image: that of its batch, shared out.
+    pub seconds: f64,
+    /// One word: `ok`, `misfit`, `wrong-minimum`, `not-converged`.
+    pub status: &'static str,
+    /// The estimate, nm.
+    pub coefficients_nm: Vec<f64>,
+}
+
+/// What noise alone would leave: the Cramér-Rao bound of one draw.
+#[derive(Debug, Clone)]
+pub struct Bound {
+    /// Root of the mean square residual of the segment errors, nm.
+    pub phasing_nm: f64,
+    /// Likewise of the NCPA.
+    pub ncpa_nm: f64,
+    /// `[mode, mode]`, nm².
+    pub covariance_nm2: Array2<f64>,
+}
+
+/// (estimate − truth) in standard deviations.
+#[derive(Debug, Clone, Default)]
+pub struct Pulls {
+    /// One for each segment mode.
+    pub phasing: Vec<f64>,
+    /// One for each NCPA mode.
+    pub ncpa: Vec<f64>,
+    /// Along the principal directions of the covariance, where pulls are independent; global piston is none.
+    pub white: Vec<f64>,
+}
+
+impl Case {
+    /// Builds the estimator of `scene`.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::new`].
+    pub fn new(scene: &Scene) -> Result<Self> {
+        let estimator = Arc::new(Estimator::new(scene, false)?);
+        let model = estimator.model();
+        let (pupil, maps) = (&model.telescope.pupil, model.basis.maps());
+        let phasing = MapGram::new(pupil, maps.slice(s![..model.segment_modes, .., ..]))?;
+        let ncpa = MapGram::new(pupil, maps.slice(s![model.segment_modes.., .., ..]))?;
+        Ok(Self { phasing, ncpa, estimator })
+    }
+
+    /// Fits every draw on its own.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::estimate`]; a fit that fails is no error but a [`Trial::status`].
+    pub fn fit(&self, draws: &[Draw], progress: &Progress) -> Result<Vec<Trial>> {
+        let batches = draws.par_chunks(BATCH).map(|batch| {
+            let trials = self.fit_batch(batch, progress)?;
+            progress.add(batch.len());
+            Ok(trials)
+        });
+        Ok(batches.collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
+    }
+
+    fn fit_batch(&self, draws: &[Draw], progress: &Progress) -> Result<Vec<Trial>> {
+        progress.check()?;
+        let started = Instant::now();
+        let views: Vec<_> = draws.iter().map(|draw| draw.image_e.view()).collect();
+        let images_e = stack(Axis(0), &views).map_err(|error| Error::Shape(format!("the draws differ: {error}")))?;
+        let bad = images_e.mapv(|_| false);
+        let mut chain = Chain::cpu(self.estimator.model().optics.clone(), Precision::F64);
+        let found =
+            self.estimator.estimate(&mut chain, images_e.view(), bad.view(), None, progress.cancel(), &mut |_, _| {});
+        let seconds = started.elapsed().as_secs_f64() / draws.len() as f64;
+        match found {
+            Ok(found) => draws.iter().enumerate().map(|(i, draw)| self.trial(&found, i, draw, seconds)).collect(),
+            // Nothing of this batch converged: that is a result too.
+            Err(Error::Image(_)) => Ok(draws.iter().map(|draw| failed(draw, seconds)).collect()),
+            Err(error) => Err(error),
+        }
+    }
+
+    fn trial(&self, found: &Estimate, image: usize, draw: &Draw, seconds: f64) -> Result<Trial> {
+        let report = &found.images[image];
+        let coefficients_nm = found.image_coefficients_nm.row(image).to_vec();
+        let [phasing_nm, ncpa_nm] = self.residuals_nm(&coefficients_nm, draw)?;
+        Ok(Trial {
+            seed: draw.seed,
+            phasing_nm,
+            ncpa_nm,
+            reduced_chi2: report.reduced_chi2,
+            evaluations: report.evaluations,
+            seconds,
+            status: report.status.word(),
+            coefficients_nm,
+        })
+    }
+
+    /// How far an estimate of one draw is from its truth: segment errors and NCPA, nm.
+    ///
+    /// # Errors
+    /// Those of [`Draw::truth_on`] and [`residual_nm`].
+    pub fn residuals_nm(&self, coefficients_nm: &[f64], draw: &Draw) -> Result<[f64; 2]> {
+        let model = self.estimator.model();
+        let [phasing, ncpa] = draw.truth_on(&model.telescope.pupil)?;
+        let residual = |group, truth: &Array2<f64>| {
+            residual_nm(&model.telescope.pupil, model.map_nm(coefficients_nm, group).view(), truth.view())
+        };
+        Ok([residual(Group::Segment, &phasing)?, residual(Group::Ncpa, &ncpa)?])
+    }
+
+    /// The bound at the estimate of one draw; NaN where there is no estimate.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::bound`].
+    pub fn bound(&self, trial: &Trial, draw: &Draw) -> Result<Bound> {
+        if trial.coefficients_nm.is_empty() {
+            return Ok(Bound { phasing_nm: f64::NAN, ncpa_nm: f64::NAN, covariance_nm2: Array2::zeros((0, 0)) });
+        }
+        self.bound_at(&trial.coefficients_nm, draw)
+    }
+
+    /// The bound for the image of one draw, at some wavefront, nm.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::bound`].
+    pub fn bound_at(&self, coefficients_nm: &[f64], draw: &Draw) -> Result<Bound> {
+        let background_e = self.estimator.scene().image.background_e;
+        let covariance_nm2 = self.estimator.bound(ArrayView1::from(coefficients_nm), draw.flux_e, background_e)?;
+        let n = self.estimator.model().segment_modes;
+        Ok(Bound {
+            phasing_nm: self.phasing.expected_rms_nm(covariance_nm2.slice(s![..n, ..n]))?,
+            ncpa_nm: self.ncpa.expected_rms_nm(covariance_nm2.slice(s![n.., n..]))?,
+            covariance_nm2,
+        })
+    }
+
+    /// The bounds of all draws.
+    ///
+    /// # Errors
+    /// As [`Case::bound`]; [`Error::Interrupted`].
+    pub fn bounds(&self, trials: &[Trial], draws: &[Draw], progress: &Progress) -> Result<Vec<Bound>> {
+        let bound = |(trial, draw)| progress.check().and_then(|()| self.bound(trial, draw));
+        trials.iter().zip(draws).map(bound).collect()
+    }
+
+    /// How far the estimate of one draw is from the truth. The truth must lie in the span of the modes, as that of the
+    /// artificial source does in ours.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for modes that are not independent.
+    pub fn pulls(&self, trial: &Trial, draw: &Draw, bound: &Bound) -> Result<Pulls> {
+        let truth = self.truth_coefficients_nm(draw)?;
+        let error: Vec<f64> =
+            trial.coefficients_nm.iter().zip(&truth).map(|(estimate, truth)| estimate - truth).collect();
+        let each = |(error, variance): (&f64, &f64)| error / variance.sqrt();
+        let all: Vec<f64> = error.iter().zip(bound.covariance_nm2.diag()).map(each).collect();
+        let (phasing, ncpa) = all.split_at(self.estimator.model().segment_modes);
+        let metric = Metric::from_gauss_newton(&bound.covariance_nm2, NULL_FLOOR)?;
+        let mut white = vec![0.0; metric.rank()];
+        // With C = V Λ Vᵀ this is Λ^(−1/2) Vᵀ: what takes a gradient to whitened coordinates takes an error there.
+        metric.gradient_to_z(&error, &mut white);
+        Ok(Pulls { phasing: phasing.to_vec(), ncpa: ncpa.to_vec(), white })
+    }
+
+    /// The truth in the estimated modes: its pistons, and the least-squares coefficients of its NCPA map (weight A,
+    /// piston removed).
+    fn truth_coefficients_nm(&self, draw: &Draw) -> Result<Vec<f64>> {
+        let model = self.estimator.model();
+        let (pupil, n) = (&model.telescope.pupil, model.segment_modes);
+        let gram = model.basis.visible_gram(&pupil.amplitude)?.slice_move(s![n.., n..]);
+        let [_, ncpa_nm] = draw.truth_on(pupil)?;
+        let weight = &pupil.amplitude / pupil.weight_sum();
+        let truth = pupil.remove_piston(ncpa_nm.view())?.mapv(|v| if v.is_nan() { 0.0 } else { v }) * weight;
+        let maps = model.basis.maps();
+        let along: Array1<f64> = maps.slice(s![n.., .., ..]).outer_iter().map(|map| (&map * &truth).sum()).collect();
+        let metric = Metric::from_gauss_newton(&gram, NULL_FLOOR)?;
+        let (mut unit, mut ncpa) = (vec![0.0; metric.rank()], vec![0.0; along.len()]);
+        metric.gradient_to_z(along.as_slice().unwrap_or_default(), &mut unit);
+        metric.to_x(&unit, &mut ncpa);
+        Ok(draw.truth.piston_nm.iter().copied().chain(ncpa).collect())
+    }
+
+    /// Median wall-clock time of one objective with its gradient, s, one image on one core.
+    ///
+    /// # Errors
+    /// Those of the chain.
+    pub fn evaluation_s(&self, draw: &Draw) -> Result<f64> {
+        let (model, recipe) = (self.estimator.model(), self.estimator.recipe());
+        let bad = draw.image_e.mapv(|_| false);
+        let read_noise_e = self.estimator.scene().image.read_noise_e;
+        let frame = Frame { data_e: draw.image_e.view(), bad: bad.view(), read_noise_e };
+        let mut chain = Chain::cpu(model.optics.clone(), Precision::F64);
+        chain.load(&[model.preparation.prepare(frame, recipe)?.exposure])?;
+        let at = Array2::zeros((1, model.optics.modes()));
+        chain.evaluate(&[0], at.view())?;
+        let mut seconds = Vec::with_capacity(TIMED);
+        for _ in 0..TIMED {
+            let started = Instant::now();
+            chain.evaluate(&[0], at.view())?;
+            seconds.push(started.elapsed().as_secs_f64());
+        }
+        Ok(statistics::median(&seconds))
+    }
+}
+
+fn failed(draw: &Draw, seconds: f64) -> Trial {
+    Trial {
+        seed: draw.seed,
+        phasing_nm: f64::NAN,
+        ncpa_nm: f64::NAN,
+        reduced_chi2: f64::NAN,
+        evaluations: 0,
+        seconds,
+        status: "not-converged",
+        coefficients_nm: Vec::new(),
+    }
+}

@@ -1,0 +1,184 @@
+//! What goes wrong between the telescope and the file.
+
+use cophase::Result;
+use cophase::scene::Scene;
+use cophase::source::{Camera, Truth, expose, flux_e, stream};
+use cophase::telescope::Telescope;
+use ndarray::{Array2, Axis, Zip, s};
+use num_complex::Complex64;
+use rand::RngExt;
+use rustfft::FftPlanner;
+
+/// What goes wrong with an image, or with the truth behind it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Spoil {
+    /// Nothing.
+    None,
+    /// A segment stands off by so many wavelengths.
+    Segment(f64),
+    /// The image, and with it pupil and aberrations, is turned by so many degrees.
+    Rotated(f64),
+    /// The image is moved along x and y, pixels.
+    Moved(f64, f64),
+    /// A pixel reads ten times the peak.
+    Hot,
+    /// Three pixels near the peak read nothing.
+    Dead,
+    /// Three pixels near the peak read NaN.
+    NotANumber,
+    /// No pixel reads more than half the peak.
+    Saturated,
+    /// Twenty pixels are hit by something up to the peak.
+    Cosmic,
+    /// The rows from the middle on read nothing.
+    Truncated,
+    /// A companion of a third of the flux, 2.5 λ/D away.
+    Double,
+    /// No star: its light is spread evenly.
+    Flat,
+    /// Counts beyond 65,535 begin again at 0; the peak stands at 1.5 times as much.
+    Wrapped,
+}
+
+/// An image with what is behind it.
+pub(super) struct Made {
+    /// Electrons, `[y, x]`.
+    pub(super) image_e: Array2<f64>,
+    pub(super) truth: Truth,
+}
+
+/// Makes the image of `scene` and spoils it. One seed is one image.
+pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
+    let telescope = Telescope::of(scene)?;
+    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    let mut truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
+    if let Spoil::Segment(waves) = spoil {
+        let mut piston_nm = truth.piston_nm.clone();
+        let which = seed as usize % piston_nm.len();
+        piston_nm[which] = waves * scene.image.wavelength_nm;
+        truth = truth.with_pistons(&telescope, piston_nm)?;
+    }
+    let mut psf = Camera::of(scene, &telescope)?.psf(&truth)?;
+    match spoil {
+        Spoil::Rotated(degrees) => psf = rotated(psf, degrees.to_radians()),
+        Spoil::Moved(x, y) => psf = sheared(sheared(psf, Axis(1), |_| x), Axis(0), |_| y),
+        Spoil::Double => {
+            let companion = sheared(sheared(psf.clone(), Axis(1), |_| 4.0), Axis(0), |_| 3.0);
+            psf = (psf + companion * 0.33) / 1.33;
+        }
+        Spoil::Flat => {
+            let mean = psf.mean().unwrap_or_default();
+            psf.fill(mean);
+        }
+        _ => {}
+    }
+    let peak = psf.iter().copied().fold(0.0, f64::max);
+    let flux_e = flux_e(&scene.image, peak);
+    let mut rng = stream(seed, 1);
+    // Interpolation leaves rounding, and of a sharp edge a trace, below 0.
+    let mut image_e = psf.mapv(|h| expose(&scene.image, h.max(0.0), flux_e, &mut rng));
+    detector(&mut image_e, spoil, &mut rng);
+    Ok(Made { image_e, truth })
+}
+
+/// What the detector does to a frame.
+fn detector(image_e: &mut Array2<f64>, spoil: Spoil, rng: &mut impl RngExt) {
+    let (peak, (rows, columns)) = (image_e.iter().copied().fold(0.0, f64::max), image_e.dim());
+    // Near the axis there is light.
+    let mut near = || [rows, columns].map(|n| (n / 2).saturating_sub(12) + rng.random_range(0..24));
+    match spoil {
+        Spoil::Hot => image_e[near()] = 10.0 * peak,
+        Spoil::Dead => (0..3).for_each(|_| image_e[near()] = 0.0),
+        Spoil::NotANumber => (0..3).for_each(|_| image_e[near()] = f64::NAN),
+        Spoil::Cosmic => {
+            for _ in 0..20 {
+                let at = [rng.random_range(0..rows), rng.random_range(0..columns)];
+                image_e[at] += peak * rng.random::<f64>();
+            }
+        }
+        Spoil::Saturated => image_e.mapv_inplace(|e| e.min(0.5 * peak)),
+        Spoil::Truncated => image_e.slice_mut(s![rows / 2.., ..]).fill(0.0),
+        Spoil::Wrapped => image_e.mapv_inplace(|e| (1.5 * 65_536.0 * e / peak).rem_euclid(65_536.0)),
+        _ => {}
+    }
+}
+
+/// `map` turned counter-clockwise about its middle, by three shears (Unser, Thévenaz and Yaroslavsky 1995): exact for what
+/// the pixels hold, but for the corners.
+fn rotated(map: Array2<f64>, angle_rad: f64) -> Array2<f64> {
+    let (along_x, along_y) = (-(angle_rad / 2.0).tan(), angle_rad.sin());
+    let middle = map.nrows() as f64 / 2.0;
+    let shear = |factor: f64| move |line: usize| factor * (line as f64 - middle);
+    let once = sheared(map, Axis(1), shear(along_x));
+    sheared(sheared(once, Axis(0), shear(along_y)), Axis(1), shear(along_x))
+}
+
+/// `map` with each line along `axis` moved by what `shift` says of it, pixels, by Fourier interpolation.
+fn sheared(mut map: Array2<f64>, axis: Axis, shift: impl Fn(usize) -> f64) -> Array2<f64> {
+    let n = map.len_of(axis);
+    let mut planner = FftPlanner::new();
+    let (forward, inverse) = (planner.plan_fft_forward(n), planner.plan_fft_inverse(n));
+    for (number, mut lane) in map.lanes_mut(axis).into_iter().enumerate() {
+        let shift = shift(number);
+        let mut line: Vec<Complex64> = lane.iter().copied().map(Complex64::from).collect();
+        forward.process(&mut line);
+        for (k, value) in line.iter_mut().enumerate() {
+            let cycles = if 2 * k < n { k as f64 } else { k as f64 - n as f64 };
+            let angle = -std::f64::consts::TAU * cycles * shift / n as f64;
+            // Of the highest frequency only the cosine is real.
+            *value *= if 2 * k == n { Complex64::from(angle.cos()) } else { Complex64::cis(angle) } / n as f64;
+        }
+        inverse.process(&mut line);
+        Zip::from(&mut lane).and(&line).for_each(|out, value| *out = value.re);
+    }
+    map
+}
+
+/// `image_e` with pixels that are not numbers set to 0, and marked.
+pub(super) fn marked(image_e: &Array2<f64>) -> (Array2<f64>, Array2<bool>) {
+    let bad = image_e.mapv(|e| !e.is_finite());
+    (image_e.mapv(|e| if e.is_finite() { e } else { 0.0 }), bad)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A spot of width 4 pixels about (x, y) from the middle, which a grid of 48 holds to 1e-8.
+    fn spot(x: f64, y: f64) -> Array2<f64> {
+        let square = |at: usize, middle: f64| (at as f64 - 24.0 - middle).powi(2);
+        Array2::from_shape_fn((48, 48), |(row, column)| (-(square(column, x) + square(row, y)) / 8.0).exp())
+    }
+
+    #[test]
+    fn images_move_and_turn_by_what_they_should() {
+        let far = |a: Array2<f64>, b: Array2<f64>| (a - b).iter().fold(0.0, |m: f64, d| m.max(d.abs()));
+        let moved = sheared(sheared(spot(-1.0, 2.0), Axis(1), |_| 2.5), Axis(0), |_| -0.25);
+        assert!(far(moved, spot(1.5, 1.75)) < 1e-6);
+        // A quarter of a turn takes x to y; the shears of so large an angle stay within the grid for a spot near its middle.
+        let turned = rotated(spot(3.0, 0.0), 0.5);
+        assert!(far(turned, spot(3.0 * 0.5f64.cos(), 3.0 * 0.5f64.sin())) < 1e-5);
+    }
+
+    #[test]
+    fn every_fault_of_a_detector_changes_the_frame() {
+        let clean = spot(0.0, 0.0) * 1e5;
+        let faults = [
+            Spoil::Hot,
+            Spoil::Dead,
+            Spoil::NotANumber,
+            Spoil::Saturated,
+            Spoil::Cosmic,
+            Spoil::Truncated,
+            Spoil::Wrapped,
+        ];
+        for fault in faults {
+            let mut frame = clean.clone();
+            detector(&mut frame, fault, &mut stream(3, 1));
+            assert_ne!(frame, clean, "{fault:?}");
+            let (finite, bad) = marked(&frame);
+            assert!(finite.iter().all(|e| e.is_finite()));
+            assert_eq!(bad.iter().any(|bad| *bad), fault == Spoil::NotANumber, "{fault:?}");
+        }
+    }
+}

@@ -1,0 +1,264 @@
+//! A minute of sky, again and again: images behind a loop, read the paper's way and ours.
+//!
+//! ```text
+//! (row, seed) ─ Simulator ─ Sequence ─ Reader ─ Reading     one sequence is made while the one before it is read
+//! ```
+
+use super::table_rows::{Conditions, Row};
+use super::{Progress, Way};
+use cophase::ao::{self, Shot, Simulator};
+use cophase::estimate::{Estimate, Estimator, Recipe};
+use cophase::imaging::{Chain, Precision};
+use cophase::metrics::residual_nm;
+use cophase::scene::Scene;
+use cophase::source;
+use cophase::{Error, Result};
+use ndarray::{Array2, Array3, ArrayView2, Axis};
+use std::cell::Cell;
+use std::sync::mpsc::sync_channel;
+
+/// Images of turbulence are fitted in single precision until no coefficient moves by more than this, nm: it moves a
+/// residual of 30 nm by less than 0.01, takes half of the evaluations that 0.001 nm does, and each takes half the time.
+const TURBULENT_STEP_NM: f64 = 0.1;
+
+/// How a loop did.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoopRun {
+    /// Modes that it controls.
+    pub controlled: usize,
+    /// Subapertures that are masked.
+    pub masked: usize,
+    /// Whether its poles say that it is stable.
+    pub stable: bool,
+    /// Time in which they say that it grows e-fold, s; NaN for a stable one.
+    pub e_folding_s: f64,
+    /// The gain up to which they say that it is stable.
+    pub largest_stable_gain: f64,
+    /// When it diverged, s.
+    pub diverged_at_s: Option<f64>,
+    /// RMS of the residual wavefront after settling, nm.
+    pub residual_rms_nm: f64,
+    /// Strehl ratio at the images' wavelength, without NCPA and defocus.
+    pub strehl: f64,
+    /// Frames for each second of wall-clock time, with whatever else was running.
+    pub frames_per_s: f64,
+}
+
+/// Images with one static truth behind them.
+pub struct Sequence {
+    /// Electrons, `[image, y, x]`; none where the loop was lost before the first.
+    pub images_e: Array3<f64>,
+    /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
+    pub phasing_nm: Array2<f64>,
+    /// Non-common path aberrations likewise.
+    pub ncpa_nm: Array2<f64>,
+    /// How the loop did; none without a loop.
+    pub run: Option<LoopRun>,
+}
+
+impl Sequence {
+    /// The images of `row` with draw `seed` of aberrations, turbulence and noise.
+    ///
+    /// # Errors
+    /// Those of the simulator; [`Error::Interrupted`].
+    pub fn make(row: &Row, conditions: &Conditions, seed: usize, progress: &Progress) -> Result<Self> {
+        progress.check()?;
+        let scene = row.scene(conditions)?;
+        let seed = seed.to_string();
+        if !row.has_loop() {
+            let made = source::images(&scene.with_override("aberrations.seed", &seed)?)?;
+            let (phasing_nm, ncpa_nm) = (made.truth.phasing_nm, made.truth.ncpa_nm);
+            return Ok(Self { images_e: made.images_e, phasing_nm, ncpa_nm, run: None });
+        }
+        Self::behind(
+            Simulator::new(&scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?)?,
+            progress,
+        )
+    }
+
+    /// The images that `simulator` is set to take.
+    ///
+    /// # Errors
+    /// As [`Sequence::make`].
+    pub fn behind(mut simulator: Simulator, progress: &Progress) -> Result<Self> {
+        progress.check()?;
+        let mut shots: Vec<Shot> = Vec::new();
+        let watch = &mut ao::Progress { watch: None, cancel: progress.cancel().map(|flag| &**flag) };
+        let summary = simulator.run(&mut shots, watch)?;
+        let (rows, columns) = simulator.scene().image.frame_shape();
+        let mut images_e = Array3::zeros((shots.len(), rows, columns));
+        for (mut image, shot) in images_e.outer_iter_mut().zip(shots) {
+            image.zip_mut_with(&shot.image_e, |out, &electrons| *out = f64::from(electrons));
+        }
+        let poles = simulator.stability();
+        let run = LoopRun {
+            controlled: poles.controlled,
+            masked: simulator.mask().iter().filter(|masked| **masked).count(),
+            stable: poles.stable,
+            e_folding_s: poles.e_folding_s.unwrap_or(f64::NAN),
+            largest_stable_gain: poles.largest_stable_gain,
+            diverged_at_s: summary.divergence.map(|divergence| divergence.time_s),
+            residual_rms_nm: summary.residual_rms_nm,
+            strehl: summary.strehl,
+            frames_per_s: summary.frames_per_s(),
+        };
+        let truth = simulator.truth();
+        Ok(Self { images_e, phasing_nm: truth.phasing_nm.clone(), ncpa_nm: truth.ncpa_nm.clone(), run: Some(run) })
+    }
+
+    /// Number of images.
+    pub fn images(&self) -> usize {
+        self.images_e.len_of(Axis(0))
+    }
+}
+
+/// Makes the sequences of `jobs` (row and seed) one after another, and hands each to `read` while the next is made.
+///
+/// # Errors
+/// Those of [`Sequence::make`] and of `read`.
+pub(super) fn each_sequence<'r>(
+    jobs: &[(&'r Row, usize)],
+    conditions: &Conditions,
+    progress: &Progress,
+    mut read: impl FnMut(&'r Row, usize, Sequence) -> Result<()>,
+) -> Result<()> {
+    std::thread::scope(|scope| {
+        // No room: a minute of images is 90 MB, and one that is read, one ready and no more are there at a time.
+        let (made, ready) = sync_channel(0);
+        scope.spawn(move || {
+            for &(row, seed) in jobs {
+                let sequence = Sequence::make(row, conditions, seed, progress);
+                let failed = sequence.is_err();
+                if made.send(sequence).is_err() || failed {
+                    break;
+                }
+            }
+        });
+        for &(row, seed) in jobs {
+            let panicked = |_| Error::Internal("the thread of the simulator panicked".into());
+            read(row, seed, ready.recv().map_err(panicked)??)?;
+        }
+        Ok(())
+    })
+}
+
+/// An estimator of sequences, one way. It depends on the telescope, not on what is behind it: one serves all rows.
+pub struct Reader {
+    /// Whose choices it makes: the paper's objective (with our optimiser, which finds its minimum in a fraction of the
+    /// evaluations) and the mean over the images, or the scene's defaults.
+    pub way: Way,
+    /// The estimator.
+    pub estimator: Estimator,
+    precision: Precision,
+}
+
+/// What one way made of a sequence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reading {
+    /// Whose.
+    pub way: Way,
+    /// Residual of the segment errors, nm; NaN where nothing could be fitted.
+    pub phasing_nm: f64,
+    /// Residual of the NCPA, nm.
+    pub ncpa_nm: f64,
+    /// Images that were combined.
+    pub used: usize,
+    /// Median χ² per degree of freedom.
+    pub reduced_chi2: f64,
+    /// Mean evaluations for an image.
+    pub evaluations: f64,
+    /// Wall-clock time, s.
+    pub seconds: f64,
+}
+
+impl Reader {
+    /// Of `scene`, which may be that of any seed.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::with_recipe`].
+    pub fn new(way: Way, scene: &Scene) -> Result<Self> {
+        let mut recipe = match way {
+            Way::Paper => Recipe::paper_objective(scene),
+            Way::Ours => Recipe::of(scene),
+        };
+        let precision = if scene.image.count > 1 {
+            recipe.step_tolerance_nm = recipe.step_tolerance_nm.max(TURBULENT_STEP_NM);
+            Precision::F32
+        } else {
+            Precision::F64
+        };
+        Ok(Self { way, estimator: Estimator::with_recipe(scene, recipe, false)?, precision })
+    }
+
+    /// Fits every image of `sequence` and combines them; `None` where none can be fitted.
+    ///
+    /// # Errors
+    /// Those of [`Estimator::estimate`]; [`Error::Interrupted`].
+    pub fn fit(&self, sequence: &Sequence, progress: &Progress) -> Result<Option<Estimate>> {
+        progress.check()?;
+        let done = Cell::new(0);
+        let mut watch = |now: usize, _: usize| progress.add(now.saturating_sub(done.replace(now)));
+        let found = if sequence.images() == 0 {
+            Err(Error::Image("the loop was lost before the first image".into()))
+        } else {
+            let bad = sequence.images_e.mapv(|_| false);
+            let mut chain = Chain::cpu(self.estimator.model().optics.clone(), self.precision);
+            let images_e = sequence.images_e.view();
+            self.estimator.estimate(&mut chain, images_e, bad.view(), None, progress.cancel(), &mut watch)
+        };
+        // Whoever waits was told to expect all images.
+        progress.add(self.estimator.scene().image.count.saturating_sub(done.get()));
+        match found {
+            Ok(estimate) => Ok(Some(estimate)),
+            // A lost loop leaves nothing that can be fitted: that is a result too.
+            Err(Error::Image(_)) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// [`Reader::fit`], held against the truth.
+    ///
+    /// # Errors
+    /// As [`Reader::fit`].
+    pub fn read(&self, sequence: &Sequence, progress: &Progress) -> Result<Reading> {
+        let Some(found) = self.fit(sequence, progress)? else {
+            let none = f64::NAN;
+            let (way, used, seconds) = (self.way, 0, 0.0);
+            return Ok(Reading {
+                way,
+                phasing_nm: none,
+                ncpa_nm: none,
+                used,
+                reduced_chi2: none,
+                evaluations: none,
+                seconds,
+            });
+        };
+        let [phasing_nm, ncpa_nm] = self.residuals_nm(sequence, found.phasing_nm.view(), found.ncpa_nm.view())?;
+        let evaluations: usize = found.images.iter().map(|image| image.evaluations).sum();
+        Ok(Reading {
+            way: self.way,
+            phasing_nm,
+            ncpa_nm,
+            used: found.used(),
+            reduced_chi2: found.reduced_chi2(),
+            evaluations: evaluations as f64 / found.images.len() as f64,
+            seconds: found.seconds,
+        })
+    }
+
+    /// What is left of the truth of `sequence`, phasing and NCPA, nm, for an estimate with these maps.
+    ///
+    /// # Errors
+    /// As [`residual_nm`].
+    pub fn residuals_nm(
+        &self,
+        sequence: &Sequence,
+        phasing_nm: ArrayView2<f64>,
+        ncpa_nm: ArrayView2<f64>,
+    ) -> Result<[f64; 2]> {
+        let pupil = &self.estimator.model().telescope.pupil;
+        let phasing_nm = residual_nm(pupil, phasing_nm, sequence.phasing_nm.view())?;
+        Ok([phasing_nm, residual_nm(pupil, ncpa_nm, sequence.ncpa_nm.view())?])
+    }
+}

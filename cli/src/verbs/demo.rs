@@ -1,0 +1,57 @@
+//! `cophase demo`: the main job on a scene of our own, from nothing to a picture.
+
+use super::estimate::Job;
+use super::image;
+use crate::files;
+use crate::interrupt::Interrupt;
+use crate::terminal::Terminal;
+use cophase::scene::Scene;
+use cophase::{Error, Result, io};
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "Examples:
+  cophase demo -o demo-output
+  cophase demo -o demo-output --seed 7    other aberrations, other noise
+
+It does what these two commands do, in the folder:
+  cophase image keck-artificial -o images.fits
+  cophase estimate images.fits -o est.fits --plot est.png";
+
+/// Make an image of a star with a segmented telescope, estimate from it, draw the result
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Folder for images.fits, est.fits and est.png; made if it is not there
+    #[arg(short, long, value_name = "FOLDER")]
+    output: PathBuf,
+    /// Seed of the aberrations and of the noise
+    #[arg(long, default_value_t = 1, value_parser = crate::files::seed())]
+    seed: u64,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let interrupt = Interrupt::catch()?;
+    let folder = &arguments.output;
+    std::fs::create_dir_all(folder)
+        .map_err(|error| Error::file(folder, format_args!("the folder cannot be made: {error}")))?;
+    let [images, estimate, picture] = ["images.fits", "est.fits", "est.png"].map(|name| folder.join(name));
+    files::check_output(&images, &[])?;
+    files::check_output(&estimate, &[])?;
+    files::check_picture(&picture, &[])?;
+    let scene = Scene::preset("keck-artificial")?.with_override("aberrations.seed", &arguments.seed.to_string())?;
+    image::make_file(&scene, &images, terminal, &interrupt)?;
+    let made = io::read_images(&images, None)?;
+    let job =
+        Job { name: &images, scene, read_noise_e: made.read_noise_e, images: made, truth: files::truth(&images)? };
+    let found = job.run(terminal, &interrupt)?;
+    found.write(&estimate, Some(&picture))?;
+    found.tell(arguments.json, false, terminal)?;
+    if arguments.json {
+        return Ok(());
+    }
+    let (images, estimate, picture) = (images.display(), estimate.display(), picture.display());
+    terminal.show(&format!("\nThe image is in {images}, the estimate in {estimate}, its picture in {picture}.\n"))
+}

@@ -1,0 +1,120 @@
+//! `cophase image`: images of an artificial source, with the truth behind them.
+
+use crate::files::{self, Settings};
+use crate::interrupt::Interrupt;
+use crate::terminal::Terminal;
+use cophase::scene::Scene;
+use cophase::source;
+use cophase::telescope::Telescope;
+use cophase::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+const EXAMPLES: &str = "Examples:
+  cophase image keck-artificial -o images.fits
+  cophase image scene.toml -o faint.fits --set image.peak_snr=50 --seed 7
+
+The file holds the images (IMAGES, electrons), what they were made with (TRUTH_PHASING and TRUTH_NCPA, nm; \
+table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimate' needs nothing else.";
+
+/// Make images of an artificial source, with their truth
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
+    scene: PathBuf,
+    /// FITS file to write; one that is there is replaced
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    settings: Settings,
+    /// Seed of the aberrations and of the noise [default: aberrations.seed of the scene]
+    #[arg(long, value_parser = crate::files::seed())]
+    seed: Option<u64>,
+    /// Print what was made as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was made.
+#[derive(Serialize)]
+struct Made {
+    images: usize,
+    pixels: usize,
+    rows: usize,
+    columns: usize,
+    flux_e: f64,
+    phasing_rms_nm: f64,
+    ncpa_rms_nm: f64,
+    seconds: f64,
+}
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let interrupt = Interrupt::catch()?;
+    files::check_output(&arguments.output, &[&arguments.scene])?;
+    let seed = arguments.seed.map(|seed| seed.to_string());
+    let options: Vec<(&str, &str)> = seed.iter().map(|seed| ("aberrations.seed", seed.as_str())).collect();
+    let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
+    if scene.wavefront_sensor.is_some() {
+        let name = scene.name();
+        terminal.warn(&format!("{name}: its turbulence and AO loop are left out, 'image' makes an artificial source"));
+    }
+    let made = make(&scene, &arguments.output, terminal, &interrupt)?;
+    if arguments.json {
+        return terminal.json(&made);
+    }
+    let Made { images, rows, columns, flux_e, phasing_rms_nm, ncpa_rms_nm, seconds, .. } = made;
+    terminal.show(&format!(
+        "{}: {} of {columns}x{rows} pixels, {flux_e:.3e} electrons each, phasing {phasing_rms_nm:.2} nm and NCPA \
+         {ncpa_rms_nm:.2} nm RMS, made in {seconds:.1} s\n",
+        arguments.output.display(),
+        super::report::counted(images, "image"),
+    ))
+}
+
+/// Makes the images of `scene` and writes them.
+fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<Made> {
+    let started = Instant::now();
+    check_memory(scene)?;
+    let made = {
+        let _wait = terminal.wait(&format!("Making {}", super::report::counted(scene.image.count, "image")), 1);
+        source::images(scene)?
+    };
+    interrupt.check("the images were made, nothing was written")?;
+    source::write(output, scene, &made)?;
+    let pupil = Telescope::of(scene)?.pupil;
+    let rms = |map: &ndarray::Array2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view());
+    let (rows, columns) = scene.image.frame_shape();
+    Ok(Made {
+        images: scene.image.count,
+        pixels: scene.image.pixels,
+        rows,
+        columns,
+        flux_e: made.flux_e,
+        phasing_rms_nm: rms(&made.truth.phasing_nm)?,
+        ncpa_rms_nm: rms(&made.truth.ncpa_nm)?,
+        seconds: started.elapsed().as_secs_f64(),
+    })
+}
+
+/// Refuses a sequence that the memory cannot hold, where the allocator knows that it cannot.
+pub fn check_memory(scene: &Scene) -> Result<()> {
+    /// The image in double precision, and three copies in single while the file is put together.
+    const BYTES_PER_PIXEL: usize = 8 + 3 * 4;
+    let (count, (rows, columns)) = (scene.image.count, scene.image.frame_shape());
+    let bytes = count.saturating_mul(rows * columns).saturating_mul(BYTES_PER_PIXEL);
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
+        let gib = bytes as f64 / (1u64 << 30) as f64;
+        let images = super::report::counted(count, "image");
+        Error::Value(format!(
+            "{images} of {columns}x{rows} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
+             image.count or image.pixels"
+        ))
+    })
+}
+
+/// [`make`] for the demonstration.
+pub fn make_file(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
+    make(scene, output, terminal, interrupt).map(drop)
+}

@@ -1,0 +1,94 @@
+//! The command line: one file per verb, and what they share.
+//!
+//! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2 (bad usage), 130
+//! (stopped by Ctrl-C, as shells count it).
+
+mod bench;
+mod compare;
+mod demo;
+mod devices;
+mod estimate;
+mod figures;
+mod full_phase;
+mod image;
+mod picture;
+mod plan;
+mod report;
+mod reproduce;
+mod scene;
+mod simulate;
+
+use crate::interrupt;
+use crate::terminal::{self, Terminal};
+use clap::{Parser, Subcommand};
+use cophase::{Error, Result};
+use std::process::ExitCode;
+
+const ABOUT: &str = "Reads defocused images of a star; says what the mirror segments, and what the optics behind the \
+adaptive optics, do to the wavefront: in nm, with error bars.";
+
+const FIRST_STEPS: &str = "First steps:
+  cophase demo -o demo-output                   an image, an estimate, a picture
+  cophase scene keck-artificial > scene.toml    a documented scene to edit
+  cophase image scene.toml -o images.fits       a simulated image with its truth
+  cophase estimate images.fits -o est.fits      phasing and NCPA maps from it
+  cophase compare est.fits --truth images.fits  how far they are from the truth
+  cophase plan keck-artificial --budget-nm 1    the cheapest model for 1 nm
+  cophase simulate keck-onsky -o onsky.fits     a minute of sky behind an AO loop
+
+Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 130 stopped by Ctrl-C.";
+
+/// What the command line says.
+#[derive(Parser)]
+#[command(name = "cophase", version, about = ABOUT, after_help = FIRST_STEPS, max_term_width = 100)]
+pub struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Print errors only (and what --json asks for)
+    #[arg(short, long, global = true, display_order = 900)]
+    quiet: bool,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    Scene(scene::Arguments),
+    Image(image::Arguments),
+    Simulate(simulate::Arguments),
+    Estimate(estimate::Arguments),
+    Plan(plan::Arguments),
+    Compare(compare::Arguments),
+    Devices(devices::Arguments),
+    Demo(demo::Arguments),
+    Reproduce(reproduce::Arguments),
+    Bench(bench::Arguments),
+}
+
+/// Runs the verb.
+///
+/// # Errors
+/// Whatever stops it.
+pub fn run(cli: Cli) -> Result<()> {
+    interrupt::prepare_process();
+    let terminal = Terminal::new(cli.quiet);
+    match cli.verb {
+        Verb::Scene(arguments) => scene::run(&arguments, &terminal),
+        Verb::Image(arguments) => image::run(&arguments, &terminal),
+        Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
+        Verb::Estimate(arguments) => estimate::run(&arguments, &terminal),
+        Verb::Plan(arguments) => plan::run(&arguments, &terminal),
+        Verb::Compare(arguments) => compare::run(&arguments, &terminal),
+        Verb::Devices(arguments) => devices::run(&arguments, &terminal),
+        Verb::Demo(arguments) => demo::run(&arguments, &terminal),
+        Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
+        Verb::Bench(arguments) => bench::run(&arguments, &terminal),
+    }
+}
+
+/// Says why, on one line, and gives the exit status.
+pub fn fail(error: &Error) -> ExitCode {
+    terminal::complain(&error.to_string());
+    match error {
+        Error::Interrupted(_) => ExitCode::from(interrupt::EXIT_STATUS),
+        _ => ExitCode::FAILURE,
+    }
+}

@@ -1,0 +1,200 @@
+//! `cophase plan`: which model a scene needs for a budget.
+
+use crate::files::{self, Settings};
+use crate::interrupt::Interrupt;
+use crate::terminal::Terminal;
+use cophase::planner::{self, Choice, Omission, Plan, Price};
+use cophase::scene::Scene;
+use cophase::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "Examples:
+  cophase plan keck-artificial --budget-nm 1                    what 1 nm needs, and what it costs
+  cophase plan scene.toml --budget-nm 1 -o planned.toml         the scene with the choices written in
+  cophase estimate images.fits -o est.fits --budget-nm 1        plan and estimate at once
+
+Wavefronts are drawn from the scene's [aberrations] (where it has none: 60 nm of pistons and 70 nm of low Zernikes, as far as its modes hold them), imaged \
+without noise on the fine pupil and read by each candidate: its model error is the worst that is left. The noise is the \
+Cramér-Rao bound of the candidate's pixels for the scene's star, over the root of image.count. A choice never changes \
+modes that the scene names.
+
+--json prints: budget_nm, met, shortfall, reference, chosen, choices (key, value, kept, price), omissions; a price is \
+phasing_nm and ncpa_nm (the model's error), phasing_noise_nm, ncpa_noise_nm, error_nm (the larger, with noise), \
+evaluations, megaflops and estimate_us for one image.";
+
+/// Find the cheapest model that keeps the error within a budget
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Scene: a TOML file, or the name of a preset
+    scene: PathBuf,
+    /// RMS error that is allowed to the phasing, and to the NCPA, noise included [default: the scene's estimate.budget_nm]
+    #[arg(long, value_name = "NM")]
+    budget_nm: Option<f64>,
+    /// Write the scene with the choices as keys; a file that is there is replaced
+    #[arg(short, long, value_name = "FILE.toml")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    settings: Settings,
+    /// Print the plan as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let interrupt = Interrupt::catch()?;
+    let name = arguments.scene.as_path();
+    if let Some(output) = &arguments.output {
+        files::check_output(output, &[name])?;
+    }
+    let scene = arguments.settings.apply(&files::scene(name)?, &[])?;
+    let Some(budget_nm) = arguments.budget_nm.or(scene.estimate.budget_nm) else {
+        return Err(Error::Value(
+            "no budget was given: --budget-nm or estimate.budget_nm of the scene is needed".into(),
+        ));
+    };
+    let plan = planned(&scene, budget_nm, terminal, &interrupt)?;
+    if let Some(output) = &arguments.output {
+        plan.write(output)?;
+    }
+    if arguments.json {
+        return terminal.json(&Printed::of(&plan));
+    }
+    terminal.show(&table(name, &plan))
+}
+
+/// Plans with a progress line, and warns where the budget cannot be met.
+pub fn planned(scene: &Scene, budget_nm: f64, terminal: &Terminal, interrupt: &Interrupt) -> Result<Plan> {
+    let wait = terminal.wait("Planning the model", 0);
+    let plan = planner::plan(scene, budget_nm, Some(interrupt.flag()));
+    drop(wait);
+    let plan = plan?;
+    if let Some(sentence) = plan.shortfall() {
+        terminal.warn(&format!("{}: {sentence}", scene.name()));
+    }
+    Ok(plan)
+}
+
+/// The plan for people.
+fn table(name: &Path, plan: &Plan) -> String {
+    let mut text = format!(
+        "{}: a budget of {} nm for the phasing and for the NCPA, {} wavefronts drawn\n\n",
+        name.display(),
+        plan.budget_nm,
+        plan.draws
+    );
+    text += &format!(
+        "{:<36}{:>17}{:>17}{:>8}{:>13}{:>8}{:>8}\n",
+        "", "model [nm]", "noise [nm]", "error", "evaluations", "Mflop", "µs"
+    );
+    text += &format!("{:<36}{:>9}{:>8}{:>9}{:>8}{:>8}\n", "", "phasing", "NCPA", "phasing", "NCPA", "[nm]");
+    text += &line("the scene's own model in f64", &plan.reference);
+    for choice in &plan.choices {
+        let mark = if choice.kept { "* " } else { "  " };
+        text += &line(&format!("{mark}{} = {}", choice.key, choice.value), &choice.price);
+    }
+    text += &line("the plan", &plan.chosen);
+    for omission in &plan.omissions {
+        let Omission { what, modelled, with_nm, without_nm, because } = omission;
+        let kept = if *modelled { "modelled" } else { "left out" };
+        text += &format!("\n{what}: {kept}; {without_nm:.3} nm without, {with_nm:.3} with it; {because}.");
+    }
+    let (work, time) =
+        (plan.reference.megaflops / plan.chosen.megaflops, plan.reference.estimate_us / plan.chosen.estimate_us);
+    text + &format!(
+        "\n\n* is in the plan. It takes {work:.1} times fewer operations than the scene's own model in f64, and {time:.1} times less \
+         time here.\n"
+    )
+}
+
+fn line(name: &str, price: &Price) -> String {
+    let Price { model_nm: [p, n], noise_nm: [pn, nn], evaluations, megaflops, estimate_us } = price;
+    let error = price.error_nm();
+    format!(
+        "{name:<36}{p:>9.3}{n:>8.3}{pn:>9.3}{nn:>8.3}{error:>8.3}{evaluations:>13.1}{megaflops:>8.0}{estimate_us:>8.0}\n"
+    )
+}
+
+#[derive(Serialize)]
+struct Printed {
+    budget_nm: f64,
+    met: bool,
+    shortfall: Option<String>,
+    reference: PrintedPrice,
+    chosen: PrintedPrice,
+    choices: Vec<PrintedChoice>,
+    omissions: Vec<PrintedOmission>,
+}
+
+#[derive(Serialize)]
+struct PrintedPrice {
+    phasing_nm: f64,
+    ncpa_nm: f64,
+    phasing_noise_nm: f64,
+    ncpa_noise_nm: f64,
+    error_nm: f64,
+    evaluations: f64,
+    megaflops: f64,
+    estimate_us: f64,
+}
+
+#[derive(Serialize)]
+struct PrintedChoice {
+    key: &'static str,
+    value: String,
+    kept: bool,
+    price: PrintedPrice,
+}
+
+#[derive(Serialize)]
+struct PrintedOmission {
+    what: &'static str,
+    modelled: bool,
+    with_nm: f64,
+    without_nm: f64,
+    because: String,
+}
+
+impl Printed {
+    fn of(plan: &Plan) -> Self {
+        let choice = |Choice { key, value, kept, price }: &Choice| PrintedChoice {
+            key,
+            value: value.clone(),
+            kept: *kept,
+            price: PrintedPrice::of(price),
+        };
+        let omission = |omission: &Omission| PrintedOmission {
+            what: omission.what,
+            modelled: omission.modelled,
+            with_nm: omission.with_nm,
+            without_nm: omission.without_nm,
+            because: omission.because.clone(),
+        };
+        Self {
+            budget_nm: plan.budget_nm,
+            met: plan.is_met(),
+            shortfall: plan.shortfall(),
+            reference: PrintedPrice::of(&plan.reference),
+            chosen: PrintedPrice::of(&plan.chosen),
+            choices: plan.choices.iter().map(choice).collect(),
+            omissions: plan.omissions.iter().map(omission).collect(),
+        }
+    }
+}
+
+impl PrintedPrice {
+    fn of(price: &Price) -> Self {
+        let Price { model_nm, noise_nm, evaluations, megaflops, estimate_us } = *price;
+        Self {
+            phasing_nm: model_nm[0],
+            ncpa_nm: model_nm[1],
+            phasing_noise_nm: noise_nm[0],
+            ncpa_noise_nm: noise_nm[1],
+            error_nm: price.error_nm(),
+            evaluations,
+            megaflops,
+            estimate_us,
+        }
+    }
+}

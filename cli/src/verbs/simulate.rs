@@ -1,0 +1,150 @@
+//! `cophase simulate`: an AO loop under a sky, its images, the truth, the telemetry.
+
+use crate::files::{self, Settings};
+use crate::interrupt::Interrupt;
+use crate::terminal::Terminal;
+use cophase::Result;
+use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
+use cophase::scene::Scene;
+use serde::Serialize;
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "Examples:
+  cophase simulate keck-onsky -o onsky.fits
+  cophase simulate scene.toml -o pol.fits --set control.loop=pseudo-open-loop --seed 7
+
+The file holds the defocused images (IMAGES, electrons), the truth (TRUTH_PHASING and TRUTH_NCPA, nm), telemetry at each \
+image (SLOPES, mas; COMMANDS, nm; SHOTS) with the interaction matrix, and the scene, so that 'cophase estimate' needs \
+nothing else.";
+
+/// Close an AO loop on the telescope: images, truth, telemetry
+#[derive(clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Arguments {
+    /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
+    scene: PathBuf,
+    /// FITS file to write; one that is there is replaced
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    settings: Settings,
+    /// Seed of the aberrations, the turbulence and the noise [default: those of the scene]
+    #[arg(long, value_parser = crate::files::seed())]
+    seed: Option<u64>,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+    /// Also say how the time of a frame is spent, beside the least that each stage has to do
+    #[arg(short, long)]
+    verbose: bool,
+}
+
+/// What scripts read.
+#[derive(Serialize)]
+struct Made {
+    images: usize,
+    frames: u64,
+    seconds: f64,
+    frames_per_s: f64,
+    residual_rms_nm: f64,
+    strehl_k: f64,
+    diverged: bool,
+    diverged_at_s: Option<f64>,
+    growth_per_s: f64,
+}
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let interrupt = Interrupt::catch()?;
+    files::check_output(&arguments.output, &[&arguments.scene])?;
+    let seed = arguments.seed.map(|seed| seed.to_string());
+    let options: Vec<(&str, &str)> =
+        seed.iter().flat_map(|seed| ["aberrations.seed", "turbulence.seed"].map(|key| (key, seed.as_str()))).collect();
+    let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
+    super::image::check_memory(&scene)?;
+    let (simulator, shots, summary) = simulate(&scene, terminal, &interrupt)?;
+    ao::write(&arguments.output, &simulator, &shots, &summary)?;
+    if let Some(divergence) = summary.divergence {
+        terminal.warn(&format!(
+            "the loop diverged after {:.2} s, at {:.0} nm RMS; what was there by then is written",
+            divergence.time_s, divergence.residual_rms_nm
+        ));
+    }
+    if arguments.json {
+        return terminal.json(&made(&simulator, &summary));
+    }
+    let (rows, columns) = scene.image.frame_shape();
+    let mut text = format!(
+        "{}: {} of {columns}x{rows} pixels from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
+         residual {:.1} nm RMS, Strehl {:.3} at {} nm (by Marechal {:.3}); {}\n",
+        arguments.output.display(),
+        super::report::counted(summary.images, "image"),
+        summary.frames,
+        summary.seconds,
+        summary.frames_per_s(),
+        summary.frames_per_s() * simulator.frame_s(),
+        summary.residual_rms_nm,
+        summary.strehl,
+        scene.image.wavelength_nm,
+        summary.strehl_marechal,
+        stability(&simulator),
+    );
+    if arguments.verbose {
+        text += &stages(&simulator, &summary);
+    }
+    terminal.show(&text)
+}
+
+/// The run itself.
+fn simulate(scene: &Scene, terminal: &Terminal, interrupt: &Interrupt) -> Result<(Simulator, Vec<Shot>, Summary)> {
+    let mut simulator = {
+        let _wait = terminal.wait("Building the AO system", 1);
+        Simulator::new(scene)?
+    };
+    interrupt.check("nothing was written")?;
+    if !simulator.stability().stable {
+        terminal.warn(&stability(&simulator));
+    }
+    let mut shots: Vec<Shot> = Vec::new();
+    let wait = terminal.wait("Closing the loop", 2);
+    let mut watch = |done: u64, all: u64| wait.done_of(done as usize, all as usize);
+    let mut progress = Progress { watch: Some(&mut watch), cancel: Some(interrupt.flag()) };
+    let summary = simulator.run(&mut shots, &mut progress)?;
+    Ok((simulator, shots, summary))
+}
+
+fn made(simulator: &Simulator, summary: &Summary) -> Made {
+    Made {
+        images: summary.images,
+        frames: summary.frames,
+        seconds: summary.seconds,
+        frames_per_s: summary.frames_per_s(),
+        residual_rms_nm: summary.residual_rms_nm,
+        strehl_k: summary.strehl,
+        diverged: summary.divergence.is_some(),
+        diverged_at_s: summary.divergence.map(|divergence| divergence.time_s),
+        growth_per_s: simulator.stability().growth_per_frame.ln() / simulator.frame_s(),
+    }
+}
+
+/// Time in each stage beside the least it has to do; the turbulence and the camera have threads of their own.
+fn stages(simulator: &Simulator, summary: &Summary) -> String {
+    let mut text = String::from("stage          us/frame     Mflop        kB   GFLOP/s      GB/s\n");
+    for stage in Stage::ALL {
+        let us = summary.profile.seconds(stage) * 1e6 / summary.frames as f64;
+        let work = simulator.work(stage);
+        let (mflop, kb) = (work.flops / 1e6, work.bytes / 1e3);
+        let rates = (mflop * 1e3 / us, kb / us);
+        text += &format!("{:<12} {us:>10.1} {mflop:>9.2} {kb:>9.0} {:>9.1} {:>9.1}\n", stage.name(), rates.0, rates.1);
+    }
+    text + &format!("{:<12} {:>10.1}\n", "camera", summary.camera_s * 1e6 / summary.frames as f64)
+}
+
+/// What the poles of the loop say.
+fn stability(simulator: &Simulator) -> String {
+    let poles = simulator.stability();
+    let modes = format!("{} modes controlled", poles.controlled);
+    match poles.e_folding_s {
+        Some(e_folding_s) => format!("{modes}; unstable: the worst of them grows e-fold in {e_folding_s:.3} s"),
+        None => format!("{modes}, stable up to a gain of {:.2}", poles.largest_stable_gain),
+    }
+}

@@ -1,0 +1,7 @@
+//! The pictures and the experiments, run in this process.
+
+mod hard_cases;
+mod leak;
+mod night_table;
+mod paper;
+mod plot;

@@ -1,0 +1,84 @@
+//! `cophase simulate`: a file that 'estimate' reads, the figures that scripts read, loops that run away.
+
+use crate::{Desk, number};
+use cophase::io::FitsReader;
+
+/// A quarter of Keck's lenslets and samples: a tenth of a second to build.
+const SMALL_LOOP: &str = include_str!("../../../tests/c_api/small.toml");
+
+fn desk() -> Desk {
+    let desk = Desk::with_scene();
+    std::fs::write(desk.path("loop.toml"), SMALL_LOOP).unwrap();
+    desk
+}
+
+const THREE: [&str; 6] =
+    ["--set", "image.count=3", "--set", "image.exposure_s=0.003", "--set", "estimate.combine=mean"];
+
+#[test]
+fn a_run_leaves_images_truth_and_telemetry_that_estimate_reads() {
+    let desk = desk();
+    let arguments = [["simulate", "loop.toml", "-o", "sky.fits", "--json"].as_slice(), &THREE].concat();
+    let json = desk.json(&arguments);
+    // 0.02 s settling, two intervals of 0.01 s and three frames at 1054 Hz.
+    assert_eq!((&json["frames"], &json["images"], &json["diverged"]), (&45.into(), &3.into(), &false.into()));
+    for key in ["seconds", "frames_per_s", "residual_rms_nm", "strehl_k"] {
+        assert!(number(&json, key) > 0.0, "{key}: {json}");
+    }
+    let mut file = FitsReader::open(desk.path("sky.fits")).unwrap();
+    assert_eq!(file.cube("IMAGES").unwrap().dim(), (3, 40, 48));
+    let commands = file.map(Some("COMMANDS")).unwrap();
+    let slopes = file.map(Some("SLOPES")).unwrap();
+    let subapertures = file.i64_column("SUBAPERTURES", "PLACE").unwrap().len();
+    let actuators = file.f64_column("ACTUATORS", "X_M").unwrap().len();
+    assert_eq!((slopes.dim(), commands.dim()), ((3, 2 * subapertures), (3, actuators)));
+    assert_eq!(file.map(Some("INTERACTION")).unwrap().dim(), (2 * subapertures, actuators));
+    assert_eq!(file.f64_column("SHOTS", "TIME_S").unwrap().len(), 3);
+    for truth in ["TRUTH_PHASING", "TRUTH_NCPA"] {
+        assert_eq!(file.map(Some(truth)).unwrap().dim(), (60, 60));
+    }
+    desk.succeeds(&["estimate", "sky.fits", "-o", "est.fits", "--optimizer", "paper"]);
+    desk.succeeds(&["compare", "est.fits", "--truth", "sky.fits"]);
+}
+
+#[test]
+fn a_seed_decides_everything_and_another_one_changes_it() {
+    let desk = desk();
+    let make = |name: &str, seed: &str| {
+        desk.succeeds(&["simulate", "loop.toml", "-o", name, "--seed", seed]);
+        std::fs::read(desk.path(name)).unwrap()
+    };
+    let first = make("a.fits", "4");
+    assert!(first == make("b.fits", "4"), "the same seed, the same bytes");
+    assert!(first != make("c.fits", "5"));
+}
+
+#[test]
+fn a_loop_past_its_margin_stops_and_says_so() {
+    let desk = desk();
+    let unstable = ["--set", "control.gain=1.05", "--set", "control.lag_frames=2"];
+    let early = ["simulate", "loop.toml", "-o", "early.fits", "--set", "image.count=200"];
+    let done = desk.run(&[early.as_slice(), &unstable, &["--json"]].concat());
+    assert_eq!(done.status, 0, "{}", done.err);
+    assert!(done.err.contains("unstable") && done.err.contains("diverged after"), "{}", done.err);
+    let json: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(json["diverged"], true);
+    assert!(number(&json, "diverged_at_s") < 1.0 && number(&json, "growth_per_s") > 0.0, "{json}");
+    // Before the first image there is nothing to write.
+    let none = ["simulate", "loop.toml", "-o", "none.fits", "--set", "control.settle_s=3"];
+    let done = desk.run(&[none.as_slice(), &unstable].concat());
+    assert_eq!(done.status, 1);
+    assert!(done.err.contains("before its first image") && !desk.path("none.fits").exists(), "{}", done.err);
+}
+
+#[test]
+fn what_is_missing_or_impossible_is_named() {
+    let desk = desk();
+    desk.refuses(&["simulate", "scene.toml", "-o", "sky.fits"], &["[wavefront_sensor]"]);
+    let with = |setting: &'static str| ["simulate", "loop.toml", "-o", "sky.fits", "--set", setting];
+    desk.refuses(&with("wavefront_sensor.subaperture_file=none.txt"), &["none.txt"]);
+    desk.refuses(&with("wavefront_sensor.min_light_ratio=1.0"), &["min_light_ratio"]);
+    desk.refuses(&with("image.pixels=400"), &["400 pixels"]);
+    std::fs::write(desk.path("map.txt"), "0 1\n1 x\n").unwrap();
+    desk.refuses(&with("mirror.actuator_file=map.txt"), &["map.txt", "2 lines"]);
+}
