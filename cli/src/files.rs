@@ -3,7 +3,6 @@
 use cophase::io::{FitsReader, FitsWriter};
 use cophase::scene::{Aperture, Scene, split_setting};
 use cophase::{Error, Result};
-use ndarray::Array2;
 use std::path::{Path, PathBuf};
 
 /// `--set`, for every verb that reads a scene.
@@ -85,22 +84,6 @@ fn anchored(scene: Scene) -> Result<Scene> {
         return Ok(scene);
     }
     scene.with(&full.iter().map(|(key, path)| (*key, path.as_str())).collect::<Vec<_>>())
-}
-
-/// The aberrations that a simulated file was made with, nm, `[y, x]`, NaN outside the pupil.
-pub struct Truth {
-    pub phasing_nm: Array2<f64>,
-    pub ncpa_nm: Array2<f64>,
-}
-
-/// The truth in `path`, if it holds one.
-pub fn truth(path: &Path) -> Result<Option<Truth>> {
-    let mut file = FitsReader::open(path)?;
-    let names = file.names();
-    if !["TRUTH_PHASING", "TRUTH_NCPA"].iter().all(|name| names.iter().any(|known| known == name)) {
-        return Ok(None);
-    }
-    Ok(Some(Truth { phasing_nm: file.map(Some("TRUTH_PHASING"))?, ncpa_nm: file.map(Some("TRUTH_NCPA"))? }))
 }
 
 /// Says now, before the work, what would stop `output` from being written after it; `inputs` must survive.

@@ -17,7 +17,7 @@ fn main() -> ExitCode {
     // What a verb holds is dropped on the way here: temporary files go, and files that were there stay.
     let outcome = catch_unwind(AssertUnwindSafe(|| verbs::run(cli)));
     match outcome.unwrap_or_else(|_| Err(Error::Panic(panic.sentence()))) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(status) => status,
         Err(error) => verbs::fail(&error),
     }
 }

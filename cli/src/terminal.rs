@@ -1,5 +1,6 @@
 //! What a person sees: results on stdout, messages and progress on stderr.
 
+use cophase::pipeline::{Progress, Stage};
 use cophase::{Error, Result};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -52,6 +53,11 @@ impl Terminal {
         }
     }
 
+    /// Shows the progress of an estimate, whose [`Control`](cophase::pipeline::Control) calls [`Wait::observer`].
+    pub fn follow(&self) -> Wait {
+        self.wait(Stage::Preparing.label(), 1)
+    }
+
     /// Shows that `what` takes its time: a bar with rate and time left where `steps` is more than one, else a clock.
     pub fn wait(&self, what: &str, steps: usize) -> Wait {
         let bar = ProgressBar::with_draw_target(Some(steps as u64), ProgressDrawTarget::hidden());
@@ -71,6 +77,11 @@ fn style(template: &str) -> ProgressStyle {
     })
 }
 
+/// `1 image`, `2 images`.
+pub fn counted(count: usize, noun: &str) -> String {
+    format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
+}
+
 /// One line on stderr; a failure to write there cannot be told to anybody.
 pub fn complain(message: &str) {
     let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
@@ -84,21 +95,25 @@ pub struct Wait {
 }
 
 impl Wait {
-    /// `done` steps are done.
-    pub fn done(&self, done: usize) {
-        self.bar.set_position(done as u64);
-    }
-
     /// `done` of `all` steps are done; how many there are was not known before.
     pub fn done_of(&self, done: usize, all: usize) {
         self.bar.set_length(all as u64);
         self.bar.set_position(done as u64);
     }
 
-    /// The steps are over, and `what` follows.
-    pub fn then(&self, what: &str) {
-        self.bar.set_style(style(CLOCK));
-        self.bar.set_message(what.to_string());
+    /// Shows each stage of an estimate: a bar where it has steps, else a clock.
+    pub fn observer(&self) -> impl FnMut(Progress) + Send + 'static {
+        let bar = self.bar.clone();
+        let mut shown = Stage::Idle;
+        move |progress| {
+            if progress.stage != shown {
+                shown = progress.stage;
+                bar.set_style(if progress.total > 1 { style(BAR) } else { style(CLOCK) });
+                bar.set_length(progress.total.max(1));
+                bar.set_message(progress.stage.label());
+            }
+            bar.set_position(progress.done);
+        }
     }
 }
 

@@ -72,6 +72,7 @@ use crate::optimize::CancelFlag;
 use crate::scene::{Combine, Method, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
+use std::fmt;
 use std::sync::Arc;
 
 /// Reads images of one scene.
@@ -98,6 +99,12 @@ pub struct SharedError {
     pub name: &'static str,
     /// Its covariance, `[mode, mode]`, nm².
     pub covariance_nm2: Array2<f64>,
+}
+
+impl fmt::Debug for Estimator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Estimator").field("recipe", &self.recipe).finish_non_exhaustive()
+    }
 }
 
 /// What [`Estimator::fit_each`] found.

@@ -84,9 +84,13 @@ struct Shared {
 impl Control {
     /// A control that calls `observer` whenever the progress changes, on a thread of the estimate.
     pub fn with_observer(observer: impl FnMut(Progress) + Send + 'static) -> Self {
-        let control = Self::default();
-        *control.shared.observer.lock().unwrap_or_else(PoisonError::into_inner) = Some(Box::new(observer));
-        control
+        Self::with_flag(CancelFlag::default(), observer)
+    }
+
+    /// As [`Control::with_observer`], with a flag that somebody else raises, such as a signal handler.
+    pub fn with_flag(cancel: CancelFlag, observer: impl FnMut(Progress) + Send + 'static) -> Self {
+        let observer: Mutex<Option<Observer>> = Mutex::new(Some(Box::new(observer)));
+        Self { shared: Arc::new(Shared { cancel, observer, ..Shared::default() }) }
     }
 
     /// Stops the call that is running, or else the next one, at its next safe place: it returns

@@ -5,7 +5,7 @@ use super::images::TruthMaps;
 use super::outcome::{ImageOutcome, ImageStatus};
 use super::policy::Policy;
 use super::{file, report};
-use crate::estimate::Compared;
+use crate::estimate::{self, Compared};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{Combine, Knows, Method, Precision, Scene};
@@ -13,6 +13,7 @@ use crate::sky::{Commands, Pass};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The static wavefront behind one image or many: modes, maps, error bars, and what became of each image.
 ///
@@ -82,6 +83,8 @@ pub struct Estimate {
     pub degeneracy: Option<Degeneracy>,
     /// Maps that simulated images were made with, and the residual against them.
     pub truth: Option<(TruthMaps, Comparison)>,
+    /// Modal fitter with the model that the images were compared with; `None` in a MAP estimate.
+    pub fitter: Option<Arc<estimate::Estimator>>,
     /// What only a MAP estimate has.
     pub map: Option<MapSummary>,
 }
@@ -193,6 +196,11 @@ impl Estimate {
     /// Method of the estimate.
     pub fn method(&self) -> Method {
         if self.map.is_some() { Method::FullPhase } else { Method::Modal }
+    }
+
+    /// Whether there is no warning, and the status is ok.
+    pub fn is_sound(&self) -> bool {
+        self.warnings.is_empty() && self.status == ImageStatus::Ok
     }
 
     /// Standard deviation of each mode, nm.

@@ -16,6 +16,8 @@ pub struct Estimator {
     policy: Policy,
     control: Control,
     cache: BasisCache,
+    /// Why a plan does not meet its budget.
+    shortfall: Option<String>,
 }
 
 impl Estimator {
@@ -34,15 +36,16 @@ impl Estimator {
     /// Those of [`planner::plan`]; [`Error::Scene`] for a key that the policy does not honour; [`Error::Interrupted`].
     pub fn with_policy(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
         policy.check(scene)?;
-        let scene = match scene.estimate.budget_nm {
-            Some(_) => {
+        let (scene, shortfall) = match scene.estimate.budget_nm {
+            Some(budget_nm) => {
                 control.enter(Stage::Planning, 0);
-                let planned = planner::resolved(scene, Some(control.flag()));
-                acknowledged(&control, planned)?
+                let plan = acknowledged(&control, planner::plan(scene, budget_nm, Some(control.flag())))?;
+                let shortfall = plan.shortfall();
+                (plan.scene, shortfall)
             }
-            None => scene.clone(),
+            None => (scene.clone(), None),
         };
-        Ok(Self { scene, policy, control, cache: BasisCache::default() })
+        Ok(Self { scene, policy, control, cache: BasisCache::default(), shortfall })
     }
 
     /// The scene, with the choices of its plan where it named a budget.
@@ -77,7 +80,7 @@ impl Estimator {
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
-        estimate.warnings.splice(0..0, images.notes.iter().cloned());
+        estimate.warnings.splice(0..0, self.shortfall.iter().chain(&images.notes).cloned());
         if let Some(truth) = &images.truth {
             match estimate.compare(truth) {
                 Ok(residual) => estimate.truth = Some((truth.clone(), residual)),

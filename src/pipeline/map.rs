@@ -70,6 +70,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         compared: None,
         degeneracy: None,
         truth: None,
+        fitter: None,
         map: Some(MapSummary {
             knows: found.knows,
             iterations: found.passes,

@@ -14,6 +14,7 @@ use crate::metrics::MapGram;
 use crate::modes::Group;
 use crate::scene::{Scene, Zernikes};
 use ndarray::Array2;
+use std::sync::Arc;
 use std::time::Instant;
 
 pub(super) fn estimate(
@@ -87,6 +88,7 @@ pub(super) fn estimate(
         compared: Some(found.compared),
         degeneracy: Some(found.degeneracy),
         truth: None,
+        fitter: Some(Arc::new(fitter)),
         map: None,
     })
 }

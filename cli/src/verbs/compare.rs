@@ -1,9 +1,9 @@
 //! `cophase compare`: an estimate against the truth.
 
-use super::figures::Residual;
 use crate::files;
 use crate::terminal::Terminal;
 use cophase::io::FitsReader;
+use cophase::pipeline::{Comparison, TruthMaps};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
 use serde::Serialize;
@@ -44,12 +44,12 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let scene = files::embedded_scene(path)?
         .ok_or_else(|| Error::file(path, "holds no scene (table SCENE), which says how the pupil is weighted"))?;
     let truth_path: &Path = arguments.truth.as_deref().unwrap_or(path);
-    let truth = files::truth(truth_path)?.ok_or_else(|| {
+    let truth = TruthMaps::read(truth_path)?.ok_or_else(|| {
         let other = if arguments.truth.is_none() { ": name a file that does with --truth" } else { "" };
         Error::file(truth_path, format_args!("holds no truth (images TRUTH_PHASING and TRUTH_NCPA){other}"))
     })?;
     let pupil = Telescope::of(&scene)?.pupil;
-    let residual = Residual::of(&pupil, &phasing_nm, &ncpa_nm, &truth)
+    let residual = Comparison::new(&pupil, &phasing_nm, &ncpa_nm, &truth)
         .map_err(|error| Error::file(path, format_args!("compared with {}: {error}", truth_path.display())))?;
     let [phasing, ncpa, wavefront] = residual.rms_nm;
     if arguments.json {

@@ -1,12 +1,12 @@
 //! `cophase demo`: the main job on a scene of our own, from nothing to a picture.
 
-use super::estimate::Job;
-use super::image;
+use super::{estimate, image};
 use crate::files;
 use crate::interrupt::Interrupt;
 use crate::terminal::Terminal;
+use cophase::pipeline::Images;
 use cophase::scene::Scene;
-use cophase::{Error, Result, io};
+use cophase::{Error, Result};
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
@@ -37,21 +37,18 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let folder = &arguments.output;
     std::fs::create_dir_all(folder)
         .map_err(|error| Error::file(folder, format_args!("the folder cannot be made: {error}")))?;
-    let [images, estimate, picture] = ["images.fits", "est.fits", "est.png"].map(|name| folder.join(name));
+    let [images, output, picture] = ["images.fits", "est.fits", "est.png"].map(|name| folder.join(name));
     files::check_output(&images, &[])?;
-    files::check_output(&estimate, &[])?;
+    files::check_output(&output, &[])?;
     files::check_picture(&picture, &[])?;
     let scene = Scene::preset("keck-artificial")?.with_override("aberrations.seed", &arguments.seed.to_string())?;
     image::make_file(&scene, &images, terminal, &interrupt)?;
-    let made = io::read_images(&images, None)?;
-    let job =
-        Job { name: &images, scene, read_noise_e: made.read_noise_e, images: made, truth: files::truth(&images)? };
-    let found = job.run(terminal, &interrupt)?;
-    found.write(&estimate, Some(&picture))?;
-    found.tell(arguments.json, false, terminal)?;
+    let found = estimate::estimated(&images, &scene, &Images::read(&images, None)?, terminal, &interrupt)?;
+    estimate::write(&images, &found, &output, Some(&picture))?;
+    estimate::print(&images, &found, arguments.json, terminal)?;
     if arguments.json {
         return Ok(());
     }
-    let (images, estimate, picture) = (images.display(), estimate.display(), picture.display());
-    terminal.show(&format!("\nThe image is in {images}, the estimate in {estimate}, its picture in {picture}.\n"))
+    let (images, output, picture) = (images.display(), output.display(), picture.display());
+    terminal.show(&format!("\nThe image is in {images}, the estimate in {output}, its picture in {picture}.\n"))
 }

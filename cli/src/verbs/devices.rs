@@ -1,12 +1,9 @@
-//! `cophase devices`: what a chain can run on here; and the one place where a choice becomes a chain.
+//! `cophase devices`: list of the devices that an estimate can run on.
 
 use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::device;
-use cophase::imaging::{Chain, Optics};
-use cophase::scene::{DeviceChoice, Precision};
 use serde::Serialize;
-use std::sync::Arc;
 
 const EXAMPLES: &str = "Examples:
   cophase devices
@@ -41,7 +38,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     }
     for Listed { device, name, units, f64 } in &devices {
         let precision = if *f64 { "f32 and f64" } else { "f32" };
-        let units = super::report::counted(*units, if device == "cpu" { "thread" } else { "compute unit" });
+        let units = crate::terminal::counted(*units, if device == "cpu" { "thread" } else { "compute unit" });
         terminal.print(&format!("{device:<12}  {name}, {units}, {precision}\n"))?;
     }
     match advice {
@@ -65,14 +62,6 @@ fn list() -> (Vec<Listed>, Option<String>) {
         f64: info.f64,
     }));
     (listed, device::advice(&present).map(String::from))
-}
-
-/// Opens the chain that `choice` means here, with room for `capacity` images.
-///
-/// # Errors
-/// [`cophase::Error::Device`] where the choice is not here.
-pub fn open_chain(choice: DeviceChoice, precision: Precision, optics: Arc<Optics>, capacity: usize) -> Result<Chain> {
-    Chain::open(optics, choice.into(), precision.into(), capacity)
 }
 
 /// What Linux calls the processor; its architecture elsewhere.

@@ -1,16 +1,15 @@
 //! `cophase estimate`: the main job.
 
-use super::figures::{self, Residual, Row};
-use super::{devices, full_phase, picture, report};
-use crate::files::{self, Settings, Truth};
+use super::picture;
+use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::terminal::Terminal;
-use cophase::estimate::{self, Cube, Estimate, Estimator};
-use cophase::io::{self, Images};
+use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::scene::{DeviceChoice, Method, Scene};
 use cophase::{Error, Result};
+use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::process::ExitCode;
 
 const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o est.fits      from what 'cophase image' made
@@ -25,9 +24,11 @@ the read noise, unless --set image.read_noise_e says otherwise.
 Eight images or more are judged by one another: their error bars are from the scatter between them, and the clipped \
 mean (the default; --set estimate.combine=mean or median) leaves outliers out.
 
---json prints: images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, reduced_chi2, \
-evaluations (of the objective, all images together), device, precision, status (the worst of the images': ok, misfit, \
-wrong-minimum, not-converged, unusable).";
+--json prints: images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, \
+phasing_residual_nm and ncpa_residual_nm (where the truth is known), reduced_chi2, evaluations (of the objective, all \
+images together), device, precision, status (the worst of the images': ok, misfit, wrong-minimum, not-converged, \
+unusable), warnings (sentences), policy, model (the basis that was selected), method, and with full-phase knows and \
+iterations; null where a key does not apply.";
 
 /// Estimate segment phasing and NCPA from defocused images of a star
 #[derive(clap::Args)]
@@ -74,6 +75,9 @@ pub struct Arguments {
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
+    /// Exit with status 3 where the estimate carries a warning, or a status other than ok; the output is written all the same
+    #[arg(long)]
+    strict: bool,
     /// Also say which combinations of modes the images hardly see
     #[arg(short, long)]
     verbose: bool,
@@ -125,142 +129,124 @@ impl Arguments {
     }
 }
 
-pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+/// Exit status under --strict of an estimate with a warning.
+const DOUBTFUL_STATUS: u8 = 3;
+
+pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     arguments.check_outputs()?;
-    let images = io::read_images(&arguments.images, arguments.mask.as_deref())?;
-    let truth = files::truth(&arguments.images)?;
-    let mut scene = arguments.scene()?;
-    if let Some(budget_nm) = scene.estimate.budget_nm {
-        scene = super::plan::planned(&scene, budget_nm, terminal, &interrupt)?.scene;
+    let mut images = Images::read(&arguments.images, arguments.mask.as_deref())?;
+    if arguments.settings.names("image.read_noise_e") {
+        // What the command line says goes before what the file says.
+        images.read_noise_e = None;
     }
-    // What the command line says goes before what the file says.
-    let read_noise_e = images.read_noise_e.filter(|_| !arguments.settings.names("image.read_noise_e"));
-    let (name, output, plot) = (arguments.images.as_path(), arguments.output.as_path(), arguments.plot.as_deref());
-    if scene.estimate.method == Method::FullPhase {
-        let wanted = full_phase::Wanted { output, plot, commands: arguments.commands.as_deref(), json: arguments.json };
-        let given = full_phase::Given { name, scene: &scene, images, read_noise_e, truth };
-        return full_phase::run(given, &wanted, terminal, &interrupt);
-    }
-    if let Some(commands) = &arguments.commands {
+    let scene = arguments.scene()?;
+    if arguments.commands.is_some() && scene.estimate.method != Method::FullPhase {
         let reason = "corrections come from the full-phase estimate: --method full-phase is needed";
-        return Err(Error::file(commands, reason));
+        return Err(Error::file(arguments.commands.as_deref().unwrap_or(&arguments.output), reason));
     }
-    let job = Job { name, scene, read_noise_e, images, truth };
-    let found = job.run(terminal, &interrupt)?;
-    found.write(output, plot)?;
-    found.tell(arguments.json, arguments.verbose, terminal)
+    let estimate = estimated(&arguments.images, &scene, &images, terminal, &interrupt)?;
+    write(&arguments.images, &estimate, &arguments.output, arguments.plot.as_deref())?;
+    if let Some(commands) = &arguments.commands {
+        estimate.corrections(None)?.write(commands)?;
+    }
+    print(&arguments.images, &estimate, arguments.json, terminal)?;
+    if let Some(degeneracy) = estimate.degeneracy.as_ref().filter(|_| arguments.verbose && !arguments.json) {
+        terminal.show(&format!("\n{degeneracy}\n"))?;
+    }
+    let is_doubtful = arguments.strict && !estimate.is_sound();
+    Ok(if is_doubtful { ExitCode::from(DOUBTFUL_STATUS) } else { ExitCode::SUCCESS })
 }
 
-/// One estimate, ready to run.
-pub struct Job<'a> {
-    /// File of the images.
-    pub name: &'a Path,
-    pub scene: Scene,
-    pub images: Images,
-    /// Read noise that goes before the scene's.
-    pub read_noise_e: Option<f64>,
-    pub truth: Option<Truth>,
+/// The estimate of `images`, which are of the file `name`, with a progress bar.
+pub fn estimated(
+    name: &Path,
+    scene: &Scene,
+    images: &Images,
+    terminal: &Terminal,
+    interrupt: &Interrupt,
+) -> Result<Estimate> {
+    let bar = terminal.follow();
+    let observer = bar.observer();
+    let control = Control::with_flag(interrupt.flag().clone(), observer);
+    let estimator = Estimator::with_policy(scene, Policy::default(), control)?;
+    estimator.estimate(images).map_err(files::about(name))
 }
 
-impl<'a> Job<'a> {
-    /// Builds the model and fits the images.
-    pub fn run(self, terminal: &Terminal, interrupt: &Interrupt) -> Result<Found<'a>> {
-        let Self { name, scene, images, read_noise_e, truth } = self;
-        for sentence in report::file_warnings(&name.display().to_string(), &images) {
-            terminal.warn(&sentence);
-        }
-        let started = Instant::now();
-        let count = images.data.dim().0;
-        let found = {
-            let images_in_words = report::counted(count, "image");
-            let wait = terminal.wait(&format!("Fitting {images_in_words}"), count);
-            let mut watch = |done: usize, all: usize| {
-                wait.done(done);
-                if done == all {
-                    wait.then(&format!("Error bars of {images_in_words}"));
-                }
-            };
-            let mut open = |estimator: &Estimator| {
-                interrupt.check("the model was built, no image was fitted")?;
-                let optics = estimator.model().optics.clone();
-                // No more are fitted at once.
-                let count = count.min(estimator.model().tiles().images);
-                devices::open_chain(scene.estimate.device, scene.estimate.precision, optics, count)
-            };
-            let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e };
-            estimate::read(&scene, cube, &mut open, Some(interrupt.flag()), &mut watch)
-        };
-        let (estimator, estimate) = found.map_err(files::about(name))?;
-        let model_s = started.elapsed().as_secs_f64() - estimate.seconds;
-        interrupt.check("the images were fitted, nothing was written")?;
-        Found::new(name, estimator, estimate, truth, model_s, terminal)
-    }
+/// Writes the estimate, and its picture where one is asked for.
+pub fn write(name: &Path, estimate: &Estimate, output: &Path, plot: Option<&Path>) -> Result<()> {
+    estimate.write(output)?;
+    let Some(plot) = plot else { return Ok(()) };
+    let name = name.file_name().unwrap_or(name.as_os_str()).to_string_lossy();
+    picture::picture(&name, estimate)?.draw(plot)
 }
 
-/// One estimate, done.
-pub struct Found<'a> {
-    name: &'a Path,
-    estimator: Estimator,
-    estimate: Estimate,
-    known: Option<(Truth, Residual)>,
-    rows: [Row; 3],
-    model_s: f64,
+/// Prints the result on stdout, and the warnings on stderr.
+pub fn print(name: &Path, estimate: &Estimate, json: bool, terminal: &Terminal) -> Result<()> {
+    let name = name.display();
+    for sentence in &estimate.warnings {
+        terminal.warn(&format!("{name}: {sentence}"));
+    }
+    if json {
+        return terminal.json(&Summary::new(estimate));
+    }
+    terminal.show(&format!("{name}: {}", estimate.report()))
 }
 
-impl<'a> Found<'a> {
-    fn new(
-        name: &'a Path,
-        estimator: Estimator,
-        estimate: Estimate,
-        truth: Option<Truth>,
-        model_s: f64,
-        terminal: &Terminal,
-    ) -> Result<Self> {
-        let pupil = &estimator.model().telescope.pupil;
-        let known = truth.and_then(|truth| {
-            // A truth on another grid says nothing of these maps, and is no reason to withhold them.
-            match Residual::of(pupil, &estimate.phasing_nm, &estimate.ncpa_nm, &truth) {
-                Ok(residual) => Some((truth, residual)),
-                Err(error) => {
-                    terminal.warn(&format!("{}: its truth is not shown: {error}", name.display()));
-                    None
-                }
-            }
-        });
-        let rows = figures::rows(estimator.model(), &estimate, known.as_ref().map(|(_, residual)| residual))?;
-        Ok(Self { name, estimator, estimate, known, rows, model_s })
-    }
+/// What `estimate --json` prints; scripts rely on these keys.
+#[derive(Serialize)]
+struct Summary<'a> {
+    images: usize,
+    used: usize,
+    clipped: usize,
+    combine: Option<&'static str>,
+    seconds: f64,
+    phasing_rms_nm: f64,
+    ncpa_rms_nm: f64,
+    phasing_sigma_nm: f64,
+    ncpa_sigma_nm: f64,
+    phasing_residual_nm: Option<f64>,
+    ncpa_residual_nm: Option<f64>,
+    reduced_chi2: f64,
+    evaluations: usize,
+    device: &'a str,
+    precision: &'static str,
+    status: &'static str,
+    warnings: &'a [String],
+    policy: &'static str,
+    model: &'a str,
+    method: &'static str,
+    knows: Option<&'static str>,
+    iterations: Option<usize>,
+}
 
-    /// Writes the estimate, and its picture where one is asked for.
-    pub fn write(&self, output: &Path, plot: Option<&Path>) -> Result<()> {
-        let maps = self.known.as_ref().map(|(truth, _)| [&truth.phasing_nm, &truth.ncpa_nm]);
-        estimate::write(output, &self.estimator, &self.estimate, maps)?;
-        let Some(plot) = plot else { return Ok(()) };
-        let name = self.name.file_name().unwrap_or(self.name.as_os_str()).to_string_lossy();
-        let (scene, model) = (self.estimator.scene(), self.estimator.model());
-        let known = self.known.as_ref().map(|(truth, residual)| (truth, residual));
-        picture::picture(&name, scene, model, &self.estimate, &self.rows, known)?.draw(plot)
-    }
-
-    /// Prints the result, and what is odd about it.
-    pub fn tell(&self, json: bool, verbose: bool, terminal: &Terminal) -> Result<()> {
-        let (name, model, estimate) = (self.name.display().to_string(), self.estimator.model(), &self.estimate);
-        let held = self.estimator.held_diversity()?;
-        for sentence in report::warnings(&name, &self.estimator, &held, estimate) {
-            terminal.warn(&sentence);
+impl<'a> Summary<'a> {
+    fn new(estimate: &'a Estimate) -> Self {
+        let residual_nm = estimate.truth.as_ref().map(|(_, residual)| residual.rms_nm);
+        let map = estimate.map.as_ref();
+        Self {
+            images: estimate.images.len(),
+            used: estimate.used(),
+            clipped: estimate.clipped(),
+            combine: estimate.combine.map(|combine| combine.word()),
+            seconds: estimate.seconds,
+            phasing_rms_nm: estimate.phasing.rms_nm,
+            ncpa_rms_nm: estimate.ncpa.rms_nm,
+            phasing_sigma_nm: estimate.phasing.sigma_nm,
+            ncpa_sigma_nm: estimate.ncpa.sigma_nm,
+            phasing_residual_nm: residual_nm.map(|nm| nm[0]),
+            ncpa_residual_nm: residual_nm.map(|nm| nm[1]),
+            reduced_chi2: estimate.reduced_chi2,
+            evaluations: estimate.evaluations(),
+            device: &estimate.device,
+            precision: estimate.precision.word(),
+            status: estimate.status.word(),
+            warnings: &estimate.warnings,
+            policy: estimate.policy.name(),
+            model: &estimate.model,
+            method: estimate.method().word(),
+            knows: map.map(|map| map.knows.word()),
+            iterations: map.map(|map| map.iterations.len()),
         }
-        if json {
-            return terminal.json(&report::Summary::of(estimate, &self.rows));
-        }
-        terminal.show(&report::table(&name, model, estimate, &self.rows, self.model_s))?;
-        terminal.show(&report::of_optics(self.estimator.fitted_optics()))?;
-        if let Some(sentence) = report::of_diversity(&held, self.estimator.scene()) {
-            terminal.show(&sentence)?;
-        }
-        if verbose {
-            terminal.show(&format!("\n{}\n", estimate.degeneracy))?;
-        }
-        Ok(())
     }
 }

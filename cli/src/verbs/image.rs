@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         "{}: {} of {columns}x{rows} pixels, {flux_e:.3e} electrons each, phasing {phasing_rms_nm:.2} nm and NCPA \
          {ncpa_rms_nm:.2} nm RMS, made in {seconds:.1} s\n",
         arguments.output.display(),
-        super::report::counted(images, "image"),
+        crate::terminal::counted(images, "image"),
     ))
 }
 
@@ -78,7 +78,7 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
     let started = Instant::now();
     check_memory(scene)?;
     let made = {
-        let _wait = terminal.wait(&format!("Making {}", super::report::counted(scene.image.count, "image")), 1);
+        let _wait = terminal.wait(&format!("Making {}", crate::terminal::counted(scene.image.count, "image")), 1);
         source::images(scene)?
     };
     interrupt.check("the images were made, nothing was written")?;
@@ -106,7 +106,7 @@ pub fn check_memory(scene: &Scene) -> Result<()> {
     let bytes = count.saturating_mul(rows * columns).saturating_mul(BYTES_PER_PIXEL);
     Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
         let gib = bytes as f64 / (1u64 << 30) as f64;
-        let images = super::report::counted(count, "image");
+        let images = crate::terminal::counted(count, "image");
         Error::Value(format!(
             "{images} of {columns}x{rows} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
              image.count or image.pixels"

@@ -8,12 +8,9 @@ mod compare;
 mod demo;
 mod devices;
 mod estimate;
-mod figures;
-mod full_phase;
 mod image;
 mod picture;
 mod plan;
-mod report;
 mod reproduce;
 mod scene;
 mod simulate;
@@ -36,7 +33,8 @@ const FIRST_STEPS: &str = "First steps:
   cophase plan keck-artificial --budget-nm 1    the cheapest model for 1 nm
   cophase simulate keck-onsky -o onsky.fits     a minute of sky behind an AO loop
 
-Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 130 stopped by Ctrl-C.";
+Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 3 an estimate with warnings under \
+--strict, 130 stopped by Ctrl-C.";
 
 /// What the command line says.
 #[derive(Parser)]
@@ -67,21 +65,22 @@ enum Verb {
 ///
 /// # Errors
 /// Whatever stops it.
-pub fn run(cli: Cli) -> Result<()> {
+pub fn run(cli: Cli) -> Result<ExitCode> {
     interrupt::prepare_process();
     let terminal = Terminal::new(cli.quiet);
     match cli.verb {
         Verb::Scene(arguments) => scene::run(&arguments, &terminal),
         Verb::Image(arguments) => image::run(&arguments, &terminal),
         Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
-        Verb::Estimate(arguments) => estimate::run(&arguments, &terminal),
+        Verb::Estimate(arguments) => return estimate::run(&arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
         Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
         Verb::Bench(arguments) => bench::run(&arguments, &terminal),
-    }
+    }?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Says why, on one line, and gives the exit status.

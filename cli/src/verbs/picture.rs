@@ -1,45 +1,39 @@
 //! An estimate as a picture.
 
-use super::figures::{Residual, Row};
-use crate::files::Truth;
+use crate::terminal::counted;
 use cophase::Result;
-use cophase::estimate::{Estimate, Model};
+use cophase::estimate::Model;
 use cophase::modes::Group;
-use cophase::scene::Scene;
+use cophase::pipeline::{Comparison, Estimate, Figure, TruthMaps};
 use cophase_cli::plot::{EstimatePicture, ImageTriple, MapTriple, ModalBars, ModeGroup};
 use ndarray::Array2;
 
-/// Where the truth is known, it comes with the residual.
-pub type Known<'a> = Option<(&'a Truth, &'a Residual)>;
-
 /// The picture of `estimate`, made from the file `name`.
-pub fn picture(
-    name: &str,
-    scene: &Scene,
-    model: &Model,
-    estimate: &Estimate,
-    rows: &[Row; 3],
-    known: Known,
-) -> Result<EstimatePicture> {
-    let pupil = &model.telescope.pupil;
-    let triple = |estimate: &Array2<f64>, sigma: &Array2<f64>, truth: Option<(&Array2<f64>, &Array2<f64>)>| MapTriple {
-        estimate: estimate.clone(),
-        truth: truth.map(|(truth, _)| truth.clone()),
-        residual: truth.map(|(_, residual)| residual.clone()),
-        // Beside a residual only a figure would be left of it: the subtitle has the one that the table has.
-        sigma: truth.is_none().then(|| sigma.clone()),
-        width_m: pupil.grid.width_m(),
-    };
-    let phasing = known.map(|(truth, residual)| (&truth.phasing_nm, &residual.phasing_nm));
-    let ncpa = known.map(|(truth, residual)| (&truth.ncpa_nm, &residual.ncpa_nm));
-    let compared = &estimate.compared;
+pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
+    let truth = estimate.truth.as_ref();
+    let triple =
+        |map: &Array2<f64>, sigma: &Array2<f64>, part: &dyn Fn(&TruthMaps, &Comparison) -> [Array2<f64>; 2]| {
+            let [truth, residual] = truth.map(|(truth, residual)| part(truth, residual).map(Some)).unwrap_or_default();
+            MapTriple {
+                estimate: map.clone(),
+                // Beside a residual only a figure would be left of it: the subtitle has the one that the table has.
+                sigma: truth.is_none().then(|| sigma.clone()),
+                truth,
+                residual,
+                width_m: estimate.pupil.grid.width_m(),
+            }
+        };
     Ok(EstimatePicture {
         title: format!("Phasing and NCPA from {name}"),
-        subtitle: subtitle(scene, estimate, rows),
-        phasing: triple(&estimate.phasing_nm, &estimate.phasing_sigma_nm, phasing),
-        ncpa: triple(&estimate.ncpa_nm, &estimate.ncpa_sigma_nm, ncpa),
-        bars: bars(model, estimate, known.map(|(truth, _)| truth))?,
-        image: Some(ImageTriple {
+        subtitle: subtitle(estimate),
+        phasing: triple(&estimate.phasing_nm, &estimate.phasing_sigma_nm, &|truth, residual| {
+            [truth.phasing_nm.clone(), residual.phasing_nm.clone()]
+        }),
+        ncpa: triple(&estimate.ncpa_nm, &estimate.ncpa_sigma_nm, &|truth, residual| {
+            [truth.ncpa_nm.clone(), residual.ncpa_nm.clone()]
+        }),
+        bars: bars(estimate)?,
+        image: estimate.compared.as_ref().map(|compared| ImageTriple {
             data: compared.data_e.clone(),
             model: compared.model_e.clone(),
             residual_in_sigma: compared.residual_sigma.clone(),
@@ -47,49 +41,63 @@ pub fn picture(
     })
 }
 
-fn subtitle(scene: &Scene, estimate: &Estimate, [phasing, ncpa, _]: &[Row; 3]) -> Vec<String> {
-    let part = |row: &Row| {
-        let residual = row.residual_nm.map(|nm| format!(", residual {nm:.2}")).unwrap_or_default();
-        format!("{} {:.2} nm RMS (1σ {:.2}{residual})", row.name, row.rms_nm, row.sigma_nm)
+fn subtitle(estimate: &Estimate) -> Vec<String> {
+    let residuals_nm = estimate.truth.as_ref().map(|(_, residual)| residual.rms_nm);
+    let part = |i: usize, name: &str, Figure { rms_nm, sigma_nm }: Figure| {
+        let residual = residuals_nm.map(|nm| format!(", residual {:.2}", nm[i])).unwrap_or_default();
+        format!("{name} {rms_nm:.2} nm RMS (1σ {sigma_nm:.2}{residual})")
+    };
+    let method = match &estimate.map {
+        None => String::new(),
+        Some(map) => format!(
+            ", {}, AO knowledge \"{}\", {}",
+            estimate.method().word(),
+            map.knows.word(),
+            counted(map.iterations.len(), "iteration")
+        ),
     };
     let how = format!(
-        "{} of {} used, {} nm, reduced χ² {:.2}, {:.2} s on {} in {}",
+        "{} of {} used, {} nm{method}, reduced χ² {:.2}, {:.2} s on {} in {}",
         estimate.used(),
-        super::report::counted(estimate.images.len(), "image"),
-        scene.image.wavelength_nm,
-        estimate.reduced_chi2(),
+        counted(estimate.images.len(), "image"),
+        estimate.scene.image.wavelength_nm,
+        estimate.reduced_chi2,
         estimate.seconds,
         estimate.device,
-        estimate.precision
+        estimate.precision.word()
     );
-    vec![format!("{}, {}, tip and tilt removed", part(phasing), part(ncpa)), how]
+    let (phasing, ncpa) = (part(0, "phasing", estimate.phasing), part(1, "NCPA", estimate.ncpa));
+    vec![format!("{phasing}, {ncpa}, tip and tilt removed"), how]
 }
 
-fn bars(model: &Model, estimate: &Estimate, truth: Option<&Truth>) -> Result<ModalBars> {
+fn bars(estimate: &Estimate) -> Result<ModalBars> {
     let group = |group: &Group| match group {
         Group::Segment => ModeGroup::Segment,
         Group::Ncpa => ModeGroup::Ncpa,
     };
+    let known = estimate.fitter.as_ref().zip(estimate.truth.as_ref());
     Ok(ModalBars {
-        names: model.basis.names().iter().map(|name| short(name)).collect(),
-        groups: model.basis.groups().iter().map(group).collect(),
-        estimate_nm: estimate.combined.coefficients_nm.clone(),
-        sigma_nm: estimate.combined.sigma_nm(),
-        truth_nm: truth.map(|truth| true_coefficients(model, truth)).transpose()?,
+        names: estimate.basis.names.iter().map(|name| short(name)).collect(),
+        groups: estimate.basis.groups.iter().map(group).collect(),
+        estimate_nm: estimate.coefficients_nm.clone(),
+        sigma_nm: estimate.sigma_nm(),
+        truth_nm: known.map(|(fitter, (truth, _))| true_coefficients(fitter.model(), truth)).transpose()?,
     })
 }
 
-/// `segment-07-piston` as `piston 7`: the picture makes the words before the numbers the label of the axis.
+/// `segment-07-piston` as `piston 7`, `noll-4` as `noll 4`: the picture makes the words before the numbers the label of
+/// the axis.
 fn short(name: &str) -> String {
     let parts = name.strip_prefix("segment-").and_then(|rest| rest.split_once('-'));
     let numbered = parts.and_then(|(number, motion)| Some((number.parse::<usize>().ok()?, motion)));
-    numbered.map_or_else(|| name.to_string(), |(number, motion)| format!("{motion} {number}"))
+    let plain = || name.replace("noll-", "noll ").replace("kl-", "kl ");
+    numbered.map_or_else(plain, |(number, motion)| format!("{motion} {number}"))
 }
 
 /// Each mode's part in the truth, nm: its product with the true map over the pupil, over that with itself. That is the
 /// coefficient where the modes of a group are orthogonal, as segments, exact Zernikes and Karhunen-Loève modes are;
 /// elsewhere the picture has no truth for them (NaN).
-fn true_coefficients(model: &Model, truth: &Truth) -> Result<Vec<f64>> {
+fn true_coefficients(model: &Model, truth: &TruthMaps) -> Result<Vec<f64>> {
     let amplitude = &model.telescope.pupil.amplitude;
     let weighted = |truth_nm: &Array2<f64>| {
         let part = |at: (usize, usize)| if amplitude[at] > 0.0 { truth_nm[at] * amplitude[at] } else { 0.0 };

@@ -77,7 +77,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         "{}: {} of {columns}x{rows} pixels from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
          residual {:.1} nm RMS, Strehl {:.3} at {} nm (by Marechal {:.3}); {}\n",
         arguments.output.display(),
-        super::report::counted(summary.images, "image"),
+        crate::terminal::counted(summary.images, "image"),
         summary.frames,
         summary.seconds,
         summary.frames_per_s(),
