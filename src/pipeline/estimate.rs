@@ -233,7 +233,12 @@ impl Estimate {
         self.images.iter().map(|image| image.evaluations).sum()
     }
 
-    /// The estimate as text: a table, the error budget, the warnings.
+    /// The estimate as text without its warnings: a table, the error budget, fitted optics, remarks.
+    pub fn summary(&self) -> String {
+        report::summary(self)
+    }
+
+    /// The estimate as text: [`Estimate::summary`], and the warnings.
     pub fn report(&self) -> String {
         report::report(self)
     }

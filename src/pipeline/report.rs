@@ -5,7 +5,14 @@ use super::images::counted;
 use crate::scene::Combine;
 use std::fmt::Write;
 
+/// The whole report: the summary, and the warnings.
 pub(super) fn report(estimate: &Estimate) -> String {
+    let warnings = estimate.warnings.iter().map(|warning| format!("Warning: {warning}.\n"));
+    summary(estimate) + &warnings.collect::<String>()
+}
+
+/// The estimate without its warnings.
+pub(super) fn summary(estimate: &Estimate) -> String {
     let mut text = format!("{}, {}\n\n", combination(estimate), modes(estimate));
     text += &table(estimate);
     text += &format!("\nRMS over the pupil, tip and tilt removed. {}\n", quality(estimate));
@@ -15,7 +22,6 @@ pub(super) fn report(estimate: &Estimate) -> String {
     }
     estimate.optics.iter().for_each(|parameter| text += &optics(parameter));
     estimate.remarks.iter().for_each(|remark| text += &format!("{remark}\n"));
-    estimate.warnings.iter().for_each(|warning| text += &format!("Warning: {warning}.\n"));
     text
 }
 

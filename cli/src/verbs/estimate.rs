@@ -190,7 +190,7 @@ pub fn print(name: &Path, estimate: &Estimate, json: bool, terminal: &Terminal) 
     if json {
         return terminal.json(&Summary::new(estimate));
     }
-    terminal.show(&format!("{name}: {}", estimate.report()))
+    terminal.show(&format!("{name}: {}", estimate.summary()))
 }
 
 /// What `estimate --json` prints; scripts rely on these keys.

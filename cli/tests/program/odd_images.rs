@@ -27,7 +27,7 @@ fn bad_pixels_are_masked_and_counted() {
     // Marked pixels need not be found; unmarked they ruin the fit, which finds them. Either way five take no part.
     let counts = || {
         let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
-        ["BAD_PIXELS", "CUT_PIXELS"].map(|name| file.i64_column("IMAGES", name).unwrap())
+        ["BAD_PIXELS", "REJECTED_PIXELS"].map(|name| file.i64_column("IMAGES", name).unwrap())
     };
     assert_eq!(counts(), [[5], [0]]);
     let (json, _) = desk.estimates_well("odd.fits", &[]);
@@ -71,7 +71,7 @@ fn one_unusable_image_does_not_spoil_the_others() {
     assert_eq!((&json["images"], &json["used"]), (&3.into(), &2.into()));
     assert_eq!(json["status"], "unusable");
     assert_eq!(err.lines().count(), 1, "{err}");
-    assert!(err.contains("odd.fits image 2 of 3: left out") && err.contains("constant"), "{err}");
+    assert!(err.contains("odd.fits: image 2 of 3: left out") && err.contains("constant"), "{err}");
     assert_eq!(text_column(&desk.path("est.fits"), "IMAGES", "STATUS"), ["ok", "unusable", "ok"]);
     let coefficients = FitsReader::open(desk.path("est.fits")).unwrap().map(Some("COEFFICIENTS")).unwrap();
     let finite: Vec<bool> = coefficients.axis_iter(Axis(0)).map(|row| row.iter().all(|nm| nm.is_finite())).collect();
