@@ -95,7 +95,8 @@ fn evaluations(
     session.evaluate(places[0].view(), &mut objectives, &mut gradients)?;
     let error = |(found, reference): (&[f64], ndarray::ArrayView1<f64>)| {
         let largest = reference.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
-        found.iter().zip(reference).fold(0.0, |worst: f64, (found, reference)| worst.max((found - reference).abs())) / largest
+        found.iter().zip(reference).fold(0.0, |worst: f64, (found, reference)| worst.max((found - reference).abs()))
+            / largest
     };
     let gradient_error =
         gradients.chunks(modes).zip(set_up.reference.gradients.outer_iter()).map(error).fold(0.0, f64::max);
