@@ -1,11 +1,12 @@
 //! One point: a session's evaluations and fits, timed, and held against the truth and the f64 CPU chain.
 
-use super::SetUp;
 use super::floor::{Floor, Rates};
 use super::grid::{Grid, ModelPlan, Variant, device_name};
 use super::point::{Point, Spread};
+use super::reference::{fitted, place, write};
+use super::set_up::SetUp;
 use crate::experiment::statistics::{median, rms};
-use crate::experiment::{Case, Draw, Progress};
+use crate::experiment::{Draw, Progress};
 use cophase::Result;
 use cophase::estimate::{Estimator, FitOptions, Session, SessionOptions};
 use cophase::imaging::Chain;
@@ -15,36 +16,10 @@ use std::time::{Duration, Instant};
 
 /// Points in the space of coefficients between which evaluations change, so that nothing can be reused.
 const PLACES: usize = 4;
-/// RMS of their coefficients, nm: within the capture range of every scene, and not flat.
-const PLACE_NM: f64 = 40.0;
 /// A timed round of evaluations lasts at least this long: a thousand times the clock's resolution.
 const ROUND: Duration = Duration::from_millis(10);
 /// Rounds of evaluations for each repeat of the fits, which take some fourteen times as long.
 const ROUNDS: usize = 5;
-
-/// What the f64 CPU chain says of each draw: the judge of every variant.
-pub(super) struct Judge {
-    /// The estimates, nm; `None` where a fit gave none.
-    pub coefficients_nm: Vec<Option<Vec<f64>>>,
-    /// Gradients at the first place, `[draw, mode]`, per nm.
-    gradients: Array2<f64>,
-}
-
-impl Judge {
-    pub fn new(case: &Case, draws: &[Draw]) -> Result<Self> {
-        let options = SessionOptions { capacity: draws.len(), threads: 0, ..SessionOptions::default() };
-        let mut session = Session::new(case.estimator.clone(), &options)?;
-        write(&mut session, draws, 0, draws.len())?;
-        session.load(draws.len(), None)?;
-        let modes = case.estimator.model().optics.modes();
-        let (mut objectives, mut gradients) = (vec![0.0; draws.len()], Array2::zeros((draws.len(), modes)));
-        let at = place(0, draws.len(), modes);
-        session.evaluate(at.view(), &mut objectives, gradients.as_slice_mut().unwrap_or_default())?;
-        session.fit(draws.len(), &FitOptions::default())?;
-        let coefficients_nm = (0..draws.len()).map(|image| fitted(&session, image)).collect();
-        Ok(Self { coefficients_nm, gradients })
-    }
-}
 
 /// Measures `variant` of a model.
 pub(super) fn point(
@@ -102,24 +77,7 @@ fn open(estimator: &Arc<Estimator>, variant: &Variant) -> Result<Session> {
     )
 }
 
-/// Writes `count` frames: the draws from number `first` on, over and over.
-fn write(session: &mut Session, draws: &[Draw], first: usize, count: usize) -> Result<()> {
-    for image in 0..count {
-        let (mut frame_e, mut bad) = session.frame_mut(image)?;
-        frame_e.assign(&draws[(first + image) % draws.len()].image_e);
-        bad.fill(false);
-    }
-    Ok(())
-}
-
-/// Place `number` for each of `images`, `[image, mode]`, nm.
-fn place(number: usize, images: usize, modes: usize) -> Array2<f64> {
-    // Of unit variance, and no two images or modes alike.
-    let value = |image: usize, mode: usize| ((7 * image + 3 * mode + 11 * number) as f64).sin() * 2f64.sqrt();
-    Array2::from_shape_fn((images, modes), |(image, mode)| PLACE_NM * value(image, mode))
-}
-
-/// Times of one evaluation per image, and the largest deviation of a gradient from the judge's, as a fraction of that
+/// Times of one evaluation per image, and the largest deviation of a gradient from the reference's, as a fraction of that
 /// gradient's largest element.
 fn evaluations(
     session: &mut Session,
@@ -135,12 +93,13 @@ fn evaluations(
     let places: Vec<Array2<f64>> = (0..PLACES).map(|number| place(number, batch, modes)).collect();
     let (mut objectives, mut gradients) = (vec![0.0; batch], vec![0.0; batch * modes]);
     session.evaluate(places[0].view(), &mut objectives, &mut gradients)?;
-    let error = |(found, judge): (&[f64], ndarray::ArrayView1<f64>)| {
-        let largest = judge.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
-        found.iter().zip(judge).fold(0.0, |worst: f64, (found, judge)| worst.max((found - judge).abs())) / largest
+    let error = |(found, reference): (&[f64], ndarray::ArrayView1<f64>)| {
+        let largest = reference.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+        found.iter().zip(reference).fold(0.0, |worst: f64, (found, reference)| worst.max((found - reference).abs()))
+            / largest
     };
     let gradient_error =
-        gradients.chunks(modes).zip(set_up.judge.gradients.outer_iter()).map(error).fold(0.0, f64::max);
+        gradients.chunks(modes).zip(set_up.reference.gradients.outer_iter()).map(error).fold(0.0, f64::max);
     let mut seconds = Vec::with_capacity(ROUNDS * grid.repeats);
     for _ in 0..ROUNDS * grid.repeats {
         progress.check()?;
@@ -165,7 +124,7 @@ struct Fits {
     fitted: usize,
     /// Median.
     reduced_chi2: f64,
-    /// Largest RMS over the modes of the difference to the judge's estimate, nm.
+    /// Largest RMS over the modes of the difference to the reference's estimate, nm.
     estimate_error_nm: f64,
 }
 
@@ -195,8 +154,8 @@ fn fits(
             for (all, one) in residuals_nm.iter_mut().zip(set_up.case.residuals_nm(&found, draw)?) {
                 all.push(one);
             }
-            if let Some(judge) = &set_up.judge.coefficients_nm[first + image] {
-                let off: Vec<f64> = found.iter().zip(judge).map(|(found, judge)| found - judge).collect();
+            if let Some(reference) = &set_up.reference.coefficients_nm[first + image] {
+                let off: Vec<f64> = found.iter().zip(reference).map(|(found, reference)| found - reference).collect();
                 errors_nm.push(rms(&off));
             }
         }
@@ -215,10 +174,4 @@ fn fits(
         reduced_chi2: median(&chi2),
         estimate_error_nm: errors_nm.into_iter().fold(0.0, f64::max),
     })
-}
-
-/// The estimate of an image of the last fit, nm; `None` where the image could not be used.
-fn fitted(session: &Session, image: usize) -> Option<Vec<f64>> {
-    let found = &session.results()[image].coefficients_nm;
-    found.iter().all(|nm| nm.is_finite()).then(|| found.clone())
 }

@@ -15,18 +15,18 @@ mod front;
 mod grid;
 mod measure;
 mod point;
+mod reference;
+mod set_up;
 
 pub use floor::{Floor, Rates};
 pub use front::{pareto, picture};
 pub use grid::{Crop, Grid};
 pub use point::{Cell, Point, Spread, columns, record, table};
 
-use crate::experiment::{Case, Draw, Progress, draws_from};
+use crate::experiment::{Progress, draws_from};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
-use grid::ModelPlan;
-use measure::Judge;
-use std::time::Instant;
+use set_up::SetUp;
 
 /// What came out.
 #[derive(Debug, Clone)]
@@ -78,35 +78,5 @@ pub fn run(scene: &Scene, grid: &Grid, first_seed: u64, progress: &Progress) -> 
     match first_failure {
         Some(error) if bench.points.is_empty() => Err(error),
         _ => Ok(bench),
-    }
-}
-
-/// A model with what is known of it before it is timed.
-struct SetUp {
-    case: Case,
-    /// s.
-    seconds: f64,
-    /// Cramér-Rao bound of the first draw: segment errors and NCPA, nm.
-    bound_nm: [f64; 2],
-    /// What the f64 CPU chain finds.
-    judge: Judge,
-}
-
-impl SetUp {
-    fn new(model: &ModelPlan, scene: &Scene, draws: &[Draw], progress: &Progress) -> Result<Self> {
-        progress.check()?;
-        let scene = model.scene(scene, progress.cancel())?;
-        let started = Instant::now();
-        let case = Case::new(&scene)?;
-        let seconds = started.elapsed().as_secs_f64();
-        let judge = Judge::new(&case, draws)?;
-        let bound_nm = match &judge.coefficients_nm[0] {
-            Some(found) => {
-                let bound = case.bound_at(found, &draws[0])?;
-                [bound.phasing_nm, bound.ncpa_nm]
-            }
-            None => [f64::NAN; 2],
-        };
-        Ok(Self { case, seconds, bound_nm, judge })
     }
 }

@@ -3,10 +3,33 @@
 use super::axis::{Axis, usable};
 use super::canvas::{Canvas, Pen, Rect};
 use super::colour::{AXIS, INK, MUTED, Rgb};
-use super::estimate::{ModalBars, ModeGroup};
 use super::font::{self, Ink};
 use super::frame::{ABOVE, BELOW, Frame, LABEL_EM, LEFT, PANEL_EM, TICK_EM, panel_title, x_number, x_tick};
 use super::panel::{rms_text, root_mean_square};
+
+/// To which part of the wavefront a mode belongs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ModeGroup {
+    /// A segment's piston (or tip, or tilt).
+    Segment,
+    /// A mode of the non-common path aberrations.
+    Ncpa,
+}
+
+/// Mode coefficients, all lists of one length.
+#[derive(Debug, Clone, Default)]
+pub struct ModalBars {
+    /// Names; a common stem before their numbers ("piston 1", "piston 2") becomes the label of the axis.
+    pub names: Vec<String>,
+    /// The panel of each mode.
+    pub groups: Vec<ModeGroup>,
+    /// Estimates, nm.
+    pub estimate_nm: Vec<f64>,
+    /// 1σ, nm.
+    pub sigma_nm: Vec<f64>,
+    /// True coefficients, nm, where they are known.
+    pub truth_nm: Option<Vec<f64>>,
+}
 
 const BAR: Rgb = Rgb(0x9d, 0xc3, 0xe0);
 const TRUTH: Rgb = Rgb(0xd5, 0x5e, 0x00);

@@ -4,8 +4,8 @@
 //! pixel: a PNG is averaged down afterwards (so every edge is smooth), an SVG keeps them in its `viewBox`.
 
 use super::colour::Rgb;
+use super::encode::{base64, png};
 use super::font::{self, Anchor, Ink};
-use super::page::{base64, png};
 use cophase::{Error, Result};
 use plotters::backend::DrawingBackend;
 use plotters::style::text_anchor::{HPos, Pos, VPos};

@@ -1,6 +1,6 @@
 //! The picture of an estimate: maps, coefficients and the image it explains.
 
-use super::bars;
+use super::bars::{self, ModalBars};
 use super::canvas::Rect;
 use super::colour::Shade;
 use super::frame::{LEFT, MARGIN, PAGE_W, heading, heading_height};
@@ -25,30 +25,6 @@ pub struct MapTriple {
     pub sigma: Option<Array2<f64>>,
     /// Width of the maps, m.
     pub width_m: f64,
-}
-
-/// To which part of the wavefront a mode belongs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ModeGroup {
-    /// A segment's piston (or tip, or tilt).
-    Segment,
-    /// A mode of the non-common path aberrations.
-    Ncpa,
-}
-
-/// Mode coefficients, all lists of one length.
-#[derive(Debug, Clone, Default)]
-pub struct ModalBars {
-    /// Names; a common stem before their numbers ("piston 1", "piston 2") becomes the label of the axis.
-    pub names: Vec<String>,
-    /// The panel of each mode.
-    pub groups: Vec<ModeGroup>,
-    /// Estimates, nm.
-    pub estimate_nm: Vec<f64>,
-    /// 1σ, nm.
-    pub sigma_nm: Vec<f64>,
-    /// True coefficients, nm, where they are known.
-    pub truth_nm: Option<Vec<f64>>,
 }
 
 /// An image, the model's, and their difference in units of its noise; pixels that were not used are NaN.

@@ -12,6 +12,7 @@ mod bars;
 mod canvas;
 mod colour;
 mod curve;
+mod encode;
 mod estimate;
 mod font;
 mod frame;
@@ -19,8 +20,9 @@ mod maps;
 mod page;
 mod panel;
 
+pub use bars::{ModalBars, ModeGroup};
 pub use curve::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
-pub use estimate::{EstimatePicture, ImageTriple, MapTriple, ModalBars, ModeGroup};
+pub use estimate::{EstimatePicture, ImageTriple, MapTriple};
 pub use maps::{CaptionedMap, MapScale, MapsPicture};
 
 /// Refuses a map that is not a positive number of metres wide.

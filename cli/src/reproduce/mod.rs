@@ -13,8 +13,11 @@ mod hard_cases;
 mod on_sky;
 mod on_sky_images;
 mod on_sky_table;
+mod options;
+mod report;
 mod samples;
 mod table_rows;
+mod target;
 
 pub use artificial_source::{ArtificialSource, WayResult, artificial_source};
 pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, HeldMap, beyond, beyond_rows, held_maps};
@@ -23,211 +26,10 @@ pub use hard_cases::{HARD_CASES, HardCase, HardCases, Spoil, Verdict, hard_cases
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};
 pub use on_sky_images::{ImageNumber, ImageNumbers, image_numbers};
 pub use on_sky_table::{OnSky, RowDraw, RowResult, on_sky, reduction_percent};
+pub use options::Options;
+pub use report::Report;
 pub use samples::{Samples, SamplesPoint, samples};
 pub use table_rows::{Conditions, Published, ROWS, Row, Segments, VARIANTS};
+pub use target::Target;
 
 pub use crate::experiment::{Bound, Case, Cell, Draw, Progress, Pulls, Table, Trial, Way, draws, statistics};
-
-use cophase::optimize::CancelFlag;
-use cophase::{Error, Result};
-use std::path::PathBuf;
-
-/// What can be reproduced.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Target {
-    /// Section 3: residuals from one image of an artificial source.
-    ArtificialSource,
-    /// Error against pupil samples and against the width of the fitted image.
-    Samples,
-    /// Section 3.5: residual against the amplitude of the defocus.
-    Diversity,
-    /// Table 2: residuals from 200 images behind each kind of loop.
-    Table,
-    /// Section 4.4: residual against the number of images.
-    Images,
-    /// Section 4: the layers of turbulence, the segments, the NCPA and the mask.
-    Layers,
-    /// Section 4: the loop closed on the segments' errors alone.
-    Leak,
-    /// Section 4.3: modes and maps estimated behind the paper's best loop.
-    Modes,
-    /// Section 4.5: H-band Strehl ratio before and after the segments are corrected.
-    Strehl,
-    /// Section 4.5: power spectra of the residual wavefront before and after.
-    Psd,
-    /// Beyond the paper: the full-phase estimate behind each kind of loop.
-    Beyond,
-    /// What goes wrong, and whether the answer says so.
-    HardCases,
-}
-
-/// How a target is run.
-#[derive(Debug, Clone, Default)]
-pub struct Options {
-    /// Draws of aberrations and noise at each point; the target's own number unless named.
-    pub seeds: Option<usize>,
-    /// Where the files go; it is made where it is missing.
-    pub directory: PathBuf,
-    /// Two draws, and a few points or images: a look at the shape, not a result.
-    pub quick: bool,
-    /// The telescope behind the loop.
-    pub segments: Segments,
-    /// Rows of [`Target::Beyond`], or cases of [`Target::HardCases`], by name; none are all.
-    pub rows: Vec<String>,
-    /// Folder of measured maps of NCPA, each of which is a row of [`Target::Beyond`].
-    pub maps: Option<PathBuf>,
-}
-
-impl Options {
-    /// What all loops have in common.
-    fn conditions(&self) -> Conditions {
-        let settings = if self.quick { vec![("image.count", QUICK_IMAGES)] } else { Vec::new() };
-        Conditions { segments: self.segments, settings }
-    }
-}
-
-/// Images of a quick look at a loop: 12 s of sky.
-const QUICK_IMAGES: &str = "40";
-
-/// What came out.
-#[derive(Debug, Clone)]
-pub struct Report {
-    /// Tables and their headings, for a terminal.
-    pub text: String,
-    /// Files written, in order.
-    pub files: Vec<PathBuf>,
-}
-
-impl Target {
-    /// All of them.
-    pub const ALL: [Target; 12] = [
-        Target::ArtificialSource,
-        Target::Samples,
-        Target::Diversity,
-        Target::Table,
-        Target::Images,
-        Target::Layers,
-        Target::Leak,
-        Target::Modes,
-        Target::Strehl,
-        Target::Psd,
-        Target::Beyond,
-        Target::HardCases,
-    ];
-
-    /// The figures of section 4 that are neither the table's nor that of the number of images.
-    pub const FIGURES: [Target; 5] = [Target::Layers, Target::Leak, Target::Modes, Target::Strehl, Target::Psd];
-
-    /// The name on the command line, and of its files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Target::ArtificialSource => "artificial-source",
-            Target::Samples => "samples",
-            Target::Diversity => "diversity",
-            Target::Table => "table",
-            Target::Images => "images",
-            Target::Layers => "layers",
-            Target::Leak => "leak",
-            Target::Modes => "modes",
-            Target::Strehl => "strehl",
-            Target::Psd => "psd",
-            Target::Beyond => "beyond",
-            Target::HardCases => "hard-cases",
-        }
-    }
-
-    /// One line on what it shows.
-    pub fn about(self) -> &'static str {
-        match self {
-            Target::ArtificialSource => {
-                "residuals from one image: the paper's way and ours, against the Cramér-Rao bound"
-            }
-            Target::Samples => "error and time against pupil samples and the width of the fitted image",
-            Target::Diversity => "residual against the amplitude of the defocus at 1640 and 2168.6 nm",
-            Target::Table => "the paper's Table 2: a minute of images behind each kind of AO loop",
-            Target::Images => "residual against the number of images, mean and median",
-            Target::Layers => "what goes in: turbulent layers, segments, NCPA, mask",
-            Target::Leak => "segment pistons that leak into the mirror of three loops, without turbulence",
-            Target::Modes => "modes and maps estimated behind the masked, inpainted, pseudo-open loop",
-            Target::Strehl => "H-band Strehl ratio and PSF before and after the segments are corrected, 64 and 128 nm",
-            Target::Psd => "power spectra of the residual wavefront before and after, 64 and 128 nm",
-            Target::Beyond => {
-                "full-phase estimates behind a loop, beside the paper's way; draws that are there are kept"
-            }
-            Target::HardCases => "hard cases: is the answer right, and where it is not, does it say so?",
-        }
-    }
-
-    /// Draws at each point unless the caller names a number: enough for the mean residual to be known to 10 %
-    /// (the paper's way scatters by 40 % from draw to draw), and for a quarter of an hour on two cores; behind a loop
-    /// 3, which scatter by some 10 %, for six minutes.
-    pub fn default_seeds(self) -> usize {
-        match self {
-            Target::ArtificialSource => 24,
-            Target::Samples | Target::HardCases => 8,
-            Target::Diversity => 6,
-            Target::Table | Target::Images => 3,
-            // Half a minute each on two cores; --seeds 10 goes on from there.
-            Target::Beyond => 3,
-            // The prototype's number; a loop without turbulence is settled in a moment.
-            Target::Leak => 12,
-            // One draw is what the picture shows.
-            Target::Layers | Target::Modes | Target::Strehl | Target::Psd => 1,
-        }
-    }
-
-    /// The target of that name.
-    ///
-    /// # Errors
-    /// [`Error::Value`] for any other name.
-    pub fn parse(name: &str) -> Result<Self> {
-        Self::ALL.into_iter().find(|target| target.name() == name).ok_or_else(|| {
-            let known = Self::ALL.map(Target::name).join(", ");
-            Error::Value(format!("nothing called '{name:.60}' can be reproduced: {known} are accepted"))
-        })
-    }
-
-    /// Runs it and writes `<name>.csv` and `<name>.png` (and what else the report names) into the directory.
-    ///
-    /// `watch` is told (done, total) in units of fitted images, from any thread.
-    ///
-    /// # Errors
-    /// [`Error::Value`] for no seeds, [`Error::File`] where a file cannot be written, [`Error::Interrupted`] where
-    /// `cancel` went up, and those of the estimator.
-    pub fn run(
-        self,
-        options: &Options,
-        watch: &(dyn Fn(usize, usize) + Sync),
-        cancel: Option<&CancelFlag>,
-    ) -> Result<Report> {
-        let seeds = options.seeds.unwrap_or(if options.quick { 2 } else { self.default_seeds() });
-        if seeds == 0 {
-            return Err(Error::Value("0 seeds leave nothing to reproduce: at least 1 is needed".into()));
-        }
-        let progress = Progress::new(watch, cancel);
-        std::fs::create_dir_all(&options.directory).map_err(|error| Error::file(&options.directory, error))?;
-        match self {
-            Target::ArtificialSource => artificial_source(seeds, &progress)?.report(&options.directory),
-            Target::Samples => samples(seeds, options.quick, &progress)?.report(&options.directory),
-            Target::Diversity => diversity(seeds, options.quick, &progress)?.report(&options.directory),
-            Target::Table => {
-                let rows = on_sky_table::all_rows();
-                on_sky(&rows, &options.conditions(), seeds, &progress)?.report(&options.directory)
-            }
-            Target::Images => image_numbers(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Layers => figures::layers(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Leak => figures::leak(&figures::LeakCase::ALL, seeds, &progress)?.report(&options.directory),
-            Target::Modes => figures::modes(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Strehl => figures::strehl(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::Psd => figures::psd(&options.conditions(), seeds, &progress)?.report(&options.directory),
-            Target::HardCases => {
-                hard_cases(&HardCase::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
-            }
-            Target::Beyond => {
-                let (rows, maps) = beyond_rows(options)?;
-                let table = beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?;
-                table.report(&maps, &options.directory)
-            }
-        }
-    }
-}

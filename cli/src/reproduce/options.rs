@@ -1,0 +1,32 @@
+//! How a target is run.
+
+use super::table_rows::{Conditions, Segments};
+use std::path::PathBuf;
+
+/// How a target is run.
+#[derive(Debug, Clone, Default)]
+pub struct Options {
+    /// Draws of aberrations and noise at each point; the target's own number unless named.
+    pub seeds: Option<usize>,
+    /// Where the files go; it is made where it is missing.
+    pub directory: PathBuf,
+    /// Two draws, and a few points or images: a look at the shape, not a result.
+    pub quick: bool,
+    /// The telescope behind the loop.
+    pub segments: Segments,
+    /// Rows of [`Target::Beyond`], or cases of [`Target::HardCases`], by name; none are all.
+    pub rows: Vec<String>,
+    /// Folder of measured maps of NCPA, each of which is a row of [`Target::Beyond`].
+    pub maps: Option<PathBuf>,
+}
+
+impl Options {
+    /// What all loops have in common.
+    pub(super) fn conditions(&self) -> Conditions {
+        let settings = if self.quick { vec![("image.count", QUICK_IMAGES)] } else { Vec::new() };
+        Conditions { segments: self.segments, settings }
+    }
+}
+
+/// Images of a quick look at a loop: 12 s of sky.
+const QUICK_IMAGES: &str = "40";
