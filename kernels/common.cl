@@ -1,26 +1,26 @@
 /*
  * common.cl: number types, vectors and layouts that every kernel shares. Prepended to each file of this folder.
  *
- * Knobs (set by src/device/table.rs):
+ * Preprocessor definitions (set by src/device/table.rs):
  *   DOUBLE  0 | 1          real is float or double
- *   VEC     1 | 4 | 8 | 16 numbers in one `vec`. On a processor: the width of its registers (explicit vectors reach its
- *                          peak, the vectoriser across work-items of PoCL does not). On a GPU: 1, so that neighbouring
+ *   VEC     1 | 4 | 8 | 16 numbers in one `vec`. On a CPU: the width of its registers (explicit vectors reach its peak
+ *                          rate, PoCL's vectorisation across work-items does not). On a GPU: 1, so that neighbouring
  *                          work-items read neighbouring numbers.
- *   GROUP   4              images that a work-item carries together through the modes (see field.cl)
- *   TALL    6              output rows that a work-item carries together down the columns (see transform.cl)
+ *   GROUP   4              images per work-item in the products with the modes (see field.cl)
+ *   TALL    6              output rows per work-item in the products along columns (see transform.cl)
  *
  * The folded layout. Pupil and image are symmetric about the optical axis, so that a Fourier sum over +-x splits into
  * a cosine sum over E(+x) + E(-x) and a sine sum over E(+x) - E(-x), each real and half as long: a quarter of the work of
- * a complex product. Arrays are stored for that, by distance from the axis and quadrant; only the host knows x and y.
+ * a complex product. Arrays are stored by distance from the axis and by quadrant; only the host uses x and y.
  *
- * Samples and pixels alike lie i + 1/2 steps from the axis: a tilt that the host adds to the diversity moves the image by
- * half a pixel, for which no intensity but the right one is seen, and no pixel lies on the axis.
+ * Samples and pixels lie i + 1/2 steps from the axis, so that no pixel lies on it: the host adds a tilt to the diversity that
+ * moves the image by half a pixel, and the intensities are exactly those of the unshifted pixels.
  *
  *   pupil quadrants  q = 0: (+y +x), 1: (+y -x), 2: (-y +x), 3: (-y -x)
- *   pupil block      VEC samples next to each other in x, in all four quadrants; in each column of blocks, those up to
- *                    the last with a lit sample
+ *   pupil block      VEC samples next to each other in x, in all four quadrants; each column of blocks ends with the
+ *                    last block that has an illuminated sample
  *   field     [image][y][x parity][even-y re, even-y im, odd-y re, odd-y im][x]      x padded to `width`
- *   wave      [image][pair][...two rows of four planes...][x]                        a row pair is v and -v
+ *   wave      [image][pair][...two rows of four planes...][x]                        a row pair is rows v and -v
  *   focal     [image][pair][+v, -v][four planes][u]                                  padded to `span`
  *   pixels    [slot][pair][+v, -v][+u, -u][u]; weight 0 where a pixel is bad or padding
  *
@@ -35,7 +35,7 @@ typedef float real;
 #define REAL(x) x##f
 #endif
 
-/* Sums that decide photometry and objective: in double wherever the device has it. */
+/* Type of the sums for photometry and objective: double where the device supports it. */
 #if DOUBLE || defined(cl_khr_fp64)
 #pragma OPENCL EXTENSION cl_khr_fp64 : enable
 typedef double wide;
@@ -69,7 +69,7 @@ typedef JOIN(BASE, VEC) vec;
 #define AT(array, i) (*(__global vec *)((array) + (i)))
 #define GET(array, i) (*(__global const vec *)((array) + (i)))
 
-/* One rounding where the hardware has it, two where a fused operation would be emulated. */
+/* Fused multiply-add in hardware (one rounding); otherwise a product and a sum (two roundings), never an emulated fma. */
 #if (DOUBLE && defined(FP_FAST_FMA)) || (!DOUBLE && defined(FP_FAST_FMAF))
 #define MAD(a, b, c) fma(a, b, c)
 #else
@@ -77,8 +77,8 @@ typedef JOIN(BASE, VEC) vec;
 #endif
 #define SPLAT(s) ((vec)(s))
 
-/* Where a number of a block stands, in vectors, and the same for re of a complex number and the way from there to im.
-   Neighbouring work-items of a GPU hold neighbouring blocks; a processor's holds all of one. */
+/* Index of a number of a block, in vectors; index of the real part of a complex number, and its distance to the imaginary
+   part. On a GPU neighbouring work-items process neighbouring blocks; on a CPU a work-item processes a whole block. */
 #if VEC == 1
 #define PLANE(q, block, blocks) ((q) * (blocks) + (block))
 #define COMPLEX(q, block, blocks) (2 * (q) * (blocks) + (block))

@@ -1,30 +1,30 @@
 /*
- * fft.cl: focus.cl for whole images (as many pixels as the zero-padded pupil has samples): an FFT in place of the matrix
- * products, with a seventh of their operations at 240 pixels.
+ * fft.cl: focus.cl with an FFT in place of the matrix products, for whole images (as many pixels as the zero-padded pupil has
+ * samples). It takes a seventh of the operations at 240 pixels.
  *
- * Knobs (absent: nothing of this file is compiled): FFT_A, FFT_B, two of 8, 12, 15, 16, 20 with N = FFT_A FFT_B; FFT_LIT,
- * how many of the FFT_A blocks of FFT_B inputs on either side of the axis hold glass.
+ * Preprocessor definitions (without them this file is empty): FFT_A, FFT_B, two of 8, 12, 15, 16, 20 with N = FFT_A FFT_B;
+ * FFT_NONZERO, the number of blocks of FFT_B inputs on either side of the axis that are not all zero (of FFT_A blocks in all).
  *
  * N points in two passes through memory, in place: j = B a + b, f = r + A k,
  *
- *   T[r][b] = exp(-2 pi i b r / N) sum_a z[B a + b] exp(-2 pi i a r / A)       (zero inputs pruned: the outer blocks only)
+ *   T[r][b] = exp(-2 pi i b r / N) sum_a z[B a + b] exp(-2 pi i a r / A)       (pruned: only the nonzero blocks are read)
  *   Z[r][k] = sum_b T[r][b] exp(-2 pi i b k / B)
  *
  * Frequencies stay in the order [r][k]: the host stores data and weights so. The adjoint runs backwards, on numbers with
  * re and im exchanged, which conjugates every factor. A vector is VEC neighbours in x down the columns, and VEC rows along
  * the rows, exchanged by transposing VEC x VEC blocks on the way.
  *
- * Samples are counted +0, +1, ... and -1 = N - 1, ... from the axis; that they lie half a sample farther turns the phase of
- * each pixel, which no intensity sees and the adjoint turns back.
+ * Samples are counted +0, +1, ... and -1 = N - 1, ... from the axis. They lie half a sample farther, which multiplies each
+ * pixel with a phase factor: the intensity does not depend on it, and the adjoint divides it out.
  *
- *   field  [y sign][y][x sign][re, im][x]    y padded to FFT_LIT FFT_B, zero there
+ *   field  [y sign][y][x sign][re, im][x]    y padded to FFT_NONZERO FFT_B, zero there
  *   wave   [frequency of y][x sign][re, im][x]
  *   focal  [VEC frequencies of y][frequency of x][re, im][VEC]
  *   pixels [slot][VEC frequencies of y][frequency of x][VEC]
  */
 #if defined(FFT_A) && VEC > 1
 #define FFT_N (FFT_A * FFT_B)
-#define LIT_ROWS (FFT_LIT * FFT_B)
+#define NONZERO_ROWS (FFT_NONZERO * FFT_B)
 #define DFT(radix) JOIN(dft_, radix)
 
 /* Transforms of a few numbers in registers: index k of the arrays is input k, then output k. */
@@ -61,7 +61,7 @@ inline void dft_5(vec *re, vec *im) {
     re[3] = qr - ui, im[3] = qi + ur;
 }
 
-/* Coprime factors need no twiddles: input (Q a + P b) mod PQ, output by the remainders of k (Good and Thomas). */
+/* Coprime factors need no twiddle factors: input (Q a + P b) mod PQ, output by the remainders of k (Good-Thomas). */
 #define DFT_COPRIME(NAME, P, Q)                                                                                        \
     inline void NAME(vec *re, vec *im) {                                                                               \
         vec xr[Q][P], xi[Q][P];                                                                                        \
@@ -85,7 +85,7 @@ DFT_COPRIME(dft_12, 3, 4)
 DFT_COPRIME(dft_15, 3, 5)
 DFT_COPRIME(dft_20, 4, 5)
 
-inline void turn_by(vec *re, vec *im, const real c, const real s) {
+inline void rotate(vec *re, vec *im, const real c, const real s) {
     vec r = MAD(SPLAT(c), *re, SPLAT(s) * *im);
     *im = MAD(SPLAT(c), *im, SPLAT(-s) * *re);
     *re = r;
@@ -117,7 +117,7 @@ inline void dft_2(vec *re, vec *im) {
             dft_4(xr[b], xi[b]);                                                                                       \
             _Pragma("unroll") for (int r = 1; r < 4; r++)                                                              \
                 if (b > 0)                                                                                             \
-                    turn_by(&xr[b][r], &xi[b][r], TURNS_16[b * r * 4 / Q][0], TURNS_16[b * r * 4 / Q][1]);             \
+                    rotate(&xr[b][r], &xi[b][r], TURNS_16[b * r * 4 / Q][0], TURNS_16[b * r * 4 / Q][1]);             \
         }                                                                                                              \
         _Pragma("unroll") for (int r = 0; r < 4; r++) {                                                                \
             vec yr[Q], yi[Q];                                                                                          \
@@ -130,11 +130,11 @@ inline void dft_2(vec *re, vec *im) {
 DFT_TWIDDLED(dft_8, 2)
 DFT_TWIDDLED(dft_16, 4)
 
-/* Whether input block a holds glass. */
-#define LIT(a) ((a) < FFT_LIT || (a) >= FFT_A - FFT_LIT)
+/* Whether input block a may be nonzero. */
+#define IS_NONZERO(a) ((a) < FFT_NONZERO || (a) >= FFT_A - FFT_NONZERO)
 
-/* The first pass: `near` and `far` are sample 0 on either side of the axis, `step` apart from the next; im lies `apart`
-   from re. Into line [r][b][re, im][VEC]. twiddle: [b][r][cos, sin]. */
+/* First pass: `near` and `far` are sample 0 on either side of the axis, samples are `step` apart, and im is `apart` from
+   re. Into line [r][b][re, im][VEC]. twiddle: [b][r][cos, sin]. */
 inline void fft_first(__global const real *near, __global const real *far, const int step, const int apart,
                       __global const real *twiddle, __global real *line) {
     for (int b = 0; b < FFT_B; b++, twiddle += 2 * FFT_A) {
@@ -142,9 +142,9 @@ inline void fft_first(__global const real *near, __global const real *far, const
 #pragma unroll
         for (int a = 0; a < FFT_A; a++) {
             re[a] = im[a] = SPLAT(REAL(0.0));
-            if (LIT(a)) {
+            if (IS_NONZERO(a)) {
                 const int j = FFT_B * a + b;
-                __global const real *z = a < FFT_LIT ? near + j * step : far + (FFT_N - 1 - j) * step;
+                __global const real *z = a < FFT_NONZERO ? near + j * step : far + (FFT_N - 1 - j) * step;
                 re[a] = GET(z, 0);
                 im[a] = GET(z, apart);
             }
@@ -159,7 +159,7 @@ inline void fft_first(__global const real *near, __global const real *far, const
     }
 }
 
-/* Its adjoint. Samples from `limit` on stay dark. */
+/* Adjoint of fft_first. Samples from `limit` on are outside the pupil and are not written. */
 inline void fft_first_adjoint(__global const real *line, __global const real *twiddle, __global real *near,
                               __global real *far, const int step, const int apart, const int limit) {
     for (int b = 0; b < FFT_B; b++, twiddle += 2 * FFT_A) {
@@ -174,10 +174,10 @@ inline void fft_first_adjoint(__global const real *line, __global const real *tw
         DFT(FFT_A)(im, re);
 #pragma unroll
         for (int a = 0; a < FFT_A; a++) {
-            if (LIT(a)) {
-                const int j = FFT_B * a + b, i = a < FFT_LIT ? j : FFT_N - 1 - j;
+            if (IS_NONZERO(a)) {
+                const int j = FFT_B * a + b, i = a < FFT_NONZERO ? j : FFT_N - 1 - j;
                 if (i < limit) {
-                    __global real *z = (a < FFT_LIT ? near : far) + i * step;
+                    __global real *z = (a < FFT_NONZERO ? near : far) + i * step;
                     AT(z, 0) = re[a];
                     AT(z, apart) = im[a];
                 }
@@ -186,10 +186,10 @@ inline void fft_first_adjoint(__global const real *line, __global const real *tw
     }
 }
 
-/* One vector of columns: all y to all frequencies. */
+/* Transform along y of one vector of columns, to all frequencies. */
 inline void fft_column(__global const real *field, __global const real *twiddle, __global real *line,
                        __global real *wave, const int width) {
-    fft_first(field, field + LIT_ROWS * 4 * width, 4 * width, width, twiddle, line);
+    fft_first(field, field + NONZERO_ROWS * 4 * width, 4 * width, width, twiddle, line);
     for (int r = 0; r < FFT_A; r++, line += FFT_B * 2 * VEC, wave += FFT_B * 4 * width) {
         vec re[FFT_B], im[FFT_B];
 #pragma unroll
@@ -211,10 +211,10 @@ inline void fft_column_adjoint(__global const real *wave, __global const real *t
 #pragma unroll
         for (int b = 0; b < FFT_B; b++) AT(out, 2 * b * VEC) = re[b], AT(out, (2 * b + 1) * VEC) = im[b];
     }
-    fft_first_adjoint(line, twiddle, field, field + LIT_ROWS * 4 * width, 4 * width, width, limit);
+    fft_first_adjoint(line, twiddle, field, field + NONZERO_ROWS * 4 * width, 4 * width, width, limit);
 }
 
-/* VEC vectors `in_step` apart to VEC vectors `out_step` apart: rows to columns, by perfect shuffles. */
+/* Transposes VEC vectors `in_step` apart into VEC vectors `out_step` apart, by perfect shuffles. */
 inline void transpose(__global const real *in, const int in_step, __global real *out, const int out_step) {
     vec a[VEC];
 #pragma unroll
@@ -234,8 +234,8 @@ inline void transpose(__global const real *in, const int in_step, __global real 
     for (int i = 0; i < VEC; i++) AT(out, i * out_step) = a[i];
 }
 
-/* VEC rows of the wave to all frequencies of x, with the sums of w h, w h^2, w h d. `side` holds the samples of these rows:
-   [x sign][x][re, im][VEC], x padded to the larger of `width` and LIT_ROWS. */
+/* Transform along x of VEC rows of the wave, with the sums of w h, w h^2, w h d. `side` holds the samples of these rows:
+   [x sign][x][re, im][VEC], x padded to the larger of `width` and NONZERO_ROWS. */
 inline void fft_rows(__global const real *wave, __global const real *twiddle, __global real *side, const int side_step,
                      __global real *focal, __global const real *data, __global const real *weight, const int width,
                      __global real *sums) {
@@ -265,7 +265,7 @@ inline void fft_rows(__global const real *wave, __global const real *twiddle, __
     sums[2] = sum_lanes(whd);
 }
 
-/* Its adjoint, from the residuals; returns the objective. */
+/* Adjoint of fft_rows, starting from the residuals; returns the objective. */
 inline real fft_rows_adjoint(__global real *focal, __global const real *data, __global const real *weight,
                              __global const real *photometry, __global const real *twiddle, __global real *side,
                              const int side_step, __global real *wave, const int width) {
@@ -297,54 +297,55 @@ inline real fft_rows_adjoint(__global real *focal, __global const real *data, __
     return sum_lanes(sum);
 }
 
-/* As `focus`, launched likewise. `line` is N complex vectors for each worker; `side` likewise, 2 `side_rows` of them. */
+/* As `focus`, with the same launch sizes. Per worker, `line` holds N complex vectors and `side` 2 `side_rows` of them. */
 __kernel void focus_fft(__global real *psi, __global const int *place, __global const int *entry_start,
                         __global const int *entry_segment, __global const real *entry_weight,
                         __global const real *entry_x, __global const real *entry_y, __global const int *segment_start,
                         __global const int *segment_entry, __global const int *entry_place, __global const real *pose,
-                        __global real *phasor, __global real *lit_field, __global real *field,
+                        __global real *phasor, __global real *sample_field, __global real *field,
                         __global const real *twiddle, __global const int *extent, __global real *line,
                         __global real *side, __global real *wave,
                         __global real *focal, __global const real *data, __global const real *weight,
                         __global const int *slot, __global const int *kind, __global const real *known,
                         __global real *sums, __global real *objective, __global real *photometry,
-                        __global real *segment_sum, volatile __global int *next, const int turn, const int first,
+                        __global real *segment_sum, volatile __global int *next, const int tile, const int first,
                         const int images, const int blocks, const int segments, const int poses, const int width,
                         const int side_rows) {
     const size_t worker = get_global_id(0);
     const int side_step = side_rows * 2 * VEC;
-    __global real *e = field + worker * 2 * LIT_ROWS * 4 * width, *w = wave + worker * FFT_N * 4 * width;
+    __global real *e = field + worker * 2 * NONZERO_ROWS * 4 * width, *w = wave + worker * FFT_N * 4 * width;
     __global real *f = focal + worker * FFT_N * FFT_N * 2, *z = line + worker * FFT_N * 2 * VEC;
     __global real *h = side + worker * 2 * side_step;
-    __global real *p = phasor + worker * blocks * 8 * VEC, *l = lit_field + worker * blocks * 8 * VEC;
-    for (int image = atomic_inc(next + turn); image < images; image = atomic_inc(next + turn)) {
+    __global real *p = phasor + worker * blocks * 8 * VEC, *l = sample_field + worker * blocks * 8 * VEC;
+    for (int image = atomic_inc(next + tile); image < images; image = atomic_inc(next + tile)) {
         const int s = slot[first + image], strips = FFT_N / VEC;
-        __global const real *stand = pose + (size_t)(first + image) * segments * 4;
+        __global const real *image_pose = pose + (size_t)(first + image) * segments * 4;
         __global real *t = psi + (size_t)image * blocks * 4 * VEC;
         __global const real *d = data + (size_t)s * FFT_N * FFT_N, *v = weight + (size_t)s * FFT_N * FFT_N;
-        __global real *light = photometry + 2 * image;
+        __global real *image_photometry = photometry + 2 * image;
         __global real *sum = sums + (size_t)image * strips * 3;
 
         for (int block = 0; block < blocks; block++)
-            field_block(t, place, entry_start, entry_segment, entry_weight, entry_x, entry_y, stand, p, l, e, block, blocks,
-                        width, poses, LIT_ROWS);
+            field_block(t, place, entry_start, entry_segment, entry_weight, entry_x, entry_y, image_pose, p, l, e, block,
+                        blocks, width, poses, NONZERO_ROWS);
         for (int x = 0; x < width; x += VEC)
             for (int sign = 0; sign < 2; sign++)
                 fft_column(e + 2 * sign * width + x, twiddle, z, w + 2 * sign * width + x, width);
         for (int v0 = 0; v0 < FFT_N; v0 += VEC)
             fft_rows(w + v0 * 4 * width, twiddle, h, side_step, f + v0 * FFT_N * 2, d + v0 * FFT_N, v + v0 * FFT_N, width,
                      sum + v0 / VEC * 3);
-        solve(sum, strips, kind[s], known + 4 * s, light);
+        solve(sum, strips, kind[s], known + 4 * s, image_photometry);
         for (int v0 = 0; v0 < FFT_N; v0 += VEC)
-            objective[image * strips + v0 / VEC] = fft_rows_adjoint(f + v0 * FFT_N * 2, d + v0 * FFT_N, v + v0 * FFT_N,
-                                                                    light, twiddle, h, side_step, w + v0 * 4 * width, width);
+            objective[image * strips + v0 / VEC] =
+                fft_rows_adjoint(f + v0 * FFT_N * 2, d + v0 * FFT_N, v + v0 * FFT_N, image_photometry, twiddle, h,
+                                 side_step, w + v0 * 4 * width, width);
         for (int x = 0; x < width; x += VEC)
             for (int sign = 0; sign < 2; sign++)
                 fft_column_adjoint(w + 2 * sign * width + x, twiddle, z, e + 2 * sign * width + x, width,
                                    extent[x / VEC]);
-        for (int block = 0; block < blocks; block++) gradient_block(e, l, p, place, t, block, blocks, width, LIT_ROWS);
+        for (int block = 0; block < blocks; block++) gradient_block(e, l, p, place, t, block, blocks, width, NONZERO_ROWS);
         for (int segment = 0; segment < segments; segment++)
-            segment_product(p, segment_entry, entry_place, entry_weight, entry_x, entry_y, stand + 4 * segment,
+            segment_product(p, segment_entry, entry_place, entry_weight, entry_x, entry_y, image_pose + 4 * segment,
                             segment_sum + ((size_t)image * segments + segment) * poses, segment_start[segment],
                             segment_start[segment + 1], COMPLEX_APART(blocks), poses);
     }

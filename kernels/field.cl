@@ -7,21 +7,23 @@
  *   E_p   = a_p exp(2 pi i psi_p)
  *
  * smooth_phase is a matrix product over all images of a tile: one work-item per pupil block and, on a GPU, per GROUP
- * images. Memory picture: the four quadrants of a block times GROUP images are 16 accumulators; each step of the mode loop
- * reads 4 vectors of the basis and GROUP coefficients for 16 multiply-adds. On a processor one work-item takes all images
- * of the tile, so that its slice of the basis (modes x 4 vectors) stays in the first cache; psi is all that it writes.
+ * images. The four quadrants of a block times GROUP images are 16 accumulators; each step of the loop over
+ * modes reads 4 vectors of the basis and GROUP coefficients for 16 multiply-adds. On a CPU one work-item processes all images
+ * of the tile, so that its slice of the basis (modes x 4 vectors) stays in the first-level cache; it writes psi only.
  *
- * add_free adds a phase of its own at each lit sample, where the model has one: the way back is take_free of project.cl.
+ * add_free_phase adds the free phase, one number per illuminated sample, where the model has one; free_phase_gradient of
+ * project.cl is its adjoint.
  *
- * The rest is one block of one image: pupil_field on its own, or a part of focus.cl. For the way back the phasors
- * exp(2 pi i psi) and the field are left as they are too, as [quadrant, block][re, im] (COMPLEX in common.cl).
+ * field_block processes one block of one image: for pupil_field, or as a part of focus.cl. The phasors exp(2 pi i psi) and the
+ * field are also stored for the adjoint, as [quadrant, block][re, im] (COMPLEX in common.cl).
  *
- * `poses` numbers say how a segment stands: 1 is piston alone (the phasor q), 3 piston, tip and tilt.
+ * `poses` is the number of degrees of freedom of a segment: 1 for piston (the phasor q), 3 for piston, tip and tilt.
  */
 
-/* sin and cos of 2 pi t. |t - k/2| <= 1/4, where minimax polynomials err by 3e-8 (5 and 6 terms) and 7e-21 (10 and 10):
-   below the rounding of either type. Built-in sincos would cost more than the whole transform on a processor. */
-inline void turn(vec t, vec *sine, vec *cosine) {
+/* sin and cos of 2 pi t. The argument is reduced to |t - k/2| <= 1/4, where the minimax polynomials have errors of 3e-8
+   (float, 5 and 6 terms) and 7e-21 (double, 10 and 10), below the rounding of either type. The built-in sincos would cost more
+   than the whole transform on a CPU. */
+inline void sincos_turns(vec t, vec *sine, vec *cosine) {
     vec half_turns = rint(t + t);
     vec r = MAD(half_turns, SPLAT(REAL(-0.5)), t);
     vec parity = half_turns - SPLAT(REAL(2.0)) * rint(SPLAT(REAL(0.5)) * half_turns);
@@ -102,27 +104,27 @@ __kernel void smooth_phase(__global const real *basis, __global const real *dive
     }
 }
 
-/* psi += free [image][lit sample], turns, each sample at `lit_place` of its image's psi: global (any, images, 1). */
-__kernel void add_free(__global real *psi, __global const real *free, __global const int *lit_place, const int first,
-                       const int lit, const int blocks) {
+/* psi += free [image][illuminated sample], turns, at index `sample_place` of the image's psi: global (any, images, 1). */
+__kernel void add_free_phase(__global real *psi, __global const real *free, __global const int *sample_place, const int first,
+                       const int samples, const int blocks) {
     const size_t image = get_global_id(1);
     __global real *t = psi + image * blocks * 4 * VEC;
-    __global const real *f = free + (first + image) * lit;
-    for (int p = get_global_id(0); p < lit; p += get_global_size(0)) t[lit_place[p]] += f[p];
+    __global const real *f = free + (first + image) * samples;
+    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) t[sample_place[p]] += f[p];
 }
 
 /* Phasor, field and folded field of one block of one image; `pose` is the image's [segment][re q, im q, t, u]. With
-   `side_rows` the field is not folded but laid out as fft.cl wants it. */
+   `side_rows` > 0 the field is not folded but stored in the layout of fft.cl. */
 inline void field_block(__global const real *psi, __global const int *place, __global const int *entry_start,
                         __global const int *entry_segment, __global const real *entry_weight,
                         __global const real *entry_x, __global const real *entry_y, __global const real *pose,
-                        __global real *phasor, __global real *lit_field, __global real *field, const int block,
+                        __global real *phasor, __global real *sample_field, __global real *field, const int block,
                         const int blocks, const int width, const int poses, const int side_rows) {
     vec er[4], ei[4];
 #pragma unroll
     for (int q = 0; q < 4; q++) {
         vec sine, cosine;
-        turn(GET(psi, PLANE(q, block, blocks) * VEC), &sine, &cosine);
+        sincos_turns(GET(psi, PLANE(q, block, blocks) * VEC), &sine, &cosine);
         vec ar = SPLAT(REAL(0.0)), ai = SPLAT(REAL(0.0));
         for (int e = entry_start[4 * block + q]; e < entry_start[4 * block + q + 1]; e++) {
             vec w = GET(entry_weight, e * VEC);
@@ -132,7 +134,7 @@ inline void field_block(__global const real *psi, __global const int *place, __g
                 ai = MAD(w, SPLAT(s[1]), ai);
             } else {
                 vec im, re;
-                turn(MAD(SPLAT(s[2]), GET(entry_x, e * VEC), SPLAT(s[3]) * GET(entry_y, e * VEC)), &im, &re);
+                sincos_turns(MAD(SPLAT(s[2]), GET(entry_x, e * VEC), SPLAT(s[3]) * GET(entry_y, e * VEC)), &im, &re);
                 ar = MAD(w, SPLAT(s[0]) * re - SPLAT(s[1]) * im, ar);
                 ai = MAD(w, MAD(SPLAT(s[0]), im, SPLAT(s[1]) * re), ai);
             }
@@ -142,8 +144,8 @@ inline void field_block(__global const real *psi, __global const int *place, __g
         const int at = COMPLEX(q, block, blocks) * VEC, apart = COMPLEX_APART(blocks) * VEC;
         AT(phasor, at) = cosine;
         AT(phasor, at + apart) = sine;
-        AT(lit_field, at) = er[q];
-        AT(lit_field, at + apart) = ei[q];
+        AT(sample_field, at) = er[q];
+        AT(sample_field, at + apart) = ei[q];
     }
     if (side_rows) {
 #pragma unroll
@@ -166,16 +168,16 @@ inline void field_block(__global const real *psi, __global const int *place, __g
     AT(out, 7 * width) = (ei[0] - ei[1]) - (ei[2] - ei[3]);
 }
 
-/* psi -> phasor, lit_field, field: global (blocks, images, 1). */
+/* psi -> phasor, sample_field, field: global (blocks, images, 1). */
 __kernel void pupil_field(__global const real *psi, __global const int *place, __global const int *entry_start,
                           __global const int *entry_segment, __global const real *entry_weight,
                           __global const real *entry_x, __global const real *entry_y, __global const real *pose,
-                          __global real *phasor, __global real *lit_field, __global real *field, const int first,
+                          __global real *phasor, __global real *sample_field, __global real *field, const int first,
                           const int blocks, const int segments, const int rows, const int width, const int poses) {
     const int block = get_global_id(0);
     const size_t image = get_global_id(1), quads = (size_t)blocks * 4 * VEC;
     if (block >= blocks) return;
     field_block(psi + image * quads, place, entry_start, entry_segment, entry_weight, entry_x, entry_y,
-                pose + (first + image) * segments * 4, phasor + 2 * image * quads, lit_field + 2 * image * quads,
+                pose + (first + image) * segments * 4, phasor + 2 * image * quads, sample_field + 2 * image * quads,
                 field + image * rows * 8 * width, block, blocks, width, poses, 0);
 }

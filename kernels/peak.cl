@@ -1,9 +1,9 @@
 /*
- * peak.cl: what the device could do: multiply-adds that wait for nothing, and numbers that are only read.
+ * peak.cl: peak rates of a device: independent multiply-adds, and reads from memory.
  *
  * peak_flops: PEAK_CHAINS independent sums in registers, enough to cover the latency of a multiply-add on two pipes;
- * `scale` and `offset` are arguments so that no compiler knows the result. out [work-item].
- * peak_read: each work-item sums its share of `numbers`: one stretch of `share` vectors on a processor, every
+ * `scale` and `offset` are arguments so that the compiler cannot evaluate the result. out [work-item].
+ * peak_read: each work-item sums its share of `numbers`: `share` consecutive vectors on a CPU, every
  * get_global_size(0)-th number on a GPU. out [work-item].
  */
 #define PEAK_CHAINS 16

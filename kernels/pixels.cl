@@ -1,15 +1,15 @@
 /*
- * pixels.cl: from the focal field to photometry, objective and the adjoint's source.
+ * pixels.cl: from the focal field to photometry, objective and the source of the adjoint.
  *
  *   h = |U|^2,  U(+-u) = C -+ i S          r = flux h + background - data          J = sum weight r^2
- *   dJ/dU* = G = 2 weight r flux U, left in place of U as C' = G(+) + G(-), S' = i (G(+) - G(-))
+ *   dJ/dU* = G = 2 weight r flux U, stored in place of U as C' = G(+) + G(-), S' = i (G(+) - G(-))
  *
- * Flux and background are given, or minimise J: the sums of w, w d are the host's (they never change), those of
- * w h, w h^2, w h d are taken here. J is taken from the residuals: the expanded square would cancel in f32.
+ * Flux and background are given, or minimise J. The sums of w and w d do not depend on the model and come from the host; those
+ * of w h, w h^2, w h d are computed here. J is computed from the residuals: the expanded square would cancel in f32.
  *
- * A strip is `pairs_per_strip` row pairs of one image. Its numbers are shared by `lanes` work-items (1 on a processor,
- * a work-group on a GPU), each with its own partial sum: one writer for every number, no atomics. The functions before
- * the kernels take the arrays of one image; focus.cl calls them too.
+ * A strip is `pairs_per_strip` row pairs of one image. Its pixels are distributed over `lanes` work-items (1 on a CPU,
+ * a work-group on a GPU), each with its own partial sum, so that no atomics are needed. The functions before the kernels
+ * process the arrays of one image; focus.cl calls them too.
  */
 
 
@@ -39,7 +39,7 @@ inline void strip_sums(__global const real *focal, __global const real *data, __
 }
 
 /* Flux and background of an image. kind: 0 both known, 1 flux fitted, 2 both fitted; known: flux, background, sum w,
-   sum w d. What an image does not determine (no signal, no good pixel) is zero, and the objective says so. */
+   sum w d. Where the image does not determine a value (no signal, no good pixel), it is zero. */
 inline void solve(__global const real *sums, const int count, const int kind, __global const real *known,
                   __global real *photometry) {
     wide flux = known[0], background = known[1];
@@ -63,7 +63,7 @@ inline void solve(__global const real *sums, const int count, const int kind, __
     photometry[1] = background;
 }
 
-/* Objective over the rows `row` to `end`; the source of the adjoint takes the place of the focal field. */
+/* Objective over the rows `row` to `end`; the source of the adjoint replaces the focal field. */
 inline real strip_residuals(__global real *focal, __global const real *data, __global const real *weight, int row,
                             const int end, const int lane, const int lanes, const int span,
                             __global const real *photometry) {

@@ -6,9 +6,9 @@
  *   dJ/dc_s = 2 k Im(sum_p w_ps conj(q_ps) g_p),  times x_ps or y_ps for tip and tilt (q_ps with them: see field.cl)
  *
  * pupil_gradient unfolds Ebar, one block and image at a time, into D and g (without 2 k). project_modes multiplies D with
- * the basis over a chunk of blocks, project_segments g with the weights of a segment; collect adds what the chunks left
- * and applies 2 k. take_free leaves D itself where each sample has a phase of its own. focus.cl calls the functions before
- * the kernels too. Every number has one writer: no atomics.
+ * the basis over a chunk of blocks, project_segments multiplies g with the weights of a segment; collect adds the chunks and
+ * applies 2 k. free_phase_gradient copies D, the gradient by the free phase. focus.cl calls the functions before the kernels
+ * too. Every number is written by one work-item, so that no atomics are needed.
  */
 
 /* The four quadrants of a block from its planes: x parity, then y parity, then re and im. */
@@ -26,7 +26,7 @@ inline void unfold(__global const real *in, const int width, vec re[4], vec im[4
 }
 
 /* One block of one image: `psi` becomes D, `phasor` becomes g. `side_rows` as in field_block. */
-inline void gradient_block(__global const real *field, __global const real *lit_field, __global real *phasor,
+inline void gradient_block(__global const real *field, __global const real *sample_field, __global real *phasor,
                            __global const int *place, __global real *psi, const int block, const int blocks,
                            const int width, const int side_rows) {
     vec re[4], im[4];
@@ -44,14 +44,14 @@ inline void gradient_block(__global const real *field, __global const real *lit_
     for (int q = 0; q < 4; q++) {
         const int at_re = COMPLEX(q, block, blocks) * VEC, at_im = at_re + COMPLEX_APART(blocks) * VEC;
         vec cosine = GET(phasor, at_re), sine = GET(phasor, at_im);
-        AT(psi, PLANE(q, block, blocks) * VEC) = GET(lit_field, at_re) * im[q] - GET(lit_field, at_im) * re[q];
+        AT(psi, PLANE(q, block, blocks) * VEC) = GET(sample_field, at_re) * im[q] - GET(sample_field, at_im) * re[q];
         AT(phasor, at_re) = MAD(re[q], cosine, im[q] * sine);
         AT(phasor, at_im) = im[q] * cosine - re[q] * sine;
     }
 }
 
-/* One segment of one image: Im(conj(q) sum_p w g (1, x, y)), `poses` of them. The entries of a segment are its weights in
-   the blocks that it touches; entry_place is COMPLEX(...). `pose` is the segment's [re q, im q, t, u]. */
+/* One segment of one image: the first `poses` of Im(conj(q) sum_p w g (1, x, y)). The entries of a segment are its weights in
+   the blocks that it overlaps; entry_place is COMPLEX(...). `pose` is the segment's [re q, im q, t, u]. */
 inline void segment_product(__global const real *phasor, __global const int *segment_entry,
                             __global const int *entry_place, __global const real *entry_weight,
                             __global const real *entry_x, __global const real *entry_y, __global const real *pose,
@@ -74,7 +74,7 @@ inline void segment_product(__global const real *phasor, __global const int *seg
         __global const real *g = phasor + entry_place[e] * VEC;
         const vec x = GET(entry_x, e * VEC), y = GET(entry_y, e * VEC);
         vec sine, cosine;
-        turn(MAD(SPLAT(pose[2]), x, SPLAT(pose[3]) * y), &sine, &cosine);
+        sincos_turns(MAD(SPLAT(pose[2]), x, SPLAT(pose[3]) * y), &sine, &cosine);
         const vec re = SPLAT(pose[0]) * cosine - SPLAT(pose[1]) * sine;
         const vec im = MAD(SPLAT(pose[0]), sine, SPLAT(pose[1]) * cosine);
         const vec part = GET(entry_weight, e * VEC) * (re * GET(g, apart * VEC) - im * GET(g, 0));
@@ -88,12 +88,12 @@ inline void segment_product(__global const real *phasor, __global const int *seg
 }
 
 /* field -> D in place of psi, and g in place of phasor: global (any, images, 1). */
-__kernel void pupil_gradient(__global const real *field, __global const real *lit_field, __global real *phasor,
+__kernel void pupil_gradient(__global const real *field, __global const real *sample_field, __global real *phasor,
                              __global const int *place, __global real *psi, const int blocks, const int rows,
                              const int width) {
     const size_t image = get_global_id(1), quads = (size_t)blocks * 4 * VEC;
     for (int block = get_global_id(0); block < blocks; block += get_global_size(0))
-        gradient_block(field + image * rows * 8 * width, lit_field + 2 * image * quads, phasor + 2 * image * quads, place,
+        gradient_block(field + image * rows * 8 * width, sample_field + 2 * image * quads, phasor + 2 * image * quads, place,
                        psi + image * quads, block, blocks, width, 0);
 }
 
@@ -150,31 +150,31 @@ __kernel void project_modes(__global const real *basis, __global const real *psi
     }
 }
 
-/* D (in psi) -> free [image][lit sample], per turn: global (any, images, 1). */
-__kernel void take_free(__global const real *psi, __global real *free, __global const int *lit_place, const int first,
-                        const int lit, const int blocks, const real twice_turn) {
+/* D (in psi) -> free [image][illuminated sample], per turn: global (any, images, 1). */
+__kernel void free_phase_gradient(__global const real *psi, __global real *free, __global const int *sample_place,
+                                  const int first, const int samples, const int blocks, const real twice_turn) {
     const size_t image = get_global_id(1);
     __global const real *d = psi + image * blocks * 4 * VEC;
-    __global real *f = free + (first + image) * lit;
-    for (int p = get_global_id(0); p < lit; p += get_global_size(0)) f[p] = twice_turn * d[lit_place[p]];
+    __global real *f = free + (first + image) * samples;
+    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) f[p] = twice_turn * d[sample_place[p]];
 }
 
 /* -> result [image][objective, flux, background, poses of each segment..., smooth modes...]: global (any, images, 1). */
 __kernel void collect(__global const real *mode_partial, __global const real *segment_sum,
                       __global const real *objective, __global const real *photometry, __global real *result,
-                      const int first, const int stands, const int smooth, const int padded_modes, const int chunks,
+                      const int first, const int pose_outputs, const int smooth, const int padded_modes, const int chunks,
                       const int partials, const real twice_wavenumber) {
-    const int image = get_global_id(1), outputs = 3 + stands + smooth;
+    const int image = get_global_id(1), outputs = 3 + pose_outputs + smooth;
     for (int output = get_global_id(0); output < outputs; output += get_global_size(0)) {
         wide value = 0;
         if (output == 0) {
             for (int i = 0; i < partials; i++) value += objective[(size_t)image * partials + i];
         } else if (output < 3) {
             value = photometry[2 * image + output - 1];
-        } else if (output < 3 + stands) {
-            value = twice_wavenumber * segment_sum[(size_t)image * stands + output - 3];
+        } else if (output < 3 + pose_outputs) {
+            value = twice_wavenumber * segment_sum[(size_t)image * pose_outputs + output - 3];
         } else {
-            const int mode = output - 3 - stands;
+            const int mode = output - 3 - pose_outputs;
             for (int c = 0; c < chunks; c++) value += mode_partial[((size_t)image * chunks + c) * padded_modes + mode];
             value *= twice_wavenumber;
         }

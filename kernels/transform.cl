@@ -9,16 +9,17 @@
  *
  * Columns: a vector of x for TALL output rows; per step 4 vectors and 2 TALL broadcasts for 4 TALL multiply-adds.
  * Rows: the two rows of a pair times WIDE vectors of outputs; per step 2 WIDE vectors of the table and 8 broadcasts for
- * 8 WIDE multiply-adds. Tables are packed in the order of reading; the slice of a work-item fits the first cache.
+ * 8 WIDE multiply-adds. Tables are packed in the order of reading; the slice of a work-item fits the first-level cache.
  *
  *   column table  [group of TALL outputs][input][cos, sin][TALL]
  *   row table     [vector of outputs][...]: chunks of WIDE vectors as [input][cos, sin][WIDE][VEC]; WIDE is 2, and 3 for
- *                 the last chunk of an odd number (1 where there is but one)
+ *                 the last chunk of an odd number of vectors (1 where there is only one vector)
  *
- * extent[x / VEC] is the number of rows, counted from the axis, beyond which the pupil is dark in that vector of x.
+ * extent[x / VEC] is the number of rows, counted from the axis, beyond which that vector of x has no illuminated sample.
  *
- * wave rows hold [+v, -v][even-x re, im, odd-x re, im][x] on the way forward, [x parity][C' re, C' im, S' re, S' im][x]
- * on the way back. Every function below takes the arrays of one image; focus.cl calls them too.
+ * A row pair of the wave is [+v, -v][even-x re, im, odd-x re, im][x] in the forward transform and
+ * [x parity][C' re, C' im, S' re, S' im][x] in the adjoint. The functions before the kernels process the arrays of one image;
+ * focus.cl calls them too.
  */
 
 /* C and S of one vector of x for the TALL outputs of a group. */
@@ -64,7 +65,7 @@ inline void forward_column(__global const real *field, __global const real *tabl
     }
 }
 
-/* Its adjoint. Rows that are dark in this vector of x are left alone. */
+/* Adjoint of forward_column. Rows beyond the extent of this vector of x are not written. */
 inline void adjoint_column(__global const real *wave, __global const real *table, __global const int *extent,
                            __global real *field, const int column, int group, const int step, const int pairs,
                            const int groups, const int width) {
@@ -123,7 +124,7 @@ inline void adjoint_column(__global const real *wave, __global const real *table
                     AT(out, (row * 4 + plane) * span + (start + b) * VEC) = sum[row][b][plane];                        \
     }
 
-/* How many chunks of vectors a row of `width` numbers has, and the vectors of one. */
+/* Number of chunks of vectors in a row of `width` numbers, and the number of vectors of one chunk. */
 inline int row_chunks(const int width) { return max(1, width / VEC / 2); }
 inline int chunk_vectors(const int chunk, const int width) {
     return chunk + 1 < row_chunks(width) ? 2 : width / VEC - 2 * chunk;
@@ -158,7 +159,7 @@ inline void forward_row_chunk(__global const real *wave, __global const real *ta
             }                                                                                                          \
     }
 
-/* Its adjoint: focal holds C' and S' of each row. */
+/* Adjoint of forward_row_chunk: focal holds C' and S' of each row. */
 inline void adjoint_row_chunk(__global const real *focal, __global const real *table, __global real *wave,
                               const int chunk, int pair, const int end, const int inputs, const int in_width,
                               const int width) {

@@ -1,4 +1,4 @@
-//! FITS in, FITS out: round trips, every kind of pixel, sloppy files, hostile files, and writes that fail.
+//! FITS in, FITS out: round trips, every kind of pixel, files that need repair, malicious files, and failed writes.
 
 use std::fs;
 use std::io::Write;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use cophase::io::{Card, Column, FitsReader, FitsWriter, Pixel, read_cube, read_images, read_map};
 use ndarray::{Array1, Array2, Array3, s};
 
-// ---- Files made by hand, byte by byte, so that the reader is not judged by our own writer ----
+// ---- Files composed byte by byte, so that the tests of the reader do not depend on our own writer ----
 
 const BLOCK: usize = 2880;
 
@@ -188,7 +188,7 @@ fn tables_and_cards_come_back() {
 }
 
 #[test]
-fn what_fits_cannot_hold_is_refused_by_the_writer() {
+fn the_writer_refuses_values_that_fits_cannot_represent() {
     let folder = folder();
     let path = folder.path().join("refused.fits");
     let mut file = FitsWriter::create(&path).unwrap();
@@ -270,7 +270,7 @@ fn pixels_that_are_not_finite_are_kept_counted_and_masked() {
 // ---- Which HDU, the mask, the read noise ----
 
 #[test]
-fn the_images_are_looked_for_in_order() {
+fn the_image_hdu_is_searched_in_order() {
     let folder = folder();
     let (one, two) = (big_endian_f32(&[1.0; 6]), big_endian_f32(&[2.0; 6]));
     let badpix = extension("BADPIX", -32, &[3, 2], &one);
@@ -296,7 +296,7 @@ fn the_images_are_looked_for_in_order() {
 }
 
 #[test]
-fn bad_pixels_come_from_the_file_and_from_the_mask() {
+fn bad_pixels_are_read_from_the_file_and_from_the_mask() {
     let folder = folder();
     let path = folder.path().join("images.fits");
     let (mask, wrong) = (folder.path().join("mask.fits"), folder.path().join("wrong.fits"));
@@ -347,10 +347,10 @@ fn the_read_noise_of_the_image_hdu_comes_first_and_must_be_a_number() {
     }
 }
 
-// ---- Names, packing, and files that are not there ----
+// ---- Names, packed files, and missing files ----
 
 #[test]
-fn a_name_is_only_a_name() {
+fn special_characters_in_names_are_not_interpreted() {
     let folder = folder();
     fs::create_dir(folder.path().join("http:")).unwrap();
     let names = [
@@ -402,28 +402,28 @@ fn packed_files_are_read_and_bounded() {
 }
 
 #[test]
-fn what_is_no_image_file_is_refused_in_a_sentence() {
+fn files_without_images_are_refused_with_a_sentence() {
     let folder = folder();
-    let says = |path: &Path, words: &[&str]| {
+    let refuses = |path: &Path, words: &[&str]| {
         let message = refusal(path);
         assert!(words.iter().all(|word| message.contains(word)), "{message}");
     };
-    says(&folder.path().join("missing.fits"), &["no such file"]);
-    says(folder.path(), &["directory"]);
-    says(Path::new("/dev/zero"), &["device"]);
-    says(&put(&folder, "empty.fits", b""), &["empty"]);
-    says(&put(&folder, "text.fits", b"hello world"), &["not a FITS file", "`hello wo`"]);
-    says(&put(&folder, "png.fits", b"\x89PNG\r\n\x1a\n"), &["not a FITS file"]);
-    says(&put(&folder, "head.fits", &primary(8, &[], &[], &[])), &["no image", "`PRIMARY`"]);
-    says(&put(&folder, "line.fits", &primary(8, &[5], &[], &[0; 5])), &["1-D"]);
-    says(&put(&folder, "deep.fits", &primary(8, &[2, 2, 1, 1], &[], &[0; 4])), &["4-D"]);
-    says(&put(&folder, "zero.fits", &primary(8, &[0, 4], &[], &[])), &["no pixels"]);
+    refuses(&folder.path().join("missing.fits"), &["no such file"]);
+    refuses(folder.path(), &["directory"]);
+    refuses(Path::new("/dev/zero"), &["device"]);
+    refuses(&put(&folder, "empty.fits", b""), &["empty"]);
+    refuses(&put(&folder, "text.fits", b"hello world"), &["not a FITS file", "`hello wo`"]);
+    refuses(&put(&folder, "png.fits", b"\x89PNG\r\n\x1a\n"), &["not a FITS file"]);
+    refuses(&put(&folder, "head.fits", &primary(8, &[], &[], &[])), &["no image", "`PRIMARY`"]);
+    refuses(&put(&folder, "line.fits", &primary(8, &[5], &[], &[0; 5])), &["1-D"]);
+    refuses(&put(&folder, "deep.fits", &primary(8, &[2, 2, 1, 1], &[], &[0; 4])), &["4-D"]);
+    refuses(&put(&folder, "zero.fits", &primary(8, &[0, 4], &[], &[])), &["no pixels"]);
     let whole = primary(-32, &[30, 40], &[], &big_endian_f32(&[0.0; 1200]));
-    says(&put(&folder, "cut.fits", &whole[..5000]), &["truncated", "7680", "5000"]);
+    refuses(&put(&folder, "cut.fits", &whole[..5000]), &["truncated", "7680", "5000"]);
 }
 
 #[test]
-fn impossible_headers_are_refused_before_anything_is_allocated() {
+fn impossible_headers_are_refused_before_allocation() {
     let folder = folder();
     let huge = |axes: &[usize]| primary(-64, axes, &[], &[0; 64]);
     let cases: [(&str, Vec<u8>, &str); 10] = [
@@ -439,13 +439,13 @@ fn impossible_headers_are_refused_before_anything_is_allocated() {
         ("no end", header(&["SIMPLE  = T"])[..80].repeat(72), "END"),
     ];
     for (what, bytes, word) in cases {
-        let message = refusal(&put(&folder, "hostile.fits", &bytes));
+        let message = refusal(&put(&folder, "malicious.fits", &bytes));
         assert!(message.contains(word), "{what}: {message}");
     }
 }
 
 #[test]
-fn hostile_tables_are_refused() {
+fn malicious_tables_are_refused() {
     let folder = folder();
     let table = |row: usize, rows: usize, form: &str, bytes: usize| {
         let mut cards = vec!["XTENSION= 'BINTABLE'".to_string(), number("BITPIX", 8), number("NAXIS", 2)];
@@ -472,15 +472,15 @@ fn hostile_tables_are_refused() {
     assert!(table(8, 1 << 40, "1D", 24).is_err(), "more rows than the file holds");
 }
 
-// ---- Sloppy files ----
+// ---- Files that are not standard FITS ----
 
-fn sloppy_data() -> Vec<u8> {
+fn ramp_bytes() -> Vec<u8> {
     big_endian_f32(&(0..20).map(|i| i as f32).collect::<Vec<_>>())
 }
 
-fn assert_mended(bytes: &[u8], words: &[&str]) {
+fn assert_repaired(bytes: &[u8], words: &[&str]) {
     let folder = folder();
-    let path = put(&folder, "sloppy.fits", bytes);
+    let path = put(&folder, "irregular.fits", bytes);
     let images = read_images(&path, None).unwrap();
     assert_eq!(images.data, Array3::from_shape_fn((1, 4, 5), |(_, y, x)| (5 * y + x) as f64));
     let sentence = images.repaired.unwrap_or_default();
@@ -489,52 +489,52 @@ fn assert_mended(bytes: &[u8], words: &[&str]) {
 }
 
 #[test]
-fn sloppy_headers_are_mended_and_reported() {
-    let head = |cards: &[&str]| [header(cards), sloppy_data(), vec![0; BLOCK - 80]].concat();
+fn irregular_headers_are_repaired_and_reported() {
+    let head = |cards: &[&str]| [header(cards), ramp_bytes(), vec![0; BLOCK - 80]].concat();
     let loose =
         ["SIMPLE  = T /Tape", "BITPIX  = -32 /Bits", "NAXIS   = 2", "NAXIS1  = 5", "NAXIS2  = 4", "CAMNAME = 'NARROW'"];
-    assert_mended(&head(&loose), &["mandatory card", "at byte 0"]);
-    assert_mended(
+    assert_repaired(&head(&loose), &["mandatory card", "at byte 0"]);
+    assert_repaired(
         &head(&loose.map(|card| card.replace("= ", "=")).each_ref().map(String::as_str)),
         &["columns 9 and 10"],
     );
-    assert_mended(
+    assert_repaired(
         &head(&loose.map(|card| card.replace(" ", "")).each_ref().map(String::as_str)),
         &["columns 9 and 10"],
     );
-    assert_mended(
+    assert_repaired(
         &head(&loose.map(|card| card.to_lowercase().replace("= t", "= T")).each_ref().map(String::as_str)),
         &["capitals"],
     );
     let mixed = ["SIMPLE  = T", "NAXIS   = '2'", "NAXIS2  = 4.0", "OBJECT  = 'x'", "NAXIS1  = +5", "BITPIX  = -32"];
-    assert_mended(&head(&mixed), &["mandatory card"]);
-    assert_mended(&head(&[&mixed[..], &["NAXIS1  = 5"]].concat()), &["repeated"]);
+    assert_repaired(&head(&mixed), &["mandatory card"]);
+    assert_repaired(&head(&[&mixed[..], &["NAXIS1  = 5"]].concat()), &["repeated"]);
     let mut zeros = head(&loose);
     zeros[..BLOCK].iter_mut().filter(|byte| **byte == b' ').for_each(|byte| *byte = 0);
-    assert_mended(&zeros, &["control bytes"]);
+    assert_repaired(&zeros, &["control bytes"]);
     let mut latin = head(&loose);
     latin[20] = 0xb0;
-    assert_mended(&latin, &["ASCII", "at byte 0"]);
+    assert_repaired(&latin, &["ASCII", "at byte 0"]);
 }
 
 #[test]
-fn sloppy_ends_are_mended_and_reported() {
-    let whole = primary(-32, &[5, 4], &[], &sloppy_data());
-    assert_mended(&whole[..BLOCK + 80], &["padding at the end", "byte 2960"]);
-    assert_mended(&whole[..BLOCK + 1000], &["padding at the end"]);
-    assert_mended(&[&whole[..], &[0xff; 37]].concat(), &["37 bytes after the last HDU", "byte 5760"]);
-    assert_mended(&[&whole[..], &[0; 2 * BLOCK]].concat(), &["5760 bytes after"]);
+fn irregular_ends_are_repaired_and_reported() {
+    let whole = primary(-32, &[5, 4], &[], &ramp_bytes());
+    assert_repaired(&whole[..BLOCK + 80], &["padding at the end", "byte 2960"]);
+    assert_repaired(&whole[..BLOCK + 1000], &["padding at the end"]);
+    assert_repaired(&[&whole[..], &[0xff; 37]].concat(), &["37 bytes after the last HDU", "byte 5760"]);
+    assert_repaired(&[&whole[..], &[0; 2 * BLOCK]].concat(), &["5760 bytes after"]);
     let mut fill = whole.clone();
     fill[2000..BLOCK].fill(0);
-    assert_mended(&fill, &["padding of a header", "byte 2000"]);
+    assert_repaired(&fill, &["padding of a header", "byte 2000"]);
     // A last HDU that is a header alone may end at its END card.
     let lone = [whole, extension("LONE", 8, &[], &[])].concat();
-    assert_mended(&lone[..2 * BLOCK + 640], &["padding of a header added"]);
+    assert_repaired(&lone[..2 * BLOCK + 640], &["padding of a header added"]);
 }
 
-/// Cards of a mended file are found too, the long ones across CONTINUE.
+/// Cards of a repaired file are read, long ones across CONTINUE cards.
 #[test]
-fn cards_of_a_mended_file_are_read() {
+fn cards_of_a_repaired_file_are_read() {
     let folder = folder();
     let cards =
         ["SIMPLE  = T /Tape", "BITPIX  = 8", "NAXIS   = 0", "ron_e   = 4.5", "LONG    = 'one &'", "CONTINUE  'two'"];
@@ -543,7 +543,7 @@ fn cards_of_a_mended_file_are_read() {
     assert_eq!(file.card(None, "LONG").unwrap(), Some(Card::Text("one two".into())));
 }
 
-// ---- Any bytes at all ----
+// ---- Arbitrary bytes ----
 
 /// A file with an image, a mask and a table, from our own writer.
 fn rich_file(folder: &tempfile::TempDir) -> Vec<u8> {
@@ -559,7 +559,7 @@ fn rich_file(folder: &tempfile::TempDir) -> Vec<u8> {
     fs::read(path).unwrap()
 }
 
-/// Reads everything; what matters is that it returns.
+/// Reads everything; the test is that it returns.
 fn read_all(path: &Path) -> bool {
     let images = read_images(path, None);
     if let Err(error) = &images {
@@ -575,7 +575,7 @@ fn read_all(path: &Path) -> bool {
 }
 
 #[test]
-fn no_truncation_panics_or_passes_for_whole() {
+fn no_truncation_panics_or_is_read_as_complete() {
     let folder = folder();
     let whole = rich_file(&folder);
     for length in (0..whole.len()).step_by(97) {
@@ -618,7 +618,7 @@ fn no_mutation_panics() {
 }
 
 #[test]
-fn threads_read_and_write_side_by_side() {
+fn threads_read_and_write_concurrently() {
     let folder = folder();
     let shared = folder.path().join("shared.fits");
     let mut file = FitsWriter::create(&shared).unwrap();
@@ -680,7 +680,7 @@ fn a_finished_file_replaces_the_old_one_through_a_link_and_with_usual_permission
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
 }
 
-/// A full disk, played by a limit on the size of files in a child process (this test again, with a variable set).
+/// A full disk, simulated by a limit on the file size in a child process (this test again, with a variable set).
 #[test]
 fn a_full_disk_leaves_the_old_file_and_nothing_else() {
     const FOLDER: &str = "COPHASE_TEST_FULL_DISK";
@@ -708,7 +708,7 @@ fn a_full_disk_leaves_the_old_file_and_nothing_else() {
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
 
-// ---- Real frames, where they are ----
+// ---- Real frames, if present ----
 
 #[test]
 fn real_keck_files_are_read() {
@@ -721,9 +721,9 @@ fn real_keck_files_are_read() {
     let frame = read_images(data.join("20130801_n0004.fits"), None).unwrap();
     assert_eq!(frame.data.dim(), (1, 150, 150));
     assert_eq!(frame.non_finite, 0);
-    println!("{}", frame.repaired.as_deref().unwrap_or("nothing mended"));
+    println!("{}", frame.repaired.as_deref().unwrap_or("nothing repaired"));
     assert!(frame.repaired.is_some_and(|sentence| sentence.contains("mandatory card") && sentence.contains("byte 0")));
-    // Judged by the bytes themselves: the data of this frame start at byte 17280, as big-endian f32.
+    // Compared with the bytes of the file: the data of this frame start at byte 17280, as big-endian f32.
     let bytes = fs::read(data.join("20130801_n0004.fits")).unwrap();
     let word = |i: usize| f64::from(f32::from_be_bytes(bytes[17280 + 4 * i..][..4].try_into().unwrap()));
     for (i, &value) in frame.data.iter().enumerate() {

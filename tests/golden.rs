@@ -1,4 +1,4 @@
-//! Against vectors from an independent program (`tests/golden/README.md`), on every chain that is here.
+//! Comparison with vectors from an independent program (`tests/golden/README.md`), on every available chain.
 
 mod common;
 
@@ -11,14 +11,14 @@ use cophase::scene::Scene;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 use std::path::{Path, PathBuf};
 
-/// That program's choices: the modes as given, flux = Σd, no background, the whole image.
+/// The settings of that program: the modes as given, flux = Σd, no background, the whole image.
 const CHOICES: [(&str, &str); 6] = [
     ("modes.exact_zernikes", "none"),
     ("image.crop_pixels", "240"),
     ("estimate.fit_flux", "false"),
     ("estimate.fit_background", "false"),
     ("estimate.recentre", "false"),
-    // Far below the 1e-3 nm that is asked for.
+    // Far below the tolerance of 1e-3 nm.
     ("estimate.step_tolerance_nm", "1e-5"),
 ];
 
@@ -111,8 +111,8 @@ fn objectives_and_gradients_are_golden() {
                 let objective = (found.objective / golden.objective[i] - 1.0).abs();
                 let gradient = relative_difference(&found.gradient, golden.gradient.row(i).as_slice().unwrap());
                 println!("{name}, {key}, point {i}: objective {objective:.1e}, gradient {gradient:.1e}");
-                // The last point is the truth: there the gradient of each pixel cancels to thousands of times less, and
-                // what f32 can be held to is the size of the terms, that of the gradient elsewhere.
+                // The last point is the truth: there the terms of the gradient cancel to a thousandth and less, and the
+                // error in f32 is relative to the size of the terms, that of the gradient elsewhere.
                 let scale = if i == 4 && chain.precision() == Precision::F32 { noise_scale(&golden) } else { 1.0 };
                 assert!(objective < objective_bound, "{name} {key} {i}: {objective:e}");
                 assert!(gradient < gradient_bound * scale, "{name} {key} {i}: {gradient:e}");
@@ -121,7 +121,7 @@ fn objectives_and_gradients_are_golden() {
     }
 }
 
-/// How much smaller the gradient is at the truth than at a random point.
+/// Norm of the gradient at a random point over that at the truth.
 fn noise_scale(golden: &Objectives) -> f64 {
     let norm = |i: usize| golden.gradient.row(i).mapv(|g| g * g).sum().sqrt();
     norm(1) / norm(4)
@@ -159,7 +159,7 @@ fn estimates_are_golden() {
                 let estimate = run(&estimator, &mut chain, name);
                 let pistons = estimator.model().segment_modes;
                 let mut found = estimate.combined.coefficients_nm.clone();
-                // The golden pistons are about their plain mean.
+                // The golden pistons are relative to their unweighted mean.
                 let mean = found[..pistons].iter().sum::<f64>() / pistons as f64;
                 found[..pistons].iter_mut().for_each(|nm| *nm -= mean);
                 let worst = found.iter().zip(&golden).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -197,11 +197,11 @@ fn our_default_is_at_least_as_close_to_the_truth() {
                     (mine, golden)
                 });
         for (mine, golden) in residuals {
-            // Where the golden basis spans the truth, both sit on the noise of this one image: even a little fitted
-            // too much (twenty modes: 4 %) would show.
+            // Where the golden basis spans the truth, both errors are the noise of this one image: a slightly too large
+            // basis (twenty modes: 4 %) would be visible.
             assert!(mine <= golden, "{name}: {mine} against {golden}");
         }
-        // Where it does not, the larger basis is found by itself.
+        // Where it does not, the larger basis is selected.
         assert_eq!(ours.model().optics.modes() > 110, name.starts_with("zern"));
     }
 }

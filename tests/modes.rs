@@ -1,4 +1,4 @@
-//! The bases as a user of the library meets them: on a segmented pupil, with the mirror of Keck.
+//! Mode bases through the public interface: on a segmented pupil, with the deformable mirror of Keck.
 
 use cophase::grid::Grid;
 use cophase::modes::*;
@@ -43,9 +43,9 @@ fn keck_like(samples: usize) -> Pupil {
                     shares[segment] += 1;
                 }
             }
-            let lit: i32 = shares.iter().sum();
-            amplitude[[row, column]] = f64::from(lit) / 64.0;
-            if lit > 0 {
+            let covered: i32 = shares.iter().sum();
+            amplitude[[row, column]] = f64::from(covered) / 64.0;
+            if covered > 0 {
                 let largest = (0..shares.len()).max_by_key(|&s| shares[s]).unwrap();
                 owner[[row, column]] = largest as i32;
             }
@@ -63,7 +63,7 @@ fn keck_kl(pupil: &Pupil, count: usize) -> KarhunenLoeve {
     karhunen_loeve(&actuators, pupil, &VonKarman::new(0.16, 50.0).unwrap(), count).unwrap()
 }
 
-/// Means and mean products over the pupil, weight A: of the values at its samples.
+/// Means and mean products of modes over the samples of the pupil, weight A.
 fn products(left: &SmoothBasis, right: &SmoothBasis, pupil: &Pupil) -> (Array1<f64>, Array2<f64>) {
     let samples = Samples::of(pupil).unwrap();
     let weights = Array1::from(samples.weights.clone());
@@ -75,7 +75,7 @@ fn products(left: &SmoothBasis, right: &SmoothBasis, pupil: &Pupil) -> (Array1<f
 fn assert_orthonormal(basis: &SmoothBasis, pupil: &Pupil) {
     let (means, gram) = products(basis, basis, pupil);
     let worst = (&gram - &Array2::<f64>::eye(basis.len())).iter().chain(&means).fold(0f64, |w, e| w.max(e.abs()));
-    // The second Cholesky pass leaves rounding alone: sums over 1e4 samples of a combination of some hundred functions
+    // After the second Cholesky pass only rounding remains: sums over 1e4 samples of a combination of some hundred functions
     // whose coefficients reach a few hundred.
     assert!(worst < 1e-12, "worst error of the Gram matrix and the means: {worst:.1e}");
 }
@@ -92,11 +92,11 @@ fn zernike_modes_are_orthonormal_over_the_pupil_and_triangular() {
     let pupil = keck_like(60);
     let basis = zernike_basis(2, 105, &pupil).unwrap();
     assert_orthonormal(&basis, &pupil);
-    // Each mode is its own polynomial plus earlier ones, with a positive share of itself.
+    // Each mode is its own polynomial with a positive coefficient, plus earlier ones.
     for ((mode, function), &value) in basis.matrix().indexed_iter() {
         assert!(if function > mode { value == 0.0 } else { function < mode || value > 0.0 }, "[{mode}, {function}]");
     }
-    // A later start only leaves modes out.
+    // A later start only omits modes.
     let later = zernike_basis(4, 18, &pupil).unwrap();
     assert_eq!(later.names().first().unwrap(), "noll-4");
     assert_eq!(later.len(), 15);
@@ -106,7 +106,7 @@ fn zernike_modes_are_orthonormal_over_the_pupil_and_triangular() {
 }
 
 #[test]
-fn the_disc_of_the_polynomials_does_not_matter() {
+fn zernike_modes_do_not_depend_on_the_disc_of_the_polynomials() {
     // The same spans from a disc half as wide again: only rounding, amplified by that basis' poorer condition
     // (1.5^-5 per polynomial of order 5, squared in the Gram matrix and repaired by the second pass).
     let pupil = keck_like(60);
@@ -133,7 +133,7 @@ fn a_mode_is_the_same_function_on_every_grid() {
         assert!((value[[mode, 0]] - maps.maps()[[mode, 20, 33]]).abs() < 1e-13);
         assert_eq!(maps.maps()[[mode, 0, 0]], 0.0);
     }
-    // Blocks, threads and order of the points do not change a bit of a value.
+    // The values do not depend on blocks, threads and the order of the points.
     let samples = Samples::of(&pupil).unwrap();
     let all = basis.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
     let last = samples.xs_m.len() - 1;
@@ -150,7 +150,7 @@ fn karhunen_loeve_modes_are_orthonormal_and_fall_in_variance() {
     assert_orthonormal(&kl.basis, &pupil);
     assert_eq!((kl.basis.names()[0].as_str(), kl.basis.names()[65].as_str()), ("kl-00", "kl-65"));
     assert!(kl.variances_nm2.windows(2).all(|pair| pair[0] >= pair[1]) && kl.variances_nm2[65] > 0.0);
-    // The first two are tip and tilt in all but name, as in every pupil: the rest of them is the mirror's ripple.
+    // The first two are nearly tip and tilt, as on every pupil; the difference is the ripple of the mirror.
     let tip_tilt = zernike_basis(2, 3, &pupil).unwrap();
     let (_, cross) = products(&tip_tilt, &kl.basis, &pupil);
     for row in cross.rows() {
@@ -160,9 +160,9 @@ fn karhunen_loeve_modes_are_orthonormal_and_fall_in_variance() {
 
 #[test]
 fn the_modes_do_not_depend_on_the_sampling_of_the_pupil() {
-    // 96 samples are taken as they are, 180 are averaged to a grid of 118. Both edges are true to a fraction of a
-    // sample, about 1 % of the area each, and the modes that are close in variance turn among themselves: so compare
-    // spans, which may differ at the 66th mode by a near tie with the 67th.
+    // 96 samples are used as they are, 180 are averaged to a grid of 118. The edges are accurate to a fraction of a sample,
+    // about 1 % of the area, and modes of similar variance mix: so the spans are compared, which may differ in the 66th
+    // mode, whose variance is close to that of the 67th.
     let (coarse, fine) = (keck_like(96), keck_like(180));
     let (first, second) = (keck_kl(&coarse, 66), keck_kl(&fine, 66));
     for (a, b) in first.variances_nm2.iter().zip(&second.variances_nm2) {
@@ -202,7 +202,7 @@ fn karhunen_loeve_modes_are_uncorrelated_in_turbulence() {
 }
 
 #[test]
-fn sixty_modes_carry_nearly_all_the_variance() {
+fn sixty_modes_contain_most_of_the_variance() {
     let pupil = keck_like(40);
     let kl = keck_kl(&pupil, 60);
     let turbulence = VonKarman::new(0.16, 50.0).unwrap();
@@ -214,10 +214,10 @@ fn sixty_modes_carry_nearly_all_the_variance() {
             total += 0.5 * samples.weights[p] * samples.weights[q] * turbulence.structure_nm2(r_m);
         }
     }
-    let carried: f64 = kl.variances_nm2.iter().sum();
+    let contained: f64 = kl.variances_nm2.iter().sum();
     // Noll's residual after 61 modes (with piston) is 0.2944·61^(−√3/2) = 0.0084 (D/r0)^(5/3) of about 0.7 in all for
-    // D/L0 = 0.2: 98 to 99 % carried, a little less by a mirror than by free modes.
-    assert!((0.97..1.0).contains(&(carried / total)), "{}", carried / total);
+    // D/L0 = 0.2: 98 to 99 % of the variance, slightly less for a mirror than for free modes.
+    assert!((0.97..1.0).contains(&(contained / total)), "{}", contained / total);
 }
 
 #[test]
@@ -254,7 +254,7 @@ fn exact_modes_come_first_and_the_join_spans_both() {
     let pupil = keck_like(60);
     let exact = zernike_basis(4, 18, &pupil).unwrap();
     let kl = keck_kl(&pupil, 66).basis;
-    // Alone, the KL modes miss part of every Zernike; that is why the join exists.
+    // The KL modes do not span the Zernike modes, which is the reason for the join.
     let missed = outside(&exact, &kl, &pupil);
     assert!(missed.iter().all(|&rms| rms > 0.01), "{missed:?}");
     let joined = join_exact(&exact, &kl, &pupil, 1e-3).unwrap();
@@ -271,7 +271,7 @@ fn exact_modes_come_first_and_the_join_spans_both() {
 }
 
 #[test]
-fn what_is_spanned_already_is_dropped_and_named() {
+fn modes_in_the_span_of_others_are_dropped_and_reported() {
     let pupil = keck_like(40);
     let exact = zernike_basis(4, 10, &pupil).unwrap();
     // Noll 1 is piston; 5 is in the span; 2 and 12 are new.
@@ -284,7 +284,7 @@ fn what_is_spanned_already_is_dropped_and_named() {
     let joined = join_exact(&tilts.followed_by(&exact), &other, &pupil, 1e-3).unwrap();
     assert_eq!(joined.dropped.len(), 1);
     assert_eq!(joined.dropped[0].name, "noll-4");
-    // The Gram matrix knows a remainder to √ε.
+    // The Gram matrix determines a remainder to √ε.
     assert!(joined.dropped[0].remainder < 1e-6);
     assert_eq!(joined.basis.names().last().unwrap(), "noll-12");
     assert!(join_exact(&exact, &other, &pupil, 0.0).is_err());
@@ -338,7 +338,7 @@ fn the_report_of_the_joint_basis_names_global_piston_and_the_tilts() {
     // shared by both spaces, where equal pistons without their mean correlate by −1/35.
     let (first, last) = (report.singular_values[0], report.singular_values[100]);
     assert!((1.40..1.4244).contains(&first) && (0.08..0.12).contains(&last), "{first} … {last}");
-    // The weak ones are tip and tilt: both spaces make them.
+    // The weak directions are tip and tilt, which both spaces contain.
     assert!(report.weak.len() >= 2);
     assert!(report.to_string().lines().count() == 2 + report.weak.len(), "{report}");
 }
@@ -365,7 +365,7 @@ fn bases_from_files_are_checked() {
 }
 
 #[test]
-fn at_most_so_many_modes_are_those_that_the_samples_tell_apart() {
+fn the_largest_number_of_modes_is_limited_by_the_samples() {
     let turbulence = VonKarman::new(0.16, 50.0).unwrap();
     let all = |samples: usize, most: usize| {
         let pupil = keck_like(samples);
@@ -378,8 +378,8 @@ fn at_most_so_many_modes_are_those_that_the_samples_tell_apart() {
     assert_eq!((few.basis.matrix(), &few.variances_nm2), (exact.basis.matrix(), &exact.variances_nm2));
     let whole = karhunen_loeve_complete(&actuators, &pupil, &turbulence).unwrap();
     assert_eq!(all(40, 10_000).0.basis.len(), whole.basis.len());
-    // One sample a pitch: some modes differ between samples alone. All are asked for and refused, and at most all are those
-    // that are left, as many as variances.
+    // One sample per pitch: some modes differ only between the samples. The request for all modes is an error; the request
+    // for at most all gives the resolved modes, with as many variances.
     let (coarse, pupil, actuators) = all(20, 10_000);
     assert!(karhunen_loeve_complete(&actuators, &pupil, &turbulence).is_err());
     assert!((100..whole.basis.len()).contains(&coarse.basis.len()), "{}", coarse.basis.len());
@@ -397,7 +397,7 @@ fn impossible_requests_are_refused_with_a_sentence() {
     assert!(keck_mirror().near(&pupil, f64::NAN).is_err());
     assert!(zernike_basis(1, 5, &pupil).is_err() && zernike_basis(5, 4, &pupil).is_err());
     assert!(zernike_basis(2, 1_000_000, &pupil).is_err());
-    // More polynomials than samples cannot be told apart.
+    // More polynomials than samples are not independent.
     let tiny = Pupil {
         grid: Grid::new(3, 1.0).unwrap(),
         amplitude: Array2::ones((3, 3)),
@@ -414,7 +414,7 @@ fn impossible_requests_are_refused_with_a_sentence() {
     let mut misfit = tiny.clone();
     misfit.amplitude = Array2::ones((4, 3));
     assert!(zernike_basis(2, 4, &misfit).is_err() && karhunen_loeve(&actuators, &misfit, &turbulence, 2).is_err());
-    // One lit sample: nothing but piston.
+    // One illuminated sample: only piston.
     let mut point = tiny;
     point.amplitude.fill(0.0);
     point.amplitude[[1, 1]] = 1.0;

@@ -1,4 +1,4 @@
-//! The optimiser room against functions whose minimum is known, and against a small phase retrieval.
+//! The optimisers on functions whose minimum is known, and on a small phase retrieval.
 
 #[path = "optimize/problems.rs"]
 mod problems;
@@ -28,7 +28,7 @@ fn identity(n: usize) -> Arc<Metric> {
     Arc::new(Metric::identity(n))
 }
 
-/// Stops where what is left is a thousandth of a standard deviation squared.
+/// Stops where the predicted decrease of χ² is 1e-3.
 fn chi2_settings() -> Settings {
     Settings {
         max_evaluations: 1000,
@@ -82,8 +82,8 @@ fn an_exact_metric_solves_any_quadratic_in_three_evaluations() {
 
 #[test]
 fn many_small_components_of_a_step_add_up() {
-    // A hundred directions of which the model thinks the parabola four times as curved as it is: each step goes a quarter of
-    // the way, in all of them, and its RMS over the hundred is ten times its largest component.
+    // In a hundred directions the model assumes four times the curvature of the parabola: each step goes a quarter of the way
+    // in all of them, and its RMS over the hundred is ten times its largest component.
     let mut parabola =
         |x: &[f64]| Ok((0.25 * x.iter().map(|x| x * x).sum::<f64>(), x.iter().map(|x| 0.5 * x).collect()));
     let largest = Settings {
@@ -150,15 +150,15 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
         }
     };
     let first = run(&toy, &mut machine);
-    // It ends there too, lower than at the last point that was evaluated: by what it promised, to a half.
+    // The solution is lower than the last evaluated point, by the predicted decrease within a factor of 2.
     let mut end = vec![0.0; toy.len()];
     machine.write_end(&mut end);
     let gained = machine.outcome().f - toy.evaluate(&end).0;
-    let promised = machine.outcome().predicted_decrease;
-    assert!((gained - promised).abs() < 0.5 * promised, "{gained} of {promised}");
+    let predicted = machine.outcome().predicted_decrease;
+    assert!((gained - predicted).abs() < 0.5 * predicted, "{gained} of {predicted}");
     toy.reweight(&machine.outcome().x.clone());
     assert_eq!(machine.restart_objective(), Progress::Continue);
-    // It goes on from the end of the step that was too small to be worth an evaluation.
+    // It continues from the end of the step that was too small to be worth an evaluation.
     let outcome = machine.outcome();
     let moved = machine.ask().iter().zip(&outcome.x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     // The step's largest component, to the rounding of a sum of numbers of order one.
@@ -167,14 +167,14 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
     let scratch = retrieve(&toy, metric, chi2_settings());
     println!("{first} evaluations, then {second}; {} from scratch", scratch.evaluations);
     assert!(machine.outcome().reason.converged());
-    // 5 after 9, where 9 lead there from scratch.
+    // 5 evaluations after the first 9, compared with 9 from the start.
     assert!(3 * second < 2 * scratch.evaluations);
     // Both stop within about their decrement of 1e-3 above the same minimum.
     assert!((machine.outcome().f - scratch.f).abs() < 2e-3, "{} {}", machine.outcome().f, scratch.f);
 }
 
 #[test]
-fn a_batch_in_lock_step_gives_bitwise_what_its_problems_give_alone() {
+fn a_batch_in_lock_step_gives_bitwise_the_results_of_single_runs() {
     let toys: Vec<_> = (0..6).map(|seed| Retrieval::new(0.9, seed)).collect();
     let metric = whitened(&toys[0].gauss_newton());
     let alone: Vec<_> = toys.iter().map(|toy| retrieve(toy, metric.clone(), chi2_settings())).collect();
@@ -182,7 +182,7 @@ fn a_batch_in_lock_step_gives_bitwise_what_its_problems_give_alone() {
     let mut batch: Vec<_> =
         toys.iter().map(|_| QuasiNewton::new(metric.clone(), &start, chi2_settings()).unwrap()).collect();
     loop {
-        // One call for all; those that are done are evaluated too, and told in vain.
+        // One call for all; those that are done are evaluated too, without effect.
         let answers: Vec<_> = toys.iter().zip(&batch).map(|(toy, machine)| toy.evaluate(machine.ask())).collect();
         let done =
             batch.iter_mut().zip(&answers).filter_map(|(m, (f, g))| (m.tell(*f, g) == Progress::Done).then_some(()));
@@ -200,7 +200,7 @@ fn a_batch_in_lock_step_gives_bitwise_what_its_problems_give_alone() {
 }
 
 #[test]
-fn a_machine_that_begins_anew_is_a_new_machine_bit_by_bit() {
+fn an_optimiser_restarted_with_begin_is_bitwise_a_new_one() {
     let toys: Vec<_> = (0..3).map(|seed| Retrieval::new(0.9, seed)).collect();
     let metric = whitened(&toys[0].gauss_newton());
     let start = vec![0.0; toys[0].len()];
@@ -222,7 +222,7 @@ fn a_machine_that_begins_anew_is_a_new_machine_bit_by_bit() {
 }
 
 #[test]
-fn a_scale_stands_for_a_metric_of_its_own() {
+fn a_scale_replaces_a_scaled_metric() {
     // Sixteen times as curved: every length in whitened coordinates is a quarter, exactly so in binary.
     let q = Quadratic::new(12, 1e3, 4);
     let metric = whitened(&q.gauss_newton());
@@ -234,12 +234,12 @@ fn a_scale_stands_for_a_metric_of_its_own() {
         let g: Vec<f64> = g.iter().map(|g| 16.0 * g).collect();
         machine.tell(16.0 * f, &g) == Progress::Continue
     } {}
-    // As an exact metric does: the start, the minimum, and the look that finds nothing left.
+    // As with an exact metric: the start, the minimum, and the evaluation that confirms it.
     assert!(machine.outcome().evaluations <= 3, "{}", machine.outcome().evaluations);
 }
 
 #[test]
-fn the_deadline_ends_a_run_with_the_best_point_and_forbids_another_weighting() {
+fn the_deadline_ends_a_run_with_the_best_point_and_prevents_a_restart() {
     let toy = Retrieval::new(0.9, 1);
     let metric = whitened(&toy.gauss_newton());
     let start = vec![0.0; toy.len()];
@@ -256,7 +256,7 @@ fn the_deadline_ends_a_run_with_the_best_point_and_forbids_another_weighting() {
 
 // --- The metric ------------------------------------------------------------------------------------------------
 
-/// A Gauss-Newton matrix blind to the sum of x and to x₀ − x₁, and the objective that goes with it.
+/// An objective that does not depend on the sum of x and on x₀ − x₁: a quadratic, the projection, and the null directions.
 fn blind(n: usize) -> (Quadratic, Array2<f64>, [Vec<f64>; 2]) {
     let q = Quadratic::new(n, 10.0, 5);
     let unit = |v: Vec<f64>| {
@@ -288,7 +288,7 @@ fn null_directions_are_never_moved() {
     let out = minimize(&mut problem, metric, &start, settings).unwrap();
     assert!(out.reason.converged() && out.evaluations <= 3, "{} after {}", out.reason, out.evaluations);
     let travelled = out.x.iter().zip(&start).map(|(x, s)| (x - s).powi(2)).sum::<f64>().sqrt();
-    assert!(travelled > 10.0, "the rest must move: {travelled}");
+    assert!(travelled > 10.0, "the other directions must move: {travelled}");
     for v in &null {
         let moved: f64 = v.iter().zip(out.x.iter().zip(&start)).map(|(v, (x, s))| v * (x - s)).sum();
         // Rounding of V over a travel of a few hundred: the eigenvectors are orthogonal to some 10 epsilon, 1e-15·1e3.
@@ -322,7 +322,7 @@ fn in_f32_it_stops_where_the_objective_no_longer_resolves() {
     q.floor = 1e4;
     let exact = q.gauss_newton();
     let rough = &exact + &(0.3 * Array2::from_diag(&exact.diag()));
-    // Nothing but the arithmetic can stop it.
+    // Only the resolution of the objective can stop the run.
     let bare = |resolution| Settings { relative_decrement_tolerance: 0.0, resolution, ..Settings::default() };
     for (name, metric, most, bound) in [
         ("exact metric", whitened(&exact), 4, 1e-2),
@@ -334,7 +334,7 @@ fn in_f32_it_stops_where_the_objective_no_longer_resolves() {
         let blind = minimize(&mut problem, metric, &vec![0.0; n], bare(0.0)).unwrap();
         let (left, _) = q.evaluate(&out.x);
         println!(
-            "{name}: {} evaluations, {:e} left; {} unaware: {}",
+            "{name}: {} evaluations, {:e} left; {} with resolution 0: {}",
             out.evaluations,
             left - 1e4,
             blind.evaluations,
@@ -342,14 +342,14 @@ fn in_f32_it_stops_where_the_objective_no_longer_resolves() {
         );
         assert_eq!(out.reason, StopReason::ResolutionReached);
         assert!(out.evaluations <= most && out.evaluations <= blind.evaluations, "{}", out.evaluations);
-        // Below the resolution of 1e-6 of 1e4 where the metric makes the model; without one, twenty pairs are all that
-        // the model knows of the curvature and its promise may be off by a hundred.
+        // Below the resolution of 1e-6 of 1e4 with a metric; without one the model consists of twenty pairs, and its
+        // prediction may be wrong by a factor of a hundred.
         assert!(left - 1e4 < bound, "{:e}", left - 1e4);
     }
 }
 
 #[test]
-fn regions_that_are_not_finite_are_backed_out_of() {
+fn the_search_backs_out_of_regions_that_are_not_finite() {
     // x − ln x, NaN for x < 0; the metric's curvature of 0.01 overshoots to −30.
     let mut problem = |x: &[f64]| Ok((x[0] - x[0].ln(), vec![if x[0] > 0.0 { 1.0 - 1.0 / x[0] } else { f64::NAN }]));
     let metric = whitened(&ndarray::array![[0.01]]);
@@ -359,18 +359,18 @@ fn regions_that_are_not_finite_are_backed_out_of() {
     assert!(out.reason.converged() && (out.x[0] - 1.0).abs() < 2e-5, "{} at {}", out.reason, out.x[0]);
     let out = minimize(&mut problem, metric.clone(), &[-1.0], Settings::default()).unwrap();
     assert_eq!((out.reason, out.evaluations), (StopReason::NotFinite, 1));
-    // Finite at the start alone: the start is returned after the 30 halvings from 1 to 1e-9.
-    let mut pinprick = |x: &[f64]| Ok((if x[0] == 3.0 { 1.0 } else { f64::INFINITY }, vec![1.0]));
-    let out = minimize(&mut pinprick, metric, &[3.0], Settings::default()).unwrap();
+    // Finite at the start only: the start is returned after the 30 halvings from 1 to 1e-9.
+    let mut point = |x: &[f64]| Ok((if x[0] == 3.0 { 1.0 } else { f64::INFINITY }, vec![1.0]));
+    let out = minimize(&mut point, metric, &[3.0], Settings::default()).unwrap();
     assert_eq!((out.reason, out.evaluations, out.x[0], out.f), (StopReason::NotFinite, 32, 3.0, 1.0));
 }
 
 #[test]
-fn a_gradient_of_the_wrong_sign_is_found_out() {
+fn a_gradient_of_the_wrong_sign_is_detected() {
     let mut problem = |x: &[f64]| Ok((x[0] * x[0], vec![-2.0 * x[0]]));
     let out = minimize(&mut problem, identity(1), &[1.0], Settings::default()).unwrap();
     assert_eq!(out.reason, StopReason::NoDescent);
-    // The start, ten steps back, and the one that gives up.
+    // The start, ten steps back, and the last point.
     assert!(out.evaluations <= 12 && out.x == [1.0], "{}", out.evaluations);
 }
 
@@ -386,13 +386,13 @@ fn a_start_at_the_minimum_stays_there() {
 }
 
 #[test]
-fn the_limit_of_evaluations_holds_and_the_cap_on_steps_too() {
+fn the_limits_of_evaluations_and_of_steps_hold() {
     let settings = Settings { max_evaluations: 7, max_step: 0.05, ..Settings::default() };
     let start = [-1.2, 1.0];
-    let mut asked = Vec::new();
+    let mut evaluated = Vec::new();
     let out = minimize(
         &mut |x: &[f64]| {
-            asked.push(x.to_vec());
+            evaluated.push(x.to_vec());
             rosenbrock(x)
         },
         identity(2),
@@ -400,11 +400,11 @@ fn the_limit_of_evaluations_holds_and_the_cap_on_steps_too() {
         settings,
     )
     .unwrap();
-    assert_eq!((out.reason, out.evaluations, asked.len()), (StopReason::EvaluationLimit, 7, 7));
-    let values: Vec<f64> = asked.iter().map(|x| rosenbrock(x).unwrap().0).collect();
+    assert_eq!((out.reason, out.evaluations, evaluated.len()), (StopReason::EvaluationLimit, 7, 7));
+    let values: Vec<f64> = evaluated.iter().map(|x| rosenbrock(x).unwrap().0).collect();
     assert_eq!(out.f, values.iter().copied().fold(f64::INFINITY, f64::min), "the best of {values:?}");
     assert_eq!(out.f, rosenbrock(&out.x).unwrap().0);
-    for pair in asked.windows(2) {
+    for pair in evaluated.windows(2) {
         let step = pair[0].iter().zip(&pair[1]).fold(0.0_f64, |m, (a, b)| m.max((a - b).abs()));
         // Each of these was accepted, so each step starts from the one before; one rounding of 1.2.
         assert!(step <= 0.05 + 3e-16, "{step}");
@@ -463,7 +463,7 @@ fn the_reference_minimises_quadratics_and_rosenbrock() {
 fn the_reference_ends_with_a_reason_and_the_best_point() {
     let mut q = Quadratic::new(6, 10.0, 4);
     q.floor = 1e3;
-    // No tolerance can be met in f32: whatever stops it, it is a reason and the minimum.
+    // No tolerance can be met in f32: the run must end with a reason and at the minimum.
     let out = argmin_bfgs(&mut |x: &[f64]| Ok(q.evaluate_f32(x)), &[0.0; 6], 0.0, 500).unwrap();
     println!("f32: {} evaluations: {}", out.evaluations, out.reason);
     assert!(matches!(out.reason, StopReason::NoDescent | StopReason::EvaluationLimit | StopReason::NotFinite));

@@ -61,7 +61,7 @@ fn extents_are_those_of_the_outermost_vertices() {
 }
 
 #[test]
-fn a_mirror_that_is_turned_has_the_turned_spectrum() {
+fn a_rotated_mirror_has_a_rotated_spectrum() {
     let shadows = HexagonalParameters {
         obscuration_diameter_m: 1.4,
         spider_width_m: 0.11,
@@ -124,11 +124,11 @@ fn coverage_has_the_mirrors_symmetries() {
     }
 }
 
-/// Fraction of a cell's sub-samples that `glass` says are lit.
-fn sub_sampled(grid: &Grid, y: usize, x: usize, glass: impl Fn(f64, f64) -> bool) -> f64 {
+/// Fraction of the sub-samples of a cell for which `is_illuminated` is true.
+fn sub_sampled(grid: &Grid, y: usize, x: usize, is_illuminated: impl Fn(f64, f64) -> bool) -> f64 {
     let offset = |i: usize| ((i as f64 + 0.5) / 16.0 - 0.5) * grid.pitch_m();
     let point = |i: usize| (grid.coordinate_m(x) + offset(i % 16), grid.coordinate_m(y) + offset(i / 16));
-    (0..256).map(point).filter(|&(px, py)| glass(px, py)).count() as f64 / 256.0
+    (0..256).map(point).filter(|&(px, py)| is_illuminated(px, py)).count() as f64 / 256.0
 }
 
 #[test]
@@ -219,7 +219,7 @@ fn impossible_mirrors_are_refused() {
     }
     assert!(Aperture::keck().pupil(&grid(120, 10.9)).unwrap_err().to_string().contains("10.9299"));
     assert!(Aperture::keck().spectrum_m2(36, 0.0, 0.0).is_err());
-    // A speck far smaller than a rounding of the grid's coordinates is no reason to fail.
+    // A mirror far smaller than the rounding of the grid's coordinates is not an error.
     let speck = Aperture::hexagonal(&HexagonalParameters { segment_side_m: 1e-30, ..single() }).unwrap();
     assert_eq!(speck.pupil(&grid(10, 10.0)).unwrap().weight_sum(), 0.0);
 }
@@ -252,13 +252,13 @@ fn relative_error(field: &Array2<Complex64>, truth: &Array2<Complex64>) -> f64 {
     (norm(&(field - truth)) / norm(truth)).sqrt()
 }
 
-/// Pistons that look random and are the same everywhere.
+/// Pseudo-random pistons, the same on every machine.
 fn phases() -> Vec<f64> {
     (0..36).map(|k| f64::from((k * 7919 + 13) % 101) / 101.0 * 2.0 * PI).collect()
 }
 
 #[test]
-fn hard_weights_are_the_plain_model() {
+fn hard_weights_are_the_basic_model() {
     let pupil = Aperture::keck().pupil(&keck_grid()).unwrap();
     let weights = SegmentWeights::hard(&pupil);
     assert_eq!(weights.lit.len(), pupil.amplitude.iter().filter(|a| **a > 0.0).count());
@@ -272,7 +272,7 @@ fn hard_weights_are_the_plain_model() {
 #[test]
 fn band_limited_weights_carry_the_exact_low_frequencies() {
     let aperture = Aperture::keck();
-    // 20 spare samples on every side, so that all the ringing fits: what is left is what was dropped.
+    // 20 spare samples on every side, so that all ringing is inside: the error is that of the dropped weights.
     let grid = grid(160, KECK_WIDTH_M * 160.0 / 120.0);
     let pass = 50.0 * 160.0 / 120.0;
     let limit = BandLimit { drop_below: 1e-6, ..BandLimit::new(pass, 160).unwrap() };
@@ -301,17 +301,17 @@ fn band_limited_weights_carry_the_exact_low_frequencies() {
 }
 
 #[test]
-fn the_focal_field_of_band_limited_weights_is_exact_where_grey_edges_are_not() {
+fn band_limited_weights_give_an_exact_focal_field_and_anti_aliased_edges_do_not() {
     let (aperture, phases) = (Aperture::keck(), phases());
     let fine = grid(960, KECK_WIDTH_M * 1.2);
     let fine_weights = SegmentWeights::band_limited(&aperture, &fine, &BandLimit::new(200.0, 960).unwrap()).unwrap();
-    // The fine field is itself held against the closed form: no grid, no filter.
+    // The fine field is itself compared with the closed form, without grid and filter.
     let exact = Array2::from_shape_fn((97, 97), |(v, u)| {
         let piston = |s: usize| Complex64::from_polar(1.0, phases[s]);
         (0..36).map(|s| aperture.spectrum_m2(s, frequency(u), frequency(v)).unwrap() * piston(s)).sum()
     });
-    let judge = relative_error(&focal_field(&fine_weights, &fine, &phases, 0.0), &exact);
-    assert!(judge < 1e-5, "{judge:e}");
+    let reference_error = relative_error(&focal_field(&fine_weights, &fine, &phases, 0.0), &exact);
+    assert!(reference_error < 1e-5, "{reference_error:e}");
     let truth = focal_field(&fine_weights, &fine, &phases, 1.5);
 
     // The limits are the measured errors with a third to spare. 120 samples leave 0.2 of a sample beside Keck, so the
@@ -327,7 +327,7 @@ fn the_focal_field_of_band_limited_weights_is_exact_where_grey_edges_are_not() {
         let limited = error(&SegmentWeights::band_limited(&aperture, &grid, &low_pass).unwrap());
         println!("{samples} samples: hard {hard:.1e}, area {area:.1e}, band-limited {limited:.1e}");
         assert!(limited < limit, "{samples}: {limited:e}");
-        assert!(hard > 1e-2 && area > 5e-3, "a plain pupil as good as that would make the filter pointless");
+        assert!(hard > 1e-2 && area > 5e-3, "the filter must be more accurate than the basic model");
     }
 }
 
@@ -340,16 +340,16 @@ fn fine_maps_give_the_weights_of_the_geometry() {
     let total =
         |weights: &SegmentWeights| (0..36).map(|s| weights.map(s, 120)).fold(Array2::zeros((120, 120)), |a, b| a + b);
     let largest = |map: Array2<f64>| map.iter().fold(0f64, |largest, d| largest.max(d.abs()));
-    // 8 times as fine, finer by no whole factor over another width, and hardly fine enough.
+    // 8 times as fine, finer by a non-integer factor over another width, and barely fine enough.
     for (samples, width) in [(960, KECK_WIDTH_M), (1111, 11.3), (300, KECK_WIDTH_M)] {
         let pupil = aperture.pupil(&Grid::new(samples, width).unwrap()).unwrap();
         let fine = FinePupil::new(pupil.grid, pupil.amplitude, Some(pupil.owner)).unwrap();
         let weights = SegmentWeights::band_limited_maps(&fine, &grid, &limit).unwrap();
         let sum = largest(total(&weights) - total(&geometric));
         let each = (0..36).map(|s| largest(weights.map(s, 120) - geometric.map(s, 120))).fold(0.0, f64::max);
-        println!("{samples} fine samples: all glass within {sum:.1e}, one segment within {each:.1e}");
-        // A grey sample does not say on which side its glass lies: its first moment is out by up to 1/8 of a sample
-        // squared, and the low pass turns that into weight with a slope of at most 2 per coarse sample.
+        println!("{samples} fine samples: the sum within {sum:.1e}, one segment within {each:.1e}");
+        // A partially illuminated sample does not define the position of the edge in it: its first moment is wrong by up to 1/8
+        // of a sample squared, and the low pass turns that into weight with a slope of at most 2 per coarse sample.
         let ratio = fine.grid().pitch_m() / grid.pitch_m();
         assert!(sum < 0.25 * ratio * ratio, "{samples}: {sum:e}");
         // A fine sample across a gap goes to one of its two segments: at most half of it is on the wrong side, along
@@ -362,7 +362,7 @@ fn fine_maps_give_the_weights_of_the_geometry() {
 }
 
 #[test]
-fn shadows_are_band_limited_like_glass() {
+fn shadows_are_band_limited_like_segments() {
     let parameters = HexagonalParameters {
         obscuration_diameter_m: 0.5,
         spider_width_m: 0.04,
@@ -378,7 +378,7 @@ fn shadows_are_band_limited_like_glass() {
     let maps = SegmentWeights::band_limited_maps(&fine, &grid, &limit).unwrap();
     let worst = (geometric.map(0, 60) - maps.map(0, 60)).iter().fold(0f64, |worst, d| worst.max(d.abs()));
     println!("shadows: within {worst:.1e}");
-    // The first moment of a grey fine sample, as above; no labels, so no borders to lose.
+    // The first moment of a partially illuminated sample, as above; without labels there is no error at borders.
     assert!(worst < 0.25 / 64.0, "{worst:e}");
 }
 
@@ -387,7 +387,7 @@ fn impossible_band_limits_are_refused() {
     for (pass, samples) in [(0.0, 120), (-1.0, 120), (60.0, 120), (f64::NAN, 120), (f64::INFINITY, 120), (50.0, 0)] {
         assert!(matches!(BandLimit::new(pass, samples), Err(Error::Value(_))), "{pass} {samples}");
     }
-    // All but abrupt, it is only slow to fade.
+    // A nearly abrupt transition is accepted; its ringing only decreases slowly.
     let abrupt = BandLimit::new(59.999, 120).unwrap();
     assert!(SegmentWeights::band_limited(&Aperture::keck(), &keck_grid(), &abrupt).is_ok());
     let good = BandLimit::new(50.0, 120).unwrap();

@@ -5,7 +5,7 @@ use cophase::grid::Grid;
 use cophase::pupil::{Aperture, Pupil};
 use ndarray::{Array2, array};
 
-/// Two columns of glass beside a dark one, on a 3 m grid.
+/// Two illuminated columns and a dark one between them, on a 3 m grid.
 fn two_segments() -> (Grid, Array2<f64>, Array2<i32>) {
     let amplitude = array![[1.0, 0.0, 0.5], [1.0, 0.0, 1.0], [1.0, 0.0, 0.5]];
     let labels = array![[0, -1, 1], [0, -1, 1], [0, -1, 1]];
@@ -19,7 +19,7 @@ fn maps_of_a_pupil_are_its_pupil() {
     let read = Pupil::from_maps(pupil.grid, pupil.amplitude.clone(), Some(pupil.owner.clone())).unwrap();
     assert_eq!((&read.amplitude, &read.owner), (&pupil.amplitude, &pupil.owner));
     for (read, exact) in read.segments.iter().zip(aperture.segments()) {
-        // A cell on a border belongs to one segment: up to half a row of cells changes hands at two opposite edges,
+        // A cell on a border belongs to one segment: up to half a row of cells changes its segment at two opposite edges,
         // 0.046 m · 0.9 m each, 0.78 m from the centre of 2.1 m².
         assert!((read.x_m - exact.x_m).hypot(read.y_m - exact.y_m) < 0.031, "{read:?} against {exact:?}");
     }
@@ -36,17 +36,17 @@ fn without_labels_the_telescope_is_monolithic() {
 }
 
 #[test]
-fn a_rim_without_labels_joins_its_neighbour() {
+fn an_edge_without_labels_belongs_to_its_neighbour() {
     let (grid, amplitude, mut labels) = two_segments();
     labels[[0, 2]] = -1;
-    // A label without glass under it is of no consequence.
+    // A label outside the illuminated area has no effect.
     labels[[1, 1]] = 7;
     let pupil = Pupil::from_maps(grid, amplitude, Some(labels)).unwrap();
     assert_eq!(pupil.owner, array![[0, -1, 1], [0, -1, 1], [0, -1, 1]]);
 }
 
 #[test]
-fn broken_maps_are_refused_with_the_place_and_the_value() {
+fn invalid_maps_are_refused_with_the_place_and_the_value() {
     let (grid, amplitude, labels) = two_segments();
     for value in [f64::NAN, f64::INFINITY, -0.1, 1.5] {
         let mut broken = amplitude.clone();
@@ -60,7 +60,7 @@ fn broken_maps_are_refused_with_the_place_and_the_value() {
     assert!(matches!(refused(&Array2::zeros((3, 3)), None), Error::Value(_)));
     assert!(matches!(refused(&Array2::ones((3, 4)), None), Error::Shape(_)));
     assert!(matches!(refused(&amplitude, Some(Array2::zeros((2, 3)))), Error::Shape(_)));
-    // Labels with a hole, from 1 instead of 0, absurdly large, and glass far from any.
+    // Labels with a gap, from 1 instead of 0, too large, and illuminated samples far from any label.
     for (from, to) in [(1, 2), (0, 2), (1, i32::MAX)] {
         let renamed = labels.mapv(|label| if label == from { to } else { label });
         assert!(matches!(refused(&amplitude, Some(renamed)), Error::Value(_)), "{from} → {to}");
@@ -111,7 +111,7 @@ fn statistics_are_weighted_and_bad_maps_refused() {
 }
 
 #[test]
-fn a_pupil_of_one_line_keeps_its_undetermined_tilt_alone() {
+fn an_undetermined_tilt_is_not_removed() {
     let grid = Grid::new(3, 3.0).unwrap();
     let line = array![[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]];
     let pupil = Pupil::from_maps(grid, line, None).unwrap();

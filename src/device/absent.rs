@@ -1,9 +1,9 @@
-//! What stands in for OpenCL in a build without it.
+//! Replacement for OpenCL in a build without the feature `opencl`.
 
-use super::{DeviceInfo, advice};
+use super::info::{DeviceInfo, advice};
 use crate::{Error, Result};
 
-/// The OpenCL devices of this machine: none, for this build has no OpenCL in it.
+/// The OpenCL devices of this machine: always none in a build without OpenCL.
 ///
 /// # Errors
 /// Never.
@@ -11,12 +11,12 @@ pub fn devices() -> Result<Vec<DeviceInfo>> {
     Ok(Vec::new())
 }
 
-/// An open device: this build has none, so that no value of this type exists.
+/// An open device. No value of this type exists in a build without OpenCL.
 #[derive(Debug, Clone)]
 pub enum Device {}
 
 impl Device {
-    /// Refuses.
+    /// Always fails.
     ///
     /// # Errors
     /// [`Error::Device`] always.
@@ -24,7 +24,7 @@ impl Device {
         Err(Error::Device(advice(&[]).unwrap_or_default().to_string()))
     }
 
-    /// What it is.
+    /// Description of the device.
     pub fn info(&self) -> &DeviceInfo {
         match *self {}
     }

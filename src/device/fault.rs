@@ -1,4 +1,4 @@
-//! A device that fails on demand: see [`crate::fault`].
+//! Injected device failures for tests: see [`crate::fault`].
 
 #[cfg(debug_assertions)]
 use crate::Error;
@@ -6,18 +6,19 @@ use crate::Result;
 #[cfg(debug_assertions)]
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Counts what a device is asked to do. In a release it has no size and does nothing.
+/// Counter of the commands of a device, some of which are made to fail. Without debug assertions it has no size and does
+/// nothing.
 #[derive(Default)]
 pub(crate) struct Fault {
     #[cfg(debug_assertions)]
     commands: AtomicU64,
-    /// The commands that fail: the first, and one beyond the last.
+    /// The commands that fail: first, and one past the last.
     #[cfg(debug_assertions)]
     failing: (AtomicU64, AtomicU64),
 }
 
 impl Fault {
-    /// What the environment asks for.
+    /// The failures that the variable `COPHASE_FAULT` requests.
     pub fn from_environment() -> Self {
         let fault = Self::default();
         #[cfg(debug_assertions)]
@@ -36,17 +37,17 @@ impl Fault {
         self.failing.1.store(end, Ordering::Relaxed);
     }
 
-    /// Commands so far.
+    /// Commands counted so far.
     #[cfg(all(test, debug_assertions))]
     pub fn commands(&self) -> u64 {
         self.commands.load(Ordering::Relaxed)
     }
 
-    /// One more command.
+    /// Counts one command.
     ///
     /// # Errors
-    /// [`Error::Device`] where it is one that was asked to fail, in the words that a driver's failure has.
-    pub fn strike(&self) -> Result<()> {
+    /// [`Error::Device`] where this command is to fail, with a message like that of a driver.
+    pub fn count_command(&self) -> Result<()> {
         #[cfg(debug_assertions)]
         {
             let command = self.commands.fetch_add(1, Ordering::Relaxed) + 1;

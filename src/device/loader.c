@@ -1,16 +1,16 @@
 /*
  * libOpenCL, opened at run time.
  *
- * The crate `cl-sys` links `-lOpenCL`. `build.rs` compiles this file into a `libOpenCL.a` that stands before the
+ * The crate `cl-sys` links `-lOpenCL`. `build.rs` compiles this file into a `libOpenCL.a` that precedes the
  * system's library in the search path, so that
  *   - a build needs no OpenCL development package, and
- *   - the program starts on a machine without OpenCL, where it finds zero platforms.
+ *   - the program starts on a machine without OpenCL and reports zero platforms there.
  *
  * The first call opens the library that the variable COPHASE_OPENCL_LIBRARY names, or else libOpenCL.so.1, or else
- * libOpenCL.so, and every entry point is looked up then, once. Where the library or a symbol is absent, a call that
+ * libOpenCL.so, and looks up every entry point, once. Where the library or a symbol is absent, a call that
  * returns a status returns CL_PLATFORM_NOT_FOUND_KHR; one that returns a handle returns NULL and stores that status in
- * its last argument. The prototypes are those of the OpenCL 1.2 headers (Khronos registry), with the enumerations,
- * bit fields and opaque handles reduced to the C types that carry them.
+ * its last argument. The prototypes are those of the OpenCL 1.2 headers (Khronos registry), with enumerations,
+ * bit fields and opaque handles replaced by the C types that represent them.
  */
 #include <dlfcn.h>
 #include <pthread.h>
@@ -31,7 +31,7 @@ static void open_library(void);
 
 /*
  * One slot per entry point: its address in the library, or NULL. The table below is expanded twice: here into the slots
- * and the functions that go through them, further down into the list that `open_library` walks.
+ * and the functions that call through them, below into the list that `open_library` fills.
  */
 #define SLOT(NAME) slot_##NAME
 

@@ -1,25 +1,35 @@
-//! What a device could do at best, measured: the floor under every other time.
+//! Peak arithmetic rate and memory bandwidth of a device, measured: they bound the time of every computation from below.
 
+#[cfg(not(feature = "opencl"))]
+use super::absent::Device;
 #[cfg(feature = "opencl")]
-use super::{Build, DeviceKind, Kernel, Reals};
-use super::{Device, Precision};
+use super::info::DeviceKind;
+#[cfg(feature = "opencl")]
+use super::kernel::Kernel;
+use super::precision::Precision;
+#[cfg(feature = "opencl")]
+use super::reals::Reals;
+#[cfg(feature = "opencl")]
+use super::session::Device;
+#[cfg(feature = "opencl")]
+use super::table::Build;
 use crate::Result;
 #[cfg(feature = "opencl")]
 use std::time::Instant;
 
-/// Measured rates of one device in one precision.
+/// Measured peak rates of one device in one precision.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Peak {
-    /// Multiply-adds of all compute units, 10⁹ operations a second (two to a multiply-add).
+    /// Multiply-adds of all compute units, 10⁹ operations per second (two per multiply-add).
     pub gflops: f64,
-    /// The same of one work-item on a processor (a core), of one work-group on a GPU.
+    /// The same for one work-item on a CPU (a core), or one work-group on a GPU.
     pub gflops_unit: f64,
-    /// Reading from memory beyond the caches, all compute units, 10⁹ bytes a second.
+    /// Reading from memory beyond the caches, all compute units, 10⁹ bytes per second.
     pub gbytes_s: f64,
 }
 
 impl Peak {
-    /// Least time of work with so many operations and bytes, µs: the longer of the two, as if one hid the other.
+    /// Lower bound of the time for `flops` operations and `bytes` bytes, µs: the longer of the two, as if they overlapped.
     pub fn floor_us(&self, flops: f64, bytes: f64) -> f64 {
         (flops / self.gflops).max(bytes / self.gbytes_s) * 1e-3
     }
@@ -27,7 +37,7 @@ impl Peak {
 
 #[cfg(not(feature = "opencl"))]
 impl Peak {
-    /// No device can be asked in this build.
+    /// Never called: there is no device in this build.
     ///
     /// # Errors
     /// Never: there is no [`Device`].
@@ -39,23 +49,23 @@ impl Peak {
 /// `PEAK_CHAINS` of peak.cl.
 #[cfg(feature = "opencl")]
 const CHAINS: usize = 16;
-/// A launch takes at least this long, s: long beside what it costs to launch it.
+/// Shortest launch that is accepted, s: long compared with the cost of a launch.
 #[cfg(feature = "opencl")]
 const LEAST_S: f64 = 2e-3;
-/// Launches of which the fastest counts: others may be disturbed by what else runs.
+/// Number of launches; the fastest counts, since others may be disturbed by other programs.
 #[cfg(feature = "opencl")]
 const REPEATS: usize = 8;
 
 #[cfg(feature = "opencl")]
 impl Peak {
-    /// Measures in some 50 ms (longer where the kernels are compiled first).
+    /// Measures the rates, in about 50 ms (longer where the kernels are compiled first).
     ///
     /// # Errors
     /// [`Error::Device`](crate::Error::Device) where the device lacks the precision or fails.
     pub fn measure(device: &Device, precision: Precision) -> Result<Self> {
         let build = Build::for_device(device.info(), precision);
         let units = device.info().compute_units.max(1) as usize;
-        // A processor is dealt several work-items to a core, so that no core waits long for the last; a GPU is filled.
+        // Several work-items per core of a CPU, so that the cores finish together; enough of them to fill a GPU.
         let (unit, all) = if build.is_scalar() { (64, units * 2048) } else { (1, units * 4) };
         Ok(Self {
             gflops: gflops(device, build, all)?,
@@ -84,7 +94,7 @@ fn gflops(device: &Device, build: Build, items: usize) -> Result<f64> {
 
 #[cfg(feature = "opencl")]
 fn gbytes_s(device: &Device, build: Build, items: usize) -> Result<f64> {
-    // Four times what the last cache of a processor or GPU holds, and never a large part of the memory.
+    // Four times the size of the last-level cache, and never a large part of the memory.
     let most = if device.info().kind == DeviceKind::Gpu { 1 << 29 } else { 1 << 27 };
     let bytes = most.min(device.info().max_buffer_bytes as usize / 4);
     let share = bytes / build.precision.bytes() / build.vector / items / 4 * 4;
@@ -98,7 +108,7 @@ fn gbytes_s(device: &Device, build: Build, items: usize) -> Result<f64> {
     Ok((share * items * build.vector * build.precision.bytes()) as f64 * 1e-9 / seconds)
 }
 
-/// Seconds of the fastest of a few launches, after one that compiles and warms up.
+/// Time of the fastest of a few launches, s, after one launch that compiles and warms up.
 #[cfg(feature = "opencl")]
 fn fastest(device: &Device, kernel: &mut Kernel, items: usize) -> Result<f64> {
     let mut fastest = f64::INFINITY;

@@ -1,9 +1,12 @@
-//! Device buffers of a precision that is chosen at run time; the host side is always f64.
+//! Device buffers whose precision is chosen at run time; the host side is always f64.
 
-use super::{Buffer, Device, Kernel, Precision};
+use super::buffer::Buffer;
+use super::kernel::Kernel;
+use super::precision::Precision;
+use super::session::Device;
 use crate::Result;
 
-/// Numbers of either precision on a device.
+/// Array of real numbers on a device, in single or double precision.
 pub(crate) enum Reals {
     F32(Buffer<f32>),
     F64(Buffer<f64>),
@@ -25,7 +28,7 @@ impl Reals {
         Ok(reals)
     }
 
-    /// Rounds `values` to the precision and copies them to number `offset` on.
+    /// Rounds `values` to the precision and copies them to the elements from `offset` on.
     pub fn write(&mut self, offset: usize, values: &[f64]) -> Result<()> {
         match self {
             Reals::F32(buffer) => {
@@ -36,7 +39,7 @@ impl Reals {
         }
     }
 
-    /// Fills `values` from number `offset` on.
+    /// Fills `values` from the elements from `offset` on.
     pub fn read(&self, offset: usize, values: &mut [f64]) -> Result<()> {
         match self {
             Reals::F32(buffer) => {
@@ -51,7 +54,7 @@ impl Reals {
         }
     }
 
-    /// Binds them to an argument of `kernel`.
+    /// Binds the array to an argument of `kernel`.
     pub fn bind<'k>(&self, kernel: &'k mut Kernel, argument: &str) -> Result<&'k mut Kernel> {
         match self {
             Reals::F32(buffer) => kernel.buffer(argument, buffer),

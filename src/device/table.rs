@@ -1,6 +1,7 @@
-//! The kernel table: every OpenCL kernel of the project, its source, and how it is built and launched, as data.
+//! The kernel table: every OpenCL kernel of the project, its source, its work-group size, and the compiler options.
 
-use super::{DeviceInfo, DeviceKind, Precision};
+use super::info::{DeviceInfo, DeviceKind};
+use super::precision::Precision;
 
 /// The prologue of every program: number types, vector loads, complex helpers.
 const COMMON: &str = include_str!("../../kernels/common.cl");
@@ -10,8 +11,8 @@ const COMMON: &str = include_str!("../../kernels/common.cl");
 pub struct Entry {
     /// The `__kernel` function.
     pub name: &'static str,
-    /// Work-group size on a device that runs work-items in lockstep. A processor gets groups of one: its kernels are
-    /// written in explicit vectors, and a group only costs it a loop.
+    /// Work-group size on a device that runs work-items in lockstep (a GPU). A CPU uses groups of one: its kernels are
+    /// written with explicit vectors, and a larger group would only add a loop.
     pub gpu_local: [usize; 3],
 }
 
@@ -26,15 +27,15 @@ pub struct Family {
     pub entries: &'static [Entry],
 }
 
-/// The table, in the order in which the files are compiled: as one program, for `focus.cl` calls functions of the files
-/// before it.
+/// The table, in the order in which the files are compiled, as one program: `focus.cl` calls functions of the files before
+/// it.
 pub const TABLE: &[Family] = &[
     Family {
         file: "field.cl",
         source: include_str!("../../kernels/field.cl"),
         entries: &[
             Entry { name: "smooth_phase", gpu_local: [64, 1, 1] },
-            Entry { name: "add_free", gpu_local: [64, 1, 1] },
+            Entry { name: "add_free_phase", gpu_local: [64, 1, 1] },
             Entry { name: "pupil_field", gpu_local: [64, 1, 1] },
         ],
     },
@@ -64,7 +65,7 @@ pub const TABLE: &[Family] = &[
             Entry { name: "pupil_gradient", gpu_local: [64, 1, 1] },
             Entry { name: "project_modes", gpu_local: [32, 1, 1] },
             Entry { name: "project_segments", gpu_local: [32, 1, 1] },
-            Entry { name: "take_free", gpu_local: [64, 1, 1] },
+            Entry { name: "free_phase_gradient", gpu_local: [64, 1, 1] },
             Entry { name: "collect", gpu_local: [32, 1, 1] },
         ],
     },
@@ -88,53 +89,54 @@ pub const TABLE: &[Family] = &[
     },
 ];
 
-/// How a program is specialised. Every knob is a preprocessor definition that `common.cl` documents.
+/// Compile-time parameters of a program. Each is a preprocessor definition documented in `common.cl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Build {
     /// Number type.
     pub precision: Precision,
     /// Numbers in one vector: 1, 4, 8 or 16.
     pub vector: usize,
-    /// The FFT that stands in for the matrix products, where there is one.
+    /// The FFT that replaces the matrix products; `None` for matrix products.
     pub fft: Option<FftPlan>,
 }
 
-/// An FFT of a x b points in two passes, as `fft.cl` documents it.
+/// Factorisation of an FFT into two passes of `a` and `b` points, see `fft.cl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FftPlan {
     /// Points of the small transforms of the first pass.
     pub a: usize,
-    /// Points of those of the second.
+    /// Points of the small transforms of the second pass.
     pub b: usize,
-    /// Blocks of b inputs that are not zero, on either side of the axis.
-    pub lit: usize,
+    /// Blocks of `b` inputs on either side of the axis that are not all zero.
+    pub nonzero_blocks: usize,
 }
 
 impl FftPlan {
-    /// What `fft.cl` has small transforms for.
+    /// Sizes of the small transforms in `fft.cl`.
     const RADICES: [usize; 5] = [8, 12, 15, 16, 20];
 
-    /// A plan for `points` of which the `lit_samples` next to the axis on either side are not zero; `None` where `points`
-    /// is no product of two radices. Of several the one that reads fewest zeros, then the most even one.
-    pub fn new(points: usize, lit_samples: usize) -> Option<Self> {
-        let plan = |a: usize| Self { a, b: points / a, lit: lit_samples.div_ceil(points / a) };
+    /// The plan for `points` inputs of which only the `nonzero` next to the axis on either side are not zero; `None` where
+    /// `points` is not a product of two radices. Among several plans the one that reads the fewest zeros, then the one
+    /// with the most equal factors.
+    pub fn new(points: usize, nonzero: usize) -> Option<Self> {
+        let plan = |a: usize| Self { a, b: points / a, nonzero_blocks: nonzero.div_ceil(points / a) };
         Self::RADICES
             .into_iter()
             .filter(|a| points.is_multiple_of(*a) && Self::RADICES.contains(&(points / a)))
             .map(plan)
-            .filter(|plan| 2 * plan.lit <= plan.a)
-            .min_by_key(|plan| (plan.lit * plan.b, plan.a + plan.b, plan.b))
+            .filter(|plan| 2 * plan.nonzero_blocks <= plan.a)
+            .min_by_key(|plan| (plan.nonzero_blocks * plan.b, plan.a + plan.b, plan.b))
     }
 
-    /// Its points.
+    /// Points of the FFT.
     pub fn points(&self) -> usize {
         self.a * self.b
     }
 }
 
 impl Build {
-    /// The build that suits `device`: one number per work-item on a GPU; on a processor the native vector, and no less
-    /// than 4, because the kernels there are not vectorised across work-items.
+    /// The build for `device`: one number per work-item on a GPU; on a CPU the native vector width, at least 4, because the
+    /// kernels are not vectorised across work-items there.
     pub fn for_device(device: &DeviceInfo, precision: Precision) -> Self {
         let single = match device.kind {
             DeviceKind::Gpu | DeviceKind::Accelerator => 1,
@@ -152,27 +154,27 @@ impl Build {
         Self { precision, vector, fft: None }
     }
 
-    /// Whether work-items run in lockstep, one number each: then work-groups are [`Entry::gpu_local`].
+    /// Whether work-items run in lockstep with one number each; work-groups then have the size [`Entry::gpu_local`].
     pub fn is_scalar(&self) -> bool {
         self.vector == 1
     }
 
-    /// Options of the OpenCL compiler. Argument names are kept because arguments are bound by name.
+    /// Options of the OpenCL compiler. They keep the names of arguments, because arguments are bound by name.
     pub(super) fn options(&self) -> String {
         let double = usize::from(self.precision == Precision::F64);
-        // Zeros have no sign here: x + 0 is x, which prunes the small transforms of zeros.
+        // Without signed zeros x + 0 is x, which prunes the small transforms of zeros.
         let mut options = format!(
             "-cl-std=CL1.2 -cl-kernel-arg-info -cl-mad-enable -cl-no-signed-zeros -DDOUBLE={double} -DVEC={}",
             self.vector
         );
-        if let Some(FftPlan { a, b, lit }) = self.fft {
-            options += &format!(" -DFFT_A={a} -DFFT_B={b} -DFFT_LIT={lit}");
+        if let Some(FftPlan { a, b, nonzero_blocks }) = self.fft {
+            options += &format!(" -DFFT_A={a} -DFFT_B={b} -DFFT_NONZERO={nonzero_blocks}");
         }
         options
     }
 }
 
-/// The text of the program: `common.cl`, then the table. `#line` lets a build log name the line of the file itself.
+/// The text of the program: `common.cl`, then the table. With `#line` a build log refers to lines of the files.
 pub(super) fn program_text() -> String {
     let mut text = String::from(COMMON);
     for family in TABLE {

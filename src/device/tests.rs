@@ -1,11 +1,11 @@
-//! Everything here that needs OpenCL says so and passes where there is none; `COPHASE_REQUIRE_OPENCL=1` makes that a
-//! failure.
+//! Tests of the device module. Those that need OpenCL are skipped where there is none; with `COPHASE_REQUIRE_OPENCL=1` they
+//! fail instead.
 //!
-//! `scripts/check-kernels` looks for data races and overruns in the kernels.
+//! `scripts/check-kernels` checks the kernels for data races and out-of-bounds accesses.
 
 use super::*;
 
-/// The devices to test on: empty where OpenCL may be absent and is.
+/// The devices to test on; empty where there are none and OpenCL is not required.
 pub(crate) fn test_devices() -> Vec<DeviceInfo> {
     let present = devices().expect("OpenCL lists its devices");
     if present.is_empty() {
@@ -28,7 +28,7 @@ fn every_kernel_compiles_at_every_precision_and_width() {
                 continue;
             }
             for vector in [1, 4, 8, 16] {
-                // A GPU has no use for the FFT.
+                // A GPU build does not use the FFT.
                 let fft = FftPlan::new(240, 60).filter(|_| vector > 1);
                 for entry in TABLE.iter().filter(|f| f.file != "fft.cl" || fft.is_some()).flat_map(|f| f.entries) {
                     let kernel = device.kernel(entry.name, Build { precision, vector, fft }).unwrap();
@@ -39,7 +39,7 @@ fn every_kernel_compiles_at_every_precision_and_width() {
     }
 }
 
-/// No more than that the two ways of counting agree: how fast the machine is, is not for a test to say.
+/// Tests the arithmetic of the rates only: the speed of the machine is not tested.
 #[test]
 fn a_measured_peak_is_a_number() {
     for info in test_devices() {
@@ -80,7 +80,7 @@ fn every_kernel_of_a_file_is_in_its_row() {
 }
 
 #[test]
-fn numbers_go_up_and_come_back() {
+fn buffers_are_written_and_read_back() {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         let mut buffer = device.buffer::<f32>(5).unwrap();
@@ -104,7 +104,7 @@ fn a_buffer_beyond_the_device_is_refused_with_its_size() {
 }
 
 #[test]
-fn a_bad_name_is_an_error_and_not_a_crash() {
+fn an_unknown_name_is_an_error() {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         let build = Build::for_device(&info, Precision::F32);
@@ -115,40 +115,40 @@ fn a_bad_name_is_an_error_and_not_a_crash() {
     }
 }
 
-/// No vector has five numbers, so the type that the kernels are told to use does not exist.
+/// OpenCL has no vector of five numbers, so the vector type of the kernels does not exist.
 #[test]
-fn kernels_that_do_not_compile_are_refused_with_the_compilers_words() {
+fn kernels_that_do_not_compile_are_refused_with_the_compilers_message() {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         let build = Build { precision: Precision::F32, vector: 5, fft: None };
         for _ in 0..2 {
             let message = device.kernel("smooth_phase", build).err().expect("must be refused").to_string();
-            assert!(message.contains("refuses the kernels (") && message.contains("error"), "{message}");
+            assert!(message.contains("cannot compile the kernels (") && message.contains("error"), "{message}");
             assert_eq!(message.lines().count(), 1, "{message}");
         }
-        // The device goes on.
+        // The device remains usable.
         assert!(device.kernel("smooth_phase", Build { vector: 4, ..build }).is_ok());
     }
 }
 
 #[test]
-fn a_log_is_told_from_its_first_error_on() {
+fn the_excerpt_of_a_log_starts_at_its_first_error() {
     let warnings = (0..40).map(|i| format!("a.cl:{i}: warning: unused\n\n")).collect::<String>();
     let errors = (0..30).map(|i| format!("  a.cl:{i}: error: number {i}\n")).collect::<String>();
-    let told = session::excerpt(&format!("{warnings}{errors}"));
-    assert!(told.starts_with("a.cl:0: error: number 0 | a.cl:1: error"), "{told}");
-    assert!(told.ends_with("number 11"), "{told}");
+    let quoted = session::excerpt(&format!("{warnings}{errors}"));
+    assert!(quoted.starts_with("a.cl:0: error: number 0 | a.cl:1: error"), "{quoted}");
+    assert!(quoted.ends_with("number 11"), "{quoted}");
     assert!(session::excerpt(&warnings).ends_with("a.cl:39: warning: unused"));
     assert_eq!(session::excerpt(""), "");
 }
 
-/// What the test below reads from a process of its own: the loader looks for the library once per process. Several
-/// threads ask at once, for PoCL crashes where its first two callers meet.
+/// Run by the next test in a process of its own, because the loader opens the library once per process. Several threads
+/// call at once: PoCL crashes if its first two calls overlap.
 #[test]
 fn devices_are_counted() {
     let counts = std::thread::scope(|scope| {
-        let askers: Vec<_> = (0..4).map(|_| scope.spawn(|| devices().unwrap().len())).collect();
-        askers.into_iter().map(|asker| asker.join().unwrap()).collect::<Vec<_>>()
+        let threads: Vec<_> = (0..4).map(|_| scope.spawn(|| devices().unwrap().len())).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
     });
     assert!(counts.iter().all(|count| *count == counts[0]), "{counts:?}");
     println!("devices: {}", counts[0]);
@@ -171,7 +171,7 @@ fn without_a_library_there_are_no_devices() {
     assert!(counted.contains("devices: 0"), "{counted}");
 }
 
-/// What the test below runs in processes of its own: one small launch on every device of PoCL.
+/// Run by the next test in processes of its own: one small launch on every device of PoCL.
 #[test]
 fn a_kernel_runs() {
     for info in test_devices().into_iter().filter(|info| info.platform_name == POCL) {
@@ -187,13 +187,12 @@ fn a_kernel_runs() {
 
 const POCL: &str = "Portable Computing Language";
 
-/// Compiled programs are kept from one process to the next: by the drivers, each in a cache of its own (PoCL's is looked at
-/// here; NVIDIA's and Intel's do the same), keyed by source, options, device and driver version. A second cache
-/// of ours would only grow stale beside them.
+/// Drivers cache compiled programs from one process to the next, keyed by source, options, device and driver version. This
+/// test inspects the cache of PoCL; NVIDIA and Intel do the same. A second cache of our own would only become stale.
 #[test]
 fn a_second_process_finds_the_programs_compiled() {
     if !test_devices().iter().any(|info| info.platform_name == POCL) {
-        println!("skipped: PoCL is not here");
+        println!("skipped: PoCL is not installed");
         return;
     }
     let cache = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! The transform as it is defined: four nested sums in double precision. Slow, and the judge of every other one.
+//! The transform as it is defined: four nested sums in double precision. The reference implementation, too slow for
+//! anything but tests.
 
 use super::Sampling;
 
@@ -12,12 +13,12 @@ pub fn adjoint(sampling: Sampling, focus: &[f64]) -> Vec<f64> {
     transform(sampling.pixels, sampling.samples, sampling.step(), focus, whole_pixel(sampling), half_sample(sampling))
 }
 
-/// Where the axis lies among the pupil samples: between the central two.
+/// Position of the optical axis in samples: between the central two.
 fn half_sample(sampling: Sampling) -> f64 {
     (sampling.samples as f64 - 1.0) / 2.0
 }
 
-/// Where the axis lies among the pixels: on pixel m/2.
+/// Position of the optical axis in pixels: on pixel m/2.
 fn whole_pixel(sampling: Sampling) -> f64 {
     sampling.pixels as f64 / 2.0
 }

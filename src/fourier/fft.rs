@@ -1,16 +1,18 @@
-//! The transform as a zero-padded FFT (`rustfft`), pruned: only the n rows that hold glass are transformed along x, and
-//! only the m columns that the image keeps along y.
+//! The transform as a pruned zero-padded FFT (`rustfft`): only the n rows of the pupil are transformed along x, and only
+//! the m columns of the image along y.
 //!
 //! The FFT counts samples and frequencies from 0, the definition from the axis: they differ by a phase per pixel,
-//! `exp(2πi·step·(n−1)/2·(u + v))`, which no intensity sees and which the adjoint undoes (it is the exact adjoint of
-//! this forward transform).
+//! `exp(2πi·step·(n−1)/2·(u + v))`. The intensity does not depend on it, and the adjoint here is the exact adjoint of this
+//! forward transform.
 
-use super::{Real, Sampling, Workspace};
+use super::real::Real;
+use super::sampling::Sampling;
+use super::workspace::Workspace;
 use num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-/// Zero-padded FFT of one sampling. Plans are shared by all threads; each brings a [`Workspace`].
+/// Zero-padded FFT of one sampling. Plans are shared by all threads; each thread has its own [`Workspace`].
 #[derive(Clone)]
 pub struct FftTransform<T: Real> {
     sampling: Sampling,

@@ -1,16 +1,17 @@
-//! The discrete Hartley transform of a real square: real in, real out, orthogonal, its own inverse and its own adjoint.
+//! Discrete Hartley transform of a real square array: real, orthogonal, its own inverse and its own adjoint.
 //!
-//! `H[l][k] = 1/N·Σ_yx h[y][x]·cas(2π(kx + ly)/N)`, cas θ = cos θ + sin θ: of the DFT F of the same square it is
-//! (Re F − Im F)/N. A filter that is real and even in the frequency is diagonal in it, so white numbers in, a factor for
-//! each frequency, and a field of that spectrum comes out; without the pairs of conjugate coefficients of a DFT, and at
-//! half its memory and time.
+//! `H[l][k] = 1/N·Σ_yx h[y][x]·cas(2π(kx + ly)/N)`, cas θ = cos θ + sin θ. With F the DFT of the same array it is
+//! (Re F − Im F)/N. A filter that is real and even in frequency is diagonal in this basis: white noise, multiplied with
+//! one factor per frequency, transforms into a field with that power spectrum. There are no pairs of conjugate
+//! coefficients as in a DFT, and memory and time are half of a complex transform's.
 
-use super::Real;
+use super::real::Real;
 use num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-/// The transform of N×N numbers. Plans are shared by all threads; each brings the memory of [`Hartley::scratch`].
+/// The transform of N×N numbers. Plans are shared by all threads; each thread has its own scratch memory,
+/// from [`Hartley::scratch`].
 #[derive(Clone)]
 pub struct Hartley<T: Real> {
     side: usize,
@@ -25,7 +26,7 @@ impl<T: Real> Hartley<T> {
     pub fn new(side: usize) -> crate::Result<Self> {
         if side == 0 || !side.is_multiple_of(2) {
             return Err(crate::Error::Shape(format!(
-                "a Hartley transform of {side} numbers a side cannot be made: an even number is needed"
+                "a Hartley transform of {side} numbers a side is impossible: an even number is needed"
             )));
         }
         Ok(Self { side, fft: FftPlanner::new().plan_fft_forward(side) })
@@ -42,12 +43,12 @@ impl<T: Real> Hartley<T> {
         vec![Complex::default(); n + n * (n / 2 + 1) + self.fft.get_inplace_scratch_len()]
     }
 
-    /// The transform of `from` (`[y][x]`) into `to`, **transposed** (`[k][l]`, k the frequency along x): it saves a pass
-    /// over the memory, and applied again it gives back what went in, the right way round. Rows outside of `rows` must be
+    /// The transform of `from` (`[y][x]`) into `to`, **transposed** (`[k][l]`, k the frequency along x). That saves a pass
+    /// over the memory; a second application restores `from` in its original orientation. Rows outside `rows` must be
     /// zero, and are not read.
     ///
     /// # Panics
-    /// Where a piece is of another size.
+    /// If an array has another size.
     pub fn transform(&self, from: &[T], rows: std::ops::Range<usize>, to: &mut [T], scratch: &mut [Complex<T>]) {
         let n = self.side;
         assert_eq!((from.len(), to.len()), (n * n, n * n), "a square of this side");
@@ -97,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_the_sum_that_defines_it() {
+    fn the_transform_is_the_sum_that_defines_it() {
         let n = 6;
         let transform = Hartley::<f64>::new(n).unwrap();
         let (from, mut to) = (numbers(n), vec![f64::NAN; n * n]);

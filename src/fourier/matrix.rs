@@ -5,24 +5,26 @@
 //!
 //! `U(±u) = C_u ∓ i·S_u`,  `C_u = Σ_j cos(2π·step·u·x_j)·e_j`,  `S_u = Σ_j sin(2π·step·u·x_j)·o_j`,  u = 0 … m/2,
 //!
-//! a quarter of the work of a complex matrix product. The adjoint folds the pixels instead
+//! which takes a quarter of the operations of a complex matrix product. The adjoint folds the pixels instead
 //! (`P_u = G(u) + G(−u)`, `Q_u = G(u) − G(−u)`) and runs through the same matrices transposed. Pixel −m/2 has no
-//! partner: the fold treats pixel +m/2 as zero, and the unfolding drops it.
+//! partner: folding treats pixel +m/2 as zero, and unfolding drops it.
 
 use super::product::{Factors, panel_len};
-use super::{Real, Sampling, Workspace};
+use super::real::Real;
+use super::sampling::Sampling;
+use super::workspace::Workspace;
 
-/// Folded matrix transform of one sampling. Tables are shared by all threads; each brings a [`Workspace`].
+/// Folded matrix transform of one sampling. Tables are shared by all threads; each thread has its own [`Workspace`].
 #[derive(Clone)]
 pub struct MatrixTransform<T: Real> {
     sampling: Sampling,
     /// cos(2π·step·u·x_j), row-major [u = 0..=m/2][j = 0..n/2].
     cos: Vec<T>,
-    /// sin likewise.
+    /// sin(2π·step·u·x_j), in the same order.
     sin: Vec<T>,
     /// cos, row-major [j][u].
     cos_across: Vec<T>,
-    /// sin likewise.
+    /// sin, row-major [j][u].
     sin_across: Vec<T>,
 }
 
@@ -48,7 +50,7 @@ impl<T: Real> MatrixTransform<T> {
     }
 
     /// Sizes of the scratch areas: folded even, folded odd (each large enough for either axis and direction), the
-    /// half-transformed field; the two products, and the panel that they are made with.
+    /// half-transformed field; the two products, and the panel used to compute them.
     fn sizes(&self) -> [usize; 6] {
         let (n, m) = (self.sampling.samples, self.sampling.pixels);
         let (half, harmonics) = (n / 2, m / 2 + 1);
@@ -166,7 +168,7 @@ fn unfold_rows<T: Real>(c: &[T], s: &[T], rows: &mut [T], n: usize, m: usize) {
     }
 }
 
-/// P_v = T(v) + T(−v), Q_v = T(v) − T(−v); a row without a partner stands alone.
+/// P_v = T(v) + T(−v), Q_v = T(v) − T(−v); for a row without a partner, P and Q are that row alone.
 #[inline(always)]
 fn unfold_rows_adjoint<T: Real>(rows: &[T], even: &mut [T], odd: &mut [T], n: usize, m: usize) {
     let width = 2 * n;
@@ -239,7 +241,8 @@ fn unfold_columns<T: Real>(c: &[T], s: &[T], focus: &mut [T], m: usize) {
     }
 }
 
-/// P_u = G(u) + G(−u), Q_u = G(u) − G(−u) along the rows of the image; a pixel without a partner stands alone.
+/// P_u = G(u) + G(−u), Q_u = G(u) − G(−u) along the rows of the image; for a pixel without a partner,
+/// P and Q are that pixel alone.
 #[inline(always)]
 fn unfold_columns_adjoint<T: Real>(focus: &[T], even: &mut [T], odd: &mut [T], m: usize) {
     let harmonics = m / 2 + 1;

@@ -1,13 +1,13 @@
-//! A matrix product that allocates nothing: faer's keeps packing buffers for each thread that runs it, which the first
-//! product on a thread allocates.
+//! Matrix product without allocation. The product of `faer` keeps packing buffers per thread, which the first product on a
+//! thread allocates; a real-time call must not.
 //!
 //! Register-blocked: `MR` rows by `NV` vectors of the product stay in registers while the depth runs through. The
 //! columns of the right factor are packed panel by panel, so that they are read in order whatever the stride. The last
-//! panel overlaps its neighbour rather than being padded: what is computed twice is the same bit by bit, for each entry
-//! is one chain of fused multiply-adds along the depth, at any vector width.
+//! panel overlaps its neighbour rather than being padded: the columns computed twice are bitwise the same, because
+//! each entry is one chain of fused multiply-adds along the depth, at any vector width.
 //!
 //! On an AVX-512 processor the products of a transform (64/96 to 240/480 samples and pixels) run at 80 to 121 Gflop/s
-//! in f64 and 130 to 222 in f32, where faer's run at 91 to 119 and 175 to 230.
+//! in f64 and 130 to 222 in f32; those of faer at 91 to 119 and 175 to 230.
 
 use pulp::{Simd, WithSimd};
 
@@ -23,24 +23,24 @@ pub(crate) fn panel_len(depth: usize) -> usize {
 
 /// Row-major factors without gaps: `left[rows × depth]`, `right[depth × cols]`.
 pub struct Factors<'a, T> {
-    /// The left one.
+    /// Left factor.
     pub left: &'a [T],
-    /// The right one.
+    /// Right factor.
     pub right: &'a [T],
-    /// Rows of the left one, and of the product.
+    /// Rows of the left factor and of the product.
     pub rows: usize,
-    /// Columns of the left one, rows of the right one.
+    /// Columns of the left factor, rows of the right one.
     pub depth: usize,
-    /// Columns of the right one, and of the product.
+    /// Columns of the right factor and of the product.
     pub cols: usize,
 }
 
-/// The types whose matrices can be multiplied.
+/// Element type of matrices that can be multiplied.
 pub trait Product: Copy {
     /// `out[rows × cols] = left · right`, row-major. `panel` is scratch memory of `panel_len` elements.
     ///
     /// # Panics
-    /// Where a slice is too short.
+    /// If a slice is too short.
     fn product(factors: &Factors<Self>, out: &mut [Self], panel: &mut [Self]);
 }
 
@@ -66,7 +66,7 @@ macro_rules! product {
                     let mut first = 0;
                     while first < cols {
                         let left = (cols - first).div_ceil(lanes);
-                        // Two panels of two vectors rather than one of three and one of one, which waits for its sums.
+                        // Two panels of two vectors rather than three and one: a panel of one vector stalls on the latency of its sums.
                         let most = if left == MOST_VECTORS + 1 { 2 } else { MOST_VECTORS };
                         let vectors = left.min(cols / lanes).min(most);
                         // The last panel ends with the last column.
@@ -105,7 +105,7 @@ macro_rules! product {
                 rows::<S, 1, NV>(simd, factors, row, start, out, panel);
             }
 
-            /// Blocks of `MR` rows from `row` on; the first row that is left.
+            /// Computes blocks of `MR` rows from `row` on; returns the first row not computed.
             #[inline(always)]
             fn rows<S: Simd, const MR: usize, const NV: usize>(
                 simd: S,
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn products_are_those_of_the_definition_in_all_shapes() {
+    fn products_agree_with_the_definition_in_all_shapes() {
         check::<f64>(f64::EPSILON);
         check::<f32>(f64::from(f32::EPSILON));
     }

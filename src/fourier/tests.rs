@@ -17,7 +17,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Larger and smaller images than the pupil, whole and broken sampling.
+/// Images larger and smaller than the pupil, with integer and fractional sampling.
 const CASES: [(usize, usize, f64); 4] = [(6, 10, 2.0), (12, 8, 1.37), (10, 20, 2.0), (8, 4, 3.25)];
 
 #[test]
@@ -74,7 +74,7 @@ fn adjoints_pass_the_dot_test() {
         for transform in [Some(Transform::<f64>::matrix(sampling)), Transform::fft(sampling)].into_iter().flatten() {
             let (pupil, image) = (noise(2 * n * n, 4), noise(2 * m * m, 5));
             let (mut focus, mut back) = (vec![0.0; 2 * m * m], vec![0.0; 2 * n * n]);
-            // The scratch is dirty on purpose.
+            // Scratch memory filled with NaN shows whether it is read before it is written.
             let mut workspace = transform.workspace();
             workspace.real.fill(f64::NAN);
             transform.forward(&pupil, &mut focus, &mut workspace);
@@ -89,7 +89,7 @@ fn adjoints_pass_the_dot_test() {
 }
 
 #[test]
-fn single_precision_keeps_its_digits() {
+fn single_precision_agrees_to_its_rounding() {
     let sampling = Sampling::new(12, 8, 1.37).unwrap();
     let (wide, narrow) = (Transform::<f64>::matrix(sampling), Transform::<f32>::matrix(sampling));
     let pupil = noise(2 * 144, 6);
@@ -110,7 +110,7 @@ fn odd_sizes_are_refused() {
 }
 
 #[test]
-fn sides_are_those_that_ffts_like() {
+fn fast_sides_have_the_prime_factors_2_3_and_5() {
     assert_eq!([fast_side(0), fast_side(7), fast_side(121), fast_side(128)], [2, 8, 128, 128]);
     assert_eq!(fast_side(151), 160);
 }

@@ -1,26 +1,29 @@
-//! One 80-byte header card: reading it leniently, and writing the standard's fixed format.
+//! One 80-byte header card: lenient parsing, and the standard's fixed format for writing.
 //!
 //! FITS Standard 4.0, section 4: a keyword of at most 8 characters `A-Z 0-9 - _` in columns 1 to 8, `= ` in columns 9
 //! and 10, then a value; integers and logicals of the mandatory cards are right-justified to column 30.
 
+/// Bytes in a FITS block: headers and data are padded to a multiple of it.
+pub(super) const BLOCK: u64 = 2880;
+
 /// Bytes in a card.
 pub(super) const CARD: usize = 80;
 
-/// A card's 80 bytes, printable ASCII once mended.
+/// The 80 bytes of a card; printable ASCII after the repair.
 pub(super) type Bytes = [u8; CARD];
 
-/// The keyword in columns 1 to 8, as it stands, without its trailing blanks.
+/// The keyword in columns 1 to 8, unchanged but for trailing blanks.
 pub(super) fn keyword(card: &Bytes) -> &[u8] {
     card[..8].trim_ascii_end()
 }
 
-/// Whether `name` is a keyword that the standard allows.
+/// Whether the standard allows `name` as a keyword.
 pub(super) fn is_keyword(name: &[u8]) -> bool {
     (1..=8).contains(&name.len())
         && name.iter().all(|b| b.is_ascii_uppercase() || b.is_ascii_digit() || matches!(b, b'-' | b'_'))
 }
 
-/// The value after `= ` and the comment after `/`, both trimmed; `None` where the card holds no value.
+/// The value after `= ` and the comment after `/`, both trimmed; `None` for a card without value.
 ///
 /// A quoted string is returned with its quotes: see [`text`].
 pub(super) fn value_and_comment(card: &Bytes) -> Option<(&str, &str)> {
@@ -37,24 +40,24 @@ pub(super) fn value_and_comment(card: &Bytes) -> Option<(&str, &str)> {
     Some((value.trim(), comment.trim()))
 }
 
-/// The text of a quoted value, without quotes and trailing blanks; anything else as it stands.
+/// The text of a quoted value, without quotes and trailing blanks; other values unchanged.
 pub(super) fn text(value: &str) -> String {
     let inner = value.strip_prefix('\'').map(|rest| rest.strip_suffix('\'').unwrap_or(rest));
     inner.map_or_else(|| value.to_string(), |inner| inner.replace("''", "'").trim_end().to_string())
 }
 
-/// An integer however it was written: `16`, `+16`, `16.0` and `'16'` are all seen in real files.
+/// An integer in any form found in real files: `16`, `+16`, `16.0` or `'16'`.
 pub(super) fn integer(value: &str) -> Option<i64> {
     let plain = text(value);
     let plain = plain.trim();
     plain.parse().ok().or_else(|| {
         let real: f64 = plain.parse().ok()?;
-        // 2^53: beyond it an f64 no longer holds every integer.
+        // 2^53: beyond, an f64 does not represent every integer.
         (real.fract() == 0.0 && real.abs() <= 9_007_199_254_740_992.0).then_some(real as i64)
     })
 }
 
-/// A card whose value is right-justified to column 30, or left as it stands where it starts with a quote.
+/// A card in fixed format: a number or logical is right-justified to column 30, a quoted string left-justified.
 pub(super) fn fixed(keyword: &str, value: &str, comment: &str) -> Bytes {
     let value = if value.starts_with('\'') { format!("{value:<20}") } else { format!("{value:>20}") };
     let line = if comment.is_empty() {
@@ -73,7 +76,7 @@ pub(super) fn padded(line: &[u8]) -> Bytes {
     card
 }
 
-/// Whether the integer or logical of `card` stands where the fixed format wants it.
+/// Whether the integer or logical of `card` is in fixed format.
 pub(super) fn is_fixed(card: &Bytes) -> bool {
     let field = &card[10..30];
     let value = field.trim_ascii_start();
@@ -88,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_and_comments_are_parted_outside_quotes_only() {
+    fn values_and_comments_are_separated_outside_quotes_only() {
         let card = padded(b"PATH    = '/a/b''s ' / where / it is");
         assert_eq!(value_and_comment(&card), Some(("'/a/b''s '", "where / it is")));
         assert_eq!(text("'/a/b''s '"), "/a/b's");
@@ -96,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn integers_are_read_in_every_form_seen() {
+    fn integers_are_read_in_all_known_forms() {
         for form in ["16", "+16", "16.0", "'16'", "' 16  '", "1.6E1"] {
             assert_eq!(integer(form), Some(16), "{form}");
         }
@@ -109,10 +112,10 @@ mod tests {
     fn the_fixed_format_is_what_fixed_writes() {
         assert!(is_fixed(&fixed("NAXIS1", "150", "width")));
         assert!(is_fixed(&fixed("SIMPLE", "T", "")));
-        for sloppy in
+        for irregular in
             ["SIMPLE  = T /Tape", "NAXIS1  =                  150x", "BITPIX  = 16", "NAXIS   =                 16.0"]
         {
-            assert!(!is_fixed(&padded(sloppy.as_bytes())), "{sloppy}");
+            assert!(!is_fixed(&padded(irregular.as_bytes())), "{irregular}");
         }
     }
 }

@@ -1,12 +1,12 @@
-//! cfitsio behind a safe handle: the `unsafe` of the room is here, and in `write` where columns and images are handed
-//! over.
+//! A safe handle of cfitsio. The `unsafe` code of this module is here, and in `write` where columns and images are passed
+//! to cfitsio.
 //!
-//! The vendored library is built re-entrant and a handle never leaves the call that opened it, so nothing is shared
-//! between threads but cfitsio's own locked tables. A file is opened with its "disk file" entry points only: no
-//! brackets, filters, URLs or pipes in a name are ever interpreted.
+//! The vendored library is built re-entrant and a handle is used by one thread at a time, so threads share only cfitsio's own
+//! locked tables. Files are opened with its "disk file" entry points only, which do not interpret brackets, filters, URLs
+//! or pipes in a name.
 //!
-//! The `anynul` argument of cfitsio's readers is always given: its manual calls it optional, and `fffi2r8` and its
-//! siblings write through it regardless.
+//! The `anynul` argument of cfitsio's readers is always passed: the manual calls it optional, but `fffi2r8` and similar
+//! functions write through it unconditionally.
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::os::unix::ffi::OsStrExt;
@@ -15,10 +15,10 @@ use std::ptr;
 
 use fitsio::sys;
 
-/// A failure in cfitsio's words, to be put in a sentence of ours.
-pub(super) type Outcome<T> = Result<T, String>;
+/// Result of a call, with cfitsio's message on failure.
+pub(super) type CfitsioResult<T> = Result<T, String>;
 
-/// The memory that holds a file; cfitsio keeps pointers to both fields, so it lives in a `Box`.
+/// The memory of a file. cfitsio keeps pointers to both fields, so it is in a `Box`.
 struct Memory {
     start: *mut c_void,
     bytes: usize,
@@ -31,7 +31,7 @@ impl Drop for Memory {
     }
 }
 
-/// An open file. Closing is part of dropping; a file being written is taken with [`Handle::into_bytes`].
+/// An open file, closed when dropped. The bytes of a file being written are taken with [`Handle::into_bytes`].
 pub(super) struct Handle {
     file: *mut sys::fitsfile,
     memory: Option<Box<Memory>>,
@@ -41,28 +41,28 @@ pub(super) struct Handle {
 // library is built with --enable-reentrant.
 unsafe impl Send for Handle {}
 
-/// Name given to files in memory: plain, so that nothing in it can be taken for a filter.
+/// Name of files in memory, without characters that cfitsio would interpret as a filter.
 const MEMORY_NAME: &CStr = c"memory";
 
-/// Growth of a file being composed: large enough that copying while growing stays small.
+/// Increment of the memory of a file being written: large, so that it is rarely copied.
 const GROWTH_BYTES: usize = 4 << 20;
 
 impl Handle {
-    /// Opens a file that is known to be standard FITS, read only.
-    pub fn open(path: &Path) -> Outcome<Self> {
-        let name = CString::new(path.as_os_str().as_bytes()).map_err(|_| "the name holds a NUL".to_string())?;
+    /// Opens a file in standard form, read only.
+    pub fn open(path: &Path) -> CfitsioResult<Self> {
+        let name = CString::new(path.as_os_str().as_bytes()).map_err(|_| "the name contains a NUL".to_string())?;
         let mut handle = Self { file: ptr::null_mut(), memory: None };
         // SAFETY: `name` is NUL-terminated and outlives the call; `file` receives the handle.
         check(|status| unsafe { sys::ffdkopn(&mut handle.file, name.as_ptr(), sys::READONLY as c_int, status) })?;
         Ok(handle)
     }
 
-    /// Opens standard FITS bytes, read only.
-    pub fn from_bytes(bytes: &[u8]) -> Outcome<Self> {
+    /// Opens a file in memory in standard form, read only.
+    pub fn from_bytes(bytes: &[u8]) -> CfitsioResult<Self> {
         // SAFETY: the block is at least one byte and written below before anything reads it.
         let start = unsafe { libc::malloc(bytes.len().max(1)) };
         if start.is_null() {
-            return Err(format!("{} bytes of memory are not to be had", bytes.len()));
+            return Err(format!("{} bytes of memory are not available", bytes.len()));
         }
         let mut memory = Box::new(Memory { start, bytes: bytes.len() });
         // SAFETY: both ranges are `bytes.len()` long and distinct.
@@ -78,12 +78,12 @@ impl Handle {
     }
 
     /// Starts an empty file in memory.
-    pub fn create() -> Outcome<Self> {
+    pub fn create() -> CfitsioResult<Self> {
         let first = 2880;
         // SAFETY: calloc returns zeroed memory or null.
         let start = unsafe { libc::calloc(first, 1) };
         if start.is_null() {
-            return Err(format!("{first} bytes of memory are not to be had"));
+            return Err(format!("{first} bytes of memory are not available"));
         }
         let mut memory = Box::new(Memory { start, bytes: first });
         let mut file = ptr::null_mut();
@@ -98,25 +98,26 @@ impl Handle {
 
     /// Calls one cfitsio function with the file and a status.
     ///
-    /// The closure must only use pointers that are valid during the call and long enough for what it asks for.
-    pub fn call(&mut self, function: impl FnOnce(*mut sys::fitsfile, *mut c_int) -> c_int) -> Outcome<()> {
+    /// The closure may only pass pointers that are valid during the call and point to enough memory.
+    pub fn call(&mut self, function: impl FnOnce(*mut sys::fitsfile, *mut c_int) -> c_int) -> CfitsioResult<()> {
         let file = self.file;
         check(|status| function(file, status))
     }
 
     /// Moves to HDU `index`, counted from 0.
-    pub fn move_to(&mut self, index: usize) -> Outcome<()> {
-        let number = c_int::try_from(index + 1).map_err(|_| format!("HDU {index} is beyond cfitsio's count"))?;
+    pub fn move_to(&mut self, index: usize) -> CfitsioResult<()> {
+        let number =
+            c_int::try_from(index + 1).map_err(|_| format!("HDU {index} exceeds the largest HDU number of cfitsio"))?;
         // SAFETY: a null type pointer is allowed.
         self.call(|file, status| unsafe { sys::ffmahd(file, number, ptr::null_mut(), status) })
     }
 
     /// Reads the whole image of the current HDU as f64, x fastest; `BLANK` becomes NaN.
-    pub fn image(&mut self, axes: usize, pixels: usize, integers: bool) -> Outcome<Vec<f64>> {
+    pub fn image(&mut self, axes: usize, pixels: usize, integers: bool) -> CfitsioResult<Vec<f64>> {
         let mut data = allocate(pixels, 0.0)?;
         let mut first = vec![1_i64; axes];
         let (mut nan, mut any) = (f64::NAN, 0);
-        // With a null value cfitsio also rewrites infinities and denormals of floating images: none is given there.
+        // With a null value cfitsio also changes infinities and denormals of floating-point images: there it is omitted.
         let null = if integers { (&raw mut nan).cast() } else { ptr::null_mut() };
         // SAFETY: `data` holds `pixels` values, `first` one per axis.
         self.call(|file, status| unsafe {
@@ -127,7 +128,7 @@ impl Handle {
     }
 
     /// Type code, repeat count and width in bytes of a column, counted from 1.
-    pub fn column_type(&mut self, column: c_int) -> Outcome<(c_int, i64, i64)> {
+    pub fn column_type(&mut self, column: c_int) -> CfitsioResult<(c_int, i64, i64)> {
         let (mut code, mut repeat, mut width) = (0, 0, 0);
         // SAFETY: three live locals.
         self.call(|file, status| unsafe { sys::ffgtclll(file, column, &mut code, &mut repeat, &mut width, status) })?;
@@ -135,9 +136,9 @@ impl Handle {
     }
 
     /// A numeric column of `rows` scalars; undefined integers become NaN.
-    pub fn column_f64(&mut self, column: c_int, rows: usize, integers: bool) -> Outcome<Vec<f64>> {
+    pub fn column_f64(&mut self, column: c_int, rows: usize, integers: bool) -> CfitsioResult<Vec<f64>> {
         let mut data = allocate(rows, 0.0)?;
-        // 0 asks for no check: floating columns keep their NaN and infinities as they are.
+        // 0 disables the check: floating-point columns keep NaN and infinities.
         let null = if integers { f64::NAN } else { 0.0 };
         let mut any = 0;
         // SAFETY: `data` holds `rows` values.
@@ -148,7 +149,7 @@ impl Handle {
     }
 
     /// An integer column of `rows` scalars.
-    pub fn column_i64(&mut self, column: c_int, rows: usize) -> Outcome<Vec<i64>> {
+    pub fn column_i64(&mut self, column: c_int, rows: usize) -> CfitsioResult<Vec<i64>> {
         let mut data = allocate(rows, 0_i64)?;
         let mut any = 0;
         // SAFETY: `data` holds `rows` values.
@@ -159,7 +160,7 @@ impl Handle {
     }
 
     /// A text column of `rows` strings of at most `width` bytes, without trailing blanks.
-    pub fn column_text(&mut self, column: c_int, rows: usize, width: usize) -> Outcome<Vec<String>> {
+    pub fn column_text(&mut self, column: c_int, rows: usize, width: usize) -> CfitsioResult<Vec<String>> {
         let stride = width + 1;
         let total = rows.checked_mul(stride).ok_or("the text column is larger than memory")?;
         let mut bytes = allocate(total, 0_u8)?;
@@ -178,9 +179,9 @@ impl Handle {
     }
 
     /// The text of a string card, across its CONTINUE cards.
-    pub fn long_text(&mut self, key: &CStr) -> Outcome<String> {
+    pub fn long_text(&mut self, key: &CStr) -> CfitsioResult<String> {
         let mut value: *mut c_char = ptr::null_mut();
-        // SAFETY: cfitsio allocates the text and hands over its address.
+        // SAFETY: cfitsio allocates the text and returns its address.
         self.call(|file, status| unsafe { sys::ffgkls(file, key.as_ptr(), &mut value, ptr::null_mut(), status) })?;
         if value.is_null() {
             return Ok(String::new());
@@ -193,8 +194,8 @@ impl Handle {
         }
     }
 
-    /// Closes a file that was composed in memory and gives its bytes, all `hdus` of them complete.
-    pub fn into_bytes(mut self, hdus: usize) -> Outcome<Vec<u8>> {
+    /// Closes a file written in memory and returns its bytes, with all `hdus` HDUs complete.
+    pub fn into_bytes(mut self, hdus: usize) -> CfitsioResult<Vec<u8>> {
         // Leaving an HDU completes its header and fill; the end of the last one is the end of the file.
         self.move_to(0)?;
         self.move_to(hdus.saturating_sub(1))?;
@@ -206,7 +207,7 @@ impl Handle {
         check(|status| unsafe { sys::ffclos(file, status) })?;
         let memory = self.memory.as_ref().ok_or("the file is not in memory")?;
         let length = usize::try_from(end).ok().filter(|&length| length <= memory.bytes);
-        let length = length.ok_or_else(|| format!("cfitsio wrote {} bytes of {end}", memory.bytes))?;
+        let length = length.ok_or_else(|| format!("cfitsio wrote {} of {end} bytes", memory.bytes))?;
         // SAFETY: `length` bytes of the block are written.
         Ok(unsafe { std::slice::from_raw_parts(memory.start.cast::<u8>(), length) }.to_vec())
     }
@@ -215,23 +216,23 @@ impl Handle {
 impl Drop for Handle {
     fn drop(&mut self) {
         if !self.file.is_null() {
-            // A failure to close a file that is read, or given up, changes nothing: its message is cleared.
+            // A failure to close a file that was read or abandoned has no consequence: its message is cleared.
             // SAFETY: `file` is open; its memory drops after this.
             let _ = check(|status| unsafe { sys::ffclos(self.file, status) });
         }
     }
 }
 
-/// Memory for `count` values, refused instead of aborted where there is none.
-fn allocate<T: Clone>(count: usize, value: T) -> Outcome<Vec<T>> {
+/// Memory for `count` values; an error instead of an abort where it is not available.
+fn allocate<T: Clone>(count: usize, value: T) -> CfitsioResult<Vec<T>> {
     let mut data = Vec::new();
-    data.try_reserve_exact(count).map_err(|_| format!("memory for {count} values is not to be had"))?;
+    data.try_reserve_exact(count).map_err(|_| format!("memory for {count} values is not available"))?;
     data.resize(count, value);
     Ok(data)
 }
 
-/// Runs `call` with a fresh status, and clears cfitsio's message stack into the error.
-fn check(call: impl FnOnce(*mut c_int) -> c_int) -> Outcome<()> {
+/// Runs `call` with a new status, and moves the messages of cfitsio's stack into the error.
+fn check(call: impl FnOnce(*mut c_int) -> c_int) -> CfitsioResult<()> {
     let mut status = 0;
     call(&mut status);
     if status == 0 {
@@ -245,8 +246,8 @@ fn check(call: impl FnOnce(*mut c_int) -> c_int) -> Outcome<()> {
     };
     // SAFETY: the buffers have the lengths that cfitsio documents.
     unsafe { sys::ffgerr(status, words.as_mut_ptr()) };
-    let mut sentence = format!("cfitsio says `{}` (status {status}", text(&words));
-    // A bound on the loop: the stack holds 25 messages, and another thread may be adding to it.
+    let mut sentence = format!("cfitsio reports `{}` (status {status}", text(&words));
+    // Bounded loop: the stack has at most 25 messages, but another thread may add to it.
     for _ in 0..50 {
         // SAFETY: as above.
         if unsafe { sys::ffgmsg(message.as_mut_ptr()) } == 0 {

@@ -1,37 +1,39 @@
-//! Images as they come from a camera or the simulator, with the pixels that must not be used.
+//! Images of a camera or of the simulator, with their bad pixels and read noise.
 
 use std::path::Path;
 
 use ndarray::{Array3, ArrayView2, Axis, Zip};
 
-use super::{Card, FitsReader};
+use super::layout::HduKind;
+use super::read::FitsReader;
+use super::value::Card;
 use crate::{Error, Result};
 
-/// Images as they were read: electrons, or whatever the file holds.
+/// Images as they were read, in the units of the file (electrons, if not stated otherwise).
 #[derive(Debug, Clone)]
 pub struct Images {
-    /// `[image, y, x]`. Pixels that are not finite are kept as read; `BLANK` ones are NaN.
+    /// `[image, y, x]`. Pixels that are not finite are kept as read; `BLANK` pixels are NaN.
     pub data: Array3<f64>,
-    /// `[image, y, x]`: true for pixels that are not finite, or that `BADPIX` or the mask file name.
+    /// `[image, y, x]`: true for pixels that are not finite or that are marked in `BADPIX` or in the mask file.
     pub bad: Array3<bool>,
-    /// Card `RON_E` of the image HDU, else of the primary one: read noise per pixel, electrons RMS.
+    /// Card `RON_E` of the image HDU, else of the primary HDU: read noise per pixel, electrons RMS.
     pub read_noise_e: Option<f64>,
-    /// How many pixels are not finite.
+    /// Number of pixels that are not finite.
     pub non_finite: usize,
-    /// The HDU that held the images.
+    /// Name of the HDU of the images.
     pub hdu_name: String,
-    /// What was mended in a sloppy file, or in the mask file, as one sentence.
+    /// Repairs of a file that is not standard FITS, or of the mask file, as one sentence.
     pub repaired: Option<String>,
 }
 
-/// Reads the images of `path`: HDU `IMAGES` if it is there, else the primary HDU, else the first image extension.
+/// Reads the images of `path`: HDU `IMAGES` if it exists, else the primary HDU, else the first image extension.
 ///
 /// 2-D or a cube (image index slowest), any BITPIX, scaled or not. An image HDU `BADPIX`, 2-D for all images or a cube,
 /// marks pixels as bad where it is not zero; so does the file `mask` (its HDU `BADPIX`, else its first image).
 ///
 /// # Errors
-/// [`Error::File`] names the file and why it cannot be used: missing, truncated (with the bytes there and needed), not
-/// FITS, no image, neither 2-D nor 3-D, a mask of another shape, a read noise that is not a number.
+/// [`Error::File`], with the file and the reason: missing, truncated (with the bytes present and needed), not FITS, no
+/// image, neither 2-D nor 3-D, a mask of another shape, a read noise that is not a number.
 pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images> {
     let mut file = FitsReader::open(path)?;
     let index = image_hdu(&file)?;
@@ -40,13 +42,13 @@ pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images
     let non_finite = bad.iter().filter(|&&is_bad| is_bad).count();
     let mut repaired = file.repaired();
     if file.has("BADPIX") {
-        mark(&mut file, &mut bad)?;
+        mark_bad_pixels(&mut file, &mut bad)?;
     }
     if let Some(mask) = mask {
         let mut mask = FitsReader::open(mask)?;
-        mark(&mut mask, &mut bad)?;
-        let of_mask = mask.repaired().map(|sentence| format!("in the mask {}, {sentence}", mask.path().display()));
-        repaired = [repaired, of_mask].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
+        mark_bad_pixels(&mut mask, &mut bad)?;
+        let mask_repairs = mask.repaired().map(|sentence| format!("in the mask {}, {sentence}", mask.path().display()));
+        repaired = [repaired, mask_repairs].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
     }
     let read_noise_e = read_noise(&mut file, index)?;
     let hdu_name = file.name_of(index).to_string();
@@ -56,16 +58,15 @@ pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images
 /// The HDU that holds the images.
 fn image_hdu(file: &FitsReader) -> Result<usize> {
     if file.has("IMAGES") {
-        // An estimate file has a table of this name: taking its first map for an image would be silent nonsense.
-        return file.find("IMAGES", super::layout::Kind::Image);
+        // An estimate file has a table of this name, which is an error: its maps are not images.
+        return file.find("IMAGES", HduKind::Image);
     }
     file.first_image(&["BADPIX"])
 }
 
-/// Adds the bad pixels that `file` names to `bad`.
-fn mark(file: &mut FitsReader, bad: &mut Array3<bool>) -> Result<()> {
-    let index =
-        if file.has("BADPIX") { file.find("BADPIX", super::layout::Kind::Image)? } else { file.first_image(&[])? };
+/// Adds the bad pixels marked in `file` to `bad`.
+fn mark_bad_pixels(file: &mut FitsReader, bad: &mut Array3<bool>) -> Result<()> {
+    let index = if file.has("BADPIX") { file.find("BADPIX", HduKind::Image)? } else { file.first_image(&[])? };
     let marks = file.cube_at(index)?;
     let (images, height, width) = bad.dim();
     if marks.dim() == bad.dim() {
@@ -86,7 +87,7 @@ fn mark(file: &mut FitsReader, bad: &mut Array3<bool>) -> Result<()> {
     Ok(())
 }
 
-/// Card `RON_E` of the HDU at `index`, else of the primary one.
+/// Card `RON_E` of the HDU at `index`, else of the primary HDU.
 fn read_noise(file: &mut FitsReader, index: usize) -> Result<Option<f64>> {
     let card = match file.card_at(index, "RON_E")? {
         None => file.card_at(0, "RON_E")?,
@@ -101,7 +102,7 @@ fn read_noise(file: &mut FitsReader, index: usize) -> Result<Option<f64>> {
     };
     let accepted = number.filter(|x: &f64| x.is_finite() && *x >= 0.0);
     let refused = || -> Error {
-        file.refuse(format!("the card RON_E is {card}, where a read noise of 0 electrons or more is needed"))
+        file.refuse(format!("the card RON_E is {card}, where a read noise of 0 or more electrons is needed"))
     };
     accepted.map(Some).ok_or_else(refused)
 }

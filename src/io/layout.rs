@@ -1,31 +1,28 @@
-//! What is where in a FITS file: a walk over its headers that trusts no byte, before cfitsio sees any of them.
+//! Layout of a FITS file: reads and validates all headers before cfitsio does.
 //!
-//! Every size is compared with the file's own length, so a hostile header cannot cause a large allocation or a long
-//! loop. Headers come out in standard form; what had to be mended is noted.
+//! Every size is compared with the length of the file, so that a malformed or malicious header cannot cause a large
+//! allocation or a long loop. Headers are converted to standard form, and repairs are recorded.
 
 use std::io::{Read, Seek, SeekFrom};
 
-use super::card::{self, Bytes, CARD};
-use super::mend::{self, Notes};
+use super::card::{self, BLOCK, Bytes, CARD};
+use super::repair::{self, Repairs};
 
-/// Bytes in a FITS block: headers and data are padded to a multiple of it.
-pub(super) const BLOCK: u64 = 2880;
-
-/// Longest header read, in cards (8 MB): real ones have hundreds.
+/// Longest accepted header, in cards (8 MB): real headers have hundreds.
 const MAX_CARDS: usize = 100_000;
 
-/// Most HDUs in a file: real ones have tens.
+/// Largest accepted number of HDUs: real files have tens.
 const MAX_HDUS: usize = 10_000;
 
-/// Most pixels in one image: 16 GiB as f64.
+/// Largest accepted number of pixels of an image: 16 GiB as f64.
 const MAX_PIXELS: u64 = 1 << 31;
 
-/// What an HDU holds.
+/// Content of an HDU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum HduKind {
     Image,
     Table,
-    /// A binary table that holds a tile-compressed image.
+    /// A binary table with a tile-compressed image.
     Compressed,
     Other,
 }
@@ -33,15 +30,15 @@ pub(super) enum Kind {
 /// One HDU of a file.
 #[derive(Debug, Clone)]
 pub(super) struct Hdu {
-    pub kind: Kind,
-    /// `EXTNAME`, or `PRIMARY` for the first one without a name, upper case; empty where there is none.
+    pub kind: HduKind,
+    /// `EXTNAME` in upper case; without it `PRIMARY` for the first HDU, empty for others.
     pub name: String,
     pub bitpix: i64,
     /// NAXIS1 (fastest) first.
     pub axes: Vec<u64>,
     /// The whole header in standard form, a multiple of [`BLOCK`].
     pub header: Vec<u8>,
-    /// First byte of the header, and of the data, in the file as it is.
+    /// Offset of the header, and of the data, in the original file.
     pub header_at: u64,
     pub data_at: u64,
     /// Bytes of data, without padding.
@@ -62,57 +59,57 @@ impl Hdu {
         (1..=fields).map(|n| self.value(&format!("TTYPE{n}")).map(card::text).unwrap_or_default()).collect()
     }
 
-    /// The HDU in words, for messages: its name, or its place in the file.
+    /// Description for messages: the name, or the place in the file.
     pub fn described(&self) -> String {
         if self.name.is_empty() { format!("the HDU at byte {}", self.header_at) } else { format!("`{}`", self.name) }
     }
 }
 
-/// A file's HDUs, and what was mended in its headers.
+/// The HDUs of a file, and the repairs of their headers.
 #[derive(Debug)]
 pub(super) struct Layout {
     pub hdus: Vec<Hdu>,
-    pub notes: Notes,
+    pub repairs: Repairs,
 }
 
 impl Layout {
     /// Whether an HDU is a tile-compressed image.
     pub fn holds_compressed(&self) -> bool {
-        self.hdus.iter().any(|hdu| hdu.kind == Kind::Compressed)
+        self.hdus.iter().any(|hdu| hdu.kind == HduKind::Compressed)
     }
 }
 
-/// Walks all headers of `source`, which has `length` bytes.
+/// Reads all headers of `source`, which has `length` bytes.
 ///
 /// # Errors
-/// Why the bytes are not a FITS file that can be read, with the offset of the first wrong one.
+/// Why the file cannot be read as FITS, with the offset of the first wrong byte.
 pub(super) fn scan(source: &mut (impl Read + Seek), length: u64) -> Result<Layout, String> {
     if length == 0 {
-        return Err("the file is empty (0 bytes), where a FITS file has at least 2880".into());
+        return Err("the file is empty (0 bytes): a FITS file has at least 2880".into());
     }
-    let mut layout = Layout { hdus: Vec::new(), notes: Notes::default() };
+    let mut layout = Layout { hdus: Vec::new(), repairs: Repairs::default() };
     let mut at = 0;
     while at < length {
         if layout.hdus.len() == MAX_HDUS {
             return Err(format!(
-                "there are more than {MAX_HDUS} HDUs, the last at byte {at}: at most that many are read"
+                "there are more than {MAX_HDUS} HDUs, up to byte {at}: at most {MAX_HDUS} are accepted"
             ));
         }
-        let Some(hdu) = read_hdu(source, at, length, &mut layout.notes)? else {
-            layout.notes.add(format!("{} bytes after the last HDU left out", length - at), at);
+        let Some(hdu) = read_hdu(source, at, length, &mut layout.repairs)? else {
+            layout.repairs.add(format!("{} bytes after the last HDU ignored", length - at), at);
             break;
         };
         let end = hdu.data_at + hdu.data_bytes;
         if end > length {
             return Err(format!(
-                "the file is truncated: {} needs {end} bytes in all (its data start at byte {}), and {length} are there",
+                "the file is truncated: {} needs {end} bytes in total (its data start at byte {}), and {length} are present",
                 hdu.described(),
                 hdu.data_at
             ));
         }
         at = end.next_multiple_of(BLOCK);
         if at > length && hdu.data_bytes > 0 {
-            layout.notes.add("missing padding at the end added".into(), length);
+            layout.repairs.add("missing padding at the end added".into(), length);
         }
         layout.hdus.push(hdu);
     }
@@ -120,32 +117,37 @@ pub(super) fn scan(source: &mut (impl Read + Seek), length: u64) -> Result<Layou
 }
 
 /// The HDU at byte `at`; `None` where an extension cannot start there.
-fn read_hdu(source: &mut (impl Read + Seek), at: u64, length: u64, notes: &mut Notes) -> Result<Option<Hdu>, String> {
+fn read_hdu(
+    source: &mut (impl Read + Seek),
+    at: u64,
+    length: u64,
+    repairs: &mut Repairs,
+) -> Result<Option<Hdu>, String> {
     let primary = at == 0;
     source.seek(SeekFrom::Start(at)).map_err(|error| format!("byte {at} cannot be reached: {error}"))?;
     let mut raw = Vec::new();
     let mut cards: Vec<Bytes> = Vec::new();
-    let mut found = Notes::default();
+    let mut found = Repairs::default();
     let mut ended = false;
     while !ended {
         let before = raw.len();
-        // One block at a time: a file without END must not be read whole before the first card is judged.
+        // One block at a time, so that a file without END is not read completely before its first card is checked.
         let block = source.by_ref().take(BLOCK).read_to_end(&mut raw);
         let got = block.map_err(|error| format!("byte {} cannot be read: {error}", at + before as u64))?;
         let short = (got as u64) < BLOCK;
         raw.resize(before + BLOCK as usize, b' ');
         for (i, original) in raw[before..].as_chunks::<CARD>().0.iter().enumerate() {
             let offset = at + (before + i * CARD) as u64;
-            if offset == at && !mend::starts_hdu(original, primary) {
+            if offset == at && !repair::starts_hdu(original, primary) {
                 return if primary { Err(not_fits(original)) } else { Ok(None) };
             }
-            let mended = mend::card(original, offset, &mut found);
-            if mend::is_end(&mended) {
-                mend::check_fill(&raw[before + (i + 1) * CARD..], offset + CARD as u64, &mut found);
+            let repaired = repair::card(original, offset, &mut found);
+            if repair::is_end(&repaired) {
+                repair::check_fill(&raw[before + (i + 1) * CARD..], offset + CARD as u64, &mut found);
                 ended = true;
                 break;
             }
-            cards.push(mended);
+            cards.push(repaired);
         }
         if short && ended {
             found.add("missing padding of a header added".into(), length);
@@ -159,9 +161,9 @@ fn read_hdu(source: &mut (impl Read + Seek), at: u64, length: u64, notes: &mut N
             ));
         }
     }
-    let shape = Shape::new(&cards, at, primary)?;
-    let header = mend::standard_header(cards, &shape.mandatory, at, &mut found);
-    notes.append(found);
+    let shape = HduShape::new(&cards, at, primary)?;
+    let header = repair::standard_header(cards, &shape.mandatory, at, &mut found);
+    repairs.append(found);
     let data_at = at + raw.len() as u64;
     let mut hdu = Hdu {
         kind: shape.kind,
@@ -170,7 +172,7 @@ fn read_hdu(source: &mut (impl Read + Seek), at: u64, length: u64, notes: &mut N
         axes: shape.axes,
         header,
         header_at: at,
-        // A file may end inside the padding of its only header.
+        // A file may end within the padding of its last header.
         data_at: if shape.data_bytes == 0 { data_at.min(length) } else { data_at },
         data_bytes: shape.data_bytes,
     };
@@ -186,9 +188,9 @@ fn not_fits(first: &Bytes) -> String {
     format!("not a FITS file: byte 0 starts with `{start}`, where the card `SIMPLE  =` is needed")
 }
 
-/// What the mandatory cards of a header say.
-struct Shape {
-    kind: Kind,
+/// Type and size of an HDU, from its mandatory cards.
+struct HduShape {
+    kind: HduKind,
     bitpix: i64,
     axes: Vec<u64>,
     data_bytes: u64,
@@ -196,10 +198,10 @@ struct Shape {
     mandatory: Vec<(String, String)>,
 }
 
-impl Shape {
+impl HduShape {
     fn new(cards: &[Bytes], at: u64, primary: bool) -> Result<Self, String> {
-        let numbers = Numbers { cards, at };
-        let (kind, first) = if primary { (Kind::Image, ("SIMPLE", "T".to_string())) } else { extension(&cards[0]) };
+        let numbers = HeaderIntegers { cards, at };
+        let (kind, first) = if primary { (HduKind::Image, ("SIMPLE", "T".to_string())) } else { extension(&cards[0]) };
         let bitpix = numbers.needed("BITPIX")?;
         if !matches!(bitpix, 8 | 16 | 32 | 64 | -32 | -64) {
             return Err(numbers.refusal("BITPIX", bitpix, "8, 16, 32, 64, -32 or -64"));
@@ -223,26 +225,26 @@ impl Shape {
     }
 }
 
-/// Kind of an extension and its first card.
-fn extension(first: &Bytes) -> (Kind, (&'static str, String)) {
+/// Kind of an extension, and its first card.
+fn extension(first: &Bytes) -> (HduKind, (&'static str, String)) {
     let value = card::value_and_comment(first).map(|(value, _)| card::text(value)).unwrap_or_default();
     let name = value.trim().to_uppercase();
     let kind = match name.as_str() {
-        "IMAGE" | "IUEIMAGE" => Kind::Image,
-        "TABLE" | "BINTABLE" | "A3DTABLE" => Kind::Table,
-        _ => Kind::Other,
+        "IMAGE" | "IUEIMAGE" => HduKind::Image,
+        "TABLE" | "BINTABLE" | "A3DTABLE" => HduKind::Table,
+        _ => HduKind::Other,
     };
     (kind, ("XTENSION", format!("'{name:<8}'")))
 }
 
 /// The integers among a header's cards.
-struct Numbers<'a> {
+struct HeaderIntegers<'a> {
     cards: &'a [Bytes],
     at: u64,
 }
 
-impl Numbers<'_> {
-    /// Place and value of the only card `key`.
+impl HeaderIntegers<'_> {
+    /// Offset and value of the card `key`, which may be repeated only with the same value.
     fn find(&self, key: &str) -> Result<Option<(u64, i64)>, String> {
         let mut found = None;
         for (i, card) in self.cards.iter().enumerate().filter(|(_, card)| card::keyword(card) == key.as_bytes()) {
@@ -256,7 +258,7 @@ impl Numbers<'_> {
                 Some((_, before)) if before == number => {}
                 Some((_, before)) => {
                     return Err(format!(
-                        "the card {key} is there twice, as {before} and, at byte {offset}, as {number}"
+                        "the card {key} is present twice, as {before} and, at byte {offset}, as {number}: one value is needed"
                     ));
                 }
             }
@@ -268,7 +270,7 @@ impl Numbers<'_> {
         let found = self.find(key)?;
         found
             .map(|(_, n)| n)
-            .ok_or_else(|| format!("the header at byte {} has no card {key}, which FITS needs", self.at))
+            .ok_or_else(|| format!("the header at byte {} has no card {key}, which FITS requires", self.at))
     }
 
     fn refusal(&self, key: &str, value: i64, accepted: &str) -> String {
@@ -276,15 +278,15 @@ impl Numbers<'_> {
         format!("the card {key} at byte {offset} has the value {value}, where {accepted} is accepted")
     }
 
-    fn compressed(&self, kind: Kind) -> Kind {
+    fn compressed(&self, kind: HduKind) -> HduKind {
         let zimage = self.cards.iter().any(|card| card::keyword(card) == b"ZIMAGE");
-        if kind == Kind::Table && zimage { Kind::Compressed } else { kind }
+        if kind == HduKind::Table && zimage { HduKind::Compressed } else { kind }
     }
 
     /// Bytes of data by the standard's equations 1 and 2; adds the extension's cards to `mandatory`.
     fn data_bytes(
         &self,
-        kind: Kind,
+        kind: HduKind,
         primary: bool,
         bitpix: i64,
         axes: &[u64],
@@ -295,13 +297,13 @@ impl Numbers<'_> {
         if groups != 1 {
             return Err(self.refusal("GCOUNT", groups, "1 (no random groups)"));
         }
-        if parameters < 0 || (parameters != 0 && kind == Kind::Image) {
-            return Err(self.refusal("PCOUNT", parameters, if kind == Kind::Image { "0" } else { "0 or more" }));
+        if parameters < 0 || (parameters != 0 && kind == HduKind::Image) {
+            return Err(self.refusal("PCOUNT", parameters, if kind == HduKind::Image { "0" } else { "0 or more" }));
         }
         if !primary {
             mandatory.extend([("PCOUNT".into(), parameters.to_string()), ("GCOUNT".into(), "1".into())]);
         }
-        if kind == Kind::Table {
+        if kind == HduKind::Table {
             if bitpix != 8 || axes.len() != 2 {
                 return Err(format!(
                     "the table at byte {} has BITPIX {bitpix} and {} axes, where 8 and 2 are needed",
@@ -311,23 +313,26 @@ impl Numbers<'_> {
             }
             let fields = self.needed("TFIELDS")?;
             if !(0..=999).contains(&fields) || (fields > 0 && axes[0] == 0 && axes[1] > 0) {
-                return Err(format!("the table at byte {} has {fields} columns in rows of {} bytes", self.at, axes[0]));
+                return Err(format!(
+                    "the table at byte {} has {fields} columns in rows of {} bytes: 0 to 999 columns in rows that are not empty are accepted",
+                    self.at, axes[0]
+                ));
             }
             mandatory.push(("TFIELDS".into(), fields.to_string()));
         }
         let elements =
             if axes.is_empty() { Some(0) } else { axes.iter().try_fold(1_u64, |n, &size| n.checked_mul(size)) };
         let elements = elements.and_then(|n| n.checked_add(parameters as u64)).unwrap_or(u64::MAX);
-        if kind == Kind::Image && elements > MAX_PIXELS {
+        if kind == HduKind::Image && elements > MAX_PIXELS {
             let sizes: Vec<_> = axes.iter().map(u64::to_string).collect();
             return Err(format!(
-                "the image at byte {} has {} pixels: at most {MAX_PIXELS} are read",
+                "the image at byte {} has {} pixels: at most {MAX_PIXELS} are accepted",
                 self.at,
                 sizes.join("×")
             ));
         }
-        // 2^62: what is left still takes the offset of the HDU and its padding without overflow.
+        // 2^62: the offset of the HDU and its padding can be added without overflow.
         let bytes = elements.checked_mul(bitpix.unsigned_abs() / 8).filter(|&n| n < 1 << 62);
-        bytes.ok_or_else(|| format!("the header at byte {} asks for more data than any file can hold", self.at))
+        bytes.ok_or_else(|| format!("the header at byte {} declares more data than any file can hold", self.at))
     }
 }

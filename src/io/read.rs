@@ -1,4 +1,4 @@
-//! Reading: one file opened once, then its images, maps, tables and cards.
+//! FITS reader: opens a file once, then reads its images, maps, tables and cards.
 
 use std::ffi::CString;
 use std::fs::File;
@@ -7,26 +7,26 @@ use std::path::{Path, PathBuf};
 
 use ndarray::{Array2, Array3};
 
-use super::Card;
-use super::card;
-use super::cfitsio::{Handle, Outcome};
-use super::layout::{self, Hdu, Kind, Layout};
-use super::mend;
+use super::cfitsio::{CfitsioResult, Handle};
+use super::layout::{self, Hdu, HduKind, Layout};
+use super::standard;
+use super::value::{Card, checked_keyword};
 use crate::{Error, Result};
 
-/// Most bytes that a `.gz` file may unpack to: a small file can ask for a thousand times its size.
+/// Largest unpacked size of a `.gz` file, bytes: a small file can unpack to a thousand times its size.
 const MAX_UNPACKED: u64 = 4 << 30;
 
-/// Longest name that cfitsio opens by itself (FLEN_FILENAME of fitsio.h, less a margin); longer ones go by memory.
+/// Longest file name that cfitsio opens (FLEN_FILENAME of fitsio.h, less a margin); files with longer names are read into
+/// memory.
 const MAX_NAME: usize = 1000;
 
 /// cfitsio's code of a text column.
 const TSTRING: i32 = 16;
 
-/// A FITS file open for reading. The file itself is never written or touched.
+/// A FITS file open for reading. The file is never changed.
 ///
-/// Standard files are read from the disk; `.gz` and sloppy ones, and those with a tile-compressed image, from a mended copy
-/// in memory, see [`FitsReader::repaired`].
+/// Files in standard form are read from disk; packed files, files that need repair and files with a tile-compressed image
+/// are read from a copy in memory, see [`FitsReader::repaired`].
 pub struct FitsReader {
     path: PathBuf,
     handle: Handle,
@@ -34,7 +34,7 @@ pub struct FitsReader {
 }
 
 impl FitsReader {
-    /// Opens `path`, a plain file name: nothing in it is interpreted.
+    /// Opens `path`, a plain file name without special syntax.
     ///
     /// # Errors
     /// [`Error::File`] for a file that is missing, empty, truncated, or not FITS, with the byte and the reason.
@@ -53,28 +53,28 @@ impl FitsReader {
         Self::from_source(path, &mut file, direct).map_err(refused)
     }
 
-    /// Reads `source`; cfitsio opens `direct` by itself where that is given and standard.
-    fn from_source(path: &Path, source: &mut (impl Read + Seek), direct: Option<&Path>) -> Outcome<Self> {
+    /// Reads `source`; where `direct` is given and the file is in standard form, cfitsio opens it from disk.
+    fn from_source(path: &Path, source: &mut (impl Read + Seek), direct: Option<&Path>) -> CfitsioResult<Self> {
         let length = source.seek(std::io::SeekFrom::End(0)).map_err(|error| format!("cannot be read: {error}"))?;
         let layout = layout::scan(source, length)?;
-        let handle = match direct.filter(|_| layout.notes.sentence().is_none() && !layout.holds_compressed()) {
+        let handle = match direct.filter(|_| layout.repairs.sentence().is_none() && !layout.holds_compressed()) {
             Some(plain) => Handle::open(plain)?,
-            None => Handle::from_bytes(&mend::standard_file(&layout, source)?)?,
+            None => Handle::from_bytes(&standard::standard_file(&layout, source)?)?,
         };
         Ok(Self { path: path.to_path_buf(), handle, layout })
     }
 
-    /// The file as the caller named it.
+    /// Path of the file, as given.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What was mended in a file that is not standard FITS, as one sentence.
+    /// Repairs of a file that is not standard FITS, as one sentence.
     pub fn repaired(&self) -> Option<String> {
-        self.layout.notes.sentence()
+        self.layout.repairs.sentence()
     }
 
-    /// Names of all HDUs, upper case; `PRIMARY` for the first, empty for another without a name.
+    /// Names of all HDUs, upper case; without a name, `PRIMARY` for the first and empty for others.
     pub fn names(&self) -> Vec<String> {
         self.layout.hdus.iter().map(|hdu| hdu.name.clone()).collect()
     }
@@ -82,9 +82,9 @@ impl FitsReader {
     /// A 1-D image by the name of its HDU.
     ///
     /// # Errors
-    /// As [`map`](Self::map), for an image of another number of axes.
+    /// As [`map`](Self::map), for an image that is not 1-D.
     pub fn vector(&mut self, hdu: &str) -> Result<Vec<f64>> {
-        let index = self.find(hdu, Kind::Image)?;
+        let index = self.find(hdu, HduKind::Image)?;
         Ok(self.planes(index, &[1])?.into_raw_vec_and_offset().0)
     }
 
@@ -93,16 +93,16 @@ impl FitsReader {
     /// # Errors
     /// [`Error::File`] where that HDU is missing, not an image, or not 2-D.
     pub fn map(&mut self, hdu: Option<&str>) -> Result<Array2<f64>> {
-        let index = hdu.map_or_else(|| self.first_image(&[]), |name| self.find(name, Kind::Image))?;
+        let index = hdu.map_or_else(|| self.first_image(&[]), |name| self.find(name, HduKind::Image))?;
         self.planes(index, &[2])?.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))
     }
 
-    /// A cube `[image, y, x]`: image HDU `hdu`; a 2-D one is a cube of one image. BLANK pixels are NaN.
+    /// A cube `[image, y, x]`: image HDU `hdu`; a 2-D image is a cube of one image. BLANK pixels are NaN.
     ///
     /// # Errors
     /// [`Error::File`] where that HDU is missing, not an image, or neither 2-D nor 3-D.
     pub fn cube(&mut self, hdu: &str) -> Result<Array3<f64>> {
-        let index = self.find(hdu, Kind::Image)?;
+        let index = self.find(hdu, HduKind::Image)?;
         self.cube_at(index)
     }
 
@@ -112,24 +112,24 @@ impl FitsReader {
         data.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))
     }
 
-    /// A column of real numbers of table `hdu`; undefined ones are NaN.
+    /// A column of real numbers of table `hdu`; undefined values are NaN.
     ///
     /// # Errors
-    /// [`Error::File`] where the table or the column is missing, or the column is not one number a row.
+    /// [`Error::File`] where the table or the column is missing, or the column has not one number per row.
     pub fn f64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<f64>> {
         let found = self.column(hdu, column)?;
-        found.needs_scalar(self, found.code.abs() != TSTRING && !found.is_complex(), "a column of numbers")?;
+        found.check_scalar(self, found.code.abs() != TSTRING && !found.is_complex(), "a column of numbers")?;
         self.handle.column_f64(found.number, found.rows, !found.is_real()).map_err(|reason| self.refuse(reason))
     }
 
     /// A column of integers of table `hdu`.
     ///
     /// # Errors
-    /// As [`FitsReader::f64_column`]; a column of real numbers is refused rather than rounded.
+    /// As [`FitsReader::f64_column`]; a column of real numbers is an error, not rounded.
     pub fn i64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<i64>> {
         let found = self.column(hdu, column)?;
         let integral = found.code.abs() != TSTRING && !found.is_complex() && !found.is_real();
-        found.needs_scalar(self, integral, "a column of integers")?;
+        found.check_scalar(self, integral, "a column of integers")?;
         self.handle.column_i64(found.number, found.rows).map_err(|reason| self.refuse(reason))
     }
 
@@ -145,7 +145,7 @@ impl FitsReader {
         self.handle.column_text(found.number, found.rows, found.width as usize).map_err(|reason| self.refuse(reason))
     }
 
-    /// The card `key` of HDU `hdu` (`None`: the primary one); `None` where it is absent or has no value.
+    /// The card `key` of HDU `hdu` (`None`: the primary HDU); `None` where it is absent or has no value.
     ///
     /// # Errors
     /// [`Error::File`] where the HDU is missing; [`Error::Value`] for a keyword that FITS does not allow.
@@ -155,7 +155,7 @@ impl FitsReader {
     }
 
     pub(super) fn card_at(&mut self, index: usize, key: &str) -> Result<Option<Card>> {
-        let key = super::checked_keyword(key)?;
+        let key = checked_keyword(key)?;
         let Some(value) = self.layout.hdus[index].value(&key).map(str::to_owned) else { return Ok(None) };
         if value.starts_with('\'') {
             let name = CString::new(key).map_err(|error| Error::Internal(error.to_string()))?;
@@ -172,23 +172,23 @@ impl FitsReader {
     /// Index of the first image with data whose name is not in `besides`.
     pub(super) fn first_image(&self, besides: &[&str]) -> Result<usize> {
         let holds =
-            |hdu: &Hdu| hdu.kind == Kind::Image && !hdu.axes.is_empty() && !besides.contains(&hdu.name.as_str());
+            |hdu: &Hdu| hdu.kind == HduKind::Image && !hdu.axes.is_empty() && !besides.contains(&hdu.name.as_str());
         self.layout.hdus.iter().position(holds).ok_or_else(|| self.refuse(format!("holds no image: {}", self.listed())))
     }
 
     /// Index of HDU `name` of kind `kind`.
-    pub(super) fn find(&self, name: &str, kind: Kind) -> Result<usize> {
+    pub(super) fn find(&self, name: &str, kind: HduKind) -> Result<usize> {
         let same = |hdu: &Hdu| hdu.name.eq_ignore_ascii_case(name.trim());
         if let Some(index) = self.layout.hdus.iter().position(|hdu| same(hdu) && hdu.kind == kind) {
             return Ok(index);
         }
         let index = self.find_any(name)?;
-        let (wanted, held) = match (kind, self.layout.hdus[index].kind) {
-            (_, Kind::Compressed) => ("a plain HDU", "a tile-compressed image (unpack the file with funpack first)"),
-            (Kind::Image, _) => ("an image", "a table"),
-            _ => ("a table", "no table"),
+        let (wanted, content) = match (kind, self.layout.hdus[index].kind) {
+            (_, HduKind::Compressed) => ("a plain HDU", "a tile-compressed image (unpack the file with funpack first)"),
+            (HduKind::Image, _) => ("an image", "a table"),
+            _ => ("a table", "something else"),
         };
-        Err(self.refuse(format!("HDU `{name}` holds {held}, where {wanted} is needed")))
+        Err(self.refuse(format!("HDU `{name}` contains {content}, where {wanted} is needed")))
     }
 
     pub(super) fn has(&self, name: &str) -> bool {
@@ -209,7 +209,7 @@ impl FitsReader {
         &self.layout.hdus[index].name
     }
 
-    /// The image at `index`, its axes in C order; it must have one of the `ranks`.
+    /// The image at `index`, with axes in C order; the number of axes must be one of `ranks`.
     fn planes(&mut self, index: usize, ranks: &[usize]) -> Result<ndarray::ArrayD<f64>> {
         let hdu = &self.layout.hdus[index];
         let shape: Vec<usize> = hdu.axes.iter().rev().map(|&size| size as usize).collect();
@@ -229,7 +229,7 @@ impl FitsReader {
     }
 
     fn column(&mut self, hdu: &str, column: &str) -> Result<Column> {
-        let index = self.find(hdu, Kind::Table)?;
+        let index = self.find(hdu, HduKind::Table)?;
         let names = self.layout.hdus[index].columns();
         let Some(place) = names.iter().position(|name| name.trim().eq_ignore_ascii_case(column.trim())) else {
             let listed = names.join(", ");
@@ -239,10 +239,10 @@ impl FitsReader {
         self.move_to(index)?;
         let number = place as i32 + 1;
         let (code, repeat, width) = self.handle.column_type(number).map_err(|reason| self.refuse(reason))?;
-        // No column is wider than its row, whatever its TFORM says: the row is what the file's size was checked for.
+        // A column cannot be wider than its row, whose size was checked against the file. TFORM may claim otherwise.
         if width < 1 || width as u64 > self.layout.hdus[index].axes[0] {
             return Err(self.refuse(format!(
-                "column `{column}` of `{hdu}` has elements of {width} bytes, which its rows do not hold"
+                "column `{column}` of `{hdu}` has elements of {width} bytes, which do not fit its rows"
             )));
         }
         Ok(Column { name: column.to_string(), number, rows, code, repeat, width })
@@ -257,7 +257,17 @@ impl FitsReader {
     }
 }
 
-/// A column that was found.
+/// Reads a map of `path`: [`FitsReader::map`].
+pub fn read_map(path: impl AsRef<Path>, hdu: Option<&str>) -> Result<Array2<f64>> {
+    FitsReader::open(path)?.map(hdu)
+}
+
+/// Reads a cube of `path`: [`FitsReader::cube`].
+pub fn read_cube(path: impl AsRef<Path>, hdu: &str) -> Result<Array3<f64>> {
+    FitsReader::open(path)?.cube(hdu)
+}
+
+/// A column of a table.
 struct Column {
     name: String,
     number: i32,
@@ -278,9 +288,9 @@ impl Column {
         matches!(self.code, 83 | 163)
     }
 
-    /// Refuses vectors, variable-length columns (negative codes) and what `fits` does not allow.
-    fn needs_scalar(&self, file: &FitsReader, fits: bool, wanted: &str) -> Result<()> {
-        if fits && self.code > 0 && self.repeat == 1 {
+    /// Fails for vectors, for variable-length columns (negative codes) and where `has_type` is false.
+    fn check_scalar(&self, file: &FitsReader, has_type: bool, wanted: &str) -> Result<()> {
+        if has_type && self.code > 0 && self.repeat == 1 {
             return Ok(());
         }
         Err(file.refuse(format!("column `{}` is not {wanted}, one in each row", self.name)))
@@ -293,7 +303,7 @@ fn open_plain(path: &Path) -> Result<File> {
         std::io::ErrorKind::NotFound => Error::file(path, "there is no such file"),
         _ => Error::file(path, format!("cannot be opened: {error}")),
     };
-    // Asked before opening: opening a pipe would wait for its writer.
+    // Checked before opening: opening a pipe would wait for its writer.
     let metadata = std::fs::metadata(path).map_err(refused)?;
     if metadata.is_dir() {
         return Err(Error::file(path, "is a directory, where a FITS file is needed"));
@@ -305,28 +315,12 @@ fn open_plain(path: &Path) -> Result<File> {
 }
 
 /// The bytes of a gzip file, at most [`MAX_UNPACKED`].
-fn unpack(file: File) -> Outcome<Vec<u8>> {
+fn unpack(file: File) -> CfitsioResult<Vec<u8>> {
     let mut bytes = Vec::new();
     let unpacked = flate2::read::MultiGzDecoder::new(file).take(MAX_UNPACKED + 1).read_to_end(&mut bytes);
     unpacked.map_err(|error| format!("the gzip stream is damaged after {} unpacked bytes: {error}", bytes.len()))?;
     if bytes.len() as u64 > MAX_UNPACKED {
-        return Err(format!("unpacks to more than {MAX_UNPACKED} bytes, the most that is read"));
+        return Err(format!("unpacks to more than {MAX_UNPACKED} bytes: at most that many are accepted"));
     }
     Ok(bytes)
-}
-
-impl Card {
-    /// The value of a card that is not a quoted string; `None` where it is undefined.
-    fn parse(value: &str) -> Option<Self> {
-        match value {
-            "" => None,
-            "T" => Some(Card::Logical(true)),
-            "F" => Some(Card::Logical(false)),
-            // Fortran writes the exponent of a double with a D.
-            _ => value.parse().map(Card::Integer).ok().or_else(|| {
-                let real = value.replace(['D', 'd'], "E").parse().map(Card::Real);
-                Some(real.unwrap_or_else(|_| Card::Text(card::text(value))))
-            }),
-        }
-    }
 }

@@ -1,4 +1,4 @@
-//! Writing: a file is composed in memory and appears at its path whole, or not at all.
+//! FITS writer: a file is composed in memory and appears at its path complete, or not at all.
 
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::path::{Path, PathBuf};
@@ -6,19 +6,19 @@ use std::path::{Path, PathBuf};
 use fitsio::sys;
 use ndarray::{ArrayRef, Dimension};
 
-use super::Card;
 use super::cfitsio::Handle;
+use super::value::{Card, checked_keyword};
 use crate::atomic::Target;
 use crate::{Error, Result};
 
-/// How the pixels of an image are stored.
+/// Storage type of the pixels of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pixel {
     /// 32-bit real (BITPIX −32).
     F32,
     /// 64-bit real (BITPIX −64).
     F64,
-    /// 32-bit integer (BITPIX 32): the values must be whole numbers in its range.
+    /// 32-bit integer (BITPIX 32): the values must be integers in its range.
     I32,
 }
 
@@ -48,7 +48,7 @@ impl Column {
         Self { name: name.into(), unit: String::new(), values: Values::I64(values) }
     }
 
-    /// Text. FITS holds printable ASCII: other characters are written as `?`, tabs as blanks, and trailing blanks are lost.
+    /// Text. FITS allows printable ASCII only: other characters are written as `?`, tabs as blanks; trailing blanks are lost.
     pub fn text(name: &str, values: impl IntoIterator<Item = impl AsRef<str>>) -> Self {
         let values = values.into_iter().map(|text| ascii(text.as_ref())).collect();
         Self { name: name.into(), unit: String::new(), values: Values::Text(values) }
@@ -72,27 +72,27 @@ impl Column {
     }
 }
 
-/// A FITS file being composed, in memory. Nothing is at `path` until [`FitsWriter::finish`] renames a finished temporary
-/// file onto it; dropped before that, it leaves nothing behind.
+/// A FITS file being composed in memory. [`FitsWriter::finish`] writes a temporary file and renames it to the path; if the
+/// writer is dropped before, no file is written.
 ///
-/// The primary HDU is empty and carries the header cards of the file; images and tables are named extensions.
+/// The primary HDU has no data, only the header cards of the file; images and tables are named extensions.
 pub struct FitsWriter {
     path: PathBuf,
     handle: Handle,
-    /// Names of the HDUs, the primary one first.
+    /// Names of the HDUs, starting with the primary HDU.
     names: Vec<String>,
 }
 
 impl FitsWriter {
-    /// Starts the file that will be `path`; one that is there will be replaced.
+    /// Starts a file that will be written to `path`. An existing file will be replaced.
     ///
     /// # Errors
-    /// [`Error::File`] where the directory is missing or cannot be written, or `path` is not a plain file: said now, not
-    /// after hours of work.
+    /// [`Error::File`] where the directory is missing or cannot be written, or `path` is not a plain file: checked
+    /// here, before hours of computation.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         let target = Target::of(&path)?;
-        // Made and removed at once: only `finish` may leave something.
+        // Created and removed immediately: only `finish` leaves a file.
         drop(target.temporary()?);
         let mut handle = Handle::create().map_err(|reason| Error::file(&path, reason))?;
         // SAFETY: no axes, so none are read.
@@ -104,8 +104,8 @@ impl FitsWriter {
     /// Adds an image: `array[.., y, x]`, x fastest in the file, in `unit` (empty for none).
     ///
     /// # Errors
-    /// [`Error::Value`] where a value does not fit `pixel`, or the name is taken or not FITS text; [`Error::Shape`] for
-    /// an array without elements.
+    /// [`Error::Value`] where a value does not fit `pixel`, or the name is in use or not printable ASCII; [`Error::Shape`]
+    /// for an array without elements.
     pub fn image<A, D>(&mut self, name: &str, array: &ArrayRef<A, D>, pixel: Pixel, unit: &str) -> Result<()>
     where
         A: Copy + Into<f64>,
@@ -141,8 +141,8 @@ impl FitsWriter {
     /// Adds a binary table; all columns have the same length.
     ///
     /// # Errors
-    /// [`Error::Shape`] for columns of different lengths or none; [`Error::Value`] for a name that is taken or not FITS
-    /// text.
+    /// [`Error::Shape`] for columns of different lengths or none; [`Error::Value`] for a name that is in use or not
+    /// printable ASCII.
     pub fn table(&mut self, name: &str, columns: &[Column]) -> Result<()> {
         let name = self.new_name(name)?;
         let rows =
@@ -189,16 +189,16 @@ impl FitsWriter {
         self.table(name, &[Column::text("LINE", text.lines())])
     }
 
-    /// Sets a card of HDU `hdu` (`PRIMARY`, or the name of one that was added). A real number that is not finite, which
-    /// FITS cannot hold, is written as a card without value.
+    /// Sets a card of HDU `hdu` (`PRIMARY`, or the name of an added HDU). A real number that is not finite, which FITS
+    /// cannot represent, is written as a card without value.
     ///
     /// # Errors
-    /// [`Error::Value`] for a keyword that FITS does not allow, or an HDU that is not there.
+    /// [`Error::Value`] for a keyword that FITS does not allow, or an HDU that does not exist.
     pub fn card(&mut self, hdu: &str, key: &str, value: impl Into<Card>, comment: &str) -> Result<()> {
-        let key = c_text(&super::checked_keyword(key)?)?;
+        let key = c_text(&checked_keyword(key)?)?;
         let comment = c_text(comment)?;
         let index = self.names.iter().position(|name| name.eq_ignore_ascii_case(hdu)).ok_or_else(|| {
-            Error::Value(format!("there is no HDU `{hdu}` to take a card: there are {}", self.names.join(", ")))
+            Error::Value(format!("there is no HDU `{hdu}` for the card: there are {}", self.names.join(", ")))
         })?;
         self.handle.move_to(index).map_err(|reason| Error::file(&self.path, reason))?;
         let value = value.into();
@@ -216,11 +216,11 @@ impl FitsWriter {
         })
     }
 
-    /// Writes the file to a temporary name beside its path, on the disk, and renames it onto the path.
+    /// Writes the file under a temporary name in the same directory, and renames it to its path.
     ///
     /// # Errors
-    /// [`Error::File`] where that fails, for instance on a full disk: then nothing is left, and what was at the path
-    /// before is still there.
+    /// [`Error::File`] where that fails, for instance on a full disk: no new file is left then, and a previous file at the
+    /// path is unchanged.
     pub fn finish(self) -> Result<()> {
         let Self { path, handle, names } = self;
         let bytes = handle.into_bytes(names.len()).map_err(|reason| Error::file(&path, reason))?;
@@ -247,23 +247,26 @@ impl FitsWriter {
         self.handle.call(function).map_err(|reason| Error::file(&self.path, reason))
     }
 
-    /// `name` in capitals, if it is free and FITS text.
+    /// `name` in capitals.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where it is in use or not printable ASCII.
     fn new_name(&self, name: &str) -> Result<String> {
         let upper = name.trim().to_ascii_uppercase();
-        // 60: EXTNAME then fits its card without continuation.
+        // 60: EXTNAME fits its card without CONTINUE.
         if upper.is_empty() || upper.len() > 60 || upper != ascii(&upper) {
             return Err(Error::Value(format!(
                 "`{name}` cannot name an HDU: 1 to 60 printable ASCII characters are accepted"
             )));
         }
         if self.names.contains(&upper) {
-            return Err(Error::Value(format!("HDU `{upper}` is there already: names must differ")));
+            return Err(Error::Value(format!("HDU `{upper}` exists already: names must differ")));
         }
         Ok(upper)
     }
 }
 
-/// Pixels in the type in which they are stored.
+/// Pixels in their storage type.
 enum Data {
     F32(Vec<f32>),
     F64(Vec<f64>),
@@ -293,7 +296,7 @@ impl Data {
         }
     }
 
-    /// How many, their cfitsio type, and where.
+    /// Count, cfitsio type and address.
     fn raw(&mut self) -> (usize, c_int, *mut c_void) {
         match self {
             Data::F32(values) => (values.len(), sys::TFLOAT as c_int, values.as_mut_ptr().cast()),
@@ -309,7 +312,7 @@ fn digits(x: f64) -> c_int {
     (15..17).find(exact).unwrap_or(17) as c_int
 }
 
-/// `text` in the printable ASCII that FITS holds.
+/// `text` in printable ASCII, as FITS requires.
 fn ascii(text: &str) -> String {
     let plain = |c: char| match c {
         ' '..='~' => c,

@@ -1,7 +1,7 @@
 //! Modes given as maps on the pupil grid: segment modes, and bases from a file.
 //!
-//! A segment's mode is zero but for the samples of its segment, and is kept as a list of those: three modes of each of
-//! 798 segments on 1,024 samples are 19 GB as maps and 30 MB as lists.
+//! A segment mode is zero outside its segment and is stored as a list of its samples: three modes of each of 798 segments on
+//! a grid of 1,024 samples a side take 19 GB as maps and 30 MB as lists.
 
 mod products;
 
@@ -9,7 +9,7 @@ use crate::{Error, Result};
 use ndarray::{Array3, ArrayViewMut2, Axis, s};
 use std::collections::HashSet;
 
-/// Which of the two estimated wavefronts a mode belongs to.
+/// The estimated wavefront to which a mode belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Group {
     /// Phasing of the segments.
@@ -19,7 +19,7 @@ pub enum Group {
 }
 
 impl Group {
-    /// The name in files: `segment` or `ncpa`.
+    /// Name in files: `segment` or `ncpa`.
     pub fn name(self) -> &'static str {
         match self {
             Group::Segment => "segment",
@@ -27,7 +27,7 @@ impl Group {
         }
     }
 
-    /// The group of that name; white space around it, as FITS tables leave it, does not matter.
+    /// The group of that name. Surrounding white space, as in FITS tables, is ignored.
     ///
     /// # Errors
     /// [`Error::Value`] for any other name.
@@ -40,22 +40,22 @@ impl Group {
     }
 }
 
-/// A map by the samples where it is not zero: `(y·samples + x, value)`, in ascending order.
-pub(super) type LocalMap = Vec<(u32, f64)>;
+/// A map as a list of its nonzero samples: `(y·samples + x, value)`, in ascending order.
+pub(super) type SparseMap = Vec<(u32, f64)>;
 
-/// Modes known by their samples only, OPD in nm per nm of coefficient; they cannot be evaluated elsewhere.
+/// Modes given by their values at the samples of a grid, OPD in nm per nm of coefficient. They cannot be evaluated elsewhere.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Basis {
     names: Vec<String>,
     groups: Vec<Group>,
-    /// Modes that are lists of samples; they come first.
-    local: Vec<LocalMap>,
-    /// The others, `[mode, y, x]`.
+    /// The sparse modes, which precede the others.
+    sparse: Vec<SparseMap>,
+    /// The other modes, `[mode, y, x]`.
     dense: Array3<f64>,
 }
 
 impl Basis {
-    /// Modes from a cube `[modes, y, x]` on the pupil grid, with a name and a group each. Names are trimmed.
+    /// Modes from a cube `[modes, y, x]` on the pupil grid, with a name and a group for each. Names are trimmed.
     ///
     /// # Errors
     /// [`Error::Shape`] where numbers differ or the maps are not square; [`Error::Value`] for a sample that is not
@@ -68,7 +68,7 @@ impl Basis {
         Self::checked(names, groups, Vec::new(), maps)
     }
 
-    /// Modes that are zero almost everywhere, on a grid of `samples` a side.
+    /// Modes given as lists of their nonzero samples, on a grid of `samples` a side.
     ///
     /// # Errors
     /// As [`Basis::from_cube`].
@@ -76,13 +76,13 @@ impl Basis {
         names: Vec<String>,
         groups: Vec<Group>,
         samples: usize,
-        local: Vec<LocalMap>,
+        sparse: Vec<SparseMap>,
     ) -> Result<Self> {
-        Self::checked(names, groups, local, Array3::zeros((0, samples, samples)))
+        Self::checked(names, groups, sparse, Array3::zeros((0, samples, samples)))
     }
 
-    fn checked(names: Vec<String>, groups: Vec<Group>, local: Vec<LocalMap>, dense: Array3<f64>) -> Result<Self> {
-        let modes = local.len() + dense.dim().0;
+    fn checked(names: Vec<String>, groups: Vec<Group>, sparse: Vec<SparseMap>, dense: Array3<f64>) -> Result<Self> {
+        let modes = sparse.len() + dense.dim().0;
         if names.len() != modes || groups.len() != modes {
             let text = format!(
                 "{} names and {} groups were given for {modes} mode maps: as many of each are needed",
@@ -97,17 +97,17 @@ impl Basis {
             return Err(Error::Value(format!("mode name {name:.80?} is empty or used twice: each mode needs its own")));
         }
         let samples = dense.dim().1;
-        let lists = local.iter().zip(&names).flat_map(|(list, name)| list.iter().map(move |&(at, v)| (name, at, v)));
-        let of_lists = lists.map(|(name, at, v)| (name, [at as usize / samples, at as usize % samples], v));
-        let maps = dense.outer_iter().zip(&names[local.len()..]);
+        let lists = sparse.iter().zip(&names).flat_map(|(list, name)| list.iter().map(move |&(at, v)| (name, at, v)));
+        let of_sparse = lists.map(|(name, at, v)| (name, [at as usize / samples, at as usize % samples], v));
+        let maps = dense.outer_iter().zip(&names[sparse.len()..]);
         let broken = maps.filter_map(|(map, name)| {
             map.indexed_iter().find(|(_, value)| !value.is_finite()).map(|((row, column), &v)| (name, [row, column], v))
         });
-        if let Some((name, [row, column], value)) = of_lists.filter(|(.., v)| !v.is_finite()).chain(broken).next() {
+        if let Some((name, [row, column], value)) = of_sparse.filter(|(.., v)| !v.is_finite()).chain(broken).next() {
             let text = format!("mode {name:.80} is {value} at [{row}, {column}]: finite samples are needed");
             return Err(Error::Value(text));
         }
-        Ok(Self { names, groups, local, dense })
+        Ok(Self { names, groups, sparse, dense })
     }
 
     /// Number of modes.
@@ -135,15 +135,15 @@ impl Basis {
         self.dense.dim().1
     }
 
-    /// All maps, `[modes, y, x]`: of many segments on a fine grid, gigabytes. [`Basis::combined`], [`Basis::along`],
-    /// [`Basis::gram`] and [`Basis::variance`] do without them.
+    /// All maps, `[modes, y, x]`: gigabytes for many segments on a fine grid. [`Basis::combined`], [`Basis::along`],
+    /// [`Basis::gram`] and [`Basis::variance`] do not need them.
     pub fn maps(&self) -> Array3<f64> {
         let samples = self.samples();
         let mut maps = Array3::zeros((self.len(), samples, samples));
-        for (list, map) in self.local.iter().zip(maps.outer_iter_mut()) {
+        for (list, map) in self.sparse.iter().zip(maps.outer_iter_mut()) {
             scatter(list, map);
         }
-        maps.slice_mut(s![self.local.len().., .., ..]).assign(&self.dense);
+        maps.slice_mut(s![self.sparse.len().., .., ..]).assign(&self.dense);
         maps
     }
 
@@ -161,21 +161,21 @@ impl Basis {
         let join = |first: &Array3<f64>, then: &Array3<f64>| {
             ndarray::concatenate(Axis(0), &[first.view(), then.view()]).map_err(|e| Error::Internal(e.to_string()))
         };
-        // Lists come first: behind maps they become maps.
-        let (local, dense) = if self.dense.is_empty() {
-            (self.local.iter().chain(&other.local).cloned().collect(), other.dense.clone())
-        } else if other.local.is_empty() {
-            (self.local.clone(), join(&self.dense, &other.dense)?)
+        // Sparse modes come first; after a dense mode they are stored as dense.
+        let (sparse, dense) = if self.dense.is_empty() {
+            (self.sparse.iter().chain(&other.sparse).cloned().collect(), other.dense.clone())
+        } else if other.sparse.is_empty() {
+            (self.sparse.clone(), join(&self.dense, &other.dense)?)
         } else {
-            (self.local.clone(), join(&self.dense, &other.maps())?)
+            (self.sparse.clone(), join(&self.dense, &other.maps())?)
         };
         let names = self.names.iter().chain(&other.names).cloned().collect();
-        Self::checked(names, self.groups.iter().chain(&other.groups).copied().collect(), local, dense)
+        Self::checked(names, self.groups.iter().chain(&other.groups).copied().collect(), sparse, dense)
     }
 }
 
-/// Writes a list's samples into a map that is zero.
-fn scatter(list: &LocalMap, mut map: ArrayViewMut2<f64>) {
+/// Writes the samples of a list into a map of zeros.
+fn scatter(list: &SparseMap, mut map: ArrayViewMut2<f64>) {
     let samples = map.ncols();
     list.iter().for_each(|&(at, value)| map[[at as usize / samples, at as usize % samples]] = value);
 }

@@ -1,6 +1,6 @@
 //! The deformable mirror: Gaussian influence functions on a square grid of actuators.
 
-use super::Samples;
+use super::samples::{Samples, check_lengths};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayViewMut2};
@@ -15,11 +15,11 @@ pub struct Mirror {
 }
 
 impl Mirror {
-    /// How far from the nearest glass an actuator may stand, in pitches, and still count by default. In the Fried
-    /// geometry an actuator stands on lenslet corners, 1/√2 = 0.71 pitch from their centres: so every corner of a
-    /// lenslet whose centre sees glass counts, with a little room for the sampling of the pupil, and every actuator
-    /// that counts moves the nearest glass by at least a third of its stroke (0.1458^(0.75²) = 0.34). Farther ones
-    /// add little to what the mirror can do and much to the condition number of its influence functions.
+    /// Default of the largest distance of an actuator from the nearest illuminated sample, in pitches. In the Fried geometry
+    /// the actuators are at the lenslet corners, 1/√2 = 0.71 pitch from the centres: so all corners of a lenslet whose
+    /// centre is illuminated are included, with a margin for the sampling of the pupil, and every included actuator moves
+    /// the nearest illuminated sample by at least a third of its stroke (0.1458^(0.75²) = 0.34). Actuators farther away add
+    /// little to the range of the mirror, and much to the condition number of its influence functions.
     pub const DEFAULT_MARGIN_PITCHES: f64 = 0.75;
 
     /// A mirror of `actuators_across` actuators a side, `pitch_m` apart as seen in the entrance pupil, whose influence
@@ -67,41 +67,44 @@ impl Mirror {
         InfluenceFunctions { mirror: *self, indices: (0..self.actuators_across.pow(2)).collect() }
     }
 
-    /// The actuators within `margin_pitches` pitches of the nearest sample with glass; see
+    /// The actuators within `margin_pitches` pitches of the nearest illuminated sample; see
     /// [`DEFAULT_MARGIN_PITCHES`](Self::DEFAULT_MARGIN_PITCHES).
     ///
     /// # Errors
-    /// [`Error::Value`] for a margin that is negative or not finite, a pupil without glass, or no actuator within reach.
+    /// [`Error::Value`] for a margin that is negative or not finite, a pupil without illuminated samples, or no actuator within
+    /// the margin.
     pub fn near(&self, pupil: &Pupil, margin_pitches: f64) -> Result<InfluenceFunctions> {
         if !(margin_pitches.is_finite() && margin_pitches >= 0.0) {
             let text = format!("an actuator margin of {margin_pitches} pitches is impossible: 0 or more is accepted");
             return Err(Error::Value(text));
         }
-        let glass = Samples::of(pupil)?;
+        let illuminated = Samples::of(pupil)?;
         let reach2 = (margin_pitches * self.pitch_m).powi(2);
         let across = self.actuators_across;
         let near = |&index: &usize| {
             let (x, y) = (self.coordinate_m(index % across), self.coordinate_m(index / across));
-            glass.xs_m.iter().zip(&glass.ys_m).any(|(xs, ys)| (xs - x).powi(2) + (ys - y).powi(2) <= reach2)
+            illuminated.xs_m.iter().zip(&illuminated.ys_m).any(|(xs, ys)| (xs - x).powi(2) + (ys - y).powi(2) <= reach2)
         };
         let indices: Vec<usize> = (0..across * across).filter(near).collect();
         if indices.is_empty() {
-            let text = format!("no actuator of the mirror stands within {margin_pitches} pitches of the pupil's glass");
+            let text = format!(
+                "no actuator of the mirror is within {margin_pitches} pitches of an illuminated sample: increase the margin"
+            );
             return Err(Error::Value(text));
         }
         Ok(InfluenceFunctions { mirror: *self, indices })
     }
 
-    /// The actuators whose position (x, y), m, `keep` accepts.
+    /// The actuators for whose position (x, y), m, `keep` is true.
     ///
     /// # Errors
-    /// [`Error::Value`] where it accepts none.
+    /// [`Error::Value`] where there is none.
     pub fn chosen(&self, keep: impl Fn(f64, f64) -> bool) -> Result<InfluenceFunctions> {
         let across = self.actuators_across;
         let kept = |index: &usize| keep(self.coordinate_m(index % across), self.coordinate_m(index / across));
         let indices: Vec<usize> = (0..across * across).filter(kept).collect();
         if indices.is_empty() {
-            return Err(Error::Value("no actuator of the mirror stands where one is wanted".into()));
+            return Err(Error::Value("no actuator of the mirror is selected: at least one is needed".into()));
         }
         Ok(InfluenceFunctions { mirror: *self, indices })
     }
@@ -120,7 +123,7 @@ impl Mirror {
     }
 }
 
-/// The cells `row·across + column`, ascending, that are marked 1 in a map of what is in use: `across` lines of as many 0s
+/// The cells `row·across + column`, ascending, that are marked 1 in a map: `across` lines of as many 0s
 /// and 1s, separated by white space; the first line is the row of smallest y.
 ///
 /// # Errors
@@ -142,7 +145,7 @@ pub fn marked_cells(map: &str, across: usize) -> Result<Vec<usize>> {
                 "0" => {}
                 "1" => marked.push(row * across + column),
                 other => {
-                    let text = format!("line {} of the map holds {other:.20?}: only 0 and 1 are accepted", row + 1);
+                    let text = format!("line {} of the map contains {other:.20?}: only 0 and 1 are accepted", row + 1);
                     return Err(Error::Value(text));
                 }
             }
@@ -160,7 +163,7 @@ pub struct InfluenceFunctions {
 }
 
 impl InfluenceFunctions {
-    /// The mirror they belong to.
+    /// The mirror.
     pub fn mirror(&self) -> &Mirror {
         &self.mirror
     }
@@ -188,14 +191,14 @@ impl InfluenceFunctions {
     /// # Errors
     /// [`Error::Shape`] where the coordinates differ in number.
     pub fn evaluate(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Array2<f64>> {
-        super::same_length(xs_m, ys_m)?;
+        check_lengths(xs_m, ys_m)?;
         let mut values = Array2::zeros((self.indices.len(), xs_m.len()));
         self.fill(xs_m, ys_m, values.view_mut());
         Ok(values)
     }
 
-    /// The functions of one coordinate whose products the influence functions are, `[column or row of actuators, point]`,
-    /// and the place `row·across + column` of each actuator among the products.
+    /// The factors of the influence functions along one coordinate, `[column or row of actuators, point]`, and the index
+    /// `row·across + column` of each actuator among their products.
     pub(super) fn along(&self, coordinates_m: &[f64]) -> (Array2<f64>, &[usize]) {
         let rate = self.mirror.coupling.ln() / self.mirror.pitch_m.powi(2);
         let line = Array2::from_shape_fn((self.mirror.actuators_across, coordinates_m.len()), |(i, point)| {
@@ -231,13 +234,13 @@ mod tests {
         for (point, expected) in [1.0, 0.1458, 0.1458f64.powi(2), 0.1458f64.powi(4)].into_iter().enumerate() {
             assert!((values[[centre, point]] - expected).abs() < 1e-15);
         }
-        // The next actuator along +x is one column further.
+        // The next actuator along +x is in the next column.
         assert!((values[[centre + 1, 1]] - 1.0).abs() < 1e-15);
         assert_eq!(mirror.all().positions_m()[centre + 1], (0.5625, 0.0));
     }
 
     #[test]
-    fn a_map_selects_its_actuators_and_bad_ones_are_refused() {
+    fn a_map_selects_its_actuators_and_invalid_maps_are_rejected() {
         let mirror = Mirror::new(3, 1.0, 0.2).unwrap();
         let chosen = mirror.from_map("0 1 0\n1 1 1 \n0 0 1\n\n").unwrap();
         assert_eq!(chosen.indices(), [1, 3, 4, 5, 8]);

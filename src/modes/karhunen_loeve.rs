@@ -1,16 +1,19 @@
-//! Karhunen-Loève modes of a deformable mirror: the combinations of its influence functions that turbulence excites
-//! independently, strongest first.
+//! Karhunen-Loève modes of a deformable mirror: combinations of its influence functions that are uncorrelated in turbulence,
+//! by decreasing variance.
 //!
 //! Double diagonalisation (E. Gendron's thesis, 1995; as in OOMAO): the eigenvectors of the geometric covariance of the
-//! piston-removed influence functions make an orthonormal basis of what the mirror can do over the pupil; in it, the
-//! eigenvectors of the covariance of the turbulent wavefront's projections are the modes.
+//! piston-removed influence functions give an orthonormal basis of the mirror's space over the pupil; in this basis, the
+//! eigenvectors of the covariance of the projected turbulent wavefront are the modes.
 //!
-//! The statistics are computed on the pupil's own grid where that is neither too coarse nor needlessly fine for the
-//! mirror, and on one of their own elsewhere; the modes are then made exactly orthonormal over the pupil as given.
+//! The statistics are computed on the grid of the pupil if its sampling suits the mirror, and on a grid of their own
+//! otherwise; the modes are then orthonormalised over the pupil as given.
 
+use super::influence::InfluenceFunctions;
 use super::linalg::symmetric_eigen;
 use super::orthonormal::orthonormalise;
-use super::{InfluenceFunctions, Samples, SmoothBasis, VonKarman};
+use super::samples::Samples;
+use super::smooth::SmoothBasis;
+use super::von_karman::VonKarman;
 use crate::grid::Grid;
 use crate::pupil::Pupil;
 use crate::{Error, Result};
@@ -19,51 +22,51 @@ use num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
-/// Samples per actuator pitch below which a grid of its own is taken. A Gaussian of 15 % coupling has σ = 0.51 pitch,
-/// here 1.5 samples: its spectrum has fallen to exp(−(π·1.5)²/2) = 1e-5 where the samples fold it.
+/// Samples per actuator pitch below which the grid of the pupil is not used. A Gaussian of 15 % coupling has σ = 0.51 pitch,
+/// here 1.5 samples: its spectrum is exp(−(π·1.5)²/2) = 1e-5 at the Nyquist frequency.
 const ENOUGH_PER_PITCH: f64 = 3.0;
 
-/// Samples per pitch of that grid, where it stays within [`USUAL_GRID`]. The functions need no more than 3; the edge of
-/// the pupil does: at 3 the span of 66 modes turns by up to 0.5 degrees and their variances change by 0.3 %.
+/// Samples per pitch of the grid used instead, if it is within [`USUAL_GRID`]. The functions need 3, the edge of the pupil
+/// more: with 3, the span of 66 modes rotates by up to 0.5 degrees and their variances change by 0.3 %.
 const GOOD_PER_PITCH: f64 = 6.0;
 
-/// A grid above this many samples a side is only as fine as need be (time and memory go as actuators × samples).
+/// Grids with more samples a side are only as fine as necessary (time and memory are proportional to actuators × samples).
 const USUAL_GRID: f64 = 256.0;
 
-/// The largest working grid, samples a side: 170 actuators across.
+/// Largest grid, samples a side: for 170 actuators across.
 const LARGEST_GRID: f64 = 512.0;
 
-/// Combinations of influence functions whose RMS over the pupil is below this fraction of the strongest one's are
-/// left out: they are differences of actuators beyond the edge, which only rounding distinguishes (in the
-/// covariance this is 1e-9, six digits above the eigen-solver's error).
+/// Combinations of influence functions whose RMS over the pupil is below this fraction of the largest are truncated: they
+/// are differences of actuators beyond the edge, determined by rounding (in the covariance the limit is 1e-9, six digits
+/// above the error of the eigenvalues).
 const SMALLEST_RMS: f64 = 3e-5;
 
 /// The first Karhunen-Loève modes of a mirror.
 #[derive(Debug, Clone)]
 pub struct KarhunenLoeve {
-    /// The modes, `kl-00`, `kl-01` …: piston-free and orthonormal over the pupil (weight A), by falling variance.
+    /// The modes, `kl-00`, `kl-01` …: without piston, orthonormal over the pupil (weight A), by decreasing variance.
     pub basis: SmoothBasis,
     /// Variance of each mode in turbulence, nm².
     pub variances_nm2: Vec<f64>,
-    /// How many combinations of influence functions were left out because they hardly move the pupil.
+    /// Number of truncated combinations of influence functions, which barely change the wavefront in the pupil.
     pub truncated: usize,
 }
 
 /// The first `count` Karhunen-Loève modes of `influence` over `pupil` under `turbulence`.
 ///
 /// # Errors
-/// Those of [`Samples::of`]; [`Error::Value`] where `count` is 0 or more than the mirror can make, or the grid is too
-/// wide for the pitch.
+/// Those of [`Samples::of`]; [`Error::Value`] where `count` is 0 or exceeds the number of modes of the mirror, or the grid
+/// is too wide for the pitch.
 pub fn karhunen_loeve(
     influence: &InfluenceFunctions,
     pupil: &Pupil,
     turbulence: &VonKarman,
     count: usize,
 ) -> Result<KarhunenLoeve> {
-    modes(influence, pupil, turbulence, Wanted::Exactly(count))
+    modes(influence, pupil, turbulence, ModeCount::Exactly(count))
 }
 
-/// The first `most`, or as many as the mirror can make and the pupil's samples tell apart.
+/// The first `most` modes, or all that the mirror has and the samples of the pupil resolve, if those are fewer.
 ///
 /// # Errors
 /// Those of [`Samples::of`]; [`Error::Value`] for a grid that is too wide for the pitch.
@@ -73,10 +76,10 @@ pub fn karhunen_loeve_at_most(
     turbulence: &VonKarman,
     most: usize,
 ) -> Result<KarhunenLoeve> {
-    modes(influence, pupil, turbulence, Wanted::AtMost(most.max(1)))
+    modes(influence, pupil, turbulence, ModeCount::AtMost(most.max(1)))
 }
 
-/// All that the mirror can make.
+/// All Karhunen-Loève modes of `influence`.
 ///
 /// # Errors
 /// Those of [`karhunen_loeve`].
@@ -85,12 +88,12 @@ pub fn karhunen_loeve_complete(
     pupil: &Pupil,
     turbulence: &VonKarman,
 ) -> Result<KarhunenLoeve> {
-    modes(influence, pupil, turbulence, Wanted::All)
+    modes(influence, pupil, turbulence, ModeCount::All)
 }
 
-/// How many modes.
+/// Requested number of modes.
 #[derive(Debug, Clone, Copy)]
-enum Wanted {
+enum ModeCount {
     Exactly(usize),
     AtMost(usize),
     All,
@@ -100,7 +103,7 @@ fn modes(
     influence: &InfluenceFunctions,
     pupil: &Pupil,
     turbulence: &VonKarman,
-    wanted: Wanted,
+    count_wanted: ModeCount,
 ) -> Result<KarhunenLoeve> {
     let working = working_pupil(pupil, influence.mirror().pitch_m())?;
     let samples = Samples::of(&working)?;
@@ -112,13 +115,13 @@ fn modes(
 
     let (orthonormal, truncated) = geometric_modes(&weighted.dot(&values.t()))?;
     let available = orthonormal.ncols();
-    let count = match wanted {
-        Wanted::Exactly(count) => count,
-        Wanted::AtMost(most) => most.min(available),
-        Wanted::All => available,
+    let count = match count_wanted {
+        ModeCount::Exactly(count) => count,
+        ModeCount::AtMost(most) => most.min(available),
+        ModeCount::All => available,
     };
     if count == 0 || count > available {
-        let text = format!("{count} Karhunen-Loève modes were asked for: this mirror makes 1 to {available}");
+        let text = format!("{count} Karhunen-Loève modes were requested: this mirror has 1 to {available}");
         return Err(Error::Value(text));
     }
     let statistical = statistical_covariance(&weighted, &samples, &working.grid, turbulence);
@@ -132,8 +135,11 @@ fn modes(
     let raw = SmoothBasis::influence(influence.clone()).combined(names, &combination, &mean);
     let modes = orthonormalise(&raw, pupil, 1e-3)?;
     let lost = |name: &String| modes.dropped.iter().any(|dropped| dropped.name == *name);
-    if let (Some(lost), Wanted::Exactly(_) | Wanted::All) = (modes.dropped.first(), wanted) {
-        let text = format!("the pupil's samples are too few to tell {} from the modes before it", lost.name);
+    if let (Some(lost), ModeCount::Exactly(_) | ModeCount::All) = (modes.dropped.first(), count_wanted) {
+        let text = format!(
+            "the samples of the pupil are too few to separate {} from the modes before it: request fewer modes",
+            lost.name
+        );
         return Err(Error::Value(text));
     }
     let kept = strongest.iter().zip(raw.names()).filter(|(_, name)| !lost(name));
@@ -141,7 +147,7 @@ fn modes(
     Ok(KarhunenLoeve { basis: modes.basis, variances_nm2, truncated })
 }
 
-/// An eigenvector's sign is arbitrary: make the strongest actuator push, so that runs agree.
+/// Makes the largest component of a mode positive: the sign of an eigenvector is arbitrary.
 fn fix_sign(mut mode: ArrayViewMut1<f64>) {
     let strongest = mode.iter().fold(0f64, |best, &value| if value.abs() > best.abs() { value } else { best });
     if strongest < 0.0 {
@@ -149,22 +155,22 @@ fn fix_sign(mut mode: ArrayViewMut1<f64>) {
     }
 }
 
-/// Columns that combine the influence functions into functions orthonormal over the pupil, and how many are missing.
+/// Columns that combine the influence functions into functions orthonormal over the pupil, and the number truncated.
 fn geometric_modes(covariance: &Array2<f64>) -> Result<(Array2<f64>, usize)> {
-    let (strengths, vectors) = symmetric_eigen(covariance)?;
-    let strongest = strengths.last().copied().unwrap_or(0.0);
-    let smallest = strongest * SMALLEST_RMS.powi(2);
-    let kept: Vec<usize> = (0..strengths.len()).filter(|&i| strengths[i] > smallest).collect();
+    let (eigenvalues, vectors) = symmetric_eigen(covariance)?;
+    let largest = eigenvalues.last().copied().unwrap_or(0.0);
+    let smallest = largest * SMALLEST_RMS.powi(2);
+    let kept: Vec<usize> = (0..eigenvalues.len()).filter(|&i| eigenvalues[i] > smallest).collect();
     let mut combination = vectors.select(Axis(1), &kept);
     for (mut column, &i) in combination.columns_mut().into_iter().zip(&kept) {
-        column /= strengths[i].sqrt();
+        column /= eigenvalues[i].sqrt();
     }
-    Ok((combination, strengths.len() - kept.len()))
+    Ok((combination, eigenvalues.len() - kept.len()))
 }
 
-/// The pupil itself where its grid suits the mirror, or its amplitude averaged over the cells of one that does.
+/// The pupil on a grid that suits the mirror: the pupil itself, or its amplitude averaged over the cells of another grid.
 fn working_pupil(pupil: &Pupil, pitch_m: f64) -> Result<Pupil> {
-    // Checks the amplitude's shape before it is indexed.
+    // Checks the shape of the amplitude before it is indexed.
     Samples::of(pupil)?;
     let width_m = pupil.grid.width_m();
     let enough = ENOUGH_PER_PITCH * width_m / pitch_m;
@@ -175,14 +181,14 @@ fn working_pupil(pupil: &Pupil, pitch_m: f64) -> Result<Pupil> {
         return Err(Error::Value(text));
     }
     let good = (GOOD_PER_PITCH * width_m / pitch_m).min(USUAL_GRID.max(enough));
-    // A third more than good is not worth another grid.
+    // Up to a third finer than necessary, the grid of the pupil is used.
     if (enough..=good * 4.0 / 3.0).contains(&(pupil.grid.samples() as f64)) {
         return Ok(pupil.clone());
     }
-    // Even, so that its padded double has small prime factors more often.
+    // An even size, so that twice the size has small prime factors more often.
     let size = (good.ceil() as usize).next_multiple_of(2);
     let from = pupil.grid.samples();
-    // Share of each of the pupil's samples within each cell, per cell: rows sum to 1.
+    // Fraction of each cell that each sample of the pupil covers: rows sum to 1.
     let share = Array2::from_shape_fn((size, from), |(cell, sample)| {
         let (scale, cell, sample) = (from as f64 / size as f64, cell as f64, sample as f64);
         let overlap = ((cell + 1.0) * scale).min(sample + 1.0) - (cell * scale).max(sample);
@@ -196,8 +202,8 @@ fn working_pupil(pupil: &Pupil, pitch_m: f64) -> Result<Pupil> {
 /// Covariance of the turbulent wavefront's projections on functions: Σ_pq f_p w_p B(p − q) w_q g_q for all pairs, nm².
 /// `weighted` is `[functions, samples]` and already holds the weights; each function has zero mean.
 ///
-/// B is replaced by −D/2: they differ by a constant, which functions without piston do not see, and D stays finite and
-/// small where B(0) is large or, for Kolmogorov, infinite.
+/// B is replaced by −D/2. They differ by a constant, whose projection on functions without piston is zero, and D is finite
+/// and small where B(0) is large or, for Kolmogorov turbulence, infinite.
 fn statistical_covariance(
     weighted: &Array2<f64>,
     samples: &Samples,
@@ -206,7 +212,7 @@ fn statistical_covariance(
 ) -> Array2<f64> {
     let mut convolution = Convolution::new(samples, grid, turbulence);
     let mut spread = Array2::zeros(weighted.dim());
-    // Two real functions ride in one complex transform.
+    // Two real functions in one complex transform.
     for first in (0..weighted.nrows()).step_by(2) {
         let second = (first + 1).min(weighted.nrows() - 1);
         convolution.apply(weighted.row(first), weighted.row(second));
@@ -221,9 +227,9 @@ fn statistical_covariance(
 
 /// Convolution with −D/2 over the samples of a grid, by transforms of twice its size.
 struct Convolution {
-    /// Where each sample lies in the padded square.
+    /// Index of each sample in the padded square.
     places: Vec<usize>,
-    /// Transform of the kernel over the padded square, with the scale of the transforms.
+    /// Transform of the kernel over the padded square, times the scale of the transforms.
     kernel: Vec<f64>,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
@@ -250,7 +256,7 @@ impl Convolution {
         }
     }
 
-    /// Convolves two functions, as the real and imaginary parts of one.
+    /// Convolves two real functions, as real and imaginary part of one complex function.
     fn apply(&mut self, real: ArrayView1<f64>, imaginary: ArrayView1<f64>) {
         self.field.fill(Complex64::default());
         for ((&place, &re), &im) in self.places.iter().zip(real).zip(imaginary) {
@@ -307,7 +313,7 @@ mod tests {
             for p in 0..weights.len() {
                 for q in 0..weights.len() {
                     let r_m = (samples.xs_m[p] - samples.xs_m[q]).hypot(samples.ys_m[p] - samples.ys_m[q]);
-                    // The definition, with B itself: the piston-free functions must not tell it from −D/2.
+                    // The definition, with B itself: the result must be the same as with −D/2.
                     let term = functions[[i, p]] * functions[[j, q]] * turbulence.covariance_nm2(r_m);
                     slow += term;
                     size += term.abs();

@@ -1,4 +1,4 @@
-//! The one place where arrays meet the dense solver.
+//! Interface to the dense eigenvalue solver.
 
 use crate::{Error, Result};
 use ndarray::{Array1, Array2};
@@ -9,11 +9,13 @@ use ndarray::{Array1, Array2};
 /// [`Error::Value`] for a matrix that is not finite; [`Error::Internal`] where the iteration does not converge.
 pub(super) fn symmetric_eigen(matrix: &Array2<f64>) -> Result<(Array1<f64>, Array2<f64>)> {
     if matrix.iter().any(|value| !value.is_finite()) {
-        return Err(Error::Value("a matrix with entries that are not finite has no eigenvalues".into()));
+        return Err(Error::Value(
+            "a matrix has an entry that is not finite: its eigenvalues cannot be computed".into(),
+        ));
     }
     let size = matrix.nrows();
     if size == 0 {
-        // The solver counts down from the size.
+        // The solver does not accept an empty matrix.
         return Ok((Array1::zeros(0), Array2::zeros((0, 0))));
     }
     let eigen = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])

@@ -1,8 +1,8 @@
-//! The bases: what the segments may do, and what the optics behind them may do.
+//! Mode bases: segment motions, and the aberrations of the optics behind the segments.
 //!
-//! Two kinds. A [`SmoothBasis`] (Zernike, Karhunen-Loève, or both) is made of functions and can be evaluated at any
-//! point; a [`Basis`] (segment modes, modes from a file) is a cube of maps on the pupil's grid. A coefficient is nm of
-//! piston of a segment, or nm RMS over the pupil (weight A).
+//! There are two kinds. A [`SmoothBasis`] (Zernike, Karhunen-Loève, or both) consists of functions and can be evaluated at
+//! any point; a [`Basis`] (segment modes, modes from a file) consists of maps on the grid of the pupil. The unit of a
+//! coefficient is nm of piston of a segment, or nm RMS over the pupil (weight A).
 //!
 //! ```text
 //! Zernikes ───────────┐                     ┌ zernike_basis
@@ -11,7 +11,7 @@
 //! SegmentModes, files ────────────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! [`Degeneracy`] says which combinations of modes a Gram or Fisher matrix cannot tell apart.
+//! [`Degeneracy`] lists the combinations of modes that a Gram or Fisher matrix does not determine.
 
 mod basis;
 mod influence;
@@ -37,5 +37,3 @@ pub use separable::Separable;
 pub use smooth::{Functions, SmoothBasis};
 pub use von_karman::{R0_WAVELENGTH_NM, VonKarman};
 pub use zernike::{LARGEST_NOLL, Zernikes, noll_orders};
-
-use smooth::same_length;

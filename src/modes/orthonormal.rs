@@ -1,34 +1,36 @@
-//! Modes made orthonormal over a pupil, as functions: what holds on the samples is carried to every other point.
+//! Orthonormalisation of modes over a pupil, as functions that can be evaluated at any point.
 
-use super::{Samples, SmoothBasis, Zernikes};
+use super::samples::Samples;
+use super::smooth::SmoothBasis;
+use super::zernike::Zernikes;
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
 
-/// Modes with zero mean and unit RMS over a pupil (weight A), orthogonal to each other, and what was left out.
+/// Modes with zero mean and unit RMS over a pupil (weight A), orthogonal to each other, and the modes dropped.
 #[derive(Debug, Clone)]
 pub struct Orthonormal {
-    /// The modes: each is its raw mode less a combination of those before it, so names and order stay.
+    /// The modes: each is its raw mode minus a combination of the modes before it, so that names and order are kept.
     pub basis: SmoothBasis,
-    /// The modes that those before them (and piston) already span.
+    /// Modes in the span of piston and the modes before them.
     pub dropped: Vec<Dropped>,
 }
 
-/// A mode left out of a basis because those before it span it.
+/// A mode dropped from a basis because it is in the span of the modes before it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dropped {
-    /// Its name.
+    /// Name of the mode.
     pub name: String,
-    /// RMS of what the modes before it do not span, as a fraction of its own RMS.
+    /// RMS of its component outside that span, as a fraction of its own RMS.
     pub remainder: f64,
 }
 
-/// Removes piston and orthonormalises `raw` over `pupil` (weight A) in its own order. A mode whose remainder is below
-/// `smallest` (a fraction of its RMS, in \[1e-6, 1)) is left out and reported.
+/// Removes piston and orthonormalises `raw` over `pupil` (weight A) in its own order. A mode whose component outside the
+/// span of those before it is below `smallest` (a fraction of its RMS, in \[1e-6, 1)) is dropped and reported.
 ///
 /// Cholesky of the Gram matrix, twice (Yamamoto et al. 2015, "Roundoff error analysis of the CholeskyQR2 algorithm",
-/// ETNA 44): the first pass may leave an error of ε·κ², the second removes it. That holds while κ² < 1/ε, which is why
-/// remainders below 1e-6 cannot be asked for.
+/// ETNA 44): the error after the first pass is up to ε·κ², and the second pass removes it. That holds for κ² < 1/ε, hence
+/// the lower limit of 1e-6.
 ///
 /// # Errors
 /// Those of [`Samples::of`]; [`Error::Value`] for a threshold out of range, modes that are not finite, or none left.
@@ -39,21 +41,22 @@ pub fn orthonormalise(raw: &SmoothBasis, pupil: &Pupil, smallest: f64) -> Result
     }
     let samples = Samples::of(pupil)?;
     let first = pass(raw, &samples, smallest)?;
-    // What the first pass kept is independent by its own count: drop nothing more.
+    // The modes kept by the first pass are independent: none is dropped here.
     let second = pass(&first.basis, &samples, 0.0)?;
     Ok(Orthonormal { basis: second.basis, dropped: first.dropped })
 }
 
-/// The Zernike modes of Noll indices `first` to `last`, orthonormal over `pupil`: also to piston, tip, tilt and every
-/// other polynomial before `first`, so that nothing depends on the disc chosen.
+/// The Zernike modes of Noll indices `first` to `last`, orthonormal over `pupil`, also to piston, tip, tilt and every
+/// other polynomial before `first`, so that they do not depend on the disc of the polynomials.
 ///
 /// # Errors
-/// Those of [`orthonormalise`]; [`Error::Value`] for an empty range, or more modes than the pupil's samples can tell
-/// apart.
+/// Those of [`orthonormalise`]; [`Error::Value`] for an empty range, or more modes than the samples of the pupil
+/// resolve.
 pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothBasis> {
     if first < 2 || last < first {
-        let text =
-            format!("Zernike modes {first} to {last} were asked for: the range starts at 2 and must not be empty");
+        let text = format!(
+            "Zernike modes {first} to {last} were requested: a range that starts at 2 or higher and is not empty is needed"
+        );
         return Err(Error::Value(text));
     }
     let samples = Samples::of(pupil)?;
@@ -62,7 +65,7 @@ pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothB
     let all = orthonormalise(&raw, pupil, 1e-6)?;
     if let Some(lost) = all.dropped.first() {
         let text = format!(
-            "{} cannot be told from the modes before it on a pupil of {} samples: use a last index below it",
+            "{} is not independent of the modes before it on a pupil of {} samples: use a smaller last index",
             lost.name,
             samples.weights.len()
         );
@@ -73,7 +76,7 @@ pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothB
 
 /// The modes of `exact` first, then those of `other` with the span of `exact` projected out; all orthonormal over
 /// `pupil`, names kept. Modes of `other` of which less than `smallest` (a fraction of their RMS; 1e-3 is a good
-/// choice) remains are left out and reported.
+/// choice) remains are dropped and reported.
 ///
 /// # Errors
 /// Those of [`orthonormalise`].
@@ -81,7 +84,7 @@ pub fn join_exact(exact: &SmoothBasis, other: &SmoothBasis, pupil: &Pupil, small
     orthonormalise(&exact.followed_by(other), pupil, smallest)
 }
 
-/// One pass: centre, then the inverse Cholesky factor of the Gram matrix.
+/// One pass: removes the mean, then applies the inverse Cholesky factor of the Gram matrix.
 fn pass(basis: &SmoothBasis, samples: &Samples, smallest: f64) -> Result<Orthonormal> {
     let (mean, products) = basis.moments(samples);
     let gram = Array2::from_shape_fn(products.dim(), |(i, j)| products[[i, j]] - mean[i] * mean[j]);
@@ -91,7 +94,7 @@ fn pass(basis: &SmoothBasis, samples: &Samples, smallest: f64) -> Result<Orthono
     let mut factor = Cholesky { rows: Vec::new(), kept: Vec::new() };
     let mut dropped = Vec::new();
     for mode in 0..basis.len() {
-        // Against the RMS with piston, so that a constant counts as spanned by piston.
+        // Relative to the RMS including piston, so that a constant counts as in the span of piston.
         let total = products[[mode, mode]];
         let remainder2 = factor.push(&gram, mode, smallest * smallest * total);
         if let Some(left) = remainder2 {
@@ -100,14 +103,14 @@ fn pass(basis: &SmoothBasis, samples: &Samples, smallest: f64) -> Result<Orthono
         }
     }
     if factor.kept.is_empty() {
-        return Err(Error::Value("no mode is left once piston is removed: at least one is needed".into()));
+        return Err(Error::Value("no mode is left after the removal of piston: at least one is needed".into()));
     }
     let names = factor.kept.iter().map(|&mode| basis.names()[mode].clone()).collect();
     let combination = factor.inverse(basis.len());
     Ok(Orthonormal { basis: basis.combined(names, &combination, &mean), dropped })
 }
 
-/// A Cholesky factor that grows by a row at a time and leaves out what is spanned already.
+/// A Cholesky factor, built row by row without the modes in the span of those before them.
 struct Cholesky {
     /// Lower-triangular rows, over the kept modes.
     rows: Vec<Vec<f64>>,
@@ -115,7 +118,7 @@ struct Cholesky {
 }
 
 impl Cholesky {
-    /// Adds `mode`, unless its pivot is not above `smallest`: then the pivot is returned and nothing added.
+    /// Adds `mode` if its pivot is above `smallest`; otherwise returns the pivot.
     fn push(&mut self, gram: &Array2<f64>, mode: usize, smallest: f64) -> Option<f64> {
         let mut row: Vec<f64> = Vec::with_capacity(self.rows.len() + 1);
         for (other, &column) in self.rows.iter().zip(&self.kept) {
@@ -123,7 +126,7 @@ impl Cholesky {
             row.push((gram[[mode, column]] - known) / other[row.len()]);
         }
         let pivot = gram[[mode, mode]] - row.iter().map(|a| a * a).sum::<f64>();
-        // A pivot at the level of rounding is no pivot, even where nothing else was asked for.
+        // A pivot at the level of rounding is not used, even with `smallest` = 0.
         if pivot <= smallest.max(1e-15 * gram[[mode, mode]]) {
             return Some(pivot);
         }
@@ -133,7 +136,7 @@ impl Cholesky {
         None
     }
 
-    /// The inverse of the factor, `[kept, modes]`, zero in the columns of modes left out.
+    /// The inverse of the factor, `[kept, modes]`, zero in the columns of dropped modes.
     fn inverse(&self, modes: usize) -> Array2<f64> {
         let mut inverse = Array2::<f64>::zeros((self.kept.len(), modes));
         for (i, row) in self.rows.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Which combinations of modes the data cannot see, or hardly: a report that names them rather than hides them.
+//! Degeneracy report: the combinations of modes that the data do not determine, or determine weakly.
 
 use super::linalg::symmetric_eigen;
 use crate::{Error, Result};
@@ -9,22 +9,23 @@ use std::fmt;
 /// (modes)·ε ≈ 1e-13 at 1,000 modes, whose root is 3e-7.
 pub const NULL_BELOW: f64 = 1e-6;
 
-/// Singular values below this are called weak unless the caller says otherwise: the error of such a direction is more
-/// than five times that of a mode alone.
+/// Default limit of weak directions: with a singular value below this, the error of a direction is more than five times
+/// that of a single mode.
 pub const WEAK_BELOW: f64 = 0.2;
 
-/// Components shown of each direction.
+/// Components of each direction in its description.
 const SHOWN: usize = 4;
 
-/// What a Gram or Fisher matrix says of its modes, each first scaled to be equally visible alone (unit diagonal), so
-/// that units and areas do not matter.
+/// Null and weakly determined directions of a Gram or Fisher matrix. The modes are first scaled to a unit diagonal, so that
+/// the result does not depend on units and areas.
 #[derive(Debug, Clone)]
 pub struct Degeneracy {
-    /// Singular values, falling: √2 where two modes are one and the same, 1 for a mode like no other, 0 for a null one.
+    /// Singular values, in decreasing order: √2 for two identical modes, 1 for a mode orthogonal to all others, 0 for a null
+    /// direction.
     pub singular_values: Vec<f64>,
-    /// Directions that the data do not see.
+    /// Directions that the data do not determine.
     pub null: Vec<Direction>,
-    /// Directions that the data hardly see, weakest first.
+    /// Weakly determined directions, smallest singular value first.
     pub weak: Vec<Direction>,
     /// The limit below which a direction counts as weak.
     pub weak_below: f64,
@@ -33,29 +34,29 @@ pub struct Degeneracy {
 /// A combination of modes.
 #[derive(Debug, Clone)]
 pub struct Direction {
-    /// RMS of its signal, in units of those of its modes alone.
+    /// RMS of the signal of the direction, relative to that of its modes.
     pub singular_value: f64,
     /// Coefficients of the modes, of unit norm, in the order of the modes and in their units.
     pub coefficients: Vec<f64>,
-    /// What it is, in words: its largest components, or its name where it has one.
+    /// Description: the largest components, or the name if it has one.
     pub description: String,
 }
 
 impl Direction {
-    /// Whether it is the one direction that no image can see.
+    /// Whether this is global piston, which no image determines.
     pub fn is_global_piston(&self) -> bool {
         self.description.ends_with("(global piston)")
     }
 }
 
 impl Degeneracy {
-    /// Reads a symmetric positive semi-definite `[modes, modes]` matrix: products of modes over the pupil, or a Fisher
+    /// Analyses a symmetric positive semi-definite `[modes, modes]` matrix: products of modes over the pupil, or a Fisher
     /// matrix. Directions with singular values below `weak_below` are listed as weak.
     ///
-    /// Mode names that end in `-piston` are taken for segment pistons.
+    /// Modes whose names end in `-piston` are taken as segment pistons.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the matrix is not square or has not a row per name; [`Error::Value`] where an entry is
+    /// [`Error::Shape`] where the matrix is not square or does not have one row per name; [`Error::Value`] where an entry is
     /// not finite, a diagonal entry is negative, or `weak_below` is not a number.
     pub fn of(matrix: &Array2<f64>, names: &[String], weak_below: f64) -> Result<Self> {
         let modes = names.len();
@@ -74,7 +75,7 @@ impl Degeneracy {
             let text = format!("the diagonal entry of mode {} is {}: 0 or more is needed", names[mode], diagonal[mode]);
             return Err(Error::Value(text));
         }
-        // A mode invisible by itself (a rounding error beside the others) keeps its coefficient and loses its signal.
+        // A mode without signal (a rounding error relative to the others) becomes a null direction.
         let faint = diagonal.iter().copied().fold(0.0, f64::max) * 1e-14;
         let scale = diagonal.mapv(|own| if own > faint { 1.0 / own.sqrt() } else { 0.0 });
         let scaled = Array2::from_shape_fn((modes, modes), |(i, j)| matrix[[i, j]] * scale[i] * scale[j]);
@@ -108,8 +109,8 @@ fn is_piston(name: &str) -> bool {
     name.ends_with("-piston")
 }
 
-/// A readable basis of the null space whose orthonormal columns are `space`: global piston first where it is in it, and
-/// then directions of as few modes as elimination leaves. An eigen-solver's own basis would mix them all.
+/// A readable basis of the null space with the orthonormal columns `space`: global piston first if it is in the space, then
+/// directions of few modes each, by elimination. The eigenvectors themselves would mix all of them.
 fn null_directions(space: &Array2<f64>, to_coefficients: &Array1<f64>, names: &[String]) -> Vec<Array1<f64>> {
     let mut rows: Vec<Array1<f64>> = space.columns().into_iter().map(|column| column.to_owned()).collect();
     let mut named = Vec::new();
@@ -126,7 +127,7 @@ fn null_directions(space: &Array2<f64>, to_coefficients: &Array1<f64>, names: &[
     }
     let mut sparse: Vec<Array1<f64>> = Vec::new();
     while named.len() + sparse.len() < space.ncols() {
-        // The largest entry anywhere is the pivot: its mode then belongs to this direction alone.
+        // The pivot is the largest entry of all: afterwards its mode occurs in this direction only.
         let size = |&(row, mode): &(usize, usize)| rows[row][mode].abs();
         let entries = (0..rows.len()).flat_map(|row| (0..names.len()).map(move |mode| (row, mode)));
         let Some((row, mode)) = entries.max_by(|a, b| size(a).total_cmp(&size(b))) else { break };
@@ -151,10 +152,10 @@ fn global_piston(to_coefficients: &Array1<f64>, names: &[String]) -> Option<Arra
     (pistons > 1 && norm > 0.0).then(|| global / norm)
 }
 
-/// A direction in words: `vector` over the modes scaled to be equally visible alone.
+/// Description of a direction: `vector` over the scaled modes.
 fn describe(vector: ArrayView1<f64>, to_coefficients: &Array1<f64>, names: &[String]) -> String {
     if let Some(global) = global_piston(to_coefficients, names) {
-        // To a percent: nobody would call it anything else.
+        // Global piston within one percent.
         if vector.dot(&global).powi(2) > 0.9999 * vector.dot(&vector) {
             let pistons = names.iter().filter(|name| is_piston(name)).count();
             return format!("all {pistons} segment pistons together (global piston)");
@@ -163,7 +164,7 @@ fn describe(vector: ArrayView1<f64>, to_coefficients: &Array1<f64>, names: &[Str
     let mut order: Vec<usize> = (0..names.len()).collect();
     order.sort_by(|&a, &b| vector[b].abs().total_cmp(&vector[a].abs()));
     let largest = order.first().map_or(0.0, |&mode| vector[mode]);
-    // A thousandth of the largest is nothing to name.
+    // Components below a thousandth of the largest are omitted.
     let counted = order.iter().filter(|&&mode| vector[mode].abs() > 1e-3 * largest.abs()).count();
     let mut text = String::new();
     for (place, &mode) in order.iter().take(counted.min(SHOWN)).enumerate() {
@@ -185,22 +186,26 @@ fn describe(vector: ArrayView1<f64>, to_coefficients: &Array1<f64>, names: &[Str
 impl fmt::Display for Degeneracy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let modes = self.singular_values.len();
-        let seen: Vec<f64> = self.singular_values.iter().copied().filter(|&value| value >= NULL_BELOW).collect();
-        match (seen.first(), seen.last()) {
+        let determined: Vec<f64> = self.singular_values.iter().copied().filter(|&value| value >= NULL_BELOW).collect();
+        match (determined.first(), determined.last()) {
             (Some(largest), Some(smallest)) => {
                 write!(
                     f,
-                    "{} of {modes} directions are seen, with singular values {largest:.2} to {smallest:.2}.",
-                    seen.len()
+                    "{} of {modes} directions are determined, with singular values {largest:.2} to {smallest:.2}.",
+                    determined.len()
                 )?;
             }
-            _ => write!(f, "None of {modes} directions is seen.")?,
+            _ => write!(f, "None of {modes} directions is determined.")?,
         }
         for direction in &self.null {
-            write!(f, "\nNot seen at all: {}.", direction.description)?;
+            write!(f, "\nNot determined: {}.", direction.description)?;
         }
         for direction in &self.weak {
-            write!(f, "\nWeakly seen (singular value {:.2}): {}.", direction.singular_value, direction.description)?;
+            write!(
+                f,
+                "\nWeakly determined (singular value {:.2}): {}.",
+                direction.singular_value, direction.description
+            )?;
         }
         Ok(())
     }
@@ -216,9 +221,9 @@ mod tests {
     }
 
     #[test]
-    fn global_piston_is_named_also_beside_another_null_direction() {
-        // Three segments of unequal area, means removed: G = diag(a) − a·aᵀ. Two further modes that are one and the
-        // same, and one that is invisible.
+    fn global_piston_is_named_next_to_other_null_directions() {
+        // Three segments of unequal area, means removed: G = diag(a) − a·aᵀ. Two further modes that are identical up to
+        // a factor, and one without signal.
         let areas = [0.2, 0.3, 0.5];
         let mut gram = Array2::zeros((6, 6));
         for i in 0..3 {
@@ -232,12 +237,15 @@ mod tests {
         gram[[4, 4]] = 4.0;
         let names = names(&["s-0-piston", "s-1-piston", "s-2-piston", "kl-00", "kl-01", "kl-02"]);
         let report = Degeneracy::of(&gram, &names, WEAK_BELOW).unwrap();
-        let found: Vec<&str> = report.null.iter().map(|direction| direction.description.as_str()).collect();
-        assert_eq!(found.len(), 3, "{report}");
-        assert_eq!(found[0], "all 3 segment pistons together (global piston)");
-        assert!(found.contains(&"1.00 kl-02"), "{report}");
-        assert!(found.contains(&"0.71 kl-00 − 0.71 kl-01") || found.contains(&"0.71 kl-01 − 0.71 kl-00"), "{report}");
-        // Each claim is true of the matrix: the direction's signal is nothing.
+        let descriptions: Vec<&str> = report.null.iter().map(|direction| direction.description.as_str()).collect();
+        assert_eq!(descriptions.len(), 3, "{report}");
+        assert_eq!(descriptions[0], "all 3 segment pistons together (global piston)");
+        assert!(descriptions.contains(&"1.00 kl-02"), "{report}");
+        assert!(
+            descriptions.contains(&"0.71 kl-00 − 0.71 kl-01") || descriptions.contains(&"0.71 kl-01 − 0.71 kl-00"),
+            "{report}"
+        );
+        // The signal of each direction is zero.
         for direction in &report.null {
             let c = Array1::from(direction.coefficients.clone());
             assert!((c.dot(&c) - 1.0).abs() < 1e-12);
@@ -246,7 +254,7 @@ mod tests {
         // Twice the same mode: √2, within the rounding of a 6×6 eigenproblem.
         assert!((report.singular_values[0] - 2f64.sqrt()).abs() < 1e-12);
         assert!(
-            report.to_string().starts_with("3 of 6 directions are seen, with singular values 1.41 to "),
+            report.to_string().starts_with("3 of 6 directions are determined, with singular values 1.41 to "),
             "{report}"
         );
     }
@@ -260,7 +268,7 @@ mod tests {
         assert_eq!(report.weak.len(), 1);
         assert!((report.weak[0].singular_value - 0.005f64.sqrt()).abs() < 1e-12);
         let text = report.to_string();
-        assert!(text.contains("Weakly seen (singular value 0.07): 0.71 "), "{text}");
+        assert!(text.contains("Weakly determined (singular value 0.07): 0.71 "), "{text}");
         // In the modes' own units the second coefficient is a third of the first.
         let c = &report.weak[0].coefficients;
         assert!((c[1] / c[0] + 1.0 / 3.0).abs() < 1e-12, "{c:?}");
@@ -273,7 +281,7 @@ mod tests {
         assert!(Degeneracy::of(&array![[1.0, f64::NAN], [f64::NAN, 1.0]], &two, 0.2).is_err());
         assert!(Degeneracy::of(&array![[1.0, 0.0], [0.0, -1.0]], &two, 0.2).is_err());
         assert!(Degeneracy::of(&Array2::eye(2), &two, f64::NAN).is_err());
-        // Nothing at all is a report of nothing, not a failure.
+        // A report of no modes is empty, not an error.
         assert!(Degeneracy::of(&Array2::zeros((0, 0)), &[], 0.2).unwrap().null.is_empty());
     }
 }

@@ -1,9 +1,9 @@
-//! The lit samples of a pupil as points with weights: all that a basis needs to know of it.
+//! The illuminated samples of a pupil as points with weights, for the evaluation of bases.
 
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 
-/// Lit samples of a pupil, in grid order, with weights that sum to 1.
+/// Illuminated samples of a pupil, in grid order, with weights that sum to 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Samples {
     /// Flat grid index `y·samples + x` of each sample.
@@ -12,16 +12,16 @@ pub struct Samples {
     pub xs_m: Vec<f64>,
     /// Coordinate along the rows, m.
     pub ys_m: Vec<f64>,
-    /// Share of the pupil's glass.
+    /// Weight: amplitude over the sum of the amplitude.
     pub weights: Vec<f64>,
 }
 
 impl Samples {
-    /// The samples of `pupil` that hold glass.
+    /// The samples of `pupil` with a positive amplitude.
     ///
     /// # Errors
     /// [`Error::Shape`] where the amplitude does not fit the grid; [`Error::Value`] for an amplitude that is negative
-    /// or not finite, or a pupil without glass.
+    /// or not finite, or a pupil without illuminated samples.
     pub fn of(pupil: &Pupil) -> Result<Self> {
         let n = pupil.grid.samples();
         if pupil.amplitude.dim() != (n, n) {
@@ -45,14 +45,28 @@ impl Samples {
         }
         let total: f64 = samples.weights.iter().sum();
         if samples.indices.is_empty() {
-            return Err(Error::Value("the pupil holds no glass: at least one sample must be lit".into()));
+            return Err(Error::Value(
+                "the pupil amplitude is 0 everywhere: at least one illuminated sample is needed".into(),
+            ));
         }
         samples.weights.iter_mut().for_each(|weight| *weight /= total);
         Ok(samples)
     }
 
-    /// Distance of the farthest sample from the axis, m.
+    /// Largest distance of a sample from the axis, m.
     pub fn radius_m(&self) -> f64 {
         self.xs_m.iter().zip(&self.ys_m).map(|(x, y)| x.hypot(*y)).fold(0.0, f64::max)
     }
+}
+
+/// Checks that there are as many x as y coordinates.
+pub(super) fn check_lengths(xs_m: &[f64], ys_m: &[f64]) -> Result<()> {
+    if xs_m.len() == ys_m.len() {
+        return Ok(());
+    }
+    Err(Error::Shape(format!(
+        "{} x and {} y coordinates were given: the same number is needed",
+        xs_m.len(),
+        ys_m.len()
+    )))
 }

@@ -1,24 +1,23 @@
-//! Segment modes: names for every model, and maps for the plain one in which a sample belongs to one segment.
+//! Segment modes: their names, and their maps for the model in which each sample belongs to one segment.
 
-use super::basis::LocalMap;
-use super::{Basis, Group};
+use super::basis::{Basis, Group, SparseMap};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 
-/// What each segment may do.
+/// Degrees of freedom of each segment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SegmentModes {
     /// Piston: 1 on the segment, 0 elsewhere.
     Piston,
-    /// Piston, then tip (along x) and tilt (along y) about the segment's centre of light, unit RMS over the segment.
+    /// Piston, then tip (along x) and tilt (along y) about the segment's centroid (weight A), unit RMS over the segment.
     PistonTipTilt,
 }
 
-/// The kinds of motion, in the order of their modes.
+/// The motions, in the order of their modes.
 const MOTIONS: [&str; 3] = ["piston", "tip", "tilt"];
 
 impl SegmentModes {
-    /// Modes of one segment.
+    /// Number of modes per segment.
     pub fn per_segment(self) -> usize {
         match self {
             SegmentModes::Piston => 1,
@@ -29,18 +28,18 @@ impl SegmentModes {
     /// Names of the modes: all the pistons (`segment-00-piston`, `segment-01-piston` …), then all the tips, then all
     /// the tilts.
     pub fn names(self, segments: usize) -> Vec<String> {
-        // Zero-padded, so that an alphabetic list is in order.
+        // Zero-padded, so that alphabetic order is numeric order.
         let width = segments.saturating_sub(1).to_string().len().max(2);
         let motions = &MOTIONS[..self.per_segment()];
         let name = |motion| (0..segments).map(move |segment| format!("segment-{segment:0width$}-{motion}"));
         motions.iter().flat_map(name).collect()
     }
 
-    /// The modes as maps on the pupil's grid by its owner map, in the order of [`names`](Self::names).
+    /// The modes as maps on the grid of the pupil, from its owner map, in the order of [`names`](Self::names).
     ///
     /// # Errors
-    /// [`Error::Shape`] where the pupil's arrays do not fit its grid; [`Error::Value`] for an owner that is no segment,
-    /// a pupil without segments, or a segment too small on this grid to show its mode.
+    /// [`Error::Shape`] where the pupil's arrays do not fit its grid; [`Error::Value`] for an owner that is not a
+    /// segment, a pupil without segments, or a segment with too few samples for its mode.
     pub fn maps(self, pupil: &Pupil) -> Result<Basis> {
         let (n, segments) = (pupil.grid.samples(), pupil.segments.len());
         for shape in [pupil.amplitude.dim(), pupil.owner.dim()] {
@@ -59,7 +58,7 @@ impl SegmentModes {
             return Err(Error::Value(text));
         }
         let names = self.names(segments);
-        let mut maps: Vec<LocalMap> = vec![Vec::new(); segments * self.per_segment()];
+        let mut maps: Vec<SparseMap> = vec![Vec::new(); segments * self.per_segment()];
         for ((row, column), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
             let (segment, at) = (owner as usize, (row * n + column) as u32);
             maps[segment].push((at, 1.0));
@@ -76,18 +75,18 @@ impl SegmentModes {
 }
 
 /// Removes the mean over the mode's segment and scales to unit RMS over it, both weighted by the amplitude.
-fn normalise(map: &mut LocalMap, pupil: &Pupil, name: &str) -> Result<()> {
+fn normalise(map: &mut SparseMap, pupil: &Pupil, name: &str) -> Result<()> {
     let n = pupil.grid.samples();
     let amplitude = |at: u32| pupil.amplitude[[at as usize / n, at as usize % n]];
-    let weighted = |map: &LocalMap, power: i32| map.iter().map(|&(at, v)| amplitude(at) * v.powi(power)).sum::<f64>();
+    let weighted = |map: &SparseMap, power: i32| map.iter().map(|&(at, v)| amplitude(at) * v.powi(power)).sum::<f64>();
     let light = weighted(map, 0);
     let mean = weighted(map, 1) / light;
     map.iter_mut().for_each(|(_, value)| *value -= mean);
     let rms = (weighted(map, 2) / light).sqrt();
-    // Two samples apart already give half a pitch; rounding of the mean gives 1e-16 of the grid's width.
+    // Two samples give half a pitch; rounding of the mean gives 1e-16 of the width of the grid.
     if !(light > 0.0 && rms > 1e-9 * pupil.grid.width_m()) {
         return Err(Error::Value(format!(
-            "{name} does not show on this grid: the segment needs at least two lit samples"
+            "{name} is not resolved on this grid: the segment needs at least two illuminated samples"
         )));
     }
     map.iter_mut().for_each(|(_, value)| *value /= rms);

@@ -1,22 +1,22 @@
-//! Smooth modes on a square grid as sums of products of a function of y and a function of x: what takes n·K·n operations
-//! and two small tables to add up, where the maps take a number for each mode and sample, read from memory every time.
+//! Smooth modes on a square grid as sums of products of a function of y and a function of x. Their sum then takes n·K·n
+//! operations and two small tables; as maps, every value of every mode is read from memory each time.
 
-use super::smooth::Functions;
-use super::{SmoothBasis, Zernikes, noll_orders};
+use super::smooth::{Functions, SmoothBasis};
+use super::zernike::{Zernikes, noll_orders};
 use crate::Result;
 use crate::grid::Grid;
 use ndarray::{Array2, Array3, ArrayView2, Axis, s};
 use std::f64::consts::PI;
 
-/// `mode_i(x, y) = Σ_g Σ_ab matrix_{i,g,a,b} · f_{g,a}(y) · f_{g,b}(x)`: Gaussian influence functions are products as they
-/// are, and a polynomial of degree d is one of Chebyshev polynomials, exactly, with (d + 1)² coefficients.
+/// `mode_i(x, y) = Σ_g Σ_ab matrix_{i,g,a,b} · f_{g,a}(y) · f_{g,b}(x)`: Gaussian influence functions are such products, and
+/// a polynomial of degree d is an exact sum of products of Chebyshev polynomials with (d + 1)² coefficients.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Separable {
     /// The functions at the coordinates of the grid, `[function, sample]`, group by group.
     pub lines: Array2<f64>,
-    /// Functions of each group.
+    /// Number of functions of each group.
     pub groups: Vec<usize>,
-    /// `[mode, coefficient]`: of each group K² coefficients, the function of y first.
+    /// `[mode, coefficient]`: K² coefficients per group, `[function of y][function of x]`.
     pub matrix: Array2<f64>,
 }
 
@@ -24,7 +24,7 @@ impl Separable {
     /// The modes of `basis` on `grid`.
     ///
     /// # Errors
-    /// None that a basis which was built could raise.
+    /// None for a valid basis.
     pub fn of(basis: &SmoothBasis, grid: Grid) -> Result<Self> {
         let coordinates: Vec<f64> = (0..grid.samples()).map(|j| grid.coordinate_m(j)).collect();
         let (mut lines, mut groups, mut matrices) = (Vec::new(), Vec::new(), Vec::new());
@@ -36,7 +36,7 @@ impl Separable {
             first += count;
             let (line, products) = match functions {
                 Functions::Zernike(zernikes) => {
-                    // The constant is the product of the first polynomials.
+                    // The product of the first two polynomials is the constant 1.
                     constant.get_or_insert((groups.len(), 0));
                     chebyshev(zernikes, &coordinates, grid.width_m() / 2.0)?
                 }
@@ -71,7 +71,7 @@ impl Separable {
         Ok(Self { lines: joined(&lines, 0)?, groups, matrix: joined(&matrices, 1)?.as_standard_layout().to_owned() })
     }
 
-    /// Multiply-adds that the sum of all modes takes on the grid.
+    /// Number of multiply-adds for the sum of all modes on the grid.
     pub fn operations(&self) -> usize {
         let (samples, functions) = (self.lines.ncols(), self.lines.nrows());
         let squares: usize = self.groups.iter().map(|k| k * k).sum();
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn products_are_the_modes() {
+    fn products_agree_with_the_modes() {
         let grid = Grid::new(22, 4.6).unwrap();
         let zernikes = SmoothBasis::zernike(Zernikes::new(2..=66, 2.1).unwrap());
         let mirror =

@@ -1,15 +1,18 @@
-//! Bases of smooth modes, known as functions: they can be evaluated at any point, on the pupil's samples, just outside
-//! its edge (as the band-limited model needs) or on a finer grid.
+//! Bases of smooth modes, given as functions: they can be evaluated at any point, at the samples of the pupil, outside its
+//! edge (as the band-limited model needs) or on a finer grid.
 
-use super::{Basis, Group, InfluenceFunctions, Samples, Zernikes};
+use super::basis::{Basis, Group};
+use super::influence::InfluenceFunctions;
+use super::samples::{Samples, check_lengths};
+use super::zernike::Zernikes;
+use crate::Result;
 use crate::pupil::Pupil;
-use crate::{Error, Result};
 use ndarray::linalg::general_mat_mul;
 use ndarray::parallel::prelude::*;
 use ndarray::{Array1, Array2, Array3, ArrayView1, ArrayView2, Axis, s};
 
-/// Points evaluated at a time: 400 raw functions of them stay in the second-level cache (1.6 MB), and a grid of a
-/// million points needs no more memory than its result.
+/// Points evaluated at a time: the values of 400 raw functions stay in the second-level cache (1.6 MB), and a grid of a
+/// million points needs no memory beyond its result.
 const BLOCK: usize = 512;
 
 /// Raw functions from which modes are combined.
@@ -35,7 +38,7 @@ impl Functions {
 pub struct SmoothBasis {
     names: Vec<String>,
     functions: Vec<Functions>,
-    /// `[modes, functions]`, over all the functions in turn.
+    /// `[modes, functions]`, over all functions in order.
     matrix: Array2<f64>,
     offset: Array1<f64>,
 }
@@ -47,7 +50,7 @@ impl SmoothBasis {
         Self::raw(names, Functions::Zernike(zernikes))
     }
 
-    /// The influence functions themselves, named `actuator-17` and so on after their place `row·across + column`.
+    /// The influence functions themselves, named `actuator-17` and so on by the index `row·across + column`.
     pub fn influence(influence: InfluenceFunctions) -> Self {
         let names = influence.indices().iter().map(|index| format!("actuator-{index}")).collect();
         Self::raw(names, Functions::Influence(influence))
@@ -63,7 +66,7 @@ impl SmoothBasis {
         self.names.len()
     }
 
-    /// Whether no mode is left.
+    /// Whether there is no mode.
     pub fn is_empty(&self) -> bool {
         self.names.is_empty()
     }
@@ -83,7 +86,7 @@ impl SmoothBasis {
         &self.functions
     }
 
-    /// What is added to the combinations, for each mode.
+    /// The constant added to each mode.
     pub(super) fn offset(&self) -> ArrayView1<'_, f64> {
         self.offset.view()
     }
@@ -91,9 +94,9 @@ impl SmoothBasis {
     /// Values of the modes at the points (x, y), `[modes, points]`.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the coordinates differ in number.
+    /// [`crate::Error::Shape`] where the coordinates differ in number.
     pub fn evaluate(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Array2<f64>> {
-        super::same_length(xs_m, ys_m)?;
+        check_lengths(xs_m, ys_m)?;
         let mut values = Array2::zeros((self.len(), xs_m.len()));
         values.axis_chunks_iter_mut(Axis(1), BLOCK).into_par_iter().enumerate().for_each(|(block, mut values)| {
             let points = block * BLOCK..block * BLOCK + values.ncols();
@@ -122,14 +125,14 @@ impl SmoothBasis {
     /// Mean of each mode over the samples, and the mean products of all pairs of modes, `[modes, modes]`.
     pub(super) fn moments(&self, samples: &Samples) -> (Array1<f64>, Array2<f64>) {
         let modes = self.len();
-        // A fixed number of shares, added in order: the same sums whatever the number of threads.
-        let share = samples.weights.len().div_ceil(16).max(BLOCK);
-        let starts: Vec<usize> = (0..samples.weights.len()).step_by(share).collect();
+        // A fixed number of parts, added in order: the sums do not depend on the number of threads.
+        let part = samples.weights.len().div_ceil(16).max(BLOCK);
+        let starts: Vec<usize> = (0..samples.weights.len()).step_by(part).collect();
         let partial: Vec<_> = starts
             .into_par_iter()
             .map(|start| {
                 let (mut mean, mut gram) = (Array1::zeros(modes), Array2::zeros((modes, modes)));
-                let end = (start + share).min(samples.weights.len());
+                let end = (start + part).min(samples.weights.len());
                 for first in (start..end).step_by(BLOCK) {
                     let points = first..(first + BLOCK).min(end);
                     let values = self.block(&samples.xs_m[points.clone()], &samples.ys_m[points.clone()]);
@@ -178,10 +181,10 @@ impl SmoothBasis {
         }
     }
 
-    /// The modes as maps on the pupil's grid, zero where there is no glass, for a model that knows nothing else.
+    /// The modes as maps on the grid of the pupil, zero outside its illuminated samples.
     ///
     /// # Errors
-    /// Those of [`Samples::of`]; [`Error::Value`] where two modes share a name.
+    /// Those of [`Samples::of`]; [`crate::Error::Value`] where two modes share a name.
     pub fn sampled(&self, pupil: &Pupil) -> Result<Basis> {
         let samples = Samples::of(pupil)?;
         let values = self.evaluate(&samples.xs_m, &samples.ys_m)?;
@@ -194,16 +197,4 @@ impl SmoothBasis {
         }
         Basis::from_cube(self.names.clone(), vec![Group::Ncpa; self.len()], maps)
     }
-}
-
-/// That `left` and `right` hold as many coordinates.
-pub(super) fn same_length(xs_m: &[f64], ys_m: &[f64]) -> Result<()> {
-    if xs_m.len() == ys_m.len() {
-        return Ok(());
-    }
-    Err(Error::Shape(format!(
-        "{} x and {} y coordinates were given: as many of both are needed",
-        xs_m.len(),
-        ys_m.len()
-    )))
 }

@@ -1,4 +1,4 @@
-//! The statistics of the atmosphere's wavefront: von Kármán, and Kolmogorov where the outer scale is infinite.
+//! Statistics of the turbulent wavefront: von Kármán, and Kolmogorov for an infinite outer scale.
 
 use crate::{Error, Result};
 use std::f64::consts::PI;
@@ -11,7 +11,7 @@ const GAMMA_5_6: f64 = 1.128_787_029_908_126;
 const GAMMA_11_6: f64 = 5.0 / 6.0 * GAMMA_5_6;
 const GAMMA_6_5: f64 = 0.918_168_742_399_760_6;
 
-/// Von Kármán turbulence. Everything is in nm² of OPD, so it holds at every wavelength.
+/// Von Kármán turbulence. All results are in nm² of OPD and therefore independent of the wavelength.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VonKarman {
     r0_m: f64,
@@ -89,8 +89,8 @@ fn kolmogorov(r_over_r0: f64) -> f64 {
     2.0 * (24.0 / 5.0 * GAMMA_6_5).powf(5.0 / 6.0) * r_over_r0.powf(5.0 / 3.0)
 }
 
-/// Below this the series of ten terms is exact to rounding (its terms fall as (x/2)^2k/k!²), above it the integral,
-/// with nothing to cancel.
+/// Argument below which the series of ten terms is used, which is exact within rounding there (its terms decrease as
+/// (x/2)^2k/k!²); above, the integral, which has no cancellation.
 const SERIES_TO: f64 = 1.0;
 
 /// B(r)/B(0) at x = 2πr/L0.
@@ -103,7 +103,7 @@ fn decorrelation(x: f64) -> f64 {
     if x < SERIES_TO { decorrelation_series(x) } else { 1.0 - correlation_integral(x) }
 }
 
-/// From K_ν = π/(2 sin νπ)·(I_{−ν} − I_ν): the leading 1 cancels by hand. Abramowitz & Stegun 9.6.2, 9.6.10.
+/// From K_ν = π/(2 sin νπ)·(I_{−ν} − I_ν): the leading 1 is cancelled analytically. Abramowitz & Stegun 9.6.2, 9.6.10.
 fn decorrelation_series(x: f64) -> f64 {
     let nu = 5.0 / 6.0;
     let q = (x / 2.0).powi(2);
@@ -126,8 +126,8 @@ fn correlation_integral(x: f64) -> f64 {
 
 /// K_ν(x) = ∫₀^∞ exp(−x cosh t) cosh νt dt (Abramowitz & Stegun 9.6.24) by the trapezoidal rule.
 ///
-/// The integrand is even and analytic for |Im t| < π/2, so the error is about exp(−π²/step): 1e-21 at 0.2. The last
-/// point is where it has fallen by e^(−40).
+/// The integrand is even and analytic for |Im t| < π/2, so the error is about exp(−π²/step): 1e-21 at 0.2. At the last
+/// point it has decreased by e^(−40).
 fn bessel_k(nu: f64, x: f64) -> f64 {
     let step = 0.2;
     let points = ((1.0 + 40.0 / x).acosh() / step).ceil() as usize + 1;
@@ -170,14 +170,14 @@ mod tests {
         let turbulence = VonKarman::new(0.16, 50.0).unwrap();
         let kolmogorov = VonKarman::new(0.16, f64::INFINITY).unwrap();
         for r_m in [1e-4, 1e-3] {
-            // The next term is −Γ(1/6)-ish·x^(1/3): the ratio departs by about 1.5·(2πr/L0)^(1/3).
+            // The next term is of order Γ(1/6)·x^(1/3): the ratio differs from 1 by about 1.5·(2πr/L0)^(1/3).
             let expected = 6.88 * (r_m / 0.16f64).powf(5.0 / 3.0) * (500.0 / (2.0 * PI)).powi(2);
             assert!((kolmogorov.structure_nm2(r_m) / expected - 1.0).abs() < 1e-3);
             let departure = 1.0 - turbulence.structure_nm2(r_m) / kolmogorov.structure_nm2(r_m);
             let scale = (2.0 * PI * r_m / 50.0).powf(1.0 / 3.0);
             assert!((0.5 * scale..2.0 * scale).contains(&departure), "r = {r_m}: {departure}");
         }
-        // And with an outer scale of a light year it is Kolmogorov to the last digits.
+        // With an outer scale of a light year it is Kolmogorov within rounding.
         let distant = VonKarman::new(0.16, 1e16).unwrap();
         assert!((distant.structure_nm2(1.0) / kolmogorov.structure_nm2(1.0) - 1.0).abs() < 2e-5);
     }

@@ -1,13 +1,14 @@
-//! Zernike polynomials in Noll's order, as polynomials in x and y: exact on the disc, extended beyond it.
+//! Zernike polynomials in Noll's order, as polynomials in x and y, which are defined also outside the disc.
 
+use super::samples::check_lengths;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayViewMut2};
 
-/// The largest Noll index accepted: 60 complete radial orders, far beyond what a pupil of 120 samples can hold.
+/// The largest Noll index accepted: 60 complete radial orders, far more than a pupil of 120 samples resolves.
 pub const LARGEST_NOLL: usize = 1891;
 
-/// Radial order n and signed azimuthal order m of the Zernike polynomial with Noll index `noll` (from 1): m > 0 goes
-/// with the cosine (even indices), m < 0 with the sine (odd indices).
+/// Radial order n and signed azimuthal order m of the Zernike polynomial with Noll index `noll` (from 1): m > 0 for the
+/// cosine (even indices), m < 0 for the sine (odd indices).
 ///
 /// Noll (1976), "Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66, 207.
 ///
@@ -17,7 +18,7 @@ pub fn noll_orders(noll: usize) -> Result<(usize, isize)> {
     if !(1..=LARGEST_NOLL).contains(&noll) {
         return Err(Error::Value(format!("Noll index {noll} is out of range: 1 to {LARGEST_NOLL} are accepted")));
     }
-    // Order n holds the indices n(n+1)/2 + 1 ..= (n+1)(n+2)/2.
+    // Order n has the indices n(n+1)/2 + 1 ..= (n+1)(n+2)/2.
     let mut n = 0;
     while (n + 1) * (n + 2) / 2 < noll {
         n += 1;
@@ -34,7 +35,7 @@ pub fn noll_orders(noll: usize) -> Result<(usize, isize)> {
 pub struct Zernikes {
     nolls: Vec<usize>,
     radius_m: f64,
-    /// By m, then degree: the order in which the recurrences meet them.
+    /// Terms in the order of the recurrences: by m, then by degree.
     plan: Vec<Term>,
 }
 
@@ -44,7 +45,7 @@ struct Term {
     m: usize,
     /// Degree of the radial polynomial in r²: (n − m)/2.
     degree: usize,
-    /// Where its values go.
+    /// Row of its values.
     row: usize,
     norm: f64,
     sine: bool,
@@ -87,7 +88,7 @@ impl Zernikes {
     /// # Errors
     /// [`Error::Shape`] where the coordinates differ in number.
     pub fn evaluate(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Array2<f64>> {
-        super::same_length(xs_m, ys_m)?;
+        check_lengths(xs_m, ys_m)?;
         let mut values = Array2::zeros((self.nolls.len(), xs_m.len()));
         self.fill(xs_m, ys_m, values.view_mut());
         Ok(values)
@@ -96,8 +97,8 @@ impl Zernikes {
     /// Writes the values into `values`, `[polynomials, points]`.
     ///
     /// Z = norm · P(2r²−1) · Re or Im (x + iy)^m, with P the Jacobi polynomial of weights (0, m): the three-term
-    /// recurrence stays accurate where the sum over explicit coefficients loses every digit (order 30 and up), and
-    /// nothing here needs an angle or fails at the centre.
+    /// recurrence is accurate where the sum over explicit coefficients loses all digits (order 30 and higher); no angle is
+    /// needed, and the centre is not a special case.
     pub(super) fn fill(&self, xs_m: &[f64], ys_m: &[f64], mut values: ArrayViewMut2<f64>) {
         for point in 0..xs_m.len() {
             let (x, y) = (xs_m[point] / self.radius_m, ys_m[point] / self.radius_m);
@@ -193,7 +194,7 @@ mod tests {
 
     #[test]
     fn high_orders_keep_their_value_on_the_rim() {
-        // R(1) = 1, so Z(1, 0) is the norm for every cosine, whatever the order: explicit coefficients of order 30
+        // R(1) = 1, so Z(1, 0) is the norm for every cosine of any order: explicit coefficients of order 30
         // alternate at 1e10 and keep six digits, the recurrence keeps all but the few of its 15 to 30 steps.
         for noll in (2..=LARGEST_NOLL).step_by(2) {
             let (n, m) = noll_orders(noll).unwrap();
@@ -205,7 +206,7 @@ mod tests {
     #[test]
     fn the_first_500_are_orthonormal_over_the_disc() {
         // Exact integration: products of two polynomials of order ≤ 30 have angular frequency ≤ 60 < 64 and degree ≤ 30
-        // in r² (odd powers meet only their like), and 32 Gauss-Legendre nodes in r² are exact to degree 63.
+        // in r² (odd powers occur only in pairs), and 32 Gauss-Legendre nodes in r² are exact to degree 63.
         let (nodes, weights) = gauss_legendre(32);
         let (mut xs, mut ys, mut ws) = (vec![], vec![], vec![]);
         for (node, weight) in nodes.iter().zip(&weights) {

@@ -1,21 +1,21 @@
-//! How far to go along one direction: a state machine over φ(α) = f(x + α·p), told one point at a time.
+//! Line search: chooses the step length α that decreases φ(α) = f(x + α·p) sufficiently, one evaluated point at a time.
 //!
-//! Unit steps first, Armijo's sufficient decrease, safeguarded cubic interpolation on the way back, and extrapolation
-//! where the weak Wolfe condition says that the slope has hardly changed (Nocedal & Wright, *Numerical Optimization*,
-//! chapter 3). Below the resolution of φ the slope decides instead of the value: the approximate Wolfe conditions of
+//! The unit step first; Armijo's sufficient decrease; safeguarded cubic interpolation for steps back; and extrapolation where
+//! the slope still violates the weak Wolfe condition (Nocedal & Wright, *Numerical Optimization*,
+//! chapter 3). Below the resolution of φ the slope replaces the value: the approximate Wolfe conditions of
 //! Hager & Zhang (SIAM J. Optim. 16, 2005, eq. 4.1).
 
-/// Armijo: φ(α) ≤ φ(0) + c·α·φ'(0). The usual value: nearly any decrease will do.
+/// Armijo: φ(α) ≤ φ(0) + c·α·φ'(0). The usual value, which accepts nearly any decrease.
 const SUFFICIENT_DECREASE: f64 = 1e-4;
 /// Wolfe: φ'(α) ≥ c·φ'(0). The usual value for quasi-Newton directions, whose unit step is nearly always good.
 const CURVATURE: f64 = 0.9;
 /// Approximate Wolfe: φ'(α) ≤ (2δ − 1)·φ'(0) with Hager & Zhang's δ = 0.1.
 const LARGEST_RISE: f64 = 0.8;
-/// A step back shortens at least and at most this much: an interpolation outside trusts too few points too far.
+/// Smallest and largest factor of a step back: safeguard of the interpolation, which rests on two points.
 const BACKTRACK: (f64, f64) = (0.1, 0.5);
-/// A step forward lengthens at least and at most this much.
+/// Smallest and largest factor of a step forward.
 const EXTEND: (f64, f64) = (1.5, 5.0);
-/// Steps forward per search: 5⁴ = 625 times the model's step is the last that is believed.
+/// Steps forward per search: at most 5⁴ = 625 times the model's step.
 const MOST_EXTENSIONS: usize = 4;
 /// Steps back per search over finite values: between 1e-3 and 1e-10 of the first.
 const MOST_BACKTRACKS: usize = 10;
@@ -30,24 +30,24 @@ struct Sample {
     slope: f64,
 }
 
-/// What to do about the point just told.
+/// What follows from the point just evaluated.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Verdict {
-    /// Go there.
+pub(super) enum Decision {
+    /// Accept the point.
     Accept,
-    /// Go back to the point that was kept.
+    /// Accept the point kept before instead.
     AcceptKept,
-    /// It will not do: evaluate here.
+    /// Reject the point, and evaluate at this step length.
     Try(f64),
-    /// It would do, but more lies ahead: keep it and evaluate here.
+    /// Keep the point, which is acceptable, and evaluate at this longer step length.
     KeepAndTry(f64),
-    /// Its value says nothing any more but its slope does: go there, and stop.
+    /// The decrease is below the resolution, and the slope shows descent: accept the point, and stop.
     AcceptUnresolved,
-    /// Neither its value nor its slope shows descent: stay, and stop.
+    /// The decrease is below the resolution, and the slope does not show descent: stop at the origin.
     Unresolved,
-    /// Nothing finite near the origin.
+    /// No finite value near the origin.
     NotFinite,
-    /// No descent however short the step.
+    /// No descent at any step length.
     NoDescent,
 }
 
@@ -55,9 +55,9 @@ pub(super) enum Verdict {
 #[derive(Debug, Clone)]
 pub(super) struct LineSearch {
     origin: Sample,
-    /// The smallest difference of φ that means something.
+    /// The smallest significant difference of φ.
     noise: f64,
-    /// From the start φ cannot show the decrease to come.
+    /// Whether the predicted decrease is below `noise` from the start.
     unresolved: bool,
     longest: f64,
     alpha: f64,
@@ -68,9 +68,8 @@ pub(super) struct LineSearch {
 }
 
 impl LineSearch {
-    /// A search from φ(0) = `value`, φ'(0) = `slope` < 0 that first tries the step `first` and never goes beyond
-    /// `longest`. `noise` is the smallest difference of φ that means something; `unresolved` that the whole decrease
-    /// to come is below it.
+    /// A search from φ(0) = `value`, φ'(0) = `slope` < 0 with the first step `first` and the longest step
+    /// `longest`. `noise` is the smallest significant difference of φ; `unresolved`: the predicted decrease is below it.
     pub fn new(value: f64, slope: f64, first: f64, longest: f64, noise: f64, unresolved: bool) -> Self {
         LineSearch {
             origin: Sample { alpha: 0.0, value, slope },
@@ -90,35 +89,35 @@ impl LineSearch {
         self.alpha
     }
 
-    /// The step length of the point that was kept, if one was.
+    /// The step length of the kept point, if there is one.
     pub fn kept_alpha(&self) -> Option<f64> {
         self.kept.map(|kept| kept.alpha)
     }
 
-    /// Takes φ and φ' at [`alpha`](Self::alpha).
-    pub fn tell(&mut self, value: f64, slope: f64) -> Verdict {
+    /// Processes φ and φ' at [`alpha`](Self::alpha).
+    pub fn advance(&mut self, value: f64, slope: f64) -> Decision {
         let here = Sample { alpha: self.alpha, value, slope };
         let finite = value.is_finite() && slope.is_finite();
         if self.kept.is_some_and(|kept| !finite || value >= kept.value) {
-            return Verdict::AcceptKept;
+            return Decision::AcceptKept;
         }
         if !finite {
             return self.halve();
         }
         if self.unresolved {
-            let stop = if self.approximate_wolfe(here) { Verdict::AcceptUnresolved } else { Verdict::Unresolved };
+            let stop = if self.approximate_wolfe(here) { Decision::AcceptUnresolved } else { Decision::Unresolved };
             return stop;
         }
         if value <= self.origin.value + SUFFICIENT_DECREASE * here.alpha * self.origin.slope {
             return self.lower(here);
         }
         if self.approximate_wolfe(here) {
-            return Verdict::AcceptUnresolved;
+            return Decision::AcceptUnresolved;
         }
         self.back(here)
     }
 
-    /// Hager & Zhang's test, which trusts the slope within the noise of the value.
+    /// Hager & Zhang's test: the slope decides where the value is within its noise.
     fn approximate_wolfe(&self, here: Sample) -> bool {
         let steepness = -self.origin.slope;
         here.value <= self.origin.value + self.noise
@@ -126,50 +125,50 @@ impl LineSearch {
             && here.slope <= LARGEST_RISE * steepness
     }
 
-    /// A point that lies lower: go there, unless it still falls as steeply as at the origin.
-    fn lower(&mut self, here: Sample) -> Verdict {
-        // Room for less than the least extension is not worth an evaluation.
-        let room = self.longest >= EXTEND.0 * here.alpha;
-        if here.slope >= CURVATURE * self.origin.slope || self.extensions == MOST_EXTENSIONS || !room {
-            return Verdict::Accept;
+    /// A point with sufficient decrease: accept it, unless φ still falls nearly as steeply as at the origin.
+    fn lower(&mut self, here: Sample) -> Decision {
+        // An extension below the smallest factor is not worth an evaluation.
+        let can_extend = self.longest >= EXTEND.0 * here.alpha;
+        if here.slope >= CURVATURE * self.origin.slope || self.extensions == MOST_EXTENSIONS || !can_extend {
+            return Decision::Accept;
         }
-        // After a step back the far side is known to be too far.
+        // After a step back, longer steps are known to be too long.
         if self.backtracks + self.halvings > 0 {
-            return Verdict::Accept;
+            return Decision::Accept;
         }
         let before = self.kept.unwrap_or(self.origin);
-        // Where the slope, continued linearly, vanishes; the farthest allowed where it is not even rising.
+        // The zero of the linearly extrapolated slope; the longest extension where the slope does not increase.
         let change = here.slope - before.slope;
         let ahead = if change > 0.0 { -here.slope * (here.alpha - before.alpha) / change } else { f64::INFINITY };
         let alpha = (here.alpha + ahead).clamp(EXTEND.0 * here.alpha, EXTEND.1 * here.alpha).min(self.longest);
         self.kept = Some(here);
         self.extensions += 1;
         self.alpha = alpha;
-        Verdict::KeepAndTry(alpha)
+        Decision::KeepAndTry(alpha)
     }
 
-    /// A point that does not lie low enough: step back, unless what is left to win is below the noise.
-    fn back(&mut self, here: Sample) -> Verdict {
+    /// A point without sufficient decrease: step back, unless the possible decrease is below the noise.
+    fn back(&mut self, here: Sample) -> Decision {
         let alpha = self.interpolate(here);
         if -0.5 * alpha * self.origin.slope < self.noise {
-            return Verdict::Unresolved;
+            return Decision::Unresolved;
         }
         if self.backtracks == MOST_BACKTRACKS {
-            return Verdict::NoDescent;
+            return Decision::NoDescent;
         }
         self.backtracks += 1;
         self.alpha = alpha;
-        Verdict::Try(alpha)
+        Decision::Try(alpha)
     }
 
-    /// A point where φ does not exist: halve.
-    fn halve(&mut self) -> Verdict {
+    /// A point where φ is not finite: halve the step.
+    fn halve(&mut self) -> Decision {
         if self.halvings == MOST_HALVINGS {
-            return Verdict::NotFinite;
+            return Decision::NotFinite;
         }
         self.halvings += 1;
         self.alpha *= 0.5;
-        Verdict::Try(self.alpha)
+        Decision::Try(self.alpha)
     }
 
     /// The minimum of the cubic through both values and slopes (Nocedal & Wright, eq. 3.59), safeguarded.
@@ -200,35 +199,35 @@ mod tests {
     fn the_minimum_of_a_cubic_is_found_in_one_step_back() {
         // φ = 1 − α + 2α² + α³ has its minimum where 3α² + 4α − 1 = 0, at 0.2153; φ(1) = 3, φ'(1) = 6.
         let mut search = search(0.0, false);
-        let Verdict::Try(alpha) = search.tell(3.0, 6.0) else { panic!("a rise must be refused") };
+        let Decision::Try(alpha) = search.advance(3.0, 6.0) else { panic!("an increase must be rejected") };
         let root = (-4.0 + 28.0_f64.sqrt()) / 6.0;
         // The interpolation is exact on cubics: rounding of ten operations.
         assert!((alpha - root).abs() < 1e-14, "{alpha} instead of {root}");
     }
 
     #[test]
-    fn a_steep_descent_is_followed_and_the_lower_point_taken() {
+    fn a_steep_descent_is_extended_and_the_lower_point_accepted() {
         let mut search = search(0.0, false);
-        assert_eq!(search.tell(0.0, -1.0), Verdict::KeepAndTry(5.0));
+        assert_eq!(search.advance(0.0, -1.0), Decision::KeepAndTry(5.0));
         assert_eq!(search.kept_alpha(), Some(1.0));
-        assert_eq!(search.tell(f64::NAN, 0.0), Verdict::AcceptKept);
+        assert_eq!(search.advance(f64::NAN, 0.0), Decision::AcceptKept);
     }
 
     #[test]
-    fn where_nothing_is_finite_the_search_halves_and_then_gives_up() {
+    fn without_finite_values_the_search_halves_and_then_stops() {
         let mut search = search(0.0, false);
-        assert_eq!(search.tell(f64::INFINITY, 0.0), Verdict::Try(0.5));
-        assert_eq!(search.tell(0.0, f64::NAN), Verdict::Try(0.25));
-        let verdicts: Vec<_> = (0..40).map(|_| search.tell(f64::NAN, f64::NAN)).collect();
-        assert_eq!(verdicts.iter().position(|v| *v == Verdict::NotFinite), Some(MOST_HALVINGS - 2));
+        assert_eq!(search.advance(f64::INFINITY, 0.0), Decision::Try(0.5));
+        assert_eq!(search.advance(0.0, f64::NAN), Decision::Try(0.25));
+        let decisions: Vec<_> = (0..40).map(|_| search.advance(f64::NAN, f64::NAN)).collect();
+        assert_eq!(decisions.iter().position(|v| *v == Decision::NotFinite), Some(MOST_HALVINGS - 2));
     }
 
     #[test]
     fn below_the_resolution_the_slope_decides() {
-        assert_eq!(search(1e-3, true).tell(1.0005, 0.1), Verdict::AcceptUnresolved);
-        assert_eq!(search(1e-3, true).tell(1.0005, 0.9), Verdict::Unresolved);
-        assert_eq!(search(1e-3, true).tell(1.0015, 0.1), Verdict::Unresolved);
-        // Without noise the same point is a rise to step back from.
-        assert!(matches!(search(0.0, false).tell(1.0005, 0.1), Verdict::Try(_)));
+        assert_eq!(search(1e-3, true).advance(1.0005, 0.1), Decision::AcceptUnresolved);
+        assert_eq!(search(1e-3, true).advance(1.0005, 0.9), Decision::Unresolved);
+        assert_eq!(search(1e-3, true).advance(1.0015, 0.1), Decision::Unresolved);
+        // Without noise the same point is an increase, and the search steps back.
+        assert!(matches!(search(0.0, false).advance(1.0005, 0.1), Decision::Try(_)));
     }
 }

@@ -1,4 +1,4 @@
-//! The coordinates in which a least-squares problem looks round.
+//! Whitened coordinates of a least-squares problem, in which its Hessian is a multiple of the identity.
 
 use super::pairs::{add_scaled, dot};
 use crate::{Error, Result};
@@ -6,28 +6,28 @@ use faer::{Mat, Side};
 use ndarray::{Array2, ArrayView2};
 use pulp::{Arch, NullaryFnOnce};
 
-/// A Gauss-Newton matrix that is this asymmetric, relative to its largest entry, is somebody's mistake. Accumulating
-/// Jᵀ W J in f32 leaves about 1e-7 per product and at most 1e-4 over a million pixels.
+/// Largest accepted asymmetry of a Gauss-Newton matrix relative to its largest entry. Accumulating Jᵀ W J in f32 leaves
+/// about 1e-7 per product and at most 1e-4 over a million pixels; more is a mistake in the matrix.
 const ASYMMETRY: f64 = 1e-4;
 
 /// Whitening from a Gauss-Newton matrix H = Jᵀ W J = V Λ Vᵀ: a displacement in the caller's coordinates is
 /// δx = V Λ^(−1/2) z, so that J = Σ w r² has the Hessian 2·I in z wherever the linearisation holds.
 ///
-/// Directions whose eigenvalue is too small to be told from zero are **null**: they have no coordinate in z, so an
-/// optimiser that works in z never moves along them.
+/// Directions whose eigenvalue is zero within rounding are **null**: they have no coordinate in z, so an optimiser that
+/// works in z never moves along them.
 #[derive(Debug, Clone)]
 pub struct Metric {
     dimension: usize,
     /// `V Λ^(−1/2)`, `[dimension, rank]`; `None` is the identity.
     whitening: Option<Array2<f64>>,
-    /// Whether the curvature is known.
+    /// Whether the Hessian is about 2·I in these coordinates.
     whitened: bool,
     /// Unit vectors, `[nullity, dimension]`.
     null_directions: Array2<f64>,
 }
 
 impl Metric {
-    /// The caller's own coordinates, about whose curvature nothing is known.
+    /// The caller's own coordinates, of unknown curvature.
     pub fn identity(dimension: usize) -> Self {
         Metric { dimension, whitening: None, whitened: false, null_directions: Array2::zeros((0, dimension)) }
     }
@@ -66,7 +66,7 @@ impl Metric {
             )));
         }
         let nullity = (0..n).take_while(|&k| values[k] < floor).count();
-        // The strongest direction first: z[0] is what the data see best.
+        // Largest eigenvalue first: z[0] is the best determined direction.
         let whitening =
             Array2::from_shape_fn((n, n - nullity), |(i, k)| vectors[(i, n - 1 - k)] / values[n - 1 - k].sqrt());
         let null_directions = Array2::from_shape_fn((nullity, n), |(k, i)| vectors[(i, k)]);
@@ -78,23 +78,23 @@ impl Metric {
         self.dimension
     }
 
-    /// Length of z: the directions that the data see.
+    /// Length of z: the number of directions determined by the data.
     pub fn rank(&self) -> usize {
         self.whitening.as_ref().map_or(self.dimension, |w| w.ncols())
     }
 
-    /// The directions that are never moved: unit vectors, `[nullity, dimension]`, the weakest first.
+    /// The null directions: unit vectors, `[nullity, dimension]`, smallest eigenvalue first.
     pub fn null_directions(&self) -> ArrayView2<'_, f64> {
         self.null_directions.view()
     }
 
-    /// `V Λ^(−1/2)`, `[dimension, rank]`, whose product with its transpose is the inverse of the matrix in the directions
-    /// that the data see; `None` is the identity.
+    /// `V Λ^(−1/2)`, `[dimension, rank]`, whose product with its transpose is the pseudo-inverse of the matrix;
+    /// `None` is the identity.
     pub fn whitening(&self) -> Option<ArrayView2<'_, f64>> {
         self.whitening.as_ref().map(|whitening| whitening.view())
     }
 
-    /// Whether curvature stands behind these coordinates, so that a step of length one along −g/2 means something.
+    /// Whether the Hessian is about 2·I in these coordinates, so that −g/2 is a Newton step.
     pub fn is_whitened(&self) -> bool {
         self.whitened
     }
@@ -103,7 +103,7 @@ impl Metric {
     pub fn to_x(&self, z: &[f64], x: &mut [f64]) {
         match self.whitening.as_ref().map(|whitening| (whitening.as_slice(), whitening.ncols())) {
             None => x.copy_from_slice(z),
-            // Whitening matrices are made in rows.
+            // Whitening matrices are stored row by row.
             Some((rows, rank)) => Arch::new().dispatch(ToX { rows: rows.unwrap_or_default(), rank, z, x }),
         }
     }
@@ -139,7 +139,7 @@ impl NullaryFnOnce for ToX<'_> {
     }
 }
 
-/// [`Metric::gradient_to_z`], likewise.
+/// [`Metric::gradient_to_z`], compiled in the same way.
 struct ToZ<'a> {
     rows: &'a [f64],
     rank: usize,
@@ -159,7 +159,7 @@ impl NullaryFnOnce for ToZ<'_> {
     }
 }
 
-/// The size of a matrix that may be a Gauss-Newton matrix.
+/// Checks a Gauss-Newton matrix, and returns its size.
 fn check(matrix: &Array2<f64>, relative_floor: f64) -> Result<usize> {
     let (rows, columns) = matrix.dim();
     if rows != columns || rows == 0 {
@@ -174,7 +174,7 @@ fn check(matrix: &Array2<f64>, relative_floor: f64) -> Result<usize> {
     }
     if let Some(((i, j), value)) = matrix.indexed_iter().find(|(_, v)| !v.is_finite()) {
         return Err(Error::Value(format!(
-            "entry [{i}, {j}] of the Gauss-Newton matrix is {value}, not a finite number"
+            "entry [{i}, {j}] of the Gauss-Newton matrix is {value}: finite numbers are needed"
         )));
     }
     let largest = matrix.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_that_is_no_gauss_newton_matrix_is_refused_with_a_sentence() {
+    fn matrices_that_are_not_gauss_newton_matrices_are_rejected() {
         let message = |h: Array2<f64>, floor: f64| Metric::from_gauss_newton(&h, floor).unwrap_err().to_string();
         assert!(message(Array2::zeros((2, 3)), 1e-12).contains("2 by 3"));
         assert!(message(Array2::zeros((0, 0)), 1e-12).contains("0 by 0"));

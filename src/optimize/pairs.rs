@@ -1,12 +1,12 @@
-//! The curvature that an optimiser remembers: L-BFGS pairs and the two-loop product.
+//! Memory of L-BFGS: pairs of steps and gradient changes, and the two-loop product with the inverse Hessian.
 
 use pulp::{Arch, NullaryFnOnce};
 
-/// A pair counts only if the angle between step and change of gradient says so: s·y > this·|s||y|. Below, the pair is
-/// rounding or negative curvature, and would make the inverse Hessian indefinite or huge.
+/// Smallest cosine of the angle between step and gradient change of a pair: s·y > this·|s||y|. Below, the pair is rounding or
+/// negative curvature, and would make the inverse Hessian indefinite or huge.
 const LEAST_COSINE: f64 = 1e-8;
 
-/// The last `capacity` pairs s = z₁ − z₀, y = g₁ − g₀ in a ring, and the room that the product needs.
+/// The last `capacity` pairs s = z₁ − z₀, y = g₁ − g₀ in a ring buffer, and the scratch memory of the product.
 #[derive(Debug, Clone)]
 pub(super) struct Pairs {
     dimension: usize,
@@ -17,7 +17,7 @@ pub(super) struct Pairs {
     rho: Vec<f64>,
     alpha: Vec<f64>,
     len: usize,
-    /// Where the next pair goes.
+    /// Slot of the next pair.
     head: usize,
 }
 
@@ -35,9 +35,9 @@ impl Pairs {
         }
     }
 
-    /// Forgets everything, for vectors of `dimension` components: as many as [`Pairs::new`] was told at most.
+    /// Removes all pairs and sets the number of components, at most that of [`Pairs::new`].
     pub fn restart(&mut self, dimension: usize) {
-        debug_assert!(dimension * self.capacity <= self.steps.len(), "room for the pairs");
+        debug_assert!(dimension * self.capacity <= self.steps.len(), "memory for the pairs");
         self.dimension = dimension;
         self.clear();
     }
@@ -51,8 +51,7 @@ impl Pairs {
         self.head = 0;
     }
 
-    /// Remembers the step `length · direction` and the change of gradient `after − before` over it, if they show
-    /// positive curvature.
+    /// Stores the step `length · direction` and the gradient change `after − before` over it, if their curvature is positive.
     pub fn push(&mut self, length: f64, direction: &[f64], before: &[f64], after: &[f64]) {
         if self.capacity == 0 {
             return;
@@ -79,8 +78,8 @@ impl Pairs {
         Some(1.0 / (self.rho[newest] * dot(y, y)))
     }
 
-    /// `vector` ← H·`vector`, H the inverse Hessian that the pairs make of `inverse_curvature`·I (Nocedal & Wright,
-    /// algorithm 7.4).
+    /// `vector` ← H·`vector`, H the inverse Hessian from the pairs and the initial `inverse_curvature`·I (Nocedal &
+    /// Wright, algorithm 7.4).
     pub fn apply(&mut self, inverse_curvature: f64, vector: &mut [f64]) {
         Arch::new().dispatch(Apply { pairs: self, inverse_curvature, vector });
     }
@@ -130,7 +129,7 @@ impl NullaryFnOnce for Apply<'_> {
 /// a·b.
 #[inline(always)]
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    // Eight partial sums, added in a fixed order: one sum waits for each addition before the next.
+    // Eight partial sums, added in a fixed order: a single sum would be limited by the latency of the addition.
     const LANES: usize = 8;
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     let mut lanes = [0.0; LANES];
@@ -167,14 +166,14 @@ mod tests {
         }
         let v = [0.7, -1.3];
         let mut product = times(&v);
-        // Any initial scale is forgotten.
+        // The initial scale has no effect.
         pairs.apply(17.0, &mut product);
         // Five products of numbers below 100 in f64: 1e-13 is a hundred roundings of room.
         assert!((product[0] - v[0]).abs() < 1e-13 && (product[1] - v[1]).abs() < 1e-13, "{product:?}");
     }
 
     #[test]
-    fn a_pair_of_negative_curvature_is_not_remembered_and_the_ring_turns() {
+    fn pairs_of_negative_curvature_are_not_stored_and_old_pairs_are_replaced() {
         let mut pairs = Pairs::new(1, 2);
         pairs.push(1.0, &[1.0], &[0.0], &[-1.0]);
         assert!(pairs.is_empty());

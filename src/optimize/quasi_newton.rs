@@ -1,45 +1,50 @@
-//! Limited-memory BFGS in whitened coordinates, as a machine that asks for points and is told values.
+//! Limited-memory BFGS in whitened coordinates, with a reverse communication interface.
 
-use super::line_search::{LineSearch, Verdict};
+use super::line_search::{Decision, LineSearch};
+use super::metric::Metric;
+use super::outcome::{Outcome, StopReason};
 use super::pairs::{Pairs, dot};
+use super::problem::{check_start, is_cancelled};
 use super::settings::{Scaling, Settings};
-use super::{Metric, Objective, Outcome, StopReason, is_cancelled};
 use crate::{Error, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
 /// Inverse curvature of J = Σ w r² in coordinates whitened by its Gauss-Newton matrix: the Hessian is 2·I.
-const WHITENED: f64 = 0.5;
+const WHITENED_INVERSE_CURVATURE: f64 = 0.5;
 
-/// Whether to go on asking.
+/// Whether the run continues.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[must_use]
 pub enum Progress {
-    /// Evaluate the point that [`QuasiNewton::ask`] now names.
+    /// Evaluate the objective at [`QuasiNewton::ask`].
     Continue,
-    /// Read the [`Outcome`].
+    /// The run has ended: see [`QuasiNewton::outcome`].
     Done,
 }
 
+/// What the point to evaluate is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Phase {
-    /// The iterate itself is to be evaluated: at the start, and when the objective has changed.
-    Anchor,
+    /// The iterate itself: at the start, and when the objective has changed.
+    Iterate,
+    /// A point of the line search.
     Searching,
+    /// None: the run has ended.
     Done,
 }
 
-/// L-BFGS with an ask/tell interface: evaluate the objective and its gradient at [`ask`](Self::ask), hand both to
-/// [`tell`](Self::tell), until it answers [`Progress::Done`]. All arithmetic is f64 and depends on this problem alone,
-/// so a batch in lock-step gives bitwise what the problems give one by one. Nothing is allocated after construction,
-/// and [`begin`](Self::begin) takes up another problem of the same size in the same memory.
+/// L-BFGS with a reverse communication interface: evaluate the objective and its gradient at [`ask`](Self::ask) and pass
+/// both to [`tell`](Self::tell), until that returns [`Progress::Done`]. All arithmetic is f64 and depends on this problem
+/// only, so problems in lock-step give bitwise the same results as one by one. Nothing is allocated after construction;
+/// [`begin`](Self::begin) starts another problem of the same size in the same memory.
 #[derive(Debug, Clone)]
 pub struct QuasiNewton {
     metric: Arc<Metric>,
-    /// What is a step of length one in the metric is this long here.
+    /// Length scale of this problem relative to the metric.
     scale: f64,
     settings: Settings,
-    /// The iterate and its gradient live here.
+    /// The iterate, its objective and its gradient.
     outcome: Outcome,
     gradient_z: Vec<f64>,
     direction_z: Vec<f64>,
@@ -52,12 +57,12 @@ pub struct QuasiNewton {
     pairs: Pairs,
     search: LineSearch,
     phase: Phase,
-    /// A direction that failed was followed by one without memory; another failure is final.
-    forgot: bool,
+    /// Whether the pairs were removed after a failed search; a second failure ends the run.
+    memory_reset: bool,
 }
 
 impl QuasiNewton {
-    /// A machine that starts at `start` and moves in the coordinates of `metric`.
+    /// An optimiser that starts at `start` and works in the coordinates of `metric`.
     ///
     /// # Errors
     /// [`Error::Shape`] if `start` does not have the metric's dimension; [`Error::Value`] for a start that is not
@@ -70,40 +75,40 @@ impl QuasiNewton {
             let (given, needed) = (weights.len(), start.len());
             return Err(Error::Shape(format!("{given} step weights were given where {needed} are needed")));
         }
-        // Metrics of one size may differ in rank: room for the largest.
+        // Metrics of one dimension may differ in rank: memory for the largest rank.
         let (n, rank) = (metric.dimension(), metric.rank());
-        let room = || {
-            let mut room = Vec::with_capacity(n);
-            room.resize(rank, 0.0);
-            room
+        let zeros = || {
+            let mut zeros = Vec::with_capacity(n);
+            zeros.resize(rank, 0.0);
+            zeros
         };
         let mut pairs = Pairs::new(n, settings.memory);
         pairs.restart(rank);
         Ok(QuasiNewton {
             outcome: Outcome::at(start),
-            gradient_z: room(),
-            direction_z: room(),
+            gradient_z: zeros(),
+            direction_z: zeros(),
             direction_x: vec![0.0; n],
             trial_x: start.to_vec(),
-            trial_gradient_z: room(),
+            trial_gradient_z: zeros(),
             kept_f: f64::NAN,
             kept_gradient_x: vec![0.0; n],
-            kept_gradient_z: room(),
+            kept_gradient_z: zeros(),
             pairs,
             search: LineSearch::new(f64::NAN, f64::NAN, 0.0, 0.0, 0.0, false),
-            phase: Phase::Anchor,
-            forgot: false,
+            phase: Phase::Iterate,
+            memory_reset: false,
             metric,
             scale: 1.0,
             settings,
         })
     }
 
-    /// Takes up another problem, from `start`, in the memory of the last. Its coordinates are those of `metric` with
-    /// every length times `scale` (positive): an objective that is `scale`⁻² times as curved needs no metric of its own.
+    /// Starts another problem, from `start`, in the same memory. Its coordinates are those of `metric` with every length
+    /// multiplied by `scale` (positive): for an objective with `scale`⁻² times the curvature of the metric's.
     ///
     /// # Errors
-    /// As [`QuasiNewton::new`]; nothing has changed then.
+    /// As [`QuasiNewton::new`]; the optimiser is unchanged then.
     pub fn begin(&mut self, metric: &Arc<Metric>, scale: f64, start: &[f64]) -> Result<()> {
         if metric.dimension() != self.metric.dimension() {
             let (new, old) = (metric.dimension(), self.metric.dimension());
@@ -124,20 +129,20 @@ impl QuasiNewton {
         self.outcome.restart_at(start);
         self.trial_x.copy_from_slice(start);
         self.search = LineSearch::new(f64::NAN, f64::NAN, 0.0, 0.0, 0.0, false);
-        self.phase = Phase::Anchor;
-        self.forgot = false;
+        self.phase = Phase::Iterate;
+        self.memory_reset = false;
         Ok(())
     }
 
-    /// Changes when to stop wherever it stands.
+    /// Changes the deadline.
     pub fn set_deadline(&mut self, deadline: Option<Instant>) {
         self.settings.deadline = deadline;
     }
 
-    /// Changes how far it goes: `step_tolerance` and `decrement_tolerance` of [`Settings`].
+    /// Changes the tolerances `step_tolerance` and `decrement_tolerance` of [`Settings`].
     ///
     /// # Errors
-    /// [`Error::Value`] for one that is negative or not finite; nothing has changed then.
+    /// [`Error::Value`] for a tolerance that is negative or not finite; both are unchanged then.
     pub fn set_tolerances(&mut self, step_tolerance: f64, decrement_tolerance: f64) -> Result<()> {
         let changed = Settings { step_tolerance, decrement_tolerance, ..Settings::default() };
         changed.check()?;
@@ -145,18 +150,18 @@ impl QuasiNewton {
         Ok(())
     }
 
-    /// Writes where it ends: the iterate, or, where it stopped because the next step was too small to be worth an
-    /// evaluation, the end of that step. The metric and the pairs know that step to a fraction of its length, so that it
-    /// leaves a fraction of the error that the iterate has.
+    /// Writes the solution into `x`: the iterate, or, where the run stopped because the next step was too small to be worth
+    /// an evaluation, the end of that step. The model predicts that step to a fraction of its length, so that the error
+    /// is a fraction of the iterate's.
     pub fn write_end(&self, x: &mut [f64]) {
         x.copy_from_slice(&self.outcome.x);
-        if self.phase == Phase::Done && self.proposes() {
+        if self.phase == Phase::Done && self.has_proposed_step() {
             x.iter_mut().zip(&self.direction_x).for_each(|(x, d)| *x += d);
         }
     }
 
-    /// Whether it stopped before a step that a model stands behind.
-    fn proposes(&self) -> bool {
+    /// Whether the run stopped before a step that the model of the curvature predicts.
+    fn has_proposed_step(&self) -> bool {
         let before_a_step =
             matches!(self.outcome.reason, StopReason::StepBelowTolerance | StopReason::DecrementBelowTolerance);
         before_a_step && self.outcome.proposed_step <= self.settings.max_step
@@ -167,8 +172,8 @@ impl QuasiNewton {
         &self.trial_x
     }
 
-    /// Takes the objective `f` and its gradient `gradient`, in the caller's coordinates, at [`ask`](Self::ask).
-    /// Numbers that are not finite are part of the game. Told after [`Progress::Done`], it changes nothing.
+    /// Processes the objective `f` and its gradient `gradient`, in the caller's coordinates, at [`ask`](Self::ask), and sets
+    /// the next point. Values that are not finite are allowed. After [`Progress::Done`] it has no effect.
     ///
     /// # Panics
     /// If `gradient` is not as long as the starting point.
@@ -183,21 +188,21 @@ impl QuasiNewton {
         self.metric.gradient_to_z(gradient, &mut self.trial_gradient_z);
         scale_by(&mut self.trial_gradient_z, self.scale);
         let stop = match self.phase {
-            Phase::Anchor if finite => {
+            Phase::Iterate if finite => {
                 self.adopt_trial(f, gradient);
                 self.follow_new_direction()
             }
-            Phase::Anchor => Some(StopReason::NotFinite),
-            _ => self.advance(f, gradient),
+            Phase::Iterate => Some(StopReason::NotFinite),
+            _ => self.search_step(f, gradient),
         };
-        match stop.or_else(|| self.out_of_patience()) {
+        match stop.or_else(|| self.limit_reached()) {
             Some(reason) => self.finish(reason),
             None => Progress::Continue,
         }
     }
 
-    /// Why not to evaluate once more, whatever the objective does.
-    fn out_of_patience(&self) -> Option<StopReason> {
+    /// The limit that forbids another evaluation, if one is reached: cancel flag, evaluations, deadline.
+    fn limit_reached(&self) -> Option<StopReason> {
         if is_cancelled(self.settings.cancel.as_ref()) {
             Some(StopReason::Cancelled)
         } else if self.outcome.evaluations >= self.settings.max_evaluations {
@@ -209,77 +214,77 @@ impl QuasiNewton {
         }
     }
 
-    /// Where it stands: the iterate, and once [`Progress::Done`] the reason.
+    /// The iterate, and after [`Progress::Done`] the reason of the end.
     pub fn outcome(&self) -> &Outcome {
         &self.outcome
     }
 
-    /// The objective has changed a little (its weights, say): forgets its value, keeps the curvature, and goes on from
-    /// the best point, or, where it stopped because the next step was too small to matter, from the end of that step,
-    /// which costs nothing now. Evaluations go on counting; [`Progress::Done`] if none are left, or no time.
+    /// Continues after a small change of the objective (of its weights, for instance): keeps the curvature and starts from
+    /// the best point, or, where the run stopped because the next step was too small, from the end of that step, which
+    /// costs no additional evaluation. The evaluations are counted on; [`Progress::Done`] if a limit is reached.
     pub fn restart_objective(&mut self) -> Progress {
         if self.phase == Phase::Searching {
-            self.take_kept();
+            self.adopt_kept();
         }
-        if let Some(reason) = self.out_of_patience() {
+        if let Some(reason) = self.limit_reached() {
             return self.finish(reason);
         }
-        if self.phase == Phase::Done && self.proposes() {
+        if self.phase == Phase::Done && self.has_proposed_step() {
             self.set_trial(1.0);
         } else {
             self.trial_x.copy_from_slice(&self.outcome.x);
         }
         self.outcome.reason = StopReason::Unfinished;
-        self.phase = Phase::Anchor;
-        self.forgot = false;
+        self.phase = Phase::Iterate;
+        self.memory_reset = false;
         Progress::Continue
     }
 
-    /// Hands the point just told to the line search and does what it says; the reason, if that is to stop.
-    fn advance(&mut self, f: f64, gradient: &[f64]) -> Option<StopReason> {
+    /// Processes a point of the line search; returns the reason if the run ends.
+    fn search_step(&mut self, f: f64, gradient: &[f64]) -> Option<StopReason> {
         let slope = dot(&self.trial_gradient_z, &self.direction_z);
-        match self.search.tell(f, slope) {
-            Verdict::Try(alpha) => self.set_trial(alpha),
-            Verdict::KeepAndTry(alpha) => {
+        match self.search.advance(f, slope) {
+            Decision::Try(alpha) => self.set_trial(alpha),
+            Decision::KeepAndTry(alpha) => {
                 self.kept_f = f;
                 self.kept_gradient_x.copy_from_slice(gradient);
                 std::mem::swap(&mut self.kept_gradient_z, &mut self.trial_gradient_z);
                 self.set_trial(alpha);
             }
-            Verdict::Accept => {
-                self.remember_pair(self.search.alpha());
+            Decision::Accept => {
+                self.store_pair(self.search.alpha());
                 self.adopt_trial(f, gradient);
-                self.forgot = false;
+                self.memory_reset = false;
                 return self.follow_new_direction();
             }
-            Verdict::AcceptKept => {
-                self.take_kept();
-                self.forgot = false;
+            Decision::AcceptKept => {
+                self.adopt_kept();
+                self.memory_reset = false;
                 return self.follow_new_direction();
             }
-            Verdict::AcceptUnresolved => {
+            Decision::AcceptUnresolved => {
                 self.adopt_trial(f, gradient);
                 return Some(StopReason::ResolutionReached);
             }
-            Verdict::Unresolved => return Some(StopReason::ResolutionReached),
-            Verdict::NotFinite => return Some(StopReason::NotFinite),
-            Verdict::NoDescent => {
-                // The memory may be what misleads: once, try the direction that the metric alone gives.
-                if self.forgot || self.pairs.is_empty() {
+            Decision::Unresolved => return Some(StopReason::ResolutionReached),
+            Decision::NotFinite => return Some(StopReason::NotFinite),
+            Decision::NoDescent => {
+                // The pairs may be misleading: once, try the direction without them.
+                if self.memory_reset || self.pairs.is_empty() {
                     return Some(StopReason::NoDescent);
                 }
                 self.pairs.clear();
-                self.forgot = true;
+                self.memory_reset = true;
                 return self.follow_new_direction();
             }
         }
         None
     }
 
-    /// Finds the direction from the iterate and sets its first point; the reason, if there is nothing to follow.
+    /// Computes the direction from the iterate and sets its first point; returns the reason if the run ends.
     fn follow_new_direction(&mut self) -> Option<StopReason> {
         let mut slope = self.find_direction();
-        // A memory that overflows or does not point down is worth nothing.
+        // Pairs that overflow or do not give a descent direction are useless.
         if !self.pairs.is_empty() && (!slope.is_finite() || slope >= 0.0) {
             self.pairs.clear();
             slope = self.find_direction();
@@ -289,7 +294,7 @@ impl QuasiNewton {
             return Some(StopReason::NotFinite);
         }
         if slope >= 0.0 {
-            // Without memory the slope is zero only where the gradient is (or where its square underflows).
+            // Without pairs the slope is zero only where the gradient is zero (or its square underflows).
             return Some(StopReason::DecrementBelowTolerance);
         }
         let decrease = -0.5 * slope;
@@ -317,7 +322,7 @@ impl QuasiNewton {
         None
     }
 
-    /// Root of the sum of the squares of the proposed step's components, each in its own weight; 0 without weights.
+    /// Root of the weighted sum of the squares of the proposed step's components; 0 without weights.
     fn step_rms(&self) -> f64 {
         let weights = self.settings.step_weights.iter().flat_map(|weights| weights.iter());
         weights.zip(&self.direction_x).map(|(weight, d)| weight * d * d).sum::<f64>().sqrt()
@@ -325,14 +330,14 @@ impl QuasiNewton {
 
     /// Sets the direction −H·g in both coordinates and returns the slope of the objective along it.
     fn find_direction(&mut self) -> f64 {
-        let own = if self.metric.is_whitened() { Some(WHITENED) } else { None };
-        let seen = self.pairs.newest_inverse_curvature();
+        let own = if self.metric.is_whitened() { Some(WHITENED_INVERSE_CURVATURE) } else { None };
+        let measured = self.pairs.newest_inverse_curvature();
         let inverse_curvature = match self.settings.scaling {
-            Scaling::Metric => own.or(seen),
-            Scaling::Adaptive => seen.or(own),
+            Scaling::Metric => own.or(measured),
+            Scaling::Adaptive => measured.or(own),
         };
         let inverse_curvature = inverse_curvature.unwrap_or_else(|| {
-            // Where nothing is known of the curvature: a step of length one, from which the line search learns.
+            // Without any estimate of the curvature: a step of length one, which the line search corrects.
             let norm = dot(&self.gradient_z, &self.gradient_z).sqrt();
             if norm > 0.0 { 1.0 / norm } else { 1.0 }
         });
@@ -351,12 +356,12 @@ impl QuasiNewton {
         }
     }
 
-    /// Remembers the curvature between the iterate and the trial point, `alpha` along the direction.
-    fn remember_pair(&mut self, alpha: f64) {
+    /// Stores the pair of the step from the iterate to the trial point, `alpha` along the direction.
+    fn store_pair(&mut self, alpha: f64) {
         self.pairs.push(alpha, &self.direction_z, &self.gradient_z, &self.trial_gradient_z);
     }
 
-    /// The trial point becomes the iterate.
+    /// Makes the trial point the iterate.
     fn adopt_trial(&mut self, f: f64, gradient: &[f64]) {
         self.outcome.f = f;
         self.outcome.x.copy_from_slice(&self.trial_x);
@@ -364,11 +369,11 @@ impl QuasiNewton {
         std::mem::swap(&mut self.gradient_z, &mut self.trial_gradient_z);
     }
 
-    /// The point that the line search kept, if it kept one, becomes the iterate.
-    fn take_kept(&mut self) {
+    /// Makes the point kept by the line search, if there is one, the iterate.
+    fn adopt_kept(&mut self) {
         let Some(alpha) = self.search.kept_alpha() else { return };
         std::mem::swap(&mut self.trial_gradient_z, &mut self.kept_gradient_z);
-        self.remember_pair(alpha);
+        self.store_pair(alpha);
         std::mem::swap(&mut self.gradient_z, &mut self.trial_gradient_z);
         self.set_trial(alpha);
         self.outcome.x.copy_from_slice(&self.trial_x);
@@ -376,10 +381,15 @@ impl QuasiNewton {
         std::mem::swap(&mut self.outcome.gradient, &mut self.kept_gradient_x);
     }
 
+    /// The outcome, without the optimiser.
+    pub(super) fn into_outcome(self) -> Outcome {
+        self.outcome
+    }
+
     fn finish(&mut self, reason: StopReason) -> Progress {
         let early = matches!(reason, StopReason::Cancelled | StopReason::EvaluationLimit | StopReason::DeadlineReached);
         if self.phase == Phase::Searching && early {
-            self.take_kept();
+            self.adopt_kept();
         }
         self.trial_x.copy_from_slice(&self.outcome.x);
         self.outcome.reason = reason;
@@ -392,48 +402,15 @@ fn scale_by(vector: &mut [f64], scale: f64) {
     vector.iter_mut().for_each(|component| *component *= scale);
 }
 
+/// Checks that the starting point fits the metric.
+///
 /// # Errors
 /// [`Error::Shape`] for a start of another dimension.
 fn check_dimension(start: &[f64], metric: &Metric) -> Result<()> {
     let (given, wanted) = (start.len(), metric.dimension());
     if given != wanted {
-        let text = format!("the starting point has {given} components, where the metric has {wanted}");
+        let text = format!("the starting point has {given} components: the metric needs {wanted}");
         return Err(Error::Shape(text));
     }
     Ok(())
-}
-
-/// # Errors
-/// [`Error::Value`] for the first component that is not finite.
-pub(super) fn check_start(start: &[f64]) -> Result<()> {
-    match start.iter().position(|x| !x.is_finite()) {
-        Some(k) => {
-            Err(Error::Value(format!("component {k} of the starting point is {}, not a finite number", start[k])))
-        }
-        None => Ok(()),
-    }
-}
-
-/// Minimises `problem`, which gives the objective and its gradient at a point, from `start`.
-///
-/// # Errors
-/// Those of [`QuasiNewton::new`], those of `problem`, and [`Error::Shape`] for a gradient of another length.
-pub fn minimize(problem: &mut Objective, metric: Arc<Metric>, start: &[f64], settings: Settings) -> Result<Outcome> {
-    let mut optimizer = QuasiNewton::new(metric, start, settings)?;
-    loop {
-        let (f, gradient) = problem(optimizer.ask())?;
-        check_gradient(&gradient, start.len())?;
-        if optimizer.tell(f, &gradient) == Progress::Done {
-            return Ok(optimizer.outcome);
-        }
-    }
-}
-
-/// # Errors
-/// [`Error::Shape`] for a gradient that is not `n` long.
-pub(super) fn check_gradient(gradient: &[f64], n: usize) -> Result<()> {
-    if gradient.len() == n {
-        return Ok(());
-    }
-    Err(Error::Shape(format!("the gradient has {} components, where the point has {n}", gradient.len())))
 }

@@ -1,16 +1,16 @@
 //! The reference: full-memory BFGS of the `argmin` crate with a Moré-Thuente line search, in the caller's own
-//! coordinates. It keeps a dense inverse Hessian, allocates at each step and does not check curvature: it is here to
-//! be compared with, not to be fast.
+//! coordinates. It keeps a dense inverse Hessian, allocates at each step and does not check the curvature: a
+//! reference for comparisons, not a fast method.
 
-use super::quasi_newton::{check_gradient, check_start};
-use super::{CancelFlag, Objective, Outcome, StopReason, is_cancelled};
+use super::outcome::{Outcome, StopReason};
+use super::problem::{CancelFlag, Objective, check_gradient, check_start, is_cancelled};
 use crate::{Error, Result};
 use argmin::core::{CostFunction, Executor, Gradient};
 use argmin::solver::linesearch::MoreThuenteLineSearch;
 use argmin::solver::quasinewton::BFGS;
 use std::cell::RefCell;
 
-/// The settings of one reference run.
+/// Settings of the reference optimiser.
 #[derive(Debug, Clone)]
 pub struct ArgminBfgs {
     /// Stop when the Euclidean norm of the gradient is below this. It has the units of the objective per unit of x.
@@ -41,15 +41,15 @@ pub fn argmin_bfgs(problem: &mut Objective, start: &[f64], tolerance: f64, max_e
 }
 
 impl ArgminBfgs {
-    /// Minimises `problem`, which gives the objective and its gradient at a point, from `start`. A line search that
-    /// fails, and a value that is not finite, end the run with a [`StopReason`] and the best point found.
+    /// Minimises `problem`, which returns the objective and its gradient at a point, from `start`. A failed line search
+    /// and a value that is not finite end the run with a [`StopReason`] and the best point found.
     ///
     /// # Errors
     /// [`Error::Value`] for a start that is not finite or a setting out of range, [`Error::Shape`] for a gradient that
     /// is not as long as `start`, and those of `problem`.
     pub fn minimize(&self, problem: &mut Objective, start: &[f64]) -> Result<Outcome> {
         self.check(start)?;
-        let ledger = RefCell::new(Ledger {
+        let log = RefCell::new(EvaluationLog {
             problem,
             cancel: self.cancel.as_ref(),
             max_evaluations: self.max_evaluations,
@@ -57,11 +57,11 @@ impl ArgminBfgs {
             best: Outcome::at(start),
             stop: None,
         });
-        let run = self.run(&ledger, start);
-        let Ledger { mut best, stop, .. } = ledger.into_inner();
+        let run = self.run(&log, start);
+        let EvaluationLog { mut best, stop, .. } = log.into_inner();
         best.reason = match (stop, run) {
-            (Some(Stop::Failure(error)), _) => return Err(error),
-            (Some(Stop::Reason(reason)), _) => reason,
+            (Some(Interruption::Failure(error)), _) => return Err(error),
+            (Some(Interruption::Reason(reason)), _) => reason,
             (None, Ok((iterations, reason))) => {
                 best.iterations = iterations;
                 reason
@@ -93,10 +93,10 @@ impl ArgminBfgs {
         check_start(start)
     }
 
-    /// Runs argmin; the iterations it counted and the tolerance that it met.
+    /// Runs argmin; returns its number of iterations and the tolerance that was met.
     fn run(
         &self,
-        ledger: &RefCell<Ledger>,
+        log: &RefCell<EvaluationLog>,
         start: &[f64],
     ) -> std::result::Result<(usize, StopReason), argmin::core::Error> {
         let solver = BFGS::new(MoreThuenteLineSearch::<Vec<f64>, Vec<f64>, f64>::new())
@@ -105,12 +105,12 @@ impl ArgminBfgs {
         let n = start.len();
         let inverse_hessian: Vec<Vec<f64>> =
             (0..n).map(|i| (0..n).map(|j| if i == j { self.initial_scale } else { 0.0 }).collect()).collect();
-        let result = Executor::new(Problem(ledger), solver)
+        let result = Executor::new(Problem(log), solver)
             .configure(|state| state.param(start.to_vec()).inv_hessian(inverse_hessian))
             .timer(false)
             .run()?;
         let state = result.state();
-        // The ledger's gradient is of the best point; argmin's decision rests on the last one.
+        // The log keeps the gradient of the best point; argmin decides by that of the last point.
         let norm = state.grad.as_ref().map_or(f64::NAN, |g| g.iter().map(|g| g * g).sum::<f64>().sqrt());
         let met = norm < self.gradient_tolerance;
         let reason = if met { StopReason::GradientBelowTolerance } else { StopReason::ChangeBelowTolerance };
@@ -118,27 +118,27 @@ impl ArgminBfgs {
     }
 }
 
-/// Why the run was broken off from inside an evaluation.
-enum Stop {
+/// Why the run was interrupted inside an evaluation.
+enum Interruption {
     Reason(StopReason),
     Failure(Error),
 }
 
-/// What was evaluated, beside argmin's own state, which is lost where its line search fails.
-struct Ledger<'a> {
+/// The evaluations so far. The state of argmin is lost where its line search fails.
+struct EvaluationLog<'a> {
     problem: &'a mut Objective<'a>,
     cancel: Option<&'a CancelFlag>,
     max_evaluations: usize,
-    /// The last point, its value and gradient: argmin asks for the two one after the other.
+    /// The last point, its value and gradient: argmin requests value and gradient separately.
     last: Option<(Vec<f64>, f64, Vec<f64>)>,
     /// The lowest point so far, and the count of evaluations.
     best: Outcome,
-    stop: Option<Stop>,
+    stop: Option<Interruption>,
 }
 
-impl Ledger<'_> {
-    /// Makes `x` the last point evaluated; `None` once the run is to end.
-    fn visit(&mut self, x: &[f64]) -> Option<&(Vec<f64>, f64, Vec<f64>)> {
+impl EvaluationLog<'_> {
+    /// The evaluation at `x`, without repeating the last one; `None` once the run is interrupted.
+    fn evaluate_once(&mut self, x: &[f64]) -> Option<&(Vec<f64>, f64, Vec<f64>)> {
         if self.stop.is_none() && !self.last.as_ref().is_some_and(|(at, ..)| at == x) {
             match self.evaluate(x) {
                 Ok((f, gradient)) => self.last = Some((x.to_vec(), f, gradient)),
@@ -148,22 +148,22 @@ impl Ledger<'_> {
         if self.stop.is_some() { None } else { self.last.as_ref() }
     }
 
-    fn evaluate(&mut self, x: &[f64]) -> std::result::Result<(f64, Vec<f64>), Stop> {
+    fn evaluate(&mut self, x: &[f64]) -> std::result::Result<(f64, Vec<f64>), Interruption> {
         if is_cancelled(self.cancel) {
-            return Err(Stop::Reason(StopReason::Cancelled));
+            return Err(Interruption::Reason(StopReason::Cancelled));
         }
         if self.best.evaluations >= self.max_evaluations {
-            return Err(Stop::Reason(StopReason::EvaluationLimit));
+            return Err(Interruption::Reason(StopReason::EvaluationLimit));
         }
-        // A line search that met no finite interpolation: not a point to evaluate.
+        // The line search failed to interpolate: not a point to evaluate.
         if x.iter().any(|x| !x.is_finite()) {
-            return Err(Stop::Reason(StopReason::NotFinite));
+            return Err(Interruption::Reason(StopReason::NotFinite));
         }
-        let (f, gradient) = (self.problem)(x).map_err(Stop::Failure)?;
-        check_gradient(&gradient, x.len()).map_err(Stop::Failure)?;
+        let (f, gradient) = (self.problem)(x).map_err(Interruption::Failure)?;
+        check_gradient(&gradient, x.len()).map_err(Interruption::Failure)?;
         self.best.evaluations += 1;
         if !f.is_finite() || gradient.iter().any(|g| !g.is_finite()) {
-            return Err(Stop::Reason(StopReason::NotFinite));
+            return Err(Interruption::Reason(StopReason::NotFinite));
         }
         if self.best.f.is_nan() || f < self.best.f {
             self.best.f = f;
@@ -174,8 +174,8 @@ impl Ledger<'_> {
     }
 }
 
-/// The view of the ledger that argmin may own.
-struct Problem<'l, 'a>(&'l RefCell<Ledger<'a>>);
+/// Handle of the log that argmin can own.
+struct Problem<'l, 'a>(&'l RefCell<EvaluationLog<'a>>);
 
 impl Problem<'_, '_> {
     fn read<T>(
@@ -183,8 +183,8 @@ impl Problem<'_, '_> {
         x: &[f64],
         part: impl Fn(&(Vec<f64>, f64, Vec<f64>)) -> T,
     ) -> std::result::Result<T, argmin::core::Error> {
-        // The reason stays in the ledger; argmin only has to stop.
-        self.0.borrow_mut().visit(x).map(part).ok_or_else(|| argmin::core::Error::msg("broken off"))
+        // The log has the reason; argmin only has to stop.
+        self.0.borrow_mut().evaluate_once(x).map(part).ok_or_else(|| argmin::core::Error::msg("interrupted"))
     }
 }
 

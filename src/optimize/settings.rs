@@ -1,6 +1,6 @@
-//! When a quasi-Newton run stops, and how far it trusts its model.
+//! Settings of the quasi-Newton optimiser: tolerances, limits, and scaling of the model.
 
-use super::CancelFlag;
+use super::problem::CancelFlag;
 use crate::{Error, Result};
 use std::sync::Arc;
 use std::time::Instant;
@@ -10,50 +10,49 @@ pub const RESOLUTION_F64: f64 = 1e-14;
 /// [`Settings::resolution`] of a sum of squares whose terms come from f32 transforms: some 10 roundings.
 pub const RESOLUTION_F32: f64 = 1e-6;
 
-/// What stands in for the Hessian in directions that no pair has explored.
+/// Initial inverse Hessian, used in directions that no pair has explored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Scaling {
-    /// The metric's own: 2·I in whitened coordinates. Falls back on [`Adaptive`](Self::Adaptive) where the metric is
-    /// the identity.
+    /// That of the metric: a Hessian of 2·I in whitened coordinates. With the identity as metric, as
+    /// [`Adaptive`](Self::Adaptive).
     Metric,
-    /// s·y / y·y of the newest pair. Far from the matrix's own point it learns sooner: on a small phase retrieval
+    /// s·y / y·y of the newest pair. Far from the point of linearisation it converges faster: in a small phase retrieval
     /// 6.8 / 11.5 / 18.4 evaluations from 0.3 / 0.6 / 1.2 rad RMS, against 6.7 / 12.1 / 22.4 (`tests/optimize.rs`).
     #[default]
     Adaptive,
 }
 
-/// When to stop, and how far to trust the model.
+/// Settings of [`super::QuasiNewton`].
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Evaluations of objective and gradient, in all, over restarts too; at least 1.
+    /// Largest number of evaluations of objective and gradient, restarts included; at least 1.
     pub max_evaluations: usize,
-    /// Stop when the largest |component| of the proposed step, in the caller's units, is below this, and its RMS by
-    /// [`step_weights`](Self::step_weights) too; 0 turns it off.
+    /// Stop when the largest |component| of the proposed step, in the caller's units, and its RMS with
+    /// [`step_weights`](Self::step_weights) are below this; 0 disables the test.
     pub step_tolerance: f64,
-    /// Weight of the square of each component in the RMS of a step, 0 or more: many small components add up. Without
-    /// weights the largest component decides alone.
+    /// Weight of the square of each component in the RMS of a step, 0 or more; `None` tests the largest component only.
     pub step_weights: Option<Arc<[f64]>>,
     /// Stop when the predicted decrease −g·d/2 (half the squared Newton decrement) is below this, in the units of
-    /// the objective; 0 turns it off. For a χ² one unit is one standard deviation along one direction. The prediction
-    /// is the model's: good in whitened coordinates, but off by factors of ten where the metric is the identity.
+    /// the objective; 0 disables the test. For a χ², 1 is one standard deviation along one direction. The prediction is
+    /// accurate in whitened coordinates, but may be wrong by factors of ten with the identity as metric.
     pub decrement_tolerance: f64,
-    /// The same, as a fraction of |f|; 0 turns it off.
+    /// The same, as a fraction of |f|; 0 disables the test.
     pub relative_decrement_tolerance: f64,
-    /// Pairs that L-BFGS remembers; 0 is steepest descent in whitened coordinates.
+    /// Number of pairs of L-BFGS; 0 is steepest descent in whitened coordinates.
     pub memory: usize,
-    /// Smallest change of the objective that means something, as a fraction of |f|: [`RESOLUTION_F64`],
+    /// Smallest significant change of the objective, as a fraction of |f|: [`RESOLUTION_F64`],
     /// [`RESOLUTION_F32`].
     pub resolution: f64,
-    /// The same as a number in the units of the objective, added to the former: for objectives that fall to zero.
+    /// The same in the units of the objective, added to the former: for objectives whose minimum is 0.
     pub resolution_floor: f64,
-    /// Largest |component|, in the caller's units, of the displacement from one accepted point to any point evaluated
-    /// on the way to the next; infinite for no bound.
+    /// Largest |component|, in the caller's units, of the displacement from an accepted point to any point evaluated in
+    /// the search for the next; infinite for no bound.
     pub max_step: f64,
-    /// The Hessian in unexplored directions.
+    /// Initial inverse Hessian.
     pub scaling: Scaling,
     /// Read once per evaluation.
     pub cancel: Option<CancelFlag>,
-    /// When to stop wherever it stands; read once per evaluation.
+    /// Deadline of the run; checked once per evaluation.
     pub deadline: Option<Instant>,
 }
 
@@ -77,6 +76,8 @@ impl Default for Settings {
 }
 
 impl Settings {
+    /// Checks the settings.
+    ///
     /// # Errors
     /// [`Error::Value`] for the first setting out of range.
     pub(super) fn check(&self) -> Result<()> {

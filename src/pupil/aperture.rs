@@ -1,19 +1,19 @@
-//! The telescope's mirror as geometry: hexagonal segments, the central obscuration, the spiders.
+//! Geometry of the telescope's mirror: hexagonal segments, central obscuration, spiders.
 
 use super::Segment;
 use super::polygon::{Point, Polygon};
 use crate::{Error, Result};
 use std::f64::consts::PI;
 
-/// Sides of the polygon of equal area that stands for the obscuration's disc. Its edge strays from the circle by
-/// 2.5e-5 of the radius: under 0.1 mm for any telescope of today.
+/// Sides of the polygon of equal area that approximates the disc of the obscuration. Its edge deviates from the circle by
+/// 2.5e-5 of the radius: less than 0.1 mm for any existing telescope.
 const DISC_SIDES: usize = 256;
 
-/// Most rings of segments: more than any telescope planned (ELT: 21 rings' worth), and few enough that a misplaced
-/// number is told, not computed.
+/// Largest number of rings: more than any planned telescope has (ELT: 21), and small enough that a typing error is reported
+/// rather than computed.
 const MAX_RINGS: usize = 64;
 
-/// What a hexagonal mirror is made of.
+/// Geometry of a mirror of hexagonal segments.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HexagonalParameters {
     /// Rings of segments around the centre.
@@ -35,7 +35,7 @@ pub struct HexagonalParameters {
 }
 
 impl HexagonalParameters {
-    /// Keck: 36 segments of 0.9 m in three rings, 3 mm apart, the central one absent; no shadows.
+    /// Keck: 36 segments of 0.9 m in three rings, 3 mm apart, without a central segment; no obscuration and no spiders.
     pub fn keck() -> Self {
         Self {
             rings: 3,
@@ -55,9 +55,7 @@ impl HexagonalParameters {
             return value(format!("{} rings of segments are too many: at most {MAX_RINGS} are accepted", self.rings));
         }
         if self.rings == 0 && !self.central_segment {
-            return value(
-                "a mirror of 0 rings without a central segment has no glass: at least 1 ring is needed".into(),
-            );
+            return value("a mirror of 0 rings without a central segment is empty: at least 1 ring is needed".into());
         }
         if !(self.segment_side_m.is_finite() && self.segment_side_m > 0.0) {
             let side = self.segment_side_m;
@@ -83,25 +81,26 @@ impl HexagonalParameters {
     }
 }
 
-/// The glass of one segment: convex pieces, each added (+1) or taken away (−1).
+/// Shape of one segment without its shadowed parts: convex pieces, each added (+1) or subtracted (−1).
 #[derive(Debug, Clone)]
-pub(crate) struct Glass {
-    /// The whole segment, shadowed or not.
+pub(crate) struct SegmentShape {
+    /// Outline of the whole segment, including shadowed parts.
     pub(crate) outline: Polygon,
     pub(crate) pieces: Vec<(f64, Polygon)>,
 }
 
-impl Glass {
-    /// Cuts the shadows out: spiders split the outline into convex pieces; what the disc covers of each is taken away.
+impl SegmentShape {
+    /// Removes the shadows: the spiders split the outline into convex pieces, and the part of each under the disc is
+    /// subtracted.
     fn new(outline: Polygon, disc: Option<&Polygon>, spiders: &[(Point, f64)]) -> Self {
-        let mut lit = vec![outline.clone()];
+        let mut pieces = vec![outline.clone()];
         for &(normal, half_width) in spiders {
-            let beside = |p: &Polygon| [p.clip(normal, half_width), p.clip([-normal[0], -normal[1]], half_width)];
-            lit = lit.iter().flat_map(beside).filter(|p| p.area() > 0.0).collect();
+            let both_sides = |p: &Polygon| [p.clip(normal, half_width), p.clip([-normal[0], -normal[1]], half_width)];
+            pieces = pieces.iter().flat_map(both_sides).filter(|p| p.area() > 0.0).collect();
         }
         let shadowed = |p: &Polygon| disc.map(|disc| p.intersection(disc)).filter(|p| p.area() > 0.0);
-        let dark: Vec<_> = lit.iter().filter_map(shadowed).map(|p| (-1.0, p)).collect();
-        let pieces = lit.into_iter().map(|p| (1.0, p)).chain(dark).collect();
+        let subtracted: Vec<_> = pieces.iter().filter_map(shadowed).map(|p| (-1.0, p)).collect();
+        let pieces = pieces.into_iter().map(|p| (1.0, p)).chain(subtracted).collect();
         Self { outline, pieces }
     }
 
@@ -109,61 +108,61 @@ impl Glass {
         self.pieces.iter().map(|(sign, p)| sign * p.area()).sum()
     }
 
-    /// Smallest and largest coordinate of the glass along `axis`.
+    /// Smallest and largest coordinate along `axis`.
     pub(crate) fn range(&self, axis: usize) -> (f64, f64) {
         let ranges = self.pieces.iter().map(|(_, p)| p.range(axis));
         ranges.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), r| (low.min(r.0), high.max(r.1)))
     }
 }
 
-/// A segmented mirror, exact: no grid yet.
+/// Exact geometry of a segmented mirror, independent of a grid.
 #[derive(Debug, Clone)]
 pub struct Aperture {
     segments: Vec<Segment>,
-    glass: Vec<Glass>,
+    shapes: Vec<SegmentShape>,
 }
 
 impl Aperture {
     /// Hexagonal segments in rings, vertices on ±x, centres √3·side + gap apart; numbered ring by ring from the
-    /// innermost, within a ring by the polar angle of the centre in [0, 2π), counter-clockwise from +x. All of it then turned
-    /// by the rotation.
+    /// innermost, within a ring by the polar angle of the centre in [0, 2π), counter-clockwise from +x. All is then
+    /// rotated by `rotation_deg`.
     ///
     /// # Errors
     /// [`Error::Value`] for lengths that are negative or not finite, a mirror without segments, more than 64 rings, or
-    /// a segment wholly in shadow.
+    /// a segment completely in shadow.
     pub fn hexagonal(parameters: &HexagonalParameters) -> Result<Self> {
         parameters.check()?;
         let pitch = 3f64.sqrt() * parameters.segment_side_m + parameters.gap_m;
         let segments: Vec<Segment> = (usize::from(!parameters.central_segment)..=parameters.rings)
             .flat_map(ring)
             .map(|(q, r)| [pitch * 3f64.sqrt() / 2.0 * f64::from(q), pitch * (f64::from(q) / 2.0 + f64::from(r))])
-            .map(|centre| turned(centre, parameters.rotation_deg))
+            .map(|centre| rotated(centre, parameters.rotation_deg))
             .map(|[x_m, y_m]| Segment { x_m, y_m })
             .collect();
         let disc = disc(parameters.obscuration_diameter_m);
         let spiders = spiders(parameters);
-        let mut glass = Vec::with_capacity(segments.len());
+        let mut shapes = Vec::with_capacity(segments.len());
         for (index, segment) in segments.iter().enumerate() {
             let centre = [segment.x_m, segment.y_m];
             let outline = Polygon::regular(6, centre, parameters.segment_side_m, parameters.rotation_deg.to_radians());
             let whole = outline.area();
-            let lit = Glass::new(outline, disc.as_ref(), &spiders);
-            // A sliver this small is rounding left over from the clipping.
-            if lit.area() < 1e-9 * whole {
+            let shape = SegmentShape::new(outline, disc.as_ref(), &spiders);
+            // Smaller areas are rounding errors of the clipping.
+            if shape.area() < 1e-9 * whole {
                 return Err(Error::Value(format!(
-                    "segment {index} lies wholly in shadow: leave it out or make the obscuration ({} m) or the \
+                    "segment {index} is completely in shadow: leave it out or make the obscuration ({} m) or the \
                      spiders ({} m) smaller",
                     parameters.obscuration_diameter_m, parameters.spider_width_m
                 )));
             }
-            glass.push(lit);
+            shapes.push(shape);
         }
-        Ok(Self { segments, glass })
+        Ok(Self { segments, shapes })
     }
 
     /// Keck's primary mirror: see [`HexagonalParameters::keck`].
     pub fn keck() -> Self {
-        Self::hexagonal(&HexagonalParameters::keck()).expect("Keck's mirror exists")
+        Self::hexagonal(&HexagonalParameters::keck()).expect("the parameters of Keck are valid")
     }
 
     /// The segments, in order.
@@ -171,9 +170,9 @@ impl Aperture {
         &self.segments
     }
 
-    /// Area of the glass of each segment, m².
+    /// Illuminated area of each segment, m².
     pub fn segment_areas_m2(&self) -> Vec<f64> {
-        self.glass.iter().map(Glass::area).collect()
+        self.shapes.iter().map(SegmentShape::area).collect()
     }
 
     /// Radius of the circle around the origin that encloses the mirror, m.
@@ -181,34 +180,34 @@ impl Aperture {
         self.vertices().map(|[x, y]| x.hypot(y)).fold(0.0, f64::max)
     }
 
-    /// Side of the smallest centred square that encloses the mirror, m: no grid may be narrower.
+    /// Side of the smallest centred square that encloses the mirror, m: the smallest width of a grid.
     pub fn width_m(&self) -> f64 {
         2.0 * self.vertices().map(|[x, y]| x.abs().max(y.abs())).fold(0.0, f64::max)
     }
 
-    /// ∬ exp(−2πi(f_x x + f_y y)) dA over the glass of segment `segment`, m², by the closed form for polygons;
-    /// frequencies in cycles per metre. The judge of every sampled pupil.
+    /// ∬ exp(−2πi(f_x x + f_y y)) dA over segment `segment`, m², by the closed form for polygons;
+    /// frequencies in cycles per metre. The reference for every sampled pupil.
     ///
     /// # Errors
     /// [`Error::Value`] for a segment that the mirror does not have.
     pub fn spectrum_m2(&self, segment: usize, fx: f64, fy: f64) -> Result<num_complex::Complex64> {
-        let Some(glass) = self.glass.get(segment) else {
-            let last = self.glass.len() - 1;
+        let Some(shape) = self.shapes.get(segment) else {
+            let last = self.shapes.len() - 1;
             return Err(Error::Value(format!("segment {segment} does not exist: 0 to {last} are accepted")));
         };
         let mut value = [num_complex::Complex64::default()];
-        for (sign, piece) in &glass.pieces {
+        for (sign, piece) in &shape.pieces {
             piece.add_spectrum(*sign, [0.0; 2], &[fy], &[fx], &mut value);
         }
         Ok(value[0])
     }
 
-    pub(crate) fn glass(&self) -> &[Glass] {
-        &self.glass
+    pub(crate) fn shapes(&self) -> &[SegmentShape] {
+        &self.shapes
     }
 
     fn vertices(&self) -> impl Iterator<Item = Point> + '_ {
-        self.glass.iter().flat_map(|glass| glass.outline.0.iter().copied())
+        self.shapes.iter().flat_map(|shape| shape.outline.0.iter().copied())
     }
 }
 
@@ -217,7 +216,7 @@ fn ring(radius: usize) -> Vec<(i32, i32)> {
     let n = radius as i32;
     let on_ring = |&(q, r): &(i32, i32)| q.abs().max(r.abs()).max((q + r).abs()) == n;
     let mut cells: Vec<_> = (-n..=n).flat_map(|q| (-n..=n).map(move |r| (q, r))).filter(on_ring).collect();
-    // Twice the height is an integer, so a centre on +x has the angle 0 exactly, never 2π by a rounding.
+    // Twice the height is an integer, so that a centre on +x has the angle 0 exactly, and not 2π by rounding.
     let angle = |&(q, r): &(i32, i32)| {
         let angle = f64::from(q + 2 * r).atan2(3f64.sqrt() * f64::from(q));
         if angle < 0.0 { angle + 2.0 * PI } else { angle }
@@ -226,13 +225,13 @@ fn ring(radius: usize) -> Vec<(i32, i32)> {
     cells
 }
 
-/// A point turned about the axis; by 0 not even by a rounding.
-fn turned([x, y]: Point, angle_deg: f64) -> Point {
+/// A point rotated about the axis; a rotation by 0 is exact.
+fn rotated([x, y]: Point, angle_deg: f64) -> Point {
     let (sin, cos) = angle_deg.to_radians().sin_cos();
     [cos * x - sin * y, sin * x + cos * y]
 }
 
-/// The polygon that has the area of the obscuration's disc.
+/// The polygon with the area of the disc of the obscuration.
 fn disc(diameter: f64) -> Option<Polygon> {
     let step = 2.0 * PI / DISC_SIDES as f64;
     (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, [0.0; 2], diameter / 2.0 * (step / step.sin()).sqrt(), 0.0))

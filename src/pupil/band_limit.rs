@@ -1,7 +1,7 @@
-//! Band-limited pupils: accuracy far beyond grey edges at the same number of samples.
+//! Band-limited pupils: far more accurate than anti-aliased edges with the same number of samples.
 //!
-//! Sampling a sharp edge folds its high frequencies onto the low ones that shape the image. Here each segment is
-//! low-passed first, so that what folds lands outside the band that matters:
+//! Sampling a sharp edge aliases its high frequencies into the low ones that determine the image. Here each segment is
+//! low-pass filtered first, so that aliases stay outside the pass band:
 //!
 //! ```text
 //! gain 1 ────────┐.            frequency f, in cycles per grid width, along each axis
@@ -9,12 +9,12 @@
 //!      0 ───── pass ─`stop──
 //! ```
 //!
-//! The filter is separable, because the band that matters is a square: a focal pixel at (u, v) λ/D is the frequency
+//! The filter is separable, because the pass band is a square: a focal pixel at (u, v) λ/D is the frequency
 //! (u, v), and images are square. The transition is the integral of a Kaiser window (Kaiser and Schafer, IEEE Trans.
-//! ASSP 28, 105, 1980), because its ringing falls below a given level within the fewest samples.
+//! ASSP 28, 105, 1980), because its ringing decreases below a given level within the fewest samples.
 //!
-//! Nothing is periodic: spectra are continuous functions (in closed form for a geometric aperture), sampled finely
-//! enough that the ringing of one side never comes back on the other.
+//! Nothing is periodic: spectra are continuous functions (in closed form for a geometric aperture), sampled so
+//! finely that the ringing does not wrap around.
 
 use super::{Aperture, FinePupil, SegmentWeights};
 use crate::grid::Grid;
@@ -27,20 +27,20 @@ use std::f64::consts::PI;
 /// The low pass of a band-limited pupil, along each axis; frequencies in cycles per grid width (λ/D in the focus).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BandLimit {
-    /// Frequencies up to here pass unchanged. At least half the image's width in λ/D plus half that of the defocused
+    /// Frequencies up to this are unchanged. At least half the width of the image in λ/D plus half that of the defocused
     /// spot.
     pub pass: f64,
-    /// Frequencies from here on are gone. `samples − pass` keeps aliases out of the pass band.
+    /// Frequencies from this on are removed. `samples − pass` keeps aliases out of the pass band.
     pub stop: f64,
-    /// Weights of a smaller magnitude are left out; also the level that the filter's ringing is designed for.
+    /// Weights of a smaller magnitude are dropped; also the design level of the filter's ringing.
     pub drop_below: f64,
 }
 
 impl BandLimit {
-    /// The low pass for a grid of `samples` a side that aliases nothing below `pass`, dropping weights under 1e-4.
+    /// The low-pass filter for a grid of `samples` a side without aliases below `pass`; weights under 1e-4 are dropped.
     ///
-    /// Keck at 120 samples, pass 50: 1e-4 keeps 3.1 entries per lit sample and the focal field to 2e-5; 1e-3 keeps 2.3
-    /// and 1.4e-4, 1e-5 4.1 and 2e-6 (on a grid with 20 spare samples a side).
+    /// Keck at 120 samples, pass 50: 1e-4 keeps 3.1 entries per illuminated sample, with an error of the focal field of 2e-5;
+    /// 1e-3 keeps 2.3 with 1.4e-4, and 1e-5 keeps 4.1 with 2e-6 (on a grid with a margin of 20 samples a side).
     ///
     /// # Errors
     /// [`Error::Value`] unless 0 < `pass` < `samples`/2.
@@ -66,13 +66,13 @@ impl BandLimit {
         Ok(())
     }
 
-    /// Kaiser's shape parameter for ringing at `drop_below`.
+    /// Kaiser's shape parameter for ringing of `drop_below`.
     fn beta(&self) -> f64 {
         (0.1102 * (-20.0 * self.drop_below.log10() - 8.7)).max(0.0)
     }
 
-    /// Distance, in grid widths, from an edge to where its ringing is below `drop_below`: the main lobe of the
-    /// transition's transform. An abrupt transition rings forever: a whole grid is as far as any sample can be.
+    /// Distance from an edge beyond which its ringing is below `drop_below`, in grid widths: the main lobe of the transform
+    /// of the transition. At most 1, since no sample is farther away.
     fn reach(&self) -> f64 {
         ((1.0 + (self.beta() / PI).powi(2)).sqrt() / (self.stop - self.pass)).min(1.0)
     }
@@ -97,7 +97,7 @@ fn simpson(f: impl Fn(f64) -> f64, low: f64, high: f64) -> f64 {
     (0..=128).map(|i| weight(i) * f(low + i as f64 * step)).sum::<f64>() * step / 3.0
 }
 
-/// Modified Bessel function of order 0 by its power series; all terms positive, so nothing cancels.
+/// Modified Bessel function of order 0 by its power series; all terms are positive, so that there is no cancellation.
 fn bessel_i0(x: f64) -> f64 {
     let (mut term, mut sum, mut k) = (1.0, 1.0, 1.0);
     while term > sum * f64::EPSILON {
@@ -109,37 +109,37 @@ fn bessel_i0(x: f64) -> f64 {
 }
 
 impl SegmentWeights {
-    /// Each segment of a geometric aperture, low-passed and sampled on `grid`; its spectrum is exact.
+    /// Each segment of a geometric aperture, low-pass filtered and sampled on `grid`; its spectrum is exact.
     ///
-    /// Weights ring beyond the segment's edge, and may be negative there: leave a few samples between the mirror and
-    /// the edge of the grid. The energy is the mirror's area in samples.
+    /// Weights ring beyond the edge of the segment and may be negative there, so the grid should extend a few samples beyond
+    /// the mirror. The energy is the area of the mirror in samples.
     ///
     /// # Errors
     /// [`Error::Value`] for a grid narrower than the mirror or an impossible `limit`.
     pub fn band_limited(aperture: &Aperture, grid: &Grid, limit: &BandLimit) -> Result<Self> {
         limit.check(grid.samples())?;
         aperture.check_width(grid)?;
-        let column = |glass: &super::aperture::Glass| {
-            let (y, x) = (Axis::new(glass.range(1), grid, limit, false), Axis::new(glass.range(0), grid, limit, true));
+        let column = |shape: &super::aperture::SegmentShape| {
+            let (y, x) = (Axis::new(shape.range(1), grid, limit, false), Axis::new(shape.range(0), grid, limit, true));
             let mut spectrum = vec![Complex64::default(); y.frequencies.len() * x.frequencies.len()];
-            for (sign, piece) in &glass.pieces {
+            for (sign, piece) in &shape.pieces {
                 piece.add_spectrum(*sign, [x.origin, y.origin], &y.frequencies, &x.frequencies, &mut spectrum);
             }
             sample(spectrum, &y, &x, grid, limit)
         };
-        let columns = aperture.glass().par_iter().map(column).collect::<Result<Vec<_>>>()?;
+        let columns = aperture.shapes().par_iter().map(column).collect::<Result<Vec<_>>>()?;
         Ok(Self::from_columns(grid.samples(), &columns, aperture.energy(grid)))
     }
 
-    /// Each segment of a pupil given as fine maps, low-passed and sampled on `grid`. The energy is Σ amplitude² of the
+    /// Each segment of a pupil given as fine maps, low-pass filtered and sampled on `grid`. The energy is Σ amplitude² of the
     /// fine map, in samples of `grid`.
     ///
-    /// The result is as exact as the labels: a fine sample across a gap goes to one segment, which moves the border
-    /// between the two by up to half a fine sample. A geometric aperture has no such error.
+    /// The accuracy is that of the labels: a fine sample across a gap is assigned to one segment, which moves the border
+    /// between the two by up to half a fine sample. A geometric aperture does not have this error.
     ///
     /// # Errors
     /// [`Error::Value`] for maps less than twice as fine as `grid` (see [`FinePupil::resolves`]; use
-    /// [`SegmentWeights::hard`] for those), or an impossible `limit`.
+    /// [`SegmentWeights::hard`] instead), or an impossible `limit`.
     pub fn band_limited_maps(fine: &FinePupil, grid: &Grid, limit: &BandLimit) -> Result<Self> {
         limit.check(grid.samples())?;
         if !fine.resolves(grid) {
@@ -162,26 +162,27 @@ impl SegmentWeights {
     }
 }
 
-/// One axis of a segment's transform: its frequencies, and the samples that it reaches.
+/// One axis of the transform of a segment: its frequencies, and the samples within reach.
 struct Axis {
-    /// Where the spectrum's phase is 0, m.
+    /// Origin of the phase of the spectrum, m.
     origin: f64,
     /// Cycles per metre.
     frequencies: Vec<f64>,
     /// Filter times quadrature weight of each frequency, 1/m.
     gains: Vec<f64>,
-    /// The grid's samples within reach, by index.
+    /// Indices of the samples of the grid within reach.
     samples: std::ops::Range<usize>,
     /// Their coordinates from `origin`, m.
     positions: Vec<f64>,
 }
 
 impl Axis {
-    /// For glass within `range`. A real function needs half of the frequencies along one axis: `half` counts them twice.
+    /// The axis for a shape within `(low, high)`, m. A real function needs half of the frequencies along one axis: with `half`
+    /// those count twice.
     fn new((low, high): (f64, f64), grid: &Grid, limit: &BandLimit, half: bool) -> Self {
         let reach = limit.reach() * grid.width_m();
-        // Samples of a spectrum 1/period apart make copies a period apart: the nearest copy's glass stays two reaches
-        // away from every sample that is kept.
+        // Sampling the spectrum at 1/period repeats the shape with that period: the nearest copy is at least two reaches away
+        // from every sample that is kept.
         let period = high - low + 3.0 * reach;
         let last = (limit.stop / grid.width_m() * period).floor() as i64;
         let first = if half { 0 } else { -last };
@@ -213,13 +214,13 @@ fn waves(positions: &[f64], frequencies: &[f64], sign: f64) -> Array2<Complex64>
 /// Filters a spectrum `[fy, fx ≥ 0]` and evaluates it at the grid's samples within reach: `(y·samples + x, weight)`.
 fn sample(spectrum: Vec<Complex64>, y: &Axis, x: &Axis, grid: &Grid, limit: &BandLimit) -> Result<Vec<(u32, f64)>> {
     let mut spectrum = Array2::from_shape_vec((y.frequencies.len(), x.frequencies.len()), spectrum)
-        .map_err(|error| Error::Internal(format!("the spectrum of a segment has lost its shape: {error}")))?;
+        .map_err(|error| Error::Internal(format!("the spectrum of a segment has a wrong shape: {error}")))?;
     for ((fy, fx), value) in spectrum.indexed_iter_mut() {
         *value *= y.gains[fy] * x.gains[fx];
     }
     let rows = y.waves().dot(&spectrum);
     let along_x = x.waves();
-    // Only the real part of the last product is wanted: two real products instead of four.
+    // Only the real part of the last product is needed: two real products instead of four.
     let cosine = rows.mapv(|v| v.re).dot(&along_x.mapv(|v| v.re).t());
     let sine = rows.mapv(|v| v.im).dot(&along_x.mapv(|v| v.im).t());
     let mut map = cosine;
@@ -228,7 +229,7 @@ fn sample(spectrum: Vec<Complex64>, y: &Axis, x: &Axis, grid: &Grid, limit: &Ban
     Ok(map.indexed_iter().filter(|(_, w)| w.abs() >= limit.drop_below).map(|(at, &w)| (index(at), w)).collect())
 }
 
-/// One segment cut out of fine maps.
+/// One segment of the fine maps.
 struct Patch {
     /// Coordinates of the rows, then of the columns, m.
     positions: [Vec<f64>; 2],
@@ -242,7 +243,7 @@ impl Patch {
         (along[0] - self.pitch_m / 2.0, along[along.len() - 1] + self.pitch_m / 2.0)
     }
 
-    /// The segment's spectrum `[fy, fx]`. A sample is the mean over its cell: the blur is divided out again.
+    /// Spectrum of the segment, `[fy, fx]`. A sample is the mean over its cell, a blur that is divided out.
     fn spectrum(&self, y: &Axis, x: &Axis) -> Result<Vec<Complex64>> {
         let from = |along: &[f64], origin: f64| along.iter().map(|p| p - origin).collect::<Vec<_>>();
         let along_x = waves(&from(&self.positions[1], x.origin), &x.frequencies, -1.0);
@@ -261,7 +262,7 @@ impl Patch {
 }
 
 fn patches(fine: &FinePupil) -> Vec<Patch> {
-    // Rows and columns that hold each segment, as first..end.
+    // Rows and columns of each segment, as first..end.
     let mut boxes = vec![[usize::MAX, 0, usize::MAX, 0]; fine.pupil().segments.len()];
     for ((y, x), &label) in fine.pupil().owner.indexed_iter().filter(|(_, label)| **label >= 0) {
         let b = &mut boxes[label as usize];

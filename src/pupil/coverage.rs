@@ -1,20 +1,20 @@
-//! How much of each grid cell is glass, exactly.
+//! Exact fraction of each grid cell that is covered by the mirror.
 
 use super::Pupil;
-use super::aperture::{Aperture, Glass};
+use super::aperture::{Aperture, SegmentShape};
 use super::polygon::Polygon;
 use crate::grid::Grid;
 use crate::{Error, Result};
 use ndarray::Array2;
 use rayon::prelude::*;
 
-/// Shares below this are rounding left over where glass and shadow cancel.
+/// Smaller fractions are rounding errors of the subtraction of shadows.
 const ROUNDING: f64 = 1e-12;
 
 impl Aperture {
-    /// The mirror on a grid: amplitude = the exact fraction of each cell that is glass. A cell belongs to the segment
-    /// that holds its centre; a cell with glass whose centre is in a gap or beyond the edge belongs to the segment
-    /// with the largest share.
+    /// The mirror on a grid: the amplitude is the exact illuminated fraction of each cell. A cell belongs to the segment at
+    /// its centre; an illuminated cell whose centre is in a gap or beyond the edge belongs to the segment that covers most
+    /// of it.
     ///
     /// # Errors
     /// [`Error::Value`] for a grid narrower than the mirror.
@@ -25,14 +25,14 @@ impl Aperture {
         let mut owner = vec![-1; samples * samples];
         let mut largest = vec![0.0f64; samples * samples];
         for (segment, entries) in shares.iter().enumerate() {
-            let outline = &self.glass()[segment].outline;
+            let outline = &self.shapes()[segment].outline;
             for &(cell, share) in entries {
                 let cell = cell as usize;
                 let centre = [grid.coordinate_m(cell % samples), grid.coordinate_m(cell / samples)];
-                // Holding the centre beats every share.
-                let claim = if outline.contains(centre) { 2.0 } else { share };
-                if claim > largest[cell] {
-                    largest[cell] = claim;
+                // The segment at the centre has priority over any fraction.
+                let priority = if outline.contains(centre) { 2.0 } else { share };
+                if priority > largest[cell] {
+                    largest[cell] = priority;
                     owner[cell] = segment as i32;
                 }
                 amplitude[cell] = (amplitude[cell] + share).min(1.0);
@@ -46,27 +46,29 @@ impl Aperture {
         })
     }
 
-    /// The share of each cell that each segment covers: per segment, `(y·samples + x, share)` in ascending order.
+    /// Fraction of each cell that each segment covers: per segment, `(y·samples + x, fraction)` in ascending order.
     pub(crate) fn shares(&self, grid: &Grid) -> Result<Vec<Vec<(u32, f64)>>> {
         self.check_width(grid)?;
-        Ok(self.glass().par_iter().map(|glass| glass_shares(glass, grid)).collect())
+        Ok(self.shapes().par_iter().map(|shape| shape_shares(shape, grid)).collect())
     }
 
-    /// Refuses a grid that cuts into the mirror, but for a rounding.
+    /// Checks that the grid encloses the mirror, within rounding.
     pub(crate) fn check_width(&self, grid: &Grid) -> Result<()> {
         let (mirror, width) = (self.width_m(), grid.width_m());
         if mirror <= width * (1.0 + 1e-12) {
             return Ok(());
         }
-        Err(Error::Value(format!("a grid {width} m wide cuts into the mirror: at least {mirror:.4} m is needed")))
+        Err(Error::Value(format!(
+            "a grid {width} m wide is narrower than the mirror: at least {mirror:.4} m is needed"
+        )))
     }
 }
 
-fn glass_shares(glass: &Glass, grid: &Grid) -> Vec<(u32, f64)> {
+fn shape_shares(shape: &SegmentShape, grid: &Grid) -> Vec<(u32, f64)> {
     let samples = grid.samples();
-    let (columns, rows) = (cells(glass.range(0), grid), cells(glass.range(1), grid));
+    let (columns, rows) = (cells(shape.range(0), grid), cells(shape.range(1), grid));
     let mut share = vec![0.0; columns.len() * rows.len()];
-    for (sign, piece) in &glass.pieces {
+    for (sign, piece) in &shape.pieces {
         for (line, y) in share.chunks_exact_mut(columns.len()).zip(rows.clone()) {
             let strip = piece.clip_band(1, edge(y, grid), edge(y + 1, grid));
             add_strip(&strip, *sign, y, columns.start, grid, line);
@@ -76,8 +78,8 @@ fn glass_shares(glass: &Glass, grid: &Grid) -> Vec<(u32, f64)> {
     share.iter().enumerate().filter(|(_, share)| **share > ROUNDING).map(|(i, &share)| (index(i), share)).collect()
 }
 
-/// Adds the shares of one row of cells. A strip of a convex polygon fills every cell between its innermost borders;
-/// only the few cells around the borders are clipped.
+/// Adds the fractions of one row of cells. A strip of a convex polygon covers every cell between its innermost borders
+/// completely; only the few cells at the borders are clipped.
 fn add_strip(strip: &Polygon, sign: f64, y: usize, first: usize, grid: &Grid, line: &mut [f64]) {
     let full = full_range(strip, y, grid);
     let area = grid.pitch_m().powi(2);
@@ -89,7 +91,7 @@ fn add_strip(strip: &Polygon, sign: f64, y: usize, first: usize, grid: &Grid, li
     }
 }
 
-/// The abscissae between which the strip spans its row from bottom to top; an empty range where it never does.
+/// The abscissae between which the strip spans its row from bottom to top; an empty range where it does not.
 fn full_range(strip: &Polygon, y: usize, grid: &Grid) -> (f64, f64) {
     let border = |at: f64| {
         let on = strip.0.iter().filter(|p| p[1] == at).map(|p| p[0]);
@@ -104,7 +106,7 @@ fn edge(j: usize, grid: &Grid) -> f64 {
     (j as f64 - grid.samples() as f64 / 2.0) * grid.pitch_m()
 }
 
-/// The cells that a range of coordinates touches, one at least; by rounding, perhaps one more. Empty for an empty range.
+/// The cells that a range of coordinates overlaps: at least one, possibly one more by rounding; none for an empty range.
 fn cells((low, high): (f64, f64), grid: &Grid) -> std::ops::Range<usize> {
     if low > high {
         return 0..0;

@@ -1,16 +1,16 @@
-//! Least squares and statistics over the pupil, weighted with its amplitude.
+//! Least-squares removal of piston, tip and tilt, and statistics over the pupil, weighted with its amplitude.
 
 use super::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 
 impl Pupil {
-    /// Σ A: the glass in samples.
+    /// Σ A: the illuminated area in samples.
     pub fn weight_sum(&self) -> f64 {
         self.amplitude.sum()
     }
 
-    /// Area of the glass that each segment owns, m².
+    /// Illuminated area of each segment, m².
     pub fn segment_areas(&self) -> Vec<f64> {
         let mut areas = vec![0.0; self.segments.len()];
         for (&amplitude, &owner) in self.amplitude.iter().zip(&self.owner).filter(|(_, owner)| **owner >= 0) {
@@ -19,16 +19,15 @@ impl Pupil {
         areas
     }
 
-    /// The map `[y, x]` less its weighted mean over the pupil; NaN outside. Values outside are not looked at.
+    /// The map `[y, x]` minus its weighted mean over the pupil; NaN outside. Values outside are ignored.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map of another shape, [`Error::Value`] for a value on the glass that is not finite.
+    /// [`Error::Shape`] for a map of another shape, [`Error::Value`] for a value in the pupil that is not finite.
     pub fn remove_piston(&self, map: ArrayView2<f64>) -> Result<Array2<f64>> {
         self.detrend(map, 1)
     }
 
-    /// The map `[y, x]` less its weighted least-squares plane over the pupil; NaN outside. Values outside are not
-    /// looked at.
+    /// The map `[y, x]` minus its weighted least-squares plane over the pupil; NaN outside. Values outside are ignored.
     ///
     /// # Errors
     /// Those of [`Pupil::remove_piston`].
@@ -42,18 +41,18 @@ impl Pupil {
     /// Those of [`Pupil::remove_piston`].
     pub fn rms(&self, map: ArrayView2<f64>) -> Result<f64> {
         self.check(&map)?;
-        let lit = self.amplitude.iter().zip(&map).filter(|(a, _)| **a > 0.0);
-        Ok((lit.map(|(a, m)| a * m * m).sum::<f64>() / self.weight_sum()).sqrt())
+        let illuminated = self.amplitude.iter().zip(&map).filter(|(a, _)| **a > 0.0);
+        Ok((illuminated.map(|(a, m)| a * m * m).sum::<f64>() / self.weight_sum()).sqrt())
     }
 
-    /// Removes the first `terms` of 1, x, y, made orthogonal over the pupil one after the other; a term that the
-    /// earlier ones already span (a pupil of one sample, or of one line) is skipped.
+    /// Removes the first `terms` of 1, x, y, made orthogonal over the pupil one after the other; a term in
+    /// the span of the earlier ones (on a pupil of one sample, or of one line) is skipped.
     fn detrend(&self, map: ArrayView2<f64>, terms: usize) -> Result<Array2<f64>> {
         self.check(&map)?;
         let samples = self.grid.samples();
-        let lit: Vec<usize> =
+        let illuminated: Vec<usize> =
             (0..samples * samples).filter(|i| self.amplitude[[i / samples, i % samples]] > 0.0).collect();
-        let weight: Vec<f64> = lit.iter().map(|i| self.amplitude[[i / samples, i % samples]]).collect();
+        let weight: Vec<f64> = illuminated.iter().map(|i| self.amplitude[[i / samples, i % samples]]).collect();
         let dot = |a: &[f64], b: &[f64]| -> f64 { weight.iter().zip(a).zip(b).map(|((w, a), b)| w * a * b).sum() };
         let half = self.grid.width_m() / 2.0;
         let term = |t: usize| {
@@ -62,9 +61,9 @@ impl Pupil {
                 1 => self.grid.coordinate_m(i % samples) / half,
                 _ => self.grid.coordinate_m(i / samples) / half,
             };
-            lit.iter().map(value).collect::<Vec<f64>>()
+            illuminated.iter().map(value).collect::<Vec<f64>>()
         };
-        let mut residual: Vec<f64> = lit.iter().map(|i| map[[i / samples, i % samples]]).collect();
+        let mut residual: Vec<f64> = illuminated.iter().map(|i| map[[i / samples, i % samples]]).collect();
         let mut basis: Vec<Vec<f64>> = Vec::with_capacity(terms);
         for mut vector in (0..terms).map(term) {
             let before = dot(&vector, &vector);
@@ -72,7 +71,7 @@ impl Pupil {
                 let share = dot(&vector, b) / dot(b, b);
                 subtract(&mut vector, b, share);
             }
-            // What is left of a dependent term is rounding, 1e-16 of its length, squared.
+            // The remainder of a dependent term is rounding: the square of 1e-16 of its length.
             if dot(&vector, &vector) > 1e-24 * before {
                 let share = dot(&residual, &vector) / dot(&vector, &vector);
                 subtract(&mut residual, &vector, share);
@@ -80,7 +79,7 @@ impl Pupil {
             }
         }
         let mut detrended = Array2::from_elem(map.dim(), f64::NAN);
-        lit.iter().zip(residual).for_each(|(i, value)| detrended[[i / samples, i % samples]] = value);
+        illuminated.iter().zip(residual).for_each(|(i, value)| detrended[[i / samples, i % samples]] = value);
         Ok(detrended)
     }
 
@@ -91,10 +90,10 @@ impl Pupil {
                 "a map of {rows} × {columns} does not fit the pupil: {samples} × {samples} is needed"
             )));
         }
-        let on_glass = map.indexed_iter().filter(|(at, _)| self.amplitude[*at] > 0.0);
-        match on_glass.into_iter().find(|(_, value)| !value.is_finite()) {
+        let inside = map.indexed_iter().filter(|(at, _)| self.amplitude[*at] > 0.0);
+        match inside.into_iter().find(|(_, value)| !value.is_finite()) {
             Some(((y, x), value)) => Err(Error::Value(format!(
-                "the map is {value} at row {y}, column {x}, on the pupil's glass: finite values are needed there"
+                "the map is {value} at row {y}, column {x}, inside the pupil: finite values are needed there"
             ))),
             None => Ok(()),
         }

@@ -1,20 +1,21 @@
-//! Pupils given as maps: any telescope, from its FITS files.
+//! Pupils given as maps, for instance from FITS files.
 
 use super::{Pupil, Segment};
 use crate::grid::Grid;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// How far, in samples, unlabelled glass may lie from labelled glass: a grey rim or a gap, not a missing segment.
+/// Largest distance of an unlabelled illuminated sample from a labelled one, in samples: at an anti-aliased edge or a gap.
+/// A larger distance means that a label is missing.
 const RIM: usize = 2;
 
-/// A pupil on a grid finer than the model's, with the segment of each sample: what a band-limited pupil is made of.
-/// Its maps have been checked, and stay as they are.
+/// A pupil on a grid finer than the model's, with the segment of each sample: the input of a band-limited pupil. Its
+/// maps are checked and cannot be changed.
 #[derive(Debug, Clone)]
 pub struct FinePupil(Pupil);
 
 impl FinePupil {
-    /// Checks and keeps the maps `[y, x]`: see [`Pupil::from_maps`], which accepts the same.
+    /// Checks and stores the maps `[y, x]`, as [`Pupil::from_maps`].
     ///
     /// # Errors
     /// Those of [`Pupil::from_maps`].
@@ -27,12 +28,12 @@ impl FinePupil {
         &self.0
     }
 
-    /// Where their samples are.
+    /// Grid of the maps.
     pub fn grid(&self) -> &Grid {
         &self.0.grid
     }
 
-    /// Whether the maps are fine enough to be band-limited onto `grid`: at least twice its sampling.
+    /// Whether the maps are fine enough to be band-limited onto `grid`: at least twice as fine.
     pub fn resolves(&self, grid: &Grid) -> bool {
         self.grid().pitch_m() <= grid.pitch_m() / 2.0 * (1.0 + 1e-12)
     }
@@ -42,13 +43,14 @@ impl Pupil {
     /// A pupil from its maps: `amplitude` `[y, x]` in [0, 1], `labels` `[y, x]` = 0, 1, … for the segments and negative
     /// elsewhere; without labels, one segment (a monolithic telescope).
     ///
-    /// Glass without a label takes the label of the nearest labelled glass within two samples (a grey rim, a gap);
-    /// a label without glass is dropped. The centre of a segment is the centroid of its glass.
+    /// An illuminated sample without a label takes the label of the nearest labelled illuminated sample within two samples (at
+    /// an anti-aliased edge or a gap); a label outside the illuminated area is ignored. The centre of a segment is the
+    /// centroid of its amplitude.
     ///
     /// # Errors
     /// [`Error::Shape`] for maps that do not have the grid's shape; [`Error::Value`] for an amplitude outside [0, 1] or
-    /// not finite, a pupil without glass, a number between 0 and the largest label that no glass carries, or glass
-    /// farther than two samples from any labelled glass.
+    /// not finite, a pupil without illuminated samples, a number between 0 and the largest label that no illuminated sample has, or
+    /// an illuminated sample farther than two samples from any labelled one.
     pub fn from_maps(grid: Grid, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let samples = grid.samples();
         check_shape("pupil amplitude", amplitude.dim(), samples)?;
@@ -58,7 +60,9 @@ impl Pupil {
             )));
         }
         if !amplitude.iter().any(|&a| a > 0.0) {
-            return Err(Error::Value("the pupil amplitude is 0 everywhere: some glass is needed".into()));
+            return Err(Error::Value(
+                "the pupil amplitude is 0 everywhere: at least one illuminated sample is needed".into(),
+            ));
         }
         let owner = match labels {
             None => amplitude.mapv(|a| if a > 0.0 { 0 } else { -1 }),
@@ -79,15 +83,15 @@ fn check_shape(name: &str, (rows, columns): (usize, usize), samples: usize) -> R
     Err(Error::Shape(format!("the map of {name} is {rows} × {columns}: the grid needs {samples} × {samples}")))
 }
 
-/// The segment of each sample with glass, −1 elsewhere.
+/// The segment of each illuminated sample, −1 elsewhere.
 fn owners(amplitude: &Array2<f64>, labels: &Array2<i32>) -> Result<Array2<i32>> {
     let mut owner = Array2::from_elem(labels.dim(), -1);
     for ((y, x), &a) in amplitude.indexed_iter() {
         if a > 0.0 {
             owner[[y, x]] = nearest_label(amplitude, labels, y, x).ok_or_else(|| {
                 Error::Value(format!(
-                    "the pupil has glass at row {y}, column {x} but no segment's label within {RIM} samples: label \
-                     every segment 0, 1, …, and the rest −1"
+                    "the pupil is illuminated at row {y}, column {x}, but there is no segment label within {RIM} samples: label \
+                     the segments 0, 1, …, and all other samples −1"
                 ))
             })?;
         }
@@ -95,7 +99,7 @@ fn owners(amplitude: &Array2<f64>, labels: &Array2<i32>) -> Result<Array2<i32>> 
     Ok(owner)
 }
 
-/// The label of the nearest labelled glass; the first in reading order of those equally near.
+/// The label of the nearest labelled illuminated sample; among equally near ones, the first in grid order.
 fn nearest_label(amplitude: &Array2<f64>, labels: &Array2<i32>, y: usize, x: usize) -> Option<i32> {
     if labels[[y, x]] >= 0 {
         return Some(labels[[y, x]]);
@@ -109,7 +113,7 @@ fn nearest_label(amplitude: &Array2<f64>, labels: &Array2<i32>, y: usize, x: usi
 
 fn centroids(grid: &Grid, amplitude: &Array2<f64>, owner: &Array2<i32>) -> Result<Vec<Segment>> {
     let largest = owner.iter().copied().max().unwrap_or(-1);
-    // A wild label would ask for gigabytes: no map has more segments than samples.
+    // A wrong label could request gigabytes of memory: no map has more segments than samples.
     if largest as usize >= owner.len() {
         return Err(Error::Value(format!(
             "the largest segment label is {largest}, more than the map has samples: label the segments 0, 1, …"

@@ -1,4 +1,4 @@
-//! The telescope's pupil: its glass, which segment owns what, and the weights with which the model samples it.
+//! The telescope's pupil: amplitude, segments, and the weights of the segments in the samples of the model.
 
 mod aperture;
 mod band_limit;
@@ -29,22 +29,22 @@ pub struct Segment {
 pub struct Pupil {
     /// Where the samples are.
     pub grid: Grid,
-    /// Fraction of each sample's area that is glass, `[y, x]`, in [0, 1].
+    /// Fraction of each sample's area that is illuminated, `[y, x]`, in [0, 1].
     pub amplitude: Array2<f64>,
-    /// Segment that owns the centre of each sample, `[y, x]`; −1 where none does. A sample with glass always has an
-    /// owner (the segment with the largest share where its centre falls into a gap).
+    /// Segment at the centre of each sample, `[y, x]`; −1 where there is none. An illuminated sample always has an owner
+    /// (where its centre is in a gap, the segment that covers most of it).
     pub owner: Array2<i32>,
-    /// The segments, in the project's order (ring by ring, counter-clockwise from +x).
+    /// The segments, ring by ring, counter-clockwise from +x.
     pub segments: Vec<Segment>,
 }
 
-/// How strongly each segment shows in each lit sample: `E_p = e^{ikψ_p} Σ_s w_ps e^{ik c_s}`. Compressed rows over
-/// the lit samples.
+/// Weight of each segment in each illuminated sample: `E_p = e^{ikψ_p} Σ_s w_ps e^{ik c_s}`. Compressed sparse rows over the
+/// illuminated samples.
 #[derive(Debug, Clone)]
 pub struct SegmentWeights {
     /// Number of segments.
     pub segments: usize,
-    /// Flat grid index `y·samples + x` of each lit sample, ascending.
+    /// Flat grid index `y·samples + x` of each illuminated sample, ascending.
     pub lit: Vec<u32>,
     /// Row starts into `segment` and `weight`; `lit.len() + 1` entries.
     pub offsets: Vec<u32>,
@@ -52,7 +52,7 @@ pub struct SegmentWeights {
     pub segment: Vec<u32>,
     /// Weight of each entry (may be negative for a band-limited pupil).
     pub weight: Vec<f64>,
-    /// Σ over the aperture of amplitude², in units of this grid's samples, of the unfiltered pupil: the energy that
-    /// normalises the PSF to a sum of 1 over an unbounded detector.
+    /// Σ over the aperture of amplitude², in units of this grid's samples, of the unfiltered pupil. It normalises the
+    /// PSF to a sum of 1 over an unbounded detector.
     pub energy: f64,
 }

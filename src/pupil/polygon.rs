@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 /// A point or vector of the pupil plane, m.
 pub(crate) type Point = [f64; 2];
 
-/// A convex polygon, vertices counter-clockwise; empty where clipping left nothing.
+/// A convex polygon with counter-clockwise vertices; it may be empty after clipping.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Polygon(pub(crate) Vec<Point>);
 
@@ -20,12 +20,12 @@ impl Polygon {
         Self((0..sides).map(vertex).collect())
     }
 
-    /// Consecutive vertices, the last edge closing the ring.
+    /// Pairs of consecutive vertices, including the closing edge.
     pub(crate) fn edges(&self) -> impl Iterator<Item = (Point, Point)> + '_ {
         self.0.iter().copied().zip(self.0.iter().copied().cycle().skip(1))
     }
 
-    /// Area, m². Taken about the first vertex, so that a small polygon far from the origin keeps its digits.
+    /// Area, m². Computed relative to the first vertex, so that a small polygon far from the origin does not lose precision.
     pub(crate) fn area(&self) -> f64 {
         let Some(&[x0, y0]) = self.0.first() else { return 0.0 };
         self.edges().map(|(a, b)| (a[0] - x0) * (b[1] - y0) - (b[0] - x0) * (a[1] - y0)).sum::<f64>() / 2.0
@@ -37,7 +37,7 @@ impl Polygon {
         self.clip_by(height, |a, b, t| [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])])
     }
 
-    /// The part with `low ≤ r[axis] ≤ high`. New vertices lie on the cut to the last bit.
+    /// The part with `low ≤ r[axis] ≤ high`. New vertices are exactly on the cut.
     pub(crate) fn clip_band(&self, axis: usize, low: f64, high: f64) -> Self {
         let cut = |at: f64| {
             move |a: Point, b: Point, t: f64| {
@@ -63,7 +63,7 @@ impl Polygon {
         Self(kept)
     }
 
-    /// The part shared with another convex polygon.
+    /// Intersection with another convex polygon.
     pub(crate) fn intersection(&self, other: &Self) -> Self {
         other.edges().fold(self.clone(), |kept, (a, b)| {
             let normal = [a[1] - b[1], b[0] - a[0]];
@@ -84,8 +84,8 @@ impl Polygon {
     /// Adds `sign · ∬ exp(−2πi f·(r − origin)) dA` to `spectrum[fy, fx]`, row by row of `fy`, cycles per metre.
     ///
     /// By the divergence theorem each edge from a to b contributes `i (k×e)/|k|² · e^{−ik·m} · sinc(k·e/2)`, with
-    /// k = 2πf, e = b − a, m its midpoint (Lee and Mittra, IEEE Trans. Antennas Propag. 31, 99, 1983). Exponentials
-    /// factor into one table per axis and edge, so the inner loop has no transcendental function.
+    /// k = 2πf, e = b − a, m its midpoint (Lee and Mittra, IEEE Trans. Antennas Propag. 31, 99, 1983). The
+    /// exponentials factor into one table per axis and edge, so that the inner loop has no transcendental function.
     pub(crate) fn add_spectrum(&self, sign: f64, origin: Point, fy: &[f64], fx: &[f64], spectrum: &mut [Complex64]) {
         let unit = |angle: f64| Complex64::new(angle.cos(), angle.sin());
         for (a, b) in self.edges() {
@@ -98,13 +98,13 @@ impl Polygon {
                 for (value, &(kx, shift_x, half_x)) in row.iter_mut().zip(&along_x) {
                     let k2 = kx * kx + ky * ky;
                     let angle = (kx * e[0] + ky * e[1]) / 2.0;
-                    // Below 1e-4 the tables' absolute rounding would dominate sin(x)/x; the series is exact to 1e-17.
+                    // Below 1e-4 the absolute rounding of the tables would dominate sin(x)/x; the error of the series is 1e-17.
                     let sinc = if angle.abs() > 1e-4 {
                         (half_x.re * half_y.im + half_x.im * half_y.re) / angle
                     } else {
                         1.0 - angle * angle / 6.0
                     };
-                    // k = 0 has no direction: its value is the area, added once below.
+                    // At k = 0 the value is the area, which is added below.
                     let scale = if k2 > 0.0 { sign * (kx * e[1] - ky * e[0]) / k2 * sinc } else { 0.0 };
                     *value += shift_x * shift_y * Complex64::new(0.0, scale);
                 }
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn clipping_keeps_the_right_side() {
+    fn clipping_keeps_the_correct_side() {
         let half = square().clip([1.0, 0.0], 2.5);
         assert_eq!(half.area(), 0.5);
         assert_eq!(square().clip_band(0, 1.5, 2.0).area(), 0.5);

@@ -1,4 +1,4 @@
-//! Which segment shows how strongly in each sample: the plain ways. `band_limit` has the good one.
+//! Weights of the segments in the samples: by owner and by area. `band_limit` has the accurate model.
 
 use super::{Aperture, Pupil, SegmentWeights};
 use crate::Result;
@@ -6,7 +6,7 @@ use crate::grid::Grid;
 use ndarray::Array2;
 
 impl SegmentWeights {
-    /// The textbook model: each sample belongs to its owner alone, with the pupil's amplitude. The energy is Σ A².
+    /// The basic model: each sample belongs to its owner only, with the amplitude of the pupil. The energy is Σ A².
     pub fn hard(pupil: &Pupil) -> Self {
         let mut columns = vec![Vec::new(); pupil.segments.len()];
         for (cell, (&amplitude, &owner)) in pupil.amplitude.iter().zip(&pupil.owner).enumerate() {
@@ -18,7 +18,7 @@ impl SegmentWeights {
         Self::from_columns(pupil.grid.samples(), &columns, energy)
     }
 
-    /// The share of each sample's area that each segment covers, exactly. The energy is the mirror's area in samples.
+    /// The exact fraction of each sample's area that each segment covers. The energy is the area of the mirror in samples.
     ///
     /// # Errors
     /// Those of [`Aperture::pupil`].
@@ -26,7 +26,7 @@ impl SegmentWeights {
         Ok(Self::from_columns(grid.samples(), &aperture.shares(grid)?, aperture.energy(grid)))
     }
 
-    /// The entries of each lit sample, in the order of `lit`: (flat grid index, segments, weights).
+    /// The entries of each illuminated sample, in the order of `lit`: (flat grid index, segments, weights).
     pub fn rows(&self) -> impl Iterator<Item = (usize, &[u32], &[f64])> + '_ {
         self.lit.iter().zip(self.offsets.windows(2)).map(|(&cell, ends)| {
             let entries = ends[0] as usize..ends[1] as usize;
@@ -34,7 +34,7 @@ impl SegmentWeights {
         })
     }
 
-    /// The weights of one segment as a map `[y, x]` on a grid of `samples` a side; 0 where it does not show.
+    /// The weights of one segment as a map `[y, x]` on a grid of `samples` a side; 0 outside the segment.
     pub fn map(&self, segment: usize, samples: usize) -> Array2<f64> {
         let mut map = Array2::zeros((samples, samples));
         for (cell, segments, weights) in self.rows() {
@@ -45,7 +45,7 @@ impl SegmentWeights {
         map
     }
 
-    /// Gathers per-segment lists of `(y·samples + x, weight)` into rows over the lit samples.
+    /// Converts lists of `(y·samples + x, weight)` per segment into rows over the illuminated samples.
     pub(super) fn from_columns(samples: usize, columns: &[Vec<(u32, f64)>], energy: f64) -> Self {
         let mut count = vec![0u32; samples * samples];
         for &(cell, _) in columns.iter().flatten() {
@@ -74,7 +74,7 @@ impl SegmentWeights {
 }
 
 impl Aperture {
-    /// Area of the glass in samples of `grid`: Σ amplitude² of a mirror that reflects all or nothing.
+    /// Illuminated area in samples of `grid`: Σ amplitude² of a pupil whose amplitude is 0 or 1.
     pub(super) fn energy(&self, grid: &Grid) -> f64 {
         self.segment_areas_m2().iter().sum::<f64>() / grid.pitch_m().powi(2)
     }

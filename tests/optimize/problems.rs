@@ -23,7 +23,7 @@ pub fn rosenbrock(x: &[f64]) -> Result<(f64, Vec<f64>)> {
 pub struct Quadratic {
     a: Array2<f64>,
     pub truth: Array1<f64>,
-    /// Added to the objective, so that its rounding hides the last of the descent.
+    /// Added to the objective, so that its rounding limits the descent.
     pub floor: f64,
 }
 
@@ -63,7 +63,7 @@ impl Quadratic {
 
 const GRID: usize = 16;
 
-/// Phase retrieval in small: J = Σ w (|F(A e^{i(Bc + θ)})|² − d)² over 16 × 16 pixels, F a Fourier sum, B four quadrant
+/// A small phase retrieval: J = Σ w (|F(A e^{i(Bc + θ)})|² − d)² over 16 × 16 pixels, F a Fourier sum, B four quadrant
 /// pistons and six polynomials, θ a defocus, d with the noise of 1e5 photons, w = 1/(d + read variance).
 pub struct Retrieval {
     amplitude: Array2<f64>,
@@ -108,7 +108,7 @@ impl Retrieval {
         let psf = toy.focus(&toy.field(&truth)).mapv(|u| u.norm_sqr());
         toy.amplitude *= (flux / psf.sum()).sqrt();
         let mean = &psf * (flux / psf.sum());
-        // Noise of the photons, as a normal deviate made of twelve uniform ones; a read noise of 3.
+        // Photon noise, as a normal deviate from twelve uniform ones; a read noise of 3.
         toy.data = mean.mapv(|h| h + (h + 9.0).sqrt() * ((0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0));
         toy.weights = toy.data.mapv(|d| 1.0 / (d.max(0.0) + 9.0));
         toy

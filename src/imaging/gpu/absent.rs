@@ -1,15 +1,16 @@
-//! What stands in for the chain in a build without OpenCL.
+//! Replacement for the chain in a build without OpenCL.
 
-use super::{GpuEvaluation, GpuLayout, GpuPhotometry};
+use super::evaluation::{GpuEvaluation, GpuPhotometry};
+use super::layout::GpuLayout;
 use crate::device::{Device, Precision};
 use crate::{Error, Result};
 
-/// The chain on a device: this build has none, so that no value of this type exists.
+/// The chain on a device. No value of this type exists in a build without OpenCL.
 #[derive(Debug)]
 pub enum GpuChain {}
 
 impl GpuChain {
-    /// Refuses.
+    /// Always fails.
     ///
     /// # Errors
     /// [`Error::Device`] always.
@@ -17,30 +18,30 @@ impl GpuChain {
         Err(Error::Device(crate::device::advice(&[]).unwrap_or_default().to_string()))
     }
 
-    /// Coefficients of the model.
+    /// Number of coefficients of the model.
     pub fn modes(&self) -> usize {
         match *self {}
     }
 
-    /// Points of the FFT that transforms.
+    /// Points of the FFT.
     pub fn fft_points(&self) -> Option<usize> {
         match *self {}
     }
 
-    /// Bytes of the device that the chain takes.
+    /// Device memory that the chain takes, bytes.
     pub fn bytes(&self) -> u64 {
         match *self {}
     }
 
-    /// Room for images.
+    /// Largest number of images.
     pub fn capacity(&self) -> usize {
         match *self {}
     }
 
-    /// Brings images to the device.
+    /// Uploads images.
     ///
     /// # Errors
-    /// Never: there is no chain to call it on.
+    /// Never called: no value of this type exists.
     pub fn load<D, W>(&mut self, _: &[D], _: &[W], _: &[GpuPhotometry]) -> Result<()> {
         match *self {}
     }
@@ -48,7 +49,7 @@ impl GpuChain {
     /// Replaces images.
     ///
     /// # Errors
-    /// Never: there is no chain to call it on.
+    /// Never called: no value of this type exists.
     pub fn replace_all(&mut self, _: &[(usize, &[f64], &[f64], GpuPhotometry)]) -> Result<()> {
         match *self {}
     }
@@ -56,15 +57,15 @@ impl GpuChain {
     /// Objective, gradient and photometry.
     ///
     /// # Errors
-    /// Never: there is no chain to call it on.
+    /// Never called: no value of this type exists.
     pub fn evaluate(&mut self, _: &[usize], _: &[f64]) -> Result<GpuEvaluation> {
         match *self {}
     }
 
-    /// The same at free phases.
+    /// The same with a free phase.
     ///
     /// # Errors
-    /// Never: there is no chain to call it on.
+    /// Never called: no value of this type exists.
     pub fn evaluate_free(&mut self, _: &[usize], _: &[f64], _: &[f64], _: &mut [f64]) -> Result<GpuEvaluation> {
         match *self {}
     }
@@ -72,7 +73,7 @@ impl GpuChain {
     /// The PSFs.
     ///
     /// # Errors
-    /// Never: there is no chain to call it on.
+    /// Never called: no value of this type exists.
     pub fn psf(&mut self, _: &[f64]) -> Result<Vec<f64>> {
         match *self {}
     }

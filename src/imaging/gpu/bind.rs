@@ -1,15 +1,15 @@
-//! The kernels of the chain, bound to their buffers and to everything that does not change.
+//! The kernels of the chain, with the arguments bound that do not change between launches.
 
-use super::fold::{Blocks, MODES_AT_ONCE, Shape, TALL};
-use super::memory::{Batch, Counts, Cut, Scene, Scratch};
+use super::fold::{Blocks, FoldedShape, MODES_AT_ONCE, TALL};
+use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffers};
 use crate::Result;
 use crate::device::{Build, Device, Kernel, Reals};
 
-/// One of each, bound to everything that does not change.
+/// The kernels, with the arguments bound that do not change between launches.
 pub(super) struct Kernels {
     pub(super) smooth_phase: Kernel,
-    pub(super) add_free: Kernel,
-    pub(super) take_free: Kernel,
+    pub(super) add_free_phase: Kernel,
+    pub(super) free_phase_gradient: Kernel,
     pub(super) pupil_field: Kernel,
     pub(super) forward_columns: Kernel,
     pub(super) forward_rows: Kernel,
@@ -25,76 +25,76 @@ pub(super) struct Kernels {
     pub(super) collect: Kernel,
 }
 
-/// What the binding functions read.
-pub(super) struct Parts<'a> {
+/// The buffers and sizes that arguments are bound to.
+pub(super) struct Bindings<'a> {
     pub(super) device: &'a Device,
     pub(super) build: Build,
-    pub(super) shape: &'a Shape,
-    pub(super) cut: &'a Cut,
+    pub(super) shape: &'a FoldedShape,
+    pub(super) partition: &'a Partition,
     pub(super) counts: &'a Counts,
     pub(super) blocks: &'a Blocks,
-    pub(super) scene: &'a Scene,
-    pub(super) batch: &'a Batch,
-    pub(super) scratch: &'a Scratch,
+    pub(super) model: &'a ModelBuffers,
+    pub(super) batch: &'a BatchBuffers,
+    pub(super) scratch: &'a ScratchBuffers,
 }
 
-impl Parts<'_> {
+impl Bindings<'_> {
     fn kernel(&self, name: &'static str) -> Result<Kernel> {
         self.device.kernel(name, self.build)
     }
 
-    /// What every kernel over blocks of the pupil takes.
+    /// A kernel over blocks of the pupil, with the arguments that those have in common.
     fn pupil(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
         self.scratch.phasor.bind(&mut k, "phasor")?;
-        self.scratch.lit_field.bind(&mut k, "lit_field")?;
+        self.scratch.sample_field.bind(&mut k, "sample_field")?;
         self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.field.bind(&mut k, "field")?;
-        k.buffer("place", &self.scene.place)?.int("blocks", self.counts.blocks)?;
+        k.buffer("place", &self.model.place)?.int("blocks", self.counts.blocks)?;
         k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
         Ok(k)
     }
 
     fn smooth_phase(&self) -> Result<Kernel> {
         let mut k = self.kernel("smooth_phase")?;
-        self.scene.diversity.bind(&mut k, "diversity")?;
+        self.model.diversity.bind(&mut k, "diversity")?;
         self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
         self.scratch.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
         self.basis(&mut k)?;
         Ok(k)
     }
 
-    /// Free phases, and the derivatives by them.
+    /// The kernels of the free phase: its addition to the phase, and the gradient by it.
     fn free(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
         self.scratch.psi.bind(&mut k, "psi")?;
         self.batch.free.bind(&mut k, "free")?;
-        k.buffer("lit_place", &self.scene.lit_place)?;
-        k.int("lit", self.counts.free)?.int("blocks", self.counts.blocks)?;
-        if name == "take_free" {
+        k.buffer("sample_place", &self.model.sample_place)?;
+        k.int("samples", self.counts.free)?.int("blocks", self.counts.blocks)?;
+        if name == "free_phase_gradient" {
             k.real("twice_turn", 2.0 * std::f64::consts::TAU)?;
         }
         Ok(k)
     }
 
     fn pupil_field(&self) -> Result<Kernel> {
-        let (scene, mut k) = (self.scene, self.pupil("pupil_field")?);
+        let (model, mut k) = (self.model, self.pupil("pupil_field")?);
         self.poses(&mut k)?;
-        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
+        k.buffer("entry_start", &model.entry_start)?.buffer("entry_segment", &model.entry_segment)?;
         Ok(k)
     }
 
-    /// How the segments stand, and where.
+    /// Piston, tip and tilt of the segments, and the weights and coordinates of their entries.
     fn poses(&self, k: &mut Kernel) -> Result<()> {
-        self.scene.entry_weight.bind(k, "entry_weight")?;
-        self.scene.entry_x.bind(k, "entry_x")?;
-        self.scene.entry_y.bind(k, "entry_y")?;
+        self.model.entry_weight.bind(k, "entry_weight")?;
+        self.model.entry_x.bind(k, "entry_x")?;
+        self.model.entry_y.bind(k, "entry_y")?;
         self.batch.pose.bind(k, "pose")?.int("segments", self.counts.segments)?.int("poses", self.counts.poses)?;
         Ok(())
     }
 
     fn basis(&self, k: &mut Kernel) -> Result<()> {
-        self.scene.basis.bind(k, "basis")?.int("block_stride", self.blocks.block_stride)?;
+        self.model.basis.bind(k, "basis")?.int("block_stride", self.blocks.block_stride)?;
         k.int("mode_stride", self.blocks.mode_stride)?.int("quadrant_stride", self.blocks.quadrant_stride)?;
         Ok(())
     }
@@ -102,12 +102,12 @@ impl Parts<'_> {
     fn columns(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
         let (table, outputs) = match name {
-            "forward_columns" => (&self.scene.y_to_v, self.shape.pairs),
-            _ => (&self.scene.v_to_y, self.shape.rows),
+            "forward_columns" => (&self.model.y_to_v, self.shape.pairs),
+            _ => (&self.model.v_to_y, self.shape.rows),
         };
         self.scratch.field.bind(&mut k, "field")?;
         self.scratch.wave.bind(&mut k, "wave")?;
-        table.bind(&mut k, "table")?.buffer("extent", &self.scene.extent)?;
+        table.bind(&mut k, "table")?.buffer("extent", &self.model.extent)?;
         k.int("rows", self.shape.rows)?.int("pairs", self.shape.pairs)?;
         k.int("groups", outputs.div_ceil(TALL))?.int("width", self.shape.width)?;
         Ok(k)
@@ -116,25 +116,25 @@ impl Parts<'_> {
     fn rows(&self, name: &'static str) -> Result<Kernel> {
         let (shape, mut k) = (self.shape, self.kernel(name)?);
         if name == "forward_rows" {
-            self.scene.x_to_u.bind(&mut k, "table")?.int("inputs", shape.rows)?;
+            self.model.x_to_u.bind(&mut k, "table")?.int("inputs", shape.rows)?;
             k.int("in_width", shape.width)?.int("span", shape.span)?;
         } else {
-            self.scene.u_to_x.bind(&mut k, "table")?.int("inputs", shape.pairs)?;
+            self.model.u_to_x.bind(&mut k, "table")?.int("inputs", shape.pairs)?;
             k.int("in_width", shape.span)?.int("width", shape.width)?;
         }
         self.scratch.wave.bind(&mut k, "wave")?;
         self.scratch.focal.bind(&mut k, "focal")?;
-        k.int("pairs", shape.pairs)?.int("pairs_per_item", self.cut.pairs_per_item)?;
+        k.int("pairs", shape.pairs)?.int("pairs_per_item", self.partition.pairs_per_item)?;
         Ok(k)
     }
 
-    /// What the two passes over pixels take.
+    /// A kernel over pixels, with the arguments that those have in common.
     fn pixels(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
         self.scratch.focal.bind(&mut k, "focal")?;
         self.batch.data.bind(&mut k, "data")?;
         self.batch.weight.bind(&mut k, "weight")?.buffer("slot", &self.batch.slot)?;
-        k.int("pairs", self.shape.pairs)?.int("pairs_per_strip", self.cut.pairs_per_strip)?;
+        k.int("pairs", self.shape.pairs)?.int("pairs_per_strip", self.partition.pairs_per_strip)?;
         k.int("span", self.shape.span)?;
         Ok(k)
     }
@@ -160,18 +160,18 @@ impl Parts<'_> {
         Ok(k)
     }
 
-    /// The kernels from the field to the projection on segments in one.
+    /// The kernel that joins those from the field to the projection on segments.
     fn focus(&self) -> Result<Kernel> {
-        let (scene, scratch, batch, shape) = (self.scene, self.scratch, self.batch, self.shape);
+        let (model, scratch, batch, shape) = (self.model, self.scratch, self.batch, self.shape);
         let mut k = self.kernel(if shape.fft.is_some() { "focus_fft" } else { "focus" })?;
         let transform: &[(&str, &Reals)] = if shape.fft.is_some() {
-            &[("twiddle", &scene.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
+            &[("twiddle", &model.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
         } else {
             &[
-                ("y_to_v", &scene.y_to_v),
-                ("x_to_u", &scene.x_to_u),
-                ("u_to_x", &scene.u_to_x),
-                ("v_to_y", &scene.v_to_y),
+                ("y_to_v", &model.y_to_v),
+                ("x_to_u", &model.x_to_u),
+                ("u_to_x", &model.u_to_x),
+                ("v_to_y", &model.v_to_y),
             ]
         };
         for &(argument, reals) in transform {
@@ -180,7 +180,7 @@ impl Parts<'_> {
         for (argument, reals) in [
             ("psi", &scratch.psi),
             ("phasor", &scratch.phasor),
-            ("lit_field", &scratch.lit_field),
+            ("sample_field", &scratch.sample_field),
             ("segment_sum", &scratch.segment_sum),
             ("field", &scratch.field),
             ("wave", &scratch.wave),
@@ -195,24 +195,24 @@ impl Parts<'_> {
             reals.bind(&mut k, argument)?;
         }
         self.poses(&mut k)?;
-        k.buffer("place", &scene.place)?.int("blocks", self.counts.blocks)?;
-        k.buffer("entry_start", &scene.entry_start)?.buffer("entry_segment", &scene.entry_segment)?;
-        k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
-        k.buffer("entry_place", &scene.entry_place)?;
-        k.buffer("extent", &scene.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
+        k.buffer("place", &model.place)?.int("blocks", self.counts.blocks)?;
+        k.buffer("entry_start", &model.entry_start)?.buffer("entry_segment", &model.entry_segment)?;
+        k.buffer("segment_start", &model.segment_start)?.buffer("segment_entry", &model.segment_entry)?;
+        k.buffer("entry_place", &model.entry_place)?;
+        k.buffer("extent", &model.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
         k.buffer("next", &batch.next)?;
         k.int("width", shape.width)?;
         if shape.fft.is_some() {
             k.int("side_rows", shape.side_rows())?;
         } else {
             k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("span", shape.span)?;
-            k.int("pairs_per_strip", self.cut.pairs_per_strip)?.int("strips", self.counts.strips)?;
+            k.int("pairs_per_strip", self.partition.pairs_per_strip)?.int("strips", self.counts.strips)?;
         }
         Ok(k)
     }
 
     fn partials(&self) -> usize {
-        self.counts.strips * self.cut.lanes
+        self.counts.strips * self.partition.lanes
     }
 
     fn pupil_gradient(&self) -> Result<Kernel> {
@@ -220,11 +220,11 @@ impl Parts<'_> {
     }
 
     fn project_segments(&self) -> Result<Kernel> {
-        let (scene, mut k) = (self.scene, self.kernel("project_segments")?);
+        let (model, mut k) = (self.model, self.kernel("project_segments")?);
         self.scratch.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
         self.poses(&mut k)?;
-        k.buffer("segment_start", &scene.segment_start)?.buffer("segment_entry", &scene.segment_entry)?;
-        k.buffer("entry_place", &scene.entry_place)?;
+        k.buffer("segment_start", &model.segment_start)?.buffer("segment_entry", &model.segment_entry)?;
+        k.buffer("entry_place", &model.entry_place)?;
         self.scratch.segment_sum.bind(&mut k, "segment_sum")?;
         Ok(k)
     }
@@ -235,7 +235,7 @@ impl Parts<'_> {
         self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
         k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
-        k.int("blocks_per_chunk", self.cut.blocks_per_chunk)?;
+        k.int("blocks_per_chunk", self.partition.blocks_per_chunk)?;
         Ok(k)
     }
 
@@ -246,18 +246,18 @@ impl Parts<'_> {
         scratch.objective.bind(&mut k, "objective")?;
         scratch.photometry.bind(&mut k, "photometry")?;
         self.batch.result.bind(&mut k, "result")?;
-        k.int("stands", counts.segments * counts.poses)?.int("smooth", counts.smooth)?;
+        k.int("pose_outputs", counts.segments * counts.poses)?.int("smooth", counts.smooth)?;
         k.int("padded_modes", counts.mode_groups * MODES_AT_ONCE)?.int("chunks", counts.chunks)?;
         k.int("partials", self.partials())?.real("twice_wavenumber", twice_wavenumber)?;
         Ok(k)
     }
 
-    /// All of them; `twice_wavenumber` is 2·2π/λ.
+    /// All kernels; `twice_wavenumber` is 2·2π/λ.
     pub(super) fn kernels(&self, twice_wavenumber: f64) -> Result<Kernels> {
         Ok(Kernels {
             smooth_phase: self.smooth_phase()?,
-            add_free: self.free("add_free")?,
-            take_free: self.free("take_free")?,
+            add_free_phase: self.free("add_free_phase")?,
+            free_phase_gradient: self.free("free_phase_gradient")?,
             pupil_field: self.pupil_field()?,
             forward_columns: self.columns("forward_columns")?,
             forward_rows: self.rows("forward_rows")?,

@@ -1,38 +1,39 @@
-//! The chain: checks what the caller brings, folds it, and unfolds what the stages return.
+//! The chain on a device: checks and folds the input, runs the stages, and unfolds the results.
 
 use std::f64::consts::TAU;
 
 use rayon::prelude::*;
 
-use super::fold::Shape;
-use super::folded::Folded;
-use super::room::memory_of;
+use super::budget::usable_memory_bytes;
+use super::evaluation::{GpuEvaluation, GpuPhotometry};
+use super::fold::FoldedShape;
+use super::image::FoldedImage;
+use super::layout::{GpuLayout, GpuMode};
 use super::stages::Stages;
-use super::{GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use crate::device::{Build, Device, Precision};
 use crate::{Error, Result};
 
-/// Images that are folded on the host at a time: enough for every core, little memory beside what the device takes.
+/// Images folded on the host at a time: enough for every core, and little memory compared with the device's.
 const FOLDED_AT_ONCE: usize = 32;
 
-/// The chain on a device, with room for a number of images. It is not shared between threads: its kernels remember
-/// their arguments.
+/// The chain on a device, with memory for a number of images. It cannot be shared between threads, because the arguments of
+/// its kernels stay bound between launches.
 pub struct GpuChain {
     device: Device,
     build: Build,
     layout: GpuLayout,
-    shape: Shape,
+    shape: FoldedShape,
     stages: Stages,
-    /// The same with matrix products in place of the FFT, for what an FFT inside a kernel leaves no trace of: made where it
-    /// is first wanted.
+    /// The same chain with matrix products in place of the FFT, for focal fields, which the FFT kernel does not store.
+    /// Made at its first use.
     matrix: Option<Box<GpuChain>>,
     photometry: Vec<GpuPhotometry>,
-    /// What was taken off the data of each image: see [`Folded::offset`].
+    /// Offset subtracted from the data of each image: see [`FoldedImage::offset`].
     offsets: Vec<f64>,
 }
 
 impl GpuChain {
-    /// Compiles the chain for `layout` on `device`, with room for `capacity` images.
+    /// Compiles the chain for `layout` on `device`, with memory for `capacity` images.
     ///
     /// # Errors
     /// [`Error::Shape`] or [`Error::Value`] for a layout whose arrays do not fit each other, [`Error::Device`] where the
@@ -40,22 +41,22 @@ impl GpuChain {
     pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, capacity: usize) -> Result<Self> {
         layout.check()?;
         let build = Build::for_device(device.info(), precision);
-        let fft = Shape::fft(layout, build.vector);
+        let fft = FoldedShape::fft(layout, build.vector);
         Self::with_build(device, Build { fft, ..build }, layout, capacity)
     }
 
-    /// [`GpuChain::new`] with a vector width of the caller's choice.
+    /// [`GpuChain::new`] with a given build.
     ///
     /// # Errors
     /// As for [`GpuChain::new`].
     pub fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
-        Self::with_memory(device, build, layout, capacity, memory_of(device.info()))
+        Self::with_memory(device, build, layout, capacity, usable_memory_bytes(device.info()))
     }
 
-    /// [`GpuChain::with_build`] in at most `memory_bytes` of the device: with less of it tiles are smaller.
+    /// [`GpuChain::with_build`] in at most `memory_bytes` of device memory: less memory means smaller tiles.
     ///
     /// # Errors
-    /// As for [`GpuChain::new`]; [`Error::Device`] with the bytes wanted and there, where they do not suffice.
+    /// As for [`GpuChain::new`]; [`Error::Device`], with the bytes needed and available, where the memory does not suffice.
     pub fn with_memory(
         device: &Device,
         build: Build,
@@ -65,9 +66,9 @@ impl GpuChain {
     ) -> Result<Self> {
         layout.check()?;
         if capacity == 0 {
-            return Err(Error::Value("a chain with room for 0 images computes nothing: 1 or more is needed".into()));
+            return Err(Error::Value("a chain for 0 images is impossible: 1 or more is needed".into()));
         }
-        let shape = Shape::new(layout, build);
+        let shape = FoldedShape::new(layout, build);
         let stages = Stages::new(device, build, layout, shape, capacity, memory_bytes)?;
         Ok(Self {
             device: device.clone(),
@@ -81,40 +82,39 @@ impl GpuChain {
         })
     }
 
-    /// Where it runs.
+    /// The device.
     #[cfg(all(test, debug_assertions))]
     pub(crate) fn device(&self) -> &Device {
         &self.device
     }
 
-    /// Coefficients of the model.
+    /// Number of coefficients of the model.
     pub fn modes(&self) -> usize {
         self.layout.modes.len()
     }
 
-    /// Samples that have a phase of their own.
-    fn free(&self) -> usize {
+    /// Number of samples with a free phase.
+    fn free_samples(&self) -> usize {
         if self.layout.free_phase { self.layout.lit.len() } else { 0 }
     }
 
-    /// Points of the FFT that transforms, `None` where matrices do: what the work of an evaluation depends on beyond the
-    /// model.
+    /// Points of the FFT; `None` with matrix products. Beside the model, the work of an evaluation depends on it.
     pub fn fft_points(&self) -> Option<usize> {
         self.build.fft.map(|fft| fft.points())
     }
 
-    /// Bytes of the device that the chain takes: what never changes, what each image takes, and what a tile takes.
+    /// Device memory that the chain takes, bytes: see [`super::budget`].
     pub fn bytes(&self) -> u64 {
         self.stages.bytes()
     }
 
-    /// Room for images.
+    /// Largest number of images.
     pub fn capacity(&self) -> usize {
         self.stages.capacity()
     }
 
-    /// Brings images to the device: `data` (electrons) and `weights` (1/electrons²; 0 masks a pixel, whatever its data)
-    /// are `[image][row][column]`, with one photometry per image. They replace the images of an earlier call;
+    /// Uploads images: `data` (electrons) and `weights` (1/electrons²; 0 masks a pixel, whose data are ignored) are
+    /// `[image][row][column]`, with one photometry per image. They replace the images of an earlier call;
     /// after an error none is loaded.
     ///
     /// # Errors
@@ -129,7 +129,10 @@ impl GpuChain {
         let m = self.layout.pixels;
         let (images, size) = (photometry.len(), m * m);
         if images > self.capacity() {
-            return Err(Error::Shape(format!("{images} images exceed a chain with room for {}", self.capacity())));
+            return Err(Error::Shape(format!(
+                "{images} images exceed the capacity of the chain, {} images",
+                self.capacity()
+            )));
         }
         for (what, found) in [("data", data.len()), ("weights", weights.len())] {
             if found != images * size {
@@ -139,11 +142,11 @@ impl GpuChain {
         self.photometry.clear();
         self.offsets.clear();
         for first in (0..images).step_by(FOLDED_AT_ONCE) {
-            let folded: Vec<Folded> = (first..images.min(first + FOLDED_AT_ONCE))
+            let folded: Vec<FoldedImage> = (first..images.min(first + FOLDED_AT_ONCE))
                 .into_par_iter()
                 .map(|i| {
                     let range = i * size..(i + 1) * size;
-                    Folded::new(&self.shape, m, &data[range.clone()], &weights[range], &photometry[i])
+                    FoldedImage::new(&self.shape, m, &data[range.clone()], &weights[range], &photometry[i])
                         .map_err(|what| Error::Value(format!("image {i} {what}")))
                 })
                 .collect::<Result<_>>()?;
@@ -156,7 +159,7 @@ impl GpuChain {
         Ok(())
     }
 
-    /// Replaces one image that is loaded, as [`GpuChain::load`] brought it.
+    /// Replaces one loaded image.
     ///
     /// # Errors
     /// As for [`GpuChain::load`], and [`Error::Shape`] where there is no such image.
@@ -164,7 +167,7 @@ impl GpuChain {
         self.replace_all(&[(image, data, weights, photometry)])
     }
 
-    /// Replaces images that are loaded: which, their data, weights and photometry.
+    /// Replaces loaded images: index, data, weights and photometry of each.
     ///
     /// # Errors
     /// As for [`GpuChain::replace`].
@@ -180,7 +183,7 @@ impl GpuChain {
                     "{data} data and {weights} weights are not an image of {m} x {m} pixels"
                 )));
             }
-            Folded::new(&self.shape, m, data, weights, photometry)
+            FoldedImage::new(&self.shape, m, data, weights, photometry)
                 .map_err(|what| Error::Value(format!("image {image} {what}")))
         };
         for images in images.chunks(FOLDED_AT_ONCE) {
@@ -201,12 +204,12 @@ impl GpuChain {
     /// [`Error::Shape`] for an image that is not loaded or a list of another length; [`Error::Value`] for a coefficient
     /// that is not finite; [`Error::Device`] where the device failed.
     pub fn evaluate(&mut self, active: &[usize], coefficients: &[f64]) -> Result<GpuEvaluation> {
-        let free = vec![0.0; active.len() * self.free()];
+        let free = vec![0.0; active.len() * self.free_samples()];
         self.evaluate_free(active, coefficients, &free, &mut free.clone())
     }
 
-    /// As [`GpuChain::evaluate`] at `free` phases, turns, `[active image][lit sample]`, of a model that has them: the
-    /// derivative of the objective by them, per turn, goes into `slopes`.
+    /// As [`GpuChain::evaluate`] with a free phase `free`, turns, `[active image][illuminated sample]`, for a model that has
+    /// one. The gradient of the objective by it, per turn, is written into `slopes`.
     ///
     /// # Errors
     /// As for [`GpuChain::evaluate`].
@@ -217,22 +220,22 @@ impl GpuChain {
         free: &[f64],
         slopes: &mut [f64],
     ) -> Result<GpuEvaluation> {
-        let wanted = active.len() * self.free();
+        let wanted = active.len() * self.free_samples();
         if free.len() != wanted || slopes.len() != wanted {
             return Err(Error::Shape(format!(
-                "{} free phases and room for {} derivatives were given for {} images of {} samples that have one",
+                "{} free phases and space for {} derivatives were given for {} images of {} free samples",
                 free.len(),
                 slopes.len(),
                 active.len(),
-                self.free()
+                self.free_samples()
             )));
         }
         if let Some(image) = active.iter().find(|i| **i >= self.photometry.len()) {
             return Err(Error::Shape(format!("image {image} is not among the {} loaded", self.photometry.len())));
         }
-        let (turns, stands) = self.inputs(active.len(), coefficients)?;
+        let (turns, poses) = self.inputs(active.len(), coefficients)?;
         let fitted = active.iter().any(|&i| !matches!(self.photometry[i], GpuPhotometry::Known { .. }));
-        let results = self.stages.evaluate(active, &turns, &stands, (free, slopes), fitted)?;
+        let results = self.stages.evaluate(active, &turns, &poses, (free, slopes), fitted)?;
 
         let (poses, smooth) = (self.layout.poses(), self.layout.smooth.len());
         let outputs = 3 + self.layout.segments * poses + smooth;
@@ -257,7 +260,7 @@ impl GpuChain {
         Ok(evaluation)
     }
 
-    /// The PSFs at `coefficients`, nm, `[image][mode]`: `[image][row][column]`, for any number of images (none need be
+    /// The PSFs at `coefficients`, nm, `[image][mode]`: `[image][row][column]`, for any number of images (no image need be
     /// loaded).
     ///
     /// # Errors
@@ -288,7 +291,7 @@ impl GpuChain {
     fn unfold<'a>(&'a self, focal: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
         let (m, span) = (self.layout.pixels, self.shape.span);
         (0..m * m).map(move |i| {
-            // A pixel's place counts 2 sides of `span` per row, the focal field 4 planes.
+            // The index of a pixel counts 2 sides of `span` per row, that of the focal field 4 planes.
             let pixel = self.shape.pixel(m, i / m, i % m);
             let (row, side, u) = (pixel / (2 * span), pixel / span % 2, pixel % span);
             let [cr, ci, sr, si] = [0, 1, 2, 3].map(|plane| focal[(row * 4 + plane) * span + u]);
@@ -297,8 +300,8 @@ impl GpuChain {
         })
     }
 
-    /// Smooth coefficients in turns `[image][smooth mode]`, and how the segments stand, `[image][segment]`: re and im of
-    /// the phasor of the piston, times the root of the intensity scale, so that |U|² is the PSF, then tip and tilt, turns.
+    /// Smooth coefficients in turns, `[image][smooth mode]`, and the poses of the segments, `[image][segment]`: re and im of
+    /// the phasor of the piston times the root of the intensity scale (so that |U|² is the PSF), then tip and tilt, turns.
     fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
         let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
         if coefficients.len() != images * modes {
@@ -317,14 +320,14 @@ impl GpuChain {
         }
         let amplitude = self.layout.intensity_scale.sqrt();
         let mut turns = vec![0.0; images * smooth];
-        let mut stands = vec![[0.0; 3]; images * segments];
+        let mut poses = vec![[0.0; 3]; images * segments];
         for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
             for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
                 let amount = coefficient / self.layout.wavelength_nm;
                 match *mode {
-                    GpuMode::Segment(s) => stands[image * segments + s][0] += amount,
-                    GpuMode::Tip(s) => stands[image * segments + s][1] += amount,
-                    GpuMode::Tilt(s) => stands[image * segments + s][2] += amount,
+                    GpuMode::Segment(s) => poses[image * segments + s][0] += amount,
+                    GpuMode::Tip(s) => poses[image * segments + s][1] += amount,
+                    GpuMode::Tilt(s) => poses[image * segments + s][2] += amount,
                     GpuMode::Smooth(j) => turns[image * smooth + j] += amount,
                 }
             }
@@ -333,7 +336,7 @@ impl GpuChain {
             let (sine, cosine) = (TAU * (piston - piston.round())).sin_cos();
             [amplitude * cosine, amplitude * sine, tip, tilt]
         };
-        Ok((turns, stands.into_iter().flat_map(pose).collect()))
+        Ok((turns, poses.into_iter().flat_map(pose).collect()))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Between the plain arrays of [`GpuLayout`] and the folded, padded ones of `kernels/common.cl`.
+//! Conversion of the arrays of [`GpuLayout`] to the folded, padded arrays of `kernels/common.cl`.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -6,16 +6,16 @@ use std::f64::consts::TAU;
 use super::layout::GpuLayout;
 use crate::device::{Build, FftPlan};
 
-/// Output rows that one work-item carries down the columns; `TALL` of `common.cl`.
+/// Output rows per work-item in the products along columns; `TALL` of `common.cl`.
 pub(super) const TALL: usize = 6;
-/// Images that one work-item carries through the modes; `GROUP` of `common.cl`.
+/// Images per work-item in the products with the modes; `GROUP` of `common.cl`.
 pub(super) const GROUP: usize = 4;
-/// Modes that one work-item projects at once.
+/// Modes per work-item in the projection.
 pub(super) const MODES_AT_ONCE: usize = 4;
 
-/// The folded extents.
+/// Sizes of the folded arrays.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Shape {
+pub(super) struct FoldedShape {
     /// Numbers in a vector.
     pub vector: usize,
     /// Pupil rows on one side of the axis, n/2.
@@ -28,11 +28,11 @@ pub(super) struct Shape {
     pub span: usize,
     /// Turns per sample and pixel.
     pub step: f64,
-    /// In place of the matrix products.
+    /// The FFT that replaces the matrix products.
     pub fft: Option<FftPlan>,
 }
 
-impl Shape {
+impl FoldedShape {
     pub fn new(layout: &GpuLayout, build: Build) -> Self {
         let vector = build.vector;
         let (rows, pairs) = (layout.samples / 2, layout.pixels / 2);
@@ -47,8 +47,8 @@ impl Shape {
         }
     }
 
-    /// The FFT for a whole image of `layout`, where one is at hand: as many pixels as the padded pupil has samples, in
-    /// vectors of whole rows.
+    /// The FFT for `layout`, where there is one: the image has as many pixels as the padded pupil has samples, and its rows
+    /// are whole vectors.
     pub fn fft(layout: &GpuLayout, vector: usize) -> Option<FftPlan> {
         let (points, exact) = (layout.pixels, layout.samples as f64 * layout.samples_per_lambda_over_d);
         // 1e-9 of a sample over the whole grid is below the rounding of f64.
@@ -56,9 +56,9 @@ impl Shape {
         FftPlan::new(points, layout.samples / 2).filter(|_| whole)
     }
 
-    /// Rows of the pupil on one side of the axis as the FFT reads them.
+    /// Rows of the pupil on one side of the axis that the FFT reads.
     pub fn side_rows(&self) -> usize {
-        self.fft.map_or(0, |fft| fft.lit * fft.b).max(self.width)
+        self.fft.map_or(0, |fft| fft.nonzero_blocks * fft.b).max(self.width)
     }
 
     /// `[b][r][cos, sin]` of the angle b r / (a b).
@@ -69,13 +69,13 @@ impl Shape {
         (0..fft.b).flat_map(|b| (0..fft.a).flat_map(move |r| turn((b * r) as f64 / points))).collect()
     }
 
-    /// Numbers that one image of data, or of weights, takes.
+    /// Size of the data, or of the weights, of one image.
     pub fn pixels(&self) -> usize {
         self.fft.map_or(self.pairs * 4 * self.span, |fft| fft.points().pow(2))
     }
 
-    /// Where pixel (row, column) of an image of `m` pixels stands: `[pair][+v, -v][+u, -u][u]`.
-    /// With an FFT: `[vector of v][u][lane of v]`, both in its order of frequencies.
+    /// Index of pixel (row, column) of an image of `m` pixels: `[pair][+v, -v][+u, -u][u]`; with an FFT
+    /// `[vector of v][u][lane of v]`, both in the FFT's order of frequencies.
     pub fn pixel(&self, m: usize, row: usize, column: usize) -> usize {
         if let Some(fft) = self.fft {
             let [v, u] = [row, column].map(|i| {
@@ -90,7 +90,7 @@ impl Shape {
     }
 
     fn angle(&self, sample: usize, pixel: usize) -> f64 {
-        // Reduced to a turn before the multiplication by 2 pi, so that the table is right to the last digit.
+        // Reduced to one turn before the multiplication by 2π, which keeps full precision.
         let turns = (sample as f64 + 0.5) * (pixel as f64 + 0.5) * self.step;
         TAU * (turns - turns.round())
     }
@@ -125,7 +125,7 @@ impl Shape {
         table
     }
 
-    /// Numbers of each of the four tables, or of the twiddles that stand in their place.
+    /// Sizes of the four tables and of the twiddle factors, which replace the tables with an FFT.
     pub fn table_sizes(&self) -> [usize; 5] {
         if let Some(fft) = self.fft {
             return [0, 0, 0, 0, 2 * fft.points()];
@@ -140,7 +140,7 @@ impl Shape {
         ]
     }
 
-    /// Numbers that the FFT of one image needs beside its field and wave: one line, and the samples of both sides.
+    /// Sizes of the scratch arrays of the FFT of one image: one line, and the samples of both sides.
     pub fn fft_scratch(&self) -> [usize; 2] {
         self.fft.map_or([0; 2], |fft| [fft.points() * 2 * self.vector, self.side_rows() * 4 * self.vector])
     }
@@ -158,29 +158,29 @@ impl Shape {
     }
 }
 
-/// How many work-items share a row of `vectors` output vectors: two vectors each, three for the last of an odd number.
+/// Number of work-items for a row of `vectors` output vectors: two vectors each, three for the last of an odd number.
 pub(super) fn row_chunks(vectors: usize) -> usize {
     (vectors / 2).max(1)
 }
 
-/// How many of `size` samples or pixels lie between the axis and number `i`, and 1 where it lies on the negative side.
+/// Distance of sample or pixel `i` of `size` from the axis, in whole steps, and 1 where it is on the negative side.
 fn fold(i: usize, size: usize) -> (usize, usize) {
     if i >= size / 2 { (i - size / 2, 0) } else { (size / 2 - 1 - i, 1) }
 }
 
-/// The pupil in blocks: one block is `VEC` samples in x, in all four quadrants. There is one wherever a sample of its
-/// column is lit at its distance from the axis or farther out.
+/// The pupil in blocks: one block is `VEC` samples in x, in all four quadrants. A column of blocks extends from the axis to
+/// its outermost illuminated sample.
 #[derive(Debug, Default)]
 pub(super) struct Blocks {
     /// Row and first column of each, by distance from the axis.
     pub place: Vec<i32>,
-    /// Rows beyond which each vector of columns is dark.
+    /// Extent of each vector of columns: rows from the axis to the outermost illuminated sample.
     pub extent: Vec<i32>,
     /// Diversity modulo one turn, `[quadrant][block][VEC]`.
     pub diversity: Vec<f64>,
     /// Basis, with the strides below.
     pub basis: Vec<f64>,
-    /// Distance of neighbouring blocks, modes and quadrants in the basis.
+    /// Strides of blocks, modes and quadrants in the basis.
     pub block_stride: usize,
     pub mode_stride: usize,
     pub quadrant_stride: usize,
@@ -188,18 +188,18 @@ pub(super) struct Blocks {
     pub entry_start: Vec<i32>,
     /// Segment of each entry.
     pub entry_segment: Vec<i32>,
-    /// Where each entry's samples stand among the planes of g.
+    /// Index of the samples of each entry in the planes of g.
     pub entry_place: Vec<i32>,
-    /// Weights of each entry, VEC of them.
+    /// Weights of each entry, `VEC` numbers.
     pub entry_weight: Vec<f64>,
-    /// Slopes of each entry, VEC of them; empty where no segment tilts.
+    /// Slopes of each entry, `VEC` numbers; empty where no segment tilts.
     pub entry_x: Vec<f64>,
     pub entry_y: Vec<f64>,
     /// The same list by segment: `segment_start[s]..segment_start[s + 1]` of `segment_entry`.
     pub segment_start: Vec<i32>,
     pub segment_entry: Vec<i32>,
-    /// Where each lit sample stands among the planes of psi; empty where none has a phase of its own.
-    pub lit_place: Vec<i32>,
+    /// Index of each illuminated sample in the planes of psi; empty without a free phase.
+    pub sample_place: Vec<i32>,
 }
 
 impl Blocks {
@@ -207,22 +207,22 @@ impl Blocks {
         self.place.len() / 2
     }
 
-    pub fn new(layout: &GpuLayout, shape: &Shape) -> Self {
+    pub fn new(layout: &GpuLayout, shape: &FoldedShape) -> Self {
         let (n, vector) = (layout.samples, shape.vector);
-        let spots: Vec<Spot> = layout
+        let folded: Vec<FoldedSample> = layout
             .lit
             .iter()
             .map(|&flat| {
                 let ((row, below), (x, left)) = (fold(flat / n, n), fold(flat % n, n));
-                Spot { row, column: x / vector, quadrant: 2 * below + left, lane: x % vector, block: 0 }
+                FoldedSample { row, column: x / vector, quadrant: 2 * below + left, lane: x % vector, block: 0 }
             })
             .collect();
         let mut blocks = Blocks { extent: vec![0; shape.width / vector], ..Default::default() };
-        for spot in &spots {
-            blocks.extent[spot.column] = blocks.extent[spot.column].max(spot.row as i32 + 1);
+        for sample in &folded {
+            blocks.extent[sample.column] = blocks.extent[sample.column].max(sample.row as i32 + 1);
         }
-        // Every block within the extent, dark ones too: the adjoint leaves something there, which the next field must
-        // overwrite with its zeros.
+        // All blocks within the extent, also those without an illuminated sample: the adjoint writes there, and the next
+        // field must overwrite that with zeros.
         let mut number = vec![vec![0; blocks.extent.len()]; shape.rows];
         for (row, numbers) in number.iter_mut().enumerate() {
             for (column, number) in numbers.iter_mut().enumerate() {
@@ -232,55 +232,59 @@ impl Blocks {
                 }
             }
         }
-        let spots: Vec<Spot> =
-            spots.into_iter().map(|spot| Spot { block: number[spot.row][spot.column], ..spot }).collect();
+        let folded: Vec<FoldedSample> = folded
+            .into_iter()
+            .map(|sample| FoldedSample { block: number[sample.row][sample.column], ..sample })
+            .collect();
         if layout.free_phase {
-            blocks.lit_place = spots.iter().map(|spot| blocks.plane(spot, vector) as i32).collect();
+            blocks.sample_place = folded.iter().map(|sample| blocks.plane(sample, vector) as i32).collect();
         }
-        blocks.fill_modes(layout, shape, &spots);
-        blocks.fill_segments(layout, vector, &spots);
+        blocks.fill_modes(layout, shape, &folded);
+        blocks.fill_segments(layout, vector, &folded);
         blocks
     }
 
-    /// Where the sample stands among planes of numbers: `PLANE` of common.cl.
-    fn plane(&self, spot: &Spot, vector: usize) -> usize {
-        let block =
-            if vector == 1 { spot.quadrant * self.count() + spot.block } else { 4 * spot.block + spot.quadrant };
-        block * vector + spot.lane
+    /// Index of the sample in planes of numbers: `PLANE` of common.cl.
+    fn plane(&self, sample: &FoldedSample, vector: usize) -> usize {
+        let block = if vector == 1 {
+            sample.quadrant * self.count() + sample.block
+        } else {
+            4 * sample.block + sample.quadrant
+        };
+        block * vector + sample.lane
     }
 
-    fn fill_modes(&mut self, layout: &GpuLayout, shape: &Shape, spots: &[Spot]) {
+    fn fill_modes(&mut self, layout: &GpuLayout, shape: &FoldedShape, folded: &[FoldedSample]) {
         let (count, vector, n) = (self.count(), shape.vector, layout.samples);
-        // The image axis lies on pixel m/2: half a pixel of tilt moves it to the middle of the array.
-        // The FFT takes the image as it is.
+        // The image axis is at pixel m/2; a tilt of half a pixel moves it to the centre of the array. The FFT needs no shift.
         let half = if shape.fft.is_some() { 0.0 } else { 0.5 };
         let tilt = |flat: usize| half * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
         let modes = layout.smooth.len().next_multiple_of(MODES_AT_ONCE);
-        // A processor walks the modes of one block; neighbouring work-items of a GPU walk neighbouring blocks.
+        // A CPU reads the modes of one block in order; neighbouring work-items of a GPU read neighbouring blocks.
         [self.block_stride, self.mode_stride, self.quadrant_stride] =
             if vector == 1 { [1, 4 * count, count] } else { [modes * 4 * vector, 4 * vector, vector] };
         self.diversity = vec![0.0; 4 * count * vector];
         self.basis = vec![0.0; modes * 4 * count * vector];
-        for (p, spot) in spots.iter().enumerate() {
+        for (p, sample) in folded.iter().enumerate() {
             let turns = layout.diversity_turns[p] + tilt(layout.lit[p]);
-            self.diversity[(spot.quadrant * count + spot.block) * vector + spot.lane] = turns - turns.round();
-            let place = spot.block * self.block_stride + spot.quadrant * self.quadrant_stride + spot.lane;
+            self.diversity[(sample.quadrant * count + sample.block) * vector + sample.lane] = turns - turns.round();
+            let place = sample.block * self.block_stride + sample.quadrant * self.quadrant_stride + sample.lane;
             for (j, mode) in layout.smooth.iter().enumerate() {
                 self.basis[place + j * self.mode_stride] = mode[p];
             }
         }
     }
 
-    fn fill_segments(&mut self, layout: &GpuLayout, vector: usize, spots: &[Spot]) {
+    fn fill_segments(&mut self, layout: &GpuLayout, vector: usize, folded: &[FoldedSample]) {
         // (block, quadrant, segment) -> weights and slopes of the lanes.
         let mut weights: BTreeMap<(usize, usize, usize), [Vec<f64>; 3]> = BTreeMap::new();
-        for (p, spot) in spots.iter().enumerate() {
+        for (p, sample) in folded.iter().enumerate() {
             for e in layout.segment_start[p]..layout.segment_start[p + 1] {
-                let key = (spot.block, spot.quadrant, layout.segment_index[e]);
+                let key = (sample.block, sample.quadrant, layout.segment_index[e]);
                 let [weight, x, y] = weights.entry(key).or_insert_with(|| [0; 3].map(|_| vec![0.0; vector]));
-                weight[spot.lane] += layout.segment_weight[e];
+                weight[sample.lane] += layout.segment_weight[e];
                 if let Some(slopes) = &layout.segment_slopes {
-                    (x[spot.lane], y[spot.lane]) = (slopes.0[e], slopes.1[e]);
+                    (x[sample.lane], y[sample.lane]) = (slopes.0[e], slopes.1[e]);
                 }
             }
         }
@@ -299,7 +303,7 @@ impl Blocks {
                 self.entry_y.extend(y);
             }
         }
-        // A quadrant without entries starts and ends where the one before it ended.
+        // A quadrant without entries starts and ends where the previous one ended.
         for i in 1..ends.len() {
             ends[i] = ends[i].max(ends[i - 1]);
         }
@@ -312,8 +316,8 @@ impl Blocks {
     }
 }
 
-/// Where a lit sample is.
-struct Spot {
+/// Position of an illuminated sample in the folded pupil.
+struct FoldedSample {
     row: usize,
     /// Vector of columns.
     column: usize,

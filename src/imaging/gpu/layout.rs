@@ -1,8 +1,8 @@
-//! What a scene is to the device: plain arrays, and their check.
+//! The forward model as plain arrays for the device, and their check.
 
 use crate::{Error, Result};
 
-/// Which coefficient a mode is.
+/// The effect of one coefficient.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum GpuMode {
     /// The piston of this segment.
@@ -15,10 +15,9 @@ pub enum GpuMode {
     Smooth(usize),
 }
 
-/// The forward model as plain arrays: pupil samples that light reaches, their weights and modes, and the sampling of the
-/// image. `n` is [`samples`](Self::samples), `m` is [`pixels`](Self::pixels).
+/// The forward model as plain arrays: illuminated pupil samples, their weights and modes, and the sampling of the image. `n` is [`samples`](Self::samples), `m` is [`pixels`](Self::pixels).
 ///
-/// The field at lit sample p is `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi (c_s + t_s x_ps + u_s y_ps)/λ)` with
+/// The field at illuminated sample p is `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi (c_s + t_s x_ps + u_s y_ps)/λ)` with
 /// `ψ_p = diversity_p + Σ_j B_jp y_j/λ`; the
 /// focal field is `U[v][u] = Σ E[y][x] exp(−2πi step ((x−(n−1)/2)(u−m/2) + (y−(n−1)/2)(v−m/2)))`, `step = 1/(n q)`, and
 /// the image is `intensity_scale |U|²`.
@@ -34,26 +33,26 @@ pub struct GpuLayout {
     pub wavelength_nm: f64,
     /// PSF per squared modulus of the focal field.
     pub intensity_scale: f64,
-    /// Flat indices `y*n + x` of the samples that light reaches, each once.
+    /// Flat indices `y*n + x` of the illuminated samples, each once.
     pub lit: Vec<usize>,
-    /// Diversity at each lit sample, turns.
+    /// Diversity at each illuminated sample, turns.
     pub diversity_turns: Vec<f64>,
-    /// Smooth modes `[mode][lit sample]`, nm of wavefront per nm of coefficient.
+    /// Smooth modes `[mode][illuminated sample]`, nm of wavefront per nm of coefficient.
     pub smooth: Vec<Vec<f64>>,
-    /// Number of segments: at least 1 (a mirror of one piece is one segment).
+    /// Number of segments: at least 1 (a monolithic mirror is one segment).
     pub segments: usize,
-    /// Lit sample p holds the entries `segment_start[p]..segment_start[p + 1]` of the two lists below.
+    /// Illuminated sample p has the entries `segment_start[p]..segment_start[p + 1]` of the lists below.
     pub segment_start: Vec<usize>,
     /// Segment of each entry.
     pub segment_index: Vec<usize>,
     /// Weight of each entry: amplitude, of either sign.
     pub segment_weight: Vec<f64>,
-    /// Where each entry lies on its segment, along x and y, nm of wavefront per nm of tip and of tilt; needed where a mode
-    /// is one of those.
+    /// Coordinates of each entry on its segment along x and y, nm of wavefront per nm of tip and of tilt; required where a
+    /// mode is a tip or a tilt.
     pub segment_slopes: Option<(Vec<f64>, Vec<f64>)>,
-    /// What each coefficient of the model is.
+    /// Effect of each coefficient.
     pub modes: Vec<GpuMode>,
-    /// Whether each lit sample has a phase of its own beside the modes: then ψ_p holds it, too.
+    /// Whether there is a free phase, one number per illuminated sample, which adds to ψ_p.
     pub free_phase: bool,
 }
 
@@ -64,7 +63,7 @@ impl GpuLayout {
     /// [`Error::Shape`] or [`Error::Value`] for the first that does not.
     pub fn check(&self) -> Result<()> {
         let even = |what: &str, size: usize| match size {
-            0 => Err(Error::Shape(format!("a model of 0 {what} is empty: an even number from 2 on is needed"))),
+            0 => Err(Error::Shape(format!("a model of 0 {what} is empty: an even number of 2 or more is needed"))),
             s if s % 2 == 1 => {
                 Err(Error::Shape(format!("{s} {what} a side cannot be folded: an even number is needed")))
             }
@@ -86,7 +85,7 @@ impl GpuLayout {
             if found == wanted {
                 return Ok(());
             }
-            Err(Error::Shape(format!("{what} has {found} entries for {lit} lit samples: {wanted} are needed")))
+            Err(Error::Shape(format!("{what} has {found} entries for {lit} illuminated samples: {wanted} are needed")))
         };
         expect("diversity_turns", self.diversity_turns.len(), lit)?;
         expect("segment_start", self.segment_start.len(), lit + 1)?;
@@ -103,17 +102,19 @@ impl GpuLayout {
         for &index in &self.lit {
             match seen.get_mut(index) {
                 Some(seen) if !*seen => *seen = true,
-                Some(_) => return Err(Error::Shape(format!("lit sample {index} is listed twice"))),
+                Some(_) => {
+                    return Err(Error::Shape(format!("illuminated sample {index} is listed twice: list it once")));
+                }
                 None => {
                     return Err(Error::Shape(format!(
-                        "lit sample {index} is outside a pupil of {0} x {0} samples",
+                        "illuminated sample {index} is outside a pupil of {0} x {0} samples",
                         self.samples
                     )));
                 }
             }
         }
         if seen.iter().all(|lit| !lit) {
-            return Err(Error::Shape("no sample of the pupil is lit: at least one is needed".into()));
+            return Err(Error::Shape("no sample of the pupil is illuminated: at least one is needed".into()));
         }
         match self.diversity_turns.iter().chain(self.smooth.iter().flatten()).find(|v| !v.is_finite()) {
             Some(value) => {
@@ -131,12 +132,12 @@ impl GpuLayout {
         let ordered = self.segment_start.windows(2).all(|pair| pair[0] <= pair[1]);
         if !ordered || self.segment_start.first() != Some(&0) || self.segment_start.last() != Some(&entries) {
             return Err(Error::Shape(format!(
-                "segment_start does not rise from 0 to the {entries} entries of its list"
+                "segment_start must increase from 0 to the number of entries, {entries}"
             )));
         }
         if self.segment_weight.len() != entries {
             return Err(Error::Shape(format!(
-                "{} segment weights stand beside {entries} segments",
+                "{} segment weights were given for {entries} entries: as many are needed",
                 self.segment_weight.len()
             )));
         }
@@ -149,7 +150,7 @@ impl GpuLayout {
         let Some((x, y)) = &self.segment_slopes else { return Ok(()) };
         if x.len() != entries || y.len() != entries {
             return Err(Error::Shape(format!(
-                "{} and {} segment slopes stand beside {entries} segments",
+                "{} and {} segment slopes were given for {entries} entries: as many are needed",
                 x.len(),
                 y.len()
             )));
@@ -160,7 +161,7 @@ impl GpuLayout {
         }
     }
 
-    /// Numbers that say how a segment stands: piston, or piston, tip and tilt.
+    /// Degrees of freedom of a segment: 1 for piston, 3 for piston, tip and tilt.
     #[cfg(feature = "opencl")]
     pub(super) fn poses(&self) -> usize {
         let tilts = |mode: &GpuMode| matches!(mode, GpuMode::Tip(_) | GpuMode::Tilt(_));
@@ -175,7 +176,7 @@ impl GpuLayout {
                     ("segment tilt", s, self.segments)
                 }
                 GpuMode::Tip(_) | GpuMode::Tilt(_) => {
-                    return Err(Error::Shape(format!("mode {k} tilts a segment, and segment_slopes is absent")));
+                    return Err(Error::Shape(format!("mode {k} tilts a segment, which needs segment_slopes")));
                 }
                 GpuMode::Smooth(j) => ("smooth mode", j, self.smooth.len()),
             };

@@ -1,54 +1,61 @@
-//! What the chain keeps on the device, and how much of it there is.
+//! Buffers of the chain on the device, their sizes, and the sizes of the launches.
 
-use super::fold::{Blocks, GROUP, MODES_AT_ONCE, Shape};
+use super::fold::{Blocks, FoldedShape, GROUP, MODES_AT_ONCE};
 use super::layout::GpuLayout;
 use crate::Result;
 use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 
-/// Bytes of a tile's pupil arrays for each core of a processor: what its share of the last cache holds beside the
-/// images that stream through.
+/// Bytes of the pupil arrays of a tile, per core of a CPU: a part of the core's share of the last-level cache, through
+/// which the images pass too.
 const TILE_BYTES_PER_CORE: usize = 4 << 20;
-/// Bytes of a tile's arrays on a GPU: enough images to fill it, a small part of its memory.
+/// Bytes of the arrays of a tile on a GPU: enough images to use all of it, and a small part of its memory.
 const TILE_BYTES_GPU: usize = 256 << 20;
-/// Work-items of `focus` for each core: so many that the core which is dealt the last of them still finds one.
+/// Work-items of `focus` per core: so many that every core has at least one, however they are distributed.
 const WORKERS_PER_CORE: usize = 3;
 
-/// `count` images in whole groups; what the surplus images compute is never read.
+/// `count` rounded up to whole groups; the results of the surplus images are not read.
 pub(super) fn padded(count: usize) -> usize {
     count.next_multiple_of(GROUP)
 }
 
-/// How the launches are cut, which is where a processor and a GPU differ: few long work-items, or many short ones.
+/// Partition of the work into tiles, strips and work-items: few long work-items on a CPU, many short ones on a GPU.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Cut {
-    /// Images that go through the stages together; a multiple of `GROUP`.
+pub(super) struct Partition {
+    /// Images that are processed together by each stage; a multiple of `GROUP`.
     pub tile: usize,
-    /// Images whose fields have room at once; a multiple of `GROUP`.
+    /// Images whose fields fit in memory at once; a multiple of `GROUP`.
     pub focal_tile: usize,
-    /// Work-items of `focus`; `None` on a GPU, where no work-item carries an image.
+    /// Work-items of `focus`; `None` on a GPU, which does not use it.
     pub workers: Option<usize>,
-    /// From so many images on, `focus` keeps every core busy.
+    /// Number of images from which `focus` uses every core.
     pub focus_from: usize,
-    /// Work-items that share the output rows of one vector of columns.
+    /// Work-items per vector of columns, which share its output rows.
     pub column_items: usize,
-    /// Row pairs of a work-item of the row products.
+    /// Row pairs per work-item of the row products.
     pub pairs_per_item: usize,
-    /// Work-items that share the blocks of an image when its gradient is unfolded.
+    /// Work-items per image in the unfolding of the gradient, which share its blocks.
     pub block_items: usize,
-    /// Work-items that share the numbers that come down for an image.
+    /// Work-items per image in the collection of the results, which share its outputs.
     pub output_items: usize,
-    /// Work-items that share the images of a tile, for one block or one group of modes.
+    /// Work-items per block or group of modes, which share the images of a tile.
     pub group_items: usize,
-    /// Row pairs of a strip of pixels.
+    /// Row pairs per strip of pixels.
     pub pairs_per_strip: usize,
-    /// Work-items that share a strip.
+    /// Work-items per strip.
     pub lanes: usize,
-    /// Blocks over which a work-item of the projection sums.
+    /// Blocks per work-item of the projection.
     pub blocks_per_chunk: usize,
 }
 
-impl Cut {
-    fn new(info: &DeviceInfo, build: Build, shape: &Shape, blocks: usize, outputs: usize, capacity: usize) -> Self {
+impl Partition {
+    fn new(
+        info: &DeviceInfo,
+        build: Build,
+        shape: &FoldedShape,
+        blocks: usize,
+        outputs: usize,
+        capacity: usize,
+    ) -> Self {
         let number = build.precision.bytes();
         let phase = blocks * 4 * shape.vector * number;
         let rest =
@@ -57,7 +64,7 @@ impl Cut {
         let fits = |budget: usize, bytes: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
         if build.is_scalar() {
             let tile = fits(TILE_BYTES_GPU, phase + rest);
-            Cut {
+            Partition {
                 tile,
                 focal_tile: tile,
                 workers: None,
@@ -73,7 +80,7 @@ impl Cut {
             }
         } else {
             let cores = info.compute_units.max(1) as usize;
-            Cut {
+            Partition {
                 tile: fits(TILE_BYTES_PER_CORE * cores, phase),
                 focal_tile: padded(WORKERS_PER_CORE * cores),
                 workers: Some(WORKERS_PER_CORE * cores),
@@ -91,41 +98,41 @@ impl Cut {
     }
 }
 
-/// How many of everything there are.
+/// Numbers of images, blocks, segments, modes and outputs.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Counts {
     pub capacity: usize,
     pub blocks: usize,
     pub segments: usize,
-    /// Numbers that say how a segment stands.
+    /// Degrees of freedom of a segment.
     pub poses: usize,
     pub smooth: usize,
     /// Groups of `MODES_AT_ONCE` smooth modes.
     pub mode_groups: usize,
-    /// Strips of pixels of an image.
+    /// Strips of pixels per image.
     pub strips: usize,
-    /// Chunks of blocks of the projection.
+    /// Chunks of blocks in the projection.
     pub chunks: usize,
-    /// Lit samples with a phase of their own: all, or none.
+    /// Number of samples with a free phase: all illuminated ones, or 0.
     pub free: usize,
     /// Objective, flux, background, and a derivative for each pose of each segment and each smooth mode.
     pub outputs: usize,
 }
 
 impl Counts {
-    /// The counts, and the cut that some of them follow from.
+    /// The counts, and the partition from which some of them follow.
     pub fn new(
         info: &DeviceInfo,
         build: Build,
         layout: &GpuLayout,
-        shape: &Shape,
+        shape: &FoldedShape,
         blocks: &Blocks,
         capacity: usize,
-    ) -> (Self, Cut) {
+    ) -> (Self, Partition) {
         let (smooth, segments) = (layout.smooth.len(), layout.segments);
         let poses = layout.poses();
         let outputs = 3 + segments * poses + smooth;
-        let cut = Cut::new(info, build, shape, blocks.count(), outputs, capacity);
+        let partition = Partition::new(info, build, shape, blocks.count(), outputs, capacity);
         let counts = Self {
             capacity,
             blocks: blocks.count(),
@@ -133,17 +140,19 @@ impl Counts {
             poses,
             smooth,
             mode_groups: smooth.div_ceil(MODES_AT_ONCE),
-            strips: shape.fft.map_or(shape.pairs.div_ceil(cut.pairs_per_strip), |fft| fft.points() / shape.vector),
-            chunks: blocks.count().div_ceil(cut.blocks_per_chunk),
+            strips: shape
+                .fft
+                .map_or(shape.pairs.div_ceil(partition.pairs_per_strip), |fft| fft.points() / shape.vector),
+            chunks: blocks.count().div_ceil(partition.blocks_per_chunk),
             free: if layout.free_phase { layout.lit.len() } else { 0 },
             outputs,
         };
-        (counts, cut)
+        (counts, partition)
     }
 }
 
-/// What never changes: the pupil, the basis, the tables of the transform.
-pub(super) struct Scene {
+/// Buffers of the model, constant after construction: the pupil, the basis, the tables of the transform.
+pub(super) struct ModelBuffers {
     pub basis: Reals,
     pub diversity: Reals,
     pub entry_weight: Reals,
@@ -156,17 +165,17 @@ pub(super) struct Scene {
     pub entry_place: Buffer<i32>,
     pub segment_start: Buffer<i32>,
     pub segment_entry: Buffer<i32>,
-    pub lit_place: Buffer<i32>,
+    pub sample_place: Buffer<i32>,
     pub y_to_v: Reals,
     pub x_to_u: Reals,
     pub u_to_x: Reals,
     pub v_to_y: Reals,
-    /// Of the FFT; empty without.
+    /// Twiddle factors of the FFT; empty without one.
     pub twiddle: Reals,
 }
 
-impl Scene {
-    pub fn new(device: &Device, precision: Precision, shape: &Shape, blocks: &Blocks) -> Result<Self> {
+impl ModelBuffers {
+    pub fn new(device: &Device, precision: Precision, shape: &FoldedShape, blocks: &Blocks) -> Result<Self> {
         let upload = |values: &[f64]| Reals::upload(device, precision, values);
         let [y_to_v, x_to_u, u_to_x, v_to_y] = if shape.fft.is_some() { Default::default() } else { shape.tables() };
         Ok(Self {
@@ -182,7 +191,7 @@ impl Scene {
             entry_place: device.upload(&blocks.entry_place)?,
             segment_start: device.upload(&blocks.segment_start)?,
             segment_entry: device.upload(&blocks.segment_entry)?,
-            lit_place: device.upload(&blocks.lit_place)?,
+            sample_place: device.upload(&blocks.sample_place)?,
             y_to_v: upload(&y_to_v)?,
             x_to_u: upload(&x_to_u)?,
             u_to_x: upload(&u_to_x)?,
@@ -192,28 +201,28 @@ impl Scene {
     }
 }
 
-/// What goes up and comes down: the images once, coefficients and results with every call.
-pub(super) struct Batch {
+/// Buffers of the batch: images, uploaded once; coefficients and results, transferred with every call.
+pub(super) struct BatchBuffers {
     pub data: Reals,
     pub weight: Reals,
-    /// How the photometry of each slot is found: 0 known, 1 flux fitted, 2 flux and background fitted.
+    /// Photometry of each slot: 0 known, 1 flux fitted, 2 flux and background fitted.
     pub kind: Buffer<i32>,
-    /// Of each slot, as `Folded::known`.
+    /// `FoldedImage::known` of each slot.
     pub known: Reals,
     /// The slot of each active image.
     pub slot: Buffer<i32>,
-    /// The images of each tile that `focus` has taken so far.
+    /// Number of images of each tile that `focus` has started.
     pub next: Buffer<i32>,
     pub coefficients: Reals,
     /// `[image][segment][re q, im q, tip, tilt]`.
     pub pose: Reals,
-    /// `[image][lit sample]`: the free phase, turns, and after an evaluation the derivative by it.
+    /// `[image][illuminated sample]`: the free phase, turns, and after an evaluation the gradient by it.
     pub free: Reals,
     pub result: Reals,
 }
 
-impl Batch {
-    pub fn new(device: &Device, precision: Precision, shape: &Shape, counts: &Counts) -> Result<Self> {
+impl BatchBuffers {
+    pub fn new(device: &Device, precision: Precision, shape: &FoldedShape, counts: &Counts) -> Result<Self> {
         let zeros = |len: usize| Reals::zeros(device, precision, len);
         let (slots, active) = (counts.capacity, padded(counts.capacity));
         Ok(Self {
@@ -231,18 +240,19 @@ impl Batch {
     }
 }
 
-/// What the stages hand each other: `psi` to `mode_partial` for one tile, the rest for the images that are in work at once.
-pub(super) struct Scratch {
-    /// Smooth phase, then the derivative by it.
+/// Buffers between the stages: `psi`, and `sums` to `mode_partial`, for one tile; the others for the images processed at a
+/// time.
+pub(super) struct ScratchBuffers {
+    /// Smooth phase, then the gradient by it.
     pub psi: Reals,
     pub field: Reals,
     pub wave: Reals,
-    /// One row of vectors in the FFT, and the samples of both sides before it.
+    /// One line of vectors in the FFT, and its input samples on both sides of the axis.
     pub line: Reals,
     pub side: Reals,
     pub focal: Reals,
     pub phasor: Reals,
-    pub lit_field: Reals,
+    pub sample_field: Reals,
     pub sums: Reals,
     pub objective: Reals,
     pub photometry: Reals,
@@ -250,20 +260,26 @@ pub(super) struct Scratch {
     pub mode_partial: Reals,
 }
 
-impl Scratch {
-    pub fn new(device: &Device, precision: Precision, shape: &Shape, counts: &Counts, cut: &Cut) -> Result<Self> {
-        let zeros = |per_image: usize| Reals::zeros(device, precision, cut.tile * per_image);
-        let in_work = |per_image: usize| Reals::zeros(device, precision, cut.focal_tile * per_image);
-        let partials = counts.strips * cut.lanes;
+impl ScratchBuffers {
+    pub fn new(
+        device: &Device,
+        precision: Precision,
+        shape: &FoldedShape,
+        counts: &Counts,
+        partition: &Partition,
+    ) -> Result<Self> {
+        let zeros = |per_image: usize| Reals::zeros(device, precision, partition.tile * per_image);
+        let in_work = |per_image: usize| Reals::zeros(device, precision, partition.focal_tile * per_image);
+        let partials = counts.strips * partition.lanes;
         Ok(Self {
-            // Zero where the pupil has no block: neither the field nor its adjoint is ever written there.
+            // Zero where the pupil has no block: no kernel writes there.
             field: in_work(shape.side_rows().max(shape.rows) * 8 * shape.width)?,
             wave: in_work(shape.pairs * 8 * shape.width)?,
             focal: in_work(shape.pixels() * 2)?,
             line: in_work(shape.fft_scratch()[0])?,
             side: in_work(shape.fft_scratch()[1])?,
             phasor: in_work(counts.blocks * 8 * shape.vector)?,
-            lit_field: in_work(counts.blocks * 8 * shape.vector)?,
+            sample_field: in_work(counts.blocks * 8 * shape.vector)?,
             psi: zeros(counts.blocks * 4 * shape.vector)?,
             sums: zeros(partials * 3)?,
             objective: zeros(partials)?,

@@ -1,34 +1,34 @@
-//! The order in which the kernels of the chain run, and what they run on.
+//! The sequence in which the kernels of the chain run, and their launch sizes.
 
-use super::bind::{Kernels, Parts};
-use super::fold::{Blocks, GROUP, Shape, TALL, row_chunks};
-use super::folded::Folded;
+use super::bind::{Bindings, Kernels};
+use super::budget::MemoryBudget;
+use super::fold::{Blocks, FoldedShape, GROUP, TALL, row_chunks};
+use super::image::FoldedImage;
 use super::layout::GpuLayout;
-use super::memory::{Batch, Counts, Cut, Scene, Scratch, padded};
-use super::room::Room;
+use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffers, padded};
 use crate::Result;
 use crate::device::{Build, Device};
 
-/// The stages of the chain with everything that they need on the device.
+/// The stages of the chain with their kernels and buffers.
 pub(super) struct Stages {
     bytes: u64,
-    shape: Shape,
-    cut: Cut,
+    shape: FoldedShape,
+    partition: Partition,
     counts: Counts,
-    batch: Batch,
-    scratch: Scratch,
-    /// Only kernels look at it.
-    _scene: Scene,
+    batch: BatchBuffers,
+    scratch: ScratchBuffers,
+    /// Owns the buffers that the kernels are bound to.
+    _model: ModelBuffers,
     kernels: Kernels,
 }
 
-/// Which way the free phase goes.
+/// Step of the free phase.
 #[derive(Clone, Copy)]
-enum Way {
-    /// To the images.
-    There,
-    /// The derivative, from them.
-    Back,
+enum FreePhaseStep {
+    /// Addition to the phase.
+    Add,
+    /// Gradient by the free phase.
+    Gradient,
 }
 
 impl Stages {
@@ -36,49 +36,58 @@ impl Stages {
         device: &Device,
         build: Build,
         layout: &GpuLayout,
-        shape: Shape,
+        shape: FoldedShape,
         capacity: usize,
         memory_bytes: u64,
     ) -> Result<Self> {
         let blocks = &Blocks::new(layout, &shape);
-        let (counts, cut) = Counts::new(device.info(), build, layout, &shape, blocks, capacity);
-        let room = Room::new(build, &shape, blocks, &counts, &cut);
-        let cut = room.fit(cut, capacity, device.info(), memory_bytes)?;
-        let scene = Scene::new(device, build.precision, &shape, blocks)?;
-        let batch = Batch::new(device, build.precision, &shape, &counts)?;
-        let scratch = Scratch::new(device, build.precision, &shape, &counts, &cut)?;
-        let parts = Parts {
+        let (counts, partition) = Counts::new(device.info(), build, layout, &shape, blocks, capacity);
+        let budget = MemoryBudget::new(build, &shape, blocks, &counts, &partition);
+        let partition = budget.fit(partition, capacity, device.info(), memory_bytes)?;
+        let model = ModelBuffers::new(device, build.precision, &shape, blocks)?;
+        let batch = BatchBuffers::new(device, build.precision, &shape, &counts)?;
+        let scratch = ScratchBuffers::new(device, build.precision, &shape, &counts, &partition)?;
+        let parts = Bindings {
             device,
             build,
             shape: &shape,
-            cut: &cut,
+            partition: &partition,
             counts: &counts,
             blocks,
-            scene: &scene,
+            model: &model,
             batch: &batch,
             scratch: &scratch,
         };
         let kernels = parts.kernels(2.0 * std::f64::consts::TAU / layout.wavelength_nm)?;
-        Ok(Self { bytes: room.bytes(capacity, &cut), shape, cut, counts, batch, scratch, _scene: scene, kernels })
+        Ok(Self {
+            bytes: budget.bytes(capacity, &partition),
+            shape,
+            partition,
+            counts,
+            batch,
+            scratch,
+            _model: model,
+            kernels,
+        })
     }
 
-    /// Images whose focal fields can be had together.
+    /// Largest number of images whose focal fields are computed together.
     pub fn focal_tile(&self) -> usize {
-        self.cut.focal_tile.min(self.cut.tile)
+        self.partition.focal_tile.min(self.partition.tile)
     }
 
-    /// Bytes on the device.
+    /// Device memory, bytes.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Room for images.
+    /// Largest number of images.
     pub fn capacity(&self) -> usize {
         self.counts.capacity
     }
 
-    /// Puts an image into `slot`.
-    pub fn load(&mut self, slot: usize, image: &Folded) -> Result<()> {
+    /// Uploads an image into `slot`.
+    pub fn load(&mut self, slot: usize, image: &FoldedImage) -> Result<()> {
         let batch = &mut self.batch;
         batch.data.write(slot * self.shape.pixels(), &image.data)?;
         batch.weight.write(slot * self.shape.pixels(), &image.weights)?;
@@ -87,8 +96,8 @@ impl Stages {
     }
 
     /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
-    /// `fitted`, none of them fits its photometry. `free` is the free phase of a model that has one, and the derivative by
-    /// it goes into `slopes`.
+    /// `fitted`, all photometry is known. `free` is the free phase of a model that has one; the gradient by it is written
+    /// into `slopes`.
     pub fn evaluate(
         &mut self,
         active: &[usize],
@@ -97,28 +106,29 @@ impl Stages {
         (free, slopes): (&[f64], &mut [f64]),
         fitted: bool,
     ) -> Result<Vec<f64>> {
-        let Counts { capacity, smooth, segments, outputs, free: lit, .. } = self.counts;
+        let Counts { capacity, smooth, segments, outputs, free: free_samples, .. } = self.counts;
         let mut results = vec![0.0; active.len() * outputs];
-        // A batch beyond the capacity (an image may be active more than once) goes in several rounds.
+        // A batch larger than the capacity (an image may be active more than once) is processed in several rounds.
         for (round, active) in active.chunks(capacity).enumerate() {
             let (from, count) = (round * capacity, active.len());
             self.write_inputs(count, &turns[from * smooth..], &poses[from * segments * 4..])?;
-            let own = from * lit..(from + count) * lit;
+            let own = from * free_samples..(from + count) * free_samples;
             self.batch.free.write(0, &free[own.clone()])?;
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
             self.batch.slot.write(0, &slots)?;
-            // Few images are shared out among the cores stage by stage.
-            let workers = self.cut.workers.filter(|_| self.shape.fft.is_some() || count >= self.cut.focus_from);
-            let limit = if workers.is_some() { self.cut.tile } else { self.focal_tile() };
-            // Tiles of equal size: the last is not left with a few images.
+            // With few images each stage distributes its work over the cores.
+            let workers =
+                self.partition.workers.filter(|_| self.shape.fft.is_some() || count >= self.partition.focus_from);
+            let limit = if workers.is_some() { self.partition.tile } else { self.focal_tile() };
+            // Tiles of equal size, so that the last is not much smaller.
             let tile = padded(count.div_ceil(count.div_ceil(limit)));
             self.batch.next.write(0, &vec![0; count.div_ceil(tile)])?;
-            for (turn, first) in (0..count).step_by(tile).enumerate() {
+            for (tile_index, first) in (0..count).step_by(tile).enumerate() {
                 let images = tile.min(count - first);
                 self.smooth_phase(first, images)?;
-                self.free_phase(first, images, Way::There)?;
+                self.free_phase(first, images, FreePhaseStep::Add)?;
                 match workers {
-                    Some(workers) => self.focus(turn, first, images, workers)?,
+                    Some(workers) => self.focus(tile_index, first, images, workers)?,
                     None => {
                         self.pupil_field(first, images)?;
                         self.transform(images)?;
@@ -128,7 +138,7 @@ impl Stages {
                     }
                 }
                 self.project_modes(first, images)?;
-                self.free_phase(first, images, Way::Back)?;
+                self.free_phase(first, images, FreePhaseStep::Gradient)?;
             }
             self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
             self.batch.free.read(0, &mut slopes[own])?;
@@ -152,47 +162,47 @@ impl Stages {
         self.batch.pose.write(0, &poses[..images * self.counts.segments * 4])
     }
 
-    // Kernels that carry GROUP images together take whole groups: what they compute beyond `images` is of leftovers of an
-    // earlier tile (or zeros), and nothing reads it.
+    // Kernels that process GROUP images together are launched for whole groups. Beyond `images` they process leftovers of an
+    // earlier tile (or zeros), and their results are not read.
 
     fn smooth_phase(&mut self, first: usize, images: usize) -> Result<()> {
         let (images, k) = (padded(images), &mut self.kernels.smooth_phase);
         k.int("first", first)?.int("images", images)?;
-        k.launch([self.counts.blocks, self.cut.group_items.min(images / GROUP), 1])
+        k.launch([self.counts.blocks, self.partition.group_items.min(images / GROUP), 1])
     }
 
-    fn free_phase(&mut self, first: usize, images: usize, way: Way) -> Result<()> {
-        let k = match way {
-            Way::There => &mut self.kernels.add_free,
-            Way::Back => &mut self.kernels.take_free,
+    fn free_phase(&mut self, first: usize, images: usize, step: FreePhaseStep) -> Result<()> {
+        let k = match step {
+            FreePhaseStep::Add => &mut self.kernels.add_free_phase,
+            FreePhaseStep::Gradient => &mut self.kernels.free_phase_gradient,
         };
         if self.counts.free == 0 {
             return Ok(());
         }
-        // As many work-items as for the blocks, of which a sample is a small part.
-        k.int("first", first)?.launch([self.cut.block_items, images, 1])
+        // As many work-items as for the blocks: the work per sample is small.
+        k.int("first", first)?.launch([self.partition.block_items, images, 1])
     }
 
     fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
         self.kernels.pupil_field.int("first", first)?.launch([self.counts.blocks, images, 1])
     }
 
-    fn focus(&mut self, turn: usize, first: usize, images: usize, workers: usize) -> Result<()> {
+    fn focus(&mut self, tile: usize, first: usize, images: usize, workers: usize) -> Result<()> {
         let k = &mut self.kernels.focus;
-        k.int("turn", turn)?.int("first", first)?.int("images", images)?.launch([workers, 1, 1])
+        k.int("tile", tile)?.int("first", first)?.int("images", images)?.launch([workers, 1, 1])
     }
 
     fn transform(&mut self, images: usize) -> Result<()> {
-        let (shape, cut, k) = (&self.shape, &self.cut, &mut self.kernels);
+        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.kernels);
         let groups = shape.pairs.div_ceil(TALL);
-        k.forward_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])?;
+        k.forward_columns.launch([2 * shape.width / shape.vector, groups.min(partition.column_items), images])?;
         let chunks = row_chunks(shape.span / shape.vector);
-        k.forward_rows.launch([chunks, shape.pairs.div_ceil(cut.pairs_per_item), images])
+        k.forward_rows.launch([chunks, shape.pairs.div_ceil(partition.pairs_per_item), images])
     }
 
     fn pixels(&mut self, first: usize, images: usize, fitted: bool) -> Result<()> {
-        let (cut, k) = (&self.cut, &mut self.kernels);
-        let strips = [cut.lanes, self.counts.strips, images];
+        let (partition, k) = (&self.partition, &mut self.kernels);
+        let strips = [partition.lanes, self.counts.strips, images];
         if fitted {
             k.photometry_sums.int("first", first)?.launch(strips)?;
         }
@@ -201,24 +211,24 @@ impl Stages {
     }
 
     fn transform_adjoint(&mut self, images: usize) -> Result<()> {
-        let (shape, cut, k) = (&self.shape, &self.cut, &mut self.kernels);
+        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.kernels);
         let chunks = row_chunks(shape.width / shape.vector);
-        k.adjoint_rows.launch([chunks, shape.pairs.div_ceil(cut.pairs_per_item), images])?;
+        k.adjoint_rows.launch([chunks, shape.pairs.div_ceil(partition.pairs_per_item), images])?;
         let groups = shape.rows.div_ceil(TALL);
-        k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(cut.column_items), images])
+        k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(partition.column_items), images])
     }
 
     fn pupil_gradient(&mut self, first: usize, images: usize) -> Result<()> {
-        let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
-        k.pupil_gradient.launch([cut.block_items, images, 1])?;
+        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.kernels);
+        k.pupil_gradient.launch([partition.block_items, images, 1])?;
         k.project_segments.int("first", first)?.launch([counts.segments, images, 1])
     }
 
     fn project_modes(&mut self, first: usize, images: usize) -> Result<()> {
-        let (cut, counts, k) = (&self.cut, &self.counts, &mut self.kernels);
+        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.kernels);
         let groups = images.div_ceil(GROUP);
         k.project_modes.int("images", groups * GROUP)?;
-        k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(cut.group_items)])?;
-        k.collect.int("first", first)?.launch([cut.output_items, images, 1])
+        k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(partition.group_items)])?;
+        k.collect.int("first", first)?.launch([partition.output_items, images, 1])
     }
 }

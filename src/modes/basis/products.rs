@@ -1,18 +1,18 @@
-//! Sums over the modes of a basis and over the samples of the pupil, without a map of every mode.
+//! Sums over the modes of a basis and over the samples of the pupil, computed without dense maps of the sparse modes.
 
-use super::Basis;
+use super::{Basis, SparseMap};
 use crate::{Error, Result};
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array1, Array2, ArrayView2, Zip, s};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Samples whose values in the dense modes are gathered at once: those of 70 modes stay in a cache of 1 MB.
+/// Samples processed at once: the values of 70 dense modes at them stay in a cache of 1 MB.
 const TILE: usize = 1024;
 
-/// The modes that are lists, sample by sample.
+/// The sparse modes, sample by sample.
 struct BySample {
-    /// Sample p holds the entries `offsets[p]..offsets[p + 1]`.
+    /// Sample p has the entries `offsets[p]..offsets[p + 1]`.
     offsets: Vec<u32>,
     /// Mode and value.
     entries: Vec<(u32, f64)>,
@@ -28,14 +28,14 @@ impl Basis {
     /// Σ of the maps of `modes` times their coefficients, `[y, x]`.
     ///
     /// # Panics
-    /// Where there is not a coefficient for each mode of the basis.
+    /// If the number of coefficients differs from the number of modes.
     pub fn combined(&self, coefficients_nm: &[f64], modes: Range<usize>) -> Array2<f64> {
         assert_eq!(coefficients_nm.len(), self.len(), "coefficients");
         let samples = self.samples();
         let mut map = Array2::zeros((samples, samples));
         for mode in modes {
             let nm = coefficients_nm[mode];
-            match self.local.get(mode) {
+            match self.sparse.get(mode) {
                 Some(list) => list.iter().for_each(|&(at, v)| map[self.place(at as usize)] += nm * v),
                 None => map.scaled_add(nm, &self.dense_map(mode)),
             }
@@ -49,21 +49,20 @@ impl Basis {
     /// [`Error::Shape`] for a map of another shape.
     pub fn along(&self, map: &Array2<f64>) -> Result<Vec<f64>> {
         self.check_shape(map)?;
-        let of_list = |list: &super::LocalMap| list.iter().map(|&(at, v)| v * map[self.place(at as usize)]).sum();
+        let of_sparse = |list: &SparseMap| list.iter().map(|&(at, v)| v * map[self.place(at as usize)]).sum();
         let of_map = |mode: ArrayView2<f64>| Zip::from(mode).and(map).fold(0.0, |sum, v, m| sum + v * m);
-        Ok(self.local.iter().map(of_list).chain(self.dense.outer_iter().map(of_map)).collect())
+        Ok(self.sparse.iter().map(of_sparse).chain(self.dense.outer_iter().map(of_map)).collect())
     }
 
-    /// Mean square of each mode over the pupil, weighted by `amplitude` `[y, x]`: of a coefficient of 1 nm, nm².
+    /// Mean square of each mode over the pupil, weighted by `amplitude` `[y, x]`, nm² for a coefficient of 1 nm.
     ///
     /// # Errors
     /// As [`Basis::visible_gram`].
     pub fn mean_squares(&self, amplitude: &Array2<f64>) -> Result<Vec<f64>> {
-        let weight = amplitude / self.total_of(amplitude)?;
-        let of_list =
-            |list: &super::LocalMap| list.iter().map(|&(at, v)| v * v * weight[self.place(at as usize)]).sum();
+        let weight = amplitude / self.total_amplitude(amplitude)?;
+        let of_sparse = |list: &SparseMap| list.iter().map(|&(at, v)| v * v * weight[self.place(at as usize)]).sum();
         let of_map = |mode: ArrayView2<f64>| Zip::from(mode).and(&weight).fold(0.0, |sum, v, w| sum + v * v * w);
-        Ok(self.local.iter().map(of_list).chain(self.dense.outer_iter().map(of_map)).collect())
+        Ok(self.sparse.iter().map(of_sparse).chain(self.dense.outer_iter().map(of_map)).collect())
     }
 
     /// Σ over the samples of `weight` times the product of each two modes, `[mode, mode]`.
@@ -72,12 +71,13 @@ impl Basis {
     /// [`Error::Shape`] for a weight of another shape.
     pub fn gram(&self, weight: &Array2<f64>) -> Result<Array2<f64>> {
         self.check_shape(weight)?;
-        let (lists, maps) = (self.local.len(), self.dense.dim().0);
+        let (lists, maps) = (self.sparse.len(), self.dense.dim().0);
         let by_sample = self.by_sample();
-        let lit: Vec<(usize, f64)> = weight.iter().copied().enumerate().filter(|(_, weight)| *weight != 0.0).collect();
+        let weighted_samples: Vec<(usize, f64)> =
+            weight.iter().copied().enumerate().filter(|(_, weight)| *weight != 0.0).collect();
         let mut of_maps = Array2::<f64>::zeros((maps, maps));
         let mut gram = Array2::<f64>::zeros((self.len(), self.len()));
-        for tile in lit.chunks(TILE) {
+        for tile in weighted_samples.chunks(TILE) {
             let values = self.gathered(tile.iter().map(|&(at, _)| at), lists..self.len());
             let weights: Array1<f64> = tile.iter().map(|&(_, weight)| weight).collect();
             let weighted = &values * &weights.insert_axis(ndarray::Axis(1));
@@ -99,13 +99,13 @@ impl Basis {
     }
 
     /// Mean products of the modes over the pupil, `[modes, modes]`, weighted by `amplitude` `[y, x]` and with the mean
-    /// of each mode removed: what an image can see of them, since it never sees piston.
+    /// of each mode removed: an image does not depend on piston.
     ///
     /// # Errors
     /// [`Error::Shape`] where the amplitude has another shape than the maps; [`Error::Value`] where it sums to no
     /// positive number.
     pub fn visible_gram(&self, amplitude: &Array2<f64>) -> Result<Array2<f64>> {
-        let weight = amplitude / self.total_of(amplitude)?;
+        let weight = amplitude / self.total_amplitude(amplitude)?;
         let means = Array1::from(self.along(&weight)?);
         let mut gram = self.gram(&weight)?;
         for (mut row, &mean) in gram.outer_iter_mut().zip(&means) {
@@ -118,12 +118,12 @@ impl Basis {
     /// (`[mode, mode]`, of all modes).
     ///
     /// # Panics
-    /// Where the covariance is not of the modes of the basis.
+    /// If the covariance does not have one row and column per mode.
     pub fn variance(&self, covariance: &Array2<f64>, modes: Range<usize>) -> Array2<f64> {
         assert_eq!(covariance.dim(), (self.len(), self.len()), "covariance");
         let samples = self.samples();
         let by_sample = self.by_sample();
-        let maps = modes.start.max(self.local.len()).min(modes.end)..modes.end;
+        let maps = modes.start.max(self.sparse.len()).min(modes.end)..modes.end;
         let of_maps = covariance.slice(s![maps.clone(), maps.clone()]);
         let mut variance = vec![0.0; samples * samples];
         variance.par_chunks_mut(TILE).enumerate().for_each(|(tile, variance)| {
@@ -145,7 +145,7 @@ impl Basis {
     }
 
     /// The sum of an amplitude on the grid of the maps.
-    fn total_of(&self, amplitude: &Array2<f64>) -> Result<f64> {
+    fn total_amplitude(&self, amplitude: &Array2<f64>) -> Result<f64> {
         self.check_shape(amplitude)?;
         let total = amplitude.sum();
         if !(total.is_finite() && total > 0.0) {
@@ -167,10 +167,10 @@ impl Basis {
     }
 
     fn dense_map(&self, mode: usize) -> ArrayView2<'_, f64> {
-        self.dense.index_axis(ndarray::Axis(0), mode - self.local.len())
+        self.dense.index_axis(ndarray::Axis(0), mode - self.sparse.len())
     }
 
-    /// Values of `modes`, all of them dense, at `samples`: `[sample, mode]`.
+    /// Values of the dense `modes` at `samples`, `[sample, mode]`.
     fn gathered(&self, samples: impl ExactSizeIterator<Item = usize> + Clone, modes: Range<usize>) -> Array2<f64> {
         let mut values = Array2::zeros((samples.len(), modes.len()));
         for (mode, mut column) in modes.zip(values.columns_mut()) {
@@ -182,13 +182,13 @@ impl Basis {
 
     fn by_sample(&self) -> BySample {
         let mut offsets = vec![0u32; self.samples().pow(2) + 1];
-        self.local.iter().flatten().for_each(|&(at, _)| offsets[at as usize + 1] += 1);
+        self.sparse.iter().flatten().for_each(|&(at, _)| offsets[at as usize + 1] += 1);
         for p in 1..offsets.len() {
             offsets[p] += offsets[p - 1];
         }
         let mut next = offsets.clone();
-        let mut entries = vec![(0, 0.0); self.local.iter().map(Vec::len).sum()];
-        for (mode, list) in (0u32..).zip(&self.local) {
+        let mut entries = vec![(0, 0.0); self.sparse.iter().map(Vec::len).sum()];
+        for (mode, list) in (0u32..).zip(&self.sparse) {
             for &(at, value) in list {
                 let place = &mut next[at as usize];
                 entries[*place as usize] = (mode, value);
@@ -204,19 +204,19 @@ mod tests {
     use crate::modes::{Basis, Group};
     use ndarray::{Array2, Array3, ArrayView1, Axis};
 
-    /// Three modes of a few samples each, which overlap, before two that fill the grid; and the same five as maps.
+    /// Three overlapping sparse modes and two dense ones; and the same five modes as dense maps.
     fn both() -> (Basis, Basis) {
         let samples = 40;
         let names = |prefix: &str, count: usize| (0..count).map(|i| format!("{prefix}-{i}")).collect::<Vec<_>>();
         let list = |seed: u32| (0..300).map(|i| (5 * i + seed, (0.3 * f64::from(i + seed)).sin() + 0.2)).collect();
-        let local = vec![list(0), list(1), (0..300).map(|i| (5 * i, 0.5 + 0.01 * f64::from(i))).collect()];
-        let lists = Basis::from_lists(names("list", 3), vec![Group::Segment; 3], samples, local).unwrap();
+        let sparse = vec![list(0), list(1), (0..300).map(|i| (5 * i, 0.5 + 0.01 * f64::from(i))).collect()];
+        let lists = Basis::from_lists(names("list", 3), vec![Group::Segment; 3], samples, sparse).unwrap();
         let wave = |(mode, y, x): (usize, usize, usize)| ((1 + mode) as f64 * 0.11 * x as f64).cos() + 0.02 * y as f64;
         let cube = Array3::from_shape_fn((2, samples, samples), wave);
         let dense = Basis::from_cube(names("map", 2), vec![Group::Ncpa; 2], cube).unwrap();
         let joined = lists.followed_by(&dense).unwrap();
         let as_maps = Basis::from_cube(joined.names.clone(), joined.groups.clone(), joined.maps()).unwrap();
-        assert_eq!((joined.local.len(), as_maps.local.len()), (3, 0));
+        assert_eq!((joined.sparse.len(), as_maps.sparse.len()), (3, 0));
         (joined, as_maps)
     }
 
@@ -237,7 +237,7 @@ mod tests {
         assert!(same(&lists.visible_gram(&weight).unwrap(), &maps.visible_gram(&weight).unwrap()));
         let along = |basis: &Basis| Array2::from_shape_vec((1, 5), basis.along(&weight).unwrap()).unwrap();
         assert!(same(&along(&lists), &along(&maps)));
-        // Mean squares are the gram's diagonal.
+        // Mean squares are the diagonal of the Gram matrix.
         for basis in [&lists, &maps] {
             let gram = basis.gram(&(&weight / weight.sum())).unwrap();
             let squares = basis.mean_squares(&weight).unwrap();
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sums_are_those_of_the_definition() {
+    fn sums_agree_with_the_definition() {
         let (lists, _) = both();
         let maps = lists.maps();
         let weight = Array2::from_shape_fn((40, 40), |(y, x)| 1.0 / (1 + x + y) as f64);
@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn lists_behind_maps_become_maps() {
+    fn sparse_modes_after_dense_ones_become_dense() {
         let (lists, maps) = both();
         let renamed =
             Basis::from_cube(vec!["other".into()], vec![Group::Ncpa], maps.maps().slice_move(ndarray::s![..1, .., ..]));

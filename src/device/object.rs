@@ -1,14 +1,14 @@
-//! OpenCL objects that are let go without a panic.
+//! Owned OpenCL objects, released without a panic.
 
 use ocl::core;
 use std::mem::ManuallyDrop;
 use std::ops::Deref;
 
-/// An object of `ocl`. Its own drop panics where the release fails, as it may where the device is lost; and an object that is
-/// dropped while another's panic passes by would end the process. A release that fails leaves nothing to be done.
-pub(super) struct Held<T: Release>(ManuallyDrop<T>);
+/// An owned object of `ocl`. The drop of `ocl` panics if the release fails, which may happen once the device is lost; a
+/// panic during the unwinding of another one aborts the process. Here a failed release is ignored: nothing can be done.
+pub(super) struct OpenClObject<T: Release>(ManuallyDrop<T>);
 
-/// How the loader is told that an object is no longer needed.
+/// Release of an OpenCL object.
 pub(super) trait Release {
     /// # Safety
     /// The object is not used afterwards.
@@ -31,13 +31,13 @@ releases! {
     core::Mem: release_mem_object;
 }
 
-impl<T: Release> From<T> for Held<T> {
+impl<T: Release> From<T> for OpenClObject<T> {
     fn from(object: T) -> Self {
         Self(ManuallyDrop::new(object))
     }
 }
 
-impl<T: Release> Deref for Held<T> {
+impl<T: Release> Deref for OpenClObject<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -45,9 +45,9 @@ impl<T: Release> Deref for Held<T> {
     }
 }
 
-impl<T: Release> Drop for Held<T> {
+impl<T: Release> Drop for OpenClObject<T> {
     fn drop(&mut self) {
-        // SAFETY: `ManuallyDrop` never drops it, so this is the one release that its creation is owed.
+        // SAFETY: `ManuallyDrop` never drops the object, so this is its only release.
         unsafe { self.0.release() }
     }
 }

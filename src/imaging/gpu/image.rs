@@ -1,34 +1,34 @@
-//! An image as the device holds it.
+//! An image in the layout of the device.
 
-use super::GpuPhotometry;
-use super::fold::Shape;
+use super::evaluation::GpuPhotometry;
+use super::fold::FoldedShape;
 
-/// One image as the device holds it.
-pub(super) struct Folded {
+/// One image in the layout of the device.
+pub(super) struct FoldedImage {
     pub data: Vec<f64>,
     pub weights: Vec<f64>,
     /// 0 known, 1 flux fitted, 2 flux and background fitted.
     pub kind: i32,
     /// Known flux and background (less the offset), sum of w, sum of w (d - offset).
     pub known: [f64; 4],
-    /// What is taken off the data, electrons: the known background, or the weighted mean where that is fitted. What the
-    /// device sums is then signal: the sums of a faint star on a bright background would cancel in f32.
+    /// Offset subtracted from the data, electrons: the known background, or the weighted mean where the background is
+    /// fitted. Without it the sums of a faint star on a bright background would cancel in f32.
     pub offset: f64,
 }
 
-impl Folded {
+impl FoldedImage {
     pub(super) fn new<D, W>(
-        shape: &Shape,
+        shape: &FoldedShape,
         m: usize,
         data: &[D],
         weights: &[W],
-        how: &GpuPhotometry,
+        photometry: &GpuPhotometry,
     ) -> std::result::Result<Self, String>
     where
         D: Copy + Into<f64>,
         W: Copy + Into<f64>,
     {
-        let (kind, flux, background) = match *how {
+        let (kind, flux, background) = match *photometry {
             GpuPhotometry::Known { flux_e, background_e } => (0, flux_e, background_e),
             GpuPhotometry::FitFlux { background_e } => (1, 0.0, background_e),
             GpuPhotometry::FitBoth => (2, 0.0, 0.0),
@@ -38,7 +38,7 @@ impl Folded {
                 "has a known flux of {flux} and background of {background}: finite electrons are needed"
             ));
         }
-        let mut folded = Folded {
+        let mut folded = FoldedImage {
             data: vec![0.0; shape.pixels()],
             weights: vec![0.0; shape.pixels()],
             kind,

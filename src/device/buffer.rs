@@ -1,0 +1,121 @@
+//! Arrays of numbers in the memory of a device.
+
+use super::context::Context;
+use super::discover::failed;
+use super::object::OpenClObject;
+use crate::{Error, Result};
+use ocl::core::{self, Event, MemFlags};
+use std::marker::PhantomData;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+/// Element type of a buffer.
+pub trait Element: ocl::OclPrm + Default {}
+impl Element for f32 {}
+impl Element for f64 {}
+impl Element for i32 {}
+
+/// Array of numbers in the memory of a device.
+pub struct Buffer<T: Element> {
+    context: Arc<Context>,
+    mem: OpenClObject<core::Mem>,
+    len: usize,
+    marker: PhantomData<T>,
+}
+
+impl<T: Element> Buffer<T> {
+    /// A buffer of `len` numbers (at least one) in `context`, all zero.
+    pub(super) fn new(context: &Arc<Context>, len: usize) -> Result<Self> {
+        let len = len.max(1);
+        let bytes = (len * size_of::<T>()) as u64;
+        let limit = context.info.max_buffer_bytes;
+        if bytes > limit {
+            return Err(Error::Device(format!(
+                "a buffer of {bytes} bytes exceeds the limit of {limit} bytes of {}: load fewer images",
+                context.info.address()
+            )));
+        }
+        context.fault.count_command()?;
+        // SAFETY: there is no host pointer, and the buffer is filled below before it can be read.
+        let mem = unsafe { core::create_buffer(&*context.handle, MemFlags::READ_WRITE, len, None::<&[T]>) }
+            .map_err(failed)?;
+        let mem = OpenClObject::from(mem);
+        core::enqueue_fill_buffer::<T, _, _, _>(
+            &context.queue,
+            &*mem,
+            T::default(),
+            0,
+            len,
+            None::<&Event>,
+            None::<&mut Event>,
+            None,
+        )
+        .map_err(failed)?;
+        context.allocated.fetch_add(bytes, Ordering::Relaxed);
+        Ok(Buffer { context: context.clone(), mem, len, marker: PhantomData })
+    }
+
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Always false: a request for 0 elements makes a buffer of one.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The OpenCL object, for a kernel's argument.
+    pub(super) fn mem(&self) -> &core::Mem {
+        &self.mem
+    }
+
+    fn check(&self, offset: usize, count: usize) -> Result<()> {
+        if offset + count > self.len {
+            return Err(Error::Internal(format!("{count} numbers at {offset} exceed a device buffer of {}", self.len)));
+        }
+        Ok(())
+    }
+
+    /// Copies `values` to the elements from `offset` on, and waits for the copy.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the device failed, [`Error::Internal`] where the values do not fit.
+    pub fn write(&mut self, offset: usize, values: &[T]) -> Result<()> {
+        self.check(offset, values.len())?;
+        if values.is_empty() {
+            return Ok(());
+        }
+        self.context.fault.count_command()?;
+        let queue = &*self.context.queue;
+        // SAFETY: the range was checked, and a blocking write has read `values` when it returns.
+        unsafe {
+            core::enqueue_write_buffer(queue, &*self.mem, true, offset, values, None::<&Event>, None::<&mut Event>)
+        }
+        .map_err(failed)
+    }
+
+    /// Copies the elements from `offset` on into `values`, after all commands enqueued before.
+    ///
+    /// # Errors
+    /// As for [`Buffer::write`].
+    pub fn read(&self, offset: usize, values: &mut [T]) -> Result<()> {
+        self.check(offset, values.len())?;
+        if values.is_empty() {
+            return Ok(());
+        }
+        self.context.fault.count_command()?;
+        let queue = &*self.context.queue;
+        // SAFETY: the range was checked, and a blocking read has filled `values` when it returns.
+        unsafe {
+            core::enqueue_read_buffer(queue, &*self.mem, true, offset, values, None::<&Event>, None::<&mut Event>)
+        }
+        .map_err(failed)
+    }
+}
+
+impl<T: Element> Drop for Buffer<T> {
+    fn drop(&mut self) {
+        self.context.allocated.fetch_sub((self.len * size_of::<T>()) as u64, Ordering::Relaxed);
+    }
+}

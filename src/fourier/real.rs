@@ -1,0 +1,31 @@
+//! The floating-point types of the chains.
+
+use super::product::Product;
+
+/// Floating-point type of a chain: `f32` or `f64`.
+pub trait Real:
+    Product + num_traits::Float + num_traits::FloatConst + num_traits::NumAssign + rustfft::FftNum + Default
+{
+    /// `value`, rounded to this precision.
+    fn of(value: f64) -> Self;
+    /// This value in double precision.
+    fn wide(self) -> f64;
+}
+
+impl Real for f32 {
+    fn of(value: f64) -> Self {
+        value as f32
+    }
+    fn wide(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+impl Real for f64 {
+    fn of(value: f64) -> Self {
+        value
+    }
+    fn wide(self) -> f64 {
+        self
+    }
+}

@@ -1,0 +1,43 @@
+//! A file in standard form, in memory: the repaired headers and the data of all HDUs.
+
+use super::card::{self, BLOCK, CARD};
+use super::layout::{HduKind, Layout};
+use std::io::{Read, Seek, SeekFrom};
+
+/// Changes the header of a tile-compressed image to that of a plain table. Such images are not supported, but cfitsio 4.x
+/// prepares to unpack every one that it passes, and divides by the tile sizes in the header, even by zero.
+fn hide_compression(header: &mut [u8]) {
+    for card in header.as_chunks_mut::<CARD>().0.iter_mut().filter(|card| card::keyword(card) == b"ZIMAGE") {
+        *card = card::padded(b"COMMENT a tile-compressed image");
+    }
+}
+
+/// The complete file in standard form, for cfitsio to read from memory.
+///
+/// # Errors
+/// A message with the offset of the byte that could not be read.
+pub(super) fn standard_file(layout: &Layout, source: &mut (impl Read + Seek)) -> Result<Vec<u8>, String> {
+    let mut file = Vec::new();
+    for hdu in &layout.hdus {
+        let header_at = file.len();
+        file.extend_from_slice(&hdu.header);
+        if hdu.kind == HduKind::Compressed {
+            hide_compression(&mut file[header_at..]);
+        }
+        let data = source
+            .seek(SeekFrom::Start(hdu.data_at))
+            .and_then(|_| source.by_ref().take(hdu.data_bytes).read_to_end(&mut file));
+        match data {
+            Ok(read) if read as u64 == hdu.data_bytes => {}
+            Ok(read) => {
+                return Err(format!(
+                    "the file was shortened while it was read: it ends at byte {}",
+                    hdu.data_at + read as u64
+                ));
+            }
+            Err(error) => return Err(format!("the data at byte {} cannot be read: {error}", hdu.data_at)),
+        }
+        file.resize((file.len() as u64).next_multiple_of(BLOCK) as usize, 0);
+    }
+    Ok(file)
+}
