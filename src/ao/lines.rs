@@ -1,14 +1,14 @@
-//! Numbers that start at a line of the cache.
+//! Cache-aligned buffer of f32 values.
 
 use std::ops::{Deref, DerefMut};
 
-/// Bytes of a line of the cache, and of the longest vector.
+/// Bytes of a cache line, and of the longest SIMD vector.
 const LINE: usize = 64;
-/// Numbers that may have to be skipped to get to one.
+/// Most values between the start of an allocation and the next cache line.
 const SKIP: usize = LINE / size_of::<f32>() - 1;
 
-/// Numbers in single precision whose first one starts a line of the cache, so that no vector of a row crosses two: such a
-/// load costs twice.
+/// f32 values of which the first lies at the start of a cache line, so that no aligned vector crosses two lines (such a
+/// load takes twice as long).
 #[derive(Debug)]
 pub struct Lines {
     values: Vec<f32>,
@@ -20,7 +20,7 @@ impl Lines {
     /// `length` zeros.
     pub fn zeros(length: usize) -> Self {
         let values = vec![0.0; length + SKIP];
-        // Where the allocator's address cannot be asked, any start is right, and only slower.
+        // `align_offset` may fail (it returns usize::MAX): then the buffer is only slower.
         let start = values.as_ptr().align_offset(LINE);
         Self { values, start: if start <= SKIP { start } else { 0 }, length }
     }
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_copy_starts_a_line() {
+    fn every_copy_starts_at_a_cache_line() {
         for length in [0, 1, 15, 16, 1000] {
             let mut lines = Lines::zeros(length);
             lines.iter_mut().enumerate().for_each(|(i, value)| *value = i as f32);

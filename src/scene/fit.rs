@@ -1,7 +1,7 @@
 //! `[modes]` and `[estimate]`: what is estimated, and how.
 
-use super::Purpose;
 use super::lists::Zernikes;
+use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{

@@ -16,6 +16,7 @@ mod adaptive;
 mod edit;
 mod fit;
 mod lists;
+mod purpose;
 mod reference;
 mod table;
 mod telescope;
@@ -26,6 +27,7 @@ pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
 pub use edit::split_setting;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::Zernikes;
+pub(crate) use purpose::Purpose;
 pub use reference::reference;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
@@ -55,15 +57,6 @@ struct Content {
     name: String,
     directory: PathBuf,
     purpose: Purpose,
-}
-
-/// What a scene is read for, which says how much of it must hold together.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Purpose {
-    /// It describes all that there is.
-    Whole,
-    /// It goes with arrays that stand for its pupil and, maybe, for its modes.
-    Arrays,
 }
 
 /// Declares the sections of a scene: their structs, their order, and which may be absent.

@@ -1,7 +1,7 @@
 //! The one table of keys: a section is declared once with [`section!`], and its struct, its parsing, its error texts,
 //! the suggestions for misspelt keys and the reference are all made from that declaration.
 
-use super::Purpose;
+use super::purpose::Purpose;
 use super::value::{FromToml, Range};
 use crate::{Error, Result};
 use toml_edit::{Item, TableLike};

@@ -1,7 +1,7 @@
 //! `[pupil]`, `[image]` and `[aberrations]`: the telescope, its camera, and the truth of a simulated image.
 
-use super::Purpose;
 use super::lists::Zernikes;
+use super::purpose::Purpose;
 use super::table::{Check, Reader, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
 use super::words::{Aperture, Crop, PupilModel};
