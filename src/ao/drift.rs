@@ -1,7 +1,7 @@
 //! Linear drift of the segment pistons and the NCPA, zero at the middle of a sequence.
 
+use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
-use super::lines::Lines;
 use super::schedule::Schedule;
 use crate::Result;
 use crate::pupil::Pupil;
@@ -10,11 +10,11 @@ use crate::source::Truth;
 /// Drift rates, as maps over the footprint.
 pub(super) struct Drift {
     /// Piston drift, nm per minute.
-    pistons_nm: Lines,
+    pistons_nm: AlignedBuffer,
     /// NCPA drift, nm per minute.
-    ncpa_nm: Lines,
+    ncpa_nm: AlignedBuffer,
     /// Segment errors at the middle of the sequence, nm.
-    segments_nm: Lines,
+    segments_nm: AlignedBuffer,
     frames_per_min: f64,
     middle: f64,
 }
@@ -28,7 +28,7 @@ impl Drift {
         truth: &Truth,
         pupil: &Pupil,
         footprint: &Footprint,
-        segments_nm: &Lines,
+        segments_nm: &AlignedBuffer,
         schedule: &Schedule,
         frame_s: f64,
     ) -> Result<Option<Self>> {

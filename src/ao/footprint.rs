@@ -1,6 +1,6 @@
 //! Illuminated part of the simulator's grid, stored in rows of whole SIMD vectors.
 
-use super::lines::Lines;
+use super::aligned::AlignedBuffer;
 use crate::pupil::Pupil;
 use std::ops::Range;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ pub struct Footprint {
     stride: usize,
     spans: Vec<Range<usize>>,
     /// Shared by the clones: several stages read it in every frame, and one copy fits the cache.
-    amplitude: Arc<Lines>,
+    amplitude: Arc<AlignedBuffer>,
     total: f64,
 }
 
@@ -30,7 +30,7 @@ impl Footprint {
     pub fn with_margin(pupil: &Pupil, margin: usize) -> Self {
         let samples = pupil.grid.samples();
         let stride = samples.next_multiple_of(LANES);
-        let mut amplitude = Lines::zeros(samples * stride);
+        let mut amplitude = AlignedBuffer::zeros(samples * stride);
         let mut ends = Vec::with_capacity(samples);
         for (row, out) in pupil.amplitude.rows().into_iter().zip(amplitude.chunks_exact_mut(stride)) {
             for (out, &a) in out.iter_mut().zip(row) {
@@ -84,8 +84,8 @@ impl Footprint {
     }
 
     /// A map of zeros.
-    pub fn zeros(&self) -> Lines {
-        Lines::zeros(self.len())
+    pub fn zeros(&self) -> AlignedBuffer {
+        AlignedBuffer::zeros(self.len())
     }
 }
 

@@ -3,6 +3,7 @@
 //! It makes images together with the aberrations that they contain. It shares only the telescope's geometry and the
 //! mirror's modes with the estimator: a simulator that made the estimator's approximations could not reveal them.
 
+mod aligned;
 mod atmosphere;
 mod camera;
 mod control;
@@ -11,7 +12,6 @@ mod drift;
 mod exposure;
 mod file;
 mod footprint;
-mod lines;
 mod parts;
 mod phase;
 mod profile;
@@ -25,6 +25,7 @@ mod undisturbed;
 mod valid_map;
 mod work;
 
+pub use aligned::AlignedBuffer;
 pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
 pub use camera::{ScienceCamera, View, strehl_on_axis};
 pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stability, segment_mask};
@@ -32,11 +33,10 @@ pub(crate) use control::{Svd, svd};
 pub use divergence::Divergence;
 pub use file::write;
 pub use footprint::{Footprint, LANES};
-pub use lines::Lines;
 pub use profile::{Profile, Stage};
 pub use run::{Progress, Recorder, Shot, Summary};
 pub use schedule::Schedule;
-pub use sensor::{Lenslets, Light, MAS_PER_NM_M, Sensor};
+pub use sensor::{GuideStar, Lenslets, MAS_PER_NM_M, Sensor};
 pub use simulator::{Frame, Simulator};
 pub use stepper::Stepper;
 pub use surface::Surface;

@@ -1,7 +1,7 @@
 //! Actuators, interaction matrix and segment map that a simulator is built from.
 
+use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
-use super::lines::Lines;
 use super::sensor::{Lenslets, Sensor};
 use super::surface::Surface;
 use super::valid_map;
@@ -75,7 +75,7 @@ pub(super) fn apply_reflectivity(pupil: &Pupil, truth: &Truth) -> Pupil {
 }
 
 /// Map of the segment errors, nm: each sample takes the error of the segment that owns it.
-pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Lines {
+pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> AlignedBuffer {
     let mut map = footprint.zeros();
     for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
         let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));

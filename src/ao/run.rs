@@ -7,11 +7,11 @@
 //!
 //! Each thread draws from its own random number streams, so the result does not depend on their timing.
 
+use super::aligned::AlignedBuffer;
 use super::atmosphere::Atmosphere;
 use super::camera::View;
 use super::divergence::{Divergence, DivergenceMonitor};
 use super::exposure::{DetectorThread, ExposedWavefront, FinishedImage};
-use super::lines::Lines;
 use super::profile::{Profile, Stage};
 use super::schedule::Schedule;
 use super::simulator::{CorrectionLoop, Frame, Simulator, sections};
@@ -188,7 +188,7 @@ impl Simulator {
     }
 }
 
-type Batch = Vec<Lines>;
+type Batch = Vec<AlignedBuffer>;
 
 /// Makes the turbulence of `frames` frames, or fewer if a channel closes; returns the time it took.
 fn make_turbulence(

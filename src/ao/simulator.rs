@@ -5,16 +5,16 @@
 //!                              └────────────────── the next frame ────────────────────────┘
 //! ```
 
+use super::aligned::AlignedBuffer;
 use super::atmosphere::Atmosphere;
 use super::camera::{self, Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::drift::Drift;
 use super::footprint::Footprint;
-use super::lines::Lines;
 use super::parts::{actuators, apply_reflectivity, interaction, segments_nm};
 use super::profile::{Profile, Stage};
 use super::schedule::Schedule;
-use super::sensor::{Lenslets, Light, Sensor};
+use super::sensor::{GuideStar, Lenslets, Sensor};
 use super::surface::Surface;
 use crate::grid::Grid;
 use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
@@ -52,12 +52,12 @@ pub struct Frame<'a> {
 /// Segments, mirror, sensor and controller: the part of the loop between the turbulence and the camera.
 pub(super) struct CorrectionLoop {
     pub(super) footprint: Footprint,
-    segments_nm: Lines,
+    segments_nm: AlignedBuffer,
     /// Drift of the segment errors and of the NCPA.
     pub(super) drift: Option<Arc<Drift>>,
     surface: Surface,
     sensor: Sensor,
-    light: Option<Light>,
+    light: Option<GuideStar>,
     controller: Controller,
     slopes_mas: Vec<f32>,
     commands_nm: Vec<f32>,
@@ -116,7 +116,7 @@ pub struct Simulator {
     law: ControlLaw,
     pub(super) atmosphere: Atmosphere,
     pub(super) correction: CorrectionLoop,
-    pub(super) residual_nm: Lines,
+    pub(super) residual_nm: AlignedBuffer,
 }
 
 /// Sections of a scene that the loop requires: sensor and control.
@@ -187,7 +187,7 @@ impl Simulator {
         let mut noise = ChaCha8Rng::seed_from_u64(scene.turbulence.seed);
         noise.set_stream(SENSOR_STREAM);
         let noisy = sensing.photon_noise || sensing.read_noise_e > 0.0;
-        let light = noisy.then(|| Light::new(sensing, lenslets.pitch_m, frame_s, noise));
+        let light = noisy.then(|| GuideStar::new(sensing, lenslets.pitch_m, frame_s, noise));
         let segments_nm = segments_nm(&truth, &telescope, &pupil, &footprint);
         let schedule = Schedule::of(scene, control_scene.settle_s, control_scene.frame_rate_hz);
         let drift = Drift::new(&truth, &pupil, &footprint, &segments_nm, &schedule, frame_s)?;
@@ -354,7 +354,7 @@ impl Simulator {
     ///
     /// # Errors
     /// [`Error::Shape`] for a wrong number of commands.
-    pub fn surface_nm(&mut self, commands_nm: &[f32]) -> Result<Lines> {
+    pub fn surface_nm(&mut self, commands_nm: &[f32]) -> Result<AlignedBuffer> {
         let mut map = self.correction.footprint.zeros();
         self.correction.surface.add(commands_nm, 1.0, &mut map)?;
         Ok(map)

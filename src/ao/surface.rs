@@ -4,8 +4,8 @@
 //! first the columns, then the rows. Beyond a few pitches the Gaussian is below single precision, so both products are
 //! banded: about six rows of actuators contribute to a row of samples.
 
+use super::aligned::AlignedBuffer;
 use super::footprint::{Footprint, LANES};
-use super::lines::Lines;
 use crate::grid::Grid;
 use crate::modes::InfluenceFunctions;
 use crate::{Error, Result};
@@ -23,7 +23,7 @@ pub struct Surface {
     indices: Vec<usize>,
     /// Influence along an axis, `[actuator line][sample]`, in rows of the footprint's stride; and its transpose,
     /// `[sample][line]`.
-    along: Lines,
+    along: AlignedBuffer,
     transposed: Vec<f32>,
     /// Samples at which `along` is not 0, for each line of actuators, in whole vectors.
     reach: Vec<Range<usize>>,
@@ -31,7 +31,7 @@ pub struct Surface {
     band: Vec<Range<usize>>,
     /// Commands on the whole square of actuators; then `C·G_x` in vectors of samples, `[vector][actuator row]`.
     commands: Vec<f32>,
-    columns: Lines,
+    columns: AlignedBuffer,
 }
 
 impl Surface {
@@ -40,7 +40,7 @@ impl Surface {
         let mirror = influence.mirror();
         let (across, stride) = (mirror.actuators_across(), footprint.stride());
         let rate = mirror.coupling().ln() / mirror.pitch_m().powi(2);
-        let mut along = Lines::zeros(across * stride);
+        let mut along = AlignedBuffer::zeros(across * stride);
         let mut reach = Vec::with_capacity(across);
         for (i, row) in along.chunks_exact_mut(stride).enumerate() {
             let value = |j: usize| (rate * (grid.coordinate_m(j) - mirror.coordinate_m(i)).powi(2)).exp();
@@ -69,7 +69,7 @@ impl Surface {
             reach,
             band,
             commands: vec![0.0; across * across],
-            columns: Lines::zeros(across * stride),
+            columns: AlignedBuffer::zeros(across * stride),
         }
     }
 

@@ -12,7 +12,7 @@ use std::f64::consts::PI;
 
 /// Image with its peak on a pixel.
 #[derive(Debug, Clone)]
-pub struct Centred {
+pub struct CentredImage {
     /// `[y, x]`; the peak is on pixel `[rows/2, columns/2]`, the pixel of the optical axis.
     pub image: Array2<f64>,
     /// Shift that was applied, `[y, x]`, pixels.
@@ -27,12 +27,12 @@ pub struct Centred {
 /// # Errors
 /// [`Error::Image`] for an image that is empty, constant, or has a value that is not finite, and if the ascent to the
 /// peak does not converge.
-pub fn centre(image: ArrayView2<f64>) -> Result<Centred> {
+pub fn centre(image: ArrayView2<f64>) -> Result<CentredImage> {
     let interpolant = Interpolant::new("image", image)?;
     let peak = interpolant.peak()?;
     let (rows, columns) = image.dim();
     let shift_px = [(rows / 2) as f64 - peak.at[0], (columns / 2) as f64 - peak.at[1]];
-    Ok(Centred { image: interpolant.shifted(shift_px), shift_px })
+    Ok(CentredImage { image: interpolant.shifted(shift_px), shift_px })
 }
 
 /// Largest number of steps of the ascent. Newton's method takes about 5 on a PSF; elsewhere a step is at most half a

@@ -9,7 +9,7 @@ mod psd_average;
 mod residual;
 mod strehl;
 
-pub use centre::{Centred, centre};
+pub use centre::{CentredImage, centre};
 pub use psd::{Psd, Rings, control_half_width_per_m};
 pub use psd_average::{LARGEST_PADDING, PsdAverage};
 pub use residual::{MapGram, residual_nm};

@@ -1,10 +1,10 @@
-//! What a scene is read for.
+//! Purpose for which a scene is read.
 
-/// What a scene is read for, which says how much of it must hold together.
+/// Purpose for which a scene is read; it determines which keys must be complete.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Purpose {
-    /// It describes all that there is.
+    /// The scene is complete by itself.
     Whole,
-    /// It goes with arrays that stand for its pupil and, maybe, for its modes.
+    /// Arrays of the caller replace the scene's pupil and optionally its modes.
     Arrays,
 }

@@ -24,8 +24,8 @@ mod spectrum;
 #[cfg(test)]
 mod tests;
 
+use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::Footprint;
-use crate::ao::lines::Lines;
 use crate::grid::Grid;
 use crate::modes::VonKarman;
 use crate::scene::TurbulenceScene;
@@ -125,7 +125,7 @@ impl Atmosphere {
 
     /// OPD of each layer at the last frame (before the first frame: at time 0), nm: maps over the spans of the
     /// footprint.
-    pub fn layers_nm(&self) -> Vec<Lines> {
+    pub fn layers_nm(&self) -> Vec<AlignedBuffer> {
         let map = |layer| {
             let mut opd_nm = self.footprint.zeros();
             self.blend(std::slice::from_ref(layer), &mut opd_nm);

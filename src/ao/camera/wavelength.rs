@@ -1,7 +1,7 @@
 //! The static field of a camera at one wavelength, and its transform to the focus.
 
 use super::view::{Optics, View};
-use crate::ao::lines::Lines;
+use crate::ao::aligned::AlignedBuffer;
 use crate::pupil::{BandLimit, SegmentWeights};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -20,8 +20,8 @@ pub(super) struct MonochromaticField {
     pub(super) turns_per_nm: f32,
     /// Static field over the footprint. It is multiplied by the phasor of the residual wavefront, which includes the
     /// segment errors.
-    pub(super) re: Lines,
-    pub(super) im: Lines,
+    pub(super) re: AlignedBuffer,
+    pub(super) im: AlignedBuffer,
     /// Contribution to the PSF per |transform|².
     pub(super) scale: f32,
     pub(super) transform: Transform,

@@ -1,7 +1,7 @@
 //! Shift of the lenslets relative to the pupil since the calibration.
 
+use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::Footprint;
-use crate::ao::lines::Lines;
 use crate::pupil::Pupil;
 use ndarray::Array2;
 
@@ -9,7 +9,7 @@ use ndarray::Array2;
 pub(super) struct LensletShift {
     /// For each illuminated sample of the lenslets: its index, and the indices and weights of the samples around it.
     taps: Vec<(u32, [u32; 4], [f32; 4])>,
-    map_nm: Lines,
+    map_nm: AlignedBuffer,
 }
 
 impl LensletShift {

@@ -8,7 +8,7 @@ use rand_distr::{Binomial, Distribution, Poisson, StandardNormal};
 const MANY: f64 = 100.0;
 
 /// Signal and noise of the guide star.
-pub struct Light {
+pub struct GuideStar {
     /// Electrons that a fully illuminated subaperture detects in a frame.
     pub electrons: f64,
     read_noise_e: f64,
@@ -16,7 +16,7 @@ pub struct Light {
     rng: ChaCha8Rng,
 }
 
-impl Light {
+impl GuideStar {
     /// Signal of the star of `scene` on lenslets of `pitch_m`, for frames of `frame_s`.
     pub fn new(scene: &SensorScene, pitch_m: f64, frame_s: f64, rng: ChaCha8Rng) -> Self {
         let photons_s_m2 = scene.zero_point_photons_s_m2 * 10f64.powf(-0.4 * scene.star_magnitude_r);

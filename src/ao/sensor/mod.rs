@@ -11,10 +11,10 @@ mod pixels;
 mod quad_cell;
 
 pub use lenslets::{Lenslets, MAS_PER_NM_M};
-pub use light::Light;
+pub use light::GuideStar;
 
+use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
-use super::lines::Lines;
 use crate::grid::Grid;
 use crate::pupil::Pupil;
 use crate::scene::{SensorDetector, SensorScene};
@@ -45,7 +45,7 @@ impl Detector {
     }
 
     /// Measures slopes in the detector's own unit.
-    fn raw_slopes(&mut self, opd_nm: &[f32], light: Option<&mut Light>, slopes: &mut [f32]) {
+    fn raw_slopes(&mut self, opd_nm: &[f32], light: Option<&mut GuideStar>, slopes: &mut [f32]) {
         match self {
             Self::QuadCell(cell) => cell.raw_slopes(opd_nm, light, slopes),
             Self::Pixels(pixels) => pixels.raw_slopes(opd_nm, light, slopes),
@@ -138,7 +138,7 @@ impl Sensor {
     ///
     /// # Errors
     /// [`Error::Shape`] if either has a wrong length.
-    pub fn measure(&mut self, opd_nm: &[f32], light: Option<&mut Light>, slopes_mas: &mut [f32]) -> Result<()> {
+    pub fn measure(&mut self, opd_nm: &[f32], light: Option<&mut GuideStar>, slopes_mas: &mut [f32]) -> Result<()> {
         if opd_nm.len() != self.map || slopes_mas.len() != self.slopes() {
             return Err(Error::Shape(format!(
                 "{} slopes of a map of {} samples were requested; {} of {} are accepted",
@@ -158,7 +158,7 @@ impl Sensor {
 }
 
 /// Map of a wavefront that grows along +x by the angle `mas`, nm.
-fn tilt(mas: f64, grid: &Grid, footprint: &Footprint) -> Lines {
+fn tilt(mas: f64, grid: &Grid, footprint: &Footprint) -> AlignedBuffer {
     let mut map = footprint.zeros();
     for row in map.chunks_exact_mut(footprint.stride()) {
         for (x, out) in row.iter_mut().take(grid.samples()).enumerate() {

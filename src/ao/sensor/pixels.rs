@@ -5,7 +5,7 @@
 //! = exp(−2πi·(k + ½ − n)·x/2n)`, for [`LANES`] lenslets at once, one in each lane of a vector.
 
 use super::lenslets::Lenslets;
-use super::light::Light;
+use super::light::GuideStar;
 use crate::ao::footprint::{Footprint, LANES};
 use crate::ao::phase::unit_phasor;
 use crate::scene::SensorScene;
@@ -61,7 +61,7 @@ impl Pixels {
     }
 
     /// Measures centres of gravity, in pixels from the centre: x, then y.
-    pub(super) fn raw_slopes(&mut self, opd_nm: &[f32], mut light: Option<&mut Light>, slopes: &mut [f32]) {
+    pub(super) fn raw_slopes(&mut self, opd_nm: &[f32], mut light: Option<&mut GuideStar>, slopes: &mut [f32]) {
         let count = self.lenslets.subapertures.len();
         let (along_x, along_y) = slopes.split_at_mut(count);
         for first in (0..count).step_by(LANES) {
@@ -74,7 +74,7 @@ impl Pixels {
     }
 
     /// Centre of gravity of the spot in `lane`; 0 if no pixel reaches the threshold.
-    fn centre_of_gravity(&self, lane: usize, share: f64, mut light: Option<&mut Light>) -> [f32; 2] {
+    fn centre_of_gravity(&self, lane: usize, share: f64, mut light: Option<&mut GuideStar>) -> [f32; 2] {
         // The noise-free calibration uses no threshold, as for a bright star.
         let threshold_e = if light.is_some() { self.threshold_e } else { 0.0 };
         let electrons = light.as_deref().map_or(1.0, |light| light.electrons * share);

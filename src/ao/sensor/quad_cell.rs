@@ -9,9 +9,9 @@
 //! With `Σ_k|F_k|² = 2n·R(0)` the signal is `S = Σ_{odd D>0} 2·Im R(D) / (n·sin(πD/2n)) / R(0)`.
 
 use super::lenslets::Lenslets;
-use super::light::Light;
+use super::light::GuideStar;
+use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::{Footprint, LANES};
-use crate::ao::lines::Lines;
 use crate::ao::phase::unit_phasor;
 use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
@@ -32,12 +32,12 @@ pub(super) struct QuadCell {
     /// `2/(n·sin(πD/2n))` for D = 1, 3, 5 …
     weights: Vec<f32>,
     /// The same weights for each column, `[vector of columns][D]`; 0 if x + D lies in another lenslet.
-    masked: Lines,
+    masked: AlignedBuffer,
     /// First subaperture of each row of lenslets.
     first: Vec<usize>,
     /// Field of one row of lenslets, `[sample row][x]`, and the x and y differences summed over each column.
-    re: Lines,
-    im: Lines,
+    re: AlignedBuffer,
+    im: AlignedBuffer,
     along: [Vec<f32>; 2],
     arch: Arch,
 }
@@ -73,17 +73,17 @@ impl QuadCell {
             stride,
             spans,
             weights,
-            masked: Lines::from(&masked[..]),
+            masked: AlignedBuffer::from(&masked[..]),
             first,
-            re: Lines::zeros(n * width),
-            im: Lines::zeros(n * width),
+            re: AlignedBuffer::zeros(n * width),
+            im: AlignedBuffer::zeros(n * width),
             along: [vec![0.0; stride], vec![0.0; stride]],
             arch: Arch::new(),
         }
     }
 
     /// Measures the differences between the halves over their sum: x, then y.
-    pub(super) fn raw_slopes(&mut self, opd_nm: &[f32], mut light: Option<&mut Light>, slopes: &mut [f32]) {
+    pub(super) fn raw_slopes(&mut self, opd_nm: &[f32], mut light: Option<&mut GuideStar>, slopes: &mut [f32]) {
         let (n, across) = (self.lenslets.samples, self.lenslets.across);
         let count = self.lenslets.subapertures.len();
         let (along_x, along_y) = slopes.split_at_mut(count);

@@ -97,7 +97,7 @@ fn noise_mas(settings: &[(&str, &str)]) -> f64 {
     let mut bench = bench(settings);
     let part = bench.scene.wavefront_sensor.clone().unwrap();
     let pitch_m = bench.sensor.lenslets.pitch_m;
-    let mut light = Light::new(&part, pitch_m, 1.0 / 1054.0, ChaCha8Rng::seed_from_u64(3));
+    let mut light = GuideStar::new(&part, pitch_m, 1.0 / 1054.0, ChaCha8Rng::seed_from_u64(3));
     let (flat, mut slopes) = (bench.footprint.zeros(), vec![0.0; 496]);
     let used = full(&bench);
     let (mut square, mut count) = (0.0, 0.0);
