@@ -1,4 +1,4 @@
-//! Files that appear whole or not at all: written under a temporary name beside their target, then renamed onto it.
+//! Atomic writes: a file is written under a temporary name in the target's directory, then renamed to the target.
 
 use crate::{Error, Result, fault};
 use std::io::Write;
@@ -12,24 +12,24 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     Target::of(path)?.write(bytes)
 }
 
-/// Where a finished file goes.
+/// Target of an atomic write.
 pub(crate) struct Target {
     path: PathBuf,
-    /// `path` with symbolic links followed: renaming onto a link would replace the link.
+    /// `path` with symbolic links resolved: a rename to a link would replace the link.
     real: PathBuf,
 }
 
 impl Target {
-    /// Where `path` leads.
+    /// Target at `path`.
     ///
     /// # Errors
     /// [`Error::File`] for a directory, a device or a pipe.
     pub(crate) fn of(path: &Path) -> Result<Self> {
         let real = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
         match std::fs::metadata(&real) {
-            Ok(metadata) if metadata.is_dir() => Err(Error::file(path, "is a directory, where a file name is needed")),
+            Ok(metadata) if metadata.is_dir() => Err(Error::file(path, "is a directory; a file name is needed")),
             Ok(metadata) if !metadata.is_file() => {
-                Err(Error::file(path, "is a device or a pipe: only plain files are replaced"))
+                Err(Error::file(path, "is a device or a pipe; a regular file is needed"))
             }
             _ => Ok(Self { path: path.to_path_buf(), real }),
         }
@@ -39,14 +39,14 @@ impl Target {
         self.real.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
     }
 
-    /// A temporary file beside the target; it is removed when dropped.
+    /// Creates a temporary file in the target's directory; it is removed when dropped.
     ///
     /// # Errors
-    /// [`Error::File`] where the directory is not there or cannot be written.
+    /// [`Error::File`] if the directory does not exist or cannot be written.
     pub(crate) fn temporary(&self) -> Result<tempfile::NamedTempFile> {
         use std::os::unix::fs::PermissionsExt;
         let mut builder = tempfile::Builder::new();
-        // What a new file gets otherwise: the umask takes its part.
+        // The permissions of any new file, before the umask.
         builder.prefix(".cophase-").suffix(".tmp").permissions(std::fs::Permissions::from_mode(0o666));
         builder.tempfile_in(self.directory()).map_err(|error| {
             let directory = self.directory().display();
@@ -59,13 +59,13 @@ impl Target {
         })
     }
 
-    /// Writes `bytes` there, whole or not at all.
+    /// Writes `bytes` atomically.
     ///
     /// # Errors
     /// [`Error::File`] with the operating system's reason.
     pub(crate) fn write(&self, bytes: &[u8]) -> Result<()> {
         let failed = |error: std::io::Error| {
-            Error::file(&self.path, format!("cannot be written: {}; nothing was left behind", cause(&error)))
+            Error::file(&self.path, format!("cannot be written: {}; no partial file is left", cause(&error)))
         };
         let mut temporary = self.temporary()?;
         let (first, second) = bytes.split_at(bytes.len() / 2);
@@ -76,7 +76,8 @@ impl Target {
         fault::killed(2);
         temporary.persist(&self.real).map_err(|error| failed(error.error))?;
         fault::killed(3);
-        // The rename is on the disk once the directory is; a file system that cannot do this has still renamed.
+        // Syncing the directory makes the rename durable; not every file system supports it, and the rename is done
+        // anyway.
         let _ = std::fs::File::open(self.directory()).and_then(|directory| directory.sync_all());
         Ok(())
     }

@@ -1,49 +1,49 @@
-//! Every way to fail. A message is one sentence that names what was wrong, the value, and what is accepted; the numeric
-//! status of each kind lives here and only here (the C boundary reads it from here).
+//! Errors of the library. A message is one sentence that names what was wrong, the value, and what is accepted. The
+//! status number of each kind is defined here only; the C interface uses it.
 
 use std::ffi::CStr;
 use std::path::{Path, PathBuf};
 
-/// What went wrong, in one sentence.
+/// Error with its message, one sentence.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A scene that cannot be parsed, or that names something impossible: the key, the value, what is accepted.
+    /// A scene that cannot be parsed or has an impossible value: the key, the value, what is accepted.
     #[error("{0}")]
     Scene(String),
     /// A file that cannot be read or written: its path and the reason.
     #[error("{}: {reason}", path.display())]
     File {
-        /// The file as the caller named it.
+        /// Path as the caller gave it.
         path: PathBuf,
-        /// Why, with the byte or the header card where that is known.
+        /// Reason, with the byte or the header card if known.
         reason: String,
     },
-    /// An array whose shape does not fit the model.
+    /// An array whose shape does not match the model.
     #[error("{0}")]
     Shape(String),
     /// A number out of its range.
     #[error("{0}")]
     Value(String),
-    /// An image that holds nothing to fit: empty, constant, not finite, without signal.
+    /// An image that cannot be fitted: empty, constant, not finite, without signal.
     #[error("{0}")]
     Image(String),
-    /// OpenCL is absent, or a device failed.
+    /// OpenCL is not installed, or a device failed.
     #[error("{0}")]
     Device(String),
-    /// The user asked to stop.
+    /// The user cancelled the call.
     #[error("stopped: {0}")]
     Interrupted(String),
-    /// A broken promise of our own.
+    /// A defect of this library.
     #[error("internal error, please report it: {0}")]
     Internal(String),
     /// An argument of a call across the C boundary that cannot be used: NULL, misaligned, not text, overlapping.
     #[error("{0}")]
     Argument(String),
-    /// An object that another thread is using.
+    /// An object that is in use by another thread.
     #[error("{0}")]
     Busy(String),
-    /// A panic that was caught at the C boundary, or an object that one has left unusable.
+    /// A panic that was caught at the C boundary, or an object that a panic has made unusable.
     #[error("internal error, please report it: {0}")]
     Panic(String),
 }
@@ -52,12 +52,12 @@ pub enum Error {
 pub type Result<T> = std::result::Result<T, Error>;
 
 impl Error {
-    /// A failure of `path`, for the reason `reason`.
+    /// Error of the file `path`.
     pub fn file(path: impl AsRef<Path>, reason: impl std::fmt::Display) -> Self {
         Error::File { path: path.as_ref().to_path_buf(), reason: reason.to_string() }
     }
 
-    /// The permanent number of this kind of failure; 0 is success.
+    /// Status number of this kind of error; it does not change between versions. 0 is success.
     pub fn status(&self) -> i32 {
         match self {
             Error::Scene(_) => 1,
@@ -74,7 +74,7 @@ impl Error {
         }
     }
 
-    /// The name of a status number in C, if there is such a failure.
+    /// Name of a status number in C; `None` for a number without an error.
     pub fn status_name(status: i32) -> Option<&'static CStr> {
         Some(match status {
             1 => c"BAD_SCENE",
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_failure_has_a_number_and_a_name_of_its_own() {
+    fn every_error_has_a_distinct_number_and_name() {
         let text = String::new;
         let all = [
             Error::Scene(text()),

@@ -1,49 +1,49 @@
-//! Failures on demand, so that tests see what a fault leaves behind. They are in builds with debug assertions only, which no
-//! release is, and the variable `COPHASE_FAULT` of the environment asks for one:
+//! Fault injection for tests, in builds with debug assertions only (no release has them). The environment variable
+//! `COPHASE_FAULT` selects a fault:
 //!
 //! | value | what fails |
 //! |---|---|
 //! | `panic` | the next call on an object of the C interface panics |
-//! | `internal` | it fails as a broken promise of our own |
+//! | `internal` | the next call on an object of the C interface returns an internal error |
 //! | `worker` | a thread that computes the model on the CPU panics |
-//! | `device:K` | the K-th command of every OpenCL device that is opened, as where its memory is short |
-//! | `lost:K` | that one and all after it, as where the device is gone |
-//! | `kill:K` | the process is killed while it writes a file: 1 halfway, 2 before it is renamed, 3 after |
+//! | `device:K` | the K-th command of every OpenCL device that is opened fails, as for a lack of memory |
+//! | `lost:K` | the K-th command and all after it fail, as for a device that was removed |
+//! | `kill:K` | the process is killed while it writes a file: 1 halfway, 2 before the rename, 3 after it |
 
 use crate::{Error, Result};
 
-/// Whether the environment asks for this fault.
+/// Whether this fault is selected.
 ///
-/// It neither allocates nor, in a release, does anything: calls that must not allocate are tested in debug builds too.
+/// Does not allocate, because calls that must not allocate are tested in debug builds too. Always false in a release.
 pub(crate) fn asked(fault: &str) -> bool {
-    wanted().is_some_and(|wanted| wanted == fault.as_bytes())
+    selected().is_some_and(|selected| selected == fault.as_bytes())
 }
 
-/// The number K of `fault:K`, where the environment asks for that.
+/// The number K of `fault:K`, if that fault is selected.
 pub(crate) fn number(fault: &str) -> Option<u64> {
-    let number = wanted()?.strip_prefix(fault.as_bytes())?.strip_prefix(b":")?;
+    let number = selected()?.strip_prefix(fault.as_bytes())?.strip_prefix(b":")?;
     std::str::from_utf8(number).ok()?.parse().ok()
 }
 
-/// Fails where the environment asks for a `panic` or for an `internal` error.
+/// Panics or returns an internal error, if the fault `panic` or `internal` is selected.
 pub(crate) fn in_a_call() -> Result<()> {
     if asked("panic") {
-        panic!("COPHASE_FAULT asked for it");
+        panic!("the fault that COPHASE_FAULT selects");
     }
     if asked("internal") {
-        return Err(Error::Internal("COPHASE_FAULT asked for it".into()));
+        return Err(Error::Internal("the fault that COPHASE_FAULT selects".into()));
     }
     Ok(())
 }
 
-/// Panics in a thread of the pool, where the environment asks for that.
+/// Panics in a thread of the pool, if the fault `worker` is selected.
 pub(crate) fn in_a_worker() {
     if cfg!(debug_assertions) && asked("worker") && rayon::current_thread_index().is_some() {
-        panic!("COPHASE_FAULT asked for it in a thread of the pool");
+        panic!("the fault that COPHASE_FAULT selects, in a thread of the pool");
     }
 }
 
-/// Ends the process as the kernel or a user may end it at any time, where the environment asks for that `stage`.
+/// Kills the process with SIGKILL, if the fault `kill` of this `stage` is selected.
 pub(crate) fn killed(stage: u64) {
     if number("kill") == Some(stage) {
         // SAFETY: plain system calls; nothing of this process runs after them.
@@ -54,16 +54,18 @@ pub(crate) fn killed(stage: u64) {
     }
 }
 
+/// Value of `COPHASE_FAULT`.
 #[cfg(debug_assertions)]
-fn wanted() -> Option<&'static [u8]> {
-    // Not `std::env`, which allocates.
-    // SAFETY: a NUL-terminated name. What is found is looked at before the environment can change: only tests set it.
+fn selected() -> Option<&'static [u8]> {
+    // `std::env` allocates.
+    // SAFETY: a NUL-terminated name. The value is read before the environment can change: only tests set it.
     let value = unsafe { libc::getenv(c"COPHASE_FAULT".as_ptr()) };
-    // SAFETY: not NULL, and NUL-terminated as all of the environment is.
+    // SAFETY: not NULL, and NUL-terminated like every environment variable.
     (!value.is_null()).then(|| unsafe { std::ffi::CStr::from_ptr(value) }.to_bytes())
 }
 
+/// No fault in a release.
 #[cfg(not(debug_assertions))]
-fn wanted() -> Option<&'static [u8]> {
+fn selected() -> Option<&'static [u8]> {
     None
 }

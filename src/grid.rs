@@ -1,8 +1,8 @@
-//! Square pupil grids: where their samples are.
+//! Square sampling grids of the pupil plane.
 
 use crate::{Error, Result};
 
-/// A square grid of `samples × samples` points over `width_m`, centred on the optical axis, which lies between the two
+/// Square grid of `samples × samples` points over `width_m`, centred on the optical axis. The axis lies between the two
 /// central samples of an even grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
@@ -11,17 +11,17 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A grid of `samples` points a side over `width_m` metres.
+    /// Grid of `samples` points a side over `width_m` metres.
     ///
     /// # Errors
-    /// [`Error::Value`] for no samples or a width that is not positive and finite.
+    /// [`Error::Value`] for 0 samples, or a width that is not positive and finite.
     pub fn new(samples: usize, width_m: f64) -> Result<Self> {
         if samples == 0 {
-            return Err(Error::Value("a pupil grid of 0 samples is empty: at least 1 is needed".into()));
+            return Err(Error::Value("a pupil grid of 0 samples is impossible; at least 1 is needed".into()));
         }
         if !(width_m.is_finite() && width_m > 0.0) {
             return Err(Error::Value(format!(
-                "a pupil grid {width_m} m wide is impossible: a positive width is needed"
+                "a pupil grid {width_m} m wide is impossible; a positive width is needed"
             )));
         }
         Ok(Self { samples, width_m })
@@ -47,7 +47,7 @@ impl Grid {
         (j as f64 - (self.samples as f64 - 1.0) / 2.0) * self.pitch_m()
     }
 
-    /// The grid of `factor` times as many samples over the same width.
+    /// Grid with `factor` times as many samples over the same width.
     pub fn refined(&self, factor: usize) -> Self {
         Self { samples: self.samples * factor, width_m: self.width_m }
     }
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_grids_are_refused() {
+    fn invalid_grids_are_refused() {
         assert!(Grid::new(0, 1.0).is_err());
         assert!(Grid::new(8, 0.0).is_err());
         assert!(Grid::new(8, f64::NAN).is_err());

@@ -1,7 +1,8 @@
-//! What a scene says of the telescope, built: its pupil on any grid, how a model samples it, its mirror, its air.
+//! Telescope of a scene: pupil on any grid, segment weights, diversity, filter, deformable mirror, turbulence
+//! statistics.
 //!
-//! Shared by whatever makes images and whatever reads them, so that both mean the same telescope; how each samples it
-//! is its own affair.
+//! Simulators and estimators share this module, so that both describe the same telescope; each chooses its own
+//! sampling.
 
 mod band;
 mod diversity;
@@ -17,28 +18,28 @@ use crate::scene::{Aperture as SceneAperture, PupilModel, Purpose, Scene};
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// Samples a side on which the moments of a geometric pupil are taken: their error falls as the square of the pitch,
-/// from 1e-4 at 120 samples.
+/// Samples along a side of the grid on which the moments of a geometric pupil are computed: their error falls as the
+/// square of the pitch, from 1e-4 at 120 samples.
 const FINE_SAMPLES: usize = 960;
 
-/// Where the glass is known from.
+/// Source of the pupil amplitude.
 #[derive(Debug, Clone)]
-enum Glass {
+enum PupilSource {
     /// Geometry: exact on any grid.
     Exact(Aperture),
     /// Maps finer than the model's grid.
     Fine(FinePupil),
-    /// Maps on the model's own grid, used as they are.
+    /// Maps on the model's own grid, used without resampling.
     Coarse,
 }
 
-/// The telescope of a scene, on the scene's grid.
+/// Telescope of a scene, on the scene's grid.
 #[derive(Debug, Clone)]
 pub struct Telescope {
-    /// The pupil on the scene's grid (`pupil.samples` over `pupil.grid_m`), on which maps are reported.
+    /// Pupil on the scene's grid (`pupil.samples` over `pupil.grid_m`), on which maps are reported.
     pub pupil: Pupil,
-    glass: Glass,
-    /// Amplitude that each segment reflects, over the mean; none where all reflect the same.
+    source: PupilSource,
+    /// Amplitude that each segment reflects, relative to the mean; empty if all are equal.
     amplitudes: Vec<f64>,
 }
 
@@ -46,11 +47,14 @@ impl Telescope {
     /// Builds the telescope of `scene`, reading its pupil's file if it names one.
     ///
     /// # Errors
-    /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible one.
+    /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible
+    /// one.
     pub fn of(scene: &Scene) -> Result<Self> {
         if scene.purpose() == Purpose::Arrays {
             let name = scene.name();
-            return Err(Error::Scene(format!("{name}: its pupil is an array of the caller's, which is needed here")));
+            return Err(Error::Scene(format!(
+                "{name}: its pupil is an array of the caller's; use a call that takes that array"
+            )));
         }
         if let SceneAperture::File(file) = &scene.pupil.aperture {
             return Self::from_file(scene, &scene.resolve(file));
@@ -67,7 +71,7 @@ impl Telescope {
             rotation_deg: pupil.rotation_deg,
         })?;
         let grid = Grid::new(pupil.samples, pupil.grid_m.unwrap_or(aperture.width_m()))?;
-        Ok(Self { pupil: aperture.pupil(&grid)?, glass: Glass::Exact(aperture), amplitudes: Vec::new() })
+        Ok(Self { pupil: aperture.pupil(&grid)?, source: PupilSource::Exact(aperture), amplitudes: Vec::new() })
     }
 
     fn from_file(scene: &Scene, path: &std::path::Path) -> Result<Self> {
@@ -86,23 +90,23 @@ impl Telescope {
         if size >= 2 * scene.pupil.samples && scene.pupil.model != Some(PupilModel::Hard) {
             let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels).map_err(in_file)?;
             let pupil = binned(&fine, Grid::new(scene.pupil.samples, width_m)?)?;
-            return Ok(Self { pupil, glass: Glass::Fine(fine), amplitudes: Vec::new() });
+            return Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new() });
         }
         Self::from_maps(width_m, amplitude, labels).map_err(in_file)
     }
 
-    /// A telescope of maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
+    /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
     ///
     /// # Errors
     /// [`Error::Shape`] for maps that are not square with an even side, and those of [`Pupil::from_maps`].
     pub fn from_maps(width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let grid = Grid::new(even_side(&amplitude)?, width_m)?;
         let pupil = Pupil::from_maps(grid, amplitude, labels)?;
-        Ok(Self { pupil, glass: Glass::Coarse, amplitudes: Vec::new() })
+        Ok(Self { pupil, source: PupilSource::Coarse, amplitudes: Vec::new() })
     }
 
-    /// The same with segments that reflect such amplitudes, in any unit. Their light is shared out anew, so that the whole
-    /// pupil reflects as much as before; maps of the pupil stay those of its glass.
+    /// This telescope with segments that reflect the given amplitudes, in any unit. The amplitudes are scaled so that
+    /// the light of the whole pupil does not change; the pupil amplitude maps are not multiplied by them.
     ///
     /// # Errors
     /// [`Error::Value`] for amplitudes that are not positive, or not one for each segment.
@@ -111,12 +115,12 @@ impl Telescope {
         if amplitudes.len() != areas_m2.len() {
             let (given, segments) = (amplitudes.len(), areas_m2.len());
             return Err(Error::Value(format!(
-                "{given} amplitudes were given for {segments} segments: one each is needed"
+                "{given} amplitudes were given for {segments} segments; one each is needed"
             )));
         }
         if let Some(amplitude) = amplitudes.iter().find(|amplitude| !(amplitude.is_finite() && **amplitude > 0.0)) {
             return Err(Error::Value(format!(
-                "a segment that reflects {amplitude} of the mean amplitude was given: a finite number above 0 is needed"
+                "a segment's amplitude of {amplitude} is impossible; a finite number above 0 is needed"
             )));
         }
         let light: f64 = areas_m2.iter().zip(&amplitudes).map(|(area, amplitude)| area * amplitude * amplitude).sum();
@@ -126,12 +130,12 @@ impl Telescope {
         Ok(self)
     }
 
-    /// Amplitude that each segment reflects, over the mean by light; none where all reflect the same.
+    /// Amplitude that each segment reflects, relative to the RMS over the pupil; empty if all are equal.
     pub fn amplitudes(&self) -> &[f64] {
         &self.amplitudes
     }
 
-    /// `weights` of all segments alike with what each reflects.
+    /// Multiplies `weights` by the amplitude that each segment reflects.
     fn reflected(&self, mut weights: SegmentWeights) -> SegmentWeights {
         if !self.amplitudes.is_empty() {
             for (weight, &segment) in weights.weight.iter_mut().zip(&weights.segment) {
@@ -141,62 +145,62 @@ impl Telescope {
         weights
     }
 
-    /// Whether the pupil is known finely enough to be band-limited.
+    /// Whether the pupil is known on a grid fine enough for a band limit.
     pub fn is_fine(&self) -> bool {
-        !matches!(self.glass, Glass::Coarse)
+        !matches!(self.source, PupilSource::Coarse)
     }
 
-    /// The pupil on another grid: exact or averaged; a coarse map has only its own.
+    /// Pupil on another grid: exact from geometry, averaged from a fine map; a coarse map exists on its own grid only.
     ///
     /// # Errors
-    /// [`Error::Value`] where a coarse map is asked for another grid.
+    /// [`Error::Value`] for a coarse map and another grid.
     pub fn pupil_on(&self, grid: Grid) -> Result<Pupil> {
-        match &self.glass {
+        match &self.source {
             _ if grid == self.pupil.grid => Ok(self.pupil.clone()),
-            Glass::Exact(aperture) => aperture.pupil(&grid),
-            Glass::Fine(fine) if grid == *fine.grid() => Ok(fine.pupil().clone()),
-            Glass::Fine(fine) if fine.resolves(&grid) => binned(fine, grid),
+            PupilSource::Exact(aperture) => aperture.pupil(&grid),
+            PupilSource::Fine(fine) if grid == *fine.grid() => Ok(fine.pupil().clone()),
+            PupilSource::Fine(fine) if fine.resolves(&grid) => binned(fine, grid),
             _ => Err(Error::Value(format!(
-                "the pupil is a map of {} samples a side and cannot be refined to {}",
+                "the pupil is a map of {} samples a side and cannot be resampled to {}; a finer map is needed",
                 self.pupil.grid.samples(),
                 grid.samples()
             ))),
         }
     }
 
-    /// Samples a side on which a truth is made unless the scene says otherwise: 8 times the scene's where the geometry
-    /// is exact, those of the map where there is one.
+    /// Default number of samples a side for a truth: 8 times the scene's for an exact geometry, those of the map for a
+    /// fine or coarse map.
     pub fn truth_samples(&self) -> usize {
-        match &self.glass {
-            Glass::Exact(_) => 8 * self.pupil.grid.samples(),
-            Glass::Fine(fine) => fine.grid().samples(),
-            Glass::Coarse => self.pupil.grid.samples(),
+        match &self.source {
+            PupilSource::Exact(_) => 8 * self.pupil.grid.samples(),
+            PupilSource::Fine(fine) => fine.grid().samples(),
+            PupilSource::Coarse => self.pupil.grid.samples(),
         }
     }
 
-    /// The pupil as finely as it is known; exact geometry on a grid on which its moments are good to 1e-6.
+    /// Pupil on the finest known grid; exact geometry on a grid on which its moments have errors of about 1e-6.
     fn finest_pupil(&self) -> Result<Pupil> {
-        match &self.glass {
-            Glass::Exact(_) => self.pupil_on(Grid::new(FINE_SAMPLES, self.pupil.grid.width_m())?),
-            Glass::Fine(fine) => Ok(fine.pupil().clone()),
-            Glass::Coarse => Ok(self.pupil.clone()),
+        match &self.source {
+            PupilSource::Exact(_) => self.pupil_on(Grid::new(FINE_SAMPLES, self.pupil.grid.width_m())?),
+            PupilSource::Fine(fine) => Ok(fine.pupil().clone()),
+            PupilSource::Coarse => Ok(self.pupil.clone()),
         }
     }
 
-    /// How the segments show in the samples of `grid` when edges are not filtered: by exact area where the geometry is
-    /// known, by the owner of each sample elsewhere.
+    /// Weights of the segments in the samples of `grid` without a low pass: by exact area for a known geometry, by the
+    /// owner of each sample for a map.
     ///
     /// # Errors
     /// As [`Telescope::pupil_on`].
     pub fn area_weights(&self, grid: Grid) -> Result<SegmentWeights> {
-        let weights = match &self.glass {
-            Glass::Exact(aperture) => SegmentWeights::area(aperture, &grid)?,
+        let weights = match &self.source {
+            PupilSource::Exact(aperture) => SegmentWeights::area(aperture, &grid)?,
             _ => SegmentWeights::hard(&self.pupil_on(grid)?),
         };
         Ok(self.reflected(weights))
     }
 
-    /// Weights on the scene's grid by the owner of each sample alone.
+    /// Weights on the scene's grid by the owner of each sample.
     pub fn hard_weights(&self) -> SegmentWeights {
         self.reflected(SegmentWeights::hard(&self.pupil))
     }
@@ -206,17 +210,19 @@ impl Telescope {
     /// # Errors
     /// [`Error::Value`] for a coarse pupil map, or an impossible `limit`.
     pub fn band_limited_weights(&self, grid: Grid, limit: &BandLimit) -> Result<SegmentWeights> {
-        let weights = match &self.glass {
-            Glass::Exact(aperture) => SegmentWeights::band_limited(aperture, &grid, limit)?,
-            Glass::Fine(fine) => SegmentWeights::band_limited_maps(fine, &grid, limit)?,
-            Glass::Coarse => {
-                return Err(Error::Value("a coarse pupil map cannot be band-limited: give a finer one".into()));
+        let weights = match &self.source {
+            PupilSource::Exact(aperture) => SegmentWeights::band_limited(aperture, &grid, limit)?,
+            PupilSource::Fine(fine) => SegmentWeights::band_limited_maps(fine, &grid, limit)?,
+            PupilSource::Coarse => {
+                return Err(Error::Value(
+                    "a coarse pupil map cannot be band-limited; a map of at least twice pupil.samples is needed".into(),
+                ));
             }
         };
         Ok(self.reflected(weights))
     }
 
-    /// The influence functions of the scene's mirror that matter on this pupil.
+    /// Influence functions of the scene's mirror that overlap this pupil.
     ///
     /// # Errors
     /// Those of [`Mirror::new`] and [`Mirror::near`].
@@ -225,7 +231,7 @@ impl Telescope {
             .near(&self.pupil, Mirror::DEFAULT_MARGIN_PITCHES)
     }
 
-    /// The statistics of the scene's turbulence.
+    /// Statistics of the scene's turbulence.
     ///
     /// # Errors
     /// Those of [`VonKarman::new`].
@@ -239,13 +245,14 @@ fn even_side(amplitude: &Array2<f64>) -> Result<usize> {
     let (rows, columns) = amplitude.dim();
     if rows != columns || rows % 2 != 0 {
         return Err(Error::Shape(format!(
-            "the pupil has {columns}x{rows} samples; a square with an even side is needed"
+            "the pupil map has {columns}x{rows} samples; a square with an even side is needed"
         )));
     }
     Ok(rows)
 }
 
-/// A fine map averaged onto a coarser grid over the same axis; a sample belongs to the segment with most glass in it.
+/// Averages a fine map onto a coarser grid with the same axis. A sample belongs to the segment with the largest area in
+/// it.
 fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
     let n = grid.samples();
     let cell = |j: usize| {
@@ -254,19 +261,19 @@ fn binned(fine: &FinePupil, grid: Grid) -> Result<Pupil> {
     };
     let share = (fine.grid().pitch_m() / grid.pitch_m()).powi(2);
     let mut amplitude = Array2::<f64>::zeros((n, n));
-    let mut glass = vec![std::collections::BTreeMap::<i32, f64>::new(); n * n];
+    let mut areas = vec![std::collections::BTreeMap::<i32, f64>::new(); n * n];
     for (((y, x), &a), &label) in fine.pupil().amplitude.indexed_iter().zip(&fine.pupil().owner) {
         if let (Some(v), Some(u), true) = (cell(y), cell(x), label >= 0) {
             amplitude[[v, u]] += a * share;
-            *glass[v * n + u].entry(label).or_default() += a;
+            *areas[v * n + u].entry(label).or_default() += a;
         }
     }
-    // Fine cells that do not tile a coarse one exactly can overfill it by a fraction of a cell.
+    // If fine cells do not tile a coarse one exactly, their sum can exceed 1 by a fraction of a cell.
     amplitude.mapv_inplace(|a| a.min(1.0));
-    let owner = |glass: &std::collections::BTreeMap<i32, f64>| {
-        glass.iter().filter(|(_, a)| **a > 0.0).max_by(|a, b| a.1.total_cmp(b.1)).map_or(-1, |(label, _)| *label)
+    let owner = |areas: &std::collections::BTreeMap<i32, f64>| {
+        areas.iter().filter(|(_, a)| **a > 0.0).max_by(|a, b| a.1.total_cmp(b.1)).map_or(-1, |(label, _)| *label)
     };
-    let owners = Array2::from_shape_vec((n, n), glass.iter().map(owner).collect())
+    let owners = Array2::from_shape_vec((n, n), areas.iter().map(owner).collect())
         .map_err(|error| Error::Internal(error.to_string()))?;
     Ok(Pupil { grid, amplitude, owner: owners, segments: fine.pupil().segments.clone() })
 }
@@ -276,22 +283,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn amplitudes_are_shared_out_over_the_light_or_refused() {
+    fn amplitudes_are_normalised_by_light_or_refused() {
         let scene = Scene::preset("keck-artificial").unwrap();
         let telescope = Telescope::of(&scene.with(&[("pupil.rings", "1")]).unwrap()).unwrap();
-        let alike = telescope.clone().with_amplitudes(vec![3.0; 6]).unwrap();
-        // Equal areas: equal amplitudes are 1, whatever their unit; rounding.
-        assert!(alike.amplitudes().iter().all(|amplitude| (amplitude - 1.0).abs() < 1e-12));
+        let equal = telescope.clone().with_amplitudes(vec![3.0; 6]).unwrap();
+        // Equal areas: equal amplitudes are 1 in any unit, up to rounding.
+        assert!(equal.amplitudes().iter().all(|amplitude| (amplitude - 1.0).abs() < 1e-12));
         let refused = |amplitudes: Vec<f64>| match telescope.clone().with_amplitudes(amplitudes) {
             Err(Error::Value(sentence)) => sentence,
             other => panic!("{other:?}"),
         };
-        assert_eq!(refused(vec![1.0; 5]), "5 amplitudes were given for 6 segments: one each is needed");
+        assert_eq!(refused(vec![1.0; 5]), "5 amplitudes were given for 6 segments; one each is needed");
         for (bad, word) in [(0.0, "0"), (-1.0, "-1"), (f64::NAN, "NaN"), (f64::INFINITY, "inf")] {
             let mut amplitudes = vec![1.0; 6];
             amplitudes[4] = bad;
             let sentence = refused(amplitudes);
-            assert!(sentence.contains(&format!("reflects {word} of the mean")), "{sentence}");
+            assert!(sentence.contains(&format!("amplitude of {word} is impossible")), "{sentence}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Scenes: what is accepted, what is refused and in which words, and that no text makes the parser panic.
+//! Scenes: accepted and refused texts, messages, and random texts, on which the parser must not panic.
 
 use cophase::Error;
 use cophase::pupil::{Aperture as Mirror, HexagonalParameters};
@@ -7,7 +7,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::path::{Path, PathBuf};
 
-/// A scene where everything comes from files.
+/// Scene with pupil, modes and diversity from files.
 const FROM_FILES: &str = r#"
 [pupil]
 file    = "pupil.fits"     # relative to this file
@@ -33,7 +33,7 @@ fn parse(text: &str) -> cophase::Result<Scene> {
     Scene::from_text(text, Path::new("/scenes"))
 }
 
-/// The message of a refusal, after checks that hold for each: status 1, one line, not empty.
+/// Message of a refusal, after the checks common to all: status 1, one line, not empty.
 #[track_caller]
 fn refusal(text: &str) -> String {
     let error = parse(text).expect_err("the text should be refused");
@@ -43,14 +43,14 @@ fn refusal(text: &str) -> String {
     message
 }
 
-/// The message of a preset with other values.
+/// Message of the refusal of a preset with other values.
 #[track_caller]
 fn refused_setting(preset: &str, settings: Settings) -> String {
     Scene::preset(preset).unwrap().with(settings).expect_err("the setting should be refused").to_string()
 }
 
 #[test]
-fn the_presets_say_what_they_say() {
+fn the_presets_have_the_expected_values() {
     assert_eq!(Scene::preset_names(), ["keck-artificial", "keck-onsky"]);
     let scene = Scene::preset("keck-artificial").unwrap();
     assert_eq!(scene.pupil.aperture, Aperture::Keck);
@@ -76,7 +76,7 @@ fn the_presets_say_what_they_say() {
 }
 
 #[test]
-fn everything_may_come_from_files() {
+fn pupil_modes_and_diversity_can_come_from_files() {
     let scene = parse(FROM_FILES).unwrap();
     assert_eq!(scene.pupil.aperture, Aperture::File("pupil.fits".into()));
     assert_eq!((scene.pupil.model, scene.pupil.extent_m()), (None, None));
@@ -90,7 +90,7 @@ fn everything_may_come_from_files() {
 }
 
 #[test]
-fn defaults_fill_in_what_a_scene_leaves_out() {
+fn keys_that_a_scene_does_not_name_have_defaults() {
     let scene = parse(SMALLEST).unwrap();
     assert_eq!((scene.image.samples_per_lambda_over_d, scene.image.diversity_focus_waves_rms), (2.0, 1.5));
     assert_eq!((scene.image.peak_snr, scene.image.crop_pixels, scene.image.count), (Some(500.0), Crop::Auto, 1));
@@ -115,12 +115,12 @@ fn the_extent_of_the_keck_pupil() {
     let message = refusal(&text);
     assert_eq!(
         message,
-        "scene line 8: pupil.grid_m = 10.92 is not accepted; 3 rings of hexagons of side 0.9 m are 10.9299 m across and need a grid that holds them"
+        "scene line 8: pupil.grid_m = 10.92 is not accepted; 3 rings of hexagons of side 0.9 m are 10.9299 m across and need a grid at least as wide"
     );
     // One hexagon is widest along x.
     let one = parse(&format!("{SMALLEST}[pupil]\nrings = 0\ncentral_segment = true\nsegment_side_m = 2")).unwrap();
     assert_eq!(one.pupil.extent_m(), Some(4.0));
-    // Turned by any angle it is what the outermost vertices say; rounding.
+    // For any rotation it is the extent of the outermost vertices, up to rounding.
     for (rings, rotation_deg) in [(0, 17.0), (1, -5.0), (3, 0.6), (3, 30.0), (4, 44.0)] {
         let text = format!("{SMALLEST}[pupil]\nrings = {rings}\ncentral_segment = true\nrotation_deg = {rotation_deg}");
         let parameters =
@@ -139,7 +139,7 @@ fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
             "scene line 2: unknown key 'image.wavelenght_nm'; did you mean 'wavelength_nm'?",
         ),
         ("\n[imag]\npixels = 2", "scene line 2: unknown section 'imag'; did you mean 'image'?"),
-        ("pixels = 2", "scene line 1: 'pixels' stands outside its section; it belongs in [image]"),
+        ("pixels = 2", "scene line 1: 'pixels' is outside its section; it belongs in [image]"),
         ("[pupil]\npixels = 2", "scene line 2: unknown key 'pupil.pixels'; it belongs in [image]"),
         ("[[image]]\npixels = 2", "scene line 1: 'image' is not a section; write [image] with its keys below"),
         (
@@ -215,7 +215,7 @@ fn contradictions_are_refused() {
         ("keck-artificial", &[("aberrations.ncpa_zernikes", "[18, 4]")], "first not after last"),
         ("keck-artificial", &[("aberrations.ncpa_zernikes", "[0, 4]")], "ncpa_zernikes = [0, 4]"),
         ("keck-artificial", &[("aberrations.ncpa_file", "n.fits")], "'aberrations.ncpa_rms_nm' has no meaning"),
-        ("keck-artificial", &[("modes.ncpa", "none"), ("modes.segment", "none")], "nothing is left to estimate"),
+        ("keck-artificial", &[("modes.ncpa", "none"), ("modes.segment", "none")], "no mode is left to estimate"),
         ("keck-artificial", &[("mirror.coupling", "1")], "above 0 and below 1"),
         (
             "keck-onsky",
@@ -240,7 +240,7 @@ fn contradictions_are_refused() {
 }
 
 #[test]
-fn a_scene_varies_by_overrides_and_its_text_follows() {
+fn a_changed_scene_has_the_new_values_in_its_text() {
     let scene = Scene::preset("keck-artificial").unwrap();
     let varied = scene
         .with(&[
@@ -257,20 +257,20 @@ fn a_scene_varies_by_overrides_and_its_text_follows() {
     assert_eq!(varied.estimate.device, DeviceChoice::OpenClDevice { platform: 0, device: 1 });
     assert_eq!(varied.estimate.optimizer, Optimizer::Bfgs);
     assert!(varied.text().contains("wavelength_nm = 2168.6     # Br gamma"), "comments are kept");
-    assert_eq!(*parse(varied.text()).unwrap(), *varied, "the text says what the scene is");
-    assert_eq!(scene.image.peak_snr, Some(500.0), "the first scene is as it was");
+    assert_eq!(*parse(varied.text()).unwrap(), *varied, "the text has the values of the scene");
+    assert_eq!(scene.image.peak_snr, Some(500.0), "the first scene is unchanged");
 
-    // Taking a key out of a section that is not there changes nothing.
+    // Removing a key of an absent section has no effect.
     assert_eq!(scene.with_override("control.gain", "").unwrap().text(), scene.text());
 
-    // Every way to write a section can be overridden.
+    // Sections in every TOML syntax can be changed.
     for text in ["image = {wavelength_nm = 2000, pixels = 240}", "image.wavelength_nm = 2000\nimage.pixels = 240"] {
         assert_eq!(parse(text).unwrap().with_override("image.pixels", "96").unwrap().image.pixels, 96);
     }
 }
 
 #[test]
-fn settings_that_name_nothing_are_refused() {
+fn settings_with_unknown_keys_are_refused() {
     assert_eq!(split_setting("image.peak_snr = 50").unwrap(), ("image.peak_snr", "50"));
     assert!(split_setting("image.peak_snr").is_err());
     let cases = [
@@ -284,12 +284,12 @@ fn settings_that_name_nothing_are_refused() {
     let error = Scene::preset("keck-onski").unwrap_err().to_string();
     assert_eq!(
         error,
-        "no scene is called 'keck-onski', there are keck-artificial and keck-onsky; did you mean 'keck-onsky'?"
+        "there is no preset 'keck-onski'; keck-artificial and keck-onsky are accepted; did you mean 'keck-onsky'?"
     );
 }
 
 #[test]
-fn files_are_read_beside_the_scene_or_refused_by_name() {
+fn file_names_are_relative_to_the_scene_and_named_in_messages() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mine.toml");
     std::fs::write(&path, FROM_FILES).unwrap();
@@ -304,11 +304,11 @@ fn files_are_read_beside_the_scene_or_refused_by_name() {
     let message = Scene::from_file(&path).unwrap_err().to_string();
     assert!(message.ends_with("mine.toml: not a text in UTF-8 (byte 8)"), "{message}");
     assert_eq!(Scene::from_file(folder.path().join("absent.toml")).unwrap_err().status(), 2);
-    assert_eq!(Scene::from_file(folder.path()).unwrap_err().status(), 2, "a folder is no scene");
+    assert_eq!(Scene::from_file(folder.path()).unwrap_err().status(), 2, "a folder is not a scene");
 }
 
 #[test]
-fn devices_are_read_alike_everywhere() {
+fn device_words_are_parsed_strictly() {
     assert_eq!("opencl".parse::<DeviceChoice>().unwrap(), DeviceChoice::OpenCl);
     for word in
         ["", "gpu", "opencl:", "opencl:0", "opencl:0:", "opencl:+1:0", "opencl:0:1:2", "opencl:99999999999999999999:0"]
@@ -334,7 +334,7 @@ fn the_reference_describes_every_key_of_the_presets() {
     assert!(reference.contains("[wavefront_sensor]") && reference.contains("default: none, it is required"));
 }
 
-/// One random change to a text: bytes deleted, replaced or inserted, lines deleted, doubled or swapped.
+/// Changes a text at random: bytes deleted, replaced or inserted, lines deleted, duplicated or swapped.
 fn mutate(text: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     const FRAGMENTS: [&[u8]; 14] = [
         b"=",
@@ -374,7 +374,7 @@ fn mutate(text: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
 }
 
 #[test]
-fn no_text_makes_the_parser_panic() {
+fn the_parser_does_not_panic_on_random_texts() {
     let mut rng = ChaCha8Rng::seed_from_u64(20);
     let (mut accepted, mut refused) = (0, 0);
     for round in 0..6000 {
@@ -389,7 +389,7 @@ fn no_text_makes_the_parser_panic() {
         match parse(&text) {
             Ok(scene) => {
                 accepted += 1;
-                // A scene that is accepted can be varied, and keeps saying what it is.
+                // An accepted scene can be changed, and has the new value.
                 let again =
                     scene.with(&[("image.read_noise_e", "7")]).unwrap_or_else(|error| panic!("{error}\n{text}"));
                 assert_eq!(again.image.read_noise_e, 7.0);
@@ -404,12 +404,12 @@ fn no_text_makes_the_parser_panic() {
             }
         }
     }
-    // The mutations are mild enough to reach the checks behind the parser, and wild enough to be refused.
+    // The mutations must produce both scenes that reach the checks behind the parser and texts that are refused.
     assert!(accepted > 500 && refused > 500, "{accepted} accepted, {refused} refused");
 }
 
 #[test]
-fn depth_and_length_do_not_hurt() {
+fn deeply_nested_and_long_texts_are_refused() {
     for text in [
         "[".repeat(100_000),
         format!("a = {}", "[".repeat(100_000)),

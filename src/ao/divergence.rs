@@ -1,34 +1,35 @@
-//! Noticing a loop that runs away.
+//! Detection of a diverging loop from its residual wavefront.
 
 use super::control::Stability;
 
-/// Time over which the residual is averaged, s: long beside a gust, short beside the seconds that a weak instability
-/// takes.
+/// Time constant of the residual's running mean, s: longer than fluctuations of the seeing, shorter than the seconds
+/// over which a weak instability grows.
 const SMOOTH_S: f64 = 0.05;
-/// Time that a loop has to close before its best level counts, s.
+/// Time that the loop has to converge before its residual is compared with the open loop, s.
 const CLOSING_S: f64 = 0.2;
-/// A residual below this fraction of the sensor's wavelength is no divergence: above it spots fall apart.
+/// Residual, in wavelengths of the sensor, below which a loop does not count as diverged. Above it the spots break up.
 const WAVES: f64 = 0.75;
-/// Any loop has diverged when it leaves this many times what there was before it closed; 1 and a bit would be a gust.
+/// A stable loop counts as diverged when its residual exceeds the open-loop residual by this factor; fluctuations of
+/// the seeing stay below it.
 ///
-/// One whose poles say that it is unstable has diverged once they had the time to grow e-fold and spots fall apart: a quad
-/// cell saturates, and a loop that is lost may well stay below the level of the open one.
+/// An unstable loop (from its poles) counts as diverged once it had the time to grow e-fold and the residual exceeds
+/// [`WAVES`]. A quad cell saturates, so its residual may stay below the open-loop one.
 const TIMES_OPEN: f64 = 1.5;
 
-/// A loop that ran away.
+/// Time and residual at which a loop diverged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Divergence {
-    /// Time at which it was noticed, s.
+    /// Time of the detection since the loop was closed, s.
     pub time_s: f64,
-    /// Residual then, averaged over 50 ms, nm RMS.
+    /// Residual at that time, averaged over 50 ms, nm RMS.
     pub residual_rms_nm: f64,
-    /// The best it had been, nm RMS.
+    /// Smallest averaged residual before, nm RMS.
     pub best_rms_nm: f64,
 }
 
-/// Looks at every frame.
+/// Divergence detector, updated once per frame.
 #[derive(Debug, Clone)]
-pub(super) struct Watch {
+pub(super) struct DivergenceMonitor {
     keep: f64,
     closing: f64,
     enough_nm: f64,
@@ -41,9 +42,9 @@ pub(super) struct Watch {
     frame_s: f64,
 }
 
-impl Watch {
-    /// Over frames of `frame_s`, with a sensor that works at `wavelength_nm`; `poles` are those of the loop. A loop that
-    /// merely works badly (too few good slopes, too strong a wind) has not diverged.
+impl DivergenceMonitor {
+    /// Monitor of a loop with frames of `frame_s`, a sensor at `wavelength_nm`, and the given `poles`. A stable loop
+    /// with a large residual (few unmasked slopes, strong wind) does not count as diverged.
     pub(super) fn new(frame_s: f64, wavelength_nm: f64, poles: &Stability) -> Self {
         let growth = if poles.stable { 0.0 } else { poles.growth_per_frame.ln() };
         let keep = (-frame_s / SMOOTH_S).exp();
@@ -62,8 +63,8 @@ impl Watch {
         }
     }
 
-    /// Whether the loop has diverged with this frame.
-    pub(super) fn see(&mut self, residual_rms_nm: f64) -> Option<Divergence> {
+    /// Adds the residual of a frame. Returns the divergence if the loop has diverged.
+    pub(super) fn update(&mut self, residual_rms_nm: f64) -> Option<Divergence> {
         let square = residual_rms_nm * residual_rms_nm;
         if self.frames == 0.0 {
             (self.open_nm, self.mean_square) = (residual_rms_nm, square);
@@ -87,36 +88,36 @@ impl Watch {
 mod tests {
     use super::*;
 
-    fn watch(growth_per_frame: f64) -> Watch {
+    fn monitor(growth_per_frame: f64) -> DivergenceMonitor {
         let stable = growth_per_frame <= 1.0;
-        Watch::new(1e-3, 640.0, &Stability { growth_per_frame, stable, ..Stability::default() })
+        DivergenceMonitor::new(1e-3, 640.0, &Stability { growth_per_frame, stable, ..Stability::default() })
     }
 
     #[test]
-    fn growth_is_noticed_and_a_steady_loop_is_left_alone() {
-        let mut steady = watch(0.7);
-        assert!(steady.see(1500.0).is_none());
+    fn growth_is_detected_and_a_steady_loop_is_not() {
+        let mut steady = monitor(0.7);
+        assert!(steady.update(1500.0).is_none());
         // Bad seeing: large, fluctuating by a factor of two, and no divergence.
-        assert!((0..20_000).all(|k| steady.see(600.0 * (1.5 + 0.5 * f64::from(k).sin())).is_none()));
+        assert!((0..20_000).all(|k| steady.update(600.0 * (1.5 + 0.5 * f64::from(k).sin())).is_none()));
         let grow = |growth_per_frame| {
-            let mut growing = watch(growth_per_frame);
-            growing.see(1500.0);
-            let noticed = (0..20_000).find_map(|k| growing.see(150.0 * (f64::from(k) * 1e-3 / 2.0).exp()));
-            noticed.map(|divergence| divergence.time_s).unwrap()
+            let mut growing = monitor(growth_per_frame);
+            growing.update(1500.0);
+            let detected = (0..20_000).find_map(|k| growing.update(150.0 * (f64::from(k) * 1e-3 / 2.0).exp()));
+            detected.map(|divergence| divergence.time_s).unwrap()
         };
-        // Known to grow e-fold in 2 s: when it passes 480 nm, at 2·ln 3.2 = 2.33 s. Otherwise when it passes 2250 nm, at
-        // 2·ln 15 = 5.42 s. Smoothing adds 0.05 s.
+        // The residual grows e-fold in 2 s. With unstable poles it is detected at 480 nm, after 2·ln 3.2 = 2.33 s; with
+        // stable poles at 2250 nm, after 2·ln 15 = 5.42 s. Smoothing adds 0.05 s.
         let (known, unknown) = (grow(0.0005f64.exp()), grow(0.7));
         assert!((2.3..2.45).contains(&known), "{known}");
         assert!((5.4..5.5).contains(&unknown), "{unknown}");
-        assert!(watch(0.7).see(f64::NAN).is_some());
+        assert!(monitor(0.7).update(f64::NAN).is_some());
     }
 
     #[test]
-    fn a_loop_that_never_closes_has_not_diverged_unless_its_poles_say_so() {
-        let mut open = watch(0.7);
-        assert!((0..5000).all(|_| open.see(2000.0).is_none()));
-        let mut lost = watch(1.01);
-        assert!((0..5000).any(|_| lost.see(2000.0).is_some()));
+    fn a_loop_that_does_not_converge_counts_as_diverged_only_with_unstable_poles() {
+        let mut open = monitor(0.7);
+        assert!((0..5000).all(|_| open.update(2000.0).is_none()));
+        let mut unstable = monitor(1.01);
+        assert!((0..5000).any(|_| unstable.update(2000.0).is_some()));
     }
 }

@@ -1,4 +1,4 @@
-//! The file of a run: images, truth, telemetry.
+//! FITS file of a run: images, truth, telemetry.
 
 use super::run::{Shot, Summary};
 use super::simulator::Simulator;
@@ -8,12 +8,15 @@ use crate::{Error, Result};
 use ndarray::{Array2, Array3, Axis};
 use std::path::Path;
 
-/// Writes what a run of `simulator` delivered. The file appears whole or not at all.
+/// Writes the images and the telemetry of a run of `simulator`. The write is atomic.
 ///
-/// `IMAGES` (electrons), the truth as [`crate::source::write`] has it, and the telemetry at the middle of each exposure:
-/// `SLOPES` (`[image, slope]`, mas, all x then all y; `SLOPES_MEAN` over the exposure), `COMMANDS` (`[image, actuator]`, nm), table `SHOTS` (time and
-/// residual). `SUBAPERTURES` and `ACTUATORS` say which they are, `INTERACTION` (`[slope, actuator]`, mas per nm) how they
-/// hang together.
+/// - `IMAGES`: electrons.
+/// - `TRUTH_…`: as in [`crate::source::write`].
+/// - `SLOPES`, `COMMANDS`: at the middle of each exposure, `[image, slope]` (mas, all x then all y) and `[image, actuator]` (nm).
+/// - `SLOPES_MEAN`: slopes averaged over each exposure.
+/// - `SHOTS`: table of time and residual for each image.
+/// - `SUBAPERTURES`, `ACTUATORS`: tables of those in use.
+/// - `INTERACTION`: interaction matrix, `[slope, actuator]`, mas per nm.
 ///
 /// # Errors
 /// [`Error::Image`] for a run without any image, [`Error::File`] where the file cannot be written.
@@ -22,7 +25,7 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
     if shots.is_empty() {
         let reason =
             summary.divergence.map_or(String::new(), |d| format!(": the loop diverged after {:.2} s", d.time_s));
-        return Err(Error::Image(format!("the run ended before its first image{reason}")));
+        return Err(Error::Image(format!("0 images to write: the run ended before its first image{reason}")));
     }
     let mut file = FitsWriter::create(path)?;
     file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
@@ -53,15 +56,15 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
 }
 
 fn telemetry(file: &mut FitsWriter, simulator: &Simulator, shots: &[Shot]) -> Result<()> {
-    let rows = |of: &dyn Fn(&Shot) -> &[f32]| {
-        let flat: Vec<f32> = shots.iter().flat_map(|shot| of(shot).iter().copied()).collect();
+    let rows = |values: &dyn Fn(&Shot) -> &[f32]| {
+        let flat: Vec<f32> = shots.iter().flat_map(|shot| values(shot).iter().copied()).collect();
         Array2::from_shape_vec((shots.len(), flat.len() / shots.len()), flat)
             .map_err(|error| Error::Internal(format!("telemetry of uneven length: {error}")))
     };
     file.image("SLOPES", &rows(&|shot| &shot.slopes_mas)?, Pixel::F32, "mas")?;
     file.image("SLOPES_MEAN", &rows(&|shot| &shot.mean_slopes_mas)?, Pixel::F32, "mas")?;
     file.image("COMMANDS", &rows(&|shot| &shot.commands_nm)?, Pixel::F32, "nm")?;
-    let column = |of: &dyn Fn(&Shot) -> f64| shots.iter().map(of).collect();
+    let column = |value: &dyn Fn(&Shot) -> f64| shots.iter().map(value).collect();
     let shots = [
         Column::f64("TIME_S", "s", column(&|shot| shot.time_s)),
         Column::f64("RESIDUAL_NM", "nm", column(&|shot| shot.residual_rms_nm)),

@@ -1,44 +1,44 @@
-//! Where the light is on the simulator's grid, in rows of whole vectors.
+//! Illuminated part of the simulator's grid, stored in rows of whole SIMD vectors.
 
-use super::lines::Lines;
+use super::aligned::AlignedBuffer;
 use crate::pupil::Pupil;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Samples that one vector instruction takes at best (f32 in 512 bits); rows and spans are multiples of it.
+/// f32 values in the widest SIMD vector (512 bits). Rows and spans are multiples of it.
 pub const LANES: usize = 16;
 
-/// The lit part of a square grid. A map over it is a slice of [`Footprint::len`] values, rows `[y, x]` of
-/// [`Footprint::stride`] values each ([`Footprint::zeros`] makes one); only the samples inside the spans mean anything.
+/// Illuminated part of a square grid. A map over it is a slice of [`Footprint::len`] values, rows `[y, x]` of
+/// [`Footprint::stride`] values each ([`Footprint::zeros`] makes one). Values outside the spans are unspecified.
 #[derive(Debug, Clone)]
 pub struct Footprint {
     samples: usize,
     stride: usize,
     spans: Vec<Range<usize>>,
-    /// Shared by its clones: several stages read it in every frame, and the cache is small.
-    amplitude: Arc<Lines>,
+    /// Shared by the clones: several stages read it in every frame, and one copy fits the cache.
+    amplitude: Arc<AlignedBuffer>,
     total: f64,
 }
 
 impl Footprint {
-    /// The footprint of `pupil`.
+    /// Footprint of `pupil`.
     pub fn of(pupil: &Pupil) -> Self {
         Self::with_margin(pupil, 0)
     }
 
-    /// The footprint of `pupil`, whose spans hold `margin` samples around the glass too.
+    /// Footprint of `pupil` whose spans include `margin` samples around the illuminated area.
     pub fn with_margin(pupil: &Pupil, margin: usize) -> Self {
         let samples = pupil.grid.samples();
         let stride = samples.next_multiple_of(LANES);
-        let mut amplitude = Lines::zeros(samples * stride);
-        let mut glass = Vec::with_capacity(samples);
+        let mut amplitude = AlignedBuffer::zeros(samples * stride);
+        let mut ends = Vec::with_capacity(samples);
         for (row, out) in pupil.amplitude.rows().into_iter().zip(amplitude.chunks_exact_mut(stride)) {
             for (out, &a) in out.iter_mut().zip(row) {
                 *out = a as f32;
             }
-            glass.push(row.iter().position(|&a| a > 0.0).zip(row.iter().rposition(|&a| a > 0.0)));
+            ends.push(row.iter().position(|&a| a > 0.0).zip(row.iter().rposition(|&a| a > 0.0)));
         }
-        let near = |y: usize| glass[y.saturating_sub(margin)..samples.min(y + margin + 1)].iter().flatten();
+        let near = |y: usize| ends[y.saturating_sub(margin)..samples.min(y + margin + 1)].iter().flatten();
         let span = |y: usize| match (near(y).map(|ends| ends.0).min(), near(y).map(|ends| ends.1).max()) {
             (Some(first), Some(last)) => {
                 let end = samples.min(last + 1 + margin).next_multiple_of(LANES);
@@ -67,12 +67,13 @@ impl Footprint {
         self.samples * self.stride
     }
 
-    /// The columns of row `y` that hold all of its light and the margin: both ends multiples of [`LANES`], empty where it is dark.
+    /// Columns of row `y` that hold its illuminated samples and the margin. Both ends are multiples of [`LANES`]; the
+    /// span of a dark row is empty.
     pub fn span(&self, y: usize) -> Range<usize> {
         self.spans[y].clone()
     }
 
-    /// Fraction of each sample's area that is glass, a map; 0 outside the pupil.
+    /// Pupil amplitude, a map: the illuminated fraction of each sample's area; 0 outside the pupil.
     pub fn amplitude(&self) -> &[f32] {
         &self.amplitude
     }
@@ -83,8 +84,8 @@ impl Footprint {
     }
 
     /// A map of zeros.
-    pub fn zeros(&self) -> Lines {
-        Lines::zeros(self.len())
+    pub fn zeros(&self) -> AlignedBuffer {
+        AlignedBuffer::zeros(self.len())
     }
 }
 

@@ -1,7 +1,7 @@
-//! What a simulator is put together from: its actuators, their interaction matrix, its segments.
+//! Actuators, interaction matrix and segment map that a simulator is built from.
 
+use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
-use super::lines::Lines;
 use super::sensor::{Lenslets, Sensor};
 use super::surface::Surface;
 use super::valid_map;
@@ -13,33 +13,35 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// Stroke with which the interaction matrix is taken, nm: a thirtieth of the sensor's wavelength, so that the answer is
-/// linear to 1 %, and its second order cancels between push and pull.
+/// Stroke with which the interaction matrix is measured, nm: a thirtieth of the sensor's wavelength, so that the
+/// response is linear to 1 %. Its second order cancels between push and pull.
 const POKE_NM: f32 = 20.0;
 
-/// The actuators of the scene's mirror: those of its map, or those at a corner of a subaperture in use. One farther out
-/// would move only the edge of what the sensor sees, and the noise of its command would be a hundred times the others'.
+/// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a subaperture in use. The
+/// sensor measures an actuator farther out only at the edge of a subaperture, and the noise of its command would be a
+/// hundred times that of the others.
 pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
     let part = &scene.mirror;
     let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
     if let Some(file) = &part.actuator_file {
         let path = scene.resolve(file);
-        return mirror.from_map(&valid_map::text(&path)?).map_err(|error| Error::file(&path, error));
+        return mirror.from_map(&valid_map::read_text(&path)?).map_err(|error| Error::file(&path, error));
     }
     let middle = (lenslets.across as f64 - 1.0) / 2.0;
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
     // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
     let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
     mirror.chosen(|x_m, y_m| {
-        let beside = |&place: &usize| {
+        let is_near = |&place: &usize| {
             (centre(place % lenslets.across) - x_m).abs() <= reach_m
                 && (centre(place / lenslets.across) - y_m).abs() <= reach_m
         };
-        lenslets.subapertures.iter().any(beside)
+        lenslets.subapertures.iter().any(is_near)
     })
 }
 
-/// Pushes and pulls each actuator in front of a flat wavefront, without noise: `[slopes, actuators]`, mas per nm.
+/// Measures the interaction matrix, `[slopes, actuators]`, mas per nm: pushes and pulls each actuator in front of a
+/// flat wavefront, without noise.
 pub(super) fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint) -> Result<Array2<f64>> {
     let (slopes, actuators) = (sensor.slopes(), surface.actuators());
     let mut matrix = Array2::zeros((slopes, actuators));
@@ -61,19 +63,19 @@ pub(super) fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint:
     Ok(matrix)
 }
 
-/// The pupil with each segment's amplitude.
-pub(super) fn reflecting(pupil: &Pupil, truth: &Truth) -> Pupil {
-    let mut lit = pupil.clone();
-    ndarray::Zip::from(&mut lit.amplitude).and(&pupil.owner).for_each(|amplitude, &owner| {
+/// Multiplies the pupil amplitude by the amplitude that each segment reflects.
+pub(super) fn apply_reflectivity(pupil: &Pupil, truth: &Truth) -> Pupil {
+    let mut reflecting = pupil.clone();
+    ndarray::Zip::from(&mut reflecting.amplitude).and(&pupil.owner).for_each(|amplitude, &owner| {
         if owner >= 0 {
             *amplitude *= truth.amplitude[owner as usize];
         }
     });
-    lit
+    reflecting
 }
 
-/// The segments' errors over the map, nm: each sample shows the segment that owns it.
-pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> Lines {
+/// Map of the segment errors, nm: each sample takes the error of the segment that owns it.
+pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> AlignedBuffer {
     let mut map = footprint.zeros();
     for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
         let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));

@@ -1,4 +1,4 @@
-//! exp(2πi·OPD/λ) in single precision, in a form that compiles to vector code.
+//! Phasor exp(2πi·OPD/λ) in single precision, in a form that compiles to vector code.
 
 /// Coefficients in r² of sin(πr)/r and cos(πr) on |r| ≤ ½: Chebyshev fits of degree 4, within 1.4e-8 and 4.7e-8, below
 /// the rounding of single precision.

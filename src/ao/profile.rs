@@ -1,4 +1,4 @@
-//! Where the time of a frame goes.
+//! Time spent in each stage of the loop.
 
 use std::time::{Duration, Instant};
 
@@ -16,10 +16,10 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// All of them, in the order of a frame.
+    /// All stages, in the order of a frame.
     pub const ALL: [Stage; 4] = [Stage::Atmosphere, Stage::Mirror, Stage::Sensor, Stage::Control];
 
-    /// One word for tables.
+    /// Name of the stage, one word.
     pub fn name(self) -> &'static str {
         match self {
             Stage::Atmosphere => "atmosphere",
@@ -42,19 +42,19 @@ impl Profile {
         self.spent[stage as usize].as_secs_f64()
     }
 
-    /// Counts the time since `from` to `stage`, and returns now.
+    /// Adds the time since `from` to `stage`; returns the present time.
     pub(super) fn lap(&mut self, stage: Stage, from: Instant) -> Instant {
         let now = Instant::now();
         self.spent[stage as usize] += now - from;
         now
     }
 
-    /// Adds time spent elsewhere.
+    /// Adds time that was measured by the caller.
     pub(super) fn add(&mut self, stage: Stage, spent: Duration) {
         self.spent[stage as usize] += spent;
     }
 
-    /// What was spent since `before`.
+    /// Time spent since `before`, stage by stage.
     pub(super) fn since(&self, before: &Self) -> Self {
         let spent = std::array::from_fn(|i| self.spent[i].saturating_sub(before.spent[i]));
         Self { spent }

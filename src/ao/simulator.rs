@@ -1,20 +1,20 @@
-//! The loop, closed: one telescope, one star, one frame after another.
+//! Closed-loop simulator: one telescope, one guide star, frame after frame.
 //!
 //! ```text
 //! atmosphere ─(+ segments)─(− mirror)─ residual ─ sensor ─ slopes ─ controller ─ commands ┐
 //!                              └────────────────── the next frame ────────────────────────┘
 //! ```
 
+use super::aligned::AlignedBuffer;
 use super::atmosphere::Atmosphere;
 use super::camera::{self, Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::drift::Drift;
 use super::footprint::Footprint;
-use super::lines::Lines;
-use super::parts::{actuators, interaction, reflecting, segments_nm};
+use super::parts::{actuators, apply_reflectivity, interaction, segments_nm};
 use super::profile::{Profile, Stage};
-use super::run::Schedule;
-use super::sensor::{Lenslets, Light, Sensor};
+use super::schedule::Schedule;
+use super::sensor::{GuideStar, Lenslets, Sensor};
 use super::surface::Surface;
 use crate::grid::Grid;
 use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
@@ -29,35 +29,35 @@ use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Stream of the sensor's noise under the seed of the turbulence; the layers have the first ones.
+/// Random number stream of the sensor's noise under the seed of the turbulence; the streams below are the layers'.
 const SENSOR_STREAM: u64 = 1 << 32;
 
-/// What one frame left.
+/// State of the loop in one frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
-    /// Its number, from 0.
+    /// Number of the frame, from 0.
     pub number: u64,
     /// Time since the loop was closed, s.
     pub time_s: f64,
-    /// The wavefront behind the mirror, nm: turbulence and segments' errors less the mirror; a map over the footprint.
+    /// Residual wavefront, nm: turbulence plus segment errors minus the mirror's surface; a map over the footprint.
     pub residual_nm: &'a [f32],
-    /// Its RMS over the pupil, piston removed, nm.
+    /// RMS of the residual wavefront over the pupil, piston removed, nm.
     pub residual_rms_nm: f64,
-    /// What the sensor measured of it: `[all x, all y]`, mas.
+    /// Measured slopes of the residual wavefront: `[all x, all y]`, mas.
     pub slopes_mas: &'a [f32],
-    /// The commands that were on the mirror, nm.
+    /// Commands on the mirror during the frame, nm.
     pub commands_nm: &'a [f32],
 }
 
-/// What stands between the turbulence and the camera, frame after frame.
-pub(super) struct Plant {
+/// Segments, mirror, sensor and controller: the part of the loop between the turbulence and the camera.
+pub(super) struct CorrectionLoop {
     pub(super) footprint: Footprint,
-    segments_nm: Lines,
-    /// What moves the segments' errors, and the NCPA.
+    segments_nm: AlignedBuffer,
+    /// Drift of the segment errors and of the NCPA.
     pub(super) drift: Option<Arc<Drift>>,
     surface: Surface,
     sensor: Sensor,
-    light: Option<Light>,
+    light: Option<GuideStar>,
     controller: Controller,
     slopes_mas: Vec<f32>,
     commands_nm: Vec<f32>,
@@ -67,9 +67,10 @@ pub(super) struct Plant {
     pub(super) profile: Profile,
 }
 
-impl Plant {
-    /// Takes the turbulence of this frame, nm, to the residual wavefront, in place, and lets the controller answer it.
-    pub(super) fn frame(&mut self, opd_nm: &mut [f32]) -> Result<()> {
+impl CorrectionLoop {
+    /// Advances the loop by one frame: turns the turbulence `opd_nm` into the residual wavefront, in place, and updates
+    /// the commands from its slopes.
+    pub(super) fn step(&mut self, opd_nm: &mut [f32]) -> Result<()> {
         let started = Instant::now();
         self.commands_nm.copy_from_slice(self.controller.commands_nm());
         if let Some(drift) = &self.drift {
@@ -87,7 +88,7 @@ impl Plant {
         Ok(())
     }
 
-    /// The frame that was made last; `residual_nm` is what [`Plant::frame`] left.
+    /// The last frame; `residual_nm` is the map that [`CorrectionLoop::step`] wrote.
     pub(super) fn last<'a>(&'a self, residual_nm: &'a [f32]) -> Frame<'a> {
         let number = self.number.saturating_sub(1);
         Frame {
@@ -101,11 +102,11 @@ impl Plant {
     }
 }
 
-/// An AO system under a sky.
+/// AO simulation: telescope, turbulence, loop and science camera of a scene.
 pub struct Simulator {
     scene: Scene,
     telescope: Telescope,
-    /// The pupil on the simulator's grid.
+    /// Pupil on the simulator's grid.
     pupil: Pupil,
     influence: InfluenceFunctions,
     diversity: Diversity,
@@ -114,14 +115,14 @@ pub struct Simulator {
     interaction: Array2<f64>,
     law: ControlLaw,
     pub(super) atmosphere: Atmosphere,
-    pub(super) plant: Plant,
-    pub(super) residual_nm: Lines,
+    pub(super) correction: CorrectionLoop,
+    pub(super) residual_nm: AlignedBuffer,
 }
 
-/// The sections of a scene that the loop cannot do without.
+/// Sections of a scene that the loop requires: sensor and control.
 pub(super) fn sections(scene: &Scene) -> Result<(&SensorScene, &ControlScene)> {
     let missing = |section: &str| {
-        Error::Scene(format!("{}: the section [{section}] is missing: an AO loop needs it", scene.name()))
+        Error::Scene(format!("{}: the section [{section}] is missing; an AO loop needs it", scene.name()))
     };
     Ok((
         scene.wavefront_sensor.as_ref().ok_or_else(|| missing("wavefront_sensor"))?,
@@ -130,10 +131,10 @@ pub(super) fn sections(scene: &Scene) -> Result<(&SensorScene, &ControlScene)> {
 }
 
 impl Simulator {
-    /// The system of `scene`, with aberrations drawn from `aberrations.seed`.
+    /// Builds the system of `scene`, with aberrations drawn from `aberrations.seed`.
     ///
     /// # Errors
-    /// [`Error::Scene`] where the scene has no sensor or no control; those of building each part.
+    /// [`Error::Scene`] for a scene without a sensor or control; the errors of building each part.
     pub fn new(scene: &Scene) -> Result<Self> {
         let telescope = Telescope::of(scene)?;
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
@@ -141,7 +142,7 @@ impl Simulator {
         Self::with_truth(scene, telescope, truth)
     }
 
-    /// The system of `scene` with the aberrations of `truth`.
+    /// Builds the system of `scene` with the aberrations of `truth`.
     ///
     /// # Errors
     /// As [`Simulator::new`].
@@ -149,15 +150,15 @@ impl Simulator {
         let (sensing, control_scene) = sections(scene)?;
         let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
         let pupil = telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)?;
-        // Which lenslets are used was chosen for perfect segments.
-        let lit = reflecting(&pupil, &truth);
-        let footprint = Footprint::with_margin(&lit, camera::MARGIN_SAMPLES);
-        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?.before(&lit);
+        // The subapertures in use are selected with perfectly reflecting segments.
+        let illuminated = apply_reflectivity(&pupil, &truth);
+        let footprint = Footprint::with_margin(&illuminated, camera::MARGIN_SAMPLES);
+        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?.with_light_of(&illuminated);
         let influence = actuators(scene, &lenslets)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
-        let mut sensor = Sensor::new(sensing, lenslets, &lit, &footprint)?;
+        let mut sensor = Sensor::new(sensing, lenslets, &illuminated, &footprint)?;
         let interaction = interaction(&mut sensor, &mut surface, &footprint)?;
-        let sensor = sensor.as_it_is(sensing, &lit, &footprint)?;
+        let sensor = sensor.as_it_is(sensing, &illuminated, &footprint)?;
         let lenslets = sensor.lenslets();
         let mask = match sensing.mask {
             SensorMask::None => vec![false; lenslets.subapertures.len()],
@@ -172,7 +173,7 @@ impl Simulator {
                 Some(modes.basis.matrix().t().to_owned())
             }
         };
-        let given = control::Plant {
+        let plant = control::Plant {
             interaction: &interaction,
             lenslets_across: lenslets.across,
             subapertures: &lenslets.subapertures,
@@ -180,17 +181,17 @@ impl Simulator {
             kl: modes.as_ref(),
             stroke_limit_nm: scene.mirror.stroke_limit_nm,
         };
-        let law = ControlLaw::new(control_scene, &given)?;
+        let law = ControlLaw::new(control_scene, &plant)?;
         let frame_s = 1.0 / control_scene.frame_rate_hz;
         let atmosphere = Atmosphere::new(&scene.turbulence, &pupil.grid, &footprint, frame_s, scene.turbulence.seed)?;
         let mut noise = ChaCha8Rng::seed_from_u64(scene.turbulence.seed);
         noise.set_stream(SENSOR_STREAM);
         let noisy = sensing.photon_noise || sensing.read_noise_e > 0.0;
-        let light = noisy.then(|| Light::new(sensing, lenslets.pitch_m, frame_s, noise));
+        let light = noisy.then(|| GuideStar::new(sensing, lenslets.pitch_m, frame_s, noise));
         let segments_nm = segments_nm(&truth, &telescope, &pupil, &footprint);
         let schedule = Schedule::of(scene, control_scene.settle_s, control_scene.frame_rate_hz);
-        let drift = Drift::of(&truth, &pupil, &footprint, &segments_nm, &schedule, frame_s)?;
-        let plant = Plant {
+        let drift = Drift::new(&truth, &pupil, &footprint, &segments_nm, &schedule, frame_s)?;
+        let correction = CorrectionLoop {
             segments_nm,
             drift: drift.map(Arc::new),
             slopes_mas: vec![0.0; sensor.slopes()],
@@ -206,7 +207,7 @@ impl Simulator {
             light,
         };
         let diversity = Diversity::of(scene, &telescope)?;
-        let residual_nm = plant.footprint.zeros();
+        let residual_nm = correction.footprint.zeros();
         let scene = scene.clone();
         Ok(Self {
             scene,
@@ -219,7 +220,7 @@ impl Simulator {
             interaction,
             law,
             atmosphere,
-            plant,
+            correction,
             residual_nm,
         })
     }
@@ -227,34 +228,34 @@ impl Simulator {
     /// Advances the loop by one frame.
     ///
     /// # Errors
-    /// Those of the stages: a broken promise of this module's, never of the caller's.
+    /// Internal errors of the stages only.
     pub fn step(&mut self) -> Result<Frame<'_>> {
         let started = Instant::now();
         self.atmosphere.next_frame(&mut self.residual_nm)?;
-        self.plant.profile.lap(Stage::Atmosphere, started);
-        self.plant.frame(&mut self.residual_nm)?;
-        Ok(self.plant.last(&self.residual_nm))
+        self.correction.profile.lap(Stage::Atmosphere, started);
+        self.correction.step(&mut self.residual_nm)?;
+        Ok(self.correction.last(&self.residual_nm))
     }
 
-    /// Advances the loop by one frame in which `extra_nm`, a map over the footprint, adds to the turbulence: a vibration, a
-    /// probe, a layer of the caller's.
+    /// Advances the loop by one frame in which `extra_nm`, a map over the footprint, is added to the turbulence: a
+    /// vibration, a test signal, or a layer of the caller's.
     ///
     /// # Errors
     /// [`Error::Shape`] for a map of another size.
     pub fn step_behind(&mut self, extra_nm: &[f32]) -> Result<Frame<'_>> {
         if extra_nm.len() != self.residual_nm.len() {
             let (given, needed) = (extra_nm.len(), self.residual_nm.len());
-            return Err(Error::Shape(format!("a map of {given} samples was given: {needed} are needed")));
+            return Err(Error::Shape(format!("a map of {given} samples was given; {needed} are needed")));
         }
         self.atmosphere.next_frame(&mut self.residual_nm)?;
         for (out, extra) in self.residual_nm.iter_mut().zip(extra_nm) {
             *out += extra;
         }
-        self.plant.frame(&mut self.residual_nm)?;
-        Ok(self.plant.last(&self.residual_nm))
+        self.correction.step(&mut self.residual_nm)?;
+        Ok(self.correction.last(&self.residual_nm))
     }
 
-    /// A camera of this system's images.
+    /// Builds a camera of this system's images.
     ///
     /// # Errors
     /// As [`ScienceCamera::new`].
@@ -262,10 +263,10 @@ impl Simulator {
         let optics = Optics {
             telescope: &self.telescope,
             pupil: &self.pupil,
-            footprint: &self.plant.footprint,
+            footprint: &self.correction.footprint,
             truth: &self.truth,
             diversity: &self.diversity,
-            segments_nm: &self.plant.segments_nm,
+            segments_nm: &self.correction.segments_nm,
         };
         ScienceCamera::new(view, &optics)
     }
@@ -285,9 +286,9 @@ impl Simulator {
         &self.pupil
     }
 
-    /// Where the light is on it.
+    /// The illuminated part of that grid.
     pub fn footprint(&self) -> &Footprint {
-        &self.plant.footprint
+        &self.correction.footprint
     }
 
     /// The static aberrations.
@@ -295,9 +296,9 @@ impl Simulator {
         &self.truth
     }
 
-    /// The segments' errors, nm, a map over the footprint.
+    /// The segment errors, nm, a map over the footprint.
     pub fn segments_nm(&self) -> &[f32] {
-        &self.plant.segments_nm
+        &self.correction.segments_nm
     }
 
     /// The actuators in use.
@@ -307,7 +308,7 @@ impl Simulator {
 
     /// The lenslets and which of them are used.
     pub fn lenslets(&self) -> &Lenslets {
-        self.plant.sensor.lenslets()
+        self.correction.sensor.lenslets()
     }
 
     /// Which subapertures are masked.
@@ -315,47 +316,47 @@ impl Simulator {
         &self.mask
     }
 
-    /// Slopes for each command, mas per nm, `[slopes, actuators]`.
+    /// Interaction matrix, `[slopes, actuators]`, mas per nm.
     pub fn interaction(&self) -> &Array2<f64> {
         &self.interaction
     }
 
-    /// How the loop is controlled.
+    /// Control law of the loop.
     pub fn law(&self) -> &ControlLaw {
         &self.law
     }
 
-    /// Whether it will be stable, from its poles.
+    /// Stability of the loop, from its poles.
     pub fn stability(&self) -> &Stability {
         self.law.stability()
     }
 
     /// Duration of a frame, s.
     pub fn frame_s(&self) -> f64 {
-        self.plant.frame_s
+        self.correction.frame_s
     }
 
     /// Frames since the loop was closed.
     pub fn frames(&self) -> u64 {
-        self.plant.number
+        self.correction.number
     }
 
     /// Time spent in each stage so far.
     pub fn profile(&self) -> &Profile {
-        &self.plant.profile
+        &self.correction.profile
     }
 
     pub(super) fn surface_taps(&self) -> (f64, f64) {
-        self.plant.surface.taps()
+        self.correction.surface.taps()
     }
 
-    /// The surface of the mirror for `commands_nm`, nm, a map over the footprint.
+    /// Surface of the mirror for `commands_nm`, nm of wavefront, a map over the footprint.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of commands.
-    pub fn surface_nm(&mut self, commands_nm: &[f32]) -> Result<Lines> {
-        let mut map = self.plant.footprint.zeros();
-        self.plant.surface.add(commands_nm, 1.0, &mut map)?;
+    /// [`Error::Shape`] for a wrong number of commands.
+    pub fn surface_nm(&mut self, commands_nm: &[f32]) -> Result<AlignedBuffer> {
+        let mut map = self.correction.footprint.zeros();
+        self.correction.surface.add(commands_nm, 1.0, &mut map)?;
         Ok(map)
     }
 }

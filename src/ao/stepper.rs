@@ -1,30 +1,32 @@
-//! The loop, advanced by hand, with an image of whatever frame it stands at: what C, MATLAB and Python drive.
+//! Loop that the caller advances frame by frame, with an image of the present frame: the simulator of the C, MATLAB and
+//! Python interfaces.
 
 use super::camera::{ScienceCamera, View};
-use super::divergence::{Divergence, Watch};
+use super::divergence::{Divergence, DivergenceMonitor};
 use super::simulator::{Frame, Simulator, sections};
 use crate::scene::Scene;
-use crate::source::{Pixels, expose, flux_e, stream};
+use crate::source::{DetectorPixels, expose, flux_e, stream};
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// First stream of the noise of images of single frames under the seed of the turbulence; one for each frame, so that
-/// an image does not depend on which others were taken. Below it lie the layers', the sensor's and a run's camera's.
+/// First random number stream of the noise of images of single frames, under the seed of the turbulence. Each frame has
+/// a stream of its own, so that an image does not depend on the other images taken. The streams below are those of the
+/// layers, of the sensor and of a run's camera.
 const FRAME_STREAM: u64 = 3 << 32;
 
-/// A simulator with a camera that stands ready, on one thread. Where a whole run is wanted, [`Simulator::run`] uses every
-/// core.
+/// Simulator with a science camera, on one thread. For a whole run, [`Simulator::run`] is faster: it uses three
+/// threads.
 pub struct Stepper {
     simulator: Simulator,
     camera: ScienceCamera,
-    pixels: Pixels,
+    pixels: DetectorPixels,
     flux_e: f64,
-    watch: Watch,
+    monitor: DivergenceMonitor,
     divergence: Option<Divergence>,
 }
 
 impl Stepper {
-    /// The system of `scene`, before its first frame.
+    /// Builds the system of `scene`, before its first frame.
     ///
     /// # Errors
     /// Those of [`Simulator::new`] and of its camera.
@@ -32,39 +34,39 @@ impl Stepper {
         let (sensing, _) = sections(scene)?;
         let simulator = Simulator::new(scene)?;
         let mut camera = simulator.camera(View::of(&scene.image))?;
-        // As in a run: the star's flux is that of the static aberrations alone.
-        let pixels = Pixels::of(scene);
-        let peak = pixels.see(camera.psf(simulator.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));
+        // As in a run, peak_snr refers to the PSF of the static aberrations alone.
+        let pixels = DetectorPixels::new(scene);
+        let peak = pixels.apply(camera.psf(simulator.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));
         let flux_e = flux_e(&scene.image, peak);
-        let watch = Watch::new(simulator.frame_s(), sensing.wavelength_nm, simulator.stability());
-        Ok(Self { simulator, camera, pixels, flux_e, watch, divergence: None })
+        let monitor = DivergenceMonitor::new(simulator.frame_s(), sensing.wavelength_nm, simulator.stability());
+        Ok(Self { simulator, camera, pixels, flux_e, monitor, divergence: None })
     }
 
-    /// Advances the loop by `frames` frames. A loop that diverges goes on: see [`Stepper::divergence`].
+    /// Advances the loop by `frames` frames. A loop that diverges is not stopped: see [`Stepper::divergence`].
     ///
     /// # Errors
     /// As [`Simulator::step`].
     pub fn step(&mut self, frames: u64) -> Result<()> {
         for _ in 0..frames {
             let residual_rms_nm = self.simulator.step()?.residual_rms_nm;
-            let seen = self.watch.see(residual_rms_nm);
-            self.divergence = self.divergence.or(seen);
+            let divergence = self.monitor.update(residual_rms_nm);
+            self.divergence = self.divergence.or(divergence);
         }
         Ok(())
     }
 
-    /// The frame that was made last.
+    /// The last frame.
     ///
     /// # Errors
-    /// [`Error::Value`] before the first one.
+    /// [`Error::Value`] before the first frame.
     pub fn last(&self) -> Result<Frame<'_>> {
         if self.simulator.frames() == 0 {
-            return Err(Error::Value("0 frames have been made, and at least 1 is needed: step first".into()));
+            return Err(Error::Value("0 frames have been simulated; at least 1 is needed: step first".into()));
         }
-        Ok(self.simulator.plant.last(&self.simulator.residual_nm))
+        Ok(self.simulator.correction.last(&self.simulator.residual_nm))
     }
 
-    /// The residual wavefront of that frame on the simulator's grid, nm, `[y, x]`; NaN where the pupil has no light.
+    /// The residual wavefront of the last frame on the simulator's grid, nm, `[y, x]`; NaN outside the pupil.
     ///
     /// # Errors
     /// As [`Stepper::last`].
@@ -77,24 +79,24 @@ impl Stepper {
         }))
     }
 
-    /// The scene's defocused image of that frame, its turbulence frozen, `[y, x]`, electrons, with the noise that the
-    /// scene names. The same frame gives the same image.
+    /// The scene's defocused image of the last frame, with frozen turbulence and the noise that the scene names, `[y,
+    /// x]`, electrons. The same frame gives the same image.
     ///
     /// # Errors
     /// As [`Stepper::last`].
     pub fn image_e(&mut self) -> Result<Array2<f32>> {
         let number = self.last()?.number;
         let mut residual_nm = self.simulator.residual_nm.clone();
-        if let Some(drift) = &self.simulator.plant.drift {
+        if let Some(drift) = &self.simulator.correction.drift {
             drift.add_ncpa(number, &mut residual_nm);
         }
-        let psf = self.pixels.see(self.camera.psf(&residual_nm).mapv(f64::from));
+        let psf = self.pixels.apply(self.camera.psf(&residual_nm).mapv(f64::from));
         let scene = self.simulator.scene();
         let mut rng = stream(scene.turbulence.seed, FRAME_STREAM + number);
         Ok(psf.mapv(|h| expose(&scene.image, h, self.flux_e, &mut rng) as f32))
     }
 
-    /// When the loop ran away, if it has.
+    /// The first divergence of the loop; `None` if it has not diverged.
     pub fn divergence(&self) -> Option<Divergence> {
         self.divergence
     }
@@ -116,8 +118,8 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_looks_as_it_does_in_a_run() {
-        // Without noise in the camera, whose random numbers differ: everything else is the same to the last bit.
+    fn images_and_telemetry_of_a_frame_equal_those_of_a_run() {
+        // Without the noise of the camera, whose streams differ. Everything else is equal to the last bit.
         let quiet = scene(&[
             ("image.photon_noise", "false"),
             ("image.read_noise_e", "0.0"),
@@ -139,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn an_image_has_its_own_noise_and_disturbs_nothing() {
+    fn an_image_has_its_own_noise_and_does_not_change_later_frames() {
         let (mut watched, mut alone) = (Stepper::new(&scene(&[])).unwrap(), Stepper::new(&scene(&[])).unwrap());
         assert!(watched.image_e().is_err() && watched.residual_nm().is_err() && watched.last().is_err());
         watched.step(3).unwrap();
@@ -153,17 +155,17 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_past_its_margin_diverges_once_and_goes_on() {
-        // Two frames of lag are stable up to a gain of 1; without a stroke limit the commands grow past every bound.
-        let mut lost = Stepper::new(&scene(&[("control.gain", "2.0"), ("control.lag_frames", "2")])).unwrap();
-        lost.step(2000).unwrap();
-        let noticed = lost.divergence().unwrap();
-        lost.step(2000).unwrap();
-        assert_eq!(lost.divergence(), Some(noticed));
-        assert!(!lost.simulator().stability().stable);
-        lost.image_e().unwrap();
-        let mut held = Stepper::new(&scene(&[])).unwrap();
-        held.step(2000).unwrap();
-        assert_eq!(held.divergence(), None);
+    fn an_unstable_loop_diverges_once_and_is_not_stopped() {
+        // Two frames of lag are stable up to a gain of 1; without a stroke limit the commands grow without bound.
+        let mut unstable = Stepper::new(&scene(&[("control.gain", "2.0"), ("control.lag_frames", "2")])).unwrap();
+        unstable.step(2000).unwrap();
+        let first = unstable.divergence().unwrap();
+        unstable.step(2000).unwrap();
+        assert_eq!(unstable.divergence(), Some(first));
+        assert!(!unstable.simulator().stability().stable);
+        unstable.image_e().unwrap();
+        let mut stable = Stepper::new(&scene(&[])).unwrap();
+        stable.step(2000).unwrap();
+        assert_eq!(stable.divergence(), None);
     }
 }

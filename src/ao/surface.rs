@@ -1,45 +1,46 @@
-//! The deformable mirror's surface from its commands, on the simulator's grid.
+//! Surface of the deformable mirror on the simulator's grid.
 //!
-//! A Gaussian influence function is a product of one in x and one in y, `g(x−x_i)·g(y−y_j)`, so the surface is
-//! `G_yᵀ·C·G_x`: first the columns, then the rows. Beyond a few pitches the Gaussian is below single precision, and both
-//! products are banded: a row of samples sees about six rows of actuators.
+//! A Gaussian influence function is separable, `g(x−x_i)·g(y−y_j)`, so the surface for the commands C is `G_yᵀ·C·G_x`:
+//! first the columns, then the rows. Beyond a few pitches the Gaussian is below single precision, so both products are
+//! banded: about six rows of actuators contribute to a row of samples.
 
+use super::aligned::AlignedBuffer;
 use super::footprint::{Footprint, LANES};
-use super::lines::Lines;
 use crate::grid::Grid;
 use crate::modes::InfluenceFunctions;
 use crate::{Error, Result};
 use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
 
-/// Influence below this is nothing: a stroke of 10 µm would leave 1e-3 nm.
+/// Influence below this is taken as 0: for a stroke of 10 µm it is 1e-3 nm.
 const NEGLIGIBLE: f64 = 1e-7;
 
-/// A mirror in front of the simulator's grid.
+/// Deformable mirror over the simulator's grid.
 #[derive(Clone)]
 pub struct Surface {
     footprint: Footprint,
     across: usize,
     indices: Vec<usize>,
-    /// Influence along an axis, `[actuator line][sample]`, rows of the footprint's stride; and turned, `[sample][line]`.
-    along: Lines,
-    turned: Vec<f32>,
-    /// Where `along` is not negligible, for each line of actuators, in whole vectors.
+    /// Influence along an axis, `[actuator line][sample]`, in rows of the footprint's stride; and its transpose,
+    /// `[sample][line]`.
+    along: AlignedBuffer,
+    transposed: Vec<f32>,
+    /// Samples at which `along` is not 0, for each line of actuators, in whole vectors.
     reach: Vec<Range<usize>>,
-    /// The lines of actuators that reach each line of samples.
+    /// Lines of actuators that contribute to each line of samples.
     band: Vec<Range<usize>>,
-    /// Commands on the whole square; then `C·G_x` in vectors of samples, `[vector][actuator row]`.
+    /// Commands on the whole square of actuators; then `C·G_x` in vectors of samples, `[vector][actuator row]`.
     commands: Vec<f32>,
-    columns: Lines,
+    columns: AlignedBuffer,
 }
 
 impl Surface {
-    /// The mirror of `influence` over `footprint`, which lies on `grid`.
+    /// Mirror of `influence` over `footprint`, which lies on `grid`.
     pub fn new(influence: &InfluenceFunctions, grid: &Grid, footprint: &Footprint) -> Self {
         let mirror = influence.mirror();
         let (across, stride) = (mirror.actuators_across(), footprint.stride());
         let rate = mirror.coupling().ln() / mirror.pitch_m().powi(2);
-        let mut along = Lines::zeros(across * stride);
+        let mut along = AlignedBuffer::zeros(across * stride);
         let mut reach = Vec::with_capacity(across);
         for (i, row) in along.chunks_exact_mut(stride).enumerate() {
             let value = |j: usize| (rate * (grid.coordinate_m(j) - mirror.coordinate_m(i)).powi(2)).exp();
@@ -57,18 +58,18 @@ impl Surface {
                 first..(0..across).rfind(reaches).map_or(first, |last| last + 1)
             })
             .collect();
-        let turned = (0..grid.samples()).flat_map(|j| (0..across).map(move |i| (i, j)));
-        let turned = turned.map(|(i, j)| along[i * stride + j]).collect();
+        let transposed = (0..grid.samples()).flat_map(|j| (0..across).map(move |i| (i, j)));
+        let transposed = transposed.map(|(i, j)| along[i * stride + j]).collect();
         Self {
             footprint: footprint.clone(),
             across,
             indices: influence.indices().to_vec(),
             along,
-            turned,
+            transposed,
             reach,
             band,
             commands: vec![0.0; across * across],
-            columns: Lines::zeros(across * stride),
+            columns: AlignedBuffer::zeros(across * stride),
         }
     }
 
@@ -77,7 +78,7 @@ impl Surface {
         self.indices.len()
     }
 
-    /// Multiply-adds of the two products.
+    /// Number of multiply-adds of the two products.
     pub(super) fn taps(&self) -> (f64, f64) {
         let columns = self.across as f64 * self.reach.iter().map(|reach| reach.len() as f64).sum::<f64>();
         let rows = self.band.iter().enumerate().map(|(y, band)| (band.len() * self.footprint.span(y).len()) as f64);
@@ -87,24 +88,24 @@ impl Surface {
     /// Adds `scale` times the surface of `commands_nm` (one for each actuator) to `opd_nm`, a map over the footprint.
     ///
     /// # Errors
-    /// [`Error::Shape`] where either has another length.
+    /// [`Error::Shape`] if either has a wrong length.
     pub fn add(&mut self, commands_nm: &[f32], scale: f32, opd_nm: &mut [f32]) -> Result<()> {
         self.check(commands_nm, opd_nm)?;
         self.load(commands_nm, scale);
-        Arch::new().dispatch(Reflect { surface: self, still_nm: None, opd_nm });
+        Arch::new().dispatch(ApplySurface { surface: self, static_nm: None, opd_nm });
         Ok(())
     }
 
-    /// Takes the surface of `commands_nm` from `opd_nm` and adds `still_nm`, both maps over the footprint; returns
-    /// Σ A·W and Σ A·W² of what is left.
+    /// Subtracts the surface of `commands_nm` from `opd_nm` and adds `static_nm`, both maps over the footprint; returns
+    /// Σ A·W and Σ A·W² of the residual W.
     ///
     /// # Errors
-    /// [`Error::Shape`] where one of them has another length.
-    pub fn correct(&mut self, commands_nm: &[f32], still_nm: &[f32], opd_nm: &mut [f32]) -> Result<[f64; 2]> {
+    /// [`Error::Shape`] if one of them has a wrong length.
+    pub fn correct(&mut self, commands_nm: &[f32], static_nm: &[f32], opd_nm: &mut [f32]) -> Result<[f64; 2]> {
         self.check(commands_nm, opd_nm)?;
-        self.check(commands_nm, still_nm)?;
+        self.check(commands_nm, static_nm)?;
         self.load(commands_nm, -1.0);
-        Ok(Arch::new().dispatch(Reflect { surface: self, still_nm: Some(still_nm), opd_nm }))
+        Ok(Arch::new().dispatch(ApplySurface { surface: self, static_nm: Some(static_nm), opd_nm }))
     }
 
     fn check(&self, commands_nm: &[f32], map_nm: &[f32]) -> Result<()> {
@@ -113,7 +114,7 @@ impl Surface {
         }
         let (commands, map) = (commands_nm.len(), map_nm.len());
         Err(Error::Shape(format!(
-            "{commands} commands on a map of {map} samples were given: {} on {} are needed",
+            "{commands} commands on a map of {map} samples were given; {} on {} are needed",
             self.indices.len(),
             self.footprint.len()
         )))
@@ -126,35 +127,36 @@ impl Surface {
     }
 }
 
-/// Both products, and the moments of what comes out: single precision within a row, double between rows.
-struct Reflect<'a> {
+/// Kernel of both products and of the residual's moments, which are summed in single precision within a row and in
+/// double precision between rows.
+struct ApplySurface<'a> {
     surface: &'a mut Surface,
-    still_nm: Option<&'a [f32]>,
+    static_nm: Option<&'a [f32]>,
     opd_nm: &'a mut [f32],
 }
 
-impl NullaryFnOnce for Reflect<'_> {
+impl NullaryFnOnce for ApplySurface<'_> {
     type Output = [f64; 2];
 
     #[inline(always)]
     fn call(self) -> [f64; 2] {
-        let Self { surface, still_nm, opd_nm } = self;
+        let Self { surface, static_nm, opd_nm } = self;
         surface.fill_columns();
         let stride = surface.footprint.stride();
         let mut moments = [0.0; 2];
         for (y, (row, band)) in opd_nm.chunks_exact_mut(stride).zip(&surface.band).enumerate() {
             let span = surface.footprint.span(y);
             let place = y * stride + span.start..y * stride + span.end;
-            let influence = &surface.turned[y * surface.across..][band.clone()];
+            let influence = &surface.transposed[y * surface.across..][band.clone()];
             let amplitude = surface.footprint.amplitude()[place.clone()].as_chunks::<LANES>().0;
-            let still = still_nm.map_or(amplitude, |still_nm| still_nm[place].as_chunks::<LANES>().0);
-            let share = [if still_nm.is_some() { 1.0f32 } else { 0.0 }; LANES];
+            let fixed = static_nm.map_or(amplitude, |static_nm| static_nm[place].as_chunks::<LANES>().0);
+            let share = [if static_nm.is_some() { 1.0f32 } else { 0.0 }; LANES];
             let (mut first, mut second) = ([0.0f32; LANES], [0.0f32; LANES]);
             let columns = surface.columns.as_chunks::<LANES>().0.chunks_exact(surface.across).skip(span.start / LANES);
-            let blocks = row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(amplitude).zip(still);
-            for (((out, a), still), columns) in blocks.zip(columns) {
+            let blocks = row[span].as_chunks_mut::<LANES>().0.iter_mut().zip(amplitude).zip(fixed);
+            for (((out, a), fixed), columns) in blocks.zip(columns) {
                 let mut sum = *out;
-                multiply_add(&mut sum, &share, still);
+                multiply_add(&mut sum, &share, fixed);
                 for (weight, column) in influence.iter().zip(&columns[band.clone()]) {
                     multiply_add(&mut sum, &[*weight; LANES], column);
                 }
@@ -163,7 +165,7 @@ impl NullaryFnOnce for Reflect<'_> {
                 for l in 0..LANES {
                     weighted[l] = a[l] * sum[l];
                 }
-                // By multiply-adds like the other sum: the compiler takes plain additions apart into scalars.
+                // A multiply-add like the other sum: the compiler does not vectorise plain additions here.
                 multiply_add(&mut first, a, &sum);
                 multiply_add(&mut second, &weighted, &sum);
             }
@@ -175,7 +177,7 @@ impl NullaryFnOnce for Reflect<'_> {
 }
 
 impl Surface {
-    /// `C·G_x`.
+    /// Computes `C·G_x`.
     #[inline(always)]
     fn fill_columns(&mut self) {
         let (across, stride) = (self.across, self.footprint.stride());
@@ -226,16 +228,16 @@ mod tests {
             for (&index, expected) in samples.indices.iter().zip(expected) {
                 let (y, x) = (index / footprint.samples(), index % footprint.samples());
                 let got = f64::from(map[y * footprint.stride() + x]);
-                // Strokes of 1,000 nm: what is cut off leaves some 1e-7 of each of 21 lines, rounding 1e-7 of the sum.
+                // Strokes of 1,000 nm: the cut-off leaves up to 1e-7 of each of 21 lines, rounding 1e-7 of the sum.
                 assert!((got - expected).abs() < 1e-2, "{got} {expected}");
             }
             surface.add(&commands, -1.0, &mut map).unwrap();
-            assert!(map.iter().all(|v| v.abs() < 1e-3), "what is added and taken away leaves rounding");
+            assert!(map.iter().all(|v| v.abs() < 1e-3), "a surface added and subtracted leaves rounding");
         }
     }
 
     #[test]
-    fn commands_of_another_mirror_are_refused() {
+    fn a_wrong_number_of_commands_is_refused() {
         let scene = Scene::preset("keck-onsky").unwrap();
         let telescope = Telescope::of(&scene).unwrap();
         let footprint = Footprint::of(&telescope.pupil);

@@ -1,24 +1,24 @@
-//! The least that a frame has to do: floating-point operations and bytes, stage by stage. What a profile is held against.
+//! Lower bound of the work of a frame: floating-point operations and bytes, stage by stage, to compare a profile with.
 
 use super::profile::Stage;
 use super::simulator::Simulator;
 use crate::scene::{Loop, SensorDetector, SensorScene};
 
-/// What a stage must do in a frame.
+/// Least work of a stage in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Work {
     /// Additions and multiplications; a fused pair counts as two.
     pub flops: f64,
-    /// Bytes that must come from or go to memory outside the registers, each once.
+    /// Bytes read from or written to memory outside the registers, each counted once.
     pub bytes: f64,
 }
 
-/// Operations of the polynomial phasor, with the product of amplitude and phase.
+/// Operations of the polynomial phasor, including its product with the amplitude.
 const PHASOR: f64 = 26.0;
 
 impl Simulator {
-    /// The least work of a stage in a frame. For the turbulence it is that of the interpolation alone: new turbulence
-    /// comes on top as the wind wants it.
+    /// Least work of a stage in a frame. For the turbulence it is that of the interpolation alone; the work of new
+    /// turbulence depends on the wind.
     pub fn work(&self, stage: Stage) -> Work {
         let footprint = self.footprint();
         let samples: f64 = (0..footprint.samples()).map(|y| footprint.span(y).len() as f64).sum();
@@ -58,8 +58,8 @@ fn operations_per_sample(sensing: &SensorScene) -> f64 {
         // Pairs at odd distances within a lenslet's line: n²/4 of them for n samples, along both axes; a product of two
         // complex numbers' imaginary part, weighted and added.
         SensorDetector::QuadCell => PHASOR + 2.0 * (n / 4.0) * 5.0,
-        // Complex products with 2n × n matrices, of n lines and then of 2n: 6n³ of 8 operations for n² samples; then the
-        // intensities of 4n² points, 3 operations each.
+        // Complex products with 2n × n matrices, of n lines and then of 2n: 6n³ of 8 operations for n² samples; then
+        // the intensities of 4n² points, 3 operations each.
         SensorDetector::Pixels => PHASOR + 48.0 * n + 12.0,
         // Two differences, weighted, with their weights.
         SensorDetector::Geometric => 8.0,

@@ -1,8 +1,8 @@
-//! Sub-pixel centring: an image read between its pixels, and moved by a phase on its Fourier transform.
+//! Sub-pixel centring by Fourier interpolation and a Fourier shift.
 //!
-//! A PSF that is sampled at least twice per λ/D is band-limited, and its Fourier interpolant *is* the PSF between the
-//! pixels (but for what the edges of the box cut off). So its peak is sought on the interpolant, and the image is moved
-//! there without blur: shift by phase, as Poyneer 2003 (Appl. Opt. 42, 5807) centres images.
+//! A PSF sampled at least twice per λ/D is band-limited, so its Fourier interpolant equals the PSF between the pixels
+//! (except for the light beyond the edges of the box). The peak is found on the interpolant, and the image is shifted
+//! by a phase on its transform, without blur, as in Poyneer 2003 (Appl. Opt. 42, 5807).
 
 use super::fft2;
 use crate::{Error, Result};
@@ -10,41 +10,42 @@ use ndarray::{Array2, ArrayView2, Zip};
 use num_complex::Complex64;
 use std::f64::consts::PI;
 
-/// An image whose peak lies on a pixel.
+/// Image with its peak on a pixel.
 #[derive(Debug, Clone)]
-pub struct Centred {
-    /// `[y, x]`; the peak is on pixel `[rows/2, columns/2]`, where the conventions have the optical axis.
+pub struct CentredImage {
+    /// `[y, x]`; the peak is on pixel `[rows/2, columns/2]`, the pixel of the optical axis.
     pub image: Array2<f64>,
-    /// By how much the image was moved, `[y, x]`, pixels.
+    /// Shift that was applied, `[y, x]`, pixels.
     pub shift_px: [f64; 2],
 }
 
-/// Moves `image`, `[y, x]`, so that its peak lies on pixel `[rows/2, columns/2]`.
+/// Shifts `image`, `[y, x]`, so that its peak lies on pixel `[rows/2, columns/2]`.
 ///
 /// The peak is the maximum of the Fourier interpolant next to the brightest pixel. The shift wraps around the edges of
-/// the box and keeps the sum, so crop to the star first; the image should be sampled at least twice per λ/D.
+/// the box and conserves the sum, so crop to the star first. The image should be sampled at least twice per λ/D.
 ///
 /// # Errors
-/// [`Error::Image`] for an image that is empty, constant, or holds a value that is not finite, and where the ascent to
-/// the peak does not end.
-pub fn centre(image: ArrayView2<f64>) -> Result<Centred> {
-    let interpolant = Interpolant::of("image", image)?;
+/// [`Error::Image`] for an image that is empty, constant, or has a value that is not finite, and if the ascent to the
+/// peak does not converge.
+pub fn centre(image: ArrayView2<f64>) -> Result<CentredImage> {
+    let interpolant = Interpolant::new("image", image)?;
     let peak = interpolant.peak()?;
     let (rows, columns) = image.dim();
     let shift_px = [(rows / 2) as f64 - peak.at[0], (columns / 2) as f64 - peak.at[1]];
-    Ok(Centred { image: interpolant.shifted(shift_px), shift_px })
+    Ok(CentredImage { image: interpolant.shifted(shift_px), shift_px })
 }
 
-/// Most steps of the ascent: Newton's method takes about 5 on a PSF, and far from one a step is at most half a pixel.
+/// Largest number of steps of the ascent. Newton's method takes about 5 on a PSF; elsewhere a step is at most half a
+/// pixel.
 const STEPS: usize = 50;
 
-/// Longest step, pixels: the core of a PSF at the Nyquist limit is convex within about this of its top.
+/// Longest step, pixels: the core of a PSF at the Nyquist limit is concave within about this distance of its peak.
 const LONGEST_PX: f64 = 0.5;
 
-/// Where a step is no longer worth taking, pixels: a peak is flat, so the height is then good to the square of it.
+/// Length of a step at which the ascent ends, pixels. The error of the peak's height is of the order of its square.
 const SHORTEST_PX: f64 = 1e-9;
 
-/// The top of an interpolant.
+/// Maximum of an interpolant.
 pub(super) struct Peak {
     /// `[y, x]`, pixels.
     pub(super) at: [f64; 2],
@@ -52,13 +53,13 @@ pub(super) struct Peak {
     pub(super) height: f64,
 }
 
-/// The trigonometric polynomial through the pixels of an image.
+/// Trigonometric polynomial through the pixels of an image.
 pub(super) struct Interpolant {
     /// `[kx, ky]`, not normalised, frequency 0 first.
     spectrum: Array2<Complex64>,
 }
 
-/// Height, slope and curvature at a point.
+/// Height, slope and curvature of the interpolant at a point.
 struct Local {
     height: f64,
     slope: [f64; 2],
@@ -67,16 +68,16 @@ struct Local {
 }
 
 impl Interpolant {
-    /// Through the pixels of `image`, `[y, x]`, called `name` where it is refused.
-    pub(super) fn of(name: &str, image: ArrayView2<f64>) -> Result<Self> {
+    /// Interpolant of `image`, `[y, x]`; error messages call it `name`.
+    pub(super) fn new(name: &str, image: ArrayView2<f64>) -> Result<Self> {
         check(name, image)?;
         Ok(Self { spectrum: fft2::spectrum(image) })
     }
 
-    /// Without the frequencies beyond `cut_off`, cycles per pixel.
+    /// Removes the frequencies beyond `cut_off`, cycles per pixel.
     pub(super) fn low_passed(mut self, cut_off: f64) -> Self {
         let (columns, rows) = self.spectrum.dim();
-        // A frequency on the cut-off stays, whatever the last bit of it says.
+        // A frequency equal to the cut-off is kept; the factor allows for rounding.
         let limit = (cut_off * (1.0 + 1e-12)).powi(2);
         for ((x, y), value) in self.spectrum.indexed_iter_mut() {
             if frequency(x, columns).powi(2) + frequency(y, rows).powi(2) > limit {
@@ -91,7 +92,7 @@ impl Interpolant {
         self.spectrum[[0, 0]].re
     }
 
-    /// Climbs to the top from the brightest pixel: so the peak is never lower than that.
+    /// Finds the maximum by ascent from the brightest pixel, so the peak is not lower than that pixel.
     pub(super) fn peak(&self) -> Result<Peak> {
         let pixels = fft2::image(self.spectrum.view());
         let brightest = pixels.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).map_or((0, 0), |(at, _)| at);
@@ -113,13 +114,13 @@ impl Interpolant {
             }
         }
         Err(Error::Image(format!(
-            "the image has no peak to centre on: from its brightest pixel, row {}, column {}, it still climbs after \
-             {STEPS} steps of at most {LONGEST_PX} pixels",
+            "the image has no peak to centre on: the search from its brightest pixel, row {}, column {}, has not converged \
+             after {STEPS} steps of at most {LONGEST_PX} pixels; crop the image to the star",
             brightest.0, brightest.1
         )))
     }
 
-    /// The image moved by `by_px`, `[y, x]`.
+    /// Image shifted by `by_px`, `[y, x]`.
     fn shifted(&self, by_px: [f64; 2]) -> Array2<f64> {
         let (columns, rows) = self.spectrum.dim();
         let [along_y, _, _] = phasors(rows, -by_px[0]);
@@ -151,7 +152,8 @@ impl Interpolant {
 }
 
 impl Local {
-    /// Newton's step where the surface is a hilltop, up the slope elsewhere; never longer than [`LONGEST_PX`].
+    /// Ascent step: Newton's if the Hessian is negative definite, along the gradient otherwise; at most [`LONGEST_PX`]
+    /// long.
     fn ascent(&self) -> [f64; 2] {
         let ([y, x], [yy, xy, xx]) = (self.slope, self.curvature);
         let determinant = yy * xx - xy * xy;
@@ -172,8 +174,8 @@ fn frequency(k: usize, n: usize) -> f64 {
     (if 2 * k <= n { k as f64 } else { k as f64 - n as f64 }) / n as f64
 }
 
-/// `exp(2πi·f_k·at)` of each frequency, and its first and second derivatives by `at`. The Nyquist frequency of an even
-/// length stands for its two signs alike, a cosine: so the interpolant of a real image is real.
+/// `exp(2πi·f_k·at)` for each frequency, and its first and second derivatives with respect to `at`. The Nyquist
+/// frequency of an even length represents both signs, a cosine, so the interpolant of a real image is real.
 fn phasors(n: usize, at: f64) -> [Vec<Complex64>; 3] {
     let mut phasors = [0; 3].map(|_| Vec::with_capacity(n));
     for k in 0..n {
@@ -193,13 +195,15 @@ fn phasors(n: usize, at: f64) -> [Vec<Complex64>; 3] {
 fn check(name: &str, image: ArrayView2<f64>) -> Result<()> {
     let (rows, columns) = image.dim();
     let Some(&first) = image.first() else {
-        return Err(Error::Image(format!("the {name} of {rows}x{columns} pixels is empty: it needs a peak")));
+        return Err(Error::Image(format!(
+            "the {name} of {rows}x{columns} pixels is empty; an image with a peak is needed"
+        )));
     };
     if let Some(((y, x), value)) = image.indexed_iter().find(|(_, value)| !value.is_finite()) {
-        return Err(Error::Image(format!("the {name} is {value} at row {y}, column {x}: finite values are needed")));
+        return Err(Error::Image(format!("the {name} is {value} at row {y}, column {x}; finite values are needed")));
     }
     if image.iter().all(|&value| value == first) {
-        return Err(Error::Image(format!("the {name} is {first} everywhere: it needs a peak")));
+        return Err(Error::Image(format!("the {name} is {first} everywhere; an image with a peak is needed")));
     }
     Ok(())
 }
@@ -219,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_spot_between_pixels_comes_to_lie_on_one() {
+    fn a_spot_between_pixels_is_shifted_onto_one() {
         for (rows, columns, at) in
             [(40, 48, [19.3, 23.6]), (41, 45, [20.5, 22.49]), (40, 45, [17.0, 25.5]), (48, 48, [24.0, 24.0])]
         {
@@ -228,13 +232,14 @@ mod tests {
             let wanted = [(rows / 2) as f64, (columns / 2) as f64];
             let expected = spot(rows, columns, wanted);
             let worst = (&centred.image - &expected).iter().fold(0.0f64, |worst, d| worst.max(d.abs()));
-            // What lies beyond Nyquist is aliased, and moved as if it did not: twice that at most, a few rows of it.
+            // The spectrum beyond Nyquist is aliased and shifted by a wrong phase: an error of at most twice that, in a
+            // few rows.
             assert!(worst < 4.0 * ALIASED, "{worst:.1e}");
             for ((shift, wanted), at) in centred.shift_px.iter().zip(wanted).zip(at) {
                 // Slope of the aliased part, at most π·6e-5, over the curvature of the top, 1/1.4².
                 assert!((shift - (wanted - at)).abs() < PI * ALIASED * RMS_PX * RMS_PX, "{shift} {wanted} {at}");
             }
-            // The sum is the frequency 0, which no shift touches: rounding of 2000 sums.
+            // The sum is frequency 0, which a shift does not change: rounding of 2000 sums.
             assert!((centred.image.sum() / image.sum() - 1.0).abs() < 1e-13);
             let brightest = centred.image.iter().copied().fold(f64::MIN, f64::max);
             assert_eq!(centred.image[[rows / 2, columns / 2]], brightest);
@@ -242,9 +247,9 @@ mod tests {
     }
 
     #[test]
-    fn the_interpolant_passes_through_the_pixels_and_its_derivatives_are_its_differences() {
+    fn the_interpolant_equals_the_pixels_and_its_derivatives_equal_finite_differences() {
         let values = Array2::from_shape_fn((6, 9), |(y, x)| ((7 * y + 3 * x * x) % 11) as f64);
-        let interpolant = Interpolant::of("image", values.view()).unwrap();
+        let interpolant = Interpolant::new("image", values.view()).unwrap();
         for ((y, x), value) in values.indexed_iter() {
             // 54 terms of at most about 270/54 each.
             assert!((interpolant.local([y as f64, x as f64]).height - value).abs() < 1e-12);
@@ -253,8 +258,8 @@ mod tests {
         let here = interpolant.local(at);
         let [up, down] = [step, -step].map(|s| interpolant.local([at[0] + s, at[1]]));
         let [right, left] = [step, -step].map(|s| interpolant.local([at[0], at[1] + s]));
-        // Central differences of terms that turn by at most π per pixel: π³/6·step² = 5e-8 of heights of the order 10,
-        // for each further derivative π times that.
+        // Central differences of waves of at most π per pixel: π³/6·step² = 5e-8 of heights of the order 10, times π
+        // for each further derivative.
         let pairs = [
             (here.slope[0], up.height - down.height),
             (here.slope[1], right.height - left.height),
@@ -268,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn images_without_a_peak_are_refused_in_a_sentence() {
+    fn images_without_a_peak_are_refused_with_the_reason() {
         let mut holed = spot(20, 20, [10.0, 10.0]);
         holed[[3, 4]] = f64::NAN;
         for (image, named) in [

@@ -1,8 +1,6 @@
-//! Figures of merit: what is left of a wavefront over the pupil and in its spectrum, what an error bar makes one
-//! expect, and how good an image is.
+//! Figures of merit: residual RMS over the pupil and its expectation from a covariance, power spectra, Strehl ratios.
 //!
-//! Plain functions on arrays `[y, x]`, and averages over telemetry ([`Marechal`], [`PsdAverage`]) whose memory does not
-//! grow with it.
+//! Functions on arrays `[y, x]`, and running averages over telemetry ([`Marechal`], [`PsdAverage`]) in constant memory.
 
 mod centre;
 mod fft2;
@@ -11,7 +9,7 @@ mod psd_average;
 mod residual;
 mod strehl;
 
-pub use centre::{Centred, centre};
+pub use centre::{CentredImage, centre};
 pub use psd::{Psd, Rings, control_half_width_per_m};
 pub use psd_average::{LARGEST_PADDING, PsdAverage};
 pub use residual::{MapGram, residual_nm};

@@ -1,4 +1,4 @@
-//! A two-dimensional power spectral density, and what one asks of it.
+//! Two-dimensional power spectral density: variance within a band, ratio of two spectra, radial average.
 
 use crate::{Error, Result};
 use ndarray::{Array2, Zip};
@@ -10,19 +10,19 @@ pub struct Psd {
     step_per_m: f64,
 }
 
-/// Average of a [`Psd`] around frequency 0, over rings one step wide.
+/// Radial average of a [`Psd`] over rings one step wide.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rings {
     /// Mean distance from frequency 0 of the samples of each ring, cycles/m.
     pub frequency_per_m: Vec<f64>,
-    /// Their mean density, nm²·m².
+    /// Mean density of each ring, nm²·m².
     pub density_nm2_m2: Vec<f64>,
-    /// How many they are.
+    /// Number of samples of each ring.
     pub samples: Vec<usize>,
 }
 
-/// Half the side of the square of frequencies that a mirror with actuators `pitch_m` apart controls, |fx| and |fy| up to
-/// 1/(2·pitch), cycles/m.
+/// Half-width of the square of frequencies that a mirror with an actuator pitch of `pitch_m` controls: 1/(2·pitch),
+/// cycles/m.
 ///
 /// # Errors
 /// [`Error::Value`] for a pitch that is not positive and finite.
@@ -30,7 +30,7 @@ pub fn control_half_width_per_m(pitch_m: f64) -> Result<f64> {
     if pitch_m.is_finite() && pitch_m > 0.0 {
         return Ok(0.5 / pitch_m);
     }
-    Err(Error::Value(format!("an actuator pitch of {pitch_m} m is impossible: it must be positive")))
+    Err(Error::Value(format!("an actuator pitch of {pitch_m} m is impossible; a positive number is needed")))
 }
 
 impl Psd {
@@ -38,7 +38,7 @@ impl Psd {
         Self { density_nm2_m2, step_per_m }
     }
 
-    /// The density, `[fy, fx]`, nm²·m²; frequency 0 at `[N/2, N/2]`.
+    /// Density, `[fy, fx]`, nm²·m²; frequency 0 at `[N/2, N/2]`.
     pub fn density_nm2_m2(&self) -> &Array2<f64> {
         &self.density_nm2_m2
     }
@@ -53,23 +53,23 @@ impl Psd {
         (j as f64 - (self.side() / 2) as f64) * self.step_per_m
     }
 
-    /// The integral over all frequencies, nm²: the variance of the wavefront over the pupil.
+    /// Integral over all frequencies, nm²: the variance of the wavefront over the pupil.
     pub fn variance_nm2(&self) -> f64 {
         self.density_nm2_m2.sum() * self.step_per_m.powi(2)
     }
 
-    /// Variance at |fx| and |fy| up to `half_width_per_m`, nm². A sample stands for the square of one step around it, and
-    /// counts by the share of that inside: half on the edge of a box that runs through it.
+    /// Variance within the box |fx|, |fy| ≤ `half_width_per_m`, nm². A sample represents the square of one step around
+    /// it, and is weighted by the fraction of that square inside the box.
     ///
     /// # Errors
     /// [`Error::Value`] for a half-width that is negative, not finite, or beyond the highest frequency of the spectrum.
     pub fn variance_within_nm2(&self, half_width_per_m: f64) -> Result<f64> {
         let highest = self.highest_per_m();
-        // Widths that were meant to be equal differ by rounding.
+        // Equal widths may differ by rounding.
         if !(0.0..=highest * (1.0 + 1e-12)).contains(&half_width_per_m) {
             return Err(Error::Value(format!(
-                "a box of frequencies up to {half_width_per_m} cycles/m was asked of a spectrum that reaches \
-                 {highest} cycles/m"
+                "a half-width of {half_width_per_m} cycles/m is impossible for this spectrum; 0 to {highest} cycles/m is \
+                 accepted"
             )));
         }
         let shares: Vec<f64> = (0..self.side()).map(|j| self.share(j, half_width_per_m)).collect();
@@ -78,7 +78,7 @@ impl Psd {
         Ok(sum * self.step_per_m.powi(2))
     }
 
-    /// [`Psd::variance_within_nm2`] over [`Psd::variance_nm2`]: what is left of 1 lies outside of the box.
+    /// Fraction of the variance within the box: [`Psd::variance_within_nm2`] over [`Psd::variance_nm2`].
     ///
     /// # Errors
     /// Those of [`Psd::variance_within_nm2`]; [`Error::Value`] for a spectrum of flat wavefronts.
@@ -86,26 +86,28 @@ impl Psd {
         let within = self.variance_within_nm2(half_width_per_m)?;
         match self.variance_nm2() {
             variance if variance > 0.0 => Ok(within / variance),
-            variance => Err(Error::Value(format!("a spectrum of {variance} nm^2 has no fraction within a box"))),
+            variance => Err(Error::Value(format!(
+                "a spectrum of {variance} nm^2 has no fraction within a box; a variance above 0 is needed"
+            ))),
         }
     }
 
-    /// This density over that of `other`, `[fy, fx]`. NaN at frequency 0, of which both have been robbed, and wherever
-    /// `other` is 0.
+    /// Ratio of this density to that of `other`, `[fy, fx]`. NaN at frequency 0, which both lack (the mean is removed),
+    /// and where `other` is 0.
     ///
     /// # Errors
-    /// [`Error::Shape`] for spectra of two sizes, [`Error::Value`] for spectra of two steps.
+    /// [`Error::Shape`] for spectra of different sizes, [`Error::Value`] for different steps.
     pub fn ratio(&self, other: &Self) -> Result<Array2<f64>> {
         let (side, wanted) = (self.side(), other.side());
         if side != wanted {
             return Err(Error::Shape(format!(
-                "a spectrum of {side}x{side} frequencies cannot be divided by one of {wanted}x{wanted}"
+                "a spectrum of {side}x{side} frequencies cannot be divided by one of {wanted}x{wanted}; equal sizes are needed"
             )));
         }
-        // Steps that were meant to be equal differ by rounding.
+        // Equal steps may differ by rounding.
         if (self.step_per_m / other.step_per_m - 1.0).abs() > 1e-9 {
             return Err(Error::Value(format!(
-                "a spectrum in steps of {} cycles/m cannot be divided by one of {} cycles/m",
+                "a spectrum in steps of {} cycles/m cannot be divided by one of {} cycles/m; equal steps are needed",
                 self.step_per_m, other.step_per_m
             )));
         }
@@ -116,8 +118,8 @@ impl Psd {
         Ok(ratio)
     }
 
-    /// Averages over rings one step wide around frequency 0, from there to the highest frequency along the axes; the
-    /// corners beyond are left out.
+    /// Averages over rings one step wide around frequency 0, up to the highest frequency along the axes, without the
+    /// corners.
     pub fn rings(&self) -> Rings {
         let count = self.side() / 2 + 1;
         let mut rings =
@@ -132,7 +134,7 @@ impl Psd {
             }
         }
         for (ring, &samples) in rings.samples.iter().enumerate() {
-            // A ring has a sample at least where an axis crosses it.
+            // Every ring has a sample on each axis, so the count is not 0.
             rings.frequency_per_m[ring] /= samples as f64;
             rings.density_nm2_m2[ring] /= samples as f64;
         }
@@ -148,8 +150,8 @@ impl Psd {
         self.side() as f64 / 2.0 * self.step_per_m
     }
 
-    /// Share of the step around frequency `j` that lies within ±`half_width_per_m`. Half of the step at half the sampling
-    /// frequency lies beyond it, where its mirror image is.
+    /// Fraction of the step around frequency `j` that lies within ±`half_width_per_m`. The step at the Nyquist
+    /// frequency is cut at that frequency; its other half is the mirror image.
     fn share(&self, j: usize, half_width_per_m: f64) -> f64 {
         let middle = self.frequency_per_m(j).abs();
         let from = middle - self.step_per_m / 2.0;

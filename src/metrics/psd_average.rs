@@ -1,21 +1,21 @@
-//! The average power spectrum of many maps over a pupil, one FFT for two of them, in constant memory.
+//! Average power spectrum of many maps over a pupil, in constant memory, with one FFT for every two maps.
 //!
 //! **Window and normalisation.** With weights a over the pupil (Σ over its samples) and W̄ = Σ a·W / Σ a,
 //!
 //! `PSD(f) = pitch² / Σ a · |Σ √a·(W − W̄)·exp(−2πi·f·x)|²`
 //!
-//! so that, by Parseval, the sum of the density over the grid of frequencies times the area of a step is exactly
-//! Σ a·(W − W̄)² / Σ a: the variance of all other figures of merit, where a is the amplitude A of the pupil. (A window A
-//! would give that of the weight A², which differs on the grey rims.)
+//! so that, by Parseval, the sum of the density over the grid of frequencies times the area of a step is exactly Σ a·(W
+//! − W̄)² / Σ a. With a the pupil amplitude A, this is the variance of all other figures of merit. (A window A would
+//! correspond to the weight A², which differs at partly covered samples.)
 //!
-//! **Taper.** By default there is none: the window is the pupil's edge. Then a strong spatial frequency leaks into its
-//! surroundings as the light of a star spreads in the telescope's own PSF, as f⁻³ on average over directions. Behind
-//! adaptive optics there is no excess at low frequencies for it to leak from, the phasing errors at the rim count in
-//! full, and a ratio of two spectra has the same leak on both sides. Open-loop turbulence falls as f^(−11/3), below its own
-//! leak: give [`PsdAverage::windowed`] weights that fall smoothly to 0, such as A·cos⁴(π·r/D).
+//! **Taper.** By default there is none: the window ends at the pupil's edge. A strong spatial frequency then leaks into
+//! its neighbours like the light of a star in the telescope's PSF, as f⁻³ on average over directions. Behind adaptive
+//! optics there is no excess at low frequencies that could leak, phasing errors at the rim have their full weight, and
+//! the leakage cancels in a ratio of two spectra. Open-loop turbulence falls as f^(−11/3), below its own leakage: call
+//! [`PsdAverage::windowed`] with weights that fall smoothly to 0, such as A·cos⁴(π·r/D).
 //!
-//! **Two for one.** For real maps a and b, `|â|² + |b̂|²` at f is the mean of `|F{a + ib}|²` at f and at −f. Averaging
-//! over ±f once, at the end, makes one FFT serve two maps.
+//! **Two maps per FFT.** For real maps a and b, `|â|² + |b̂|²` at f is the mean of `|F{a + ib}|²` at f and at −f. The
+//! average over ±f is taken once, at the end.
 
 use super::fft2::Fft2;
 use super::psd::Psd;
@@ -26,19 +26,20 @@ use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
 use rustfft::FftDirection;
 
-/// Largest zero-padding: more only interpolates what twice the pupil already shows, and memory grows as its square.
+/// Largest zero-padding factor. A factor of 2 already determines the spectrum; larger ones interpolate it, and memory
+/// grows with the square of the factor.
 pub const LARGEST_PADDING: usize = 8;
 
-/// Collects the power spectra of residual wavefronts over a pupil.
+/// Running average of the power spectra of residual wavefronts over a pupil.
 pub struct PsdAverage {
     grid: Grid,
-    /// a / Σ a, in reading order.
+    /// a / Σ a, in row order.
     weight: Vec<f64>,
     /// √(a / Σ a).
     window: Vec<f64>,
     padded: usize,
     fft: Fft2,
-    /// `[y][x]`, padded: a map in the real parts, the next in the imaginary parts.
+    /// `[y][x]`, padded: one map in the real parts, the next in the imaginary parts.
     field: Vec<Complex64>,
     /// `[x][y]`, frequency 0 first: sum over pairs of maps of the power at f, not yet averaged over ±f.
     power: Vec<f64>,
@@ -46,8 +47,8 @@ pub struct PsdAverage {
 }
 
 impl PsdAverage {
-    /// Of maps over `pupil`, each weighted by its amplitude A. `padding` = 1 gives the frequencies 1/`grid.width_m()`
-    /// apart; larger ones interpolate between them.
+    /// Average of maps over `pupil`, weighted by the pupil amplitude A. With `padding` = 1 the frequencies are
+    /// 1/`grid.width_m()` apart; larger factors interpolate between them.
     ///
     /// # Errors
     /// Those of [`PsdAverage::windowed`].
@@ -55,7 +56,7 @@ impl PsdAverage {
         Self::windowed(pupil.grid, pupil.amplitude.view(), padding)
     }
 
-    /// Of maps on `grid`, with weights `[y, x]` (the squares of the window) of one's own.
+    /// Average of maps on `grid`, with the caller's weights `[y, x]` (the squares of the window).
     ///
     /// # Errors
     /// [`Error::Shape`] for weights that do not have the grid's shape, [`Error::Value`] for one that is negative or not
@@ -64,16 +65,16 @@ impl PsdAverage {
         check_shape("weights", weights.dim(), &grid)?;
         if let Some(((y, x), value)) = weights.indexed_iter().find(|(_, a)| !(a.is_finite() && **a >= 0.0)) {
             return Err(Error::Value(format!(
-                "the weight at row {y}, column {x} is {value}: a finite number that is not negative is needed"
+                "the weight at row {y}, column {x} is {value}; a finite number that is not negative is needed"
             )));
         }
         let sum = weights.sum();
         if !(sum.is_finite() && sum > 0.0) {
-            return Err(Error::Value(format!("the weights sum to {sum}: a spectrum needs some glass")));
+            return Err(Error::Value(format!("the weights sum to {sum}; a positive, finite sum is needed")));
         }
         if !(1..=LARGEST_PADDING).contains(&padding) {
             return Err(Error::Value(format!(
-                "a zero-padding of {padding} times cannot be used: 1 to {LARGEST_PADDING} are accepted"
+                "a zero-padding of {padding} times is impossible; 1 to {LARGEST_PADDING} are accepted"
             )));
         }
         let weight: Vec<f64> = weights.iter().map(|a| a / sum).collect();
@@ -84,16 +85,16 @@ impl PsdAverage {
         Ok(Self { grid, weight, window, padded, fft, field, power: vec![0.0; padded * padded], maps: 0 })
     }
 
-    /// Adds a map `[y, x]`, nm. Its mean over the pupil is taken out; tip and tilt stay. Values where there is no weight
-    /// are not looked at.
+    /// Adds a map `[y, x]`, nm. Its mean over the pupil is removed; tip and tilt are kept. Values with weight 0 are
+    /// ignored.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map that does not have the grid's shape, [`Error::Value`] for a value on the glass that is
-    /// not finite; the average stays as it was.
+    /// [`Error::Shape`] for a map that does not have the grid's shape, [`Error::Value`] for a value inside the pupil
+    /// that is not finite; the average is then unchanged.
     pub fn add<T: Copy + Into<f64>>(&mut self, map_nm: ArrayView2<T>) -> Result<()> {
         check_shape("map", map_nm.dim(), &self.grid)?;
-        let lit = || self.weight.iter().zip(&map_nm).filter(|(a, _)| **a > 0.0);
-        let mean: f64 = lit().map(|(a, &value)| a * value.into()).sum();
+        let weighted = || self.weight.iter().zip(&map_nm).filter(|(a, _)| **a > 0.0);
+        let mean: f64 = weighted().map(|(a, &value)| a * value.into()).sum();
         if !mean.is_finite() {
             return Err(not_finite(&self.weight, map_nm));
         }
@@ -107,7 +108,7 @@ impl PsdAverage {
                 if second { out.im = value } else { *out = value.into() }
             }
             if !second {
-                // What the last transform left here.
+                // Overwrites the last transform.
                 line[samples..].fill(Complex64::default());
             }
         }
@@ -118,23 +119,23 @@ impl PsdAverage {
         Ok(())
     }
 
-    /// Maps added so far.
+    /// Number of maps added.
     pub fn maps(&self) -> usize {
         self.maps
     }
 
-    /// The average spectrum of the maps so far.
+    /// Computes the average spectrum of the maps added so far.
     ///
     /// # Errors
-    /// [`Error::Value`] where there are none.
+    /// [`Error::Value`] if there are none.
     pub fn mean(&self) -> Result<Psd> {
         if self.maps == 0 {
-            return Err(Error::Value("a spectrum of 0 maps was asked for: at least 1 is needed".into()));
+            return Err(Error::Value("a spectrum of 0 maps was requested; at least 1 is needed".into()));
         }
         let n = self.padded;
         let mut power = self.power.clone();
         if self.maps % 2 == 1 {
-            // The last map still waits for its pair.
+            // The last map has no partner yet.
             let mut fft = Fft2::new(n, n, FftDirection::Forward);
             add_power(&mut fft, &mut self.field.clone(), self.grid.samples(), &mut power);
         }
@@ -148,9 +149,9 @@ impl PsdAverage {
     }
 }
 
-/// Adds |F{field}|², turned, to `power`; `field` is used up.
-fn add_power(fft: &mut Fft2, field: &mut [Complex64], lit_rows: usize, power: &mut [f64]) {
-    for (sum, value) in power.iter_mut().zip(fft.process(field, lit_rows)) {
+/// Adds |F{field}|², transposed, to `power`; `field` is overwritten.
+fn add_power(fft: &mut Fft2, field: &mut [Complex64], nonzero_rows: usize, power: &mut [f64]) {
+    for (sum, value) in power.iter_mut().zip(fft.process(field, nonzero_rows)) {
         *sum += value.norm_sqr();
     }
 }
@@ -160,16 +161,16 @@ fn check_shape(name: &str, (rows, columns): (usize, usize), grid: &Grid) -> Resu
     if (rows, columns) == (samples, samples) {
         return Ok(());
     }
-    Err(Error::Shape(format!("the {name} of a spectrum is {rows}x{columns}: the grid needs {samples}x{samples}")))
+    Err(Error::Shape(format!("the {name} of a spectrum is {rows}x{columns}; the grid needs {samples}x{samples}")))
 }
 
-/// Names the sample that spoiled a mean.
+/// Error that names the first value that is not finite.
 fn not_finite<T: Copy + Into<f64>>(weight: &[f64], map: ArrayView2<T>) -> Error {
-    let spoiled = map.indexed_iter().zip(weight).find(|((_, value), a)| **a > 0.0 && !(**value).into().is_finite());
-    Error::Value(match spoiled {
+    let first = map.indexed_iter().zip(weight).find(|((_, value), a)| **a > 0.0 && !(**value).into().is_finite());
+    Error::Value(match first {
         Some((((y, x), &value), _)) => {
-            format!("the map is {} at row {y}, column {x}, on the glass: finite values are needed", value.into())
+            format!("the map is {} at row {y}, column {x}, inside the pupil; finite values are needed", value.into())
         }
-        None => "the mean of the map overflows: a wavefront in nm is needed".into(),
+        None => "the mean of the map overflows; a wavefront in nm is needed".into(),
     })
 }

@@ -1,5 +1,5 @@
-//! Residual RMS over the pupil (weight A), piston, tip and tilt removed by least squares: of an estimate against the
-//! truth, and of what a covariance makes one expect.
+//! Residual RMS over the pupil (weight A), with piston, tip and tilt removed by least squares: of an estimate against
+//! the truth, and its expectation from a covariance.
 
 use crate::pupil::Pupil;
 use crate::{Error, Result};
@@ -8,21 +8,21 @@ use ndarray::{Array1, Array2, ArrayView2, ArrayView3, Axis, Zip};
 /// RMS over the pupil of `estimate_nm − truth_nm` (`[y, x]`, nm), piston, tip and tilt removed, in nm.
 ///
 /// # Errors
-/// [`Error::Shape`] for maps that do not have the pupil's shape, [`Error::Value`] for a value on the glass that is not
-/// finite.
+/// [`Error::Shape`] for maps that do not have the pupil's shape, [`Error::Value`] for a value inside the pupil that is
+/// not finite.
 pub fn residual_nm(pupil: &Pupil, estimate_nm: ArrayView2<f64>, truth_nm: ArrayView2<f64>) -> Result<f64> {
     if estimate_nm.dim() != truth_nm.dim() {
         let ((rows, columns), (wanted_rows, wanted_columns)) = (estimate_nm.dim(), truth_nm.dim());
         return Err(Error::Shape(format!(
-            "an estimate of {rows}x{columns} samples cannot be held against a truth of {wanted_rows}x{wanted_columns}: \
-             one grid is needed"
+            "an estimate of {rows}x{columns} samples cannot be compared with a truth of {wanted_rows}x{wanted_columns}; \
+             the same grid is needed"
         )));
     }
     pupil.rms(pupil.remove_piston_tip_tilt((&estimate_nm - &truth_nm).view())?.view())
 }
 
-/// Mean products over the pupil of mode maps without piston, tip and tilt: with it, the covariance of coefficients
-/// becomes the RMS of the map that [`residual_nm`] is expected to find.
+/// Gram matrix G of mode maps over the pupil, with piston, tip and tilt removed: with the covariance of the
+/// coefficients it gives the expectation of [`residual_nm`].
 #[derive(Debug, Clone)]
 pub struct MapGram {
     /// `[mode, mode]`.
@@ -30,7 +30,7 @@ pub struct MapGram {
 }
 
 impl MapGram {
-    /// Of the maps `[mode, y, x]` on the grid of `pupil`, nm per nm.
+    /// Gram matrix of the maps `[mode, y, x]` on the grid of `pupil`, nm per nm.
     ///
     /// # Errors
     /// Those of [`Pupil::remove_piston_tip_tilt`].
@@ -39,7 +39,7 @@ impl MapGram {
         let mut weighted = Array2::zeros((maps.len_of(Axis(0)), pupil.amplitude.len()));
         for (map, mut row) in maps.outer_iter().zip(weighted.outer_iter_mut()) {
             let detrended = pupil.remove_piston_tip_tilt(map)?;
-            // Outside the glass the map is NaN, and weighs nothing.
+            // The map is NaN outside the pupil, where its weight is 0.
             Zip::from(&mut row)
                 .and(&detrended.flatten())
                 .and(&root.flatten())
@@ -48,10 +48,10 @@ impl MapGram {
         Ok(Self { products: weighted.dot(&weighted.t()) })
     }
 
-    /// Of the mean products over the pupil of the maps as they are, `[mode, mode]`, and of each with the three
-    /// [`MapGram::planes`], `[plane][mode]`.
+    /// Gram matrix from the mean products over the pupil of the maps with each other (piston, tip and tilt included),
+    /// `[mode, mode]`, and with the three [`MapGram::planes`], `[plane][mode]`.
     pub fn of_products(mut products: Array2<f64>, along: [Vec<f64>; 3]) -> Self {
-        // The planes are orthonormal: what a map has of them is its products with them.
+        // The planes are orthonormal: a map's products with them are its components along them.
         for along in along.map(Array1::from) {
             for (mut row, &part) in products.outer_iter_mut().zip(&along) {
                 row.scaled_add(-part, &along);
@@ -60,7 +60,7 @@ impl MapGram {
         Self { products }
     }
 
-    /// Piston, tip and tilt, orthonormal over the pupil in the mean weighted by its amplitude: `[y, x]` each.
+    /// Piston, tip and tilt, orthonormal in the mean over the pupil (weight A): `[y, x]` each.
     pub fn planes(pupil: &Pupil) -> [Array2<f64>; 3] {
         let weight = &pupil.amplitude / pupil.weight_sum();
         let shape = pupil.amplitude.dim();
@@ -82,16 +82,16 @@ impl MapGram {
         planes
     }
 
-    /// √(trace of G·C): the root of the mean square, in nm, of the residual of an estimate whose coefficients of these
-    /// modes scatter about the truth with `covariance_nm2`, `[mode, mode]`.
+    /// √(trace of G·C), nm: the root mean square residual of an estimate whose coefficients have the covariance C =
+    /// `covariance_nm2`, `[mode, mode]`, about the truth.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the covariance is not of these modes.
+    /// [`Error::Shape`] for a covariance of another number of modes.
     pub fn expected_rms_nm(&self, covariance_nm2: ArrayView2<f64>) -> Result<f64> {
         if covariance_nm2.dim() != self.products.dim() {
             let ((rows, columns), modes) = (covariance_nm2.dim(), self.products.nrows());
             return Err(Error::Shape(format!(
-                "a covariance of {rows}x{columns} was given for {modes} modes: {modes}x{modes} is needed"
+                "a covariance of {rows}x{columns} was given for {modes} modes; {modes}x{modes} is needed"
             )));
         }
         Ok((&self.products * &covariance_nm2.t()).sum().max(0.0).sqrt())
@@ -104,7 +104,7 @@ mod tests {
     use crate::grid::Grid;
     use ndarray::{Array3, array};
 
-    /// Grey glass on 8 × 8 samples over 2 m.
+    /// Pupil with amplitudes between 0 and 1 on 8 × 8 samples over 2 m.
     fn pupil() -> Pupil {
         let amplitude = Array2::from_shape_fn((8, 8), |(y, x)| if y == 0 { 0.0 } else { 0.3 + 0.08 * x as f64 });
         Pupil::from_maps(Grid::new(8, 2.0).unwrap(), amplitude, None).unwrap()
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_between_estimate_and_truth_is_no_residual() {
+    fn a_plane_between_estimate_and_truth_does_not_count_as_residual() {
         let (pupil, maps) = (pupil(), maps());
         let [plane, wave] = [0, 1].map(|mode| maps.index_axis(Axis(0), mode).to_owned());
         // The maps are of the order of 20 nm: rounding leaves about 1e-15 of that.
@@ -129,20 +129,20 @@ mod tests {
     }
 
     #[test]
-    fn a_covariance_of_one_draw_expects_its_residual() {
-        // C = c·cᵀ is the covariance of ±c: the residual of that draw is the expectation, whatever the modes.
+    fn the_covariance_of_one_draw_gives_its_residual() {
+        // C = c·cᵀ is the covariance of ±c: the residual of that draw is the expectation for any modes.
         let (pupil, maps) = (pupil(), maps());
         let c = array![0.7, -1.9, 0.4];
         let map = maps.outer_iter().zip(&c).fold(Array2::zeros((8, 8)), |sum, (map, c)| sum + &map * *c);
-        let seen = residual_nm(&pupil, map.view(), Array2::zeros((8, 8)).view()).unwrap();
+        let found = residual_nm(&pupil, map.view(), Array2::zeros((8, 8)).view()).unwrap();
         let outer = c.view().insert_axis(Axis(1)).dot(&c.view().insert_axis(Axis(0)));
         let expected = MapGram::new(&pupil, maps.view()).unwrap().expected_rms_nm(outer.view()).unwrap();
-        // The square cancels the planes to about 1e-16 of (20 nm)², the root of which is 2e-7 at worst.
-        assert!((seen - expected).abs() < 1e-6 * seen, "{seen} {expected}");
+        // The square cancels the planes to about 1e-16 of (20 nm)²; its root is at most 2e-7.
+        assert!((found - expected).abs() < 1e-6 * found, "{found} {expected}");
     }
 
     #[test]
-    fn products_of_maps_say_what_the_maps_say() {
+    fn the_gram_matrix_from_products_equals_that_from_maps() {
         let (pupil, maps) = (pupil(), maps());
         let weight = &pupil.amplitude / pupil.weight_sum();
         let mean = |a: ArrayView2<f64>, b: ArrayView2<f64>| (&a * &b * &weight).sum();
@@ -150,12 +150,12 @@ mod tests {
         let products = Array2::from_shape_fn((3, 3), |(i, j)| mean(map(i), map(j)));
         let along = MapGram::planes(&pupil).map(|plane| (0..3).map(|mode| mean(map(mode), plane.view())).collect());
         let (found, wanted) = (MapGram::of_products(products, along), MapGram::new(&pupil, maps.view()).unwrap());
-        // Mean squares of up to (20 nm)², of which the planes are cancelled: rounding leaves 1e-16 of that, some times over.
+        // Mean squares of up to (20 nm)², from which the planes are subtracted: a few times 1e-16 of that.
         assert!((found.products - wanted.products).iter().all(|difference| difference.abs() < 1e-11));
     }
 
     #[test]
-    fn maps_and_covariances_that_do_not_fit_are_refused() {
+    fn maps_and_covariances_of_wrong_shape_are_refused() {
         let pupil = pupil();
         assert!(residual_nm(&pupil, Array2::zeros((8, 8)).view(), Array2::zeros((8, 7)).view()).is_err());
         assert!(residual_nm(&pupil, Array2::zeros((7, 7)).view(), Array2::zeros((7, 7)).view()).is_err());

@@ -1,4 +1,4 @@
-//! `[mirror]`, `[turbulence]`, `[wavefront_sensor]` and `[control]`: the adaptive optics and what they correct.
+//! Sections `[mirror]`, `[turbulence]`, `[wavefront_sensor]` and `[control]`: the AO system and the turbulence.
 
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, at_least, below, between, even, inside};
@@ -7,19 +7,19 @@ use crate::Result;
 use std::path::PathBuf;
 
 section! {
-    /// The deformable mirror; its influence functions give the Karhunen-Loève modes.
+    /// Deformable mirror. Its influence functions give the Karhunen-Loève modes.
     MirrorScene = "mirror" {
-        /// Actuators across the grid.
+        /// Number of actuators across the grid.
         actuators_across: usize, between(2.0, 256.0), default(21usize);
-        /// Distance between neighbouring actuators, on the pupil.
+        /// Distance between neighbouring actuators, projected on the pupil.
         pitch_m: f64, above(0.0, 100.0), default(0.5625);
-        /// Influence of an actuator at its neighbour, as a fraction of its own.
+        /// Influence function of an actuator at the neighbouring actuator, relative to its peak.
         coupling: f64, inside(0.0, 1.0), default(0.1458);
-        /// Shape of an actuator's influence.
+        /// Shape of the influence functions.
         influence: Influence, ANY, default(Influence::Gaussian);
-        /// Map of the actuators in use, text: a line of 0s and 1s for each row, smallest y first.
-        actuator_file: Option<PathBuf>, ANY, unset("those near the pupil's glass");
-        /// Largest command of an actuator either way, nm of wavefront.
+        /// Map of the actuators in use, as text: a line of 0s and 1s for each row, smallest y first.
+        actuator_file: Option<PathBuf>, ANY, unset("actuators at the corners of subapertures in use");
+        /// Largest absolute command of an actuator, in wavefront.
         stroke_limit_nm: Option<f64>, above(0.0, 1e9), unset("no limit");
     }
 }
@@ -27,26 +27,27 @@ section! {
 impl Check for MirrorScene {}
 
 section! {
-    /// The turbulence; its statistics order the Karhunen-Loève modes.
+    /// Turbulence. Its statistics (r0_m, outer_scale_m) order the Karhunen-Loève modes; its layers are simulated.
     TurbulenceScene = "turbulence" {
         /// Fried's parameter at 500 nm.
         r0_m: f64, above(0.0, 100.0), default(0.16);
-        /// Von Kármán's outer scale.
+        /// Outer scale of von Kármán's spectrum.
         outer_scale_m: f64, above(0.0, 1e9), default(50.0);
-        /// Share of each layer in the turbulence; they sum to 1. Without layers nothing moves.
+        /// Fraction of the turbulence (of Cn²) in each layer, with a sum of 1. Without layers the simulation has no
+        /// turbulence.
         fractions: Vec<f64>, between(0.0, 1.0), default([]);
-        /// Height of each layer.
+        /// Height of each layer. Simulations on the optical axis do not depend on it.
         heights_m: Vec<f64>, between(0.0, 1e5), default([]);
         /// Wind speed in each layer.
         wind_m_s: Vec<f64>, between(0.0, 1000.0), default([]);
-        /// Wind direction in each layer, counter-clockwise from +x, modulo 2π.
+        /// Direction of the wind in each layer, counter-clockwise from +x, modulo 2π.
         wind_dir_rad: Vec<f64>, between(-1000.0, 1000.0), default([]);
-        /// Seed of the screens and of the sensor's noise.
+        /// Seed of the turbulence, of the sensor's noise and of the noise of the loop's images. Simulation only.
         seed: u64, at_least(0.0), default(1u64);
     }
 }
 
-/// More layers than any published profile; each costs a phase screen.
+/// Largest number of layers: more than in any published profile. Each needs a phase screen.
 const MOST_LAYERS: usize = 100;
 
 impl Check for TurbulenceScene {
@@ -66,7 +67,7 @@ impl Check for TurbulenceScene {
             return Err(reader.error(key, sentence));
         }
         let sum: f64 = self.fractions.iter().sum();
-        // A profile printed with two or three digits sums to 1 within a percent.
+        // Profiles printed with two or three digits sum to 1 within 1 %.
         if layers > 0 && (sum - 1.0).abs() > 0.01 {
             let sentence = format!("turbulence.fractions sum to {sum:.4}; a sum of 1 (within 0.01) is needed");
             return Err(reader.error("fractions", sentence));
@@ -76,43 +77,45 @@ impl Check for TurbulenceScene {
 }
 
 section! {
-    /// The wavefront sensor of the AO loop.
+    /// Wavefront sensor of the AO loop. Read by simulations, and by full-phase estimates with telemetry.
     SensorScene = "wavefront_sensor" {
         /// Kind of sensor.
         kind: SensorKind, ANY, default(SensorKind::ShackHartmann);
-        /// Lenslets across the grid.
+        /// Number of lenslets across the grid.
         lenslets_across: usize, between(1.0, 256.0), default(20usize);
-        /// Pupil samples across a lenslet.
+        /// Number of pupil samples across a lenslet.
         samples_per_lenslet: usize, even(2.0, 64.0), default(12usize);
-        /// How a spot becomes slopes.
+        /// Detector behind the lenslets, and the calculation of slopes from its spots.
         detector: SensorDetector, ANY, default(SensorDetector::QuadCell);
-        /// Least light of a subaperture that is used, as a fraction of a full one.
+        /// Least light of a subaperture in use, as a fraction of that of a fully illuminated one.
         min_light_ratio: f64, between(0.0, 1.0), default(0.5);
-        /// Map of the subapertures in use, text: a line of 0s and 1s for each row, smallest y first.
-        subaperture_file: Option<PathBuf>, ANY, unset("what min_light_ratio says");
-        /// Pixels across a lenslet of detector = "pixels"; they divide twice samples_per_lenslet.
-        pixels_per_lenslet: Option<usize>, even(2.0, 128.0), unset("8, or the largest that divides evenly below");
-        /// detector = "pixels": pixels with less than this count as dark.
+        /// Map of the subapertures in use, as text: a line of 0s and 1s for each row, smallest y first.
+        subaperture_file: Option<PathBuf>, ANY, unset("subapertures with at least min_light_ratio");
+        /// Number of pixels across a lenslet for detector = "pixels"; a divisor of twice samples_per_lenslet.
+        pixels_per_lenslet: Option<usize>, even(2.0, 128.0), unset("the largest even divisor up to 8");
+        /// Signal below which a pixel counts as 0, for detector = "pixels". Simulation only.
         threshold_e: f64, between(0.0, 1e9), default(0.0);
-        /// How far the lenslets have moved along x and y since the interaction matrix was taken, in subapertures.
+        /// Shift of the lenslets along x and y since the measurement of the interaction matrix, in subapertures.
         shift_subapertures: Vec<f64>, between(-0.5, 0.5), default([0.0, 0.0]);
-        /// Slopes over those when the interaction matrix was taken: below 1 where spots have grown since.
+        /// Ratio of the slopes to those at the measurement of the interaction matrix; below 1 for spots that have grown
+        /// since.
         slope_gain: f64, above(0.0, 10.0), default(1.0);
-        /// Wavelength at which the sensor works.
+        /// Wavelength of the sensor.
         wavelength_nm: f64, above(0.0, 1e6), default(640.0);
-        /// Photons of a star of magnitude 0 (default: 4.01e12 / 368, the R band).
+        /// Photons per second and m² of a star of magnitude 0 (default: 4.01e12 / 368, the R band). Simulation only.
         zero_point_photons_s_m2: f64, above(0.0, 1e30), default(4.01e12 / 368.0);
-        /// Share of those photons that the sensor detects.
+        /// Fraction of those photons that the sensor detects. Simulation only.
         throughput: f64, above(0.0, 1.0), default(1.0);
-        /// Read noise of a pixel, RMS electrons.
+        /// Read noise of a pixel of the sensor, RMS. Simulation only.
         read_noise_e: f64, between(0.0, 1e6), default(0.0);
-        /// R magnitude of the guide star.
+        /// R magnitude of the guide star. Simulation only.
         star_magnitude_r: f64, between(-10.0, 30.0), default(4.0);
-        /// Whether the sensor has photon noise.
+        /// Whether the sensor has photon noise. Simulation only.
         photon_noise: bool, ANY, default(true);
-        /// Which subapertures the reconstructor leaves out.
+        /// Subapertures that are masked in the reconstruction.
         mask: SensorMask, ANY, default(SensorMask::None);
-        /// mask = "segments": a subaperture stays where one segment holds this share of its light.
+        /// Fraction of its light that one segment must have for a subaperture with two segments not to be masked, for
+        /// mask = "segments".
         mask_dominant_fraction: f64, between(0.0, 1.0), default(0.75);
     }
 }
@@ -123,7 +126,7 @@ impl Check for SensorScene {
             && !(2 * self.samples_per_lenslet).is_multiple_of(pixels)
         {
             let sentence = format!(
-                "wavefront_sensor.pixels_per_lenslet = {pixels} does not divide {}, twice samples_per_lenslet, as it must",
+                "wavefront_sensor.pixels_per_lenslet = {pixels} is not accepted; a divisor of {}, twice samples_per_lenslet, is needed",
                 2 * self.samples_per_lenslet
             );
             return Err(reader.error("pixels_per_lenslet", sentence));
@@ -138,27 +141,29 @@ impl Check for SensorScene {
 }
 
 section! {
-    /// The control of the AO loop; needs a wavefront sensor.
+    /// Control of the AO loop; needs a section wavefront_sensor. Read by simulations, and by full-phase estimates that use the
+    /// loop.
     ControlScene = "control" {
-        /// The space in which the slopes are inverted.
+        /// Basis in which the interaction matrix is inverted.
         basis: ControlBasis, ANY, default(ControlBasis::Zonal);
-        /// Weakest modes left out of the inversion; 0 unless condition_number is given.
-        filtered_modes: Option<usize>, between(0.0, 65_536.0), unset("0, or what condition_number gives");
-        /// Modes weaker than the strongest by more than this factor are left out of the inversion.
-        condition_number: Option<f64>, at_least(1.0), unset("what filtered_modes says");
-        /// How the loop is closed.
+        /// Number of modes with the smallest singular values that are removed from the inversion.
+        filtered_modes: Option<usize>, between(0.0, 65_536.0), unset("0, or given by condition_number");
+        /// Largest ratio of singular values: modes with smaller ones than the largest over this are removed from the
+        /// inversion.
+        condition_number: Option<f64>, at_least(1.0), unset("given by filtered_modes");
+        /// Control law.
         r#loop: Loop, ANY, default(Loop::Closed);
-        /// What stands in for masked slopes.
+        /// Treatment of masked slopes.
         fill: Fill, ANY, default(Fill::None);
         /// Gain of the integrator.
         gain: f64, above(0.0, 2.0), default(0.3);
-        /// Share of the command that leaks away in a frame.
+        /// Leak of the integrator: fraction of the command that is lost in a frame.
         leak: f64, below(0.0, 1.0), default(0.0);
-        /// Frames per second.
+        /// Frame rate of the loop.
         frame_rate_hz: f64, above(0.0, 1e6), default(1054.0);
         /// Frames from a measurement to its correction.
         lag_frames: usize, between(1.0, 100.0), default(1usize);
-        /// Loop time before the first image.
+        /// Time from closing the loop to the first image.
         settle_s: f64, between(0.0, 1e6), default(1.0);
     }
 }

@@ -1,13 +1,14 @@
-//! Varying a scene: other values for some of its keys, with the comments kept.
+//! Changed copies of a scene: other values for some keys, with the comments kept.
 
 use super::{Scene, SectionKeys, directory_of_keys, unknown_key, unknown_section};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
 impl Scene {
-    /// This scene with other values: pairs of `section.key` and a value as TOML writes it, words and file names with or
-    /// without quotes; an empty value takes the key out of the scene. All pairs are set before anything is validated, so
-    /// `[("image.peak_snr", ""), ("image.flux_e", "1e6")]` replaces one by the other. The text follows, comments kept.
+    /// This scene with other values: pairs of `section.key` and a value in TOML syntax; words and file names may omit
+    /// the quotes. An empty value removes the key. All pairs are set before the validation, so `[("image.peak_snr",
+    /// ""), ("image.flux_e", "1e6")]` replaces one key by the other. [`Scene::text`] has the new values and keeps its
+    /// comments.
     ///
     /// # Errors
     /// [`Error::Scene`] for a key that does not exist, or a value that the scene does not accept.
@@ -15,7 +16,7 @@ impl Scene {
         let mut document: DocumentMut = self
             .text()
             .parse()
-            .map_err(|error| Error::Internal(format!("the text of a valid scene is no TOML: {error}")))?;
+            .map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))?;
         let sections = directory_of_keys();
         for &(key, value) in settings {
             let (section, name) = known_key(&sections, key)?;
@@ -24,15 +25,15 @@ impl Scene {
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose())
     }
 
-    /// The scene with `key` left to its default.
+    /// This scene without `key`, which then has its default.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a key that does not exist, and where the scene does not hold together without it.
+    /// [`Error::Scene`] for a key that does not exist, and for a scene that is not valid without it.
     pub fn without(&self, key: &str) -> Result<Self> {
         let mut document: DocumentMut = self
             .text()
             .parse()
-            .map_err(|error| Error::Internal(format!("the text of a valid scene is no TOML: {error}")))?;
+            .map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))?;
         let sections = directory_of_keys();
         let (section, name) = known_key(&sections, key)?;
         if let Some(table) = document.get_mut(section).and_then(toml_edit::Item::as_table_like_mut) {
@@ -41,7 +42,7 @@ impl Scene {
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose())
     }
 
-    /// [`Scene::with`] one other value.
+    /// As [`Scene::with`], for one key.
     ///
     /// # Errors
     /// As [`Scene::with`].
@@ -50,10 +51,10 @@ impl Scene {
     }
 }
 
-/// Splits `section.key=value`, as a command line gives it.
+/// Splits a setting `section.key=value` of a command line.
 ///
 /// # Errors
-/// [`Error::Scene`] where there is no `=`.
+/// [`Error::Scene`] for a setting without `=`.
 pub fn split_setting(setting: &str) -> Result<(&str, &str)> {
     setting.split_once('=').map(|(key, value)| (key.trim(), value.trim())).ok_or_else(|| {
         Error::Scene(format!(
@@ -62,7 +63,7 @@ pub fn split_setting(setting: &str) -> Result<(&str, &str)> {
     })
 }
 
-/// Section and name of a dotted key that exists.
+/// Splits a dotted key into section and name, and checks that it exists.
 fn known_key<'k>(sections: &[SectionKeys], key: &'k str) -> Result<(&'k str, &'k str)> {
     let Some((section, name)) = key.split_once('.') else {
         let home = sections.iter().find(|section| section.keys.iter().any(|known| known.name == key));
@@ -83,11 +84,11 @@ fn known_key<'k>(sections: &[SectionKeys], key: &'k str) -> Result<(&'k str, &'k
 fn set(document: &mut DocumentMut, section: &str, name: &str, value: &str) -> Result<()> {
     let document = document.as_table_mut();
     if value.is_empty() && !document.contains_key(section) {
-        return Ok(()); // nothing to take out, and an empty section would say more than none
+        return Ok(()); // nothing to remove; an empty section may have another meaning than an absent one
     }
     let table = document.entry(section).or_insert_with(toml_edit::table);
     let Some(table) = table.as_table_like_mut() else {
-        return Err(Error::Internal(format!("[{section}] of a valid scene is no section")));
+        return Err(Error::Internal(format!("[{section}] of a valid scene is not a section")));
     };
     if value.is_empty() {
         table.remove(name);
@@ -97,7 +98,7 @@ fn set(document: &mut DocumentMut, section: &str, name: &str, value: &str) -> Re
     Ok(())
 }
 
-/// Sets a value and keeps the blanks and the comment around the old one.
+/// Sets a value; keeps the white space and the comment around the old value.
 fn replace(table: &mut dyn TableLike, name: &str, mut value: Value) {
     match table.get_mut(name).and_then(Item::as_value_mut) {
         Some(old) => {
@@ -110,7 +111,7 @@ fn replace(table: &mut dyn TableLike, name: &str, mut value: Value) {
     }
 }
 
-/// A value as TOML writes it; what is no TOML is a word without its quotes.
+/// Parses a value in TOML syntax; other text is a word without its quotes.
 fn word_or_value(text: &str) -> Value {
     text.parse().unwrap_or_else(|_| Value::from(text))
 }

@@ -1,7 +1,7 @@
-//! `[modes]` and `[estimate]`: what is estimated, and how.
+//! Sections `[modes]` and `[estimate]`: modes and settings of an estimate.
 
-use super::Purpose;
 use super::lists::Zernikes;
+use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
@@ -11,18 +11,19 @@ use crate::Result;
 use std::path::PathBuf;
 
 section! {
-    /// The modes that are estimated.
+    /// Modes that are estimated. Estimate only.
     ModesScene = "modes" {
-        /// Motions of the segments; "none" unless named where modes come from a file.
+        /// Segment modes; the default is "none" if modes come from a file.
         segment: SegmentModes, ANY, default(SegmentModes::Piston);
         /// Basis of the non-common path aberrations.
         ncpa: NcpaBasis, ANY, default(NcpaBasis::Kl);
-        /// Modes of that basis; "zernike" counts from Noll 2.
+        /// Number of modes of that basis; "zernike" starts at Noll index 2.
         ncpa_count: usize, between(1.0, 10_000.0), default(66usize);
         /// FITS modes in place of a basis: image BASIS [mode, y, x] and table MODES (name, group).
-        file: Option<PathBuf>, ANY, unset("the basis, as ncpa says");
-        /// First and last Noll index of Zernikes estimated exactly, whatever the basis; unset and with ncpa = "none": none.
-        exact_zernikes: Option<Zernikes>, between(2.0, 1000.0), unset("tip, tilt and focus; to Noll 21 where the images ask for it");
+        file: Option<PathBuf>, ANY, unset("the basis given by ncpa");
+        /// First and last Noll index of Zernike polynomials that are estimated in addition to any basis; none by
+        /// default for ncpa = "none".
+        exact_zernikes: Option<Zernikes>, between(2.0, 1000.0), unset("[2, 4]; [2, 21] if the residuals of the images require it");
     }
 }
 
@@ -40,7 +41,7 @@ impl Check for ModesScene {
             let exact = self.exact_zernikes.get_or_insert(Zernikes::None);
             let nothing_left = self.segment == SegmentModes::None && *exact == Zernikes::None;
             if nothing_left && reader.source.purpose == Purpose::Whole {
-                let sentence = "modes.segment and modes.ncpa are both \"none\": nothing is left to estimate; name a basis for one of them";
+                let sentence = "modes.segment and modes.ncpa are both \"none\": no mode is left to estimate; name a basis for one of them";
                 return Err(reader.error("ncpa", sentence));
             }
         }
@@ -49,47 +50,57 @@ impl Check for ModesScene {
 }
 
 section! {
-    /// How the modes are estimated. What is unset follows from the optimizer's recipe.
+    /// Settings of the estimate. Estimate only. Unset keys have the values of the optimizer's recipe.
     EstimateScene = "estimate" {
-        /// The recipe: "bfgs" is the paper's method as a whole (hard-edged pupil, no exact_zernikes, no weights), "paper" its objective with our optimiser.
+        /// Optimiser and recipe: "gauss-newton" is noise-weighted maximum likelihood; "bfgs" is the paper's method
+        /// (hard-edged pupil, no exact_zernikes, no weights); "paper" is the paper's objective with the optimiser of
+        /// "gauss-newton".
         optimizer: Optimizer, ANY, default(Optimizer::GaussNewton);
-        /// Weight of each pixel.
-        weighting: Option<Weighting>, ANY, unset("as the recipe does");
+        /// Weight of each pixel in the fit.
+        weighting: Option<Weighting>, ANY, unset("given by optimizer");
         /// Whether a constant background is fitted.
-        fit_background: Option<bool>, ANY, unset("as the recipe does");
+        fit_background: Option<bool>, ANY, unset("given by optimizer");
         /// Whether the star's flux is fitted; otherwise it is the sum of the image.
-        fit_flux: Option<bool>, ANY, unset("as the recipe does");
-        /// Whether the image is first moved to the optical axis.
-        recentre: Option<bool>, ANY, unset("as the recipe does");
-        /// The pixels that the fit compares.
+        fit_flux: Option<bool>, ANY, unset("given by optimizer");
+        /// Whether the image is first centred on the optical axis.
+        recentre: Option<bool>, ANY, unset("given by optimizer");
+        /// Pixels on which image and model are compared.
         sampling: Sampling, ANY, default(Sampling::Auto);
-        /// Samples along a side of the grid on which a band-limited model is fitted; maps stay on the pupil's.
+        /// Number of samples along a side of the grid on which a band-limited model is fitted; maps have the pupil's
+        /// grid.
         samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
-        /// Wavelengths of the model, whose images add; an evaluation takes as many times as long.
-        wavelengths: Option<usize>, between(1.0, 99.0), unset("as many as image.bandwidth_fraction needs; 1 with the paper's recipes");
-        /// Most evaluations of the objective for one image.
-        max_evaluations: Option<usize>, between(1.0, 1e6), unset("as the recipe does");
-        /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
-        step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("as the recipe does");
-        /// How often a fit that ended in a wrong minimum is tried again from elsewhere; a session, which has no time, never does.
+        /// Number of wavelengths of the model; the time of an evaluation is proportional to it.
+        wavelengths: Option<usize>, between(1.0, 99.0), unset("as image.bandwidth_fraction requires; 1 with the paper's recipes");
+        /// Largest number of evaluations of the objective for one image.
+        max_evaluations: Option<usize>, between(1.0, 1e6), unset("given by optimizer");
+        /// The fit stops if neither a coefficient nor the RMS of the wavefront would change by more than this.
+        step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("given by optimizer");
+        /// Largest number of restarts, from a perturbed start, of a fit that ended in a wrong minimum; sessions do not
+        /// restart.
         restarts: Option<usize>, between(0.0, 1000.0), unset("3; 0 with the paper's recipes");
-        /// RMS error that is allowed to the phasing and to the NCPA each, noise included: the model is then planned, the cheapest that keeps it.
+        /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the cheapest model within
+        /// it is selected.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");
-        /// Memory that an estimate may take beside its images, 1e9 bytes; larger work is cut into tiles.
+        /// Memory that an estimate may use in addition to its images, 1e9 bytes; larger problems are divided into
+        /// tiles.
         memory_gb: f64, above(0.0, 1e6), default(8.0);
-        /// Standard deviation of the diversity's amplitude over itself, for the error bars: the NCPA's modes take an error of it for their own.
+        /// Relative standard deviation of the diversity's amplitude, for the error bars: an error of it appears as
+        /// NCPA.
         diversity_error: f64, between(0.0, 1.0), default(0.0);
-        /// Numbers of the scene that are fitted beside the modes, of up to six of the images together: image.samples_per_lambda_over_d, pupil.rotation_deg, image.diversity_focus_waves_rms, image.bandwidth_fraction.
+        /// Optical parameters that are fitted in addition to the modes, to up to six images together: "plate-scale"
+        /// (image.samples_per_lambda_over_d), "rotation" (pupil.rotation_deg), "defocus"
+        /// (image.diversity_focus_waves_rms), "bandwidth" (image.bandwidth_fraction).
         fit_optics: Vec<Optic>, ANY, default([]);
-        /// How the images of a sequence become one estimate; outliers are told among 8 images or more.
+        /// Combination of the images of a sequence; outliers are rejected from 8 images on.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
-        /// The estimator.
+        /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront of each image and
+        /// then the static errors.
         method: Method, ANY, default(Method::Modal);
-        /// method = "full-phase": what is assumed of the adaptive optics.
-        knows: Option<Knows>, ANY, unset("telemetry where the images bring it, else the loop where the scene has one, else the spectrum");
-        /// Where it runs.
+        /// Knowledge of the AO system that is used, for method = "full-phase"; each level includes those before it.
+        knows: Option<Knows>, ANY, unset("\"telemetry\" if the images have it, else \"loop\" if the scene has a loop, else \"spectrum\"");
+        /// Device that computes the estimate.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
-        /// Precision of the imaging chain; "f32" unless named where method = "full-phase".
+        /// Precision of the imaging chain; the default is "f32" for method = "full-phase".
         precision: Precision, ANY, default(Precision::F64);
     }
 }
@@ -109,24 +120,25 @@ impl EstimateScene {
         if self.fit_optics.is_empty() {
             return Ok(());
         }
-        // The paper's recipes have no weights by which to tell optics from modes; a plan is made before there are images.
+        // Without weights (the paper's recipes) optics and modes are not identifiable together; a model is planned
+        // without images, so it cannot fit optics.
         if self.optimizer != Optimizer::GaussNewton || self.weighting == Some(Weighting::None) {
             let sentence =
-                "estimate.fit_optics needs weights by the noise: optimizer = \"gauss-newton\", and weighting left out";
+                "estimate.fit_optics needs noise weights; optimizer = \"gauss-newton\" without weighting is needed";
             return Err(reader.error("fit_optics", sentence));
         }
         reader.not_both("budget_nm", "fit_optics")
     }
 
-    /// What an estimator of whole wavefronts has no use for is refused rather than ignored.
+    /// Refuses keys that a full-phase estimate does not use.
     fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
         let modal =
             ["weighting", "max_evaluations", "step_tolerance_nm", "restarts", "budget_nm", "fit_optics", "combine"];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(
-                "estimate.optimizer = \"{}\" is a recipe for static modes, which estimate.method = \"full-phase\" does \
-                 not follow; leave it out",
+                "estimate.optimizer = \"{}\" has no meaning where estimate.method is \"full-phase\", which has an \
+                 optimiser of its own; leave it out",
                 self.optimizer.word()
             );
             return Err(reader.error("optimizer", sentence));

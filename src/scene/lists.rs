@@ -1,10 +1,10 @@
-//! Values that are lists with a grammar of their own.
+//! Values that are lists with a syntax of their own.
 
 use super::value::{FromToml, Range};
 use super::words::Optic;
 use toml_edit::Value;
 
-/// A span of Zernike polynomials by Noll's index (1 is piston).
+/// Range of Zernike polynomials by Noll index (1 is piston).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Zernikes {
     /// None: `[]` or `"none"`.
@@ -19,7 +19,7 @@ pub enum Zernikes {
 }
 
 impl Zernikes {
-    /// The Noll indices, in order.
+    /// Noll indices, ascending.
     pub fn indices(&self) -> std::ops::Range<usize> {
         match *self {
             Self::None => 0..0,

@@ -1,6 +1,7 @@
-//! What is being looked at: a scene, from TOML text, validated as a whole before anything is built from it.
+//! Scene: description of telescope, camera, aberrations, AO system and estimate, read from TOML and validated as a
+//! whole.
 //!
-//! A scene names what is there; nothing that it does not name is modelled. Its fields have the names of the TOML keys.
+//! Only effects that a scene names are modelled. The fields of a [`Scene`] have the names of the TOML keys.
 //!
 //! ```
 //! use cophase::scene::Scene;
@@ -16,6 +17,7 @@ mod adaptive;
 mod edit;
 mod fit;
 mod lists;
+mod purpose;
 mod reference;
 mod table;
 mod telescope;
@@ -26,6 +28,7 @@ pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
 pub use edit::split_setting;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::Zernikes;
+pub(crate) use purpose::Purpose;
 pub use reference::reference;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
@@ -40,8 +43,8 @@ use std::sync::Arc;
 use table::{Check, Key, Reader, Section, Source, nearest};
 use toml_edit::{Document, Item};
 
-/// A validated scene that cannot change: it dereferences to its [`Sections`], which hand out their fields for reading.
-/// Vary one with [`Scene::with`]. Cloning is cheap.
+/// Validated, immutable scene. It dereferences to its [`Sections`]. [`Scene::with`] makes a changed copy. Cloning is
+/// cheap.
 #[derive(Debug, Clone)]
 pub struct Scene {
     content: Arc<Content>,
@@ -51,22 +54,13 @@ pub struct Scene {
 struct Content {
     sections: Sections,
     text: String,
-    /// What messages call the scene.
+    /// Name of the scene in messages.
     name: String,
     directory: PathBuf,
     purpose: Purpose,
 }
 
-/// What a scene is read for, which says how much of it must hold together.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Purpose {
-    /// It describes all that there is.
-    Whole,
-    /// It goes with arrays that stand for its pupil and, maybe, for its modes.
-    Arrays,
-}
-
-/// Declares the sections of a scene: their structs, their order, and which may be absent.
+/// Declares the sections of a scene: their structs, their order, and which are optional.
 macro_rules! sections {
     ($($(#[$doc:meta])+ $name:ident: $type:ty;)+) => {
         /// The sections of a scene.
@@ -103,18 +97,18 @@ sections! {
     wavefront_sensor: Option<SensorScene>;
     /// The control of the AO loop.
     control: Option<ControlScene>;
-    /// How the modes are estimated.
+    /// Settings of the estimate.
     estimate: EstimateScene;
 }
 
-/// One section in the table of all keys.
+/// Section in the table of all keys.
 struct SectionKeys {
     name: &'static str,
     about: &'static str,
     keys: Vec<Key>,
 }
 
-/// A section as a field of [`Sections`]: one that is always there, from its defaults if need be, or an optional one.
+/// Section as a field of [`Sections`]: always present (with defaults), or optional.
 trait Entry: Sized {
     fn listing() -> SectionKeys;
     fn read_checked(source: Source, item: Option<&Item>) -> Result<Self>;
@@ -143,11 +137,14 @@ impl<S: Section + Check> Entry for Option<S> {
     }
 }
 
-/// The scenes that come with the program: name and text.
+/// Preset scenes: name and text.
 const PRESETS: [(&str, &str); 2] = [
     ("keck-artificial", include_str!("presets/keck-artificial.toml")),
     ("keck-onsky", include_str!("presets/keck-onsky.toml")),
 ];
+
+/// Keys with a new name: section, old name, new name.
+const RENAMED: [(&str, &str, &str); 1] = [("estimate", "knows", "ao_knowledge")];
 
 /// Names of the presets, in the order of [`PRESETS`].
 const PRESET_NAMES: [&str; PRESETS.len()] = {
@@ -160,11 +157,11 @@ const PRESET_NAMES: [&str; PRESETS.len()] = {
     names
 };
 
-/// Longest scene file that is read: a thousand times a preset, so a wrong file is refused before it fills the memory.
+/// Longest scene file that is read, bytes: a thousand times a preset. A wrong file is refused before it is read.
 const LONGEST_FILE_BYTES: u64 = 2 << 20;
 
 impl Scene {
-    /// Parses and validates a scene; the files that it names are looked for in `directory`.
+    /// Parses and validates a scene. Relative file names in it refer to `directory`.
     ///
     /// # Errors
     /// [`Error::Scene`] with the line, the key, its value and what is accepted.
@@ -172,8 +169,8 @@ impl Scene {
         Self::parse("scene", text, directory, Purpose::Whole)
     }
 
-    /// As [`Scene::from_text`], for a telescope that comes as arrays: what the scene says of
-    /// the pupil and of the modes need not hold together without them. Nothing else can be built from such a scene.
+    /// As [`Scene::from_text`], for a telescope whose pupil and modes are given as arrays: the keys of the pupil and of
+    /// the modes may be incomplete without them. Such a scene can only be used together with these arrays.
     ///
     /// # Errors
     /// As [`Scene::from_text`].
@@ -181,10 +178,10 @@ impl Scene {
         Self::parse("scene", text, directory, Purpose::Arrays)
     }
 
-    /// Reads a scene from a file; the files that it names are looked for beside it.
+    /// Reads a scene from a file. Relative file names in it refer to the file's directory.
     ///
     /// # Errors
-    /// [`Error::File`] where the file cannot be read as text, and as [`Scene::from_text`].
+    /// [`Error::File`] for a file that cannot be read as text, and those of [`Scene::from_text`].
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let size = std::fs::metadata(path).map_err(|error| Error::file(path, error))?.len();
@@ -198,7 +195,7 @@ impl Scene {
         Self::parse(&path.display().to_string(), text, path.parent().unwrap_or(Path::new("")), Purpose::Whole)
     }
 
-    /// One of the scenes that come with the program; files that it is made to name are relative to the working directory.
+    /// Preset scene. File names that are added to it are relative to the working directory.
     ///
     /// # Errors
     /// [`Error::Scene`] for a name that is not in [`Scene::preset_names`].
@@ -206,7 +203,7 @@ impl Scene {
         Self::parse(name, Self::preset_text(name)?, Path::new(""), Purpose::Whole)
     }
 
-    /// The text of a preset.
+    /// Text of a preset.
     ///
     /// # Errors
     /// As [`Scene::preset`].
@@ -214,39 +211,39 @@ impl Scene {
         PRESETS.iter().find(|(known, _)| *known == name).map(|(_, text)| *text).ok_or_else(|| {
             let known = Self::preset_names().join(" and ");
             Error::Scene(format!(
-                "no scene is called '{}', there are {known}{}",
+                "there is no preset '{}'; {known} are accepted{}",
                 shown(name),
                 suggestion(name, PRESET_NAMES)
             ))
         })
     }
 
-    /// Names of the scenes that come with the program.
+    /// Names of the presets.
     pub fn preset_names() -> &'static [&'static str] {
         &PRESET_NAMES
     }
 
-    /// The scene as TOML, comments and all.
+    /// The scene as TOML text, including comments.
     pub fn text(&self) -> &str {
         &self.content.text
     }
 
-    /// What messages call the scene: its file or its preset.
+    /// Name of the scene in messages: its file or preset.
     pub fn name(&self) -> &str {
         &self.content.name
     }
 
-    /// Where the files are looked for that the scene names.
+    /// Directory to which relative file names in the scene refer.
     pub fn directory(&self) -> &Path {
         &self.content.directory
     }
 
-    /// Path of a file that the scene names: relative ones start at [`Scene::directory`].
+    /// Path of a file that the scene names; a relative name refers to [`Scene::directory`].
     pub fn resolve(&self, file: impl AsRef<Path>) -> PathBuf {
         self.content.directory.join(file)
     }
 
-    /// Whether the text names `key`, as `section.key`, rather than leaving it to its default.
+    /// Whether the text names `key`, as `section.key`; otherwise the key has its default.
     pub fn names(&self, key: &str) -> bool {
         let Some((section, key)) = key.split_once('.') else { return false };
         let document = Document::parse(self.text());
@@ -255,7 +252,7 @@ impl Scene {
         })
     }
 
-    /// What the scene is for.
+    /// Purpose for which the scene was read.
     pub(crate) fn purpose(&self) -> Purpose {
         self.content.purpose
     }
@@ -296,14 +293,14 @@ impl Sections {
             return Err(reader("aberrations").error("truth_samples", sentence));
         }
         if self.control.is_some() && self.wavefront_sensor.is_none() {
-            let sentence = "[control] has nothing to work on; a section [wavefront_sensor] is needed";
+            let sentence = "[control] is named without a sensor; a section [wavefront_sensor] is needed";
             return Err(reader("control").error("", sentence));
         }
         Ok(())
     }
 }
 
-/// Refuses sections and keys that do not exist, and says what may have been meant.
+/// Refuses unknown sections and keys, with a suggestion.
 fn refuse_unknown(source: Source, document: &toml_edit::Table) -> Result<()> {
     let sections = directory_of_keys();
     for (name, item) in document.iter() {
@@ -326,15 +323,16 @@ fn refuse_unknown(source: Source, document: &toml_edit::Table) -> Result<()> {
     Ok(())
 }
 
-/// Where an entry of the document stands.
+/// Position of an entry of the document, for messages.
 fn place(source: Source, document: &toml_edit::Table, name: &str) -> String {
     source.at(document.get_key_value(name).and_then(|(key, item)| key.span().or_else(|| item.span())))
 }
 
+/// Message for an unknown section.
 fn unknown_section(sections: &[SectionKeys], name: &str) -> String {
-    // A key above every header is the commoner slip than a section that nobody knows.
+    // A key above the first header is a more common mistake than an unknown section.
     if let Some(home) = sections.iter().find(|section| section.keys.iter().any(|key| key.name == name)) {
-        return format!("'{}' stands outside its section; it belongs in [{}]", shown(name), home.name);
+        return format!("'{}' is outside its section; it belongs in [{}]", shown(name), home.name);
     }
     let names = || sections.iter().map(|section| section.name);
     match nearest(name, names()) {
@@ -343,9 +341,13 @@ fn unknown_section(sections: &[SectionKeys], name: &str) -> String {
     }
 }
 
+/// Message for an unknown key.
 fn unknown_key(sections: &[SectionKeys], section: &SectionKeys, key: &str) -> String {
     let names = || section.keys.iter().map(|key| key.name);
     let unknown = format!("unknown key '{}.{}'", section.name, shown(key));
+    if let Some((.., new)) = RENAMED.iter().find(|(home, old, _)| *home == section.name && *old == key) {
+        return format!("{unknown}; its name is now '{new}'");
+    }
     if let Some(home) = sections.iter().find(|other| other.keys.iter().any(|known| known.name == key)) {
         return format!("{unknown}; it belongs in [{}]", home.name);
     }
@@ -360,7 +362,7 @@ fn suggestion<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) -> Strin
     nearest(word, known).map(|name| format!("; did you mean '{name}'?")).unwrap_or_default()
 }
 
-/// A key as a message shows it: TOML allows any text, of any length, in quotes.
+/// Key for a message: TOML allows any text of any length as a quoted key, so it is shortened to printable characters.
 fn shown(key: &str) -> String {
     key.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect()
 }

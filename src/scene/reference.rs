@@ -1,9 +1,9 @@
-//! The reference of all keys, printed from the table that the parser uses.
+//! Reference of all keys, generated from the parser's table.
 
 use super::directory_of_keys;
 use std::fmt::Write;
 
-/// Suffixes of keys and the units they stand for, longer ones first.
+/// Suffixes of keys and their units, longer ones first.
 const UNITS: [(&str, &str); 11] = [
     ("_over_d", "pixels per λ/grid_m"),
     ("_waves_rms", "waves RMS"),
@@ -18,9 +18,17 @@ const UNITS: [(&str, &str); 11] = [
     ("_e", "electrons"),
 ];
 
-/// Every section and key of a scene: what it is, its unit, what is accepted and the default, as text.
+/// First lines of the reference.
+const HEADER: &str = "\
+A scene is a TOML file with the sections below. Only effects that a scene names are modelled.
+Each key has its unit, its meaning, the accepted values, and the default where a scene does not name it.
+\"Simulation only\": read by the simulators (and by the model selection of estimate.budget_nm, which simulates images);
+\"estimate only\": read by estimates, ignored by the simulators. Other keys are read by both.
+";
+
+/// Reference of every section and key of a scene, as text: unit, meaning, accepted values, default.
 pub fn reference() -> String {
-    let mut text = String::from("A scene names what is there; nothing that it does not name is modelled.\n");
+    let mut text = String::from(HEADER);
     for section in directory_of_keys() {
         // Writing to a String cannot fail.
         let _ = write!(text, "\n[{}]{}\n", section.name, section.about);
@@ -33,7 +41,7 @@ pub fn reference() -> String {
     text
 }
 
-/// The unit that stands in a key's name.
+/// Unit in the name of a key.
 fn unit_of(key: &str) -> Option<&'static str> {
     UNITS.iter().find(|(suffix, _)| key.ends_with(suffix)).map(|(_, unit)| *unit)
 }

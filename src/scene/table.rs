@@ -1,12 +1,12 @@
-//! The one table of keys: a section is declared once with [`section!`], and its struct, its parsing, its error texts,
-//! the suggestions for misspelt keys and the reference are all made from that declaration.
+//! Table of keys. A section is declared once with [`section!`]; its struct, parser, error messages, suggestions for
+//! misspelt keys and reference are generated from that declaration.
 
-use super::Purpose;
+use super::purpose::Purpose;
 use super::value::{FromToml, Range};
 use crate::{Error, Result};
 use toml_edit::{Item, TableLike};
 
-/// What the reference and the error texts say about one key.
+/// Description of a key for the reference and the error messages.
 pub(super) struct Key {
     pub name: &'static str,
     pub about: &'static str,
@@ -14,13 +14,13 @@ pub(super) struct Key {
     pub default: String,
 }
 
-/// What a key is worth where a scene does not name it.
+/// Value of a key that a scene does not name.
 pub(super) enum Preset<T> {
-    /// The scene must name it.
+    /// The key is required.
     Required,
-    /// This value.
+    /// Default value.
     Is(T),
-    /// No value here: the text says what happens instead.
+    /// No value; the text describes the effect.
     Unset(T, &'static str),
 }
 
@@ -46,25 +46,25 @@ impl<T: FromToml> Preset<T> {
     }
 }
 
-/// A section of a scene, as [`section!`] makes it.
+/// Section of a scene; [`section!`] implements it.
 pub(super) trait Section: Sized {
     const NAME: &'static str;
     const ABOUT: &'static str;
-    /// The table of this section's keys.
+    /// Table of this section's keys.
     fn keys() -> Vec<Key>;
-    /// Reads each key by itself.
+    /// Reads and checks each key separately.
     fn read(reader: &Reader) -> Result<Self>;
 }
 
-/// What a section refuses that no key refuses by itself.
+/// Checks of a section that concern several keys.
 pub(super) trait Check {
-    /// Fills in what follows from other keys, and refuses keys that contradict each other.
+    /// Fills in defaults that depend on other keys, and refuses keys that contradict each other.
     fn check(&mut self, _reader: &Reader) -> Result<()> {
         Ok(())
     }
 }
 
-/// Declares a section: `key: type, range, default;` with the doc comment as the text of the reference.
+/// Declares a section: `key: type, range, default;`. The doc comment is the text of the reference.
 macro_rules! section {
     ($(#[doc = $about:literal])+ $section:ident = $name:literal {
         $($(#[doc = $doc:literal])+ $key:ident: $type:ty, $range:expr, $preset:expr;)+
@@ -94,7 +94,7 @@ macro_rules! section {
 }
 pub(super) use section;
 
-/// `loop`, from the `r#loop` that Rust wants.
+/// Key of a field: `loop` for the field `r#loop`.
 pub(super) const fn key_name(field: &'static str) -> &'static str {
     match field.as_bytes() {
         [b'r', b'#', ..] => field.split_at(2).1,
@@ -102,7 +102,7 @@ pub(super) const fn key_name(field: &'static str) -> &'static str {
     }
 }
 
-/// The text of a scene and what to call it in messages.
+/// Text of a scene, and its name in messages.
 #[derive(Clone, Copy)]
 pub(super) struct Source<'a> {
     pub name: &'a str,
@@ -111,7 +111,7 @@ pub(super) struct Source<'a> {
 }
 
 impl Source<'_> {
-    /// `scene.toml line 12`, or `scene.toml` where no place is known.
+    /// Position for a message: `scene.toml line 12`, or `scene.toml` for an unknown position.
     pub(super) fn at(&self, span: Option<std::ops::Range<usize>>) -> String {
         match span {
             Some(span) => {
@@ -123,11 +123,11 @@ impl Source<'_> {
     }
 }
 
-/// Reads the keys of one section.
+/// Reader of the keys of one section.
 pub(super) struct Reader<'a> {
     pub source: Source<'a>,
     pub section: &'static str,
-    /// The section's item, or `None` where the scene does not have the section.
+    /// Item of the section; `None` if the scene does not have the section.
     pub item: Option<&'a Item>,
 }
 
@@ -136,24 +136,24 @@ impl<'a> Reader<'a> {
         self.item?.as_table_like()
     }
 
-    /// Whether the scene names this key.
+    /// Whether the scene names the key.
     pub(super) fn named(&self, key: &str) -> bool {
         self.table().is_some_and(|table| table.contains_key(key))
     }
 
-    /// `scene.toml line 12`: where a key stands, or its section where it does not.
+    /// Position of a key for a message, `scene.toml line 12`; that of its section if the scene does not name the key.
     pub(super) fn at(&self, key: &str) -> String {
         let key_span =
             self.table().and_then(|table| table.get_key_value(key)).and_then(|(key, item)| key.span().or(item.span()));
         self.source.at(key_span.or_else(|| self.item.and_then(Item::span)))
     }
 
-    /// An error about `key`.
+    /// Error about `key`.
     pub(super) fn error(&self, key: &str, sentence: impl std::fmt::Display) -> Error {
         Error::Scene(format!("{}: {sentence}", self.at(key)))
     }
 
-    /// Refuses those of `keys` that are named, which have no meaning for the reason given.
+    /// Refuses `keys` that are named but have no effect, for the given reason.
     pub(super) fn refuse(&self, keys: &[&str], reason: &str) -> Result<()> {
         match keys.iter().find(|key| self.named(key)) {
             Some(key) => {
@@ -163,7 +163,7 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Refuses two keys that say the same thing twice.
+    /// Refuses two keys that are alternatives if both are named.
     pub(super) fn not_both(&self, one: &str, other: &str) -> Result<()> {
         if self.named(one) && self.named(other) {
             let section = self.section;
@@ -175,7 +175,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// The value of one key.
+    /// Reads the value of one key.
     pub(super) fn key<T: FromToml>(&self, name: &'static str, range: &Range, preset: Preset<T>) -> Result<T> {
         let section = self.section;
         let Some(item) = self.table().and_then(|table| table.get(name)) else {
@@ -197,7 +197,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// A value as a message shows it: on one line and not too long.
+/// Value for a message: on one line, shortened.
 fn excerpt(item: &Item) -> String {
     const LONGEST: usize = 60;
     let Some(value) = item.as_value() else { return "(a table)".into() };
@@ -209,9 +209,9 @@ fn excerpt(item: &Item) -> String {
     }
 }
 
-/// The nearest of `known` to a misspelt `word`, if any is near.
+/// Finds the name in `known` that is most similar to a misspelt `word`; `None` if no name is similar.
 pub(super) fn nearest<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) -> Option<&'k str> {
-    // A third of the letters may be wrong: enough for a slip or a missing unit, too few for another word.
+    // A third of the letters may differ: enough for a misprint or a missing unit, too few for another word.
     let (distance, name) = known.into_iter().map(|name| (strsim::damerau_levenshtein(word, name), name)).min()?;
     let similar = strsim::jaro_winkler(word, name) > 0.9;
     (similar || 3 * distance <= name.chars().count()).then_some(name)
@@ -222,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn suggestions_are_near_or_absent() {
+    fn suggestions_are_similar_or_absent() {
         let known = ["wavelength_nm", "pixels", "peak_snr"];
         assert_eq!(nearest("wavelenght_nm", known), Some("wavelength_nm"));
         assert_eq!(nearest("wavelength", known), Some("wavelength_nm"));

@@ -1,7 +1,7 @@
-//! `[pupil]`, `[image]` and `[aberrations]`: the telescope, its camera, and the truth of a simulated image.
+//! Sections `[pupil]`, `[image]` and `[aberrations]`: telescope, science camera, true aberrations of simulated images.
 
-use super::Purpose;
 use super::lists::Zernikes;
+use super::purpose::Purpose;
 use super::table::{Check, Reader, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
 use super::words::{Aperture, Crop, PupilModel};
@@ -9,47 +9,49 @@ use crate::Result;
 use std::path::PathBuf;
 
 section! {
-    /// The telescope's pupil.
+    /// Pupil of the telescope.
     PupilScene = "pupil" {
-        /// Hexagons in rings; "keck" and "hexagonal" differ in the default of central_segment only.
+        /// Hexagonal segments in rings. "keck" and "hexagonal" differ in the default of central_segment only.
         aperture: Aperture, ANY, default(Aperture::Keck);
-        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and, optional, SEGMENT (labels); needs grid_m.
-        file: Option<PathBuf>, ANY, unset("hexagons, as aperture says");
-        /// Rings of hexagons around the centre.
+        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels). Needs grid_m.
+        file: Option<PathBuf>, ANY, unset("hexagons, given by aperture");
+        /// Number of rings of hexagons around the centre.
         rings: usize, between(0.0, 30.0), default(3usize);
         /// Side of a segment.
         segment_side_m: f64, above(0.0, 100.0), default(0.9);
-        /// Distance between the edges of neighbouring segments: centres are √3·side + gap apart.
+        /// Gap between the edges of neighbouring segments. The distance between centres is √3·side + gap.
         segment_gap_m: f64, between(0.0, 10.0), default(0.003);
-        /// Whether the central segment is there; true by default where aperture is "hexagonal".
+        /// Whether there is a central segment; the default is true for aperture = "hexagonal".
         central_segment: bool, ANY, default(false);
-        /// Diameter of the round central obscuration; 0 is none.
+        /// Diameter of the circular central obscuration; 0 for none.
         central_obscuration_m: f64, between(0.0, 1000.0), default(0.0);
-        /// Width of the spider's vanes; 0 is no spider.
+        /// Width of the spider's vanes; 0 for no spider.
         spider_width_m: f64, between(0.0, 10.0), default(0.0);
-        /// Directions of the spider's lines through the centre, counter-clockwise from +x; two vanes each.
+        /// Directions of the spider's lines through the centre, counter-clockwise from +x; each line is two vanes.
         spider_angles_deg: Vec<f64>, between(-360.0, 360.0), default([0.0, 60.0, 120.0]);
-        /// Rotation of segments and spiders about the axis, counter-clockwise; modes, diversity and mirror stay.
+        /// Rotation of segments and spider about the axis, counter-clockwise; modes, diversity and mirror are not
+        /// rotated.
         rotation_deg: f64, between(-360.0, 360.0), default(0.0);
-        /// Side of the square grid; λ/D means λ/grid_m.
-        grid_m: Option<f64>, above(0.0, 1000.0), unset("the smallest that holds the pupil");
-        /// Samples along a side of the estimator's grid; a file with more is a fine map.
+        /// Side of the square pupil grid. λ/D in other keys means λ/grid_m.
+        grid_m: Option<f64>, above(0.0, 1000.0), unset("the smallest grid that contains the pupil");
+        /// Number of samples along a side of the estimator's pupil grid. A file with at least twice as many is a fine
+        /// map.
         samples: usize, even(16.0, 2048.0), default(120usize);
-        /// How the model samples the pupil.
-        model: Option<PupilModel>, ANY, unset("\"band-limited\"; for a file \"hard\", unless the file is a fine map");
-        /// Band-limited model: up to this frequency the low pass is 1, in cycles per grid width.
-        band_pass_cycles: Option<f64>, above(0.0, 1024.0), unset("what the image needs");
-        /// Band-limited model: from this frequency on the low pass is 0, in cycles per grid width.
+        /// Sampling of the pupil in the model.
+        model: Option<PupilModel>, ANY, unset("\"band-limited\"; for a file that is not a fine map \"hard\"");
+        /// Frequency up to which the low pass of the band-limited model is 1. Estimate only.
+        band_pass_cycles: Option<f64>, above(0.0, 1024.0), unset("as the image requires");
+        /// Frequency from which the low pass of the band-limited model is 0. Estimate only.
         band_stop_cycles: Option<f64>, above(0.0, 2048.0), unset("samples - band_pass_cycles");
     }
 }
 
 impl PupilScene {
-    /// Side of the smallest square, centred on the axis, that holds the hexagons, m; `None` for a pupil from a file.
+    /// Side of the smallest square, centred on the axis, that contains the hexagons, m; `None` for a pupil from a file.
     ///
-    /// Centres stand `p = √3·side + gap` apart, the outermost of R rings' corners `R·p` from the axis at 30° + k·60°, and the
-    /// vertices of each hexagon `side` from its centre at k·60°: along u the mirror reaches the largest `R·p·cos` of the
-    /// one and the largest `side·cos` of the other, of the angles to u.
+    /// The distance between centres is `p = √3·side + gap`. The corners of R rings are at `R·p` from the axis at 30° +
+    /// k·60°, and the vertices of each hexagon at `side` from its centre at k·60°. The extent along u is the largest
+    /// `R·p·cos` of the former plus the largest `side·cos` of the latter, of the angles to u.
     pub fn extent_m(&self) -> Option<f64> {
         if matches!(self.aperture, Aperture::File(_)) {
             return None;
@@ -98,11 +100,11 @@ impl PupilScene {
             );
             return Err(reader.error("central_obscuration_m", sentence));
         }
-        // A grid written with a few digits less than the extent's is meant to hold it: a part in 10⁹ is far below a sample.
+        // Allows for an extent that was rounded to fewer digits: a part in 10⁹ is far below a sample.
         match self.grid_m {
             Some(grid_m) if grid_m * (1.0 + 1e-9) < extent_m => {
                 let sentence = format!(
-                    "pupil.grid_m = {grid_m} is not accepted; {rings} rings of hexagons of side {side} m are {extent_m:.4} m across and need a grid that holds them"
+                    "pupil.grid_m = {grid_m} is not accepted; {rings} rings of hexagons of side {side} m are {extent_m:.4} m across and need a grid at least as wide"
                 );
                 Err(reader.error("grid_m", sentence))
             }
@@ -153,49 +155,51 @@ impl Check for PupilScene {
 }
 
 section! {
-    /// The camera and its images.
+    /// Science camera and its images.
     ImageScene = "image" {
-        /// Wavelength.
+        /// Mean wavelength of the filter.
         wavelength_nm: f64, between(100.0, 100_000.0), required();
-        /// Full width of the filter over the wavelength; 0 is monochromatic.
+        /// Full width of the filter relative to the wavelength; 0 for monochromatic light.
         bandwidth_fraction: f64, between(0.0, 0.5), default(0.0);
-        /// Detector pixels per λ/grid_m.
+        /// Sampling of the image: detector pixels per λ/grid_m.
         samples_per_lambda_over_d: f64, above(0.0, 64.0), default(2.0);
-        /// Pixels along a side of the image.
+        /// Number of pixels along a side of the image.
         pixels: usize, even(8.0, 8192.0), required();
-        /// Columns of a detector frame: the middle of the image's, its axis at half of them; at most pixels.
+        /// Number of columns of a detector frame, centred in the image; at most pixels. The axis is on column
+        /// columns/2.
         columns: Option<usize>, even(8.0, 8192.0), unset("pixels");
-        /// Rows of a detector frame, likewise.
+        /// Number of rows of a detector frame, centred in the image; at most pixels. The axis is on row rows/2.
         rows: Option<usize>, even(8.0, 8192.0), unset("pixels");
-        /// Pixels along a side of the part that is fitted; "auto" is what carries signal.
+        /// Number of pixels along a side of the square that is fitted; "auto" is the square with signal. Estimate only.
         crop_pixels: Crop, even(8.0, 8192.0), default(Crop::Auto);
-        /// Exposure of one image; 0 freezes the turbulence.
+        /// Exposure of one image; 0 for frozen turbulence. Read by AO simulations and full-phase estimates.
         exposure_s: f64, between(0.0, 86_400.0), default(0.01);
-        /// Focus added for the diversity, in waves RMS over the pupil, positive at its edge; 1.5 unless diversity_file is given.
+        /// Focus of the diversity, RMS over the pupil, positive at its edge; 1.5 unless diversity_file is given.
         diversity_focus_waves_rms: f64, between(-20.0, 20.0), default(1.5);
         /// FITS map of the diversity, nm on the pupil's grid, in place of a focus.
         diversity_file: Option<PathBuf>, ANY, unset("a focus");
-        /// Signal over noise at the brightest pixel of a simulated image; 500 unless flux_e is given.
-        peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or what flux_e gives");
-        /// Electrons of the star in a simulated image.
-        flux_e: Option<f64>, above(0.0, 1e18), unset("what peak_snr asks");
-        /// Read noise of a pixel, RMS electrons.
+        /// Signal-to-noise ratio of the brightest pixel. Simulation only.
+        peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
+        /// Electrons of the star in an image. Simulation only.
+        flux_e: Option<f64>, above(0.0, 1e18), unset("given by peak_snr");
+        /// Read noise of a pixel, RMS.
         read_noise_e: f64, between(0.0, 1e9), default(0.0);
-        /// Background of a pixel in a simulated image.
+        /// Background of a pixel. Read by simulations and full-phase estimates; modal estimates fit it.
         background_e: f64, between(0.0, 1e12), default(0.0);
-        /// Whether a simulated image has photon noise.
+        /// Whether the images have photon noise. Simulation only.
         photon_noise: bool, ANY, default(true);
-        /// RMS over a simulated detector of its pixels' responses about 1.
+        /// RMS of the pixel responses about 1. Simulation only.
         pixel_response_rms: f64, between(0.0, 0.3), default(0.0);
-        /// Side of the square over which a pixel of a simulated image gathers light, over the pitch; 0 is a point.
+        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for point sampling. Simulation only.
         pixel_fill: f64, between(0.0, 1.0), default(0.0);
-        /// Images in a simulated sequence.
+        /// Number of images in a simulated sequence.
         count: usize, between(1.0, 1e6), default(1usize);
-        /// From the start of one image to the start of the next; 0 is back to back.
+        /// Time from the start of one image to the start of the next; 0 for no pause between exposures. AO simulation
+        /// only.
         interval_s: f64, between(0.0, 1e6), default(0.0);
-        /// Whether the detector's columns run against +x.
+        /// Whether the detector's columns run opposite to +x. Estimate only.
         flip_x: bool, ANY, default(false);
-        /// Whether the detector's rows run against +y.
+        /// Whether the detector's rows run opposite to +y. Estimate only.
         flip_y: bool, ANY, default(false);
     }
 }
@@ -249,27 +253,28 @@ impl Check for ImageScene {
 }
 
 section! {
-    /// The truth of a simulated image; without this section the wavefront is flat.
+    /// True aberrations of simulated images. Simulation only. Without this section the wavefront is flat.
     AberrationScene = "aberrations" {
-        /// RMS over the segments of their pistons.
+        /// RMS of the segment pistons over the segments.
         segment_piston_rms_nm: f64, between(0.0, 1e6), default(0.0);
-        /// RMS over the pupil of the segments' tips and tilts.
+        /// RMS of the segment tips and tilts over the pupil.
         segment_tip_tilt_rms_nm: f64, between(0.0, 1e6), default(0.0);
-        /// RMS over the segments of their reflectivities about 1.
+        /// RMS of the segment reflectivities about 1.
         segment_reflectivity_rms: f64, between(0.0, 0.3), default(0.0);
-        /// RMS over the pupil of the non-common path aberrations.
+        /// RMS of the non-common path aberrations over the pupil.
         ncpa_rms_nm: f64, between(0.0, 1e6), default(0.0);
-        /// First and last Noll index of the Zernikes that they are made of.
+        /// First and last Noll index of the Zernike polynomials of the non-common path aberrations.
         ncpa_zernikes: Zernikes, between(1.0, 1000.0), default(Zernikes::Span { first: 4, last: 18 });
-        /// The variance of a Zernike goes as its radial order to this power.
+        /// Exponent p of the spectrum: the variance of a Zernike coefficient is proportional to (radial order)^p.
         ncpa_power_law: f64, between(-20.0, 20.0), default(-2.0);
-        /// FITS map of the non-common path aberrations, nm, in place of Zernikes.
-        ncpa_file: Option<PathBuf>, ANY, unset("Zernikes");
-        /// RMS by which the pistons drift in a minute, and as much the NCPA: evenly, about the middle of a loop's images.
+        /// FITS map of the non-common path aberrations, nm, in place of Zernike polynomials.
+        ncpa_file: Option<PathBuf>, ANY, unset("Zernike polynomials");
+        /// RMS drift of the segment pistons, and of the NCPA, in nm per minute: linear in time, 0 at the middle of the
+        /// sequence.
         drift_nm_per_min: f64, between(0.0, 1e6), default(0.0);
-        /// Samples along a side of the grid on which the truth is made.
-        truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 for each of the pupil's, or those of its file");
-        /// Seed of the draw, and of the images' noise.
+        /// Number of samples along a side of the grid on which the images are computed.
+        truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 times pupil.samples, or the samples of pupil.file");
+        /// Seed of the aberrations, and of the noise of an artificial source's images.
         seed: u64, at_least(0.0), default(1u64);
     }
 }

@@ -1,10 +1,10 @@
-//! How the value of a key is read from TOML, checked against what the key accepts, and written back.
+//! Values of keys: read from TOML, checked against their range, written back.
 
 use std::fmt::{self, Display};
 use std::path::PathBuf;
 use toml_edit::Value;
 
-/// Which numbers a key accepts; in a list, each item.
+/// Range of the numbers that a key accepts; for a list, of each item.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Range {
     low: f64,
@@ -14,7 +14,7 @@ pub(super) struct Range {
     even: bool,
 }
 
-/// Every finite number, and every value of a key that is no number.
+/// Every finite number; also the range of keys that are not numbers.
 pub(super) const ANY: Range =
     Range { low: f64::NEG_INFINITY, high: f64::INFINITY, open_low: false, open_high: false, even: false };
 
@@ -58,7 +58,7 @@ impl Range {
 }
 
 impl Display for Range {
-    /// The range in words, after a noun: ` from 0 to 1`.
+    /// Writes the range in words, to follow a noun: ` from 0 to 1`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { open_low, open_high, .. } = *self;
         let (low, high) = (brief(self.low), brief(self.high));
@@ -77,22 +77,22 @@ impl Display for Range {
     }
 }
 
-/// A bound without a row of zeros.
+/// Bound of a range; large numbers in exponential notation.
 fn brief(x: f64) -> String {
     if x.abs() >= 1e6 { format!("{x:e}") } else { x.to_string() }
 }
 
-/// A type that the value of a key can have.
+/// Type of a key's value.
 pub(super) trait FromToml: Sized {
-    /// What is accepted, in words.
+    /// Accepted values, in words.
     fn accepted(range: &Range) -> String;
-    /// The value, or `None` where it is not of this type or not in this range.
+    /// Reads the value; `None` for another type or a value outside the range.
     fn from_toml(value: &Value, range: &Range) -> Option<Self>;
-    /// As a scene would say it.
+    /// Writes the value in TOML syntax.
     fn to_toml(&self) -> String;
 }
 
-/// The number that a TOML integer or float stands for: `4` is accepted where `4.0` is meant.
+/// Number of a TOML integer or float: `4` is accepted for `4.0`.
 fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|i| i as f64))
 }
@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ranges_hold_what_their_words_say() {
+    fn ranges_and_their_descriptions_agree() {
         assert!(between(0.0, 1.0).holds(0.0) && between(0.0, 1.0).holds(1.0));
         assert!(!above(0.0, 1.0).holds(0.0) && above(0.0, 1.0).holds(1.0));
         assert!(!inside(0.0, 1.0).holds(1.0) && inside(0.0, 1.0).holds(0.5));
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn an_integer_is_a_float_but_not_the_other_way_round() {
+    fn an_integer_is_accepted_as_float_but_not_a_float_as_integer() {
         let (four, four_point) = (Value::from(4), Value::from(4.0));
         assert_eq!(f64::from_toml(&four, &ANY), Some(4.0));
         assert_eq!(usize::from_toml(&four, &ANY), Some(4));

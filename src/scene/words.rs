@@ -1,4 +1,4 @@
-//! The words that a scene may use, as enums, and the few values with a grammar of their own.
+//! Words that a scene may use, as enums, and values with a syntax of their own.
 
 use super::value::{FromToml, Range};
 use std::path::PathBuf;
@@ -6,13 +6,13 @@ use toml_edit::Value;
 
 /// Defines an enum whose variants are words in a scene; variants after the semicolon are set by other keys.
 macro_rules! words {
-    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $word:literal,)+ $(; $(#[$other_doc:meta])* $other:ident($of:ty))? }) => {
+    ($(#[$meta:meta])* $name:ident { $($(#[$doc:meta])* $variant:ident = $word:literal,)+ $(; $(#[$other_doc:meta])* $other:ident($content:ty))? }) => {
         $(#[$meta])*
         #[derive(Debug, Clone, PartialEq, Eq)]
-        pub enum $name { $($(#[$doc])* $variant,)+ $($(#[$other_doc])* $other($of),)? }
+        pub enum $name { $($(#[$doc])* $variant,)+ $($(#[$other_doc])* $other($content),)? }
 
         impl $name {
-            /// The word for it in a scene.
+            /// Word of the variant in a scene.
             pub fn word(&self) -> &'static str {
                 match self { $(Self::$variant => $word,)+ $(Self::$other(_) => "file",)? }
             }
@@ -32,7 +32,7 @@ macro_rules! words {
     };
 }
 
-/// `"a", "b" or "c"`.
+/// Lists words: `"a", "b" or "c"`.
 fn one_of(words: &[&str]) -> String {
     let quoted: Vec<String> = words.iter().map(|word| format!("{word:?}")).collect();
     match quoted.split_last() {
@@ -42,7 +42,7 @@ fn one_of(words: &[&str]) -> String {
 }
 
 words! {
-    /// The telescope's aperture.
+    /// Aperture of the telescope.
     Aperture {
         /// Hexagons in rings, the central one absent unless the scene says otherwise.
         Keck = "keck",
@@ -55,7 +55,7 @@ words! {
 }
 
 words! {
-    /// A number of the scene that can be fitted beside the modes.
+    /// Optical parameter of a scene that can be fitted in addition to the modes.
     #[derive(Copy)]
     Optic {
         /// Pixels per λ/D.
@@ -70,23 +70,24 @@ words! {
 }
 
 words! {
-    /// How the model samples the pupil.
+    /// Sampling of the pupil in the model.
     #[derive(Copy)]
     PupilModel {
-        /// Each segment's fine indicator, low-passed and decimated: reaches the noise bound with few samples.
+        /// Indicator function of each segment on a fine grid, low-passed and decimated: reaches the noise bound with
+        /// few samples.
         BandLimited = "band-limited",
-        /// Each segment's share of each sample's area; a sample at a border belongs to both.
+        /// Fraction of each sample's area in each segment; a sample at a border belongs to both segments.
         Area = "area",
-        /// The amplitude of each sample as it is; each sample belongs to one segment.
+        /// Amplitude of each sample without a low pass; each sample belongs to one segment.
         Hard = "hard",
     }
 }
 
 words! {
-    /// Which motions of the segments are estimated.
+    /// Segment modes that are estimated.
     #[derive(Copy)]
     SegmentModes {
-        /// None, beyond those in `modes.file`.
+        /// None, except those in `modes.file`.
         None = "none",
         /// One piston for each segment.
         Piston = "piston",
@@ -96,22 +97,22 @@ words! {
 }
 
 words! {
-    /// The basis of the non-common path aberrations.
+    /// Basis of the non-common path aberrations.
     NcpaBasis {
         /// Karhunen-Loève modes of the mirror's influence functions under the turbulence's statistics.
         Kl = "kl",
         /// Zernike polynomials in Noll's order, from tip on.
         Zernike = "zernike",
-        /// No basis (exact Zernikes may still be asked for).
+        /// No basis (`modes.exact_zernikes` can still be estimated).
         None = "none",
         ;
-        /// Modes from a FITS file, used as they are. Set by `modes.file`.
+        /// Modes from a FITS file, used without changes. Set by `modes.file`.
         File(PathBuf)
     }
 }
 
 words! {
-    /// The shape of an actuator's influence on the mirror.
+    /// Shape of an actuator's influence function.
     #[derive(Copy)]
     Influence {
         /// `coupling^(r²/pitch²)`: 1 at the actuator, `coupling` at its neighbour.
@@ -129,158 +130,158 @@ words! {
 }
 
 words! {
-    /// How a lenslet's spot becomes slopes.
+    /// Detector behind a lenslet, and the calculation of slopes.
     #[derive(Copy)]
     SensorDetector {
-        /// Diffracted light on four pixels: the difference of the two halves over their sum.
+        /// Diffracted spot on four pixels; slope: difference of the two halves over their sum.
         QuadCell = "quad-cell",
-        /// Diffracted light on `pixels_per_lenslet` pixels a side: the centre of gravity.
+        /// Diffracted spot on `pixels_per_lenslet` pixels a side; slope: centre of gravity.
         Pixels = "pixels",
-        /// No light: the mean slope of the wavefront over the lenslet, without noise.
+        /// No diffraction and no noise; slope: mean slope of the wavefront over the lenslet.
         Geometric = "geometric",
     }
 }
 
 words! {
-    /// Which subapertures the reconstructor leaves out.
+    /// Subapertures that are masked in the reconstruction.
     #[derive(Copy)]
     SensorMask {
         /// None.
         None = "none",
-        /// Those that straddle segments: no segment holds `mask_dominant_fraction` of the light.
+        /// Those that straddle segments: no segment has `mask_dominant_fraction` of their light.
         Segments = "segments",
     }
 }
 
 words! {
-    /// The space in which the slopes are inverted.
+    /// Basis in which the interaction matrix is inverted.
     #[derive(Copy)]
     ControlBasis {
-        /// The actuators.
+        /// Actuators.
         Zonal = "zonal",
-        /// The mirror's Karhunen-Loève modes.
+        /// Karhunen-Loève modes of the mirror.
         Kl = "kl",
     }
 }
 
 words! {
-    /// How the loop is closed.
+    /// Control law.
     #[derive(Copy)]
     Loop {
-        /// An integrator on the residual slopes.
+        /// Integrator on the residual slopes.
         Closed = "closed",
-        /// The mirror's own slopes are added back before the reconstruction.
+        /// The mirror's own slopes are added before the reconstruction.
         PseudoOpenLoop = "pseudo-open-loop",
-        /// The mirror's own slopes are added back for `fill = "inpaint"` and taken away again before the integrator.
+        /// The mirror's own slopes are added for `fill = "inpaint"` and subtracted again before the integrator.
         FullTurbulenceSlopes = "full-turbulence-slopes",
     }
 }
 
 words! {
-    /// What stands in for masked slopes.
+    /// Treatment of masked slopes.
     #[derive(Copy)]
     Fill {
-        /// Their measured values: nothing is replaced.
+        /// The measured values are used.
         None = "none",
-        /// Nothing: their rows leave the interaction matrix.
+        /// Their rows are removed from the interaction matrix.
         MaskInteractionMatrix = "mask-interaction-matrix",
-        /// Values inpainted from their neighbours.
+        /// They are replaced by values inpainted from their neighbours.
         Inpaint = "inpaint",
     }
 }
 
 words! {
-    /// The recipe of a fit.
+    /// Optimiser and recipe of a fit.
     #[derive(Copy)]
     Optimizer {
         /// Noise-weighted maximum likelihood: limited-memory BFGS in the metric of the Gauss-Newton matrix.
         GaussNewton = "gauss-newton",
-        /// The paper's method as a whole: hard-edged pupil, the scene's modes alone, no weights, BFGS from zero.
+        /// The paper's method: hard-edged pupil, only the scene's modes, no weights, BFGS from zero.
         Bfgs = "bfgs",
-        /// The paper's objective, minimised as [`Optimizer::GaussNewton`] does: the same minimum in a tenth of the
-        /// evaluations.
+        /// The paper's objective, minimised by the optimiser of [`Optimizer::GaussNewton`]: the same minimum with a
+        /// tenth of the evaluations.
         Paper = "paper",
     }
 }
 
 words! {
-    /// How the images of a sequence become one estimate, mode by mode.
+    /// Combination of the images of a sequence, mode by mode.
     #[derive(Copy)]
     Combine {
-        /// The mean of all images whose fit converged.
+        /// Mean of all images whose fit converged.
         Mean = "mean",
-        /// Their median.
+        /// Median of these images.
         Median = "median",
-        /// The mean without those that scatter far more than the others do.
+        /// Mean without outliers.
         ClippedMean = "clipped-mean",
     }
 }
 
 words! {
-    /// The weight of each pixel in a fit.
+    /// Weight of each pixel in a fit.
     #[derive(Copy)]
     Weighting {
-        /// One over its photon and read variance.
+        /// Inverse of the pixel's variance from photon and read noise.
         Noise = "noise",
-        /// The same for all.
+        /// Equal weights.
         None = "none",
     }
 }
 
 words! {
-    /// The pixels that a fit compares.
+    /// Pixels on which image and model are compared.
     #[derive(Copy)]
     Sampling {
-        /// Whichever costs less without loss.
+        /// The faster one without loss of information.
         Auto = "auto",
-        /// The detector's own.
+        /// The detector's pixels.
         Native = "native",
-        /// Two per λ/D.
+        /// Two pixels per λ/D.
         Nyquist = "nyquist",
     }
 }
 
 words! {
-    /// The precision of the imaging chain.
+    /// Precision of the imaging chain.
     #[derive(Copy)]
     Precision {
-        /// Double.
+        /// Double precision.
         F64 = "f64",
-        /// Single.
+        /// Single precision.
         F32 = "f32",
     }
 }
 
 words! {
-    /// The estimator.
+    /// Estimator.
     #[derive(Copy)]
     Method {
-        /// Static modes, fitted image by image.
+        /// Fit of static modes to each image.
         Modal = "modal",
-        /// The whole wavefront behind each image of a sequence, and static errors from all of them together.
+        /// Maximum a posteriori retrieval of the wavefront of each image, and of the static errors from all images.
         FullPhase = "full-phase",
     }
 }
 
 words! {
-    /// What a full-phase estimate assumes of the adaptive optics in front of the camera: each level with all before it.
+    /// Knowledge of the AO system that a full-phase estimate uses; each level includes those before it.
     #[derive(Copy, PartialOrd, Ord)]
     Knows {
-        /// Nothing: the mirror's pitch, and a spectrum of ordinary seeing.
+        /// Only the mirror's pitch; the residual wavefront has a typical spectrum.
         Nothing = "nothing",
-        /// The spectrum of the residual wavefront, from the scene's turbulence and control.
+        /// Spectrum of the residual wavefront, from the scene's turbulence and control.
         Spectrum = "spectrum",
-        /// The loop: what it answers to the pistons is found by closing it on them alone.
+        /// Response of the closed loop to the segments, from a noise-free, turbulence-free simulation.
         Loop = "loop",
-        /// What its sensor measured during each exposure.
+        /// Slopes that the sensor measured during each exposure.
         Telemetry = "telemetry",
     }
 }
 
-/// Where the estimator runs.
+/// Device that computes an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DeviceChoice {
-    /// The fastest that is here.
+    /// The fastest available device.
     Auto,
     /// The processor, without OpenCL.
     Cpu,
@@ -321,7 +322,7 @@ impl std::str::FromStr for DeviceChoice {
     }
 }
 
-/// Digits alone: `usize::from_str` would also take a sign.
+/// Parses digits only: `usize::from_str` also accepts a sign.
 fn index(digits: &str) -> Option<usize> {
     digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse().ok())?
 }
@@ -343,10 +344,10 @@ impl FromToml for DeviceChoice {
     }
 }
 
-/// How much of an image is fitted.
+/// Part of an image that is fitted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Crop {
-    /// What carries signal.
+    /// The square with signal.
     Auto,
     /// A centred square of this many detector pixels a side.
     Pixels(usize),

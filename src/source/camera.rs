@@ -1,6 +1,6 @@
-//! The camera: the exact field on a fine grid, its image at the detector's sampling, photon and read noise.
+//! Simulated camera: field on a fine grid, image at the detector's sampling, photon and read noise.
 
-use super::pixels::Pixels;
+use super::pixels::DetectorPixels;
 use super::truth::Truth;
 use crate::Result;
 use crate::fourier::{Sampling, Transform};
@@ -12,11 +12,11 @@ use ndarray::{Array2, s};
 use rand::Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 
-/// Least wavelengths that stand for a filter of finite width, and twice those that a model of it needs: what a model leaves out
-/// is to show.
+/// Least number of wavelengths of a filter of finite width. The simulation uses twice as many as a model needs, so that
+/// the discretisation error of a model is visible in its residuals.
 const LEAST_WAVELENGTHS: usize = 7;
 
-/// The scene's camera behind its telescope.
+/// Camera of a scene behind its telescope.
 pub struct Camera<'a> {
     scene: &'a Scene,
     telescope: &'a Telescope,
@@ -26,11 +26,11 @@ pub struct Camera<'a> {
 }
 
 impl<'a> Camera<'a> {
-    /// The camera of `scene`, with the pupil on `aberrations.truth_samples` samples, or those of
-    /// [`Telescope::truth_samples`].
+    /// Camera of `scene`, with the pupil on `aberrations.truth_samples` samples (default:
+    /// [`Telescope::truth_samples`]).
     ///
     /// # Errors
-    /// [`crate::Error::Value`] for a coarse pupil map that is asked for a finer grid.
+    /// [`crate::Error::Value`] for a coarse pupil map and a finer grid.
     pub fn of(scene: &'a Scene, telescope: &'a Telescope) -> Result<Self> {
         let own = telescope.pupil.grid;
         let stated = scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
@@ -41,19 +41,19 @@ impl<'a> Camera<'a> {
         Ok(Self { scene, telescope, grid, weights, diversity })
     }
 
-    /// The noiseless PSF on the detector's frame, `[y, x]`, which sums to 1 over an unbounded detector.
+    /// Computes the noise-free PSF on the detector's frame, `[y, x]`; it sums to 1 over an unbounded detector.
     ///
     /// # Errors
-    /// [`crate::Error::Shape`] where the sampling is impossible.
+    /// [`crate::Error::Shape`] for an impossible sampling.
     pub fn psf(&self, truth: &Truth) -> Result<Array2<f64>> {
         let (image, psf) = (&self.scene.image, self.square_psf(truth)?);
         let (rows, columns) = image.frame_shape();
-        // The axis is on pixel M/2 of either.
+        // The axis is on pixel M/2 of the square and of the frame.
         let [y, x] = [rows, columns].map(|size| image.pixels / 2 - size / 2);
-        Ok(Pixels::of(self.scene).see(psf.slice_move(s![y..y + rows, x..x + columns])))
+        Ok(DetectorPixels::new(self.scene).apply(psf.slice_move(s![y..y + rows, x..x + columns])))
     }
 
-    /// The PSF on `image.pixels` pixels a side.
+    /// Computes the PSF on `image.pixels` pixels a side.
     fn square_psf(&self, truth: &Truth) -> Result<Array2<f64>> {
         let image = &self.scene.image;
         let opd_nm = self.smooth_opd_nm(truth)?;
@@ -68,7 +68,7 @@ impl<'a> Camera<'a> {
         Ok(sum)
     }
 
-    /// NCPA and diversity at the lit samples, nm.
+    /// NCPA plus diversity at the illuminated samples, nm.
     fn smooth_opd_nm(&self, truth: &Truth) -> Result<Vec<f64>> {
         let (xs, ys): (Vec<f64>, Vec<f64>) = self.weights.lit.iter().map(|&p| self.at(p)).unzip();
         let mut opd_nm = truth.ncpa_at(&xs, &ys)?;
@@ -120,8 +120,8 @@ impl<'a> Camera<'a> {
     }
 }
 
-/// Electrons of the star: as stated, or so that the brightest pixel, `peak` of the PSF, has the stated signal over noise,
-/// `peak/√(peak + background + read noise²)`.
+/// Electrons of the star: `image.flux_e`, or the flux for which the brightest pixel (`peak` of the PSF) has the
+/// signal-to-noise ratio `image.peak_snr` = s/√(s + background + read noise²), s its signal.
 pub fn flux_e(image: &ImageScene, peak: f64) -> f64 {
     image.flux_e.unwrap_or_else(|| {
         let snr = image.peak_snr.unwrap_or(500.0);
@@ -132,10 +132,10 @@ pub fn flux_e(image: &ImageScene, peak: f64) -> f64 {
     })
 }
 
-/// One pixel of an exposure with noise, electrons, where the PSF is `h`.
+/// Draws one pixel of an exposure with noise, electrons; `h` is the PSF at the pixel.
 pub fn expose(image: &ImageScene, h: f64, flux_e: f64, rng: &mut impl Rng) -> f64 {
     let mean = flux_e * h + image.background_e;
-    // A mean of 0 draws nothing; `Poisson` wants a positive one.
+    // `Poisson` needs a positive mean; for a mean of 0 the signal is 0.
     let photons = if image.photon_noise { Poisson::new(mean).map_or(0.0, |poisson| poisson.sample(rng)) } else { mean };
     let noise: f64 = StandardNormal.sample(rng);
     photons + image.read_noise_e * noise

@@ -1,16 +1,17 @@
-//! Image files with the truth behind them.
+//! FITS files of simulated images with their truth.
 
-use super::{SourceImages, Truth};
+use super::images::SourceImages;
+use super::truth::Truth;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Writes images of an artificial source: `IMAGES` (electrons), `TRUTH_PHASING` and `TRUTH_NCPA` (nm), tables `TRUTH` and
-/// `SCENE`. The file appears whole or not at all.
+/// Writes images of an artificial source: `IMAGES` (electrons), `TRUTH_PHASING` and `TRUTH_NCPA` (nm), tables `TRUTH`
+/// and `SCENE`. The write is atomic.
 ///
 /// # Errors
-/// [`Error::File`] where it cannot be written.
+/// [`Error::File`] if the file cannot be written.
 pub fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
     let mut file = FitsWriter::create(path)?;
     file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
@@ -26,10 +27,10 @@ pub fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
 /// Side of the scene's grid, m.
 fn grid_m(scene: &Scene) -> Result<f64> {
     let grid_m = scene.pupil.grid_m.or(scene.pupil.extent_m());
-    grid_m.ok_or_else(|| Error::Internal("a valid scene has no width of its grid".into()))
+    grid_m.ok_or_else(|| Error::Internal("a valid scene does not determine the width of its grid".into()))
 }
 
-/// What a reader of the HDU `IMAGES` must know.
+/// Writes the cards of the HDU `IMAGES`: noise, flux, sampling, exposure.
 pub(crate) fn image_cards(file: &mut FitsWriter, scene: &Scene, flux_e: f64) -> Result<()> {
     let image = &scene.image;
     let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
@@ -47,13 +48,13 @@ pub(crate) fn image_cards(file: &mut FitsWriter, scene: &Scene, flux_e: f64) -> 
     Ok(())
 }
 
-/// A seed in the header of `IMAGES`.
+/// Writes a seed to the header of `IMAGES`.
 pub(crate) fn seed_card(file: &mut FitsWriter, key: &str, seed: u64, comment: &str) -> Result<()> {
     // FITS integers are signed.
     file.card("IMAGES", key, i64::try_from(seed).unwrap_or(i64::MAX), comment)
 }
 
-/// The truth: both maps, and the segments one by one.
+/// Writes the truth: both maps, and the table of segments.
 pub(crate) fn truth(file: &mut FitsWriter, scene: &Scene, truth: &Truth) -> Result<()> {
     file.image("TRUTH_PHASING", &truth.phasing_nm, Pixel::F64, "nm")?;
     file.image("TRUTH_NCPA", &truth.ncpa_nm, Pixel::F64, "nm")?;

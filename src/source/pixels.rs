@@ -1,49 +1,51 @@
-//! What a detector's pixels make of a PSF: each gathers light over a square, and answers it in its own way.
+//! Response of a simulated detector's pixels: integration over the pixel's area, and a gain of its own.
 
-use super::stream;
+use super::random::stream;
 use crate::scene::Scene;
 use ndarray::{Array2, Axis};
 use num_complex::Complex64;
 use rustfft::FftPlanner;
 
-/// Stream of the responses under the seed of the aberrations: beyond the noise of any image.
+/// Random number stream of the pixel responses under the seed of the aberrations; above the streams of the images'
+/// noise.
 const RESPONSE_STREAM: u64 = 4 << 32;
 
-/// The pixels of a scene's detector.
-pub(crate) struct Pixels {
-    /// Side of the square over which one gathers light, over the pitch.
+/// Pixels of a scene's detector.
+pub(crate) struct DetectorPixels {
+    /// Side of a pixel's sensitive square, in pixel pitches; 0 for point sampling.
     fill: f64,
-    /// RMS of the responses about 1, and the seed of their draw.
+    /// RMS of the pixel responses about 1, and the seed of their draw.
     response_rms: f64,
     seed: u64,
 }
 
-impl Pixels {
-    /// Those of `scene`.
-    pub(crate) fn of(scene: &Scene) -> Self {
+impl DetectorPixels {
+    /// Pixels of `scene`.
+    pub(crate) fn new(scene: &Scene) -> Self {
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
         Self { fill: scene.image.pixel_fill, response_rms: scene.image.pixel_response_rms, seed }
     }
 
-    /// The PSF `[y, x]` as points sample it, as these pixels do. Points without differences return it to the last bit.
-    pub(crate) fn see(&self, psf: Array2<f64>) -> Array2<f64> {
-        let mut seen = if self.fill > 0.0 { gathered(psf, self.fill) } else { psf };
+    /// Applies the pixels' area and response to a point-sampled PSF `[y, x]`. With `fill` = 0 and equal responses the
+    /// result is bit-identical to the input.
+    pub(crate) fn apply(&self, psf: Array2<f64>) -> Array2<f64> {
+        let mut sampled = if self.fill > 0.0 { integrate_over_pixels(psf, self.fill) } else { psf };
         if self.response_rms > 0.0 {
             use rand_distr::{Distribution, StandardNormal};
             let mut rng = stream(self.seed, RESPONSE_STREAM);
-            seen.mapv_inplace(|h| {
+            sampled.mapv_inplace(|h| {
                 let normal: f64 = StandardNormal.sample(&mut rng);
                 h * (1.0 + self.response_rms * normal).max(0.0)
             });
         }
-        seen
+        sampled
     }
 }
 
-/// Means over squares of side `fill` about each point. An image sampled at two pixels or more per λ/D holds no frequency
-/// beyond half a cycle per pixel, so the transfer function of the square, `sinc·sinc`, says it exactly, but for what a
-/// periodic image takes from its opposite edge: light of the faintest wings.
-fn gathered(psf: Array2<f64>, fill: f64) -> Array2<f64> {
+/// Means over squares of side `fill` about each point. An image sampled with at least two pixels per λ/D has no
+/// frequency beyond half a cycle per pixel, so multiplication of its spectrum by the transfer function of the square,
+/// `sinc·sinc`, is exact except for the faint light that wraps around at the edges.
+fn integrate_over_pixels(psf: Array2<f64>, fill: f64) -> Array2<f64> {
     let mut field = psf.mapv(Complex64::from);
     let mut planner = FftPlanner::new();
     for axis in [Axis(1), Axis(0)] {
@@ -64,7 +66,7 @@ fn gathered(psf: Array2<f64>, fill: f64) -> Array2<f64> {
             lane.iter_mut().zip(line).for_each(|(out, value)| *out = value);
         }
     }
-    // The square's share is positive; rounding about 0 is not.
+    // The mean of a PSF is not negative; rounding may make it so.
     field.mapv(|value| value.re.max(0.0))
 }
 
@@ -73,28 +75,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_square_gathers_the_mean_of_what_is_under_it() {
+    fn a_pixel_integrates_over_its_area() {
         // 1 + cos(2πfx) averaged over a width w about x: 1 + sinc(fw)·cos(2πfx); f = 3/24 cycles a pixel, w = 0.8.
         let f = 3.0 / 24.0;
         let wave = |x: usize| (std::f64::consts::TAU * f * x as f64).cos();
-        let seen = gathered(Array2::from_shape_fn((16, 24), |(_, x)| 1.0 + wave(x)), 0.8);
+        let sampled = integrate_over_pixels(Array2::from_shape_fn((16, 24), |(_, x)| 1.0 + wave(x)), 0.8);
         let share = (std::f64::consts::PI * f * 0.8).sin() / (std::f64::consts::PI * f * 0.8);
-        for ((_, x), value) in seen.indexed_iter() {
+        for ((_, x), value) in sampled.indexed_iter() {
             // Rounding of transforms of 24 numbers of order 1.
             assert!((value - 1.0 - share * wave(x)).abs() < 1e-13);
         }
     }
 
     #[test]
-    fn responses_have_the_stated_spread_and_points_change_nothing() {
+    fn responses_have_the_stated_spread_and_point_sampling_is_the_identity() {
         let scene = Scene::preset("keck-onsky").unwrap();
         let flat = Array2::from_elem((100, 100), 2.0);
-        assert_eq!(Pixels::of(&scene).see(flat.clone()), flat);
+        assert_eq!(DetectorPixels::new(&scene).apply(flat.clone()), flat);
         let rough = scene.with(&[("image.pixel_response_rms", "0.02")]).unwrap();
-        let seen = Pixels::of(&rough).see(flat.clone());
+        let sampled = DetectorPixels::new(&rough).apply(flat.clone());
         // The spread of 10,000 draws is known to 0.7 %: four times that.
-        let spread = seen.std(0.0) / 2.0;
+        let spread = sampled.std(0.0) / 2.0;
         assert!((spread / 0.02 - 1.0).abs() < 0.03, "{spread}");
-        assert_eq!(Pixels::of(&rough).see(flat), seen, "a detector does not change from image to image");
+        assert_eq!(DetectorPixels::new(&rough).apply(flat), sampled, "a detector's responses do not change");
     }
 }

@@ -1,4 +1,4 @@
-//! Drawing the aberrations.
+//! True aberrations of simulated images, drawn at random.
 
 use crate::io;
 use crate::modes::{SmoothBasis, Zernikes, noll_orders};
@@ -10,7 +10,7 @@ use ndarray::{Array2, Array3};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// The aberrations of a simulated image.
+/// Aberrations of a simulated image.
 pub struct Truth {
     /// Piston of each segment, nm, with zero mean over the pupil.
     pub piston_nm: Vec<f64>,
@@ -18,14 +18,14 @@ pub struct Truth {
     pub tip_tilt_nm: Vec<[f64; 2]>,
     /// Segment errors on the scene's grid, nm, `[y, x]`, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations likewise.
+    /// Non-common path aberrations on the same grid, nm.
     pub ncpa_nm: Array2<f64>,
     /// Amplitude that each segment reflects, about 1.
     pub amplitude: Vec<f64>,
     ncpa: Ncpa,
-    /// What pistons and NCPA gain in a minute, nm; none where they stay.
+    /// Drift of pistons and NCPA, nm per minute; `None` for static ones.
     drift: Option<(Vec<f64>, Ncpa)>,
-    /// The length on which a segment's tilt of 1 nm RMS rises by 1 nm, m.
+    /// Length over which a segment's tilt of 1 nm RMS rises by 1 nm, m.
     tilt_unit_m: f64,
 }
 
@@ -38,23 +38,22 @@ enum Ncpa {
 impl Truth {
     /// Draws the aberrations of `scene`.
     ///
-    /// Pistons are normal, brought to zero mean and exactly the stated RMS over the segments. The NCPA are Noll
-    /// polynomials on the circle around the pupil, the variance of each as its radial order to the stated power,
-    /// brought to exactly the stated RMS over the pupil (weight A, piston removed).
+    /// Pistons are normal, then shifted to zero mean and scaled to exactly the stated RMS over the segments. The NCPA
+    /// are Zernike polynomials on the circle around the pupil. Their variances are proportional to the radial order to
+    /// the stated power; their sum is scaled to exactly the stated RMS over the pupil (weight A, piston removed).
     ///
     /// # Errors
     /// [`Error::File`] for an NCPA map that cannot be read.
     pub fn draw(scene: &Scene, telescope: &Telescope, rng: &mut impl Rng) -> Result<Self> {
         let segments = telescope.pupil.segments.len();
         let Some(aberrations) = &scene.aberrations else {
-            let nothing = (vec![0.0; segments], vec![[0.0; 2]; segments]);
-            return Self::assemble(telescope, nothing.0, nothing.1, Ncpa::None);
+            return Self::assemble(telescope, vec![0.0; segments], vec![[0.0; 2]; segments], Ncpa::None);
         };
         let mut normal = || -> f64 { StandardNormal.sample(rng) };
         let areas = telescope.pupil.segment_areas();
         let whole: f64 = areas.iter().sum();
         let mean = |values: &[f64]| values.iter().zip(&areas).map(|(v, a)| v * a).sum::<f64>() / whole;
-        // One normal number for each segment, of zero mean and the RMS given.
+        // One normal number for each segment, with zero mean and the given RMS.
         let for_each = |normal: &mut dyn FnMut() -> f64, rms: f64| {
             let mut values: Vec<f64> = (0..segments).map(|_| normal()).collect();
             let centre = mean(&values);
@@ -76,7 +75,7 @@ impl Truth {
         } else {
             draw_zernikes(span, power, aberrations.ncpa_rms_nm, telescope, &mut normal)?
         };
-        // Drawn last: they change nothing of what a seed has always meant.
+        // Drawn last, so that the other draws of a seed do not depend on them.
         let reflectivity = for_each(&mut normal, aberrations.segment_reflectivity_rms);
         let drift_nm = aberrations.drift_nm_per_min;
         let drift = if drift_nm > 0.0 {
@@ -91,17 +90,18 @@ impl Truth {
         Ok(truth)
     }
 
-    /// These aberrations with other pistons, nm, one for each segment of `telescope`: segments that were corrected.
+    /// These aberrations with other pistons, nm, one for each segment of `telescope` (after a correction of the
+    /// segments).
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of them, [`Error::Value`] for one that is not finite.
+    /// [`Error::Shape`] for a wrong number of pistons, [`Error::Value`] for one that is not finite.
     pub fn with_pistons(self, telescope: &Telescope, piston_nm: Vec<f64>) -> Result<Self> {
         let (given, needed) = (piston_nm.len(), telescope.pupil.segments.len());
         if given != needed {
-            return Err(Error::Shape(format!("{given} pistons were given: the telescope has {needed} segments")));
+            return Err(Error::Shape(format!("{given} pistons were given for {needed} segments; one each is needed")));
         }
         if let Some(piston) = piston_nm.iter().find(|piston| !piston.is_finite()) {
-            return Err(Error::Value(format!("a piston of {piston} nm is impossible: it must be finite")));
+            return Err(Error::Value(format!("a piston of {piston} nm is impossible; a finite number is needed")));
         }
         let corrected = Self::assemble(telescope, piston_nm, self.tip_tilt_nm, self.ncpa)?;
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..corrected })
@@ -118,7 +118,7 @@ impl Truth {
         Ok(truth)
     }
 
-    /// The NCPA at points of the pupil plane, nm.
+    /// NCPA at points of the pupil plane, nm.
     ///
     /// # Errors
     /// [`Error::Shape`] for lists of unequal length.
@@ -126,24 +126,24 @@ impl Truth {
         self.ncpa.at(xs_m, ys_m)
     }
 
-    /// Light that the segments reflect over that of perfect ones; `telescope` has them.
+    /// Light that the segments of `telescope` reflect, relative to perfect reflectivity.
     pub(crate) fn throughput(&self, telescope: &Telescope) -> f64 {
         let areas = telescope.pupil.segment_areas();
         let light = |(area, amplitude): (&f64, &f64)| area * amplitude * amplitude;
         areas.iter().zip(&self.amplitude).map(light).sum::<f64>() / areas.iter().sum::<f64>()
     }
 
-    /// What each segment's piston gains in a minute, nm; none where they stay.
+    /// Drift of each segment's piston, nm per minute; `None` for static ones.
     pub(crate) fn piston_drift_nm(&self) -> Option<&[f64]> {
         self.drift.as_ref().map(|(pistons_nm, _)| &pistons_nm[..])
     }
 
-    /// What the NCPA gain in a minute at points of the pupil plane, nm.
+    /// Drift of the NCPA at points of the pupil plane, nm per minute.
     pub(crate) fn ncpa_drift_at(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Vec<f64>> {
         self.drift.as_ref().map_or_else(|| Ok(vec![0.0; xs_m.len()]), |(_, ncpa)| ncpa.at(xs_m, ys_m))
     }
 
-    /// The error of `segment` at a point, nm; the centres of the segments are those of `pupil`.
+    /// Error of `segment` at a point, nm; `pupil` has the centres of the segments.
     pub(crate) fn segment_nm(&self, pupil: &Pupil, segment: usize, x_m: f64, y_m: f64) -> f64 {
         let (centre, [tip, tilt]) = (pupil.segments[segment], self.tip_tilt_nm[segment]);
         self.piston_nm[segment] + (tip * (x_m - centre.x_m) + tilt * (y_m - centre.y_m)) / self.tilt_unit_m
@@ -154,27 +154,28 @@ impl Truth {
         self.tip_tilt_nm.iter().flatten().any(|&tilt| tilt != 0.0)
     }
 
-    /// The maps, phasing and NCPA, on the grid of `pupil`, `[y, x]`, nm, NaN outside: models of any size can be held
-    /// against the same wavefront.
+    /// Maps of the segment errors and of the NCPA on the grid of `pupil`, `[y, x]`, nm, NaN outside the pupil.
     ///
     /// # Errors
     /// [`Error::Shape`] for a pupil with other segments than the scene's.
     pub fn maps_on(&self, pupil: &Pupil) -> Result<[Array2<f64>; 2]> {
         if pupil.segments.len() != self.piston_nm.len() {
             let (given, wanted) = (pupil.segments.len(), self.piston_nm.len());
-            return Err(Error::Shape(format!("a pupil of {given} segments was given: the truth has {wanted}")));
+            return Err(Error::Shape(format!(
+                "a pupil of {given} segments was given for a truth of {wanted}; the same number is needed"
+            )));
         }
-        let lit: Vec<((usize, usize), usize)> = pupil
+        let illuminated: Vec<((usize, usize), usize)> = pupil
             .owner
             .indexed_iter()
             .filter(|(_, owner)| **owner >= 0)
             .map(|(at, &owner)| (at, owner as usize))
             .collect();
         let at = |((y, x), _): &((usize, usize), usize)| (pupil.grid.coordinate_m(*x), pupil.grid.coordinate_m(*y));
-        let (xs, ys): (Vec<f64>, Vec<f64>) = lit.iter().map(at).unzip();
+        let (xs, ys): (Vec<f64>, Vec<f64>) = illuminated.iter().map(at).unzip();
         let outside = Array2::from_elem(pupil.owner.dim(), f64::NAN);
         let (mut phasing_nm, mut ncpa_nm) = (outside.clone(), outside);
-        for ((at, owner), ncpa) in lit.into_iter().zip(self.ncpa_at(&xs, &ys)?) {
+        for ((at, owner), ncpa) in illuminated.into_iter().zip(self.ncpa_at(&xs, &ys)?) {
             let (y, x) = at;
             phasing_nm[at] = self.segment_nm(pupil, owner, pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
             ncpa_nm[at] = ncpa;
@@ -201,7 +202,8 @@ impl Ncpa {
     }
 }
 
-/// RMS of x over a segment, m: √(5/24) of the side for a hexagon; measured, so that it holds for any segment.
+/// RMS of x over a segment, m: √(5/24) of the side for a hexagon. It is measured on the pupil, so that it holds for any
+/// shape.
 fn segment_radius_rms(telescope: &Telescope) -> f64 {
     let pupil = &telescope.pupil;
     let (mut weight, mut square) = (0.0, 0.0);
@@ -227,7 +229,7 @@ fn draw_zernikes(
     telescope: &Telescope,
     normal: &mut dyn FnMut() -> f64,
 ) -> Result<Ncpa> {
-    // Piston (Noll 1) is not seen by anything.
+    // Piston (Noll 1) has no effect on an image.
     let nolls: Vec<usize> = span.indices().filter(|&noll| noll > 1).collect();
     if nolls.is_empty() || rms_nm == 0.0 {
         return Ok(Ncpa::None);

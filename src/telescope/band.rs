@@ -1,25 +1,27 @@
-//! The wavelengths that stand for a filter of finite width.
+//! Wavelengths that sample a filter of finite width: Gauss-Legendre quadrature.
 //!
-//! The image in light of a band is the mean over its wavelengths, and Gauss-Legendre's nodes make that of polynomials of degree
-//! 2K − 1 exact with K of them. At r λ/D from the axis an image turns by r·Δ turns over a band of width Δ; the mean of
-//! cos(2π·t·r·Δ) over t from −½ to ½ comes out to 1e-3 with K = 2 + 2·r·Δ nodes.
+//! The image in a band is the mean over its wavelengths. K Gauss-Legendre nodes integrate polynomials of degree 2K − 1
+//! exactly. At r λ/D from the axis the phase of the field changes by r·Δ turns over a band of width Δ; the mean of
+//! cos(2π·t·r·Δ) over t from −½ to ½ has an error of 1e-3 with K = 2 + 2·r·Δ nodes.
 
 use super::{Diversity, Telescope};
 use crate::scene::Scene;
 
-/// Wavelengths that the spot of `scene` needs, where all that follows from them is to be exact to a thousandth of what the
-/// filter's width does; 1 without a width.
+/// Number of wavelengths for the spot of `scene`: the error is a thousandth of the effect of the filter's width. 1 for
+/// a monochromatic scene.
 pub fn wavelengths_needed(scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> usize {
     let (width, spot) = (scene.image.bandwidth_fraction, diversity.spot(&telescope.pupil, scene.image.wavelength_nm));
     wavelengths_to(spot, width)
 }
 
-/// Wavelengths that a filter of `width` (of its mean wavelength) needs where light reaches so many λ/D from the axis.
+/// Number of wavelengths for a filter of `width` (relative to its mean wavelength) and light up to
+/// `reach_lambda_over_d` from the axis.
 pub fn wavelengths_to(reach_lambda_over_d: f64, width: f64) -> usize {
     if width > 0.0 { (2.0 + 2.0 * reach_lambda_over_d * width).ceil() as usize } else { 1 }
 }
 
-/// A flat filter of `width` (of its mean wavelength) by `count` wavelengths: each over the mean, and its share of the light.
+/// Wavelengths of a flat filter of `width` (relative to its mean wavelength), `count` of them: each relative to the
+/// mean, with its weight; the weights sum to 1.
 pub fn band(width: f64, count: usize) -> Vec<(f64, f64)> {
     gauss_legendre(count).into_iter().map(|(place, share)| (1.0 + 0.5 * width * place, share)).collect()
 }
@@ -32,7 +34,7 @@ fn gauss_legendre(count: usize) -> Vec<(f64, f64)> {
         .map(|i| {
             let mut x = (std::f64::consts::PI * (i as f64 + 0.75) / (n + 0.5)).cos();
             let mut slope = 0.0;
-            // Digits double with each step, from three.
+            // The correct digits double with each step, from three.
             for _ in 0..8 {
                 let (value, before) = (1..=count).fold((1.0, 0.0), |(p, q), k| {
                     let k = k as f64;
@@ -57,14 +59,14 @@ mod tests {
             for degree in 0..2 * count as i32 {
                 let sum: f64 = nodes.iter().map(|(x, share)| share * x.powi(degree)).sum();
                 let exact = if degree % 2 == 0 { 1.0 / f64::from(degree + 1) } else { 0.0 };
-                // Newton ends at the rounding of a zero, which the weights see squared.
+                // Newton's method ends at the rounding of a zero, which enters the weights squared.
                 assert!((sum - exact).abs() < 1e-13, "{count} {degree}: {sum} {exact}");
             }
         }
     }
 
     #[test]
-    fn as_many_wavelengths_as_are_needed_average_the_rim_of_the_spot() {
+    fn wavelengths_to_gives_enough_nodes_at_the_rim_of_the_spot() {
         for (spot, width) in [(20.0, 0.015), (20.0, 0.05), (20.0, 0.2), (60.0, 0.1)] {
             let count = wavelengths_to(spot, width);
             let turns = |ratio: f64| std::f64::consts::TAU * spot * (ratio - 1.0);
@@ -75,13 +77,13 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_needs_more_the_wider_its_filter() {
+    fn a_wider_filter_needs_more_wavelengths() {
         let count = |width: &str| {
             let scene = Scene::preset("keck-artificial").unwrap().with(&[("image.bandwidth_fraction", width)]).unwrap();
             let telescope = Telescope::of(&scene).unwrap();
             wavelengths_needed(&scene, &telescope, &Diversity::of(&scene, &telescope).unwrap())
         };
-        // A spot between 20 and 25 λ/D: 2 + 0.6 to 0.75, 2 + 2 to 2.5, 2 + 8 to 10, the next whole number each.
+        // A spot between 20 and 25 λ/D: 2 + 0.6 to 0.75, 2 + 2 to 2.5, 2 + 8 to 10, each rounded up.
         assert_eq!(["0", "0.015", "0.05"].map(count), [1, 3, 5]);
         assert!((11..=12).contains(&count("0.2")), "{}", count("0.2"));
     }

@@ -1,4 +1,4 @@
-//! The diversity of a scene, by formula or from a map.
+//! Diversity of a scene: focus or a map.
 
 use super::Telescope;
 use crate::io;
@@ -7,21 +7,21 @@ use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// A map over the pupil grid's width that can be read at any point.
+/// Map over the pupil grid's width, interpolated bilinearly.
 pub struct MapOnGrid {
     values: Array2<f64>,
     width_m: f64,
 }
 
 impl MapOnGrid {
-    /// A map `[y, x]` whose samples tile `width_m`; values that are not finite count as 0.
+    /// Map `[y, x]` whose samples tile `width_m`. Values that are not finite are replaced by 0.
     ///
     /// # Errors
     /// [`Error::Shape`] for a map that is not square.
     pub fn new(values: Array2<f64>, width_m: f64) -> Result<Self> {
         if values.nrows() != values.ncols() || values.is_empty() {
             let (rows, columns) = values.dim();
-            return Err(Error::Shape(format!("a map over the pupil has {columns}x{rows} samples; a square is needed")));
+            return Err(Error::Shape(format!("the map has {columns}x{rows} samples; a square map is needed")));
         }
         Ok(Self { values: values.mapv(|v| if v.is_finite() { v } else { 0.0 }), width_m })
     }
@@ -31,7 +31,7 @@ impl MapOnGrid {
         self.values.nrows()
     }
 
-    /// Bilinear interpolation at (x, y), m; beyond the outermost samples, their values.
+    /// Bilinear interpolation at (x, y), m; beyond the outermost samples the value of the nearest one.
     pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
         let n = self.values.nrows();
         let index = |c: f64| (c / self.width_m * n as f64 + (n as f64 - 1.0) / 2.0).clamp(0.0, n as f64 - 1.0);
@@ -44,25 +44,25 @@ impl MapOnGrid {
     }
 }
 
-/// The diversity of a scene, known at any point of the pupil plane.
+/// Diversity of a scene at any point of the pupil plane.
 pub enum Diversity {
-    /// `factor·(x² + y²) + offset`, nm.
+    /// Focus `factor·(x² + y²) + offset`, nm.
     Focus {
         /// nm per m².
         factor_nm_m2: f64,
         /// nm.
         offset_nm: f64,
     },
-    /// A map.
+    /// Map, nm.
     Map(MapOnGrid),
 }
 
 impl Diversity {
-    /// The diversity of `scene`: focus of the stated RMS over the pupil (weight A, zero mean, positive at the edge), or
-    /// the map of its file.
+    /// Diversity of `scene`: focus of the stated RMS over the pupil (weight A, zero mean, positive at the edge), or the
+    /// map of its file.
     ///
-    /// The RMS is that of the finest pupil that is known, not of the scene's grid: 120 samples and 108 would differ by
-    /// 1e-4 of it, which an estimate would show as 0.3 nm of focus.
+    /// The RMS is computed on the finest known pupil, not on the scene's grid: on 120 and on 108 samples it differs by
+    /// 1e-4, which would appear as 0.3 nm of focus in an estimate.
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read.
@@ -85,7 +85,7 @@ impl Diversity {
         Ok(Self::Focus { factor_nm_m2, offset_nm: -factor_nm_m2 * mean })
     }
 
-    /// Its value at (x, y) m, nm.
+    /// Diversity at (x, y) m, nm.
     pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
         match self {
             Self::Focus { factor_nm_m2, offset_nm } => factor_nm_m2 * (x_m * x_m + y_m * y_m) + offset_nm,
@@ -93,16 +93,16 @@ impl Diversity {
         }
     }
 
-    /// Steepest slope over the pupil, nm/m: it says how far the light spreads. Differences across the pupil's edge do not
-    /// count: a map may be anything outside.
+    /// Largest slope over the pupil, nm/m; it determines the size of the spot. Differences across the pupil's edge are
+    /// left out, because a map is arbitrary outside the pupil.
     pub fn steepest_nm_m(&self, pupil: &Pupil) -> f64 {
         let (grid, last) = (&pupil.grid, pupil.grid.samples() - 1);
-        let lit = |y: usize, x: usize| pupil.amplitude[[y, x]] > 0.0;
+        let inside = |y: usize, x: usize| pupil.amplitude[[y, x]] > 0.0;
         let value = |y: usize, x: usize| self.at(grid.coordinate_m(x), grid.coordinate_m(y));
         let mut steepest = 0.0f64;
         for y in 1..last {
             for x in 1..last {
-                if lit(y, x) && lit(y, x - 1) && lit(y, x + 1) && lit(y - 1, x) && lit(y + 1, x) {
+                if inside(y, x) && inside(y, x - 1) && inside(y, x + 1) && inside(y - 1, x) && inside(y + 1, x) {
                     let along_x = value(y, x + 1) - value(y, x - 1);
                     let along_y = value(y + 1, x) - value(y - 1, x);
                     steepest = steepest.max(along_x.hypot(along_y) / (2.0 * grid.pitch_m()));
@@ -112,7 +112,7 @@ impl Diversity {
         steepest
     }
 
-    /// Half-width of the spot that it makes of a point, by geometry, λ over the width of the grid of `pupil`.
+    /// Half-width of the geometric spot of a point source, in λ over the width of the grid of `pupil`.
     pub fn spot(&self, pupil: &Pupil, wavelength_nm: f64) -> f64 {
         self.steepest_nm_m(pupil) * pupil.grid.width_m() / wavelength_nm
     }
@@ -129,21 +129,21 @@ mod tests {
         let scene = Scene::preset("keck-artificial").unwrap();
         let telescope = Telescope::of(&scene).unwrap();
         let diversity = Diversity::of(&scene, &telescope).unwrap();
-        // On a grid that shares no sample with the one it was normalised on.
+        // On a grid without common samples with the one of the normalisation.
         let pupil = telescope.pupil_on(Grid::new(700, 10.95).unwrap()).unwrap();
         let grid = pupil.grid;
         let map = Array2::from_shape_fn(pupil.amplitude.dim(), |(y, x)| {
             diversity.at(grid.coordinate_m(x), grid.coordinate_m(y))
         });
         let mean = (&map * &pupil.amplitude).sum() / pupil.weight_sum();
-        // Moments on 700 samples are good to a few parts in 10⁶ (1e-4 at 120, falling as the square of the pitch).
+        // Moments on 700 samples have errors of a few parts in 10⁶ (1e-4 at 120, falling as the square of the pitch).
         assert_relative_eq!(pupil.rms(map.view()).unwrap(), 1.5 * 2168.6, max_relative = 1e-5);
         assert!(mean.abs() < 1e-5 * 1.5 * 2168.6, "{mean}");
         assert!(diversity.at(5.0, 0.0) > 0.0 && diversity.at(0.0, 0.0) < 0.0);
     }
 
     #[test]
-    fn a_map_is_read_between_its_samples_and_held_beyond_them() {
+    fn a_map_is_interpolated_between_its_samples_and_constant_beyond_them() {
         let plane = |x: f64, y: f64| 3.0 + 2.0 * x - y;
         let grid = Grid::new(6, 3.0).unwrap();
         let values = Array2::from_shape_fn((6, 6), |(y, x)| plane(grid.coordinate_m(x), grid.coordinate_m(y)));

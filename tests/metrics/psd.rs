@@ -21,8 +21,8 @@ fn noise(side: usize, random: &mut ChaCha8Rng) -> Array2<f64> {
     Array2::from_shape_simple_fn((side, side), || StandardNormal.sample(random))
 }
 
-/// Glass everywhere: a window without edges for what repeats over the grid.
-fn all_glass(samples: usize, width_m: f64) -> Pupil {
+/// Pupil that fills the grid: a window without edges for waves that are periodic over the grid.
+fn full_square(samples: usize, width_m: f64) -> Pupil {
     Pupil::from_maps(Grid::new(samples, width_m).unwrap(), Array2::ones((samples, samples)), None).unwrap()
 }
 
@@ -32,7 +32,7 @@ fn spectrum(pupil: &Pupil, padding: usize, maps: &[Array2<f64>]) -> Psd {
     average.mean().unwrap()
 }
 
-/// `amplitude_nm`·cos of `ky`, `kx` periods over the grid, not in phase with it.
+/// `amplitude_nm`·cos with `ky`, `kx` periods over the grid and a phase of 0.7 rad.
 fn sine(pupil: &Pupil, amplitude_nm: f64, [ky, kx]: [f64; 2]) -> Array2<f64> {
     let width = pupil.grid.width_m();
     map(pupil, |x, y| amplitude_nm * (2.0 * PI * (kx * x + ky * y) / width + 0.7).cos())
@@ -56,38 +56,38 @@ fn the_integral_is_the_variance_over_the_pupil_exactly() {
 }
 
 #[test]
-fn maps_in_pairs_are_maps_one_by_one() {
-    let (pupil, mut random) = (all_glass(15, 3.0), random());
+fn the_average_of_pairs_equals_the_average_of_single_maps() {
+    let (pupil, mut random) = (full_square(15, 3.0), random());
     let maps: Vec<_> = (0..5).map(|_| noise(15, &mut random)).collect();
     let single: Vec<Psd> = maps.iter().map(|map| spectrum(&pupil, 2, std::slice::from_ref(map))).collect();
     for count in 1..=5 {
         let together = spectrum(&pupil, 2, &maps[..count]);
-        let apart = single[..count].iter().fold(Array2::<f64>::zeros((30, 30)), |sum, psd| sum + psd.density_nm2_m2());
-        let difference: Array2<f64> = together.density_nm2_m2() - apart / count as f64;
+        let sum = single[..count].iter().fold(Array2::<f64>::zeros((30, 30)), |sum, psd| sum + psd.density_nm2_m2());
+        let difference: Array2<f64> = together.density_nm2_m2() - sum / count as f64;
         let worst = difference.iter().fold(0.0f64, |worst, d| worst.max(d.abs()));
-        // Densities here are about pitch² = 0.04, the transforms good to a few 1e-16.
+        // Densities here are about pitch² = 0.04; the transforms have errors of a few 1e-16.
         assert!(worst < 1e-16, "{count}: {worst:.1e}");
     }
 }
 
 #[test]
-fn reading_the_average_changes_nothing_and_f32_is_read_as_it_is() {
-    let (pupil, mut random) = (all_glass(16, 2.0), random());
+fn reading_the_average_does_not_change_it_and_f32_maps_are_exact() {
+    let (pupil, mut random) = (full_square(16, 2.0), random());
     let maps: Vec<Array2<f32>> = (0..4).map(|_| noise(16, &mut random).mapv(|value| value as f32)).collect();
-    let (mut watched, mut left) = (PsdAverage::new(&pupil, 1).unwrap(), PsdAverage::new(&pupil, 1).unwrap());
+    let (mut read, mut unread) = (PsdAverage::new(&pupil, 1).unwrap(), PsdAverage::new(&pupil, 1).unwrap());
     for (index, map) in maps.iter().enumerate() {
-        watched.add(map.view()).unwrap();
-        watched.mean().unwrap();
-        left.add(map.mapv(f64::from).view()).unwrap();
-        assert_eq!(watched.maps(), index + 1);
+        read.add(map.view()).unwrap();
+        read.mean().unwrap();
+        unread.add(map.mapv(f64::from).view()).unwrap();
+        assert_eq!(read.maps(), index + 1);
     }
-    assert_eq!(watched.mean().unwrap().density_nm2_m2(), left.mean().unwrap().density_nm2_m2());
+    assert_eq!(read.mean().unwrap().density_nm2_m2(), unread.mean().unwrap().density_nm2_m2());
 }
 
 #[test]
-fn a_sine_is_two_lines_of_half_its_variance_each() {
+fn a_sine_has_two_lines_of_half_its_variance_each() {
     for samples in [24, 25] {
-        let pupil = all_glass(samples, 6.0);
+        let pupil = full_square(samples, 6.0);
         let map = sine(&pupil, 30.0, [-3.0, 5.0]);
         let psd = spectrum(&pupil, 1, &[map]);
         let axis = samples / 2;
@@ -102,7 +102,7 @@ fn a_sine_is_two_lines_of_half_its_variance_each() {
 }
 
 #[test]
-fn a_sine_over_the_segmented_pupil_stands_at_its_frequency() {
+fn a_sine_over_the_segmented_pupil_peaks_at_its_frequency() {
     let pupil = keck();
     for padding in [1, 2] {
         let psd = spectrum(&pupil, padding, &[sine(&pupil, 50.0, [7.0, -12.0])]);
@@ -110,9 +110,9 @@ fn a_sine_over_the_segmented_pupil_stands_at_its_frequency() {
         let top = psd.density_nm2_m2().indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap();
         let lines = [(axis + 7 * padding, axis - 12 * padding), (axis - 7 * padding, axis + 12 * padding)];
         assert!(lines.contains(&top.0), "{:?}", top.0);
-        // At its top the window's own transform: (Σ A)²/Σ A samples, of pitch² each.
+        // The peak of the window's own transform: (Σ A)²/Σ A samples, of pitch² each.
         let expected = 50.0f64.powi(2) / 4.0 * pupil.weight_sum() * pupil.grid.pitch_m().powi(2);
-        // The other line, 28 steps away, adds its wing: the pupil's amplitude there is below 1 % of that at its top.
+        // The wing of the other line, 28 steps away, has an amplitude below 1 % of the peak.
         assert!((top.1 / expected - 1.0).abs() < 0.02, "{} {expected}", top.1);
     }
 }
@@ -127,10 +127,10 @@ fn white_noise_is_flat() {
     let expected = pupil.grid.pitch_m().powi(2);
     let rings = psd.rings();
     assert_eq!((rings.samples.len(), rings.samples[0]), (121, 1));
-    // The piston of each map is gone, and with it the density at frequency 0 and within the pupil's own PSF of it.
+    // Without the piston of each map the density at frequency 0, and within the pupil's PSF of it, is 0.
     for ring in 4..=120 {
-        // Exponentially distributed powers: a ring of n samples has n/2 free ones per map (±f are one), and the window,
-        // which fills 0.6 of the grid, leaves 0.6 of these independent: 5σ.
+        // Exponentially distributed powers: a ring of n samples has n/2 independent ones per map (±f are equal), and
+        // the window, which fills 0.6 of the grid, leaves 0.6 of these independent: 5σ.
         let free = 0.6 * rings.samples[ring] as f64 / 2.0 * MAPS as f64;
         let departure = rings.density_nm2_m2[ring] / expected - 1.0;
         assert!(departure.abs() < 5.0 / free.sqrt(), "ring {ring}: {departure}");
@@ -141,7 +141,7 @@ fn white_noise_is_flat() {
     assert!((fraction * 16.0 - 1.0).abs() < 5.0 / 216_000f64.sqrt() + 1.0 / 1500.0, "{fraction}");
 }
 
-/// Two independent periodic screens with the spectrum of `turbulence`, `side` samples of `pitch_m`, nm.
+/// Draws two independent periodic screens with the spectrum of `turbulence`, `side` samples of `pitch_m`, nm.
 fn screens(turbulence: &VonKarman, side: usize, pitch_m: f64, random: &mut ChaCha8Rng) -> [Array2<f64>; 2] {
     let step = 1.0 / (side as f64 * pitch_m);
     let frequency = |k: usize| step * (if 2 * k <= side { k as f64 } else { k as f64 - side as f64 });
@@ -159,7 +159,7 @@ fn screens(turbulence: &VonKarman, side: usize, pitch_m: f64, random: &mut ChaCh
 }
 
 #[test]
-fn von_karman_turbulence_has_its_spectrum_through_a_taper_and_leaks_without() {
+fn a_taper_recovers_the_spectrum_of_von_karman_turbulence() {
     let (pupil, mut random) = (keck(), random());
     let turbulence = VonKarman::new(0.16, 20.0).unwrap();
     let extent = pupil.grid.width_m();
@@ -169,7 +169,7 @@ fn von_karman_turbulence_has_its_spectrum_through_a_taper_and_leaks_without() {
     let mut plain = PsdAverage::new(&pupil, 1).unwrap();
     let mut variance = 0.0;
     for _ in 0..6 {
-        // 960 samples are 45 m, more than twice the outer scale: 16 pupils beside each other are nearly independent.
+        // 960 samples are 45 m, more than twice the outer scale: 16 neighbouring pupils are nearly independent.
         for screen in screens(&turbulence, 960, pupil.grid.pitch_m(), &mut random) {
             for tile in screen.exact_chunks((240, 240)) {
                 tapered.add(tile).unwrap();
@@ -181,23 +181,23 @@ fn von_karman_turbulence_has_its_spectrum_through_a_taper_and_leaks_without() {
     let maps = plain.maps() as f64;
     let [tapered, plain] = [tapered, plain].map(|average| average.mean().unwrap());
     assert!((plain.variance_nm2() / (variance / maps) - 1.0).abs() < 1e-12);
-    // Share of the grid's frequencies that the window leaves independent.
+    // Fraction of the grid's frequencies that the window leaves independent.
     let independent = taper.sum().powi(2) / taper.mapv(|a| a * a).sum() / taper.len() as f64;
     for rings in [8..12, 12..20, 20..40, 40..80, 80..120] {
-        let (seen, count) = over_theory(&tapered, &turbulence, rings.clone());
-        let (leaking, _) = over_theory(&plain, &turbulence, rings.clone());
-        println!("rings {rings:?}: {seen:.4} of theory through the taper, {leaking:.2} without");
-        // A Hann window smears by 1/3 of a squared step along each axis: of f^(−11/3) that makes (1/6)·(11/3)²/ring² too
-        // much. Beyond that, 5σ of exponentially distributed powers, ±f being one.
+        let (measured, count) = ratio_to_theory(&tapered, &turbulence, rings.clone());
+        let (leaking, _) = ratio_to_theory(&plain, &turbulence, rings.clone());
+        println!("rings {rings:?}: {measured:.4} of theory through the taper, {leaking:.2} without");
+        // A Hann window broadens by 1/3 of a squared step along each axis: for f^(−11/3) the excess is
+        // (1/6)·(11/3)²/ring². In addition 5σ of exponentially distributed powers, ±f being equal.
         let tolerance = 2.3 / (rings.start as f64).powi(2) + 5.0 / (independent * count / 2.0 * maps).sqrt();
-        assert!((seen - 1.0).abs() < tolerance, "{seen} {tolerance}");
-        // The leak falls as f^−3, slower than the spectrum.
-        assert!(leaking > 2.0 && leaking > seen, "{leaking}");
+        assert!((measured - 1.0).abs() < tolerance, "{measured} {tolerance}");
+        // The leakage falls as f^−3, slower than the spectrum.
+        assert!(leaking > 2.0 && leaking > measured, "{leaking}");
     }
 }
 
-/// Mean over rings of density over theory, and how many samples these rings have.
-fn over_theory(psd: &Psd, turbulence: &VonKarman, rings: std::ops::Range<usize>) -> (f64, f64) {
+/// Mean ratio of density to theory over rings, and the number of samples of these rings.
+fn ratio_to_theory(psd: &Psd, turbulence: &VonKarman, rings: std::ops::Range<usize>) -> (f64, f64) {
     let (mut sum, mut count) = (0.0, 0.0);
     for ((y, x), density) in psd.density_nm2_m2().indexed_iter() {
         let f_per_m = psd.frequency_per_m(y).hypot(psd.frequency_per_m(x));
@@ -209,29 +209,29 @@ fn over_theory(psd: &Psd, turbulence: &VonKarman, rings: std::ops::Range<usize>)
 }
 
 #[test]
-fn the_control_box_cuts_steps_by_their_share() {
+fn the_control_box_weights_steps_by_the_fraction_inside() {
     // The paper's grid: 240 samples over 20 actuator pitches.
-    let pupil = all_glass(240, 11.25);
+    let pupil = full_square(240, 11.25);
     let half_width = control_half_width_per_m(0.5625).unwrap();
-    // 10 periods over the grid lie on the edge of the box, on a corner of it, inside, outside.
+    // On the edge of the box (10 periods over the grid), on a corner, inside, outside.
     for (periods, fraction) in [([0.0, 10.0], 0.5), ([10.0, 10.0], 0.25), ([9.0, -9.0], 1.0), ([2.0, 11.0], 0.0)] {
         let psd = spectrum(&pupil, 1, &[sine(&pupil, 20.0, periods)]);
         let within = psd.fraction_within(half_width).unwrap();
-        // The edge is 10 steps but for rounding.
+        // The edge is at 10 steps up to rounding.
         assert!((within - fraction).abs() < 1e-12, "{periods:?}: {within}");
         assert!((psd.variance_nm2() - 200.0).abs() < 1e-10);
         let all = psd.fraction_within(120.0 * psd.step_per_m()).unwrap();
         assert!((all - 1.0).abs() < 1e-12, "{all}");
     }
     let alternating = map(&pupil, |x, _| ((x / pupil.grid.pitch_m()).floor() as i64).rem_euclid(2) as f64);
-    // The last frequency of an even grid is its own mirror image, and all of it lies within the largest box.
+    // The Nyquist frequency of an even grid is its own mirror image, and lies within the largest box.
     let psd = spectrum(&pupil, 1, &[alternating]);
     assert!((psd.fraction_within(120.0 * psd.step_per_m()).unwrap() - 1.0).abs() < 1e-12);
     assert!(psd.fraction_within(119.4 * psd.step_per_m()).unwrap() < 1e-12);
 }
 
 #[test]
-fn the_ratio_of_two_spectra_is_that_of_their_wavefronts() {
+fn the_ratio_of_spectra_is_the_squared_ratio_of_wavefronts() {
     let (pupil, mut random) = (keck(), random());
     let wavefront = noise(240, &mut random);
     let (before, after) = (spectrum(&pupil, 1, &[&wavefront * 3.0]), spectrum(&pupil, 1, &[wavefront + 40.0]));
@@ -241,26 +241,26 @@ fn the_ratio_of_two_spectra_is_that_of_their_wavefronts() {
             assert!(ratio.is_nan());
             continue;
         }
-        // The transforms are good to about 1e-15 of the largest; the smallest of 57600 exponentially distributed powers
-        // is 1e-5 of the mean, its amplitude 3e-3 of it.
+        // The transforms have errors of about 1e-15 of the largest value; the smallest of 57600 exponentially
+        // distributed powers is 1e-5 of the mean, its amplitude 3e-3 of it.
         assert!((ratio - 9.0).abs() < 1e-9, "{y} {x}: {ratio}");
     }
     assert!(before.ratio(&spectrum(&pupil, 2, &[Array2::zeros((240, 240))])).is_err());
-    assert!(before.ratio(&spectrum(&all_glass(240, 5.0), 1, &[Array2::zeros((240, 240))])).is_err());
+    assert!(before.ratio(&spectrum(&full_square(240, 5.0), 1, &[Array2::zeros((240, 240))])).is_err());
 }
 
 #[test]
-fn what_has_no_spectrum_is_refused_in_a_sentence() {
+fn invalid_maps_weights_and_bands_are_refused_with_the_reason() {
     let pupil = keck();
     let mut average = PsdAverage::new(&pupil, 1).unwrap();
     assert!(average.mean().unwrap_err().to_string().contains("0 maps"));
-    let glass = pupil.amplitude.indexed_iter().find(|(_, a)| **a > 0.0).unwrap().0;
+    let inside = pupil.amplitude.indexed_iter().find(|(_, a)| **a > 0.0).unwrap().0;
     let mut wavefront = Array2::from_elem((240, 240), f32::NAN);
     wavefront.zip_mut_with(&pupil.amplitude, |value, &a| *value = if a > 0.0 { a as f32 } else { f32::NAN });
     average.add(wavefront.view()).unwrap();
     let clean = average.mean().unwrap();
-    wavefront[glass] = f32::INFINITY;
-    let named = format!("inf at row {}, column {}", glass.0, glass.1);
+    wavefront[inside] = f32::INFINITY;
+    let named = format!("inf at row {}, column {}", inside.0, inside.1);
     assert!(average.add(wavefront.view()).unwrap_err().to_string().contains(&named));
     assert!(average.add(wavefront.slice(s![.., 1..])).unwrap_err().to_string().contains("240x239"));
     assert_eq!(average.maps(), 1);

@@ -1,4 +1,4 @@
-//! Strehl ratios of PSFs made from a pupil and a wavefront.
+//! Strehl ratios of simulated PSFs.
 
 use crate::{keck, map};
 use cophase::fourier::{Sampling, Transform};
@@ -13,10 +13,11 @@ use std::f64::consts::PI;
 /// H and K', nm.
 const BANDS_NM: [f64; 2] = [1633.0, 2124.0];
 const PIXELS: usize = 256;
-/// Of λ/(width of the grid), a little more than λ/D: the OTF of the scene's pupil ends within the cut-off.
+/// Pixels per λ/(width of the grid), which is a little less than λ/D: the OTF of the scene's pupil ends within the
+/// cut-off.
 const SAMPLING: f64 = 4.0;
 
-/// A pupil and what turns its wavefronts into PSFs of sum 1 over an unbounded detector.
+/// Pupil, and the transform of its wavefronts to PSFs of sum 1 over an unbounded detector.
 struct Telescope {
     pupil: Pupil,
     transform: Transform<f64>,
@@ -50,13 +51,13 @@ impl Telescope {
         self.psf(&Array2::zeros(self.pupil.amplitude.dim()), BANDS_NM[0])
     }
 
-    /// Smooth, without piston, tip and tilt, of `rms_nm`: focus, astigmatism, coma and something of higher order.
+    /// Smooth aberration without piston, tip and tilt, of `rms_nm`: focus, astigmatism, coma and higher orders.
     fn smooth(&self, rms_nm: f64) -> Array2<f64> {
         let shape = |x: f64, y: f64| (x * x + y * y) - 0.7 * x * y + 0.3 * x * (x * x + y * y) + 2.0 * (2.1 * y).sin();
         self.scaled(map(&self.pupil, shape), rms_nm)
     }
 
-    /// A piston of each segment, of `rms_nm`.
+    /// Segment pistons of `rms_nm`.
     fn pistons(&self, rms_nm: f64) -> Array2<f64> {
         let piston = |owner: i32| f64::from((owner * 17 + owner * owner * 5) % 23);
         self.scaled(self.pupil.owner.mapv(piston), rms_nm)
@@ -69,9 +70,9 @@ impl Telescope {
     }
 
     /// Mean over the pupil (weight A) of a function of the phase.
-    fn mean(&self, phase: &Array2<f64>, of: impl Fn(f64) -> f64) -> f64 {
-        let lit = self.pupil.amplitude.iter().zip(phase).filter(|(a, _)| **a > 0.0);
-        lit.map(|(a, &phase)| a * of(phase)).sum::<f64>() / self.pupil.weight_sum()
+    fn mean(&self, phase: &Array2<f64>, function: impl Fn(f64) -> f64) -> f64 {
+        let illuminated = self.pupil.amplitude.iter().zip(phase).filter(|(a, _)| **a > 0.0);
+        illuminated.map(|(a, &phase)| a * function(phase)).sum::<f64>() / self.pupil.weight_sum()
     }
 }
 
@@ -84,7 +85,7 @@ fn a_perfect_image_has_a_strehl_of_1() {
 }
 
 #[test]
-fn the_three_ways_agree_on_a_small_aberration_to_the_fourth_order() {
+fn the_three_methods_agree_for_a_small_aberration_to_the_fourth_order() {
     let telescope = Telescope::new();
     let perfect = telescope.perfect();
     for (wavelength_nm, rms_nm) in BANDS_NM.into_iter().flat_map(|band| [40.0, 80.0, 120.0].map(|rms| (band, rms))) {
@@ -99,17 +100,17 @@ fn the_three_ways_agree_on_a_small_aberration_to_the_fourth_order() {
             println!(
                 "{wavelength_nm} nm, {rms_nm} nm: {by_energy:.5} {by_otf:.5} {by_marechal:.5} on axis {on_axis:.5}"
             );
-            // Without noise the two read the same PSF, but for the jumps at the edges of the box: light of 1e-6 of the
-            // peak a pixel, 128 pixels away.
+            // Without noise the two methods differ only by the discontinuity at the edges of the box: 1e-6 of the peak
+            // per pixel, 128 pixels away.
             assert!((by_otf - by_energy).abs() < 1e-7, "{by_otf} {by_energy}");
-            // The light that left the box is known here; with it, the ratio of the peaks. An aberration without tilt
-            // moves the peak by the order of σ³, so it stands above the axis by the order of σ⁶.
+            // The light outside the box is known here, and so is the ratio of the peaks. An aberration without tilt
+            // shifts the peak by the order of σ³, so the peak exceeds the intensity on the axis by the order of σ⁶.
             let peak = by_energy * image.sum() / perfect.sum();
             assert!((-1e-6..0.1 * sigma2.powi(3) + 1e-6).contains(&(peak - on_axis)), "{peak} {on_axis}");
             // ln |<exp iφ>|² = −κ2 + κ4/12 − κ6/360 …, and |κ6| < 30 σ⁶ for bounded phases such as these.
             let lacking = (fourth - 3.0 * sigma2 * sigma2) / 12.0;
             assert!((on_axis.ln() - by_marechal.ln() - lacking).abs() < sigma2.powi(3) / 12.0);
-            // So between the image and Maréchal stand the fourth order and what left the box.
+            // The image and Maréchal differ by the fourth order and by the light outside the box.
             let lost = (perfect.sum() / image.sum()).ln();
             assert!((by_energy.ln() - by_marechal.ln()).abs() < sigma2 * sigma2 / 4.0 + lost);
         }
@@ -125,7 +126,7 @@ fn marechal_over_telemetry_is_the_strehl_of_the_long_exposure() {
     let mut exposure = Array2::zeros(perfect.dim());
     let mut fourth = 0.0;
     for frame in 0..12 {
-        // In pairs of opposite sign: the long exposure is symmetric, and its peak on the axis.
+        // Pairs of opposite sign make the long exposure symmetric, with its peak on the axis.
         let sign = if frame % 2 == 0 { 1.0 } else { -1.0 };
         let strength = f64::from(frame / 2);
         let wavefront = (telescope.smooth(30.0 + 8.0 * strength) + telescope.pistons(50.0) + &tilt * strength) * sign;
@@ -135,18 +136,18 @@ fn marechal_over_telemetry_is_the_strehl_of_the_long_exposure() {
         fourth += (2.0 * PI * rms_nm / wavelength_nm).powi(4) / 12.0;
         exposure += &(telescope.psf(&wavefront, wavelength_nm) / 12.0);
     }
-    let (seen, expected) =
+    let (measured, expected) =
         (strehl_by_energy(exposure.view(), 0.0, perfect.view()).unwrap(), marechal.strehl().unwrap());
     let lost = (perfect.sum() / exposure.sum()).ln();
-    println!("long exposure {seen:.4}, Maréchal {expected:.4}");
-    // As for a single frame.
-    assert!((seen / expected).ln().abs() < fourth / 4.0 + lost, "{seen} {expected}");
-    // And not that of the mean wavefront, which is flat.
-    assert!(seen < 0.9);
+    println!("long exposure {measured:.4}, Maréchal {expected:.4}");
+    // The tolerance of a single frame.
+    assert!((measured / expected).ln().abs() < fourth / 4.0 + lost, "{measured} {expected}");
+    // The mean wavefront is flat; its Strehl ratio would be 1.
+    assert!(measured < 0.9);
 }
 
 #[test]
-fn a_shift_by_a_part_of_a_pixel_changes_nothing() {
+fn a_subpixel_shift_does_not_change_the_strehl_ratio() {
     let telescope = Telescope::new();
     let (perfect, wavelength_nm) = (telescope.perfect(), BANDS_NM[1]);
     let aberration = telescope.smooth(60.0) + telescope.pistons(60.0);
@@ -167,8 +168,8 @@ fn a_shift_by_a_part_of_a_pixel_changes_nothing() {
             strehl_by_energy(moved.view(), 0.0, perfect.view()).unwrap(),
             strehl_by_otf(moved.view(), 0.0, perfect.view(), SAMPLING).unwrap(),
         );
-        // What enters the box on one side and leaves it on the other is less than all the light of the rows at its edges,
-        // for each pixel of shift.
+        // The light that a shift moves across the box's edges is at most that of the rows at the edges, per pixel of
+        // shift.
         let edges = [[0, 0], [1, 0], [0, 1], [1, 1]]
             .map(|[axis, last]| still.index_axis(Axis(axis), last * (PIXELS - 1)).sum() / still.sum());
         let tolerance = shift[0].abs() * edges[0].max(edges[2]) + shift[1].abs() * edges[1].max(edges[3]);
@@ -179,35 +180,35 @@ fn a_shift_by_a_part_of_a_pixel_changes_nothing() {
             let found = centred.shift_px[axis] - back.shift_px[axis];
             assert!((found - shift[axis]).abs() < 1e-4, "{found} {shift:?}");
         }
-        // Held to the edges: what wraps around there differs by the light at the edge.
+        // The shift wraps around; the images differ by the light at the edges.
         let worst = Zip::from(&back.image).and(&centred.image).fold(0.0f64, |w, a, b| w.max((a - b).abs()));
         println!("   {:.1e} of the peak", worst / brightest(&still));
         assert!(worst < 1e-3 * brightest(&still), "{worst:.1e}");
     }
-    // So it is the centring that does it: between four pixels, the brightest of them is well below the peak.
+    // Without interpolation the brightest of the four pixels around a peak is well below it.
     let moved = telescope.psf(&wavefront([0.5, 0.5]), wavelength_nm);
     assert!(brightest(&moved) < 0.95 * brightest(&still));
 }
 
 #[test]
-fn flux_and_background_do_not_matter() {
+fn flux_and_background_do_not_change_the_strehl_ratio() {
     let telescope = Telescope::new();
     let perfect = telescope.perfect();
     let image = telescope.psf(&telescope.smooth(90.0), BANDS_NM[0]);
     let plain = strehl_by_energy(image.view(), 0.0, perfect.view()).unwrap();
     let scaled = &image * 3.7e5 + 212.0;
-    let seen = strehl_by_energy(scaled.view(), 212.0, (&perfect * 1e-3).view()).unwrap();
+    let energy = strehl_by_energy(scaled.view(), 212.0, (&perfect * 1e-3).view()).unwrap();
     let otf = strehl_by_otf(scaled.view(), 212.0, (&perfect * 1e-3).view(), SAMPLING).unwrap();
-    // 212 in each of 65536 pixels is 40 times the light, and rounds to 1e-16 of itself.
-    assert!((seen / plain - 1.0).abs() < 1e-12 && (otf / plain - 1.0).abs() < 1e-7, "{seen} {otf} {plain}");
-    // A background of 1 e⁻ that was overlooked: the peak gains a little, the sum 65536 in 3.7e5.
-    let fooled = strehl_by_energy(scaled.view(), 211.0, perfect.view()).unwrap();
+    // 212 in each of 65536 pixels is 40 times the light, with rounding of 1e-16 of itself.
+    assert!((energy / plain - 1.0).abs() < 1e-12 && (otf / plain - 1.0).abs() < 1e-7, "{energy} {otf} {plain}");
+    // A background too small by 1 e⁻: the peak gains 1, the sum 65536 of 3.7e5.
+    let biased = strehl_by_energy(scaled.view(), 211.0, perfect.view()).unwrap();
     let expected = (1.0 + 1.0 / (scaled[[128, 128]] - 212.0)) / (1.0 + 65536.0 / (scaled.sum() - 212.0 * 65536.0));
-    assert!((fooled / plain / expected - 1.0).abs() < 1e-4, "{fooled} {plain} {expected}");
+    assert!((biased / plain / expected - 1.0).abs() < 1e-4, "{biased} {plain} {expected}");
 }
 
 #[test]
-fn noise_moves_the_strehl_by_what_the_peak_and_the_sum_see_of_it() {
+fn the_strehl_ratio_has_the_noise_of_its_peak_and_sum() {
     const DRAWS: usize = 60;
     let telescope = Telescope::new();
     let perfect = telescope.perfect();
@@ -234,12 +235,12 @@ fn noise_moves_the_strehl_by_what_the_peak_and_the_sum_see_of_it() {
     // π/16 of the frequencies pass.
     let expected = [at_peak.hypot(in_sum), at_peak, at_peak * (PI / SAMPLING.powi(2)).sqrt()];
     for (scatter, expected) in scatter.into_iter().zip(expected) {
-        // 60 draws tell a scatter to 1/√120 = 9 %: 4σ.
+        // 60 draws determine a standard deviation to 1/√120 = 9 %: 4σ.
         assert!((scatter / expected - 1.0).abs() < 0.37, "{scatter} {expected}");
     }
     for (sum, scatter) in sums.into_iter().zip(scatter) {
-        // The top of a noisy hill is above the hill where it was: by its slope² over twice its curvature, of the order of
-        // the noise squared, some (π·0.003)². The mean of 60 draws is known to 0.13 of their scatter: 4σ.
+        // Noise shifts the maximum, which raises it by slope² over twice the curvature, of the order of the noise
+        // squared, (π·0.003)². The mean of 60 draws is known to 0.13 of their scatter: 4σ.
         assert!(sum[0].abs() < 0.52 * scatter + 1e-4, "{} {scatter}", sum[0]);
     }
 }

@@ -1,6 +1,6 @@
-//! The loop as a control system.
+//! Dynamics of the loop: reproducibility, fitting error, lag, noise, rejection, stability.
 
-use super::system::{CLEAN, STILL, one_layer, residual_nm, simulator};
+use super::system::{NO_ERRORS_NO_NOISE, NO_TURBULENCE, one_layer, residual_nm, simulator};
 use cophase::Error;
 use cophase::ao::{Progress, Shot, Simulator};
 
@@ -9,7 +9,7 @@ fn borrowed(settings: &[(String, String)]) -> Vec<(&str, &str)> {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bits_and_another_seed_others() {
+fn the_same_seed_gives_the_same_bits_and_another_seed_does_not() {
     let run = |seed: &str| {
         let mut simulator = simulator(&[("turbulence.seed", seed)]);
         let slopes: Vec<f32> = (0..20).flat_map(|_| simulator.step().unwrap().slopes_mas.to_vec()).collect();
@@ -20,7 +20,7 @@ fn the_same_seed_gives_the_same_bits_and_another_seed_others() {
 }
 
 #[test]
-fn a_run_on_threads_is_the_loop_step_by_step() {
+fn a_run_on_threads_equals_single_steps() {
     let settings = [
         ("control.settle_s", "0.05"),
         ("image.count", "3"),
@@ -50,8 +50,8 @@ fn a_run_on_threads_is_the_loop_step_by_step() {
 }
 
 #[test]
-fn a_second_run_goes_on_where_the_first_one_ended() {
-    // 20 frames, no multiple of what the threads exchange at once; then one more.
+fn a_second_run_continues_after_the_first() {
+    // 20 frames, not a multiple of the threads' batches; then one more.
     let settings =
         [("control.settle_s", "0.018"), ("image.count", "1"), ("image.exposure_s", "0.0"), ("image.pixels", "48")];
     let mut running = simulator(&settings);
@@ -66,10 +66,10 @@ fn a_second_run_goes_on_where_the_first_one_ended() {
 }
 
 #[test]
-fn two_runs_of_one_loop_have_noise_of_their_own() {
-    // The same flat wavefront in both, so that only the camera's noise can differ.
+fn two_runs_of_one_loop_have_independent_noise() {
+    // The wavefront is flat in both, so only the camera's noise can differ.
     let short = [("control.settle_s", "0.018"), ("image.count", "1"), ("image.pixels", "48")];
-    let mut running = simulator(&[STILL.as_slice(), &CLEAN, &short].concat());
+    let mut running = simulator(&[NO_TURBULENCE.as_slice(), &NO_ERRORS_NO_NOISE, &short].concat());
     let mut images = || {
         let mut shots: Vec<Shot> = Vec::new();
         running.run(&mut shots, &mut Progress::default()).unwrap();
@@ -79,8 +79,8 @@ fn two_runs_of_one_loop_have_noise_of_their_own() {
 }
 
 #[test]
-fn without_turbulence_noise_or_errors_nothing_happens() {
-    let settings = [STILL.as_slice(), &CLEAN].concat();
+fn without_turbulence_noise_and_errors_the_residual_is_zero() {
+    let settings = [NO_TURBULENCE.as_slice(), &NO_ERRORS_NO_NOISE].concat();
     let mut flat = simulator(&settings);
     for _ in 0..5 {
         let frame = flat.step().unwrap();
@@ -90,15 +90,15 @@ fn without_turbulence_noise_or_errors_nothing_happens() {
 
 #[test]
 fn the_fitting_error_is_that_of_gaussian_influence_functions() {
-    // Slow wind, no noise: what remains is what the mirror cannot make, and what it is misled to make (aliasing).
-    // Fitting alone is 0.23 to 0.34 (d/r0)^(5/3) rad² for mirrors from smooth to piston-only; aliasing adds 0.07 or so
-    // (F. Rigaut, 1998). With d = 0.5625 m and r0 = 0.16 m at 500 nm.
+    // With slow wind and no noise the residual is the fitting error plus aliasing. The fitting error is 0.23 to 0.34
+    // (d/r0)^(5/3) rad² for mirrors from smooth to piston-only; aliasing adds about 0.07 (F. Rigaut, 1998). Here d =
+    // 0.5625 m, and r0 = 0.16 m at 500 nm.
     let slow = one_layer("1.0");
     let mut settings = borrowed(&slow);
-    settings.extend(CLEAN);
+    settings.extend(NO_ERRORS_NO_NOISE);
     settings.push(("control.gain", "0.5"));
     let mut simulator = simulator(&settings);
-    // 1.9 s of one layer at 1 m/s: the small scales renew 3 times across each of 250 subapertures.
+    // 0.95 s of one layer at 1 m/s: the small scales are renewed about twice across each of 250 subapertures.
     let residual = residual_nm(&mut simulator, 100, 1000);
     let unit_nm = 500.0 / std::f64::consts::TAU * (0.5625f64 / 0.16).powf(5.0 / 6.0);
     let coefficient = (residual / unit_nm).powi(2);
@@ -107,32 +107,32 @@ fn the_fitting_error_is_that_of_gaussian_influence_functions() {
 
 #[test]
 fn the_lag_error_grows_with_wind_and_falls_with_rate() {
-    // (τ/τ0)^(5/3), τ0 ∝ r0/v: beyond the fitting error, a wind three times as fast costs 3^(5/3) = 6.2 times as much.
+    // (τ/τ0)^(5/3), τ0 ∝ r0/v: three times the wind has 3^(5/3) = 6.2 times the lag error.
     let excess = |wind: &str, fitting: f64| {
         let layer = one_layer(wind);
         let mut settings = borrowed(&layer);
-        settings.extend(CLEAN);
+        settings.extend(NO_ERRORS_NO_NOISE);
         residual_nm(&mut simulator(&settings), 150, 1500).powi(2) - fitting
     };
     let fitting = excess("1.0", 0.0);
     let (ten, thirty) = (excess("10.0", fitting), excess("30.0", fitting));
-    // Each is the mean over 1.4 s of one screen: the low modes that lag worst have correlation times of 0.1 s and more,
-    // so some ten samples of each: 30 % or so.
+    // Each is a mean over 1.4 s of one realisation. The low modes with the largest lag error have correlation times of
+    // 0.1 s and more, so there are about ten independent samples of each: about 30 %.
     assert!((3.5..11.0).contains(&(thirty / ten)), "{fitting} {ten} {thirty}");
 }
 
 #[test]
 fn noise_propagates_as_its_variance_and_falls_with_the_gain() {
-    // No turbulence: all there is on the mirror is noise. An integrator passes g/(2 − g) of its variance.
+    // Without turbulence the commands are noise only. An integrator transmits g/(2 − g) of its variance.
     let noise = |magnitude: &str, gain: &str| {
-        let mut settings = STILL.to_vec();
+        let mut settings = NO_TURBULENCE.to_vec();
         settings.push(("aberrations.segment_piston_rms_nm", "0.0"));
         settings.push(("wavefront_sensor.star_magnitude_r", magnitude));
         settings.push(("control.gain", gain));
         residual_nm(&mut simulator(&settings), 100, 300).powi(2)
     };
-    // Two magnitudes: 6.31 times fewer photons, as many times the variance; read noise of 0.4 e⁻ is nothing yet. 300
-    // frames of 250 modes or so, correlated over 1/g frames: 2 %.
+    // Two magnitudes: 6.31 times fewer photons and 6.31 times the variance; the read noise of 0.4 e⁻ is negligible. 300
+    // frames of about 250 modes, correlated over 1/g frames: 2 %.
     let (bright, faint) = (noise("6.0", "0.3"), noise("8.0", "0.3"));
     assert!((faint / bright / 6.31 - 1.0).abs() < 0.1, "{bright} {faint}");
     let strong = noise("6.0", "0.6");
@@ -140,15 +140,17 @@ fn noise_propagates_as_its_variance_and_falls_with_the_gain() {
     assert!((strong / bright / expected - 1.0).abs() < 0.1, "{bright} {strong}");
 }
 
-/// Residual over input of a wavefront that oscillates, in the shape that the mirror makes of a tilt.
+/// Ratio of residual to input for an oscillating wavefront with the shape of the mirror's best tilt.
 fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
     let (gain, rate) = (gain.to_string(), rate_hz.to_string());
-    let settings = [STILL.as_slice(), &CLEAN, &[("control.gain", &gain), ("control.frame_rate_hz", &rate)]].concat();
+    let settings =
+        [NO_TURBULENCE.as_slice(), &NO_ERRORS_NO_NOISE, &[("control.gain", &gain), ("control.frame_rate_hz", &rate)]]
+            .concat();
     let mut simulator = simulator(&settings);
     let commands: Vec<f32> = simulator.influence().positions_m().iter().map(|&(x, _)| 5.0 * x as f32).collect();
     let shape = simulator.surface_nm(&commands).unwrap();
     let amplitude = simulator.footprint().amplitude().to_vec();
-    // A wavefront's share of the shape, by least squares.
+    // Projection of a wavefront on the shape, by least squares.
     let dot = |map: &[f32]| -> f64 {
         let weighted = shape.iter().zip(&amplitude).map(|(s, a)| s * a);
         weighted.zip(map).map(|(w, m)| f64::from(w * m)).sum()
@@ -159,7 +161,7 @@ fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
         let now = (std::f64::consts::TAU * frequency_hz * f64::from(k) / rate_hz).sin();
         let extra: Vec<f32> = shape.iter().map(|s| now as f32 * s).collect();
         let left = dot(simulator.step_behind(&extra).unwrap().residual_nm) / square;
-        // The switching-on has died out.
+        // The transient of the start has decayed.
         if k >= 100 {
             input += now.powi(2);
             output += left.powi(2);
@@ -170,9 +172,9 @@ fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
 
 #[test]
 fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
-    // In place of turbulence, and small enough for the loop to be linear. In a shape of the mirror's own, of which the
-    // reconstructor gives back just the commands: of a pure tilt Gaussians of 15 % coupling make 93 %. An integrator with
-    // one frame of lag rejects by |1 − z⁻¹|/|1 − (1 − g) z⁻¹|.
+    // The input is small enough for a linear loop. Its shape is one that the mirror can form, for which the
+    // reconstructor returns the commands exactly: of a pure tilt, Gaussians with 15 % coupling form 93 %. An integrator
+    // with one frame of lag rejects by |1 − z⁻¹|/|1 − (1 − g) z⁻¹|.
     let (gain, rate_hz) = (0.3f64, 1054.0);
     let controlled = |frequency_hz: f64| {
         let z = std::f64::consts::TAU * frequency_hz / rate_hz;
@@ -182,24 +184,24 @@ fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
     };
     for frequency_hz in [5.0, 30.0, 60.0, 200.0] {
         let measured = rejection_of_a_tilt(gain, rate_hz, frequency_hz);
-        // The sensor is linear to a percent; the tilt's share of the two dropped modes is less.
+        // The sensor is linear to 1 %; the tilt's component in the two dropped modes is smaller.
         let expected = controlled(frequency_hz);
         assert!((measured / expected - 1.0).abs() < 0.05, "{frequency_hz} Hz: {measured} {expected}");
     }
 }
 
 #[test]
-fn the_loop_is_stable_at_its_gain_and_lost_past_its_margin() {
+fn the_loop_is_stable_at_its_gain_and_diverges_beyond_its_margin() {
     let run = |gain: &str, lag: &str| {
         let mut simulator = simulator(&[("control.gain", gain), ("control.lag_frames", lag), ("image.count", "3")]);
         let mut shots: Vec<Shot> = Vec::new();
-        let set = simulator.stability().clone();
-        (set, simulator.run(&mut shots, &mut Progress::default()))
+        let stability = simulator.stability().clone();
+        (stability, simulator.run(&mut shots, &mut Progress::default()))
     };
     // Two frames of lag: λ² − λ + g = 0 leaves the unit circle at g = 1.
     let (poles, outcome) = run("1.2", "2");
     assert!(!poles.stable && (poles.largest_stable_gain - 1.0).abs() < 1e-6);
-    let divergence = outcome.unwrap().divergence.expect("a loop past its margin diverges");
+    let divergence = outcome.unwrap().divergence.expect("a loop beyond its margin diverges");
     assert!(divergence.time_s < 1.0);
     let mut steady = simulator(&[("control.gain", "0.3")]);
     assert!(steady.stability().stable);
@@ -207,11 +209,11 @@ fn the_loop_is_stable_at_its_gain_and_lost_past_its_margin() {
 }
 
 #[test]
-fn residual_inpainting_is_predicted_to_diverge_and_pseudo_open_loop_is_not() {
+fn inpainting_of_residual_slopes_is_unstable_and_of_pseudo_open_loop_slopes_stable() {
     let masked =
         [("wavefront_sensor.mask", "segments"), ("control.fill", "inpaint"), ("pupil.segment_side_m", "0.862")];
     let closed = simulator(&masked);
-    // An independent program found 2.1 s.
+    // 2.1 s in an independent simulation.
     let e_folding_s = closed.stability().e_folding_s.expect("an unstable loop");
     assert!((1.0..4.0).contains(&e_folding_s), "{e_folding_s}");
     let pseudo = [masked.as_slice(), &[("control.loop", "pseudo-open-loop")]].concat();
@@ -220,7 +222,7 @@ fn residual_inpainting_is_predicted_to_diverge_and_pseudo_open_loop_is_not() {
 }
 
 #[test]
-fn an_interrupted_run_says_so() {
+fn a_cancelled_run_returns_interrupted() {
     let flag = std::sync::atomic::AtomicBool::new(true);
     let mut shots: Vec<Shot> = Vec::new();
     let outcome = simulator(&[]).run(&mut shots, &mut Progress { cancel: Some(&flag), ..Progress::default() });
@@ -237,13 +239,13 @@ fn a_scene_without_a_loop_is_refused() {
 }
 
 #[test]
-fn the_interaction_matrix_is_local_and_answers_like_the_geometry() {
+fn the_interaction_matrix_has_the_symmetry_of_the_geometry() {
     let simulator = simulator(&[]);
     let interaction = simulator.interaction();
     let (slopes, actuators) = interaction.dim();
     assert_eq!((slopes, actuators), (2 * 248, 296));
-    // A push is symmetric: over all full subapertures its slopes sum to nothing along either axis, within what the
-    // quad cell's partially lit neighbours see of it.
+    // The influence of an actuator is symmetric, so its slopes sum to 0, up to the contribution of partly illuminated
+    // subapertures.
     let centre = simulator.influence().positions_m().iter().position(|&(x, y)| x.hypot(y - 2.25) < 0.3).unwrap();
     let column = interaction.column(centre);
     let largest = column.iter().fold(0.0f64, |m, v| m.max(v.abs()));

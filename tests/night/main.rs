@@ -1,6 +1,6 @@
-//! The AO loop against physics: fitting error, lag, noise, bandwidth, stability, Strehl.
+//! AO simulation against theory: fitting error, lag, noise, bandwidth, stability, Strehl ratio.
 //!
-//! Runs are short, so every tolerance says how well its quantity is known.
+//! Runs are short, so the tolerances are the statistical errors of the measured quantities.
 
 mod loops;
 mod optics;

@@ -1,18 +1,18 @@
-//! All layers to one map: bilinear interpolation at each layer's shift, a few rows at a time.
+//! Sum of the layers: bilinear interpolation at each layer's shift, a few rows at a time.
 
-use super::layer::{Layer, View};
-use crate::ao::Footprint;
+use super::layer::{Layer, Window};
+use crate::ao::footprint::Footprint;
 use pulp::{Simd, WithSimd};
 
-/// Overwrites the footprint's spans of a map with the sum of the layers (and a few samples beside them).
+/// Kernel: overwrites the footprint's spans of a map, and a few samples around them, with the sum of the layers.
 pub(super) struct Blend<'a> {
     pub(super) layers: &'a [Layer],
     pub(super) footprint: &'a Footprint,
     pub(super) opd_nm: &'a mut [f32],
 }
 
-/// Rows that are made together. Interpolated along x, a row of a layer serves the rows above and below it, and loads that
-/// straddle cache lines are what takes the time: 10 for 4 rows instead of 16.
+/// Rows that are computed together. A row of a layer, once interpolated along x, contributes to the two rows next to
+/// it. The time is limited by loads that cross cache lines: 10 for 4 rows instead of 16.
 const BAND: usize = 4;
 
 impl WithSimd for Blend<'_> {
@@ -34,7 +34,7 @@ impl WithSimd for Blend<'_> {
     }
 }
 
-/// The `ROWS` rows from `y` on.
+/// Computes `ROWS` rows from `y` on.
 #[inline(always)]
 fn blend<S: Simd, const ROWS: usize>(simd: S, layers: &[Layer], footprint: &Footprint, y: usize, band: &mut [f32]) {
     let spans = (y..y + ROWS).map(|y| footprint.span(y)).filter(|span| !span.is_empty());
@@ -46,20 +46,20 @@ fn blend<S: Simd, const ROWS: usize>(simd: S, layers: &[Layer], footprint: &Foot
         out.fill(0.0);
     }
     for layer in layers {
-        add(simd, layer.view(), y, span.start, &mut out);
+        add(simd, layer.window(), y, span.start, &mut out);
     }
 }
 
-/// Adds the window's rows from `y` on, from column `first` on, a multiple of the vector's length. Products and sums are
-/// left unfused, so that every width of vector gives the same bits.
+/// Adds the window's rows from `y` on and columns from `first` on, a multiple of the vector's length. Products and sums
+/// are not fused, so that the result does not depend on the length of the vectors.
 #[inline(always)]
-fn add<S: Simd, const ROWS: usize>(simd: S, view: View, y: usize, first: usize, out: &mut [&mut [f32]; ROWS]) {
-    let [x0, x1, y0, y1] =
-        [1.0 - view.shift_x, view.shift_x, 1.0 - view.shift_y, view.shift_y].map(|weight| simd.splat_f32s(weight));
+fn add<S: Simd, const ROWS: usize>(simd: S, window: Window, y: usize, first: usize, out: &mut [&mut [f32]; ROWS]) {
+    let [x0, x1, y0, y1] = [1.0 - window.shift_x, window.shift_x, 1.0 - window.shift_y, window.shift_y]
+        .map(|weight| simd.splat_f32s(weight));
     let len = out[0].len();
-    // A row's samples and their right neighbours.
+    // Samples of a row, and their right neighbours.
     let row = |y: usize| {
-        let values = &view.values[view.starts[y] + first..][..len + 1];
+        let values = &window.values[window.starts[y] + first..][..len + 1];
         [&values[..len], &values[1..]].map(|values| S::as_simd_f32s(values).0)
     };
     let vectors = S::as_simd_f32s(&out[0][..]).0.len();

@@ -1,59 +1,60 @@
-//! One layer: the stretch of its ribbon that the wind carries over the pupil.
+//! Turbulent layer: the part of its ribbon that the wind moves over the pupil.
 //!
-//! The ribbon is extruded along the axis with the larger wind component, towards where the wind comes from, and kept in
-//! a ring of rows (extruded along y) or of columns (along x, mirrored so that a window never wraps). The other component
-//! moves the window across the ribbon. A row lives for about one window's length of motion along, during which the
-//! window moves no further across: so only that much of the period is kept of it.
+//! The ribbon is extruded along the axis with the larger wind component, towards the wind's origin. It is kept in a
+//! ring of rows (extruded along y) or of columns (extruded along x, stored twice so that a window never wraps). The
+//! smaller wind component moves the window across the ribbon. A row stays in use while the window moves by about its
+//! own length along the ribbon; the window moves by no more than that across, so only this part of the period is kept.
 
 use super::ribbon::{BLOCK, Ribbon};
-use crate::ao::LANES;
+use crate::ao::footprint::LANES;
 
-/// The present place of a window in the layer's memory.
-pub(super) struct View<'a> {
+/// Position of the window over the pupil in the layer's memory.
+pub(super) struct Window<'a> {
     pub(super) values: &'a [f32],
-    /// Where each of the rows 0..=samples of the window begins in `values`.
+    /// Start of each of the rows 0..=samples of the window in `values`.
     pub(super) starts: &'a [usize],
-    /// Fractions of a sample by which the window lies beyond its samples.
+    /// Fractional part of the window's position, samples.
     pub(super) shift_x: f32,
     pub(super) shift_y: f32,
 }
 
+/// Layer with its ribbon and the rows of it that are in use.
 pub(super) struct Layer {
     ribbon: Ribbon,
     amplitude: f32,
-    /// Extruded along x rather than y.
+    /// Whether the ribbon is extruded along x rather than y.
     along_x: bool,
     /// Motion of the window along and across the ribbon, samples per frame.
     step: [f64; 2],
-    /// Samples of the window.
+    /// Samples along a side of the window.
     samples: usize,
-    /// Rows after which nothing of a ribbon is remembered.
+    /// Rows after which the ribbon is independent of its past.
     memory: i64,
     /// Rows in the ring, a multiple of [`BLOCK`].
     ring: usize,
     /// Positions across that are kept of each row.
     kept: usize,
-    /// Furthest motion across in a row's life, samples, with its sign.
+    /// Largest motion across while a row is in use, samples, with its sign.
     drift: i64,
     /// Values from one row of the memory to the next.
     pitch: usize,
     values: Vec<f32>,
     /// First position across that is kept of each block in the ring.
     bases: Vec<i64>,
-    /// The last block made.
+    /// Number of the last block made.
     edge: i64,
-    /// The rows of a block, for a transposition, `[row][kept]`.
+    /// Rows of a block before their transposition, `[row][kept]`.
     block: Vec<f32>,
     starts: Vec<usize>,
     shift: [f32; 2],
 }
 
-/// Positions, in samples, that leave room for arithmetic on 64-bit integers; no night is that long.
+/// Largest position, samples: leaves room for arithmetic on 64-bit integers, and is beyond any run.
 const FURTHEST: f64 = 1e18;
 
 impl Layer {
-    /// A layer of `samples` × `samples` points in rows of `stride`, each `amplitude` times the ribbon; the turbulence
-    /// moves `velocity` = (x, y) samples per frame. A ribbon is forgotten after `memory` rows.
+    /// Layer of `samples` × `samples` points in rows of `stride`, `amplitude` times the ribbon. The turbulence moves by
+    /// `velocity` = (x, y) samples per frame. The ribbon is independent of its past after `memory` rows.
     pub(super) fn new(
         ribbon: Ribbon,
         amplitude: f32,
@@ -66,12 +67,12 @@ impl Layer {
         let [x, y] = velocity.map(|v| -v);
         let along_x = x.abs() >= y.abs();
         let step = if along_x { [x, y] } else { [y, x] };
-        // Wherever a window of samples + 1 rows begins in a block.
+        // Holds a window of samples + 1 rows that begins anywhere in a block.
         let ring = (samples + BLOCK).next_multiple_of(BLOCK);
         let slant = if step[0] == 0.0 { 0.0 } else { step[1].abs() / step[0].abs() };
         let drift = ((ring + 1) as f64 * slant).ceil() as usize + 1;
         let kept = (stride + 2 + drift).next_multiple_of(LANES);
-        // One vector more than the mirrored ring: rows a power of two apart would share the cache's ways.
+        // One vector more than the ring stored twice: rows a power of two apart would conflict in the cache.
         let (rows, pitch) = if along_x { (kept, 2 * ring + LANES) } else { (ring, kept) };
         let mut layer = Self {
             ribbon,
@@ -95,7 +96,7 @@ impl Layer {
         layer
     }
 
-    /// Moves the window to frame `frame`, not before the last.
+    /// Moves the window to `frame`, which is not before the last one.
     pub(super) fn seek(&mut self, frame: u64) {
         let position = self.step.map(|step| (frame as f64 * step).clamp(-FURTHEST, FURTHEST));
         let [along, across] = position.map(|x| x.floor() as i64);
@@ -104,13 +105,13 @@ impl Layer {
         self.place(along, across);
     }
 
-    /// Makes what the window lacks along the ribbon.
+    /// Extends the ribbon to the end of the window.
     fn extrude(&mut self, along: i64, across: i64) {
         let block = BLOCK as i64;
         let (first, last) = (along.div_euclid(block), (along + self.samples as i64).div_euclid(block));
         // Blocks ahead of the window, in the direction of motion.
         let (ahead, behind, onwards) = if self.step[0] < 0.0 { (first, last, -1) } else { (last, first, 1) };
-        // More than the ribbon remembers lies unseen between the last block and the window: a new draw starts before it.
+        // If the window is farther from the last block than the ribbon's memory, a new ribbon is drawn in front of it.
         if (behind - self.edge) * onwards > self.memory / block + 1 {
             self.ribbon.restart();
             self.edge = behind - onwards;
@@ -124,14 +125,14 @@ impl Layer {
         }
     }
 
-    /// Keeps of the block made last what a window now at `across` can still meet.
+    /// Stores the part of the last block that a window at `across` can reach while the block is in use.
     fn store(&mut self, across: i64) {
         let slot = self.edge.rem_euclid((self.ring / BLOCK) as i64) as usize;
         let base = across + self.drift.min(0);
         self.bases[slot] = base;
         let period = self.ribbon.law().period();
         let first = base.rem_euclid(period as i64) as usize;
-        // Against the direction of y or x, the rows come last to first.
+        // For motion in the negative direction the rows are stored in reverse order.
         let reverse = self.step[0] < 0.0;
         for pair in 0..BLOCK / 2 {
             let places = [0, 1].map(|i| if reverse { BLOCK - 1 - (2 * pair + i) } else { 2 * pair + i });
@@ -159,7 +160,7 @@ impl Layer {
         }
     }
 
-    /// Puts the block into columns, twice. The row of a position across is the position modulo what is kept.
+    /// Stores the block as columns, twice. The row of a position across is the position modulo `kept`.
     fn transpose(&mut self, slot: usize, base: i64) {
         let mut row = base.rem_euclid(self.kept as i64) as usize;
         for position in 0..self.kept {
@@ -171,7 +172,7 @@ impl Layer {
         }
     }
 
-    /// Notes where the rows of the window begin.
+    /// Updates the starts of the window's rows.
     fn place(&mut self, along: i64, across: i64) {
         let slot = along.rem_euclid(self.ring as i64) as usize;
         if self.along_x {
@@ -189,9 +190,10 @@ impl Layer {
         }
     }
 
-    pub(super) fn view(&self) -> View<'_> {
+    /// Present window.
+    pub(super) fn window(&self) -> Window<'_> {
         let [along, across] = self.shift;
         let (shift_x, shift_y) = if self.along_x { (along, across) } else { (across, along) };
-        View { values: &self.values, starts: &self.starts, shift_x, shift_y }
+        Window { values: &self.values, starts: &self.starts, shift_x, shift_y }
     }
 }

@@ -1,4 +1,4 @@
-//! The atmosphere over the pupil: frozen von Kármán layers, each carried by its wind.
+//! Atmosphere over the pupil: von Kármán layers with frozen flow, each moved by its wind.
 //!
 //! ```text
 //! Lattice ── Process (one for each frequency across) ── Law ── Ribbon ── Layer ┐
@@ -6,15 +6,16 @@
 //!  spectrum                                                              Layer ┘
 //! ```
 //!
-//! Nothing repeats: a layer's ribbon is made as the wind needs it, and only what can still be seen of it is kept, so
-//! memory does not grow with the run. The covariance of the samples is that of von Kármán's spectrum at every whole-sample
-//! separation of the pupil, within 0.1 % of the structure function.
+//! A *ribbon* is a strip of turbulence that is periodic across the wind and extended row by row along it. The
+//! turbulence does not repeat, and only the rows over the pupil are kept, so memory does not grow with the run. The
+//! covariance of the samples is that of von Kármán's spectrum at every whole-sample separation of the pupil, within 0.1
+//! % of the structure function.
 //!
 //! Two approximations:
 //! - Between samples the interpolation is bilinear. At a shift δ of a sample along an axis it multiplies the power at k
 //!   radians per sample by 1 − 2δ(1−δ)(1 − cos k): on average over shifts 0.96 at 12 samples per period, 0.83 at 6, 0.67
 //!   at 4 and 1/3 at the Nyquist frequency, along each axis.
-//! - An outer scale beyond [`LARGEST_OUTER_SCALE`] grid widths counts as that many.
+//! - An outer scale beyond [`LARGEST_OUTER_SCALE`] grid widths is replaced by that many.
 
 mod blend;
 mod layer;
@@ -23,7 +24,8 @@ mod spectrum;
 #[cfg(test)]
 mod tests;
 
-use crate::ao::{Footprint, Lines};
+use crate::ao::aligned::AlignedBuffer;
+use crate::ao::footprint::Footprint;
 use crate::grid::Grid;
 use crate::modes::VonKarman;
 use crate::scene::TurbulenceScene;
@@ -35,35 +37,36 @@ use rand_chacha::ChaCha8Rng;
 use ribbon::{Law, Ribbon};
 use std::sync::Arc;
 
-/// The longest outer scale that is modelled, in widths of the grid. A longer one adds only what is nearly a tilt over the
-/// pupil, and would make the ribbon as much wider.
+/// Longest outer scale that is modelled, in widths of the grid. A longer one adds little more than tilt over the pupil,
+/// and would make the ribbon wider in proportion.
 pub const LARGEST_OUTER_SCALE: f64 = 20.0;
-/// The shortest, in samples: the wavefront is then white, and its variance negligible.
+/// Shortest outer scale that is modelled, in samples: the wavefront is then white, and its variance negligible.
 const SMALLEST_OUTER_SCALE: f64 = 1e-6;
-/// Outer scales after which the wavefront has forgotten itself: its correlation at x = 2π·4 is 1e-10.
+/// Distance, in outer scales, at which the wavefront counts as independent: its correlation at x = 2π·4 is 1e-10.
 const MEMORY: f64 = 4.0;
-/// Outer scales by which the ribbon's period exceeds the pupil: the correlation there is 2e-4.
+/// Outer scales by which the ribbon's period exceeds the pupil: the correlation at that distance is 2e-4.
 const MARGIN: f64 = 1.5;
-/// A frame that moves further than this, in samples, moves this far: either is a new draw.
+/// Largest motion in a frame, samples; a larger one is replaced by it. Both give independent wavefronts.
 const LARGEST_STEP: f64 = 1e9;
 
 /// Layers of turbulence over a footprint, frame by frame.
 pub struct Atmosphere {
     layers: Vec<Layer>,
     footprint: Footprint,
-    /// Of the next frame.
+    /// Number of the next frame.
     frame: u64,
 }
 
 impl Atmosphere {
-    /// The layers of `turbulence` (none: a calm night) over `footprint` on `grid`, a frame every `frame_s` seconds.
+    /// Layers of `turbulence` over `footprint` on `grid`, a frame every `frame_s` seconds. Without layers the wavefront
+    /// is flat.
     ///
-    /// Fractions are shares of Cn² (of r0^(−5/3)) relative to their sum. The same seed gives the same turbulence; layers
-    /// draw from the streams 2³² + their index of [`ChaCha8Rng`].
+    /// Fractions are those of Cn² (of r0^(−5/3)) relative to their sum. The same seed gives the same turbulence; layer
+    /// i draws from the stream 2³² + i of [`ChaCha8Rng`].
     ///
     /// # Errors
-    /// [`Error::Shape`] where the footprint is not of the grid or the lists of `turbulence` differ in length;
-    /// [`Error::Value`] for a frame without a positive, finite duration, a wind that is not finite, shares without a
+    /// [`Error::Shape`] for a footprint of another grid, or lists of `turbulence` of different lengths;
+    /// [`Error::Value`] for a frame without a positive, finite duration, a wind that is not finite, fractions without a
     /// positive sum, statistics that [`VonKarman`] refuses, or wavefronts too large for single precision.
     pub fn new(
         turbulence: &TurbulenceScene,
@@ -79,7 +82,7 @@ impl Atmosphere {
             let total: f64 = turbulence.fractions.iter().sum();
             let outer_scale = outer_scale(turbulence, grid);
             for (index, fraction) in turbulence.fractions.iter().enumerate() {
-                // The law is for a Fried parameter of one sample.
+                // The ribbon is that of a Fried parameter of one sample.
                 let r0 = turbulence.r0_m / grid.pitch_m();
                 let amplitude = ((fraction / total).sqrt() * r0.powf(-5.0 / 6.0)) as f32;
                 let (speed, direction) = (turbulence.wind_m_s[index], turbulence.wind_dir_rad[index]);
@@ -103,11 +106,11 @@ impl Atmosphere {
     /// first frame is at time 0.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a map of another length.
+    /// [`Error::Shape`] for a map of wrong length.
     pub fn next_frame(&mut self, opd_nm: &mut [f32]) -> Result<()> {
         if opd_nm.len() != self.footprint.len() {
             return Err(Error::Shape(format!(
-                "a map of {} values does not fit the footprint: {} are needed",
+                "a map of {} values does not match the footprint; {} are needed",
                 opd_nm.len(),
                 self.footprint.len()
             )));
@@ -120,8 +123,9 @@ impl Atmosphere {
         Ok(())
     }
 
-    /// OPD of each layer at the last frame (at time 0 before the first), nm: maps over the spans of the footprint.
-    pub fn layers_nm(&self) -> Vec<Lines> {
+    /// OPD of each layer at the last frame (before the first frame: at time 0), nm: maps over the spans of the
+    /// footprint.
+    pub fn layers_nm(&self) -> Vec<AlignedBuffer> {
         let map = |layer| {
             let mut opd_nm = self.footprint.zeros();
             self.blend(std::slice::from_ref(layer), &mut opd_nm);
@@ -138,45 +142,45 @@ impl Atmosphere {
 fn check(turbulence: &TurbulenceScene, grid: &Grid, footprint: &Footprint, frame_s: f64) -> Result<()> {
     if footprint.samples() != grid.samples() {
         return Err(Error::Shape(format!(
-            "a footprint of {} samples across does not fit a grid of {}",
+            "a footprint of {} samples across does not match a grid of {}; one grid is needed",
             footprint.samples(),
             grid.samples()
         )));
     }
     if !(frame_s.is_finite() && frame_s > 0.0) {
-        return Err(Error::Value(format!("a frame of {frame_s} s is impossible: a positive duration is needed")));
+        return Err(Error::Value(format!("a frame of {frame_s} s is impossible; a positive duration is needed")));
     }
     let layers = turbulence.fractions.len();
     let lists = [("wind speeds", &turbulence.wind_m_s), ("wind directions", &turbulence.wind_dir_rad)];
     for (name, list) in lists {
         if list.len() != layers {
-            return Err(Error::Shape(format!("{layers} layers have {} {name}: one each is needed", list.len())));
+            return Err(Error::Shape(format!("{layers} layers have {} {name}; one each is needed", list.len())));
         }
         if let Some(value) = list.iter().find(|value| !value.is_finite()) {
-            return Err(Error::Value(format!("{name} of {value} are impossible: they must be finite")));
+            return Err(Error::Value(format!("{name} of {value} are impossible; finite numbers are needed")));
         }
     }
     let total: f64 = turbulence.fractions.iter().sum();
     let negative = turbulence.fractions.iter().any(|&fraction| fraction < 0.0);
     if layers > 0 && (negative || !(total.is_finite() && total > 0.0)) {
         return Err(Error::Value(format!(
-            "the layers' shares {:?} are impossible: none may be negative, and their sum must be positive",
+            "the layers' fractions {:?} are impossible; none may be negative, and a positive sum is needed",
             turbulence.fractions
         )));
     }
     let rms_nm = VonKarman::new(turbulence.r0_m, LARGEST_OUTER_SCALE * grid.width_m())?.variance_nm2().sqrt();
     VonKarman::new(turbulence.r0_m, turbulence.outer_scale_m)?;
-    // A million times below the largest single, for the extremes and for what is computed from them.
+    // A factor of 1e6 below the largest f32 leaves room for peaks and for intermediate results.
     if layers > 0 && (rms_nm.is_nan() || rms_nm >= 1e32) {
         return Err(Error::Value(format!(
-            "a Fried parameter of {} m makes wavefronts of {rms_nm:.1e} nm: less than 1e32 nm is needed",
+            "a Fried parameter of {} m makes wavefronts of {rms_nm:.1e} nm; less than 1e32 nm is needed",
             turbulence.r0_m
         )));
     }
     Ok(())
 }
 
-/// Outer scale that is modelled, samples.
+/// Modelled outer scale, samples.
 fn outer_scale(turbulence: &TurbulenceScene, grid: &Grid) -> f64 {
     let samples = turbulence.outer_scale_m / grid.pitch_m();
     samples.clamp(SMALLEST_OUTER_SCALE, LARGEST_OUTER_SCALE * grid.samples() as f64)
@@ -184,12 +188,12 @@ fn outer_scale(turbulence: &TurbulenceScene, grid: &Grid) -> f64 {
 
 fn law(turbulence: &TurbulenceScene, grid: &Grid, footprint: &Footprint) -> Result<Law> {
     let outer_scale = outer_scale(turbulence, grid);
-    // A window reads a sample beyond the stride.
+    // The interpolation reads one sample beyond the stride.
     let least = footprint.stride() + 2 + (MARGIN * outer_scale).ceil() as usize;
     Law::new(even_smooth(least), outer_scale)
 }
 
-/// The least even number from `least` on without prime factors beyond 5: a quick transform.
+/// The least even number from `least` on without prime factors beyond 5, for a fast transform.
 fn even_smooth(least: usize) -> usize {
     let smooth = |mut n: usize| {
         for factor in [2, 3, 5] {

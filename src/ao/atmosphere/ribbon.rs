@@ -1,8 +1,8 @@
-//! An endless ribbon of turbulence, made row by row: periodic across, never repeating along.
+//! Ribbon: endless strip of turbulence, drawn row by row, periodic across and without repetition along.
 
 use super::spectrum::{Lattice, POLES, Process};
 use crate::Result;
-use crate::ao::LANES;
+use crate::ao::footprint::LANES;
 use num_complex::Complex;
 use pulp::NullaryFnOnce;
 use rand_chacha::ChaCha8Rng;
@@ -12,16 +12,16 @@ use rustfft::{Fft, FftPlanner};
 use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Rows made at a time: a cache line of a column, and one look at the recursion's coefficients for all.
+/// Rows drawn at a time: a cache line of a column; the recursion's coefficients are loaded once for all of them.
 pub(super) const BLOCK: usize = 16;
 
-/// What a ribbon is drawn from: at each frequency across, a [`Process`] along.
+/// Statistics of a ribbon: a [`Process`] along it for each frequency across.
 ///
 /// The field is y(t, j) = Σ_m c_m(t)·exp(2πi·mj/period), so its covariance is that of the lattice's spectrum along, and
 /// its periodic repetition across.
 pub(super) struct Law {
     period: usize,
-    /// By groups of [`LANES`] frequencies, 0 to period/2.
+    /// Frequencies 0 to period/2, in groups of [`LANES`].
     groups: Vec<Group>,
     /// Cholesky factors of the states' stationary covariance, for each frequency.
     stationary: Vec<[[f32; POLES]; POLES]>,
@@ -37,15 +37,16 @@ struct Group {
 }
 
 impl Law {
-    /// A ribbon of the even width `period`, for an outer scale in samples and a Fried parameter of one sample.
+    /// Statistics of a ribbon of even width `period`, for an outer scale in samples and a Fried parameter of one
+    /// sample.
     pub(super) fn new(period: usize, outer_scale: f64) -> Result<Self> {
         let lattice = Lattice::new(outer_scale)?;
         let processes: Vec<Process> = (0..=period / 2)
             .into_par_iter()
             .map(|m| {
                 let mut process = Process::fit(&lattice, TAU * m as f64 / period as f64);
-                // The power is shared with −m and between the real and the imaginary part; frequencies 0 and period/2
-                // are real and have no partner.
+                // The power is divided between m and −m, and between real and imaginary part; the amplitudes at the
+                // frequencies 0 and period/2 are real and have no partner.
                 let parts = if m == 0 || 2 * m == period { 1.0 } else { 2.0 };
                 process.gains = process.gains.map(|gain| gain / (parts * period as f64).sqrt());
                 process
@@ -64,12 +65,12 @@ impl Law {
         Ok(Self { period, groups, stationary: stationary.collect(), fft })
     }
 
-    /// Covariance that rows `along` apart have at positions `across` apart, nm²; exact, from the coefficients in use.
+    /// Covariance of points `along` rows and `across` positions apart, nm²; exact, from the coefficients in use.
     #[cfg(test)]
     pub(super) fn covariance_nm2(&self, along: i32, across: usize) -> f64 {
         let one = |m: usize| {
             let group = &self.groups[m / LANES];
-            let values = |of: &[Lanes; POLES]| of.map(|lanes| f64::from(lanes[m % LANES]));
+            let values = |lanes: &[Lanes; POLES]| lanes.map(|lanes| f64::from(lanes[m % LANES]));
             let process = Process { poles: values(&group.poles), gains: values(&group.gains) };
             // The real and the imaginary part, of m and of −m.
             let parts = if m == 0 || 2 * m == self.period { 1.0 } else { 4.0 };
@@ -89,7 +90,7 @@ impl Law {
     }
 }
 
-/// One draw of a [`Law`], at the end of what was made of it.
+/// One realisation of a [`Law`], at its last row.
 pub(super) struct Ribbon {
     law: Arc<Law>,
     rng: ChaCha8Rng,
@@ -97,7 +98,7 @@ pub(super) struct Ribbon {
     states: Vec<[[Lanes; POLES]; 2]>,
     /// White noise, then the spectra of the rows, `[row][part][frequency]`.
     spectra: Vec<f32>,
-    /// Two rows: real and imaginary part.
+    /// Two rows, as real and imaginary part.
     pair: Vec<Complex<f32>>,
     scratch: Vec<Complex<f32>>,
 }
@@ -116,12 +117,12 @@ impl Ribbon {
         ribbon
     }
 
-    /// What the ribbon is drawn from.
+    /// Statistics of the ribbon.
     pub(super) fn law(&self) -> &Law {
         &self.law
     }
 
-    /// Forgets the past: the states are drawn from their stationary law.
+    /// Starts a new realisation: draws the states from their stationary distribution.
     pub(super) fn restart(&mut self) {
         for (m, factor) in self.law.stationary.iter().enumerate() {
             for part in 0..2 {
@@ -134,7 +135,7 @@ impl Ribbon {
         }
     }
 
-    /// Moves on by [`BLOCK`] rows, whose spectra wait for [`Ribbon::rows`].
+    /// Draws the spectra of the next [`BLOCK`] rows; [`Ribbon::rows`] transforms them.
     pub(super) fn extend(&mut self) {
         for plane in self.spectra.chunks_exact_mut(self.law.plane()) {
             for value in &mut plane[..self.law.period / 2 + 1] {
@@ -145,12 +146,13 @@ impl Ribbon {
         pulp::Arch::new().dispatch(recursion);
     }
 
-    /// Rows 2·`pair` and 2·`pair` + 1 of the block made last, as the real and imaginary parts of one period.
+    /// Transforms rows 2·`pair` and 2·`pair` + 1 of the last block; they are the real and imaginary parts of one
+    /// period.
     pub(super) fn rows(&mut self, pair: usize) -> &[Complex<f32>] {
         let (plane, period) = (self.law.plane(), self.law.period);
         let [a_re, a_im, b_re, b_im]: [&[f32]; 4] =
             std::array::from_fn(|i| &self.spectra[(4 * pair + i) * plane..][..period / 2 + 1]);
-        // Real rows a and b have spectra with a(−m) = a(m)*; of a + ib, whose transform is both rows at once:
+        // Real rows a and b have spectra with a(−m) = a(m)*. One transform of a + ib gives both rows:
         let (low, high) = self.pair.split_at_mut(period / 2 + 1);
         for (m, value) in low.iter_mut().enumerate() {
             *value = Complex::new(a_re[m] - b_im[m], a_im[m] + b_re[m]);
@@ -166,8 +168,8 @@ impl Ribbon {
     }
 }
 
-/// All frequencies by [`BLOCK`] rows; a group's states and coefficients stay in registers. Products and sums are left
-/// unfused, so that every width of vector gives the same bits.
+/// Kernel: advances all frequencies by [`BLOCK`] rows; a group's states and coefficients stay in registers. Products
+/// and sums are not fused, so that the result does not depend on the length of the vectors.
 struct Recursion<'a> {
     law: &'a Law,
     states: &'a mut [[[Lanes; POLES]; 2]],

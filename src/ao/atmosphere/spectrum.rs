@@ -1,27 +1,27 @@
-//! Von Kármán turbulence on a lattice: its spectrum, and a recursion of a few terms that has it.
+//! Von Kármán turbulence on a lattice: its power spectrum, and a short recursion with that spectrum.
 
 use crate::Result;
 use crate::modes::VonKarman;
 use std::f64::consts::{PI, TAU};
 
-/// Poles of a [`Process`]. With five the spectrum is within 0.4 % at its worst frequency for the Keck's outer scale of 50 m
-/// and within 1.2 % for 20 pupils (a NumPy prototype), the structure function within 0.1 % (the tests); with four the
-/// spectrum would be within 1.6 % and 4 %.
+/// Poles of a [`Process`]. With five, the spectrum has errors of at most 0.4 % for Keck with an outer scale of 50 m,
+/// and of at most 1.2 % for an outer scale of 20 pupils (from a NumPy prototype), the structure function of 0.1 % (from
+/// the tests). With four the spectrum's errors would be 1.6 % and 4 %.
 pub(super) const POLES: usize = 5;
-/// Zeros with a positive real location; one more lies beyond the Nyquist frequency.
+/// Number of zeros with positive location; one more lies beyond the Nyquist frequency.
 const ZEROS: usize = POLES - 2;
-/// Logarithms of: scale, poles, zeros, the last zero.
+/// Parameters of the fit, as logarithms: scale, poles, zeros, last zero.
 const UNKNOWNS: usize = 2 * POLES;
 
-/// Power spectral density of the wavefront sampled on a square lattice of unit pitch, for a Fried parameter of one pitch:
-/// the sum over all aliases of the continuous spectrum, nm² per (cycle per sample)².
+/// Power spectral density of the wavefront sampled on a square lattice of unit pitch, for a Fried parameter of one
+/// pitch: the sum over all aliases of the continuous spectrum, nm² per (cycle per sample)².
 ///
 /// Samples with this spectrum have exactly the covariance of the continuous wavefront at whole-sample separations.
 pub(super) struct Lattice {
-    /// Of the continuous spectrum: scale·(f² + corner2)^(−11/6), f in cycles per sample.
+    /// Continuous spectrum: scale·(f² + corner2)^(−11/6), f in cycles per sample.
     scale: f64,
     corner2: f64,
-    /// The far aliases together: far + far2·f².
+    /// Sum of the far aliases: far + far2·f².
     far: f64,
     far2: f64,
 }
@@ -29,7 +29,7 @@ pub(super) struct Lattice {
 const EXPONENT: f64 = 11.0 / 6.0;
 
 impl Lattice {
-    /// For an outer scale in samples.
+    /// Spectrum for an outer scale in samples.
     pub(super) fn new(outer_scale: f64) -> Result<Self> {
         let corner2 = outer_scale.powi(-2);
         let scale = VonKarman::new(1.0, outer_scale)?.psd_nm2_m2(0.0) * corner2.powf(EXPONENT);
@@ -53,7 +53,7 @@ impl Lattice {
         Ok(Self { scale, corner2, far: scale * far, far2: scale * far2 })
     }
 
-    /// At the angular frequencies `along` and `across`, radians per sample within ±π.
+    /// Spectrum at the angular frequencies `along` and `across`, radians per sample within ±π.
     pub(super) fn at(&self, along: f64, across: f64) -> f64 {
         let (u, v) = (along / TAU, across / TAU);
         let mut near = 0.0;
@@ -65,20 +65,22 @@ impl Lattice {
         self.scale * near + self.far + self.far2 * (u * u + v * v)
     }
 
-    /// Where the spectrum along turns over, radians per sample.
+    /// Corner frequency of the spectrum along, radians per sample.
     fn corner(&self, across: f64) -> f64 {
         (TAU * TAU * self.corner2 + across * across).sqrt()
     }
 }
 
-/// A stationary Gaussian process as a sum of first-order recursions driven by one unit white noise w:
+/// Stationary Gaussian process: a sum of first-order recursions driven by the same unit white noise w,
 /// s_i(t) = pole_i·s_i(t−1) + gain_i·w(t), y = Σ s_i.
 ///
-/// The spectrum along a ribbon at one frequency across it is close to (k² + κ²)^(−11/6), which no finite recursion has:
-/// it is fitted by a ratio of polynomials in u = 4 sin²(k/2), C·(4 + b − u)·Π(u + z_j)/Π(u + p_i), all terms positive,
-/// the error being that of ln S over a logarithmic range of k from below κ to π. An error ε of ln S at worst is an error
-/// ε at worst of every structure function, an integral over S with the positive weight 2(1 − cos kr); an autoregressive
-/// fit to the first lags would instead lose the low frequencies. Every factor is |1 − c·e^(−ik)|² up to scale.
+/// The spectrum along a ribbon at one frequency across is close to (k² + κ²)^(−11/6), which no finite recursion
+/// reproduces exactly. It is fitted by a ratio of polynomials in u = 4 sin²(k/2), C·(4 + b − u)·Π(u + z_j)/Π(u + p_i),
+/// all terms positive; the fit minimises the error of ln S on a logarithmic range of k from below κ to π. An error of
+/// ln S of at most ε implies a relative error of at most ε of every structure function, which is an integral over S
+/// with the positive weight 2(1 − cos kr). (An autoregressive fit to the first lags would underestimate the low
+/// frequencies.) Every factor is
+/// |1 − c·e^(−ik)|² up to scale.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Process {
     pub(super) poles: [f64; POLES],
@@ -87,12 +89,13 @@ pub(super) struct Process {
 
 /// Frequencies of the fit.
 const POINTS: usize = 40;
-/// The fit may stop here: far below the worst error of the lowest frequencies.
+/// Error of ln S at which the fit stops: far below the largest error at the lowest frequencies.
 const CLOSE_ENOUGH: f64 = 5e-4;
-/// Keeps parameters that the data leave open (a flat spectrum) near the start, and so the poles apart.
+/// Ridge penalty on the distance from the start: keeps parameters that the data do not determine (of a flat spectrum)
+/// there, and so the poles distinct.
 const RIDGE: f64 = 1e-5;
 
-/// What the fit is to match.
+/// Target spectrum and start of the fit.
 struct Target {
     u: [f64; POINTS],
     log_s: [f64; POINTS],
@@ -100,7 +103,7 @@ struct Target {
 }
 
 impl Process {
-    /// The process along the ribbon at the angular frequency `across` it, radians per sample.
+    /// Fits the process along the ribbon at the angular frequency `across` it, radians per sample.
     pub(super) fn fit(lattice: &Lattice, across: f64) -> Self {
         let target = Target::new(lattice, across);
         let mut at = target.start;
@@ -124,11 +127,11 @@ impl Process {
                 damping *= 4.0;
             }
         }
-        Self::parallel(&at)
+        Self::from_parameters(&at)
     }
 
-    /// Partial fractions of the product.
-    fn parallel(at: &[f64; UNKNOWNS]) -> Self {
+    /// Process of fitted parameters: partial fractions of the product.
+    fn from_parameters(at: &[f64; UNKNOWNS]) -> Self {
         // c + 1/c − 2 = x: then u + x = |1 − c·e^(−ik)|²/c.
         let root = |log_x: &f64| {
             let x = log_x.exp();
@@ -171,13 +174,13 @@ impl Target {
         let along = |i: usize| (first + (PI.ln() - first) * i as f64 / (POINTS - 1) as f64).exp();
         let u = std::array::from_fn(|i| 4.0 * (along(i) / 2.0).sin().powi(2));
         let log_s = std::array::from_fn(|i| lattice.at(along(i), across).ln());
-        let mut target = Self { u, log_s, start: start(corner) };
+        let mut target = Self { u, log_s, start: initial_guess(corner) };
         let (_, residuals) = target.cost(&target.start);
         target.start[0] = -residuals.iter().sum::<f64>() / POINTS as f64;
         target
     }
 
-    /// Half-squared misfit with the ridge, and the misfit of ln S at each frequency.
+    /// Computes the sum of squared residuals with the ridge, and the residual of ln S at each frequency.
     fn cost(&self, at: &[f64; UNKNOWNS]) -> (f64, [f64; POINTS]) {
         let x: [f64; UNKNOWNS] = at.map(f64::exp);
         let residuals: [f64; POINTS] = std::array::from_fn(|k| {
@@ -190,7 +193,7 @@ impl Target {
         (residuals.iter().map(|r| r * r).sum::<f64>() + RIDGE * ridge, residuals)
     }
 
-    /// The damped Gauss-Newton step, at most a factor e in any parameter.
+    /// Takes a damped Gauss-Newton step, at most a factor e in any parameter.
     fn step(&self, at: &[f64; UNKNOWNS], residuals: &[f64; POINTS], damping: f64) -> [f64; UNKNOWNS] {
         let x: [f64; UNKNOWNS] = at.map(f64::exp);
         let mut matrix = [[0.0; UNKNOWNS]; UNKNOWNS];
@@ -221,9 +224,9 @@ impl Target {
     }
 }
 
-/// (u + κ²)^(−11/6) as (u + κ²)^(−2)·(u + κ²)^(1/6): two poles at the corner, then pairs of a zero and a pole a sixth of
-/// their spacing apart. A spectrum that is nearly flat (κ > 2) starts from a corner at 2.
-fn start(corner: f64) -> [f64; UNKNOWNS] {
+/// Start of the fit: (u + κ²)^(−11/6) = (u + κ²)^(−2)·(u + κ²)^(1/6) is two poles at the corner, then pairs of a zero
+/// and a pole a sixth of their spacing apart. For a nearly flat spectrum (κ > 2) the corner is 2.
+fn initial_guess(corner: f64) -> [f64; UNKNOWNS] {
     let low = (corner * corner).min(4.0).ln();
     let spacing = ((10f64.ln() - low) / ZEROS as f64).max(0.5);
     let zero = |j: usize| low + spacing * (j as f64 + 0.6);
@@ -237,7 +240,8 @@ fn start(corner: f64) -> [f64; UNKNOWNS] {
     })
 }
 
-/// Lower Cholesky factor of a matrix that is positive semi-definite but for rounding: a pivot lost in it is taken as 0.
+/// Lower Cholesky factor of a matrix that is positive semi-definite up to rounding; a pivot at the level of rounding is
+/// taken as 0.
 fn cholesky<const N: usize>(mut a: [[f64; N]; N]) -> [[f64; N]; N] {
     for j in 0..N {
         let diagonal = a[j][j];

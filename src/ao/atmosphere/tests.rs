@@ -6,18 +6,18 @@ use ndarray::Array2;
 use std::collections::HashMap;
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// Whole-sample separations then need no interpolation.
+/// Frame and pitch for which whole-sample winds need no interpolation.
 const FRAME_S: f64 = 1e-3;
 const PITCH_M: f64 = 0.05;
 
-/// A square, fully lit.
+/// Fully illuminated square.
 fn square(samples: usize) -> (Grid, Footprint) {
     let grid = Grid::new(samples, samples as f64 * PITCH_M).unwrap();
     let pupil = Pupil::from_maps(grid, Array2::ones((samples, samples)), None).unwrap();
     (grid, Footprint::of(&pupil))
 }
 
-/// Layers of (share, samples per frame, direction).
+/// Turbulence with layers of (fraction, samples per frame, direction).
 fn turbulence(outer_scale_m: f64, layers: &[(f64, f64, f64)]) -> TurbulenceScene {
     TurbulenceScene {
         r0_m: 0.16,
@@ -64,10 +64,10 @@ fn structure(map: &Array2<f64>, dx: usize, dy: usize) -> f64 {
 const SIGMAS: f64 = 4.5;
 
 #[test]
-fn the_law_has_von_karmans_structure_function() {
-    // The spectra are within 0.4 % (50 m over the Keck) and 1.2 % (20 widths) at their worst frequency, errors of either
-    // sign that mostly cancel in an integral over frequencies; the period adds up to 2·B(1.5 outer scales) = 2e-4·2·B(0),
-    // 0.1 % of the longest separations. Separations along go on to 3 pupils. The last pupil is that of the tests below.
+fn the_ribbon_statistics_have_von_karmans_structure_function() {
+    // The largest errors of the spectra are 0.4 % (50 m over Keck) and 1.2 % (20 widths), with either sign, so they
+    // mostly cancel in an integral over frequencies. The period adds up to 2·B(1.5 outer scales) = 2e-4·2·B(0), 0.1 %
+    // at the longest separations. Separations along extend to 3 pupils. The last pupil is that of the tests below.
     for (samples, outer_scale) in
         [(240, 2.0), (240, 50.0 / 11.25 * 240.0), (240, LARGEST_OUTER_SCALE * 240.0), (64, 80.0)]
     {
@@ -93,7 +93,7 @@ const APART: f64 = 400.0;
 const OUTER_SCALE_M: f64 = 80.0 * PITCH_M;
 
 #[test]
-fn frames_have_von_karmans_structure_function_whatever_the_wind() {
+fn frames_have_von_karmans_structure_function_for_any_wind() {
     let theory = VonKarman::new(0.16, OUTER_SCALE_M).unwrap();
     let separations = [(1, 0), (0, 1), (5, 0), (0, 5), (31, 0), (0, 31), (9, 12), (24, 18)];
     for direction in [0.0, FRAC_PI_2, PI, -FRAC_PI_2, f64::atan2(3.0, 4.0), f64::atan2(-4.0, -3.0)] {
@@ -103,7 +103,7 @@ fn frames_have_von_karmans_structure_function_whatever_the_wind() {
             let values: Vec<f64> = maps.iter().map(|map| structure(map, dx, dy)).collect();
             let (measured, error) = mean(&values);
             let expected = theory.structure_nm2(PITCH_M * (dx as f64).hypot(dy as f64));
-            // The law itself is within 0.2 % here (the first test, where the pupil is a smaller part of the scale: 0.4 %).
+            // The statistics themselves are within 0.2 % (test above).
             let allowed = SIGMAS * error + 0.002 * expected;
             println!(
                 "{direction:.2} ({dx}, {dy}): {:+.2} %, {:.2} %",
@@ -116,14 +116,15 @@ fn frames_have_von_karmans_structure_function_whatever_the_wind() {
 }
 
 #[test]
-fn a_point_sees_the_structure_function_in_time() {
+fn a_point_has_the_structure_function_in_time() {
     let theory = VonKarman::new(0.16, OUTER_SCALE_M).unwrap();
     for direction in [f64::atan2(-4.0, 3.0), f64::atan2(3.0, 4.0), PI] {
         let mut atmosphere = open(16, OUTER_SCALE_M, &[(1.0, 5.0, direction)], 4);
-        // Batches of 2,000 frames are 125 outer scales long: as good as independent.
+        // Batches of 2,000 frames are 125 outer scales long, so they are independent.
         let point: Vec<f64> = (0..40_000).map(|_| next(&mut atmosphere)[[8, 8]]).collect();
         for lag in [1, 2, 4, 8, 16, 40] {
-            let batch = |of: &[f64]| mean(&of.windows(lag + 1).map(|w| (w[lag] - w[0]).powi(2)).collect::<Vec<_>>()).0;
+            let batch =
+                |values: &[f64]| mean(&values.windows(lag + 1).map(|w| (w[lag] - w[0]).powi(2)).collect::<Vec<_>>()).0;
             let (measured, error) = mean(&point.chunks(2000).map(batch).collect::<Vec<_>>());
             let expected = theory.structure_nm2(5.0 * PITCH_M * lag as f64);
             println!("lag {lag}: {:+.2} %, {:.2} %", 100.0 * (measured / expected - 1.0), 100.0 * error / expected);
@@ -148,7 +149,7 @@ fn zernike_coefficients_have_von_karmans_covariance() {
         .collect();
     let xs: Vec<f64> = inside.iter().map(|&(_, x)| coordinate(x)).collect();
     let ys: Vec<f64> = inside.iter().map(|&(y, _)| coordinate(y)).collect();
-    // Functionals that ignore piston, whatever the pixels do to orthogonality.
+    // Piston is removed explicitly: sampled polynomials are not exactly orthogonal to it.
     let mut zernikes = Zernikes::new(2..=11, radius_m).unwrap().evaluate(&xs, &ys).unwrap();
     for mut row in zernikes.rows_mut() {
         let piston = row.mean().unwrap();
@@ -169,8 +170,8 @@ fn zernike_coefficients_have_von_karmans_covariance() {
     let mut measured = Array2::<f64>::zeros(expected.dim());
     for _ in 0..frames {
         let map = next(&mut atmosphere);
-        let lit: ndarray::Array1<f64> = inside.iter().map(|&at| map[at]).collect();
-        let a = zernikes.dot(&lit);
+        let values: ndarray::Array1<f64> = inside.iter().map(|&at| map[at]).collect();
+        let a = zernikes.dot(&values);
         let (column, row) = (a.view().insert_axis(ndarray::Axis(1)), a.view().insert_axis(ndarray::Axis(0)));
         measured.scaled_add(1.0 / f64::from(frames), &column.dot(&row));
     }
@@ -186,8 +187,8 @@ fn zernike_coefficients_have_von_karmans_covariance() {
 }
 
 #[test]
-fn the_flow_is_frozen_and_goes_with_the_wind() {
-    // The same pattern, (x, y) samples further on at each frame; at whole samples the values themselves, for hundreds of
+fn the_flow_is_frozen_and_follows_the_wind() {
+    // The same pattern moves by (x, y) samples in each frame. At whole samples the values are equal, for hundreds of
     // frames, in rings that wrap every 48 samples.
     for (x, y) in [(3i64, 0i64), (-3, 0), (0, 2), (0, -2), (4, 3), (4, -3), (-3, 4), (-3, -4), (5, 5), (-1, 7)] {
         let samples = 32;
@@ -204,7 +205,7 @@ fn the_flow_is_frozen_and_goes_with_the_wind() {
                     count += 1;
                 }
             }
-            // A position may round to just below a whole sample: a weight of 1e-13, and values of some 1000 nm.
+            // A position may round to just below a whole sample: a weight of 1e-13 on values of about 1000 nm.
             assert!(count > 500 && worst < 1e-3, "wind ({x}, {y}), frame {frame}: {worst:.1e} nm");
             before = after;
         }
@@ -233,8 +234,9 @@ fn between_samples_the_interpolation_is_bilinear() {
 }
 
 #[test]
-fn nothing_comes_back() {
-    // A short outer scale, so that a window of 64 holds some 50 independent cells: unrelated windows correlate by 0.15.
+fn the_turbulence_does_not_repeat() {
+    // A short outer scale: a window of 64 samples has about 50 independent cells, and independent windows correlate by
+    // 0.15.
     let samples = 64;
     let correlation = |a: &Array2<f64>, b: &Array2<f64>| {
         let (a, b) = (a - a.mean().unwrap(), b - b.mean().unwrap());
@@ -243,7 +245,8 @@ fn nothing_comes_back() {
     let (grid, footprint) = square(samples);
     let scene = turbulence(0.5, &[(1.0, 1.0, 0.0)]);
     let period = law(&scene, &grid, &footprint).unwrap().period();
-    // Diagonal: after a period the window is at the same place across. Straight: the ring has gone round.
+    // Diagonal wind: after a period the window is at the same position across. Wind along an axis: the ring has
+    // wrapped.
     for (speed, direction, name) in [(2f64.sqrt(), PI / 4.0, "across"), (1.0, 0.0, "along"), (1.0, -FRAC_PI_2, "along")]
     {
         let mut atmosphere = open(samples, 0.5, &[(1.0, speed, direction)], 8);
@@ -260,11 +263,11 @@ fn nothing_comes_back() {
 
 #[test]
 fn layers_add_up_to_the_scenes_turbulence() {
-    // Shares as printed, summing to 0.99.
+    // Fractions as in a printed table, with a sum of 0.99.
     let layers = [(0.5, APART, 0.3), (0.3, APART, 2.0), (0.19, APART, -1.5)];
     let mut atmosphere = open(16, OUTER_SCALE_M, &layers, 9);
-    // Frames at whole samples only would need other winds; at a separation of 8 the interpolation costs less than the
-    // power it loses at k = π/4 and above, 2 % of this structure function.
+    // These winds need interpolation, which attenuates k = π/4 and above: 2 % of the structure function at a separation
+    // of 8.
     let theory = VonKarman::new(0.16, OUTER_SCALE_M).unwrap().structure_nm2(8.0 * PITCH_M);
     let mut totals = vec![];
     let mut shares = vec![vec![]; 3];
@@ -276,7 +279,7 @@ fn layers_add_up_to_the_scenes_turbulence() {
             share.push(structure(&layer, 8, 0));
         }
         let sum: f64 = each.iter().map(|layer| f64::from(layer[16 * 5 + 5])).sum();
-        assert!((sum - map[[5, 5]]).abs() < 1e-2, "single precision of some 1000 nm");
+        assert!((sum - map[[5, 5]]).abs() < 1e-2, "single precision of 1000 nm");
         totals.push(structure(&map, 8, 0));
     }
     let (total, error) = mean(&totals);
@@ -289,7 +292,7 @@ fn layers_add_up_to_the_scenes_turbulence() {
 }
 
 #[test]
-fn the_seed_decides() {
+fn a_seed_determines_the_turbulence() {
     let layers = [(0.5, 3.3, 0.3), (0.5, 7.1, 2.0)];
     let run = |seed| {
         let mut atmosphere = open(20, 5.0, &layers, seed);
@@ -297,20 +300,20 @@ fn the_seed_decides() {
     };
     assert_eq!(run(1), run(1));
     assert_ne!(run(1)[0], run(2)[0]);
-    // Layers with the same wind and share are still different draws.
+    // Layers with the same wind and fraction are different realisations.
     let twins = open(20, 5.0, &[layers[0], layers[0]], 1).layers_nm();
     assert_ne!(twins[0], twins[1]);
 }
 
 #[test]
-fn without_layers_there_is_nothing() {
+fn without_layers_the_wavefront_is_flat() {
     let mut atmosphere = open(20, 5.0, &[], 1);
     assert!(next(&mut atmosphere).iter().all(|&opd| opd == 0.0));
     assert!(atmosphere.next_frame(&mut [0.0; 3]).is_err());
 }
 
 #[test]
-fn extremes_are_finite_or_refused() {
+fn extreme_values_give_finite_wavefronts_or_are_refused() {
     for samples in [1, 2, 7, 33] {
         let (grid, footprint) = square(samples);
         for outer_scale_m in [1e-12, 0.1, 1e9, f64::INFINITY] {
@@ -341,7 +344,7 @@ fn extremes_are_finite_or_refused() {
 }
 
 #[test]
-fn a_still_layer_stands_still() {
+fn a_layer_without_wind_does_not_move() {
     let mut atmosphere = open(20, 5.0, &[(1.0, 0.0, 1.0)], 1);
     let first = next(&mut atmosphere);
     assert!(first.iter().any(|&opd| opd != 0.0));

@@ -1,32 +1,32 @@
-//! The controller at work: slopes in, commands out, once per frame.
+//! Controller: turns the slopes of a frame into the next commands.
 
 use super::step::{StepMatrix, Workspace};
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// One linear step: the command that frame k decides acts from frame k + `lag_frames` on,
+/// Linear recursion of the control law, L = `lag_frames`: the slopes of frame k determine the command of frame k + L,
 /// `c[k+L] = retained · c[k+L−1] + matrix · (slopes[k], c[k])`, clipped to the stroke.
 #[derive(Debug)]
 pub(super) struct Step {
-    /// Slopes in a frame.
+    /// Number of slopes in a frame.
     pub slopes: usize,
-    /// Commands.
+    /// Number of commands.
     pub actuators: usize,
     /// Frames from a measurement to its correction, L.
     pub lag_frames: usize,
-    /// Share of the last command that the next one keeps.
+    /// Fraction of the last command that the next one keeps.
     pub retained: f32,
-    /// `[B]`, or `[B A]` where the law needs the command that the slopes were measured behind.
+    /// `[B]`, or `[B A]` if the law uses the command that was on the mirror while the slopes were measured.
     pub matrix: StepMatrix,
-    /// Largest command either way, nm; infinite for none.
+    /// Largest absolute command, nm; infinite for no limit.
     pub stroke_limit_nm: f32,
 }
 
-/// A controller at some point of a run; [`ControlLaw::start`](super::ControlLaw::start) makes it.
+/// State of a controller; [`ControlLaw::start`](super::ControlLaw::start) creates it.
 #[derive(Debug, Clone)]
 pub struct Controller {
     step: Arc<Step>,
-    /// Commands decided and not yet passed, a ring: from `now` on, those of this frame, the next, …; `lag_frames` of them.
+    /// Ring of the `lag_frames` next commands; that of the present frame is at `now`.
     queue: Vec<Vec<f32>>,
     now: usize,
     workspace: Workspace,
@@ -38,24 +38,24 @@ impl Controller {
         Self { queue, now: 0, workspace: step.matrix.workspace(), step }
     }
 
-    /// Takes the slopes that were measured behind the present [`commands_nm`](Self::commands_nm) (x of every
-    /// subaperture, then y), and moves on by one frame. A command beyond the stroke is clipped, and what follows builds
-    /// on the clipped one: nothing winds up. Does not allocate.
+    /// Advances by one frame. `slopes` (x of every subaperture, then y) were measured with the present
+    /// [`commands_nm`](Self::commands_nm) on the mirror. A command beyond the stroke is clipped, and the recursion
+    /// continues from the clipped command, so the integrator does not wind up. Does not allocate.
     ///
-    /// Slopes that are not numbers are not caught: they stay in the commands, where the loop sees them.
+    /// NaN slopes are not rejected; they make the commands NaN.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of slopes; the frame is then not counted.
+    /// [`Error::Shape`] for a wrong number of slopes; the state is then unchanged.
     pub fn step(&mut self, slopes: &[f32]) -> Result<()> {
         let step = &*self.step;
         if slopes.len() != step.slopes {
             let (given, needed) = (slopes.len(), step.slopes);
-            return Err(Error::Shape(format!("{given} slopes were given: the controller needs {needed}")));
+            return Err(Error::Shape(format!("{given} slopes were given; the controller needs {needed}")));
         }
         let change = step.matrix.apply(&[slopes, &self.queue[self.now]], &mut self.workspace);
         let last = (self.now + step.lag_frames - 1) % step.lag_frames;
         let limit = step.stroke_limit_nm;
-        // The command of the frame that ends makes room for the new one; with a lag of 1 it is also the last.
+        // The new command replaces that of the frame that ends; with a lag of 1 the latter is also the last command.
         for (i, change) in change.iter().enumerate() {
             self.queue[self.now][i] = step.retained.mul_add(self.queue[last][i], *change).clamp(-limit, limit);
         }
@@ -63,12 +63,12 @@ impl Controller {
         Ok(())
     }
 
-    /// The commands on the mirror in the coming frame, nm of wavefront.
+    /// Commands on the mirror in the coming frame, nm of wavefront.
     pub fn commands_nm(&self) -> &[f32] {
         &self.queue[self.now]
     }
 
-    /// Back to a flat mirror and an empty queue.
+    /// Resets the controller to a flat mirror and an empty queue.
     pub fn reset(&mut self) {
         self.queue.iter_mut().for_each(|commands| commands.fill(0.0));
         self.now = 0;
@@ -90,12 +90,13 @@ mod tests {
         (law, controller)
     }
 
-    fn wild(count: usize, seed: usize) -> Vec<f32> {
+    /// Pseudo-random slopes in [−1, 1].
+    fn irregular(count: usize, seed: usize) -> Vec<f32> {
         (0..count).map(|i| ((i * 37 + seed * 101) as f32).sin()).collect()
     }
 
     /// Largest difference, relative to the largest value.
-    fn apart(a: &[f32], b: &[f32]) -> f32 {
+    fn relative_difference(a: &[f32], b: &[f32]) -> f32 {
         let largest = a.iter().fold(0f32, |largest, a| largest.max(a.abs()));
         a.iter().zip(b).fold(0f32, |worst, (a, b)| worst.max((a - b).abs())) / largest
     }
@@ -105,19 +106,19 @@ mod tests {
         let bench = Bench::small();
         for lag in [1, 2, 5] {
             let (law, mut controller) = start(&bench, &format!("filtered_modes = 2\nlag_frames = {lag}"));
-            let impulse = wild(32, 1);
+            let impulse = irregular(32, 1);
             let slopes: Array1<f64> = impulse.iter().map(|&slope| f64::from(slope)).collect();
             let expected: Vec<f32> =
                 law.reconstructor().command_matrix().dot(&slopes).iter().map(|c| (0.3 * c) as f32).collect();
-            let nothing = vec![0.0; 32];
+            let zeros = vec![0.0; 32];
             for frame in 1..lag + 5 {
-                controller.step(if frame == 1 { &impulse } else { &nothing }).unwrap();
+                controller.step(if frame == 1 { &impulse } else { &zeros }).unwrap();
                 if frame < lag {
                     assert!(controller.commands_nm().iter().all(|&command| command == 0.0), "lag {lag}, frame {frame}");
                 } else {
-                    // Entries of R and the sums in single precision: a few ε = 1e-7 of the terms, which cancel by less
-                    // than ten.
-                    let error = apart(&expected, controller.commands_nm());
+                    // R and the sums are in single precision: a few ε = 1e-7 of the terms, which cancel by less than a
+                    // factor of ten.
+                    let error = relative_difference(&expected, controller.commands_nm());
                     assert!(error < 1e-5, "lag {lag}, frame {frame}: {error}");
                 }
             }
@@ -128,17 +129,17 @@ mod tests {
     fn a_leak_lets_commands_decay() {
         let bench = Bench::small();
         let (_, mut controller) = start(&bench, "filtered_modes = 2\nleak = 0.1");
-        controller.step(&wild(32, 2)).unwrap();
+        controller.step(&irregular(32, 2)).unwrap();
         let first = controller.commands_nm().to_vec();
         for _ in 0..10 {
             controller.step(&[0.0; 32]).unwrap();
         }
         let expected: Vec<f32> = first.iter().map(|command| command * 0.9f32.powi(10)).collect();
         // Ten products, each rounded to half of 1.2e-7.
-        assert!(apart(&expected, controller.commands_nm()) < 2e-6);
+        assert!(relative_difference(&expected, controller.commands_nm()) < 2e-6);
     }
 
-    /// Runs the loop against a still wavefront: s = turbulence − D c, with noise-free slopes.
+    /// Runs the loop on a constant wavefront: s = turbulence − D c, with noise-free slopes.
     fn run(bench: &Bench, keys: &str, turbulence: &Array1<f64>, frames: usize) -> Vec<Vec<f32>> {
         let (_, mut controller) = start(bench, keys);
         let mut history = Vec::new();
@@ -153,9 +154,9 @@ mod tests {
 
     #[test]
     fn without_a_fill_all_laws_are_the_integrator() {
-        // On the controlled modes RD is the identity, and nothing else is ever excited: (1 − g)c + gR(s + Dc) = c + gRs.
+        // RD is the identity on the controlled modes, and the other modes stay 0: (1 − g)c + gR(s + Dc) = c + gRs.
         let bench = Bench::keck();
-        let turbulence: Array1<f64> = wild(496, 3).iter().map(|&slope| 300.0 * f64::from(slope)).collect();
+        let turbulence: Array1<f64> = irregular(496, 3).iter().map(|&slope| 300.0 * f64::from(slope)).collect();
         let keys = |r#loop: &str, fill: &str| {
             format!("filtered_modes = 20\nleak = 0.02\nloop = {:?}\nfill = {fill:?}", r#loop)
         };
@@ -165,7 +166,7 @@ mod tests {
                 let other = run(bench, &keys(r#loop, fill), &turbulence, 20);
                 for (frame, (one, other)) in integrator.iter().zip(&other).enumerate() {
                     // Single precision, with a condition number of up to a few hundred for the mask.
-                    let error = apart(one, other);
+                    let error = relative_difference(one, other);
                     assert!(error < 1e-4, "{fill}, {}, frame {frame}: {error}", r#loop);
                 }
             }
@@ -173,8 +174,8 @@ mod tests {
     }
 
     #[test]
-    fn the_step_is_the_law_as_written() {
-        // All terms of each law in double precision, against what was folded; a lag, a leak and a fill at once.
+    fn the_folded_step_equals_the_law() {
+        // All terms of each law in double precision, against the folded step; with a lag, a leak and a fill.
         let bench = Bench::keck();
         let (gain, leak, lag) = (0.3, 0.05, 3);
         for r#loop in ["closed", "pseudo-open-loop", "full-turbulence-slopes"] {
@@ -192,7 +193,7 @@ mod tests {
             // commands[k] is on the mirror in frame k.
             let mut commands = vec![Array1::<f64>::zeros(bench.interaction.ncols()); lag];
             for frame in 0..12 {
-                let measured = wild(496, frame);
+                let measured = irregular(496, frame);
                 let slopes: Array1<f64> = measured.iter().map(|&slope| f64::from(slope)).collect();
                 let (now, last) = (&commands[frame], &commands[frame + lag - 1]);
                 let own = bench.interaction.dot(now);
@@ -206,7 +207,7 @@ mod tests {
                 let expected: Vec<f32> = commands[frame + 1].iter().map(|&command| command as f32).collect();
                 if frame + 1 >= lag {
                     // A dozen frames of sums of 800 terms in single precision.
-                    let error = apart(&expected, controller.commands_nm());
+                    let error = relative_difference(&expected, controller.commands_nm());
                     assert!(error < 1e-4, "{}, frame {frame}: {error}", r#loop);
                 }
             }
@@ -214,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn open_loop_inpainting_keeps_what_the_mask_hides_out_of_the_mirror() {
+    fn with_open_loop_inpainting_masked_slopes_do_not_reach_the_mirror() {
         let bench = Bench::keck();
         let mut hidden = Array1::zeros(496);
         for (slope, masked) in hidden.iter_mut().zip(bench.mask.iter().chain(&bench.mask)) {
@@ -234,7 +235,7 @@ mod tests {
         let plant = Plant { stroke_limit_nm: Some(limit), ..bench.plant() };
         let law = ControlLaw::new(&scene("filtered_modes = 2"), &plant).unwrap();
         let mut controller = law.start();
-        let push: Vec<f32> = wild(32, 4).iter().map(|slope| 1e4 * slope).collect();
+        let push: Vec<f32> = irregular(32, 4).iter().map(|slope| 1e4 * slope).collect();
         let back: Vec<f32> = push.iter().map(|slope| -slope).collect();
         for _ in 0..100 {
             controller.step(&push).unwrap();
@@ -242,7 +243,7 @@ mod tests {
         }
         let pushed = controller.commands_nm().to_vec();
         assert!(pushed.contains(&(limit as f32)));
-        // One push the other way turns every command round: nothing has piled up behind the limit.
+        // One push in the opposite direction reverses every clipped command: the integrator has not wound up.
         controller.step(&back).unwrap();
         let (before, after) = (pushed.iter(), controller.commands_nm().iter());
         assert!(before.zip(after).filter(|(before, _)| before.abs() == limit as f32).all(|(b, a)| a * b < 0.0));
@@ -251,11 +252,11 @@ mod tests {
     }
 
     #[test]
-    fn impossible_input_is_refused_and_a_refused_frame_does_not_count() {
+    fn invalid_input_is_refused_and_leaves_the_state_unchanged() {
         let bench = Bench::small();
         let (_, mut controller) = start(&bench, "filtered_modes = 2");
         assert!(matches!(controller.step(&[0.0; 31]), Err(Error::Shape(_))));
-        controller.step(&wild(32, 5)).unwrap();
+        controller.step(&irregular(32, 5)).unwrap();
         let before = controller.commands_nm().to_vec();
         assert!(controller.step(&[1.0; 33]).is_err());
         assert_eq!(controller.commands_nm(), before);

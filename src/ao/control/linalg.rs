@@ -1,11 +1,11 @@
-//! Where the control's arrays meet the dense solver.
+//! Dense linear algebra on `ndarray` matrices, by `faer`.
 
 use crate::{Error, Result};
 use faer::linalg::solvers::SolveLstsqCore;
 use ndarray::Array2;
 use num_complex::Complex64;
 
-/// `matrix = left · diag(values) · rightᵀ`, values falling.
+/// Singular value decomposition `matrix = left · diag(values) · rightᵀ`, values descending.
 pub(crate) struct Svd {
     /// `[rows, min(rows, columns)]`, orthonormal columns.
     pub left: Array2<f64>,
@@ -14,7 +14,7 @@ pub(crate) struct Svd {
     pub right: Array2<f64>,
 }
 
-/// The singular value decomposition of a finite matrix.
+/// Computes the singular value decomposition of a finite matrix.
 pub(crate) fn svd(matrix: &Array2<f64>) -> Result<Svd> {
     let (rows, columns) = matrix.dim();
     if rows == 0 || columns == 0 {
@@ -27,7 +27,7 @@ pub(crate) fn svd(matrix: &Array2<f64>) -> Result<Svd> {
     Ok(Svd { left: from_faer(svd.U()), values, right: from_faer(svd.V()) })
 }
 
-/// The eigenvalues of a finite square matrix, in no particular order.
+/// Computes the eigenvalues of a finite square matrix, in no particular order.
 pub(super) fn eigenvalues(matrix: &Array2<f64>) -> Result<Vec<Complex64>> {
     let size = matrix.nrows();
     if size == 0 {
@@ -39,7 +39,7 @@ pub(super) fn eigenvalues(matrix: &Array2<f64>) -> Result<Vec<Complex64>> {
     Ok(values.into_iter().map(|value| Complex64::new(value.re, value.im)).collect())
 }
 
-/// The roots of `λⁿ + c₁λⁿ⁻¹ + … + cₙ`: the eigenvalues of its companion matrix.
+/// Computes the roots of `λⁿ + c₁λⁿ⁻¹ + … + cₙ`: the eigenvalues of its companion matrix.
 pub(super) fn roots(coefficients: &[Complex64]) -> Result<Vec<Complex64>> {
     let degree = coefficients.len();
     if let [only] = coefficients {
@@ -56,8 +56,8 @@ pub(super) fn roots(coefficients: &[Complex64]) -> Result<Vec<Complex64>> {
     Ok(values.into_iter().map(|value| Complex64::new(value.re, value.im)).collect())
 }
 
-/// The columns of X that bring `matrix · X` closest to `right`, by a QR decomposition with column pivoting; `None` where
-/// the matrix does not determine them.
+/// Solves min‖`matrix · X − right`‖ for X, by a QR decomposition with column pivoting; `None` for a rank-deficient
+/// matrix.
 pub(super) fn least_squares(matrix: &Array2<f64>, right: &Array2<f64>) -> Option<Array2<f64>> {
     let (rows, columns) = matrix.dim();
     if rows < columns {
@@ -65,7 +65,7 @@ pub(super) fn least_squares(matrix: &Array2<f64>, right: &Array2<f64>) -> Option
     }
     let qr = to_faer(matrix).col_piv_qr();
     let pivot = |i: usize| qr.thin_R()[(i, i)].abs();
-    // Pivots fall. What rounding leaves of one that should be zero is a few ε times the size of the matrix.
+    // Pivots descend. Rounding makes a zero pivot a few ε times the size of the matrix.
     if pivot(columns - 1) <= rows as f64 * f64::EPSILON * pivot(0) {
         return None;
     }
@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn roots_of_known_polynomials() {
-        // (λ − 2)(λ² + 1) = λ³ − 2λ² + λ − 2; simple roots, well apart: a few ε.
+        // (λ − 2)(λ² + 1) = λ³ − 2λ² + λ − 2; simple, well separated roots: a few ε.
         let mut found = roots(&[-2.0, 1.0, -2.0].map(Complex64::from)).unwrap();
         found.sort_by(|a, b| a.im.total_cmp(&b.im));
         for (found, known) in found.iter().zip([-Complex64::i(), Complex64::from(2.0), Complex64::i()]) {
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn least_squares_fits_a_line_and_refuses_what_is_not_determined() {
+    fn least_squares_fits_a_line_and_refuses_rank_deficient_matrices() {
         let line = array![[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]];
         // Through (0, 0), (1, 1), (2, 1): intercept 1/6, slope 1/2, from the normal equations by hand.
         let fit = least_squares(&line, &array![[0.0], [1.0], [1.0]]).unwrap();

@@ -1,23 +1,23 @@
-//! Which subapertures see the steps between segments.
+//! Mask of the subapertures that straddle segments.
 
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 
-/// Two shares closer than this are the same: subapertures that mirror each other differ by rounding, and a threshold
-/// that happens to fall on their share must treat them alike.
+/// Tolerance of the comparison with the threshold. Subapertures that are mirror images of each other differ by
+/// rounding, and a threshold equal to their share must treat them the same way.
 const SAME_SHARE: f64 = 1e-9;
 
-/// The subapertures that the reconstructor should not trust, one flag for each of `subapertures` (flat indices
-/// `row·lenslets_across + column`), `true` = masked.
+/// Computes the mask, one flag for each of `subapertures` (flat indices `row·lenslets_across + column`), `true` =
+/// masked.
 ///
-/// The criterion of the paper (its section 4.3): a subaperture in which segments meet is masked; if no more than two
-/// meet, it stays where one of them holds at least `dominant_fraction` of the subaperture's light. Three that meet are
-/// masked however small the third: its corner brings two steps. A segment is there if it owns a lit sample, so slivers
-/// that own none are missed; for Keck the count is the same from 12 to 48 samples across a lenslet.
+/// The criterion is the paper's (its section 4.3). A subaperture with one segment is not masked. With two segments it
+/// is masked unless one of them has at least `dominant_fraction` of its light. With three it is masked for any size of
+/// the third, whose corner makes two steps. A segment counts if it owns an illuminated sample, so slivers that own none
+/// are missed; for Keck the number of masked subapertures is the same from 12 to 48 samples across a lenslet.
 ///
 /// # Errors
-/// [`Error::Shape`] where the pupil's samples do not divide evenly among the lenslets, [`Error::Value`] for a fraction
-/// outside [0, 1] or subapertures that are not among the lenslets in ascending order.
+/// [`Error::Shape`] if the pupil's samples are not a multiple of the lenslets, [`Error::Value`] for a fraction outside
+/// [0, 1] or subapertures that are out of range or not ascending.
 pub fn segment_mask(
     pupil: &Pupil,
     lenslets_across: usize,
@@ -27,22 +27,22 @@ pub fn segment_mask(
     let samples = pupil.grid.samples();
     if lenslets_across == 0 || !samples.is_multiple_of(lenslets_across) {
         return Err(Error::Shape(format!(
-            "{samples} pupil samples do not divide among {lenslets_across} lenslets across: a multiple is needed"
+            "{samples} pupil samples do not divide among {lenslets_across} lenslets across; a multiple is needed"
         )));
     }
     if !(0.0..=1.0).contains(&dominant_fraction) {
-        let text = format!("a dominant fraction of {dominant_fraction} is impossible: it lies between 0 and 1");
+        let text = format!("a dominant fraction of {dominant_fraction} is impossible; 0 to 1 is accepted");
         return Err(Error::Value(text));
     }
     super::check_subapertures(lenslets_across, subapertures)?;
     let side = samples / lenslets_across;
-    // Each segment's light in the subaperture at hand.
+    // Light of each segment in the present subaperture.
     let mut light = vec![0.0; pupil.segments.len()];
     let masked = subapertures.iter().map(|index| {
         light.fill(0.0);
         let (top, left) = (index / lenslets_across * side, index % lenslets_across * side);
         for at in (0..side * side).map(|i| [top + i / side, left + i % side]) {
-            // −1, no owner, is no index.
+            // The owner −1 (none) does not convert to an index.
             if let Some(light) = usize::try_from(pupil.owner[at]).ok().and_then(|owner| light.get_mut(owner)) {
                 *light += pupil.amplitude[at];
             }
@@ -71,8 +71,8 @@ mod tests {
                 let mask = segment_mask(&pupil, 20, &subapertures, fraction).unwrap();
                 mask.iter().filter(|&&masked| masked).count()
             };
-            // 68 as in an independent simulation. The pupil has mirror symmetry in x and in y, and no such subaperture
-            // straddles an axis: counts are multiples of 4.
+            // 68 agrees with an independent simulation. The pupil has mirror symmetry in x and in y, and no masked
+            // subaperture straddles an axis, so counts are multiples of 4.
             assert_eq!((count(0.75), count(0.8)), (68, 80));
         }
     }
@@ -86,11 +86,11 @@ mod tests {
     }
 
     #[test]
-    fn the_rule_at_its_edges() {
+    fn the_criterion_at_its_thresholds() {
         let masked = |owners, fraction| segment_mask(&one_lenslet(owners), 1, &[0], fraction).unwrap()[0];
         let quarter = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1];
         assert!(!masked(quarter, 0.75) && masked(quarter, 0.76));
-        // Half of it dark: the share is of the light.
+        // Half of the subaperture is dark: the share is relative to its light.
         let dark = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 1, 1];
         assert!(!masked(dark, 0.75) && masked(dark, 0.76));
         let third = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 2];
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_requests_are_refused() {
+    fn invalid_arguments_are_refused() {
         let pupil = one_lenslet([0; 16]);
         for (across, subapertures, fraction) in
             [(3, vec![0], 0.75), (0, vec![], 0.75), (1, vec![1], 0.75), (1, vec![0], 1.5), (1, vec![0], f64::NAN)]

@@ -1,4 +1,4 @@
-//! From slopes to commands: which subapertures to trust, the reconstructor, the control law, its stability.
+//! Control: mask of subapertures, reconstructor, control law, stability.
 //!
 //! ```text
 //! segment_mask ─┐             ┌ Reconstructor (R) ┐             ┌ Stability   before the first frame
@@ -14,9 +14,9 @@
 //! | `pseudo-open-loop` | (1 − l − g) c + g R M (s + D c) |
 //! | `full-turbulence-slopes` | (1 − l) c + g R (M (s + D c) − D c) |
 //!
-//! where M is the fill of masked slopes, the identity unless `fill = "inpaint"`. The second is B. Ellerbroek's (2003),
-//! the third the lighter variant that the paper suggests; with M = 1 it is the first. All are one linear step, and so is
-//! the code.
+//! where M is the inpainting of masked slopes, the identity unless `fill = "inpaint"`. The second law is B.
+//! Ellerbroek's (2003), the third the cheaper variant that the paper suggests; with M = 1 the third equals the first.
+//! All laws are one linear step, computed by the same code.
 
 mod controller;
 mod inpaint;

@@ -1,4 +1,4 @@
-//! From slopes to commands: the least-squares inverse of the interaction matrix, in a basis, without its weakest modes.
+//! Reconstructor: truncated least-squares inverse of the interaction matrix, from slopes to commands.
 
 use super::linalg::svd;
 use super::plant::Plant;
@@ -6,8 +6,8 @@ use crate::scene::{ControlBasis, ControlScene, Fill};
 use crate::{Error, Result};
 use ndarray::{Array2, s};
 
-/// A reconstructor in its factors: `commands = modes · inverse · slopes`. With D the interaction matrix (without the
-/// rows of masked subapertures where they leave it), `inverse · D · modes` is the identity.
+/// Reconstructor as a product, `commands = modes · inverse · slopes`. With D the interaction matrix (without the rows
+/// of masked subapertures if `fill = "mask-interaction-matrix"`), `inverse · D · modes` is the identity.
 #[derive(Debug, Clone)]
 pub struct Reconstructor {
     modes: Array2<f64>,
@@ -17,23 +17,23 @@ pub struct Reconstructor {
 }
 
 impl Reconstructor {
-    /// The truncated inverse of the plant's interaction matrix.
+    /// Computes the truncated inverse of the plant's interaction matrix.
     ///
-    /// `basis = "zonal"`: by the singular values of D, without the `filtered_modes` weakest. `basis = "kl"`: the last
-    /// `filtered_modes` Karhunen-Loève modes leave first, and D times the others is inverted. In both,
-    /// `condition_number` drops the singular values below the largest divided by it, and those that only rounding
-    /// tells from zero are never inverted.
+    /// `basis = "zonal"`: the singular value decomposition of D without its `filtered_modes` smallest values. `basis =
+    /// "kl"`: the last `filtered_modes` Karhunen-Loève modes are removed, and D times the others is inverted. In both,
+    /// `condition_number` removes singular values below the largest divided by it. Singular values at the level of
+    /// rounding are never inverted.
     ///
     /// # Errors
-    /// [`Error::Value`] where no mode is left, or the basis is missing.
+    /// [`Error::Value`] if no mode is left, or the Karhunen-Loève modes are missing.
     pub(super) fn new(scene: &ControlScene, plant: &Plant) -> Result<Self> {
         let filtered = scene.filtered_modes.unwrap_or(0);
-        let interaction = trusted(plant, scene.fill);
-        let (basis, sensed, of) = match scene.basis {
+        let interaction = interaction_without_masked(plant, scene.fill);
+        let (basis, sensed, available) = match scene.basis {
             ControlBasis::Zonal => (None, interaction, plant.interaction.ncols()),
             ControlBasis::Kl => {
                 let Some(modes) = plant.kl else {
-                    let text = "control.basis = \"kl\" needs the mirror's Karhunen-Loève modes: none were given";
+                    let text = "control.basis = \"kl\" needs the mirror's Karhunen-Loève modes; none were given";
                     return Err(Error::Value(text.into()));
                 };
                 let kept = modes.slice(s![.., ..modes.ncols().saturating_sub(filtered)]).to_owned();
@@ -44,14 +44,15 @@ impl Reconstructor {
         let svd = svd(&sensed)?;
         let strongest = svd.values.first().copied().unwrap_or(0.0);
         let (rows, columns) = sensed.dim();
-        // What the decomposition's rounding leaves of a value that should be zero.
+        // Size of a zero singular value after rounding.
         let rounding = rows.max(columns) as f64 * f64::EPSILON;
         let smallest = strongest * scene.condition_number.map_or(0.0, f64::recip).max(rounding);
         let strong = svd.values.iter().take_while(|&&value| value > 0.0 && value >= smallest).count();
-        let kept = strong.min(of.saturating_sub(filtered));
+        let kept = strong.min(available.saturating_sub(filtered));
         if kept == 0 {
             return Err(Error::Value(format!(
-                "no mode of {of} is left to control: control.filtered_modes = {filtered} and the interaction matrix leave none"
+                "control.filtered_modes = {filtered} leaves none of {available} modes to control; fewer filtered modes are \
+                 needed, and an interaction matrix that is not 0"
             )));
         }
         let right = svd.right.slice(s![.., ..kept]);
@@ -61,32 +62,32 @@ impl Reconstructor {
             row /= *value;
         }
         if scene.fill == Fill::MaskInteractionMatrix {
-            // Zero up to rounding, which the inversion has magnified.
+            // These columns are 0 up to rounding, which the inversion has amplified.
             for (mut column, _) in inverse.columns_mut().into_iter().zip(masks(plant)).filter(|(_, masked)| **masked) {
                 column.fill(0.0);
             }
         }
-        Ok(Self { modes, inverse, singular_values: svd.values, dropped: of - kept })
+        Ok(Self { modes, inverse, singular_values: svd.values, dropped: available - kept })
     }
 
-    /// The commands of each controlled mode, `[actuators, controlled]`, nm.
+    /// Commands of each controlled mode, `[actuators, controlled]`, nm.
     pub fn modes(&self) -> &Array2<f64> {
         &self.modes
     }
 
-    /// From slopes to controlled modes, `[controlled, 2·subapertures]`. The columns of subapertures that left the
-    /// interaction matrix are zero.
+    /// Matrix from slopes to controlled modes, `[controlled, 2·subapertures]`. The columns of subapertures that are
+    /// masked in the interaction matrix are zero.
     pub fn inverse(&self) -> &Array2<f64> {
         &self.inverse
     }
 
-    /// The command matrix R = modes · inverse, `[actuators, 2·subapertures]`, nm per slope.
+    /// Command matrix R = modes · inverse, `[actuators, 2·subapertures]`, nm per slope.
     pub fn command_matrix(&self) -> Array2<f64> {
         self.modes.dot(&self.inverse)
     }
 
-    /// The singular values of what was inverted, falling; the first [`controlled`](Self::controlled) were kept. Slope
-    /// per nm.
+    /// Singular values of the inverted matrix, descending, slope per nm; the first [`controlled`](Self::controlled) are
+    /// kept.
     pub fn singular_values(&self) -> &[f64] {
         &self.singular_values
     }
@@ -96,15 +97,15 @@ impl Reconstructor {
         self.modes.ncols()
     }
 
-    /// Modes left out, of as many as there are actuators ("zonal") or Karhunen-Loève modes ("kl").
+    /// Number of modes removed, out of the actuators ("zonal") or the Karhunen-Loève modes ("kl").
     pub fn dropped(&self) -> usize {
         self.dropped
     }
 }
 
-/// The interaction matrix, with the rows of masked subapertures set to zero where they leave it: for least squares that
-/// is the same, and the inverse has zero columns for them.
-fn trusted(plant: &Plant, fill: Fill) -> Array2<f64> {
+/// Interaction matrix; for `fill = "mask-interaction-matrix"` with the rows of masked subapertures set to zero. For
+/// least squares this equals removing the rows, and the inverse has zero columns for them.
+fn interaction_without_masked(plant: &Plant, fill: Fill) -> Array2<f64> {
     let mut interaction = plant.interaction.clone();
     if fill == Fill::MaskInteractionMatrix {
         for (mut row, _) in interaction.rows_mut().into_iter().zip(masks(plant)).filter(|(_, masked)| **masked) {
@@ -114,7 +115,7 @@ fn trusted(plant: &Plant, fill: Fill) -> Array2<f64> {
     interaction
 }
 
-/// Whether each slope, x and then y, is masked.
+/// Mask of the slopes, x and then y.
 fn masks<'a>(plant: &Plant<'a>) -> impl Iterator<Item = &'a bool> + use<'a> {
     plant.mask.iter().chain(plant.mask)
 }
@@ -124,22 +125,22 @@ mod tests {
     use super::super::testing::{Bench, scene};
     use super::*;
 
-    /// The largest entry of |matrix − identity|.
+    /// Largest entry of |matrix − identity|.
     fn off_identity(matrix: &Array2<f64>) -> f64 {
         let eye = Array2::<f64>::eye(matrix.nrows());
         (matrix - &eye).iter().fold(0.0, |worst, value| value.abs().max(worst))
     }
 
-    /// Rounding of the products that should give the identity: ε times a condition number of up to 30, times √496 for
-    /// the sums, and a margin of ten.
+    /// Rounding of products that equal the identity: ε times a condition number of up to 30, times √496 for the sums,
+    /// and a margin of ten.
     const IDENTITY: f64 = 2e-12;
 
     #[test]
-    fn the_inverse_is_one_on_the_kept_modes_and_the_dropped_ones_are_counted() {
+    fn the_inverse_is_the_identity_on_kept_modes_and_dropped_modes_are_counted() {
         let bench = Bench::keck();
         for (keys, dropped) in [
             ("filtered_modes = 2", 2),
-            // Piston and waffle are invisible to corner differences: two values that rounding alone makes.
+            // Corner differences do not measure piston and waffle: two singular values are rounding.
             ("filtered_modes = 0", 2),
             ("filtered_modes = 40", 40),
             ("filtered_modes = 2\nfill = \"mask-interaction-matrix\"", 2),
@@ -148,7 +149,7 @@ mod tests {
         ] {
             let scene = scene(keys);
             let reconstructor = Reconstructor::new(&scene, &bench.plant()).unwrap();
-            let interaction = trusted(&bench.plant(), scene.fill);
+            let interaction = interaction_without_masked(&bench.plant(), scene.fill);
             let identity = reconstructor.inverse().dot(&interaction).dot(reconstructor.modes());
             let error = off_identity(&identity);
             println!("{keys:?}: {} controlled, {error:.1e}", reconstructor.controlled());
@@ -173,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn the_condition_number_chooses_by_strength() {
+    fn the_condition_number_limits_the_singular_values() {
         let bench = Bench::keck();
         for basis in ["zonal", "kl"] {
             let all = Reconstructor::new(&scene(&format!("basis = {basis:?}")), &bench.plant()).unwrap();
@@ -187,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_left_to_control_is_refused() {
+    fn a_loop_without_controlled_modes_is_refused() {
         let bench = Bench::keck();
         for keys in ["filtered_modes = 10000", "basis = \"kl\"\nfiltered_modes = 10000"] {
             let error = Reconstructor::new(&scene(keys), &bench.plant()).unwrap_err();

@@ -1,52 +1,52 @@
-//! Whether the loop is stable, before it runs.
+//! Stability of the loop from its poles, computed before the first frame.
 
-use super::law::retained;
+use super::inpaint::Inpainting;
 use super::linalg::{eigenvalues, roots};
-use super::{Inpainting, Reconstructor};
+use super::reconstructor::Reconstructor;
 use crate::Result;
 use crate::scene::{ControlScene, Loop};
 use ndarray::Array2;
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
-/// Growth per frame that counts as none, and size of an eigenvalue that counts as zero. An e-folding takes 10⁹ frames,
-/// eleven days at 1 kHz, so no run sees it; and the eigenvalues' rounding, ε = 2e-16 times the sizes of the inverse and
-/// of the interaction matrix (a condition number of up to some 1e4), stays three digits below.
+/// Growth per frame below which a mode counts as neutral, and size below which an eigenvalue counts as zero. At this
+/// rate an e-folding takes 10⁹ frames, eleven days at 1 kHz. The rounding of the eigenvalues, ε = 2e-16 times the sizes
+/// of the inverse and of the interaction matrix (a condition number of up to about 1e4), is three digits below.
 const NEUTRAL: f64 = 1e-9;
 
-/// The closed loop without turbulence, noise and clipping, where the sensor and the mirror are as the interaction matrix
-/// says.
+/// Poles of the closed loop without turbulence, noise and clipping, for a sensor and a mirror that the interaction
+/// matrix describes exactly.
 ///
 /// The commands then follow `c[k+L] = a c[k+L−1] − g K c[k]`, with K = RMD for `loop = "closed"`, RD for
-/// `"full-turbulence-slopes"` (the mirror's slopes that were filled are taken away again as they were), and 0 for
-/// `"pseudo-open-loop"`, whose slopes do not depend on the mirror; a is the share of a command that is kept. Each
-/// eigenvalue μ of K contributes the roots of λᴸ − a λᴸ⁻¹ + g μ = 0.
+/// `"full-turbulence-slopes"` (the mirror's own slopes are subtracted unfilled), and 0 for `"pseudo-open-loop"`, whose
+/// slopes do not depend on the mirror; a is the fraction of a command that is kept. Each eigenvalue μ of K contributes
+/// the roots of λᴸ − a λᴸ⁻¹ + g μ = 0.
 ///
-/// K is looked at within the controlled modes, where R's range lies: what is not controlled has μ = 0 by construction,
-/// keeps what it has (or lets it leak away), and receives nothing; it is counted, and is neither stable nor unstable.
+/// K is evaluated within the controlled modes, the range of R. Uncontrolled modes have μ = 0 by construction: their
+/// commands stay constant (or leak to 0). They are counted, and are neither stable nor unstable.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Stability {
-    /// Largest |λ| of the controlled modes: the factor by which the worst of them grows in a frame.
+    /// Largest |λ| of the controlled modes: growth factor per frame of the fastest growing mode.
     pub growth_per_frame: f64,
-    /// Time in which the worst mode grows e-fold, s; `None` for a stable loop.
+    /// Time in which that mode grows e-fold, s; `None` for a stable loop.
     pub e_folding_s: Option<f64>,
     /// Whether no controlled mode grows.
     pub stable: bool,
-    /// The loop is stable for gains from 0 to here, all else equal; 0 where no gain is stable.
+    /// Largest gain up to which the loop is stable, all else equal; 0 if no gain is stable.
     pub largest_stable_gain: f64,
-    /// Modes that the law controls.
+    /// Number of controlled modes.
     pub controlled: usize,
-    /// Directions of the commands that it never moves.
+    /// Number of uncontrolled modes of the commands.
     pub uncontrolled: usize,
-    /// Controlled modes that the fill hides from the loop (μ = 0: all of their slopes are masked, and the fill makes
-    /// nothing of the others): they neither grow nor are corrected, and noise walks in them.
+    /// Number of controlled modes that the fill hides from the loop (μ = 0: all of their slopes are masked, and the
+    /// inpainted ones are 0). They neither grow nor are corrected; noise makes them a random walk.
     pub hidden: usize,
-    /// Every λ of the controlled modes; those that a whole family of modes shares by construction are listed once.
+    /// Every λ of the controlled modes; a pole that all modes share by construction is listed once.
     pub poles: Vec<Complex64>,
 }
 
 impl Stability {
-    pub(super) fn of(
+    pub(super) fn new(
         scene: &ControlScene,
         reconstructor: &Reconstructor,
         inpainting: Option<&Inpainting>,
@@ -60,9 +60,9 @@ impl Stability {
                 let loop_eigenvalues = match inpainting.filter(|_| r#loop == Loop::Closed) {
                     Some(inpainting) => {
                         let sensed = interaction.dot(reconstructor.modes());
-                        eigenvalues(&inpainting.before(reconstructor.inverse()).dot(&sensed))?
+                        eigenvalues(&inpainting.fold_into(reconstructor.inverse()).dot(&sensed))?
                     }
-                    // The inverse of the interaction matrix on the controlled modes, by construction.
+                    // R is the inverse of D on the controlled modes by construction.
                     None => vec![Complex64::from(1.0)],
                 };
                 let mut poles = Vec::new();
@@ -91,7 +91,15 @@ impl Stability {
     }
 }
 
-/// The roots of λᴸ − kept·λᴸ⁻¹ + gain·μ.
+/// Fraction of the last command that a law keeps.
+pub(super) fn retained(scene: &ControlScene, gain: f64) -> f64 {
+    match scene.r#loop {
+        Loop::Closed | Loop::FullTurbulenceSlopes => 1.0 - scene.leak,
+        Loop::PseudoOpenLoop => 1.0 - scene.leak - gain,
+    }
+}
+
+/// Computes the roots of λᴸ − kept·λᴸ⁻¹ + gain·μ.
 fn mode_poles(mu: Complex64, kept: f64, gain: f64, lag: usize) -> Result<Vec<Complex64>> {
     let mut coefficients = vec![Complex64::default(); lag];
     coefficients[0] -= kept;
@@ -99,11 +107,12 @@ fn mode_poles(mu: Complex64, kept: f64, gain: f64, lag: usize) -> Result<Vec<Com
     roots(&coefficients)
 }
 
-/// The gain up to which the roots of λᴸ − kept·λᴸ⁻¹ + g μ (0 < kept ≤ 1) stay within the unit circle.
+/// Largest gain g for which the roots of λᴸ − kept·λᴸ⁻¹ + g μ (0 < kept ≤ 1) stay within the unit circle.
 ///
-/// A root crosses it at λ = e^{iθ} where g μ = −e^{i(L−1)θ}(e^{iθ} − kept). The phase of the right side grows steadily
-/// with θ in (0, 2π), so each of the at most L+1 crossings is found by bisection, and the lengths give its gain. With
-/// kept = 1 a root starts on the circle, at λ = 1, and leaves it as 1 − gμ: outwards unless μ's real part is positive.
+/// A root crosses the circle at λ = e^{iθ} if g μ = −e^{i(L−1)θ}(e^{iθ} − kept). The phase of the right side increases
+/// monotonically with θ in (0, 2π), so each of the at most L+1 crossings is found by bisection, and the moduli give its
+/// gain. With kept = 1 a root starts on the circle, at λ = 1, and leaves it as 1 − gμ: outwards unless μ's real part is
+/// positive.
 fn stable_gain(mu: Complex64, kept: f64, lag: usize) -> f64 {
     if mu.norm() <= NEUTRAL {
         return f64::INFINITY;
@@ -118,7 +127,8 @@ fn stable_gain(mu: Complex64, kept: f64, lag: usize) -> f64 {
     let mut smallest = f64::INFINITY;
     for turns in 0..=lag + 1 {
         let wanted = mu.arg() + TAU * turns as f64;
-        // At θ = 0 the phase of e^{iθ} − 1 is none; from there on it is π/2. 60 halvings take the angle to the last bit.
+        // At θ = 0 the phase of e^{iθ} − 1 is none; from there on it is π/2. 60 halvings take the angle to the last
+        // bit.
         let (mut low, mut high) = (if kept < 1.0 { 0.0 } else { 1e-12 }, TAU - 1e-12);
         if wanted < phase(low) || wanted > phase(high) {
             continue;
@@ -158,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_roots_reach_the_circle_at_the_limit_and_not_before() {
+    fn the_roots_reach_the_unit_circle_at_the_largest_stable_gain() {
         for (lag, kept) in [(1, 1.0), (1, 0.97), (2, 1.0), (3, 0.9), (7, 0.99)] {
             for mu in [(1.0, 0.0), (0.3, 0.8), (0.3, -0.8), (2.0, 0.1), (0.01, 1.0), (0.5, 0.5)] {
                 let mu = Complex64::new(mu.0, mu.1);
@@ -177,13 +187,13 @@ mod tests {
     #[test]
     fn inpainting_residual_slopes_diverges_and_open_loop_slopes_do_not() {
         // On segments of 0.9 m with 20 modes dropped, and on the paper's pupil of 10.49 m with 2: RMD has eigenvalues
-        // near −0.001, so the loop is lost within seconds, as in the paper and in an independent simulation (2.1 s).
-        for (bench, filtered) in [(Bench::keck(), 20), (&Bench::of_side(0.862), 2)] {
-            let of = |r#loop: &str| {
+        // near −0.001, so the loop diverges within seconds, as in the paper and in an independent simulation (2.1 s).
+        for (bench, filtered) in [(Bench::keck(), 20), (&Bench::with_segment_side(0.862), 2)] {
+            let stability = |r#loop: &str| {
                 let keys = format!("filtered_modes = {filtered}\nfill = \"inpaint\"\nloop = {:?}", r#loop);
                 ControlLaw::new(&scene(&keys), &bench.plant()).unwrap().stability().clone()
             };
-            let residual = of("closed");
+            let residual = stability("closed");
             println!("{:.6} per frame, e-folding {:?} s", residual.growth_per_frame, residual.e_folding_s);
             assert!(!residual.stable && residual.largest_stable_gain == 0.0);
             assert!((1.0..4.0).contains(&residual.e_folding_s.unwrap()), "{:?}", residual.e_folding_s);
@@ -191,7 +201,7 @@ mod tests {
             assert_eq!(residual.controlled + filtered, bench.interaction.ncols());
             assert_eq!(residual.uncontrolled, filtered);
             for r#loop in ["pseudo-open-loop", "full-turbulence-slopes"] {
-                let stability = of(r#loop);
+                let stability = stability(r#loop);
                 assert!(stability.stable && stability.e_folding_s.is_none());
                 assert!((stability.growth_per_frame - 0.7).abs() < 1e-15, "{}", r#loop);
                 assert!((stability.largest_stable_gain - 2.0).abs() < 1e-12, "{}", r#loop);
@@ -201,8 +211,8 @@ mod tests {
 
     #[test]
     fn modes_that_the_fill_hides_are_neither_stable_nor_unstable() {
-        // With two modes dropped the mirror of Bench::keck makes shapes whose slopes are all masked: the loop neither
-        // corrects nor feeds them, and only noise moves them.
+        // With two modes dropped the mirror of Bench::keck has modes whose slopes are all masked. The loop neither
+        // corrects nor excites them; only noise does.
         let law = ControlLaw::new(&scene("filtered_modes = 2\nfill = \"inpaint\""), &Bench::keck().plant()).unwrap();
         let stability = law.stability();
         println!("{} hidden", stability.hidden);
@@ -213,14 +223,14 @@ mod tests {
     }
 
     #[test]
-    fn the_poles_are_those_of_the_whole_matrix() {
-        // The slow way: eigenvalues of all that happens between two frames, (1 − l) − g R M D, over every actuator.
+    fn the_poles_are_the_eigenvalues_of_the_whole_step() {
+        // Direct calculation: eigenvalues of the step between two frames, (1 − l) − g R M D, over all actuators.
         let bench = Bench::keck();
         for keys in ["fill = \"inpaint\"", "leak = 0.01\nfill = \"mask-interaction-matrix\"", "basis = \"kl\""] {
             let scene = scene(&format!("filtered_modes = 10\n{keys}"));
             let law = ControlLaw::new(&scene, &bench.plant()).unwrap();
             let command = law.reconstructor().command_matrix();
-            let command = law.inpainting().map_or(command.clone(), |inpainting| inpainting.before(&command));
+            let command = law.inpainting().map_or(command.clone(), |inpainting| inpainting.fold_into(&command));
             let size = bench.interaction.ncols();
             let whole = Array2::<f64>::eye(size) * (1.0 - scene.leak) - command.dot(&bench.interaction) * scene.gain;
             let mut slow = eigenvalues(&whole).unwrap();
@@ -230,13 +240,13 @@ mod tests {
             }
             fast.extend(vec![Complex64::from(1.0 - scene.leak); law.stability().uncontrolled]);
             assert_eq!(fast.len(), size);
-            // Each has its partner among the others; the eigenvalues' rounding is some 1e-13, magnified where they are
-            // not well separated.
+            // Each eigenvalue has a partner among the poles. Their rounding is about 1e-13, amplified for eigenvalues
+            // that are not well separated.
             for pole in &slow {
                 let near = fast.iter().map(|other| (other - pole).norm()).fold(f64::INFINITY, f64::min);
                 assert!(near < 1e-8, "{keys}: {pole} is missing by {near:.1e}");
             }
-            // And no pole is there too often: the sums agree.
+            // The sums agree, so the multiplicities do too.
             let difference: Complex64 = slow.drain(..).sum::<Complex64>() - fast.iter().sum::<Complex64>();
             assert!(difference.norm() < 1e-8, "{keys}: {difference}");
         }
@@ -269,13 +279,13 @@ mod tests {
             let growth = law.stability().growth_per_frame;
             assert!(growth > 1.0, "{keys}: {growth}");
             let command = law.reconstructor().command_matrix();
-            let command = law.inpainting().map_or(command.clone(), |inpainting| inpainting.before(&command));
+            let command = law.inpainting().map_or(command.clone(), |inpainting| inpainting.fold_into(&command));
             let feedback = command.dot(&bench.interaction) * scene.gain;
             let controlled = law.reconstructor().controlled();
             let start =
                 law.reconstructor().modes().dot(&ndarray::Array1::from_shape_fn(controlled, |i| (i as f64).sin()));
             let mut queue = std::collections::VecDeque::from(vec![start; scene.lag_frames]);
-            // Norms beat where the worst poles are a complex pair: over many e-foldings the rate comes out.
+            // The norm oscillates if the largest poles are a complex pair; the rate is measured over many e-foldings.
             let frames = ((12.0 / growth.ln()).ceil() as usize).max(1000);
             let mut logs = [0.0; 2];
             let mut scale = 0.0;
@@ -293,8 +303,8 @@ mod tests {
             logs[1] = scale;
             let rate = (logs[1] - logs[0]) / frames as f64;
             println!("{keys:?}: {frames} frames, {:.3e} per frame, {rate:.3e} measured", growth.ln());
-            // The other modes have fallen behind by e¹² before the rate is taken, and a beat changes the norm by less
-            // than a factor of two over at least a dozen e-foldings.
+            // The other modes are smaller by e¹² when the measurement starts, and the oscillation changes the norm by
+            // less than a factor of two over at least a dozen e-foldings.
             assert!((rate / growth.ln() - 1.0).abs() < 0.05, "{keys}: {rate} against {}", growth.ln());
         }
     }

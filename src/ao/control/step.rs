@@ -1,37 +1,38 @@
-//! The product of a dense matrix and a vector in single precision, once per frame.
+//! Product of a dense matrix and a vector in single precision, once per frame.
 //!
-//! A megabyte of matrix for a few kilobytes of vector: the product is as fast as the matrix streams from the cache. So
-//! the matrix is stored in the order in which it is read, as one stream: panels of [`PANEL`] vectors of rows, and in a
-//! panel one column after the other. The sums of a panel stay in registers, and each column adds its multiple.
+//! The matrix has about a megabyte, the vector a few kilobytes, so the speed is limited by reading the matrix from the
+//! cache. The matrix is therefore stored in the order in which it is read: panels of [`PANEL`] vectors of rows, and in
+//! a panel one column after the other. The sums of a panel stay in registers, and each column adds its multiple.
 //!
-//! Every sum takes its columns in turn, by fused multiply-adds: the same bits whatever the processor's vectors.
+//! Every sum adds its columns in order, by fused multiply-adds, so the result does not depend on the length of the
+//! processor's vectors.
 
-use crate::ao::LANES;
+use crate::ao::footprint::LANES;
 use ndarray::Array2;
 use pulp::NullaryFnOnce;
 
-/// Vectors of rows that are summed side by side: enough to hide the latency of the additions, few enough for the
-/// registers of processors with vectors of half the length.
+/// Vectors of rows that are summed together: enough to hide the latency of the additions, few enough for the registers
+/// of processors with vectors of half the length.
 const PANEL: usize = 4;
 
 /// Rows of a panel.
 const ROWS: usize = PANEL * LANES;
 
-/// A vector, aligned so that no load crosses a line of the cache.
+/// SIMD vector, aligned so that no load crosses a cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 struct Vector([f32; LANES]);
 
-/// A matrix that multiplies several inputs in turn: `[M₁ M₂ …]`.
+/// Block matrix `[M₁ M₂ …]` in panels.
 #[derive(Debug)]
 pub(super) struct StepMatrix {
     rows: usize,
-    /// Length of each of the inputs.
+    /// Length of each input vector.
     lengths: Vec<usize>,
     panels: Vec<Vector>,
 }
 
-/// Where a product takes its inputs and leaves its result.
+/// Input and output arrays of a product.
 #[derive(Debug, Clone)]
 pub(super) struct Workspace {
     input: Vec<f32>,
@@ -39,7 +40,7 @@ pub(super) struct Workspace {
 }
 
 impl StepMatrix {
-    /// The matrices side by side; they have the same number of rows.
+    /// Block matrix of `parts`, which have the same number of rows.
     pub fn new(parts: &[Array2<f64>]) -> Self {
         let rows = parts.first().map_or(0, Array2::nrows);
         let lengths: Vec<usize> = parts.iter().map(Array2::ncols).collect();
@@ -56,13 +57,13 @@ impl StepMatrix {
         Self { rows, lengths, panels }
     }
 
-    /// What [`apply`](Self::apply) needs.
+    /// Allocates the arrays of [`apply`](Self::apply).
     pub fn workspace(&self) -> Workspace {
         let input = vec![0.0; self.lengths.iter().sum()];
         Workspace { input, output: vec![0.0; self.rows.next_multiple_of(ROWS)] }
     }
 
-    /// `M₁·inputs₁ + M₂·inputs₂ + …`; inputs beyond the matrices are not read.
+    /// Computes `M₁·inputs₁ + M₂·inputs₂ + …`; inputs beyond the number of blocks are not read.
     pub fn apply<'a>(&self, inputs: &[&[f32]], workspace: &'a mut Workspace) -> &'a [f32] {
         let mut rest = &mut workspace.input[..];
         for (values, &length) in inputs.iter().zip(&self.lengths) {
@@ -85,13 +86,13 @@ struct Product<'a> {
     output: &'a mut [f32],
 }
 
-// A named type with an inlined body, so that it is compiled for the widest vectors that the processor has; a closure
-// would be compiled for the oldest processor.
+// A named type with an inlined body is compiled for the widest vectors of the processor; a closure would be compiled
+// for the baseline processor.
 impl NullaryFnOnce for Product<'_> {
     type Output = ();
 
-    // The shape of the loops decides: fixed counts, the sums in a local array, each taken out and put back. Written
-    // with zipped iterators the same arithmetic stays in memory and takes twenty times as long.
+    // The form of the loops matters: constant counts, and sums in a local array that are loaded and stored explicitly.
+    // With zipped iterators the compiler keeps the sums in memory, which takes twenty times as long.
     #[inline(always)]
     #[allow(clippy::needless_range_loop)]
     fn call(self) {
@@ -118,7 +119,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_product_is_the_double_sum_at_any_size_and_with_dirty_scratch() {
+    fn the_product_equals_the_sum_in_double_precision_at_any_size() {
         for (rows, columns) in [(1, vec![1]), (64, vec![16]), (65, vec![17, 3]), (137, vec![40, 0, 50])] {
             let value = |i: usize, j: usize, k: usize| ((i * 31 + j * 17 + k * 7) as f64).sin();
             let part = |(k, &n): (usize, &usize)| Array2::from_shape_fn((rows, n), |(i, j)| value(i, j, k));

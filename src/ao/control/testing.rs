@@ -1,4 +1,4 @@
-//! A sensor and a mirror for the tests: slopes as differences between the corners of lenslets, without any light.
+//! Sensor and mirror for the tests: slopes are differences between the corners of lenslets.
 
 use super::{Plant, segment_mask};
 use crate::grid::Grid;
@@ -25,7 +25,7 @@ pub fn scene(keys: &str) -> ControlScene {
     Scene::from_text(&text, Path::new(".")).unwrap().control.clone().unwrap()
 }
 
-/// The preset's pupil and the subapertures that are at least half lit.
+/// Pupil of the preset, and the subapertures that are at least half illuminated.
 pub fn keck(samples: usize) -> (Pupil, Vec<usize>) {
     sampled(&Telescope::of(&preset()).unwrap(), samples)
 }
@@ -33,21 +33,21 @@ pub fn keck(samples: usize) -> (Pupil, Vec<usize>) {
 fn sampled(telescope: &Telescope, samples: usize) -> (Pupil, Vec<usize>) {
     let pupil = telescope.pupil_on(Grid::new(samples, 11.25).unwrap()).unwrap();
     let side = samples / ACROSS;
-    let lit = |index: &usize| {
+    let is_half_illuminated = |index: &usize| {
         let (y, x) = (index / ACROSS * side, index % ACROSS * side);
         pupil.amplitude.slice(s![y..y + side, x..x + side]).sum() >= 0.5 * (side * side) as f64
     };
-    let subapertures = (0..ACROSS * ACROSS).filter(lit).collect();
+    let subapertures = (0..ACROSS * ACROSS).filter(is_half_illuminated).collect();
     (pupil, subapertures)
 }
 
-/// The preset's mask.
+/// Mask of the preset.
 pub fn keck_mask() -> Vec<bool> {
     let (pupil, subapertures) = keck(240);
     segment_mask(&pupil, ACROSS, &subapertures, 0.75).unwrap()
 }
 
-/// All that a plant borrows.
+/// Owner of the arrays that a plant borrows.
 pub struct Bench {
     pub across: usize,
     pub subapertures: Vec<usize>,
@@ -57,11 +57,11 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// The preset's sensor, mirror and mask; made once.
+    /// Sensor, mirror and mask of the preset; built once.
     pub fn keck() -> &'static Self {
         static BENCH: OnceLock<Bench> = OnceLock::new();
         BENCH.get_or_init(|| {
-            let mut bench = Self::of_side(0.9);
+            let mut bench = Self::with_segment_side(0.9);
             let scene = preset();
             let telescope = Telescope::of(&scene).unwrap();
             let influence = on_corners(&telescope.influence(&scene).unwrap(), &bench.subapertures);
@@ -72,8 +72,8 @@ impl Bench {
         })
     }
 
-    /// The preset with segments of another side, m, without Karhunen-Loève modes.
-    pub fn of_side(segment_side_m: f64) -> Self {
+    /// The preset with segments of side `segment_side_m`, without Karhunen-Loève modes.
+    pub fn with_segment_side(segment_side_m: f64) -> Self {
         let preset = Scene::preset_text("keck-onsky").unwrap();
         let text = preset.replace("segment_side_m = 0.9", &format!("segment_side_m = {segment_side_m}"));
         let scene = Scene::from_text(&text, Path::new(".")).unwrap();
@@ -107,7 +107,7 @@ impl Bench {
     }
 }
 
-/// The mirror's actuators that stand on a corner of a subaperture: the others move no corner.
+/// Actuators of the mirror on a corner of a subaperture: the others change no slope.
 fn on_corners(influence: &InfluenceFunctions, subapertures: &[usize]) -> InfluenceFunctions {
     let mut map = [["0"; ACROSS + 1]; ACROSS + 1];
     for (y, x) in subapertures.iter().map(|index| (index / ACROSS, index % ACROSS)) {
@@ -118,7 +118,7 @@ fn on_corners(influence: &InfluenceFunctions, subapertures: &[usize]) -> Influen
     influence.mirror().from_map(&map.map(|row| row.join(" ")).join("\n")).unwrap()
 }
 
-/// The interaction matrix of the mean slopes between the four corners of each lenslet, nm per m.
+/// Interaction matrix of the mean slopes between the four corners of each lenslet, nm per m.
 fn corner_differences(influence: &InfluenceFunctions, across: usize, subapertures: &[usize]) -> Array2<f64> {
     let mirror = influence.mirror();
     let corners = (across + 1) * (across + 1);

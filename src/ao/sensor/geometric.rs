@@ -1,10 +1,11 @@
-//! Mean slopes of the wavefront over each lenslet's glass.
+//! Geometric sensor: mean slopes of the wavefront over the illuminated area of each lenslet, without diffraction or
+//! noise.
 
-use super::{Lenslets, MAS_PER_NM_M};
+use super::lenslets::{Lenslets, MAS_PER_NM_M};
 use crate::ao::footprint::Footprint;
 use crate::grid::Grid;
 
-/// All lenslets.
+/// Geometric slopes of all subapertures.
 pub(super) struct Geometric {
     lenslets: Lenslets,
     footprint: Footprint,
@@ -22,8 +23,8 @@ impl Geometric {
         }
     }
 
-    /// Differences between neighbouring samples, weighted by the glass that both have.
-    pub(super) fn raw(&self, opd_nm: &[f32], slopes: &mut [f32]) {
+    /// Mean differences between neighbouring samples, weighted by the smaller of their two amplitudes.
+    pub(super) fn raw_slopes(&self, opd_nm: &[f32], slopes: &mut [f32]) {
         let (n, across, stride) = (self.lenslets.samples, self.lenslets.across, self.stride);
         let count = self.lenslets.subapertures.len();
         let mean = |start: usize, rows: usize, columns: usize, step: usize| {

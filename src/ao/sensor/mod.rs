@@ -1,106 +1,34 @@
-//! The Shack-Hartmann wavefront sensor: lenslets, their light, their spots, their slopes.
+//! Shack-Hartmann wavefront sensor: lenslets, spots, detector, slopes.
 //!
 //! A slope is the tilt of the wavefront over a subaperture as an angle on the sky, mas: positive along x where the
 //! wavefront grows along +x. Slopes are `[all x, all y]` over the subapertures in use, ascending.
 
 mod geometric;
+mod lenslet_shift;
+mod lenslets;
 mod light;
-mod moved;
 mod pixels;
 mod quad_cell;
 
-pub use light::Light;
+pub use lenslets::{Lenslets, MAS_PER_NM_M};
+pub use light::GuideStar;
 
+use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
-use super::lines::Lines;
 use crate::grid::Grid;
 use crate::pupil::Pupil;
 use crate::scene::{SensorDetector, SensorScene};
 use crate::{Error, Result};
 use geometric::Geometric;
-use moved::Moved;
+use lenslet_shift::LensletShift;
 use pixels::Pixels;
 use quad_cell::QuadCell;
-use std::path::Path;
 
-/// Milliarcseconds of a slope of 1 nm/m: 1e-9 rad.
-pub const MAS_PER_NM_M: f64 = 1e-9 * 180.0 / std::f64::consts::PI * 3600.0 * 1000.0;
-
-/// The tilt that calibrates the slopes, mas: a thousandth of a spot's width, so that the response is its slope at 0, and
-/// 1e4 times what single precision resolves.
+/// Tilt that calibrates the slopes, mas: a thousandth of a spot's width, so that the response is linear, and 1e4 times
+/// the resolution of single precision.
 const CALIBRATION_MAS: f64 = 1.0;
 
-/// The lenslets over the simulator's grid.
-#[derive(Debug, Clone)]
-pub struct Lenslets {
-    /// Lenslets along a side.
-    pub across: usize,
-    /// Samples along a side of a lenslet.
-    pub samples: usize,
-    /// Side of a lenslet, m.
-    pub pitch_m: f64,
-    /// `row·across + column` of the subapertures in use, ascending.
-    pub subapertures: Vec<usize>,
-    /// Light of each, as a fraction of a full one.
-    pub light: Vec<f64>,
-}
-
-impl Lenslets {
-    /// The lenslets of `scene` over `pupil`, whose grid has `samples_per_lenslet` samples for each; files are relative to
-    /// `directory`.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] where the grid does not fit, [`Error::Value`] where no lenslet sees enough light,
-    /// [`Error::File`] for a map that cannot be read.
-    pub fn of(scene: &SensorScene, pupil: &Pupil, directory: &Path) -> Result<Self> {
-        let (across, samples) = (scene.lenslets_across, scene.samples_per_lenslet);
-        if pupil.grid.samples() != across * samples {
-            return Err(Error::Shape(format!(
-                "a grid of {} samples does not fit {across} lenslets of {samples}: {} are needed",
-                pupil.grid.samples(),
-                across * samples
-            )));
-        }
-        let full = (samples * samples) as f64;
-        let glass = |index: usize| -> f64 {
-            let (row, column) = (index / across * samples, index % across * samples);
-            pupil.amplitude.slice(ndarray::s![row..row + samples, column..column + samples]).sum() / full
-        };
-        let subapertures: Vec<usize> = match &scene.subaperture_file {
-            // A subaperture without any light has no slope, whatever the map says.
-            Some(file) => {
-                let marked = super::valid_map::read(&directory.join(file), across)?;
-                marked.into_iter().filter(|&index| glass(index) > 0.0).collect()
-            }
-            None => {
-                let least = scene.min_light_ratio.max(f64::MIN_POSITIVE);
-                (0..across * across).filter(|&index| glass(index) >= least).collect()
-            }
-        };
-        if subapertures.is_empty() {
-            return Err(Error::Value(format!(
-                "no lenslet sees a fraction of {} of its light: lower wavefront_sensor.min_light_ratio",
-                scene.min_light_ratio
-            )));
-        }
-        let pitch_m = pupil.grid.width_m() / across as f64;
-        Ok(Self { across, samples, pitch_m, subapertures, light: Vec::new() }.before(pupil))
-    }
-
-    /// The same lenslets in use before another pupil on the same grid.
-    pub fn before(mut self, pupil: &Pupil) -> Self {
-        let (across, samples) = (self.across, self.samples);
-        // The field's amplitude is the share of glass; its light the square.
-        let light = |&index: &usize| {
-            let (row, column) = (index / across * samples, index % across * samples);
-            let cell = pupil.amplitude.slice(ndarray::s![row..row + samples, column..column + samples]);
-            cell.iter().map(|a| a * a).sum::<f64>() / (samples * samples) as f64
-        };
-        self.light = self.subapertures.iter().map(light).collect();
-        self
-    }
-}
-
+/// Detector behind the lenslets.
 enum Detector {
     QuadCell(QuadCell),
     Pixels(Pixels),
@@ -108,7 +36,7 @@ enum Detector {
 }
 
 impl Detector {
-    fn of(scene: &SensorScene, lenslets: &Lenslets, grid: &Grid, footprint: &Footprint) -> Self {
+    fn new(scene: &SensorScene, lenslets: &Lenslets, grid: &Grid, footprint: &Footprint) -> Self {
         match scene.detector {
             SensorDetector::QuadCell => Self::QuadCell(QuadCell::new(lenslets, footprint, scene.wavelength_nm)),
             SensorDetector::Pixels => Self::Pixels(Pixels::new(scene, lenslets, footprint)),
@@ -116,53 +44,54 @@ impl Detector {
         }
     }
 
-    /// Slopes in the detector's own unit.
-    fn raw(&mut self, opd_nm: &[f32], light: Option<&mut Light>, slopes: &mut [f32]) {
+    /// Measures slopes in the detector's own unit.
+    fn raw_slopes(&mut self, opd_nm: &[f32], light: Option<&mut GuideStar>, slopes: &mut [f32]) {
         match self {
-            Self::QuadCell(cell) => cell.raw(opd_nm, light, slopes),
-            Self::Pixels(pixels) => pixels.raw(opd_nm, light, slopes),
-            Self::Geometric(geometric) => geometric.raw(opd_nm, slopes),
+            Self::QuadCell(cell) => cell.raw_slopes(opd_nm, light, slopes),
+            Self::Pixels(pixels) => pixels.raw_slopes(opd_nm, light, slopes),
+            Self::Geometric(geometric) => geometric.raw_slopes(opd_nm, slopes),
         }
     }
 }
 
-/// The sensor, calibrated.
+/// Calibrated wavefront sensor.
 pub struct Sensor {
     lenslets: Lenslets,
     detector: Detector,
+    /// Values of a map over the footprint.
     map: usize,
     /// Slopes of a flat wavefront, mas.
     reference: Vec<f32>,
-    /// mas for one of the detector's own unit.
+    /// Detector's own unit, mas.
     unit_mas: f32,
-    /// Lenslets that have moved since.
-    moved: Option<Moved>,
+    /// Shift of the lenslets since the calibration.
+    shift: Option<LensletShift>,
 }
 
 impl Sensor {
-    /// The sensor of `scene` over a pupil on the simulator's grid.
+    /// Builds and calibrates the sensor of `scene` over a pupil on the simulator's grid.
     ///
-    /// The scale of the slopes comes from a small tilt seen by the best-lit subaperture, their zero from a flat
+    /// The scale of the slopes is the response of the brightest subaperture to a small tilt; their zero is a flat
     /// wavefront.
     ///
     /// # Errors
     /// [`Error::Value`] for a sensor that does not respond to a tilt.
     pub fn new(scene: &SensorScene, lenslets: Lenslets, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
-        let detector = Detector::of(scene, &lenslets, &pupil.grid, footprint);
+        let detector = Detector::new(scene, &lenslets, &pupil.grid, footprint);
         let slopes = 2 * lenslets.subapertures.len();
         let map = footprint.len();
-        let mut sensor = Self { lenslets, detector, map, reference: vec![0.0; slopes], unit_mas: 1.0, moved: None };
+        let mut sensor = Self { lenslets, detector, map, reference: vec![0.0; slopes], unit_mas: 1.0, shift: None };
         let mut flat = vec![0.0; slopes];
-        sensor.detector.raw(&footprint.zeros(), None, &mut flat);
+        sensor.detector.raw_slopes(&footprint.zeros(), None, &mut flat);
         let mut tilted = vec![0.0; slopes];
-        sensor.detector.raw(&tilt(CALIBRATION_MAS, &pupil.grid, footprint), None, &mut tilted);
+        sensor.detector.raw_slopes(&tilt(CALIBRATION_MAS, &pupil.grid, footprint), None, &mut tilted);
         let light = &sensor.lenslets.light;
         let best = (0..light.len()).max_by(|&a, &b| light[a].total_cmp(&light[b])).unwrap_or(0);
         let response = tilted[best] - flat[best];
         if !(response.is_finite() && response > 0.0) {
             return Err(Error::Value(format!(
-                "the wavefront sensor answers a tilt of {CALIBRATION_MAS} mas with {response}: a positive answer is needed; \
-                 its threshold may be above the light"
+                "the wavefront sensor's response to a tilt of {CALIBRATION_MAS} mas is {response}; a positive response is \
+                 needed: check that wavefront_sensor.threshold_e is below the star's signal"
             )));
         }
         sensor.unit_mas = CALIBRATION_MAS as f32 / response;
@@ -170,32 +99,32 @@ impl Sensor {
         Ok(sensor)
     }
 
-    /// This sensor as it is now, some time after its calibration: with the scene's shift of the lenslets and gain of the
-    /// slopes. `pupil` and `footprint` are those it was made with.
+    /// This sensor with the changes since its calibration: the scene's shift of the lenslets and gain of the slopes.
+    /// `pupil` and `footprint` are those of [`Sensor::new`].
     ///
     /// # Errors
-    /// [`Error::Value`] for lenslets that have left a subaperture in use without light.
+    /// [`Error::Value`] for a shift that leaves a subaperture in use without light.
     pub fn as_it_is(mut self, scene: &SensorScene, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
         self.unit_mas *= scene.slope_gain as f32;
         self.reference.iter_mut().for_each(|slope| *slope *= scene.slope_gain as f32);
         let [x, y] = [0, 1].map(|axis| scene.shift_subapertures.get(axis).copied().unwrap_or(0.0));
         if (x, y) != (0.0, 0.0) {
             let samples = self.lenslets.samples as f64;
-            let (moved, seen) = Moved::by([x * samples, y * samples], pupil, footprint);
-            self.lenslets = self.lenslets.before(&seen);
+            let (shift, shifted) = LensletShift::new([x * samples, y * samples], pupil, footprint);
+            self.lenslets = self.lenslets.with_light_of(&shifted);
             if self.lenslets.light.iter().any(|&light| light <= 0.0) {
                 return Err(Error::Value(format!(
-                    "wavefront_sensor.shift_subapertures = [{x}, {y}] leaves a subaperture in use without light: less is \
-                     accepted"
+                    "wavefront_sensor.shift_subapertures = [{x}, {y}] leaves a subaperture in use without light; a smaller shift \
+                     is needed"
                 )));
             }
-            self.detector = Detector::of(scene, &self.lenslets, &pupil.grid, &Footprint::of(&seen));
-            self.moved = Some(moved);
+            self.detector = Detector::new(scene, &self.lenslets, &pupil.grid, &Footprint::of(&shifted));
+            self.shift = Some(shift);
         }
         Ok(self)
     }
 
-    /// The lenslets and which of them are used.
+    /// Lenslets, and the subapertures in use.
     pub fn lenslets(&self) -> &Lenslets {
         &self.lenslets
     }
@@ -205,22 +134,22 @@ impl Sensor {
         self.reference.len()
     }
 
-    /// Measures `opd_nm`, a map over the footprint; without `light` there is no noise. Writes `[all x, all y]`, mas.
+    /// Measures the slopes `[all x, all y]`, mas, of `opd_nm`, a map over the footprint; noise-free without `light`.
     ///
     /// # Errors
-    /// [`Error::Shape`] where either has another length.
-    pub fn measure(&mut self, opd_nm: &[f32], light: Option<&mut Light>, slopes_mas: &mut [f32]) -> Result<()> {
+    /// [`Error::Shape`] if either has a wrong length.
+    pub fn measure(&mut self, opd_nm: &[f32], light: Option<&mut GuideStar>, slopes_mas: &mut [f32]) -> Result<()> {
         if opd_nm.len() != self.map || slopes_mas.len() != self.slopes() {
             return Err(Error::Shape(format!(
-                "{} slopes of a map of {} samples were asked for: {} of {} are accepted",
+                "{} slopes of a map of {} samples were requested; {} of {} are accepted",
                 slopes_mas.len(),
                 opd_nm.len(),
                 self.slopes(),
                 self.map
             )));
         }
-        let opd_nm = self.moved.as_mut().map_or(opd_nm, |moved| moved.look(opd_nm));
-        self.detector.raw(opd_nm, light, slopes_mas);
+        let opd_nm = self.shift.as_mut().map_or(opd_nm, |shift| shift.apply(opd_nm));
+        self.detector.raw_slopes(opd_nm, light, slopes_mas);
         for (slope, reference) in slopes_mas.iter_mut().zip(&self.reference) {
             *slope = *slope * self.unit_mas - reference;
         }
@@ -228,8 +157,8 @@ impl Sensor {
     }
 }
 
-/// A wavefront that grows along +x by `mas`, nm.
-fn tilt(mas: f64, grid: &Grid, footprint: &Footprint) -> Lines {
+/// Map of a wavefront that grows along +x by the angle `mas`, nm.
+fn tilt(mas: f64, grid: &Grid, footprint: &Footprint) -> AlignedBuffer {
     let mut map = footprint.zeros();
     for row in map.chunks_exact_mut(footprint.stride()) {
         for (x, out) in row.iter_mut().take(grid.samples()).enumerate() {

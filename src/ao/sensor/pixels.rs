@@ -1,21 +1,22 @@
-//! The diffractive lenslet camera: spots on n×n pixels, centres of gravity.
+//! Diffractive detector with pixels: spots on n×n pixels, centres of gravity.
 //!
-//! A lenslet of n samples, padded to 2n, makes a spot on 2n×2n points λ/2d apart, centred between them like the quad
-//! cell's; they are binned into pixels. The transform is a matrix product, `F = W·E·Wᵀ` with
-//! `W_kx = exp(−2πi·(k + ½ − n)·x/2n)`, for [`LANES`] lenslets at once: one in each lane of a vector.
+//! A lenslet of n samples, padded to 2n, forms a spot on 2n×2n points λ/2d apart. Its axis lies between the points,
+//! like the quad cell's; the points are binned into pixels. The transform is a matrix product, `F = W·E·Wᵀ` with `W_kx
+//! = exp(−2πi·(k + ½ − n)·x/2n)`, for [`LANES`] lenslets at once, one in each lane of a vector.
 
-use super::{Lenslets, Light};
+use super::lenslets::Lenslets;
+use super::light::GuideStar;
 use crate::ao::footprint::{Footprint, LANES};
 use crate::ao::phase::unit_phasor;
 use crate::scene::SensorScene;
 use pulp::{Arch, NullaryFnOnce};
 
-/// Pixels across a lenslet unless the scene names a number.
+/// Default number of pixels across a lenslet.
 const USUAL_PIXELS: usize = 8;
 
 type Lane = [f32; LANES];
 
-/// All lenslets.
+/// Spots and pixels of all subapertures.
 pub(super) struct Pixels {
     lenslets: Lenslets,
     turns_per_nm: f32,
@@ -26,7 +27,7 @@ pub(super) struct Pixels {
     /// `W`, `[k][x]`.
     cos: Vec<f32>,
     sin: Vec<f32>,
-    /// Memory of one group: field `[y][x]`, half transform `[y][k]`, pixels `[v][u]`.
+    /// Work arrays of one group of lenslets: field `[y][x]`, half transform `[y][k]`, pixels `[v][u]`.
     field: [Vec<Lane>; 2],
     half: [Vec<Lane>; 2],
     spot: Vec<Lane>,
@@ -59,22 +60,22 @@ impl Pixels {
         }
     }
 
-    /// Centres of gravity in pixels from the centre: x, then y.
-    pub(super) fn raw(&mut self, opd_nm: &[f32], mut light: Option<&mut Light>, slopes: &mut [f32]) {
+    /// Measures centres of gravity, in pixels from the centre: x, then y.
+    pub(super) fn raw_slopes(&mut self, opd_nm: &[f32], mut light: Option<&mut GuideStar>, slopes: &mut [f32]) {
         let count = self.lenslets.subapertures.len();
         let (along_x, along_y) = slopes.split_at_mut(count);
         for first in (0..count).step_by(LANES) {
             let group = first..(first + LANES).min(count);
-            self.arch.dispatch(Group { camera: self, opd_nm, first, count: group.len() });
+            self.arch.dispatch(FormSpots { camera: self, opd_nm, first, count: group.len() });
             for (lane, i) in group.enumerate() {
-                [along_x[i], along_y[i]] = self.centre(lane, self.lenslets.light[i], light.as_deref_mut());
+                [along_x[i], along_y[i]] = self.centre_of_gravity(lane, self.lenslets.light[i], light.as_deref_mut());
             }
         }
     }
 
-    /// Centre of gravity of the spot in `lane`; 0 where no pixel passes the threshold.
-    fn centre(&self, lane: usize, share: f64, mut light: Option<&mut Light>) -> [f32; 2] {
-        // Without noise the threshold is one of a bright star's: none.
+    /// Centre of gravity of the spot in `lane`; 0 if no pixel reaches the threshold.
+    fn centre_of_gravity(&self, lane: usize, share: f64, mut light: Option<&mut GuideStar>) -> [f32; 2] {
+        // The noise-free calibration uses no threshold, as for a bright star.
         let threshold_e = if light.is_some() { self.threshold_e } else { 0.0 };
         let electrons = light.as_deref().map_or(1.0, |light| light.electrons * share);
         let whole: f64 = self.spot.iter().map(|pixel| f64::from(pixel[lane])).sum();
@@ -89,20 +90,20 @@ impl Pixels {
                 y += signal * ((place / self.pixels) as f64 - middle);
             }
         }
-        // A sum of half an electron or less is noise about 0, over which a ratio means nothing.
+        // A sum of half an electron or less is noise about 0, and its ratio is not usable.
         if light.is_some() && sum <= 0.5 { [0.0; 2] } else { [(x / sum) as f32, (y / sum) as f32] }
     }
 }
 
-/// The spots of [`LANES`] subapertures from `first` on.
-struct Group<'a> {
+/// Kernel: the spots of [`LANES`] subapertures from `first` on.
+struct FormSpots<'a> {
     camera: &'a mut Pixels,
     opd_nm: &'a [f32],
     first: usize,
     count: usize,
 }
 
-impl NullaryFnOnce for Group<'_> {
+impl NullaryFnOnce for FormSpots<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -114,7 +115,7 @@ impl NullaryFnOnce for Group<'_> {
 }
 
 impl Pixels {
-    /// The field of each lenslet, one in each lane; unused lanes repeat the last.
+    /// Computes the field of each lenslet, one in each lane; unused lanes repeat the last lenslet.
     #[inline(always)]
     fn gather(&mut self, opd_nm: &[f32], first: usize, count: usize) {
         let (n, across, stride) = (self.lenslets.samples, self.lenslets.across, self.stride);
@@ -138,7 +139,7 @@ impl Pixels {
         }
     }
 
-    /// Field to spot.
+    /// Transforms the fields to spots.
     #[inline(always)]
     fn transform(&mut self) {
         let n = self.lenslets.samples;

@@ -1,42 +1,43 @@
-//! The diffractive quad cell, in closed form.
+//! Diffractive quad cell, in closed form.
 //!
-//! A lenslet of n samples, padded to 2n, makes a spot `|F_k|²` on a field of n λ/d; the cell's axis lies between its
-//! pixels, at half-integer k. The difference of the halves needs no transform: with the autocorrelation
-//! `R(D) = Σ_x E(x+D)·E*(x)`, summed over the rows,
+//! A lenslet of n samples, padded to 2n, forms a spot `|F_k|²` on a field of n λ/d. The cell's axis lies between the
+//! points of the transform, at half-integer k. The difference of the halves needs no transform: with the
+//! autocorrelation `R(D) = Σ_x E(x+D)·E*(x)`, summed over the rows,
 //!
 //! `Σ_k sgn(k)|F_k|² = Σ_D R(D) Σ_k sgn(k) exp(−2πi·kD/2n)`, and the inner sum is `−2i/sin(πD/2n)` for odd D, else 0.
 //!
 //! With `Σ_k|F_k|² = 2n·R(0)` the signal is `S = Σ_{odd D>0} 2·Im R(D) / (n·sin(πD/2n)) / R(0)`.
 
-use super::{Lenslets, Light};
+use super::lenslets::Lenslets;
+use super::light::GuideStar;
+use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::{Footprint, LANES};
-use crate::ao::lines::Lines;
 use crate::ao::phase::unit_phasor;
 use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
 
 /// The most samples of a lenslet: a power of two.
 const LONGEST: usize = 64;
-/// What a vector and its partners to the right take.
+/// Length of a vector of samples with its partners up to [`LONGEST`] samples to the right.
 const WINDOW: usize = LONGEST + LANES;
 
-/// All quad cells.
+/// Quad cells of all subapertures.
 pub(super) struct QuadCell {
     lenslets: Lenslets,
     turns_per_nm: f32,
     footprint: Footprint,
     stride: usize,
-    /// Columns with light in each row of lenslets, in whole vectors.
+    /// Illuminated columns of each row of lenslets, in whole vectors.
     spans: Vec<Range<usize>>,
     /// `2/(n·sin(πD/2n))` for D = 1, 3, 5 …
     weights: Vec<f32>,
-    /// The same for each column, `[vector of columns][D]`, 0 where x + D is another lenslet's.
-    masked: Lines,
+    /// The same weights for each column, `[vector of columns][D]`; 0 if x + D lies in another lenslet.
+    masked: AlignedBuffer,
     /// First subaperture of each row of lenslets.
     first: Vec<usize>,
-    /// Field of one row of lenslets, `[sample row][x]`, and the two differences of its columns.
-    re: Lines,
-    im: Lines,
+    /// Field of one row of lenslets, `[sample row][x]`, and the x and y differences summed over each column.
+    re: AlignedBuffer,
+    im: AlignedBuffer,
     along: [Vec<f32>; 2],
     arch: Arch,
 }
@@ -46,9 +47,9 @@ impl QuadCell {
         let (n, across, stride) = (lenslets.samples, lenslets.across, footprint.stride());
         let spans = (0..across)
             .map(|row| {
-                let lit = (row * n..(row + 1) * n).map(|y| footprint.span(y)).filter(|span| !span.is_empty());
-                let union = lit.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
-                // Whole lenslets: a dark sample of a lit one must read as dark, not as what the row before left there.
+                let spans = (row * n..(row + 1) * n).map(|y| footprint.span(y)).filter(|span| !span.is_empty());
+                let union = spans.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end)).unwrap_or(0..0);
+                // Whole lenslets, so that dark samples of an illuminated lenslet are overwritten with 0 in every row.
                 let (start, end) = (union.start / n * n, union.end.next_multiple_of(n));
                 start / LANES * LANES..end.next_multiple_of(LANES).min(stride)
             })
@@ -63,7 +64,7 @@ impl QuadCell {
             .flat_map(|(at, d, w)| (at..at + LANES).map(move |x| mask(d, w, x)))
             .collect();
         let first = (0..=across).map(|row| lenslets.subapertures.partition_point(|&s| s < row * across)).collect();
-        // A row is read beyond its end, where the mask is 0.
+        // Windows extend beyond the end of a row; their weights are 0 there.
         let width = stride + WINDOW;
         Self {
             lenslets: lenslets.clone(),
@@ -72,17 +73,17 @@ impl QuadCell {
             stride,
             spans,
             weights,
-            masked: Lines::from(&masked[..]),
+            masked: AlignedBuffer::from(&masked[..]),
             first,
-            re: Lines::zeros(n * width),
-            im: Lines::zeros(n * width),
+            re: AlignedBuffer::zeros(n * width),
+            im: AlignedBuffer::zeros(n * width),
             along: [vec![0.0; stride], vec![0.0; stride]],
             arch: Arch::new(),
         }
     }
 
-    /// Half differences over sums: x, then y.
-    pub(super) fn raw(&mut self, opd_nm: &[f32], mut light: Option<&mut Light>, slopes: &mut [f32]) {
+    /// Measures the differences between the halves over their sum: x, then y.
+    pub(super) fn raw_slopes(&mut self, opd_nm: &[f32], mut light: Option<&mut GuideStar>, slopes: &mut [f32]) {
         let (n, across) = (self.lenslets.samples, self.lenslets.across);
         let count = self.lenslets.subapertures.len();
         let (along_x, along_y) = slopes.split_at_mut(count);
@@ -96,7 +97,7 @@ impl QuadCell {
             for i in used {
                 let start = self.lenslets.subapertures[i] % across * n;
                 let energy = (self.lenslets.light[i] * full) as f32;
-                let sum = |columns: &[f32]| sum_of(&columns[start..start + n]) / energy;
+                let sum = |columns: &[f32]| sum_in_parts(&columns[start..start + n]) / energy;
                 let ratios = [sum(&self.along[0]), sum(&self.along[1])];
                 let noisy = match light.as_deref_mut() {
                     Some(light) => light
@@ -110,8 +111,8 @@ impl QuadCell {
     }
 }
 
-/// A sum in four parts, which need not wait for each other.
-fn sum_of(values: &[f32]) -> f32 {
+/// Sum in four independent partial sums, which hides the latency of the additions.
+fn sum_in_parts(values: &[f32]) -> f32 {
     let (fours, rest) = values.as_chunks::<4>();
     let mut sums = [0.0f32; 4];
     for four in fours {
@@ -122,7 +123,7 @@ fn sum_of(values: &[f32]) -> f32 {
     (sums[0] + sums[2]) + (sums[1] + sums[3]) + rest.iter().sum::<f32>()
 }
 
-/// One row of lenslets: field, then both differences column by column.
+/// Kernel of one row of lenslets: its field, then both differences column by column.
 struct Row<'a> {
     cell: &'a mut QuadCell,
     opd_nm: &'a [f32],
@@ -150,7 +151,8 @@ impl NullaryFnOnce for Row<'_> {
             }
         }
         for at in span.step_by(LANES) {
-            // A length that is known when compiled unrolls the loops over distances: the usual ones get their own code.
+            // A constant length lets the compiler unroll the loops over distances, so the common lengths have code of
+            // their own.
             match n {
                 8 => cell.differences(at, 8),
                 10 => cell.differences(at, 10),
@@ -163,9 +165,10 @@ impl NullaryFnOnce for Row<'_> {
 }
 
 impl QuadCell {
-    /// Both differences in the [`LANES`] columns from `at` on, summed over the rows of the lenslet, which has `n`.
+    /// Computes both differences in the [`LANES`] columns from `at` on, summed over the `n` rows of the lenslet.
     ///
-    /// Rows are read through windows of a fixed length, and distances cut to it, so that no access needs a check.
+    /// Rows are read through windows of a constant length, and distances are limited to it, so that no access needs a
+    /// bounds check.
     #[inline(always)]
     fn differences(&mut self, at: usize, n: usize) {
         let width = self.re.len() / self.lenslets.samples;
@@ -175,7 +178,7 @@ impl QuadCell {
         for y in 0..n {
             let Some((re, im)) = self.window(y * width + at) else { return };
             let here = (lanes(re, 0), lanes(im, 0));
-            // A sum of its own for each row and axis: one for all would wait for its last addition 70 times over.
+            // One sum for each row and axis: a single one would be a chain of 70 dependent additions.
             let mut row = [0.0f32; LANES];
             for (i, mask) in masks.iter().enumerate() {
                 add_cross(&mut row, mask, here, (lanes(re, 2 * i + 1), lanes(im, 2 * i + 1)));
@@ -196,7 +199,7 @@ impl QuadCell {
         self.along[1][at..at + LANES].copy_from_slice(&sum_y);
     }
 
-    /// The field from `place` on.
+    /// Window of the field from `place` on.
     #[inline(always)]
     fn window(&self, place: usize) -> Option<(&[f32; WINDOW], &[f32; WINDOW])> {
         Some((self.re.get(place..)?.first_chunk()?, self.im.get(place..)?.first_chunk()?))
@@ -205,7 +208,7 @@ impl QuadCell {
 
 type Lane = [f32; LANES];
 
-/// [`LANES`] neighbours of a window.
+/// [`LANES`] neighbouring values of a window.
 #[inline(always)]
 fn lanes(window: &[f32; WINDOW], first: usize) -> Lane {
     let mut lanes = [0.0; LANES];

@@ -55,7 +55,7 @@ fn a_known_tilt_is_measured_in_mas_by_every_detector() {
 
 #[test]
 fn the_quad_cell_is_the_half_planes_of_the_padded_transform() {
-    // Two pixels a side *are* a quad cell, made by the transform: centre of gravity (R − L)/2/(R + L).
+    // Two pixels a side form a quad cell by the transform: centre of gravity (R − L)/2/(R + L).
     let mut cell = bench(&[]);
     let mut camera = bench(&[("wavefront_sensor.detector", "pixels"), ("wavefront_sensor.pixels_per_lenslet", "2")]);
     let mut map = cell.footprint.zeros();
@@ -63,14 +63,14 @@ fn the_quad_cell_is_the_half_planes_of_the_padded_transform() {
         *out = 150.0 * ((i * i % 4177) as f32 * 0.01).sin() + 0.3 * (i % 240) as f32;
     }
     let (mut closed, mut transformed) = (vec![0.0; 496], vec![0.0; 496]);
-    let noiseless = |detector: &mut Detector, out: &mut [f32]| detector.raw(&map, None, out);
+    let noiseless = |detector: &mut Detector, out: &mut [f32]| detector.raw_slopes(&map, None, out);
     noiseless(&mut cell.sensor.detector, &mut closed);
     noiseless(&mut camera.sensor.detector, &mut transformed);
     for (closed, transformed) in closed.iter().zip(&transformed) {
         // Sums of 144 products in single precision, of order 1: some 1e-6.
         assert!((closed - 2.0 * transformed).abs() < 1e-5, "{closed} {transformed}");
     }
-    assert!(closed.iter().any(|s| s.abs() > 0.1), "the test must see large signals");
+    assert!(closed.iter().any(|s| s.abs() > 0.1), "the test needs large signals");
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn noise_mas(settings: &[(&str, &str)]) -> f64 {
     let mut bench = bench(settings);
     let part = bench.scene.wavefront_sensor.clone().unwrap();
     let pitch_m = bench.sensor.lenslets.pitch_m;
-    let mut light = Light::new(&part, pitch_m, 1.0 / 1054.0, ChaCha8Rng::seed_from_u64(3));
+    let mut light = GuideStar::new(&part, pitch_m, 1.0 / 1054.0, ChaCha8Rng::seed_from_u64(3));
     let (flat, mut slopes) = (bench.footprint.zeros(), vec![0.0; 496]);
     let used = full(&bench);
     let (mut square, mut count) = (0.0, 0.0);
@@ -156,38 +156,39 @@ fn maps_of_another_size_are_refused() {
 }
 
 #[test]
-fn lenslets_that_have_moved_see_the_wavefront_beside_them() {
+fn shifted_lenslets_measure_the_shifted_wavefront() {
     for detector in DETECTORS {
-        let mut still = bench(&[("wavefront_sensor.detector", detector)]);
-        let moved = bench(&[
+        let mut calibrated = bench(&[("wavefront_sensor.detector", detector)]);
+        let shifted = bench(&[
             ("wavefront_sensor.detector", detector),
             ("wavefront_sensor.shift_subapertures", "[0.1, -0.3]"),
             ("wavefront_sensor.slope_gain", "0.9"),
         ]);
-        let part = moved.scene.wavefront_sensor.as_ref().unwrap();
-        let mut now = moved.sensor.as_it_is(part, &moved.pupil, &moved.footprint).unwrap();
-        // W = a·(x² + y²): its slope grows by 2a a metre, so a shift of s adds 2a·s to every slope.
-        let (grid, a) = (still.pupil.grid, 20.0);
-        let mut map = still.footprint.zeros();
+        let part = shifted.scene.wavefront_sensor.as_ref().unwrap();
+        let mut now = shifted.sensor.as_it_is(part, &shifted.pupil, &shifted.footprint).unwrap();
+        // W = a·(x² + y²): its slope grows by 2a per metre, so a shift of s adds 2a·s to every slope.
+        let (grid, a) = (calibrated.pupil.grid, 20.0);
+        let mut map = calibrated.footprint.zeros();
         for (i, out) in map.iter_mut().enumerate() {
-            let (y, x) = (i / still.footprint.stride(), i % still.footprint.stride());
+            let (y, x) = (i / calibrated.footprint.stride(), i % calibrated.footprint.stride());
             if x < grid.samples() {
                 *out = (a * (grid.coordinate_m(x).powi(2) + grid.coordinate_m(y).powi(2))) as f32;
             }
         }
-        let (mut before, mut after) = (vec![0.0; still.sensor.slopes()], vec![0.0; still.sensor.slopes()]);
-        still.sensor.measure(&map, None, &mut before).unwrap();
+        let slopes = calibrated.sensor.slopes();
+        let (mut before, mut after) = (vec![0.0; slopes], vec![0.0; slopes]);
+        calibrated.sensor.measure(&map, None, &mut before).unwrap();
         now.measure(&map, None, &mut after).unwrap();
         let gained = [0.1, -0.3].map(|shift| 2.0 * a * shift * 0.5625 * MAS_PER_NM_M);
-        let both: Vec<usize> = full(&still).into_iter().filter(|&i| now.lenslets().light[i] > 0.999).collect();
-        // Those without a gap between segments in them, here and there.
-        assert!(both.len() > 50, "{} of {}", both.len(), full(&still).len());
+        let both: Vec<usize> = full(&calibrated).into_iter().filter(|&i| now.lenslets().light[i] > 0.999).collect();
+        // Subapertures without a gap between segments, before and after the shift.
+        assert!(both.len() > 50, "{} of {}", both.len(), full(&calibrated).len());
         for i in both {
             for (axis, gained) in gained.into_iter().enumerate() {
                 let at = axis * 248 + i;
                 let (before, after) = (f64::from(before[at]), f64::from(after[at]) / 0.9);
-                // Slopes of up to 60 mas, a quarter of λ/d: the cell's third-order term takes up to a tenth of a difference
-                // of up to 3 mas.
+                // Slopes of up to 60 mas, a quarter of λ/d: the cell's third-order term takes up to a tenth of a
+                // difference of up to 3 mas.
                 assert!((after - before - gained).abs() < 0.3, "{detector} {at}: {before} {after} {gained}");
             }
         }

@@ -1,25 +1,25 @@
-//! Lenslets that have moved: what they see of a pupil that stands elsewhere.
+//! Shift of the lenslets relative to the pupil since the calibration.
 
+use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::Footprint;
-use crate::ao::lines::Lines;
 use crate::pupil::Pupil;
 use ndarray::Array2;
 
-/// A shift between the wavefront's samples and the lenslets'.
-pub(super) struct Moved {
-    /// For each sample of the lenslets with light its place, and the places and weights of the samples it sees.
+/// Interpolation from the wavefront's samples to those of the shifted lenslets.
+pub(super) struct LensletShift {
+    /// For each illuminated sample of the lenslets: its index, and the indices and weights of the samples around it.
     taps: Vec<(u32, [u32; 4], [f32; 4])>,
-    map_nm: Lines,
+    map_nm: AlignedBuffer,
 }
 
-impl Moved {
-    /// Lenslets that have moved by `[x, y]` samples over `pupil`: the shift, and the pupil as they see it.
+impl LensletShift {
+    /// Shift of the lenslets by `[x, y]` samples over `pupil`, and the pupil in the lenslets' coordinates.
     ///
-    /// Amplitudes between samples are interpolated linearly, phases likewise with the weight of their amplitude. Within a
-    /// sample's width of a segment's edge that is the mean of the two pistons.
-    pub(super) fn by(shift: [f64; 2], pupil: &Pupil, footprint: &Footprint) -> (Self, Pupil) {
+    /// Amplitudes are interpolated bilinearly; phases too, with the weight of their amplitude. Within one sample of a
+    /// segment's edge the result is the mean of the two pistons.
+    pub(super) fn new(shift: [f64; 2], pupil: &Pupil, footprint: &Footprint) -> (Self, Pupil) {
         let (n, stride) = (pupil.grid.samples(), footprint.stride());
-        let mut seen = Array2::zeros((n, n));
+        let mut shifted = Array2::zeros((n, n));
         let mut taps = Vec::new();
         for (y, x) in ndarray::indices((n, n)) {
             let (at_x, at_y) = (x as f64 + shift[0], y as f64 + shift[1]);
@@ -38,19 +38,19 @@ impl Moved {
             });
             let whole: f64 = tap.iter().map(|(_, weight)| weight).sum();
             if whole > 0.0 {
-                seen[[y, x]] = whole;
+                shifted[[y, x]] = whole;
                 let weights = tap.map(|(_, weight)| (weight / whole) as f32);
                 taps.push(((y * stride + x) as u32, tap.map(|(place, _)| place), weights));
             }
         }
-        (Self { taps, map_nm: footprint.zeros() }, Pupil { amplitude: seen, ..pupil.clone() })
+        (Self { taps, map_nm: footprint.zeros() }, Pupil { amplitude: shifted, ..pupil.clone() })
     }
 
-    /// The map as the lenslets see it.
-    pub(super) fn look(&mut self, opd_nm: &[f32]) -> &[f32] {
+    /// Interpolates a map to the samples of the lenslets.
+    pub(super) fn apply(&mut self, opd_nm: &[f32]) -> &[f32] {
         for (place, from, weights) in &self.taps {
-            let seen = from.iter().zip(weights).map(|(&from, weight)| weight * opd_nm[from as usize]);
-            self.map_nm[*place as usize] = seen.sum();
+            let terms = from.iter().zip(weights).map(|(&from, weight)| weight * opd_nm[from as usize]);
+            self.map_nm[*place as usize] = terms.sum();
         }
         &self.map_nm
     }

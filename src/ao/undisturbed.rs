@@ -1,6 +1,6 @@
-//! A loop without a sky.
+//! A noise-free, turbulence-free loop.
 
-/// Settings of a scene without turbulence, and without noise of the sensor.
+/// Settings of a scene that take away the turbulence and the noise of the wavefront sensor.
 pub const CALM: [(&str, &str); 6] = [
     ("turbulence.fractions", "[]"),
     ("turbulence.heights_m", "[]"),

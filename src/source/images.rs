@@ -1,0 +1,48 @@
+//! Simulation of images of an artificial source.
+
+use super::camera::{Camera, expose, flux_e};
+use super::random::stream;
+use super::truth::Truth;
+use crate::scene::Scene;
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::Array3;
+
+/// Simulated images with their truth.
+pub struct SourceImages {
+    /// Electrons, `[image, y, x]`.
+    pub images_e: Array3<f64>,
+    /// Electrons of the star in each image.
+    pub flux_e: f64,
+    /// Aberrations in the images.
+    pub truth: Truth,
+}
+
+/// Simulates the images of `scene`: one draw of aberrations, `image.count` draws of noise. The same scene gives
+/// bit-identical images.
+///
+/// # Errors
+/// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`] for aberrations
+/// that drift, which needs the time axis of an AO simulation.
+pub fn images(scene: &Scene) -> Result<SourceImages> {
+    if let Some(aberrations) = scene.aberrations.as_ref().filter(|aberrations| aberrations.drift_nm_per_min > 0.0) {
+        return Err(Error::Scene(format!(
+            "{}: aberrations.drift_nm_per_min = {} has no meaning for images without a loop; 0 is accepted",
+            scene.name(),
+            aberrations.drift_nm_per_min
+        )));
+    }
+    let telescope = Telescope::of(scene)?;
+    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+    let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
+    let camera = Camera::of(scene, &telescope)?;
+    let psf = camera.psf(&truth)?;
+    let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
+    let (rows, columns) = psf.dim();
+    let mut images_e = Array3::zeros((scene.image.count, rows, columns));
+    for (image, mut out) in images_e.outer_iter_mut().enumerate() {
+        let mut rng = stream(seed, 1 + image as u64);
+        out.zip_mut_with(&psf, |out, &h| *out = expose(&scene.image, h, flux_e, &mut rng));
+    }
+    Ok(SourceImages { images_e, flux_e, truth })
+}
