@@ -15,9 +15,25 @@
 //! * **Modes**: a segment-piston coefficient is nm of piston of that segment; a Zernike or Karhunen-Loève coefficient is
 //!   nm RMS over the pupil. The segment part is reported with zero mean piston over the pupil.
 //!
-//! # Rooms
+//! # An estimate
 //!
-//! See `ARCHITECTURE.md`: each module uses only those to the left of it.
+//! ```
+//! use cophase::{Estimator, Images, Scene};
+//!
+//! # fn main() -> cophase::Result<()> {
+//! let scene = Scene::preset("keck-artificial")?;
+//! # let scene = scene.with(&[("pupil.samples", "48"), ("modes.ncpa", "none"), ("modes.exact_zernikes", "[2, 4]")])?;
+//! let images = Images::simulated(&scene)?; // or Images::read("images.fits", None)?, Images::new(array)
+//! let estimate = Estimator::new(&scene)?.estimate(&images)?;
+//! println!("{}", estimate.report());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! [`pipeline`] is what every interface calls. The other modules are its parts, from the telescope to the optimiser; see
+//! `ARCHITECTURE.md`: each uses only those to the left of it.
+
+#![deny(missing_docs)]
 
 pub mod ao;
 pub mod atomic;
@@ -42,3 +58,5 @@ pub mod source;
 pub mod telescope;
 
 pub use error::{Error, Result};
+pub use pipeline::{Control, Estimate, Estimator, Images, Policy};
+pub use scene::Scene;

@@ -38,7 +38,8 @@ impl Images {
     /// Images in electrons, `[image, y, x]`, whose finite pixels are all good.
     pub fn new(images_e: Array3<f64>) -> Self {
         let bad = images_e.mapv(|electrons| !electrons.is_finite());
-        Self { images_e, bad, read_noise_e: None, slopes_mas: None, truth: None, notes: Vec::new() }
+        let notes = non_finite(bad.iter().filter(|bad| **bad).count()).into_iter().collect();
+        Self { images_e, bad, read_noise_e: None, slopes_mas: None, truth: None, notes }
     }
 
     /// Reads a FITS file: images, `BADPIX` or the file `mask`, the card `RON_E`, the telemetry (`SLOPES_MEAN`, else
@@ -50,10 +51,7 @@ impl Images {
         let path = path.as_ref();
         let read = io::read_images(path, mask)?;
         let mut notes: Vec<String> = read.repaired.into_iter().collect();
-        if read.non_finite > 0 {
-            let (are, were) = if read.non_finite == 1 { ("is", "was") } else { ("are", "were") };
-            notes.push(format!("{} {are} not finite and {were} masked", counted(read.non_finite, "pixel")));
-        }
+        notes.extend(non_finite(read.non_finite));
         let (images_e, bad, read_noise_e) = (read.data, read.bad, read.read_noise_e);
         let (slopes_mas, truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
         Ok(Self { images_e, bad, read_noise_e, slopes_mas, truth, notes })
@@ -109,6 +107,12 @@ impl TruthMaps {
 
 fn has(file: &FitsReader, name: &str) -> bool {
     file.names().iter().any(|known| known == name)
+}
+
+/// A note on pixels that are not finite, if there are any.
+fn non_finite(count: usize) -> Option<String> {
+    let (are, were) = if count == 1 { ("is", "was") } else { ("are", "were") };
+    (count > 0).then(|| format!("{} {are} not finite and {were} masked", counted(count, "pixel")))
 }
 
 /// Telemetry of a file, if it has any.

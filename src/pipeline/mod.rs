@@ -6,21 +6,6 @@
 //! Images (frames, masks) ───┘             (one Policy)
 //! ```
 //!
-//! ```
-//! use cophase::pipeline::{Estimator, Images};
-//! use cophase::scene::Scene;
-//!
-//! # fn main() -> cophase::Result<()> {
-//! # let small = [("image.count", "1"), ("pupil.samples", "48"), ("modes.ncpa", "\"none\""), ("modes.exact_zernikes", "[2, 4]")];
-//! let scene = Scene::preset("keck-artificial")?;
-//! # let scene = scene.with(&small)?;
-//! let images = Images::simulated(&scene)?; // or Images::read("images.fits", None)?, Images::new(array)
-//! let estimate = Estimator::new(&scene)?.estimate(&images)?;
-//! println!("{}", estimate.report());
-//! # Ok(())
-//! # }
-//! ```
-//!
 //! A modal estimate fits static modes to each image and combines the images; a maximum a posteriori (MAP) estimate
 //! (`estimate.method = "full-phase"`) retrieves the whole wavefront behind each exposure of a sequence and separates the
 //! static errors from the turbulence. Both end in the same type.
