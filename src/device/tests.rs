@@ -166,7 +166,7 @@ fn without_a_library_there_are_no_devices() {
     };
     let counted = count("/nonexistent/libOpenCL.so.1");
     assert!(counted.contains("devices: 0"), "{counted}");
-    // Loaded, but without a single OpenCL symbol.
+    // A library without any OpenCL symbol.
     let counted = count("libm.so.6");
     assert!(counted.contains("devices: 0"), "{counted}");
 }

@@ -1,5 +1,5 @@
-//! Every fast variant of the chain against the f64 one on the CPU, over random scenes: any grid, crop and sampling, segments
-//! that overlap, tilt or neither, any modes and photometry, batches of any size.
+//! Comparison of every fast variant of the chain with the f64 CPU chain over random scenes: random grids, crops and samplings,
+//! overlapping and tilting segments, random modes and photometry, batches of random size.
 
 use super::chain::layout;
 use super::gpu::{GpuChain, GpuLayout};
@@ -20,7 +20,7 @@ pub(super) struct Case {
     pub exposures: Vec<Exposure>,
     pub active: Vec<usize>,
     pub coefficients_nm: Array2<f64>,
-    /// The FFT of the whole image, where it is one.
+    /// The FFT, if the image is whole.
     fft: Option<FftPlan>,
 }
 
@@ -32,7 +32,7 @@ fn uniform(count: usize, scale: f64, random: &mut impl Rng) -> Vec<f64> {
 fn sampling(seed: u64, random: &mut impl Rng) -> (Sampling, Option<FftPlan>) {
     if seed.is_multiple_of(3) {
         let pixels = [64, 96, 128, 144, 160, 240][(seed / 3 % 6) as usize];
-        // Oversampled 2 to 3 times: the outer blocks of the FFT are dark.
+        // Oversampled 2 to 3 times: the outer blocks of the FFT are zero.
         let samples = pixels / 4 * 2 - 2 * random.random_range(0..3);
         let sampling = Sampling::new(samples, pixels, pixels as f64 / samples as f64).unwrap();
         return (sampling, FftPlan::new(pixels, samples / 2));
@@ -45,7 +45,7 @@ pub(super) fn case(seed: u64) -> Case {
     let random = &mut ChaCha8Rng::seed_from_u64(seed);
     let (sampling, fft) = sampling(seed, random);
     let n = sampling.samples;
-    // A lopsided ellipse with a hole and some dark samples.
+    // An asymmetric ellipse with a hole and some dark samples.
     let lit: Vec<u32> = (0..(n * n) as u32)
         .filter(|&p| {
             let [y, x] = [p as usize / n, p as usize % n].map(|i| (2 * i + 1) as f64 / n as f64 - 1.0);
@@ -90,7 +90,7 @@ pub(super) fn case(seed: u64) -> Case {
     Case { optics, exposures, active, coefficients_nm, fft }
 }
 
-/// An image that the scene could have made, with uneven weights and bad pixels.
+/// A simulated image of the scene, with uneven weights and bad pixels.
 fn exposure(optics: &Arc<Optics>, kind: usize, random: &mut impl Rng) -> Exposure {
     let truth = uniform(optics.modes(), 120.0, random);
     let psf = CpuChain::<f64>::new(optics.clone()).psf(ndarray::ArrayView1::from(&truth));
@@ -110,8 +110,8 @@ fn exposure(optics: &Arc<Optics>, kind: usize, random: &mut impl Rng) -> Exposur
     }
 }
 
-/// Largest relative distance of objective, flux and gradient (of its 2-norm) over the images.
-pub(super) fn apart(found: &[Evaluation], wanted: &[Evaluation]) -> f64 {
+/// Largest relative difference of objective, flux and gradient (in the 2-norm) over the images.
+pub(super) fn largest_difference(found: &[Evaluation], wanted: &[Evaluation]) -> f64 {
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
     let one = |(f, w): (&Evaluation, &Evaluation)| {
         let difference = norm(&mut f.gradient.iter().zip(&w.gradient).map(|(f, w)| f - w));
@@ -122,18 +122,18 @@ pub(super) fn apart(found: &[Evaluation], wanted: &[Evaluation]) -> f64 {
     found.iter().zip(wanted).map(one).fold(0.0, f64::max)
 }
 
-/// A phase of its own at each lit sample of each active image, of up to a third of a turn either way.
+/// A random free phase of up to ±0.3 turns for each active image.
 pub(super) fn free_phase(case: &Case) -> Vec<f64> {
     let lit = case.optics.parts().weights.lit.len();
     uniform(case.active.len() * lit, 0.3, &mut ChaCha8Rng::seed_from_u64(lit as u64))
 }
 
-/// Largest relative distance of the derivatives by it over the images, in the 2-norm.
-pub(super) fn slopes_apart(found: &[f64], wanted: &[f64], images: usize) -> f64 {
+/// Largest relative difference of the gradients by the free phase over the images, in the 2-norm.
+pub(super) fn largest_gradient_difference(found: &[f64], wanted: &[f64], images: usize) -> f64 {
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
     let lit = wanted.len() / images;
     let rows = found.chunks_exact(lit).zip(wanted.chunks_exact(lit));
-    // Not by f64::max alone, to which NaN is nothing.
+    // f64::max ignores NaN, which must fail.
     let one = |(f, w): (&[f64], &[f64])| {
         let distance = norm(&mut f.iter().zip(w).map(|(f, w)| f - w)) / norm(&mut w.iter().copied());
         if distance.is_nan() { f64::INFINITY } else { distance }
@@ -141,7 +141,7 @@ pub(super) fn slopes_apart(found: &[f64], wanted: &[f64], images: usize) -> f64 
     rows.map(one).fold(0.0, f64::max)
 }
 
-/// What the device of `info` may be given: its own build, with the FFT where the image is whole, and a GPU's.
+/// The builds to test on a device: its own build, the same with the FFT if the image is whole, and that of a GPU.
 fn builds(info: &crate::device::DeviceInfo, fft: Option<FftPlan>) -> Vec<Build> {
     let mut builds = Vec::new();
     for precision in [Precision::F32, Precision::F64].into_iter().filter(|p| info.supports(*p)) {
@@ -152,8 +152,8 @@ fn builds(info: &crate::device::DeviceInfo, fft: Option<FftPlan>) -> Vec<Build> 
     builds
 }
 
-/// f32: phases of up to 10 rad in 24 bits err by 6e-7, the sums over pixels and samples by less, and the residuals, of the
-/// order of the image itself, do not cancel: 1e-5 is ten times what is seen. f64: the same, 2e-9 smaller.
+/// Tolerance. f32: phases of up to 10 rad in 24 bits have errors of 6e-7, the sums over pixels and samples smaller ones, and
+/// the residuals, of the order of the image itself, do not cancel: 1e-5 is ten times the observed error. f64: 2e-9 of that.
 pub(super) fn allowed(precision: Precision) -> f64 {
     if precision == Precision::F32 { 1e-5 } else { 1e-11 }
 }
@@ -164,30 +164,27 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
     let mut worst = [0.0f64; 2];
     for seed in 0..CASES {
         let case = case(seed);
-        let mut judge = CpuChain::<f64>::new(case.optics.clone());
-        judge.load(&case.exposures).unwrap();
-        let wanted = judge.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
+        let mut reference = CpuChain::<f64>::new(case.optics.clone());
+        reference.load(&case.exposures).unwrap();
+        let wanted = reference.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
         let free = free_phase(&case);
         let mut wanted_slopes = vec![f64::NAN; free.len()];
         let wanted_free =
-            judge.evaluate_free_all(&case.active, case.coefficients_nm.view(), &free, &mut wanted_slopes).unwrap();
+            reference.evaluate_free_all(&case.active, case.coefficients_nm.view(), &free, &mut wanted_slopes).unwrap();
         let mut check = |what: &str, chain: &mut Chain| {
             chain.load(&case.exposures).unwrap();
             let found = chain.evaluate(&case.active, case.coefficients_nm.view()).unwrap();
             let mut slopes = vec![f64::NAN; free.len()];
-            let found_free =
+            let free_result =
                 chain.evaluate_free(&case.active, case.coefficients_nm.view(), &free, &mut slopes).unwrap();
-            let distance = (apart(&found, &wanted).max(apart(&found_free, &wanted_free))).max(slopes_apart(
-                &slopes,
-                &wanted_slopes,
-                case.active.len(),
-            ));
+            let distance = (largest_difference(&found, &wanted).max(largest_difference(&free_result, &wanted_free)))
+                .max(largest_gradient_difference(&slopes, &wanted_slopes, case.active.len()));
             let precision = chain.precision();
             worst[usize::from(precision == Precision::F64)] =
                 worst[usize::from(precision == Precision::F64)].max(distance);
             assert!(
                 distance < allowed(precision),
-                "case {seed}, {what}: {distance:e} apart ({:?}, {} modes)",
+                "case {seed}, {what}: a difference of {distance:e} ({:?}, {} modes)",
                 case.optics.sampling(),
                 case.optics.modes()
             );
@@ -204,5 +201,5 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
             }
         }
     }
-    println!("furthest apart: f32 {:.1e}, f64 {:.1e}", worst[0], worst[1]);
+    println!("largest differences: f32 {:.1e}, f64 {:.1e}", worst[0], worst[1]);
 }

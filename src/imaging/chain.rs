@@ -1,8 +1,7 @@
-//! The seam: on which device, and in which precision, the chain runs. Decided in one `match`.
+//! The chain on a selected device in a selected precision: one interface for all of them.
 
 use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
-use super::fallback::Fallback;
 use super::gpu::{GpuChain, GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
 use super::work::Shapes;
@@ -13,24 +12,24 @@ use std::sync::Arc;
 
 pub use crate::device::{Choice, Precision};
 
-/// Forward model and adjoint for a batch of images, wherever they run.
+/// Forward model and adjoint for a batch of images.
 pub enum Chain {
-    /// CPU, double precision: the judge of the others.
+    /// CPU, double precision: the reference.
     Cpu64(CpuChain<f64>),
     /// CPU, single precision.
     Cpu32(CpuChain<f32>),
     /// An OpenCL device.
     Device {
-        /// The chain there.
+        /// The chain on the device.
         chain: Box<GpuChain>,
         /// The model.
         optics: Arc<Optics>,
-        /// The precision that it was built for.
+        /// Its precision.
         precision: Precision,
-        /// What reports call the device.
+        /// Name of the device in reports.
         name: String,
     },
-    /// A device that `auto` took, and the CPU where it fails.
+    /// A device selected by `auto`, replaced by the CPU if it fails.
     Auto(Fallback),
 }
 
@@ -43,11 +42,12 @@ impl Chain {
         }
     }
 
-    /// A chain where `choice` says, with room for `capacity` images. `auto` takes a GPU that has the precision and can
-    /// hold the model, which has one wavelength, and the CPU otherwise and where the GPU fails later: see [`Fallback`].
+    /// A chain on the device of `choice`, with memory for `capacity` images. `auto` selects a GPU if it supports the precision
+    /// and the model (which must have one wavelength and fit its memory), otherwise the CPU; if the GPU fails later, the CPU
+    /// replaces it: see [`Fallback`].
     ///
     /// # Errors
-    /// [`crate::Error::Device`] where OpenCL was asked for and there is no such device, or it cannot run this model.
+    /// [`crate::Error::Device`] where an OpenCL device is required and there is none, or it cannot run this model.
     pub fn open(optics: Arc<Optics>, choice: Choice, precision: Precision, capacity: usize) -> Result<Self> {
         Self::open_as(optics, choice, precision, capacity, false)
     }
@@ -74,8 +74,7 @@ impl Chain {
             }
             let count = optics.parts().colours.len();
             return Err(Error::Device(format!(
-                "a model of {count} wavelengths runs on the CPU alone: device = \"cpu\" or \"auto\", or estimate.wavelengths = 1, \
-                 is accepted"
+                "a model of {count} wavelengths runs on the CPU only: use device = \"cpu\" or \"auto\", or estimate.wavelengths = 1"
             )));
         }
         let on_device = || -> Result<Self> {
@@ -122,7 +121,7 @@ impl Chain {
     /// Replaces some images of the batch.
     ///
     /// # Errors
-    /// As [`Chain::replace`]; which images were replaced is not known then.
+    /// As [`Chain::replace`]; some of the images may have been replaced then.
     pub fn replace_all(&mut self, exposures: &[(usize, &Exposure)]) -> Result<()> {
         match self {
             Self::Device { chain, optics, .. } => {
@@ -154,8 +153,8 @@ impl Chain {
         }
     }
 
-    /// As [`Chain::evaluate`] with a phase of its own at each lit sample, turns, `[image][lit sample]`, beside the modes;
-    /// the derivative by it, per turn, goes into `slopes`. For a chain that [`Chain::open_free`] made, or of the CPU.
+    /// As [`Chain::evaluate`] with a free phase in addition to the modes, turns, `[image][illuminated sample]`. The gradient by
+    /// it, per turn, is written into `slopes`. For a chain from [`Chain::open_free`], or on the CPU.
     ///
     /// # Errors
     /// As [`Chain::evaluate`].
@@ -177,7 +176,7 @@ impl Chain {
         }
     }
 
-    /// The shapes that the work of an evaluation follows from: see [`Shapes::work`].
+    /// The sizes that determine the work of an evaluation: see [`Shapes::work`].
     pub fn shapes(&self) -> Shapes {
         match self {
             Self::Cpu64(chain) => Shapes::of(chain.optics(), chain.fft_points()),
@@ -187,7 +186,7 @@ impl Chain {
         }
     }
 
-    /// The precision in which it runs.
+    /// Its precision.
     pub fn precision(&self) -> Precision {
         match self {
             Self::Cpu64(_) => Precision::F64,
@@ -197,7 +196,7 @@ impl Chain {
         }
     }
 
-    /// What reports call the device.
+    /// Name of the device in reports.
     pub fn device_name(&self) -> String {
         match self {
             Self::Cpu64(_) | Self::Cpu32(_) => "cpu".into(),
@@ -206,12 +205,12 @@ impl Chain {
         }
     }
 
-    /// Why the device that `auto` took does not compute any more, as a sentence.
+    /// Why the device selected by `auto` was replaced, as a sentence; `None` if it was not.
     pub fn failure(&self) -> Option<&str> {
         if let Self::Auto(fallback) = self { fallback.failure() } else { None }
     }
 
-    /// The CPU's chain, where it has taken a device's place for good; else this one.
+    /// The chain that computes: the CPU chain if it has replaced a failed device, otherwise this one.
     pub fn running(&mut self) -> &mut Self {
         if self.failure().is_none() {
             return self;
@@ -223,15 +222,89 @@ impl Chain {
     }
 }
 
-/// What a device found, image by image.
-fn by_image(found: GpuEvaluation, modes: usize) -> Vec<Evaluation> {
+/// A chain on a device that may fail during a batch: out of memory, reset by its driver, unplugged. A copy of the images is
+/// kept on the host (16 bytes a pixel); after a failure the call is repeated on the CPU in the same precision. All further
+/// calls run on the CPU: a device that failed once is not used again.
+pub struct Fallback {
+    chain: Box<Chain>,
+    optics: Arc<Optics>,
+    exposures: Vec<Exposure>,
+    failure: Option<String>,
+}
+
+impl Fallback {
+    /// A chain on `device` for the model `optics`.
+    pub(crate) fn new(device: Chain, optics: Arc<Optics>) -> Self {
+        Self { chain: Box::new(device), optics, exposures: Vec::new(), failure: None }
+    }
+
+    /// The failure and the replacement by the CPU, as a sentence.
+    pub fn failure(&self) -> Option<&str> {
+        self.failure.as_deref()
+    }
+
+    /// The chain that computes.
+    fn chain(&self) -> &Chain {
+        &self.chain
+    }
+
+    fn chain_mut(&mut self) -> &mut Chain {
+        &mut self.chain
+    }
+
+    fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
+        // No image counts as loaded until all are.
+        self.exposures.clear();
+        self.with_fallback(|chain| chain.load(exposures))?;
+        self.exposures.extend_from_slice(exposures);
+        Ok(())
+    }
+
+    fn replace_all(&mut self, exposures: &[(usize, &Exposure)]) -> Result<()> {
+        self.with_fallback(|chain| chain.replace_all(exposures))?;
+        exposures.iter().for_each(|&(image, exposure)| self.exposures[image] = exposure.clone());
+        Ok(())
+    }
+
+    fn evaluate(&mut self, images: &[usize], coefficients_nm: ArrayView2<f64>) -> Result<Vec<Evaluation>> {
+        self.with_fallback(|chain| chain.evaluate(images, coefficients_nm))
+    }
+
+    fn evaluate_free(
+        &mut self,
+        images: &[usize],
+        coefficients_nm: ArrayView2<f64>,
+        free: &[f64],
+        slopes: &mut [f64],
+    ) -> Result<Vec<Evaluation>> {
+        self.with_fallback(|chain| chain.evaluate_free(images, coefficients_nm, free, slopes))
+    }
+
+    /// Runs `call`, and repeats it on the CPU if the device fails.
+    fn with_fallback<R>(&mut self, mut call: impl FnMut(&mut Chain) -> Result<R>) -> Result<R> {
+        match call(&mut self.chain) {
+            Err(Error::Device(reason)) if self.failure.is_none() => {
+                let mut cpu = Chain::cpu(self.optics.clone(), self.chain.precision());
+                cpu.load(&self.exposures)?;
+                let device = self.chain.device_name();
+                self.failure = Some(format!("{device} failed, and the CPU has taken its place: {reason}"));
+                *self.chain = cpu;
+                call(&mut self.chain)
+            }
+            other => other,
+        }
+    }
+}
+
+/// The results of a device, image by image.
+fn by_image(results: GpuEvaluation, modes: usize) -> Vec<Evaluation> {
     let evaluation = |i: usize| Evaluation {
-        objective: found.objective[i],
-        flux_e: found.flux_e[i],
-        background_e: found.background_e[i],
-        gradient: found.gradient[i * modes..(i + 1) * modes].to_vec(),
+        objective: results.objective[i],
+        flux_e: results.flux_e[i],
+        background_e: results.background_e[i],
+        gradient: results.gradient[i * modes..(i + 1) * modes].to_vec(),
     };
-    (0..found.objective.len()).map(evaluation).collect()
+    (0..results.objective.len()).map(evaluation).collect()
 }
 
 impl From<Photometry> for GpuPhotometry {
@@ -244,7 +317,7 @@ impl From<Photometry> for GpuPhotometry {
     }
 }
 
-/// The model as the device takes it.
+/// The model as plain arrays for the device.
 pub(super) fn layout(optics: &Optics) -> GpuLayout {
     let parts = optics.parts();
     let indices = |list: &[u32]| list.iter().map(|&i| i as usize).collect::<Vec<usize>>();

@@ -1,5 +1,5 @@
-//! The chain on the CPU: one image per thread at a time, in f64 (the judge) or f32. A model of several wavelengths goes through
-//! field and transform once for each, and through the detector once.
+//! The chain on the CPU: one image per thread at a time, in f64 (the reference) or f32. For a model of several wavelengths,
+//! field and transform are computed for each, and the detector once.
 
 mod free;
 
@@ -19,24 +19,24 @@ pub struct CpuChain<T: Polynomial> {
     optics: Arc<Optics>,
     colours: Vec<Stages<T>>,
     images: Vec<Loaded<T>>,
-    /// Memory of threads that are not evaluating now: taken, used, put back.
+    /// Scratch memory not in use by a thread.
     idle: Mutex<Vec<Scratch<T>>>,
 }
 
-/// What light of one wavelength goes through.
+/// The stages of one wavelength.
 struct Stages<T: Polynomial> {
     field: Field<T>,
     transform: Transform<T>,
 }
 
-/// What one thread needs for one evaluation at a time: made by [`CpuChain::scratch`].
+/// Scratch memory of one thread, for one evaluation at a time: see [`CpuChain::scratch`].
 pub struct Scratch<T: Polynomial> {
     colours: Vec<ColourScratch<T>>,
     pupil_bar: Vec<T>,
     psf: Vec<T>,
 }
 
-/// What it needs for each colour.
+/// Scratch memory of one wavelength.
 struct ColourScratch<T: Polynomial> {
     field: FieldState<T>,
     pupil: Vec<T>,
@@ -44,20 +44,20 @@ struct ColourScratch<T: Polynomial> {
     workspace: Workspace<T>,
 }
 
-/// The flat wavefront, whose field and PSF are the same for every image: made by [`CpuChain::flat`], for one thread.
+/// Field and PSF of the flat wavefront, which are the same for every image: see [`CpuChain::flat`]. For one thread.
 pub struct Flat<T: Polynomial> {
     scratch: Scratch<T>,
-    /// The focal field of each colour, which an evaluation writes over.
+    /// The focal field of each wavelength; an evaluation overwrites the one in `scratch`.
     focus: Vec<Vec<T>>,
 }
 
 impl<T: Polynomial> CpuChain<T> {
-    /// A chain for `optics` with the transforms that are cheaper for its sampling.
+    /// A chain for `optics` with the cheapest transforms for its sampling.
     pub fn new(optics: Arc<Optics>) -> Self {
         Self::with_transforms(optics, Transform::choose)
     }
 
-    /// A chain whose transform of each colour is what `transform` makes for its sampling.
+    /// A chain with the transforms that `transform` constructs for the sampling of each wavelength.
     pub fn with_transforms(optics: Arc<Optics>, transform: impl Fn(Sampling) -> Transform<T>) -> Self {
         let stages = |optics: &Optics| Stages { field: Field::new(optics), transform: transform(optics.sampling()) };
         let colours = optics.colours().iter().map(stages).collect();
@@ -69,7 +69,7 @@ impl<T: Polynomial> CpuChain<T> {
         &self.optics
     }
 
-    /// Points of the FFT that transforms the first colour, `None` where matrices do.
+    /// Points of the FFT of the first wavelength; `None` with matrix products.
     pub fn fft_points(&self) -> Option<usize> {
         match self.colours[0].transform {
             Transform::Matrix(_) => None,
@@ -77,7 +77,7 @@ impl<T: Polynomial> CpuChain<T> {
         }
     }
 
-    /// The field of each colour.
+    /// The field stage of each wavelength.
     pub(super) fn fields(&self) -> impl Iterator<Item = &Field<T>> {
         self.colours.iter().map(|colour| &colour.field)
     }
@@ -114,20 +114,20 @@ impl<T: Polynomial> CpuChain<T> {
         Ok((0..images.len())
             .into_par_iter()
             .map(|i| {
-                let mut memory = self.take();
+                let mut memory = self.take_scratch();
                 let mut evaluation = self.evaluation();
                 self.evaluate_one(&self.images[images[i]], coefficients_nm.row(i), &mut memory, &mut evaluation);
-                self.put_back(memory);
+                self.return_scratch(memory);
                 evaluation
             })
             .collect())
     }
 
     /// Objective and gradient of one image at `coefficients_nm`, into `evaluation` ([`CpuChain::evaluation`]): on this
-    /// thread, in the caller's memory, with no other taken. Bitwise what [`CpuChain::evaluate`] gives.
+    /// thread, without allocation. Bitwise the result of [`CpuChain::evaluate`].
     ///
     /// # Panics
-    /// Where the pieces were made by a chain of another model.
+    /// If an argument was made by a chain of another model.
     pub fn evaluate_one(
         &self,
         image: &Loaded<T>,
@@ -139,8 +139,8 @@ impl<T: Polynomial> CpuChain<T> {
         self.evaluate_there(image, scratch, evaluation);
     }
 
-    /// As [`CpuChain::evaluate_one`] at the coefficients of the [`CpuChain::psf_in`] that `scratch` was last used for,
-    /// whose PSF is not made again: bitwise the same.
+    /// As [`CpuChain::evaluate_one`] at the coefficients of the last [`CpuChain::psf_in`] with `scratch`, whose PSF is used
+    /// again: bitwise the same.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
@@ -149,14 +149,14 @@ impl<T: Polynomial> CpuChain<T> {
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
     }
 
-    /// The flat wavefront, made once for many images.
+    /// Field and PSF of the flat wavefront, computed once for many images.
     pub fn flat(&self) -> Flat<T> {
         let mut scratch = self.scratch();
         self.psf_in(Array1::zeros(self.optics.modes()).view(), &mut scratch);
         Flat { focus: scratch.colours.iter().map(|colour| colour.focus.clone()).collect(), scratch }
     }
 
-    /// As [`CpuChain::evaluate_one`] at the flat wavefront, in little more than half of the time: bitwise the same.
+    /// As [`CpuChain::evaluate_one`] at the flat wavefront, in slightly more than half of the time: bitwise the same.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
@@ -169,18 +169,18 @@ impl<T: Polynomial> CpuChain<T> {
         self.evaluate_there(image, &mut flat.scratch, evaluation);
     }
 
-    /// The PSF as [`CpuChain::psf`] gives it, in the caller's memory.
+    /// The PSF, as [`CpuChain::psf`], without allocation.
     pub fn psf_in<'s>(&self, coefficients_nm: ArrayView1<f64>, scratch: &'s mut Scratch<T>) -> &'s [T] {
         vectorised(Forward { chain: self, coefficients_nm, memory: scratch });
         &scratch.psf
     }
 
-    /// Room for one image of this model.
+    /// Memory for one image of this model, without data.
     pub fn room(&self) -> Loaded<T> {
         Loaded::room(self.optics.sampling().pixels)
     }
 
-    /// Takes up `exposure` in the memory of `image`.
+    /// Writes `exposure` into `image`.
     ///
     /// # Errors
     /// As [`Exposure::check`].
@@ -190,36 +190,36 @@ impl<T: Polynomial> CpuChain<T> {
         Ok(())
     }
 
-    /// Room for what an evaluation returns.
+    /// Memory for the results of an evaluation.
     pub fn evaluation(&self) -> Evaluation {
         Evaluation { gradient: vec![0.0; self.optics.modes()], ..Evaluation::default() }
     }
 
     /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at `coefficients_nm`.
     pub fn psf(&self, coefficients_nm: ArrayView1<f64>) -> Vec<T> {
-        let mut memory = self.take();
+        let mut memory = self.take_scratch();
         vectorised(Forward { chain: self, coefficients_nm, memory: &mut memory });
         let psf = memory.psf.clone();
-        self.put_back(memory);
+        self.return_scratch(memory);
         psf
     }
 
     /// The PSF and its derivative with respect to every coefficient, `[mode, pixel]`, per nm.
     pub fn jacobian(&self, coefficients_nm: ArrayView1<f64>) -> (Vec<T>, Array2<T>) {
         let pixels = self.optics.sampling().pixels;
-        let mut here = self.take();
+        let mut here = self.take_scratch();
         vectorised(Forward { chain: self, coefficients_nm, memory: &mut here });
         let mut jacobian = Array2::from_elem((self.optics.modes(), here.psf.len()), T::zero());
         let modes = &self.optics.parts().modes;
         let rows: Vec<_> = jacobian.outer_iter_mut().zip(modes).collect();
         let at = &here.colours;
         rows.into_par_iter().for_each(|(mut row, &mode)| {
-            let mut memory = self.take();
+            let mut memory = self.take_scratch();
             for ((stages, at), memory) in self.colours.iter().zip(at).zip(&mut memory.colours) {
                 memory.pupil.fill(T::zero());
                 stages.field.derivative(mode, &at.field, &mut memory.pupil);
                 stages.transform.forward(&memory.pupil, &mut memory.focus, &mut memory.workspace);
-                // The grid goes back as it came: zero outside the lit samples.
+                // The grid must be zero outside the illuminated samples.
                 memory.pupil.fill(T::zero());
                 let lines = at.focus.chunks_exact(2 * pixels).zip(memory.focus.chunks_exact(2 * pixels));
                 for (v, (at, along)) in lines.enumerate() {
@@ -229,14 +229,14 @@ impl<T: Polynomial> CpuChain<T> {
                     }
                 }
             }
-            self.put_back(memory);
+            self.return_scratch(memory);
         });
         let psf = here.psf.clone();
-        self.put_back(here);
+        self.return_scratch(here);
         (psf, jacobian)
     }
 
-    /// Memory for one thread.
+    /// Scratch memory for one thread.
     pub fn scratch(&self) -> Scratch<T> {
         let (n, m) = (self.optics.sampling().samples, self.optics.sampling().pixels);
         let colour = |stages: &Stages<T>| ColourScratch {
@@ -252,7 +252,7 @@ impl<T: Polynomial> CpuChain<T> {
         }
     }
 
-    /// The fields that stand in the pupils of `memory` to the PSF.
+    /// Computes the PSF from the pupil fields in `memory`.
     #[inline(always)]
     fn to_psf(&self, memory: &mut Scratch<T>) {
         let pixels = self.optics.sampling().pixels;
@@ -265,12 +265,12 @@ impl<T: Polynomial> CpuChain<T> {
         }
     }
 
-    fn take(&self) -> Scratch<T> {
+    fn take_scratch(&self) -> Scratch<T> {
         let idle = self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).pop();
         idle.unwrap_or_else(|| self.scratch())
     }
 
-    fn put_back(&self, memory: Scratch<T>) {
+    fn return_scratch(&self, memory: Scratch<T>) {
         self.idle.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).push(memory);
     }
 }
@@ -282,7 +282,7 @@ impl<T: Polynomial> Scratch<T> {
     }
 }
 
-/// Coefficients to the PSF.
+/// Forward model: coefficients to PSF.
 struct Forward<'a, T: Polynomial> {
     chain: &'a CpuChain<T>,
     coefficients_nm: ArrayView1<'a, f64>,
@@ -302,7 +302,7 @@ impl<T: Polynomial> NullaryFnOnce for Forward<'_, T> {
     }
 }
 
-/// The PSF to the objective, and back to the gradient.
+/// Objective from the PSF, and the adjoint to the gradient.
 struct Backward<'a, T: Polynomial> {
     chain: &'a CpuChain<T>,
     image: &'a Loaded<T>,
@@ -319,7 +319,7 @@ impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
         image.forward(&memory.psf, evaluation);
         evaluation.gradient.fill(0.0);
         for (stages, colour) in chain.colours.iter().zip(&mut memory.colours) {
-            // The objective is that of all colours together, each time the same.
+            // The objective is that of all wavelengths; each call computes the same value.
             image.adjoint(evaluation, &memory.psf, &mut colour.focus, chain.optics.sampling().pixels);
             stages.transform.adjoint(&colour.focus, &mut memory.pupil_bar, &mut colour.workspace);
             stages.field.adjoint(&memory.pupil_bar, &mut colour.field, &mut evaluation.gradient);
@@ -327,15 +327,15 @@ impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
     }
 }
 
-/// Runs `work` compiled for the widest vectors that this processor has. All of it must be inlined into the call, or it
-/// is compiled for the oldest processor, where each fused multiply-add is a call of its own: hence named types with an
-/// `inline(always)` body, not closures, and the same mark on the stages.
+/// Runs `work` compiled for the widest vectors of this CPU. All of it must be inlined into the call; otherwise it is compiled
+/// for the oldest CPU, where each fused multiply-add is a function call. Hence named types with an `inline(always)` body
+/// instead of closures, and the same attribute on the stages.
 #[inline(always)]
 fn vectorised<R>(work: impl NullaryFnOnce<Output = R>) -> R {
     pulp::Arch::new().dispatch(work)
 }
 
-/// That a call's images and coefficients fit the batch and the model.
+/// Checks that images and coefficients fit the batch and the model.
 pub(super) fn check_batch(
     images: &[usize],
     coefficients_nm: ArrayView2<f64>,
@@ -345,7 +345,8 @@ pub(super) fn check_batch(
     if coefficients_nm.dim() != (images.len(), modes) {
         let (rows, columns) = coefficients_nm.dim();
         return Err(Error::Shape(format!(
-            "coefficients of shape {rows}x{columns} were given where {} images of {modes} modes were wanted",
+            "coefficients of shape {rows}x{columns} were given for {} images of {modes} modes: one row per image and one column \
+             per mode are needed",
             images.len()
         )));
     }
@@ -356,5 +357,5 @@ pub(super) fn check_batch(
 }
 
 fn no_image(image: usize, count: usize) -> Error {
-    Error::Shape(format!("image {image} was asked for, but {count} are loaded"))
+    Error::Shape(format!("image {image} was requested, but only {count} are loaded"))
 }

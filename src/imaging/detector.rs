@@ -1,13 +1,13 @@
-//! The focal field to the objective, and back.
+//! Detector stage: from the focal field to the objective, and the adjoint.
 //!
-//! `h = |U|²`, `J = Σ w·(S·h + b − d)²`. Flux S and background b are given, or are those that minimise J: they enter
-//! linearly, so their 2×2 normal equations are solved at each evaluation (variable projection), and by the envelope
-//! theorem the gradient in the other unknowns is the one at fixed S and b. Backwards: `Ū = dJ/dh·U = 2·w·r·S·U`.
+//! `h = |U|²`, `J = Σ w·(S·h + b − d)²`. Flux S and background b are given, or minimise J: they enter linearly, so
+//! their 2×2 normal equations are solved at each evaluation (variable projection), and by the envelope theorem the gradient
+//! by the other unknowns is that at fixed S and b. The adjoint: `Ū = dJ/dh·U = 2·w·r·S·U`.
 
 use super::phasor::Polynomial;
 use crate::{Error, Result};
 
-/// How flux and background are found.
+/// Whether flux and background are known or fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Photometry {
     /// Both are known.
@@ -26,18 +26,18 @@ pub enum Photometry {
     FitBoth,
 }
 
-/// One image as a chain takes it: m×m data with their weights.
+/// One image as input of a chain: m×m data with their weights.
 #[derive(Debug, Clone)]
 pub struct Exposure {
     /// Electrons, `[y][x]`; ignored (but finite) where the weight is 0.
     pub data_e: Vec<f64>,
-    /// Weight of each pixel: 1/variance, or what the caller minimises; 0 for a bad pixel.
+    /// Weight of each pixel in the objective, usually 1/variance; 0 for a bad pixel.
     pub weight: Vec<f64>,
-    /// How flux and background are found.
+    /// Whether flux and background are known or fitted.
     pub photometry: Photometry,
 }
 
-/// What one evaluation returns.
+/// Results of one evaluation.
 #[derive(Debug, Clone, Default)]
 pub struct Evaluation {
     /// J = Σ w (S·h + b − d)².
@@ -63,7 +63,7 @@ impl Exposure {
                 self.weight.len()
             )));
         }
-        // 0 times a number that is not finite is no number. Without a way out, the loop runs in vectors.
+        // 0 times a number that is not finite is NaN. Without an early exit the loop is vectorised.
         let (mut zeros, mut negative) = ([0.0; LANES], false);
         let (data, weight) = (self.data_e.chunks(LANES), self.weight.chunks(LANES));
         for (data, weight) in data.zip(weight) {
@@ -81,7 +81,7 @@ impl Exposure {
     }
 }
 
-/// An exposure in the chain's precision, with the sums that do not depend on the model.
+/// An exposure in the precision of the chain, with the sums that do not depend on the model.
 #[derive(Clone)]
 pub struct Loaded<T> {
     data: Vec<T>,
@@ -91,21 +91,21 @@ pub struct Loaded<T> {
     sum_wd: f64,
 }
 
-/// Independent partial sums, so that they run in vectors.
+/// Number of independent partial sums, for vectorisation.
 const LANES: usize = 16;
-/// Vectors that are summed in the chain's precision before the sums go on in double precision: in f32 their rounding is
-/// that of the products.
+/// Number of vectors summed in the precision of the chain before the sums continue in double precision: in f32 the rounding
+/// of so few additions is that of the products.
 const SPAN: usize = 4;
 
 impl<T: Polynomial> Loaded<T> {
-    /// Room for an exposure of `pixels` a side, in which nothing has weight yet.
+    /// Memory for an exposure of `pixels` a side, with all weights 0.
     pub(super) fn room(pixels: usize) -> Self {
         let zeros = || vec![T::zero(); pixels * pixels];
         let photometry = Photometry::Fixed { flux_e: 0.0, background_e: 0.0 };
         Self { data: zeros(), weight: zeros(), photometry, sum_w: 0.0, sum_wd: 0.0 }
     }
 
-    /// Takes up an exposure of the same size, in the memory of the last.
+    /// Replaces the data by those of an exposure of the same size.
     pub(super) fn set(&mut self, exposure: &Exposure) {
         let fill = |to: &mut [T], from: &[f64]| to.iter_mut().zip(from).for_each(|(to, &from)| *to = T::of(from));
         fill(&mut self.data, &exposure.data_e);
@@ -132,7 +132,7 @@ impl<T: Polynomial> Loaded<T> {
         }
     }
 
-    /// As [`Loaded::intensity`], added to what other colours made.
+    /// As [`Loaded::intensity`], added to the intensity of other wavelengths.
     #[inline(always)]
     pub(super) fn add_intensity(focus: &[T], psf: &mut [T], pixels: usize) {
         for (row, psf) in focus.chunks_exact(2 * pixels).zip(psf.chunks_exact_mut(pixels)) {
@@ -173,8 +173,8 @@ impl<T: Polynomial> Loaded<T> {
         self.photometry.solve(self.sum_w, self.sum_wd, wh, whh, whd)
     }
 
-    /// The objective into `evaluation`, whose flux and background it takes, and Ū on the row-planar grid, written over
-    /// the focal field.
+    /// Writes the objective at the flux and background of `evaluation` into it, and replaces the focal field by Ū, on the
+    /// row-planar grid.
     #[inline(always)]
     pub(super) fn adjoint(&self, evaluation: &mut Evaluation, psf: &[T], focus: &mut [T], pixels: usize) {
         let (flux, background) = (T::of(evaluation.flux_e), T::of(evaluation.background_e));
@@ -224,7 +224,7 @@ fn add_moments<T: Polynomial>(
     }
 }
 
-/// A vector's beginning, and zeros.
+/// A partial vector, filled up with zeros.
 #[inline(always)]
 fn filled<T: Polynomial>(part: &[T]) -> [T; LANES] {
     let mut lanes = [T::zero(); LANES];
@@ -233,8 +233,8 @@ fn filled<T: Polynomial>(part: &[T]) -> [T; LANES] {
 }
 
 impl Photometry {
-    /// Flux and background that minimise J, from its sums Σw, Σwd, Σwh, Σwh², Σwhd. A PSF that carries nothing where the
-    /// weights are (a determinant of rounding size) leaves the flux at 0.
+    /// Flux and background that minimise J, from its sums Σw, Σwd, Σwh, Σwh², Σwhd. The flux is 0 for a PSF
+    /// that is constant within rounding where the weights are positive.
     pub fn solve(self, w: f64, wd: f64, wh: f64, whh: f64, whd: f64) -> (f64, f64) {
         match self {
             Photometry::Fixed { flux_e, background_e } => (flux_e, background_e),

@@ -1,61 +1,60 @@
-//! Coefficients to the field in the pupil, and back.
+//! Field stage: from coefficients to the field in the pupil, and the adjoint.
 //!
-//! At the lit samples p, with the smooth phase ψ (diversity and smooth modes) and the segments' phasors,
+//! At the illuminated samples p, with the smooth phase ψ (diversity and smooth modes) and the segments' phasors,
 //!
 //! `E_p = P_p·a_p`,  `P_p = exp(2πi·ψ_p)`,  `a_p = Σ_s w_ps·q_s`,  `q_s = exp(2πi·c_s/λ)`.
 //!
 //! Summing phasors rather than phases keeps pistons exact at any size on a band-limited pupil, where a sample belongs
-//! to several segments. Backwards, from Ē (so that dJ = 2 Re Σ Ē*·dE), with `g = Ē·P*`:
+//! to several segments. The adjoint, from Ē (so that dJ = 2 Re Σ Ē*·dE), with `g = Ē·P*`:
 //!
 //! `dJ/dψ_p = 4π·Im(g_p·a_p*)`,  `dJ/dc_s = (4π/λ)·Im(q_s*·Σ_p w_ps·g_p)`,  `dJ/dy_j = Σ_p B_jp·dJ/dψ_p`.
-
 //!
-//! The grid is worked on in blocks of neighbouring samples of a row: phase, phasor, aperture and field of a block stay in
-//! vector registers, with the weights of the segments that show in it read in order.
+//! The grid is processed in blocks of neighbouring samples of a row: phase, phasor, aperture and field of a block stay in
+//! vector registers, and the weights of its segments are read in order.
 
 use super::optics::{Mode, Optics};
 use super::phasor::{Polynomial, phasor};
-use super::shares::{BLOCK, Lanes, Shares};
+use super::segment_blocks::{BLOCK, Lanes, SegmentBlocks};
 use super::smooth::{SmoothModes, SmoothScratch};
 use ndarray::ArrayView1;
 
-/// The stage, in the chain's precision.
+/// The stage, in the precision of the chain.
 pub(super) struct Field<T> {
     samples: usize,
-    /// Flat places of the lit samples in rows of whole blocks.
+    /// Flat indices of the illuminated samples on the grid of whole blocks.
     lit: Vec<usize>,
-    /// On the grid of whole blocks.
+    /// Diversity on the grid of whole blocks, turns.
     diversity_turns: Vec<Lanes<T>>,
     smooth: SmoothModes<T>,
-    shares: Shares<T>,
+    segment_blocks: SegmentBlocks<T>,
     turns_per_nm: f64,
-    /// Turns at this wavelength for one at the model's.
+    /// Turns at this wavelength per turn at the wavelength of the model.
     turns_of_free: T,
     modes: Vec<Mode>,
 }
 
-/// What the backward pass needs of the forward one, for each block.
+/// Results of the forward step that the adjoint needs, for each block.
 #[derive(Clone, Copy)]
 struct BlockState<T> {
     phasor: [Lanes<T>; 2],
     aperture: [Lanes<T>; 2],
 }
 
-/// One image's memory for this stage.
+/// Memory of this stage for one image.
 pub(super) struct FieldState<T> {
     /// Smooth phase without the diversity, turns.
     turns: Vec<T>,
-    /// dJ/dψ, up to its factor; 0 in blocks where no segment shows.
+    /// dJ/dψ without its factor; 0 in blocks without a segment.
     turns_bar: Vec<T>,
     blocks: Vec<BlockState<T>>,
     /// Piston, tip and tilt of each segment, turns.
     pose: Vec<[T; 3]>,
-    /// Amplitude of each segment over that of its weights.
+    /// Amplitude of each segment relative to that of its weights.
     amplitude: Vec<T>,
-    /// That times exp(2πi·piston).
+    /// Amplitude times exp(2πi·piston), re and im.
     piston: Vec<[T; 2]>,
     smooth: Vec<T>,
-    /// Sums over the samples of the derivatives by `pose`, in lanes (of `Σ w·g` where segments do not tilt), and by
+    /// Sums over the samples of the derivatives by `pose`, in lanes (`Σ w·g` for segments that do not tilt), and by
     /// `smooth`.
     pose_bar: Vec<[Lanes<T>; 3]>,
     smooth_bar: Vec<f64>,
@@ -63,7 +62,7 @@ pub(super) struct FieldState<T> {
 }
 
 impl<T: Polynomial> FieldState<T> {
-    /// Amplitude of each segment over that of its weights.
+    /// Amplitude of each segment relative to that of its weights.
     pub(super) fn amplitudes(&mut self) -> &mut [T] {
         &mut self.amplitude
     }
@@ -84,7 +83,7 @@ impl<T: Polynomial> Field<T> {
             samples,
             diversity_turns,
             smooth: SmoothModes::new(optics),
-            shares: Shares::new(optics, &lit, samples * stride / BLOCK),
+            segment_blocks: SegmentBlocks::new(optics, &lit, samples * stride / BLOCK),
             lit,
             turns_per_nm: 1.0 / parts.wavelength_nm,
             turns_of_free: T::of(1.0 / optics.colour().ratio),
@@ -93,7 +92,7 @@ impl<T: Polynomial> Field<T> {
     }
 
     pub(super) fn state(&self) -> FieldState<T> {
-        let (blocks, segments) = (self.diversity_turns.len(), self.shares.of_segment.len());
+        let (blocks, segments) = (self.diversity_turns.len(), self.segment_blocks.by_segment.len());
         let zeros = [[T::zero(); BLOCK]; 2];
         FieldState {
             turns: vec![T::zero(); blocks * BLOCK],
@@ -109,7 +108,7 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Writes the coefficients (nm) into the state, sorted by what they move.
+    /// Writes the coefficients (nm) into the state, as poses of the segments and amounts of the smooth modes.
     #[inline(always)]
     fn set(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>) {
         state.pose.fill([T::zero(); 3]);
@@ -128,7 +127,7 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Coefficients (nm) to the field on the row-planar pupil grid. `grid` must be zero outside the lit samples.
+    /// Coefficients (nm) to the field on the row-planar pupil grid. `grid` must be zero outside the illuminated samples.
     #[inline(always)]
     pub(super) fn forward(&self, coefficients_nm: ArrayView1<f64>, state: &mut FieldState<T>, grid: &mut [T]) {
         self.set(coefficients_nm, state);
@@ -136,8 +135,7 @@ impl<T: Polynomial> Field<T> {
         self.field(state, grid);
     }
 
-    /// The same with a phase of its own at each lit sample, turns at the model's wavelength, beside what the coefficients
-    /// make.
+    /// The same with a free phase at each illuminated sample added, turns at the wavelength of the model.
     #[inline(always)]
     pub(super) fn forward_free(
         &self,
@@ -154,7 +152,7 @@ impl<T: Polynomial> Field<T> {
         self.field(state, grid);
     }
 
-    /// The field of the phase and the poses that stand in the state.
+    /// The field of the phase and the poses in the state.
     #[inline(always)]
     fn field(&self, state: &mut FieldState<T>, grid: &mut [T]) {
         let turns = state.turns.as_chunks::<BLOCK>().0;
@@ -163,12 +161,12 @@ impl<T: Polynomial> Field<T> {
         for (y, row) in rows {
             let (re, im) = row.split_at_mut(self.samples);
             for (x, block) in (y * across..(y + 1) * across).enumerate() {
-                let shares = self.shares.of(block);
-                if shares.is_empty() {
+                let entries = self.segment_blocks.in_block(block);
+                if entries.is_empty() {
                     continue;
                 }
                 let [p_re, p_im] = phasors(&turns[block], &self.diversity_turns[block]);
-                let [a_re, a_im] = self.shares.aperture(shares, &state.pose, &state.piston);
+                let [a_re, a_im] = self.segment_blocks.aperture(entries, &state.pose, &state.piston);
                 let (mut e_re, mut e_im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
                 for i in 0..BLOCK {
                     e_re[i] = p_re[i].mul_add(a_re[i], -(p_im[i] * a_im[i]));
@@ -181,7 +179,7 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Ē on the row-planar pupil grid to the derivative per nm of each coefficient, which is added to `gradient`.
+    /// Adds to `gradient` the derivative per nm of each coefficient, from Ē on the row-planar pupil grid.
     #[inline(always)]
     pub(super) fn adjoint(&self, grid_bar: &[T], state: &mut FieldState<T>, gradient: &mut [f64]) {
         state.pose_bar.fill([[T::zero(); BLOCK]; 3]);
@@ -190,8 +188,8 @@ impl<T: Polynomial> Field<T> {
         for (y, row) in grid_bar.chunks_exact(2 * self.samples).enumerate() {
             let (re, im) = row.split_at(self.samples);
             for (x, block) in (y * across..(y + 1) * across).enumerate() {
-                let shares = self.shares.of(block);
-                if shares.is_empty() {
+                let entries = self.segment_blocks.in_block(block);
+                if entries.is_empty() {
                     continue;
                 }
                 let (e_re, e_im) = (take(&re[x * BLOCK..]), take(&im[x * BLOCK..]));
@@ -203,24 +201,24 @@ impl<T: Polynomial> Field<T> {
                     g_im[i] = e_im[i].mul_add(p_re[i], -(e_re[i] * p_im[i]));
                     turns_bar[i] = g_im[i].mul_add(a_re[i], -(g_re[i] * a_im[i]));
                 }
-                self.shares.collect(shares, [&g_re, &g_im], &state.pose, &mut state.pose_bar);
+                self.segment_blocks.collect(entries, [&g_re, &g_im], &state.pose, &mut state.pose_bar);
             }
         }
         self.smooth.project(&state.turns_bar, &mut state.smooth_bar, &mut state.smooth_scratch);
         self.gradient(state, gradient);
     }
 
-    /// Adds the gradient that the sums make.
+    /// Adds the gradient from the sums in the state.
     #[inline(always)]
     fn gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
         let four_pi = 4.0 * std::f64::consts::PI;
         let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
-        let turned = self.shares.slopes.is_some();
+        let has_tilts = self.segment_blocks.slopes.is_some();
         for (&mode, gradient) in self.modes.iter().zip(gradient.iter_mut()) {
             *gradient += four_pi
                 * match mode {
                     Mode::Smooth(row) => state.smooth_bar[row],
-                    Mode::Piston(s) if turned => sum(&state.pose_bar[s][0]) * self.turns_per_nm,
+                    Mode::Piston(s) if has_tilts => sum(&state.pose_bar[s][0]) * self.turns_per_nm,
                     Mode::Piston(s) => {
                         let ([q_re, q_im], [re, im, _]) = (state.piston[s], &state.pose_bar[s]);
                         (sum(im) * q_re.wide() - sum(re) * q_im.wide()) * self.turns_per_nm
@@ -231,20 +229,20 @@ impl<T: Polynomial> Field<T> {
         }
     }
 
-    /// Adds dJ/dψ at each lit sample, per turn at the model's wavelength, as [`Field::adjoint`] left it.
+    /// Adds dJ/dψ at each illuminated sample, per turn at the wavelength of the model, from the last [`Field::adjoint`].
     #[inline(always)]
     pub(super) fn free_gradient(&self, state: &FieldState<T>, gradient: &mut [T]) {
         let factor = T::of(4.0 * std::f64::consts::PI) * self.turns_of_free;
         gradient.iter_mut().zip(&self.lit).for_each(|(out, &place)| *out += factor * state.turns_bar[place]);
     }
 
-    /// Whether segments have amplitudes of their own: where they tilt, phasors are made sample by sample, without.
+    /// Whether the amplitudes of the segments have an effect: not where segments tilt, whose phasors are computed per sample.
     pub(super) fn has_amplitudes(&self) -> bool {
-        self.shares.slopes.is_none()
+        self.segment_blocks.slopes.is_none()
     }
 
-    /// Adds dJ/d ln of each segment's amplitude, as [`Field::adjoint`] left it: `2·Re(q_s*·Σ w·g)`, beside the piston's
-    /// imaginary part.
+    /// Adds dJ/d ln of each segment's amplitude, from the last [`Field::adjoint`]: `2·Re(q_s*·Σ w·g)`, of which the piston's
+    /// derivative is the imaginary part.
     pub(super) fn amplitude_gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
         let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
         for ((gradient, [q_re, q_im]), [re, im, _]) in gradient.iter_mut().zip(&state.piston).zip(&state.pose_bar) {
@@ -265,7 +263,7 @@ impl<T: Polynomial> Field<T> {
             grid[at + self.samples] += tau * s * re;
         };
         let (Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) = mode else {
-            let Mode::Smooth(row) = mode else { unreachable!("the other modes were taken above") };
+            let Mode::Smooth(row) = mode else { unreachable!("the other modes are handled above") };
             for (&place, &b) in self.lit.iter().zip(self.smooth.map(row)) {
                 let [re, im] = state.blocks[place / BLOCK].aperture.map(|lanes| lanes[place % BLOCK]);
                 put(place, re, im, b);
@@ -273,14 +271,14 @@ impl<T: Polynomial> Field<T> {
             return;
         };
         let [c, t, u] = state.pose[segment];
-        for &(block, share) in &self.shares.of_segment[segment] {
+        for &(block, entry) in &self.segment_blocks.by_segment[segment] {
             for i in 0..BLOCK {
-                let weight = self.shares.weight[share][i];
+                let weight = self.segment_blocks.weight[entry][i];
                 if weight == T::zero() {
                     continue;
                 }
-                let slopes = self.shares.slopes.as_ref();
-                let [x, y] = slopes.map_or([T::zero(); 2], |slopes| slopes[share].map(|lanes| lanes[i]));
+                let slopes = self.segment_blocks.slopes.as_ref();
+                let [x, y] = slopes.map_or([T::zero(); 2], |slopes| slopes[entry].map(|lanes| lanes[i]));
                 let (q_re, q_im) = phasor(t.mul_add(x, u.mul_add(y, c)));
                 let along = match mode {
                     Mode::Tip(_) => x,
@@ -303,7 +301,7 @@ fn phasors<T: Polynomial>(a: &Lanes<T>, b: &Lanes<T>) -> [Lanes<T>; 2] {
     [re, im]
 }
 
-/// Writes a block, or what of it fits into the rest of a row.
+/// Writes a block, or the part of it that fits into the rest of a row.
 #[inline(always)]
 fn put<T: Copy>(row: &mut [T], lanes: &Lanes<T>) {
     match row.first_chunk_mut::<BLOCK>() {
@@ -312,7 +310,7 @@ fn put<T: Copy>(row: &mut [T], lanes: &Lanes<T>) {
     }
 }
 
-/// Reads a block; what lies beyond the end of the row is 0.
+/// Reads a block, with zeros beyond the end of the row.
 #[inline(always)]
 fn take<T: Polynomial>(row: &[T]) -> Lanes<T> {
     row.first_chunk::<BLOCK>().copied().unwrap_or_else(|| {

@@ -1,8 +1,8 @@
-//! The PSF and its derivatives at one point, some rows of pixels at a time.
+//! Linearisation of the forward model: the PSF and its derivatives at one point, some rows of pixels at a time.
 //!
-//! A segment's derivative is a field on a small box of the pupil. Its transform is a plain complex product over that box,
-//! `8·b·m·(b + v)` operations for b×b samples and v rows of m pixels, where the whole pupil of n×n samples takes
-//! `4·n·m·(n + m)`: a thirtieth for one of 800 segments. And it costs a few rows no more than their share.
+//! The derivative by a segment motion is a field on a small box of the pupil. Its transform is a complex product over that
+//! box, with `8·b·m·(b + v)` operations for b×b samples and v rows of m pixels; the whole pupil of n×n samples takes
+//! `4·n·m·(n + m)`. For one of 800 segments that is a thirtieth, and the cost of some rows is proportional to their number.
 
 use super::cpu::CpuChain;
 use super::field::Field;
@@ -14,21 +14,21 @@ use ndarray::{ArrayView1, ArrayViewMut1, ArrayViewMut2};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The model at one point, linearised: see [`CpuChain::linear`].
+/// The model linearised at one point: see [`CpuChain::linear`].
 pub struct Linear<'a> {
     chain: &'a CpuChain<f64>,
-    colours: Vec<OneColour<'a>>,
+    colours: Vec<ColourState<'a>>,
     psf: Vec<f64>,
-    /// Rows and columns of the pupil in which each segment shows.
+    /// Rows and columns of the pupil that each segment covers.
     boxes: Vec<[Range<usize>; 2]>,
 }
 
-/// Light of one wavelength.
-struct OneColour<'a> {
+/// The model at one wavelength.
+struct ColourState<'a> {
     field: &'a Field<f64>,
     state: super::field::FieldState<f64>,
     transform: Transform<f64>,
-    /// The field on the pixels, row-planar. Of the same transform as the derivatives: others differ by a phase.
+    /// The focal field, row-planar. By the same transform as the derivatives: others differ by a phase.
     focus: Vec<f64>,
     waves: Waves,
     pixels: usize,
@@ -37,15 +37,15 @@ struct OneColour<'a> {
 impl CpuChain<f64> {
     /// The model linearised at `coefficients_nm`.
     pub fn linear(&self, coefficients_nm: ArrayView1<f64>) -> Linear<'_> {
-        let colour = |(optics, field): (Optics, _)| OneColour::at(coefficients_nm, field, optics.sampling());
-        let colours: Vec<OneColour> = self.optics().colours().into_iter().zip(self.fields()).map(colour).collect();
+        let colour = |(optics, field): (Optics, _)| ColourState::at(coefficients_nm, field, optics.sampling());
+        let colours: Vec<ColourState> = self.optics().colours().into_iter().zip(self.fields()).map(colour).collect();
         let mut psf = vec![0.0; self.optics().sampling().pixels.pow(2)];
         colours.iter().for_each(|colour| colour.add_psf(&mut psf));
         Linear { chain: self, colours, psf, boxes: boxes(self.optics()) }
     }
 }
 
-impl<'a> OneColour<'a> {
+impl<'a> ColourState<'a> {
     fn at(coefficients_nm: ArrayView1<f64>, field: &'a Field<f64>, sampling: Sampling) -> Self {
         let (n, m) = (sampling.samples, sampling.pixels);
         let transform = Transform::matrix(sampling);
@@ -90,39 +90,46 @@ impl Linear<'_> {
         self.chain.optics().sampling().pixels
     }
 
-    /// Derivatives of some rows of pixels by every coefficient, per nm, into `out`: `[mode, pixel]`, the pixels of
-    /// those rows one after the other.
+    /// Writes the derivatives of some rows of pixels by every coefficient, per nm, into `out`: `[mode, pixel]`, with the pixels
+    /// of those rows in order.
     ///
     /// # Panics
-    /// Where `out` has another shape.
+    /// If `out` has another shape.
     pub fn derivatives(&self, rows: Range<usize>, mut out: ArrayViewMut2<f64>) {
         assert_eq!(out.dim(), (self.modes(), rows.len() * self.pixels()), "modes and pixels");
         let modes = &self.chain.optics().parts().modes;
         let lines: Vec<_> = out.outer_iter_mut().zip(modes).collect();
         lines.into_par_iter().for_each_init(
-            || Room::new(self),
-            |room, (mut out, &mode)| {
+            || ThreadBuffers::new(self),
+            |buffers, (mut out, &mode)| {
                 out.fill(0.0);
                 self.colours.iter().for_each(|colour| match mode {
                     Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
-                        self.patch(colour, mode, &self.boxes[s], &rows, room, out.view_mut());
+                        self.patch(colour, mode, &self.boxes[s], &rows, buffers, out.view_mut());
                     }
-                    _ => self.whole(colour, mode, &rows, room, out.view_mut()),
+                    _ => self.whole(colour, mode, &rows, buffers, out.view_mut()),
                 });
             },
         );
     }
 
-    /// Whether a segment's box costs less than the whole pupil, by the operations of the two.
+    /// Whether the box of a segment takes fewer operations than the whole pupil.
     fn is_small(&self, segment: usize) -> bool {
         let [ys, xs] = &self.boxes[segment];
         let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
         2 * ys.len() * (xs.len() + m) < n * (n + m)
     }
 
-    fn whole(&self, colour: &OneColour, mode: Mode, rows: &Range<usize>, room: &mut Room, out: ArrayViewMut1<f64>) {
+    fn whole(
+        &self,
+        colour: &ColourState,
+        mode: Mode,
+        rows: &Range<usize>,
+        buffers: &mut ThreadBuffers,
+        out: ArrayViewMut1<f64>,
+    ) {
         let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
-        let Whole { pupil, focus, workspace } = room.whole.get_or_insert_with(|| Whole {
+        let FullPupilBuffers { pupil, focus, workspace } = buffers.whole.get_or_insert_with(|| FullPupilBuffers {
             pupil: vec![0.0; 2 * n * n],
             focus: vec![0.0; 2 * m * m],
             workspace: colour.transform.workspace(),
@@ -135,62 +142,62 @@ impl Linear<'_> {
 
     fn patch(
         &self,
-        colour: &OneColour,
+        colour: &ColourState,
         mode: Mode,
         [ys, xs]: &[Range<usize>; 2],
         rows: &Range<usize>,
-        room: &mut Room,
+        buffers: &mut ThreadBuffers,
         out: ArrayViewMut1<f64>,
     ) {
         let (n, m) = (self.chain.optics().sampling().samples, self.pixels());
         let (height, width, count) = (ys.len(), xs.len(), rows.len());
-        // The derivative is written into the whole pupil, of which only the box is ever touched and cleared again.
-        colour.field.derivative(mode, &colour.state, &mut room.pupil);
-        let samples = MatRef::from_row_major_slice(&room.pupil, n, 2 * n);
+        // The derivative is written into the whole pupil; only the box is changed, and cleared afterwards.
+        colour.field.derivative(mode, &colour.state, &mut buffers.pupil);
+        let samples = MatRef::from_row_major_slice(&buffers.pupil, n, 2 * n);
         let [d_re, d_im] = [0, n].map(|plane| samples.submatrix(ys.start, plane + xs.start, height, width));
         let [c, s] = [&colour.waves.cos, &colour.waves.sin].map(|table| MatRef::from_row_major_slice(table, n, m));
         let [cx, sx] = [c, s].map(|table| table.subrows(xs.start, width));
         // (re + i·im)(c − i·s) along x, then along y.
-        let a = &mut room.along_x[..2 * height * m];
+        let a = &mut buffers.along_x[..2 * height * m];
         let (re, im) = MatMut::from_row_major_slice_mut(a, height, 2 * m).split_at_col_mut(m);
         two_products(re, [(1.0, d_re, cx), (1.0, d_im, sx)]);
         two_products(im, [(1.0, d_im, cx), (-1.0, d_re, sx)]);
         let a = MatRef::from_row_major_slice(&*a, height, 2 * m);
         let [a_re, a_im] = [0, m].map(|plane| a.subcols(plane, m));
         let [cy, sy] = [c, s].map(|table| table.submatrix(ys.start, rows.start, height, count).transpose());
-        let u = &mut room.along_y[..2 * count * m];
+        let u = &mut buffers.along_y[..2 * count * m];
         let (re, im) = MatMut::from_row_major_slice_mut(u, count, 2 * m).split_at_col_mut(m);
         two_products(re, [(1.0, cy, a_re), (1.0, sy, a_im)]);
         two_products(im, [(1.0, cy, a_im), (-1.0, sy, a_re)]);
-        for line in room.pupil[2 * n * ys.start..2 * n * ys.end].chunks_exact_mut(n) {
+        for line in buffers.pupil[2 * n * ys.start..2 * n * ys.end].chunks_exact_mut(n) {
             line[xs.clone()].fill(0.0);
         }
-        colour.intensity(rows, &room.along_y[..2 * count * m], out);
+        colour.intensity(rows, &buffers.along_y[..2 * count * m], out);
     }
 }
 
-/// Σ of two products, each times a sign.
+/// Sum of two products, each times a sign.
 fn two_products(mut out: MatMut<f64>, [first, second]: [(f64, MatRef<f64>, MatRef<f64>); 2]) {
     matmul(out.as_mut(), Accum::Replace, first.1, first.2, first.0, Par::Seq);
     matmul(out, Accum::Add, second.1, second.2, second.0, Par::Seq);
 }
 
-/// One thread's memory.
-struct Room {
+/// Memory of one thread.
+struct ThreadBuffers {
     pupil: Vec<f64>,
     along_x: Vec<f64>,
     along_y: Vec<f64>,
-    whole: Option<Whole>,
+    whole: Option<FullPupilBuffers>,
 }
 
-/// What a transform of the whole pupil takes.
-struct Whole {
+/// Memory of a transform of the whole pupil.
+struct FullPupilBuffers {
     pupil: Vec<f64>,
     focus: Vec<f64>,
     workspace: crate::fourier::Workspace<f64>,
 }
 
-impl Room {
+impl ThreadBuffers {
     fn new(linear: &Linear) -> Self {
         let (n, m) = (linear.chain.optics().sampling().samples, linear.pixels());
         let tallest = linear.boxes.iter().map(|[ys, _]| ys.len()).max().unwrap_or(0);
@@ -219,7 +226,7 @@ impl Waves {
     }
 }
 
-/// Rows and columns of the pupil in which each segment shows.
+/// Rows and columns of the pupil that each segment covers.
 fn boxes(optics: &Optics) -> Vec<[Range<usize>; 2]> {
     let (weights, n) = (&optics.parts().weights, optics.sampling().samples);
     let mut boxes = vec![[n..0, n..0]; weights.segments];
@@ -230,7 +237,7 @@ fn boxes(optics: &Optics) -> Vec<[Range<usize>; 2]> {
             }
         }
     }
-    // A segment that never shows has an empty box.
+    // A segment without samples has an empty box.
     boxes.into_iter().map(|ranges| ranges.map(|range| range.start.min(range.end)..range.end)).collect()
 }
 
@@ -242,7 +249,7 @@ mod tests {
     use ndarray::Array2;
     use std::sync::Arc;
 
-    /// Nine segments in a square of 27×27 samples of 30, each of which reaches one sample into its neighbours, and a wave
+    /// Nine segments in a square of 27×27 samples of 30, each of which overlaps its neighbours by one sample, and a smooth mode
     /// over all of them.
     fn optics(tilts: bool, colours: &[Colour]) -> Arc<Optics> {
         let (n, m, side) = (30, 14, 9);
@@ -260,7 +267,7 @@ mod tests {
             offsets.push(weight.len() as u32);
         }
         let slope = |seed: f64| (0..weight.len()).map(|i| (seed * i as f64).cos()).collect::<Vec<f64>>();
-        let of_segment =
+        let modes_of =
             |s| if tilts { vec![Mode::Piston(s), Mode::Tip(s), Mode::Tilt(s)] } else { vec![Mode::Piston(s)] };
         let parts = OpticsParts {
             products: None,
@@ -269,7 +276,7 @@ mod tests {
             colours: colours.to_vec(),
             diversity_nm: (0..lit.len()).map(|p| 900.0 * (0.02 * p as f64).sin()).collect(),
             basis: Array2::from_shape_fn((1, lit.len()), |(_, p)| (0.05 * p as f64).cos()),
-            modes: (0..9).flat_map(of_segment).chain([Mode::Smooth(0)]).collect(),
+            modes: (0..9).flat_map(modes_of).chain([Mode::Smooth(0)]).collect(),
             slopes: Some((slope(0.3), slope(0.7))),
             weights: SegmentWeights {
                 segments: 9,
@@ -285,7 +292,7 @@ mod tests {
 
     /// Derivatives from boxes and from the whole pupil agree, all rows at once and in tiles.
     #[test]
-    fn derivatives_in_tiles_are_those_of_the_whole_image() {
+    fn derivatives_in_tiles_agree_with_those_of_the_whole_image() {
         let three = [(0.95, 0.3), (1.0, 0.4), (1.04, 0.3)].map(|(ratio, share)| Colour { ratio, share });
         let alone = [Colour::ALONE];
         for (tilts, colours) in [(false, &alone[..]), (true, &alone), (false, &three), (true, &three)] {
@@ -293,7 +300,7 @@ mod tests {
             let modes = chain.optics().modes();
             let at = ndarray::Array1::from_shape_fn(modes, |i| 60.0 * (i as f64 * 1.7).sin());
             let linear = chain.linear(at.view());
-            assert!((0..9).all(|segment| linear.is_small(segment)), "a test without a box tests nothing");
+            assert!((0..9).all(|segment| linear.is_small(segment)), "the test needs segments with small boxes");
             let (psf, wanted) = chain.jacobian(at.view());
             let (m, peak) = (linear.pixels(), wanted.iter().fold(0.0f64, |m, v| m.max(v.abs())));
             // Sums of some thousand products, in another order: 1e-13 of the largest leaves an order of magnitude.

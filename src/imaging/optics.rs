@@ -1,4 +1,4 @@
-//! What light meets: the immutable model of one scene, in double precision, from which every chain is made.
+//! The immutable optical model of one scene, in double precision, from which every chain is constructed.
 
 use crate::fourier::Sampling;
 use crate::modes::Separable;
@@ -6,7 +6,7 @@ use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// What one coefficient moves. Its unit is nm of OPD.
+/// Effect of one coefficient. Its unit is nm of OPD.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mode {
     /// Piston of a segment.
@@ -19,41 +19,41 @@ pub enum Mode {
     Smooth(usize),
 }
 
-/// One of the wavelengths that a model's image is made of.
+/// One wavelength of a polychromatic model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Colour {
-    /// Its wavelength over that of the model.
+    /// Ratio of this wavelength to that of the model.
     pub ratio: f64,
-    /// Its share of the light.
+    /// Fraction of the flux.
     pub share: f64,
 }
 
 impl Colour {
-    /// All light, at the model's own wavelength.
+    /// All flux at the wavelength of the model.
     pub const ALONE: Self = Self { ratio: 1.0, share: 1.0 };
 }
 
-/// The plain arrays that make an [`Optics`].
+/// The arrays of an [`Optics`].
 #[derive(Debug, Clone)]
 pub struct OpticsParts {
-    /// Shapes of pupil and image.
+    /// Sizes of pupil and image.
     pub sampling: Sampling,
-    /// Wavelength, nm: the one to which `sampling` belongs.
+    /// Wavelength of the model, nm, to which `sampling` refers.
     pub wavelength_nm: f64,
-    /// The wavelengths of the light, whose images add; shares sum to 1.
+    /// The wavelengths, whose images are added; the fractions sum to 1.
     pub colours: Vec<Colour>,
-    /// How the segments show in the lit samples.
+    /// Weights of the segments in the illuminated samples.
     pub weights: SegmentWeights,
-    /// Coordinates of each entry of `weights` on its segment along x and y, scaled to unit RMS over the segment; needed
-    /// only where a mode is a segment's tip or tilt.
+    /// Coordinates of each entry of `weights` on its segment along x and y, scaled to unit RMS over the segment; required
+    /// where a mode is the tip or tilt of a segment.
     pub slopes: Option<(Vec<f64>, Vec<f64>)>,
-    /// Diversity at the lit samples, nm.
+    /// Diversity at the illuminated samples, nm.
     pub diversity_nm: Vec<f64>,
-    /// Smooth modes at the lit samples, `[mode, lit]`, nm per nm.
+    /// Smooth modes at the illuminated samples, `[mode, sample]`, nm per nm.
     pub basis: Array2<f64>,
-    /// The same modes on the whole grid as products of functions of x and y, where they are known so.
+    /// The same modes on the whole grid as sums of products of functions of x and y, if available.
     pub products: Option<Separable>,
-    /// What each coefficient moves.
+    /// Effect of each coefficient.
     pub modes: Vec<Mode>,
 }
 
@@ -61,7 +61,7 @@ pub struct OpticsParts {
 #[derive(Debug, Clone)]
 pub struct Optics {
     parts: OpticsParts,
-    /// What part of the whole this is, where it is one colour of a model of several.
+    /// The wavelength that this model represents, where it is a part of a polychromatic one.
     colour: Colour,
 }
 
@@ -75,31 +75,43 @@ impl Optics {
         let entries = parts.weights.weight.len();
         let samples = parts.sampling.samples;
         if !(parts.wavelength_nm.is_finite() && parts.wavelength_nm > 0.0) {
-            return Err(Error::Value(format!("a wavelength of {} nm is impossible", parts.wavelength_nm)));
+            return Err(Error::Value(format!(
+                "a wavelength of {} nm is impossible: a positive number is needed",
+                parts.wavelength_nm
+            )));
         }
         let bad = |value: f64| !(value.is_finite() && value > 0.0);
-        let light: f64 = parts.colours.iter().map(|colour| colour.share).sum();
-        // Shares are quotients: rounding leaves 1e-16 a colour.
-        if parts.colours.iter().any(|colour| bad(colour.ratio) || bad(colour.share)) || (light - 1.0).abs() > 1e-9 {
-            let text = format!("colours {:?} are impossible: positive ratios, and shares of sum 1", parts.colours);
+        let total: f64 = parts.colours.iter().map(|colour| colour.share).sum();
+        // The fractions are quotients, with a rounding of 1e-16 each.
+        if parts.colours.iter().any(|colour| bad(colour.ratio) || bad(colour.share)) || (total - 1.0).abs() > 1e-9 {
+            let text = format!(
+                "the wavelengths {:?} are impossible: positive ratios, and positive shares of sum 1 are needed",
+                parts.colours
+            );
             return Err(Error::Value(text));
         }
         if lit == 0 || !(parts.weights.energy.is_finite() && parts.weights.energy > 0.0) {
-            return Err(Error::Value("the pupil holds no glass: no sample is lit".into()));
+            return Err(Error::Value("the pupil has no illuminated sample: at least one is needed".into()));
         }
         if parts.weights.lit.iter().any(|&p| p as usize >= samples * samples) {
-            return Err(Error::Shape(format!("a lit sample lies outside the {samples}x{samples} pupil grid")));
+            return Err(Error::Shape(format!(
+                "an illuminated sample is outside the pupil grid of {samples}x{samples} samples"
+            )));
         }
         let fits = parts.weights.offsets.len() == lit + 1
             && parts.weights.segment.len() == entries
             && parts.weights.offsets.last() == Some(&(entries as u32))
             && parts.weights.segment.iter().all(|&s| (s as usize) < parts.weights.segments);
         if !fits {
-            return Err(Error::Shape("the segment weights do not describe the lit samples".into()));
+            return Err(Error::Shape(
+                "the segment weights do not fit the illuminated samples: see SegmentWeights for the format".into(),
+            ));
         }
         for (what, length) in [("diversity", parts.diversity_nm.len()), ("smooth basis", parts.basis.ncols())] {
             if length != lit {
-                return Err(Error::Shape(format!("the {what} has {length} samples, the pupil {lit} lit ones")));
+                return Err(Error::Shape(format!(
+                    "the {what} has {length} samples, and the pupil {lit} illuminated ones: as many are needed"
+                )));
             }
         }
         if let Some(products) = &parts.products {
@@ -109,12 +121,15 @@ impl Optics {
                 && products.matrix.dim() == (parts.basis.nrows(), coefficients)
                 && products.lines.iter().chain(&products.matrix).all(|v| v.is_finite());
             if !fit {
-                return Err(Error::Shape("the products do not describe the smooth basis on this grid".into()));
+                return Err(Error::Shape("the products of functions do not fit the smooth basis on this grid".into()));
             }
         }
         let finite = parts.diversity_nm.iter().chain(&parts.basis).chain(&parts.weights.weight).all(|v| v.is_finite());
         if !finite {
-            return Err(Error::Value("the diversity, a mode or the pupil holds a value that is not finite".into()));
+            return Err(Error::Value(
+                "the diversity, a mode or the pupil contains a value that is not finite: finite numbers are needed"
+                    .into(),
+            ));
         }
         for mode in &parts.modes {
             let ok = match *mode {
@@ -127,14 +142,14 @@ impl Optics {
             };
             if !ok {
                 return Err(Error::Shape(format!(
-                    "{mode:?} names a segment or a basis row that the model does not have"
+                    "{mode:?} refers to a segment or a basis row that the model does not have"
                 )));
             }
         }
         Ok(Self { parts, colour: Colour::ALONE })
     }
 
-    /// The arrays inside.
+    /// The arrays.
     pub fn parts(&self) -> &OpticsParts {
         &self.parts
     }
@@ -144,14 +159,15 @@ impl Optics {
         self.parts.modes.len()
     }
 
-    /// Shapes of pupil and image.
+    /// Sizes of pupil and image.
     pub fn sampling(&self) -> Sampling {
         self.parts.sampling
     }
 
-    /// The model at each of its wavelengths, whose images add. A pixel is a fixed angle: it spans fewer λ/D where λ is longer.
+    /// The monochromatic models of all wavelengths, whose images are added. A pixel is a fixed angle: in units of λ/D it is
+    /// smaller for a longer λ.
     pub fn colours(&self) -> Vec<Self> {
-        let alone = |&colour: &Colour| {
+        let monochromatic = |&colour: &Colour| {
             let Sampling { samples, pixels, pixels_per_lambda_over_d } = self.parts.sampling;
             let parts = OpticsParts {
                 sampling: Sampling {
@@ -165,26 +181,30 @@ impl Optics {
             };
             Self { parts, colour }
         };
-        if self.has_one_wavelength() { vec![self.clone()] } else { self.parts.colours.iter().map(alone).collect() }
+        if self.has_one_wavelength() {
+            vec![self.clone()]
+        } else {
+            self.parts.colours.iter().map(monochromatic).collect()
+        }
     }
 
-    /// Whether all light has the model's wavelength.
+    /// Whether the model is monochromatic.
     pub fn has_one_wavelength(&self) -> bool {
         self.parts.colours == [Colour::ALONE]
     }
 
-    /// What part of a model of several wavelengths this is; [`Colour::ALONE`] for a whole one.
+    /// The wavelength that this model represents in a polychromatic one; [`Colour::ALONE`] for a complete model.
     pub(super) fn colour(&self) -> Colour {
         self.colour
     }
 
-    /// Factor on |U|² that makes the PSF sum to the share of the light over an unbounded detector: 1/((n·q)²·ΣA²) of it by
-    /// Parseval.
+    /// Factor of |U|² with which the PSF sums to the flux fraction over an unbounded detector: by Parseval, the fraction times
+    /// 1/((n·q)²·ΣA²).
     pub fn intensity_scale(&self) -> f64 {
         self.colour.share * self.parts.sampling.step().powi(2) / self.parts.weights.energy
     }
 
-    /// The diversity in turns, reduced to [−½, ½]: the same field, with its digits where single precision can see them.
+    /// The diversity in turns, reduced to [−½, ½]: the same field, without loss of accuracy in single precision.
     pub fn diversity_turns(&self) -> Vec<f64> {
         let turns = |nm: &f64| nm / self.parts.wavelength_nm;
         self.parts.diversity_nm.iter().map(turns).map(|t| t - t.round()).collect()

@@ -1,19 +1,18 @@
-//! exp(2πi·t) for phases in turns, by polynomials that the compiler turns into vector code: the scalar library
-//! functions would cost more than the Fourier transform.
+//! exp(2πi·t) for phases in turns, by polynomials that the compiler vectorises: the scalar library functions would
+//! cost more than the Fourier transform.
 //!
 //! Range reduction in turns is exact: `r = t − round(t)` in [−½, ½]. With a = π·r in [−π/2, π/2] the Taylor series of
-//! sin a and cos a converge fast, and the double-angle formulas `cos 2a = 1 − 2 sin²a`, `sin 2a = 2 sin a cos a` lose no
-//! absolute accuracy. Truncation: the first terms left out are at most 2e-17 in f64 and 6e-9 in f32, below half an ulp
-//! of 1 in each.
+//! sin a and cos a converge fast, and the double-angle formulas `cos 2a = 1 − 2 sin²a`, `sin 2a = 2 sin a cos a` keep the
+//! absolute accuracy. Truncation: the first omitted terms are at most 2e-17 in f64 and 6e-9 in f32, below half an ulp of 1.
 
 use crate::fourier::Real;
 
-/// A precision in which the chains run: the number of series terms that a precision needs, and its rounding constant.
+/// Floating-point type of the phasor: the number of series terms it needs, and its rounding constant.
 pub trait Polynomial: Real {
-    /// Terms of each series.
+    /// Number of terms of each series.
     const TERMS: usize;
     /// 1.5·2^(mantissa bits): adding and subtracting it rounds to the nearest integer, in vector code on every
-    /// processor (`round` is a library call on the oldest x86-64).
+    /// CPU (`round` is a library call on the oldest x86-64).
     const ROUNDER: Self;
 }
 
@@ -63,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn both_precisions_reach_their_rounding() {
+    fn both_precisions_are_accurate_to_their_rounding() {
         // The sine and cosine of the half angle are good to about one ulp of 1; each enters the doubled angle twice, and
         // with a factor 2: four ulps, and one more for the last operations.
         assert!(worst::<f64>() < 5.0 * f64::EPSILON, "{}", worst::<f64>());

@@ -1,23 +1,23 @@
-//! Amounts of the smooth modes to their phase at the lit samples, and back.
+//! Phase of the smooth modes at the illuminated samples, and the adjoint.
 //!
-//! Either mode by mode, a number for each mode and lit sample, read from memory twice in each evaluation; or, where the
-//! modes are sums of products of functions of x and y, as three small matrix products over the whole grid, whose tables
-//! stay in the second-level cache: 0.4 instead of 0.65 million multiply-adds each way for 86 modes on 108×108 samples,
-//! and 0.4 MB instead of 5.2.
+//! There are two algorithms. With maps, one number per mode and illuminated sample is read from memory, twice per evaluation.
+//! Where the modes are sums of products of functions of x and y, three small matrix products over the whole grid are used,
+//! whose tables stay in the second-level cache: for 86 modes on 108×108 samples 0.4 instead of 0.65 million multiply-adds in
+//! each direction, and 0.4 instead of 5.2 MB.
 
 use super::optics::Optics;
 use super::phasor::Polynomial;
-use super::shares::BLOCK;
+use super::segment_blocks::BLOCK;
 use crate::fourier::{Factors, panel_len};
 use crate::modes::Separable;
 use ndarray::{Array2, s};
 
-/// The smooth modes in a chain's precision, in turns per nm, on a grid whose rows are filled up to whole blocks.
+/// The smooth modes in the precision of a chain, turns per nm, on a grid whose rows are padded to whole blocks.
 pub(super) struct SmoothModes<T> {
     lit: usize,
-    /// Neighbouring lit samples: the flat place of the first on the grid, and how many.
+    /// Runs of neighbouring illuminated samples: flat index of the first on the grid, and length.
     strips: Vec<(usize, usize)>,
-    /// `[mode][lit]`.
+    /// `[mode][illuminated sample]`.
     maps: Vec<T>,
     products: Option<Products<T>>,
 }
@@ -26,31 +26,31 @@ pub(super) struct SmoothModes<T> {
 struct Products<T> {
     samples: usize,
     stride: usize,
-    /// Functions of each group.
+    /// Number of functions of each group.
     groups: Vec<usize>,
-    /// Of all groups: `[function][x]` with zeros to the end of the last block, `[function][y]`, `[y][function]`.
+    /// All groups: `[function][x]` with zeros up to the end of the last block, `[function][y]`, `[y][function]`.
     rows: Vec<T>,
     lines: Vec<T>,
     across: Vec<T>,
-    /// `[x][function]` of each group by itself, with zeros to the end of the last block.
+    /// `[x][function]` of each group, with zeros up to the end of the last block.
     across_groups: Vec<Vec<T>>,
     /// `[mode][coefficient]`, turns per nm.
     matrix: Vec<T>,
     coefficients: usize,
 }
 
-/// One image's memory.
+/// Scratch memory for one image.
 pub(super) struct SmoothScratch<T> {
-    /// The products' coefficients, or the phase at the lit samples.
+    /// Coefficients of the products, or the phase at the illuminated samples.
     values: Vec<T>,
     /// `[function][x]`.
     middle: Vec<T>,
     panel: Vec<T>,
 }
 
-/// Lit samples that are worked on at once: 69 modes of them stay in a 256 kB cache.
+/// Illuminated samples processed at once: the values of 69 modes stay in a cache of 256 kB.
 const SLICE: usize = 256;
-/// Independent partial sums of a reduction, so that it runs in vector registers.
+/// Number of independent partial sums of a reduction, for vectorisation.
 const LANES: usize = 32;
 
 impl<T: Polynomial> SmoothModes<T> {
@@ -58,8 +58,8 @@ impl<T: Polynomial> SmoothModes<T> {
         let parts = optics.parts();
         let (modes, lit) = parts.basis.dim();
         let turns_per_nm = 1.0 / parts.wavelength_nm;
-        let worth_it = |products: &&Separable| products.operations() < modes * lit;
-        let products = parts.products.as_ref().filter(worth_it);
+        let is_cheaper = |products: &&Separable| products.operations() < modes * lit;
+        let products = parts.products.as_ref().filter(is_cheaper);
         Self {
             lit,
             strips: strips(&parts.weights.lit, parts.sampling.samples),
@@ -73,7 +73,7 @@ impl<T: Polynomial> SmoothModes<T> {
         self.maps.len() / self.lit
     }
 
-    /// A mode at the lit samples.
+    /// A mode at the illuminated samples.
     pub(super) fn map(&self, mode: usize) -> &[T] {
         &self.maps[mode * self.lit..][..self.lit]
     }
@@ -90,7 +90,7 @@ impl<T: Polynomial> SmoothModes<T> {
         SmoothScratch { values: zeros(values), middle: zeros(middle), panel: zeros(panel) }
     }
 
-    /// The phase of `amounts_nm` at the lit samples into `turns`; what stands elsewhere has no meaning.
+    /// Writes the phase of `amounts_nm` at the illuminated samples into `turns`; values elsewhere are undefined.
     #[inline(always)]
     pub(super) fn phase(&self, amounts_nm: &[T], turns: &mut [T], scratch: &mut SmoothScratch<T>) {
         if let Some(products) = &self.products {
@@ -114,7 +114,7 @@ impl<T: Polynomial> SmoothModes<T> {
         }
     }
 
-    /// Sums over the lit samples of `slopes`, which are 0 elsewhere, times each mode.
+    /// Sums over the illuminated samples of `slopes`, which are 0 elsewhere, times each mode.
     #[inline(always)]
     pub(super) fn project(&self, slopes: &[T], sums: &mut [f64], scratch: &mut SmoothScratch<T>) {
         if let Some(products) = &self.products {
@@ -182,7 +182,7 @@ impl<T: Polynomial> Products<T> {
         T::product(&factors, turns, panel);
     }
 
-    /// Its adjoint: the same products, read backwards.
+    /// The adjoint of [`Products::phase`]: the same products in reverse order.
     #[inline(always)]
     fn project(&self, slopes: &[T], sums: &mut [f64], scratch: &mut SmoothScratch<T>) {
         let SmoothScratch { values: coefficients, middle, panel } = scratch;
@@ -202,8 +202,8 @@ impl<T: Polynomial> Products<T> {
     }
 }
 
-/// The stretches of neighbours in a row among the ascending flat places of a grid of `samples` a side: where they start
-/// in rows of whole blocks, and how long they are.
+/// The runs of neighbours in a row among the ascending flat indices of a grid of `samples` a side: their start on the grid
+/// of whole blocks, and their length.
 fn strips(places: &[u32], samples: usize) -> Vec<(usize, usize)> {
     let stride = samples.next_multiple_of(BLOCK);
     let mut strips = Vec::<(usize, usize)>::new();
@@ -211,7 +211,7 @@ fn strips(places: &[u32], samples: usize) -> Vec<(usize, usize)> {
         let (y, x) = (flat as usize / samples, flat as usize % samples);
         let place = y * stride + x;
         match strips.last_mut() {
-            // Where rows have no filling, the end of one and the start of the next are neighbours too.
+            // Without padding, the end of a row and the start of the next are neighbours too.
             Some((first, length)) if *first + *length == place => *length += 1,
             _ => strips.push((place, 1)),
         }

@@ -1,45 +1,46 @@
-//! What one evaluation cannot avoid: the operations and bytes of its floor, from the shapes alone.
+//! Operations and memory traffic of one evaluation, from the sizes of the model: a lower bound of its cost.
 //!
-//! Per image, with n samples and m pixels a side, L lit samples, E entries of segments in them, M smooth modes, in numbers
-//! of b bytes, in a batch of B images:
+//! Per image, with n samples and m pixels a side, L illuminated samples, E entries of segments in them, M smooth modes, in
+//! numbers of b bytes, in a batch of B images:
 //!
 //! | part | operations |
 //! |---|---|
-//! | folded matrix products, there and back | 4 n m (n + m) |
-//! | or FFTs of N points, there and back | 10 N log₂N (n + m) |
+//! | folded matrix products, forward and adjoint | 4 n m (n + m) |
+//! | or FFTs of N points, forward and adjoint | 10 N log₂N (n + m) |
 //! | smooth modes to phase, slopes to gradient | 4 L M |
 //! | sine and cosine | 30 L (f32), 50 L (f64) |
 //! | field, slopes | 20 L |
-//! | segments | 8 E; where they tilt 16 E and two sines and cosines for each |
+//! | segments | 8 E; if they tilt, 16 E and two sines and cosines for each |
 //! | pixels: intensity, sums, residual, source | 30 m² |
 //!
-//! Light of several wavelengths takes all but the pixels' as often. Bytes from memory: data and weights, 2 m² b; the basis, L M b/B, read once for the batch; coefficients up and gradient
-//! down, 16 a mode. Zeros of padding are in neither, nor what a variant computes twice.
+//! With several wavelengths, all parts but the pixels are counted once per wavelength. Bytes from memory: data and weights,
+//! 2 m² b; the basis, L M b/B, read once per batch; coefficients and gradient, 16 per mode. Padding and repeated computations
+//! of a variant are not counted.
 
-use super::chain::Precision;
 use super::optics::Optics;
+use crate::device::Precision;
 
 /// Operations and bytes of one evaluation of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Work {
     /// Additions and multiplications.
     pub flops: f64,
-    /// Bytes that come from memory or go there.
+    /// Bytes read from and written to memory.
     pub bytes: f64,
 }
 
-/// What [`Work`] depends on; the names are those of the table above.
+/// The sizes that determine [`Work`]; the symbols are those of the table above.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Shapes {
     /// Pupil samples a side, n.
     pub samples: usize,
     /// Image pixels a side, m.
     pub pixels: usize,
-    /// Points of the FFT, N; `None` where matrices transform.
+    /// Points of the FFT, N; `None` with matrix products.
     pub fft: Option<usize>,
-    /// Lit samples, L.
+    /// Illuminated samples, L.
     pub lit: usize,
-    /// Entries of segments in lit samples, E.
+    /// Entries of segments in illuminated samples, E.
     pub entries: usize,
     /// Smooth modes, M.
     pub smooth: usize,
@@ -47,12 +48,12 @@ pub struct Shapes {
     pub modes: usize,
     /// Whether segments tilt.
     pub tilts: bool,
-    /// Wavelengths of the light.
+    /// Number of wavelengths.
     pub colours: usize,
 }
 
 impl Shapes {
-    /// Those of `optics`, transformed by an FFT of `fft` points or by matrices.
+    /// The sizes of `optics`, with an FFT of `fft` points or matrix products.
     pub fn of(optics: &Optics, fft: Option<usize>) -> Self {
         let parts = optics.parts();
         Self {
@@ -91,7 +92,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_papers_model_costs_what_its_shapes_say() {
+    fn the_work_of_the_papers_model_follows_from_its_sizes() {
         let matrix = Shapes {
             samples: 120,
             pixels: 240,
@@ -109,7 +110,7 @@ mod tests {
         // 460,800 of images, 11,880 of the basis, 1,632 of coefficients and gradient.
         assert_eq!(work.bytes, 474_312.0);
         let fft = Shapes { fft: Some(240), ..matrix }.work(Precision::F32, 200);
-        // Three wavelengths: three times all but the pixels', and the basis.
+        // Three wavelengths: three times all parts but the pixels, and three times the basis.
         let three = Shapes { colours: 3, ..matrix }.work(Precision::F32, 200);
         assert_eq!((three.flops, three.bytes), (3.0 * (46.098e6 - 1.728e6) + 1.728e6, 474_312.0 + 2.0 * 11_880.0));
         // log2 240 = 7.9069: 6.8316 M in place of the products.

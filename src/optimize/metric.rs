@@ -78,6 +78,18 @@ impl Metric {
         self.dimension
     }
 
+    /// Checks that a starting point has the dimension of the metric.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another dimension.
+    pub(super) fn check_dimension(&self, start: &[f64]) -> Result<()> {
+        if start.len() == self.dimension {
+            return Ok(());
+        }
+        let (given, needed) = (start.len(), self.dimension);
+        Err(Error::Shape(format!("the starting point has {given} components: the metric needs {needed}")))
+    }
+
     /// Length of z: the number of directions determined by the data.
     pub fn rank(&self) -> usize {
         self.whitening.as_ref().map_or(self.dimension, |w| w.ncols())

@@ -147,6 +147,11 @@ pub(super) fn add_scaled(a: &mut [f64], scale: f64, b: &[f64]) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += scale * b);
 }
 
+/// a ← scale·a.
+pub(super) fn scale_by(vector: &mut [f64], scale: f64) {
+    vector.iter_mut().for_each(|component| *component *= scale);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,7 +3,7 @@
 use super::line_search::{Decision, LineSearch};
 use super::metric::Metric;
 use super::outcome::{Outcome, StopReason};
-use super::pairs::{Pairs, dot};
+use super::pairs::{Pairs, dot, scale_by};
 use super::problem::{check_start, is_cancelled};
 use super::settings::{Scaling, Settings};
 use crate::{Error, Result};
@@ -70,7 +70,7 @@ impl QuasiNewton {
     pub fn new(metric: Arc<Metric>, start: &[f64], settings: Settings) -> Result<Self> {
         settings.check()?;
         check_start(start)?;
-        check_dimension(start, &metric)?;
+        metric.check_dimension(start)?;
         if let Some(weights) = settings.step_weights.as_ref().filter(|weights| weights.len() != start.len()) {
             let (given, needed) = (weights.len(), start.len());
             return Err(Error::Shape(format!("{given} step weights were given where {needed} are needed")));
@@ -118,7 +118,7 @@ impl QuasiNewton {
             return Err(Error::Value(format!("the scale of the metric is {scale}, where a positive number is needed")));
         }
         check_start(start)?;
-        check_dimension(start, metric)?;
+        metric.check_dimension(start)?;
         let rank = metric.rank();
         for z in [&mut self.gradient_z, &mut self.direction_z, &mut self.trial_gradient_z, &mut self.kept_gradient_z] {
             z.resize(rank, 0.0);
@@ -396,21 +396,4 @@ impl QuasiNewton {
         self.phase = Phase::Done;
         Progress::Done
     }
-}
-
-fn scale_by(vector: &mut [f64], scale: f64) {
-    vector.iter_mut().for_each(|component| *component *= scale);
-}
-
-/// Checks that the starting point fits the metric.
-///
-/// # Errors
-/// [`Error::Shape`] for a start of another dimension.
-fn check_dimension(start: &[f64], metric: &Metric) -> Result<()> {
-    let (given, wanted) = (start.len(), metric.dimension());
-    if given != wanted {
-        let text = format!("the starting point has {given} components: the metric needs {wanted}");
-        return Err(Error::Shape(text));
-    }
-    Ok(())
 }

@@ -1,7 +1,7 @@
 //! Geometry of the telescope's mirror: hexagonal segments, central obscuration, spiders.
 
-use super::Segment;
 use super::polygon::{Point, Polygon};
+use super::sampled::Segment;
 use crate::{Error, Result};
 use std::f64::consts::PI;
 

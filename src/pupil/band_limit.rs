@@ -16,7 +16,9 @@
 //! Nothing is periodic: spectra are continuous functions (in closed form for a geometric aperture), sampled so
 //! finely that the ringing does not wrap around.
 
-use super::{Aperture, FinePupil, SegmentWeights};
+use super::aperture::{Aperture, SegmentShape};
+use super::maps::FinePupil;
+use super::weights::SegmentWeights;
 use crate::grid::Grid;
 use crate::{Error, Result};
 use ndarray::{Array2, Zip};
@@ -119,7 +121,7 @@ impl SegmentWeights {
     pub fn band_limited(aperture: &Aperture, grid: &Grid, limit: &BandLimit) -> Result<Self> {
         limit.check(grid.samples())?;
         aperture.check_width(grid)?;
-        let column = |shape: &super::aperture::SegmentShape| {
+        let column = |shape: &SegmentShape| {
             let (y, x) = (Axis::new(shape.range(1), grid, limit, false), Axis::new(shape.range(0), grid, limit, true));
             let mut spectrum = vec![Complex64::default(); y.frequencies.len() * x.frequencies.len()];
             for (sign, piece) in &shape.pieces {

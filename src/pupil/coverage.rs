@@ -1,8 +1,8 @@
 //! Exact fraction of each grid cell that is covered by the mirror.
 
-use super::Pupil;
 use super::aperture::{Aperture, SegmentShape};
 use super::polygon::Polygon;
+use super::sampled::Pupil;
 use crate::grid::Grid;
 use crate::{Error, Result};
 use ndarray::Array2;

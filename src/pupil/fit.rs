@@ -1,6 +1,6 @@
 //! Least-squares removal of piston, tip and tilt, and statistics over the pupil, weighted with its amplitude.
 
-use super::Pupil;
+use super::sampled::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 

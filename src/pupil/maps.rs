@@ -1,6 +1,6 @@
 //! Pupils given as maps, for instance from FITS files.
 
-use super::{Pupil, Segment};
+use super::sampled::{Pupil, Segment};
 use crate::grid::Grid;
 use crate::{Error, Result};
 use ndarray::Array2;

@@ -1,9 +1,29 @@
 //! Weights of the segments in the samples: by owner and by area. `band_limit` has the accurate model.
 
-use super::{Aperture, Pupil, SegmentWeights};
+use super::aperture::Aperture;
+use super::sampled::Pupil;
 use crate::Result;
 use crate::grid::Grid;
 use ndarray::Array2;
+
+/// Weight of each segment in each illuminated sample: `E_p = e^{ikψ_p} Σ_s w_ps e^{ik c_s}`. Compressed sparse rows over the
+/// illuminated samples.
+#[derive(Debug, Clone)]
+pub struct SegmentWeights {
+    /// Number of segments.
+    pub segments: usize,
+    /// Flat grid index `y·samples + x` of each illuminated sample, ascending.
+    pub lit: Vec<u32>,
+    /// Row starts into `segment` and `weight`; `lit.len() + 1` entries.
+    pub offsets: Vec<u32>,
+    /// Segment of each entry.
+    pub segment: Vec<u32>,
+    /// Weight of each entry (may be negative for a band-limited pupil).
+    pub weight: Vec<f64>,
+    /// Σ over the aperture of amplitude², in units of this grid's samples, of the unfiltered pupil. It normalises the
+    /// PSF to a sum of 1 over an unbounded detector.
+    pub energy: f64,
+}
 
 impl SegmentWeights {
     /// The basic model: each sample belongs to its owner only, with the amplitude of the pupil. The energy is Σ A².

@@ -1,6 +1,5 @@
-//! The chain with a phase of its own at every lit sample, and an amplitude of its own for every segment: what a retrieval
-//! of the whole wavefront varies. The modes are there too; an evaluation whose free phase is zero and whose amplitudes are
-//! 1 is bitwise that of the modes alone.
+//! The CPU chain with a free phase (one number per illuminated sample) and an amplitude per segment in addition to the modes,
+//! for MAP wavefront retrieval. With a free phase of zero and amplitudes of 1, an evaluation is bitwise that of the modes.
 
 use super::{Backward, CpuChain, Evaluation, Field, Loaded, Polynomial, Scratch, check_batch, vectorised};
 use crate::{Error, Result};
@@ -9,13 +8,12 @@ use pulp::NullaryFnOnce;
 use rayon::prelude::*;
 
 impl<T: Polynomial> CpuChain<T> {
-    /// Objective and gradient of one image at `coefficients_nm` and, at each lit sample, `free_turns` (phase over 2π)
-    /// beside them: the gradient in the coefficients into `evaluation`, that in the free phase, per turn, into
-    /// `free_gradient`. Nothing is allocated.
+    /// Objective and gradient of one image at `coefficients_nm` plus the free phase `free_turns` (phase over 2π) at each
+    /// illuminated sample. The gradient by the coefficients is written into `evaluation`, that by the free phase, per turn,
+    /// into `free_gradient`. Nothing is allocated.
     ///
     /// # Panics
-    /// Where the pieces were made by a chain of another model, or the free phase does not have a number for each lit
-    /// sample.
+    /// If an argument was made by a chain of another model, or the free phase does not have one number per illuminated sample.
     pub fn evaluate_free(
         &self,
         image: &Loaded<T>,
@@ -26,7 +24,7 @@ impl<T: Polynomial> CpuChain<T> {
         free_gradient: &mut [T],
     ) {
         let lit = self.optics.parts().weights.lit.len();
-        assert_eq!((free_turns.len(), free_gradient.len()), (lit, lit), "a number for each lit sample");
+        assert_eq!((free_turns.len(), free_gradient.len()), (lit, lit), "one number per illuminated sample");
         vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
         free_gradient.fill(T::zero());
@@ -36,7 +34,7 @@ impl<T: Polynomial> CpuChain<T> {
     }
 
     /// As [`CpuChain::evaluate_free`] for `images` of the batch, on every core: `free_turns` and `free_gradient` are
-    /// `[image][lit sample]`, rounded to the chain's precision.
+    /// `[image][illuminated sample]`, rounded to the precision of the chain.
     ///
     /// # Errors
     /// [`Error::Shape`] where the arrays do not fit the batch and the model.
@@ -52,7 +50,7 @@ impl<T: Polynomial> CpuChain<T> {
         let given = (free_turns.len(), free_gradient.len());
         if given != (images.len() * lit, images.len() * lit) {
             return Err(Error::Shape(format!(
-                "{} free phases and room for {} derivatives were given for {} images of {lit} samples",
+                "{} free phases and space for {} derivatives were given for {} images of {lit} samples: one per sample is needed",
                 given.0,
                 given.1,
                 images.len()
@@ -60,19 +58,20 @@ impl<T: Polynomial> CpuChain<T> {
         }
         let rows = free_turns.par_chunks_exact(lit).zip(free_gradient.par_chunks_exact_mut(lit));
         let one = |i: usize, turns: &[f64], gradient: &mut [f64]| {
-            let (mut memory, mut evaluation) = (self.take(), self.evaluation());
+            let (mut memory, mut evaluation) = (self.take_scratch(), self.evaluation());
             let turns: Vec<T> = turns.iter().map(|&turns| T::of(turns)).collect();
             let mut slopes = vec![T::zero(); lit];
             let (image, at) = (&self.images[images[i]], coefficients_nm.row(i));
             self.evaluate_free(image, at, &turns, &mut memory, &mut evaluation, &mut slopes);
-            self.put_back(memory);
+            self.return_scratch(memory);
             gradient.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope.wide());
             evaluation
         };
         Ok(rows.enumerate().map(|(i, (turns, gradient))| one(i, turns, gradient)).collect())
     }
 
-    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) there, in the caller's memory.
+    /// The PSF (m×m, `[y][x]`, sum 1 over an unbounded detector) at `coefficients_nm` plus the free phase, without
+    /// allocation.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_free`].
@@ -82,14 +81,14 @@ impl<T: Polynomial> CpuChain<T> {
         free_turns: &[T],
         scratch: &'s mut Scratch<T>,
     ) -> &'s [T] {
-        assert_eq!(free_turns.len(), self.optics.parts().weights.lit.len(), "a number for each lit sample");
+        assert_eq!(free_turns.len(), self.optics.parts().weights.lit.len(), "one number per illuminated sample");
         vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
         &scratch.psf
     }
 }
 
 impl<T: Polynomial> CpuChain<T> {
-    /// Whether [`Scratch::set_amplitudes`] is heard: not where segments tilt.
+    /// Whether [`Scratch::set_amplitudes`] has an effect: not for a model whose segments tilt.
     pub fn has_amplitudes(&self) -> bool {
         self.fields().all(Field::has_amplitudes)
     }
@@ -104,7 +103,7 @@ impl<T: Polynomial> CpuChain<T> {
 }
 
 impl<T: Polynomial> Scratch<T> {
-    /// The amplitude of each segment over that of its weights, from now on; 1 where nothing was said.
+    /// Sets the amplitude of each segment relative to that of its weights, for all further evaluations; initially 1.
     pub fn set_amplitudes(&mut self, amplitudes: impl Iterator<Item = f64> + Clone) {
         for colour in &mut self.colours {
             let own = colour.field.amplitudes().iter_mut();
@@ -113,7 +112,7 @@ impl<T: Polynomial> Scratch<T> {
     }
 }
 
-/// Coefficients and free phase to the PSF.
+/// Forward model: coefficients and free phase to PSF.
 struct ForwardFree<'a, T: Polynomial> {
     chain: &'a CpuChain<T>,
     coefficients_nm: ArrayView1<'a, f64>,

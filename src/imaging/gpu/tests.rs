@@ -1,4 +1,4 @@
-//! The device against sums written out one by one in f64.
+//! Comparison of the device with explicit sums in f64.
 
 mod reference;
 
@@ -10,7 +10,7 @@ use super::*;
 use crate::device::tests::test_devices;
 use crate::device::{Build, Device, FftPlan, Precision};
 
-/// Every build that a device may be given.
+/// Every build that a device supports.
 fn builds(device: &Device) -> Vec<Build> {
     let mut builds = Vec::new();
     for precision in [Precision::F32, Precision::F64] {
@@ -49,7 +49,7 @@ fn psfs_agree_with_the_direct_sum() {
 
 #[test]
 fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
-    // Out of order, one of them twice, and more than the chain has room for: it goes in two rounds.
+    // Out of order, one image twice, and more than the capacity of the chain, so that there are two rounds.
     let active = [4, 0, 5, 2, 2, 1, 3];
     for layout in [scene(), tilted_scene(), free_scene()] {
         agreement_in(&layout, &active, builds);
@@ -73,7 +73,7 @@ fn agreement_in(layout: &GpuLayout, active: &[usize], builds: impl Fn(&Device) -
     let c = coefficients(layout, active.len(), &mut random);
     let free = free_phases(layout, active.len(), &mut random);
     let lit = free.len() / active.len();
-    let wanted: Vec<Answer> = (active.iter().zip(c.chunks_exact(layout.modes.len())).enumerate())
+    let wanted: Vec<ReferenceResult> = (active.iter().zip(c.chunks_exact(layout.modes.len())).enumerate())
         .map(|(k, (&i, c))| {
             let (range, layout) = (i * size..(i + 1) * size, with_free(layout, &free[k * lit..(k + 1) * lit]));
             reference(&layout, c, &images.data[range.clone()], &images.weights[range], images.photometry[i])
@@ -83,7 +83,7 @@ fn agreement_in(layout: &GpuLayout, active: &[usize], builds: impl Fn(&Device) -
         let device = Device::open(&info, false).unwrap();
         for build in builds(&device) {
             let mut chain = GpuChain::with_build(&device, build, layout, count).unwrap();
-            // The second evaluation finds every scratch array dirty.
+            // The first evaluation leaves data in every scratch array.
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
             let all: Vec<usize> = (0..count).collect();
             chain.evaluate(&all, &coefficients(layout, count, &mut random)).unwrap();
@@ -113,7 +113,7 @@ fn agreement_in(layout: &GpuLayout, active: &[usize], builds: impl Fn(&Device) -
 }
 
 #[test]
-fn a_faint_star_on_a_bright_background_keeps_its_digits() {
+fn a_faint_star_on_a_bright_background_does_not_lose_accuracy() {
     let layout = scene();
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let size = layout.pixels * layout.pixels;
@@ -148,11 +148,11 @@ fn a_faint_star_on_a_bright_background_keeps_its_digits() {
 }
 
 #[test]
-fn an_image_alone_and_in_a_crowd_gives_the_same() {
-    [scene(), tilted_scene(), free_scene()].iter().for_each(crowd_in);
+fn results_do_not_depend_on_the_batch() {
+    [scene(), tilted_scene(), free_scene()].iter().for_each(compare_with_single_images);
 }
 
-fn crowd_in(layout: &GpuLayout) {
+fn compare_with_single_images(layout: &GpuLayout) {
     let mut random = ChaCha8Rng::seed_from_u64(4);
     let images = images(layout, 3, &mut random);
     let c = coefficients(layout, 3, &mut random);
@@ -160,35 +160,35 @@ fn crowd_in(layout: &GpuLayout) {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         for build in builds(&device) {
-            // So many that every processor goes through focus.cl, in several tiles; one goes stage by stage.
-            let crowd: Vec<usize> = (0..3).cycle().take(2 * info.compute_units as usize + 37).collect();
-            let mut chain = GpuChain::with_build(&device, build, layout, crowd.len()).unwrap();
+            // So many that every CPU device uses focus.cl, in several tiles; one image is processed stage by stage.
+            let batch: Vec<usize> = (0..3).cycle().take(2 * info.compute_units as usize + 37).collect();
+            let mut chain = GpuChain::with_build(&device, build, layout, batch.len()).unwrap();
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
-            let all: Vec<f64> = crowd.iter().flat_map(|&i| c[i * modes..(i + 1) * modes].to_vec()).collect();
+            let all: Vec<f64> = batch.iter().flat_map(|&i| c[i * modes..(i + 1) * modes].to_vec()).collect();
             let free = free_phases(layout, 3, &mut random);
             let lit = free.len() / 3;
-            let all_free: Vec<f64> = crowd.iter().flat_map(|&i| free[i * lit..(i + 1) * lit].to_vec()).collect();
+            let all_free: Vec<f64> = batch.iter().flat_map(|&i| free[i * lit..(i + 1) * lit].to_vec()).collect();
             let mut slopes = vec![f64::NAN; all_free.len()];
-            let together = chain.evaluate_free(&crowd, &all, &all_free, &mut slopes).unwrap();
-            // The same sums in the same order; only where the compiler fuses a product into a sum may differ: a few
-            // roundings, far below the errors of the test above.
+            let together = chain.evaluate_free(&batch, &all, &all_free, &mut slopes).unwrap();
+            // The same sums in the same order; only fused multiply-adds may differ: a few roundings, far below the errors of
+            // the test above.
             let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
-            for (i, &image) in crowd.iter().enumerate() {
+            for (i, &image) in batch.iter().enumerate() {
                 let mut slopes_alone = vec![f64::NAN; lit];
                 let (own, own_free) = (&c[image * modes..(image + 1) * modes], &free[image * lit..(image + 1) * lit]);
                 let alone = chain.evaluate_free(&[image], own, own_free, &mut slopes_alone).unwrap();
                 let objective = (together.objective[i] / alone.objective[0] - 1.0).abs();
                 let gradient = distance(&together.gradient[i * modes..(i + 1) * modes], &alone.gradient);
                 let slopes = if lit > 0 { distance(&slopes[i * lit..(i + 1) * lit], &slopes_alone) } else { 0.0 };
-                let apart = objective.max(gradient).max(slopes);
-                assert!(apart < close, "{build:?} image {i}: {objective:e} {gradient:e} {slopes:e}");
+                let difference = objective.max(gradient).max(slopes);
+                assert!(difference < close, "{build:?} image {i}: {objective:e} {gradient:e} {slopes:e}");
             }
         }
     }
 }
 
 #[test]
-fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
+fn allocated_memory_agrees_with_the_formula_and_limits_the_tiles() {
     let whole = whole_scene();
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
@@ -202,7 +202,7 @@ fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
                 let build = Build { fft, ..build };
                 let capacity = 41;
                 let mut chain = GpuChain::with_build(&device, build, layout, capacity).unwrap();
-                // Not a byte beside: the sum over the buffers is taken where they are made.
+                // Exactly: the allocated bytes are counted where the buffers are made.
                 assert_eq!(chain.bytes(), device.allocated_bytes(), "{build:?}");
 
                 // Less memory: smaller tiles, the same numbers.
@@ -223,7 +223,7 @@ fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
                 assert!(small.bytes() < bytes);
                 small.load(&images.data, &images.weights, &images.photometry).unwrap();
                 let found = small.evaluate(&data, &c).unwrap();
-                // As between an image alone and in a crowd.
+                // As in the comparison with single images.
                 let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
                 assert!(distance(&found.gradient, &wanted.gradient) < close, "{build:?}");
                 let refusal = GpuChain::with_memory(&device, build, layout, capacity, 1000).unwrap_err().to_string();
@@ -234,13 +234,13 @@ fn memory_is_what_the_formula_says_and_tiles_follow_from_it() {
 }
 
 #[test]
-fn a_chain_may_move_to_another_thread() {
-    fn moves<T: Send>() {}
-    moves::<GpuChain>();
+fn a_chain_can_be_moved_to_another_thread() {
+    fn is_send<T: Send>() {}
+    is_send::<GpuChain>();
 }
 
 #[test]
-fn bad_input_is_named() {
+fn invalid_input_is_named() {
     let Some(info) = test_devices().into_iter().next() else { return };
     let device = Device::open(&info, false).unwrap();
     let layout = scene();

@@ -1,4 +1,4 @@
-//! Scenes for the device, their images, and the answer written out sum by sum in f64.
+//! Test models for the device, their images, and the reference results as explicit sums in f64.
 
 use num_complex::Complex64;
 use rand::{Rng, RngExt, SeedableRng};
@@ -7,15 +7,15 @@ use std::f64::consts::TAU;
 
 use super::super::{GpuLayout, GpuMode, GpuPhotometry};
 
-/// A small asymmetric scene that hits every corner of the packing: extents that fill no vector, dark rows and blocks,
-/// segments that overlap with weights of either sign, a mode that nothing uses.
+/// A small asymmetric model that covers the special cases of the packing: extents that are not whole vectors, dark rows and
+/// blocks, overlapping segments with weights of either sign, an unused mode.
 pub(super) fn scene() -> GpuLayout {
     let (n, segments, smooth): (usize, _, _) = (18, 5, 7);
     let mut random = ChaCha8Rng::seed_from_u64(7);
     let lit: Vec<usize> = (0..n * n)
         .filter(|i| {
             let (y, x) = (i / n, i % n);
-            // Dark: an edge, two corners, and on the axis a whole row and a hole, which no block may forget.
+            // Dark: an edge, two corners, and on the axis a whole row and a hole, whose blocks must be zeroed.
             let hole = y.abs_diff(8).min(y.abs_diff(9)) < 3 && x.abs_diff(8).min(x.abs_diff(9)) < 4;
             !matches!(y, 8 | 9)
                 && !hole
@@ -68,18 +68,18 @@ pub(super) fn tilted_scene() -> GpuLayout {
     layout
 }
 
-/// The same with a phase of its own at each lit sample.
+/// The same with a free phase.
 pub(super) fn free_scene() -> GpuLayout {
     GpuLayout { free_phase: true, ..scene() }
 }
 
-/// A free phase of up to half a turn either way for each of `images`; none where the layout has none.
+/// A free phase of up to ±0.5 turns for each of `images`; empty where the layout has none.
 pub(super) fn free_phases(layout: &GpuLayout, images: usize, random: &mut impl Rng) -> Vec<f64> {
     let count = if layout.free_phase { images * layout.lit.len() } else { 0 };
     (0..count).map(|_| random.random::<f64>() - 0.5).collect()
 }
 
-/// A free phase is to its image what the diversity is to all.
+/// The layout with the free phase of one image added to its diversity.
 pub(super) fn with_free(layout: &GpuLayout, free: &[f64]) -> GpuLayout {
     let free = free.iter().copied().chain(std::iter::repeat(0.0));
     GpuLayout {
@@ -88,7 +88,7 @@ pub(super) fn with_free(layout: &GpuLayout, free: &[f64]) -> GpuLayout {
     }
 }
 
-/// Images that the scene could have made, with bad pixels (one of them NaN) and uneven weights.
+/// Simulated images of the model, with bad pixels (NaN) and uneven weights.
 pub(super) struct Images {
     pub(super) data: Vec<f64>,
     pub(super) weights: Vec<f64>,
@@ -120,7 +120,7 @@ pub(super) fn coefficients(layout: &GpuLayout, images: usize, random: &mut impl 
     (0..images * layout.modes.len()).map(|_| 150.0 * (random.random::<f64>() - 0.5)).collect()
 }
 
-/// Pupil: P, a and E = a P at each lit sample, and the PSF: the definition, sum by sum.
+/// P, a and E = a P at each illuminated sample, and the PSF, by the definition.
 pub(super) fn field_and_psf(layout: &GpuLayout, coefficients: &[f64]) -> (Vec<[Complex64; 3]>, Vec<f64>) {
     let pupil = pupil(layout, coefficients);
     let psf = focal(layout, &pupil).iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
@@ -131,7 +131,7 @@ pub(super) fn turn(t: f64) -> Complex64 {
     Complex64::from_polar(1.0, TAU * t)
 }
 
-/// How much of `mode` there is, turns.
+/// Amount of `mode`, turns.
 pub(super) fn amount(layout: &GpuLayout, coefficients: &[f64], mode: GpuMode) -> f64 {
     layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == mode).map(|(_, c)| c / layout.wavelength_nm).sum()
 }
@@ -140,34 +140,34 @@ pub(super) fn slope(layout: &GpuLayout, entry: usize) -> (f64, f64) {
     layout.segment_slopes.as_ref().map_or((0.0, 0.0), |(x, y)| (x[entry], y[entry]))
 }
 
-/// The phasor of each entry's segment where the entry is.
-pub(super) fn stands(layout: &GpuLayout, coefficients: &[f64]) -> Vec<Complex64> {
+/// The phasor of the segment of each entry, at the sample of the entry.
+pub(super) fn entry_phasors(layout: &GpuLayout, coefficients: &[f64]) -> Vec<Complex64> {
     let poses: Vec<[f64; 3]> = (0..layout.segments)
         .map(|s| [GpuMode::Segment(s), GpuMode::Tip(s), GpuMode::Tilt(s)].map(|m| amount(layout, coefficients, m)))
         .collect();
-    let stand = |(e, &s): (usize, &usize)| {
+    let phasor = |(e, &s): (usize, &usize)| {
         let ([c, t, u], (x, y)) = (poses[s], slope(layout, e));
         turn(c + t * x + u * y)
     };
-    layout.segment_index.iter().enumerate().map(stand).collect()
+    layout.segment_index.iter().enumerate().map(phasor).collect()
 }
 
 pub(super) fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64; 3]> {
     let amount = |mode: GpuMode| amount(layout, coefficients, mode);
-    let stands = stands(layout, coefficients);
+    let phasors = entry_phasors(layout, coefficients);
     let smooth: Vec<f64> = (0..layout.smooth.len()).map(|j| amount(GpuMode::Smooth(j))).collect();
     (0..layout.lit.len())
         .map(|p| {
             let psi = layout.diversity_turns[p] + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
             let a: Complex64 = (layout.segment_start[p]..layout.segment_start[p + 1])
-                .map(|e| stands[e] * layout.segment_weight[e])
+                .map(|e| phasors[e] * layout.segment_weight[e])
                 .sum();
             [turn(psi), a, a * turn(psi)]
         })
         .collect()
 }
 
-/// exp(-2 pi i step (x u + y v)) of a lit sample and a pixel.
+/// exp(-2 pi i step (x u + y v)) of an illuminated sample and a pixel.
 pub(super) fn kernel(layout: &GpuLayout, sample: usize, pixel: usize) -> Complex64 {
     let (n, m) = (layout.samples, layout.pixels);
     let centre = |i: usize| i as f64 - (n as f64 - 1.0) / 2.0;
@@ -182,12 +182,12 @@ pub(super) fn focal(layout: &GpuLayout, pupil: &[[Complex64; 3]]) -> Vec<Complex
         .collect()
 }
 
-pub(super) struct Answer {
+pub(super) struct ReferenceResult {
     pub(super) objective: f64,
     pub(super) flux: f64,
     pub(super) background: f64,
     pub(super) gradient: Vec<f64>,
-    /// Derivative by the phase of each lit sample, per turn.
+    /// Derivative by the phase of each illuminated sample, per turn.
     pub(super) slopes: Vec<f64>,
 }
 
@@ -197,7 +197,7 @@ pub(super) fn reference(
     d: &[f64],
     w: &[f64],
     photometry: GpuPhotometry,
-) -> Answer {
+) -> ReferenceResult {
     let pupil = pupil(layout, coefficients);
     let u = focal(layout, &pupil);
     let h: Vec<f64> = u.iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
@@ -209,7 +209,7 @@ pub(super) fn reference(
             (top / good().map(|i| w[i] * h[i] * h[i]).sum::<f64>(), background_e)
         }
         GpuPhotometry::FitBoth => {
-            // About the weighted means: the well-conditioned form of the normal equations.
+            // Relative to the weighted means: the well-conditioned form of the normal equations.
             let weight: f64 = good().map(|i| w[i]).sum();
             let mean = |f: &[f64]| good().map(|i| w[i] * f[i]).sum::<f64>() / weight;
             let (mh, md) = (mean(&h), mean(d));
@@ -220,7 +220,7 @@ pub(super) fn reference(
     };
     let r: Vec<f64> = (0..h.len()).map(|i| if w[i] > 0.0 { flux * h[i] + background - d[i] } else { 0.0 }).collect();
     let k = TAU / layout.wavelength_nm;
-    // dJ/dE* at each lit sample, through the adjoint sum.
+    // dJ/dE* at each illuminated sample, by the adjoint sum.
     let bar: Vec<Complex64> = layout
         .lit
         .iter()
@@ -230,12 +230,12 @@ pub(super) fn reference(
                 .sum()
         })
         .collect();
-    let stands = stands(layout, coefficients);
+    let phasors = entry_phasors(layout, coefficients);
     let segment = |s: usize, along: &dyn Fn(usize) -> f64| {
         let each = |p: usize| {
             (layout.segment_start[p]..layout.segment_start[p + 1])
                 .filter(|&e| layout.segment_index[e] == s)
-                .map(|e| along(e) * layout.segment_weight[e] * (stands[e].conj() * pupil[p][0].conj() * bar[p]).im)
+                .map(|e| along(e) * layout.segment_weight[e] * (phasors[e].conj() * pupil[p][0].conj() * bar[p]).im)
                 .sum::<f64>()
         };
         2.0 * k * (0..bar.len()).map(each).sum::<f64>()
@@ -248,10 +248,10 @@ pub(super) fn reference(
         GpuMode::Tilt(s) => segment(s, &|e| slope(layout, e).1),
     });
     let objective = (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum();
-    Answer { objective, flux, background, gradient: gradient.collect(), slopes }
+    ReferenceResult { objective, flux, background, gradient: gradient.collect(), slopes }
 }
 
-/// A whole image of the least that there is a plan for.
+/// A whole image of the smallest size with an FFT plan.
 pub(super) fn whole_scene() -> GpuLayout {
     GpuLayout { pixels: 64, samples_per_lambda_over_d: 64.0 / 18.0, free_phase: true, ..scene() }
 }
@@ -271,8 +271,8 @@ fn differences_in(layout: &GpuLayout) {
         let at = |c: &[f64]| {
             reference(layout, c, &images.data[range.clone()], &images.weights[range.clone()], images.photometry[image])
         };
-        let answer = at(&c);
-        let scale = answer.gradient.iter().fold(0.0f64, |a, g| a.max(g.abs()));
+        let result = at(&c);
+        let scale = result.gradient.iter().fold(0.0f64, |a, g| a.max(g.abs()));
         for k in 0..c.len() {
             // A step of 1e-5 wave: the cubic term of the difference is (2 pi 1e-5)^2 ~ 4e-9 of the gradient, the rounding
             // 1e-16 J/(step g) ~ 1e-10.
@@ -280,7 +280,7 @@ fn differences_in(layout: &GpuLayout) {
             let shifted =
                 |by: f64| at(&c.iter().enumerate().map(|(i, v)| v + if i == k { by } else { 0.0 }).collect::<Vec<_>>());
             let difference = (shifted(step).objective - shifted(-step).objective) / (2.0 * step);
-            assert!((difference - answer.gradient[k]).abs() < 1e-6 * scale, "{k}: {difference} {}", answer.gradient[k]);
+            assert!((difference - result.gradient[k]).abs() < 1e-6 * scale, "{k}: {difference} {}", result.gradient[k]);
         }
     }
 }

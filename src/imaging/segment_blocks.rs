@@ -1,31 +1,30 @@
-//! The segments that show in each block of the pupil grid: their weights, their part of the aperture, and back.
+//! The segments in each block of the pupil grid: their weights, their contribution to the aperture, and the adjoint.
 
 use super::optics::Optics;
 use super::phasor::{Polynomial, phasor};
 use std::ops::Range;
 
-/// Samples of a block: a vector of the widest registers in f32, two in f64. The rows of the grid are filled up to whole
-/// blocks.
+/// Samples per block: one vector of the widest registers in f32, two in f64. The rows of the grid are padded to whole blocks.
 pub(super) const BLOCK: usize = 16;
 
-/// A number for each sample of a block.
+/// One number per sample of a block.
 pub(super) type Lanes<T> = [T; BLOCK];
 
-/// The segments that show in the blocks of the grid. A share is one segment in one block.
-pub(super) struct Shares<T> {
-    /// Where the shares of each block begin; one more at the end.
+/// The segments in the blocks of the grid. An entry is one segment in one block.
+pub(super) struct SegmentBlocks<T> {
+    /// First entry of each block, and the number of entries.
     first: Vec<usize>,
     segment: Vec<usize>,
-    /// Scaled so that |U|² is the PSF; 0 where the segment does not show.
+    /// Weights, scaled so that |U|² is the PSF; 0 outside the segment.
     pub(super) weight: Vec<Lanes<T>>,
-    /// What a segment's tip and its tilt of 1 nm add to the phase, nm, where segments tilt.
+    /// Phase, nm, of a tip and of a tilt of 1 nm of the segment; `None` where no segment tilts.
     pub(super) slopes: Option<Vec<[Lanes<T>; 2]>>,
-    /// The shares of each segment, with their blocks.
-    pub(super) of_segment: Vec<Vec<(usize, usize)>>,
+    /// The entries of each segment: block and entry.
+    pub(super) by_segment: Vec<Vec<(usize, usize)>>,
 }
 
-impl<T: Polynomial> Shares<T> {
-    /// The shares in `blocks` blocks, in which `lit` are the flat places of the lit samples.
+impl<T: Polynomial> SegmentBlocks<T> {
+    /// The entries in `blocks` blocks; `lit` are the flat indices of the illuminated samples.
     pub(super) fn new(optics: &Optics, lit: &[usize], blocks: usize) -> Self {
         let parts = optics.parts();
         let weights = &parts.weights;
@@ -38,16 +37,16 @@ impl<T: Polynomial> Shares<T> {
             }
         }
         entries.sort_unstable();
-        let mut shares = Self {
+        let mut result = Self {
             first: Vec::with_capacity(blocks + 1),
             segment: Vec::new(),
             weight: Vec::new(),
             slopes: slopes.map(|_| Vec::new()),
-            of_segment: vec![Vec::new(); weights.segments],
+            by_segment: vec![Vec::new(); weights.segments],
         };
         let mut own = entries.chunk_by(|one, next| (one.0, one.1) == (next.0, next.1)).peekable();
         for block in 0..blocks {
-            shares.first.push(shares.segment.len());
+            result.first.push(result.segment.len());
             while let Some(entries) = own.next_if(|entries| entries[0].0 == block) {
                 let gather = |values: &[f64], scale: f64| {
                     let mut lanes = [T::zero(); BLOCK];
@@ -55,28 +54,29 @@ impl<T: Polynomial> Shares<T> {
                     lanes
                 };
                 let segment = entries[0].1;
-                shares.of_segment[segment].push((block, shares.segment.len()));
-                shares.segment.push(segment);
-                shares.weight.push(gather(&weights.weight, amplitude));
-                if let (Some(to), Some((x, y))) = (&mut shares.slopes, slopes) {
+                result.by_segment[segment].push((block, result.segment.len()));
+                result.segment.push(segment);
+                result.weight.push(gather(&weights.weight, amplitude));
+                if let (Some(to), Some((x, y))) = (&mut result.slopes, slopes) {
                     to.push([gather(x, 1.0), gather(y, 1.0)]);
                 }
             }
         }
-        shares.first.push(shares.segment.len());
-        shares
+        result.first.push(result.segment.len());
+        result
     }
 
+    /// The entries of a block.
     #[inline(always)]
-    pub(super) fn of(&self, block: usize) -> Range<usize> {
+    pub(super) fn in_block(&self, block: usize) -> Range<usize> {
         self.first[block]..self.first[block + 1]
     }
 
     /// a = Σ w·q of a block.
     #[inline(always)]
-    pub(super) fn aperture(&self, shares: Range<usize>, pose: &[[T; 3]], piston: &[[T; 2]]) -> [Lanes<T>; 2] {
+    pub(super) fn aperture(&self, entries: Range<usize>, pose: &[[T; 3]], piston: &[[T; 2]]) -> [Lanes<T>; 2] {
         let (mut re, mut im) = ([T::zero(); BLOCK], [T::zero(); BLOCK]);
-        let own = self.segment[shares.clone()].iter().zip(&self.weight[shares.clone()]);
+        let own = self.segment[entries.clone()].iter().zip(&self.weight[entries.clone()]);
         let Some(slopes) = &self.slopes else {
             for (&segment, weight) in own {
                 let [q_re, q_im] = piston[segment];
@@ -87,7 +87,7 @@ impl<T: Polynomial> Shares<T> {
             }
             return [re, im];
         };
-        for ((&segment, weight), slopes) in own.zip(&slopes[shares]) {
+        for ((&segment, weight), slopes) in own.zip(&slopes[entries]) {
             let [q_re, q_im] = tilted(pose[segment], slopes);
             for i in 0..BLOCK {
                 re[i] = weight[i].mul_add(q_re[i], re[i]);
@@ -97,18 +97,18 @@ impl<T: Polynomial> Shares<T> {
         [re, im]
     }
 
-    /// Adds what g = Ē·P* of a block says of each segment: `Σ w·g` where segments do not tilt, and
-    /// `Σ w·Im(q*·g)·(1, x, y)` where they do. A lane sums one sample in sixteen of a segment, some tens or hundreds: in
-    /// f32 its rounding is that of a few products.
+    /// Adds the contributions of a block, g = Ē·P*, to the sums of its segments: `Σ w·g` if segments do not tilt, and
+    /// `Σ w·Im(q*·g)·(1, x, y)` if they do. A lane sums one sample in sixteen of a segment, some tens or hundreds: in f32
+    /// its rounding is that of a few products.
     #[inline(always)]
     pub(super) fn collect(
         &self,
-        shares: Range<usize>,
+        entries: Range<usize>,
         [g_re, g_im]: [&Lanes<T>; 2],
         pose: &[[T; 3]],
         sums: &mut [[Lanes<T>; 3]],
     ) {
-        let own = self.segment[shares.clone()].iter().zip(&self.weight[shares.clone()]);
+        let own = self.segment[entries.clone()].iter().zip(&self.weight[entries.clone()]);
         let Some(slopes) = &self.slopes else {
             for (&segment, weight) in own {
                 let [re, im, _] = &mut sums[segment];
@@ -119,7 +119,7 @@ impl<T: Polynomial> Shares<T> {
             }
             return;
         };
-        for ((&segment, weight), slopes) in own.zip(&slopes[shares]) {
+        for ((&segment, weight), slopes) in own.zip(&slopes[entries]) {
             let [q_re, q_im] = tilted(pose[segment], slopes);
             let ([x, y], [piston, tip, tilt]) = (slopes, &mut sums[segment]);
             for i in 0..BLOCK {
