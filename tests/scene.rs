@@ -183,7 +183,7 @@ fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
 
 #[test]
 fn contradictions_are_refused() {
-    let cases: [(&str, Settings, &str); 29] = [
+    let cases: [(&str, Settings, &str); 30] = [
         ("keck-artificial", &[("image.flux_e", "1e6")], "'image.peak_snr' and 'image.flux_e' are both given"),
         ("keck-artificial", &[("image.diversity_file", "d.fits")], "'image.diversity_file' are both given"),
         ("keck-artificial", &[("image.crop_pixels", "482")], "image.crop_pixels = 482"),
@@ -225,6 +225,7 @@ fn contradictions_are_refused() {
         ("keck-onsky", &[("turbulence.fractions", "[0.5, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05]")], "sum to 0.9500"),
         ("keck-onsky", &[("control.condition_number", "300")], "'control.condition_number' are both given"),
         ("keck-artificial", &[("control.gain", "0.2")], "a section [wavefront_sensor] is needed"),
+        ("keck-artificial", &[("faults.pixel_fill", "1.5")], "faults.pixel_fill = 1.5 is not accepted"),
     ];
     for (preset, settings, part) in cases {
         let message = refused_setting(preset, settings);
@@ -233,6 +234,9 @@ fn contradictions_are_refused() {
             "{settings:?}: {message}"
         );
     }
+    assert!(
+        refusal(&format!("{SMALLEST}[faults]\ndrift_nm_per_min = 1")).ends_with("a section [aberrations] is needed")
+    );
     assert!(
         refusal("[pupil]\nfile = \"p.fits\"\n[image]\nwavelength_nm = 2000\npixels = 8")
             .contains("'pupil.grid_m' is missing")
@@ -286,6 +290,19 @@ fn settings_with_unknown_keys_are_refused() {
         error,
         "there is no preset 'keck-onski'; keck-artificial and keck-onsky are accepted; did you mean 'keck-onsky'?"
     );
+}
+
+#[test]
+fn keys_that_moved_to_another_section_are_named_in_the_message() {
+    for (section, key) in [
+        ("image", "pixel_fill"),
+        ("image", "pixel_response_rms"),
+        ("aberrations", "segment_reflectivity_rms"),
+        ("aberrations", "drift_nm_per_min"),
+    ] {
+        let message = refusal(&format!("[{section}]\n{key} = 0.01"));
+        assert_eq!(message, format!("scene line 2: unknown key '{section}.{key}'; it belongs in [faults]"));
+    }
 }
 
 #[test]

@@ -113,7 +113,7 @@ mod tests {
             // peak_snr sets the star's flux and needs some noise to do so.
             ("image.read_noise_e", "1"),
             ("image.peak_snr", "1e5"),
-            ("aberrations.drift_nm_per_min", "2000"),
+            ("faults.drift_nm_per_min", "2000"),
         ];
         let mut simulator = Simulator::new(&scene.with(&quiet).unwrap()).unwrap();
         let still_nm = simulator.segments_nm().to_vec();

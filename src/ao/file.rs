@@ -12,7 +12,8 @@ use std::path::Path;
 ///
 /// - `IMAGES`: electrons.
 /// - `TRUTH_…`: as in [`crate::source::write`].
-/// - `SLOPES`, `COMMANDS`: at the middle of each exposure, `[image, slope]` (mas, all x then all y) and `[image, actuator]` (nm).
+/// - `SLOPES`: slopes at the middle of each exposure, `[image, slope]`, mas, all x then all y.
+/// - `COMMANDS`: commands at the middle of each exposure, `[image, actuator]`, nm.
 /// - `SLOPES_MEAN`: slopes averaged over each exposure.
 /// - `SHOTS`: table of time and residual for each image.
 /// - `SUBAPERTURES`, `ACTUATORS`: tables of those in use.

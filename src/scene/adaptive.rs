@@ -141,8 +141,8 @@ impl Check for SensorScene {
 }
 
 section! {
-    /// Control of the AO loop; needs a section wavefront_sensor. Read by simulations, and by full-phase estimates that use the
-    /// loop.
+    /// Control of the AO loop; needs a section wavefront_sensor. Read by simulations, and by full-phase estimates that use
+    /// the loop.
     ControlScene = "control" {
         /// Basis in which the interaction matrix is inverted.
         basis: ControlBasis, ANY, default(ControlBasis::Zonal);

@@ -15,6 +15,7 @@
 
 mod adaptive;
 mod edit;
+mod faults;
 mod fit;
 mod lists;
 mod purpose;
@@ -26,6 +27,7 @@ mod words;
 
 pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
 pub use edit::split_setting;
+pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::Zernikes;
 pub(crate) use purpose::Purpose;
@@ -87,6 +89,8 @@ sections! {
     image: ImageScene;
     /// The truth of a simulated image.
     aberrations: Option<AberrationScene>;
+    /// Faults planted in simulated images.
+    faults: FaultScene;
     /// The modes that are estimated.
     modes: ModesScene;
     /// The deformable mirror.
@@ -291,6 +295,18 @@ impl Sections {
                 "aberrations.truth_samples = {truth} is not accepted; at least the estimator's pupil.samples = {samples} is needed"
             );
             return Err(reader("aberrations").error("truth_samples", sentence));
+        }
+        let planted = [
+            ("segment_reflectivity_rms", self.faults.segment_reflectivity_rms),
+            ("drift_nm_per_min", self.faults.drift_nm_per_min),
+        ];
+        if let Some((key, value)) = planted.iter().find(|(_, value)| *value > 0.0)
+            && self.aberrations.is_none()
+        {
+            let sentence = format!(
+                "faults.{key} = {value} is not accepted without aberrations; a section [aberrations] is needed"
+            );
+            return Err(reader("faults").error(key, sentence));
         }
         if self.control.is_some() && self.wavefront_sensor.is_none() {
             let sentence = "[control] is named without a sensor; a section [wavefront_sensor] is needed";

@@ -188,10 +188,6 @@ section! {
         background_e: f64, between(0.0, 1e12), default(0.0);
         /// Whether the images have photon noise. Simulation only.
         photon_noise: bool, ANY, default(true);
-        /// RMS of the pixel responses about 1. Simulation only.
-        pixel_response_rms: f64, between(0.0, 0.3), default(0.0);
-        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for point sampling. Simulation only.
-        pixel_fill: f64, between(0.0, 1.0), default(0.0);
         /// Number of images in a simulated sequence.
         count: usize, between(1.0, 1e6), default(1usize);
         /// Time from the start of one image to the start of the next; 0 for no pause between exposures. AO simulation
@@ -259,8 +255,6 @@ section! {
         segment_piston_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// RMS of the segment tips and tilts over the pupil.
         segment_tip_tilt_rms_nm: f64, between(0.0, 1e6), default(0.0);
-        /// RMS of the segment reflectivities about 1.
-        segment_reflectivity_rms: f64, between(0.0, 0.3), default(0.0);
         /// RMS of the non-common path aberrations over the pupil.
         ncpa_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// First and last Noll index of the Zernike polynomials of the non-common path aberrations.
@@ -269,9 +263,6 @@ section! {
         ncpa_power_law: f64, between(-20.0, 20.0), default(-2.0);
         /// FITS map of the non-common path aberrations, nm, in place of Zernike polynomials.
         ncpa_file: Option<PathBuf>, ANY, unset("Zernike polynomials");
-        /// RMS drift of the segment pistons, and of the NCPA, in nm per minute: linear in time, 0 at the middle of the
-        /// sequence.
-        drift_nm_per_min: f64, between(0.0, 1e6), default(0.0);
         /// Number of samples along a side of the grid on which the images are computed.
         truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 times pupil.samples, or the samples of pupil.file");
         /// Seed of the aberrations, and of the noise of an artificial source's images.

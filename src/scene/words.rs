@@ -44,9 +44,9 @@ fn one_of(words: &[&str]) -> String {
 words! {
     /// Aperture of the telescope.
     Aperture {
-        /// Hexagons in rings, the central one absent unless the scene says otherwise.
+        /// Hexagons in rings, by default without the central one.
         Keck = "keck",
-        /// Hexagons in rings, the central one present unless the scene says otherwise.
+        /// Hexagons in rings, by default with the central one.
         Hexagonal = "hexagonal",
         ;
         /// A FITS file: amplitude in HDU `PUPIL`, segment labels in HDU `SEGMENT` (optional). Set by `pupil.file`.

@@ -25,11 +25,11 @@ pub struct SourceImages {
 /// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`] for aberrations
 /// that drift, which needs the time axis of an AO simulation.
 pub fn images(scene: &Scene) -> Result<SourceImages> {
-    if let Some(aberrations) = scene.aberrations.as_ref().filter(|aberrations| aberrations.drift_nm_per_min > 0.0) {
+    if scene.faults.drift_nm_per_min > 0.0 {
         return Err(Error::Scene(format!(
-            "{}: aberrations.drift_nm_per_min = {} has no meaning for images without a loop; 0 is accepted",
+            "{}: faults.drift_nm_per_min = {} has no meaning for images of an artificial source; 0 is accepted",
             scene.name(),
-            aberrations.drift_nm_per_min
+            scene.faults.drift_nm_per_min
         )));
     }
     let telescope = Telescope::of(scene)?;

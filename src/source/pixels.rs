@@ -23,7 +23,7 @@ impl DetectorPixels {
     /// Pixels of `scene`.
     pub(crate) fn new(scene: &Scene) -> Self {
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-        Self { fill: scene.image.pixel_fill, response_rms: scene.image.pixel_response_rms, seed }
+        Self { fill: scene.faults.pixel_fill, response_rms: scene.faults.pixel_response_rms, seed }
     }
 
     /// Applies the pixels' area and response to a point-sampled PSF `[y, x]`. With `fill` = 0 and equal responses the
@@ -92,7 +92,7 @@ mod tests {
         let scene = Scene::preset("keck-onsky").unwrap();
         let flat = Array2::from_elem((100, 100), 2.0);
         assert_eq!(DetectorPixels::new(&scene).apply(flat.clone()), flat);
-        let rough = scene.with(&[("image.pixel_response_rms", "0.02")]).unwrap();
+        let rough = scene.with(&[("faults.pixel_response_rms", "0.02")]).unwrap();
         let sampled = DetectorPixels::new(&rough).apply(flat.clone());
         // The spread of 10,000 draws is known to 0.7 %: four times that.
         let spread = sampled.std(0.0) / 2.0;

@@ -76,8 +76,8 @@ impl Truth {
             draw_zernikes(span, power, aberrations.ncpa_rms_nm, telescope, &mut normal)?
         };
         // Drawn last, so that the other draws of a seed do not depend on them.
-        let reflectivity = for_each(&mut normal, aberrations.segment_reflectivity_rms);
-        let drift_nm = aberrations.drift_nm_per_min;
+        let reflectivity = for_each(&mut normal, scene.faults.segment_reflectivity_rms);
+        let drift_nm = scene.faults.drift_nm_per_min;
         let drift = if drift_nm > 0.0 {
             let pistons_nm = for_each(&mut normal, drift_nm);
             Some((pistons_nm, draw_zernikes(span, power, drift_nm, telescope, &mut normal)?))
