@@ -4,9 +4,10 @@
 use cophase::Error;
 use cophase::ao::{Sensor, Stepper};
 use cophase::io::{FitsWriter, Pixel};
+use cophase::loop_response::Commands;
 use cophase::modes::Samples;
 use cophase::scene::{Precision, Scene};
-use cophase::sky::{Commands, SkyImages, read};
+use cophase::sequence_estimate::{SkyImages, read};
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
 use std::path::{Path, PathBuf};
 

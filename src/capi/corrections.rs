@@ -4,7 +4,7 @@ use super::full_phase::{change, cophase_full_phase, look};
 use super::pointer::room;
 use super::sized::Reports;
 use super::status::cophase_status;
-use crate::sky::Commands;
+use crate::loop_response::Commands;
 use crate::{Error, Result};
 
 /// Corrections, in numbers. Later versions may append fields.

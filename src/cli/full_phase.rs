@@ -6,9 +6,10 @@ use super::interrupt::Interrupt;
 use super::report;
 use super::terminal::Terminal;
 use cophase::io::{FitsReader, Images};
+use cophase::loop_response::Commands;
 use cophase::plot::{EstimatePicture, MapTriple, ModalBars, ModeGroup};
 use cophase::scene::{Knows, Scene};
-use cophase::sky::{self, Commands, FullPhase, SkyImages};
+use cophase::sequence_estimate::{self, FullPhase, SkyImages};
 use cophase::{Error, Result};
 use ndarray::Array2;
 use serde::Serialize;
@@ -81,12 +82,13 @@ pub fn run(given: Given, wanted: &Wanted, terminal: &Terminal, interrupt: &Inter
     let images = SkyImages { images_e: images.data, bad: images.bad, read_noise_e, slopes_mas };
     let found = {
         let wait = terminal.wait(&format!("Wavefronts of {}", report::counted(count, "image")), count);
-        sky::read(scene, &images, Some(interrupt.flag()), &|done| wait.done(done)).map_err(super::files::about(name))?
+        sequence_estimate::read(scene, &images, Some(interrupt.flag()), &|done| wait.done(done))
+            .map_err(super::files::about(name))?
     };
     interrupt.check("the images were read, nothing was written")?;
     let known = known(name, &found, truth, terminal)?;
     let maps = known.as_ref().map(|(truth, _)| [&truth.phasing_nm, &truth.ncpa_nm]);
-    sky::write(wanted.output, scene, &found, maps)?;
+    sequence_estimate::write(wanted.output, scene, &found, maps)?;
     if let Some(commands) = wanted.commands {
         Commands::of(&found.scene, found.result()?, None)?.write(commands)?;
     }

@@ -1,8 +1,9 @@
 //! What Rust makes of the exposures that a program in another language dumped with its own full-phase estimate.
 
 use super::fits;
+use cophase::loop_response::Commands;
 use cophase::scene::Scene;
-use cophase::sky::{Commands, SkyImages, read};
+use cophase::sequence_estimate::{SkyImages, read};
 use ndarray::{Array2, Array3, s};
 use std::path::{Path, PathBuf};
 

@@ -7,7 +7,7 @@ use crate::pupil::Pupil;
 use crate::reproduce::on_sky::{Reader, Sequence};
 use crate::reproduce::{Conditions, Progress, Way};
 use crate::scene::{Knows, Scene};
-use crate::sky::{FullPhase, SkyImages, read};
+use crate::sequence_estimate::{FullPhase, SkyImages, read};
 use crate::source::{Truth, stream};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
