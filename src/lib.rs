@@ -46,6 +46,7 @@ pub mod scene;
 pub mod sequence_estimate;
 pub mod source;
 pub mod statics;
+pub mod statistics;
 pub mod telescope;
 
 pub use error::{Error, Result};

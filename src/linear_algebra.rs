@@ -1,21 +1,21 @@
-//! Where the arrays meet the dense solver.
+//! Inverse and determinant of symmetric positive definite matrices, by Cholesky decomposition.
 
 use crate::{Error, Result};
 use faer::linalg::solvers::DenseSolveCore;
 use ndarray::Array2;
 
-/// The inverse of a symmetric positive matrix, and the logarithm of its determinant.
-pub(crate) struct Spd {
+/// Inverse of a symmetric positive definite matrix, and the logarithm of its determinant.
+pub(crate) struct SpdInverse {
     pub(crate) inverse: Array2<f64>,
     pub(crate) log_determinant: f64,
 }
 
-impl Spd {
-    /// By Cholesky's decomposition of the lower triangle.
+impl SpdInverse {
+    /// From the lower triangle of `matrix`.
     ///
     /// # Errors
-    /// [`Error::Internal`] for a matrix that is not positive.
-    pub(crate) fn of(matrix: &Array2<f64>) -> Result<Self> {
+    /// [`Error::Internal`] for a matrix that is not positive definite.
+    pub(crate) fn new(matrix: &Array2<f64>) -> Result<Self> {
         let size = matrix.nrows();
         let llt = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
             .llt(faer::Side::Lower)

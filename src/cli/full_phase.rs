@@ -6,7 +6,6 @@ use super::interrupt::Interrupt;
 use super::report;
 use super::terminal::Terminal;
 use cophase::io::{FitsReader, Images};
-use cophase::loop_response::Commands;
 use cophase::plot::{EstimatePicture, MapTriple, ModalBars, ModeGroup};
 use cophase::scene::{Knows, Scene};
 use cophase::sequence_estimate::{self, FullPhase, SkyImages};
@@ -90,7 +89,7 @@ pub fn run(given: Given, wanted: &Wanted, terminal: &Terminal, interrupt: &Inter
     let maps = known.as_ref().map(|(truth, _)| [&truth.phasing_nm, &truth.ncpa_nm]);
     sequence_estimate::write(wanted.output, scene, &found, maps)?;
     if let Some(commands) = wanted.commands {
-        Commands::of(&found.scene, found.result()?, None)?.write(commands)?;
+        found.result()?.corrections(&found.scene, None)?.write(commands)?;
     }
     if let Some(plot) = wanted.plot {
         let name = name.file_name().unwrap_or(name.as_os_str()).to_string_lossy();
@@ -132,8 +131,8 @@ fn summary(found: &FullPhase) -> Result<Summary<'_>> {
         seconds: found.seconds,
         phasing_rms_nm,
         ncpa_rms_nm,
-        phasing_sigma_nm: pass.expected_nm[0],
-        ncpa_sigma_nm: pass.expected_nm[1],
+        phasing_sigma_nm: pass.error_budget.total_nm[0],
+        ncpa_sigma_nm: pass.error_budget.total_nm[1],
         reduced_chi2: pass.reduced_chi2,
         evaluations: found.reports.iter().map(|report| report.evaluations).sum(),
         device: &found.device,
@@ -162,9 +161,10 @@ fn table(name: &str, found: &FullPhase, residual: Option<&Residual>) -> Result<S
     text += &format!("{:<12}{:>10}{:>12}{head}\n", "", "RMS [nm]", "1σ [nm]");
     for (i, what) in ["phasing", "NCPA"].into_iter().enumerate() {
         let residual = residual.map(|residual| format!("{:>16.3}", residual.rms_nm[i])).unwrap_or_default();
-        text += &format!("{what:<12}{:>10.3}{:>12.3}{residual}\n", rms_nm[i], pass.expected_nm[i]);
+        text += &format!("{what:<12}{:>10.3}{:>12.3}{residual}\n", rms_nm[i], pass.error_budget.total_nm[i]);
     }
-    let further = match pass.further_images([pass.expected_nm[0] / 2.0, pass.expected_nm[1] / 2.0]) {
+    let further = match pass.further_images([pass.error_budget.total_nm[0] / 2.0, pass.error_budget.total_nm[1] / 2.0])
+    {
         Ok(further) => format!("Half the error bars take {further} more images."),
         Err(_) => "No number of images halves the error bars: they hold what all images share.".into(),
     };
@@ -196,7 +196,8 @@ fn picture(name: &str, found: &FullPhase, known: Option<&(Truth, Residual)>) -> 
     let short = |ncpa: &String| ncpa.replace("noll-", "noll ").replace("kl-", "kl ");
     let names = (0..segments).map(|segment| format!("piston {segment}")).chain(pass.ncpa_names.iter().map(short));
     let rms_nm = found.rms_nm()?;
-    let part = |i: usize, what: &str| format!("{what} {:.2} nm RMS (1σ {:.2})", rms_nm[i], pass.expected_nm[i]);
+    let part =
+        |i: usize, what: &str| format!("{what} {:.2} nm RMS (1σ {:.2})", rms_nm[i], pass.error_budget.total_nm[i]);
     Ok(EstimatePicture {
         title: format!("Phasing and NCPA from {name}"),
         subtitle: vec![

@@ -1,85 +1,89 @@
-//! The samples on which phases are known: where they are, how much glass they hold, and how the segments show in them.
+//! Illuminated samples: the samples of the pupil on which a wavefront is retrieved, with their positions, amplitudes and the
+//! response to the segments' pistons.
 
 use crate::imaging::{Mode, Optics};
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// The lit samples of a square grid.
+/// Amplitude below which a sample holds nothing but the ringing of its neighbours' band-limited weights.
+const MIN_AMPLITUDE: f64 = 0.1;
+
+/// Illuminated samples of a square grid over the pupil.
 #[derive(Debug, Clone)]
-pub struct LitSamples {
+pub struct IlluminatedSamples {
     /// Samples along a side of the grid.
     pub samples: usize,
     /// Distance between them, m.
     pub pitch_m: f64,
     /// Flat index `y·samples + x` of each.
-    pub places: Vec<usize>,
-    /// Where they are along the columns, m.
+    pub indices: Vec<usize>,
+    /// Positions along the columns, m.
     pub xs_m: Vec<f64>,
-    /// Where they are along the rows, m.
+    /// Positions along the rows, m.
     pub ys_m: Vec<f64>,
-    /// How much glass each holds: about 0 to 1, a little beyond where it is low-passed.
-    pub glass: Vec<f64>,
-    /// Share of each segment in the phase of each sample, `[segment, sample]`: what 1 nm of its piston shows.
+    /// Pupil amplitude of each: 0 to 1, a little beyond where the pupil is band-limited.
+    pub amplitude: Vec<f64>,
+    /// Response of the wavefront to 1 nm of each segment's piston, `[segment, sample]`: the segment's share of the sample.
     pub pistons: Array2<f64>,
 }
 
-impl LitSamples {
-    /// Those of `weights`, on a grid of `samples` a side, `pitch_m` apart.
+impl IlluminatedSamples {
+    /// The samples of `weights`, on a grid of `samples` a side, `pitch_m` apart.
     ///
     /// # Errors
     /// [`Error::Shape`] for a sample outside the grid.
-    pub fn of(samples: usize, pitch_m: f64, weights: &SegmentWeights) -> Result<Self> {
-        let places: Vec<usize> = weights.lit.iter().map(|&place| place as usize).collect();
-        if let Some(place) = places.iter().find(|&&place| place >= samples * samples) {
-            return Err(Error::Shape(format!("sample {place} lies outside a grid of {samples}x{samples} samples")));
+    pub fn new(samples: usize, pitch_m: f64, weights: &SegmentWeights) -> Result<Self> {
+        let indices: Vec<usize> = weights.lit.iter().map(|&index| index as usize).collect();
+        if let Some(index) = indices.iter().find(|&&index| index >= samples * samples) {
+            return Err(Error::Shape(format!("sample {index} lies outside a grid of {samples}x{samples} samples")));
         }
         let at = |i: usize| (i as f64 - (samples as f64 - 1.0) / 2.0) * pitch_m;
-        let mut pistons = Array2::zeros((weights.segments, places.len()));
-        let mut glass = vec![0.0; places.len()];
+        let mut pistons = Array2::zeros((weights.segments, indices.len()));
+        let mut amplitude = vec![0.0; indices.len()];
         for (sample, (_, segments, shares)) in weights.rows().enumerate() {
-            glass[sample] = shares.iter().sum();
-            // As retrieved phases show pistons, to the last digit: edges are what pistons are told by.
-            let by = |share: &f64| if glass[sample] > LEAST_GLASS { *share } else { share.abs() };
-            let whole: f64 = shares.iter().map(by).sum();
+            amplitude[sample] = shares.iter().sum();
+            // As in `modal_wavefront_nm`, to the last digit: pistons are identified by their edges.
+            let weight = |share: &f64| if amplitude[sample] > MIN_AMPLITUDE { *share } else { share.abs() };
+            let whole: f64 = shares.iter().map(weight).sum();
             for (&segment, share) in segments.iter().zip(shares) {
-                pistons[[segment as usize, sample]] += by(share) / whole;
+                pistons[[segment as usize, sample]] += weight(share) / whole;
             }
         }
-        let (xs_m, ys_m) = places.iter().map(|&place| (at(place % samples), at(place / samples))).unzip();
-        Ok(Self { samples, pitch_m, places, xs_m, ys_m, glass, pistons })
+        let (xs_m, ys_m) = indices.iter().map(|&index| (at(index % samples), at(index / samples))).unzip();
+        Ok(Self { samples, pitch_m, indices, xs_m, ys_m, amplitude, pistons })
     }
 
     /// Number of samples.
-    #[allow(clippy::len_without_is_empty)] // a pupil has glass
+    #[allow(clippy::len_without_is_empty)] // a pupil has illuminated samples
     pub fn len(&self) -> usize {
-        self.places.len()
+        self.indices.len()
     }
 
-    /// The samples with at least `least` glass: the phase of those with less is hardly seen by any image.
-    pub fn with_glass(&self, least: f64) -> Vec<usize> {
-        (0..self.len()).filter(|&sample| self.glass[sample] >= least).collect()
+    /// Selects the samples with an amplitude of `least` or more: images hold next to no information on the phase of others.
+    pub fn select_bright(&self, least: f64) -> Vec<usize> {
+        (0..self.len()).filter(|&sample| self.amplitude[sample] >= least).collect()
     }
 
-    /// Some of the samples, by index.
-    pub fn selected(&self, kept: &[usize]) -> Self {
-        let of = |values: &[f64]| kept.iter().map(|&sample| values[sample]).collect();
+    /// The subset of the samples `kept`, by index.
+    pub fn subset(&self, kept: &[usize]) -> Self {
+        let select = |values: &[f64]| kept.iter().map(|&sample| values[sample]).collect();
         Self {
-            places: kept.iter().map(|&sample| self.places[sample]).collect(),
-            xs_m: of(&self.xs_m),
-            ys_m: of(&self.ys_m),
-            glass: of(&self.glass),
+            indices: kept.iter().map(|&sample| self.indices[sample]).collect(),
+            xs_m: select(&self.xs_m),
+            ys_m: select(&self.ys_m),
+            amplitude: select(&self.amplitude),
             pistons: self.pistons.select(ndarray::Axis(1), kept),
             ..*self
         }
     }
 }
 
-/// Less glass than this in a sample is the ringing of its neighbours'.
-pub(super) const LEAST_GLASS: f64 = 0.1;
-
-/// The wavefront at each lit sample that some coefficients make, nm.
-pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
+/// Evaluates the wavefront of coefficients of `optics`, nm at each illuminated sample.
+///
+/// A sample of several segments has their mean by weight. Beyond the rim the weights of a band-limited pupil ring about 0, where
+/// that mean would be undefined: there it is the mean by the weights' moduli.
+pub(super) fn modal_wavefront_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
     let parts = optics.parts();
     let mut poses = vec![[0.0; 3]; parts.weights.segments];
     let mut smooth = Vec::new();
@@ -102,9 +106,8 @@ pub(super) fn shown_nm(optics: &Optics, coefficients_nm: &[f64]) -> Vec<f64> {
             sizes = [sizes[0] + weight.abs() * nm, sizes[1] + weight.abs()];
             entry += 1;
         }
-        // Beyond the rim low-passed weights ring about 0, where their mean would mean nothing.
-        let own = if whole > LEAST_GLASS { sum / whole } else { sizes[0] / sizes[1] };
-        own + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
+        let segments_nm = if whole > MIN_AMPLITUDE { sum / whole } else { sizes[0] / sizes[1] };
+        segments_nm + smooth.iter().map(|&(row, nm)| nm * parts.basis[[row, p]]).sum::<f64>()
     };
     parts.weights.rows().enumerate().map(at).collect()
 }

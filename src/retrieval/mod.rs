@@ -11,6 +11,7 @@ mod device_batch;
 mod engine;
 mod illuminated_samples;
 mod information_probe;
+mod model;
 mod optics_estimate;
 mod optics_search;
 mod optimisation;
@@ -20,13 +21,18 @@ mod results;
 mod retriever;
 mod sampling;
 mod segment_amplitudes;
+mod settings;
+mod static_wavefront;
+mod workspace;
 
-pub use illuminated_samples::LitSamples;
-pub use optics_estimate::OpticsFound;
-pub(crate) use optics_search::{CALLS, found};
-pub use prior::{Spectrum, Unknown};
-pub use results::{Phases, RetrievalReport};
-pub use retriever::{RetrievalRecipe, Retriever, Statics};
+pub use illuminated_samples::IlluminatedSamples;
+pub use optics_estimate::RetrievedOptics;
+pub(crate) use optics_search::{OPTICS_SEARCH_CHI2, estimate_optics};
+pub use prior::{RadialPsd, StaticAberrationRms};
+pub use results::{RetrievalReport, RetrievedWavefronts};
+pub use retriever::Retriever;
+pub use settings::RetrievalSettings;
+pub use static_wavefront::StaticWavefront;
 
 #[cfg(test)]
 pub(crate) mod tests;

@@ -1,17 +1,18 @@
-//! White numbers to a field over the pupil, and back: the coordinates in which a retrieval looks round.
+//! Spectral preconditioner: maps white coordinates to a free phase with the prior's power spectrum, and gradients back.
 //!
-//! The field φ lives on a periodic square of N×N samples that holds the pupil and a margin. With H the orthogonal
-//! (Hartley) transform there, the prior says −2 log p = Σ_k (Hφ)_k²/S_k, S_k the variance of a coefficient: the density
-//! over the area of a sample, for then the mean of φ² is Σ_k S_k/N² = ∫ S df. An image says, to second order,
-//! h·Σ_p (φ_p − φ̂_p)² on the lit samples, whose phases it sees about equally well and independently (defocus spreads each
-//! over the whole image). Where the pupil fills the square, objective and prior together are h + 1/S_k along each k. So with
+//! The free phase φ lives on a periodic square of N×N samples that holds the pupil and a margin. With H the orthogonal
+//! (Hartley) transform there, the prior is −2 log p = Σ_k (Hφ)_k²/S_k, with S_k the variance of a coefficient: the power
+//! spectral density over the area of a sample, because then the mean of φ² is Σ_k S_k/N² = ∫ S df. To second order, χ² is
+//! h·Σ_p (φ_p − φ̂_p)² over the illuminated samples, with the same Fisher information h on each, independently (defocus spreads
+//! the light of each over the whole image). Where the pupil fills the square, the Hessian of objective and prior together is
+//! h + 1/S_k for each k. So with
 //!
 //! `φ = H·g·y`,  `g_k = (h + 1/S_k)^(−1/2)`
 //!
-//! the Hessian in y is about 2·I where the light is, and the prior is Σ_k y_k²/(1 + h·S_k): about nothing where the image
-//! speaks louder, y² where the prior does. For any h this is the same objective in other coordinates: h need not be right.
+//! the Hessian in y is about 2·I where the pupil is illuminated, and the prior is Σ_k y_k²/(1 + h·S_k): near 0 where the data
+//! dominate, y² where the prior does. Any h gives the same objective in other coordinates, so h need not be exact.
 
-use super::prior::Spectrum;
+use super::prior::RadialPsd;
 use crate::fourier::{Hartley, Real, fast_side};
 use num_complex::Complex;
 use rand::SeedableRng;
@@ -19,56 +20,60 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use std::ops::Range;
 
-/// A frequency is taken to be seen at least this well, relative to [`Square::set`]'s information: what is below is the
+/// Least response of a spatial frequency, relative to the information given to [`SpectralPreconditioner::set`]: less is the
 /// probes' own noise.
-const LEAST_RESPONSE: f64 = 1e-4;
+const MIN_RESPONSE: f64 = 1e-4;
 
-/// The periodic square and where the pupil is on it.
-pub struct Square<T: Real> {
+/// Spectral preconditioner of one scene: the periodic square, the pupil on it and the prior's power spectrum.
+pub(super) struct SpectralPreconditioner<T: Real> {
     hartley: Hartley<T>,
     pitch_m: f64,
-    /// The place of each lit sample, `[x][y]`.
+    /// Index of each illuminated sample, `[x][y]`.
     place: Vec<u32>,
-    /// Rows `[x]` that hold all of them.
+    /// Rows `[x]` with illuminated samples.
     rows: Range<usize>,
     /// S_k, nm², `[ky][kx]`.
     variance_nm2: Vec<f64>,
-    /// Information on each k over that of [`information_nm2`]: less where the light that tells is outside of the image.
+    /// Fisher information on each k over that on a sample: less where the light diffracted by k falls outside the image.
     response: Vec<f64>,
 }
 
-/// The coordinates for one image.
-pub(super) struct Filter<T> {
+/// Coordinates for one image.
+pub(super) struct ImagePreconditioner<T> {
     /// g_k, turns of phase.
     gain: Vec<T>,
     /// 1/(1 + h·S_k).
     prior: Vec<f64>,
 }
 
-/// One thread's memory.
-pub(super) struct SquareScratch<T> {
+/// Buffers of one thread.
+pub(super) struct PreconditionerScratch<T> {
     from: Vec<T>,
     to: Vec<T>,
     fft: Vec<Complex<T>>,
 }
 
-impl<T: Real> Square<T> {
-    /// The square for the samples `lit` (flat places on a grid of `samples` a side, `pitch_m` apart, and the glass in
-    /// each), with a margin of `margin_m` so that opposite rims of the pupil are strangers. What rings beyond the rim need
-    /// not be one.
+impl<T: Real> SpectralPreconditioner<T> {
+    /// For the `illuminated` samples (flat indices on a grid of `samples` a side, `pitch_m` apart, and the amplitude of each), on
+    /// a square with a margin of `margin_m`, so that opposite rims of the pupil are independent. Samples of the ringing beyond
+    /// the rim need no margin.
     ///
     /// # Errors
     /// Those of [`Hartley::new`].
     pub(super) fn new(
-        (lit, glass): (&[u32], &[f64]),
+        (illuminated, amplitude): (&[u32], &[f64]),
         samples: usize,
         pitch_m: f64,
         margin_m: f64,
-        spectrum: &Spectrum,
+        psd: &RadialPsd,
     ) -> crate::Result<Self> {
         let place = |&p: &u32| [p as usize % samples, p as usize / samples];
         let span = |axis: usize, least: f64| {
-            let places = lit.iter().zip(glass).filter(|(_, glass)| **glass >= least).map(|(p, _)| place(p)[axis]);
+            let places = illuminated
+                .iter()
+                .zip(amplitude)
+                .filter(|(_, amplitude)| **amplitude >= least)
+                .map(|(p, _)| place(p)[axis]);
             (places.clone().min().unwrap_or(0), places.max().map_or(0, |last| last + 1))
         };
         let longest = |least: f64| (0..2).map(|axis| span(axis, least)).map(|(a, b)| b - a).max().unwrap_or(0);
@@ -82,32 +87,32 @@ impl<T: Real> Square<T> {
         let mut square = Self {
             hartley: Hartley::new(side)?,
             pitch_m,
-            place: lit.iter().map(index).collect(),
+            place: illuminated.iter().map(index).collect(),
             rows: 0..right - left,
             variance_nm2: Vec::new(),
             response: vec![1.0; side * side],
         };
-        square.variance_nm2 = (0..side * side).map(|at| square.variance_of(spectrum, at)).collect();
+        square.variance_nm2 = (0..side * side).map(|at| square.variance_of(psd, at)).collect();
         Ok(square)
     }
 
-    /// Numbers that make a field.
+    /// Number of white coordinates.
     pub(super) fn len(&self) -> usize {
         self.variance_nm2.len()
     }
 
-    pub(super) fn scratch(&self) -> SquareScratch<T> {
+    pub(super) fn scratch(&self) -> PreconditionerScratch<T> {
         let zeros = || vec![T::zero(); self.len()];
-        SquareScratch { from: zeros(), to: zeros(), fft: self.hartley.scratch() }
+        PreconditionerScratch { from: zeros(), to: zeros(), fft: self.hartley.scratch() }
     }
 
-    pub(super) fn filter(&self) -> Filter<T> {
-        Filter { gain: vec![T::zero(); self.len()], prior: vec![0.0; self.len()] }
+    pub(super) fn image_preconditioner(&self) -> ImagePreconditioner<T> {
+        ImagePreconditioner { gain: vec![T::zero(); self.len()], prior: vec![0.0; self.len()] }
     }
 
-    /// The coordinates for an image of `information_nm2` (h, nm⁻²) a sample.
-    pub(super) fn set(&self, information_nm2: f64, turns_per_nm: f64, filter: &mut Filter<T>) {
-        let parts = filter.gain.iter_mut().zip(&mut filter.prior).zip(&self.variance_nm2).zip(&self.response);
+    /// Sets the coordinates for an image with Fisher information `information_nm2` (h, nm⁻²) on each sample.
+    pub(super) fn set(&self, information_nm2: f64, turns_per_nm: f64, image: &mut ImagePreconditioner<T>) {
+        let parts = image.gain.iter_mut().zip(&mut image.prior).zip(&self.variance_nm2).zip(&self.response);
         for (((gain, prior), &variance), response) in parts {
             let information = information_nm2 * response;
             *gain = T::of(turns_per_nm / (information + 1.0 / variance).sqrt());
@@ -115,26 +120,26 @@ impl<T: Real> Square<T> {
         }
     }
 
-    /// A field drawn from `spectrum`, times `scale`, at the lit samples.
-    pub(super) fn draw(&self, spectrum: &Spectrum, scale: f64, seed: u64) -> Vec<T> {
-        let deviation = |at: usize| T::of(scale * self.variance_of(spectrum, at).sqrt());
-        let filter = Filter { gain: (0..self.len()).map(deviation).collect(), prior: Vec::new() };
+    /// Draws a phase of power spectral density `psd`, times `scale`, at the illuminated samples.
+    pub(super) fn draw(&self, psd: &RadialPsd, scale: f64, seed: u64) -> Vec<T> {
+        let deviation = |at: usize| T::of(scale * self.variance_of(psd, at).sqrt());
+        let filter = ImagePreconditioner { gain: (0..self.len()).map(deviation).collect(), prior: Vec::new() };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let white: Vec<f64> = (0..self.len()).map(|_| StandardNormal.sample(&mut rng)).collect();
         let mut field = vec![T::zero(); self.place.len()];
-        self.field(&filter, &white, &mut self.scratch(), &mut field);
+        self.phase(&filter, &white, &mut self.scratch(), &mut field);
         field
     }
 
-    /// S_k of `spectrum`, nm².
-    fn variance_of(&self, spectrum: &Spectrum, at: usize) -> f64 {
+    /// Variance S_k of the coefficients of `psd`, nm².
+    fn variance_of(&self, psd: &RadialPsd, at: usize) -> f64 {
         let side = self.hartley.side();
         let cycles = |k: usize| k.min(side - k) as f64;
         let step_per_m = 1.0 / (side as f64 * self.pitch_m);
-        spectrum.at(step_per_m * cycles(at / side).hypot(cycles(at % side))) / self.pitch_m.powi(2)
+        psd.density_nm2_m2_at(step_per_m * cycles(at / side).hypot(cycles(at % side))) / self.pitch_m.powi(2)
     }
 
-    /// Rings of frequencies: which one each k is on, and how many there are.
+    /// Rings of spatial frequencies: the ring of each k, and their number.
     fn rings(&self) -> (Vec<usize>, usize) {
         let side = self.hartley.side();
         let cycles = |k: usize| k.min(side - k) as f64;
@@ -144,36 +149,41 @@ impl<T: Real> Square<T> {
         (rings, count)
     }
 
-    /// Finds out how well each spatial frequency is seen: `hessian` takes a phase at the lit samples, turns, to the
-    /// Gauss-Newton matrix times it, over the information of a sample. White fields have every frequency; what comes back
-    /// of each is averaged over rings.
-    pub(super) fn probe(&mut self, probes: u64, mut hessian: impl FnMut(&[T], &mut [T])) {
+    /// Measures the response to each spatial frequency with `probes` white phases: `hessian` multiplies a phase at the illuminated
+    /// samples, turns, by the Gauss-Newton matrix over the information on a sample. The response is averaged over rings.
+    pub(super) fn measure_response(&mut self, probes: u64, mut hessian: impl FnMut(&[T], &mut [T])) {
         let (rings, count) = self.rings();
-        let (mut there, mut back) = (vec![0.0; count], vec![0.0; count]);
+        let (mut power, mut product_power) = (vec![0.0; count], vec![0.0; count]);
         let mut scratch = self.scratch();
-        let flat = Filter { gain: vec![T::one(); self.len()], prior: Vec::new() };
+        let flat = ImagePreconditioner { gain: vec![T::one(); self.len()], prior: Vec::new() };
         let (mut turns, mut product) = (vec![T::zero(); self.place.len()], vec![T::zero(); self.place.len()]);
         let mut returned = vec![0.0; self.len()];
         for seed in 0..probes {
             let mut rng = ChaCha8Rng::seed_from_u64(seed);
             let sent: Vec<f64> = (0..self.len()).map(|_| StandardNormal.sample(&mut rng)).collect();
-            self.field(&flat, &sent, &mut scratch, &mut turns);
+            self.phase(&flat, &sent, &mut scratch, &mut turns);
             hessian(&turns, &mut product);
-            self.field_adjoint(&flat, &product, &mut scratch, &mut returned);
+            self.phase_adjoint(&flat, &product, &mut scratch, &mut returned);
             for ((&ring, sent), returned) in rings.iter().zip(&sent).zip(&returned) {
-                there[ring] += sent * sent;
-                back[ring] += sent * returned;
+                power[ring] += sent * sent;
+                product_power[ring] += sent * returned;
             }
         }
         let covered = self.place.len() as f64 / self.len() as f64;
         for (response, &ring) in self.response.iter_mut().zip(&rings) {
-            *response = (back[ring] / (there[ring] * covered)).max(LEAST_RESPONSE);
+            *response = (product_power[ring] / (power[ring] * covered)).max(MIN_RESPONSE);
         }
     }
 
-    /// White numbers `y` (`[ky][kx]`) to the phase at the lit samples, turns.
-    pub(super) fn field(&self, filter: &Filter<T>, y: &[f64], scratch: &mut SquareScratch<T>, turns: &mut [T]) {
-        for ((from, &y), &gain) in scratch.from.iter_mut().zip(y).zip(&filter.gain) {
+    /// Evaluates the phase of white coordinates `y` (`[ky][kx]`) at the illuminated samples, turns.
+    pub(super) fn phase(
+        &self,
+        image: &ImagePreconditioner<T>,
+        y: &[f64],
+        scratch: &mut PreconditionerScratch<T>,
+        turns: &mut [T],
+    ) {
+        for ((from, &y), &gain) in scratch.from.iter_mut().zip(y).zip(&image.gain) {
             *from = T::of(y) * gain;
         }
         self.hartley.transform(&scratch.from, 0..self.hartley.side(), &mut scratch.to, &mut scratch.fft);
@@ -182,12 +192,12 @@ impl<T: Real> Square<T> {
         }
     }
 
-    /// Its adjoint: a gradient per turn at the lit samples to one in `y`.
-    pub(super) fn field_adjoint(
+    /// Adjoint of [`Self::phase`]: a gradient per turn at the illuminated samples to one in `y`.
+    pub(super) fn phase_adjoint(
         &self,
-        filter: &Filter<T>,
+        image: &ImagePreconditioner<T>,
         turns_bar: &[T],
-        scratch: &mut SquareScratch<T>,
+        scratch: &mut PreconditionerScratch<T>,
         y_bar: &mut [f64],
     ) {
         scratch.from.fill(T::zero());
@@ -195,33 +205,33 @@ impl<T: Real> Square<T> {
             scratch.from[place as usize] = bar;
         }
         self.hartley.transform(&scratch.from, self.rows.clone(), &mut scratch.to, &mut scratch.fft);
-        for ((y_bar, &to), &gain) in y_bar.iter_mut().zip(&scratch.to).zip(&filter.gain) {
+        for ((y_bar, &to), &gain) in y_bar.iter_mut().zip(&scratch.to).zip(&image.gain) {
             *y_bar = (to * gain).wide();
         }
     }
 
-    /// Degrees of freedom that an image of `information_nm2` a sample takes where `covered` samples hold glass:
-    /// Σ h·S/(1 + h·S) over the part of the square that they are.
+    /// Effective degrees of freedom that the free phase takes from an image with `information_nm2` (h) on each of `covered`
+    /// illuminated samples: Σ h·S/(1 + h·S), over their share of the square.
     pub(super) fn freedom(&self, information_nm2: f64, covered: f64) -> f64 {
         let seen = |(variance, response): (&f64, &f64)| information_nm2 * response * variance;
         let parts = self.variance_nm2.iter().zip(&self.response).map(seen);
         parts.map(|seen| seen / (1.0 + seen)).sum::<f64>() * covered / self.len() as f64
     }
 
-    /// What probes found of all frequencies, on average.
+    /// Mean response over all frequencies.
     #[cfg(test)]
     pub(super) fn mean_response(&self) -> f64 {
         self.response.iter().sum::<f64>() / self.len() as f64
     }
 
-    /// Variance of the field, nm².
+    /// Prior variance of the phase, nm².
     pub(super) fn variance_nm2(&self) -> f64 {
         self.variance_nm2.iter().sum::<f64>() / self.len() as f64
     }
 }
 
-impl<T> Filter<T> {
-    /// The prior at `y`, and its gradient added to `gradient`.
+impl<T> ImagePreconditioner<T> {
+    /// Returns the prior's term at `y` and adds its gradient to `gradient`.
     pub(super) fn add_prior(&self, y: &[f64], gradient: &mut [f64]) -> f64 {
         const LANES: usize = 8;
         let mut lanes = [0.0; LANES];
@@ -245,11 +255,12 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     /// A disc of 40 samples on a grid of 48.
-    fn square<T: Real>() -> Square<T> {
+    fn square<T: Real>() -> SpectralPreconditioner<T> {
         let lit: Vec<u32> =
             (0..48 * 48).filter(|p| (p % 48 - 24i32).pow(2) + (p / 48 - 23).pow(2) < 400).map(|p| p as u32).collect();
         let density = (0..60).map(|k| 50.0 / (1.0 + (0.1 * f64::from(k)).powi(2)).powf(11.0 / 6.0)).collect();
-        Square::new((&lit, &vec![1.0; lit.len()]), 48, 0.1, 0.5, &Spectrum::new(0.1, density).unwrap()).unwrap()
+        SpectralPreconditioner::new((&lit, &vec![1.0; lit.len()]), 48, 0.1, 0.5, &RadialPsd::new(0.1, density).unwrap())
+            .unwrap()
     }
 
     fn white(count: usize, seed: u64) -> Vec<f64> {
@@ -258,38 +269,38 @@ mod tests {
     }
 
     #[test]
-    fn field_and_adjoint_pass_the_dot_test() {
+    fn phase_and_adjoint_pass_the_dot_test() {
         fn error<T: Real>() -> f64 {
             let square = square::<T>();
-            let (mut filter, mut scratch) = (square.filter(), square.scratch());
+            let (mut filter, mut scratch) = (square.image_preconditioner(), square.scratch());
             square.set(1e-3, 1.0 / 2000.0, &mut filter);
             let (y, bar) = (white(square.len(), 1), white(square.place.len(), 2));
             let bar: Vec<T> = bar.iter().map(|&v| T::of(v)).collect();
             let (mut turns, mut y_bar) = (vec![T::nan(); bar.len()], vec![f64::NAN; y.len()]);
-            square.field(&filter, &y, &mut scratch, &mut turns);
-            square.field_adjoint(&filter, &bar, &mut scratch, &mut y_bar);
-            let there: f64 = turns.iter().zip(&bar).map(|(a, b)| a.wide() * b.wide()).sum();
-            let back: f64 = y.iter().zip(&y_bar).map(|(a, b)| a * b).sum();
+            square.phase(&filter, &y, &mut scratch, &mut turns);
+            square.phase_adjoint(&filter, &bar, &mut scratch, &mut y_bar);
+            let forward: f64 = turns.iter().zip(&bar).map(|(a, b)| a.wide() * b.wide()).sum();
+            let adjoint: f64 = y.iter().zip(&y_bar).map(|(a, b)| a * b).sum();
             let size = |v: &[T]| v.iter().map(|v| v.wide().powi(2)).sum::<f64>().sqrt();
-            (there - back).abs() / (size(&turns) * size(&bar))
+            (forward - adjoint).abs() / (size(&turns) * size(&bar))
         }
         // Random signs: a rounding a level of the transform, of which there are 12, at most.
         assert!(error::<f64>() < 12.0 * f64::EPSILON, "{:e}", error::<f64>());
         assert!(error::<f32>() < 12.0 * f64::from(f32::EPSILON), "{:e}", error::<f32>());
     }
 
-    /// With nothing known of the phase (h = 0), white numbers make fields of the spectrum's variance.
+    /// Without information (h = 0), white coordinates map to phases of the prior's variance.
     #[test]
-    fn fields_drawn_have_the_spectrums_variance() {
+    fn drawn_phases_have_the_variance_of_the_prior() {
         let square = square::<f64>();
-        let (mut filter, mut scratch) = (square.filter(), square.scratch());
+        let (mut filter, mut scratch) = (square.image_preconditioner(), square.scratch());
         square.set(0.0, 1.0, &mut filter);
         assert!(filter.prior.iter().all(|&prior| prior == 1.0));
         let mut turns = vec![0.0; square.place.len()];
         let draws = 200;
         let mut mean_square = 0.0;
         for seed in 0..draws {
-            square.field(&filter, &white(square.len(), seed), &mut scratch, &mut turns);
+            square.phase(&filter, &white(square.len(), seed), &mut scratch, &mut turns);
             mean_square += turns.iter().map(|t| t * t).sum::<f64>() / (turns.len() as f64 * draws as f64);
         }
         let expected = square.variance_nm2.iter().sum::<f64>() / square.len() as f64;

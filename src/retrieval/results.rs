@@ -1,101 +1,26 @@
-//! What retrievals find, image by image.
+//! Results of MAP retrievals: wavefront and report of each image.
 
-use super::optimisation::Found;
 use crate::optimize::StopReason;
 use ndarray::{Array2, ArrayViewMut1, Axis};
 
-/// What the images of a sequence show.
-#[derive(Debug, Clone)]
-pub struct Phases {
-    /// The whole wavefront, static and dynamic, piston, tip and tilt included, nm, `[image, lit sample]`; NaN for an image
-    /// that cannot be used. Where a sample belongs to several segments it shows their mean by weight.
-    pub phase_nm: Array2<f64>,
-    /// Of it, what the coefficients hold: segments, then tip and tilt, nm, `[image, coefficient]`.
-    pub coefficients_nm: Array2<f64>,
-    /// Logarithm of each segment's amplitude over the model's, `[image, segment]`; no columns where amplitudes are known.
-    pub ln_amplitudes: Array2<f64>,
-    /// One for each image.
-    pub reports: Vec<RetrievalReport>,
-}
-
-/// How one image's retrieval went.
+/// Report of one image's retrieval.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RetrievalReport {
-    /// χ² per degree of freedom under the noise and the model error of the fitted model; NaN for an image that cannot be
-    /// used.
+    /// χ² per degree of freedom under the noise and the model error of the fitted model; NaN for an unusable image.
     pub reduced_chi2: f64,
-    /// What was minimised, χ² under the data's weights and what the prior adds, over the same degrees of freedom: a model that
-    /// is not the instrument's shows here where wavefronts could be found that explain the image, and are improbable.
+    /// Minimum of the objective, χ² under the data's weights plus the prior's term, over the same degrees of freedom. Optics
+    /// that differ from the instrument's raise it where an improbable wavefront can still fit the image.
     pub reduced_objective: f64,
     /// Evaluations of objective and gradient.
     pub evaluations: usize,
-    /// Why it stopped.
+    /// Reason why the optimiser stopped.
     pub reason: StopReason,
-    /// Electrons of the star.
+    /// Flux of the star, electrons.
     pub flux_e: f64,
-    /// Electrons per pixel of the background.
+    /// Background, electrons per pixel.
     pub background_e: f64,
-    /// Why the image cannot be used.
+    /// Reason why the image is unusable.
     pub refusal: Option<String>,
-}
-
-impl Phases {
-    /// Room for `images` with so many lit samples, coefficients, and amplitudes that vary.
-    pub(super) fn unfinished(images: usize, [lit, coefficients, varied]: [usize; 3]) -> Self {
-        let unknown = |columns: usize| Array2::from_elem((images, columns), f64::NAN);
-        Self {
-            phase_nm: unknown(lit),
-            coefficients_nm: unknown(coefficients),
-            ln_amplitudes: unknown(varied),
-            reports: vec![RetrievalReport::refused(String::new()); images],
-        }
-    }
-
-    /// What is kept of each image, one after the other.
-    pub(super) fn rows(&mut self) -> impl Iterator<Item = Row<'_>> {
-        let arrays = self.phase_nm.axis_iter_mut(Axis(0)).zip(self.coefficients_nm.axis_iter_mut(Axis(0)));
-        let arrays = arrays.zip(self.ln_amplitudes.axis_iter_mut(Axis(0))).zip(&mut self.reports);
-        arrays.map(|(((phase_nm, coefficients_nm), ln_amplitudes), report)| Row {
-            phase_nm,
-            coefficients_nm,
-            ln_amplitudes,
-            report,
-        })
-    }
-
-    /// Keeps what was found of an image, or why it cannot be used.
-    pub(super) fn keep(&mut self, image: usize, found: Result<Found, String>) {
-        Row {
-            phase_nm: self.phase_nm.row_mut(image),
-            coefficients_nm: self.coefficients_nm.row_mut(image),
-            ln_amplitudes: self.ln_amplitudes.row_mut(image),
-            report: &mut self.reports[image],
-        }
-        .keep(found);
-    }
-}
-
-/// What is kept of one image.
-pub(super) struct Row<'a> {
-    phase_nm: ArrayViewMut1<'a, f64>,
-    coefficients_nm: ArrayViewMut1<'a, f64>,
-    ln_amplitudes: ArrayViewMut1<'a, f64>,
-    report: &'a mut RetrievalReport,
-}
-
-impl Row<'_> {
-    /// Keeps what was found, or why the image cannot be used.
-    pub(super) fn keep(mut self, found: Result<Found, String>) {
-        match found {
-            Err(refusal) => *self.report = RetrievalReport::refused(refusal),
-            Ok(found) => {
-                self.phase_nm.iter_mut().zip(found.phase_nm).for_each(|(out, nm)| *out = nm);
-                self.coefficients_nm.iter_mut().zip(found.coefficients_nm).for_each(|(out, nm)| *out = nm);
-                self.ln_amplitudes.iter_mut().zip(found.ln_amplitudes).for_each(|(out, ln)| *out = ln);
-                *self.report = found.report;
-            }
-        }
-    }
 }
 
 impl RetrievalReport {
@@ -108,6 +33,88 @@ impl RetrievalReport {
             flux_e: f64::NAN,
             background_e: f64::NAN,
             refusal: Some(refusal),
+        }
+    }
+}
+
+/// MAP estimate from one image.
+pub(super) struct RetrievedImage {
+    pub(super) wavefront_nm: Vec<f64>,
+    pub(super) coefficients_nm: Vec<f64>,
+    /// Logarithm of each segment's amplitude over the model's, where amplitudes are unknowns.
+    pub(super) ln_amplitudes: Vec<f64>,
+    pub(super) report: RetrievalReport,
+}
+
+/// Retrieved wavefronts of the images of a sequence.
+#[derive(Debug, Clone)]
+pub struct RetrievedWavefronts {
+    /// Whole wavefront, static and dynamic, piston, tip and tilt included, nm, `[image, illuminated sample]`; NaN for an unusable
+    /// image. A sample of several segments has their mean by weight.
+    pub wavefront_nm: Array2<f64>,
+    /// Coefficients in it: segments, then tip and tilt, nm, `[image, coefficient]`.
+    pub coefficients_nm: Array2<f64>,
+    /// Logarithm of each segment's amplitude over the model's, `[image, segment]`; no columns where amplitudes are known.
+    pub ln_amplitudes: Array2<f64>,
+    /// Report of each image.
+    pub reports: Vec<RetrievalReport>,
+}
+
+impl RetrievedWavefronts {
+    /// Unfinished results of `images`, with these numbers of illuminated samples, coefficients and unknown amplitudes.
+    pub(super) fn unfinished(images: usize, [samples, coefficients, amplitudes]: [usize; 3]) -> Self {
+        let unknown = |columns: usize| Array2::from_elem((images, columns), f64::NAN);
+        Self {
+            wavefront_nm: unknown(samples),
+            coefficients_nm: unknown(coefficients),
+            ln_amplitudes: unknown(amplitudes),
+            reports: vec![RetrievalReport::refused(String::new()); images],
+        }
+    }
+
+    /// Mutable views of the images' results, in turn.
+    pub(super) fn images_mut(&mut self) -> impl Iterator<Item = ImageResultMut<'_>> {
+        let arrays = self.wavefront_nm.axis_iter_mut(Axis(0)).zip(self.coefficients_nm.axis_iter_mut(Axis(0)));
+        let arrays = arrays.zip(self.ln_amplitudes.axis_iter_mut(Axis(0))).zip(&mut self.reports);
+        arrays.map(|(((wavefront_nm, coefficients_nm), ln_amplitudes), report)| ImageResultMut {
+            wavefront_nm,
+            coefficients_nm,
+            ln_amplitudes,
+            report,
+        })
+    }
+
+    /// Stores the result of an image, or the reason why it is unusable.
+    pub(super) fn store(&mut self, image: usize, result: Result<RetrievedImage, String>) {
+        ImageResultMut {
+            wavefront_nm: self.wavefront_nm.row_mut(image),
+            coefficients_nm: self.coefficients_nm.row_mut(image),
+            ln_amplitudes: self.ln_amplitudes.row_mut(image),
+            report: &mut self.reports[image],
+        }
+        .store(result);
+    }
+}
+
+/// Mutable view of one image's result.
+pub(super) struct ImageResultMut<'a> {
+    wavefront_nm: ArrayViewMut1<'a, f64>,
+    coefficients_nm: ArrayViewMut1<'a, f64>,
+    ln_amplitudes: ArrayViewMut1<'a, f64>,
+    report: &'a mut RetrievalReport,
+}
+
+impl ImageResultMut<'_> {
+    /// Stores a result, or the reason why the image is unusable.
+    pub(super) fn store(mut self, result: Result<RetrievedImage, String>) {
+        match result {
+            Err(refusal) => *self.report = RetrievalReport::refused(refusal),
+            Ok(image) => {
+                self.wavefront_nm.iter_mut().zip(image.wavefront_nm).for_each(|(out, nm)| *out = nm);
+                self.coefficients_nm.iter_mut().zip(image.coefficients_nm).for_each(|(out, nm)| *out = nm);
+                self.ln_amplitudes.iter_mut().zip(image.ln_amplitudes).for_each(|(out, ln)| *out = ln);
+                *self.report = image.report;
+            }
         }
     }
 }

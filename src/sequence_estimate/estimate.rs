@@ -6,11 +6,13 @@ use crate::estimate::{Cube, WithoutOutliers, without_outliers};
 use crate::grid::Grid;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::optimize::CancelFlag;
-use crate::retrieval::{RetrievalRecipe, RetrievalReport, Retriever, Spectrum, Unknown, found as find_optics};
+use crate::retrieval::{
+    RadialPsd, RetrievalReport, RetrievalSettings, Retriever, StaticAberrationRms, estimate_optics,
+};
 use crate::scene::{Knows, Scene, SegmentModes};
-use crate::statics::RetrievedPhases;
+use crate::statics::SequenceRetrieval;
 use crate::statics::check_diversity;
-use crate::statics::{Pass, PassRecipe, find_statics};
+use crate::statics::{Iteration, StaticsSettings, estimate_static_errors};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};
@@ -78,9 +80,9 @@ fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) 
 }
 
 /// The spectrum that is expected of the dynamic wavefront.
-fn prior(scene: &Scene, knows: Knows) -> Result<Spectrum> {
+fn prior(scene: &Scene, knows: Knows) -> Result<RadialPsd> {
     if knows > Knows::Nothing {
-        return Spectrum::of_scene(scene, Unknown::default());
+        return RadialPsd::ao_residual(scene, StaticAberrationRms::default());
     }
     // Ordinary seeing, r0 = 16 cm at 500 nm, beyond what the mirror's pitch corrects; below, as much as there: a flat band.
     // Kolmogorov: 0.0229·r0^(−5/3)·f^(−11/3) rad²·m².
@@ -92,7 +94,7 @@ fn prior(scene: &Scene, knows: Knows) -> Result<Spectrum> {
         let f = (step_per_m * k as f64).max(cut_off_per_m);
         0.0229 * 0.16f64.powf(-5.0 / 3.0) * f.powf(-11.0 / 3.0) * nm_per_rad * nm_per_rad
     };
-    Spectrum::new(step_per_m, (0..ENTRIES).map(at).collect())
+    RadialPsd::new(step_per_m, (0..ENTRIES).map(at).collect())
 }
 
 /// Of so few images each is looked at [`FARTHER`] than usual, which takes three times as long: the first ten of a sequence then
@@ -120,8 +122,9 @@ pub fn read(
             scene.modes.segment.word()
         )));
     }
-    let recipe = PassRecipe { knows: knows(scene, images.slopes_mas.is_some())?, ..PassRecipe::default() };
-    let knows = recipe.knows;
+    let recipe =
+        StaticsSettings { ao_knowledge: knows(scene, images.slopes_mas.is_some())?, ..StaticsSettings::default() };
+    let knows = recipe.ao_knowledge;
     if let Some(&coarsest) = recipe.families.first() {
         check_diversity(coarsest, scene, &Telescope::of(scene)?)?;
     }
@@ -138,22 +141,21 @@ pub fn read(
     let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
     // Pistons as coefficients of their own let each image trade an edge for a field that is nearly one: the field alone
     // shows what an image says.
-    let usual = RetrievalRecipe { device, precision, piston_rms_nm: 0.0, ..RetrievalRecipe::default() };
+    let usual = RetrievalSettings { device, precision, piston_rms_nm: 0.0, ..RetrievalSettings::default() };
     let retrieval = if images.images_e.dim().0 <= FEW_IMAGES {
-        RetrievalRecipe { cycles_across_a_segment: usual.cycles_across_a_segment * FARTHER, ..usual }
+        RetrievalSettings { cycles_across_a_segment: usual.cycles_across_a_segment * FARTHER, ..usual }
     } else {
         usual
     };
     let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-    let optics = find_optics(scene, &prior, &retrieval, cube, cancel)?;
+    let optics = estimate_optics(scene, &prior, &retrieval, cube, cancel)?;
     let found_sensor = slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
     // A shadow that was found moves no lenslet that the slopes say is there.
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
     let retriever = Retriever::with_telescope(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
-    let cube = (&images.images_e, &images.bad, images.read_noise_e);
-    let mut source = RetrievedPhases::new(&retriever, &prior, cube, images.slopes_mas.clone(), cancel, watch)?;
-    let passes = find_statics(&static_scene, &mut source, &recipe, cancel)?;
+    let mut source = SequenceRetrieval::new(&retriever, &prior, cube, images.slopes_mas.clone(), cancel, watch)?;
+    let passes = estimate_static_errors(&static_scene, &mut source, &recipe, cancel)?;
     let (reports, retrieval_seconds) = (std::mem::take(&mut source.reports), source.seconds);
     let (device, device_failure) = retriever.device();
     let (pupil, seconds) = (Telescope::of(&static_scene)?.pupil, started.elapsed().as_secs_f64());
@@ -225,12 +227,12 @@ pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Arra
         file.image(name, map, Pixel::F64, "nm")?;
     }
     modes(&mut file, pass)?;
-    let of = |value: &dyn Fn(&Pass) -> f64| found.passes.iter().map(value).collect::<Vec<f64>>();
+    let of = |value: &dyn Fn(&Iteration) -> f64| found.passes.iter().map(value).collect::<Vec<f64>>();
     let passes = [
-        Column::f64("PHASING_CHANGE_NM", "nm", of(&|pass| pass.changed_nm[0])),
-        Column::f64("NCPA_CHANGE_NM", "nm", of(&|pass| pass.changed_nm[1])),
-        Column::f64("PHASING_EXPECTED_NM", "nm", of(&|pass| pass.expected_nm[0])),
-        Column::f64("NCPA_EXPECTED_NM", "nm", of(&|pass| pass.expected_nm[1])),
+        Column::f64("PHASING_CHANGE_NM", "nm", of(&|pass| pass.change_nm[0])),
+        Column::f64("NCPA_CHANGE_NM", "nm", of(&|pass| pass.change_nm[1])),
+        Column::f64("PHASING_EXPECTED_NM", "nm", of(&|pass| pass.error_budget.total_nm[0])),
+        Column::f64("NCPA_EXPECTED_NM", "nm", of(&|pass| pass.error_budget.total_nm[1])),
         Column::f64("CHI2", "", of(&|pass| pass.reduced_chi2)),
     ];
     file.table("PASSES", &passes)?;
@@ -258,7 +260,7 @@ pub fn write(path: &Path, scene: &Scene, found: &FullPhase, truth: Option<[&Arra
     file.finish()
 }
 
-fn modes(file: &mut FitsWriter, pass: &Pass) -> Result<()> {
+fn modes(file: &mut FitsWriter, pass: &Iteration) -> Result<()> {
     let errors = &pass.errors;
     let segments = errors.pistons_nm.len();
     let groups = (0..segments + errors.ncpa_nm.len()).map(|mode| if mode < segments { "segment" } else { "ncpa" });

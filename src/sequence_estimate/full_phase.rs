@@ -1,9 +1,9 @@
 //! What a full-phase estimate found, in the terms that programs and bindings report it in.
 
 use crate::pupil::Pupil;
-use crate::retrieval::{OpticsFound, RetrievalReport};
+use crate::retrieval::{RetrievalReport, RetrievedOptics};
 use crate::scene::{Knows, Precision, Scene};
-use crate::statics::{Pass, PassRecipe, SegmentTilts};
+use crate::statics::{ErrorSource, Iteration, SegmentTilts, StaticsSettings};
 use crate::{Error, Result};
 
 /// χ² per degree of freedom of images that the model explains but for what it cannot know of turbulence: behind a bright star
@@ -14,7 +14,7 @@ pub(super) const EXPLAINED: f64 = 6.0;
 #[derive(Debug, Clone)]
 pub struct FullPhase {
     /// All passes; the last one is the estimate.
-    pub passes: Vec<Pass>,
+    pub passes: Vec<Iteration>,
     /// How the retrieval of each image went in the last pass.
     pub reports: Vec<RetrievalReport>,
     /// Single pixels of each image that nobody had marked bad, that stood out, and that were taken off it.
@@ -22,7 +22,7 @@ pub struct FullPhase {
     /// What was assumed of the adaptive optics.
     pub knows: Knows,
     /// Optics that the images said are others than the scene's.
-    pub optics: OpticsFound,
+    pub optics: RetrievedOptics,
     /// The scene by which static errors were sought, and corrections are to be made: with the optics that were found, unless
     /// the sensor's subapertures speak against them.
     pub scene: Scene,
@@ -45,7 +45,7 @@ impl FullPhase {
     ///
     /// # Errors
     /// [`Error::Internal`] never: an estimate has a pass at least.
-    pub fn result(&self) -> Result<&Pass> {
+    pub fn result(&self) -> Result<&Iteration> {
         self.passes.last().ok_or_else(|| Error::Internal("an estimate without a pass".into()))
     }
 
@@ -64,8 +64,8 @@ impl FullPhase {
     /// # Errors
     /// As [`FullPhase::result`].
     pub fn settled(&self) -> Result<bool> {
-        let (pass, recipe) = (self.result()?, PassRecipe::default());
-        Ok(self.passes.len() < recipe.max_passes || !pass.moved(recipe.settled))
+        let (pass, recipe) = (self.result()?, StaticsSettings::default());
+        Ok(self.passes.len() < recipe.max_iterations || !pass.has_changed(recipe.tolerance))
     }
 
     /// Whether the typical image's residual is more than the noise and what the model cannot know.
@@ -74,7 +74,8 @@ impl FullPhase {
     /// As [`FullPhase::result`].
     pub fn misfits(&self) -> Result<bool> {
         // Where optics were looked for, what was found should have explained the images.
-        let explained = if self.optics.warnings().is_empty() { EXPLAINED } else { crate::retrieval::CALLS };
+        let explained =
+            if self.optics.warnings().is_empty() { EXPLAINED } else { crate::retrieval::OPTICS_SEARCH_CHI2 };
         Ok(self.result()?.reduced_chi2 > explained)
     }
 
@@ -111,23 +112,24 @@ impl FullPhase {
                 pass.reduced_chi2
             ));
         }
-        if let Some(tilts) = pass.segment_tilts.filter(SegmentTilts::are_there) {
+        if let Some(tilts) = pass.segment_tilts.filter(SegmentTilts::is_significant) {
             sentences.push(format!(
                 "single segments seem to be tilted, by {:.0} nm RMS and more: pistons and NCPA have taken a share of it for \
                  theirs, and their error bars do not know",
                 tilts.rms_nm
             ));
         }
-        if pass.beyond_nm > 0.0 {
+        let beyond_nm = pass.error_budget.term_nm(ErrorSource::NcpaBeyondModes)[1];
+        if beyond_nm > 0.0 {
             sentences.push(format!(
                 "the NCPA go on beyond the {} modes that the sensor tells apart: some {:.1} nm of them are in no map, and in the \
                  error bars alone",
                 pass.errors.ncpa_nm.len(),
-                pass.beyond_nm
+                beyond_nm
             ));
         }
         if !self.settled()? {
-            let [phasing_nm, ncpa_nm] = pass.changed_nm;
+            let [phasing_nm, ncpa_nm] = pass.change_nm;
             sentences.push(format!(
                 "{} passes did not settle: the last one changed the phasing by {phasing_nm:.1} nm and the NCPA by \
                  {ncpa_nm:.1} nm",
@@ -139,7 +141,7 @@ impl FullPhase {
                 "with estimate.knows = \"{}\" the loop's answer to the pistons counts as NCPA: their error bars hold {:.0} nm \
                  for it",
                 self.knows.word(),
-                pass.answer_nm
+                pass.error_budget.term_nm(ErrorSource::UnknownLoopResponse)[1]
             ));
         }
         Ok(sentences)

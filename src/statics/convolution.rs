@@ -1,98 +1,98 @@
-//! Convolutions of maps over the lit samples, on a grid that leaves room for every lag.
+//! Convolutions of maps over the illuminated samples, by FFT on a grid padded for every lag.
 //!
-//! A map fills the first half of the rows: the other half is neither transformed on the way in nor on the way out, and the
-//! spectrum stays turned, `[kx, ky]`, which saves two transpositions of four.
+//! A map fills the first half of the rows, so the other half is transformed neither forward nor back, and the spectrum stays
+//! transposed, `[kx, ky]`, which saves two transpositions of four.
 
 use crate::fourier::fast_side;
-use crate::retrieval::LitSamples;
+use crate::retrieval::IlluminatedSamples;
 use num_complex::{Complex, Complex64};
 use rustfft::{Fft, FftNum, FftPlanner};
 use std::sync::Arc;
 
-/// Transforms of maps over the lit samples on the padded grid, of which they fill the first rows.
+/// Plans of the convolutions on the padded grid, of which maps fill the first rows.
 #[derive(Clone)]
 pub(super) struct Convolver<T> {
     pub(super) padded: usize,
-    /// Rows that hold samples; the others are 0 before, and not asked for after.
+    /// Rows with samples; the others are 0 before a convolution and unused after it.
     rows: usize,
-    /// The place of each lit sample.
-    places: Vec<usize>,
+    /// Index of each illuminated sample.
+    indices: Vec<usize>,
     pub(super) forward: Arc<dyn Fft<T>>,
     pub(super) inverse: Arc<dyn Fft<T>>,
 }
 
-/// Memory of a convolver.
-pub(super) struct Room<T> {
-    /// `[y, x]`, its rows with samples.
+/// Buffers of a convolution.
+pub(super) struct ConvolutionBuffers<T> {
+    /// `[y, x]`, the rows with samples.
     field: Vec<Complex<T>>,
-    /// `[x, y]`, all of it: what is transformed along y, and the spectrum.
-    pub(super) turned: Vec<Complex<T>>,
+    /// `[x, y]`, the whole grid: input of the transform along y, and the spectrum.
+    pub(super) transposed: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
 }
 
 impl<T: FftNum> Convolver<T> {
-    pub(super) fn of(lit: &LitSamples) -> Self {
+    pub(super) fn new(samples: &IlluminatedSamples) -> Self {
         // Lags of either sign, up to the grid's width, without wrapping.
-        let padded = fast_side(2 * lit.samples);
+        let padded = fast_side(2 * samples.samples);
         let mut planner = FftPlanner::new();
         Self {
             padded,
-            rows: lit.samples,
-            places: lit.places.iter().map(|&place| place / lit.samples * padded + place % lit.samples).collect(),
+            rows: samples.samples,
+            indices: samples.indices.iter().map(|&i| i / samples.samples * padded + i % samples.samples).collect(),
             forward: planner.plan_fft_forward(padded),
             inverse: planner.plan_fft_inverse(padded),
         }
     }
 
-    pub(super) fn room(&self) -> Room<T> {
+    pub(super) fn buffers(&self) -> ConvolutionBuffers<T> {
         let zero = Complex::new(T::zero(), T::zero());
         let scratch = self.forward.get_inplace_scratch_len().max(self.inverse.get_inplace_scratch_len());
-        Room {
+        ConvolutionBuffers {
             field: vec![zero; self.rows * self.padded],
-            turned: vec![zero; self.padded * self.padded],
+            transposed: vec![zero; self.padded * self.padded],
             scratch: vec![zero; scratch],
         }
     }
 
-    /// The transform of a map, `[kx, ky]` in `room.turned`, not normalised.
-    pub(super) fn spectrum(&self, map: impl Iterator<Item = Complex<T>>, room: &mut Room<T>) {
+    /// Transforms a map to `buffers.transposed`, `[kx, ky]`, not normalised.
+    pub(super) fn spectrum(&self, map: impl Iterator<Item = Complex<T>>, buffers: &mut ConvolutionBuffers<T>) {
         let zero = Complex::new(T::zero(), T::zero());
-        room.field.fill(zero);
-        self.places.iter().zip(map).for_each(|(&place, value)| room.field[place] = value);
-        self.forward.process_with_scratch(&mut room.field, &mut room.scratch);
-        turn(&room.field, self.padded, &mut room.turned, self.padded, [self.rows, self.padded]);
-        room.turned.chunks_exact_mut(self.padded).for_each(|line| line[self.rows..].fill(zero));
-        self.forward.process_with_scratch(&mut room.turned, &mut room.scratch);
+        buffers.field.fill(zero);
+        self.indices.iter().zip(map).for_each(|(&index, value)| buffers.field[index] = value);
+        self.forward.process_with_scratch(&mut buffers.field, &mut buffers.scratch);
+        transpose(&buffers.field, self.padded, &mut buffers.transposed, self.padded, [self.rows, self.padded]);
+        buffers.transposed.chunks_exact_mut(self.padded).for_each(|line| line[self.rows..].fill(zero));
+        self.forward.process_with_scratch(&mut buffers.transposed, &mut buffers.scratch);
     }
 
-    /// A map whose spectrum is multiplied by `gain`, `[kx, ky]`, at the lit samples, not normalised.
+    /// Multiplies the spectrum of a map by `gain`, `[kx, ky]`; returns the illuminated samples, not normalised.
     pub(super) fn filtered<'r>(
         &'r self,
         map: impl Iterator<Item = Complex<T>>,
         gain: &[T],
-        room: &'r mut Room<T>,
+        buffers: &'r mut ConvolutionBuffers<T>,
     ) -> impl Iterator<Item = Complex<T>> + 'r {
-        self.spectrum(map, room);
-        room.turned.iter_mut().zip(gain).for_each(|(value, &gain)| *value = value.scale(gain));
-        self.inverse.process_with_scratch(&mut room.turned, &mut room.scratch);
-        turn(&room.turned, self.padded, &mut room.field, self.padded, [self.padded, self.rows]);
-        self.inverse.process_with_scratch(&mut room.field, &mut room.scratch);
-        self.places.iter().map(|&place| room.field[place])
+        self.spectrum(map, buffers);
+        buffers.transposed.iter_mut().zip(gain).for_each(|(value, &gain)| *value = value.scale(gain));
+        self.inverse.process_with_scratch(&mut buffers.transposed, &mut buffers.scratch);
+        transpose(&buffers.transposed, self.padded, &mut buffers.field, self.padded, [self.padded, self.rows]);
+        self.inverse.process_with_scratch(&mut buffers.field, &mut buffers.scratch);
+        self.indices.iter().map(|&index| buffers.field[index])
     }
 }
 
-/// Along both axes of a square, in place, not normalised.
+/// Transforms a square along both axes, in place, not normalised.
 pub(super) fn transform(field: &mut [Complex64], n: usize, fft: &dyn Fft<f64>) {
-    let mut turned = field.to_vec();
-    fft.process(&mut turned);
-    turn(&turned, n, field, n, [n, n]);
+    let mut transposed = field.to_vec();
+    fft.process(&mut transposed);
+    transpose(&transposed, n, field, n, [n, n]);
     fft.process(field);
-    turned.copy_from_slice(field);
-    turn(&turned, n, field, n, [n, n]);
+    transposed.copy_from_slice(field);
+    transpose(&transposed, n, field, n, [n, n]);
 }
 
-/// Writes `from[y][x]` to `to[x][y]`, for the first `[y, x]` of them; rows of the two strides.
-fn turn<T: Copy>(from: &[T], from_stride: usize, to: &mut [T], to_stride: usize, [rows, columns]: [usize; 2]) {
+/// Transposes: writes `from[y][x]` to `to[x][y]` for the first `[y, x]`, with rows of the two strides.
+fn transpose<T: Copy>(from: &[T], from_stride: usize, to: &mut [T], to_stride: usize, [rows, columns]: [usize; 2]) {
     // Tiles that stay in the cache: 16 × 16 complex numbers are 4 kB.
     const TILE: usize = 16;
     for y0 in (0..rows).step_by(TILE) {

@@ -3,29 +3,44 @@
 //! ```text
 //! wavefronts ─ mean ─ generalised least squares ─ pistons, NCPA ─┐
 //!   ↑           └ scatter ─ covariance ─┘  ↑                      │
-//!   └────────────── static wavefront ──────┼── loop response ─────┘      iterations, until one changes nothing
+//!   └────────────── static wavefront ──────┼── loop response ─────┘      iterations, until one changes next to nothing
 //! ```
 //!
-//! The loop's response to the pistons is smooth and pistons are edges, so a covariance like that of turbulence separates one
-//! from the other; the response itself is known from a simulation of the loop closed on the pistons alone.
+//! The loop's response to the pistons is smooth and pistons have edges, so a covariance like that of turbulence separates the two;
+//! the response itself is known from a simulation of the loop closed on the pistons alone.
 
 mod anderson;
 mod convolution;
 mod covariance;
 mod empirical_bayes;
+mod error_budget;
+mod estimator;
 mod image_selection;
-mod iterations;
+mod iterate;
+mod iteration;
 mod least_squares;
-mod retrieved_sequence;
+mod mean_covariance;
+mod ncpa_basis;
 mod segment_tilts;
-mod simulated_wavefronts;
+mod sequence_retrieval;
+mod settings;
+mod static_errors;
 mod static_modes;
+mod wavefront_source;
 
-pub use covariance::{MeanCovariance, ResidualCovariance};
-pub use empirical_bayes::{Evidence, Family};
-pub use iterations::{Measured, Pass, PassRecipe, PhaseSource, StaticWavefront, find_statics};
-pub use least_squares::{NcpaModes, StaticErrors, StaticModel};
-pub use retrieved_sequence::RetrievedPhases;
+pub use covariance::ResidualCovariance;
+pub use error_budget::{ErrorBudget, ErrorSource, ErrorTerm};
+pub use iterate::estimate_static_errors;
+pub use iteration::Iteration;
+pub use least_squares::StaticModel;
+pub use mean_covariance::MeanCovariance;
+pub use ncpa_basis::{NcpaBasis, NcpaFamily};
 pub use segment_tilts::SegmentTilts;
-pub use simulated_wavefronts::TruePhases;
+pub use sequence_retrieval::SequenceRetrieval;
+pub use settings::StaticsSettings;
+pub use static_errors::StaticErrors;
 pub(crate) use static_modes::check_diversity;
+pub use wavefront_source::{RetrievedSequence, WavefrontSource};
+
+#[cfg(test)]
+mod tests;

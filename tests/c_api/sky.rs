@@ -1,7 +1,6 @@
 //! What Rust makes of the exposures that a program in another language dumped with its own full-phase estimate.
 
 use super::fits;
-use cophase::loop_response::Commands;
 use cophase::scene::Scene;
 use cophase::sequence_estimate::{SkyImages, read};
 use ndarray::{Array2, Array3, s};
@@ -65,7 +64,7 @@ pub(super) fn is_that_of_rust(dump: &Path) {
         let narrow: Vec<f64> = map.iter().map(|&nm| f64::from(nm as f32)).collect();
         same(what, &next(narrow.len()), &narrow);
     }
-    let commands = Commands::of(&scene, pass, None).unwrap();
+    let commands = pass.corrections(&scene, None).unwrap();
     let (places, moves): (Vec<[f64; 2]>, Vec<f64>) = commands.actuators_nm.iter().copied().unzip();
     same("pistons to add", &next(commands.pistons_nm.len()), &commands.pistons_nm);
     same("commands to add", &next(moves.len()), &moves);
