@@ -6,7 +6,7 @@ use cophase::ao::{Sensor, Stepper};
 use cophase::io::{FitsWriter, Pixel};
 use cophase::modes::Samples;
 use cophase::scene::{Precision, Scene};
-use cophase::sky::{Commands, SkyImages, read};
+use cophase::sequence_estimate::{SkyImages, read};
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
 use std::path::{Path, PathBuf};
 
@@ -141,7 +141,7 @@ fn corrections_take_off_what_is_really_there() {
     let mut stepper = Stepper::new(&scene).unwrap();
     let images = exposures(&mut stepper, 6);
     let found = read(&scene, &images, None, &|_| {}).unwrap();
-    let commands = Commands::of(&scene, found.result().unwrap(), None).unwrap();
+    let commands = found.result().unwrap().corrections(&scene, None).unwrap();
     let simulator = stepper.simulator();
     let (truth, pupil) = (simulator.truth(), simulator.pupil());
 

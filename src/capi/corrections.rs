@@ -4,7 +4,6 @@ use super::full_phase::{change, cophase_full_phase, look};
 use super::pointer::room;
 use super::sized::Reports;
 use super::status::cophase_status;
-use crate::sky::Commands;
 use crate::{Error, Result};
 
 /// Corrections, in numbers. Later versions may append fields.
@@ -44,7 +43,7 @@ pub unsafe extern "C" fn cophase_full_phase_correct(
             let found = working.found_mut()?;
             let report = Reports::at(report, report_size)?;
             let limit_nm = (!limit_nm.is_nan()).then_some(limit_nm);
-            let commands = Commands::of(&found.full_phase.scene, found.pass()?, limit_nm)?;
+            let commands = found.pass()?.corrections(&found.full_phase.scene, limit_nm)?;
             report.put(
                 0,
                 &cophase_correction_report {

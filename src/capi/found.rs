@@ -10,8 +10,11 @@ use super::pointer::{place, put, put_text, room};
 use super::report::{COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK, COPHASE_IMAGE_UNUSABLE};
 use super::sized::Reports;
 use super::status::cophase_status;
+use crate::loop_response::Corrections;
+use crate::retrieval::RetrievalReport;
 use crate::scene::Knows;
-use crate::sky::{Commands, FullPhase, Pass, RetrievalReport};
+use crate::sequence_estimate::FullPhase;
+use crate::statics::Iteration;
 use crate::{Error, Result};
 use ndarray::Axis;
 use std::ffi::{CString, c_char};
@@ -20,7 +23,7 @@ use std::ffi::{CString, c_char};
 pub(super) struct Found {
     pub(super) full_phase: FullPhase,
     names: Vec<CString>,
-    pub(super) commands: Option<Commands>,
+    pub(super) commands: Option<Corrections>,
 }
 
 /// What a full-phase estimate found. Later versions may append fields.
@@ -85,7 +88,7 @@ impl Found {
         Ok(Self { full_phase, names, commands: None })
     }
 
-    pub(super) fn pass(&self) -> Result<&Pass> {
+    pub(super) fn pass(&self) -> Result<&Iteration> {
         self.full_phase.result()
     }
 
@@ -99,11 +102,11 @@ impl Found {
             settled: found.settled()?.into(),
             knows: number(found.knows),
             phasing_rms_nm,
-            phasing_sigma_nm: pass.expected_nm[0],
+            phasing_sigma_nm: pass.error_budget.total_nm[0],
             ncpa_rms_nm,
-            ncpa_sigma_nm: pass.expected_nm[1],
-            phasing_change_nm: pass.changed_nm[0],
-            ncpa_change_nm: pass.changed_nm[1],
+            ncpa_sigma_nm: pass.error_budget.total_nm[1],
+            phasing_change_nm: pass.change_nm[0],
+            ncpa_change_nm: pass.change_nm[1],
             reduced_chi2: pass.reduced_chi2,
             seconds: found.seconds,
         })

@@ -10,7 +10,7 @@ use super::status::{COPHASE_OK, cophase_status};
 use crate::estimate::{Calibration, CameraMaps};
 use crate::optimize::CancelFlag;
 use crate::scene::{Knows, Scene};
-use crate::sky::{self, SkyImages};
+use crate::sequence_estimate::{self, SkyImages};
 use crate::{Error, Result};
 use ndarray::Array3;
 use std::ffi::c_char;
@@ -258,7 +258,8 @@ pub unsafe extern "C" fn cophase_full_phase_estimate(
         let watch = |_| {
             full_phase.retrieved.fetch_add(1, Ordering::Relaxed);
         };
-        let found = on_threads(options.threads, || sky::read(&scene, &images, Some(&full_phase.cancel), &watch))?;
+        let found =
+            on_threads(options.threads, || sequence_estimate::read(&scene, &images, Some(&full_phase.cancel), &watch))?;
         if let Err(Error::Interrupted(_)) = found {
             full_phase.cancel.store(false, Ordering::Relaxed);
         }

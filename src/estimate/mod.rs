@@ -153,7 +153,7 @@ fn refuse_full_phase(scene: &Scene) -> Result<()> {
     match scene.estimate.method {
         Method::Modal => Ok(()),
         Method::FullPhase => Err(Error::Scene(
-            "estimate.method = \"full-phase\" reads whole sequences at once, with 'cophase estimate', sky::read or \
+            "estimate.method = \"full-phase\" reads whole sequences at once, with 'cophase estimate', sequence_estimate::read or \
              cophase_full_phase (cophase.FullPhase): a modal estimator takes \"modal\""
                 .into(),
         )),

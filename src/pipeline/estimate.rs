@@ -9,7 +9,8 @@ use crate::estimate::{self, Compared};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{Combine, Knows, Method, Precision, Scene};
-use crate::sky::{Commands, Pass};
+use crate::loop_response::{Corrections};
+use crate::statics::{Iteration};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 use std::path::Path;
@@ -140,7 +141,7 @@ pub struct MapSummary {
     /// What was assumed of the adaptive optics.
     pub knows: Knows,
     /// All iterations; the last one is the estimate.
-    pub iterations: Vec<Pass>,
+    pub iterations: Vec<Iteration>,
     /// Whether they ended because the last one changed next to nothing.
     pub has_settled: bool,
     /// Wall-clock time in retrievals, s.
@@ -264,9 +265,9 @@ impl Estimate {
     ///
     /// # Errors
     /// [`Error::Value`] for a limit that is not positive, and for a modal estimate, which has no corrections yet.
-    pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Commands> {
+    pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
         match self.map.as_ref().and_then(|map| map.iterations.last()) {
-            Some(iteration) => Commands::of(&self.scene, iteration, limit_nm),
+            Some(iteration) => iteration.corrections(&self.scene, limit_nm),
             None => Err(Error::Value(
                 "corrections come from the full-phase estimate: estimate.method = \"full-phase\" is needed".into(),
             )),

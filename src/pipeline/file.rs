@@ -5,7 +5,7 @@ use super::{ErrorTerm, ImageOutcome};
 use crate::Result;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::scene::Combine;
-use crate::sky::Pass;
+use crate::statics::Iteration;
 use std::path::Path;
 
 /// Writes `estimate` to `path`, whole or not at all.
@@ -124,12 +124,12 @@ fn optics(file: &mut FitsWriter, optics: &[OpticalParameter]) -> Result<()> {
 }
 
 fn iterations(file: &mut FitsWriter, map: &MapSummary) -> Result<()> {
-    let reals = |value: &dyn Fn(&Pass) -> f64| map.iterations.iter().map(value).collect::<Vec<f64>>();
+    let reals = |value: &dyn Fn(&Iteration) -> f64| map.iterations.iter().map(value).collect::<Vec<f64>>();
     let columns = [
-        Column::f64("PHASING_CHANGE_NM", "nm", reals(&|iteration| iteration.changed_nm[0])),
-        Column::f64("NCPA_CHANGE_NM", "nm", reals(&|iteration| iteration.changed_nm[1])),
-        Column::f64("PHASING_EXPECTED_NM", "nm", reals(&|iteration| iteration.expected_nm[0])),
-        Column::f64("NCPA_EXPECTED_NM", "nm", reals(&|iteration| iteration.expected_nm[1])),
+        Column::f64("PHASING_CHANGE_NM", "nm", reals(&|iteration| iteration.change_nm[0])),
+        Column::f64("NCPA_CHANGE_NM", "nm", reals(&|iteration| iteration.change_nm[1])),
+        Column::f64("PHASING_EXPECTED_NM", "nm", reals(&|iteration| iteration.error_budget.total_nm[0])),
+        Column::f64("NCPA_EXPECTED_NM", "nm", reals(&|iteration| iteration.error_budget.total_nm[1])),
         Column::f64("CHI2", "", reals(&|iteration| iteration.reduced_chi2)),
     ];
     file.table("ITERATIONS", &columns)?;

@@ -10,7 +10,8 @@ use super::policy::Policy;
 use super::warnings;
 use crate::modes::Group;
 use crate::scene::{Knows, Scene};
-use crate::sky::{self, FullPhase, Pass, SkyImages};
+use crate::sequence_estimate::{self, FullPhase, SkyImages};
+use crate::statics::{Iteration};
 use crate::{Error, Result};
 use ndarray::Array2;
 
@@ -32,7 +33,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         slopes_mas: slopes_mas.cloned(),
     };
     control.enter(Stage::Retrieving, count);
-    let found = sky::read(scene, &sequence, Some(control.flag()), &|_| control.advance())?;
+    let found = sequence_estimate::read(scene, &sequence, Some(control.flag()), &|_| control.advance())?;
     control.check("the images were read, nothing was written")?;
     let (sentences, has_settled, misfits) = (found.warnings()?, found.settled()?, found.misfits()?);
     let outcomes = (0..count).map(|image| outcome(&found, image)).collect();
@@ -105,7 +106,7 @@ fn outcome(found: &FullPhase, image: usize) -> ImageOutcome {
     }
 }
 
-fn basis(last: &Pass) -> Basis {
+fn basis(last: &Iteration) -> Basis {
     let (segments, ncpa) = (last.errors.pistons_nm.len(), last.ncpa_names.len());
     let groups = [vec![Group::Segment; segments], vec![Group::Ncpa; ncpa]].concat();
     Basis { names: last.mode_names(), groups }
@@ -135,7 +136,7 @@ fn optics(given: &Scene, found: &FullPhase) -> Vec<OpticalParameter> {
 }
 
 /// The terms of an iteration's error bars: what the images average out, and what all of them share.
-fn error_budget(last: &Pass) -> Vec<ErrorTerm> {
+fn error_budget(last: &Iteration) -> Vec<ErrorTerm> {
     let term = |name: &str, phasing_nm: f64, ncpa_nm: f64| ErrorTerm { name: name.into(), phasing_nm, ncpa_nm };
     let [phasing_nm, ncpa_nm] = last.averaged_nm;
     let rest = |i: usize, known: f64| {

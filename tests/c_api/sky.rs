@@ -2,7 +2,7 @@
 
 use super::fits;
 use cophase::scene::Scene;
-use cophase::sky::{Commands, SkyImages, read};
+use cophase::sequence_estimate::{SkyImages, read};
 use ndarray::{Array2, Array3, s};
 use std::path::{Path, PathBuf};
 
@@ -64,7 +64,7 @@ pub(super) fn is_that_of_rust(dump: &Path) {
         let narrow: Vec<f64> = map.iter().map(|&nm| f64::from(nm as f32)).collect();
         same(what, &next(narrow.len()), &narrow);
     }
-    let commands = Commands::of(&scene, pass, None).unwrap();
+    let commands = pass.corrections(&scene, None).unwrap();
     let (places, moves): (Vec<[f64; 2]>, Vec<f64>) = commands.actuators_nm.iter().copied().unzip();
     same("pistons to add", &next(commands.pistons_nm.len()), &commands.pistons_nm);
     same("commands to add", &next(moves.len()), &moves);

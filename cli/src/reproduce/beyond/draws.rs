@@ -7,7 +7,7 @@ use cophase::ao::{self, Shot, Simulator};
 use cophase::metrics::residual_nm;
 use cophase::pupil::Pupil;
 use cophase::scene::{Knows, Scene};
-use cophase::sky::{FullPhase, SkyImages, read};
+use cophase::sequence_estimate::{FullPhase, SkyImages, read};
 use cophase::source::{Truth, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
@@ -241,8 +241,8 @@ impl BeyondRow {
             passes,
             phasing_nm,
             ncpa_nm,
-            pass.expected_nm[0],
-            pass.expected_nm[1],
+            pass.error_budget.total_nm[0],
+            pass.error_budget.total_nm[1],
             pass.reduced_chi2,
             first_phasing_nm,
             first_ncpa_nm,

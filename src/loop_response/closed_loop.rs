@@ -1,0 +1,110 @@
+//! Closed-loop response to segment pistons (AO leakage): the mirror's shape at rest, from a simulation of the loop on the pistons
+//! alone, without turbulence and noise.
+//!
+//! The response is nonlinear, as is a quad cell's to a step at a segment's edge. So it is simulated for each set of pistons, and
+//! its linear part serves for first estimates only.
+
+use crate::ao::{CALM, Simulator};
+use crate::retrieval::IlluminatedSamples;
+use crate::scene::Scene;
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, ArrayView1};
+
+/// Settings that switch off all aberrations of the scene.
+const NO_ABERRATIONS: [(&str, &str); 6] = [
+    ("aberrations.ncpa_file", ""),
+    ("aberrations.segment_piston_rms_nm", "0.0"),
+    ("aberrations.segment_tip_tilt_rms_nm", "0.0"),
+    ("aberrations.segment_reflectivity_rms", "0.0"),
+    ("aberrations.ncpa_rms_nm", "0.0"),
+    ("aberrations.drift_nm_per_min", "0.0"),
+];
+
+/// Largest change of a command from frame to frame of a mirror at rest: at a gain of 0.3 the remaining change is three times that.
+const STILL_NM: f32 = 1e-3;
+
+/// Frames after which a mirror that still moves is taken as at rest: 30 s at most loops' rates. Directions that the controller
+/// hardly measures drift for long, and little.
+const MAX_FRAMES: usize = 3000;
+
+/// Piston with which the linear part is measured, nm.
+const POKE_NM: f64 = 20.0;
+
+/// Closed-loop response of a scene to segment pistons.
+pub struct ClosedLoopResponse {
+    simulator: Simulator,
+    /// For each sample of the simulator's map that a segment owns, the segment and the sample's index.
+    owned: Vec<(u32, u32)>,
+    /// Shape of 1 nm of each command at each illuminated sample, `[actuator, sample]`.
+    influence: Array2<f64>,
+    segments: usize,
+}
+
+impl ClosedLoopResponse {
+    /// The response of the loop of `scene`, at the illuminated `samples`.
+    ///
+    /// # Errors
+    /// Those of [`Simulator::new`].
+    pub fn new(scene: &Scene, samples: &IlluminatedSamples) -> Result<Self> {
+        let aberrations = scene.aberrations.iter().flat_map(|_| NO_ABERRATIONS);
+        let settings: Vec<_> = CALM.into_iter().chain(aberrations).collect();
+        let simulator = Simulator::new(&scene.with(&settings)?)?;
+        let stride = simulator.footprint().stride();
+        let owner = simulator.pupil().owner.indexed_iter().filter(|(_, owner)| **owner >= 0);
+        let owned = owner.map(|((y, x), &owner)| (owner as u32, (y * stride + x) as u32)).collect();
+        let influence = simulator.influence().evaluate(&samples.xs_m, &samples.ys_m)?;
+        let segments = simulator.pupil().segments.len();
+        Ok(Self { simulator, owned, influence, segments })
+    }
+
+    /// Simulates the commands of the mirror at rest behind segments with these pistons, nm.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of segments; those of [`Simulator::step_behind`].
+    pub fn commands_nm(&mut self, pistons_nm: &[f64]) -> Result<Vec<f64>> {
+        if pistons_nm.len() != self.segments {
+            let (given, needed) = (pistons_nm.len(), self.segments);
+            return Err(Error::Shape(format!("{given} pistons were given: the telescope has {needed} segments")));
+        }
+        let mut steps_nm = self.simulator.footprint().zeros();
+        for &(segment, index) in &self.owned {
+            steps_nm[index as usize] = pistons_nm[segment as usize] as f32;
+        }
+        let mut before_nm = vec![0.0; self.simulator.influence().len()];
+        for frame in 0..MAX_FRAMES {
+            let commands_nm = self.simulator.step_behind(&steps_nm)?.commands_nm;
+            let change = commands_nm.iter().zip(&before_nm).map(|(now, then)| (now - then).abs()).fold(0.0, f32::max);
+            before_nm.copy_from_slice(commands_nm);
+            // The first frames still hold the commands for the previous pistons.
+            if change < STILL_NM && frame > 1 {
+                break;
+            }
+        }
+        Ok(before_nm.into_iter().map(f64::from).collect())
+    }
+
+    /// Simulates the mirror's contribution to the wavefront at each illuminated sample behind segments with these pistons, nm.
+    ///
+    /// # Errors
+    /// As [`ClosedLoopResponse::commands_nm`].
+    pub fn response_nm(&mut self, pistons_nm: &[f64]) -> Result<Array1<f64>> {
+        let commands_nm = self.commands_nm(pistons_nm)?;
+        // The mirror's shape is subtracted from the wavefront.
+        Ok(-ArrayView1::from(&commands_nm).dot(&self.influence))
+    }
+
+    /// Measures the linear part of [`ClosedLoopResponse::response_nm`], for 1 nm of each piston, `[segment, sample]`.
+    ///
+    /// # Errors
+    /// As [`ClosedLoopResponse::commands_nm`].
+    pub fn linear_response(&mut self) -> Result<Array2<f64>> {
+        let mut responses = Array2::zeros((self.segments, self.influence.ncols()));
+        let mut pistons_nm = vec![0.0; self.segments];
+        for (segment, mut row) in responses.outer_iter_mut().enumerate() {
+            pistons_nm[segment] = POKE_NM;
+            row.assign(&(self.response_nm(&pistons_nm)? / POKE_NM));
+            pistons_nm[segment] = 0.0;
+        }
+        Ok(responses)
+    }
+}

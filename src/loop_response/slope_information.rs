@@ -1,0 +1,150 @@
+//! Fisher information of wavefront sensor slopes on the NCPA: weighted least squares of the differences between the slopes of the
+//! retrieved wavefronts and the measured ones.
+//!
+//! Slopes are weighted by their scatter from image to image, and modes along the singular vectors of the sensor's response, each by
+//! its own scatter. So directions that slopes hardly measure get next to no weight, and modes may be many. The error of the
+//! sensor model is estimated from the data too: the part of the mean over images that no mode explains, beyond its scatter, does
+//! not average over images.
+
+use crate::Result;
+use crate::ao::{Svd, svd};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+
+/// Weight, in images, of the mean variance of all slopes in the variance of each (shrinkage): from three images alone some slopes
+/// would seem ten times more precise than others.
+const COMMON_IMAGES: f64 = 4.0;
+
+/// Least scatter of a slope, mas: copies of one image would have none.
+const MIN_SCATTER_MAS: f64 = 1e-3;
+/// Least scatter along a singular vector, in units of the slopes' scatter.
+const MIN_SCATTER: f64 = 1e-3;
+
+/// Normal equations of the NCPA from wavefronts and slopes, for modes in nm.
+#[derive(Debug, Clone)]
+pub struct SlopeInformation {
+    /// Fisher information on the modes, nm⁻².
+    pub information: Array2<f64>,
+    /// Right side: the information times the estimated modes, nm⁻¹.
+    pub right_side: Array1<f64>,
+    /// Error of the sensor model in each slope, RMS, mas.
+    pub model_error_mas: f64,
+}
+
+/// Linear response of a sensor's slopes to modes.
+pub(super) struct SensorResponse {
+    /// Slopes for 1 nm of each mode, `[mode, slope]`, mas.
+    response_mas: Array2<f64>,
+}
+
+impl SensorResponse {
+    /// From the slopes for 1 nm of each mode, `[mode, slope]`, mas.
+    pub(super) fn new(response_mas: Array2<f64>) -> Self {
+        Self { response_mas }
+    }
+
+    /// Information on all modes of the slopes in `difference_mas` (`[image, slope]`), which remain beyond modes `known_nm`.
+    ///
+    /// # Errors
+    /// Where the response cannot be decomposed.
+    pub(super) fn information(&self, difference_mas: ArrayView2<f64>, known_nm: &[f64]) -> Result<SlopeInformation> {
+        let images = difference_mas.nrows() as f64;
+        let freedom = (images - 1.0).max(1.0);
+        let square = |values: ArrayView1<f64>| values.dot(&values);
+        let mean_mas = difference_mas.sum_axis(Axis(0)) / images;
+        let scatter_mas = &difference_mas - &mean_mas;
+        // In units of each slope's own scatter: partly illuminated subapertures are less precise.
+        let own_mas2: Array1<f64> = scatter_mas.axis_iter(Axis(1)).map(square).collect();
+        let unit_mas = shrunk(&own_mas2, freedom, MIN_SCATTER_MAS).mapv(f64::sqrt);
+        let Svd { left, values, right } = svd(&(&self.response_mas / &unit_mas))?;
+        let (mean, scatter) = (mean_mas / &unit_mas, scatter_mas / &unit_mas);
+        let modal = mean.dot(&right);
+        let modal_squares: Array1<f64> = scatter.dot(&right).axis_iter(Axis(1)).map(square).collect();
+        let others = (unit_mas.len() - values.len()).max(1) as f64;
+        let all_squares: f64 = scatter.iter().map(|value| value * value).sum();
+        let other_variance = (all_squares - modal_squares.sum()).max(0.0) / (freedom * others);
+        let unexplained = &mean - &right.dot(&modal);
+        let model_variance = (square(unexplained.view()) / others - other_variance / images).max(0.0);
+        let weights =
+            shrunk(&modal_squares, freedom, MIN_SCATTER).mapv(|variance| 1.0 / (variance / images + model_variance));
+        let values = Array1::from(values);
+        let weighted = &left * &(&values * &weights);
+        let information = (&weighted * &values).dot(&left.t());
+        let right_side = information.dot(&ArrayView1::from(known_nm)) + weighted.dot(&modal);
+        let model_error_mas = (model_variance * square(unit_mas.view()) / unit_mas.len() as f64).sqrt();
+        Ok(SlopeInformation { information, right_side, model_error_mas })
+    }
+}
+
+/// Estimates variances from sums of squares with `freedom` degrees of freedom each, shrunk towards their mean as by
+/// [`COMMON_IMAGES`] more images, and no less than `least²`.
+fn shrunk(squares: &Array1<f64>, freedom: f64, least: f64) -> Array1<f64> {
+    let common = squares.sum() / (freedom * squares.len().max(1) as f64);
+    squares.mapv(|own| ((own + COMMON_IMAGES * common) / (freedom + COMMON_IMAGES)).max(least * least))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const SLOPES: usize = 80;
+
+    /// Three modes, the last measured a thousand times less.
+    fn slopes_mas_per_nm() -> Array2<f64> {
+        let wave = |mode: usize, slope: usize| ((mode + 1) as f64 * 0.37 * slope as f64).sin();
+        Array2::from_shape_fn((3, SLOPES), |(mode, slope)| [0.1, 0.05, 1e-4][mode] * wave(mode, slope))
+    }
+
+    fn differences(images: usize, modes_nm: [f64; 3], noise_mas: f64, error_mas: f64) -> Array2<f64> {
+        let mut rng = crate::source::stream(9, images as u64);
+        let mut normal = move || -> f64 { StandardNormal.sample(&mut rng) };
+        let shape: Vec<f64> = (0..SLOPES).map(|_| error_mas * normal()).collect();
+        let exact = ndarray::arr1(&modes_nm).dot(&slopes_mas_per_nm());
+        Array2::from_shape_fn((images, SLOPES), |(_, slope)| exact[slope] + shape[slope] + noise_mas * normal())
+    }
+
+    fn solved(slopes: &SlopeInformation, prior_nm: f64) -> (Array1<f64>, Vec<f64>) {
+        let mut matrix = slopes.information.clone();
+        matrix.diag_mut().iter_mut().for_each(|value| *value += prior_nm.powi(-2));
+        let inverse = crate::linear_algebra::SpdInverse::new(&matrix).unwrap().inverse;
+        (inverse.dot(&slopes.right_side), inverse.diag().iter().map(|nm2| nm2.sqrt()).collect())
+    }
+
+    #[test]
+    fn modes_are_recovered_within_their_error_bars_and_unmeasured_ones_stay_unknown() {
+        let response = SensorResponse::new(slopes_mas_per_nm());
+        let slopes = response.information(differences(40, [12.0, -7.0, 3.0], 1.0, 0.0).view(), &[0.0; 3]).unwrap();
+        let (found_nm, sigma_nm) = solved(&slopes, 100.0);
+        // Noise of 1 mas in 40 images and 80 slopes of half the power of a sine: 1/√(1600)/0.1 = 0.25 nm and twice that.
+        assert!((sigma_nm[0] / 0.25 - 1.0).abs() < 0.3 && (sigma_nm[1] / 0.5 - 1.0).abs() < 0.3, "{sigma_nm:?}");
+        assert!((found_nm[0] - 12.0).abs() < 3.0 * sigma_nm[0] && (found_nm[1] + 7.0).abs() < 3.0 * sigma_nm[1]);
+        assert!(sigma_nm[2] > 90.0);
+        // Differences about known modes give the same estimate.
+        let about =
+            response.information(differences(40, [2.0, -7.0, 3.0], 1.0, 0.0).view(), &[10.0, 0.0, 0.0]).unwrap();
+        assert!((solved(&about, 100.0).0[0] - found_nm[0]).abs() < 1e-2);
+    }
+
+    #[test]
+    fn an_error_of_the_sensor_model_does_not_average() {
+        let response = SensorResponse::new(slopes_mas_per_nm());
+        let slopes = response.information(differences(400, [12.0, -7.0, 0.0], 1.0, 1.0).view(), &[0.0; 3]).unwrap();
+        // 77 slopes determine a variance to √(2/77) = 16 %.
+        assert!((slopes.model_error_mas - 1.0).abs() < 0.25, "{}", slopes.model_error_mas);
+        let (found_nm, sigma_nm) = solved(&slopes, 100.0);
+        // As one image would: √400 times the noise's 0.079 nm.
+        assert!((sigma_nm[0] / 1.58 - 1.0).abs() < 0.3, "{sigma_nm:?}");
+        assert!((found_nm[0] - 12.0).abs() < 3.0 * sigma_nm[0], "{found_nm}");
+    }
+
+    #[test]
+    fn copies_of_one_image_have_finite_information() {
+        let one = differences(1, [12.0, -7.0, 0.0], 0.0, 0.0);
+        let copies = ndarray::concatenate(Axis(0), &[one.view(), one.view(), one.view()]).unwrap();
+        let slopes = SensorResponse::new(slopes_mas_per_nm()).information(copies.view(), &[0.0; 3]).unwrap();
+        let (found_nm, sigma_nm) = solved(&slopes, 100.0);
+        // Without noise the error is rounding and the prior's pull: (σ/100 nm)² of it.
+        assert!((found_nm[0] - 12.0).abs() < 1e-6 && (found_nm[1] + 7.0).abs() < 1e-6, "{found_nm}");
+        assert!(sigma_nm.iter().all(|nm| nm.is_finite() && *nm > 0.0), "{sigma_nm:?}");
+    }
+}

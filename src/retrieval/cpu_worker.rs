@@ -1,0 +1,38 @@
+//! CPU worker: the MAP retrieval of one image on one thread.
+
+use super::results::RetrievedImage;
+use super::static_wavefront::StaticWavefront;
+use super::workspace::{ThreadBuffers, Workspace};
+use crate::Result;
+use crate::estimate::Prepared;
+use crate::imaging::Polynomial;
+use crate::optimize::Progress;
+
+impl<T: Polynomial> Workspace<T> {
+    /// Retrieves the wavefront of one image on this thread, about the wavefront `about`.
+    ///
+    /// # Errors
+    /// Broken promises of this module's.
+    pub(super) fn retrieve(&self, mut prepared: Prepared, about: Option<&StaticWavefront>) -> Result<RetrievedImage> {
+        let model = &self.model;
+        let (mut optimisation, mut buffers) = (self.take_optimisation()?, self.take_buffers());
+        optimisation.begin(model, &mut prepared, about)?;
+        model.chain.set(&mut buffers.loaded, &prepared.exposure)?;
+        loop {
+            optimisation.place(model, &mut buffers.preconditioner);
+            let ThreadBuffers { preconditioner, scratch, turns_bar, loaded, evaluation } = &mut buffers;
+            optimisation.set_amplitudes(scratch);
+            let (at, turns) = (optimisation.coefficients_nm(), optimisation.turns());
+            model.chain.evaluate_free(loaded, at, turns, scratch, evaluation, turns_bar);
+            let amplitude_gradient = |gradient: &mut [f64]| model.chain.amplitude_gradient(scratch, gradient);
+            let progress = optimisation.advance(model, evaluation, turns_bar, amplitude_gradient, preconditioner)?;
+            if progress == Progress::Done {
+                break;
+            }
+        }
+        let retrieved = optimisation.result(model, &prepared, &mut buffers.preconditioner, &mut buffers.scratch);
+        self.optimisations.put_back(optimisation);
+        self.buffers.put_back(buffers);
+        Ok(retrieved)
+    }
+}

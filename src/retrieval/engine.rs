@@ -1,0 +1,84 @@
+//! Retrieval of the images of a task in one precision: on a device where one was chosen, else on every core of the CPU.
+
+use super::device_batch::{DeviceBatch, RetrievalTask};
+use super::model::MapModel;
+use super::results::RetrievedWavefronts;
+use super::workspace::Workspace;
+use crate::Result;
+use crate::imaging::Polynomial;
+use rayon::prelude::*;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Retrievals in one precision.
+pub(super) struct Engine<T: Polynomial> {
+    workspace: Workspace<T>,
+    /// Whether a device was chosen; never where amplitudes vary, which no device kernel supports.
+    on_device: bool,
+    /// The chain there, once it was opened.
+    batch: Mutex<Option<DeviceBatch>>,
+}
+
+impl<T: Polynomial> Engine<T> {
+    /// # Errors
+    /// Those of finding the device.
+    pub(super) fn new(model: MapModel<T>) -> Result<Self> {
+        let on_device = model.segment_samples.is_empty() && model.settings.device.resolve()?.is_some();
+        Ok(Self { workspace: Workspace::new(model), on_device, batch: Mutex::new(None) })
+    }
+
+    pub(super) fn model(&self) -> &MapModel<T> {
+        &self.workspace.model
+    }
+
+    /// Name of the device of the last retrievals, and the failure with which it was lost, if it was.
+    pub(super) fn device(&self) -> (String, Option<String>) {
+        let batch = self.batch.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let describe = |batch: &DeviceBatch| (batch.chain.device_name(), batch.chain.failure().map(str::to_owned));
+        batch.as_ref().map_or_else(|| ("cpu".into(), None), describe)
+    }
+
+    /// Retrieves all images into `wavefronts`; `watch` is given the number of finished images.
+    ///
+    /// # Errors
+    /// [`Error::Device`](crate::Error::Device), [`Error::Interrupted`](crate::Error::Interrupted), those of preparing.
+    pub(super) fn retrieve(
+        &self,
+        task: &RetrievalTask,
+        wavefronts: &mut RetrievedWavefronts,
+        watch: &(dyn Fn(usize) + Sync),
+    ) -> Result<()> {
+        if self.on_device && self.retrieve_on_device(task, wavefronts, watch)? {
+            return Ok(());
+        }
+        let done = AtomicUsize::new(0);
+        let images: Vec<_> = wavefronts.images_mut().enumerate().collect();
+        images.into_par_iter().try_for_each(|(image, out)| {
+            task.check_cancel(|| done.load(Ordering::Relaxed))?;
+            let result = match (task.prepare)(image)? {
+                Ok(prepared) => Ok(self.workspace.retrieve(prepared, task.about)?),
+                Err(refusal) => Err(refusal),
+            };
+            out.store(result);
+            watch(done.fetch_add(1, Ordering::Relaxed) + 1);
+            Ok(())
+        })
+    }
+
+    /// As [`Engine::retrieve`]; `false`, with nothing done, where no device computes any more.
+    fn retrieve_on_device(
+        &self,
+        task: &RetrievalTask,
+        wavefronts: &mut RetrievedWavefronts,
+        watch: &(dyn Fn(usize) + Sync),
+    ) -> Result<bool> {
+        let mut batch = self.batch.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let mut done = 0;
+        // The images of a batch end in any order.
+        DeviceBatch::retrieve(&mut batch, &self.workspace, task, &mut |image, result| {
+            wavefronts.store(image, result);
+            done += 1;
+            watch(done);
+        })
+    }
+}

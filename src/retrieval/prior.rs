@@ -1,0 +1,323 @@
+//! Prior of the wavefront: an isotropic power spectral density (PSD), predicted for the residual of an AO system or measured.
+//!
+//! Densities are in nm²·m² against cycles/m, so that `∫ S(f) 2πf df` is the variance in nm² on any grid.
+
+use crate::metrics::Psd;
+use crate::modes::VonKarman;
+use crate::scene::Scene;
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use std::f64::consts::{PI, TAU};
+
+/// Isotropic power spectral density, tabulated over the modulus of the spatial frequency.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RadialPsd {
+    /// Distance between neighbouring entries, cycles/m; the first is at frequency 0.
+    step_per_m: f64,
+    /// Densities, positive.
+    density_nm2_m2: Vec<f64>,
+}
+
+/// RMS of static aberrations that are not yet corrected or estimated, whose variance the prior includes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StaticAberrationRms {
+    /// RMS of the segments' pistons, nm.
+    pub piston_rms_nm: f64,
+    /// RMS of the NCPA, nm.
+    pub ncpa_rms_nm: f64,
+}
+
+impl Default for StaticAberrationRms {
+    /// 60 nm of pistons and 70 nm of NCPA, as of a telescope before it is phased this way. A factor of two either way changes
+    /// little, because the data dominate the prior at the frequencies that an image resolves.
+    fn default() -> Self {
+        Self { piston_rms_nm: 60.0, ncpa_rms_nm: 70.0 }
+    }
+}
+
+/// Entries of a predicted PSD up to the mirror's cut-off frequency.
+const ENTRIES_IN_BAND: usize = 40;
+/// Entries in all, up to five times the cut-off, which a pupil of ten samples an actuator does not exceed. Beyond, the PSD is
+/// extrapolated.
+const ENTRIES: usize = 5 * ENTRIES_IN_BAND;
+/// Directions over which a predicted PSD is averaged: the corrected band is a square, and winds have any direction.
+const DIRECTIONS: usize = 96;
+/// Aliases on either side of the band along x and y that are summed: the von Kármán PSD falls by 2⁻¹¹ᐟ³ to the second.
+const ALIASES: i32 = 2;
+
+impl RadialPsd {
+    /// From its entries, `step_per_m` apart from frequency 0 on. Between them its logarithm is linear; beyond the last it falls
+    /// as f^(−11/3).
+    ///
+    /// # Errors
+    /// [`Error::Value`] for fewer than two entries, a step that is not positive, or an entry that is not positive.
+    pub fn new(step_per_m: f64, density_nm2_m2: Vec<f64>) -> Result<Self> {
+        if !(step_per_m.is_finite() && step_per_m > 0.0) || density_nm2_m2.len() < 2 {
+            let entries = density_nm2_m2.len();
+            return Err(Error::Value(format!(
+                "a power spectral density of {entries} entries {step_per_m} cycles/m apart was given: two or more and a \
+                 positive step are needed"
+            )));
+        }
+        if let Some((k, value)) = density_nm2_m2.iter().enumerate().find(|(_, s)| !(s.is_finite() && **s > 0.0)) {
+            return Err(Error::Value(format!(
+                "entry {k} of a power spectral density is {value} nm²·m²: a positive number is needed"
+            )));
+        }
+        Ok(Self { step_per_m, density_nm2_m2 })
+    }
+
+    /// Predicts the PSD of the residual of the AO system of `scene`, plus that of static aberrations `unknown`.
+    ///
+    /// Beyond the mirror's cut-off, |fx| or |fy| > 1/(2·pitch), it is the turbulence (fitting error). Within, where the scene has
+    /// a loop and layers, it is each layer times the loop's rejection `1/(1 + g·z^(−lag)/(1 − z^(−1)))` at the temporal
+    /// frequency f·v (servo-lag), plus the aliases of the sensor times the loop's response (Rigaut, Véran & Lai 1998, SPIE 3353,
+    /// 1038: the ratio of the transfer functions of slopes that are means over a subaperture). Where it has no loop the band is
+    /// as flat as the PSD at the cut-off. All terms are averaged over the motion of the layers in an exposure.
+    ///
+    /// The sensor's noise is left out: for stars bright enough for such images it is below 10 nm.
+    ///
+    /// # Errors
+    /// Those of [`VonKarman::new`].
+    pub fn ao_residual(scene: &Scene, unknown: StaticAberrationRms) -> Result<Self> {
+        let residual = AoResidual::from_scene(scene)?;
+        let step_per_m = residual.cut_off_per_m / ENTRIES_IN_BAND as f64;
+        let aperture_m = scene.pupil.grid_m.or(scene.pupil.extent_m()).unwrap_or(1.0);
+        let segment_m2 = 1.5 * 3f64.sqrt() * scene.pupil.segment_side_m.powi(2);
+        let density = |k: usize| {
+            // Frequency 0 is the piston of the whole pupil, to which images are blind: its entry is its neighbour's.
+            let f = step_per_m * (k as f64).max(0.5);
+            let turn = |i: usize| TAU * (i as f64 + 0.5) / DIRECTIONS as f64;
+            let dynamic: f64 = (0..DIRECTIONS).map(|i| residual.density(f * turn(i).cos(), f * turn(i).sin())).sum();
+            dynamic / DIRECTIONS as f64
+                + unknown.piston_rms_nm.powi(2) * segment_m2 * disc(f * (segment_m2 / PI).sqrt())
+                + low_order(f, aperture_m, residual.cut_off_per_m) * unknown.ncpa_rms_nm.powi(2)
+        };
+        Self::new(step_per_m, (0..ENTRIES).map(density).collect())
+    }
+
+    /// From the average periodogram of wavefronts over the pupil (see [`crate::metrics::PsdAverage`]).
+    ///
+    /// `floor` is added, and should be a small fraction of a predicted PSD: a prior of variance 0 is no prior.
+    ///
+    /// # Errors
+    /// As [`RadialPsd::new`].
+    pub fn from_psd(psd: &Psd, floor: &Self) -> Result<Self> {
+        let rings = psd.rings();
+        let step_per_m = psd.step_per_m();
+        let mut density: Vec<f64> = rings.density_nm2_m2.clone();
+        // The mean was taken out of each wavefront, so ring 0 is replaced by the next one.
+        if density.len() > 1 {
+            density[0] = density[1];
+        }
+        for (k, value) in density.iter_mut().enumerate() {
+            *value += floor.density_nm2_m2_at(step_per_m * k as f64);
+        }
+        Self::new(step_per_m, density)
+    }
+
+    /// Density at a frequency, nm²·m².
+    pub fn density_nm2_m2_at(&self, f_per_m: f64) -> f64 {
+        let place = f_per_m.abs() / self.step_per_m;
+        let last = self.density_nm2_m2.len() - 1;
+        if place >= last as f64 {
+            return self.density_nm2_m2[last] * (place / last as f64).powf(-11.0 / 3.0);
+        }
+        let (k, share) = (place as usize, place.fract());
+        let [low, high] = [k, k + 1].map(|k| self.density_nm2_m2[k].ln());
+        (low + share * (high - low)).exp()
+    }
+
+    /// The same PSD times a factor.
+    ///
+    /// # Errors
+    /// As [`RadialPsd::new`].
+    pub fn scaled(&self, factor: f64) -> Result<Self> {
+        Self::new(self.step_per_m, self.density_nm2_m2.iter().map(|s| s * factor).collect())
+    }
+
+    /// Integrates the variance between two frequencies, nm²: `∫ S(f) 2πf df`.
+    pub fn variance_nm2(&self, from_per_m: f64, to_per_m: f64) -> f64 {
+        // The midpoint rule, ten points an entry: a straight line in log S is then exact to 1e-3.
+        let points = (((to_per_m - from_per_m) / self.step_per_m * 10.0).ceil() as usize).max(1);
+        let step = (to_per_m - from_per_m) / points as f64;
+        let term = |i: usize| {
+            let f = from_per_m + (i as f64 + 0.5) * step;
+            self.density_nm2_m2_at(f) * TAU * f * step
+        };
+        (0..points).map(term).sum()
+    }
+}
+
+/// Parameters of a scene from which its AO residual is predicted.
+struct AoResidual {
+    turbulence: VonKarman,
+    cut_off_per_m: f64,
+    lenslet_m: f64,
+    /// Share and velocity of each layer, m/s.
+    layers: Vec<(f64, [f64; 2])>,
+    /// Gain, frames of lag, seconds a frame.
+    control: Option<(f64, f64, f64)>,
+    exposure_s: f64,
+}
+
+impl AoResidual {
+    fn from_scene(scene: &Scene) -> Result<Self> {
+        let air = &scene.turbulence;
+        let layer = |((&share, &speed), &direction): ((&f64, &f64), &f64)| {
+            (share, [speed * f64::cos(direction), speed * f64::sin(direction)])
+        };
+        let lenslets = scene.wavefront_sensor.as_ref().map(|sensor| sensor.lenslets_across as f64);
+        let width_m = scene.pupil.grid_m.or(scene.pupil.extent_m());
+        Ok(Self {
+            turbulence: Telescope::turbulence(scene)?,
+            cut_off_per_m: 0.5 / scene.mirror.pitch_m,
+            lenslet_m: width_m.zip(lenslets).map_or(scene.mirror.pitch_m, |(width, lenslets)| width / lenslets),
+            layers: air.fractions.iter().zip(&air.wind_m_s).zip(&air.wind_dir_rad).map(layer).collect(),
+            exposure_s: scene.image.exposure_s,
+            control: scene.control.as_ref().map(|c| (c.gain, c.lag_frames as f64, 1.0 / c.frame_rate_hz)),
+        })
+    }
+
+    /// PSD at a frequency, averaged over an exposure, nm²·m².
+    fn density(&self, fx: f64, fy: f64) -> f64 {
+        let own = self.turbulence.psd_nm2_m2(fx.hypot(fy));
+        let in_band = fx.abs().max(fy.abs()) <= self.cut_off_per_m;
+        if self.layers.is_empty() {
+            return if in_band { self.turbulence.psd_nm2_m2(self.cut_off_per_m) } else { own };
+        }
+        let layer = |&(share, velocity): &(f64, [f64; 2])| {
+            let passing_hz = fx * velocity[0] + fy * velocity[1];
+            // Motion in an exposure averages the layer.
+            let smeared = sinc(self.exposure_s * passing_hz).powi(2);
+            let density = match &self.control {
+                _ if !in_band => own,
+                None => self.turbulence.psd_nm2_m2(self.cut_off_per_m),
+                Some(control) => responses(control, passing_hz)[0] * own + self.aliased(fx, fy, velocity, control),
+            };
+            share * smeared * density
+        };
+        self.layers.iter().map(layer).sum()
+    }
+
+    /// Aliases that the sensor measures at (fx, fy) and the loop applies to the mirror, nm²·m².
+    fn aliased(&self, fx: f64, fy: f64, velocity: [f64; 2], control: &(f64, f64, f64)) -> f64 {
+        let d = self.lenslet_m;
+        let slopes = |fx: f64, fy: f64| sinc(d * fx) * sinc(d * fy);
+        let (own, square) = (slopes(fx, fy), fx * fx + fy * fy);
+        let shifts = (-ALIASES..=ALIASES).flat_map(|i| (-ALIASES..=ALIASES).map(move |j| (i, j)));
+        let alias = |(i, j): (i32, i32)| {
+            let (gx, gy) = (fx + f64::from(i) / d, fy + f64::from(j) / d);
+            let share = (fx * gx + fy * gy) / square * slopes(gx, gy) / own;
+            let [_, followed] = responses(control, gx * velocity[0] + gy * velocity[1]);
+            share * share * followed * self.turbulence.psd_nm2_m2(gx.hypot(gy))
+        };
+        shifts.filter(|&shift| shift != (0, 0)).map(alias).sum()
+    }
+}
+
+/// |rejection|² and |response|² of the integrator at a temporal frequency.
+fn responses(&(gain, lag, frame_s): &(f64, f64, f64), frequency_hz: f64) -> [f64; 2] {
+    let turn = |frames: f64| num_complex::Complex64::from_polar(1.0, -TAU * frequency_hz * frame_s * frames);
+    // E = (1 − z⁻¹)/(1 − z⁻¹ + g·z^(−lag)), which is 0 and not 0/0 at frequency 0.
+    let integrator = 1.0 - turn(1.0);
+    let rejection = integrator / (integrator + gain * turn(lag));
+    [rejection.norm_sqr(), (1.0 - rejection).norm_sqr()]
+}
+
+fn sinc(x: f64) -> f64 {
+    if x == 0.0 { 1.0 } else { (PI * x).sin() / (PI * x) }
+}
+
+/// |Fourier transform|² of a disc over its area's square, at `x` cycles a radius: that of a segment, without its corners. Its
+/// integral over the plane is 1/area.
+fn disc(x: f64) -> f64 {
+    // J1 by its integral; the trapezoidal rule over a period of an analytic function converges geometrically.
+    let (argument, points) = (TAU * x, 64);
+    let j1: f64 = (0..points)
+        .map(|i| PI * (f64::from(i) + 0.5) / f64::from(points))
+        .map(|t| (t - argument * t.sin()).cos())
+        .sum::<f64>()
+        / f64::from(points);
+    if argument < 1e-6 { 1.0 } else { (2.0 * j1 / argument).powi(2) }
+}
+
+/// PSD of variance 1 that falls as f⁻³ (Zernike polynomials whose variance falls as the square of their order) from one cycle
+/// over the aperture on, and is 0 beyond the mirror's cut-off, where a mirror can correct no NCPA.
+fn low_order(f: f64, aperture_m: f64, cut_off_per_m: f64) -> f64 {
+    let first = 1.0 / aperture_m;
+    if f > cut_off_per_m {
+        return 0.0;
+    }
+    // ∫ 2πf (f² + f₁²)^(−3/2) df = 2π/f₁·(1 − 1/√(1 + (cut-off/f₁)²)).
+    let whole = TAU / first * (1.0 - 1.0 / (1.0 + (cut_off_per_m / first).powi(2)).sqrt());
+    (f * f + first * first).powf(-1.5) / whole
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene() -> Scene {
+        Scene::preset("keck-onsky").unwrap()
+    }
+
+    /// Beyond the cut-off nothing is corrected: 0.23·(pitch/r0)^(5/3) rad² of Kolmogorov turbulence outside of a square
+    /// (Rigaut et al. 1998), 0.28 with a real mirror's edges.
+    #[test]
+    fn fitting_error_agrees_with_the_textbook() {
+        let scene = scene().with_override("image.exposure_s", "1e-6").unwrap();
+        let nothing = StaticAberrationRms { piston_rms_nm: 0.0, ncpa_rms_nm: 0.0 };
+        let spectrum = RadialPsd::ao_residual(&scene, nothing).unwrap();
+        let cut_off = 0.5 / scene.mirror.pitch_m;
+        let nm2 = (500.0 / TAU).powi(2) * (scene.mirror.pitch_m / scene.turbulence.r0_m).powf(5.0 / 3.0);
+        // The corners of the square hold what the in-band error does not reach: from √2 times the cut-off on all of it
+        // is fitting error. Kolmogorov beyond f: 0.0229·6π/5·f^(−5/3); the tail beyond the tables' end by its power law.
+        let from = 2f64.sqrt() * cut_off;
+        let tail = 0.0229 * 6.0 * PI / 5.0 * (from * scene.mirror.pitch_m).powf(-5.0 / 3.0) * nm2;
+        let found = spectrum.variance_nm2(from, 200.0 * cut_off);
+        // 0.0229 has three digits; the outer scale takes 3e-4, the end 1e-4.
+        assert!((found / tail - 1.0).abs() < 5e-3, "{found} {tail}");
+        let whole = spectrum.variance_nm2(cut_off, 200.0 * cut_off) / nm2;
+        assert!((0.2..0.3).contains(&whole), "{whole}");
+    }
+
+    #[test]
+    fn unknown_aberrations_add_their_variance() {
+        let variance = |piston_rms_nm, ncpa_rms_nm| {
+            let spectrum =
+                RadialPsd::ao_residual(&scene(), StaticAberrationRms { piston_rms_nm, ncpa_rms_nm }).unwrap();
+            spectrum.variance_nm2(0.0, 20.0)
+        };
+        let none = variance(0.0, 0.0);
+        // A disc's spectrum falls as f⁻³, so that 2/(2π²·f·a) of it lie beyond f: 2.8 % beyond the table's end at 4.4
+        // cycles/m (a = 0.82 m), where the extrapolation falls too fast. The entry at frequency 0 and the interpolation between
+        // entries are good to a few percent of the NCPA, which fall over a few entries.
+        let pistons = variance(60.0, 0.0) - none;
+        assert!((0.96..1.0).contains(&(pistons / 3600.0)), "{pistons}");
+        let ncpa = variance(0.0, 70.0) - none;
+        assert!((ncpa / 4900.0 - 1.0).abs() < 0.05, "{ncpa}");
+    }
+
+    /// The residual in the band falls with the frame rate.
+    #[test]
+    fn a_faster_loop_rejects_more() {
+        let nothing = StaticAberrationRms { piston_rms_nm: 0.0, ncpa_rms_nm: 0.0 };
+        let in_band = |settings: &[(&str, &str)]| {
+            let scene = scene().with(settings).unwrap();
+            RadialPsd::ao_residual(&scene, nothing).unwrap().variance_nm2(0.0, 0.5 / scene.mirror.pitch_m).sqrt()
+        };
+        let (own, slow) = (in_band(&[]), in_band(&[("control.frame_rate_hz", "200")]));
+        assert!(own < 0.6 * slow, "{own} {slow}");
+        // Servo-lag with an integrator of gain 0.3 is a delay of 1/0.3 + 1/2 frames: σ² = (2π)²·τ²·∫ (f·v)² W, which
+        // for Greenwood's time comes to some 40 nm; aliasing to 0.28·(d/r0)^(5/6) rad, some 60.
+        assert!((40.0..120.0).contains(&own), "{own}");
+    }
+
+    #[test]
+    fn invalid_psds_are_refused() {
+        assert!(RadialPsd::new(0.0, vec![1.0; 4]).is_err());
+        assert!(RadialPsd::new(0.1, vec![1.0]).is_err());
+        assert!(RadialPsd::new(0.1, vec![1.0, 0.0]).unwrap_err().to_string().contains("entry 1"));
+    }
+}

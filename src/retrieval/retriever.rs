@@ -1,0 +1,215 @@
+//! Retriever: MAP wavefronts of the images of one scene, on every core or as a batch on a device.
+//!
+//! ```text
+//! frame ─ prepare ─ weights ─ information ─ image preconditioner ┐
+//!                                  y, u ─ free phase + coefficients ─ imaging chain ─ χ² + prior ─ L-BFGS
+//! ```
+//!
+//! The objective is that of the modal fit, `Σ w·(S·h + b − d)²`, with an independent phase at each illuminated sample
+//! ([`SpectralPreconditioner`](super::preconditioner::SpectralPreconditioner)) beside the coefficients of segments, tip and
+//! tilt, plus −2 log of the prior of each. The result of an image depends on that image alone: on the CPU to the bit, in any
+//! batch and on any number of threads; on a device to rounding, because small batches use other kernels than large ones.
+
+use super::device_batch::RetrievalTask;
+use super::engine::Engine;
+use super::illuminated_samples::{IlluminatedSamples, modal_wavefront_nm};
+use super::information_probe::TypicalExposure;
+use super::model::MapModel;
+use super::prior::RadialPsd;
+use super::results::RetrievedWavefronts;
+use super::sampling::{highest_frequency_per_m, with_retrieval_sampling};
+use super::settings::RetrievalSettings;
+use super::static_wavefront::StaticWavefront;
+use crate::estimate::{Cube, Frame, Model, Recipe};
+use crate::imaging::{CpuChain, Precision};
+use crate::optimize::CancelFlag;
+use crate::scene::Scene;
+use crate::source::flux_e;
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::Array1;
+
+/// Retriever of the wavefronts of images of one scene.
+pub struct Retriever {
+    model: Model,
+    recipe: Recipe,
+    settings: RetrievalSettings,
+    read_noise_e: f64,
+    points_m: Vec<(f64, f64)>,
+    pitch_m: f64,
+    highest_frequency_per_m: f64,
+    engine: AnyEngine,
+}
+
+enum AnyEngine {
+    Single(Engine<f32>),
+    Double(Engine<f64>),
+}
+
+impl Retriever {
+    /// For images of `scene` whose dynamic wavefront has the power spectral density `prior`. Samples and pixels are as many as
+    /// the segments need, unless `estimate.samples` and `image.crop_pixels` give them.
+    ///
+    /// # Errors
+    /// Those of [`Model::of`]; [`Error::Value`] for a setting out of range.
+    pub fn new(scene: &Scene, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
+        Self::with_telescope(scene, Telescope::of(scene)?, prior, settings)
+    }
+
+    /// As [`Retriever::new`], for a telescope that differs from the scene's in the amplitudes of its segments.
+    ///
+    /// # Errors
+    /// As [`Retriever::new`].
+    pub fn with_telescope(
+        scene: &Scene,
+        telescope: Telescope,
+        prior: &RadialPsd,
+        settings: RetrievalSettings,
+    ) -> Result<Self> {
+        settings.check()?;
+        // The free phase includes the NCPA modes; tip and tilt can exceed any power spectrum.
+        let scene = scene.with(&[
+            ("modes.file", ""),
+            ("modes.ncpa", "none"),
+            ("modes.exact_zernikes", "[2, 3]"),
+            ("estimate.optimizer", "gauss-newton"),
+        ])?;
+        let scene = with_retrieval_sampling(&scene, &telescope, settings.cycles_across_a_segment)?;
+        let recipe = Recipe::of(&scene);
+        let model = Model::of_telescope(&scene, &recipe, telescope)?;
+        let samples = model.optics.sampling().samples;
+        let pitch_m = model.width_ratio() * model.telescope.pupil.grid.width_m() / samples as f64;
+        let at = |i: usize| (i as f64 - (samples as f64 - 1.0) / 2.0) * pitch_m;
+        let illuminated = &model.optics.parts().weights.lit;
+        let points_m = illuminated.iter().map(|&p| (at(p as usize % samples), at(p as usize / samples))).collect();
+        // Behind a loop wavefronts two actuators apart are independent.
+        let margin_m = 2.0 * scene.mirror.pitch_m;
+        let area = model.preparation.native_pixels();
+        let flat = CpuChain::<f64>::new(model.optics.clone()).psf(Array1::zeros(model.optics.modes()).view());
+        let typical = TypicalExposure {
+            flux_e: flux_e(&scene.image, flat.iter().copied().fold(0.0, f64::max) / area),
+            background_e: scene.image.background_e * area,
+            pixel_variance_e2: (scene.image.read_noise_e.powi(2) + scene.image.background_e).max(1.0) * area,
+        };
+        let engine = match settings.precision {
+            Precision::F32 => {
+                AnyEngine::Single(Engine::new(MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?)?)
+            }
+            Precision::F64 => {
+                AnyEngine::Double(Engine::new(MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?)?)
+            }
+        };
+        let highest_frequency_per_m = highest_frequency_per_m(&scene, &model)?;
+        let read_noise_e = scene.image.read_noise_e;
+        Ok(Self { read_noise_e, model, recipe, settings, points_m, pitch_m, highest_frequency_per_m, engine })
+    }
+
+    /// Model of the images: the segments' modes, then tip and tilt.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Highest spatial frequency that the images resolve, 1/m; beyond it a retrieved wavefront is the prior's.
+    pub fn highest_frequency_per_m(&self) -> f64 {
+        self.highest_frequency_per_m
+    }
+
+    /// Name of the device on which the last images were retrieved, and the failure with which it was lost, where `auto` chose
+    /// it.
+    pub fn device(&self) -> (String, Option<String>) {
+        match &self.engine {
+            AnyEngine::Single(engine) => engine.device(),
+            AnyEngine::Double(engine) => engine.device(),
+        }
+    }
+
+    /// Settings.
+    pub fn settings(&self) -> &RetrievalSettings {
+        &self.settings
+    }
+
+    /// Illuminated samples of the wavefronts.
+    ///
+    /// # Errors
+    /// Those of [`IlluminatedSamples::new`].
+    pub fn illuminated_samples(&self) -> Result<IlluminatedSamples> {
+        let samples = self.model.optics.sampling().samples;
+        IlluminatedSamples::new(samples, self.pitch_m, &self.model.optics.parts().weights)
+    }
+
+    /// Positions of the illuminated samples, (x, y), m.
+    pub fn points_m(&self) -> &[(f64, f64)] {
+        &self.points_m
+    }
+
+    /// Pupil amplitude of each illuminated sample: the sum of the segments' weights, which are band-limited, so from a little
+    /// below 0 to a little above 1.
+    pub fn amplitude(&self) -> Vec<f64> {
+        self.model.optics.parts().weights.rows().map(|(.., weights)| weights.iter().sum()).collect()
+    }
+
+    /// Evaluates the wavefront of coefficients of [`Retriever::model`], nm at each illuminated sample; missing ones are 0.
+    pub fn modal_wavefront_nm(&self, coefficients_nm: &[f64]) -> Vec<f64> {
+        modal_wavefront_nm(&self.model.optics, coefficients_nm)
+    }
+
+    /// Draws a wavefront of power spectral density `psd`, nm at each illuminated sample, for simulations.
+    pub fn draw_nm(&self, psd: &RadialPsd, seed: u64) -> Vec<f64> {
+        match &self.engine {
+            AnyEngine::Single(engine) => engine.model().draw_nm(psd, seed),
+            AnyEngine::Double(engine) => engine.model().draw_nm(psd, seed),
+        }
+    }
+
+    /// Retrieves the wavefront of every image of `cube` (`[image, y, x]`, electrons) about the static wavefront `about`.
+    /// `watch` is given the number of finished images.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for frames of another size than the scene's, or a static wavefront of another model;
+    /// [`Error::Interrupted`] where `cancel` is raised.
+    pub fn retrieve(
+        &self,
+        cube: Cube,
+        about: Option<&StaticWavefront>,
+        cancel: Option<&CancelFlag>,
+        watch: &(dyn Fn(usize) + Sync),
+    ) -> Result<RetrievedWavefronts> {
+        if let Some(about) = about {
+            self.check_static_wavefront(about)?;
+        }
+        let read_noise_e = cube.read_noise_e.unwrap_or(self.read_noise_e);
+        let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
+        let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
+        let prepare = |image: usize| match self.model.preparation.prepare(frames[image], &self.recipe) {
+            Ok(prepared) => Ok(Ok(prepared)),
+            Err(Error::Image(refusal)) => Ok(Err(refusal)),
+            Err(error) => Err(error),
+        };
+        let parts = self.model.optics.parts();
+        let amplitudes = if self.settings.segment_amplitude_rms > 0.0 { parts.weights.segments } else { 0 };
+        let sizes = [parts.weights.lit.len(), parts.modes.len(), amplitudes];
+        let mut wavefronts = RetrievedWavefronts::unfinished(frames.len(), sizes);
+        let task = RetrievalTask { images: frames.len(), prepare: &prepare, about, cancel };
+        match &self.engine {
+            AnyEngine::Single(engine) => engine.retrieve(&task, &mut wavefronts, watch)?,
+            AnyEngine::Double(engine) => engine.retrieve(&task, &mut wavefronts, watch)?,
+        }
+        Ok(wavefronts)
+    }
+
+    fn check_static_wavefront(&self, about: &StaticWavefront) -> Result<()> {
+        let (segments, samples) = (self.model.segment_modes, self.points_m.len());
+        let given = (about.segments_nm.len(), about.smooth_nm.len());
+        if given != (segments, samples) {
+            return Err(Error::Shape(format!(
+                "a static wavefront of {} segment modes and {} samples was given, where the model has {segments} and \
+                 {samples}",
+                given.0, given.1
+            )));
+        }
+        match about.segments_nm.iter().chain(&about.smooth_nm).find(|nm| !nm.is_finite()) {
+            Some(nm) => Err(Error::Value(format!("a static wavefront of {nm} nm was given: finite values are needed"))),
+            None => Ok(()),
+        }
+    }
+}

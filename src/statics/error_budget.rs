@@ -1,0 +1,103 @@
+//! Error budget of static errors: expected RMS errors of phasing and NCPA, as terms whose squares add up to the total's.
+
+/// Source of an expected error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ErrorSource {
+    /// Noise and turbulence, averaged over the images: falls as one over the root of their number.
+    NoiseAndTurbulence,
+    /// Error of the diversity (`estimate.diversity_error`), common to all images.
+    DiversityError,
+    /// Response of a loop that is not known to the pistons, which counts as NCPA; 0 where the loop is known.
+    UnknownLoopResponse,
+    /// NCPA beyond the finest modes, extrapolated from the variance of the coarser ones; 0 where they do not extend beyond.
+    NcpaBeyondModes,
+}
+
+impl ErrorSource {
+    /// All sources, in the order of an [`ErrorBudget`].
+    pub const ALL: [Self; 4] =
+        [Self::NoiseAndTurbulence, Self::DiversityError, Self::UnknownLoopResponse, Self::NcpaBeyondModes];
+
+    /// Name for reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NoiseAndTurbulence => "noise and turbulence averaged over the images",
+            Self::DiversityError => "diversity error",
+            Self::UnknownLoopResponse => "unknown loop response",
+            Self::NcpaBeyondModes => "NCPA beyond the modes",
+        }
+    }
+}
+
+/// Term of an error budget: RMS over the pupil, piston, tip and tilt removed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ErrorTerm {
+    /// Source of the error.
+    pub source: ErrorSource,
+    /// Expected error of the phasing, nm.
+    pub phasing_nm: f64,
+    /// Expected error of the NCPA, nm.
+    pub ncpa_nm: f64,
+}
+
+/// Error budget of static errors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ErrorBudget {
+    /// Expected RMS error over the pupil, phasing and NCPA, piston, tip and tilt removed, nm.
+    pub total_nm: [f64; 2],
+    /// One term for each of [`ErrorSource::ALL`]; for either group the squares add up to the total's, to rounding.
+    pub terms: Vec<ErrorTerm>,
+}
+
+impl ErrorBudget {
+    /// From the totals without NCPA beyond the modes, the part that averages over the images, and the NCPA's other terms.
+    pub(super) fn new(
+        total_nm: [f64; 2],
+        [phasing_nm, ncpa_nm]: [f64; 2],
+        diversity_nm: f64,
+        loop_response_nm: f64,
+    ) -> Self {
+        let ncpa = |source, ncpa_nm| ErrorTerm { source, phasing_nm: 0.0, ncpa_nm };
+        let terms = vec![
+            ErrorTerm { source: ErrorSource::NoiseAndTurbulence, phasing_nm, ncpa_nm },
+            ncpa(ErrorSource::DiversityError, diversity_nm),
+            ncpa(ErrorSource::UnknownLoopResponse, loop_response_nm),
+            ncpa(ErrorSource::NcpaBeyondModes, 0.0),
+        ];
+        Self { total_nm, terms }
+    }
+
+    /// Terms of phasing and NCPA from one source, nm.
+    pub fn term_nm(&self, source: ErrorSource) -> [f64; 2] {
+        let terms = self.terms.iter().filter(|term| term.source == source);
+        terms.map(|term| [term.phasing_nm, term.ncpa_nm]).next().unwrap_or_default()
+    }
+
+    /// Part of phasing and NCPA that averages over the images, nm.
+    pub fn averaged_nm(&self) -> [f64; 2] {
+        self.term_nm(ErrorSource::NoiseAndTurbulence)
+    }
+
+    /// Adds NCPA of `rms_nm` beyond the modes.
+    pub(super) fn add_beyond_modes(&mut self, rms_nm: f64) {
+        self.total_nm[1] = self.total_nm[1].hypot(rms_nm);
+        for term in self.terms.iter_mut().filter(|term| term.source == ErrorSource::NcpaBeyondModes) {
+            term.ncpa_nm = term.ncpa_nm.hypot(rms_nm);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn squares_of_the_terms_add_up_to_the_total() {
+        let mut budget = ErrorBudget::new([3.0, 13.0], [3.0, 5.0], 12.0, 0.0);
+        budget.add_beyond_modes(84.0);
+        assert_eq!(budget.terms.iter().map(|term| term.source).collect::<Vec<_>>(), ErrorSource::ALL);
+        let sum = |of: fn(&ErrorTerm) -> f64| budget.terms.iter().map(|term| of(term).powi(2)).sum::<f64>().sqrt();
+        assert_eq!((sum(|term| term.phasing_nm), sum(|term| term.ncpa_nm)), (3.0, 85.0));
+        assert_eq!((budget.total_nm, budget.averaged_nm()), ([3.0, 85.0], [3.0, 5.0]));
+    }
+}

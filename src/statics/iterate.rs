@@ -1,0 +1,172 @@
+//! Iterations of the static estimate: wavefronts about the last static wavefront, static errors from them, until the change is
+//! small.
+
+use super::anderson::AndersonAcceleration;
+use super::covariance::ResidualCovariance;
+use super::estimator::StaticsEstimator;
+use super::image_selection::SelectedImages;
+use super::iteration::Iteration;
+use super::ncpa_basis::NcpaFamily;
+use super::segment_tilts::SegmentTilts;
+use super::settings::StaticsSettings;
+use super::static_modes::StaticModes;
+use super::wavefront_source::{RetrievedSequence, WavefrontSource};
+use crate::optimize::CancelFlag;
+use crate::retrieval::StaticWavefront;
+use crate::scene::{Knows, Scene};
+use crate::{Error, Result};
+use ndarray::Axis;
+use std::sync::atomic::Ordering;
+
+/// Prior RMS of a mode of either of a basis's two highest groups beyond which the NCPA extend beyond the basis, nm: noise and
+/// turbulence leave 0.1 to 0.3.
+const EXTENDS_BEYOND_NM: f64 = 0.5;
+
+/// Estimates static errors iteratively; returns all iterations, of which the last is the estimate.
+///
+/// # Errors
+/// Those of the source, of the telescope and of the loop; [`Error::Image`] where fewer than two images can be used;
+/// [`Error::Interrupted`].
+pub fn estimate_static_errors(
+    scene: &Scene,
+    source: &mut dyn WavefrontSource,
+    settings: &StaticsSettings,
+    cancel: Option<&CancelFlag>,
+) -> Result<Vec<Iteration>> {
+    let mut estimate = IterativeEstimate::new(scene, source, settings)?;
+    let (mut about, mut sequence) = (None, None);
+    while estimate.iterations.len() < settings.max_iterations {
+        let count = estimate.iterations.len();
+        if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            return Err(Error::Interrupted(format!("{count} iterations were made")));
+        }
+        match source.retrieve(about.as_ref())? {
+            Some(new) => sequence = Some(new),
+            // The same wavefronts would give the same estimate.
+            None if count > 0 => break,
+            None => {}
+        }
+        let Some(sequence) = &sequence else { return Err(Error::Internal("a source without wavefronts".into())) };
+        about = Some(estimate.iterate(sequence, source)?);
+        let is_settled = estimate.is_settled();
+        if !estimate.take_finer_basis()? && is_settled {
+            break;
+        }
+    }
+    estimate.finish()
+}
+
+/// State of the iterations.
+struct IterativeEstimate<'a> {
+    settings: &'a StaticsSettings,
+    estimator: StaticsEstimator<'a>,
+    /// Families of the basis ladder that are finer than the current one.
+    finer: std::slice::Iter<'a, NcpaFamily>,
+    modes: StaticModes,
+    acceleration: AndersonAcceleration,
+    iterations: Vec<Iteration>,
+    /// Covariance of the last wavefronts.
+    residual: Option<ResidualCovariance>,
+    /// RMS of NCPA beyond the modes, nm.
+    beyond_modes_nm: f64,
+}
+
+impl<'a> IterativeEstimate<'a> {
+    fn new(scene: &'a Scene, source: &dyn WavefrontSource, settings: &'a StaticsSettings) -> Result<Self> {
+        let estimator = StaticsEstimator::new(scene, source.samples(), settings)?;
+        let mut finer = settings.families.iter();
+        let Some(&coarsest) = finer.next() else {
+            return Err(Error::Value("no family of NCPA modes was given: at least 1 is needed".into()));
+        };
+        Ok(Self {
+            settings,
+            modes: estimator.static_modes(coarsest)?,
+            estimator,
+            finer,
+            acceleration: AndersonAcceleration::default(),
+            iterations: Vec::new(),
+            residual: None,
+            beyond_modes_nm: 0.0,
+        })
+    }
+
+    fn has_telemetry(&self) -> bool {
+        self.settings.ao_knowledge >= Knows::Telemetry
+    }
+
+    /// Makes an iteration from the wavefronts of `sequence`; returns the static wavefront of the next one.
+    fn iterate(&mut self, sequence: &RetrievedSequence, source: &dyn WavefrontSource) -> Result<StaticWavefront> {
+        let images = SelectedImages::new(sequence, &self.estimator.kept)?;
+        let residual = self.residual_covariance(&images, source)?;
+        let slopes_mas = sequence.slopes_mas.as_ref().filter(|_| self.has_telemetry());
+        let slopes_mas = slopes_mas.map(|slopes_mas| slopes_mas.select(Axis(0), &images.used));
+        let errors = self.estimator.estimate(&self.modes, &images, &residual, slopes_mas)?;
+        let input = self.acceleration.input().cloned();
+        self.acceleration.record(errors.coefficients_nm());
+        // Pistons are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
+        // their mean they scatter by a·S, and after all iterations by a·S/a² = S/a, where the estimate assumes S. NCPA are weighted
+        // by their own scatter, which grows to 1/a² of itself.
+        let segments = self.estimator.samples.pistons.nrows();
+        let pistons = self.acceleration.recovered_fraction(0..segments).sqrt();
+        let ncpa = self.acceleration.recovered_fraction(segments..usize::MAX);
+        let errors = errors.with_recovered_fractions([pistons, ncpa]);
+        let pupil = &self.estimator.telescope.pupil;
+        let iteration = self.modes.iteration(errors, pupil, input, &images, residual.rms_nm())?;
+        let next = self.acceleration.next_input();
+        let about = self.estimator.static_wavefront(&self.modes, &next, &iteration.errors)?;
+        self.iterations.push(iteration);
+        self.residual = Some(residual);
+        Ok(about)
+    }
+
+    /// Covariance of the residuals of the selected images: no less than the prior, by which retrieved wavefronts are shrunk, and
+    /// unknown beyond the frequencies that they resolve.
+    fn residual_covariance(&self, images: &SelectedImages, source: &dyn WavefrontSource) -> Result<ResidualCovariance> {
+        let samples = &self.estimator.samples;
+        let mut residual = ResidualCovariance::from_residuals(samples, images.residuals_nm.view())?;
+        if let Some(prior) = source.prior() {
+            residual = residual.with_lower_bound(prior, samples.pitch_m);
+        }
+        Ok(residual.with_unresolved_beyond(source.highest_frequency_per_m(), samples.pitch_m))
+    }
+
+    /// Whether the last iteration changed little; the first one in a basis has no change to compare.
+    fn is_settled(&self) -> bool {
+        let is_small = |last: &Iteration| {
+            !last.change_nm.iter().any(|nm| nm.is_nan()) && !last.has_changed(self.settings.tolerance)
+        };
+        self.iterations.last().is_some_and(is_small)
+    }
+
+    /// Takes the next basis of the ladder where the NCPA extend beyond the current one; returns whether it did.
+    fn take_finer_basis(&mut self) -> Result<bool> {
+        let Some(last) = self.iterations.last() else { return Ok(false) };
+        let groups = self.modes.groups.len();
+        // Without telemetry turbulence that did not average extends beyond the modes, too.
+        let extends_beyond = self.has_telemetry() && last.errors.highest_groups_rms_nm(groups) > EXTENDS_BEYOND_NM;
+        // NCPA that extend beyond the coarsest basis fall slowly: they extend beyond the next, even where its highest modes show
+        // little.
+        let is_refined = last.family != self.settings.families[0];
+        self.beyond_modes_nm =
+            if extends_beyond || is_refined { last.errors.extrapolated_ncpa_nm(groups) } else { 0.0 };
+        if extends_beyond && let Some(&family) = self.finer.next() {
+            let modes = self.estimator.static_modes(family)?;
+            if modes.groups.len() > groups {
+                self.modes = modes;
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Returns the iterations, with the segment tilts and the NCPA beyond the modes in the last.
+    fn finish(mut self) -> Result<Vec<Iteration>> {
+        if let (Some(last), Some(residual)) = (self.iterations.last_mut(), &self.residual) {
+            let covariance = self.estimator.mean_covariance(residual, last.used_images.len());
+            let residual_nm = last.errors.residual_nm.view();
+            last.segment_tilts = Some(SegmentTilts::estimate(residual_nm, &covariance, &self.estimator.samples)?);
+            last.add_beyond_modes(self.beyond_modes_nm);
+        }
+        Ok(self.iterations)
+    }
+}

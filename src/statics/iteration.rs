@@ -1,0 +1,111 @@
+//! Iteration: the static errors estimated in one iteration, their maps, error budget and convergence.
+
+use super::error_budget::ErrorBudget;
+use super::ncpa_basis::{NcpaBasis, NcpaFamily};
+use super::segment_tilts::SegmentTilts;
+use super::static_errors::StaticErrors;
+use crate::Result;
+use crate::estimate::{HeldDiversity, within_reach};
+use crate::loop_response::{CorrectableErrors, Corrections};
+use crate::modes::SegmentModes;
+use crate::scene::Scene;
+use crate::telescope::Telescope;
+use ndarray::Array2;
+
+/// Result of one iteration.
+#[derive(Debug, Clone)]
+pub struct Iteration {
+    /// Static errors.
+    pub errors: StaticErrors,
+    /// Family of the NCPA's modes.
+    pub family: NcpaFamily,
+    /// Names of the NCPA's modes.
+    pub ncpa_names: Vec<String>,
+    /// Segment errors, `[y, x]` on the scene's grid, nm, NaN outside the pupil.
+    pub phasing_nm: Array2<f64>,
+    /// Non-common path aberrations, `[y, x]` on the scene's grid, nm, NaN outside the pupil.
+    pub ncpa_nm: Array2<f64>,
+    /// Error bar of `phasing_nm`, 1σ, nm.
+    pub phasing_sigma_nm: Array2<f64>,
+    /// Error bar of `ncpa_nm`, 1σ, nm.
+    pub ncpa_sigma_nm: Array2<f64>,
+    /// Expected residuals of both, with their terms.
+    pub error_budget: ErrorBudget,
+    /// RMS change of phasing and NCPA from the static wavefront about which the wavefronts were retrieved, nm; NaN in the first
+    /// iteration and after a change of basis.
+    pub change_nm: [f64; 2],
+    /// Images that were used.
+    pub used_images: Vec<usize>,
+    /// Median χ² per degree of freedom.
+    pub reduced_chi2: f64,
+    /// RMS of the wavefronts about their mean, nm.
+    pub residual_rms_nm: f64,
+    /// Diversity in the NCPA's modes.
+    pub diversity: HeldDiversity,
+    /// Tilts of single segments in the mean wavefront's residual; of the last iteration only.
+    pub segment_tilts: Option<SegmentTilts>,
+}
+
+impl Iteration {
+    /// Names of the static modes: pistons, then NCPA.
+    pub fn mode_names(&self) -> Vec<String> {
+        let mut names = SegmentModes::Piston.names(self.errors.pistons_nm.len());
+        names.extend_from_slice(&self.ncpa_names);
+        names
+    }
+
+    /// Coefficients of the static modes, nm.
+    pub fn coefficients_nm(&self) -> Vec<f64> {
+        self.errors.coefficients_nm().to_vec()
+    }
+
+    /// Error bars of the coefficients, 1σ, nm.
+    pub fn sigma_nm(&self) -> Vec<f64> {
+        self.errors.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect()
+    }
+
+    /// Computes the number of further images like these after which the expected residuals are `wanted_nm`, phasing and NCPA: the
+    /// variance of a mean falls as one over their number.
+    ///
+    /// # Errors
+    /// [`Error::Value`](crate::Error::Value) where no number suffices, because of errors common to all images.
+    pub fn further_images(&self, wanted_nm: [f64; 2]) -> Result<usize> {
+        let (total_nm, averaged_nm) = (self.error_budget.total_nm, self.error_budget.averaged_nm());
+        let mut factor = 1.0f64;
+        for (i, wanted_nm) in wanted_nm.into_iter().enumerate() {
+            let averaged_nm = averaged_nm[i];
+            let shared_nm2 = (total_nm[i].powi(2) - averaged_nm.powi(2)).max(0.0);
+            within_reach(wanted_nm, shared_nm2)?;
+            factor = factor.max((averaged_nm / (wanted_nm.powi(2) - shared_nm2).sqrt()).powi(2));
+        }
+        Ok(((factor - 1.0) * self.used_images.len() as f64).ceil() as usize)
+    }
+
+    /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm`: see [`Corrections::new`].
+    ///
+    /// # Errors
+    /// Those of [`Corrections::new`].
+    pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>) -> Result<Corrections> {
+        let basis = NcpaBasis::new(self.family, scene, &Telescope::of(scene)?)?;
+        let errors = CorrectableErrors {
+            pistons_nm: &self.errors.pistons_nm,
+            ncpa_nm: &self.errors.ncpa_nm,
+            covariance_nm2: &self.errors.covariance_nm2,
+            ncpa_basis: &basis.modes,
+        };
+        Corrections::new(scene, &errors, limit_nm)
+    }
+
+    /// Adds NCPA of `rms_nm` beyond the modes to the error bars, evenly over the pupil.
+    pub(super) fn add_beyond_modes(&mut self, rms_nm: f64) {
+        self.error_budget.add_beyond_modes(rms_nm);
+        self.ncpa_sigma_nm.mapv_inplace(|nm| nm.hypot(rms_nm));
+    }
+
+    /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the averaged part of their error bars: errors
+    /// common to all iterations do not show how much further ones will change.
+    pub(crate) fn has_changed(&self, tolerance: f64) -> bool {
+        let averaged_nm = self.error_budget.averaged_nm();
+        (0..2).any(|i| self.change_nm[i] >= tolerance * averaged_nm[i])
+    }
+}

@@ -1,0 +1,152 @@
+//! Generalised least squares: pistons and NCPA from a mean wavefront, under the covariance of the mean's turbulence, with
+//! hyperparameters by empirical Bayes.
+
+use super::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
+use super::mean_covariance::MeanCovariance;
+use super::static_errors::StaticErrors;
+use crate::loop_response::SlopeInformation;
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
+
+/// Prior RMS of unidentifiable coefficients (the mean wavefront, tip and tilt), nm: more than a model's whole range.
+const FLAT_PRIOR_NM: f64 = 1e4;
+
+/// Prior RMS of pistons before any correction, nm, for the error of directions that images hardly identify (their mean and the
+/// plane through them) after an estimate like this one was corrected.
+const UNCORRECTED_NM: f64 = 30.0;
+
+/// Initial prior RMS of a group, nm.
+const INITIAL_RMS_NM: f64 = 30.0;
+
+/// Linear model of the mean wavefront: response to pistons, NCPA and an offset, weighted by the inverse covariance.
+pub struct StaticModel {
+    segments: usize,
+    ncpa: usize,
+    /// Responses to pistons, NCPA and the offset, `[column, sample]`.
+    columns: Array2<f64>,
+    /// C⁻¹ times the columns.
+    weighted: Array2<f64>,
+    information: Array2<f64>,
+    /// Column of each unknown: the common-path part has the columns of the NCPA again.
+    column_of: Vec<usize>,
+    groups: Vec<CoefficientGroup>,
+}
+
+impl StaticModel {
+    /// The model of responses `pistons` and `ncpa`, both `[mode, sample]`, on samples whose mean wavefront has `covariance`;
+    /// `groups` as in [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for responses or groups of different sizes; those of [`MeanCovariance::solve`].
+    pub fn new(
+        pistons: ArrayView2<f64>,
+        ncpa: ArrayView2<f64>,
+        (groups, has_telemetry): (&[usize], bool),
+        covariance: &MeanCovariance,
+    ) -> Result<Self> {
+        let (segments, samples) = pistons.dim();
+        let modes = ncpa.nrows();
+        if ncpa.ncols() != samples || groups.iter().sum::<usize>() != modes {
+            let (columns, grouped) = (ncpa.ncols(), groups.iter().sum::<usize>());
+            return Err(Error::Shape(format!(
+                "{modes} modes of {columns} samples in groups of {grouped} were given with pistons of {samples} samples: as \
+                 many samples, and each mode in a group, are needed"
+            )));
+        }
+        // The offset absorbs the mean wavefront, to which images are blind.
+        let offset = Array2::ones((1, samples));
+        let columns = concatenate(Axis(0), &[pistons, ncpa, offset.view()])
+            .map_err(|error| Error::Internal(format!("columns of uneven length: {error}")))?;
+        let weighted = covariance.solve(columns.view())?;
+        let half = weighted.dot(&columns.t());
+        let information = (&half + &half.t()) / 2.0;
+        let (static_columns, offset) = (0..segments + modes, segments + modes);
+        let common_path = if has_telemetry { segments..segments + modes } else { 0..0 };
+        let column_of: Vec<usize> = static_columns.chain(common_path).chain([offset]).collect();
+        let information = information.select(Axis(0), &column_of).select(Axis(1), &column_of);
+        let groups = coefficient_groups(segments, groups, has_telemetry);
+        Ok(Self { segments, ncpa: modes, columns, weighted, information, column_of, groups })
+    }
+
+    /// Estimates the static errors of a mean wavefront, nm at each sample.
+    ///
+    /// `slopes` is the information of telemetry on the NCPA. The hyperparameters start at those of `initial`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of samples or of NCPA modes.
+    pub fn estimate(
+        &self,
+        mean_nm: ArrayView1<f64>,
+        slopes: Option<&SlopeInformation>,
+        initial: Option<&StaticErrors>,
+    ) -> Result<StaticErrors> {
+        if mean_nm.len() != self.columns.ncols() {
+            let (given, needed) = (mean_nm.len(), self.columns.ncols());
+            return Err(Error::Shape(format!("a mean wavefront of {given} samples was given: {needed} are needed")));
+        }
+        let (information, right_side) = self.normal_equations(mean_nm, slopes)?;
+        let mut groups = self.groups.clone();
+        for (group, nm) in groups.iter_mut().zip(initial.iter().flat_map(|errors| &errors.prior_rms_nm)) {
+            group.variance_nm2 = nm * nm;
+        }
+        let posterior = maximise_marginal_likelihood(&information, &right_side, &groups)?;
+        let pistons_nm = posterior.prior_rms_nm[0];
+        let Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, prior_rms_nm } =
+            posterior.with_previous_correction(self.segments, pistons_nm, UNCORRECTED_NM)?;
+        let (ncpa, last) = (self.segments + self.ncpa, coefficients_nm.len() - 1);
+        let mut common_path_nm = coefficients_nm.slice(s![ncpa..last]).to_vec();
+        common_path_nm.resize(self.ncpa, 0.0);
+        let mut residual_nm = mean_nm.to_owned();
+        for (&column, &nm) in self.column_of.iter().zip(&coefficients_nm) {
+            residual_nm.scaled_add(-nm, &self.columns.row(column));
+        }
+        Ok(StaticErrors {
+            residual_nm,
+            pistons_nm: coefficients_nm.slice(s![..self.segments]).to_vec(),
+            ncpa_nm: coefficients_nm.slice(s![self.segments..ncpa]).to_vec(),
+            common_path_nm,
+            covariance_nm2: covariance_nm2.slice(s![..ncpa, ..ncpa]).to_owned(),
+            log_marginal_likelihood,
+            prior_rms_nm,
+        })
+    }
+
+    /// Normal equations of the mean wavefront and of the slopes: information F, nm⁻², and right side b, nm⁻¹.
+    fn normal_equations(
+        &self,
+        mean_nm: ArrayView1<f64>,
+        slopes: Option<&SlopeInformation>,
+    ) -> Result<(Array2<f64>, Array1<f64>)> {
+        let mut information = self.information.clone();
+        let mut right_side = self.weighted.dot(&mean_nm).select(Axis(0), &self.column_of);
+        if let Some(slopes) = slopes {
+            let ncpa = self.segments..self.segments + self.ncpa;
+            if slopes.right_side.len() != ncpa.len() {
+                let (given, needed) = (slopes.right_side.len(), ncpa.len());
+                return Err(Error::Shape(format!("slopes of {given} NCPA modes were given: {needed} are needed")));
+            }
+            let mut part = information.slice_mut(s![ncpa.clone(), ncpa.clone()]);
+            part += &slopes.information;
+            let mut part = right_side.slice_mut(s![ncpa]);
+            part += &slopes.right_side;
+        }
+        Ok((information, right_side))
+    }
+}
+
+/// Groups of the coefficients: pistons; the groups of the NCPA, and with telemetry those of the common path; the offset.
+fn coefficient_groups(segments: usize, ncpa: &[usize], has_telemetry: bool) -> Vec<CoefficientGroup> {
+    let free = |columns, rms_nm: f64| CoefficientGroup { columns, variance_nm2: rms_nm * rms_nm, is_fixed: false };
+    let flat = |columns| CoefficientGroup { columns, variance_nm2: FLAT_PRIOR_NM * FLAT_PRIOR_NM, is_fixed: true };
+    let mut groups = vec![free(0..segments, INITIAL_RMS_NM)];
+    let mut first = segments;
+    for rms_nm in [INITIAL_RMS_NM, INITIAL_RMS_NM / 3.0].into_iter().take(if has_telemetry { 2 } else { 1 }) {
+        for (place, &size) in ncpa.iter().enumerate() {
+            let columns = first..first + size;
+            groups.push(if place == 0 { flat(columns) } else { free(columns, rms_nm) });
+            first += size;
+        }
+    }
+    groups.push(flat(first..first + 1));
+    groups
+}

@@ -1,0 +1,46 @@
+//! Static errors, segment pistons and non-common path aberrations (NCPA), from a sequence of retrieved wavefronts.
+//!
+//! ```text
+//! wavefronts ─ mean ─ generalised least squares ─ pistons, NCPA ─┐
+//!   ↑           └ scatter ─ covariance ─┘  ↑                      │
+//!   └────────────── static wavefront ──────┼── loop response ─────┘      iterations, until one changes next to nothing
+//! ```
+//!
+//! The loop's response to the pistons is smooth and pistons have edges, so a covariance like that of turbulence separates the two;
+//! the response itself is known from a simulation of the loop closed on the pistons alone.
+
+mod anderson;
+mod convolution;
+mod covariance;
+mod empirical_bayes;
+mod error_budget;
+mod estimator;
+mod image_selection;
+mod iterate;
+mod iteration;
+mod least_squares;
+mod mean_covariance;
+mod ncpa_basis;
+mod segment_tilts;
+mod sequence_retrieval;
+mod settings;
+mod static_errors;
+mod static_modes;
+mod wavefront_source;
+
+pub use covariance::ResidualCovariance;
+pub use error_budget::{ErrorBudget, ErrorSource, ErrorTerm};
+pub use iterate::estimate_static_errors;
+pub use iteration::Iteration;
+pub use least_squares::StaticModel;
+pub use mean_covariance::MeanCovariance;
+pub use ncpa_basis::{NcpaBasis, NcpaFamily};
+pub use segment_tilts::SegmentTilts;
+pub use sequence_retrieval::SequenceRetrieval;
+pub use settings::StaticsSettings;
+pub use static_errors::StaticErrors;
+pub(crate) use static_modes::check_diversity;
+pub use wavefront_source::{RetrievedSequence, WavefrontSource};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,219 @@
+//! Static modes, pistons and NCPA, at the samples of the wavefronts and as maps with their error bars.
+
+use super::error_budget::ErrorBudget;
+use super::image_selection::SelectedImages;
+use super::iteration::Iteration;
+use super::ncpa_basis::{NcpaBasis, NcpaFamily};
+use super::static_errors::StaticErrors;
+use crate::estimate::{HeldDiversity, Holder};
+use crate::metrics::MapGram;
+use crate::modes::{Basis, SmoothBasis};
+use crate::pupil::Pupil;
+use crate::retrieval::IlluminatedSamples;
+use crate::scene::Scene;
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, s};
+
+/// Static modes, pistons and NCPA of one basis, on the samples and as maps.
+pub(super) struct StaticModes {
+    family: NcpaFamily,
+    pub(super) basis: SmoothBasis,
+    pub(super) groups: Vec<usize>,
+    pub(super) at_all: Array2<f64>,
+    pub(super) at_kept: Array2<f64>,
+    /// All static modes on the scene's grid, pistons first, `[mode, y, x]`.
+    maps: Array3<f64>,
+    segments: usize,
+    gram: [MapGram; 2],
+    diversity: HeldDiversity,
+    /// Covariance of the NCPA's modes from an error of the diversity common to all images, nm²; `None` where it is known.
+    diversity_nm2: Option<Array2<f64>>,
+    /// The NCPA's modes on the scene's grid with the projection of maps onto them, where the loop response is unknown.
+    projection: Option<(Basis, Holder)>,
+}
+
+/// RMS response of an unknown loop to the pistons, over their projection onto the NCPA's modes: 1/√3, of a response uniform from 0
+/// to 1. Keck's zonal loop responds with two thirds, and its response has a correlation of 0.93 with the projection.
+const UNKNOWN_RESPONSE: f64 = 0.577;
+
+impl StaticModes {
+    /// The modes of `family` on the pupil of `scene`, at all illuminated samples and at those kept.
+    ///
+    /// # Errors
+    /// Those of making the basis.
+    pub(super) fn new(
+        family: NcpaFamily,
+        scene: &Scene,
+        telescope: &Telescope,
+        (samples, kept): (&IlluminatedSamples, &[usize]),
+        is_loop_known: bool,
+    ) -> Result<Self> {
+        let NcpaBasis { modes: basis, groups } = NcpaBasis::new(family, scene, telescope)?;
+        let at_all = basis.evaluate(&samples.xs_m, &samples.ys_m)?;
+        let pupil = &telescope.pupil;
+        let sampled = basis.sampled(pupil)?;
+        let diversity = HeldDiversity::of(scene, telescope, &sampled, 0)?;
+        let diversity_nm2 = diversity_covariance_nm2(&diversity, scene)?;
+        let smooth = sampled.maps();
+        let projection = match is_loop_known {
+            true => None,
+            false => Some(Holder::of(pupil, &sampled, 0)?).map(|holder| (sampled, holder)),
+        };
+        let pistons = crate::modes::SegmentModes::Piston.maps(pupil)?.maps();
+        let gram = [MapGram::new(pupil, pistons.view())?, MapGram::new(pupil, smooth.view())?];
+        let segments = pistons.len_of(Axis(0));
+        let maps = ndarray::concatenate(Axis(0), &[pistons.view(), smooth.view()])
+            .map_err(|error| Error::Internal(format!("maps of two sizes: {error}")))?;
+        Ok(Self {
+            basis,
+            family,
+            groups,
+            at_kept: at_all.select(Axis(1), kept),
+            at_all,
+            maps,
+            segments,
+            gram,
+            diversity,
+            diversity_nm2,
+            projection,
+        })
+    }
+
+    /// The iteration with these static errors: maps, error bars and error budget. `input` are the coefficients about which the
+    /// wavefronts were retrieved.
+    pub(super) fn iteration(
+        &self,
+        mut errors: StaticErrors,
+        pupil: &Pupil,
+        input: Option<Array1<f64>>,
+        images: &SelectedImages,
+        residual_rms_nm: f64,
+    ) -> Result<Iteration> {
+        let coefficients = errors.coefficients_nm();
+        let ranges = [0..self.segments, self.segments..coefficients.len()];
+        let [phasing_nm, ncpa_nm] = [0, 1].map(|i| self.map(&coefficients, ranges[i].clone(), pupil));
+        let error_budget = self.add_common_errors(&mut errors, &coefficients)?;
+        let sigma_nm = |i: usize| {
+            let part_nm2 = errors.covariance_nm2.slice(s![ranges[i].clone(), ranges[i].clone()]);
+            self.sigma(part_nm2, ranges[i].clone(), pupil)
+        };
+        let change_nm = match input.filter(|input| input.len() == coefficients.len()) {
+            None => [f64::NAN; 2],
+            Some(input) => {
+                let change = |i: usize| {
+                    let before_nm = self.map(&input, ranges[i].clone(), pupil);
+                    crate::metrics::residual_nm(pupil, [&phasing_nm, &ncpa_nm][i].view(), before_nm.view())
+                };
+                [change(0)?, change(1)?]
+            }
+        };
+        Ok(Iteration {
+            family: self.family,
+            ncpa_names: self.basis.names().to_vec(),
+            phasing_sigma_nm: sigma_nm(0),
+            ncpa_sigma_nm: sigma_nm(1),
+            error_budget,
+            change_nm,
+            diversity: self.diversity.clone(),
+            used_images: images.used.clone(),
+            reduced_chi2: images.reduced_chi2,
+            residual_rms_nm,
+            segment_tilts: None,
+            phasing_nm,
+            ncpa_nm,
+            errors,
+        })
+    }
+
+    /// Adds to the covariance of the NCPA the errors that all images have in common, of the diversity and of an unknown loop
+    /// response; returns the error budget.
+    fn add_common_errors(&self, errors: &mut StaticErrors, coefficients: &Array1<f64>) -> Result<ErrorBudget> {
+        let averaged_nm = self.expected_rms_nm(&errors.covariance_nm2)?;
+        let response_nm = self.unknown_response_nm(coefficients)?;
+        let column = response_nm.view().insert_axis(Axis(1));
+        let response_nm2 = column.dot(&column.t());
+        for common_nm2 in self.diversity_nm2.iter().chain([&response_nm2]) {
+            let mut ncpa_nm2 = errors.covariance_nm2.slice_mut(s![self.segments.., self.segments..]);
+            ncpa_nm2 += common_nm2;
+        }
+        let ncpa_rms_nm = |covariance_nm2: &Array2<f64>| self.gram[1].expected_rms_nm(covariance_nm2.view());
+        let diversity_nm = self.diversity_nm2.as_ref().map_or(Ok(0.0), ncpa_rms_nm)?;
+        let total_nm = self.expected_rms_nm(&errors.covariance_nm2)?;
+        Ok(ErrorBudget::new(total_nm, averaged_nm, diversity_nm, ncpa_rms_nm(&response_nm2)?))
+    }
+
+    /// Expected RMS over the pupil of phasing and NCPA with a covariance, piston, tip and tilt removed, nm.
+    fn expected_rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 2]> {
+        let expected = |i: usize, range: std::ops::Range<usize>| {
+            self.gram[i].expected_rms_nm(covariance_nm2.slice(s![range.clone(), range]))
+        };
+        Ok([expected(0, 0..self.segments)?, expected(1, self.segments..covariance_nm2.nrows())?])
+    }
+
+    /// Standard deviation of an unknown loop's response to the pistons, in the NCPA's modes, nm; 0 where the loop is known.
+    fn unknown_response_nm(&self, coefficients: &Array1<f64>) -> Result<Array1<f64>> {
+        let Some((basis, holder)) = &self.projection else { return Ok(Array1::zeros(self.at_all.nrows())) };
+        let pistons_nm = self.sum(coefficients, 0..self.segments);
+        Ok(holder.held(basis, &pistons_nm)?.coefficients_nm * UNKNOWN_RESPONSE)
+    }
+
+    /// Map of the modes in `range`, NaN outside the pupil.
+    fn map(&self, coefficients: &Array1<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
+        outside_to_nan(self.sum(coefficients, range), pupil)
+    }
+
+    /// Sum of the modes in `range`, 0 outside their support.
+    fn sum(&self, coefficients: &Array1<f64>, range: std::ops::Range<usize>) -> Array2<f64> {
+        let (_, rows, columns) = self.maps.dim();
+        let mut map = Array2::zeros((rows, columns));
+        for mode in range {
+            map.scaled_add(coefficients[mode], &self.maps.index_axis(Axis(0), mode));
+        }
+        map
+    }
+
+    /// Map of the standard deviation of the modes in `range`, NaN outside the pupil.
+    fn sigma(&self, covariance_nm2: ArrayView2<f64>, range: std::ops::Range<usize>, pupil: &Pupil) -> Array2<f64> {
+        let maps = self.maps.slice(s![range, .., ..]);
+        let flat: Array2<f64> = Array2::from_shape_fn((maps.dim().0, pupil.amplitude.len()), |(mode, at)| {
+            maps[[mode, at / maps.dim().2, at % maps.dim().2]]
+        });
+        let half = covariance_nm2.dot(&flat);
+        let variance = (&half * &flat).sum_axis(Axis(0));
+        let n = pupil.amplitude.ncols();
+        outside_to_nan(
+            Array2::from_shape_fn(pupil.amplitude.dim(), |(y, x)| variance[y * n + x].max(0.0).sqrt()),
+            pupil,
+        )
+    }
+}
+
+/// Covariance of the NCPA's modes from an error of the diversity, nm².
+fn diversity_covariance_nm2(diversity: &HeldDiversity, scene: &Scene) -> Result<Option<Array2<f64>>> {
+    let fraction = scene.estimate.diversity_error;
+    let left = 100.0 * diversity.outside;
+    let remedy = format!("the full-phase estimate's modes leave {left:.0} % of this one, and hold a focus");
+    (fraction > 0.0).then(|| diversity.covariance_nm2(fraction, &remedy)).transpose()
+}
+
+/// Refuses a scene with an error of the diversity that the modes of `family` cannot represent, before any image is read.
+///
+/// # Errors
+/// [`Error::Scene`]; those of making the modes.
+pub(crate) fn check_diversity(family: NcpaFamily, scene: &Scene, telescope: &Telescope) -> Result<()> {
+    if scene.estimate.diversity_error > 0.0 {
+        let sampled = NcpaBasis::new(family, scene, telescope)?.modes.sampled(&telescope.pupil)?;
+        diversity_covariance_nm2(&HeldDiversity::of(scene, telescope, &sampled, 0)?, scene)?;
+    }
+    Ok(())
+}
+
+fn outside_to_nan(mut map: Array2<f64>, pupil: &Pupil) -> Array2<f64> {
+    ndarray::Zip::from(&mut map).and(&pupil.owner).for_each(|value, &owner| {
+        if owner < 0 {
+            *value = f64::NAN;
+        }
+    });
+    map
+}
