@@ -56,7 +56,6 @@ pub mod planner;
 pub mod pupil;
 pub mod retrieval;
 pub mod scene;
-pub mod sequence_estimate;
 pub mod source;
 pub mod statics;
 pub mod statistics;

@@ -144,14 +144,9 @@ impl Control {
     /// `done` steps of this stage are done.
     pub(super) fn advance_to(&self, done: usize) {
         let before = self.shared.done.swap(done as u64, Ordering::Relaxed);
-        self.shared.all_done.fetch_add((done as u64).saturating_sub(before), Ordering::Relaxed);
-        self.observe();
-    }
-
-    /// Another step of this stage is done.
-    pub(super) fn advance(&self) {
-        self.shared.done.fetch_add(1, Ordering::Relaxed);
-        self.shared.all_done.fetch_add(1, Ordering::Relaxed);
+        // A smaller number begins to count anew, as each iteration of a MAP estimate does.
+        let new = if (done as u64) < before { done as u64 } else { done as u64 - before };
+        self.shared.all_done.fetch_add(new, Ordering::Relaxed);
         self.observe();
     }
 
@@ -183,7 +178,7 @@ mod tests {
         let other = control.clone();
         control.enter(Stage::Fitting, 3);
         control.advance_to(2);
-        control.advance();
+        control.advance_to(3);
         let expected = Progress { stage: Stage::Fitting, done: 3, total: 3, all_done: 3 };
         assert_eq!(other.progress(), expected);
         assert_eq!(*seen.lock().unwrap(), [(Stage::Fitting, 0), (Stage::Fitting, 2), (Stage::Fitting, 3)]);

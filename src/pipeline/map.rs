@@ -7,13 +7,19 @@ use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
 use super::images::Images;
 use super::outcome::{ImageOutcome, ImageStatus};
 use super::policy::Policy;
+use super::sequence::{self, SequenceResult};
 use super::warnings;
 use crate::modes::Group;
+use crate::retrieval::OPTICS_SEARCH_CHI2;
 use crate::scene::{Knows, Scene};
-use crate::sequence_estimate::{self, FullPhase, SkyImages};
-use crate::statics::{Iteration};
+use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
 use crate::{Error, Result};
 use ndarray::Array2;
+use std::time::Instant;
+
+/// Reduced χ² of images that the model explains but for turbulence finer than its samples: behind a bright star 1.4 to 1.6
+/// where exposures are frozen, 4.2 in exposures of 10 ms; square pixels taken for points make it 8.
+const EXPLAINED: f64 = 6.0;
 
 pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Images) -> Result<Estimate> {
     let count = images.len();
@@ -26,18 +32,19 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
             slopes_mas.nrows()
         )));
     }
-    let sequence = SkyImages {
-        images_e: images.images_e.clone(),
-        bad: images.bad.clone(),
-        read_noise_e: images.read_noise_e,
-        slopes_mas: slopes_mas.cloned(),
-    };
     control.enter(Stage::Retrieving, count);
-    let found = sequence_estimate::read(scene, &sequence, Some(control.flag()), &|_| control.advance())?;
+    let started = Instant::now();
+    let found = sequence::estimate(scene, images, slopes_mas, control)?;
+    let seconds = started.elapsed().as_secs_f64();
     control.check("the images were read, nothing was written")?;
-    let (sentences, has_settled, misfits) = (found.warnings()?, found.settled()?, found.misfits()?);
-    let outcomes = (0..count).map(|image| outcome(&found, image)).collect();
-    let Some(last) = found.passes.last() else { return Err(Error::Internal("an estimate without iteration".into())) };
+    let Some(last) = found.iterations.last() else { return Err(Error::Internal("no iteration was made".into())) };
+    let settings = StaticsSettings::default();
+    let has_settled = found.iterations.len() < settings.max_iterations || !last.has_changed(settings.tolerance);
+    // Where optical parameters were searched for, what was found should have explained the images.
+    let explained = if found.optics.warnings().is_empty() { EXPLAINED } else { OPTICS_SEARCH_CHI2 };
+    let is_misfit = last.reduced_chi2 > explained;
+    let sentences = warnings::of_map(&found, last, has_settled, is_misfit);
+    let outcomes = (0..count).map(|image| outcome(&found, last, image)).collect();
     let pupil = found.pupil.clone();
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
     Ok(Estimate {
@@ -45,8 +52,8 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         basis: basis(last),
         coefficients_nm: last.coefficients_nm(),
         covariance_nm2: last.errors.covariance_nm2.clone(),
-        phasing: Figure::of_map(&pupil, last.phasing_nm.view(), last.expected_nm[0])?,
-        ncpa: Figure::of_map(&pupil, last.ncpa_nm.view(), last.expected_nm[1])?,
+        phasing: Figure::of_map(&pupil, last.phasing_nm.view(), last.error_budget.total_nm[0])?,
+        ncpa: Figure::of_map(&pupil, last.ncpa_nm.view(), last.error_budget.total_nm[1])?,
         wavefront: Figure::of_map(&pupil, wavefront_nm.view(), f64::NAN)?,
         phasing_nm: last.phasing_nm.clone(),
         ncpa_nm: last.ncpa_nm.clone(),
@@ -58,15 +65,15 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         combine: None,
         reduced_chi2: last.reduced_chi2,
         is_sequence: true,
-        status: if misfits { ImageStatus::Misfit } else { ImageStatus::Ok },
-        model: format!("{} NCPA modes, {:?}", last.ncpa_names.len(), last.family),
+        status: if is_misfit { ImageStatus::Misfit } else { ImageStatus::Ok },
+        model: selected(last),
         optics: optics(scene, &found),
         warnings: sentences,
         remarks: warnings::of_diversity(&last.diversity, &found.scene).into_iter().collect(),
         pupil,
         device: found.device,
-        precision: found.precision,
-        seconds: found.seconds,
+        precision: scene.estimate.precision,
+        seconds,
         model_seconds: 0.0,
         compared: None,
         degeneracy: None,
@@ -74,7 +81,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         fitter: None,
         map: Some(MapSummary {
             knows: found.knows,
-            iterations: found.passes,
+            iterations: found.iterations,
             has_settled,
             retrieval_seconds: found.retrieval_seconds,
             segment_reflectivities: found.optics.segment_reflectivities,
@@ -83,17 +90,21 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     })
 }
 
-fn outcome(found: &FullPhase, image: usize) -> ImageOutcome {
+fn outcome(found: &SequenceResult, last: &Iteration, image: usize) -> ImageOutcome {
     let report = &found.reports[image];
-    let is_used = found.passes.last().is_some_and(|last| last.used_images.contains(&image));
+    let is_used = last.used_images.contains(&image);
     let status = match &report.refusal {
         Some(_) => ImageStatus::Unusable,
         None if report.reason.converged() => ImageStatus::Ok,
         None => ImageStatus::NotConverged,
     };
+    let how = if is_used { "used" } else { "left out, its χ² differs from the others'" };
     ImageOutcome {
         status,
-        message: found.about_image(image).unwrap_or_default(),
+        message: match &report.refusal {
+            Some(refusal) => format!("left out, {refusal}"),
+            None => format!("{how}; reduced χ² {:.2}, {}", report.reduced_chi2, report.reason),
+        },
         is_used,
         is_clipped: !is_used && status != ImageStatus::Unusable,
         evaluations: report.evaluations,
@@ -102,7 +113,16 @@ fn outcome(found: &FullPhase, image: usize) -> ImageOutcome {
         background_e: report.background_e,
         tip_tilt_nm: [f64::NAN; 2],
         bad_pixels: 0,
-        rejected_pixels: found.cut_pixels[image],
+        rejected_pixels: found.rejected_pixels[image],
+    }
+}
+
+/// The NCPA basis that the images asked for, in words.
+fn selected(last: &Iteration) -> String {
+    let modes = last.ncpa_names.len();
+    match last.family {
+        NcpaFamily::Zernike { highest_order } => format!("{modes} Zernike modes to radial order {highest_order}"),
+        NcpaFamily::Mirror => format!("{modes} modes of the deformable mirror"),
     }
 }
 
@@ -112,7 +132,7 @@ fn basis(last: &Iteration) -> Basis {
     Basis { names: last.mode_names(), groups }
 }
 
-fn optics(given: &Scene, found: &FullPhase) -> Vec<OpticalParameter> {
+fn optics(given: &Scene, found: &SequenceResult) -> Vec<OpticalParameter> {
     let parameter = |key: &str, scene: f64, value: f64| OpticalParameter {
         key: key.into(),
         scene,
@@ -137,19 +157,11 @@ fn optics(given: &Scene, found: &FullPhase) -> Vec<OpticalParameter> {
 
 /// The terms of an iteration's error bars: what the images average out, and what all of them share.
 fn error_budget(last: &Iteration) -> Vec<ErrorTerm> {
-    let term = |name: &str, phasing_nm: f64, ncpa_nm: f64| ErrorTerm { name: name.into(), phasing_nm, ncpa_nm };
-    let [phasing_nm, ncpa_nm] = last.averaged_nm;
-    let rest = |i: usize, known: f64| {
-        (last.expected_nm[i].powi(2) - last.averaged_nm[i].powi(2) - known.powi(2)).max(0.0).sqrt()
+    let terms = last.error_budget.terms.iter().filter(|term| term.phasing_nm > 0.0 || term.ncpa_nm > 0.0);
+    let term = |term: &statics::ErrorTerm| ErrorTerm {
+        name: term.source.name().into(),
+        phasing_nm: term.phasing_nm,
+        ncpa_nm: term.ncpa_nm,
     };
-    let known_nm = last.beyond_nm.hypot(last.answer_nm);
-    [
-        term("noise and turbulence", phasing_nm, ncpa_nm),
-        term("diversity", rest(0, 0.0), rest(1, known_nm)),
-        term("NCPA beyond the modes", 0.0, last.beyond_nm),
-        term("unknown loop response", 0.0, last.answer_nm),
-    ]
-    .into_iter()
-    .filter(|term| term.phasing_nm > 0.0 || term.ncpa_nm > 0.0)
-    .collect()
+    terms.map(term).collect()
 }

@@ -21,6 +21,7 @@ mod modal;
 mod outcome;
 mod policy;
 mod report;
+mod sequence;
 mod warnings;
 
 pub use budget::ErrorTerm;

@@ -102,7 +102,7 @@ fn effort(estimate: &Estimate) -> String {
 
 fn more_images(map: &MapSummary) -> String {
     let Some(last) = map.iterations.last() else { return String::new() };
-    match last.further_images(last.expected_nm.map(|nm| nm / 2.0)) {
+    match last.further_images(last.error_budget.total_nm.map(|nm| nm / 2.0)) {
         Ok(further) => format!("Half the error bars take {further} more images.\n"),
         Err(_) => "No number of images halves the error bars: they include errors that all images share.\n".into(),
     }

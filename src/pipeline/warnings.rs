@@ -1,8 +1,10 @@
 //! Warnings: what a user should know before using an estimate, a sentence each.
 
 use super::images::counted;
+use super::sequence::SequenceResult;
 use crate::estimate::{self, HeldDiversity, ImageReport, Status};
-use crate::scene::Scene;
+use crate::scene::{Knows, Scene};
+use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 
 /// Images named one by one in a warning; the others are counted.
 const NAMED_IMAGES: usize = 3;
@@ -112,4 +114,63 @@ fn of_image(image: &ImageReport, is_used: bool) -> Option<String> {
 fn listed(names: &[String]) -> String {
     let first = names[..names.len().min(NAMED_MODES)].join(", ");
     if names.len() > NAMED_MODES { format!("{first} and {} more", names.len() - NAMED_MODES) } else { first }
+}
+
+/// Warnings of a MAP estimate, whose last iteration is `last`.
+pub(super) fn of_map(found: &SequenceResult, last: &Iteration, has_settled: bool, is_misfit: bool) -> Vec<String> {
+    let mut sentences = Vec::new();
+    let (all, left_out) = (found.reports.len(), found.reports.len() - last.used_images.len());
+    if left_out > 0 {
+        let were = if left_out == 1 { "was" } else { "were" };
+        sentences.push(format!("{left_out} of {all} images {were} left out"));
+    }
+    let affected = found.rejected_pixels.iter().filter(|pixels| **pixels > 0).count();
+    if affected > 0 {
+        let rejected = found.rejected_pixels.iter().sum::<usize>();
+        let (pixels, were) = (counted(rejected, "outlier pixel"), if rejected == 1 { "was" } else { "were" });
+        sentences.push(format!("{pixels} in {affected} of {all} images {were} rejected (cosmic rays, hot pixels)"));
+    }
+    sentences.extend(found.device_failure.clone());
+    sentences.extend(last.diversity.warning(found.scene.image.wavelength_nm));
+    sentences.extend(found.optics.warnings());
+    if is_misfit {
+        sentences.push(format!(
+            "the residual of the typical image is {:.1} times the noise (reduced χ² {:.1}): the scene differs from the \
+             instrument, and the error bars do not include by how much",
+            last.reduced_chi2.sqrt(),
+            last.reduced_chi2
+        ));
+    }
+    if let Some(tilts) = last.segment_tilts.filter(SegmentTilts::is_significant) {
+        sentences.push(format!(
+            "single segments seem to be tilted, by {:.0} nm RMS or more: pistons and NCPA have absorbed a part of it, which \
+             their error bars do not include",
+            tilts.rms_nm
+        ));
+    }
+    let beyond_nm = last.error_budget.term_nm(ErrorSource::NcpaBeyondModes)[1];
+    if beyond_nm > 0.0 {
+        sentences.push(format!(
+            "the NCPA extend beyond the {} modes that the sensor can distinguish: about {beyond_nm:.1} nm of them are in no \
+             map, and only in the error bars",
+            last.errors.ncpa_nm.len()
+        ));
+    }
+    if !has_settled {
+        let [phasing_nm, ncpa_nm] = last.change_nm;
+        sentences.push(format!(
+            "{} iterations did not converge: the last one changed the phasing by {phasing_nm:.1} nm and the NCPA by \
+             {ncpa_nm:.1} nm",
+            found.iterations.len()
+        ));
+    }
+    if found.knows < Knows::Loop {
+        sentences.push(format!(
+            "with estimate.knows = \"{}\" the loop's response to the pistons counts as NCPA: their error bars include {:.0} \
+             nm for it",
+            found.knows.word(),
+            last.error_budget.term_nm(ErrorSource::UnknownLoopResponse)[1]
+        ));
+    }
+    sentences
 }

@@ -80,7 +80,8 @@ impl Case {
             file.image("SLOPES_MEAN", slopes_mas, Pixel::F64, "mas").unwrap();
         }
         file.finish().unwrap();
-        let raw = |values: &mut dyn Iterator<Item = &f64>| values.flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        let raw =
+            |values: &mut dyn Iterator<Item = &f64>| values.flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
         std::fs::write(desk.path("frames.raw"), raw(&mut self.images_e.iter())).unwrap();
         if let Some(slopes_mas) = &self.slopes_mas {
             std::fs::write(desk.path("slopes.raw"), raw(&mut slopes_mas.iter())).unwrap();
@@ -266,8 +267,7 @@ fn a_map_sequence_with_telemetry() {
     }
     let views: Vec<_> = images.iter().map(Array2::view).collect();
     let slopes_mas = Array2::from_shape_vec((4, slopes[0].len()), slopes.concat()).unwrap();
-    let settings =
-        [("estimate.method", "full-phase"), ("estimate.precision", "f64"), ("estimate.device", "cpu")];
+    let settings = [("estimate.method", "full-phase"), ("estimate.precision", "f64"), ("estimate.device", "cpu")];
     let case = Case {
         scene: scene.with(&settings).unwrap().text().into(),
         images_e: ndarray::stack(ndarray::Axis(0), &views).unwrap(),

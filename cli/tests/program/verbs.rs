@@ -21,8 +21,17 @@ fn optics_that_are_fitted_are_told_and_written() {
     assert!(done.out.contains("image.samples_per_lambda_over_d = 2.01"), "{}", done.out);
     assert!(done.out.contains("(the scene says 2)"), "{}", done.out);
     // Zernikes hold the focus.
-    assert!(done.out.contains("image.diversity_focus_waves_rms = 1 (the scene says 1): not identifiable"), "{}", done.out);
-    assert!(done.err.contains("estimate.fit_optics names \"defocus\", which these images do not distinguish from the modes"), "{}", done.err);
+    assert!(
+        done.out.contains("image.diversity_focus_waves_rms = 1 (the scene says 1): not identifiable"),
+        "{}",
+        done.out
+    );
+    assert!(
+        done.err
+            .contains("estimate.fit_optics names \"defocus\", which these images do not distinguish from the modes"),
+        "{}",
+        done.err
+    );
     let path = desk.path("est.fits");
     let mut file = FitsReader::open(&path).unwrap();
     let number = |file: &mut FitsReader, column: &str| file.f64_column("OPTICS", column).unwrap();

@@ -1,0 +1,180 @@
+//! Wavefronts and static errors of a sequence behind adaptive optics: maximum a posteriori (MAP) retrieval of each
+//! exposure's wavefront, and the static errors that all exposures share, in turn until nothing changes.
+
+use super::control::Control;
+use super::images::Images;
+use crate::ao::Lenslets;
+use crate::estimate::{Cube, WithoutOutliers, without_outliers};
+use crate::grid::Grid;
+use crate::pupil::Pupil;
+use crate::retrieval::{
+    RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
+};
+use crate::scene::{Knows, Scene, SegmentModes};
+use crate::statics::{Iteration, SequenceRetrieval, StaticsSettings, check_diversity, estimate_static_errors};
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView3};
+
+/// Result of a sequence.
+pub(super) struct SequenceResult {
+    /// All iterations; the last one is the estimate.
+    pub(super) iterations: Vec<Iteration>,
+    /// Retrieval of each image in the last iteration.
+    pub(super) reports: Vec<RetrievalReport>,
+    /// Outlier pixels that were rejected from each image.
+    pub(super) rejected_pixels: Vec<usize>,
+    /// What was assumed of the adaptive optics.
+    pub(super) knows: Knows,
+    /// Optical parameters that the images show to differ from the scene's.
+    pub(super) optics: RetrievedOptics,
+    /// Scene of the static errors and of corrections: with the optical parameters that were found, unless the sensor's
+    /// subapertures contradict them.
+    pub(super) scene: Scene,
+    pub(super) device: String,
+    pub(super) device_failure: Option<String>,
+    pub(super) pupil: Pupil,
+    /// Wall-clock time in retrievals, s.
+    pub(super) retrieval_seconds: f64,
+}
+
+/// What is assumed of the adaptive optics of `scene` for images with or without telemetry.
+///
+/// # Errors
+/// [`Error::Scene`] where the scene asks for more than there is.
+fn ao_knowledge(scene: &Scene, telemetry: bool) -> Result<Knows> {
+    let has_loop = scene.control.is_some() && scene.wavefront_sensor.is_some();
+    let there = match (has_loop, telemetry) {
+        (true, true) => Knows::Telemetry,
+        (true, false) => Knows::Loop,
+        (false, _) => Knows::Spectrum,
+    };
+    match scene.estimate.knows {
+        None => Ok(there),
+        Some(wanted) if wanted <= there => Ok(wanted),
+        Some(wanted) => Err(Error::Scene(format!(
+            "estimate.knows = \"{}\" is more than there is: the {}, and \"{}\" is accepted",
+            wanted.word(),
+            if has_loop { "images come without slopes" } else { "scene has no [wavefront_sensor] and [control]" },
+            there.word()
+        ))),
+    }
+}
+
+/// Refuses slopes that are not of `scene`'s sensor, before any image is read.
+fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) -> Result<()> {
+    let Some(sensing) = &scene.wavefront_sensor else { return Ok(()) };
+    let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
+    let subapertures = Lenslets::of(sensing, &telescope.pupil_on(grid)?, scene.directory())?.subapertures.len();
+    if slopes_mas.ncols() != 2 * subapertures {
+        return Err(Error::Shape(format!(
+            "{} slopes were given for each image: {} are needed, along x and then along y for each of the scene's \
+             {subapertures} subapertures",
+            slopes_mas.ncols(),
+            2 * subapertures
+        )));
+    }
+    match slopes_mas.indexed_iter().find(|(_, slope)| !slope.is_finite()) {
+        Some(((image, slope), mas)) => Err(Error::Value(format!(
+            "slope {} of image {} is {mas} mas: a finite one is needed",
+            slope + 1,
+            image + 1
+        ))),
+        None => Ok(()),
+    }
+}
+
+/// Power spectral density that is expected of the dynamic wavefront.
+fn prior(scene: &Scene, knows: Knows) -> Result<RadialPsd> {
+    if knows > Knows::Nothing {
+        return RadialPsd::ao_residual(scene, StaticAberrationRms::default());
+    }
+    // Ordinary seeing, r0 = 16 cm at 500 nm, beyond what the mirror's pitch corrects; below, as much as there: a flat band.
+    // Kolmogorov: 0.0229·r0^(−5/3)·f^(−11/3) rad²·m².
+    const ENTRIES: usize = 200;
+    let cut_off_per_m = 0.5 / scene.mirror.pitch_m;
+    let step_per_m = cut_off_per_m / 40.0;
+    let nm_per_rad = 500.0 / std::f64::consts::TAU;
+    let at = |k: usize| {
+        let f = (step_per_m * k as f64).max(cut_off_per_m);
+        0.0229 * 0.16f64.powf(-5.0 / 3.0) * f.powf(-11.0 / 3.0) * nm_per_rad * nm_per_rad
+    };
+    RadialPsd::new(step_per_m, (0..ENTRIES).map(at).collect())
+}
+
+/// Up to so many images each is retrieved at a finer resolution, which takes three times as long: the first ten of a sequence
+/// then leave 7.8 nm of phasing in place of 8.8.
+const FEW_IMAGES: usize = 40;
+/// Cycles across a segment then, over the usual ones.
+const FEW_IMAGES_RESOLUTION: f64 = 1.25;
+
+/// Estimates the static errors behind a sequence.
+///
+/// # Errors
+/// Those of building the model; [`Error::Shape`] and [`Error::Value`] for frames or slopes that are not the scene's;
+/// [`Error::Image`] where fewer than two images can be used; [`Error::Interrupted`].
+pub(super) fn estimate(
+    scene: &Scene,
+    images: &Images,
+    slopes_mas: Option<&Array2<f64>>,
+    control: &Control,
+) -> Result<SequenceResult> {
+    if scene.modes.segment != SegmentModes::Piston {
+        return Err(Error::Scene(format!(
+            "modes.segment = \"{}\" is not accepted with estimate.method = \"full-phase\": \"piston\" is needed",
+            scene.modes.segment.word()
+        )));
+    }
+    let knows = ao_knowledge(scene, slopes_mas.is_some())?;
+    let settings = StaticsSettings { ao_knowledge: knows, ..StaticsSettings::default() };
+    if let Some(&coarsest) = settings.families.first() {
+        check_diversity(coarsest, scene, &Telescope::of(scene)?)?;
+    }
+    let used_slopes_mas = slopes_mas.filter(|_| knows >= Knows::Telemetry);
+    let own_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(scene, &Telescope::of(scene)?, mas));
+    // Slopes of another number of subapertures may be those behind the pupil that the images show.
+    let own_sensor = match own_sensor {
+        Err(Error::Shape(_)) if scene.pupil.extent_m().is_some() => own_sensor,
+        other => Ok(other?),
+    };
+    let prior = prior(scene, knows)?;
+    let cleaned = without_outliers(scene, &images.images_e, &images.bad, images.read_noise_e);
+    let images_e = cleaned.as_ref().map_or(&images.images_e, |cleaned: &WithoutOutliers| &cleaned.images_e);
+    let cube = Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
+    let retrieval = retrieval_settings(scene, cube.images_e);
+    let cancel = Some(control.flag());
+    let optics = estimate_optics(scene, &prior, &retrieval, cube, cancel)?;
+    let found_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
+    // An obscuration that was found moves no lenslet that the slopes say is there.
+    let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
+    own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
+    let retriever = Retriever::with_telescope(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
+    let watch = |done: usize| control.advance_to(done);
+    let mut source = SequenceRetrieval::new(&retriever, &prior, cube, slopes_mas.cloned(), cancel, &watch)?;
+    let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;
+    let (device, device_failure) = retriever.device();
+    Ok(SequenceResult {
+        iterations,
+        reports: std::mem::take(&mut source.reports),
+        retrieval_seconds: source.seconds,
+        rejected_pixels: cleaned.map_or_else(|| vec![0; images.len()], |cleaned| cleaned.cut_pixels),
+        knows,
+        optics,
+        pupil: Telescope::of(&static_scene)?.pupil,
+        scene: static_scene,
+        device,
+        device_failure,
+    })
+}
+
+/// How the exposures `[image, y, x]` of `scene` are retrieved.
+fn retrieval_settings(scene: &Scene, images_e: ArrayView3<f64>) -> RetrievalSettings {
+    let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
+    // Pistons as coefficients of their own let each image exchange an edge for a field that is nearly one: the field alone
+    // shows what an image says.
+    let usual = RetrievalSettings { device, precision, piston_rms_nm: 0.0, ..RetrievalSettings::default() };
+    if images_e.dim().0 > FEW_IMAGES {
+        return usual;
+    }
+    RetrievalSettings { cycles_across_a_segment: usual.cycles_across_a_segment * FEW_IMAGES_RESOLUTION, ..usual }
+}
