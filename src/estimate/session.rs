@@ -31,6 +31,10 @@ use std::time::Instant;
 /// A workspace for fits with one model: frames are written into it ([`Session::frame_mut`]), fitted, and their results
 /// read. It is one thread's at a time.
 ///
+/// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit with the largest basis, no model selection,
+/// no outlier rejection, no restarts. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
+/// [`SessionOptions`] leave them open.
+///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free
 /// memory, take no lock and format no text, but to say why they fail. A fit depends on its own image alone: bit by bit
 /// it is [`Estimator::estimate`]'s, whatever the number of images and threads.
@@ -104,9 +108,12 @@ impl Session {
         let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::of(&estimator.model)?);
         let shared = Shared { estimator, recipe, tilts, pistons, cancel: CancelFlag::default() };
         let optics = shared.estimator.model.optics.clone();
-        let engine = match Chain::open(optics, options.device, options.precision, options.capacity)? {
-            Chain::Cpu64(chain) => Engine::Cpu64(Box::new(Single::new(chain, &shared, options)?)),
-            Chain::Cpu32(chain) => Engine::Cpu32(Box::new(Single::new(chain, &shared, options)?)),
+        let scene = &shared.estimator.scene.estimate;
+        let precision = options.precision.unwrap_or(scene.precision.into());
+        let device = options.device.unwrap_or(scene.device.into());
+        let engine = match Chain::open(optics, device, precision, options.capacity)? {
+            Chain::Cpu64(chain) => Engine::Cpu64(Box::new(Single::new(chain, &shared, options, precision)?)),
+            Chain::Cpu32(chain) => Engine::Cpu32(Box::new(Single::new(chain, &shared, options, precision)?)),
             chain => Engine::Device(Box::new(Batch::new(chain, &shared)?)),
         };
         let images = (0..options.capacity).map(|_| Image::room(&shared.estimator)).collect();
@@ -129,6 +136,14 @@ impl Session {
         match &self.engine {
             Engine::Cpu64(_) | Engine::Cpu32(_) => None,
             Engine::Device(batch) => batch.failure(),
+        }
+    }
+
+    /// Where it runs: `cpu`, or the address and the name of a device.
+    pub fn device_name(&self) -> String {
+        match &self.engine {
+            Engine::Cpu64(_) | Engine::Cpu32(_) => "cpu".into(),
+            Engine::Device(batch) => batch.device_name(),
         }
     }
 

@@ -37,8 +37,23 @@ pub struct TruthMaps {
 impl Images {
     /// Images in electrons, `[image, y, x]`, whose finite pixels are all good.
     pub fn new(images_e: Array3<f64>) -> Self {
-        let bad = images_e.mapv(|electrons| !electrons.is_finite());
-        Self { images_e, bad, read_noise_e: None, slopes_mas: None, truth: None, notes: Vec::new() }
+        let bad = Array3::from_elem(images_e.dim(), false);
+        Self::with_bad(images_e, bad)
+    }
+
+    /// Images in electrons with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite are bad, too, and the
+    /// notes have their number.
+    pub fn with_bad(images_e: Array3<f64>, mut bad: Array3<bool>) -> Self {
+        let non_finite = images_e.iter().filter(|electrons| !electrons.is_finite()).count();
+        let mut notes = Vec::new();
+        if non_finite > 0 {
+            let (are, were) = if non_finite == 1 { ("is", "was") } else { ("are", "were") };
+            notes.push(format!("{} {are} not finite and {were} masked", counted(non_finite, "pixel")));
+        }
+        if bad.dim() == images_e.dim() {
+            bad.zip_mut_with(&images_e, |bad, electrons| *bad |= !electrons.is_finite());
+        }
+        Self { images_e, bad, read_noise_e: None, slopes_mas: None, truth: None, notes }
     }
 
     /// Reads a FITS file: images, `BADPIX` or the file `mask`, the card `RON_E`, the telemetry (`SLOPES_MEAN`, else
@@ -49,14 +64,11 @@ impl Images {
     pub fn read(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Self> {
         let path = path.as_ref();
         let read = io::read_images(path, mask)?;
-        let mut notes: Vec<String> = read.repaired.into_iter().collect();
-        if read.non_finite > 0 {
-            let (are, were) = if read.non_finite == 1 { ("is", "was") } else { ("are", "were") };
-            notes.push(format!("{} {are} not finite and {were} masked", counted(read.non_finite, "pixel")));
-        }
-        let (images_e, bad, read_noise_e) = (read.data, read.bad, read.read_noise_e);
-        let (slopes_mas, truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
-        Ok(Self { images_e, bad, read_noise_e, slopes_mas, truth, notes })
+        let mut images = Self::with_bad(read.data, read.bad);
+        images.notes.splice(0..0, read.repaired);
+        images.read_noise_e = read.read_noise_e;
+        (images.slopes_mas, images.truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
+        Ok(images)
     }
 
     /// Simulated images of an artificial source, with their truth; see [`source::images`].

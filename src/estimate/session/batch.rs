@@ -31,6 +31,10 @@ impl Batch {
         self.chain.failure()
     }
 
+    pub(super) fn device_name(&self) -> String {
+        self.chain.device_name()
+    }
+
     pub(super) fn fit(&mut self, call: &Call, images: &mut [Image], results: &mut [ImageResult]) -> Result<()> {
         let began = Instant::now();
         let refused = prepare(call, images);

@@ -30,9 +30,14 @@ struct Lane<T: Polynomial> {
 }
 
 impl<T: Polynomial> Single<T> {
-    pub(super) fn new(chain: CpuChain<T>, shared: &Shared, options: &SessionOptions) -> Result<Self> {
+    pub(super) fn new(
+        chain: CpuChain<T>,
+        shared: &Shared,
+        options: &SessionOptions,
+        precision: Precision,
+    ) -> Result<Self> {
         let threads = if options.threads == 0 { rayon::current_num_threads() } else { options.threads };
-        let lanes = (0..threads.min(options.capacity)).map(|_| Lane::new(&chain, shared, options.precision));
+        let lanes = (0..threads.min(options.capacity)).map(|_| Lane::new(&chain, shared, precision));
         let lanes = lanes.collect::<Result<Vec<_>>>()?;
         let loaded = vec![chain.room(); options.capacity];
         Ok(Self { chain, loaded, lanes })
