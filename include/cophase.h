@@ -1,5 +1,54 @@
-/* cophase: phasing errors and non-common path aberrations of segmented telescopes.
- * Generated from src/capi by cbindgen; do not edit. */
+/* cophase: phasing errors and non-common path aberrations (NCPA) of segmented telescopes, from defocused images of a star.
+ * Made from src/capi by cbindgen (tests/header.rs); do not edit.
+ *
+ * CONTRACT
+ *
+ * Order of use
+ *   All images of a scene at once, as the program does it:
+ *     cophase_estimator_create -> cophase_estimator_estimate -> cophase_estimate_get_info, _array, _text, _write
+ *   Images as a camera delivers them, with a deadline:
+ *     cophase_model_create -> cophase_session_create -> cophase_session_fit -> cophase_sequence_push -> _estimate
+ *
+ * Objects
+ *   cophase_model, cophase_estimator, cophase_estimate, cophase_session and cophase_sequence are opaque. A call that creates
+ *   one writes its handle, and the caller destroys it; destroying NULL does nothing. Objects do not depend on the lifetime of
+ *   those that they were made from. No call on an object may be running or follow when it is destroyed.
+ *
+ * Threads
+ *   Calls on different objects never interfere. On one object, calls that take it as const may run in several threads at
+ *   once, others only alone: a second call returns COPHASE_BUSY at once and does nothing. A session, also where const, and
+ *   an estimator take one call at a time, except _cancel and _progress, which any thread may call at any time.
+ *
+ * Errors
+ *   A call returns COPHASE_OK or the kind of failure; cophase_last_error has a sentence on it: what was wrong, the value,
+ *   what is accepted. After a failure, outputs are as they were. What is wrong with single images is not a failure of the
+ *   call: each image has its own status. A panic inside the library is caught: the call returns COPHASE_PANIC, and so does
+ *   every later call on that object, which can only be destroyed.
+ *
+ * Structs
+ *   Options begin with struct_size, which the caller sets to the sizeof of the struct; in all other fields 0 means the
+ *   default: cophase_fit_options options = {.struct_size = sizeof options}; (in C++: cophase_fit_options options = {};
+ *   options.struct_size = sizeof options;). A NULL pointer to options means all defaults. A struct that the library fills
+ *   comes with its sizeof as the next argument. Later versions only append fields, so programs and libraries of different
+ *   versions fit together. Numbers of constants are permanent; expect new ones.
+ *
+ * Arrays
+ *   Inputs (cophase_input) have any strides and five element types, and are only read during the call. Outputs are doubles
+ *   in C order, and `count` is the number of elements: any other than the shape's is COPHASE_BAD_SHAPE. Maps and frames are
+ *   [row = y, col = x]; row and column of the optical axis are rows/2 and cols/2 in a frame, (samples - 1)/2 in a map.
+ *
+ * Units
+ *   A unit ends each name: _nm of optical path difference (wavefront, not mirror surface), _nm2 its square, _m, _s, _mas on
+ *   the sky, _e electrons. A segment coefficient is nm of piston, an NCPA coefficient nm RMS over the pupil. Segment pistons
+ *   have zero mean over the pupil. A wavefront that grows along +x moves the spot along +column.
+ *
+ * Text
+ *   UTF-8. Texts of the library are written to the caller's memory as by snprintf, or are static where it says so.
+ *
+ * [RT]
+ *   Calls marked [RT] do not allocate, lock, log or format text while they succeed, on the CPU chain in the caller's own
+ *   thread; their time is bounded by the number of evaluations and by the deadline. An OpenCL driver may allocate and lock.
+ */
 
 #ifndef COPHASE_H
 #define COPHASE_H
@@ -7,891 +56,849 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// What a full-phase estimate assumes of the adaptive optics: what the scene says (estimate.knows), or else the most that
-// there is.
-#define COPHASE_KNOWS_MOST 0
-
-// Nothing: the mirror's pitch, and a spectrum of ordinary seeing.
-#define COPHASE_KNOWS_NOTHING 1
-
-// The spectrum of the residual wavefront, from the scene's turbulence and control.
-#define COPHASE_KNOWS_SPECTRUM 2
-
-// The loop as well: what it answers to the pistons is found by closing it on them alone.
-#define COPHASE_KNOWS_LOOP 3
-
-// What its wavefront sensor measured during each exposure as well.
-#define COPHASE_KNOWS_TELEMETRY 4
-
-// Element type of a cophase_input: float.
-#define COPHASE_F32 1
-
-// Element type of a cophase_input: double.
-#define COPHASE_F64 2
-
-// Element type of a cophase_input: uint16_t.
-#define COPHASE_U16 3
-
-// Element type of a cophase_input: int32_t.
-#define COPHASE_I32 4
-
-// Element type of a cophase_input: uint8_t.
-#define COPHASE_U8 5
-
-// Status of an image: fitted, and the model explains it.
-#define COPHASE_IMAGE_OK 0
-
-// Status of an image: fitted, but the residual is larger than the noise.
-#define COPHASE_IMAGE_MISFIT 1
-
-// Status of an image: the residual is so large that the fit probably sits in a wrong minimum.
-#define COPHASE_IMAGE_WRONG_MINIMUM 2
-
-// Status of an image: the optimiser gave up before it converged.
-#define COPHASE_IMAGE_NOT_CONVERGED 3
-
-// Status of an image: it could not be used, and its coefficients are NaN.
-#define COPHASE_IMAGE_UNUSABLE 4
-
-// Status of an image: time was up, and its coefficients are the best so far.
-#define COPHASE_IMAGE_DEADLINE 5
-
-// The call did what it says.
-#define COPHASE_OK 0
-
-// A scene that cannot be parsed, or that names something impossible.
-#define COPHASE_BAD_SCENE 1
-
-// A file that cannot be read or written.
-#define COPHASE_BAD_FILE 2
-
-// An array whose shape does not fit.
-#define COPHASE_BAD_SHAPE 3
-
-// A number out of its range, or a call that comes too early.
-#define COPHASE_BAD_VALUE 4
-
-// An image that holds nothing to fit.
-#define COPHASE_BAD_IMAGE 5
-
-// OpenCL is absent, or a device failed.
-#define COPHASE_DEVICE 6
-
-// The user asked to stop.
-#define COPHASE_INTERRUPTED 7
-
-// A broken promise of the library's own; please report it.
-#define COPHASE_INTERNAL 8
-
-// An argument that cannot be used: NULL, misaligned, not UTF-8, an output that overlaps itself.
-#define COPHASE_BAD_ARGUMENT 9
-
-// The object is in use by another thread; nothing was done.
-#define COPHASE_BUSY 10
-
-// The library panicked, now or earlier, in a call on this object: it can only be destroyed. Please report it.
-#define COPHASE_PANIC 11
-
-// Version of the C interface: it changes only when a program built against an older header could break.
-#define COPHASE_ABI_VERSION 1
-
-// Where a session's model runs: the CPU chain, or an OpenCL device. Immutable: any thread may use it.
-typedef struct cophase_device cophase_device;
-
-// The estimator of `cophase estimate --method full-phase`: the whole wavefront behind each exposure of a sequence, and
-// static errors, pistons of the segments and non-common path aberrations (NCPA), from all of them together.
-//
-// Calls that take it as const may run in several threads at once; any other only while no other call runs
-// (COPHASE_BUSY otherwise), but for cophase_full_phase_cancel and cophase_full_phase_progress, which are meant to race.
-typedef struct cophase_full_phase cophase_full_phase;
-
-// What images are compared with: a telescope, its modes and their names, the diversity, the camera. Immutable: any
-// thread may use it at any time.
-typedef struct cophase_model cophase_model;
-
-// The images of one static wavefront, as they come: what they say together, how well, and how many more are needed.
-//
-// Calls that take it as const may run in several threads at once; any other only while no other call runs
-// (COPHASE_BUSY otherwise).
-typedef struct cophase_sequence cophase_sequence;
-
-// One thread's workspace: its memory, its kernels, its queue. Making it pays every cost that comes once.
-//
-// One call at a time (COPHASE_BUSY otherwise), but for cophase_session_cancel. Calls marked [RT] allocate nothing, wait
-// for no lock and format no text while they succeed, on the CPU chain with one thread; a driver of OpenCL may do as it
-// likes. The same frame gives the same bits, whatever else is in the call, in every language.
-typedef struct cophase_session cophase_session;
-
-// A simulated AO system under a sky: turbulence, wavefront sensor, deformable mirror, control, science camera.
-//
-// Calls that take it as const may run in several threads at once; any other only while no other call runs
-// (COPHASE_BUSY otherwise). The same scene gives the same bits, in every language.
-typedef struct cophase_simulator cophase_simulator;
-
-// What became of a call: COPHASE_OK, or why it failed. Numbers are permanent; a later version may have more.
-typedef int32_t cophase_status;
-
-// Corrections, in numbers. Later versions may append fields.
-typedef struct cophase_correction_report {
-  // Segments whose pistons are to be moved.
-  uint64_t segments;
-  // Actuators of the mirror; 0 without a loop in the scene.
-  uint64_t actuators;
-  // Slopes of the wavefront sensor; 0 without a loop in the scene.
-  uint64_t slopes;
-  // NCPA modes that are corrected: those whose estimate is above its error bar.
-  uint64_t corrected_modes;
-  // Commands that were cut at the limit.
-  uint64_t limited;
-} cophase_correction_report;
-
-// What became of an image of a full-phase estimate. Later versions may append fields.
-typedef struct cophase_full_phase_image {
-  // COPHASE_IMAGE_OK, COPHASE_IMAGE_NOT_CONVERGED or COPHASE_IMAGE_UNUSABLE.
-  int32_t status;
-  // 1 where the image was used; 0 where it could not be, or where its χ² is not like the others'.
-  int32_t used;
-  // Evaluations of the model in the last pass.
-  uint64_t evaluations;
-  // χ² per degree of freedom; NaN for an image that could not be used.
-  double reduced_chi2;
-  // The star, electrons.
-  double flux_e;
-  // Background, electrons per pixel of the frame.
-  double background_e;
-} cophase_full_phase_image;
-
-// A stack of `count` maps or images of `rows` × `cols` float elements (row = y, col = x) in memory of the caller's.
-//
-// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`. Strides count elements, not bytes, and
-// may be negative; that of an extent of 1 does not matter. So C order has row_stride = cols and col_stride = 1, MATLAB's
-// column order row_stride = 1 and col_stride = rows, and a map can be turned over or put into a larger one without a
-// copy. The elements of an output must not overlap. The layout of this struct is permanent.
-typedef struct cophase_array_f32 {
-  // Element (0, 0, 0).
-  float *data;
-  // Maps or images.
-  size_t count;
-  // Rows of each.
-  size_t rows;
-  // Columns of each.
-  size_t cols;
-  // Elements from one map to the next.
-  ptrdiff_t count_stride;
-  // Elements from one row to the next.
-  ptrdiff_t row_stride;
-  // Elements from one column to the next.
-  ptrdiff_t col_stride;
-} cophase_array_f32;
-
-// How a full-phase estimate is made.
-typedef struct cophase_full_phase_options {
-  // Filled in by cophase_full_phase_options_init.
-  size_t struct_size;
-  // What is assumed of the adaptive optics: COPHASE_KNOWS_MOST, or another of the COPHASE_KNOWS_ numbers. Default:
-  // COPHASE_KNOWS_MOST.
-  int32_t knows;
-  // Threads that it runs on; 0 for as many as the machine has processors. Default: 0.
-  int32_t threads;
-  // Read noise of a pixel, RMS electrons; NaN for what the scene says. Default: NaN.
-  double read_noise_e;
-} cophase_full_phase_options;
-
-// A stack of `count` frames or maps of `rows` × `cols` elements (row = y, col = x) in memory of the caller's, which is
-// only read, and only during the call.
-//
-// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides
-// may be negative, and 0 where one element stands for many; that of an extent of 1 does not matter. The layout of this
-// struct is permanent.
-typedef struct cophase_input {
-  // Element (0, 0, 0). NULL where an array is optional and absent.
-  const void *data;
-  // COPHASE_F32, COPHASE_F64, COPHASE_U16, COPHASE_I32 or COPHASE_U8.
-  int32_t element;
-  // Frames or maps.
-  size_t count;
-  // Rows of each.
-  size_t rows;
-  // Columns of each.
-  size_t cols;
-  // Elements from one frame to the next.
-  ptrdiff_t count_stride;
-  // Elements from one row to the next.
-  ptrdiff_t row_stride;
-  // Elements from one column to the next.
-  ptrdiff_t col_stride;
-} cophase_input;
-
-// What a camera's raw values mean: electrons = (raw − dark)·gain/flat.
-typedef struct cophase_calibration {
-  // Filled in by cophase_calibration_init.
-  size_t struct_size;
-  // 1 x rows x cols: signal without light, raw units. Data NULL: none.
-  struct cophase_input dark;
-  // 1 x rows x cols: relative response, about 1. Data NULL: all alike.
-  struct cophase_input flat;
-  // 1 x rows x cols: pixels that are not 0 take no part. Data NULL: all do.
-  struct cophase_input bad;
-  // Electrons per raw unit. Default: 1.
-  double gain_e;
-  // Pixels that read as much or more take no part, raw units. Default: infinity.
-  double saturation;
-} cophase_calibration;
-
-// What a full-phase estimate found. Later versions may append fields.
-typedef struct cophase_full_phase_report {
-  // Images that were read.
-  uint64_t images;
-  // Those that were used.
-  uint64_t used;
-  // Passes that were made, each about the static wavefront that the one before found.
-  uint64_t passes;
-  // 1 where the last pass changed less than a fraction of the error bars; 0 where there were no more to be had.
-  int32_t settled;
-  // What was assumed of the adaptive optics: one of the COPHASE_KNOWS_ numbers, not COPHASE_KNOWS_MOST.
-  int32_t knows;
-  // The segments' part of the wavefront, nm RMS over the pupil, piston, tip and tilt removed.
-  double phasing_rms_nm;
-  // Its error bar, nm RMS over the pupil.
-  double phasing_sigma_nm;
-  // The non-common path aberrations, likewise.
-  double ncpa_rms_nm;
-  // Their error bar, nm RMS over the pupil.
-  double ncpa_sigma_nm;
-  // By how much the last pass changed the phasing, nm RMS over the pupil; NaN if it was the only one.
-  double phasing_change_nm;
-  // By how much it changed the NCPA, likewise.
-  double ncpa_change_nm;
-  // Median χ² per degree of freedom of the images that were used: turbulence finer than the model's samples makes it 4
-  // to 5 behind a bright star.
-  double reduced_chi2;
-  // Time that it took, s.
-  double seconds;
-} cophase_full_phase_report;
-
-// A telescope, its modes and its diversity as maps of the caller's; see cophase_model_create_from_arrays.
-typedef struct cophase_model_arrays {
-  // Filled in by cophase_model_arrays_init.
-  size_t struct_size;
-  // 1 x n x n, n even: the amplitude of the pupil, 0 to 1, over the scene's pupil.grid_m. Needed.
-  struct cophase_input pupil;
-  // 1 x n x n: the segment that each sample belongs to, from 0, negative where there is no glass. Data NULL: the
-  // mirror is not segmented.
-  struct cophase_input segments;
-  // modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: those of the scene.
-  struct cophase_input modes;
-  // 1 x n x n: the diversity, nm of wavefront. Data NULL: that of the scene.
-  struct cophase_input diversity_nm;
-} cophase_model_arrays;
-
-// How a session is made.
-typedef struct cophase_session_options {
-  // Filled in by cophase_session_options_init.
-  size_t struct_size;
-  // Most images of a call. Default: 1.
-  size_t capacity;
-  // COPHASE_F64, or COPHASE_F32: half the memory, a third to half of the time, 0.02 nm. Default:
-  // COPHASE_F64.
-  int32_t precision;
-  // Threads of the CPU chain: 1 for the caller's own, which calls marked [RT] need; 0 for all that there are.
-  // Default: 1.
-  int32_t threads;
-  // Most evaluations of the model for one image; 0 for what the scene says. Default: 0.
-  size_t max_evaluations;
-  // A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this; 0 for what
-  // the scene says. Default: 0.
-  double step_tolerance_nm;
-} cophase_session_options;
-
-// How frames are fitted.
-typedef struct cophase_fit_options {
-  // Filled in by cophase_fit_options_init.
-  size_t struct_size;
-  // Time for the whole call, s; what is not done by then is reported as COPHASE_IMAGE_DEADLINE. 0 for no limit.
-  // Default: 0.
-  double deadline_s;
-  // Read noise of a pixel, RMS electrons; NaN for what the scene says. Default: NaN.
-  double read_noise_e;
-  // Where the fits begin, nm: count x modes in C order. NULL for a flat wavefront. Default:
-  // NULL.
-  const double *start_nm;
-} cophase_fit_options;
-
-// What the images of a sequence say together. Later versions may append fields.
-typedef struct cophase_sequence_report {
-  // Images that are kept.
-  uint64_t images;
-  // Those that were combined.
-  uint64_t used;
-  // Those that were fitted but left out as outliers.
-  uint64_t clipped;
-  // The segments' part of the wavefront, nm RMS over the pupil.
-  double phasing_rms_nm;
-  // Its error bar, nm RMS over the pupil.
-  double phasing_sigma_nm;
-  // The non-common path aberrations, nm RMS over the pupil.
-  double ncpa_rms_nm;
-  // Their error bar, nm RMS over the pupil.
-  double ncpa_sigma_nm;
-  // Median χ² per degree of freedom of the images that were combined.
-  double reduced_chi2;
-} cophase_sequence_report;
-
-// What became of an image. Later versions may append fields.
-typedef struct cophase_report {
-  // COPHASE_IMAGE_OK, or another of the COPHASE_IMAGE_ numbers.
-  int32_t status;
-  // Pixels of the fitted part that took no part.
-  int32_t bad_pixels;
-  // Evaluations of the model.
-  uint64_t evaluations;
-  // χ² per degree of freedom: 1 where the model is right.
-  double reduced_chi2;
-  // The star, electrons.
-  double flux_e;
-  // Background, electrons per pixel of the frame.
-  double background_e;
-  // Tilt of the fitted wavefront along x, nm RMS over the pupil, the shift onto the axis included.
-  double tip_nm;
-  // Likewise along y.
-  double tilt_nm;
-  // Time that its fit took, s.
-  double seconds;
-} cophase_report;
-
 #ifdef __cplusplus
 extern "C" {
-#endif // __cplusplus
+#endif
 
-// Works out the corrections that the last estimate calls for: what to add to segments, mirror and reference slopes. Do
-// no harm: a mode whose estimate is under its error bar is left alone. Where the scene has a loop this takes about a
-// second at the size of Keck.
-//
-// limit_nm: no command is larger; NaN for the mirror's stroke and, for segments, a quarter of the wavelength.
-// report: NULL if it is not wanted; report_size: sizeof(cophase_correction_report).
-//
-// COPHASE_BAD_VALUE before the first estimate.
-cophase_status cophase_full_phase_correct(struct cophase_full_phase *full_phase,
-                                          double limit_nm,
-                                          struct cophase_correction_report *report,
-                                          size_t report_size);
+/* ---------------------------------------- Names and text ---------------------------------------- */
 
-// The corrections that cophase_full_phase_correct worked out, in this library's order; a positive command raises the
-// wavefront. Any of the pointers may be NULL for what is not wanted, and its number then does not matter.
-//
-// pistons_nm: receives segments numbers: what to add to each segment's piston, nm of wavefront.
-// actuators_nm: receives actuators numbers: what to add to each command of the mirror, nm of wavefront.
-// actuators_m: receives actuators x 2 numbers: where each actuator is, x and y, m.
-// slopes_mas: receives slopes numbers: what to add to the sensor's reference, along x for every subaperture, then along y;
-//   it keeps the mirror where the commands put it.
-//
-// COPHASE_BAD_VALUE before cophase_full_phase_correct, COPHASE_BAD_SHAPE for other numbers than its report's.
-cophase_status cophase_full_phase_corrections(const struct cophase_full_phase *full_phase,
-                                              double *pistons_nm,
-                                              size_t segments,
-                                              double *actuators_nm,
-                                              double *actuators_m,
-                                              size_t actuators,
-                                              double *slopes_mas,
-                                              size_t slopes);
+/* Version of the C interface. It changes only where a program built against an older header could break. */
+#define COPHASE_ABI_VERSION 2
 
-// The devices of this machine, one line each: the name that cophase_device_open takes, a tab, and what it is. The CPU
-// chain is always there, and the first.
-//
-// Writes at most `capacity` bytes to `text`, the terminating zero included, as snprintf does; `text` may be NULL where
-// `capacity` is 0. `*length` receives the length of the whole text in bytes without the zero.
+/* Version of the library, such as "0.1.0". A static string, never NULL. */
+const char *cophase_version(void);
+
+/* Version of the C interface of the library that is loaded; must be COPHASE_ABI_VERSION of the header. */
+uint32_t cophase_abi_version(void);
+
+/* Success. */
+#define COPHASE_OK 0
+
+/* Scene that cannot be parsed, or with an impossible value. */
+#define COPHASE_BAD_SCENE 1
+
+/* File that cannot be read or written. */
+#define COPHASE_BAD_FILE 2
+
+/* Array of the wrong shape. */
+#define COPHASE_BAD_SHAPE 3
+
+/* Number out of range, or a call before the one that it needs. */
+#define COPHASE_BAD_VALUE 4
+
+/* No usable image. */
+#define COPHASE_BAD_IMAGE 5
+
+/* No OpenCL device, or a device that failed. */
+#define COPHASE_DEVICE 6
+
+/* Call stopped by a cancel call. */
+#define COPHASE_INTERRUPTED 7
+
+/* Error of the library itself; please report it. */
+#define COPHASE_INTERNAL 8
+
+/* Unusable argument: NULL, misaligned, not UTF-8, a struct_size that no version has. */
+#define COPHASE_BAD_ARGUMENT 9
+
+/* Object in use by another thread; nothing was done. */
+#define COPHASE_BUSY 10
+
+/* Panic inside the library, in this call or an earlier one on this object, which can only be destroyed. Please report it. */
+#define COPHASE_PANIC 11
+
+/* Image status: fitted, and the model explains the image. */
+#define COPHASE_IMAGE_OK 100
+
+/* Image status: fitted, but the residual is larger than the noise. */
+#define COPHASE_IMAGE_MISFIT 101
+
+/* Image status: the residual is so large that the fit is probably in a wrong minimum. */
+#define COPHASE_IMAGE_WRONG_MINIMUM 102
+
+/* Image status: the optimizer stopped before it converged. */
+#define COPHASE_IMAGE_NOT_CONVERGED 103
+
+/* Image status: the image could not be used; its coefficients are NaN. */
+#define COPHASE_IMAGE_UNUSABLE 104
+
+/* Image status: the deadline passed; its coefficients are the best so far. */
+#define COPHASE_IMAGE_DEADLINE 105
+
+/* Status of a call: COPHASE_OK, or why it failed. Numbers are permanent; later versions may have more. */
+typedef int32_t cophase_status;
+
+/* Name of the status of a call or of an image, without its prefix: `OK`, `BAD_SCENE`, ..., `OK`, `MISFIT`, ...; `UNKNOWN`
+ * for a number of a later version. A static string, never NULL.
+ */
+const char *cophase_status_name(int32_t status);
+
+/* Sentence of the last call that failed in this thread, UTF-8; empty before the first. Calls that succeed do not change it.
+ *
+ * text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+ *
+ * Returns the length of the whole sentence in bytes, without the zero. Sentences are cut after 2048 bytes.
+ */
+size_t cophase_last_error(char *text,
+                          size_t capacity);
+
+/* Text of a scene that comes with the library, "keck-artificial" or "keck-onsky", in `*scene_text`: a static string.
+ *
+ * COPHASE_BAD_SCENE for another name.
+ */
+cophase_status cophase_scene_preset(const char *name,
+                                    const char **scene_text);
+
+/* Devices of this machine, one a line: the text for `device` in cophase_session_options or estimate.device in a scene, a
+ * tab, and a description. The first line is always the CPU.
+ *
+ * text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+ * length: receives the length of the whole text in bytes, without the zero.
+ */
 cophase_status cophase_device_list(char *text,
                                    size_t capacity,
                                    size_t *length);
 
-// Opens a device: "cpu", "opencl" (a GPU before anything else), "opencl:P:D", or "auto" (a GPU where there is one and it
-// can run the model, else the CPU chain).
-//
-// COPHASE_BAD_VALUE for a name that cannot be one, COPHASE_DEVICE where no such device is here.
-cophase_status cophase_device_open(const char *name,
-                                   struct cophase_device **device);
+/* Text of an estimate: its report, as the program prints it. */
+#define COPHASE_TEXT_REPORT 1
 
-// Closes a device; NULL is fine. Sessions that were made on it go on.
-void cophase_device_close(struct cophase_device *device);
+/* Text of an estimate or a session: what to know before using the numbers, one sentence a line; empty without warnings. */
+#define COPHASE_TEXT_WARNINGS 2
 
-// What a device is: its line of cophase_device_list. `text`, `capacity` and `length` are as there.
-cophase_status cophase_device_name(const struct cophase_device *device,
-                                   char *text,
-                                   size_t capacity,
-                                   size_t *length);
+/* Text of an estimate: remarks that hold for every image of the scene, one sentence a line. */
+#define COPHASE_TEXT_REMARKS 3
 
-// The sentence of the last call that failed on this thread, in UTF-8; empty before the first. A call that succeeds
-// leaves it as it was.
-//
-// Writes at most `capacity` bytes to `text`, the terminating zero included, as snprintf does; `text` may be NULL where
-// `capacity` is 0. Returns the length of the whole sentence in bytes without the zero: less than `capacity` where all
-// of it was written. Longer sentences than 2048 bytes are cut off.
-size_t cophase_last_error(char *text,
-                          size_t capacity);
+/* Text of an estimate or a session: the device that it ran on: "cpu", or an OpenCL device. */
+#define COPHASE_TEXT_DEVICE 4
 
-// What became of each image of the last estimate.
-//
-// reports: receives count reports, each in report_size bytes; report_size: sizeof(cophase_full_phase_image). count: the
-//   number of images in that estimate. COPHASE_BAD_VALUE before the first estimate, here and below.
-cophase_status cophase_full_phase_images(const struct cophase_full_phase *full_phase,
-                                         struct cophase_full_phase_image *reports,
-                                         size_t report_size,
-                                         size_t count);
+/* Text of an estimate or a session: its policy, "full" or "realtime". */
+#define COPHASE_TEXT_POLICY 5
 
-// What became of an image of the last estimate, in a sentence. `text`, `capacity` and `length` are as in
-// cophase_device_list.
-//
-// COPHASE_BAD_VALUE for an image that was not in it.
-cophase_status cophase_full_phase_image_message(const struct cophase_full_phase *full_phase,
-                                                size_t image,
-                                                char *text,
-                                                size_t capacity,
-                                                size_t *length);
+/* Text of an estimate: the modes that model selection added to the scene's. */
+#define COPHASE_TEXT_MODEL 6
 
-// What somebody should know before using the last estimate, a sentence in each line; empty where there is nothing: images
-// that were left out, a scene that does not explain the images, passes that did not settle, a loop that is not known.
-// `text`, `capacity` and `length` are as in cophase_device_list.
-cophase_status cophase_full_phase_warnings(const struct cophase_full_phase *full_phase,
-                                           char *text,
-                                           size_t capacity,
-                                           size_t *length);
+/* Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics that were fitted. */
+#define COPHASE_TEXT_SCENE 7
 
-// Number of static modes of the last estimate: pistons of the segments, then NCPA.
-cophase_status cophase_full_phase_mode_count(const struct cophase_full_phase *full_phase, size_t *modes);
+/* Text of an estimate or a session: why image `index` has its status, a sentence. */
+#define COPHASE_TEXT_IMAGE_MESSAGE 8
 
-// Number of those that move segments; they come first.
-cophase_status cophase_full_phase_segment_mode_count(const struct cophase_full_phase *full_phase,
-                                                     size_t *modes);
+/* Text of an estimate: name of mode `index`. */
+#define COPHASE_TEXT_MODE_NAME 9
 
-// Name of a mode, from 0. The text lives until the next estimate begins.
-//
-// COPHASE_BAD_VALUE for a mode that there is not.
-cophase_status cophase_full_phase_mode_name(const struct cophase_full_phase *full_phase,
-                                            size_t mode,
-                                            const char **name);
+/* Text of an estimate: name of term `index` of the error budget. */
+#define COPHASE_TEXT_ERROR_TERM_NAME 10
 
-// Coefficients of the static modes, nm.
-//
-// coefficients_nm, sigma_nm: receive modes numbers; sigma_nm (1σ of each) may be NULL. modes:
-// cophase_full_phase_mode_count.
-cophase_status cophase_full_phase_coefficients_nm(const struct cophase_full_phase *full_phase,
-                                                  double *coefficients_nm,
-                                                  double *sigma_nm,
-                                                  size_t modes);
+/* ------------------------------- Frames, calibration, image reports ------------------------------- */
 
-// Their covariance, nm². covariance_nm2: receives modes x modes numbers.
-cophase_status cophase_full_phase_covariance_nm2(const struct cophase_full_phase *full_phase,
-                                                 double *covariance_nm2,
-                                                 size_t modes);
+/* Element type of a cophase_input: float. */
+#define COPHASE_F32 1
 
-// Rows, and columns, of a map.
-cophase_status cophase_full_phase_samples(const struct cophase_full_phase *full_phase, size_t *samples);
+/* Element type of a cophase_input: double. */
+#define COPHASE_F64 2
 
-// The static errors as maps, nm: map 0 the phasing errors of the segments, map 1 the NCPA, maps 2 and 3 their error bars
-// (1σ). NaN outside the pupil.
-//
-// out: 4 x samples x samples, see cophase_full_phase_samples.
-cophase_status cophase_full_phase_maps_nm(const struct cophase_full_phase *full_phase,
-                                          const struct cophase_array_f32 *out);
+/* Element type of a cophase_input: uint16_t. */
+#define COPHASE_U16 3
 
-// How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
-// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_VALUE where what all images
-// share (an error of the diversity, NCPA finer than the modes) alone makes more.
-cophase_status cophase_full_phase_images_needed(const struct cophase_full_phase *full_phase,
-                                                double phasing_nm,
-                                                double ncpa_nm,
-                                                uint64_t *images);
+/* Element type of a cophase_input: int32_t. */
+#define COPHASE_I32 4
 
-// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_full_phase_options).
-cophase_status cophase_full_phase_options_init(struct cophase_full_phase_options *options,
-                                               size_t struct_size);
+/* Element type of a cophase_input: uint8_t. */
+#define COPHASE_U8 5
 
-// Makes a full-phase estimator of a scene, which its estimate.method need not name. Nothing is built yet.
-//
-// scene_text: a scene as TOML, in UTF-8; it is copied. With [wavefront_sensor] and [control] it describes the loop in front
-//   of the camera.
-// directory: where the files are looked for that the scene names; NULL for the working directory.
-// full_phase: receives the handle, which the caller gives back with cophase_full_phase_destroy.
-//
-// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted: also for keys that are for static modes alone,
-// such as estimate.optimizer.
-cophase_status cophase_full_phase_create(const char *scene_text,
-                                         const char *directory,
-                                         struct cophase_full_phase **full_phase);
+/* Input array: a stack of `count` frames or maps of `rows` x `cols` elements (row = y, col = x). It is only read, and only
+ * during the call.
+ *
+ * Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides may
+ * be negative, or 0 to repeat elements; the stride of an extent of 1 is ignored. C order is count_stride = rows*cols,
+ * row_stride = cols, col_stride = 1; MATLAB's column order is row_stride = 1, col_stride = rows. The layout of this struct
+ * is permanent.
+ */
+typedef struct {
+  /* Element (0, 0, 0); NULL for an optional array that is absent. */
+  const void *data;
+  /* COPHASE_F32, COPHASE_F64, COPHASE_U16, COPHASE_I32 or COPHASE_U8. */
+  int32_t element;
+  /* Frames or maps. */
+  size_t count;
+  /* Rows of each. */
+  size_t rows;
+  /* Columns of each. */
+  size_t cols;
+  /* Elements from one frame to the next. */
+  ptrdiff_t count_stride;
+  /* Elements from one row to the next. */
+  ptrdiff_t row_stride;
+  /* Elements from one column to the next. */
+  ptrdiff_t col_stride;
+} cophase_input;
 
-// Frees a full-phase estimator; NULL is fine. No other call on it may be running, and none may follow.
-void cophase_full_phase_destroy(struct cophase_full_phase *full_phase);
+/* Calibration of a camera: electrons = (raw - dark) * gain / flat. Zero in every field but struct_size: frames are
+ * electrons.
+ */
+typedef struct {
+  /* sizeof(cophase_calibration). */
+  size_t struct_size;
+  /* 1 x rows x cols: signal without light, raw units. Data NULL: none. */
+  cophase_input dark;
+  /* 1 x rows x cols: relative response, about 1. Data NULL: uniform. */
+  cophase_input flat;
+  /* 1 x rows x cols: bad pixels, which take no part, are not 0. Data NULL: none. */
+  cophase_input bad;
+  /* Electrons per raw unit; 0 means 1. */
+  double gain_e;
+  /* Raw value from which on a pixel is saturated, and bad; 0 means none. */
+  double saturation;
+} cophase_calibration;
 
-// Rows and columns of a detector frame.
-cophase_status cophase_full_phase_frame_shape(const struct cophase_full_phase *full_phase,
-                                              size_t *rows,
-                                              size_t *cols);
+/* Report on one image. */
+typedef struct {
+  /* COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number. */
+  int32_t status;
+  /* 1 if the image was combined into the estimate, else 0; 0 in a session, which combines nothing. */
+  int32_t is_used;
+  /* 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session. */
+  int32_t is_clipped;
+  /* Pixels of the fitted part that were bad in the frame or in the calibration. */
+  int32_t bad_pixels;
+  /* Outlier pixels that were found and rejected; 0 in a session, which does not look for them. */
+  int32_t rejected_pixels;
+  /* Policy of the fit: COPHASE_POLICY_FULL, or COPHASE_POLICY_REALTIME, which a session follows. */
+  int32_t policy;
+  /* Evaluations of objective and gradient; of a MAP retrieval, in its last iteration. */
+  uint64_t evaluations;
+  /* Chi-square per degree of freedom, 1 where the model is right; NaN for an unusable image. */
+  double reduced_chi2;
+  /* Flux of the star, electrons. */
+  double flux_e;
+  /* Background, electrons per pixel of the frame. */
+  double background_e;
+  /* Tilt along x of the fitted wavefront and of the shift onto the axis, nm RMS over the pupil; NaN in a MAP estimate. */
+  double tip_nm;
+  /* The same along y. */
+  double tilt_nm;
+  /* Duration of the fit, s; NaN in an estimate, which fits images together. */
+  double seconds;
+} cophase_image_report;
 
-// Says what the raw values of coming frames mean. The maps are copied. NULL: frames are electrons, as they are until the
-// first call.
-cophase_status cophase_full_phase_calibrate(struct cophase_full_phase *full_phase,
-                                            const struct cophase_calibration *calibration);
+/* -------------------------------------------- Model -------------------------------------------- */
 
-// Reads a sequence. 75 exposures of Keck take some ten seconds on two.
-//
-// frames: count x rows x cols, see cophase_full_phase_frame_shape; 2 or more exposures of the same static errors. Values
-//   that are not finite are bad pixels. The optical axis is in row rows/2 and column cols/2.
-// slopes_mas: telemetry, 1 x count x slopes: what the wavefront sensor measured meanwhile, mean over each exposure, along x
-//   for every subaperture, then along y; NULL without.
-// options: NULL for the defaults.
-// report: NULL if it is not wanted; report_size: sizeof(cophase_full_phase_report). All else that was found is asked for
-//   by the calls below.
-//
-// COPHASE_BAD_SCENE where more is to be known than there is, such as the loop in a scene without one; COPHASE_BAD_SHAPE
-// for frames or slopes of another shape; COPHASE_BAD_IMAGE where fewer than two images can be used; COPHASE_INTERRUPTED
-// after cophase_full_phase_cancel. A call that fails leaves the estimate before it as it was.
-cophase_status cophase_full_phase_estimate(struct cophase_full_phase *full_phase,
-                                           const struct cophase_input *frames,
-                                           const struct cophase_input *slopes_mas,
-                                           const struct cophase_full_phase_options *options,
-                                           struct cophase_full_phase_report *report,
-                                           size_t report_size);
+/* Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it. */
+typedef struct cophase_model cophase_model;
 
-// Makes the estimate that is running in another thread, or else the next one, return COPHASE_INTERRUPTED, before the next
-// image or the next pass: within a second or two at the size of Keck. [RT]
-cophase_status cophase_full_phase_cancel(const struct cophase_full_phase *full_phase);
+/* Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. */
+typedef struct {
+  /* sizeof(cophase_model_arrays). */
+  size_t struct_size;
+  /* 1 x n x n: amplitude of the pupil, 0 to 1. Required. */
+  cophase_input pupil;
+  /* 1 x n x n: index of each sample's segment, from 0; negative outside all segments. Data NULL: not segmented. */
+  cophase_input segments;
+  /* modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: the scene's modes. */
+  cophase_input modes;
+  /* 1 x n x n: diversity, nm of wavefront. Data NULL: the scene's. */
+  cophase_input diversity_nm;
+} cophase_model_arrays;
 
-// Wavefronts that the estimate running in another thread, or else the last one, has retrieved so far, in all passes
-// together; each pass has one for each image. [RT]
-cophase_status cophase_full_phase_progress(const struct cophase_full_phase *full_phase,
-                                           uint64_t *retrieved);
+/* Sizes of a model. */
+typedef struct {
+  /* Number of modes, which is the number of coefficients of an image. */
+  size_t modes;
+  /* Number of modes that move segments; they come first, the others are NCPA modes. */
+  size_t segment_modes;
+  /* Rows of a frame. */
+  size_t rows;
+  /* Columns of a frame. */
+  size_t cols;
+  /* Rows, and columns, of a wavefront map. */
+  size_t samples;
+  /* Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling. */
+  size_t pixels;
+} cophase_model_info;
 
-// Builds the model that a scene describes. This takes about half a second at the size of Keck.
-//
-// scene_text: a scene as TOML, in UTF-8; it is copied. cophase_scene_preset has some, `cophase scene --reference` lists
-//   the keys.
-// directory: where the files are looked for that the scene names; NULL for the working directory.
-// model: receives the handle, which the caller gives back with cophase_model_destroy.
-//
-// Where the scene has estimate.budget_nm the model is planned, the cheapest whose error stays within it, which takes
-// some seconds more.
-//
-// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted; COPHASE_BAD_FILE for a file of the scene's.
+/* Builds the model of a scene; about half a second at the size of Keck.
+ *
+ * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
+ *   takes some seconds.
+ * directory: directory of the files that the scene names; NULL for the working directory.
+ * arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. The scene then
+ *   gives the camera ([image]), the fit ([estimate]) and whether segment pistons are estimated (modes.segment); these
+ *   come before the modes of the arrays.
+ * model: receives the handle.
+ *
+ * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and
+ * estimate.fit_optics, which only an estimator honours. COPHASE_BAD_FILE for a file of the scene. COPHASE_BAD_SHAPE,
+ * COPHASE_BAD_VALUE for arrays that do not fit one another or are no pupil or modes.
+ */
 cophase_status cophase_model_create(const char *scene_text,
                                     const char *directory,
-                                    struct cophase_model **model);
+                                    const cophase_model_arrays *arrays,
+                                    cophase_model **model);
 
-// Fills in `struct_size`, and no arrays. struct_size: sizeof(cophase_model_arrays).
-cophase_status cophase_model_arrays_init(struct cophase_model_arrays *arrays, size_t struct_size);
+/* Frees a model; NULL is fine. Its sessions and sequences stay usable. */
+void cophase_model_destroy(cophase_model *model);
 
-// As cophase_model_create, with pupil, modes and diversity of the caller's in place of the scene's. The arrays are
-// copied. Of the scene this leaves the camera ([image]), how the fit is done ([estimate]), and whether the pistons of
-// the segments are estimated (modes.segment); they come before the caller's modes.
-//
-// COPHASE_BAD_SHAPE for maps that do not fit one another, COPHASE_BAD_VALUE for what cannot be a pupil or a mode.
-cophase_status cophase_model_create_from_arrays(const char *scene_text,
-                                                const char *directory,
-                                                const struct cophase_model_arrays *arrays,
-                                                struct cophase_model **model);
+/* Writes the sizes of a model. info_size: sizeof(cophase_model_info). */
+cophase_status cophase_model_get_info(const cophase_model *model, cophase_model_info *info, size_t info_size);
 
-// Frees a model; NULL is fine. Sessions and sequences that were made of it go on.
-void cophase_model_destroy(struct cophase_model *model);
+/* Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model. COPHASE_BAD_VALUE for no such mode. */
+cophase_status cophase_model_mode_name(const cophase_model *model,
+                                       size_t mode,
+                                       const char **name);
 
-// Number of modes that are estimated: the coefficients of an image.
-cophase_status cophase_model_mode_count(const struct cophase_model *model, size_t *modes);
-
-// Number of those that move segments; they come first.
-cophase_status cophase_model_segment_mode_count(const struct cophase_model *model, size_t *modes);
-
-// Name of a mode, from 0. The text lives as long as the model.
-//
-// COPHASE_BAD_VALUE for a mode that there is not.
-cophase_status cophase_model_mode_name(const struct cophase_model *model, size_t mode, const char **name);
-
-// Rows and columns of a detector frame.
-cophase_status cophase_model_frame_shape(const struct cophase_model *model, size_t *rows, size_t *cols);
-
-// Rows, and columns, of a wavefront map.
-cophase_status cophase_model_samples(const struct cophase_model *model, size_t *samples);
-
-// Rows, and columns, of a PSF: the pixels that are compared, after the reduction of a frame to the model's sampling and
-// to what carries signal.
-cophase_status cophase_model_pixels(const struct cophase_model *model,
-                                    size_t *pixels);
-
-// The wavefront of some coefficients, nm: map 0 the segments, map 1 the non-common path aberrations. NaN outside the
-// pupil.
-//
-// modes: the number of coefficients, see cophase_model_mode_count. out: 2 x samples x samples, see
-// cophase_model_samples.
-cophase_status cophase_model_wavefront_nm(const struct cophase_model *model,
+/* Wavefront of some coefficients, nm; NaN outside the pupil.
+ *
+ * coefficients_nm: `modes` numbers. out: receives 2 x samples x samples numbers: map 0 the segments, map 1 the NCPA.
+ * count: their number.
+ */
+cophase_status cophase_model_wavefront_nm(const cophase_model *model,
                                           const double *coefficients_nm,
                                           size_t modes,
-                                          const struct cophase_array_f32 *out);
+                                          double *out,
+                                          size_t count);
 
-// The PSF of some coefficients with the diversity, at the pixels that are compared: its sum over an unbounded detector
-// would be 1. The optical axis is in row and column pixels/2.
-//
-// modes: as above. out: 1 x pixels x pixels, see cophase_model_pixels.
-cophase_status cophase_model_psf(const struct cophase_model *model,
+/* PSF of some coefficients with the diversity, at the pixels that are compared. Its sum over an unbounded detector would
+ * be 1. The optical axis is on row and column pixels/2.
+ *
+ * coefficients_nm: `modes` numbers. out: receives pixels x pixels numbers. count: their number.
+ */
+cophase_status cophase_model_psf(const cophase_model *model,
                                  const double *coefficients_nm,
                                  size_t modes,
-                                 const struct cophase_array_f32 *out);
+                                 double *out,
+                                 size_t count);
 
-// Fills in `struct_size` and the defaults. struct_size:
-// sizeof(cophase_session_options).
-cophase_status cophase_session_options_init(struct cophase_session_options *options, size_t struct_size);
+/* ------------------------------------------ Estimator ------------------------------------------ */
 
-// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_calibration).
-cophase_status cophase_calibration_init(struct cophase_calibration *calibration, size_t struct_size);
+/* Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
+ * the scene asks for it.
+ */
+#define COPHASE_POLICY_FULL 0
 
-// Fills in `struct_size` and the defaults. struct_size: sizeof(cophase_fit_options).
-cophase_status cophase_fit_options_init(struct cophase_fit_options *options, size_t struct_size);
+/* Policy: one fit with the largest basis, no retries; what a session does. */
+#define COPHASE_POLICY_REALTIME 1
 
-// Name of an image's status: `OK`, `MISFIT`, …; `UNKNOWN` for a number of a later version.
-//
-// Returns a static string that the caller must not free. Never NULL.
-const char *cophase_image_status_name(int32_t status);
+/* Stage of an estimate: none is running. */
+#define COPHASE_STAGE_IDLE 0
 
-// The text of a scene that comes with the library: "keck-artificial" or "keck-onsky", in `*scene_text`.
-//
-// It is a static string that the caller must not free. COPHASE_BAD_SCENE for another name.
-cophase_status cophase_scene_preset(const char *name, const char **scene_text);
+/* Stage: the planner tries models on simulated images (estimate.budget_nm). */
+#define COPHASE_STAGE_PLANNING 1
 
-// Makes an empty sequence of images of a model, which keeps the last `capacity` of them. The model need not outlive this
-// call.
-cophase_status cophase_sequence_create(const struct cophase_model *model,
-                                       size_t capacity,
-                                       struct cophase_sequence **sequence);
+/* Stage: pupil, modes and metric are built, and optics fitted where the scene asks for it. */
+#define COPHASE_STAGE_PREPARING 2
 
-// Frees a sequence; NULL is fine. No other call on it may be running, and none may follow.
-void cophase_sequence_destroy(struct cophase_sequence *sequence);
+/* Stage: images are fitted. */
+#define COPHASE_STAGE_FITTING 3
 
-// Takes all images of a session's last fit, whatever became of them; the oldest make way. [RT]
-//
-// COPHASE_BAD_VALUE for a session of another model, COPHASE_BUSY while the session fits in another thread.
-cophase_status cophase_sequence_push(struct cophase_sequence *sequence,
-                                     const struct cophase_session *session);
+/* Stage: covariances are computed, and images combined. */
+#define COPHASE_STAGE_COMBINING 4
 
-// Forgets all images. [RT]
-cophase_status cophase_sequence_clear(struct cophase_sequence *sequence);
+/* Stage: wavefronts are retrieved (MAP). */
+#define COPHASE_STAGE_RETRIEVING 5
 
-// The static estimate so far: mean or median of the images as the scene says (estimate.combine). Up to seven images are
-// judged one by one; from eight on by one another, and error bars are from the scatter between them.
-//
-// coefficients_nm, sigma_nm: receive modes numbers; sigma_nm (1σ of each) may be NULL. report: NULL if it is not wanted;
-// report_size: sizeof(cophase_sequence_report). COPHASE_BAD_IMAGE where no image was fitted yet.
-cophase_status cophase_sequence_estimate(const struct cophase_sequence *sequence,
-                                         double *coefficients_nm,
-                                         double *sigma_nm,
-                                         size_t modes,
-                                         struct cophase_sequence_report *report,
-                                         size_t report_size);
+/* Stage: static errors are separated from the turbulence (MAP). */
+#define COPHASE_STAGE_SEPARATING 6
 
-// Covariance of the static estimate so far, nm². covariance_nm2: receives modes x modes numbers. COPHASE_BAD_IMAGE where
-// no image was fitted yet.
-cophase_status cophase_sequence_covariance_nm2(const struct cophase_sequence *sequence,
-                                               double *covariance_nm2,
-                                               size_t modes);
+/* Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
+ * several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
+ */
+typedef struct cophase_estimate cophase_estimate;
 
-// How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
-// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_IMAGE where no image was fitted yet.
-cophase_status cophase_sequence_images_needed(const struct cophase_sequence *sequence,
-                                              double phasing_nm,
-                                              double ncpa_nm,
-                                              uint64_t *images);
+/* Estimator: the full pipeline for images of one scene, modal or maximum a posteriori (MAP, estimate.method =
+ * "full-phase") as the scene says. It can be used again and again.
+ *
+ * One call at a time (COPHASE_BUSY otherwise), except cophase_estimator_cancel and cophase_estimator_progress, which any
+ * thread may call at any time.
+ */
+typedef struct cophase_estimator cophase_estimator;
 
-// Makes a workspace for images of a model.
-//
-// device: where it runs; NULL for the CPU chain. options: NULL for the defaults. session: receives the handle, which the
-// caller gives back with cophase_session_destroy. Neither device nor model need outlive this call.
-//
-// COPHASE_DEVICE where the device cannot run the model.
-cophase_status cophase_session_create(const struct cophase_device *device,
-                                      const struct cophase_model *model,
-                                      const struct cophase_session_options *options,
-                                      struct cophase_session **session);
+/* Options of an estimator. */
+typedef struct {
+  /* sizeof(cophase_estimator_options). */
+  size_t struct_size;
+  /* COPHASE_POLICY_FULL (0) or COPHASE_POLICY_REALTIME. */
+  int32_t policy;
+  /* Number of threads; 0 or -1 for one per processor. Results do not depend on it. */
+  int32_t threads;
+} cophase_estimator_options;
 
-// Frees a session; NULL is fine. No other call on it may be running, and none may follow.
-void cophase_session_destroy(struct cophase_session *session);
+/* Options of one estimate. */
+typedef struct {
+  /* sizeof(cophase_estimate_options). */
+  size_t struct_size;
+  /* Calibration of the frames; NULL: frames are electrons. */
+  const cophase_calibration *calibration;
+  /* Read noise of a pixel, electrons RMS; 0 for the scene's. */
+  double read_noise_e;
+} cophase_estimate_options;
 
-// Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one
-// evaluation of the model. [RT], and the one call that is meant to race; a signal handler may make it.
-cophase_status cophase_session_cancel(const struct cophase_session *session);
+/* Makes an estimator of a scene.
+ *
+ * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is planned here, which
+ *   takes some seconds. Nothing else is built before the first estimate.
+ * directory: directory of the files that the scene names; NULL for the working directory.
+ * options: NULL for the defaults.
+ * estimator: receives the handle.
+ *
+ * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does not honour.
+ */
+cophase_status cophase_estimator_create(const char *scene_text,
+                                        const char *directory,
+                                        const cophase_estimator_options *options,
+                                        cophase_estimator **estimator);
 
-// Says what the raw values of coming frames mean. The maps are copied. NULL: frames are electrons, as they are until the
-// first call.
-//
-// COPHASE_BAD_VALUE for bad pixels where the model reduces frames to its own sampling, which would smear them: a scene
-// with estimate.sampling = "native" does not.
-cophase_status cophase_session_calibrate(struct cophase_session *session,
-                                         const struct cophase_calibration *calibration);
+/* Frees an estimator; NULL is fine. Its estimates stay usable. */
+void cophase_estimator_destroy(cophase_estimator *estimator);
 
-// Fits the model to frames. [RT]
-//
-// frames: count x rows x cols, see cophase_model_frame_shape; count up to the session's capacity. Values that are not
-//   finite are bad pixels. The optical axis is in row rows/2 and column cols/2.
-// options: NULL for the defaults.
-// coefficients_nm: receives count x modes numbers in C order; NaN for an image that could not be used.
-// reports: receives count reports, each in report_size bytes; NULL if they are not wanted. report_size:
-//   sizeof(cophase_report).
-//
-// The call succeeds where an image does not: what became of each is in its report. COPHASE_INTERRUPTED after
-// cophase_session_cancel, and then nothing is written.
-cophase_status cophase_session_fit(struct cophase_session *session,
-                                   const struct cophase_input *frames,
-                                   const struct cophase_fit_options *options,
+/* Makes the estimate that is running in another thread, or else the next one, return COPHASE_INTERRUPTED at its next safe
+ * place: within a second or two at the size of Keck. A signal handler may call it. [RT]
+ */
+cophase_status cophase_estimator_cancel(const cophase_estimator *estimator);
+
+/* Progress of the estimate that is running in another thread. [RT]
+ *
+ * stage: receives a COPHASE_STAGE_ number. done, total: receive the steps (images) of this stage that are done, and their
+ * number, 0 if it is unknown. Each may be NULL.
+ */
+cophase_status cophase_estimator_progress(const cophase_estimator *estimator,
+                                          int32_t *stage,
+                                          uint64_t *done,
+                                          uint64_t *total);
+
+/* Estimates the static wavefront behind images. What is wrong with single images is in their reports; what to know of the
+ * whole is in COPHASE_TEXT_WARNINGS of the estimate.
+ *
+ * frames: count x rows x cols as the scene says; images of the same static errors. Bad pixels, which take no part, are
+ *   those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column
+ *   cols/2.
+ * slopes_mas: telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure,
+ *   along x for every subaperture, then along y; NULL without.
+ * options: NULL for the defaults.
+ * estimate: receives the handle.
+ *
+ * COPHASE_BAD_SHAPE for frames or slopes of another shape. COPHASE_BAD_IMAGE if no image can be used (fewer than two in a
+ * MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the telescope cannot be built. COPHASE_DEVICE if the device that
+ * the scene names is absent or fails. COPHASE_INTERRUPTED after cophase_estimator_cancel.
+ */
+cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
+                                          const cophase_input *frames,
+                                          const cophase_input *slopes_mas,
+                                          const cophase_estimate_options *options,
+                                          cophase_estimate **estimate);
+
+/* ------------------------------------------ Estimate ------------------------------------------- */
+
+/* Method of an estimate: static modes fitted to each image, images combined. */
+#define COPHASE_METHOD_MODAL 1
+
+/* Method of an estimate: maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the
+ * turbulence.
+ */
+#define COPHASE_METHOD_MAP 2
+
+/* Knowledge of the adaptive optics that a MAP estimate assumed (estimate.knows): only the mirror's pitch and ordinary
+ * seeing.
+ */
+#define COPHASE_KNOWS_NOTHING 1
+
+/* Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and control. */
+#define COPHASE_KNOWS_SPECTRUM 2
+
+/* Knowledge: also the closed loop's response to the segments. */
+#define COPHASE_KNOWS_LOOP 3
+
+/* Knowledge: also the slopes of the wavefront sensor during each exposure. */
+#define COPHASE_KNOWS_TELEMETRY 4
+
+/* Array of an estimate: coefficients, nm; modes. */
+#define COPHASE_ARRAY_COEFFICIENTS_NM 1
+
+/* Array: standard deviation of each coefficient, nm; modes. */
+#define COPHASE_ARRAY_SIGMA_NM 2
+
+/* Array: covariance of the coefficients, nm^2; modes x modes. */
+#define COPHASE_ARRAY_COVARIANCE_NM2 3
+
+/* Array: coefficients of each image, nm, NaN for unusable images; images x modes. Modal estimates only. */
+#define COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM 4
+
+/* Array: maps of phasing errors, NCPA, and the standard deviation of each, nm, NaN outside the pupil; 4 x samples x samples. */
+#define COPHASE_ARRAY_MAPS_NM 5
+
+/* Array: contribution of each term of the error budget to the error bars of phasing and NCPA, nm RMS over the pupil;
+ * error_terms x 2. Their squares add up to the squares of phasing_sigma_nm and ncpa_sigma_nm.
+ */
+#define COPHASE_ARRAY_ERROR_BUDGET_NM 6
+
+/* Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront; segments. */
+#define COPHASE_ARRAY_CORRECTION_PISTONS_NM 7
+
+/* Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront; actuators. */
+#define COPHASE_ARRAY_CORRECTION_ACTUATORS_NM 8
+
+/* Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2. */
+#define COPHASE_ARRAY_CORRECTION_ACTUATORS_M 9
+
+/* Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
+ * then along y; slopes. It keeps the mirror where the commands put it.
+ */
+#define COPHASE_ARRAY_CORRECTION_SLOPES_MAS 10
+
+/* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
+typedef struct {
+  /* Number of images. */
+  size_t images;
+  /* Images that were combined. */
+  size_t used;
+  /* Images that were fitted and left out as outliers. */
+  size_t clipped;
+  /* Number of modes. */
+  size_t modes;
+  /* Number of modes that move segments; they come first, the others are NCPA modes. */
+  size_t segment_modes;
+  /* Rows, and columns, of a map. */
+  size_t samples;
+  /* Terms of the error budget. */
+  size_t error_terms;
+  /* Number of warnings: lines of COPHASE_TEXT_WARNINGS. */
+  size_t warnings;
+  /* COPHASE_METHOD_MODAL or COPHASE_METHOD_MAP. */
+  int32_t method;
+  /* COPHASE_POLICY_FULL or COPHASE_POLICY_REALTIME. */
+  int32_t policy;
+  /* Worst COPHASE_IMAGE_ status that counts for the whole. */
+  int32_t status;
+  /* 1 if error bars are from the scatter between images, as from eight images on, else 0. */
+  int32_t is_sequence;
+  /* Iterations of a MAP estimate; 0 in a modal one. */
+  int32_t iterations;
+  /* 1 if the last iteration of a MAP estimate changed next to nothing, else 0; 1 in a modal one. */
+  int32_t has_settled;
+  /* COPHASE_KNOWS_ number of a MAP estimate; 0 in a modal one. */
+  int32_t knows;
+  /* Precision of the imaging chain: COPHASE_F64 or COPHASE_F32. */
+  int32_t precision;
+  /* Evaluations of objective and gradient, all images together. */
+  uint64_t evaluations;
+  /* Phasing errors, nm RMS. */
+  double phasing_rms_nm;
+  /* Expected error of the phasing map, nm RMS. */
+  double phasing_sigma_nm;
+  /* Non-common path aberrations, nm RMS. */
+  double ncpa_rms_nm;
+  /* Expected error of the NCPA map, nm RMS. */
+  double ncpa_sigma_nm;
+  /* Phasing and NCPA together, nm RMS. */
+  double wavefront_rms_nm;
+  /* Expected error of both together, nm RMS; NaN in a MAP estimate. */
+  double wavefront_sigma_nm;
+  /* Median reduced chi-square of the images that were used. Turbulence finer than the model's samples makes it 4 to 5
+   * behind a bright star in a MAP estimate.
+   */
+  double reduced_chi2;
+  /* Further images like these that halve both error bars; infinity if no number does; NaN if unknown, as in a modal
+   * estimate.
+   */
+  double images_to_halve;
+  /* Side of a map, m. */
+  double map_width_m;
+  /* Duration of the estimate, s. */
+  double seconds;
+  /* Duration of building the model, s, where that is apart. */
+  double model_seconds;
+} cophase_estimate_info;
+
+/* Frees an estimate; NULL is fine. */
+void cophase_estimate_destroy(cophase_estimate *estimate);
+
+/* Writes sizes, status and figures of an estimate. info_size: sizeof(cophase_estimate_info). */
+cophase_status cophase_estimate_get_info(const cophase_estimate *estimate,
+                                         cophase_estimate_info *info,
+                                         size_t info_size);
+
+/* Writes the reports on all images.
+ *
+ * reports: receives `count` reports of report_size bytes each. report_size: sizeof(cophase_image_report). count: images of
+ * the estimate.
+ */
+cophase_status cophase_estimate_images(const cophase_estimate *estimate,
+                                       cophase_image_report *reports,
+                                       size_t report_size,
+                                       size_t count);
+
+/* Writes an array of an estimate in C order.
+ *
+ * what: a COPHASE_ARRAY_ number, which says shape and unit. out: receives `count` numbers.
+ *
+ * COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one. COPHASE_BAD_VALUE for an array that
+ * this estimate does not have, and for COPHASE_ARRAY_CORRECTION_ arrays before cophase_estimate_correct.
+ */
+cophase_status cophase_estimate_array(const cophase_estimate *estimate,
+                                      int32_t what,
+                                      double *out,
+                                      size_t count);
+
+/* Writes a text of an estimate.
+ *
+ * what: a COPHASE_TEXT_ number. index: which image, mode or term; ignored for the other texts. text, capacity, length: as
+ * in cophase_device_list.
+ *
+ * COPHASE_BAD_VALUE for an index out of range.
+ */
+cophase_status cophase_estimate_text(const cophase_estimate *estimate,
+                                     int32_t what,
+                                     size_t index,
+                                     char *text,
+                                     size_t capacity,
+                                     size_t *length);
+
+/* Writes the estimate as FITS, whole or not at all. path: UTF-8. COPHASE_BAD_FILE if it cannot be written. */
+cophase_status cophase_estimate_write(const cophase_estimate *estimate, const char *path);
+
+/* Sizes of a correction. */
+typedef struct {
+  /* Number of segments. */
+  size_t segments;
+  /* Number of the mirror's actuators; 0 without a loop in the scene. */
+  size_t actuators;
+  /* Number of slopes of the wavefront sensor; 0 without a loop in the scene. */
+  size_t slopes;
+  /* NCPA modes that are corrected: those whose estimate is larger than its error bar. */
+  size_t corrected_modes;
+  /* Commands that were cut at the limit. */
+  size_t limited;
+} cophase_correction_report;
+
+/* Computes what to add to segments, mirror and reference slopes to correct the estimated errors; a MAP estimate only. A
+ * mode whose estimate is smaller than its error bar is not corrected. About a second at the size of Keck where the scene
+ * has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays.
+ *
+ * limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength.
+ * path: FITS file to write, UTF-8; NULL for none.
+ * report: NULL if it is not wanted. report_size: sizeof(cophase_correction_report).
+ *
+ * COPHASE_BAD_VALUE for a modal estimate, which has no corrections, and for a negative limit. COPHASE_BUSY while other
+ * threads read the estimate.
+ */
+cophase_status cophase_estimate_correct(cophase_estimate *estimate,
+                                        double limit_nm,
+                                        const char *path,
+                                        cophase_correction_report *report,
+                                        size_t report_size);
+
+/* ------------------------------------------- Session ------------------------------------------- */
+
+/* Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
+ * COPHASE_POLICY_REALTIME: no model selection, no outlier rejection, no restarts. The same frame gives the same bits,
+ * whatever else is in the call.
+ *
+ * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
+ */
+typedef struct cophase_session cophase_session;
+
+/* Options of a session. */
+typedef struct {
+  /* sizeof(cophase_session_options). */
+  size_t struct_size;
+  /* Largest number of images of a call; 0 means 1. */
+  size_t capacity;
+  /* Where it runs: "auto", "cpu", "opencl" or "opencl:P:D", see cophase_device_list; NULL for the scene's
+   * estimate.device. [RT] calls need "cpu".
+   */
+  const char *device;
+  /* COPHASE_F64 or COPHASE_F32 (half the memory, a third to half of the time, errors of 0.02 nm); 0 for the scene's
+   * estimate.precision.
+   */
+  int32_t precision;
+  /* Threads of the CPU chain: 0 or 1 for the caller's own, which [RT] calls need; -1 for one per processor. */
+  int32_t threads;
+  /* Largest number of evaluations for one image; 0 for the scene's. */
+  size_t max_evaluations;
+  /* A fit stops where neither a coefficient nor the RMS of the wavefront would change by more than this, nm; 0 for the
+   * scene's.
+   */
+  double step_tolerance_nm;
+} cophase_session_options;
+
+/* Options of a fit. */
+typedef struct {
+  /* sizeof(cophase_fit_options). */
+  size_t struct_size;
+  /* Time for the whole call, s; images that are not done by then have COPHASE_IMAGE_DEADLINE. 0 for no limit. */
+  double deadline_s;
+  /* Read noise of a pixel, electrons RMS; 0 for the scene's. */
+  double read_noise_e;
+  /* Starts of the fits, nm: count x modes in C order. NULL for a flat wavefront. */
+  const double *start_nm;
+} cophase_fit_options;
+
+/* Creates a session of a model, which need not outlive this call.
+ *
+ * options: NULL for the defaults. session: receives the handle.
+ *
+ * COPHASE_DEVICE if the device is absent or cannot run the model. COPHASE_BAD_VALUE for an option out of range, and for a
+ * scene with estimate.optimizer = "bfgs".
+ */
+cophase_status cophase_session_create(const cophase_model *model,
+                                      const cophase_session_options *options,
+                                      cophase_session **session);
+
+/* Frees a session; NULL is fine. */
+void cophase_session_destroy(cophase_session *session);
+
+/* Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, as before the first
+ * call.
+ *
+ * COPHASE_BAD_VALUE for bad pixels if the model reduces the sampling of frames, which would smear them: such a camera
+ * needs estimate.sampling = "native" in its scene.
+ */
+cophase_status cophase_session_calibrate(cophase_session *session,
+                                         const cophase_calibration *calibration);
+
+/* Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one evaluation.
+ * A signal handler may call it. [RT]
+ */
+cophase_status cophase_session_cancel(const cophase_session *session);
+
+/* Fits the model to frames. [RT]
+ *
+ * frames: count x rows x cols, count up to the session's capacity. Values that are not finite are bad pixels. The optical
+ *   axis is on row rows/2 and column cols/2.
+ * options: NULL for the defaults.
+ * coefficients_nm: receives count x modes numbers in C order; NaN for an unusable image.
+ * modes: the model's number of modes.
+ * reports: receives count reports of report_size bytes each; NULL if they are not wanted. report_size:
+ *   sizeof(cophase_image_report).
+ *
+ * The call succeeds where single images fail: their status is in their reports. COPHASE_INTERRUPTED after
+ * cophase_session_cancel; nothing is written then.
+ */
+cophase_status cophase_session_fit(cophase_session *session,
+                                   const cophase_input *frames,
+                                   const cophase_fit_options *options,
                                    double *coefficients_nm,
                                    size_t modes,
-                                   struct cophase_report *reports,
+                                   cophase_image_report *reports,
                                    size_t report_size);
 
-// Why an image of the last fit has the status that it has, in a sentence. `text`, `capacity` and `length` are as in
-// cophase_device_list.
-//
-// COPHASE_BAD_VALUE for an image that was not in that fit.
-cophase_status cophase_session_image_message(const struct cophase_session *session,
-                                             size_t image,
-                                             char *text,
-                                             size_t capacity,
-                                             size_t *length);
-
-// That the device which "auto" chose was lost, and that the session goes on on the CPU, in a sentence; empty where it was
-// not. A device that was named fails with COPHASE_DEVICE instead. `text`, `capacity` and `length` are as in
-// cophase_device_list.
-cophase_status cophase_session_device_failure(const struct cophase_session *session,
-                                              char *text,
-                                              size_t capacity,
-                                              size_t *length);
-
-// Covariance of the coefficients of an image of the last fit, nm²: as its noise makes it, scaled by its χ² where the
-// model misfits. Takes as long as some hundred evaluations.
-//
-// covariance_nm2: receives modes x modes numbers. COPHASE_BAD_VALUE for an image that was not fitted.
-cophase_status cophase_session_covariance_nm2(const struct cophase_session *session,
-                                              size_t image,
-                                              double *covariance_nm2,
-                                              size_t modes);
-
-// Loads frames for cophase_session_evaluate, with the weights that a fit begins with. [RT]
-//
-// frames, options: as for cophase_session_fit; of the options only read_noise_e counts. COPHASE_BAD_IMAGE where a frame
-// holds nothing to fit.
-cophase_status cophase_session_load(struct cophase_session *session,
-                                    const struct cophase_input *frames,
-                                    const struct cophase_fit_options *options);
-
-// The objective and its gradient, for an optimizer of the caller's: Σ weight·(flux·PSF + background − data)² over the
-// pixels of each image that was loaded, flux and background being those that minimise it. [RT]
-//
-// coefficients_nm: count x modes in C order, count being the number of frames that were loaded. objectives: receives
-// count numbers. gradients: receives count x modes, per nm. COPHASE_BAD_VALUE before cophase_session_load.
-cophase_status cophase_session_evaluate(struct cophase_session *session,
+/* Objective and gradient for an optimizer of the caller's: sum of weight * (flux * PSF + background - data)^2 over the
+ * pixels of each image, with the flux and background that minimize it and the weights that a fit begins with. [RT]
+ *
+ * frames: as in cophase_session_fit; NULL for those of the last evaluation, if no fit came since.
+ * options: only read_noise_e is used, and only with frames; NULL for the defaults.
+ * coefficients_nm: count x modes numbers in C order. count: number of frames.
+ * objectives: receives count numbers. gradients: receives count x modes numbers, per nm.
+ *
+ * COPHASE_BAD_IMAGE for a frame that cannot be used. COPHASE_BAD_VALUE if frames is NULL and none are loaded.
+ */
+cophase_status cophase_session_evaluate(cophase_session *session,
+                                        const cophase_input *frames,
+                                        const cophase_fit_options *options,
                                         const double *coefficients_nm,
                                         size_t count,
                                         size_t modes,
                                         double *objectives,
                                         double *gradients);
 
-// Builds the AO system that a scene describes, ready for its first frame. This takes about a second at the size of Keck.
-//
-// scene_text: a scene as TOML, in UTF-8; it is copied. cophase_scene_preset has some, `cophase scene --reference` lists
-//   the keys.
-// directory: where the files are looked for that the scene names; NULL for the working directory.
-// simulator: receives the handle, which the caller gives back with cophase_simulator_destroy.
-//
-// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted; COPHASE_BAD_FILE for a file of the scene's.
-cophase_status cophase_simulator_create(const char *scene_text,
-                                        const char *directory,
-                                        struct cophase_simulator **simulator);
+/* Covariance of the coefficients of one image of the last fit, nm^2, from its noise, scaled by its chi-square where the
+ * model misfits. Takes as long as some hundred evaluations.
+ *
+ * covariance_nm2: receives modes x modes numbers. COPHASE_BAD_VALUE for an image that was not fitted.
+ */
+cophase_status cophase_session_covariance_nm2(const cophase_session *session,
+                                              size_t image,
+                                              double *covariance_nm2,
+                                              size_t modes);
 
-// Frees a simulator; NULL is fine. No other call on it may be running, and none may follow.
-void cophase_simulator_destroy(struct cophase_simulator *simulator);
+/* Writes a text of a session.
+ *
+ * what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_WARNINGS, COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: image of the
+ * last fit; ignored for the other texts. text, capacity, length: as in cophase_device_list.
+ *
+ * COPHASE_BAD_VALUE for an image that was not in the last fit.
+ */
+cophase_status cophase_session_text(const cophase_session *session,
+                                    int32_t what,
+                                    size_t index,
+                                    char *text,
+                                    size_t capacity,
+                                    size_t *length);
 
-// Advances the loop by a number of frames, in this thread.
-//
-// A loop that diverges is no failure, and goes on: cophase_simulator_divergence_s tells.
-cophase_status cophase_simulator_step(struct cophase_simulator *simulator, uint64_t frames);
+/* ------------------------------------------ Sequence ------------------------------------------- */
 
-// Frames since the loop was closed.
-cophase_status cophase_simulator_frames(const struct cophase_simulator *simulator, uint64_t *frames);
+/* Sequence: the last images that sessions of a model fitted, and their running estimate. Calls that take it as const may
+ * run in several threads at once, any other only while no other call runs (COPHASE_BUSY otherwise).
+ */
+typedef struct cophase_sequence cophase_sequence;
 
-// Duration of a frame, s.
-cophase_status cophase_simulator_frame_s(const struct cophase_simulator *simulator, double *frame_s);
+/* Figures of a running estimate. RMS values are over the pupil. */
+typedef struct {
+  /* Images in the sequence. */
+  size_t images;
+  /* Images that were combined. */
+  size_t used;
+  /* Images that were fitted and left out as outliers. */
+  size_t clipped;
+  /* Phasing errors, nm RMS. */
+  double phasing_rms_nm;
+  /* Their error bar, nm RMS. */
+  double phasing_sigma_nm;
+  /* Non-common path aberrations, nm RMS. */
+  double ncpa_rms_nm;
+  /* Their error bar, nm RMS. */
+  double ncpa_sigma_nm;
+  /* Median chi-square per degree of freedom of the images that were combined. */
+  double reduced_chi2;
+} cophase_sequence_report;
 
-// Time at which the loop was seen to diverge, s since it was closed; NaN while it has not.
-cophase_status cophase_simulator_divergence_s(const struct cophase_simulator *simulator,
-                                              double *divergence_s);
+/* Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which need not outlive this
+ * call. sequence: receives the handle.
+ */
+cophase_status cophase_sequence_create(const cophase_model *model,
+                                       size_t capacity,
+                                       cophase_sequence **sequence);
 
-// Number of slopes that the wavefront sensor measures: two for each subaperture.
-cophase_status cophase_simulator_slope_count(const struct cophase_simulator *simulator, size_t *slopes);
+/* Frees a sequence; NULL is fine. */
+void cophase_sequence_destroy(cophase_sequence *sequence);
 
-// Number of the mirror's actuators.
-cophase_status cophase_simulator_actuator_count(const struct cophase_simulator *simulator, size_t *actuators);
+/* Adds all images of a session's last fit, of any status; the oldest are dropped beyond the capacity. session NULL: drops
+ * all images. [RT]
+ *
+ * COPHASE_BAD_VALUE for a session of another model. COPHASE_BUSY while the session is in use.
+ */
+cophase_status cophase_sequence_push(cophase_sequence *sequence,
+                                     const cophase_session *session);
 
-// Rows, and columns, of a residual wavefront.
-cophase_status cophase_simulator_residual_samples(const struct cophase_simulator *simulator, size_t *samples);
+/* Estimate so far: mean, clipped mean or median of the images as the scene says (estimate.combine). From eight images on,
+ * outliers are found by comparing images, and error bars are from the scatter between them.
+ *
+ * coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations. covariance_nm2: receives
+ *   modes x modes numbers. Each may be NULL.
+ * modes: the model's number of modes.
+ * report: NULL if it is not wanted. report_size: sizeof(cophase_sequence_report).
+ *
+ * COPHASE_BAD_IMAGE if no image of the sequence was fitted.
+ */
+cophase_status cophase_sequence_estimate(const cophase_sequence *sequence,
+                                         double *coefficients_nm,
+                                         double *sigma_nm,
+                                         double *covariance_nm2,
+                                         size_t modes,
+                                         cophase_sequence_report *report,
+                                         size_t report_size);
 
-// Rows and columns of an image.
-cophase_status cophase_simulator_image_shape(const struct cophase_simulator *simulator,
-                                             size_t *rows,
-                                             size_t *cols);
-
-// Rows, and columns, of the maps of the true aberrations: the scene's pupil.samples.
-cophase_status cophase_simulator_truth_samples(const struct cophase_simulator *simulator, size_t *samples);
-
-// The slopes that were measured in the last frame, mas: along x for every subaperture, then along y.
-//
-// values: room for `count` elements; count: cophase_simulator_slope_count. COPHASE_BAD_VALUE before the first frame.
-cophase_status cophase_simulator_slopes_mas(const struct cophase_simulator *simulator,
-                                            float *values,
-                                            size_t count);
-
-// The commands that were on the mirror in the last frame, nm of wavefront.
-//
-// values: room for `count` elements; count: cophase_simulator_actuator_count. COPHASE_BAD_VALUE before the first frame.
-cophase_status cophase_simulator_commands_nm(const struct cophase_simulator *simulator,
-                                             float *values,
-                                             size_t count);
-
-// The residual wavefront of the last frame, nm: turbulence and segments' errors less the mirror's surface. NaN where
-// the pupil has no light.
-//
-// out: 1 x samples x samples, see cophase_simulator_residual_samples. COPHASE_BAD_VALUE before the first frame.
-cophase_status cophase_simulator_residual_nm(const struct cophase_simulator *simulator,
-                                             const struct cophase_array_f32 *out);
-
-// RMS of that wavefront over the pupil (each sample weighed by its lit area, piston removed), nm.
-//
-// COPHASE_BAD_VALUE before the first frame.
-cophase_status cophase_simulator_residual_rms_nm(const struct cophase_simulator *simulator,
-                                                 double *residual_rms_nm);
-
-// The camera's defocused image of the last frame, electrons, its turbulence frozen: residual wavefront, non-common path
-// aberrations and diversity, with the noise that the scene names. The same frame gives the same image, however often
-// and after whatever others it is taken. The optical axis is in row rows/2 and column cols/2.
-//
-// out: 1 x rows x cols, see cophase_simulator_image_shape. COPHASE_BAD_VALUE before the first frame.
-cophase_status cophase_simulator_image_e(struct cophase_simulator *simulator,
-                                         const struct cophase_array_f32 *out);
-
-// The true static aberrations, nm: map 0 the phasing errors of the segments, map 1 the non-common path aberrations. NaN
-// outside the pupil.
-//
-// out: 2 x samples x samples, see cophase_simulator_truth_samples.
-cophase_status cophase_simulator_truth_nm(const struct cophase_simulator *simulator,
-                                          const struct cophase_array_f32 *out);
-
-// Name of a status number: `OK`, `BAD_SCENE`, …; `UNKNOWN` for a number of a later version.
-//
-// Returns a static string that the caller must not free. Never NULL.
-const char *cophase_status_name(cophase_status status);
-
-// Version of the library as text, such as "0.1.0".
-//
-// Returns a static string that the caller must not free. Never NULL.
-const char *cophase_version(void);
-
-// Version of the C interface of the library that is loaded; compare it with COPHASE_ABI_VERSION of the header.
-uint32_t cophase_abi_version(void);
+/* Number of further images like those so far that bring both error bars (nm RMS over the pupil) down to the given ones, in
+ * `*images`; 0 if they are. Infinity asks nothing of an error bar.
+ *
+ * COPHASE_BAD_VALUE if errors that all images share alone are larger. COPHASE_BAD_IMAGE if no image was fitted.
+ */
+cophase_status cophase_sequence_images_needed(const cophase_sequence *sequence,
+                                              double phasing_nm,
+                                              double ncpa_nm,
+                                              uint64_t *images);
 
 #ifdef __cplusplus
-}  // extern "C"
-#endif  // __cplusplus
+} /* extern "C" */
+#endif
 
-#endif  /* COPHASE_H */
+#endif /* COPHASE_H */

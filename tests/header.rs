@@ -1,4 +1,4 @@
-//! `include/cophase.h` is what cbindgen makes of src/capi, and compiles as C99 and as C++17.
+//! The headers in `include` are what cbindgen makes of src/capi, and compile as C99 and as C++17.
 
 #[path = "common/libraries.rs"]
 mod libraries;
@@ -11,19 +11,76 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-#[test]
-fn the_header_is_up_to_date() {
+/// Declarations of one file of src/capi.
+fn declarations(file: &str) -> String {
     let config = cbindgen::Config::from_file(root().join("cbindgen.toml")).unwrap();
+    let builder = cbindgen::Builder::new().with_config(config).with_src(root().join("src/capi").join(file));
     let mut made = Vec::new();
-    // The other files of the room are found from its root.
-    let builder = cbindgen::Builder::new().with_config(config).with_src(root().join("src/capi/mod.rs"));
     builder.generate().unwrap().write(&mut made);
-    let header = root().join("include/cophase.h");
-    if std::env::var_os("COPHASE_BLESS").is_some() {
-        std::fs::write(&header, &made).unwrap();
+    format!("{}\n\n", comments(String::from_utf8(made).unwrap().trim()))
+}
+
+/// Comments in one line where they have one, else with an asterisk before each line.
+fn comments(declarations: &str) -> String {
+    let mut made = Vec::new();
+    let mut lines = declarations.lines();
+    while let Some(line) = lines.next() {
+        let Some(indent) = line.strip_suffix("/*") else {
+            made.push(line.to_string());
+            continue;
+        };
+        let text: Vec<&str> = lines.by_ref().take_while(|line| line.trim() != "*/").collect();
+        let text: Vec<&str> = text.iter().map(|line| line.strip_prefix(&format!("{indent} ")).unwrap_or("")).collect();
+        if let [only] = text[..] {
+            made.push(format!("{indent}/* {only} */"));
+            continue;
+        }
+        let starred =
+            |(place, line): (usize, &&str)| format!("{indent}{} {line}", if place == 0 { "/*" } else { " *" });
+        made.extend(text.iter().enumerate().map(|line| starred(line).trim_end().to_string()));
+        made.push(format!("{indent} */"));
     }
-    let there = std::fs::read_to_string(&header).unwrap_or_default();
-    assert!(there.as_bytes() == made, "include/cophase.h is old: run COPHASE_BLESS=1 cargo test --test header");
+    made.join("\n")
+}
+
+/// A template of src/capi, with declarations in place of the lines `@file.rs@`.
+fn header(name: &str) -> String {
+    let template = std::fs::read_to_string(root().join("src/capi").join(format!("{name}.in"))).unwrap();
+    let line = |line: &str| match line.strip_prefix('@').and_then(|line| line.strip_suffix('@')) {
+        Some(file) => declarations(file),
+        None => format!("{line}\n"),
+    };
+    template.lines().map(line).collect()
+}
+
+#[test]
+fn the_headers_are_up_to_date() {
+    for name in ["cophase.h", "cophase_simulator.h"] {
+        let (path, made) = (root().join("include").join(name), header(name));
+        if std::env::var_os("COPHASE_BLESS").is_some() {
+            std::fs::write(&path, &made).unwrap();
+        }
+        let there = std::fs::read_to_string(&path).unwrap_or_default();
+        assert!(there == made, "include/{name} is old: run COPHASE_BLESS=1 cargo test --test header");
+    }
+}
+
+/// Every function of src/capi is in a header, and no function or type twice: an object is declared before it is used.
+#[test]
+fn the_headers_have_every_function_once() {
+    let headers = ["cophase.h", "cophase_simulator.h"].map(header).concat();
+    let mut functions = 0;
+    for entry in std::fs::read_dir(root().join("src/capi")).unwrap() {
+        let path = entry.unwrap().path();
+        let source = std::fs::read_to_string(&path).unwrap();
+        for line in source.lines().filter(|line| line.starts_with("pub ") && line.contains("extern \"C\" fn ")) {
+            let name = line.split("fn ").nth(1).unwrap().split('(').next().unwrap();
+            let declared = headers.lines().filter(|line| !line.starts_with(' ') && line.contains(&format!("{name}(")));
+            assert_eq!(declared.count(), 1, "{name}");
+            functions += 1;
+        }
+    }
+    println!("{functions} functions");
 }
 
 #[test]

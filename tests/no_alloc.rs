@@ -94,7 +94,7 @@ fn silent(scene: &Scene, precision: Precision) {
     let images_e = source::images(scene).unwrap().images_e;
     let estimator = Arc::new(Estimator::new(scene, false).unwrap());
     let modes = estimator.model().optics.modes();
-    let options = SessionOptions { capacity: 5, precision, ..SessionOptions::default() };
+    let options = SessionOptions { capacity: 5, precision: Some(precision), ..SessionOptions::default() };
     let mut session = Session::new(estimator, &options).unwrap();
     for (i, image_e) in images_e.outer_iter().enumerate() {
         session.frame_mut(i).unwrap().0.assign(&image_e);

@@ -1,4 +1,4 @@
-//! The sentence that belongs to a thread's last failure.
+//! Sentence of the last error of each thread.
 
 use super::status::cophase_status;
 use crate::Error;
@@ -9,7 +9,7 @@ use std::fmt::{self, Write};
 /// Bytes of a sentence that are kept. A fixed size, so that failing allocates nothing of its own.
 const CAPACITY: usize = 2048;
 
-/// UTF-8 text, cut off where the room ends.
+/// UTF-8 text, cut at the capacity.
 struct Sentence {
     bytes: [u8; CAPACITY],
     length: usize,
@@ -18,8 +18,8 @@ struct Sentence {
 
 impl Write for Sentence {
     fn write_str(&mut self, text: &str) -> fmt::Result {
-        let room = if self.full { 0 } else { CAPACITY - self.length };
-        let mut whole = text.len().min(room);
+        let free = if self.full { 0 } else { CAPACITY - self.length };
+        let mut whole = text.len().min(free);
         while !text.is_char_boundary(whole) {
             whole -= 1;
         }
@@ -38,18 +38,17 @@ thread_local! {
 pub(super) fn keep(error: &Error) -> cophase_status {
     LAST.with_borrow_mut(|last| {
         (last.length, last.full) = (0, false);
-        // Running out of room is no failure of `Sentence`.
+        // A sentence that is cut is no failure.
         let _ = write!(last, "{error}");
     });
     error.status()
 }
 
-/// The sentence of the last call that failed on this thread, in UTF-8; empty before the first. A call that succeeds
-/// leaves it as it was.
+/// Sentence of the last call that failed in this thread, UTF-8; empty before the first. Calls that succeed do not change it.
 ///
-/// Writes at most `capacity` bytes to `text`, the terminating zero included, as snprintf does; `text` may be NULL where
-/// `capacity` is 0. Returns the length of the whole sentence in bytes without the zero: less than `capacity` where all
-/// of it was written. Longer sentences than 2048 bytes are cut off.
+/// text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+///
+/// Returns the length of the whole sentence in bytes, without the zero. Sentences are cut after 2048 bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_last_error(text: *mut c_char, capacity: usize) -> usize {
     LAST.with_borrow(|last| {

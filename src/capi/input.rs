@@ -1,4 +1,4 @@
-//! Arrays that a caller hands in: of whatever elements cameras and languages have, wherever they lie.
+//! Arrays that a caller hands in: five element types, any strides.
 
 use super::pointer::place;
 use crate::{Error, Result};
@@ -16,17 +16,18 @@ pub const COPHASE_I32: i32 = 4;
 /// Element type of a cophase_input: uint8_t.
 pub const COPHASE_U8: i32 = 5;
 
-/// A stack of `count` frames or maps of `rows` × `cols` elements (row = y, col = x) in memory of the caller's, which is
-/// only read, and only during the call.
+/// Input array: a stack of `count` frames or maps of `rows` x `cols` elements (row = y, col = x). It is only read, and only
+/// during the call.
 ///
-/// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides
-/// may be negative, and 0 where one element stands for many; that of an extent of 1 does not matter. The layout of this
-/// struct is permanent.
+/// Element (k, y, x) is at `data + k*count_stride + y*row_stride + x*col_stride`, in elements of the given type. Strides may
+/// be negative, or 0 to repeat elements; the stride of an extent of 1 is ignored. C order is count_stride = rows*cols,
+/// row_stride = cols, col_stride = 1; MATLAB's column order is row_stride = 1, col_stride = rows. The layout of this struct
+/// is permanent.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct cophase_input {
-    /// Element (0, 0, 0). NULL where an array is optional and absent.
+    /// Element (0, 0, 0); NULL for an optional array that is absent.
     pub data: *const c_void,
     /// COPHASE_F32, COPHASE_F64, COPHASE_U16, COPHASE_I32 or COPHASE_U8.
     pub element: i32,
@@ -44,21 +45,7 @@ pub struct cophase_input {
     pub col_stride: isize,
 }
 
-impl cophase_input {
-    /// No array.
-    pub(super) const NONE: Self = Self {
-        data: std::ptr::null(),
-        element: COPHASE_F32,
-        count: 0,
-        rows: 0,
-        cols: 0,
-        count_stride: 0,
-        row_stride: 0,
-        col_stride: 0,
-    };
-}
-
-/// What an element is, and what it is worth.
+/// Element type.
 trait Element: Copy {
     fn wide(self) -> f64;
 }
@@ -82,17 +69,17 @@ pub(super) struct Input<'a> {
 impl<'a> Input<'a> {
     /// The array that the argument `name` describes. The caller's promise: memory at every element, for as long as the
     /// call lasts.
-    pub(super) unsafe fn of(array: *const cophase_input, name: &'a str) -> Result<Self> {
+    pub(super) unsafe fn new(array: *const cophase_input, name: &'a str) -> Result<Self> {
         let array = unsafe { *place(array.cast_mut(), name)? };
-        Self::within(&array, name)
+        Self::checked(&array, name)
     }
 
-    /// As [`Input::of`], for an array inside a struct that has been read; `None` where its data are NULL.
+    /// As [`Input::new`], for an array inside a struct that has been read; `None` where its data are NULL.
     pub(super) unsafe fn optional(array: &cophase_input, name: &'a str) -> Result<Option<Self>> {
-        if array.data.is_null() { Ok(None) } else { Self::within(array, name).map(Some) }
+        if array.data.is_null() { Ok(None) } else { Self::checked(array, name).map(Some) }
     }
 
-    fn within(array: &cophase_input, name: &'a str) -> Result<Self> {
+    fn checked(array: &cophase_input, name: &'a str) -> Result<Self> {
         let bytes = match array.element {
             COPHASE_U8 => 1,
             COPHASE_U16 => 2,
@@ -163,7 +150,7 @@ impl<'a> Input<'a> {
             COPHASE_F64 => self.each_of::<f64>(k, take),
             COPHASE_U16 => self.each_of::<u16>(k, take),
             COPHASE_I32 => self.each_of::<i32>(k, take),
-            // `within` has seen that it is one of the five.
+            // `checked` has seen that it is one of the five.
             _ => self.each_of::<u8>(k, take),
         }
     }
@@ -229,7 +216,7 @@ mod tests {
     fn every_element_type_is_read_where_the_strides_say() {
         let plain: Vec<f64> = (0..24).map(f64::from).collect();
         let c_order = ndarray::Array3::from_shape_vec((2, 3, 4), plain.clone()).unwrap();
-        let read = |input: cophase_input| unsafe { Input::of(&input, "frames") }.unwrap().cube().unwrap();
+        let read = |input: cophase_input| unsafe { Input::new(&input, "frames") }.unwrap().cube().unwrap();
         let strides = [12, 4, 1];
         assert_eq!(read(array(&plain, COPHASE_F64, 0, strides)), c_order);
         assert_eq!(read(array(&plain.iter().map(|&v| v as f32).collect::<Vec<_>>(), COPHASE_F32, 0, strides)), c_order);
@@ -249,7 +236,7 @@ mod tests {
     fn what_cannot_be_read_is_refused() {
         let memory = [0.0f64; 24];
         let good = array(&memory, COPHASE_F64, 0, [12, 4, 1]);
-        let refused = |input: cophase_input| match unsafe { Input::of(&input, "frames") } {
+        let refused = |input: cophase_input| match unsafe { Input::new(&input, "frames") } {
             Err(error) => error.to_string(),
             Ok(input) => panic!("{input:?} was accepted"),
         };
@@ -264,12 +251,12 @@ mod tests {
         assert!(refused(cophase_input { rows: usize::MAX, cols: usize::MAX, ..good }).contains("address space"));
         for count in [usize::MAX, usize::MAX / 16, 1 << 50] {
             let many = cophase_input { count, count_stride: 0, ..good };
-            let sentence = unsafe { Input::of(&many, "frames") }.unwrap().cube().unwrap_err().to_string();
+            let sentence = unsafe { Input::new(&many, "frames") }.unwrap().cube().unwrap_err().to_string();
             assert!(sentence.ends_with("as many elements as memory holds are accepted"), "{sentence}");
         }
         // An extent of 1 has no stride.
-        assert!(unsafe { Input::of(&cophase_input { count: 1, count_stride: isize::MIN, ..good }, "frames") }.is_ok());
-        let wrong = unsafe { Input::of(&good, "frames") }.unwrap().must_be([2, 4, 3]).unwrap_err().to_string();
+        assert!(unsafe { Input::new(&cophase_input { count: 1, count_stride: isize::MIN, ..good }, "frames") }.is_ok());
+        let wrong = unsafe { Input::new(&good, "frames") }.unwrap().must_be([2, 4, 3]).unwrap_err().to_string();
         assert_eq!(wrong, "frames is 2 x 3 x 4 (count x rows x cols): 2 x 4 x 3 is accepted");
     }
 }

@@ -1,23 +1,20 @@
-//! Models: what images are compared with.
+//! Models: telescope, modes, diversity and camera of a scene, to fit with.
 
-use super::array::{Output, cophase_array_f32};
-use super::handle::{Handle, fence, give_back};
+use super::handle::{Handle, fence, give_back, null};
 use super::input::{Input, cophase_input};
-use super::pointer::{numbers, place, put, put_shape, text};
-use super::sized::{self, Options};
+use super::pointer::{numbers, place, put, put_array, text};
+use super::sized::{self, Options, Outputs};
 use super::status::cophase_status;
 use crate::estimate::{Arrays, Estimator};
 use crate::modes::Group;
-use crate::planner;
 use crate::scene::Scene;
-use crate::{Error, Result};
+use crate::{Error, Result, planner};
 use ndarray::{Array2, ArrayView1};
 use std::ffi::{CString, c_char};
 use std::path::Path;
 use std::sync::Arc;
 
-/// What images are compared with: a telescope, its modes and their names, the diversity, the camera. Immutable: any
-/// thread may use it at any time.
+/// Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it.
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_model(Handle<Named>);
 
@@ -27,6 +24,44 @@ struct Named {
     names: Vec<CString>,
 }
 
+/// Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct cophase_model_arrays {
+    /// sizeof(cophase_model_arrays).
+    pub struct_size: usize,
+    /// 1 x n x n: amplitude of the pupil, 0 to 1. Required.
+    pub pupil: cophase_input,
+    /// 1 x n x n: index of each sample's segment, from 0; negative outside all segments. Data NULL: not segmented.
+    pub segments: cophase_input,
+    /// modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: the scene's modes.
+    pub modes: cophase_input,
+    /// 1 x n x n: diversity, nm of wavefront. Data NULL: the scene's.
+    pub diversity_nm: cophase_input,
+}
+
+unsafe impl Options for cophase_model_arrays {}
+
+/// Sizes of a model.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct cophase_model_info {
+    /// Number of modes, which is the number of coefficients of an image.
+    pub modes: usize,
+    /// Number of modes that move segments; they come first, the others are NCPA modes.
+    pub segment_modes: usize,
+    /// Rows of a frame.
+    pub rows: usize,
+    /// Columns of a frame.
+    pub cols: usize,
+    /// Rows, and columns, of a wavefront map.
+    pub samples: usize,
+    /// Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling.
+    pub pixels: usize,
+}
+
 impl Named {
     fn new(estimator: Estimator) -> Result<Self> {
         let name = |name: &String| {
@@ -34,6 +69,19 @@ impl Named {
         };
         let names = estimator.model().basis.names().iter().map(name).collect::<Result<_>>()?;
         Ok(Self { estimator: Arc::new(estimator), names })
+    }
+
+    fn info(&self) -> cophase_model_info {
+        let model = self.estimator.model();
+        let [cols, rows] = model.preparation.frame;
+        cophase_model_info {
+            modes: self.names.len(),
+            segment_modes: model.segment_modes,
+            rows,
+            cols,
+            samples: model.telescope.pupil.grid.samples(),
+            pixels: model.preparation.pixels,
+        }
     }
 
     /// The coefficients at `pointer`, of which there must be `modes`.
@@ -53,7 +101,7 @@ pub(super) fn check_modes(given: usize, modes: usize) -> Result<()> {
 
 /// The estimator behind a handle.
 pub(super) unsafe fn estimator(model: *const cophase_model) -> Result<Arc<Estimator>> {
-    let model = unsafe { model.as_ref() }.ok_or_else(|| super::handle::null("model"))?;
+    let model = unsafe { model.as_ref() }.ok_or_else(|| null("model"))?;
     model.0.look(|model| model.estimator.clone())
 }
 
@@ -62,86 +110,28 @@ unsafe fn read(model: *const cophase_model, body: impl FnOnce(&Named) -> Result<
     Handle::read(unsafe { model.as_ref() }.map(|model| &model.0), "model", body)
 }
 
-/// A caller's text of a scene, and where its files are.
-unsafe fn scene<'a>(scene_text: *const c_char, directory: *const c_char) -> Result<(&'a str, &'a Path)> {
+/// Text of a caller's scene, and the directory of its files.
+pub(super) unsafe fn scene<'a>(scene_text: *const c_char, directory: *const c_char) -> Result<(&'a str, &'a Path)> {
     let scene_text = unsafe { text(scene_text, "scene_text") }?;
     let directory = if directory.is_null() { "" } else { unsafe { text(directory, "directory") }? };
     Ok((scene_text, Path::new(directory)))
 }
 
-fn hand_out(estimator: Estimator, out: *mut *mut cophase_model) -> Result<()> {
-    let made = Box::new(cophase_model(Handle::new(Named::new(estimator)?)));
-    unsafe { out.write(Box::into_raw(made)) };
-    Ok(())
-}
-
-/// Builds the model that a scene describes. This takes about half a second at the size of Keck.
+/// Builds the model of a scene; about half a second at the size of Keck.
 ///
-/// scene_text: a scene as TOML, in UTF-8; it is copied. cophase_scene_preset has some, `cophase scene --reference` lists
-///   the keys.
-/// directory: where the files are looked for that the scene names; NULL for the working directory.
-/// model: receives the handle, which the caller gives back with cophase_model_destroy.
+/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
+///   takes some seconds.
+/// directory: directory of the files that the scene names; NULL for the working directory.
+/// arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. The scene then
+///   gives the camera ([image]), the fit ([estimate]) and whether segment pistons are estimated (modes.segment); these
+///   come before the modes of the arrays.
+/// model: receives the handle.
 ///
-/// Where the scene has estimate.budget_nm the model is planned, the cheapest whose error stays within it, which takes
-/// some seconds more.
-///
-/// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted; COPHASE_BAD_FILE for a file of the scene's.
+/// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and
+/// estimate.fit_optics, which only an estimator honours. COPHASE_BAD_FILE for a file of the scene. COPHASE_BAD_SHAPE,
+/// COPHASE_BAD_VALUE for arrays that do not fit one another or are no pupil or modes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_create(
-    scene_text: *const c_char,
-    directory: *const c_char,
-    model: *mut *mut cophase_model,
-) -> cophase_status {
-    fence(|| {
-        let out = place(model, "model")?;
-        let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
-        let scene = planner::resolved(&Scene::from_text(scene_text, directory)?, None)?;
-        // Bad pixels are known frame by frame only: who has them says so in the scene (estimate.sampling).
-        hand_out(Estimator::new(&scene, false)?, out)
-    })
-}
-
-/// A telescope, its modes and its diversity as maps of the caller's; see cophase_model_create_from_arrays.
-#[allow(non_camel_case_types)] // a name of the header
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct cophase_model_arrays {
-    /// Filled in by cophase_model_arrays_init.
-    pub struct_size: usize,
-    /// 1 x n x n, n even: the amplitude of the pupil, 0 to 1, over the scene's pupil.grid_m. Needed.
-    pub pupil: cophase_input,
-    /// 1 x n x n: the segment that each sample belongs to, from 0, negative where there is no glass. Data NULL: the
-    /// mirror is not segmented.
-    pub segments: cophase_input,
-    /// modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: those of the scene.
-    pub modes: cophase_input,
-    /// 1 x n x n: the diversity, nm of wavefront. Data NULL: that of the scene.
-    pub diversity_nm: cophase_input,
-}
-
-unsafe impl Options for cophase_model_arrays {
-    fn defaults() -> Self {
-        let none = cophase_input::NONE;
-        Self { struct_size: size_of::<Self>(), pupil: none, segments: none, modes: none, diversity_nm: none }
-    }
-}
-
-/// Fills in `struct_size`, and no arrays. struct_size: sizeof(cophase_model_arrays).
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_model_arrays_init(
-    arrays: *mut cophase_model_arrays,
-    struct_size: usize,
-) -> cophase_status {
-    fence(|| unsafe { sized::init(arrays, "arrays", struct_size) })
-}
-
-/// As cophase_model_create, with pupil, modes and diversity of the caller's in place of the scene's. The arrays are
-/// copied. Of the scene this leaves the camera ([image]), how the fit is done ([estimate]), and whether the pistons of
-/// the segments are estimated (modes.segment); they come before the caller's modes.
-///
-/// COPHASE_BAD_SHAPE for maps that do not fit one another, COPHASE_BAD_VALUE for what cannot be a pupil or a mode.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_model_create_from_arrays(
     scene_text: *const c_char,
     directory: *const c_char,
     arrays: *const cophase_model_arrays,
@@ -150,19 +140,24 @@ pub unsafe extern "C" fn cophase_model_create_from_arrays(
     fence(|| {
         let out = place(model, "model")?;
         let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
-        let scene = Scene::for_arrays(scene_text, directory)?;
-        if arrays.is_null() {
-            return Err(Error::Argument("arrays is NULL: a cophase_model_arrays with a pupil is accepted".into()));
-        }
-        let arrays = unsafe { sized::read(arrays, "arrays") }?;
-        let arrays = unsafe { copied(&arrays) }?;
-        hand_out(Estimator::from_arrays(&scene, &arrays)?, out)
+        let estimator = if arrays.is_null() {
+            let scene = Scene::from_text(scene_text, directory)?;
+            // Bad pixels are known frame by frame only: a scene for a camera that has some sets estimate.sampling.
+            Estimator::new(&planner::resolved(&scene, None)?, false)?
+        } else {
+            let scene = Scene::for_arrays(scene_text, directory)?;
+            let arrays = unsafe { sized::read(arrays, "arrays") }?;
+            Estimator::from_arrays(&scene, &unsafe { copied(&arrays) }?)?
+        };
+        let made = Box::new(cophase_model(Handle::new(Named::new(estimator)?)));
+        unsafe { out.write(Box::into_raw(made)) };
+        Ok(())
     })
 }
 
 /// A caller's arrays as the estimator takes them.
 unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
-    let pupil = unsafe { Input::of(&arrays.pupil, "arrays->pupil") }?;
+    let pupil = unsafe { Input::new(&arrays.pupil, "arrays->pupil") }?;
     let [_, rows, cols] = pupil.shape();
     let amplitude = pupil.must_be([1, rows, cols])?.map()?;
     let map = |array: &cophase_input, name: &'static str| -> Result<Option<Array2<f64>>> {
@@ -185,30 +180,28 @@ unsafe fn copied(arrays: &cophase_model_arrays) -> Result<Arrays> {
     })
 }
 
-/// Frees a model; NULL is fine. Sessions and sequences that were made of it go on.
+/// Frees a model; NULL is fine. Its sessions and sequences stay usable.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_destroy(model: *mut cophase_model) {
     unsafe { give_back(model, |model| &model.0) }
 }
 
-/// Number of modes that are estimated: the coefficients of an image.
+/// Writes the sizes of a model. info_size: sizeof(cophase_model_info).
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_model_mode_count(model: *const cophase_model, modes: *mut usize) -> cophase_status {
-    unsafe { read(model, |model| put(modes, "modes", model.names.len())) }
-}
-
-/// Number of those that move segments; they come first.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_model_segment_mode_count(
+pub unsafe extern "C" fn cophase_model_get_info(
     model: *const cophase_model,
-    modes: *mut usize,
+    info: *mut cophase_model_info,
+    info_size: usize,
 ) -> cophase_status {
-    unsafe { read(model, |model| put(modes, "modes", model.estimator.model().segment_modes)) }
+    unsafe {
+        read(model, |model| {
+            Outputs::new(place(info, "info")?, info_size, ("info", "info_size"))?.put(0, &model.info());
+            Ok(())
+        })
+    }
 }
 
-/// Name of a mode, from 0. The text lives as long as the model.
-///
-/// COPHASE_BAD_VALUE for a mode that there is not.
+/// Name of mode `mode`, from 0, in `*name`: a text that lives as long as the model. COPHASE_BAD_VALUE for no such mode.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_mode_name(
     model: *const cophase_model,
@@ -225,78 +218,47 @@ pub unsafe extern "C" fn cophase_model_mode_name(
     }
 }
 
-/// Rows and columns of a detector frame.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_model_frame_shape(
-    model: *const cophase_model,
-    rows: *mut usize,
-    cols: *mut usize,
-) -> cophase_status {
-    unsafe {
-        read(model, |model| {
-            let [x, y] = model.estimator.model().preparation.frame;
-            put_shape(rows, cols, (y, x))
-        })
-    }
-}
-
-/// Rows, and columns, of a wavefront map.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_model_samples(model: *const cophase_model, samples: *mut usize) -> cophase_status {
-    unsafe { read(model, |model| put(samples, "samples", model.estimator.model().telescope.pupil.grid.samples())) }
-}
-
-/// Rows, and columns, of a PSF: the pixels that are compared, after the reduction of a frame to the model's sampling and
-/// to what carries signal.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_model_pixels(model: *const cophase_model, pixels: *mut usize) -> cophase_status {
-    unsafe { read(model, |model| put(pixels, "pixels", model.estimator.model().preparation.pixels)) }
-}
-
-/// The wavefront of some coefficients, nm: map 0 the segments, map 1 the non-common path aberrations. NaN outside the
-/// pupil.
+/// Wavefront of some coefficients, nm; NaN outside the pupil.
 ///
-/// modes: the number of coefficients, see cophase_model_mode_count. out: 2 x samples x samples, see
-/// cophase_model_samples.
+/// coefficients_nm: `modes` numbers. out: receives 2 x samples x samples numbers: map 0 the segments, map 1 the NCPA.
+/// count: their number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_wavefront_nm(
     model: *const cophase_model,
     coefficients_nm: *const f64,
     modes: usize,
-    out: *const cophase_array_f32,
+    out: *mut f64,
+    count: usize,
 ) -> cophase_status {
     unsafe {
         read(model, |named| {
             let coefficients_nm = named.coefficients(coefficients_nm, modes)?;
             let model = named.estimator.model();
             let samples = model.telescope.pupil.grid.samples();
-            let out = Output::of(out, "out", [2, samples, samples])?;
             let maps = [Group::Segment, Group::Ncpa].map(|group| model.map_nm(coefficients_nm, group));
-            out.fill(|k, y, x| maps[k][[y, x]] as f32);
-            Ok(())
+            put_array(out, count, &[2, samples, samples], maps.into_iter().flatten())
         })
     }
 }
 
-/// The PSF of some coefficients with the diversity, at the pixels that are compared: its sum over an unbounded detector
-/// would be 1. The optical axis is in row and column pixels/2.
+/// PSF of some coefficients with the diversity, at the pixels that are compared. Its sum over an unbounded detector would
+/// be 1. The optical axis is on row and column pixels/2.
 ///
-/// modes: as above. out: 1 x pixels x pixels, see cophase_model_pixels.
+/// coefficients_nm: `modes` numbers. out: receives pixels x pixels numbers. count: their number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_model_psf(
     model: *const cophase_model,
     coefficients_nm: *const f64,
     modes: usize,
-    out: *const cophase_array_f32,
+    out: *mut f64,
+    count: usize,
 ) -> cophase_status {
     unsafe {
         read(model, |named| {
             let coefficients_nm = named.coefficients(coefficients_nm, modes)?;
             let pixels = named.estimator.model().preparation.pixels;
-            let out = Output::of(out, "out", [1, pixels, pixels])?;
             let psf = named.estimator.judge().psf(ArrayView1::from(coefficients_nm));
-            out.fill(|_, y, x| psf[y * pixels + x] as f32);
-            Ok(())
+            put_array(out, count, &[pixels, pixels], psf)
         })
     }
 }

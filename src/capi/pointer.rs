@@ -1,12 +1,13 @@
-//! What callers point to: outputs and text.
+//! Pointers of a caller: checked, then read or written. The caller's promise in each: the memory is there, and no other
+//! thread uses it during the call.
 
 use crate::{Error, Result};
 use std::ffi::{CStr, c_char};
 
-/// `pointer`, if something may be written there; `name` is the argument's.
+/// `pointer`, if a `T` may be there; `name` is the argument's.
 pub(super) fn place<T>(pointer: *mut T, name: &str) -> Result<*mut T> {
     if pointer.is_null() {
-        return Err(Error::Argument(format!("{name} is NULL: a place for the result is needed")));
+        return Err(Error::Argument(format!("{name} is NULL: the address of memory for it is accepted")));
     }
     if !pointer.is_aligned() {
         let bytes = align_of::<T>();
@@ -15,40 +16,39 @@ pub(super) fn place<T>(pointer: *mut T, name: &str) -> Result<*mut T> {
     Ok(pointer)
 }
 
-/// Writes a result. The caller's promise: room for a `T` where `pointer` is not NULL.
+/// Writes one result.
 pub(super) unsafe fn put<T>(pointer: *mut T, name: &str, value: T) -> Result<()> {
     let place = place(pointer, name)?;
     unsafe { place.write(value) };
     Ok(())
 }
 
-/// Writes rows and columns: both or none.
-pub(super) unsafe fn put_shape(rows: *mut usize, cols: *mut usize, shape: (usize, usize)) -> Result<()> {
-    place(cols, "cols")?;
-    unsafe {
-        put(rows, "rows", shape.0)?;
-        put(cols, "cols", shape.1)
-    }
+/// Writes one result, unless `pointer` is NULL.
+pub(super) unsafe fn put_if_wanted<T>(pointer: *mut T, name: &str, value: T) -> Result<()> {
+    if pointer.is_null() { Ok(()) } else { unsafe { put(pointer, name, value) } }
 }
 
-/// Writes all `values`, of which there are as many as `count` says. The caller's promise: room for them.
-pub(super) unsafe fn put_all(pointer: *mut f32, count: usize, values: &[f32]) -> Result<()> {
-    let place = place(pointer, "values")?;
-    if count != values.len() {
-        return Err(Error::Shape(format!("count is {count}: {} values are accepted", values.len())));
+/// Writes an array of the given shape in C order to `count` doubles.
+pub(super) unsafe fn put_array(
+    out: *mut f64,
+    count: usize,
+    shape: &[usize],
+    values: impl IntoIterator<Item = f64>,
+) -> Result<()> {
+    let wanted = shape.iter().product::<usize>();
+    if count != wanted {
+        let shape = shape.iter().map(usize::to_string).collect::<Vec<_>>().join(" x ");
+        return Err(Error::Shape(format!("count is {count}: {wanted} is accepted ({shape})")));
     }
-    // A caller may not write to what the library holds, so they cannot overlap.
-    unsafe { std::ptr::copy_nonoverlapping(values.as_ptr(), place, values.len()) };
+    let out = unsafe { numbers_mut(out, count, "out") }?;
+    out.iter_mut().zip(values).for_each(|(out, value)| *out = value);
     Ok(())
 }
 
-/// Writes `text` as snprintf does: at most `capacity` bytes with the zero that ends it, and its whole length to `length`.
-/// The caller's promise: room for that many bytes, where `out` is not NULL.
+/// Writes `text` as snprintf does: at most `capacity` bytes with the terminating zero, and its whole length to `length`.
 pub(super) unsafe fn put_text(out: *mut c_char, capacity: usize, length: *mut usize, text: &str) -> Result<()> {
     if out.is_null() && capacity > 0 {
-        return Err(Error::Argument(format!(
-            "text is NULL: room for the capacity of {capacity} bytes is needed, or 0"
-        )));
+        return Err(Error::Argument(format!("text is NULL: memory for the capacity of {capacity} bytes is accepted")));
     }
     unsafe { put(length, "length", text.len()) }?;
     if capacity > 0 {
@@ -64,38 +64,29 @@ pub(super) unsafe fn put_text(out: *mut c_char, capacity: usize, length: *mut us
     Ok(())
 }
 
-/// `count` numbers of a caller's. The caller's promise: they are there, and stay as they are during the call.
+/// `count` numbers to read.
 pub(super) unsafe fn numbers<'a>(pointer: *const f64, count: usize, name: &str) -> Result<&'a [f64]> {
-    let place = readable(pointer, name)?;
-    // What is there cannot be larger; a count that is, is an error of the caller's.
-    if count > isize::MAX as usize / size_of::<f64>() {
-        return Err(Error::Argument(format!("{name} has {count} elements: as many as memory holds are accepted")));
-    }
+    let place = place(pointer.cast_mut(), name)?;
+    check_count(count, name)?;
     Ok(unsafe { std::slice::from_raw_parts(place, count) })
 }
 
-/// Room for `count` numbers of a caller's. The caller's promise: it is there, and nobody else uses it during the call.
-pub(super) unsafe fn room<'a>(pointer: *mut f64, count: usize, name: &str) -> Result<&'a mut [f64]> {
+/// `count` numbers to write.
+pub(super) unsafe fn numbers_mut<'a>(pointer: *mut f64, count: usize, name: &str) -> Result<&'a mut [f64]> {
     let place = place(pointer, name)?;
-    if count > isize::MAX as usize / size_of::<f64>() {
-        return Err(Error::Argument(format!("{name} has {count} elements: as many as memory holds are accepted")));
-    }
+    check_count(count, name)?;
     Ok(unsafe { std::slice::from_raw_parts_mut(place, count) })
 }
 
-/// `pointer`, if something may be read there.
-fn readable<T>(pointer: *const T, name: &str) -> Result<*const T> {
-    if pointer.is_null() {
-        return Err(Error::Argument(format!("{name} is NULL: the address of the first element is accepted")));
+/// No array is larger than the address space: such a count is an error of the caller's.
+fn check_count(count: usize, name: &str) -> Result<()> {
+    if count > isize::MAX as usize / size_of::<f64>() {
+        return Err(Error::Argument(format!("{name} has {count} elements: as many as memory holds are accepted")));
     }
-    if !pointer.is_aligned() {
-        let bytes = align_of::<T>();
-        return Err(Error::Argument(format!("{name} is {pointer:p}: an address that {bytes} divides is accepted")));
-    }
-    Ok(pointer)
+    Ok(())
 }
 
-/// Text that ends with a zero. The caller's promise: it does, and stays as it is during the call.
+/// Text that ends with a zero.
 pub(super) unsafe fn text<'a>(pointer: *const c_char, name: &str) -> Result<&'a str> {
     if pointer.is_null() {
         return Err(Error::Argument(format!("{name} is NULL: text in UTF-8 is accepted")));

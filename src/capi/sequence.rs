@@ -1,50 +1,48 @@
-//! Sequences: the running static estimate of images that come one by one.
+//! Sequences: running estimate of images that are fitted one by one.
 
 use super::handle::{Handle, fence, give_back};
 use super::model::{check_modes, cophase_model, estimator};
-use super::pointer::{place, put, room};
+use super::pointer::{numbers_mut, place, put};
 use super::session::{self, cophase_session};
-use super::sized::Reports;
+use super::sized::Outputs;
 use super::status::cophase_status;
 use crate::Result;
 use crate::estimate::{Accumulator, RunningEstimate};
 
-/// The images of one static wavefront, as they come: what they say together, how well, and how many more are needed.
-///
-/// Calls that take it as const may run in several threads at once; any other only while no other call runs
-/// (COPHASE_BUSY otherwise).
+/// Sequence: the last images that sessions of a model fitted, and their running estimate. Calls that take it as const may
+/// run in several threads at once, any other only while no other call runs (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_sequence(Handle<Accumulator>);
 
-/// What the images of a sequence say together. Later versions may append fields.
+/// Figures of a running estimate. RMS values are over the pupil.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct cophase_sequence_report {
-    /// Images that are kept.
-    pub images: u64,
-    /// Those that were combined.
-    pub used: u64,
-    /// Those that were fitted but left out as outliers.
-    pub clipped: u64,
-    /// The segments' part of the wavefront, nm RMS over the pupil.
+    /// Images in the sequence.
+    pub images: usize,
+    /// Images that were combined.
+    pub used: usize,
+    /// Images that were fitted and left out as outliers.
+    pub clipped: usize,
+    /// Phasing errors, nm RMS.
     pub phasing_rms_nm: f64,
-    /// Its error bar, nm RMS over the pupil.
+    /// Their error bar, nm RMS.
     pub phasing_sigma_nm: f64,
-    /// The non-common path aberrations, nm RMS over the pupil.
+    /// Non-common path aberrations, nm RMS.
     pub ncpa_rms_nm: f64,
-    /// Their error bar, nm RMS over the pupil.
+    /// Their error bar, nm RMS.
     pub ncpa_sigma_nm: f64,
-    /// Median χ² per degree of freedom of the images that were combined.
+    /// Median chi-square per degree of freedom of the images that were combined.
     pub reduced_chi2: f64,
 }
 
-impl cophase_sequence_report {
-    fn of(estimate: &RunningEstimate) -> Self {
+impl From<&RunningEstimate> for cophase_sequence_report {
+    fn from(estimate: &RunningEstimate) -> Self {
         Self {
-            images: estimate.images as u64,
-            used: estimate.used as u64,
-            clipped: estimate.clipped as u64,
+            images: estimate.images,
+            used: estimate.used,
+            clipped: estimate.clipped,
             phasing_rms_nm: estimate.phasing_rms_nm,
             phasing_sigma_nm: estimate.phasing_sigma_nm,
             ncpa_rms_nm: estimate.ncpa_rms_nm,
@@ -64,8 +62,8 @@ unsafe fn change(sequence: *mut cophase_sequence, body: impl FnOnce(&mut Accumul
     Handle::change(unsafe { sequence.as_ref() }.map(|sequence| &sequence.0), "sequence", body)
 }
 
-/// Makes an empty sequence of images of a model, which keeps the last `capacity` of them. The model need not outlive this
-/// call.
+/// Creates an empty sequence that keeps the last `capacity` images of sessions of a model, which need not outlive this
+/// call. sequence: receives the handle.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_create(
     model: *const cophase_model,
@@ -80,44 +78,47 @@ pub unsafe extern "C" fn cophase_sequence_create(
     })
 }
 
-/// Frees a sequence; NULL is fine. No other call on it may be running, and none may follow.
+/// Frees a sequence; NULL is fine.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_destroy(sequence: *mut cophase_sequence) {
     unsafe { give_back(sequence, |sequence| &sequence.0) }
 }
 
-/// Takes all images of a session's last fit, whatever became of them; the oldest make way. [RT]
+/// Adds all images of a session's last fit, of any status; the oldest are dropped beyond the capacity. session NULL: drops
+/// all images. [RT]
 ///
-/// COPHASE_BAD_VALUE for a session of another model, COPHASE_BUSY while the session fits in another thread.
+/// COPHASE_BAD_VALUE for a session of another model. COPHASE_BUSY while the session is in use.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_push(
     sequence: *mut cophase_sequence,
     session: *const cophase_session,
 ) -> cophase_status {
-    unsafe { change(sequence, |sequence| session::look(session, |session| sequence.push(session))?) }
-}
-
-/// Forgets all images. [RT]
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_sequence_clear(sequence: *mut cophase_sequence) -> cophase_status {
     unsafe {
         change(sequence, |sequence| {
-            sequence.clear();
-            Ok(())
+            if session.is_null() {
+                sequence.clear();
+                return Ok(());
+            }
+            session::look(session, |session| sequence.push(session))?
         })
     }
 }
 
-/// The static estimate so far: mean or median of the images as the scene says (estimate.combine). Up to seven images are
-/// judged one by one; from eight on by one another, and error bars are from the scatter between them.
+/// Estimate so far: mean, clipped mean or median of the images as the scene says (estimate.combine). From eight images on,
+/// outliers are found by comparing images, and error bars are from the scatter between them.
 ///
-/// coefficients_nm, sigma_nm: receive modes numbers; sigma_nm (1σ of each) may be NULL. report: NULL if it is not wanted;
-/// report_size: sizeof(cophase_sequence_report). COPHASE_BAD_IMAGE where no image was fitted yet.
+/// coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations. covariance_nm2: receives
+///   modes x modes numbers. Each may be NULL.
+/// modes: the model's number of modes.
+/// report: NULL if it is not wanted. report_size: sizeof(cophase_sequence_report).
+///
+/// COPHASE_BAD_IMAGE if no image of the sequence was fitted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_estimate(
     sequence: *const cophase_sequence,
     coefficients_nm: *mut f64,
     sigma_nm: *mut f64,
+    covariance_nm2: *mut f64,
     modes: usize,
     report: *mut cophase_sequence_report,
     report_size: usize,
@@ -125,41 +126,35 @@ pub unsafe extern "C" fn cophase_sequence_estimate(
     unsafe {
         read(sequence, |sequence| {
             check_modes(modes, sequence.estimator().model().optics.modes())?;
-            let report = Reports::at(report, report_size)?;
-            let coefficients_nm = room(coefficients_nm, modes, "coefficients_nm")?;
-            let sigma_nm = if sigma_nm.is_null() { None } else { Some(room(sigma_nm, modes, "sigma_nm")?) };
+            let report = Outputs::new(report, report_size, ("report", "report_size"))?;
+            let wanted = |out: *mut f64, count: usize, name: &str| {
+                if out.is_null() { Ok(None) } else { numbers_mut(out, count, name).map(Some) }
+            };
+            // All are checked before the first is written.
+            let coefficients = wanted(coefficients_nm, modes, "coefficients_nm")?;
+            let sigma = wanted(sigma_nm, modes, "sigma_nm")?;
+            let covariance = wanted(covariance_nm2, modes * modes, "covariance_nm2")?;
             let estimate = sequence.estimate()?;
-            coefficients_nm.copy_from_slice(&estimate.combined.coefficients_nm);
-            if let Some(sigma_nm) = sigma_nm {
-                sigma_nm.copy_from_slice(&estimate.combined.sigma_nm());
+            let combined = &estimate.combined;
+            if let Some(out) = coefficients {
+                out.copy_from_slice(&combined.coefficients_nm);
             }
-            report.put(0, &cophase_sequence_report::of(&estimate));
+            if let Some(out) = sigma {
+                out.copy_from_slice(&combined.sigma_nm());
+            }
+            for (out, value) in covariance.into_iter().flatten().zip(&combined.covariance_nm2) {
+                *out = *value;
+            }
+            report.put(0, &(&estimate).into());
             Ok(())
         })
     }
 }
 
-/// Covariance of the static estimate so far, nm². covariance_nm2: receives modes x modes numbers. COPHASE_BAD_IMAGE where
-/// no image was fitted yet.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_sequence_covariance_nm2(
-    sequence: *const cophase_sequence,
-    covariance_nm2: *mut f64,
-    modes: usize,
-) -> cophase_status {
-    unsafe {
-        read(sequence, |sequence| {
-            check_modes(modes, sequence.estimator().model().optics.modes())?;
-            let out = room(covariance_nm2, modes * modes, "covariance_nm2")?;
-            let covariance_nm2 = sequence.estimate()?.combined.covariance_nm2;
-            out.iter_mut().zip(&covariance_nm2).for_each(|(out, value)| *out = *value);
-            Ok(())
-        })
-    }
-}
-
-/// How many further images like those so far bring both error bars (nm RMS over the pupil) down to the given ones, in
-/// `*images`; 0 where they are there. Infinity asks nothing. COPHASE_BAD_IMAGE where no image was fitted yet.
+/// Number of further images like those so far that bring both error bars (nm RMS over the pupil) down to the given ones, in
+/// `*images`; 0 if they are. Infinity asks nothing of an error bar.
+///
+/// COPHASE_BAD_VALUE if errors that all images share alone are larger. COPHASE_BAD_IMAGE if no image was fitted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_sequence_images_needed(
     sequence: *const cophase_sequence,

@@ -1,21 +1,63 @@
-//! The simulator of adaptive optics.
+//! Simulator of adaptive optics.
 
-use super::array::{Output, cophase_array_f32};
 use super::handle::{Handle, fence, give_back};
-use super::pointer::{place, put, put_all, put_shape, text};
+use super::model::scene;
+use super::pointer::{place, put_array};
+use super::sized::Outputs;
 use super::status::cophase_status;
-use crate::Result;
 use crate::ao::Stepper;
 use crate::scene::Scene;
+use crate::{Error, Result};
 use std::ffi::c_char;
-use std::path::Path;
 
-/// A simulated AO system under a sky: turbulence, wavefront sensor, deformable mirror, control, science camera.
-///
-/// Calls that take it as const may run in several threads at once; any other only while no other call runs
-/// (COPHASE_BUSY otherwise). The same scene gives the same bits, in every language.
+/// Array of a simulator: slopes that were measured in the last frame, mas, along x for every subaperture, then along y;
+/// slopes.
+pub const COPHASE_ARRAY_SLOPES_MAS: i32 = 101;
+/// Array of a simulator: commands that were on the mirror in the last frame, nm of wavefront; actuators.
+pub const COPHASE_ARRAY_COMMANDS_NM: i32 = 102;
+/// Array of a simulator: residual wavefront of the last frame, nm: turbulence and segment errors minus the mirror's surface,
+/// NaN where the pupil has no light; residual_samples x residual_samples.
+pub const COPHASE_ARRAY_RESIDUAL_NM: i32 = 103;
+/// Array of a simulator: the camera's defocused image of the last frame, electrons: residual wavefront frozen, NCPA and
+/// diversity, with the noise that the scene names; rows x cols. The same frame always gives the same image. The optical
+/// axis is on row rows/2 and column cols/2.
+pub const COPHASE_ARRAY_IMAGE_E: i32 = 104;
+/// Array of a simulator: true static aberrations, nm, NaN outside the pupil: map 0 the phasing errors of the segments, map 1
+/// the NCPA; 2 x truth_samples x truth_samples.
+pub const COPHASE_ARRAY_TRUTH_NM: i32 = 105;
+
+/// Simulator of an AO system: turbulence, wavefront sensor, deformable mirror, control, science camera. The same scene gives
+/// the same bits. Calls that take it as const may run in several threads at once, any other only while no other call runs
+/// (COPHASE_BUSY otherwise).
 #[allow(non_camel_case_types)] // a name of the header
 pub struct cophase_simulator(Handle<Stepper>);
+
+/// Sizes and state of a simulator.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct cophase_simulator_info {
+    /// Slopes of the wavefront sensor: two for each subaperture.
+    pub slopes: usize,
+    /// Actuators of the mirror.
+    pub actuators: usize,
+    /// Rows, and columns, of the residual wavefront.
+    pub residual_samples: usize,
+    /// Rows, and columns, of the maps of the true aberrations.
+    pub truth_samples: usize,
+    /// Rows of an image.
+    pub rows: usize,
+    /// Columns of an image.
+    pub cols: usize,
+    /// Frames since the loop was closed.
+    pub frames: u64,
+    /// Duration of a frame, s.
+    pub frame_s: f64,
+    /// Time at which the loop diverged, s since it was closed; NaN while it has not.
+    pub divergence_s: f64,
+    /// RMS over the pupil of the residual wavefront of the last frame, piston removed, nm; NaN before the first.
+    pub residual_rms_nm: f64,
+}
 
 /// A call that reads the simulator.
 unsafe fn read(simulator: *const cophase_simulator, body: impl FnOnce(&Stepper) -> Result<()>) -> cophase_status {
@@ -27,14 +69,12 @@ unsafe fn change(simulator: *mut cophase_simulator, body: impl FnOnce(&mut Stepp
     Handle::change(unsafe { simulator.as_ref() }.map(|simulator| &simulator.0), "simulator", body)
 }
 
-/// Builds the AO system that a scene describes, ready for its first frame. This takes about a second at the size of Keck.
+/// Builds the AO system of a scene, before its first frame; about a second at the size of Keck.
 ///
-/// scene_text: a scene as TOML, in UTF-8; it is copied. cophase_scene_preset has some, `cophase scene --reference` lists
-///   the keys.
-/// directory: where the files are looked for that the scene names; NULL for the working directory.
-/// simulator: receives the handle, which the caller gives back with cophase_simulator_destroy.
+/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. directory: directory of the files that the scene names; NULL
+/// for the working directory. simulator: receives the handle.
 ///
-/// COPHASE_BAD_SCENE with the line, the key, its value and what is accepted; COPHASE_BAD_FILE for a file of the scene's.
+/// COPHASE_BAD_SCENE with line, key, value and what is accepted. COPHASE_BAD_FILE for a file of the scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_create(
     scene_text: *const c_char,
@@ -43,196 +83,97 @@ pub unsafe extern "C" fn cophase_simulator_create(
 ) -> cophase_status {
     fence(|| {
         let out = place(simulator, "simulator")?;
-        let scene_text = unsafe { text(scene_text, "scene_text") }?;
-        let directory = if directory.is_null() { "" } else { unsafe { text(directory, "directory") }? };
-        let scene = Scene::from_text(scene_text, Path::new(directory))?;
+        let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
+        let scene = Scene::from_text(scene_text, directory)?;
         let made = Box::new(cophase_simulator(Handle::new(Stepper::new(&scene)?)));
         unsafe { out.write(Box::into_raw(made)) };
         Ok(())
     })
 }
 
-/// Frees a simulator; NULL is fine. No other call on it may be running, and none may follow.
+/// Frees a simulator; NULL is fine.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_destroy(simulator: *mut cophase_simulator) {
     unsafe { give_back(simulator, |simulator| &simulator.0) }
 }
 
-/// Advances the loop by a number of frames, in this thread.
-///
-/// A loop that diverges is no failure, and goes on: cophase_simulator_divergence_s tells.
+/// Advances the loop by a number of frames, in this thread. A loop that diverges goes on; see divergence_s.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_simulator_step(simulator: *mut cophase_simulator, frames: u64) -> cophase_status {
     unsafe { change(simulator, |stepper| stepper.step(frames)) }
 }
 
-/// Frames since the loop was closed.
+/// Writes sizes and state of a simulator. info_size: sizeof(cophase_simulator_info).
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_frames(
+pub unsafe extern "C" fn cophase_simulator_get_info(
     simulator: *const cophase_simulator,
-    frames: *mut u64,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(frames, "frames", stepper.simulator().frames())) }
-}
-
-/// Duration of a frame, s.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_frame_s(
-    simulator: *const cophase_simulator,
-    frame_s: *mut f64,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(frame_s, "frame_s", stepper.simulator().frame_s())) }
-}
-
-/// Time at which the loop was seen to diverge, s since it was closed; NaN while it has not.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_divergence_s(
-    simulator: *const cophase_simulator,
-    divergence_s: *mut f64,
+    info: *mut cophase_simulator_info,
+    info_size: usize,
 ) -> cophase_status {
     unsafe {
         read(simulator, |stepper| {
-            put(divergence_s, "divergence_s", stepper.divergence().map_or(f64::NAN, |divergence| divergence.time_s))
-        })
-    }
-}
-
-/// Number of slopes that the wavefront sensor measures: two for each subaperture.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_slope_count(
-    simulator: *const cophase_simulator,
-    slopes: *mut usize,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(slopes, "slopes", stepper.simulator().interaction().nrows())) }
-}
-
-/// Number of the mirror's actuators.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_actuator_count(
-    simulator: *const cophase_simulator,
-    actuators: *mut usize,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(actuators, "actuators", stepper.simulator().interaction().ncols())) }
-}
-
-/// Rows, and columns, of a residual wavefront.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_residual_samples(
-    simulator: *const cophase_simulator,
-    samples: *mut usize,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(samples, "samples", stepper.simulator().footprint().samples())) }
-}
-
-/// Rows and columns of an image.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_image_shape(
-    simulator: *const cophase_simulator,
-    rows: *mut usize,
-    cols: *mut usize,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put_shape(rows, cols, stepper.simulator().scene().image.frame_shape())) }
-}
-
-/// Rows, and columns, of the maps of the true aberrations: the scene's pupil.samples.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_truth_samples(
-    simulator: *const cophase_simulator,
-    samples: *mut usize,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(samples, "samples", stepper.simulator().truth().ncpa_nm.nrows())) }
-}
-
-/// The slopes that were measured in the last frame, mas: along x for every subaperture, then along y.
-///
-/// values: room for `count` elements; count: cophase_simulator_slope_count. COPHASE_BAD_VALUE before the first frame.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_slopes_mas(
-    simulator: *const cophase_simulator,
-    values: *mut f32,
-    count: usize,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put_all(values, count, stepper.last()?.slopes_mas)) }
-}
-
-/// The commands that were on the mirror in the last frame, nm of wavefront.
-///
-/// values: room for `count` elements; count: cophase_simulator_actuator_count. COPHASE_BAD_VALUE before the first frame.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_commands_nm(
-    simulator: *const cophase_simulator,
-    values: *mut f32,
-    count: usize,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put_all(values, count, stepper.last()?.commands_nm)) }
-}
-
-/// The residual wavefront of the last frame, nm: turbulence and segments' errors less the mirror's surface. NaN where
-/// the pupil has no light.
-///
-/// out: 1 x samples x samples, see cophase_simulator_residual_samples. COPHASE_BAD_VALUE before the first frame.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_residual_nm(
-    simulator: *const cophase_simulator,
-    out: *const cophase_array_f32,
-) -> cophase_status {
-    unsafe {
-        read(simulator, |stepper| {
-            let map = stepper.residual_nm()?;
-            Output::of(out, "out", [1, map.nrows(), map.ncols()])?.fill(|_, y, x| map[[y, x]]);
+            Outputs::new(place(info, "info")?, info_size, ("info", "info_size"))?.put(0, &state(stepper));
             Ok(())
         })
     }
 }
 
-/// RMS of that wavefront over the pupil (each sample weighed by its lit area, piston removed), nm.
-///
-/// COPHASE_BAD_VALUE before the first frame.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_residual_rms_nm(
-    simulator: *const cophase_simulator,
-    residual_rms_nm: *mut f64,
-) -> cophase_status {
-    unsafe { read(simulator, |stepper| put(residual_rms_nm, "residual_rms_nm", stepper.last()?.residual_rms_nm)) }
+fn state(stepper: &Stepper) -> cophase_simulator_info {
+    let simulator = stepper.simulator();
+    let (slopes, actuators) = simulator.interaction().dim();
+    let (rows, cols) = simulator.scene().image.frame_shape();
+    cophase_simulator_info {
+        slopes,
+        actuators,
+        residual_samples: simulator.footprint().samples(),
+        truth_samples: simulator.truth().ncpa_nm.nrows(),
+        rows,
+        cols,
+        frames: simulator.frames(),
+        frame_s: simulator.frame_s(),
+        divergence_s: stepper.divergence().map_or(f64::NAN, |divergence| divergence.time_s),
+        residual_rms_nm: stepper.last().map_or(f64::NAN, |last| last.residual_rms_nm),
+    }
 }
 
-/// The camera's defocused image of the last frame, electrons, its turbulence frozen: residual wavefront, non-common path
-/// aberrations and diversity, with the noise that the scene names. The same frame gives the same image, however often
-/// and after whatever others it is taken. The optical axis is in row rows/2 and column cols/2.
+/// Writes an array of a simulator in C order.
 ///
-/// out: 1 x rows x cols, see cophase_simulator_image_shape. COPHASE_BAD_VALUE before the first frame.
+/// what: COPHASE_ARRAY_SLOPES_MAS to COPHASE_ARRAY_TRUTH_NM, which say shape and unit. out: receives `count` numbers.
+///
+/// COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one. COPHASE_BAD_VALUE before the first
+/// frame.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_image_e(
+pub unsafe extern "C" fn cophase_simulator_array(
     simulator: *mut cophase_simulator,
-    out: *const cophase_array_f32,
+    what: i32,
+    out: *mut f64,
+    count: usize,
 ) -> cophase_status {
     unsafe {
-        change(simulator, |stepper| {
-            let (rows, cols) = stepper.simulator().scene().image.frame_shape();
-            let output = Output::of(out, "out", [1, rows, cols])?;
-            let image = stepper.image_e()?;
-            output.fill(|_, y, x| image[[y, x]]);
-            Ok(())
-        })
-    }
-}
-
-/// The true static aberrations, nm: map 0 the phasing errors of the segments, map 1 the non-common path aberrations. NaN
-/// outside the pupil.
-///
-/// out: 2 x samples x samples, see cophase_simulator_truth_samples.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn cophase_simulator_truth_nm(
-    simulator: *const cophase_simulator,
-    out: *const cophase_array_f32,
-) -> cophase_status {
-    unsafe {
-        read(simulator, |stepper| {
-            let truth = stepper.simulator().truth();
-            let (rows, cols) = truth.ncpa_nm.dim();
-            let maps = [&truth.phasing_nm, &truth.ncpa_nm];
-            Output::of(out, "out", [2, rows, cols])?.fill(|k, y, x| maps[k][[y, x]] as f32);
-            Ok(())
+        change(simulator, |stepper| match what {
+            COPHASE_ARRAY_SLOPES_MAS => {
+                let values = stepper.last()?.slopes_mas;
+                put_array(out, count, &[values.len()], values.iter().copied().map(f64::from))
+            }
+            COPHASE_ARRAY_COMMANDS_NM => {
+                let values = stepper.last()?.commands_nm;
+                put_array(out, count, &[values.len()], values.iter().copied().map(f64::from))
+            }
+            COPHASE_ARRAY_RESIDUAL_NM => {
+                let map = stepper.residual_nm()?;
+                put_array(out, count, map.shape(), map.iter().copied().map(f64::from))
+            }
+            COPHASE_ARRAY_IMAGE_E => {
+                let image = stepper.image_e()?;
+                put_array(out, count, image.shape(), image.iter().copied().map(f64::from))
+            }
+            COPHASE_ARRAY_TRUTH_NM => {
+                let truth = stepper.simulator().truth();
+                let (rows, cols) = truth.ncpa_nm.dim();
+                let values = truth.phasing_nm.iter().chain(&truth.ncpa_nm).copied();
+                put_array(out, count, &[2, rows, cols], values)
+            }
+            other => Err(Error::Value(format!("what is {other}: a COPHASE_ARRAY_ number of simulators is accepted"))),
         })
     }
 }

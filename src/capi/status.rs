@@ -1,44 +1,61 @@
-//! Status numbers and their names.
+//! Status numbers of calls and of images, and their names.
 
 use crate::Error;
 use std::ffi::{CStr, c_char};
 
-/// What became of a call: COPHASE_OK, or why it failed. Numbers are permanent; a later version may have more.
+/// Status of a call: COPHASE_OK, or why it failed. Numbers are permanent; later versions may have more.
 #[allow(non_camel_case_types)] // a name of the header
 pub type cophase_status = i32;
 
-/// The call did what it says.
+/// Success.
 pub const COPHASE_OK: i32 = 0;
-/// A scene that cannot be parsed, or that names something impossible.
+/// Scene that cannot be parsed, or with an impossible value.
 pub const COPHASE_BAD_SCENE: i32 = 1;
-/// A file that cannot be read or written.
+/// File that cannot be read or written.
 pub const COPHASE_BAD_FILE: i32 = 2;
-/// An array whose shape does not fit.
+/// Array of the wrong shape.
 pub const COPHASE_BAD_SHAPE: i32 = 3;
-/// A number out of its range, or a call that comes too early.
+/// Number out of range, or a call before the one that it needs.
 pub const COPHASE_BAD_VALUE: i32 = 4;
-/// An image that holds nothing to fit.
+/// No usable image.
 pub const COPHASE_BAD_IMAGE: i32 = 5;
-/// OpenCL is absent, or a device failed.
+/// No OpenCL device, or a device that failed.
 pub const COPHASE_DEVICE: i32 = 6;
-/// The user asked to stop.
+/// Call stopped by a cancel call.
 pub const COPHASE_INTERRUPTED: i32 = 7;
-/// A broken promise of the library's own; please report it.
+/// Error of the library itself; please report it.
 pub const COPHASE_INTERNAL: i32 = 8;
-/// An argument that cannot be used: NULL, misaligned, not UTF-8, an output that overlaps itself.
+/// Unusable argument: NULL, misaligned, not UTF-8, a struct_size that no version has.
 pub const COPHASE_BAD_ARGUMENT: i32 = 9;
-/// The object is in use by another thread; nothing was done.
+/// Object in use by another thread; nothing was done.
 pub const COPHASE_BUSY: i32 = 10;
-/// The library panicked, now or earlier, in a call on this object: it can only be destroyed. Please report it.
+/// Panic inside the library, in this call or an earlier one on this object, which can only be destroyed. Please report it.
 pub const COPHASE_PANIC: i32 = 11;
 
-/// Name of a status number: `OK`, `BAD_SCENE`, …; `UNKNOWN` for a number of a later version.
-///
-/// Returns a static string that the caller must not free. Never NULL.
+/// Image status: fitted, and the model explains the image.
+pub const COPHASE_IMAGE_OK: i32 = 100;
+/// Image status: fitted, but the residual is larger than the noise.
+pub const COPHASE_IMAGE_MISFIT: i32 = 101;
+/// Image status: the residual is so large that the fit is probably in a wrong minimum.
+pub const COPHASE_IMAGE_WRONG_MINIMUM: i32 = 102;
+/// Image status: the optimizer stopped before it converged.
+pub const COPHASE_IMAGE_NOT_CONVERGED: i32 = 103;
+/// Image status: the image could not be used; its coefficients are NaN.
+pub const COPHASE_IMAGE_UNUSABLE: i32 = 104;
+/// Image status: the deadline passed; its coefficients are the best so far.
+pub const COPHASE_IMAGE_DEADLINE: i32 = 105;
+
+/// Name of the status of a call or of an image, without its prefix: `OK`, `BAD_SCENE`, ..., `OK`, `MISFIT`, ...; `UNKNOWN`
+/// for a number of a later version. A static string, never NULL.
 #[unsafe(no_mangle)]
-pub extern "C" fn cophase_status_name(status: cophase_status) -> *const c_char {
+pub extern "C" fn cophase_status_name(status: i32) -> *const c_char {
     let name: &CStr = match status {
-        COPHASE_OK => c"OK",
+        COPHASE_OK | COPHASE_IMAGE_OK => c"OK",
+        COPHASE_IMAGE_MISFIT => c"MISFIT",
+        COPHASE_IMAGE_WRONG_MINIMUM => c"WRONG_MINIMUM",
+        COPHASE_IMAGE_NOT_CONVERGED => c"NOT_CONVERGED",
+        COPHASE_IMAGE_UNUSABLE => c"UNUSABLE",
+        COPHASE_IMAGE_DEADLINE => c"DEADLINE",
         other => Error::status_name(other).unwrap_or(c"UNKNOWN"),
     };
     name.as_ptr()
@@ -46,21 +63,35 @@ pub extern "C" fn cophase_status_name(status: cophase_status) -> *const c_char {
 
 #[cfg(test)]
 mod tests {
-    use crate::Error;
+    use super::*;
 
-    #[test]
-    fn the_constants_are_the_numbers_of_the_errors() {
-        // `error.rs` is where the numbers live; the header generator reads literals only, from this file.
+    /// Constants of this file, their names without COPHASE_.
+    fn constants() -> Vec<(&'static str, i32)> {
         let lines = include_str!("status.rs").lines();
-        let constants: Vec<(&str, i32)> = lines
+        lines
             .filter_map(|line| line.strip_prefix("pub const COPHASE_")?.strip_suffix(';')?.split_once(": i32 = "))
             .map(|(name, number)| (name, number.parse().unwrap()))
-            .collect();
-        assert_eq!(constants[0], ("OK", 0));
-        for (position, &(name, number)) in constants.iter().enumerate().skip(1) {
+            .collect()
+    }
+
+    #[test]
+    fn constants_are_the_numbers_of_the_errors() {
+        // `error.rs` has the numbers; the header generator reads literals only, from this file.
+        let all = constants();
+        let calls: Vec<_> = all.iter().filter(|(name, _)| !name.starts_with("IMAGE_")).collect();
+        assert_eq!(calls[0], &("OK", 0));
+        for (position, &&(name, number)) in calls.iter().enumerate().skip(1) {
             assert_eq!(number, position as i32);
             assert_eq!(Error::status_name(number).unwrap().to_str().unwrap(), name);
         }
-        assert!(Error::status_name(constants.len() as i32).is_none(), "a kind of failure lacks its constant");
+        assert!(Error::status_name(calls.len() as i32).is_none(), "a kind of failure lacks its constant");
+    }
+
+    #[test]
+    fn every_status_has_its_name() {
+        for (name, number) in constants() {
+            let named = unsafe { CStr::from_ptr(cophase_status_name(number)) }.to_str().unwrap();
+            assert_eq!(named, name.trim_start_matches("IMAGE_"));
+        }
     }
 }

@@ -50,14 +50,15 @@ impl Estimator {
     /// where there is glass, and where no mode is left; [`Error::Scene`] where the scene's basis cannot be built on this
     /// pupil; those of [`Model::of`].
     pub fn from_arrays(scene: &Scene, arrays: &Arrays) -> Result<Self> {
+        super::refuse_budget(scene)?;
+        super::refuse_fit_optics(scene)?;
+        super::refuse_full_phase(scene)?;
         let width_m = scene.pupil.grid_m.unwrap_or(UNSTATED_WIDTH_M);
         let telescope = Telescope::from_maps(width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
         let diversity = match &arrays.diversity_nm {
             Some(map) => diversity_of(map.clone(), &telescope.pupil)?,
             None => Diversity::of(scene, &telescope)?,
         };
-        super::refuse_budget(scene)?;
-        super::refuse_fit_optics(scene)?;
         let (recipe, set) = modes_of(scene, arrays, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
         Self::of_model(scene, recipe, model)

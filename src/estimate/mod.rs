@@ -139,8 +139,8 @@ fn refuse_fit_optics(scene: &Scene) -> Result<()> {
         return Ok(());
     }
     Err(Error::Scene(
-        "estimate.fit_optics asks for images before there is a model, with 'cophase estimate' or estimate::read: an \
-         estimator takes a scene with the numbers that these found"
+        "estimate.fit_optics fits the telescope to images, which a model and its sessions do not do: leave it out, or give \
+         this scene to the full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)"
             .into(),
     ))
 }
@@ -153,8 +153,9 @@ fn refuse_full_phase(scene: &Scene) -> Result<()> {
     match scene.estimate.method {
         Method::Modal => Ok(()),
         Method::FullPhase => Err(Error::Scene(
-            "estimate.method = \"full-phase\" reads whole sequences at once, with 'cophase estimate', sequence_estimate::read or \
-             cophase_full_phase (cophase.FullPhase): a modal estimator takes \"modal\""
+            "estimate.method = \"full-phase\" retrieves wavefronts of a whole sequence, which a model and its sessions do not \
+             do: leave it out, or give this scene to the full pipeline ('cophase estimate', pipeline::Estimator, \
+             cophase_estimator_create)"
                 .into(),
         )),
     }

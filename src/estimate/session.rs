@@ -28,6 +28,10 @@ use std::time::Instant;
 /// A workspace for fits with one model: frames are written into it ([`Session::frame_mut`]), fitted, and their results
 /// read. It is one thread's at a time.
 ///
+/// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit with the largest basis, no model selection,
+/// no outlier rejection, no restarts. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
+/// [`SessionOptions`] leave them open.
+///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free
 /// memory, take no lock and format no text, but to say why they fail. A fit depends on its own image alone: bit by bit
 /// it is [`Estimator::estimate`]'s, whatever the number of images and threads.
@@ -37,6 +41,7 @@ pub struct Session {
     fits: Vec<ImageFit>,
     results: Vec<ImageResult>,
     engine: Box<dyn Engine>,
+    device: String,
     /// How many images the last fit was of, and how many are loaded for [`Session::evaluate`].
     fitted: usize,
     loaded: usize,
@@ -83,7 +88,11 @@ impl Session {
         let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::of(&estimator.model)?);
         let shared = Shared { estimator, recipe, tilts, pistons, cancel: CancelFlag::default() };
         let optics = shared.estimator.model.optics.clone();
-        let chain = Chain::open(optics, options.device, options.precision, options.capacity)?;
+        let scene = &shared.estimator.scene.estimate;
+        let precision = options.precision.unwrap_or(scene.precision.into());
+        let device = options.device.unwrap_or(scene.device.into());
+        let chain = Chain::open(optics, device, precision, options.capacity)?;
+        let device = chain.device_name();
         let engine = shared.engine(chain, options)?;
         let (preparation, modes) = (shared.estimator.model.preparation, shared.modes());
         let frames = (0..options.capacity).map(|_| FrameBuffer::new(&preparation)).collect();
@@ -94,7 +103,7 @@ impl Session {
             seconds: 0.0,
         };
         let results = vec![result; options.capacity];
-        Ok(Self { shared, frames, fits, results, engine, fitted: 0, loaded: 0 })
+        Ok(Self { shared, frames, fits, results, engine, device, fitted: 0, loaded: 0 })
     }
 
     /// The estimator whose model is fitted.
@@ -105,6 +114,11 @@ impl Session {
     /// That the device which `auto` took was lost, and the CPU has taken its place, as a sentence.
     pub fn device_failure(&self) -> Option<&str> {
         self.engine.failure()
+    }
+
+    /// Where it runs: `cpu`, or the address and the name of a device.
+    pub fn device_name(&self) -> String {
+        self.device.clone()
     }
 
     /// Most images of a call.

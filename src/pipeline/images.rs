@@ -37,8 +37,22 @@ pub struct TruthMaps {
 impl Images {
     /// Images in electrons, `[image, y, x]`, whose finite pixels are all good.
     pub fn new(images_e: Array3<f64>) -> Self {
-        let bad = images_e.mapv(|electrons| !electrons.is_finite());
-        let notes = non_finite(bad.iter().filter(|bad| **bad).count()).into_iter().collect();
+        let bad = Array3::from_elem(images_e.dim(), false);
+        Self::with_bad(images_e, bad)
+    }
+
+    /// Images in electrons with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite are bad, too, and the
+    /// notes have their number.
+    pub fn with_bad(images_e: Array3<f64>, mut bad: Array3<bool>) -> Self {
+        let non_finite = images_e.iter().filter(|electrons| !electrons.is_finite()).count();
+        let mut notes = Vec::new();
+        if non_finite > 0 {
+            let (are, were) = if non_finite == 1 { ("is", "was") } else { ("are", "were") };
+            notes.push(format!("{} {are} not finite and {were} masked", counted(non_finite, "pixel")));
+        }
+        if bad.dim() == images_e.dim() {
+            bad.zip_mut_with(&images_e, |bad, electrons| *bad |= !electrons.is_finite());
+        }
         Self { images_e, bad, read_noise_e: None, slopes_mas: None, truth: None, notes }
     }
 
@@ -50,11 +64,11 @@ impl Images {
     pub fn read(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Self> {
         let path = path.as_ref();
         let read = io::read_images(path, mask)?;
-        let mut notes: Vec<String> = read.repaired.into_iter().collect();
-        notes.extend(non_finite(read.non_finite));
-        let (images_e, bad, read_noise_e) = (read.data, read.bad, read.read_noise_e);
-        let (slopes_mas, truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
-        Ok(Self { images_e, bad, read_noise_e, slopes_mas, truth, notes })
+        let mut images = Self::with_bad(read.data, read.bad);
+        images.notes.splice(0..0, read.repaired);
+        images.read_noise_e = read.read_noise_e;
+        (images.slopes_mas, images.truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
+        Ok(images)
     }
 
     /// Simulated images of an artificial source, with their truth; see [`source::images`].
@@ -107,12 +121,6 @@ impl TruthMaps {
 
 fn has(file: &FitsReader, name: &str) -> bool {
     file.names().iter().any(|known| known == name)
-}
-
-/// A note on pixels that are not finite, if there are any.
-fn non_finite(count: usize) -> Option<String> {
-    let (are, were) = if count == 1 { ("is", "was") } else { ("are", "were") };
-    (count > 0).then(|| format!("{} {are} not finite and {were} masked", counted(count, "pixel")))
 }
 
 /// Telemetry of a file, if it has any.

@@ -1,6 +1,6 @@
 //! Policy: the choices of an estimate that are not part of the scene, in one visible struct.
 
-use crate::estimate::Recipe;
+use crate::estimate::{Recipe, Session};
 use crate::scene::Scene;
 use crate::{Error, Result};
 
@@ -66,6 +66,13 @@ impl Policy {
             )));
         }
         Ok(())
+    }
+}
+
+impl Session {
+    /// The policy that it follows: [`Policy::realtime`].
+    pub fn policy(&self) -> Policy {
+        Policy::realtime()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::images::counted;
 use super::sequence::SequenceResult;
-use crate::estimate::{self, HeldDiversity, ImageReport, Status};
+use crate::estimate::{self, HeldDiversity, ImageReport, Model, Session, Status};
 use crate::scene::{Knows, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 
@@ -37,15 +37,29 @@ pub(super) fn of_modal(fitter: &estimate::Estimator, held: &HeldDiversity, found
         ));
     }
     sentences.extend(of_images(found));
-    if !model.dropped.is_empty() {
-        let dropped = counted(model.dropped.len(), "mode");
-        sentences.push(format!("{dropped} left out, because the others span them: {}", listed(&model.dropped)));
-    }
+    sentences.extend(of_model(model));
     for direction in found.degeneracy.null.iter().filter(|direction| !direction.is_global_piston()) {
         let what = &direction.description;
         sentences.push(format!("the images do not see this direction at all, and 0 is reported for it: {what}"));
     }
     sentences
+}
+
+/// A warning on modes of the scene that are not estimated.
+fn of_model(model: &Model) -> Option<String> {
+    (!model.dropped.is_empty()).then(|| {
+        let dropped = counted(model.dropped.len(), "mode");
+        format!("{dropped} left out, because the others span them: {}", listed(&model.dropped))
+    })
+}
+
+impl Session {
+    /// Warnings on its device and its model: sentences that a user should read before using its results. Those on single
+    /// images are in their reports.
+    pub fn warnings(&self) -> Vec<String> {
+        let device = self.device_failure().map(str::to_owned);
+        device.into_iter().chain(of_model(self.estimator().model())).collect()
+    }
 }
 
 /// Warnings on single images, the worst kind first, and on a sequence as a whole.

@@ -73,7 +73,13 @@ fn open(estimator: &Arc<Estimator>, variant: &Variant) -> Result<Session> {
     let &Variant { device, precision, batch } = variant;
     Session::new(
         estimator.clone(),
-        &SessionOptions { capacity: batch, precision, device, threads: 0, ..Default::default() },
+        &SessionOptions {
+            capacity: batch,
+            precision: Some(precision),
+            device: Some(device),
+            threads: 0,
+            ..Default::default()
+        },
     )
 }
 

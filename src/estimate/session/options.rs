@@ -12,10 +12,10 @@ use std::time::Duration;
 pub struct SessionOptions {
     /// Most images of a call; 1 by default.
     pub capacity: usize,
-    /// Precision of the chain; double by default.
-    pub precision: Precision,
-    /// Where the chain runs; the CPU by default.
-    pub device: Choice,
+    /// Precision of the chain; `None`, the default, takes the scene's (`estimate.precision`).
+    pub precision: Option<Precision>,
+    /// Where the chain runs; `None`, the default, takes the scene's (`estimate.device`).
+    pub device: Option<Choice>,
     /// Threads of the CPU chain: 1, the default, is the caller's own, 0 all that there are.
     pub threads: usize,
     /// Most evaluations for one image; `None` takes the recipe's.
@@ -27,14 +27,7 @@ pub struct SessionOptions {
 
 impl Default for SessionOptions {
     fn default() -> Self {
-        Self {
-            capacity: 1,
-            precision: Precision::F64,
-            device: Choice::Cpu,
-            threads: 1,
-            max_evaluations: None,
-            step_tolerance_nm: None,
-        }
+        Self { capacity: 1, precision: None, device: None, threads: 1, max_evaluations: None, step_tolerance_nm: None }
     }
 }
 

@@ -1,0 +1,74 @@
+//! Corrections of segments, mirror and wavefront sensor from an estimate.
+
+use super::estimate::change;
+use super::estimator::cophase_estimate;
+use super::pointer::text;
+use super::sized::Outputs;
+use super::status::cophase_status;
+use crate::{Error, Result};
+use std::ffi::c_char;
+use std::path::Path;
+
+/// Sizes of a correction.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct cophase_correction_report {
+    /// Number of segments.
+    pub segments: usize,
+    /// Number of the mirror's actuators; 0 without a loop in the scene.
+    pub actuators: usize,
+    /// Number of slopes of the wavefront sensor; 0 without a loop in the scene.
+    pub slopes: usize,
+    /// NCPA modes that are corrected: those whose estimate is larger than its error bar.
+    pub corrected_modes: usize,
+    /// Commands that were cut at the limit.
+    pub limited: usize,
+}
+
+/// Computes what to add to segments, mirror and reference slopes to correct the estimated errors; a MAP estimate only. A
+/// mode whose estimate is smaller than its error bar is not corrected. About a second at the size of Keck where the scene
+/// has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays.
+///
+/// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength.
+/// path: FITS file to write, UTF-8; NULL for none.
+/// report: NULL if it is not wanted. report_size: sizeof(cophase_correction_report).
+///
+/// COPHASE_BAD_VALUE for a modal estimate, which has no corrections, and for a negative limit. COPHASE_BUSY while other
+/// threads read the estimate.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimate_correct(
+    estimate: *mut cophase_estimate,
+    limit_nm: f64,
+    path: *const c_char,
+    report: *mut cophase_correction_report,
+    report_size: usize,
+) -> cophase_status {
+    unsafe {
+        change(estimate, |found| -> Result<()> {
+            let report = Outputs::new(report, report_size, ("report", "report_size"))?;
+            let path = if path.is_null() { None } else { Some(Path::new(text(path, "path")?)) };
+            if limit_nm.is_nan() || limit_nm < 0.0 {
+                return Err(Error::Value(format!(
+                    "limit_nm is {limit_nm}: a positive limit, or 0 for the default, is accepted"
+                )));
+            }
+            let commands = found.estimate.corrections((limit_nm > 0.0).then_some(limit_nm))?;
+            if let Some(path) = path {
+                commands.write(path)?;
+            }
+            report.put(
+                0,
+                &cophase_correction_report {
+                    segments: commands.pistons_nm.len(),
+                    actuators: commands.actuators_nm.len(),
+                    slopes: commands.slopes_mas.len(),
+                    corrected_modes: commands.corrected_modes,
+                    limited: commands.limited,
+                },
+            );
+            found.commands = Some(commands);
+            Ok(())
+        })
+    }
+}

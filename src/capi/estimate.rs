@@ -1,0 +1,360 @@
+//! Estimates: the result of the pipeline, as C reads it.
+
+use super::estimator::{cophase_estimate, policy_number};
+use super::handle::{Handle, give_back};
+use super::image_report::{cophase_image_report, outcome_number};
+use super::pointer::{place, put_array, put_text, text};
+use super::sized::Outputs;
+use super::status::cophase_status;
+use super::text::*;
+use crate::pipeline::Estimate;
+use crate::scene::{Knows, Method};
+use crate::loop_response::Corrections;
+use crate::{Error, Result};
+use std::ffi::c_char;
+use std::path::Path;
+
+/// Method of an estimate: static modes fitted to each image, images combined.
+pub const COPHASE_METHOD_MODAL: i32 = 1;
+/// Method of an estimate: maximum a posteriori (MAP) wavefront behind each exposure, static errors separated from the
+/// turbulence.
+pub const COPHASE_METHOD_MAP: i32 = 2;
+
+/// Knowledge of the adaptive optics that a MAP estimate assumed (estimate.knows): only the mirror's pitch and ordinary
+/// seeing.
+pub const COPHASE_KNOWS_NOTHING: i32 = 1;
+/// Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and control.
+pub const COPHASE_KNOWS_SPECTRUM: i32 = 2;
+/// Knowledge: also the closed loop's response to the segments.
+pub const COPHASE_KNOWS_LOOP: i32 = 3;
+/// Knowledge: also the slopes of the wavefront sensor during each exposure.
+pub const COPHASE_KNOWS_TELEMETRY: i32 = 4;
+
+/// Array of an estimate: coefficients, nm; modes.
+pub const COPHASE_ARRAY_COEFFICIENTS_NM: i32 = 1;
+/// Array: standard deviation of each coefficient, nm; modes.
+pub const COPHASE_ARRAY_SIGMA_NM: i32 = 2;
+/// Array: covariance of the coefficients, nm^2; modes x modes.
+pub const COPHASE_ARRAY_COVARIANCE_NM2: i32 = 3;
+/// Array: coefficients of each image, nm, NaN for unusable images; images x modes. Modal estimates only.
+pub const COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM: i32 = 4;
+/// Array: maps of phasing errors, NCPA, and the standard deviation of each, nm, NaN outside the pupil; 4 x samples x samples.
+pub const COPHASE_ARRAY_MAPS_NM: i32 = 5;
+/// Array: contribution of each term of the error budget to the error bars of phasing and NCPA, nm RMS over the pupil;
+/// error_terms x 2. Their squares add up to the squares of phasing_sigma_nm and ncpa_sigma_nm.
+pub const COPHASE_ARRAY_ERROR_BUDGET_NM: i32 = 6;
+/// Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront; segments.
+pub const COPHASE_ARRAY_CORRECTION_PISTONS_NM: i32 = 7;
+/// Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront; actuators.
+pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_NM: i32 = 8;
+/// Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2.
+pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_M: i32 = 9;
+/// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
+/// then along y; slopes. It keeps the mirror where the commands put it.
+pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
+
+/// The estimate, and the corrections that were computed from it.
+pub(super) struct Found {
+    pub(super) estimate: Estimate,
+    pub(super) commands: Option<Corrections>,
+}
+
+/// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct cophase_estimate_info {
+    /// Number of images.
+    pub images: usize,
+    /// Images that were combined.
+    pub used: usize,
+    /// Images that were fitted and left out as outliers.
+    pub clipped: usize,
+    /// Number of modes.
+    pub modes: usize,
+    /// Number of modes that move segments; they come first, the others are NCPA modes.
+    pub segment_modes: usize,
+    /// Rows, and columns, of a map.
+    pub samples: usize,
+    /// Terms of the error budget.
+    pub error_terms: usize,
+    /// Number of warnings: lines of COPHASE_TEXT_WARNINGS.
+    pub warnings: usize,
+    /// COPHASE_METHOD_MODAL or COPHASE_METHOD_MAP.
+    pub method: i32,
+    /// COPHASE_POLICY_FULL or COPHASE_POLICY_REALTIME.
+    pub policy: i32,
+    /// Worst COPHASE_IMAGE_ status that counts for the whole.
+    pub status: i32,
+    /// 1 if error bars are from the scatter between images, as from eight images on, else 0.
+    pub is_sequence: i32,
+    /// Iterations of a MAP estimate; 0 in a modal one.
+    pub iterations: i32,
+    /// 1 if the last iteration of a MAP estimate changed next to nothing, else 0; 1 in a modal one.
+    pub has_settled: i32,
+    /// COPHASE_KNOWS_ number of a MAP estimate; 0 in a modal one.
+    pub knows: i32,
+    /// Precision of the imaging chain: COPHASE_F64 or COPHASE_F32.
+    pub precision: i32,
+    /// Evaluations of objective and gradient, all images together.
+    pub evaluations: u64,
+    /// Phasing errors, nm RMS.
+    pub phasing_rms_nm: f64,
+    /// Expected error of the phasing map, nm RMS.
+    pub phasing_sigma_nm: f64,
+    /// Non-common path aberrations, nm RMS.
+    pub ncpa_rms_nm: f64,
+    /// Expected error of the NCPA map, nm RMS.
+    pub ncpa_sigma_nm: f64,
+    /// Phasing and NCPA together, nm RMS.
+    pub wavefront_rms_nm: f64,
+    /// Expected error of both together, nm RMS; NaN in a MAP estimate.
+    pub wavefront_sigma_nm: f64,
+    /// Median reduced chi-square of the images that were used. Turbulence finer than the model's samples makes it 4 to 5
+    /// behind a bright star in a MAP estimate.
+    pub reduced_chi2: f64,
+    /// Further images like these that halve both error bars; infinity if no number does; NaN if unknown, as in a modal
+    /// estimate.
+    pub images_to_halve: f64,
+    /// Side of a map, m.
+    pub map_width_m: f64,
+    /// Duration of the estimate, s.
+    pub seconds: f64,
+    /// Duration of building the model, s, where that is apart.
+    pub model_seconds: f64,
+}
+
+impl Found {
+    pub(super) fn new(estimate: Estimate) -> Self {
+        Self { estimate, commands: None }
+    }
+}
+
+/// A call that reads the estimate.
+unsafe fn read(estimate: *const cophase_estimate, body: impl FnOnce(&Found) -> Result<()>) -> cophase_status {
+    Handle::read(unsafe { estimate.as_ref() }.map(|estimate| &estimate.0), "estimate", body)
+}
+
+/// A call that changes it.
+pub(super) unsafe fn change(
+    estimate: *mut cophase_estimate,
+    body: impl FnOnce(&mut Found) -> Result<()>,
+) -> cophase_status {
+    Handle::change(unsafe { estimate.as_ref() }.map(|estimate| &estimate.0), "estimate", body)
+}
+
+/// Frees an estimate; NULL is fine.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimate_destroy(estimate: *mut cophase_estimate) {
+    unsafe { give_back(estimate, |estimate| &estimate.0) }
+}
+
+/// Writes sizes, status and figures of an estimate. info_size: sizeof(cophase_estimate_info).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimate_get_info(
+    estimate: *const cophase_estimate,
+    info: *mut cophase_estimate_info,
+    info_size: usize,
+) -> cophase_status {
+    unsafe {
+        read(estimate, |found| {
+            Outputs::new(place(info, "info")?, info_size, ("info", "info_size"))?.put(0, &summary(&found.estimate));
+            Ok(())
+        })
+    }
+}
+
+fn summary(estimate: &Estimate) -> cophase_estimate_info {
+    let map = estimate.map.as_ref();
+    let precision: crate::imaging::Precision = estimate.precision.into();
+    cophase_estimate_info {
+        images: estimate.images.len(),
+        used: estimate.used(),
+        clipped: estimate.clipped(),
+        modes: estimate.basis.names.len(),
+        segment_modes: estimate.segment_modes(),
+        samples: estimate.phasing_nm.nrows(),
+        error_terms: estimate.error_budget.len(),
+        warnings: estimate.warnings.len(),
+        method: match estimate.method() {
+            Method::Modal => COPHASE_METHOD_MODAL,
+            Method::FullPhase => COPHASE_METHOD_MAP,
+        },
+        policy: policy_number(&estimate.policy),
+        status: outcome_number(estimate.status),
+        is_sequence: estimate.is_sequence.into(),
+        iterations: map.map_or(0, |map| map.iterations.len() as i32),
+        has_settled: map.is_none_or(|map| map.has_settled).into(),
+        knows: map.map_or(0, |map| match map.knows {
+            Knows::Nothing => COPHASE_KNOWS_NOTHING,
+            Knows::Spectrum => COPHASE_KNOWS_SPECTRUM,
+            Knows::Loop => COPHASE_KNOWS_LOOP,
+            Knows::Telemetry => COPHASE_KNOWS_TELEMETRY,
+        }),
+        precision: super::session::precision_number(precision),
+        evaluations: estimate.evaluations() as u64,
+        phasing_rms_nm: estimate.phasing.rms_nm,
+        phasing_sigma_nm: estimate.phasing.sigma_nm,
+        ncpa_rms_nm: estimate.ncpa.rms_nm,
+        ncpa_sigma_nm: estimate.ncpa.sigma_nm,
+        wavefront_rms_nm: estimate.wavefront.rms_nm,
+        wavefront_sigma_nm: estimate.wavefront.sigma_nm,
+        reduced_chi2: estimate.reduced_chi2,
+        images_to_halve: images_to_halve(estimate),
+        map_width_m: estimate.pupil.grid.width_m(),
+        seconds: estimate.seconds,
+        model_seconds: estimate.model_seconds,
+    }
+}
+
+fn images_to_halve(estimate: &Estimate) -> f64 {
+    let Some(last) = estimate.map.as_ref().and_then(|map| map.iterations.last()) else { return f64::NAN };
+    last.further_images(last.error_budget.total_nm.map(|nm| nm / 2.0)).map_or(f64::INFINITY, |images| images as f64)
+}
+
+/// Writes the reports on all images.
+///
+/// reports: receives `count` reports of report_size bytes each. report_size: sizeof(cophase_image_report). count: images of
+/// the estimate.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimate_images(
+    estimate: *const cophase_estimate,
+    reports: *mut cophase_image_report,
+    report_size: usize,
+    count: usize,
+) -> cophase_status {
+    unsafe {
+        read(estimate, |found| {
+            let outputs = Outputs::new(place(reports, "reports")?, report_size, ("reports", "report_size"))?;
+            let Estimate { images, policy, .. } = &found.estimate;
+            if count != images.len() {
+                let images = images.len();
+                return Err(Error::Shape(format!("count is {count}: {images} is accepted, the number of images")));
+            }
+            let report = |image| cophase_image_report::from_estimate(image, policy_number(policy));
+            images.iter().enumerate().for_each(|(index, image)| outputs.put(index, &report(image)));
+            Ok(())
+        })
+    }
+}
+
+/// Writes an array of an estimate in C order.
+///
+/// what: a COPHASE_ARRAY_ number, which says shape and unit. out: receives `count` numbers.
+///
+/// COPHASE_BAD_SHAPE for another count than the shape's; the sentence has the right one. COPHASE_BAD_VALUE for an array that
+/// this estimate does not have, and for COPHASE_ARRAY_CORRECTION_ arrays before cophase_estimate_correct.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimate_array(
+    estimate: *const cophase_estimate,
+    what: i32,
+    out: *mut f64,
+    count: usize,
+) -> cophase_status {
+    unsafe {
+        read(estimate, |found| {
+            let (shape, values) = array(found, what)?;
+            put_array(out, count, &shape, values)
+        })
+    }
+}
+
+/// Shape and values of an array.
+fn array(found: &Found, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
+    let Found { estimate, commands } = found;
+    let list = |values: Vec<f64>| (vec![values.len()], values);
+    let matrix = |matrix: &ndarray::Array2<f64>| (matrix.shape().to_vec(), matrix.iter().copied().collect());
+    if (COPHASE_ARRAY_CORRECTION_PISTONS_NM..=COPHASE_ARRAY_CORRECTION_SLOPES_MAS).contains(&what) {
+        let commands = commands
+            .as_ref()
+            .ok_or_else(|| Error::Value("there are no corrections yet: call cophase_estimate_correct first".into()))?;
+        let actuators = &commands.actuators_nm;
+        return Ok(match what {
+            COPHASE_ARRAY_CORRECTION_PISTONS_NM => list(commands.pistons_nm.clone()),
+            COPHASE_ARRAY_CORRECTION_ACTUATORS_NM => list(actuators.iter().map(|(_, nm)| *nm).collect()),
+            COPHASE_ARRAY_CORRECTION_ACTUATORS_M => {
+                (vec![actuators.len(), 2], actuators.iter().flat_map(|(place_m, _)| *place_m).collect())
+            }
+            _ => list(commands.slopes_mas.clone()),
+        });
+    }
+    Ok(match what {
+        COPHASE_ARRAY_COEFFICIENTS_NM => list(estimate.coefficients_nm.clone()),
+        COPHASE_ARRAY_SIGMA_NM => list(estimate.sigma_nm()),
+        COPHASE_ARRAY_COVARIANCE_NM2 => matrix(&estimate.covariance_nm2),
+        COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM if estimate.method() == Method::FullPhase => {
+            return Err(Error::Value("a MAP estimate fits no modes to single images: a modal one is accepted".into()));
+        }
+        COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM => matrix(&estimate.image_coefficients_nm),
+        COPHASE_ARRAY_MAPS_NM => {
+            let maps = [&estimate.phasing_nm, &estimate.ncpa_nm, &estimate.phasing_sigma_nm, &estimate.ncpa_sigma_nm];
+            let (rows, cols) = estimate.phasing_nm.dim();
+            (vec![maps.len(), rows, cols], maps.into_iter().flatten().copied().collect())
+        }
+        COPHASE_ARRAY_ERROR_BUDGET_NM => {
+            let terms = &estimate.error_budget;
+            (vec![terms.len(), 2], terms.iter().flat_map(|term| [term.phasing_nm, term.ncpa_nm]).collect())
+        }
+        other => {
+            return Err(Error::Value(format!("what is {other}: a COPHASE_ARRAY_ number of estimates is accepted")));
+        }
+    })
+}
+
+/// Writes a text of an estimate.
+///
+/// what: a COPHASE_TEXT_ number. index: which image, mode or term; ignored for the other texts. text, capacity, length: as
+/// in cophase_device_list.
+///
+/// COPHASE_BAD_VALUE for an index out of range.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimate_text(
+    estimate: *const cophase_estimate,
+    what: i32,
+    index: usize,
+    text: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> cophase_status {
+    unsafe {
+        read(estimate, |found| {
+            let estimate = &found.estimate;
+            let sentence = match what {
+                COPHASE_TEXT_REPORT => estimate.report(),
+                COPHASE_TEXT_WARNINGS => estimate.warnings.join("\n"),
+                COPHASE_TEXT_REMARKS => estimate.remarks.join("\n"),
+                COPHASE_TEXT_DEVICE => estimate.device.clone(),
+                COPHASE_TEXT_POLICY => estimate.policy.name().into(),
+                COPHASE_TEXT_MODEL => estimate.model.clone(),
+                COPHASE_TEXT_SCENE => estimate.scene.text().into(),
+                COPHASE_TEXT_IMAGE_MESSAGE => at(&estimate.images, index, "images")?.message.clone(),
+                COPHASE_TEXT_MODE_NAME => at(&estimate.basis.names, index, "modes")?.clone(),
+                COPHASE_TEXT_ERROR_TERM_NAME => at(&estimate.error_budget, index, "terms")?.name.clone(),
+                other => {
+                    let known = "a COPHASE_TEXT_ number of estimates is accepted";
+                    return Err(Error::Value(format!("what is {other}: {known}")));
+                }
+            };
+            put_text(text, capacity, length, &sentence)
+        })
+    }
+}
+
+/// Element `index`.
+///
+/// # Errors
+/// [`Error::Value`] where there is none.
+pub(super) fn at<'a, T>(all: &'a [T], index: usize, noun: &str) -> Result<&'a T> {
+    let count = all.len();
+    all.get(index)
+        .ok_or_else(|| Error::Value(format!("index is {index}: less than {count} is accepted, the number of {noun}")))
+}
+
+/// Writes the estimate as FITS, whole or not at all. path: UTF-8. COPHASE_BAD_FILE if it cannot be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimate_write(
+    estimate: *const cophase_estimate,
+    path: *const c_char,
+) -> cophase_status {
+    unsafe { read(estimate, |found| found.estimate.write(Path::new(text(path, "path")?))) }
+}

@@ -1,0 +1,259 @@
+//! Estimators: the full pipeline, from the images of one scene to one estimate.
+
+use super::calibration::{calibration, cophase_calibration, read_noise_e};
+use super::estimate::Found;
+use super::handle::{Handle, fence, give_back, given_back, null};
+use super::input::{Input, cophase_input};
+use super::model::scene;
+use super::pointer::{place, put_if_wanted};
+use super::sized::{self, Options};
+use super::status::{COPHASE_OK, cophase_status};
+use crate::estimate::Calibration;
+use crate::pipeline::{Control, Estimator, Images, Policy};
+use crate::scene::Scene;
+use crate::{Error, Result};
+use ndarray::Array3;
+use rayon::ThreadPool;
+use std::ffi::c_char;
+
+/// Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
+/// the scene asks for it.
+pub const COPHASE_POLICY_FULL: i32 = 0;
+/// Policy: one fit with the largest basis, no retries; what a session does.
+pub const COPHASE_POLICY_REALTIME: i32 = 1;
+
+/// Stage of an estimate: none is running.
+pub const COPHASE_STAGE_IDLE: i32 = 0;
+/// Stage: the planner tries models on simulated images (estimate.budget_nm).
+pub const COPHASE_STAGE_PLANNING: i32 = 1;
+/// Stage: pupil, modes and metric are built, and optics fitted where the scene asks for it.
+pub const COPHASE_STAGE_PREPARING: i32 = 2;
+/// Stage: images are fitted.
+pub const COPHASE_STAGE_FITTING: i32 = 3;
+/// Stage: covariances are computed, and images combined.
+pub const COPHASE_STAGE_COMBINING: i32 = 4;
+/// Stage: wavefronts are retrieved (MAP).
+pub const COPHASE_STAGE_RETRIEVING: i32 = 5;
+/// Stage: static errors are separated from the turbulence (MAP).
+pub const COPHASE_STAGE_SEPARATING: i32 = 6;
+
+/// Estimator: the full pipeline for images of one scene, modal or maximum a posteriori (MAP, estimate.method =
+/// "full-phase") as the scene says. It can be used again and again.
+///
+/// One call at a time (COPHASE_BUSY otherwise), except cophase_estimator_cancel and cophase_estimator_progress, which any
+/// thread may call at any time.
+#[allow(non_camel_case_types)] // a name of the header
+pub struct cophase_estimator {
+    inside: Handle<Working>,
+    control: Control,
+}
+
+/// Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
+/// several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
+#[allow(non_camel_case_types)] // a name of the header
+pub struct cophase_estimate(pub(super) Handle<Found>);
+
+/// What a call works on.
+struct Working {
+    estimator: Estimator,
+    /// The threads; `None` for those that all estimators share.
+    pool: Option<ThreadPool>,
+}
+
+/// Options of an estimator.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct cophase_estimator_options {
+    /// sizeof(cophase_estimator_options).
+    pub struct_size: usize,
+    /// COPHASE_POLICY_FULL (0) or COPHASE_POLICY_REALTIME.
+    pub policy: i32,
+    /// Number of threads; 0 or -1 for one per processor. Results do not depend on it.
+    pub threads: i32,
+}
+
+unsafe impl Options for cophase_estimator_options {}
+
+/// Options of one estimate.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct cophase_estimate_options {
+    /// sizeof(cophase_estimate_options).
+    pub struct_size: usize,
+    /// Calibration of the frames; NULL: frames are electrons.
+    pub calibration: *const cophase_calibration,
+    /// Read noise of a pixel, electrons RMS; 0 for the scene's.
+    pub read_noise_e: f64,
+}
+
+unsafe impl Options for cophase_estimate_options {}
+
+/// The number of a policy.
+pub(super) fn policy_number(policy: &Policy) -> i32 {
+    if *policy == Policy::realtime() { COPHASE_POLICY_REALTIME } else { COPHASE_POLICY_FULL }
+}
+
+fn policy(number: i32) -> Result<Policy> {
+    match number {
+        COPHASE_POLICY_FULL => Ok(Policy::default()),
+        COPHASE_POLICY_REALTIME => Ok(Policy::realtime()),
+        other => Err(Error::Value(format!(
+            "options->policy is {other}: COPHASE_POLICY_FULL (0) or COPHASE_POLICY_REALTIME (1) is accepted"
+        ))),
+    }
+}
+
+fn pool(threads: i32) -> Result<Option<ThreadPool>> {
+    let refused =
+        |why: &str| Error::Value(format!("options->threads is {threads}: {why}; 1 or more, 0 or -1 is accepted"));
+    match usize::try_from(threads) {
+        Ok(0) => Ok(None),
+        Ok(count) => {
+            let made = rayon::ThreadPoolBuilder::new().num_threads(count).build();
+            made.map(Some).map_err(|error| refused(&format!("they do not start ({error})")))
+        }
+        Err(_) if threads == -1 => Ok(None),
+        Err(_) => Err(refused("no such number of threads")),
+    }
+}
+
+/// Makes an estimator of a scene.
+///
+/// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is planned here, which
+///   takes some seconds. Nothing else is built before the first estimate.
+/// directory: directory of the files that the scene names; NULL for the working directory.
+/// options: NULL for the defaults.
+/// estimator: receives the handle.
+///
+/// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does not honour.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimator_create(
+    scene_text: *const c_char,
+    directory: *const c_char,
+    options: *const cophase_estimator_options,
+    estimator: *mut *mut cophase_estimator,
+) -> cophase_status {
+    fence(|| {
+        let out = place(estimator, "estimator")?;
+        let options = unsafe { sized::read(options, "options") }?;
+        let (policy, pool) = (policy(options.policy)?, pool(options.threads)?);
+        let (scene_text, directory) = unsafe { scene(scene_text, directory) }?;
+        let scene = Scene::from_text(scene_text, directory)?;
+        let control = Control::default();
+        let estimator = on_threads(pool.as_ref(), || Estimator::with_policy(&scene, policy, control.clone()))?;
+        let made = cophase_estimator { inside: Handle::new(Working { estimator, pool }), control };
+        unsafe { out.write(Box::into_raw(Box::new(made))) };
+        Ok(())
+    })
+}
+
+/// Does work on the threads of `pool`, or on those that all share.
+fn on_threads<R: Send>(pool: Option<&ThreadPool>, work: impl FnOnce() -> R + Send) -> R {
+    match pool {
+        Some(pool) => pool.install(work),
+        None => work(),
+    }
+}
+
+/// Frees an estimator; NULL is fine. Its estimates stay usable.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimator_destroy(estimator: *mut cophase_estimator) {
+    unsafe { give_back(estimator, |estimator| &estimator.inside) }
+}
+
+/// The control of an estimator, whatever call is running on it.
+unsafe fn control<'a>(estimator: *const cophase_estimator) -> Result<&'a Control> {
+    let estimator = unsafe { estimator.as_ref() }.ok_or_else(|| null("estimator"))?;
+    if estimator.inside.is_alive() { Ok(&estimator.control) } else { Err(given_back()) }
+}
+
+/// Makes the estimate that is running in another thread, or else the next one, return COPHASE_INTERRUPTED at its next safe
+/// place: within a second or two at the size of Keck. A signal handler may call it. [RT]
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimator_cancel(estimator: *const cophase_estimator) -> cophase_status {
+    match unsafe { control(estimator) } {
+        Ok(control) => {
+            control.cancel();
+            COPHASE_OK
+        }
+        Err(error) => fence(|| Err(error)),
+    }
+}
+
+/// Progress of the estimate that is running in another thread. [RT]
+///
+/// stage: receives a COPHASE_STAGE_ number. done, total: receive the steps (images) of this stage that are done, and their
+/// number, 0 if it is unknown. Each may be NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimator_progress(
+    estimator: *const cophase_estimator,
+    stage: *mut i32,
+    done: *mut u64,
+    total: *mut u64,
+) -> cophase_status {
+    fence(|| unsafe {
+        let progress = control(estimator)?.progress();
+        put_if_wanted(stage, "stage", progress.stage as i32)?;
+        put_if_wanted(done, "done", progress.done)?;
+        put_if_wanted(total, "total", progress.total)
+    })
+}
+
+/// Estimates the static wavefront behind images. What is wrong with single images is in their reports; what to know of the
+/// whole is in COPHASE_TEXT_WARNINGS of the estimate.
+///
+/// frames: count x rows x cols as the scene says; images of the same static errors. Bad pixels, which take no part, are
+///   those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column
+///   cols/2.
+/// slopes_mas: telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure,
+///   along x for every subaperture, then along y; NULL without.
+/// options: NULL for the defaults.
+/// estimate: receives the handle.
+///
+/// COPHASE_BAD_SHAPE for frames or slopes of another shape. COPHASE_BAD_IMAGE if no image can be used (fewer than two in a
+/// MAP estimate). COPHASE_BAD_SCENE, COPHASE_BAD_FILE if the telescope cannot be built. COPHASE_DEVICE if the device that
+/// the scene names is absent or fails. COPHASE_INTERRUPTED after cophase_estimator_cancel.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimator_estimate(
+    estimator: *mut cophase_estimator,
+    frames: *const cophase_input,
+    slopes_mas: *const cophase_input,
+    options: *const cophase_estimate_options,
+    estimate: *mut *mut cophase_estimate,
+) -> cophase_status {
+    let inside = unsafe { estimator.as_ref() }.map(|estimator| &estimator.inside);
+    Handle::change(inside, "estimator", |working| {
+        let out = place(estimate, "estimate")?;
+        let options = unsafe { sized::read(options, "options") }?;
+        let shape = working.estimator.scene().image.frame_shape();
+        let calibration = unsafe { calibration(options.calibration, shape) }?;
+        let mut images = taken(&unsafe { Input::new(frames, "frames") }?, &calibration)?;
+        images.read_noise_e = read_noise_e(options.read_noise_e)?;
+        if !slopes_mas.is_null() {
+            let slopes = unsafe { Input::new(slopes_mas, "slopes_mas") }?;
+            let [.., slope_count] = slopes.shape();
+            images.slopes_mas = Some(slopes.must_be([1, images.len(), slope_count])?.map()?);
+        }
+        let made = on_threads(working.pool.as_ref(), || working.estimator.estimate(&images))?;
+        unsafe { out.write(Box::into_raw(Box::new(cophase_estimate(Handle::new(Found::new(made)))))) };
+        Ok(())
+    })
+}
+
+/// A caller's frames as electrons.
+fn taken(frames: &Input, calibration: &Calibration) -> Result<Images> {
+    let (rows, cols) = calibration.shape();
+    let [count, ..] = frames.shape();
+    let mut images_e = frames.must_be([count, rows, cols])?.cube()?;
+    let mut bad = Array3::from_elem(images_e.dim(), false);
+    for ((k, y, x), value) in images_e.indexed_iter_mut() {
+        match calibration.electrons(y, x, *value) {
+            Some(electrons) => *value = electrons,
+            // Its value takes no part; one that is not finite stays so, because Images counts those.
+            None => bad[[k, y, x]] = true,
+        }
+    }
+    Ok(Images::with_bad(images_e, bad))
+}

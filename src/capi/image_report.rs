@@ -1,0 +1,105 @@
+//! Report on one image of a fit or an estimate.
+
+use super::estimator::COPHASE_POLICY_REALTIME;
+use super::status::{
+    COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK,
+    COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,
+};
+use crate::estimate::{ImageResult, Status};
+use crate::optimize::StopReason;
+use crate::pipeline::{ImageOutcome, ImageStatus};
+
+/// Report on one image.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct cophase_image_report {
+    /// COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number.
+    pub status: i32,
+    /// 1 if the image was combined into the estimate, else 0; 0 in a session, which combines nothing.
+    pub is_used: i32,
+    /// 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session.
+    pub is_clipped: i32,
+    /// Pixels of the fitted part that were bad in the frame or in the calibration.
+    pub bad_pixels: i32,
+    /// Outlier pixels that were found and rejected; 0 in a session, which does not look for them.
+    pub rejected_pixels: i32,
+    /// Policy of the fit: COPHASE_POLICY_FULL, or COPHASE_POLICY_REALTIME, which a session follows.
+    pub policy: i32,
+    /// Evaluations of objective and gradient; of a MAP retrieval, in its last iteration.
+    pub evaluations: u64,
+    /// Chi-square per degree of freedom, 1 where the model is right; NaN for an unusable image.
+    pub reduced_chi2: f64,
+    /// Flux of the star, electrons.
+    pub flux_e: f64,
+    /// Background, electrons per pixel of the frame.
+    pub background_e: f64,
+    /// Tilt along x of the fitted wavefront and of the shift onto the axis, nm RMS over the pupil; NaN in a MAP estimate.
+    pub tip_nm: f64,
+    /// The same along y.
+    pub tilt_nm: f64,
+    /// Duration of the fit, s; NaN in an estimate, which fits images together.
+    pub seconds: f64,
+}
+
+impl cophase_image_report {
+    pub(super) fn from_session(result: &ImageResult) -> Self {
+        let report = &result.report;
+        let [tip_nm, tilt_nm] = report.tip_tilt_nm;
+        Self {
+            status: number(&report.status),
+            is_used: 0,
+            is_clipped: 0,
+            bad_pixels: i32::try_from(report.bad_pixels).unwrap_or(i32::MAX),
+            rejected_pixels: 0,
+            policy: COPHASE_POLICY_REALTIME,
+            evaluations: report.evaluations as u64,
+            reduced_chi2: report.reduced_chi2,
+            flux_e: report.flux_e,
+            background_e: report.background_e,
+            tip_nm,
+            tilt_nm,
+            seconds: result.seconds,
+        }
+    }
+
+    pub(super) fn from_estimate(image: &ImageOutcome, policy: i32) -> Self {
+        let [tip_nm, tilt_nm] = image.tip_tilt_nm;
+        Self {
+            status: outcome_number(image.status),
+            is_used: image.is_used.into(),
+            is_clipped: image.is_clipped.into(),
+            bad_pixels: i32::try_from(image.bad_pixels).unwrap_or(i32::MAX),
+            rejected_pixels: i32::try_from(image.rejected_pixels).unwrap_or(i32::MAX),
+            policy,
+            evaluations: image.evaluations as u64,
+            reduced_chi2: image.reduced_chi2,
+            flux_e: image.flux_e,
+            background_e: image.background_e,
+            tip_nm,
+            tilt_nm,
+            seconds: f64::NAN,
+        }
+    }
+}
+
+fn number(status: &Status) -> i32 {
+    match status {
+        Status::Ok => COPHASE_IMAGE_OK,
+        Status::Misfit => COPHASE_IMAGE_MISFIT,
+        Status::WrongMinimum => COPHASE_IMAGE_WRONG_MINIMUM,
+        Status::NotConverged(StopReason::DeadlineReached) => COPHASE_IMAGE_DEADLINE,
+        Status::NotConverged(_) => COPHASE_IMAGE_NOT_CONVERGED,
+        Status::Unusable(_) => COPHASE_IMAGE_UNUSABLE,
+    }
+}
+
+pub(super) fn outcome_number(status: ImageStatus) -> i32 {
+    match status {
+        ImageStatus::Ok => COPHASE_IMAGE_OK,
+        ImageStatus::Misfit => COPHASE_IMAGE_MISFIT,
+        ImageStatus::WrongMinimum => COPHASE_IMAGE_WRONG_MINIMUM,
+        ImageStatus::NotConverged => COPHASE_IMAGE_NOT_CONVERGED,
+        ImageStatus::Unusable => COPHASE_IMAGE_UNUSABLE,
+    }
+}

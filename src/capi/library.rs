@@ -1,0 +1,59 @@
+//! What comes with the library: presets of scenes, and the devices of this machine.
+
+use super::handle::fence;
+use super::pointer::{put, put_text, text};
+use super::status::cophase_status;
+use crate::device::{DeviceInfo, devices};
+use crate::scene::Scene;
+use crate::{Error, Result};
+use std::ffi::{CString, c_char};
+use std::sync::OnceLock;
+
+/// The presets as C strings, made once.
+static PRESETS: OnceLock<Result<Vec<CString>>> = OnceLock::new();
+
+/// Text of a scene that comes with the library, "keck-artificial" or "keck-onsky", in `*scene_text`: a static string.
+///
+/// COPHASE_BAD_SCENE for another name.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_scene_preset(name: *const c_char, scene_text: *mut *const c_char) -> cophase_status {
+    fence(|| {
+        let name = unsafe { text(name, "name") }?;
+        // The sentence for a name that does not exist is the scene's own.
+        Scene::preset_text(name)?;
+        let place = Scene::preset_names().iter().position(|known| *known == name);
+        let texts = PRESETS.get_or_init(texts).as_ref().map_err(Clone::clone)?;
+        let found = place.and_then(|place| texts.get(place));
+        let found = found.ok_or_else(|| Error::Internal(format!("the scene '{name}' has a text and no place")))?;
+        unsafe { put(scene_text, "scene_text", found.as_ptr()) }
+    })
+}
+
+fn texts() -> Result<Vec<CString>> {
+    let text = |name: &&str| {
+        CString::new(Scene::preset_text(name)?)
+            .map_err(|error| Error::Internal(format!("the scene '{name}' holds a zero byte: {error}")))
+    };
+    Scene::preset_names().iter().map(text).collect()
+}
+
+/// The line of an OpenCL device: its address, which begins its description too, once.
+fn line(info: &DeviceInfo) -> String {
+    let (address, description) = (info.address(), info.to_string());
+    format!("{address}\t{}", description.trim_start_matches(&address).trim_start())
+}
+
+/// Devices of this machine, one a line: the text for `device` in cophase_session_options or estimate.device in a scene, a
+/// tab, and a description. The first line is always the CPU.
+///
+/// text: receives at most `capacity` bytes, the terminating zero included, as with snprintf; may be NULL if capacity is 0.
+/// length: receives the length of the whole text in bytes, without the zero.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_device_list(text: *mut c_char, capacity: usize, length: *mut usize) -> cophase_status {
+    fence(|| {
+        // A machine whose OpenCL is broken still has its CPU.
+        let present = devices().unwrap_or_default();
+        let lines: Vec<String> = std::iter::once("cpu\tCPU chain".into()).chain(present.iter().map(line)).collect();
+        unsafe { put_text(text, capacity, length, &lines.join("\n")) }
+    })
+}

@@ -1,0 +1,22 @@
+//! Numbers of the texts that a session or an estimate has.
+
+/// Text of an estimate: its report, as the program prints it.
+pub const COPHASE_TEXT_REPORT: i32 = 1;
+/// Text of an estimate or a session: what to know before using the numbers, one sentence a line; empty without warnings.
+pub const COPHASE_TEXT_WARNINGS: i32 = 2;
+/// Text of an estimate: remarks that hold for every image of the scene, one sentence a line.
+pub const COPHASE_TEXT_REMARKS: i32 = 3;
+/// Text of an estimate or a session: the device that it ran on: "cpu", or an OpenCL device.
+pub const COPHASE_TEXT_DEVICE: i32 = 4;
+/// Text of an estimate or a session: its policy, "full" or "realtime".
+pub const COPHASE_TEXT_POLICY: i32 = 5;
+/// Text of an estimate: the modes that model selection added to the scene's.
+pub const COPHASE_TEXT_MODEL: i32 = 6;
+/// Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics that were fitted.
+pub const COPHASE_TEXT_SCENE: i32 = 7;
+/// Text of an estimate or a session: why image `index` has its status, a sentence.
+pub const COPHASE_TEXT_IMAGE_MESSAGE: i32 = 8;
+/// Text of an estimate: name of mode `index`.
+pub const COPHASE_TEXT_MODE_NAME: i32 = 9;
+/// Text of an estimate: name of term `index` of the error budget.
+pub const COPHASE_TEXT_ERROR_TERM_NAME: i32 = 10;
