@@ -6,7 +6,7 @@ use cophase::ao::{Sensor, Stepper};
 use cophase::io::{FitsWriter, Pixel};
 use cophase::modes::Samples;
 use cophase::scene::{Precision, Scene};
-use cophase::sequence_estimate::{SkyImages, read};
+use cophase::pipeline::{Estimate, Estimator, Images};
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
 use std::path::{Path, PathBuf};
 
@@ -15,8 +15,12 @@ fn sky() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/c_api/sky.toml")
 }
 
+fn read(scene: &Scene, images: &Images) -> Result<Estimate, Error> {
+    Estimator::new(scene)?.estimate(images)
+}
+
 /// Exposures behind the loop, with the slopes that were measured meanwhile.
-fn exposures(stepper: &mut Stepper, count: usize) -> SkyImages {
+fn exposures(stepper: &mut Stepper, count: usize) -> Images {
     let (mut images_e, mut slopes_mas) = (Vec::new(), Vec::new());
     stepper.step(300).unwrap();
     for _ in 0..count {
@@ -27,7 +31,7 @@ fn exposures(stepper: &mut Stepper, count: usize) -> SkyImages {
     let views: Vec<_> = images_e.iter().map(|image| image.view()).collect();
     let images_e: Array3<f64> = ndarray::stack(Axis(0), &views).unwrap();
     let slopes_mas = Array2::from_shape_vec((count, slopes_mas.len() / count), slopes_mas).unwrap();
-    SkyImages { bad: images_e.mapv(|_| false), images_e, read_noise_e: None, slopes_mas: Some(slopes_mas) }
+    Images { slopes_mas: Some(slopes_mas), ..Images::new(images_e) }
 }
 
 #[test]
@@ -35,14 +39,13 @@ fn precision_is_honoured_and_hardly_matters() {
     let single = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
     let double = single.with_override("estimate.precision", "f64").unwrap();
     let images = exposures(&mut Stepper::new(&single).unwrap(), 3);
-    let [single, double] = [single, double].map(|scene| read(&scene, &images, None, &|_| {}).unwrap());
+    let [single, double] = [single, double].map(|scene| read(&scene, &images).unwrap());
     assert_eq!((single.precision, double.precision), (Precision::F32, Precision::F64));
-    let [one, other] = [&single, &double].map(|found| found.result().unwrap());
-    let (one_nm, other_nm) = (one.coefficients_nm(), other.coefficients_nm());
+    let (one_nm, other_nm) = (&single.coefficients_nm, &double.coefficients_nm);
     assert_ne!(one_nm, other_nm);
     // A retrieval stops within a fraction of what its noise leaves, in either precision somewhere else.
     let within = |((one, other), sigma): ((&f64, &f64), f64)| (one - other).abs() < sigma;
-    assert!(one_nm.iter().zip(&other_nm).zip(other.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
+    assert!(one_nm.iter().zip(other_nm).zip(double.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
 }
 
 /// The whole estimate on every OpenCL device: what it says of itself, and the CPU's answer.
@@ -52,21 +55,21 @@ fn a_device_is_honoured_and_hardly_matters() {
     let cpu = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
     let images = exposures(&mut Stepper::new(&cpu).unwrap(), 3);
     let absent = cpu.with_override("estimate.device", "opencl:99:0").unwrap();
-    assert!(matches!(read(&absent, &images, None, &|_| {}), Err(Error::Device(_))));
+    assert!(matches!(read(&absent, &images), Err(Error::Device(_))));
     let devices = cophase::device::devices().unwrap_or_default();
     let required = std::env::var("COPHASE_REQUIRE_OPENCL").as_deref() == Ok("1");
     assert!(!devices.is_empty() || !required, "COPHASE_REQUIRE_OPENCL=1, and no OpenCL device was found");
-    let wanted = read(&cpu, &images, None, &|_| {}).unwrap();
-    assert_eq!((wanted.device.as_str(), &wanted.device_failure), ("cpu", &None));
-    let (wanted_nm, sigma_nm) = (wanted.result().unwrap().coefficients_nm(), wanted.result().unwrap().sigma_nm());
+    let wanted = read(&cpu, &images).unwrap();
+    assert_eq!((wanted.device.as_str(), wanted.warnings.len()), ("cpu", 0));
+    let (wanted_nm, sigma_nm) = (&wanted.coefficients_nm, wanted.sigma_nm());
     for info in devices.iter().filter(|info| info.f64) {
         let scene = cpu.with_override("estimate.device", &info.address()).unwrap();
-        let found = read(&scene, &images, None, &|_| {}).unwrap();
+        let found = read(&scene, &images).unwrap();
         assert!(found.device.starts_with(&info.address()), "{}", found.device);
-        let coefficients_nm = found.result().unwrap().coefficients_nm();
+        let coefficients_nm = &found.coefficients_nm;
         // The same steps in other roundings, which grow with each: after some hundred, in three passes, 3e-4 of an error bar
         // is seen.
-        let parts = coefficients_nm.iter().zip(&wanted_nm).zip(&sigma_nm);
+        let parts = coefficients_nm.iter().zip(wanted_nm).zip(&sigma_nm);
         let apart = parts.map(|((a, b), sigma)| (a - b).abs() / sigma).fold(0.0, f64::max);
         println!("{info}: {apart:.1e} error bars apart");
         assert!(apart < 0.02, "{info}: {apart} error bars");
@@ -80,7 +83,7 @@ fn images_in_focus_have_no_signs_and_it_is_said() {
     let said = |waves: &str| {
         let scene = scene.with_override("image.diversity_focus_waves_rms", waves).unwrap();
         let images = exposures(&mut Stepper::new(&scene).unwrap(), 3);
-        read(&scene, &images, None, &|_| {}).unwrap().warnings().unwrap().join("\n").contains("signs of these maps")
+        read(&scene, &images).unwrap().warnings.join("\n").contains("signs of these maps")
     };
     assert!(said("0.001") && !said("1.5"));
 }
@@ -121,9 +124,7 @@ fn an_error_of_a_diversity_that_no_mode_holds_is_refused() {
     let images_e = Array3::zeros((3, 72, 80));
     for settings in [&ripples[..], &[("image.diversity_focus_waves_rms", "0")]] {
         let scene = Scene::from_file(sky()).unwrap().with(&[settings, &unsure].concat()).unwrap();
-        let bad = images_e.mapv(|_| false);
-        let images = SkyImages { images_e: images_e.clone(), bad, read_noise_e: None, slopes_mas: None };
-        match read(&scene, &images, None, &|_| {}).map(|_| ()) {
+        match read(&scene, &Images::new(images_e.clone())).map(|_| ()) {
             Err(Error::Scene(sentence)) => {
                 assert!(sentence.starts_with("estimate.diversity_error = 0.02 needs modes"), "{sentence}");
                 assert!(sentence.contains("hold a focus"), "{sentence}");
@@ -140,8 +141,8 @@ fn corrections_take_off_what_is_really_there() {
     let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
     let mut stepper = Stepper::new(&scene).unwrap();
     let images = exposures(&mut stepper, 6);
-    let found = read(&scene, &images, None, &|_| {}).unwrap();
-    let commands = found.result().unwrap().corrections(&scene, None).unwrap();
+    let found = read(&scene, &images).unwrap();
+    let commands = found.corrections(None).unwrap();
     let simulator = stepper.simulator();
     let (truth, pupil) = (simulator.truth(), simulator.pupil());
 

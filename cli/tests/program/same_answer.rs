@@ -265,7 +265,7 @@ fn a_map_sequence_with_telemetry() {
         images.push(stepper.image_e().unwrap().mapv(f64::from));
         slopes.push(stepper.last().unwrap().slopes_mas.iter().map(|&mas| f64::from(mas)).collect::<Vec<f64>>());
     }
-    let views: Vec<_> = images.iter().map(Array2::view).collect();
+    let views: Vec<_> = images.iter().map(|image| image.view()).collect();
     let slopes_mas = Array2::from_shape_vec((4, slopes[0].len()), slopes.concat()).unwrap();
     let settings = [("estimate.method", "full-phase"), ("estimate.precision", "f64"), ("estimate.device", "cpu")];
     let case = Case {

@@ -7,7 +7,7 @@ use cophase::ao::{self, Shot, Simulator};
 use cophase::metrics::residual_nm;
 use cophase::pupil::Pupil;
 use cophase::scene::{Knows, Scene};
-use cophase::sequence_estimate::{FullPhase, SkyImages, read};
+use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::source::{Truth, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
@@ -118,13 +118,13 @@ impl Behind {
     }
 
     /// The full-phase estimate of the first `count` images.
-    fn full_phase(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<FullPhase> {
+    fn full_phase(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Estimate> {
         let images_e = self.images_e.slice(s![..count, .., ..]).to_owned();
         let heard = reader.estimate.knows.is_none_or(|knows| knows >= Knows::Telemetry);
         let slopes_mas = heard.then(|| self.slopes_mas.slice(s![..count, ..]).to_owned());
-        let bad = images_e.mapv(|_| false);
-        let images = SkyImages { images_e, bad, read_noise_e: None, slopes_mas };
-        read(reader, &images, progress.cancel(), &|_| {})
+        let images = Images { slopes_mas, ..Images::new(images_e) };
+        let control = Control::with_flag(progress.cancel().cloned().unwrap_or_default(), |_| {});
+        Estimator::with_policy(reader, Policy::default(), control)?.estimate(&images)
     }
 
     /// Phasing and NCPA in the paper's way; none where nothing can be fitted.
@@ -189,7 +189,7 @@ impl BeyondRow {
         let behind = Behind::of(Simulator::new(&before)?, progress)?;
         let reader = self.reader(&before)?;
         let found = behind.full_phase(&reader, before.image.count, progress)?;
-        let ours = self.corrected(&found.result()?.phasing_nm, conditions, seed, progress)?;
+        let ours = self.corrected(&found.phasing_nm, conditions, seed, progress)?;
         let Some([phasing_nm, _]) = behind.paper_maps(&modal(&reader)?, before.image.count, progress)? else {
             return Err(Error::Image(format!("the paper's way found nothing behind the loop {first}")));
         };
@@ -226,30 +226,31 @@ impl BeyondRow {
     fn held(
         &self,
         behind: &Behind,
-        found: &FullPhase,
+        found: &Estimate,
         count: usize,
         seed: usize,
         paper_nm: [f64; 2],
     ) -> Result<BeyondDraw> {
-        let (pass, first) = (found.result()?, &found.passes[0]);
-        let [phasing_nm, ncpa_nm] = behind.residuals_nm(&pass.phasing_nm, &pass.ncpa_nm)?;
+        let Some(map) = &found.map else { return Err(Error::Internal("a sequence without iterations".into())) };
+        let first = &map.iterations[0];
+        let [phasing_nm, ncpa_nm] = behind.residuals_nm(&found.phasing_nm, &found.ncpa_nm)?;
         let [first_phasing_nm, first_ncpa_nm] = behind.residuals_nm(&first.phasing_nm, &first.ncpa_nm)?;
-        let passes = found.passes.len() as f64;
+        let iterations = map.iterations.len() as f64;
         let numbers = [
             count as f64,
-            pass.used_images.len() as f64,
-            passes,
+            found.used() as f64,
+            iterations,
             phasing_nm,
             ncpa_nm,
-            pass.error_budget.total_nm[0],
-            pass.error_budget.total_nm[1],
-            pass.reduced_chi2,
+            found.phasing.sigma_nm,
+            found.ncpa.sigma_nm,
+            found.reduced_chi2,
             first_phasing_nm,
             first_ncpa_nm,
             paper_nm[0],
             paper_nm[1],
             found.seconds,
-            1e3 * found.retrieval_seconds / (count as f64 * passes),
+            1e3 * map.retrieval_seconds / (count as f64 * iterations),
         ];
         Ok(BeyondDraw { row: self.name.to_string(), seed, numbers })
     }
