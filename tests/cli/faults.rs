@@ -169,15 +169,16 @@ fn a_thread_that_panics_is_a_status_of_the_c_call() {
         row_stride: 64,
         col_stride: 1,
     };
-    let (mut model, mut session, mut modes) = (null_mut(), null_mut(), 0);
-    let mut options = std::mem::MaybeUninit::<cophase_session_options>::uninit();
-    // SAFETY: live locals, handles that the calls made, and an array that is there.
+    let (mut model, mut session) = (null_mut(), null_mut());
+    // SAFETY: live locals, of which zeros are values; handles that the calls made, and an array that is there.
     unsafe {
-        cophase_session_options_init(options.as_mut_ptr(), size_of::<cophase_session_options>());
-        ((*options.as_mut_ptr()).capacity, (*options.as_mut_ptr()).threads) = (2, 0);
-        assert_eq!(cophase_model_create(scene.as_ptr(), null(), &mut model), COPHASE_OK);
-        assert_eq!(cophase_model_mode_count(model, &mut modes), COPHASE_OK);
-        assert_eq!(cophase_session_create(null(), model, options.as_ptr(), &mut session), COPHASE_OK);
+        let mut info = std::mem::zeroed::<cophase_model_info>();
+        let mut options = std::mem::zeroed::<cophase_session_options>();
+        (options.struct_size, options.capacity, options.threads) = (size_of_val(&options), 2, -1);
+        assert_eq!(cophase_model_create(scene.as_ptr(), null(), null(), &mut model), COPHASE_OK);
+        assert_eq!(cophase_model_get_info(model, &mut info, size_of_val(&info)), COPHASE_OK);
+        assert_eq!(cophase_session_create(model, &options, &mut session), COPHASE_OK);
+        let modes = info.modes;
         let mut coefficients_nm = vec![7.0; 2 * modes];
         for _ in 0..2 {
             let out = coefficients_nm.as_mut_ptr();
@@ -187,7 +188,7 @@ fn a_thread_that_panics_is_a_status_of_the_c_call() {
         assert!(coefficients_nm.iter().all(|&nm| nm == 7.0));
         cophase_session_destroy(session);
         // The model was only read, and makes sessions as before.
-        assert_eq!(cophase_session_create(null(), model, options.as_ptr(), &mut session), COPHASE_OK);
+        assert_eq!(cophase_session_create(model, &options, &mut session), COPHASE_OK);
         cophase_session_destroy(session);
         cophase_model_destroy(model);
     }
