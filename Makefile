@@ -61,9 +61,11 @@ endif
 $(BUILD):
 	mkdir -p $@
 
-# The functions of the header: lines of comments left out, names before a parenthesis.
-$(BUILD)/symbols: include/cophase.h Makefile | $(BUILD)
-	sed '/^ *\/\//d' $< | grep -o '\bcophase_[a-z0-9_]*(' | tr -d '(' | sort -u >$@
+HEADERS := include/cophase.h include/cophase_simulator.h
+
+# The functions of the headers: without comments, names before a parenthesis.
+$(BUILD)/symbols: $(HEADERS) Makefile | $(BUILD)
+	$(CC) -E -P include/cophase_simulator.h | grep -o '\bcophase_[a-z0-9_]*(' | tr -d '(' | sort -u >$@
 
 # Out of the archive what the functions need; debugging information and the bitcode of Rust's own libraries stay behind,
 # names for backtraces do not.
@@ -90,7 +92,7 @@ FILL := sed -e 's|@VERSION@|$(VERSION)|g' -e 's|@PREFIX@|$(PREFIX)|g' -e 's|@SON
 
 install: $(BUILT)
 	$(INSTALL) -d $(addprefix $(DESTDIR),$(INCLUDEDIR) $(LIBDIR) $(PKGCONFIGDIR) $(CMAKEDIR))
-	$(INSTALL) -m 644 include/cophase.h $(DESTDIR)$(INCLUDEDIR)
+	$(INSTALL) -m 644 $(HEADERS) $(DESTDIR)$(INCLUDEDIR)
 	$(INSTALL) -m 755 $(BUILD)/$(SHARED) $(DESTDIR)$(LIBDIR)
 	$(INSTALL) -m 644 $(BUILD)/libcophase.a $(DESTDIR)$(LIBDIR)
 	ln -sf $(SHARED) $(DESTDIR)$(LIBDIR)/$(SONAME)
@@ -101,7 +103,7 @@ install: $(BUILT)
 # Folders are left where others may have their files.
 uninstall:
 	rm -f $(addprefix $(DESTDIR)$(LIBDIR)/,$(SHARED) $(SONAME) libcophase.so libcophase.a)
-	rm -f $(DESTDIR)$(INCLUDEDIR)/cophase.h $(addprefix $(DESTDIR)$(PKGCONFIGDIR)/,$(PC_FILES))
+	rm -f $(addprefix $(DESTDIR)$(INCLUDEDIR)/,$(notdir $(HEADERS))) $(addprefix $(DESTDIR)$(PKGCONFIGDIR)/,$(PC_FILES))
 	rm -rf $(DESTDIR)$(CMAKEDIR)
 
 check-lto: $(BUILT)

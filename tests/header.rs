@@ -84,11 +84,16 @@ fn the_headers_have_every_function_once() {
 }
 
 #[test]
-fn the_header_compiles_as_c_and_as_cpp() {
+fn the_headers_compile_as_c_and_as_cpp() {
     let directory = tempfile::tempdir().unwrap();
     for (compiler, standard, name) in [("cc", "-std=c99", "use.c"), ("c++", "-std=c++17", "use.cpp")] {
         let source = directory.path().join(name);
-        std::fs::write(&source, "#include <cophase.h>\nint main(void) { return cophase_version() == 0; }\n").unwrap();
+        let options = if name == "use.c" { "{.struct_size = sizeof options}" } else { "{}" };
+        let program = format!(
+            "#include <cophase_simulator.h>\n#include <cophase.h>\nint main(void)\n{{\n    cophase_fit_options options = \
+             {options};\n    return cophase_version() == 0 || options.start_nm != 0;\n}}\n"
+        );
+        std::fs::write(&source, program).unwrap();
         let output = Command::new(compiler)
             .args([standard, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "-I"])
             .arg(root().join("include"))
@@ -137,4 +142,5 @@ fn a_c_program_links_and_runs() {
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.starts_with(&format!("cophase {}, C interface", env!("CARGO_PKG_VERSION"))), "{text}");
     assert!(text.contains("0 OK\n1 BAD_SCENE\n") && text.contains("11 PANIC\n12 UNKNOWN\n"), "{text}");
+    assert!(text.contains("100 OK\n101 MISFIT\n") && text.contains("105 DEADLINE\n106 UNKNOWN\n"), "{text}");
 }

@@ -209,28 +209,30 @@ fn the_calls_of_the_c_interface_marked_rt() {
     let dark = vec![100.0_f32; 120 * 132];
     let text = CString::new(scene.text()).unwrap();
     let (mut model, mut session, mut sequence) = (null_mut(), null_mut(), null_mut());
-    let mut modes = 0;
-    unsafe {
-        assert_eq!(cophase_model_create(text.as_ptr(), null(), &mut model), COPHASE_OK);
-        assert_eq!(cophase_model_mode_count(model, &mut modes), COPHASE_OK);
-        let mut options = MaybeUninit::uninit();
-        assert_eq!(cophase_session_options_init(options.as_mut_ptr(), size_of_val(&options)), COPHASE_OK);
-        let mut options = options.assume_init();
-        options.capacity = 4;
-        assert_eq!(cophase_session_create(null(), model, &options, &mut session), COPHASE_OK);
+    let mut estimator = null_mut();
+    let modes = unsafe {
+        assert_eq!(cophase_model_create(text.as_ptr(), null(), null(), &mut model), COPHASE_OK);
+        let mut info = MaybeUninit::<cophase_model_info>::uninit();
+        assert_eq!(cophase_model_get_info(model, info.as_mut_ptr(), size_of::<cophase_model_info>()), COPHASE_OK);
+        // SAFETY: zeros are the defaults.
+        let mut options = std::mem::zeroed::<cophase_session_options>();
+        (options.struct_size, options.capacity) = (size_of_val(&options), 4);
+        options.device = c"cpu".as_ptr();
+        assert_eq!(cophase_session_create(model, &options, &mut session), COPHASE_OK);
         assert_eq!(cophase_sequence_create(model, 3, &mut sequence), COPHASE_OK);
-        let mut calibration = MaybeUninit::uninit();
-        assert_eq!(cophase_calibration_init(calibration.as_mut_ptr(), size_of_val(&calibration)), COPHASE_OK);
-        let mut calibration = calibration.assume_init();
+        assert_eq!(cophase_estimator_create(text.as_ptr(), null(), null(), &mut estimator), COPHASE_OK);
+        let mut calibration = std::mem::zeroed::<cophase_calibration>();
+        calibration.struct_size = size_of_val(&calibration);
         (calibration.dark, calibration.gain_e) = (input(&dark, COPHASE_F32, [1, 120, 132]), 3.0);
         calibration.saturation = 65535.0;
         assert_eq!(cophase_session_calibrate(session, &calibration), COPHASE_OK);
-    }
+        info.assume_init().modes
+    };
     let frames = input(&raw, COPHASE_U16, shape);
     let mut coefficients_nm = vec![0.0; 4 * modes];
     let (mut objectives, mut gradients) = (vec![0.0; 4], vec![0.0; 4 * modes]);
-    let mut reports = [MaybeUninit::<cophase_report>::uninit(); 4];
-    let size = size_of::<cophase_report>();
+    let mut reports = [MaybeUninit::<cophase_image_report>::uninit(); 4];
+    let size = size_of::<cophase_image_report>();
     let call = |name: &str, call: &mut dyn FnMut() -> i32| {
         let (status, calls) = counted(call);
         assert_eq!((status, calls), (COPHASE_OK, 0), "{name}");
@@ -241,11 +243,19 @@ fn the_calls_of_the_c_interface_marked_rt() {
         // More than it keeps.
         call("push", &mut || cophase_sequence_push(sequence, session));
         call("push again", &mut || cophase_sequence_push(sequence, session));
-        call("load", &mut || cophase_session_load(session, &frames, null()));
         let (objectives, gradients) = (objectives.as_mut_ptr(), gradients.as_mut_ptr());
-        call("evaluate", &mut || cophase_session_evaluate(session, out, 4, modes, objectives, gradients));
-        call("clear", &mut || cophase_sequence_clear(sequence));
+        for frames in [&raw const frames, null()] {
+            call("evaluate", &mut || {
+                cophase_session_evaluate(session, frames, null(), out, 4, modes, objectives, gradients)
+            });
+        }
+        call("clear", &mut || cophase_sequence_push(sequence, null()));
         call("cancel", &mut || cophase_session_cancel(session));
+        let (mut stage, mut done, mut total) = (7, 7, 7);
+        call("progress", &mut || cophase_estimator_progress(estimator, &mut stage, &mut done, &mut total));
+        assert_eq!((stage, done, total), (COPHASE_STAGE_IDLE, 0, 0));
+        call("cancel an estimate", &mut || cophase_estimator_cancel(estimator));
+        cophase_estimator_destroy(estimator);
         for report in reports {
             let report = report.assume_init();
             assert!(report.status <= COPHASE_IMAGE_MISFIT && report.evaluations > 5, "{report:?}");

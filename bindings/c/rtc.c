@@ -32,7 +32,7 @@ static struct cube cube;
 static double rate_hz = 10.0;
 static size_t count = 1000, dropped; /* of the camera, as of here: frames */
 static cophase_session *session;     /* of the estimator */
-static cophase_fit_options options;
+static cophase_fit_options options = {.struct_size = sizeof options};
 static double *coefficients_nm, *latency_s;
 static size_t modes, done, late, skipped;
 static sem_t finished;
@@ -99,7 +99,7 @@ static void *estimator(void *unused)
     ask_for_priority(40);
     for (;;) {
         const size_t next = queue.read;
-        cophase_report report;
+        cophase_image_report report;
         cophase_status pushed;
 
         while (sem_wait(&queue.news) != 0) {} /* a signal may end the wait early */
@@ -125,7 +125,7 @@ static void print_estimate(double *static_nm)
     cophase_sequence_report all;
 
     /* BAD_IMAGE while none could be used, BUSY while one is pushed. */
-    if (cophase_sequence_estimate(sequence, static_nm, NULL, modes, &all, sizeof all) == COPHASE_OK)
+    if (cophase_sequence_estimate(sequence, static_nm, NULL, NULL, modes, &all, sizeof all) == COPHASE_OK)
         printf("%llu of %llu images: phasing %.2f +- %.2f nm, NCPA %.2f +- %.2f nm RMS\n", (unsigned long long)all.used,
                (unsigned long long)all.images, all.phasing_rms_nm, all.phasing_sigma_nm, all.ncpa_rms_nm,
                all.ncpa_sigma_nm);
@@ -162,41 +162,39 @@ static double latency_ms(double fraction)
 
 int main(int argc, char **argv)
 {
-    const char *device_name = "cpu";
+    cophase_session_options session_options = {.struct_size = sizeof session_options, .device = "cpu"};
     const unsigned char *bytes;
     char *scene;
-    size_t i, length, rows, cols;
-    cophase_device *device;
+    size_t i, length;
+    cophase_model_info info;
     cophase_model *model;
     pthread_t threads[2];
 
-    check(cophase_fit_options_init(&options, sizeof options));
     for (int option; (option = getopt(argc, argv, "r:n:d:t:")) != -1;)
         switch (option) {
         case 'r': rate_hz = atof(optarg); break;
         case 'n': count = strtoul(optarg, NULL, 10); break;
-        case 'd': device_name = optarg; break;
+        case 'd': session_options.device = optarg; break;
         case 't': options.deadline_s = 1e-3 * atof(optarg); break;
         default: return 2;
         }
     if (argc - optind != 2 || !(rate_hz > 0.0) || count == 0)
         die("usage: rtc [-r HZ] [-n COUNT] [-d DEVICE] [-t DEADLINE_MS] SCENE.toml FRAMES");
 
-    /* Whatever takes long or allocates comes before the first frame. */
+    /* All that takes long or allocates comes before the first frame. */
     bytes = mapped(argv[optind], &length);
     scene = strndup((const char *)bytes, length);
-    check(cophase_model_create(scene, dirname(argv[optind]), &model));
+    check(cophase_model_create(scene, dirname(argv[optind]), NULL, &model));
     free(scene);
-    check(cophase_device_open(device_name, &device));
-    check(cophase_session_create(device, model, NULL, &session));
+    check(cophase_session_create(model, &session_options, &session));
     check(cophase_sequence_create(model, KEPT, &sequence));
-    check(cophase_model_mode_count(model, &modes));
-    check(cophase_model_frame_shape(model, &rows, &cols));
-    cube = open_cube(argv[optind + 1], rows, cols);
+    check(cophase_model_get_info(model, &info, sizeof info));
+    modes = info.modes;
+    cube = open_cube(argv[optind + 1], info.rows, info.cols);
     coefficients_nm = calloc(modes, sizeof *coefficients_nm);
     latency_s = calloc(count, sizeof *latency_s);
     for (i = 0; i < SLOTS; i++)
-        queue.slots[i].pixels = calloc(rows * cols, sizeof(float));
+        queue.slots[i].pixels = calloc(info.rows * info.cols, sizeof(float));
     if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
         fprintf(stderr, "rtc: memory is not locked (%s): page faults may delay a frame\n", strerror(errno));
     if (sem_init(&queue.news, 0, 0) != 0 || sem_init(&finished, 0, 0) != 0 ||
@@ -213,7 +211,6 @@ int main(int argc, char **argv)
            latency_ms(0.99), latency_ms(1.0));
     cophase_sequence_destroy(sequence);
     cophase_session_destroy(session);
-    cophase_device_close(device);
     cophase_model_destroy(model);
     for (i = 0; i < SLOTS; i++)
         free(queue.slots[i].pixels);

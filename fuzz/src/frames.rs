@@ -48,22 +48,21 @@ impl Session {
     pub fn new() -> Self {
         let scene = CString::new(SCENE).expect("no zero byte");
         let (mut model, mut session) = (ptr::null_mut(), ptr::null_mut());
-        let (mut modes, mut rows, mut cols) = (0, 0, 0);
-        let mut options = std::mem::MaybeUninit::<cophase_session_options>::uninit();
+        // SAFETY: zeros are values of both structs, and the defaults of the options.
+        let (mut info, mut options) =
+            unsafe { (std::mem::zeroed::<cophase_model_info>(), std::mem::zeroed::<cophase_session_options>()) };
+        (options.struct_size, options.capacity) = (size_of_val(&options), CAPACITY);
         // SAFETY: live locals, and handles that the calls before made.
         let made = unsafe {
-            cophase_session_options_init(options.as_mut_ptr(), size_of::<cophase_session_options>());
-            (*options.as_mut_ptr()).capacity = CAPACITY;
             [
-                cophase_model_create(scene.as_ptr(), ptr::null(), &mut model),
-                cophase_model_mode_count(model, &mut modes),
-                cophase_model_frame_shape(model, &mut rows, &mut cols),
-                cophase_session_create(ptr::null(), model, options.as_ptr(), &mut session),
+                cophase_model_create(scene.as_ptr(), ptr::null(), ptr::null(), &mut model),
+                cophase_model_get_info(model, &mut info, size_of::<cophase_model_info>()),
+                cophase_session_create(model, &options, &mut session),
             ]
         };
-        assert_eq!(made, [COPHASE_OK; 4], "{}", sentence());
-        assert_eq!(rows, cols);
-        Self { model, session, side: rows, modes }
+        assert_eq!(made, [COPHASE_OK; 3], "{}", sentence());
+        assert_eq!(info.rows, info.cols);
+        Self { model, session, side: info.rows, modes: info.modes }
     }
 
     /// Describes an array as `input` says, calibrates with it and fits it; gives whether it was fitted.
@@ -96,17 +95,17 @@ impl Session {
     }
 
     unsafe fn calibrate(&self, array: cophase_input, take: &mut Bytes) {
-        let mut made = std::mem::MaybeUninit::<cophase_calibration>::uninit();
+        // SAFETY: zeros are the defaults; of the rest as the caller says.
         unsafe {
-            cophase_calibration_init(made.as_mut_ptr(), size_of::<cophase_calibration>());
-            let calibration = &mut *made.as_mut_ptr();
+            let mut calibration = std::mem::zeroed::<cophase_calibration>();
+            calibration.struct_size = size_of_val(&calibration);
             match take.byte() % 3 {
                 0 => calibration.dark = array,
                 1 => calibration.flat = array,
                 _ => calibration.bad = array,
             }
             (calibration.gain_e, calibration.saturation) = (take.real(), take.real());
-            refusal(cophase_session_calibrate(self.session, calibration));
+            refusal(cophase_session_calibrate(self.session, &calibration));
         }
     }
 

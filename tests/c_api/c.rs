@@ -1,27 +1,19 @@
-//! Models, sessions and sequences from C, against the public header alone. Each program is compiled as C99 and as C++17
-//! with warnings as errors, checks what it can by itself, and dumps what must be the same bits in Rust.
+//! Models, estimators, sessions and sequences from C, against the public headers alone. Each program is compiled as C99 with
+//! warnings as errors (`tests/header.rs` compiles the headers as C++17 too), checks what it can by itself, and dumps what
+//! must be the same bits in Rust.
 //!
 //! `scripts/sanitize` runs these tests once more, under other flags of the compiler (`COPHASE_C_FLAGS`) and under a
 //! program that watches them (`COPHASE_C_RUNNER`).
 
 mod estimates;
 mod golden;
+mod pipeline;
 mod rtc;
 
 use super::fits::same;
-use super::{here, is_here, libraries, root};
+use super::{here, libraries, root};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-
-/// A compiler, with what makes it take a source as the language meant.
-type Language = (&'static str, &'static [&'static str]);
-
-/// Those that are here. What watches a program's memory sees the same in either: once is enough.
-fn languages() -> Vec<Language> {
-    let all: [Language; 2] = [("cc", &["-std=c99"]), ("c++", &["-std=c++17", "-x", "c++"])];
-    let wanted = if is_watched() { 1 } else { 2 };
-    all.into_iter().take(wanted).filter(|(compiler, _)| is_here(compiler, &["--version"], "CI")).collect()
-}
 
 fn words(variable: &str) -> Vec<String> {
     std::env::var(variable).unwrap_or_default().split_whitespace().map(String::from).collect()
@@ -32,17 +24,16 @@ fn is_watched() -> bool {
     !words("COPHASE_C_FLAGS").is_empty() || !words("COPHASE_C_RUNNER").is_empty()
 }
 
-/// Compiles `source` against the header and the library, into `directory`.
-pub(super) fn compile((compiler, language): (&str, &[&str]), source: &Path, directory: &Path) -> PathBuf {
+/// Compiles `source` in a version of C against the headers and the library, into `directory`.
+pub(super) fn compile(standard: &str, source: &Path, directory: &Path) -> PathBuf {
     let program = directory.join(source.file_stem().unwrap());
-    let output = Command::new(compiler)
-        .args(language)
+    let output = Command::new("cc")
+        .arg(standard)
         .args(["-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
         .arg(root().join("include"))
         .args(words("COPHASE_C_FLAGS"))
         .arg(source)
-        // What follows is a library again, whatever language the source was said to be.
-        .args(["-x", "none", "-L"])
+        .arg("-L")
         .arg(libraries())
         .args(["-lcophase", "-pthread", "-lm"])
         .arg(format!("-Wl,-rpath,{}", libraries().display()))
@@ -50,7 +41,7 @@ pub(super) fn compile((compiler, language): (&str, &[&str]), source: &Path, dire
         .arg(&program)
         .output()
         .unwrap();
-    assert!(output.status.success(), "{compiler}: {}", String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "cc: {}", String::from_utf8_lossy(&output.stderr));
     program
 }
 
@@ -83,15 +74,13 @@ fn succeeded(command: &mut Command) -> Output {
     output
 }
 
-/// Runs the program of `source` in both languages, with `arguments` and then a file for its dump, which `check` is given.
+/// Runs the program of `source` with `arguments` and then a file for its dump, which `check` is given.
 fn dumps(source: &str, arguments: &[&Path], check: impl Fn(&Path)) {
-    for language in languages() {
-        let directory = tempfile::tempdir().unwrap();
-        let program = compile(language, &here().join(source), directory.path());
-        let dump = directory.path().join("dump");
-        succeeded(command(&program).args(arguments).arg(&dump));
-        check(&dump);
-    }
+    let directory = tempfile::tempdir().unwrap();
+    let program = compile("-std=c99", &here().join(source), directory.path());
+    let dump = directory.path().join("dump");
+    succeeded(command(&program).args(arguments).arg(&dump));
+    check(&dump);
 }
 
 /// The doubles of a dump.
@@ -102,13 +91,11 @@ fn doubles(dump: &Path) -> Vec<f64> {
     values.iter().map(|&bytes| f64::from_ne_bytes(bytes)).collect()
 }
 
-/// Runs the program of `source`, which dumps nothing, in both languages.
+/// Runs the program of `source`, which dumps nothing.
 fn passes(source: &str, arguments: &[&str]) {
-    for language in languages() {
-        let directory = tempfile::tempdir().unwrap();
-        let program = compile(language, &here().join(source), directory.path());
-        succeeded(command(&program).arg(here().join("tiny.toml")).args(arguments));
-    }
+    let directory = tempfile::tempdir().unwrap();
+    let program = compile("-std=c99", &here().join(source), directory.path());
+    succeeded(command(&program).arg(here().join("tiny.toml")).args(arguments));
 }
 
 #[test]

@@ -40,24 +40,22 @@ static inline void draw_coefficients(double *coefficients_nm, size_t modes, doub
  * over a background, with photon and read noise. */
 static inline void make_frame(const cophase_model *model, const double *coefficients_nm, uint64_t seed, float *frame)
 {
-    size_t modes = 0, rows = 0, cols = 0, pixels = 0, y, x;
-    cophase_array_f32 out;
-    float *psf;
+    cophase_model_info info;
+    size_t pixels, y, x;
+    double *psf;
 
-    CHECK(cophase_model_mode_count(model, &modes) == COPHASE_OK);
-    CHECK(cophase_model_frame_shape(model, &rows, &cols) == COPHASE_OK);
-    CHECK(cophase_model_pixels(model, &pixels) == COPHASE_OK);
-    psf = floats(pixels * pixels);
-    out = output(psf, 1, pixels, pixels);
-    CHECK(cophase_model_psf(model, coefficients_nm, modes, &out) == COPHASE_OK);
-    for (y = 0; y < rows; y++)
-        for (x = 0; x < cols; x++) {
+    CHECK(cophase_model_get_info(model, &info, sizeof info) == COPHASE_OK);
+    pixels = info.pixels;
+    psf = doubles(pixels * pixels);
+    CHECK(cophase_model_psf(model, coefficients_nm, info.modes, psf, pixels * pixels) == COPHASE_OK);
+    for (y = 0; y < info.rows; y++)
+        for (x = 0; x < info.cols; x++) {
             /* Wraps around where the frame is the larger one, and is out of bounds then too. */
-            const size_t v = y + pixels / 2 - rows / 2, u = x + pixels / 2 - cols / 2;
-            const double star_e = v < pixels && u < pixels ? FLUX_E * (double)psf[v * pixels + u] : 0.0;
+            const size_t v = y + pixels / 2 - info.rows / 2, u = x + pixels / 2 - info.cols / 2;
+            const double star_e = v < pixels && u < pixels ? FLUX_E * psf[v * pixels + u] : 0.0;
             const double variance_e2 = star_e + BACKGROUND_E + READ_NOISE_E * READ_NOISE_E;
 
-            frame[y * cols + x] = (float)(star_e + BACKGROUND_E + sqrt(variance_e2) * normal(&seed));
+            frame[y * info.cols + x] = (float)(star_e + BACKGROUND_E + sqrt(variance_e2) * normal(&seed));
         }
     free(psf);
 }

@@ -9,34 +9,35 @@ int main(int argc, char **argv)
 {
     struct setting s;
     cophase_sequence *sequence = NULL;
-    cophase_device *device = NULL;
+    cophase_estimator *estimator = NULL;
+    cophase_model_info info;
     cophase_input frames;
     size_t size;
-    char text[64];
     char *scene;
 
     if (argc != 2)
         return 2;
     scene = read_file(argv[1], &size);
     s = setting_of(scene);
+    CHECK(cophase_estimator_create(scene, NULL, NULL, &estimator) == COPHASE_OK);
     free(scene);
     frames = frames_of(&s, 1);
     CHECK(cophase_sequence_create(s.model, 2, &sequence) == COPHASE_OK);
-    CHECK(cophase_device_open("cpu", &device) == COPHASE_OK);
 
     cophase_sequence_destroy(sequence);
-    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_sequence_clear(sequence));
+    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_sequence_push(sequence, NULL));
     cophase_sequence_destroy(sequence);
-    cophase_device_close(device);
-    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_device_name(device, text, sizeof text, &size));
-    cophase_device_close(device);
+    cophase_estimator_destroy(estimator);
+    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_estimator_cancel(estimator));
+    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_estimator_progress(estimator, NULL, NULL, NULL));
+    cophase_estimator_destroy(estimator);
     cophase_session_destroy(s.session);
-    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_session_load(s.session, &frames, NULL));
+    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0));
     REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_session_cancel(s.session));
     cophase_session_destroy(s.session);
     s.session = NULL;
     cophase_model_destroy(s.model);
-    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_model_mode_count(s.model, &size));
+    REFUSED(COPHASE_BAD_ARGUMENT, "destroyed", cophase_model_get_info(s.model, &info, sizeof info));
     cophase_model_destroy(s.model);
     s.model = NULL;
     done_with(&s);

@@ -28,18 +28,17 @@ static void evaluate(const char *name, cophase_model *model, const double *data,
     const double *points_nm = data, *golden_objectives = points_nm + POINTS * MODES;
     const double *golden_gradients = golden_objectives + POINTS, *image = golden_gradients + POINTS * MODES;
     cophase_input frames = input(image, COPHASE_F64, POINTS, PIXELS, PIXELS);
-    cophase_session_options options;
+    cophase_session_options options = DEFAULTS(cophase_session_options);
+    cophase_model_info info;
     cophase_session *session = NULL;
-    size_t modes = 0, i;
+    size_t i;
 
-    CHECK(cophase_model_mode_count(model, &modes) == COPHASE_OK && modes == MODES);
-    CHECK(cophase_model_segment_mode_count(model, &modes) == COPHASE_OK && modes == PISTONS);
-    CHECK(cophase_session_options_init(&options, sizeof options) == COPHASE_OK);
+    CHECK(cophase_model_get_info(model, &info, sizeof info) == COPHASE_OK);
+    CHECK(info.modes == MODES && info.segment_modes == PISTONS);
     options.capacity = POINTS;
-    CHECK(cophase_session_create(NULL, model, &options, &session) == COPHASE_OK);
+    CHECK(cophase_session_create(model, &options, &session) == COPHASE_OK);
     frames.count_stride = 0; /* the same image for each point */
-    CHECK(cophase_session_load(session, &frames, NULL) == COPHASE_OK);
-    CHECK(cophase_session_evaluate(session, points_nm, POINTS, MODES, objectives, gradients) == COPHASE_OK);
+    CHECK(cophase_session_evaluate(session, &frames, NULL, points_nm, POINTS, MODES, objectives, gradients) == COPHASE_OK);
     for (i = 0; i < POINTS; i++) {
         const double objective = fabs(objectives[i] / golden_objectives[i] - 1.0);
         const double gradient = relative_difference(gradients + i * MODES, golden_gradients + i * MODES, MODES);
@@ -56,18 +55,17 @@ static cophase_model *from_arrays(const char *scene, const double *image)
 {
     const double *pupil = image + PIXELS * PIXELS, *labels = pupil + N * N, *modes = labels + N * N;
     int32_t *segments = (int32_t *)memory(N * N, sizeof *segments);
-    cophase_model_arrays arrays;
+    cophase_model_arrays arrays = DEFAULTS(cophase_model_arrays);
     cophase_model *model = NULL;
     size_t i;
 
     for (i = 0; i < N * N; i++)
         segments[i] = (int32_t)labels[i];
-    CHECK(cophase_model_arrays_init(&arrays, sizeof arrays) == COPHASE_OK);
     arrays.pupil = input(pupil, COPHASE_F64, 1, N, N);
     arrays.segments = input(segments, COPHASE_I32, 1, N, N);
     arrays.modes = input(modes, COPHASE_F64, NCPA, N, N);
     arrays.diversity_nm = input(modes + NCPA * N * N, COPHASE_F64, 1, N, N);
-    CHECK(cophase_model_create_from_arrays(scene, NULL, &arrays, &model) == COPHASE_OK);
+    CHECK(cophase_model_create(scene, NULL, &arrays, &model) == COPHASE_OK);
     free(segments);
     return model;
 }
@@ -88,7 +86,7 @@ int main(int argc, char **argv)
     if (size != wanted * sizeof *data)
         return 2;
     scene = read_file(argv[1], &size);
-    CHECK(cophase_model_create(scene, argv[3], &model) == COPHASE_OK);
+    CHECK(cophase_model_create(scene, argv[3], NULL, &model) == COPHASE_OK);
     evaluate("from files", model, data, objectives, gradients);
     dump(file, objectives, POINTS);
     dump(file, gradients, POINTS * MODES);

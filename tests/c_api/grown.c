@@ -59,33 +59,13 @@ static int guard_stands(const void *memory, size_t size)
 
 /* ---- options */
 
-typedef cophase_status (*initialise)(void *options, size_t struct_size);
-
-/* The _init calls with one type. */
-#define INITIALISE(name)                                                   \
-    static cophase_status init_##name(void *options, size_t struct_size) \
-    {                                                                      \
-        return cophase_##name##_init((cophase_##name *)options, struct_size);  \
-    }
-INITIALISE(session_options)
-INITIALISE(fit_options)
-INITIALISE(calibration)
-INITIALISE(model_arrays)
-
-/* Initialises a struct of `size` bytes for a library that knows `known`, and looks at what became of its bytes. */
-static unsigned char *initialised(initialise init, size_t size, size_t known)
+/* Options of a program whose struct has `size` bytes: nothing but defaults, and a guard behind them. */
+static unsigned char *options_of(size_t size)
 {
-    unsigned char *options = (unsigned char *)guarded(size), *whole = (unsigned char *)guarded(known);
+    unsigned char *options = (unsigned char *)guarded(size);
 
-    WORKS(init(whole, known));
-    WORKS(init(options, size));
-    HOLDS(guard_stands(options, size));
-    HOLDS(memcmp(options, &size, sizeof size) == 0);
-    if (size <= known)
-        HOLDS(memcmp(options + sizeof size, whole + sizeof size, size - sizeof size) == 0);
-    else
-        HOLDS(all_are(options + known, size - known, 0));
-    free(whole);
+    memset(options, 0, size);
+    memcpy(options, &size, sizeof size);
     return options;
 }
 
@@ -97,7 +77,7 @@ static size_t modes, rows, cols;
 static float *frames_e;
 /* What a program of today gets: coefficients and reports of FRAMES frames. */
 static double *expected_nm;
-static cophase_report expected[FRAMES];
+static cophase_image_report expected[FRAMES];
 
 static cophase_input input(const void *data, int32_t element, size_t count, size_t height, size_t width)
 {
@@ -146,12 +126,11 @@ static int fits_as_expected(cophase_session *session, const cophase_fit_options 
 
 static cophase_session *session_for(size_t capacity)
 {
-    cophase_session_options options;
+    cophase_session_options options = {.struct_size = sizeof options};
     cophase_session *session = NULL;
 
-    WORKS(cophase_session_options_init(&options, sizeof options));
     options.capacity = capacity;
-    WORKS(cophase_session_create(NULL, model, &options, &session));
+    WORKS(cophase_session_create(model, &options, &session));
     return session;
 }
 
@@ -160,7 +139,7 @@ static cophase_session *session_for(size_t capacity)
 static void session_options(void)
 {
     const size_t known = sizeof(cophase_session_options);
-    const size_t sizes[] = {sizeof(size_t), offsetof(cophase_session_options, precision),
+    const size_t sizes[] = {sizeof(size_t), offsetof(cophase_session_options, device),
                             offsetof(cophase_session_options, max_evaluations), known, known + GROWN_BYTES};
     cophase_session *session = NULL;
     unsigned char *options;
@@ -170,20 +149,20 @@ static void session_options(void)
         /* A program without the field gets one image. */
         size_t capacity = sizes[i] > sizeof(size_t) ? FRAMES : 1;
 
-        options = initialised(init_session_options, sizes[i], known);
+        options = options_of(sizes[i]);
         if (capacity > 1)
             ((cophase_session_options *)options)->capacity = capacity;
-        WORKS(cophase_session_create(NULL, model, (cophase_session_options *)options, &session));
+        WORKS(cophase_session_create(model, (cophase_session_options *)options, &session));
         HOLDS(guard_stands(options, sizes[i]));
         HOLDS(fits_as_expected(session, NULL, capacity));
         cophase_session_destroy(session);
         free(options);
     }
     /* A field that this library does not know, and that asks for something. */
-    options = initialised(init_session_options, known + GROWN_BYTES, known);
+    options = options_of(known + GROWN_BYTES);
     options[known + GROWN_BYTES - 1] = 1;
     session = NULL;
-    HOLDS(cophase_session_create(NULL, model, (cophase_session_options *)options, &session) == COPHASE_BAD_ARGUMENT);
+    HOLDS(cophase_session_create(model, (cophase_session_options *)options, &session) == COPHASE_BAD_ARGUMENT);
     HOLDS(session == NULL);
     free(options);
 }
@@ -197,22 +176,25 @@ static void fit_options(void)
     cophase_session *session = session_for(FRAMES);
     cophase_input frames = input(frames_e, COPHASE_F32, FRAMES, rows, cols);
     double *untouched = (double *)guarded(FRAMES * modes * sizeof *untouched);
+    double *values = (double *)guarded(FRAMES * (modes + 1) * sizeof *values);
     unsigned char *options;
     size_t i;
 
     for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
-        options = initialised(init_fit_options, sizes[i], known);
+        options = options_of(sizes[i]);
         HOLDS(fits_as_expected(session, (cophase_fit_options *)options, FRAMES));
-        WORKS(cophase_session_load(session, &frames, (cophase_fit_options *)options));
+        WORKS(cophase_session_evaluate(session, &frames, (cophase_fit_options *)options, expected_nm, FRAMES, modes, values,
+                                       values + FRAMES));
         HOLDS(guard_stands(options, sizes[i]));
         free(options);
     }
-    options = initialised(init_fit_options, known + GROWN_BYTES, known);
+    options = options_of(known + GROWN_BYTES);
     options[known] = 1;
     HOLDS(cophase_session_fit(session, &frames, (cophase_fit_options *)options, untouched, modes, NULL, 0) ==
           COPHASE_BAD_ARGUMENT);
     HOLDS(all_are(untouched, FRAMES * modes * sizeof *untouched, GUARD));
     free(options);
+    free(values);
     free(untouched);
     cophase_session_destroy(session);
 }
@@ -229,7 +211,7 @@ static void calibration(void)
 
     HOLDS(zeros != NULL);
     for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
-        options = initialised(init_calibration, sizes[i], known);
+        options = options_of(sizes[i]);
         /* A dark of zeros, which every one of these programs has the field for, changes nothing. */
         ((cophase_calibration *)options)->dark = input(zeros, COPHASE_F32, 1, rows, cols);
         WORKS(cophase_session_calibrate(session, (cophase_calibration *)options));
@@ -237,7 +219,7 @@ static void calibration(void)
         HOLDS(fits_as_expected(session, NULL, FRAMES));
         free(options);
     }
-    options = initialised(init_calibration, known + GROWN_BYTES, known);
+    options = options_of(known + GROWN_BYTES);
     options[known + 8] = 1;
     HOLDS(cophase_session_calibrate(session, (cophase_calibration *)options) == COPHASE_BAD_ARGUMENT);
     /* The one before is still in use. */
@@ -245,6 +227,14 @@ static void calibration(void)
     free(options);
     free(zeros);
     cophase_session_destroy(session);
+}
+
+static size_t modes_of(const cophase_model *of)
+{
+    cophase_model_info info;
+
+    WORKS(cophase_model_get_info(of, &info, sizeof info));
+    return info.modes;
 }
 
 /* A round pupil, and what the scene says of modes and diversity. */
@@ -267,20 +257,20 @@ static void model_arrays(void)
     for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
         cophase_model_arrays *fields;
 
-        arrays = initialised(init_model_arrays, sizes[i], known);
+        arrays = options_of(sizes[i]);
         fields = (cophase_model_arrays *)arrays;
         fields->pupil = input(pupil, COPHASE_F64, 1, PUPIL, PUPIL);
         own = NULL;
         if (sizes[i] < known) {
             /* The oldest has no field for modes: those of the scene, as for one that leaves the field as it is. */
-            WORKS(cophase_model_create_from_arrays(scene, NULL, fields, &own));
-            WORKS(cophase_model_mode_count(own, &count));
+            WORKS(cophase_model_create(scene, NULL, fields, &own));
+            count = modes_of(own);
             HOLDS(expected_count == 0 || count == expected_count);
             expected_count = count;
         } else {
             fields->modes = input(tilt, COPHASE_F64, 1, PUPIL, PUPIL);
-            WORKS(cophase_model_create_from_arrays(scene, NULL, fields, &own));
-            WORKS(cophase_model_mode_count(own, &count));
+            WORKS(cophase_model_create(scene, NULL, fields, &own));
+            count = modes_of(own);
             HOLDS(count < expected_count);
         }
         HOLDS(guard_stands(arrays, sizes[i]));
@@ -288,21 +278,42 @@ static void model_arrays(void)
         free(arrays);
     }
     for (j = 0; j < GROWN_BYTES; j += GROWN_BYTES - 1) {
-        arrays = initialised(init_model_arrays, known + GROWN_BYTES, known);
+        arrays = options_of(known + GROWN_BYTES);
         ((cophase_model_arrays *)arrays)->pupil = input(pupil, COPHASE_F64, 1, PUPIL, PUPIL);
         arrays[known + j] = 1;
         own = NULL;
-        HOLDS(cophase_model_create_from_arrays(scene, NULL, (cophase_model_arrays *)arrays, &own) == COPHASE_BAD_ARGUMENT);
+        HOLDS(cophase_model_create(scene, NULL, (cophase_model_arrays *)arrays, &own) == COPHASE_BAD_ARGUMENT);
         HOLDS(own == NULL);
         free(arrays);
+    }
+}
+
+/* The struct of sizes, in programs of other versions. */
+static void infos(void)
+{
+    const size_t known = sizeof(cophase_model_info);
+    const size_t sizes[] = {8, offsetof(cophase_model_info, cols), known, known + GROWN_BYTES};
+    cophase_model_info whole;
+    size_t i;
+
+    WORKS(cophase_model_get_info(model, &whole, sizeof whole));
+    modes = whole.modes, rows = whole.rows, cols = whole.cols;
+    for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
+        size_t shared = sizes[i] < known ? sizes[i] : known;
+        unsigned char *info = (unsigned char *)guarded(sizes[i]);
+
+        WORKS(cophase_model_get_info(model, (cophase_model_info *)info, sizes[i]));
+        HOLDS(guard_stands(info, sizes[i]));
+        HOLDS(memcmp(info, &whole, shared) == 0 && all_are(info + shared, sizes[i] - shared, 0));
+        free(info);
     }
 }
 
 /* Reports of other sizes: each in its place, what a program does not know left out, what the library does not know 0. */
 static void reports(void)
 {
-    const size_t known = sizeof(cophase_report);
-    const size_t sizes[] = {8, offsetof(cophase_report, flux_e), known, known + GROWN_BYTES};
+    const size_t known = sizeof(cophase_image_report);
+    const size_t sizes[] = {8, offsetof(cophase_image_report, flux_e), known, known + GROWN_BYTES};
     cophase_session *session = session_for(FRAMES);
     cophase_input frames = input(frames_e, COPHASE_F32, FRAMES, rows, cols);
     double *found_nm = (double *)malloc(FRAMES * modes * sizeof *found_nm);
@@ -313,12 +324,12 @@ static void reports(void)
         size_t shared = sizes[i] < known ? sizes[i] : known;
         unsigned char *array = (unsigned char *)guarded(FRAMES * sizes[i]);
 
-        WORKS(cophase_session_fit(session, &frames, NULL, found_nm, modes, (cophase_report *)array, sizes[i]));
+        WORKS(cophase_session_fit(session, &frames, NULL, found_nm, modes, (cophase_image_report *)array, sizes[i]));
         HOLDS(guard_stands(array, FRAMES * sizes[i]));
         for (k = 0; k < FRAMES; k++) {
             const unsigned char *report = array + k * sizes[i];
             /* The time that it took is the one field that differs from run to run. */
-            size_t same = shared < offsetof(cophase_report, seconds) ? shared : offsetof(cophase_report, seconds);
+            size_t same = shared < offsetof(cophase_image_report, seconds) ? shared : offsetof(cophase_image_report, seconds);
 
             HOLDS(memcmp(report, &expected[k], same) == 0);
             HOLDS(all_are(report + shared, sizes[i] - shared, 0));
@@ -343,13 +354,13 @@ static void sequence_reports(void)
     HOLDS(fits_as_expected(session, NULL, FRAMES));
     WORKS(cophase_sequence_create(model, FRAMES, &sequence));
     WORKS(cophase_sequence_push(sequence, session));
-    WORKS(cophase_sequence_estimate(sequence, estimate_nm, NULL, modes, &whole, sizeof whole));
+    WORKS(cophase_sequence_estimate(sequence, estimate_nm, NULL, NULL, modes, &whole, sizeof whole));
     HOLDS(whole.images == FRAMES);
     for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
         size_t shared = sizes[i] < known ? sizes[i] : known;
         unsigned char *report = (unsigned char *)guarded(sizes[i]);
 
-        WORKS(cophase_sequence_estimate(sequence, estimate_nm, NULL, modes, (cophase_sequence_report *)report, sizes[i]));
+        WORKS(cophase_sequence_estimate(sequence, estimate_nm, NULL, NULL, modes, (cophase_sequence_report *)report, sizes[i]));
         HOLDS(guard_stands(report, sizes[i]));
         HOLDS(memcmp(report, &whole, shared) == 0);
         HOLDS(all_are(report + shared, sizes[i] - shared, 0));
@@ -380,9 +391,8 @@ int main(int argc, char **argv)
 
     HOLDS(argc == 2);
     read_scene(argv[1]);
-    WORKS(cophase_model_create(scene, NULL, &model));
-    WORKS(cophase_model_mode_count(model, &modes));
-    WORKS(cophase_model_frame_shape(model, &rows, &cols));
+    WORKS(cophase_model_create(scene, NULL, NULL, &model));
+    infos();
     make_frames();
     expected_nm = (double *)malloc(FRAMES * modes * sizeof *expected_nm);
     HOLDS(expected_nm != NULL);

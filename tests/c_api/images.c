@@ -6,7 +6,7 @@
 
 /* Fits one frame: its status. */
 static int32_t fitted(const struct setting *s, const float *frame, const cophase_fit_options *options,
-                      cophase_report *report, double *coefficients_nm)
+                      cophase_image_report *report, double *coefficients_nm)
 {
     const cophase_input frames = input(frame, COPHASE_F32, 1, s->rows, s->cols);
 
@@ -20,43 +20,49 @@ static int message_says(const struct setting *s, const char *part)
     char text[1024], little[4] = "xxx";
     size_t length = 0, again = 0;
 
-    CHECK(cophase_session_image_message(s->session, 0, text, sizeof text, &length) == COPHASE_OK);
+    CHECK(cophase_session_text(s->session, COPHASE_TEXT_IMAGE_MESSAGE, 0, text, sizeof text, &length) == COPHASE_OK);
     CHECK(strlen(text) == length);
-    CHECK(cophase_session_image_message(s->session, 0, little, 2, &again) == COPHASE_OK && again == length);
-    CHECK(little[2] == 'x' && strlen(little) == (length > 0 ? 1u : 0u));
-    CHECK(cophase_session_image_message(s->session, 0, NULL, 0, &again) == COPHASE_OK && again == length);
+    CHECK(cophase_session_text(s->session, COPHASE_TEXT_IMAGE_MESSAGE, 0, little, 2, &again) == COPHASE_OK);
+    CHECK(again == length && little[2] == 'x' && strlen(little) == (length > 0 ? 1u : 0u));
+    CHECK(cophase_session_text(s->session, COPHASE_TEXT_IMAGE_MESSAGE, 0, NULL, 0, &again) == COPHASE_OK && again == length);
     return strstr(text, part) != NULL;
 }
 
-/* No device is lost where none was chosen. */
-static void no_device_is_lost(const struct setting *s)
+/* The other texts of a session. */
+static void texts(const struct setting *s)
 {
-    char text[8] = "xxx";
+    char text[16] = "xxx";
     size_t length = 7;
 
-    CHECK(cophase_session_device_failure(s->session, text, sizeof text, &length) == COPHASE_OK);
+    CHECK(cophase_session_text(s->session, COPHASE_TEXT_WARNINGS, 7, text, sizeof text, &length) == COPHASE_OK);
     CHECK(length == 0 && text[0] == '\0' && text[1] == 'x');
+    CHECK(cophase_session_text(s->session, COPHASE_TEXT_POLICY, 7, text, sizeof text, &length) == COPHASE_OK);
+    CHECK(length == 8 && strcmp(text, "realtime") == 0);
+    CHECK(cophase_session_text(s->session, COPHASE_TEXT_DEVICE, 7, text, sizeof text, &length) == COPHASE_OK);
+    CHECK(strcmp(text, "cpu") == 0);
+    REFUSED(COPHASE_BAD_VALUE, "what is 1:", cophase_session_text(s->session, COPHASE_TEXT_REPORT, 0, text, 16, &length));
+    REFUSED(COPHASE_BAD_VALUE, "what is 0:", cophase_session_text(s->session, 0, 0, text, sizeof text, &length));
 }
 
 static void names(void)
 {
-    CHECK(strcmp(cophase_image_status_name(COPHASE_IMAGE_OK), "OK") == 0);
-    CHECK(strcmp(cophase_image_status_name(COPHASE_IMAGE_MISFIT), "MISFIT") == 0);
-    CHECK(strcmp(cophase_image_status_name(COPHASE_IMAGE_WRONG_MINIMUM), "WRONG_MINIMUM") == 0);
-    CHECK(strcmp(cophase_image_status_name(COPHASE_IMAGE_NOT_CONVERGED), "NOT_CONVERGED") == 0);
-    CHECK(strcmp(cophase_image_status_name(COPHASE_IMAGE_UNUSABLE), "UNUSABLE") == 0);
-    CHECK(strcmp(cophase_image_status_name(COPHASE_IMAGE_DEADLINE), "DEADLINE") == 0);
-    CHECK(strcmp(cophase_image_status_name(6), "UNKNOWN") == 0);
-    CHECK(strcmp(cophase_image_status_name(-1), "UNKNOWN") == 0);
+    CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_OK), "OK") == 0);
+    CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_MISFIT), "MISFIT") == 0);
+    CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_WRONG_MINIMUM), "WRONG_MINIMUM") == 0);
+    CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_NOT_CONVERGED), "NOT_CONVERGED") == 0);
+    CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_UNUSABLE), "UNUSABLE") == 0);
+    CHECK(strcmp(cophase_status_name(COPHASE_IMAGE_DEADLINE), "DEADLINE") == 0);
+    CHECK(strcmp(cophase_status_name(106), "UNKNOWN") == 0);
+    CHECK(strcmp(cophase_status_name(-1), "UNKNOWN") == 0);
 }
 
 static void statuses(const struct setting *s)
 {
     float *frame = floats(s->pixels);
-    double *found_nm = doubles(s->modes);
-    cophase_session_options options;
+    double *found_nm = doubles(s->modes + 1);
+    cophase_session_options options = DEFAULTS(cophase_session_options);
     cophase_session *hasty = NULL;
-    cophase_report report;
+    cophase_image_report report;
     size_t i;
 
     CHECK(fitted(s, s->frames, NULL, &report, s->fitted_nm) == COPHASE_IMAGE_OK);
@@ -84,12 +90,12 @@ static void statuses(const struct setting *s)
     {
         const cophase_input nothing = input(frame, COPHASE_F32, 1, s->rows, s->cols);
 
-        REFUSED(COPHASE_BAD_IMAGE, "good pixel", cophase_session_load(s->session, &nothing, NULL));
+        REFUSED(COPHASE_BAD_IMAGE, "good pixel",
+                cophase_session_evaluate(s->session, &nothing, NULL, s->truth_nm, 1, s->modes, found_nm, found_nm + 1));
     }
 
-    CHECK(cophase_session_options_init(&options, sizeof options) == COPHASE_OK);
     options.max_evaluations = 1;
-    CHECK(cophase_session_create(NULL, s->model, &options, &hasty) == COPHASE_OK);
+    CHECK(cophase_session_create(s->model, &options, &hasty) == COPHASE_OK);
     {
         const cophase_input one = frames_of(s, 1);
 
@@ -107,7 +113,7 @@ static void one_bad_among_good(const struct setting *s)
     const cophase_input frames = frames_of(s, COUNT);
     double *clean_nm = doubles(COUNT * s->modes), *found_nm = doubles(COUNT * s->modes);
     const size_t bytes = s->modes * sizeof *found_nm;
-    cophase_report reports[COUNT];
+    cophase_image_report reports[COUNT];
     float *kept = floats(s->pixels);
 
     CHECK(cophase_session_fit(s->session, &frames, NULL, clean_nm, s->modes, NULL, 0) == COPHASE_OK);
@@ -125,11 +131,10 @@ static void one_bad_among_good(const struct setting *s)
 static void deadlines(const struct setting *s)
 {
     double *found_nm = doubles(s->modes);
-    cophase_fit_options options;
-    cophase_report report;
+    cophase_fit_options options = DEFAULTS(cophase_fit_options);
+    cophase_image_report report;
     size_t i;
 
-    CHECK(cophase_fit_options_init(&options, sizeof options) == COPHASE_OK);
     options.deadline_s = 1e-9; /* it has passed before the first evaluation is done */
     CHECK(fitted(s, s->frames, &options, &report, found_nm) == COPHASE_IMAGE_DEADLINE);
     CHECK(report.evaluations <= 1 && message_says(s, "deadline"));
@@ -156,8 +161,8 @@ static void calibration(const struct setting *s)
     uint16_t *dark = (uint16_t *)memory(s->pixels, sizeof *dark);
     uint8_t *bad = (uint8_t *)memory(s->pixels, 1);
     double *plain_nm = doubles(s->modes), *found_nm = doubles(s->modes);
-    cophase_calibration maps;
-    cophase_report report;
+    cophase_calibration maps = DEFAULTS(cophase_calibration);
+    cophase_image_report report;
     size_t i;
 
     for (i = 0; i < s->pixels; i++) {
@@ -167,8 +172,6 @@ static void calibration(const struct setting *s)
         raw[i] = electrons[i] / 4.0f * flat[i] + (float)dark[i];
     }
     CHECK(fitted(s, electrons, NULL, &report, plain_nm) == COPHASE_IMAGE_OK);
-    CHECK(cophase_calibration_init(&maps, sizeof maps) == COPHASE_OK);
-    CHECK(maps.gain_e == 1.0 && maps.saturation > 1e300 && maps.dark.data == NULL && maps.bad.data == NULL);
     maps.dark = input(dark, COPHASE_U16, 1, s->rows, s->cols);
     maps.flat = input(flat, COPHASE_F32, 1, s->rows, s->cols);
     maps.bad = input(bad, COPHASE_U8, 1, s->rows, s->cols);
@@ -188,7 +191,7 @@ static void calibration(const struct setting *s)
     CHECK(fitted(s, raw, NULL, &report, plain_nm) == COPHASE_IMAGE_OK && report.bad_pixels == 1);
     CHECK(memcmp(found_nm, plain_nm, s->modes * sizeof *found_nm) == 0);
 
-    maps.gain_e = 0.0;
+    maps.gain_e = -1.0;
     REFUSED(COPHASE_BAD_VALUE, "gain_e", cophase_session_calibrate(s->session, &maps));
     maps.gain_e = 4.0, maps.dark.rows++;
     REFUSED(COPHASE_BAD_SHAPE, "dark", cophase_session_calibrate(s->session, &maps));
@@ -215,7 +218,7 @@ int main(int argc, char **argv)
     s = setting_of(scene);
     free(scene);
     names();
-    no_device_is_lost(&s);
+    texts(&s);
     statuses(&s);
     one_bad_among_good(&s);
     deadlines(&s);

@@ -21,15 +21,6 @@ static long resident_pages(void)
     return resident;
 }
 
-static void device(const struct setting *s)
-{
-    cophase_device *made = NULL;
-
-    (void)s;
-    CHECK(cophase_device_open("cpu", &made) == COPHASE_OK);
-    cophase_device_close(made);
-}
-
 static void sequence(const struct setting *s)
 {
     cophase_sequence *made = NULL;
@@ -59,7 +50,7 @@ static void model(const struct setting *s)
     cophase_model *made = NULL;
 
     (void)s;
-    CHECK(cophase_model_create(scene, NULL, &made) == COPHASE_OK);
+    CHECK(cophase_model_create(scene, NULL, NULL, &made) == COPHASE_OK);
     cophase_model_destroy(made);
 }
 
@@ -68,16 +59,29 @@ static void refused_model(const struct setting *s)
     cophase_model *made = NULL;
 
     (void)s;
-    CHECK(cophase_model_create("[pupil]\napertur = 3\n", NULL, &made) == COPHASE_BAD_SCENE);
+    CHECK(cophase_model_create("[pupil]\napertur = 3\n", NULL, NULL, &made) == COPHASE_BAD_SCENE);
 }
 
-static void full_phase(const struct setting *s)
+static void estimator(const struct setting *s)
 {
-    cophase_full_phase *made = NULL;
+    cophase_estimator *made = NULL;
 
     (void)s;
-    CHECK(cophase_full_phase_create(scene, NULL, &made) == COPHASE_OK);
-    cophase_full_phase_destroy(made);
+    CHECK(cophase_estimator_create(scene, NULL, NULL, &made) == COPHASE_OK);
+    cophase_estimator_destroy(made);
+}
+
+/* An estimate of one frame by an estimator that is kept. */
+static void estimate(const struct setting *s)
+{
+    static cophase_estimator *kept;
+    const cophase_input frames = frames_of(s, 1);
+    cophase_estimate *made = NULL;
+
+    if (kept == NULL)
+        CHECK(cophase_estimator_create(scene, NULL, NULL, &kept) == COPHASE_OK);
+    CHECK(cophase_estimator_estimate(kept, &frames, NULL, NULL, &made) == COPHASE_OK);
+    cophase_estimate_destroy(made);
 }
 
 /* Doing it `times` times leaves the memory flat: a tenth of that comes first, for what is made once and kept. */
@@ -115,11 +119,11 @@ int main(int argc, char **argv)
     s = setting_of(scene);
     frames = frames_of(&s, COUNT);
     CHECK(cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0) == COPHASE_OK);
-    repeat("device", device, &s, times, FEW);
     repeat("sequence", sequence, &s, times, FEW);
     repeat("refused model", refused_model, &s, times, FEW);
     repeat("model", model, &s, times / 100, MANY); /* each takes 50 ms */
-    repeat("full-phase estimator", full_phase, &s, times / 10, FEW); /* each reads a scene */
+    repeat("estimator", estimator, &s, times / 10, FEW); /* each reads a scene */
+    repeat("estimate", estimate, &s, times / 200, MANY);
     repeat("session", session, &s, times, FEW);
     repeat("session with a fit", working_session, &s, times, FEW);
     done_with(&s);

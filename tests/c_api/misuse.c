@@ -9,93 +9,66 @@
 /* NULL for every pointer that has no meaning as NULL, in the calls without a handle and on models. */
 static void null_models(const struct setting *s, const char *scene)
 {
-    float pixel = 0.0f;
-    const cophase_array_f32 out = output(&pixel, 1, 1, 1);
-    cophase_model_arrays arrays;
-    cophase_device *device = NULL;
+    const cophase_model_arrays arrays = DEFAULTS(cophase_model_arrays);
+    double pixel = UNTOUCHED;
+    cophase_model_info info;
     cophase_model *model = NULL;
     const char *name = NULL;
     char text[16];
-    size_t size = 7, other = 7;
+    size_t size = 7;
 
     NULL_IS_REFUSED("text", cophase_device_list(NULL, 1, &size));
     NULL_IS_REFUSED("length", cophase_device_list(text, sizeof text, NULL));
-    NULL_IS_REFUSED("name", cophase_device_open(NULL, &device));
-    NULL_IS_REFUSED("device", cophase_device_open("cpu", NULL));
-    NULL_IS_REFUSED("device", cophase_device_name(NULL, text, sizeof text, &size));
-    CHECK(cophase_device_open("cpu", &device) == COPHASE_OK);
-    NULL_IS_REFUSED("text", cophase_device_name(device, NULL, 1, &size));
-    NULL_IS_REFUSED("length", cophase_device_name(device, text, sizeof text, NULL));
-    cophase_device_close(device);
+    NULL_IS_REFUSED("name", cophase_scene_preset(NULL, &name));
+    NULL_IS_REFUSED("scene_text", cophase_scene_preset("keck-onsky", NULL));
+    REFUSED(COPHASE_BAD_SCENE, "keck-onsky", cophase_scene_preset("keck-onsy", &name));
 
-    NULL_IS_REFUSED("scene_text", cophase_model_create(NULL, NULL, &model));
-    NULL_IS_REFUSED("model", cophase_model_create(scene, NULL, NULL));
-    NULL_IS_REFUSED("arrays", cophase_model_arrays_init(NULL, sizeof arrays));
-    CHECK(cophase_model_arrays_init(&arrays, sizeof arrays) == COPHASE_OK);
-    NULL_IS_REFUSED("pupil", cophase_model_create_from_arrays(scene, NULL, &arrays, &model));
-    NULL_IS_REFUSED("scene_text", cophase_model_create_from_arrays(NULL, NULL, &arrays, &model));
-    NULL_IS_REFUSED("arrays", cophase_model_create_from_arrays(scene, NULL, NULL, &model));
-    NULL_IS_REFUSED("model", cophase_model_create_from_arrays(scene, NULL, &arrays, NULL));
+    NULL_IS_REFUSED("scene_text", cophase_model_create(NULL, NULL, NULL, &model));
+    NULL_IS_REFUSED("model", cophase_model_create(scene, NULL, NULL, NULL));
+    NULL_IS_REFUSED("pupil", cophase_model_create(scene, NULL, &arrays, &model));
+    NULL_IS_REFUSED("scene_text", cophase_model_create(NULL, NULL, &arrays, &model));
+    NULL_IS_REFUSED("model", cophase_model_create(scene, NULL, &arrays, NULL));
 
-    NULL_IS_REFUSED("model", cophase_model_mode_count(NULL, &size));
-    NULL_IS_REFUSED("modes", cophase_model_mode_count(s->model, NULL));
-    NULL_IS_REFUSED("model", cophase_model_segment_mode_count(NULL, &size));
-    NULL_IS_REFUSED("modes", cophase_model_segment_mode_count(s->model, NULL));
+    NULL_IS_REFUSED("model", cophase_model_get_info(NULL, &info, sizeof info));
+    NULL_IS_REFUSED("info", cophase_model_get_info(s->model, NULL, sizeof info));
     NULL_IS_REFUSED("model", cophase_model_mode_name(NULL, 0, &name));
     NULL_IS_REFUSED("name", cophase_model_mode_name(s->model, 0, NULL));
-    NULL_IS_REFUSED("model", cophase_model_frame_shape(NULL, &size, &other));
-    NULL_IS_REFUSED("rows", cophase_model_frame_shape(s->model, NULL, &other));
-    NULL_IS_REFUSED("cols", cophase_model_frame_shape(s->model, &size, NULL));
-    NULL_IS_REFUSED("model", cophase_model_samples(NULL, &size));
-    NULL_IS_REFUSED("samples", cophase_model_samples(s->model, NULL));
-    NULL_IS_REFUSED("model", cophase_model_pixels(NULL, &size));
-    NULL_IS_REFUSED("pixels", cophase_model_pixels(s->model, NULL));
-    NULL_IS_REFUSED("model", cophase_model_wavefront_nm(NULL, s->truth_nm, s->modes, &out));
-    NULL_IS_REFUSED("coefficients_nm", cophase_model_wavefront_nm(s->model, NULL, s->modes, &out));
-    NULL_IS_REFUSED("out", cophase_model_wavefront_nm(s->model, s->truth_nm, s->modes, NULL));
-    NULL_IS_REFUSED("model", cophase_model_psf(NULL, s->truth_nm, s->modes, &out));
-    NULL_IS_REFUSED("coefficients_nm", cophase_model_psf(s->model, NULL, s->modes, &out));
-    NULL_IS_REFUSED("out", cophase_model_psf(s->model, s->truth_nm, s->modes, NULL));
-    CHECK(size == 7 && other == 7 && name == NULL && model == NULL && pixel == 0.0f);
+    NULL_IS_REFUSED("model", cophase_model_wavefront_nm(NULL, s->truth_nm, s->modes, &pixel, 1));
+    NULL_IS_REFUSED("coefficients_nm", cophase_model_wavefront_nm(s->model, NULL, s->modes, &pixel, 1));
+    NULL_IS_REFUSED("out", cophase_model_wavefront_nm(s->model, s->truth_nm, s->modes, NULL, 2 * 32 * 32));
+    NULL_IS_REFUSED("model", cophase_model_psf(NULL, s->truth_nm, s->modes, &pixel, 1));
+    NULL_IS_REFUSED("coefficients_nm", cophase_model_psf(s->model, NULL, s->modes, &pixel, 1));
+    NULL_IS_REFUSED("out", cophase_model_psf(s->model, s->truth_nm, s->modes, NULL, 48 * 48));
+    CHECK(size == 7 && name == NULL && model == NULL && pixel == UNTOUCHED);
 }
 
 static void null_sessions(const struct setting *s)
 {
+    const cophase_calibration calibration = DEFAULTS(cophase_calibration);
     const cophase_input frame = frames_of(s, 1);
     double *values = doubles(s->modes * s->modes), objective = UNTOUCHED;
-    cophase_session_options options;
-    cophase_calibration calibration;
-    cophase_fit_options fit;
     cophase_session *session = NULL;
     char text[16];
     size_t size = 7;
 
-    NULL_IS_REFUSED("options", cophase_session_options_init(NULL, sizeof options));
-    NULL_IS_REFUSED("calibration", cophase_calibration_init(NULL, sizeof calibration));
-    NULL_IS_REFUSED("options", cophase_fit_options_init(NULL, sizeof fit));
-    NULL_IS_REFUSED("model", cophase_session_create(NULL, NULL, NULL, &session));
-    NULL_IS_REFUSED("session", cophase_session_create(NULL, s->model, NULL, NULL));
+    NULL_IS_REFUSED("model", cophase_session_create(NULL, NULL, &session));
+    NULL_IS_REFUSED("session", cophase_session_create(s->model, NULL, NULL));
     NULL_IS_REFUSED("session", cophase_session_cancel(NULL));
-    CHECK(cophase_calibration_init(&calibration, sizeof calibration) == COPHASE_OK);
     NULL_IS_REFUSED("session", cophase_session_calibrate(NULL, &calibration));
     NULL_IS_REFUSED("session", cophase_session_fit(NULL, &frame, NULL, values, s->modes, NULL, 0));
     NULL_IS_REFUSED("frames", cophase_session_fit(s->session, NULL, NULL, values, s->modes, NULL, 0));
     NULL_IS_REFUSED("coefficients_nm", cophase_session_fit(s->session, &frame, NULL, NULL, s->modes, NULL, 0));
-    NULL_IS_REFUSED("session", cophase_session_load(NULL, &frame, NULL));
-    NULL_IS_REFUSED("frames", cophase_session_load(s->session, NULL, NULL));
-    CHECK(cophase_session_load(s->session, &frame, NULL) == COPHASE_OK);
-    NULL_IS_REFUSED("session", cophase_session_evaluate(NULL, s->truth_nm, 1, s->modes, &objective, values));
-    NULL_IS_REFUSED("coefficients_nm", cophase_session_evaluate(s->session, NULL, 1, s->modes, &objective, values));
-    NULL_IS_REFUSED("objectives", cophase_session_evaluate(s->session, s->truth_nm, 1, s->modes, NULL, values));
-    NULL_IS_REFUSED("gradients", cophase_session_evaluate(s->session, s->truth_nm, 1, s->modes, &objective, NULL));
+#define EVALUATE(session, coefficients_nm, objectives, gradients) \
+    cophase_session_evaluate(session, &frame, NULL, coefficients_nm, 1, s->modes, objectives, gradients)
+    NULL_IS_REFUSED("session", EVALUATE(NULL, s->truth_nm, &objective, values));
+    NULL_IS_REFUSED("coefficients_nm", EVALUATE(s->session, NULL, &objective, values));
+    NULL_IS_REFUSED("objectives", EVALUATE(s->session, s->truth_nm, NULL, values));
+    NULL_IS_REFUSED("gradients", EVALUATE(s->session, s->truth_nm, &objective, NULL));
     CHECK(untouched(values, s->modes * s->modes) == s->modes * s->modes && objective == UNTOUCHED);
     CHECK(cophase_session_fit(s->session, &frame, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
-    NULL_IS_REFUSED("session", cophase_session_image_message(NULL, 0, text, sizeof text, &size));
-    NULL_IS_REFUSED("text", cophase_session_image_message(s->session, 0, NULL, 1, &size));
-    NULL_IS_REFUSED("length", cophase_session_image_message(s->session, 0, text, sizeof text, NULL));
-    NULL_IS_REFUSED("session", cophase_session_device_failure(NULL, text, sizeof text, &size));
-    NULL_IS_REFUSED("text", cophase_session_device_failure(s->session, NULL, 1, &size));
-    NULL_IS_REFUSED("length", cophase_session_device_failure(s->session, text, sizeof text, NULL));
+    NULL_IS_REFUSED("session", cophase_session_text(NULL, COPHASE_TEXT_POLICY, 0, text, sizeof text, &size));
+    NULL_IS_REFUSED("text", cophase_session_text(s->session, COPHASE_TEXT_POLICY, 0, NULL, 1, &size));
+    NULL_IS_REFUSED("length", cophase_session_text(s->session, COPHASE_TEXT_POLICY, 0, text, sizeof text, NULL));
     NULL_IS_REFUSED("session", cophase_session_covariance_nm2(NULL, 0, values, s->modes));
     NULL_IS_REFUSED("covariance_nm2", cophase_session_covariance_nm2(s->session, 0, NULL, s->modes));
     CHECK(session == NULL && size == 7);
@@ -105,26 +78,61 @@ static void null_sessions(const struct setting *s)
 static void null_sequences(const struct setting *s)
 {
     cophase_sequence *sequence = NULL;
-    cophase_sequence_report report;
-    double *values = doubles(s->modes * s->modes);
+    double *values = doubles(s->modes);
     uint64_t needed = 7;
 
     NULL_IS_REFUSED("model", cophase_sequence_create(NULL, 1, &sequence));
     NULL_IS_REFUSED("sequence", cophase_sequence_create(s->model, 1, NULL));
     NULL_IS_REFUSED("sequence", cophase_sequence_push(NULL, s->session));
-    NULL_IS_REFUSED("sequence", cophase_sequence_clear(NULL));
-    NULL_IS_REFUSED("sequence", cophase_sequence_estimate(NULL, values, NULL, s->modes, &report, sizeof report));
-    NULL_IS_REFUSED("sequence", cophase_sequence_covariance_nm2(NULL, values, s->modes));
+    NULL_IS_REFUSED("sequence", cophase_sequence_push(NULL, NULL));
+    NULL_IS_REFUSED("sequence", cophase_sequence_estimate(NULL, values, NULL, NULL, s->modes, NULL, 0));
     NULL_IS_REFUSED("sequence", cophase_sequence_images_needed(NULL, 1.0, 1.0, &needed));
     CHECK(cophase_sequence_create(s->model, 1, &sequence) == COPHASE_OK);
-    NULL_IS_REFUSED("session", cophase_sequence_push(sequence, NULL));
     CHECK(cophase_sequence_push(sequence, s->session) == COPHASE_OK);
-    NULL_IS_REFUSED("coefficients_nm", cophase_sequence_estimate(sequence, NULL, NULL, s->modes, &report, sizeof report));
-    NULL_IS_REFUSED("covariance_nm2", cophase_sequence_covariance_nm2(sequence, NULL, s->modes));
     NULL_IS_REFUSED("images", cophase_sequence_images_needed(sequence, 1.0, 1.0, NULL));
-    CHECK(untouched(values, s->modes * s->modes) == s->modes * s->modes && needed == 7);
+    CHECK(untouched(values, s->modes) == s->modes && needed == 7);
     cophase_sequence_destroy(sequence);
     free(values);
+}
+
+/* NULL, and options out of range, where an estimator or its estimate is asked. */
+static void estimators(const struct setting *s, const char *scene)
+{
+    cophase_estimator_options options = DEFAULTS(cophase_estimator_options);
+    const cophase_input frame = frames_of(s, 1);
+    cophase_estimator *estimator = NULL;
+    cophase_estimate *estimate = NULL;
+    cophase_estimate_info info;
+    cophase_image_report report;
+    double number = UNTOUCHED;
+    char text[16];
+    size_t size = 7;
+
+    NULL_IS_REFUSED("scene_text", cophase_estimator_create(NULL, NULL, NULL, &estimator));
+    NULL_IS_REFUSED("estimator", cophase_estimator_create(scene, NULL, NULL, NULL));
+    options.policy = 2;
+    REFUSED(COPHASE_BAD_VALUE, "options->policy is 2", cophase_estimator_create(scene, NULL, &options, &estimator));
+    options.policy = COPHASE_POLICY_REALTIME, options.threads = -2;
+    REFUSED(COPHASE_BAD_VALUE, "options->threads is -2", cophase_estimator_create(scene, NULL, &options, &estimator));
+    NULL_IS_REFUSED("estimator", cophase_estimator_cancel(NULL));
+    NULL_IS_REFUSED("estimator", cophase_estimator_progress(NULL, NULL, NULL, NULL));
+    NULL_IS_REFUSED("estimator", cophase_estimator_estimate(NULL, &frame, NULL, NULL, &estimate));
+    CHECK(estimator == NULL);
+    CHECK(cophase_estimator_create(scene, NULL, NULL, &estimator) == COPHASE_OK);
+    CHECK(cophase_estimator_progress(estimator, NULL, NULL, NULL) == COPHASE_OK);
+    NULL_IS_REFUSED("frames", cophase_estimator_estimate(estimator, NULL, NULL, NULL, &estimate));
+    NULL_IS_REFUSED("estimate", cophase_estimator_estimate(estimator, &frame, NULL, NULL, NULL));
+    cophase_estimator_destroy(estimator);
+    cophase_estimator_destroy(NULL);
+
+    NULL_IS_REFUSED("estimate", cophase_estimate_get_info(NULL, &info, sizeof info));
+    NULL_IS_REFUSED("estimate", cophase_estimate_images(NULL, &report, sizeof report, 1));
+    NULL_IS_REFUSED("estimate", cophase_estimate_array(NULL, COPHASE_ARRAY_SIGMA_NM, &number, 1));
+    NULL_IS_REFUSED("estimate", cophase_estimate_text(NULL, COPHASE_TEXT_REPORT, 0, text, sizeof text, &size));
+    NULL_IS_REFUSED("estimate", cophase_estimate_write(NULL, "nothing.fits"));
+    NULL_IS_REFUSED("estimate", cophase_estimate_correct(NULL, 0.0, NULL, NULL, 0));
+    cophase_estimate_destroy(NULL);
+    CHECK(estimate == NULL && number == UNTOUCHED && size == 7);
 }
 
 /* Sizes of structs that no version has: none, less than the size itself, more than memory. */
@@ -132,64 +140,71 @@ static void struct_sizes(const struct setting *s, const char *scene)
 {
     static const size_t sizes[] = {0, 1, 7, (size_t)-1};
     const cophase_input frame = frames_of(s, 1);
-    cophase_session_options options;
-    cophase_calibration calibration;
-    cophase_model_arrays arrays;
-    cophase_fit_options fit;
+    cophase_estimator_options estimator_options = DEFAULTS(cophase_estimator_options);
+    cophase_session_options options = DEFAULTS(cophase_session_options);
+    cophase_calibration calibration = DEFAULTS(cophase_calibration);
+    cophase_model_arrays arrays = DEFAULTS(cophase_model_arrays);
+    cophase_fit_options fit = DEFAULTS(cophase_fit_options);
+    cophase_estimator *estimator = NULL;
     cophase_session *session = NULL;
     cophase_model *model = NULL;
-    cophase_report report;
-    double *values = doubles(s->modes);
+    cophase_image_report report;
+    cophase_model_info info;
+    double *values = doubles(s->modes), objective = UNTOUCHED;
     size_t i;
 
-    CHECK(cophase_session_options_init(&options, sizeof options) == COPHASE_OK);
-    CHECK(cophase_calibration_init(&calibration, sizeof calibration) == COPHASE_OK);
-    CHECK(cophase_model_arrays_init(&arrays, sizeof arrays) == COPHASE_OK);
-    CHECK(cophase_fit_options_init(&fit, sizeof fit) == COPHASE_OK);
     memset(&report, 0x55, sizeof report);
+    memset(&info, 0x55, sizeof info);
     for (i = 0; i < sizeof sizes / sizeof *sizes; i++) {
         const size_t size = sizes[i];
 
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_options_init(&options, size));
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_calibration_init(&calibration, size));
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_model_arrays_init(&arrays, size));
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_fit_options_init(&fit, size));
         options.struct_size = calibration.struct_size = arrays.struct_size = fit.struct_size = size;
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_create(NULL, s->model, &options, &session));
+        estimator_options.struct_size = size;
+        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_create(s->model, &options, &session));
         REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_calibrate(s->session, &calibration));
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_model_create_from_arrays(scene, NULL, &arrays, &model));
+        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_model_create(scene, NULL, &arrays, &model));
+        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_estimator_create(scene, NULL, &estimator_options, &estimator));
         REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_fit(s->session, &frame, &fit, values, s->modes, NULL, 0));
-        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size", cophase_session_load(s->session, &frame, &fit));
+        REFUSED(COPHASE_BAD_ARGUMENT, "struct_size",
+                cophase_session_evaluate(s->session, &frame, &fit, s->truth_nm, 1, s->modes, &objective, values));
         REFUSED(COPHASE_BAD_ARGUMENT, "report_size",
                 cophase_session_fit(s->session, &frame, NULL, values, s->modes, &report, size));
+        REFUSED(COPHASE_BAD_ARGUMENT, "info_size", cophase_model_get_info(s->model, &info, size));
     }
-    CHECK(session == NULL && model == NULL && untouched(values, s->modes) == s->modes);
-    CHECK(report.evaluations == 0x5555555555555555u);
+    CHECK(session == NULL && model == NULL && estimator == NULL && untouched(values, s->modes) == s->modes);
+    CHECK(report.evaluations == 0x5555555555555555u && info.modes == 0x5555555555555555u && objective == UNTOUCHED);
     free(values);
 }
 
 /* Values of options outside what is accepted. */
 static void options(const struct setting *s)
 {
+    const cophase_session_options good = DEFAULTS(cophase_session_options);
+    cophase_session_options bad;
     cophase_session *session = NULL;
-    cophase_session_options good, bad;
 
-    CHECK(cophase_session_options_init(&good, sizeof good) == COPHASE_OK);
-    bad = good, bad.capacity = 0;
-    REFUSED(COPHASE_BAD_VALUE, "0 images", cophase_session_create(NULL, s->model, &bad, &session));
     bad = good, bad.capacity = (size_t)-1;
-    REFUSED(COPHASE_BAD_VALUE, "memory", cophase_session_create(NULL, s->model, &bad, &session));
+    REFUSED(COPHASE_BAD_VALUE, "memory", cophase_session_create(s->model, &bad, &session));
     bad.capacity = (size_t)1 << 40;
-    REFUSED(COPHASE_BAD_VALUE, "memory", cophase_session_create(NULL, s->model, &bad, &session));
+    REFUSED(COPHASE_BAD_VALUE, "memory", cophase_session_create(s->model, &bad, &session));
     bad = good, bad.precision = COPHASE_U16;
-    REFUSED(COPHASE_BAD_VALUE, "precision", cophase_session_create(NULL, s->model, &bad, &session));
-    bad = good, bad.threads = -1;
-    REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_create(NULL, s->model, &bad, &session));
+    REFUSED(COPHASE_BAD_VALUE, "precision", cophase_session_create(s->model, &bad, &session));
+    bad = good, bad.threads = 2;
+    REFUSED(COPHASE_BAD_VALUE, "options->threads is 2", cophase_session_create(s->model, &bad, &session));
     bad = good, bad.step_tolerance_nm = -1.0;
-    REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_create(NULL, s->model, &bad, &session));
+    REFUSED(COPHASE_BAD_VALUE, "-1", cophase_session_create(s->model, &bad, &session));
     bad = good, bad.step_tolerance_nm = NAN;
-    REFUSED(COPHASE_BAD_VALUE, "NaN", cophase_session_create(NULL, s->model, &bad, &session));
+    REFUSED(COPHASE_BAD_VALUE, "NaN", cophase_session_create(s->model, &bad, &session));
+    bad = good, bad.device = "gpu";
+    REFUSED(COPHASE_BAD_VALUE, "gpu", cophase_session_create(s->model, &bad, &session));
+    bad = good, bad.device = "opencl:99:0";
+    REFUSED(COPHASE_DEVICE, "device", cophase_session_create(s->model, &bad, &session));
+    bad = good, bad.device = "\xff";
+    REFUSED(COPHASE_BAD_ARGUMENT, "options->device", cophase_session_create(s->model, &bad, &session));
     CHECK(session == NULL);
+    bad = good, bad.device = "auto";
+    CHECK(cophase_session_create(s->model, &bad, &session) == COPHASE_OK);
+    cophase_session_destroy(session);
 }
 
 /* Frames that are not there, not so many, not of this shape, or not where memory is. */
@@ -201,7 +216,9 @@ static void frames(const struct setting *s)
 
 #define FRAMES_REFUSED(status, part)                                                                          \
     REFUSED(status, part, cophase_session_fit(s->session, &bad, NULL, values, s->modes, NULL, 0));            \
-    REFUSED(status, part, cophase_session_load(s->session, &bad, NULL))
+    REFUSED(status, part,                                                                                     \
+            cophase_session_evaluate(s->session, &bad, NULL, s->truth_nm, bad.count == 0 || bad.count > COUNT ? 1 : bad.count, \
+                                     s->modes, values, values + COUNT))
 
     bad = good, bad.data = NULL;
     FRAMES_REFUSED(COPHASE_BAD_ARGUMENT, "frames");
@@ -249,6 +266,7 @@ int main(int argc, char **argv)
     null_models(&s, scene);
     null_sessions(&s);
     null_sequences(&s);
+    estimators(&s, scene);
     struct_sizes(&s, scene);
     options(&s);
     frames(&s);

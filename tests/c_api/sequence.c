@@ -20,7 +20,7 @@ static void push_one(const struct setting *s, cophase_sequence *sequence, uint64
 static void push_nothing(const struct setting *s, cophase_sequence *sequence)
 {
     const cophase_input frame = frames_of(s, 1);
-    cophase_report report;
+    cophase_image_report report;
 
     memset(s->frames, 0, s->pixels * sizeof *s->frames);
     CHECK(cophase_session_fit(s->session, &frame, NULL, s->fitted_nm, s->modes, &report, sizeof report) == COPHASE_OK);
@@ -37,16 +37,15 @@ static void without_images(const struct setting *s, cophase_sequence *sequence)
     memset(&report, 0x55, sizeof report);
     CHECK(cophase_sequence_push(sequence, s->session) == COPHASE_OK); /* nothing was fitted: no image more */
     REFUSED(COPHASE_BAD_IMAGE, "image",
-            cophase_sequence_estimate(sequence, values, NULL, s->modes, &report, sizeof report));
+            cophase_sequence_estimate(sequence, values, NULL, NULL, s->modes, &report, sizeof report));
     push_nothing(s, sequence);
     push_nothing(s, sequence);
     REFUSED(COPHASE_BAD_IMAGE, "image",
-            cophase_sequence_estimate(sequence, values, values, s->modes, &report, sizeof report));
-    REFUSED(COPHASE_BAD_IMAGE, "image", cophase_sequence_covariance_nm2(sequence, values, s->modes));
+            cophase_sequence_estimate(sequence, values, values, values, s->modes, &report, sizeof report));
     REFUSED(COPHASE_BAD_IMAGE, "image", cophase_sequence_images_needed(sequence, 1.0, 1.0, &needed));
     CHECK(untouched(values, s->modes * s->modes) == s->modes * s->modes && needed == 7);
     CHECK(report.images == 0x5555555555555555u);
-    CHECK(cophase_sequence_clear(sequence) == COPHASE_OK);
+    CHECK(cophase_sequence_push(sequence, NULL) == COPHASE_OK);
     free(values);
 }
 
@@ -61,14 +60,14 @@ static void with_images(const struct setting *s, cophase_sequence *sequence)
     size_t i;
 
     push_one(s, sequence, 1000);
-    CHECK(cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, s->modes, &one, sizeof one) == COPHASE_OK);
+    CHECK(cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, NULL, s->modes, &one, sizeof one) == COPHASE_OK);
     CHECK(one.images == 1 && one.used == 1 && one.clipped == 0);
     for (i = 0; i < s->modes; i++)
         CHECK(fabs(estimate_nm[i] - s->fitted_nm[i]) < 1e-9); /* but for the rounding of a mean of one */
     for (i = 1; i < IMAGES; i++)
         push_one(s, sequence, 1000 + i);
-    CHECK(cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, s->modes, &all, sizeof all) == COPHASE_OK);
-    CHECK(cophase_sequence_covariance_nm2(sequence, covariance_nm2, s->modes) == COPHASE_OK);
+    CHECK(cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, covariance_nm2, s->modes, &all, sizeof all) == COPHASE_OK);
+    CHECK(cophase_sequence_estimate(sequence, NULL, NULL, NULL, s->modes, NULL, 0) == COPHASE_OK);
     CHECK(all.images == CAPACITY && all.used + all.clipped == CAPACITY && all.used >= CAPACITY / 2);
     CHECK(all.reduced_chi2 > 0.85 && all.reduced_chi2 < 1.15);
     CHECK(all.phasing_sigma_nm < one.phasing_sigma_nm && all.ncpa_sigma_nm < one.ncpa_sigma_nm);
@@ -93,16 +92,17 @@ static void with_images(const struct setting *s, cophase_sequence *sequence)
     REFUSED(COPHASE_BAD_VALUE, "phasing_nm", cophase_sequence_images_needed(sequence, 0.0, 1.0, &needed));
     REFUSED(COPHASE_BAD_VALUE, "ncpa_nm", cophase_sequence_images_needed(sequence, 1.0, -1.0, &needed));
     REFUSED(COPHASE_BAD_VALUE, "NaN", cophase_sequence_images_needed(sequence, NAN, 1.0, &needed));
-    REFUSED(COPHASE_BAD_SHAPE, "", cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, s->modes + 1, &all, sizeof all));
-    REFUSED(COPHASE_BAD_SHAPE, "", cophase_sequence_covariance_nm2(sequence, covariance_nm2, 0));
+    REFUSED(COPHASE_BAD_SHAPE, "",
+            cophase_sequence_estimate(sequence, estimate_nm, sigma_nm, NULL, s->modes + 1, &all, sizeof all));
+    REFUSED(COPHASE_BAD_SHAPE, "", cophase_sequence_estimate(sequence, NULL, NULL, covariance_nm2, 0, NULL, 0));
     CHECK(needed == 7);
 
     /* An image of nothing takes a place and is not used. */
     push_nothing(s, sequence);
-    CHECK(cophase_sequence_estimate(sequence, estimate_nm, NULL, s->modes, &all, sizeof all) == COPHASE_OK);
+    CHECK(cophase_sequence_estimate(sequence, estimate_nm, NULL, NULL, s->modes, &all, sizeof all) == COPHASE_OK);
     CHECK(all.images == CAPACITY && all.used + all.clipped == CAPACITY - 1);
-    CHECK(cophase_sequence_clear(sequence) == COPHASE_OK);
-    REFUSED(COPHASE_BAD_IMAGE, "image", cophase_sequence_estimate(sequence, estimate_nm, NULL, s->modes, NULL, 0));
+    CHECK(cophase_sequence_push(sequence, NULL) == COPHASE_OK);
+    REFUSED(COPHASE_BAD_IMAGE, "image", cophase_sequence_estimate(sequence, estimate_nm, NULL, NULL, s->modes, NULL, 0));
     free(covariance_nm2), free(sigma_nm), free(estimate_nm);
 }
 
@@ -115,7 +115,7 @@ static void strangers(const struct setting *s, const char *scene)
     cophase_sequence_report report;
     cophase_model *other = NULL;
 
-    CHECK(cophase_model_create(other_scene, NULL, &other) == COPHASE_OK);
+    CHECK(cophase_model_create(other_scene, NULL, NULL, &other) == COPHASE_OK);
     CHECK(cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
     CHECK(cophase_sequence_create(other, CAPACITY, &sequence) == COPHASE_OK);
     REFUSED(COPHASE_BAD_VALUE, "model", cophase_sequence_push(sequence, s->session));
@@ -130,7 +130,7 @@ static void strangers(const struct setting *s, const char *scene)
     CHECK(sequence == NULL);
     CHECK(cophase_sequence_create(s->model, 2, &sequence) == COPHASE_OK);
     CHECK(cophase_sequence_push(sequence, s->session) == COPHASE_OK); /* three images: the last two stay */
-    CHECK(cophase_sequence_estimate(sequence, s->fitted_nm, NULL, s->modes, &report, sizeof report) == COPHASE_OK);
+    CHECK(cophase_sequence_estimate(sequence, s->fitted_nm, NULL, NULL, s->modes, &report, sizeof report) == COPHASE_OK);
     CHECK(report.images == 2);
     cophase_sequence_destroy(sequence);
 }

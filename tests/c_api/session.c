@@ -13,8 +13,8 @@ static void before_a_fit(const struct setting *s)
     size_t length = 7;
 
     REFUSED(COPHASE_BAD_VALUE, "fit", cophase_session_covariance_nm2(s->session, 0, values, s->modes));
-    REFUSED(COPHASE_BAD_VALUE, "fit", cophase_session_image_message(s->session, 0, text, sizeof text, &length));
-    REFUSED(COPHASE_BAD_VALUE, "load", cophase_session_evaluate(s->session, s->truth_nm, 1, s->modes, values, values + 1));
+    REFUSED(COPHASE_BAD_VALUE, "fit", cophase_session_text(s->session, COPHASE_TEXT_IMAGE_MESSAGE, 0, text, sizeof text, &length));
+    REFUSED(COPHASE_BAD_VALUE, "load", cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, 1, s->modes, values, values + 1));
     CHECK(untouched(values, s->modes * s->modes + 1) == s->modes * s->modes + 1 && length == 7);
     free(values);
 }
@@ -24,11 +24,14 @@ static void the_fit(struct setting *s, FILE *file)
 {
     const cophase_input frames = frames_of(s, COUNT);
     double *covariance_nm2 = doubles(s->modes * s->modes);
-    cophase_report reports[COUNT];
-    size_t k, i, side = 0, missing;
+    cophase_image_report reports[COUNT];
+    cophase_model_info info;
+    size_t k, i, side, missing;
 
     /* What is compared is a square as long as the frame's longer side; what the detector lacks of it takes no part. */
-    CHECK(cophase_model_pixels(s->model, &side) == COPHASE_OK && side >= s->rows && side >= s->cols);
+    CHECK(cophase_model_get_info(s->model, &info, sizeof info) == COPHASE_OK);
+    side = info.pixels;
+    CHECK(side >= s->rows && side >= s->cols);
     missing = side * side - s->rows * s->cols;
     CHECK(cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, reports, sizeof *reports) == COPHASE_OK);
     for (k = 0; k < COUNT; k++) {
@@ -110,7 +113,7 @@ static void elements(const struct setting *s)
     uint8_t *u8 = (uint8_t *)memory(s->pixels, sizeof *u8);
     const void *data[TYPES];
     cophase_input frame;
-    cophase_report report;
+    cophase_image_report report;
     size_t i;
 
     data[0] = f32, data[1] = f64, data[2] = u16, data[3] = i32;
@@ -144,8 +147,8 @@ static void evaluations(const struct setting *s, FILE *file)
     double *gradients = doubles(COUNT * s->modes), *point_nm = doubles(s->modes);
     size_t i;
 
-    CHECK(cophase_session_load(s->session, &frames, NULL) == COPHASE_OK);
-    CHECK(cophase_session_evaluate(s->session, s->truth_nm, COUNT, s->modes, objectives, gradients) == COPHASE_OK);
+    CHECK(cophase_session_evaluate(s->session, &frames, NULL, s->truth_nm, COUNT, s->modes, objectives, gradients) ==
+          COPHASE_OK);
     dump(file, s->truth_nm, COUNT * s->modes);
     dump(file, objectives, COUNT);
     dump(file, gradients, COUNT * s->modes);
@@ -154,9 +157,9 @@ static void evaluations(const struct setting *s, FILE *file)
 
         memcpy(point_nm, s->truth_nm, s->modes * sizeof *point_nm);
         point_nm[i] += step_nm;
-        CHECK(cophase_session_evaluate(s->session, point_nm, 1, s->modes, above, gradients + s->modes) == COPHASE_OK);
+        CHECK(cophase_session_evaluate(s->session, NULL, NULL, point_nm, 1, s->modes, above, gradients + s->modes) == COPHASE_OK);
         point_nm[i] -= 2.0 * step_nm;
-        CHECK(cophase_session_evaluate(s->session, point_nm, 1, s->modes, below, gradients + s->modes) == COPHASE_OK);
+        CHECK(cophase_session_evaluate(s->session, NULL, NULL, point_nm, 1, s->modes, below, gradients + s->modes) == COPHASE_OK);
         difference = (above[0] - below[0]) / (2.0 * step_nm);
         /* The objective is some 2000 and rounds at 1e-16 of it: 2e-11 per nm after the division. The third derivative
          * is the curvature (1 over the error bar of about 0.5 nm, squared) over a radian of 345 nm: 0.01 per nm^3,
@@ -164,9 +167,13 @@ static void evaluations(const struct setting *s, FILE *file)
         CHECK(fabs(difference - gradients[i]) < 1e-5 * (1.0 + fabs(gradients[i])));
     }
     objectives[0] = UNTOUCHED;
-    REFUSED(COPHASE_BAD_SHAPE, "", cophase_session_evaluate(s->session, s->truth_nm, COUNT + 1, s->modes, objectives, gradients));
-    REFUSED(COPHASE_BAD_SHAPE, "", cophase_session_evaluate(s->session, s->truth_nm, 1, s->modes - 1, objectives, gradients));
-    CHECK(cophase_session_evaluate(s->session, s->truth_nm, (size_t)-1, s->modes, objectives, gradients) != COPHASE_OK);
+    REFUSED(COPHASE_BAD_SHAPE, "", cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, COUNT + 1, s->modes, objectives, gradients));
+    REFUSED(COPHASE_BAD_SHAPE, "",
+            cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, 1, s->modes - 1, objectives, gradients));
+    REFUSED(COPHASE_BAD_SHAPE, "frames is 3 x",
+            cophase_session_evaluate(s->session, &frames, NULL, s->truth_nm, 1, s->modes, objectives, gradients));
+    CHECK(cophase_session_evaluate(s->session, NULL, NULL, s->truth_nm, (size_t)-1, s->modes, objectives, gradients) !=
+          COPHASE_OK);
     CHECK(objectives[0] == UNTOUCHED);
     free(point_nm);
     free(gradients);
@@ -178,13 +185,11 @@ static void other_ways(const struct setting *s)
     const cophase_input frames = frames_of(s, 1);
     double *found_nm = doubles(s->modes), *start_nm = doubles(s->modes);
     cophase_session *session = NULL;
-    cophase_session_options options;
-    cophase_fit_options fit;
-    cophase_report cold, warm;
+    cophase_session_options options = DEFAULTS(cophase_session_options);
+    cophase_fit_options fit = DEFAULTS(cophase_fit_options);
+    cophase_image_report cold, warm;
     size_t i;
 
-    CHECK(cophase_fit_options_init(&fit, sizeof fit) == COPHASE_OK);
-    CHECK(fit.deadline_s == 0.0 && fit.start_nm == NULL && fit.read_noise_e != fit.read_noise_e);
     CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &cold, sizeof cold) == COPHASE_OK);
     CHECK(memcmp(found_nm, s->fitted_nm, s->modes * sizeof *found_nm) == 0);
     memcpy(start_nm, found_nm, s->modes * sizeof *start_nm);
@@ -201,9 +206,8 @@ static void other_ways(const struct setting *s)
     CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
     CHECK(warm.reduced_chi2 < 0.1);
 
-    CHECK(cophase_session_options_init(&options, sizeof options) == COPHASE_OK);
-    options.precision = COPHASE_F32, options.threads = 0;
-    CHECK(cophase_session_create(NULL, s->model, &options, &session) == COPHASE_OK);
+    options.precision = COPHASE_F32, options.threads = -1, options.device = "cpu";
+    CHECK(cophase_session_create(s->model, &options, &session) == COPHASE_OK);
     CHECK(cophase_session_fit(session, &frames, NULL, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
     for (i = 0; i < s->modes; i++)
         CHECK(fabs(found_nm[i] - s->fitted_nm[i]) < 0.05); /* a tenth of an error bar */

@@ -23,14 +23,11 @@ static inline cophase_input frames_of(const struct setting *s, size_t count)
 
 static inline cophase_session *session_for(const cophase_model *model, size_t capacity)
 {
-    cophase_session_options options;
+    cophase_session_options options = DEFAULTS(cophase_session_options);
     cophase_session *session = NULL;
 
-    CHECK(cophase_session_options_init(&options, sizeof options) == COPHASE_OK);
-    CHECK(options.struct_size == sizeof options && options.capacity == 1 && options.threads == 1);
-    CHECK(options.precision == COPHASE_F64 && options.max_evaluations == 0 && options.step_tolerance_nm == 0.0);
     options.capacity = capacity;
-    CHECK(cophase_session_create(NULL, model, &options, &session) == COPHASE_OK);
+    CHECK(cophase_session_create(model, &options, &session) == COPHASE_OK);
     if (session == NULL)
         exit(1);
     return session;
@@ -38,16 +35,16 @@ static inline cophase_session *session_for(const cophase_model *model, size_t ca
 
 static inline struct setting setting_of(const char *scene)
 {
+    cophase_model_info info;
     struct setting s;
     size_t k;
 
     memset(&s, 0, sizeof s);
-    CHECK(cophase_model_create(scene, NULL, &s.model) == COPHASE_OK);
+    CHECK(cophase_model_create(scene, NULL, NULL, &s.model) == COPHASE_OK);
     if (s.model == NULL)
         exit(1);
-    CHECK(cophase_model_mode_count(s.model, &s.modes) == COPHASE_OK);
-    CHECK(cophase_model_segment_mode_count(s.model, &s.segment_modes) == COPHASE_OK);
-    CHECK(cophase_model_frame_shape(s.model, &s.rows, &s.cols) == COPHASE_OK);
+    CHECK(cophase_model_get_info(s.model, &info, sizeof info) == COPHASE_OK);
+    s.modes = info.modes, s.segment_modes = info.segment_modes, s.rows = info.rows, s.cols = info.cols;
     s.pixels = s.rows * s.cols;
     s.session = session_for(s.model, COUNT);
     s.truth_nm = doubles(COUNT * s.modes);

@@ -1,8 +1,8 @@
-//! What Rust makes of the exposures that a program in another language dumped with its own full-phase estimate.
+//! MAP estimate by Rust of the exposures that a program in another language dumped with its own estimate.
 
 use super::fits;
+use cophase::pipeline::{Estimator, Images};
 use cophase::scene::Scene;
-use cophase::sequence_estimate::{SkyImages, read};
 use ndarray::{Array2, Array3, s};
 use std::path::{Path, PathBuf};
 
@@ -27,8 +27,8 @@ fn is_emulated() -> bool {
 }
 
 /// That the dump's answers are Rust's, to the last bit. It holds, as doubles in C order: COUNT frames; the slopes of each;
-/// coefficients, their error bars and covariance; maps of phasing, NCPA and the error bars of both; corrections of segments
-/// and actuators, where these are, and those of the slopes.
+/// coefficients, their error bars and covariance; maps of phasing, NCPA and the error bars of both; the error budget;
+/// corrections of segments and actuators, where these are, and those of the slopes.
 pub(super) fn is_that_of_rust(dump: &Path) {
     let bytes = std::fs::read(dump).unwrap();
     let (values, rest) = bytes.as_chunks::<8>();
@@ -42,29 +42,28 @@ pub(super) fn is_that_of_rust(dump: &Path) {
     assert!(images_e != images_e.slice(s![.., ..;-1, ..]) && images_e != images_e.slice(s![.., .., ..;-1]));
     let slopes = cophase::ao::Simulator::new(&scene).unwrap().interaction().nrows();
     let slopes_mas = Array2::from_shape_vec((COUNT, slopes), next(COUNT * slopes)).unwrap();
-    let bad = images_e.mapv(|_| false);
-    let images = SkyImages { images_e, bad, read_noise_e: None, slopes_mas: Some(slopes_mas) };
-    let found = read(&scene, &images, None, &|_| {}).unwrap();
-    let pass = found.result().unwrap();
+    let images = Images { slopes_mas: Some(slopes_mas), ..Images::new(images_e) };
+    let found = Estimator::new(&scene).unwrap().estimate(&images).unwrap();
 
-    let modes = pass.mode_names().len();
+    let modes = found.basis.names.len();
     let coefficients_nm = next(modes);
-    same("coefficients", &coefficients_nm, &pass.coefficients_nm());
+    same("coefficients", &coefficients_nm, &found.coefficients_nm);
     // Rounded otherwise a retrieval stops somewhere else, within a fraction of what its noise leaves.
-    let pairs = coefficients_nm.iter().zip(pass.coefficients_nm()).zip(pass.sigma_nm());
+    let pairs = coefficients_nm.iter().zip(&found.coefficients_nm).zip(found.sigma_nm());
     assert!(pairs.into_iter().all(|((dumped, here), sigma)| (dumped - here).abs() < sigma));
-    same("error bars", &next(modes), &pass.sigma_nm());
-    same("covariance", &next(modes * modes), &pass.errors.covariance_nm2.iter().copied().collect::<Vec<_>>());
+    same("error bars", &next(modes), &found.sigma_nm());
+    same("covariance", &next(modes * modes), &found.covariance_nm2.iter().copied().collect::<Vec<_>>());
     for (what, map) in [
-        ("phasing", &pass.phasing_nm),
-        ("NCPA", &pass.ncpa_nm),
-        ("error bars of phasing", &pass.phasing_sigma_nm),
-        ("error bars of NCPA", &pass.ncpa_sigma_nm),
+        ("phasing", &found.phasing_nm),
+        ("NCPA", &found.ncpa_nm),
+        ("error bars of phasing", &found.phasing_sigma_nm),
+        ("error bars of NCPA", &found.ncpa_sigma_nm),
     ] {
-        let narrow: Vec<f64> = map.iter().map(|&nm| f64::from(nm as f32)).collect();
-        same(what, &next(narrow.len()), &narrow);
+        same(what, &next(map.len()), &map.iter().copied().collect::<Vec<_>>());
     }
-    let commands = pass.corrections(&scene, None).unwrap();
+    let budget: Vec<f64> = found.error_budget.iter().flat_map(|term| [term.phasing_nm, term.ncpa_nm]).collect();
+    same("error budget", &next(budget.len()), &budget);
+    let commands = found.corrections(None).unwrap();
     let (places, moves): (Vec<[f64; 2]>, Vec<f64>) = commands.actuators_nm.iter().copied().unzip();
     same("pistons to add", &next(commands.pistons_nm.len()), &commands.pistons_nm);
     same("commands to add", &next(moves.len()), &moves);

@@ -18,6 +18,9 @@ static inline void failed(const char *file, int line, const char *what)
     failures++;
 }
 
+/* Options of this type with nothing but defaults. */
+#define DEFAULTS(type) ((type){.struct_size = sizeof(type)})
+
 #define CHECK(condition) ((condition) ? (void)0 : failed(__FILE__, __LINE__, #condition))
 
 /* The call must be answered by this status, and by one sentence that holds `part`. */
@@ -76,21 +79,6 @@ static inline size_t untouched(const double *values, size_t count)
     for (i = 0; i < count; i++)
         same += values[i] == UNTOUCHED;
     return same;
-}
-
-/* A stack in C order to write to. */
-static inline cophase_array_f32 output(float *data, size_t count, size_t rows, size_t cols)
-{
-    cophase_array_f32 array;
-
-    array.data = data;
-    array.count = count;
-    array.rows = rows;
-    array.cols = cols;
-    array.count_stride = (ptrdiff_t)(rows * cols);
-    array.row_stride = (ptrdiff_t)cols;
-    array.col_stride = 1;
-    return array;
 }
 
 /* A stack in C order to read from. */

@@ -159,23 +159,20 @@ static void orphans(const char *scene)
     struct setting s = setting_of(scene);
     const cophase_input frames = frames_of(&s, 1);
     cophase_sequence *sequence = NULL;
-    cophase_device *device = NULL;
     cophase_sequence_report report;
     const char *name = NULL;
 
-    CHECK(cophase_device_open("cpu", &device) == COPHASE_OK);
     cophase_session_destroy(s.session);
-    CHECK(cophase_session_create(device, s.model, NULL, &s.session) == COPHASE_OK);
+    CHECK(cophase_session_create(s.model, NULL, &s.session) == COPHASE_OK);
     CHECK(cophase_sequence_create(s.model, 2, &sequence) == COPHASE_OK);
     CHECK(cophase_model_mode_name(s.model, 0, &name) == COPHASE_OK);
     cophase_model_destroy(s.model);
     s.model = NULL;
-    cophase_device_close(device);
     CHECK(cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0) == COPHASE_OK);
     CHECK(cophase_sequence_push(sequence, s.session) == COPHASE_OK);
     cophase_session_destroy(s.session);
     s.session = NULL;
-    CHECK(cophase_sequence_estimate(sequence, s.fitted_nm, NULL, s.modes, &report, sizeof report) == COPHASE_OK);
+    CHECK(cophase_sequence_estimate(sequence, s.fitted_nm, NULL, NULL, s.modes, &report, sizeof report) == COPHASE_OK);
     CHECK(report.images == 1);
     cophase_sequence_destroy(sequence);
     done_with(&s);
@@ -197,7 +194,7 @@ static void faults(struct setting *s)
     const cophase_input frames = frames_of(s, 1);
     cophase_session *const other = session_for(s->model, 1);
     cophase_sequence *sequence = NULL;
-    size_t modes = 7;
+    cophase_model_info info;
 
     CHECK(cophase_sequence_create(s->model, 2, &sequence) == COPHASE_OK);
     REFUSED(COPHASE_INTERNAL, "report", with_fault("internal", s, &frames));
@@ -205,20 +202,22 @@ static void faults(struct setting *s)
 
     REFUSED(COPHASE_PANIC, "report", with_fault("panic", s, &frames));
     REFUSED(COPHASE_PANIC, "destroyed", cophase_session_fit(s->session, &frames, NULL, s->fitted_nm, s->modes, NULL, 0));
-    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_load(s->session, &frames, NULL));
+    REFUSED(COPHASE_PANIC, "destroyed", cophase_session_evaluate(s->session, &frames, NULL, s->truth_nm, 1, s->modes,
+                                                                  s->fitted_nm, s->fitted_nm));
     REFUSED(COPHASE_PANIC, "destroyed", cophase_session_calibrate(s->session, NULL));
     REFUSED(COPHASE_PANIC, "destroyed", cophase_sequence_push(sequence, s->session));
-    REFUSED(COPHASE_BAD_IMAGE, "", cophase_sequence_covariance_nm2(sequence, s->fitted_nm, s->modes));
+    REFUSED(COPHASE_BAD_IMAGE, "", cophase_sequence_estimate(sequence, s->fitted_nm, NULL, NULL, s->modes, NULL, 0));
     CHECK(cophase_session_fit(other, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
     CHECK(cophase_sequence_push(sequence, other) == COPHASE_OK);
 
+    info.modes = 7;
     setenv("COPHASE_FAULT", "panic", 1);
-    REFUSED(COPHASE_PANIC, "report", cophase_model_mode_count(s->model, &modes));
-    REFUSED(COPHASE_PANIC, "report", cophase_sequence_clear(sequence));
+    REFUSED(COPHASE_PANIC, "report", cophase_model_get_info(s->model, &info, sizeof info));
+    REFUSED(COPHASE_PANIC, "report", cophase_sequence_push(sequence, NULL));
     unsetenv("COPHASE_FAULT");
-    REFUSED(COPHASE_PANIC, "destroyed", cophase_model_mode_count(s->model, &modes));
-    REFUSED(COPHASE_PANIC, "destroyed", cophase_sequence_clear(sequence));
-    CHECK(modes == 7);
+    REFUSED(COPHASE_PANIC, "destroyed", cophase_model_get_info(s->model, &info, sizeof info));
+    REFUSED(COPHASE_PANIC, "destroyed", cophase_sequence_push(sequence, NULL));
+    CHECK(info.modes == 7);
     CHECK(cophase_session_fit(other, &frames, NULL, s->fitted_nm, s->modes, NULL, 0) == COPHASE_OK);
     cophase_session_destroy(other);
     cophase_sequence_destroy(sequence);

@@ -5,14 +5,16 @@
 
 int main(void)
 {
-    cophase_device *device = NULL;
-    char name[64];
-    size_t length;
-    cophase_status status = cophase_device_open("cpu", &device);
+    cophase_estimator *estimator = NULL;
+    cophase_estimate *estimate = NULL;
+    const char *scene = NULL;
+    cophase_status status = cophase_scene_preset("keck-artificial", &scene);
 
     if (status == COPHASE_OK)
-        status = cophase_device_name(device, name, sizeof name, &length);
-    cophase_device_close(device);
+        status = cophase_estimator_create(scene, NULL, NULL, &estimator);
+    if (status == COPHASE_OK)
+        status = cophase_estimator_estimate(estimator, NULL, NULL, NULL, &estimate);
+    cophase_estimator_destroy(estimator);
     printf("%s\n", cophase_status_name(status));
     return 0;
 }

@@ -170,21 +170,15 @@ fn a_thread_that_panics_is_a_status_of_the_c_call() {
         col_stride: 1,
     };
     let (mut model, mut session) = (null_mut(), null_mut());
-    // SAFETY: integers, floats and pointers, of which zeros are a value.
-    let options = cophase_session_options {
-        struct_size: size_of::<cophase_session_options>(),
-        capacity: 2,
-        threads: -1,
-        ..unsafe { std::mem::zeroed() }
-    };
-    // SAFETY: as above.
-    let mut info: cophase_model_info = unsafe { std::mem::zeroed() };
-    // SAFETY: live locals, handles that the calls made, and an array that is there.
+    // SAFETY: live locals, of which zeros are values; handles that the calls made, and an array that is there.
     unsafe {
+        let mut info = std::mem::zeroed::<cophase_model_info>();
+        let mut options = std::mem::zeroed::<cophase_session_options>();
+        (options.struct_size, options.capacity, options.threads) = (size_of_val(&options), 2, -1);
         assert_eq!(cophase_model_create(scene.as_ptr(), null(), null(), &mut model), COPHASE_OK);
-        assert_eq!(cophase_model_get_info(model, &mut info, size_of::<cophase_model_info>()), COPHASE_OK);
-        let modes = info.modes as usize;
+        assert_eq!(cophase_model_get_info(model, &mut info, size_of_val(&info)), COPHASE_OK);
         assert_eq!(cophase_session_create(model, &options, &mut session), COPHASE_OK);
+        let modes = info.modes;
         let mut coefficients_nm = vec![7.0; 2 * modes];
         for _ in 0..2 {
             let out = coefficients_nm.as_mut_ptr();

@@ -18,8 +18,8 @@ fn models_have_the_maps_of_rust() {
         let (coefficients_nm, maps) = dump.split_at(model.optics.modes());
         let wavefronts = [Group::Segment, Group::Ncpa].map(|group| model.map_nm(coefficients_nm, group));
         let psf = estimator.judge().psf(ArrayView1::from(coefficients_nm));
-        let narrow = wavefronts.iter().flatten().chain(&psf).map(|&value| f64::from(value as f32));
-        same("the wavefronts and the PSF", maps, &narrow.collect::<Vec<_>>());
+        let expected = wavefronts.iter().flatten().chain(&psf).copied();
+        same("the wavefronts and the PSF", maps, &expected.collect::<Vec<_>>());
         let turned = |map: &Array2<f64>| map.t() != map && map.slice(s![..;-1, ..]) != map;
         let psf = Array2::from_shape_vec((48, 48), psf).unwrap();
         assert!(turned(&wavefronts[1]) && turned(&psf), "what is compared would not show a turn or a flip");
@@ -35,6 +35,6 @@ fn fits_have_the_bits_of_rust() {
 }
 
 #[test]
-fn full_phase_estimates_have_the_bits_of_rust() {
-    dumps("full_phase.c", &[&sky::scene()], sky::is_that_of_rust);
+fn map_estimates_have_the_bits_of_rust() {
+    dumps("estimator.c", &[&sky::scene()], sky::is_that_of_rust);
 }

@@ -46,7 +46,7 @@ impl Printed {
 #[test]
 fn every_frame_is_estimated_or_counted() {
     let directory = tempfile::tempdir().unwrap();
-    let program = compile(("cc", &["-std=c11"]), &root().join("bindings/c/rtc.c"), directory.path());
+    let program = compile("-std=c11", &root().join("bindings/c/rtc.c"), directory.path());
     let images = images(directory.path());
     let fits = images.to_str().unwrap();
     // Far more than can be estimated: the camera goes on, and what finds no room is dropped.
@@ -70,7 +70,7 @@ fn every_frame_is_estimated_or_counted() {
 #[test]
 fn shared_memory_is_read_too() {
     let directory = tempfile::tempdir().unwrap();
-    let program = compile(("cc", &["-std=c11"]), &root().join("bindings/c/rtc.c"), directory.path());
+    let program = compile("-std=c11", &root().join("bindings/c/rtc.c"), directory.path());
     let memory = tempfile::Builder::new().prefix("cophase-rtc-").tempfile_in("/dev/shm").unwrap();
     let images = images(directory.path());
     std::fs::write(memory.path(), native_floats(&images)).unwrap();

@@ -1,0 +1,100 @@
+/* The whole pipeline on a file of raw doubles, printed for a comparison with the program and with Rust:
+ *
+ *   pipeline SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
+ *
+ * FRAMES.raw holds COUNT x ROWS x COLS native doubles in C order, electrons, NaN for a bad pixel; SLOPES.raw COUNT x SLOPES,
+ * mas. Files that the scene names are looked for in the working directory. Prints lines of
+ *
+ *   coefficient NAME VALUE SIGMA         (hexadecimal floats, nm)
+ *   image INDEX STATUS CHI2 REJECTED
+ *   warning SENTENCE
+ *   policy NAME
+ *   device TEXT
+ */
+#include "support.h"
+
+static void must(cophase_status status)
+{
+    char sentence[512];
+
+    if (status == COPHASE_OK)
+        return;
+    cophase_last_error(sentence, sizeof sentence);
+    fprintf(stderr, "%s: %s\n", cophase_status_name(status), sentence);
+    exit(1);
+}
+
+/* A text of the estimate; the caller frees it. */
+static char *text_of(const cophase_estimate *estimate, int32_t what, size_t index)
+{
+    size_t length = 0;
+    char *text;
+
+    must(cophase_estimate_text(estimate, what, index, NULL, 0, &length));
+    text = (char *)memory(length + 1, 1);
+    must(cophase_estimate_text(estimate, what, index, text, length + 1, &length));
+    return text;
+}
+
+static void print(const cophase_estimate *estimate)
+{
+    cophase_estimate_info info;
+    cophase_image_report *images;
+    double *coefficients_nm, *sigma_nm;
+    char *text, *line;
+    size_t i;
+
+    must(cophase_estimate_get_info(estimate, &info, sizeof info));
+    coefficients_nm = doubles(info.modes), sigma_nm = doubles(info.modes);
+    images = (cophase_image_report *)memory(info.images, sizeof *images);
+    must(cophase_estimate_array(estimate, COPHASE_ARRAY_COEFFICIENTS_NM, coefficients_nm, info.modes));
+    must(cophase_estimate_array(estimate, COPHASE_ARRAY_SIGMA_NM, sigma_nm, info.modes));
+    must(cophase_estimate_images(estimate, images, sizeof *images, info.images));
+    for (i = 0; i < info.modes; i++) {
+        text = text_of(estimate, COPHASE_TEXT_MODE_NAME, i);
+        printf("coefficient %s %a %a\n", text, coefficients_nm[i], sigma_nm[i]);
+        free(text);
+    }
+    for (i = 0; i < info.images; i++)
+        printf("image %d %s %a %d\n", (int)i, cophase_status_name(images[i].status), images[i].reduced_chi2,
+               (int)images[i].rejected_pixels);
+    text = text_of(estimate, COPHASE_TEXT_WARNINGS, 0);
+    for (line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n"))
+        printf("warning %s\n", line);
+    free(text);
+    printf("policy %s\n", text = text_of(estimate, COPHASE_TEXT_POLICY, 0));
+    free(text);
+    printf("device %s\n", text = text_of(estimate, COPHASE_TEXT_DEVICE, 0));
+    free(text), free(images), free(sigma_nm), free(coefficients_nm);
+}
+
+int main(int argc, char **argv)
+{
+    cophase_estimator *estimator = NULL;
+    cophase_estimate *estimate = NULL;
+    cophase_input frames, slopes;
+    size_t size, count, rows, cols;
+    char *scene, *frame_bytes, *slope_bytes = NULL;
+
+    if (argc != 6 && argc != 8)
+        return 2;
+    count = strtoul(argv[3], NULL, 10), rows = strtoul(argv[4], NULL, 10), cols = strtoul(argv[5], NULL, 10);
+    scene = read_file(argv[1], &size);
+    frame_bytes = read_file(argv[2], &size);
+    if (size != count * rows * cols * sizeof(double))
+        return 2;
+    frames = slopes = input(frame_bytes, COPHASE_F64, count, rows, cols);
+    if (argc == 8) {
+        slope_bytes = read_file(argv[6], &size);
+        slopes = input(slope_bytes, COPHASE_F64, 1, count, strtoul(argv[7], NULL, 10));
+        if (size != slopes.rows * slopes.cols * sizeof(double))
+            return 2;
+    }
+    must(cophase_estimator_create(scene, NULL, NULL, &estimator));
+    must(cophase_estimator_estimate(estimator, &frames, argc == 8 ? &slopes : NULL, NULL, &estimate));
+    cophase_estimator_destroy(estimator);
+    print(estimate);
+    cophase_estimate_destroy(estimate);
+    free(slope_bytes), free(frame_bytes), free(scene);
+    return 0;
+}
