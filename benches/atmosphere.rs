@@ -11,8 +11,8 @@ use criterion::{Criterion, criterion_group, criterion_main};
 fn frames(c: &mut Criterion) {
     let scene = Scene::preset("keck-onsky").expect("the preset is built in");
     let fine = scene.with(&[("pupil.samples", "240")]).expect("the key exists");
-    let pupil = Telescope::of(&fine).expect("the preset is buildable").pupil;
-    let footprint = Footprint::of(&pupil);
+    let pupil = Telescope::new(&fine).expect("the preset is buildable").pupil;
+    let footprint = Footprint::new(&pupil);
     let mut group = c.benchmark_group("atmosphere");
     for (name, wind) in [("frame", 1.0), ("frame without wind", 0.0)] {
         let mut turbulence = fine.turbulence.clone();

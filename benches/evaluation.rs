@@ -47,7 +47,7 @@ fn chains(estimator: &Estimator, capacity: usize) -> Vec<(String, Chain)> {
 }
 
 fn exposure(scene: &Scene, estimator: &Estimator) -> Exposure {
-    let made = source::images(scene).expect("the scene can be imaged");
+    let made = source::simulate(scene).expect("the scene can be imaged");
     let bad = made.images_e.mapv(|_| false);
     let frame = Frame {
         data_e: made.images_e.index_axis(ndarray::Axis(0), 0),

@@ -496,7 +496,7 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
  */
 #define COPHASE_METHOD_MAP 2
 
-/* Knowledge of the adaptive optics that a MAP estimate assumed (estimate.knows): only the mirror's pitch and ordinary
+/* Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the mirror's pitch and ordinary
  * seeing.
  */
 #define COPHASE_KNOWS_NOTHING 1

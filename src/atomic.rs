@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`Error::File`] for a directory, a device or a pipe, or with the operating system's reason.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    Target::of(path)?.write(bytes)
+    Target::new(path)?.write(bytes)
 }
 
 /// Target of an atomic write.
@@ -24,7 +24,7 @@ impl Target {
     ///
     /// # Errors
     /// [`Error::File`] for a directory, a device or a pipe.
-    pub(crate) fn of(path: &Path) -> Result<Self> {
+    pub(crate) fn new(path: &Path) -> Result<Self> {
         let real = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
         match std::fs::metadata(&real) {
             Ok(metadata) if metadata.is_dir() => Err(Error::file(path, "is a directory; a file name is needed")),
@@ -70,12 +70,12 @@ impl Target {
         let mut temporary = self.temporary()?;
         let (first, second) = bytes.split_at(bytes.len() / 2);
         temporary.write_all(first).map_err(failed)?;
-        fault::killed(1);
+        fault::kill_process(1);
         temporary.write_all(second).map_err(failed)?;
         temporary.as_file().sync_all().map_err(failed)?;
-        fault::killed(2);
+        fault::kill_process(2);
         temporary.persist(&self.real).map_err(|error| failed(error.error))?;
-        fault::killed(3);
+        fault::kill_process(3);
         // Syncing the directory makes the rename durable; not every file system supports it, and the rename is done
         // anyway.
         let _ = std::fs::File::open(self.directory()).and_then(|directory| directory.sync_all());

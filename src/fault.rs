@@ -15,7 +15,7 @@ use crate::{Error, Result};
 /// Whether this fault is selected.
 ///
 /// Does not allocate, because calls that must not allocate are tested in debug builds too. Always false in a release.
-pub(crate) fn asked(fault: &str) -> bool {
+pub(crate) fn is_selected(fault: &str) -> bool {
     selected().is_some_and(|selected| selected == fault.as_bytes())
 }
 
@@ -26,25 +26,25 @@ pub(crate) fn number(fault: &str) -> Option<u64> {
 }
 
 /// Panics or returns an internal error, if the fault `panic` or `internal` is selected.
-pub(crate) fn in_a_call() -> Result<()> {
-    if asked("panic") {
+pub(crate) fn fail_call() -> Result<()> {
+    if is_selected("panic") {
         panic!("the fault that COPHASE_FAULT selects");
     }
-    if asked("internal") {
+    if is_selected("internal") {
         return Err(Error::Internal("the fault that COPHASE_FAULT selects".into()));
     }
     Ok(())
 }
 
 /// Panics in a thread of the pool, if the fault `worker` is selected.
-pub(crate) fn in_a_worker() {
-    if cfg!(debug_assertions) && asked("worker") && rayon::current_thread_index().is_some() {
+pub(crate) fn panic_in_worker() {
+    if cfg!(debug_assertions) && is_selected("worker") && rayon::current_thread_index().is_some() {
         panic!("the fault that COPHASE_FAULT selects, in a thread of the pool");
     }
 }
 
 /// Kills the process with SIGKILL, if the fault `kill` of this `stage` is selected.
-pub(crate) fn killed(stage: u64) {
+pub(crate) fn kill_process(stage: u64) {
     if number("kill") == Some(stage) {
         // SAFETY: plain system calls; nothing of this process runs after them.
         unsafe {

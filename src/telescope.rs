@@ -49,7 +49,7 @@ impl Telescope {
     /// # Errors
     /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible
     /// one.
-    pub fn of(scene: &Scene) -> Result<Self> {
+    pub fn new(scene: &Scene) -> Result<Self> {
         if scene.purpose() == Purpose::Arrays {
             let name = scene.name();
             return Err(Error::Scene(format!(
@@ -285,7 +285,7 @@ mod tests {
     #[test]
     fn amplitudes_are_normalised_by_light_or_refused() {
         let scene = Scene::preset("keck-artificial").unwrap();
-        let telescope = Telescope::of(&scene.with(&[("pupil.rings", "1")]).unwrap()).unwrap();
+        let telescope = Telescope::new(&scene.with(&[("pupil.rings", "1")]).unwrap()).unwrap();
         let equal = telescope.clone().with_amplitudes(vec![3.0; 6]).unwrap();
         // Equal areas: equal amplitudes are 1 in any unit, up to rounding.
         assert!(equal.amplitudes().iter().all(|amplitude| (amplitude - 1.0).abs() < 1e-12));

@@ -5,8 +5,8 @@ use cophase::Error;
 use cophase::ao::{Sensor, Stepper};
 use cophase::io::{FitsWriter, Pixel};
 use cophase::modes::Samples;
-use cophase::scene::{Precision, Scene};
 use cophase::pipeline::{Estimate, Estimator, Images};
+use cophase::scene::{Precision, Scene};
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
 use std::path::{Path, PathBuf};
 

@@ -100,7 +100,7 @@ fn limited(scene: &Scene, images: usize) -> (Scene, usize) {
 fn a_cube_in_tiles_is_fitted_to_the_same_bits() {
     let _alone = alone();
     let (scene, _) = limited(&scene(&[]), 3);
-    let images_e = source::images(&scene).unwrap().images_e;
+    let images_e = source::simulate(&scene).unwrap().images_e;
     let estimator = Estimator::new(&scene, false).unwrap();
     assert_eq!(estimator.model().tiles().images, 3);
     // Chains with room for a tile, not for the cube.
@@ -151,7 +151,7 @@ fn memory_stays_below_its_formula() {
     let _alone = alone();
     let whole = scene(&LARGE);
     let (tiled, limit) = limited(&whole, 1);
-    let images_e = source::images(&whole).unwrap().images_e;
+    let images_e = source::simulate(&whole).unwrap().images_e;
     for (scene, limit) in [(&whole, 8_000_000_000), (&tiled, limit)] {
         let (memory, peak) = peak(|| {
             let estimator = Estimator::new(scene, false).unwrap();

@@ -91,7 +91,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 
 /// Runs everything that promises not to allocate, on a thread that has never run any of it.
 fn silent(scene: &Scene, precision: Precision) {
-    let images_e = source::images(scene).unwrap().images_e;
+    let images_e = source::simulate(scene).unwrap().images_e;
     let estimator = Arc::new(Estimator::new(scene, false).unwrap());
     let modes = estimator.model().optics.modes();
     let options = SessionOptions { capacity: 5, precision: Some(precision), ..SessionOptions::default() };
@@ -191,7 +191,7 @@ fn input<T>(values: &[T], element: i32, shape: [usize; 3]) -> cophase_input {
 
 /// What a camera would deliver: whole numbers, three electrons each, over a dark level.
 fn raw(scene: &Scene) -> Vec<u16> {
-    let images_e = source::images(scene).unwrap().images_e;
+    let images_e = source::simulate(scene).unwrap().images_e;
     images_e.iter().map(|electrons| (electrons / 3.0 + 100.0).round() as u16).collect()
 }
 

@@ -47,7 +47,7 @@ fn plan(scene: &Scene, budget_nm: f64) -> Result<Plan> {
 
 /// Residuals of phasing and NCPA where the planned model reads an image of `scene` as the simulator makes it.
 fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
-    let made = source::images(scene).unwrap();
+    let made = source::simulate(scene).unwrap();
     let estimator = Estimator::new(&plan.scene, false).unwrap();
     let precision = match plan.scene.estimate.precision {
         scene::Precision::F32 => Precision::F32,

@@ -60,7 +60,7 @@ fn the_presets_have_the_expected_values() {
     assert_eq!((scene.image.pixels, scene.image.samples_per_lambda_over_d), (480, 4.0));
     assert_eq!((scene.image.peak_snr, scene.image.flux_e), (Some(500.0), None));
     let aberrations = scene.aberrations.as_ref().unwrap();
-    assert_eq!(aberrations.ncpa_zernikes, Zernikes::Span { first: 4, last: 18 });
+    assert_eq!(aberrations.ncpa_zernikes, NollRange::Span { first: 4, last: 18 });
     assert_eq!(aberrations.truth_samples, Some(960));
     assert_eq!((&scene.modes.segment, &scene.modes.ncpa), (&SegmentModes::Piston, &NcpaBasis::Kl));
     assert_eq!(scene.modes.exact_zernikes, None);
@@ -257,7 +257,7 @@ fn a_changed_scene_has_the_new_values_in_its_text() {
         ])
         .unwrap();
     assert_eq!((varied.image.peak_snr, varied.image.flux_e), (None, Some(1e6)));
-    assert_eq!((&varied.modes.ncpa, varied.modes.exact_zernikes), (&NcpaBasis::Zernike, Some(Zernikes::None)));
+    assert_eq!((&varied.modes.ncpa, varied.modes.exact_zernikes), (&NcpaBasis::Zernike, Some(NollRange::None)));
     assert_eq!(varied.estimate.device, DeviceChoice::OpenClDevice { platform: 0, device: 1 });
     assert_eq!(varied.estimate.optimizer, Optimizer::Bfgs);
     assert!(varied.text().contains("wavelength_nm = 2168.6     # Br gamma"), "comments are kept");
@@ -435,4 +435,12 @@ fn deeply_nested_and_long_texts_are_refused() {
     ] {
         refusal(&text);
     }
+}
+
+#[test]
+fn a_renamed_key_is_refused_with_its_new_name() {
+    let message = refusal("[estimate]\nknows = \"loop\"");
+    assert_eq!(message, "scene line 2: unknown key 'estimate.knows'; its name is now 'ao_knowledge'");
+    let error = Scene::preset("keck-onsky").unwrap().with(&[("estimate.knows", "loop")]).unwrap_err().to_string();
+    assert!(error.ends_with("its name is now 'ao_knowledge'"), "{error}");
 }

@@ -72,7 +72,7 @@ impl Drift {
 
 #[cfg(test)]
 mod tests {
-    use crate::ao::{CALM, Frame, Progress, Recorder, Shot, Simulator};
+    use crate::ao::{Frame, Progress, Recorder, Shot, Simulator, UNDISTURBED_LOOP};
     use crate::scene::Scene;
     use ndarray::Array2;
 
@@ -101,7 +101,7 @@ mod tests {
     #[test]
     fn static_errors_drift_linearly_about_the_middle() {
         let small = include_str!("../../tests/c_api/small.toml");
-        let scene = Scene::from_text(small, "".as_ref()).unwrap().with(&CALM).unwrap();
+        let scene = Scene::from_text(small, "".as_ref()).unwrap().with(&UNDISTURBED_LOOP).unwrap();
         let quiet = [
             ("control.settle_s", "0"),
             // A negligible gain: only the segments change the residual.

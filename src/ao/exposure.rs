@@ -72,7 +72,7 @@ impl DetectorThread {
             }
             self.camera.add(&wavefront.residual_nm, &mut sum);
             if wavefront.is_last {
-                let psf = self.pixels.apply((self.camera.upright(&sum) * wavefront.share).mapv(f64::from));
+                let psf = self.pixels.apply((self.camera.to_image(&sum) * wavefront.share).mapv(f64::from));
                 let number = CAMERA_STREAM + self.first_frame + wavefront.image as u64;
                 let mut rng = stream(self.scene.turbulence.seed, number);
                 let image_e = psf.mapv(|h| expose(&self.scene.image, h, self.flux_e, &mut rng) as f32);

@@ -22,7 +22,7 @@ pub struct Footprint {
 
 impl Footprint {
     /// Footprint of `pupil`.
-    pub fn of(pupil: &Pupil) -> Self {
+    pub fn new(pupil: &Pupil) -> Self {
         Self::with_margin(pupil, 0)
     }
 
@@ -98,8 +98,8 @@ mod tests {
     #[test]
     fn spans_hold_all_of_the_light_in_whole_vectors() {
         let scene = Scene::preset("keck-onsky").unwrap();
-        let pupil = Telescope::of(&scene).unwrap().pupil;
-        let footprint = Footprint::of(&pupil);
+        let pupil = Telescope::new(&scene).unwrap().pupil;
+        let footprint = Footprint::new(&pupil);
         let mut inside = 0.0;
         for y in 0..footprint.samples() {
             let span = footprint.span(y);

@@ -40,5 +40,5 @@ pub use sensor::{GuideStar, Lenslets, MAS_PER_NM_M, Sensor};
 pub use simulator::{Frame, Simulator};
 pub use stepper::Stepper;
 pub use surface::Surface;
-pub use undisturbed::CALM;
+pub use undisturbed::UNDISTURBED_LOOP;
 pub use work::Work;

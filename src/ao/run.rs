@@ -129,8 +129,8 @@ impl Simulator {
         let started = Instant::now();
         let scene = self.scene().clone();
         let (sensing, control) = sections(&scene)?;
-        let schedule = Schedule::of(&scene, control.settle_s, control.frame_rate_hz);
-        let mut camera = self.camera(View::of(&scene.image))?;
+        let schedule = Schedule::new(&scene, control.settle_s, control.frame_rate_hz);
+        let mut camera = self.camera(View::from_scene(&scene.image))?;
         // peak_snr refers to the PSF of the static aberrations alone, so that the flux does not depend on the loop.
         let pixels = DetectorPixels::new(&scene);
         let peak = pixels.apply(camera.psf(self.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));

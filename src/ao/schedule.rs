@@ -17,7 +17,7 @@ pub struct Schedule {
 
 impl Schedule {
     /// The schedule of `scene`, for a loop of `rate_hz`.
-    pub fn of(scene: &Scene, settle_s: f64, rate_hz: f64) -> Self {
+    pub fn new(scene: &Scene, settle_s: f64, rate_hz: f64) -> Self {
         let image = &scene.image;
         let exposure = (image.exposure_s * rate_hz).round().max(1.0);
         let interval_s = image.interval_s.max(exposure / rate_hz);

@@ -136,7 +136,7 @@ impl Simulator {
     /// # Errors
     /// [`Error::Scene`] for a scene without a sensor or control; the errors of building each part.
     pub fn new(scene: &Scene) -> Result<Self> {
-        let telescope = Telescope::of(scene)?;
+        let telescope = Telescope::new(scene)?;
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
         let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
         Self::with_truth(scene, telescope, truth)
@@ -153,12 +153,12 @@ impl Simulator {
         // The subapertures in use are selected with perfectly reflecting segments.
         let illuminated = apply_reflectivity(&pupil, &truth);
         let footprint = Footprint::with_margin(&illuminated, camera::MARGIN_SAMPLES);
-        let lenslets = Lenslets::of(sensing, &pupil, scene.directory())?.with_light_of(&illuminated);
+        let lenslets = Lenslets::new(sensing, &pupil, scene.directory())?.with_light_of(&illuminated);
         let influence = actuators(scene, &lenslets)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
         let mut sensor = Sensor::new(sensing, lenslets, &illuminated, &footprint)?;
         let interaction = interaction(&mut sensor, &mut surface, &footprint)?;
-        let sensor = sensor.as_it_is(sensing, &illuminated, &footprint)?;
+        let sensor = sensor.with_shift_and_gain(sensing, &illuminated, &footprint)?;
         let lenslets = sensor.lenslets();
         let mask = match sensing.mask {
             SensorMask::None => vec![false; lenslets.subapertures.len()],
@@ -189,7 +189,7 @@ impl Simulator {
         let noisy = sensing.photon_noise || sensing.read_noise_e > 0.0;
         let light = noisy.then(|| GuideStar::new(sensing, lenslets.pitch_m, frame_s, noise));
         let segments_nm = segments_nm(&truth, &telescope, &pupil, &footprint);
-        let schedule = Schedule::of(scene, control_scene.settle_s, control_scene.frame_rate_hz);
+        let schedule = Schedule::new(scene, control_scene.settle_s, control_scene.frame_rate_hz);
         let drift = Drift::new(&truth, &pupil, &footprint, &segments_nm, &schedule, frame_s)?;
         let correction = CorrectionLoop {
             segments_nm,
@@ -206,7 +206,7 @@ impl Simulator {
             sensor,
             light,
         };
-        let diversity = Diversity::of(scene, &telescope)?;
+        let diversity = Diversity::new(scene, &telescope)?;
         let residual_nm = correction.footprint.zeros();
         let scene = scene.clone();
         Ok(Self {
@@ -242,7 +242,7 @@ impl Simulator {
     ///
     /// # Errors
     /// [`Error::Shape`] for a map of another size.
-    pub fn step_behind(&mut self, extra_nm: &[f32]) -> Result<Frame<'_>> {
+    pub fn step_with_opd(&mut self, extra_nm: &[f32]) -> Result<Frame<'_>> {
         if extra_nm.len() != self.residual_nm.len() {
             let (given, needed) = (extra_nm.len(), self.residual_nm.len());
             return Err(Error::Shape(format!("a map of {given} samples was given; {needed} are needed")));

@@ -33,7 +33,7 @@ impl Stepper {
     pub fn new(scene: &Scene) -> Result<Self> {
         let (sensing, _) = sections(scene)?;
         let simulator = Simulator::new(scene)?;
-        let mut camera = simulator.camera(View::of(&scene.image))?;
+        let mut camera = simulator.camera(View::from_scene(&scene.image))?;
         // As in a run, peak_snr refers to the PSF of the static aberrations alone.
         let pixels = DetectorPixels::new(scene);
         let peak = pixels.apply(camera.psf(simulator.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));

@@ -214,9 +214,9 @@ mod tests {
     fn the_surface_is_the_sum_of_the_influence_functions() {
         for coupling in ["0.1458", "0.35"] {
             let scene = Scene::preset("keck-onsky").unwrap().with_override("mirror.coupling", coupling).unwrap();
-            let telescope = Telescope::of(&scene).unwrap();
+            let telescope = Telescope::new(&scene).unwrap();
             let influence = telescope.influence(&scene).unwrap();
-            let (pupil, footprint) = (&telescope.pupil, Footprint::of(&telescope.pupil));
+            let (pupil, footprint) = (&telescope.pupil, Footprint::new(&telescope.pupil));
             let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
             let commands: Vec<f32> = (0..surface.actuators()).map(|i| ((i * 37 % 101) as f32 - 50.0) * 20.0).collect();
             let mut map = footprint.zeros();
@@ -239,8 +239,8 @@ mod tests {
     #[test]
     fn a_wrong_number_of_commands_is_refused() {
         let scene = Scene::preset("keck-onsky").unwrap();
-        let telescope = Telescope::of(&scene).unwrap();
-        let footprint = Footprint::of(&telescope.pupil);
+        let telescope = Telescope::new(&scene).unwrap();
+        let footprint = Footprint::new(&telescope.pupil);
         let mut surface = Surface::new(&telescope.influence(&scene).unwrap(), &telescope.pupil.grid, &footprint);
         assert!(surface.add(&[0.0; 3], 1.0, &mut footprint.zeros()).is_err());
     }

@@ -1,7 +1,7 @@
 //! A noise-free, turbulence-free loop.
 
 /// Settings of a scene that take away the turbulence and the noise of the wavefront sensor.
-pub const CALM: [(&str, &str); 6] = [
+pub const UNDISTURBED_LOOP: [(&str, &str); 6] = [
     ("turbulence.fractions", "[]"),
     ("turbulence.heights_m", "[]"),
     ("turbulence.wind_m_s", "[]"),

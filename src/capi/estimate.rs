@@ -7,9 +7,9 @@ use super::pointer::{place, put_array, put_text, text};
 use super::sized::Outputs;
 use super::status::cophase_status;
 use super::text::*;
-use crate::pipeline::Estimate;
-use crate::scene::{Knows, Method};
 use crate::loop_response::Corrections;
+use crate::pipeline::Estimate;
+use crate::scene::{AoKnowledge, Method};
 use crate::{Error, Result};
 use std::ffi::c_char;
 use std::path::Path;
@@ -20,7 +20,7 @@ pub const COPHASE_METHOD_MODAL: i32 = 1;
 /// turbulence.
 pub const COPHASE_METHOD_MAP: i32 = 2;
 
-/// Knowledge of the adaptive optics that a MAP estimate assumed (estimate.knows): only the mirror's pitch and ordinary
+/// Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the mirror's pitch and ordinary
 /// seeing.
 pub const COPHASE_KNOWS_NOTHING: i32 = 1;
 /// Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and control.
@@ -186,10 +186,10 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
         iterations: map.map_or(0, |map| map.iterations.len() as i32),
         has_settled: map.is_none_or(|map| map.has_settled).into(),
         knows: map.map_or(0, |map| match map.knows {
-            Knows::Nothing => COPHASE_KNOWS_NOTHING,
-            Knows::Spectrum => COPHASE_KNOWS_SPECTRUM,
-            Knows::Loop => COPHASE_KNOWS_LOOP,
-            Knows::Telemetry => COPHASE_KNOWS_TELEMETRY,
+            AoKnowledge::Nothing => COPHASE_KNOWS_NOTHING,
+            AoKnowledge::Spectrum => COPHASE_KNOWS_SPECTRUM,
+            AoKnowledge::Loop => COPHASE_KNOWS_LOOP,
+            AoKnowledge::Telemetry => COPHASE_KNOWS_TELEMETRY,
         }),
         precision: super::session::precision_number(precision),
         evaluations: estimate.evaluations() as u64,

@@ -84,7 +84,7 @@ impl<T: Send> Handle<T> {
             handle.whole()?;
             // Not every call that says COPHASE_PANIC: another object that it was given may be the one that panicked.
             let _poison = PoisonIfPanicking(&handle.poisoned);
-            fault::in_a_call()?;
+            fault::fail_call()?;
             body(&handle.value)
         })
     }

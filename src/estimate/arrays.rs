@@ -6,7 +6,7 @@ use super::model::Model;
 use super::recipe::Recipe;
 use crate::modes::Group;
 use crate::pupil::Pupil;
-use crate::scene::{NcpaBasis, PupilModel, Scene, SegmentModes, Zernikes};
+use crate::scene::{NcpaBasis, NollRange, PupilModel, Scene, SegmentModes};
 use crate::telescope::{Diversity, MapOnGrid, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayViewMut2};
@@ -57,7 +57,7 @@ impl Estimator {
         let telescope = Telescope::from_maps(width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
         let diversity = match &arrays.diversity_nm {
             Some(map) => diversity_of(map.clone(), &telescope.pupil)?,
-            None => Diversity::of(scene, &telescope)?,
+            None => Diversity::new(scene, &telescope)?,
         };
         let (recipe, set) = modes_of(scene, arrays, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
@@ -74,7 +74,7 @@ fn modes_of(scene: &Scene, arrays: &Arrays, telescope: &Telescope) -> Result<(Re
     // A map on the model's own grid has no finer one from which to band-limit it.
     recipe.pupil_model = PupilModel::Hard;
     if !own && scene.modes.exact_zernikes.is_none() {
-        recipe.exact_zernikes = Zernikes::None;
+        recipe.exact_zernikes = NollRange::None;
     }
     if let Some(maps) = &arrays.modes {
         return Ok((recipe.clone(), ModeSet::of_maps(segment, ncpa_of(maps.clone(), pupil)?, &recipe, pupil)?));
@@ -86,7 +86,7 @@ fn modes_of(scene: &Scene, arrays: &Arrays, telescope: &Telescope) -> Result<(Re
         return Err(Error::Scene(sentence.into()));
     }
     let nothing = !own || scene.modes.ncpa == NcpaBasis::None;
-    if segment == SegmentModes::None && nothing && recipe.exact_zernikes == Zernikes::None {
+    if segment == SegmentModes::None && nothing && recipe.exact_zernikes == NollRange::None {
         return Err(Error::Value(
             "there is no mode to estimate: give modes, or the labels of segments with a modes.segment other than \
              \"none\""

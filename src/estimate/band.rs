@@ -37,8 +37,8 @@ pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversit
 /// # Errors
 /// Those of building the telescope.
 pub(super) fn enough_beyond(scene: &Scene) -> Result<usize> {
-    let telescope = Telescope::of(scene)?;
-    let needed = wavelengths_needed(scene, &telescope, &Diversity::of(scene, &telescope)?);
+    let telescope = Telescope::new(scene)?;
+    let needed = wavelengths_needed(scene, &telescope, &Diversity::new(scene, &telescope)?);
     Ok((needed + needed.div_ceil(2)).min(MOST))
 }
 
@@ -50,8 +50,8 @@ mod tests {
     fn a_scene_says_how_many_or_its_filter_does() {
         let with = |settings: &[(&str, &str)]| {
             let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
-            let telescope = Telescope::of(&scene).unwrap();
-            colours(&scene, &telescope, &Diversity::of(&scene, &telescope).unwrap())
+            let telescope = Telescope::new(&scene).unwrap();
+            colours(&scene, &telescope, &Diversity::new(&scene, &telescope).unwrap())
         };
         assert_eq!(with(&[]).unwrap(), [Colour::ALONE]);
         assert_eq!(with(&[("image.bandwidth_fraction", "0.5")]).unwrap().len(), MOST);

@@ -83,7 +83,7 @@ impl HeldDiversity {
     /// [`Error::File`] for a map of the diversity that cannot be read.
     pub fn of(scene: &Scene, telescope: &Telescope, basis: &Basis, segment_modes: usize) -> Result<Self> {
         let pupil = &telescope.pupil;
-        let diversity = Diversity::of(scene, telescope)?;
+        let diversity = Diversity::new(scene, telescope)?;
         let coordinate = |at: usize| pupil.grid.coordinate_m(at);
         let dim = pupil.amplitude.dim();
         let map = Array2::from_shape_fn(dim, |(y, x)| diversity.at(coordinate(x), coordinate(y)));

@@ -19,7 +19,7 @@
 
 use super::gauss_newton::bytes_of_row;
 use super::model::Model;
-use crate::scene::{NcpaBasis, Scene, Zernikes};
+use crate::scene::{NcpaBasis, NollRange, Scene};
 use crate::{Error, Result};
 
 /// The least that a fit takes, whatever its size: libraries, and the fine pupil on which the moments of a geometric one
@@ -152,8 +152,8 @@ pub(super) fn check_maps(scene: &Scene) -> Result<()> {
         NcpaBasis::None | NcpaBasis::File(_) => 0,
     };
     let exact = match scene.modes.exact_zernikes {
-        Some(Zernikes::Span { first, last }) => last + 1 - first,
-        Some(Zernikes::None) | None => 0,
+        Some(NollRange::Span { first, last }) => last + 1 - first,
+        Some(NollRange::None) | None => 0,
     };
     // The maps, and the values at the lit samples from which they are made.
     let bytes = 2 * NUMBER * (own + exact) * scene.pupil.samples.pow(2);

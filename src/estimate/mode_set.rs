@@ -6,7 +6,7 @@ use crate::imaging::Mode;
 use crate::io;
 use crate::modes::{self, Basis, Group, Separable, SmoothBasis};
 use crate::pupil::{Pupil, SegmentWeights};
-use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
+use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
@@ -164,12 +164,12 @@ fn functions(
     let (pupil, count) = (&telescope.pupil, scene.modes.ncpa_count);
     let own = own.of(scene, telescope)?;
     let exact = match recipe.exact_zernikes {
-        Zernikes::Span { first, last } => match &scene.modes.ncpa {
+        NollRange::Span { first, last } => match &scene.modes.ncpa {
             // A Zernike basis that already reaches as far is exact as it is.
             NcpaBasis::Zernike if last <= count + 1 => None,
             _ => Some(modes::zernike_basis(first, last, pupil)?),
         },
-        Zernikes::None => None,
+        NollRange::None => None,
     };
     Ok(match (exact, own) {
         (Some(exact), Some(own)) => {
@@ -206,8 +206,8 @@ pub(super) fn on_grid(names: Vec<String>, groups: Vec<Group>, maps: Array3<f64>,
 }
 
 /// `given`, followed by what the exact Zernikes add to its NCPA modes; and the names of those that add nothing.
-fn with_exact(given: Basis, exact: Zernikes, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
-    let Zernikes::Span { first, last } = exact else { return Ok((given, Vec::new())) };
+fn with_exact(given: Basis, exact: NollRange, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
+    let NollRange::Span { first, last } = exact else { return Ok((given, Vec::new())) };
     let zernikes = modes::zernike_basis(first, last, pupil)?.sampled(pupil)?;
     let (added, dropped) = remainders(&given, &zernikes, pupil);
     if added.is_empty() {

@@ -53,7 +53,7 @@ impl Model {
     /// As [`Model::of`].
     pub fn of_telescope(scene: &Scene, recipe: &Recipe, telescope: Telescope) -> Result<Self> {
         memory::check_maps(scene)?;
-        let diversity = Diversity::of(scene, &telescope)?;
+        let diversity = Diversity::new(scene, &telescope)?;
         let set = ModeSet::of(scene, scene.modes.segment, recipe, &telescope, &OwnBasis::default())?;
         Self::assemble(scene, recipe, false, telescope, &diversity, set)
     }
@@ -61,17 +61,17 @@ impl Model {
     /// As [`Model::of`], with the scene's own basis kept for other recipes of the same scene.
     pub(super) fn with_own_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
         memory::check_maps(scene)?;
-        let telescope = Telescope::of(scene)?;
-        let diversity = Diversity::of(scene, &telescope)?;
+        let telescope = Telescope::new(scene)?;
+        let diversity = Diversity::new(scene, &telescope)?;
         let set = ModeSet::of(scene, scene.modes.segment, recipe, &telescope, own)?;
         Self::assemble(scene, recipe, native, telescope, &diversity, set)
     }
 
     /// The model of `beside`, a scene that differs from `scene` by a little of its optics, for the modes of `scene`.
     pub(super) fn beside(scene: &Scene, beside: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
-        let set = ModeSet::of(scene, scene.modes.segment, recipe, &Telescope::of(scene)?, own)?;
-        let telescope = Telescope::of(beside)?;
-        let diversity = Diversity::of(beside, &telescope)?;
+        let set = ModeSet::of(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, own)?;
+        let telescope = Telescope::new(beside)?;
+        let diversity = Diversity::new(beside, &telescope)?;
         Self::assemble(beside, recipe, native, telescope, &diversity, set)
     }
 

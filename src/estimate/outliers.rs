@@ -223,7 +223,7 @@ mod tests {
     }
 
     fn images(scene: &Scene) -> Array3<f64> {
-        source::images(scene).unwrap().images_e
+        source::simulate(scene).unwrap().images_e
     }
 
     fn cleaned(scene: &Scene, data_e: &Array2<f64>, bad: &Array2<bool>) -> Option<Cleaned> {

@@ -1,12 +1,12 @@
 //! How a fit is done: the paper's way or ours, with whatever the scene changes.
 
-use crate::scene::{Combine, Optimizer, PupilModel, Sampling, Scene, Weighting, Zernikes};
+use crate::scene::{Combine, NollRange, Optimizer, PupilModel, Sampling, Scene, Weighting};
 
 /// Tip, tilt and focus: what every optic does.
-const NARROW: Zernikes = Zernikes::Span { first: 2, last: 4 };
+const NARROW: NollRange = NollRange::Span { first: 2, last: 4 };
 /// Everything to radial order 5: with 66 Karhunen-Loève modes this spans the low-order NCPA of which a mirror of small
 /// coupling holds only 75 to 95 %.
-const WIDE: Zernikes = Zernikes::Span { first: 2, last: 21 };
+const WIDE: NollRange = NollRange::Span { first: 2, last: 21 };
 
 /// The choices of one fit. [`Recipe::of`] fills in what the scene leaves open.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,7 +28,7 @@ pub struct Recipe {
     /// How the model samples a geometric pupil, or a fine map of one.
     pub pupil_model: PupilModel,
     /// Zernikes that are always estimated exactly.
-    pub exact_zernikes: Zernikes,
+    pub exact_zernikes: NollRange,
     /// Most evaluations for one image.
     pub max_evaluations: usize,
     /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
@@ -75,7 +75,7 @@ impl Recipe {
                 None if ours => PupilModel::BandLimited,
                 _ => PupilModel::Hard,
             },
-            exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(WIDE) } else { Zernikes::None },
+            exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(WIDE) } else { NollRange::None },
             // The paper's way needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
             // The paper's objective is for wavefronts that its modes do not span: 0.03 nm from its minimum at most, at

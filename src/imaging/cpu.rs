@@ -145,7 +145,7 @@ impl<T: Polynomial> CpuChain<T> {
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
     pub fn evaluate_there(&self, image: &Loaded<T>, scratch: &mut Scratch<T>, evaluation: &mut Evaluation) {
-        crate::fault::in_a_worker();
+        crate::fault::panic_in_worker();
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
     }
 

@@ -91,7 +91,7 @@ impl FitsWriter {
     /// here, before hours of computation.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
-        let target = Target::of(&path)?;
+        let target = Target::new(&path)?;
         // Created and removed immediately: only `finish` leaves a file.
         drop(target.temporary()?);
         let mut handle = Handle::create().map_err(|reason| Error::file(&path, reason))?;
@@ -224,7 +224,7 @@ impl FitsWriter {
     pub fn finish(self) -> Result<()> {
         let Self { path, handle, names } = self;
         let bytes = handle.into_bytes(names.len()).map_err(|reason| Error::file(&path, reason))?;
-        Target::of(&path)?.write(&bytes)
+        Target::new(&path)?.write(&bytes)
     }
 
     fn fill(&mut self, number: c_int, column: &Column) -> Result<()> {

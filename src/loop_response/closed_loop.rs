@@ -4,7 +4,7 @@
 //! The response is nonlinear, as is a quad cell's to a step at a segment's edge. So it is simulated for each set of pistons, and
 //! its linear part serves for first estimates only.
 
-use crate::ao::{CALM, Simulator};
+use crate::ao::{Simulator, UNDISTURBED_LOOP};
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::{Error, Result};
@@ -15,9 +15,9 @@ const NO_ABERRATIONS: [(&str, &str); 6] = [
     ("aberrations.ncpa_file", ""),
     ("aberrations.segment_piston_rms_nm", "0.0"),
     ("aberrations.segment_tip_tilt_rms_nm", "0.0"),
-    ("aberrations.segment_reflectivity_rms", "0.0"),
+    ("faults.segment_reflectivity_rms", "0.0"),
     ("aberrations.ncpa_rms_nm", "0.0"),
-    ("aberrations.drift_nm_per_min", "0.0"),
+    ("faults.drift_nm_per_min", "0.0"),
 ];
 
 /// Largest change of a command from frame to frame of a mirror at rest: at a gain of 0.3 the remaining change is three times that.
@@ -47,7 +47,7 @@ impl ClosedLoopResponse {
     /// Those of [`Simulator::new`].
     pub fn new(scene: &Scene, samples: &IlluminatedSamples) -> Result<Self> {
         let aberrations = scene.aberrations.iter().flat_map(|_| NO_ABERRATIONS);
-        let settings: Vec<_> = CALM.into_iter().chain(aberrations).collect();
+        let settings: Vec<_> = UNDISTURBED_LOOP.into_iter().chain(aberrations).collect();
         let simulator = Simulator::new(&scene.with(&settings)?)?;
         let stride = simulator.footprint().stride();
         let owner = simulator.pupil().owner.indexed_iter().filter(|(_, owner)| **owner >= 0);
@@ -72,7 +72,7 @@ impl ClosedLoopResponse {
         }
         let mut before_nm = vec![0.0; self.simulator.influence().len()];
         for frame in 0..MAX_FRAMES {
-            let commands_nm = self.simulator.step_behind(&steps_nm)?.commands_nm;
+            let commands_nm = self.simulator.step_with_opd(&steps_nm)?.commands_nm;
             let change = commands_nm.iter().zip(&before_nm).map(|(now, then)| (now - then).abs()).fold(0.0, f32::max);
             before_nm.copy_from_slice(commands_nm);
             // The first frames still hold the commands for the previous pistons.

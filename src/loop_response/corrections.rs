@@ -61,7 +61,7 @@ impl Corrections {
             return Err(Error::Value(format!("a limit of {limit_nm} nm was given: a positive one is needed")));
         }
         let segments = errors.pistons_nm.len();
-        let telescope = Telescope::of(scene)?;
+        let telescope = Telescope::new(scene)?;
         let sigma = |mode: usize| errors.covariance_nm2[[mode, mode]].max(0.0).sqrt();
         let mut limited = 0;
         let mut clip = |command_nm: f64, limit_nm: f64| {

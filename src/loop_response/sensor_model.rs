@@ -58,9 +58,9 @@ impl SensorModel {
         };
         let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
         let pupil = telescope.pupil_on(grid)?;
-        let footprint = Footprint::of(&pupil);
-        let sensor = Sensor::new(sensing, Lenslets::of(sensing, &pupil, scene.directory())?, &pupil, &footprint)?
-            .as_it_is(sensing, &pupil, &footprint)?;
+        let footprint = Footprint::new(&pupil);
+        let sensor = Sensor::new(sensing, Lenslets::new(sensing, &pupil, scene.directory())?, &pupil, &footprint)?
+            .with_shift_and_gain(sensing, &pupil, &footprint)?;
         let fine = Samples::of(&pupil)?;
         let n = grid.samples();
         let index = |&at: &usize| (at / n * footprint.stride() + at % n, pupil.owner[[at / n, at % n]].max(0) as usize);

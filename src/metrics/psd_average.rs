@@ -12,7 +12,7 @@
 //! its neighbours like the light of a star in the telescope's PSF, as f⁻³ on average over directions. Behind adaptive
 //! optics there is no excess at low frequencies that could leak, phasing errors at the rim have their full weight, and
 //! the leakage cancels in a ratio of two spectra. Open-loop turbulence falls as f^(−11/3), below its own leakage: call
-//! [`PsdAverage::windowed`] with weights that fall smoothly to 0, such as A·cos⁴(π·r/D).
+//! [`PsdAverage::with_weights`] with weights that fall smoothly to 0, such as A·cos⁴(π·r/D).
 //!
 //! **Two maps per FFT.** For real maps a and b, `|â|² + |b̂|²` at f is the mean of `|F{a + ib}|²` at f and at −f. The
 //! average over ±f is taken once, at the end.
@@ -51,9 +51,9 @@ impl PsdAverage {
     /// 1/`grid.width_m()` apart; larger factors interpolate between them.
     ///
     /// # Errors
-    /// Those of [`PsdAverage::windowed`].
+    /// Those of [`PsdAverage::with_weights`].
     pub fn new(pupil: &Pupil, padding: usize) -> Result<Self> {
-        Self::windowed(pupil.grid, pupil.amplitude.view(), padding)
+        Self::with_weights(pupil.grid, pupil.amplitude.view(), padding)
     }
 
     /// Average of maps on `grid`, with the caller's weights `[y, x]` (the squares of the window).
@@ -61,7 +61,7 @@ impl PsdAverage {
     /// # Errors
     /// [`Error::Shape`] for weights that do not have the grid's shape, [`Error::Value`] for one that is negative or not
     /// finite, for weights that are 0 everywhere, and for a padding of 0 or beyond [`LARGEST_PADDING`].
-    pub fn windowed(grid: Grid, weights: ArrayView2<f64>, padding: usize) -> Result<Self> {
+    pub fn with_weights(grid: Grid, weights: ArrayView2<f64>, padding: usize) -> Result<Self> {
         check_shape("weights", weights.dim(), &grid)?;
         if let Some(((y, x), value)) = weights.indexed_iter().find(|(_, a)| !(a.is_finite() && **a >= 0.0)) {
             return Err(Error::Value(format!(

@@ -50,7 +50,7 @@ impl MapGram {
 
     /// Gram matrix from the mean products over the pupil of the maps with each other (piston, tip and tilt included),
     /// `[mode, mode]`, and with the three [`MapGram::planes`], `[plane][mode]`.
-    pub fn of_products(mut products: Array2<f64>, along: [Vec<f64>; 3]) -> Self {
+    pub fn from_products(mut products: Array2<f64>, along: [Vec<f64>; 3]) -> Self {
         // The planes are orthonormal: a map's products with them are its components along them.
         for along in along.map(Array1::from) {
             for (mut row, &part) in products.outer_iter_mut().zip(&along) {
@@ -149,7 +149,7 @@ mod tests {
         let map = |mode| maps.index_axis(Axis(0), mode);
         let products = Array2::from_shape_fn((3, 3), |(i, j)| mean(map(i), map(j)));
         let along = MapGram::planes(&pupil).map(|plane| (0..3).map(|mode| mean(map(mode), plane.view())).collect());
-        let (found, wanted) = (MapGram::of_products(products, along), MapGram::new(&pupil, maps.view()).unwrap());
+        let (found, wanted) = (MapGram::from_products(products, along), MapGram::new(&pupil, maps.view()).unwrap());
         // Mean squares of up to (20 nm)², from which the planes are subtracted: a few times 1e-16 of that.
         assert!((found.products - wanted.products).iter().all(|difference| difference.abs() < 1e-11));
     }

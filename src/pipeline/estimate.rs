@@ -9,7 +9,7 @@ use crate::estimate::{self, Compared};
 use crate::loop_response::Corrections;
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
-use crate::scene::{Combine, Knows, Method, Precision, Scene};
+use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
 use crate::statics::Iteration;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -139,7 +139,7 @@ pub struct Comparison {
 #[derive(Debug, Clone)]
 pub struct MapSummary {
     /// What was assumed of the adaptive optics.
-    pub knows: Knows,
+    pub knows: AoKnowledge,
     /// All iterations; the last one is the estimate.
     pub iterations: Vec<Iteration>,
     /// Whether they ended because the last one changed next to nothing.

@@ -71,12 +71,12 @@ impl Images {
         Ok(images)
     }
 
-    /// Simulated images of an artificial source, with their truth; see [`source::images`].
+    /// Simulated images of an artificial source, with their truth; see [`source::simulate`].
     ///
     /// # Errors
-    /// Those of [`source::images`].
+    /// Those of [`source::simulate`].
     pub fn simulated(scene: &Scene) -> Result<Self> {
-        let made = source::images(scene)?;
+        let made = source::simulate(scene)?;
         let truth = TruthMaps { phasing_nm: made.truth.phasing_nm, ncpa_nm: made.truth.ncpa_nm };
         Ok(Self { truth: Some(truth), ..Self::new(made.images_e) })
     }

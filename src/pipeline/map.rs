@@ -11,7 +11,7 @@ use super::sequence::{self, SequenceResult};
 use super::warnings;
 use crate::modes::Group;
 use crate::retrieval::OPTICS_SEARCH_CHI2;
-use crate::scene::{Knows, Scene};
+use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -24,7 +24,7 @@ const EXPLAINED: f64 = 6.0;
 pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Images) -> Result<Estimate> {
     let count = images.len();
     // A level below telemetry uses no slopes, and those of a file may then be anything.
-    let uses_telemetry = scene.estimate.knows.is_none_or(|knows| knows >= Knows::Telemetry);
+    let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|knows| knows >= AoKnowledge::Telemetry);
     let slopes_mas = images.slopes_mas.as_ref().filter(|_| uses_telemetry);
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != count) {
         return Err(Error::Shape(format!(

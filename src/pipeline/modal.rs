@@ -12,7 +12,7 @@ use crate::estimate::{self, BasisCache, Cube, FittedOptic, Model};
 use crate::imaging::Chain;
 use crate::metrics::MapGram;
 use crate::modes::Group;
-use crate::scene::{Scene, Zernikes};
+use crate::scene::{NollRange, Scene};
 use ndarray::Array2;
 use std::sync::Arc;
 use std::time::Instant;
@@ -101,11 +101,11 @@ impl From<&FittedOptic> for OpticalParameter {
 }
 
 /// The basis that was chosen, in words.
-fn selected(recipes: &[estimate::Recipe], exact: Zernikes) -> String {
+fn selected(recipes: &[estimate::Recipe], exact: NollRange) -> String {
     match exact {
-        Zernikes::None => "the scene's modes".into(),
-        Zernikes::Span { first, last } if recipes.len() > 1 => format!("Zernikes {first} to {last} added (by χ²)"),
-        Zernikes::Span { first, last } => format!("Zernikes {first} to {last} added"),
+        NollRange::None => "the scene's modes".into(),
+        NollRange::Span { first, last } if recipes.len() > 1 => format!("Zernikes {first} to {last} added (by χ²)"),
+        NollRange::Span { first, last } => format!("Zernikes {first} to {last} added"),
     }
 }
 
@@ -120,7 +120,7 @@ impl ExpectedErrors {
         let pupil = &model.telescope.pupil;
         let weight = &pupil.amplitude / pupil.weight_sum();
         let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
-        let gram = MapGram::of_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
+        let gram = MapGram::from_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
         Ok(Self { gram, groups: model.basis.groups().to_vec() })
     }
 

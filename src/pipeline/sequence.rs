@@ -10,7 +10,7 @@ use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
-use crate::scene::{Knows, Scene, SegmentModes};
+use crate::scene::{AoKnowledge, Scene, SegmentModes};
 use crate::statics::{Iteration, SequenceRetrieval, StaticsSettings, check_diversity, estimate_static_errors};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -25,7 +25,7 @@ pub(super) struct SequenceResult {
     /// Outlier pixels that were rejected from each image.
     pub(super) rejected_pixels: Vec<usize>,
     /// What was assumed of the adaptive optics.
-    pub(super) knows: Knows,
+    pub(super) knows: AoKnowledge,
     /// Optical parameters that the images show to differ from the scene's.
     pub(super) optics: RetrievedOptics,
     /// Scene of the static errors and of corrections: with the optical parameters that were found, unless the sensor's
@@ -42,18 +42,18 @@ pub(super) struct SequenceResult {
 ///
 /// # Errors
 /// [`Error::Scene`] where the scene asks for more than there is.
-fn ao_knowledge(scene: &Scene, telemetry: bool) -> Result<Knows> {
+fn ao_knowledge(scene: &Scene, telemetry: bool) -> Result<AoKnowledge> {
     let has_loop = scene.control.is_some() && scene.wavefront_sensor.is_some();
     let there = match (has_loop, telemetry) {
-        (true, true) => Knows::Telemetry,
-        (true, false) => Knows::Loop,
-        (false, _) => Knows::Spectrum,
+        (true, true) => AoKnowledge::Telemetry,
+        (true, false) => AoKnowledge::Loop,
+        (false, _) => AoKnowledge::Spectrum,
     };
-    match scene.estimate.knows {
+    match scene.estimate.ao_knowledge {
         None => Ok(there),
         Some(wanted) if wanted <= there => Ok(wanted),
         Some(wanted) => Err(Error::Scene(format!(
-            "estimate.knows = \"{}\" is more than there is: the {}, and \"{}\" is accepted",
+            "estimate.ao_knowledge = \"{}\" is more than there is: the {}, and \"{}\" is accepted",
             wanted.word(),
             if has_loop { "images come without slopes" } else { "scene has no [wavefront_sensor] and [control]" },
             there.word()
@@ -65,7 +65,7 @@ fn ao_knowledge(scene: &Scene, telemetry: bool) -> Result<Knows> {
 fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) -> Result<()> {
     let Some(sensing) = &scene.wavefront_sensor else { return Ok(()) };
     let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
-    let subapertures = Lenslets::of(sensing, &telescope.pupil_on(grid)?, scene.directory())?.subapertures.len();
+    let subapertures = Lenslets::new(sensing, &telescope.pupil_on(grid)?, scene.directory())?.subapertures.len();
     if slopes_mas.ncols() != 2 * subapertures {
         return Err(Error::Shape(format!(
             "{} slopes were given for each image: {} are needed, along x and then along y for each of the scene's \
@@ -85,8 +85,8 @@ fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) 
 }
 
 /// Power spectral density that is expected of the dynamic wavefront.
-fn prior(scene: &Scene, knows: Knows) -> Result<RadialPsd> {
-    if knows > Knows::Nothing {
+fn prior(scene: &Scene, knows: AoKnowledge) -> Result<RadialPsd> {
+    if knows > AoKnowledge::Nothing {
         return RadialPsd::ao_residual(scene, StaticAberrationRms::default());
     }
     // Ordinary seeing, r0 = 16 cm at 500 nm, beyond what the mirror's pitch corrects; below, as much as there: a flat band.
@@ -128,10 +128,10 @@ pub(super) fn estimate(
     let knows = ao_knowledge(scene, slopes_mas.is_some())?;
     let settings = StaticsSettings { ao_knowledge: knows, ..StaticsSettings::default() };
     if let Some(&coarsest) = settings.families.first() {
-        check_diversity(coarsest, scene, &Telescope::of(scene)?)?;
+        check_diversity(coarsest, scene, &Telescope::new(scene)?)?;
     }
-    let used_slopes_mas = slopes_mas.filter(|_| knows >= Knows::Telemetry);
-    let own_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(scene, &Telescope::of(scene)?, mas));
+    let used_slopes_mas = slopes_mas.filter(|_| knows >= AoKnowledge::Telemetry);
+    let own_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(scene, &Telescope::new(scene)?, mas));
     // Slopes of another number of subapertures may be those behind the pupil that the images show.
     let own_sensor = match own_sensor {
         Err(Error::Shape(_)) if scene.pupil.extent_m().is_some() => own_sensor,
@@ -160,7 +160,7 @@ pub(super) fn estimate(
         rejected_pixels: cleaned.map_or_else(|| vec![0; images.len()], |cleaned| cleaned.cut_pixels),
         knows,
         optics,
-        pupil: Telescope::of(&static_scene)?.pupil,
+        pupil: Telescope::new(&static_scene)?.pupil,
         scene: static_scene,
         device,
         device_failure,

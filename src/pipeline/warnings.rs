@@ -3,7 +3,7 @@
 use super::images::counted;
 use super::sequence::SequenceResult;
 use crate::estimate::{self, HeldDiversity, ImageReport, Model, Session, Status};
-use crate::scene::{Knows, Scene};
+use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 
 /// Images named one by one in a warning; the others are counted.
@@ -178,9 +178,9 @@ pub(super) fn of_map(found: &SequenceResult, last: &Iteration, has_settled: bool
             found.iterations.len()
         ));
     }
-    if found.knows < Knows::Loop {
+    if found.knows < AoKnowledge::Loop {
         sentences.push(format!(
-            "with estimate.knows = \"{}\" the loop's response to the pistons counts as NCPA: their error bars include {:.0} \
+            "with estimate.ao_knowledge = \"{}\" the loop's response to the pistons counts as NCPA: their error bars include {:.0} \
              nm for it",
             found.knows.word(),
             last.error_budget.term_nm(ErrorSource::UnknownLoopResponse)[1]

@@ -6,7 +6,7 @@ use crate::imaging::Chain;
 use crate::metrics::{MapGram, residual_nm};
 use crate::modes::Group;
 use crate::optimize::CancelFlag;
-use crate::scene::{NcpaBasis, Scene, SegmentModes, Zernikes};
+use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
 use crate::source::{self, Camera, Truth};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -41,8 +41,8 @@ impl Trials {
     /// Draws and images wavefronts of `scene`.
     pub(super) fn of(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Self> {
         let scene = &if scene.aberrations.is_some() { scene.clone() } else { assumed(scene)? };
-        let telescope = Telescope::of(scene)?;
-        let camera = Camera::of(scene, &telescope)?;
+        let telescope = Telescope::new(scene)?;
+        let camera = Camera::new(scene, &telescope)?;
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
         let mut rng = ChaCha12Rng::seed_from_u64(seed);
         rng.set_stream(STREAM);
@@ -110,7 +110,7 @@ impl Trials {
         // By products and not by maps, which thousands of segment modes would fill the memory with.
         let weight = &pupil.amplitude / pupil.weight_sum();
         let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
-        let gram = MapGram::of_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
+        let gram = MapGram::from_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
         let of = |part: std::ops::Range<usize>| -> Result<f64> {
             let mut own = Array2::zeros(covariance_nm2.dim());
             own.slice_mut(s![part.clone(), part.clone()]).assign(&covariance_nm2.slice(s![part.clone(), part]));
@@ -126,7 +126,7 @@ fn assumed(scene: &Scene) -> Result<Scene> {
         NcpaBasis::Kl => ASSUMED_LAST_NOLL,
         NcpaBasis::Zernike => ASSUMED_LAST_NOLL.min(scene.modes.ncpa_count + 1),
         NcpaBasis::None | NcpaBasis::File(_) => match scene.modes.exact_zernikes {
-            Some(Zernikes::Span { last, .. }) => ASSUMED_LAST_NOLL.min(last),
+            Some(NollRange::Span { last, .. }) => ASSUMED_LAST_NOLL.min(last),
             _ => 0,
         },
     };

@@ -26,7 +26,7 @@ impl RetrievedOptics {
     /// # Errors
     /// Those of building the telescope.
     pub(super) fn new(given: &Scene, scene: Scene, amplitudes: Vec<f64>) -> Result<Self> {
-        let mut telescope = Telescope::of(&scene)?;
+        let mut telescope = Telescope::new(&scene)?;
         if !amplitudes.is_empty() {
             telescope = telescope.with_amplitudes(amplitudes)?;
         }

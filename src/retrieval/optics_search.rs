@@ -132,7 +132,7 @@ impl TrialOptics {
     }
 
     fn telescope(&self) -> Result<Telescope> {
-        let telescope = Telescope::of(&self.scene)?;
+        let telescope = Telescope::new(&self.scene)?;
         if self.amplitudes.is_empty() { Ok(telescope) } else { telescope.with_amplitudes(self.amplitudes.clone()) }
     }
 }
@@ -320,7 +320,7 @@ mod tests {
     fn segment_reflectivities_are_estimated() {
         let amplitudes = [1.03, 0.98, 1.0, 0.97, 1.02, 0.99, 1.01];
         let found = estimated(&[], &amplitudes, &[]);
-        let known = Telescope::of(&scene()).unwrap().with_amplitudes(amplitudes.to_vec()).unwrap();
+        let known = Telescope::new(&scene()).unwrap().with_amplitudes(amplitudes.to_vec()).unwrap();
         for (found, amplitude) in found.segment_reflectivities.iter().zip(known.amplitudes()) {
             // Three images behind turbulence that the model's samples are too coarse for; the amplitudes scatter by 0.02.
             assert!((found.sqrt() - amplitude).abs() < 0.005, "{found} {amplitude}");

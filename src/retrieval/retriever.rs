@@ -53,7 +53,7 @@ impl Retriever {
     /// # Errors
     /// Those of [`Model::of`]; [`Error::Value`] for a setting out of range.
     pub fn new(scene: &Scene, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
-        Self::with_telescope(scene, Telescope::of(scene)?, prior, settings)
+        Self::with_telescope(scene, Telescope::new(scene)?, prior, settings)
     }
 
     /// As [`Retriever::new`], for a telescope that differs from the scene's in the amplitudes of its segments.

@@ -14,7 +14,7 @@ const MARGIN: f64 = 8.0;
 
 /// Computes the half-width of the defocused spot, λ over the grid's width.
 fn spot(scene: &Scene, telescope: &Telescope) -> Result<f64> {
-    Ok(Diversity::of(scene, telescope)?.spot(&telescope.pupil, scene.image.wavelength_nm))
+    Ok(Diversity::new(scene, telescope)?.spot(&telescope.pupil, scene.image.wavelength_nm))
 }
 
 /// `scene` with the pixels and samples that resolve `cycles` across a segment, where it leaves them open.
@@ -69,7 +69,7 @@ mod tests {
 
     fn sizes(settings: &[(&str, &str)]) -> (Option<usize>, Crop) {
         let scene = Scene::preset("keck-onsky").unwrap().with(settings).unwrap();
-        let scene = with_retrieval_sampling(&scene, &Telescope::of(&scene).unwrap(), 8.0).unwrap();
+        let scene = with_retrieval_sampling(&scene, &Telescope::new(&scene).unwrap(), 8.0).unwrap();
         (scene.estimate.samples, scene.image.crop_pixels)
     }
 

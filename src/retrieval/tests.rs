@@ -210,7 +210,7 @@ fn the_psd_of_drawn_wavefronts_is_the_priors() {
         map
     };
     let amplitude: Vec<f64> = retriever.amplitude().iter().map(|amplitude| amplitude.clamp(0.0, 1.0)).collect();
-    let mut average = crate::metrics::PsdAverage::windowed(grid, map(&amplitude).view(), 1).unwrap();
+    let mut average = crate::metrics::PsdAverage::with_weights(grid, map(&amplitude).view(), 1).unwrap();
     (0..100).for_each(|seed| average.add(map(&retriever.draw_nm(&prior, seed)).view()).unwrap());
     let floor = prior.scaled(1e-6).unwrap();
     let measured = RadialPsd::from_psd(&average.mean().unwrap(), &floor).unwrap();

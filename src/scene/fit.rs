@@ -1,11 +1,12 @@
 //! Sections `[modes]` and `[estimate]`: modes and settings of an estimate.
 
-use super::lists::Zernikes;
+use super::lists::NollRange;
 use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
-    Combine, DeviceChoice, Knows, Method, NcpaBasis, Optic, Optimizer, Precision, Sampling, SegmentModes, Weighting,
+    AoKnowledge, Combine, DeviceChoice, Method, NcpaBasis, Optic, Optimizer, Precision, Sampling, SegmentModes,
+    Weighting,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -23,7 +24,7 @@ section! {
         file: Option<PathBuf>, ANY, unset("the basis given by ncpa");
         /// First and last Noll index of Zernike polynomials that are estimated in addition to any basis; none by
         /// default for ncpa = "none".
-        exact_zernikes: Option<Zernikes>, between(2.0, 1000.0), unset("[2, 4]; [2, 21] if the residuals of the images require it");
+        exact_zernikes: Option<NollRange>, between(2.0, 1000.0), unset("[2, 4]; [2, 21] if the residuals of the images require it");
     }
 }
 
@@ -38,8 +39,8 @@ impl Check for ModesScene {
             }
         }
         if self.ncpa == NcpaBasis::None {
-            let exact = self.exact_zernikes.get_or_insert(Zernikes::None);
-            let nothing_left = self.segment == SegmentModes::None && *exact == Zernikes::None;
+            let exact = self.exact_zernikes.get_or_insert(NollRange::None);
+            let nothing_left = self.segment == SegmentModes::None && *exact == NollRange::None;
             if nothing_left && reader.source.purpose == Purpose::Whole {
                 let sentence = "modes.segment and modes.ncpa are both \"none\": no mode is left to estimate; name a basis for one of them";
                 return Err(reader.error("ncpa", sentence));
@@ -97,7 +98,7 @@ section! {
         /// then the static errors.
         method: Method, ANY, default(Method::Modal);
         /// Knowledge of the AO system that is used, for method = "full-phase"; each level includes those before it.
-        knows: Option<Knows>, ANY, unset("\"telemetry\" if the images have it, else \"loop\" if the scene has a loop, else \"spectrum\"");
+        ao_knowledge: Option<AoKnowledge>, ANY, unset("\"telemetry\" if the images have it, else \"loop\" if the scene has a loop, else \"spectrum\"");
         /// Device that computes the estimate.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
         /// Precision of the imaging chain; the default is "f32" for method = "full-phase".
@@ -116,7 +117,7 @@ impl Check for EstimateScene {
 
 impl EstimateScene {
     fn check_modal(&self, reader: &Reader) -> Result<()> {
-        reader.refuse(&["knows"], "where estimate.method is \"modal\"")?;
+        reader.refuse(&["ao_knowledge"], "where estimate.method is \"modal\"")?;
         if self.fit_optics.is_empty() {
             return Ok(());
         }

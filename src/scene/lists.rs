@@ -6,7 +6,7 @@ use toml_edit::Value;
 
 /// Range of Zernike polynomials by Noll index (1 is piston).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Zernikes {
+pub enum NollRange {
     /// None: `[]` or `"none"`.
     None,
     /// All from `first` to `last`: `[first, last]`.
@@ -18,7 +18,7 @@ pub enum Zernikes {
     },
 }
 
-impl Zernikes {
+impl NollRange {
     /// Noll indices, ascending.
     pub fn indices(&self) -> std::ops::Range<usize> {
         match *self {
@@ -28,7 +28,7 @@ impl Zernikes {
     }
 }
 
-impl FromToml for Zernikes {
+impl FromToml for NollRange {
     fn accepted(range: &Range) -> String {
         format!("[first, last] Noll index, first not after last, each{range}, or [] for none")
     }

@@ -29,12 +29,12 @@ pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
 pub use edit::split_setting;
 pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
-pub use lists::Zernikes;
+pub use lists::NollRange;
 pub(crate) use purpose::Purpose;
 pub use reference::reference;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
-    Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Knows, Loop, Method, NcpaBasis, Optic,
+    AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optic,
     Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting,
 };
 

@@ -1,6 +1,6 @@
 //! Sections `[pupil]`, `[image]` and `[aberrations]`: telescope, science camera, true aberrations of simulated images.
 
-use super::lists::Zernikes;
+use super::lists::NollRange;
 use super::purpose::Purpose;
 use super::table::{Check, Reader, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
@@ -258,7 +258,7 @@ section! {
         /// RMS of the non-common path aberrations over the pupil.
         ncpa_rms_nm: f64, between(0.0, 1e6), default(0.0);
         /// First and last Noll index of the Zernike polynomials of the non-common path aberrations.
-        ncpa_zernikes: Zernikes, between(1.0, 1000.0), default(Zernikes::Span { first: 4, last: 18 });
+        ncpa_zernikes: NollRange, between(1.0, 1000.0), default(NollRange::Span { first: 4, last: 18 });
         /// Exponent p of the spectrum: the variance of a Zernike coefficient is proportional to (radial order)^p.
         ncpa_power_law: f64, between(-20.0, 20.0), default(-2.0);
         /// FITS map of the non-common path aberrations, nm, in place of Zernike polynomials.
@@ -276,7 +276,7 @@ impl Check for AberrationScene {
             let zernikes = ["ncpa_rms_nm", "ncpa_zernikes", "ncpa_power_law"];
             reader.refuse(&zernikes, "where the non-common path aberrations come from a file")?;
         }
-        if self.ncpa_rms_nm > 0.0 && self.ncpa_zernikes == Zernikes::None {
+        if self.ncpa_rms_nm > 0.0 && self.ncpa_zernikes == NollRange::None {
             let rms_nm = self.ncpa_rms_nm;
             let sentence = format!(
                 "aberrations.ncpa_zernikes is empty but ncpa_rms_nm = {rms_nm}; [first, last] Noll index is needed"

@@ -266,7 +266,7 @@ words! {
 words! {
     /// Knowledge of the AO system that a full-phase estimate uses; each level includes those before it.
     #[derive(Copy, PartialOrd, Ord)]
-    Knows {
+    AoKnowledge {
         /// Only the mirror's pitch; the residual wavefront has a typical spectrum.
         Nothing = "nothing",
         /// Spectrum of the residual wavefront, from the scene's turbulence and control.

@@ -31,13 +31,13 @@ impl<'a> Camera<'a> {
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a coarse pupil map and a finer grid.
-    pub fn of(scene: &'a Scene, telescope: &'a Telescope) -> Result<Self> {
+    pub fn new(scene: &'a Scene, telescope: &'a Telescope) -> Result<Self> {
         let own = telescope.pupil.grid;
         let stated = scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
         let samples = stated.unwrap_or(telescope.truth_samples());
         let grid = Grid::new(samples, own.width_m())?;
         let weights = telescope.area_weights(grid)?;
-        let diversity = Diversity::of(scene, telescope)?;
+        let diversity = Diversity::new(scene, telescope)?;
         Ok(Self { scene, telescope, grid, weights, diversity })
     }
 

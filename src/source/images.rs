@@ -24,7 +24,7 @@ pub struct SourceImages {
 /// # Errors
 /// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`] for aberrations
 /// that drift, which needs the time axis of an AO simulation.
-pub fn images(scene: &Scene) -> Result<SourceImages> {
+pub fn simulate(scene: &Scene) -> Result<SourceImages> {
     if scene.faults.drift_nm_per_min > 0.0 {
         return Err(Error::Scene(format!(
             "{}: faults.drift_nm_per_min = {} has no meaning for images of an artificial source; 0 is accepted",
@@ -32,10 +32,10 @@ pub fn images(scene: &Scene) -> Result<SourceImages> {
             scene.faults.drift_nm_per_min
         )));
     }
-    let telescope = Telescope::of(scene)?;
+    let telescope = Telescope::new(scene)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
     let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
-    let camera = Camera::of(scene, &telescope)?;
+    let camera = Camera::new(scene, &telescope)?;
     let psf = camera.psf(&truth)?;
     let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
     let (rows, columns) = psf.dim();

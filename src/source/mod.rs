@@ -13,7 +13,7 @@ mod truth;
 
 pub use camera::{Camera, expose, flux_e};
 pub use file::write;
-pub use images::{SourceImages, images};
+pub use images::{SourceImages, simulate};
 pub(crate) use pixels::DetectorPixels;
 pub use random::stream;
 pub use truth::Truth;

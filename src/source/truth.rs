@@ -3,7 +3,7 @@
 use crate::io;
 use crate::modes::{SmoothBasis, Zernikes, noll_orders};
 use crate::pupil::Pupil;
-use crate::scene::{Scene, Zernikes as Span};
+use crate::scene::{NollRange as Span, Scene};
 use crate::telescope::{MapOnGrid, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3};

@@ -12,7 +12,7 @@ use super::static_modes::StaticModes;
 use crate::Result;
 use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
-use crate::scene::{Knows, Scene};
+use crate::scene::{AoKnowledge, Scene};
 use crate::telescope::Telescope;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
@@ -46,9 +46,9 @@ pub(super) struct StaticsEstimator<'a> {
 impl<'a> StaticsEstimator<'a> {
     pub(super) fn new(scene: &'a Scene, all_samples: &IlluminatedSamples, settings: &StaticsSettings) -> Result<Self> {
         let kept = all_samples.select_bright(MIN_AMPLITUDE);
-        let is_known = settings.ao_knowledge >= Knows::Loop;
+        let is_known = settings.ao_knowledge >= AoKnowledge::Loop;
         let loop_response = is_known.then(|| SampledLoopResponse::new(scene, all_samples, &kept)).transpose()?;
-        let (telescope, samples) = (Telescope::of(scene)?, all_samples.subset(&kept));
+        let (telescope, samples) = (Telescope::new(scene)?, all_samples.subset(&kept));
         let all_samples = all_samples.clone();
         Ok(Self {
             scene,

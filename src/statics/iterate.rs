@@ -13,7 +13,7 @@ use super::static_modes::StaticModes;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use crate::optimize::CancelFlag;
 use crate::retrieval::StaticWavefront;
-use crate::scene::{Knows, Scene};
+use crate::scene::{AoKnowledge, Scene};
 use crate::{Error, Result};
 use ndarray::Axis;
 use std::sync::atomic::Ordering;
@@ -91,7 +91,7 @@ impl<'a> IterativeEstimate<'a> {
     }
 
     fn has_telemetry(&self) -> bool {
-        self.settings.ao_knowledge >= Knows::Telemetry
+        self.settings.ao_knowledge >= AoKnowledge::Telemetry
     }
 
     /// Makes an iteration from the wavefronts of `sequence`; returns the static wavefront of the next one.

@@ -86,7 +86,7 @@ impl Iteration {
     /// # Errors
     /// Those of [`Corrections::new`].
     pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>) -> Result<Corrections> {
-        let basis = NcpaBasis::new(self.family, scene, &Telescope::of(scene)?)?;
+        let basis = NcpaBasis::new(self.family, scene, &Telescope::new(scene)?)?;
         let errors = CorrectableErrors {
             pistons_nm: &self.errors.pistons_nm,
             ncpa_nm: &self.errors.ncpa_nm,

@@ -95,10 +95,11 @@ mod tests {
         let keck = with("20");
         // 628 slopes in the lenslets' disc, at 2.7 a mode: 233 modes, so the 230 to order 20.
         assert_eq!([13, 20, 24].map(|order| highest_order(&keck, order)), [13, 20, 20]);
-        let mirror = |scene: &Scene| NcpaBasis::new(NcpaFamily::Mirror, scene, &Telescope::of(scene).unwrap()).unwrap();
+        let mirror =
+            |scene: &Scene| NcpaBasis::new(NcpaFamily::Mirror, scene, &Telescope::new(scene).unwrap()).unwrap();
         // All modes of Keck's mirror on the pupil's samples, which are fewer than 628/1.9; of ten lenslets 157/1.9.
         let basis = mirror(&keck);
-        let telescope = Telescope::of(&keck).unwrap();
+        let telescope = Telescope::new(&keck).unwrap();
         let (influence, turbulence) = (telescope.influence(&keck).unwrap(), Telescope::turbulence(&keck).unwrap());
         let all = modes::karhunen_loeve_at_most(&influence, &telescope.pupil, &turbulence, usize::MAX).unwrap().basis;
         assert!(all.len() < 330, "{}", all.len());

@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn tilts_are_distinguished_from_chance() {
-        let telescope = Telescope::of(&scene()).unwrap();
+        let telescope = Telescope::new(&scene()).unwrap();
         let grid = telescope.pupil.grid;
         let weights = telescope.area_weights(grid).unwrap();
         let samples = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &weights).unwrap();

@@ -1,7 +1,7 @@
 //! Settings of the estimate of static errors.
 
 use super::ncpa_basis::NcpaFamily;
-use crate::scene::Knows;
+use crate::scene::AoKnowledge;
 
 /// Settings of the estimate of static errors.
 #[derive(Debug, Clone)]
@@ -10,7 +10,7 @@ pub struct StaticsSettings {
     /// modes shows NCPA beyond them.
     pub families: Vec<NcpaFamily>,
     /// Knowledge of the adaptive optics: nothing, its power spectrum, the loop, or its telemetry.
-    pub ao_knowledge: Knows,
+    pub ao_knowledge: AoKnowledge,
     /// Error of each sample of the mean wavefront in addition to the turbulence's, nm.
     pub sample_error_nm: f64,
     /// Most iterations.
@@ -26,6 +26,12 @@ impl Default for StaticsSettings {
         // error bars. Of the part of three measured maps that Keck's mirror can correct they leave 29, 33 and 16 nm, those to
         // order 20 (230 of them) 14, 16 and 8, those to 24 13 of the second map; the mirror's own 274 modes leave 0.
         let families = vec![NcpaFamily::Zernike { highest_order: 13 }, NcpaFamily::Mirror];
-        Self { families, ao_knowledge: Knows::Telemetry, sample_error_nm: 3.0, max_iterations: 8, tolerance: 0.25 }
+        Self {
+            families,
+            ao_knowledge: AoKnowledge::Telemetry,
+            sample_error_nm: 3.0,
+            max_iterations: 8,
+            tolerance: 0.25,
+        }
     }
 }

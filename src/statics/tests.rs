@@ -6,7 +6,7 @@ use crate::Result;
 use crate::ao::{Frame, Progress, Recorder, Schedule, Shot, Simulator};
 use crate::metrics::residual_nm;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
-use crate::scene::{Knows, Scene};
+use crate::scene::{AoKnowledge, Scene};
 use ndarray::{Array1, Array2};
 
 /// Recorder of the wavefront of each exposure, averaged over its frames, on the scene's grid, for [`Simulator::run`].
@@ -37,7 +37,7 @@ impl SimulatedWavefronts {
         let mut static_nm = Array1::from(truth.ncpa_at(&samples.xs_m, &samples.ys_m)?);
         static_nm += &Array1::from(truth.piston_nm.clone()).dot(&samples.pistons);
         Ok(Self {
-            schedule: Schedule::of(scene, control.settle_s, control.frame_rate_hz),
+            schedule: Schedule::new(scene, control.settle_s, control.frame_rate_hz),
             segments_nm: simulator.segments_nm().to_vec(),
             cells: cells(simulator, &samples),
             static_nm,
@@ -154,7 +154,7 @@ fn errors_decrease_with_the_knowledge_of_the_ao() {
     let slopes_mas = Array2::from_shape_fn((count, slopes), |(i, k)| f64::from(run.shots[i].mean_slopes_mas[k]));
     // A frozen exposure is one frame.
     assert_eq!(run.shots[3].mean_slopes_mas, run.shots[3].slopes_mas);
-    let find = |knows: Knows| -> Iteration {
+    let find = |knows: AoKnowledge| -> Iteration {
         let sequence = RetrievedSequence {
             wavefront_nm: wavefront_nm.clone(),
             reduced_chi2: vec![1.0; count],
@@ -172,7 +172,7 @@ fn errors_decrease_with_the_knowledge_of_the_ao() {
             residual_nm(pupil, iteration.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap(),
         ]
     };
-    let iterations = [Knows::Spectrum, Knows::Loop, Knows::Telemetry].map(find);
+    let iterations = [AoKnowledge::Spectrum, AoKnowledge::Loop, AoKnowledge::Telemetry].map(find);
     let [spectrum, known_loop, telemetry] = [0, 1, 2].map(|i| residuals_nm(&iterations[i]));
     println!("{spectrum:.2?} {known_loop:.2?} {telemetry:.2?}");
     // Without the loop its response to the pistons counts as NCPA; without slopes the mean of the turbulence does.
@@ -209,7 +209,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     let find = |scene: &Scene| -> Iteration {
         let reduced_chi2 = vec![1.0; wavefront_nm.nrows()];
         let sequence = RetrievedSequence { wavefront_nm: wavefront_nm.clone(), reduced_chi2, slopes_mas: None };
-        let settings = StaticsSettings { ao_knowledge: Knows::Loop, ..StaticsSettings::default() };
+        let settings = StaticsSettings { ao_knowledge: AoKnowledge::Loop, ..StaticsSettings::default() };
         estimate_static_errors(scene, &mut KnownWavefronts(run.samples.clone(), Some(sequence)), &settings, None)
             .unwrap()
             .pop()
@@ -232,7 +232,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     let off_nm2 = more_nm2.indexed_iter().map(|((i, j), nm2)| (nm2 - along(i) * along(j)).abs());
     assert!(off_nm2.fold(0.0, f64::max) < 1e-9);
     // 7 segments and their neighbourhood on 60 samples: the diversity of the map, but for the part that modes do not represent.
-    let diversity = crate::telescope::Diversity::of(known, simulator.telescope()).unwrap();
+    let diversity = crate::telescope::Diversity::new(known, simulator.telescope()).unwrap();
     let grid = simulator.telescope().pupil.grid;
     for ((y, x), sigma_nm) in unsure.ncpa_sigma_nm.indexed_iter().filter(|(_, nm)| nm.is_finite()) {
         let more_nm = (sigma_nm.powi(2) - sure.ncpa_sigma_nm[[y, x]].powi(2)).sqrt();

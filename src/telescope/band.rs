@@ -80,8 +80,8 @@ mod tests {
     fn a_wider_filter_needs_more_wavelengths() {
         let count = |width: &str| {
             let scene = Scene::preset("keck-artificial").unwrap().with(&[("image.bandwidth_fraction", width)]).unwrap();
-            let telescope = Telescope::of(&scene).unwrap();
-            wavelengths_needed(&scene, &telescope, &Diversity::of(&scene, &telescope).unwrap())
+            let telescope = Telescope::new(&scene).unwrap();
+            wavelengths_needed(&scene, &telescope, &Diversity::new(&scene, &telescope).unwrap())
         };
         // A spot between 20 and 25 λ/D: 2 + 0.6 to 0.75, 2 + 2 to 2.5, 2 + 8 to 10, each rounded up.
         assert_eq!(["0", "0.015", "0.05"].map(count), [1, 3, 5]);

@@ -66,7 +66,7 @@ impl Diversity {
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read.
-    pub fn of(scene: &Scene, telescope: &Telescope) -> Result<Self> {
+    pub fn new(scene: &Scene, telescope: &Telescope) -> Result<Self> {
         let pupil = &telescope.pupil;
         if let Some(file) = &scene.image.diversity_file {
             let path = scene.resolve(file);
@@ -127,8 +127,8 @@ mod tests {
     #[test]
     fn the_focus_has_the_stated_rms_and_no_mean_over_the_pupil() {
         let scene = Scene::preset("keck-artificial").unwrap();
-        let telescope = Telescope::of(&scene).unwrap();
-        let diversity = Diversity::of(&scene, &telescope).unwrap();
+        let telescope = Telescope::new(&scene).unwrap();
+        let diversity = Diversity::new(&scene, &telescope).unwrap();
         // On a grid without common samples with the one of the normalisation.
         let pupil = telescope.pupil_on(Grid::new(700, 10.95).unwrap()).unwrap();
         let grid = pupil.grid;

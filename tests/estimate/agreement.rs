@@ -34,7 +34,7 @@ fn every_chain_finds_the_estimate_of_the_double_precision_cpu() {
         ];
         let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
         let scene = scene(&settings);
-        let made = source::images(&scene).unwrap();
+        let made = source::simulate(&scene).unwrap();
         let estimator = Estimator::new(&scene, false).unwrap();
         let bad = made.images_e.mapv(|_| false);
         let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };

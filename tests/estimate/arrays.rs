@@ -93,9 +93,9 @@ fn a_caller_s_telescope_and_modes_are_read_back() {
 fn arrays_and_files_are_the_same_model() {
     let folder = tempfile::tempdir().unwrap();
     let plain = scene(&[]);
-    let telescope = Telescope::of(&plain).unwrap();
+    let telescope = Telescope::new(&plain).unwrap();
     let pupil = &telescope.pupil;
-    let diversity = Diversity::of(&plain, &telescope).unwrap();
+    let diversity = Diversity::new(&plain, &telescope).unwrap();
     let at = |(y, x)| diversity.at(pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
     let diversity_nm = Array2::from_shape_fn(pupil.amplitude.dim(), at);
     let modes = Estimator::new(&plain.with_override("modes.segment", "none").unwrap(), false).unwrap();
@@ -142,7 +142,7 @@ fn arrays_and_files_are_the_same_model() {
     let (a, b) = (psf(&of_arrays), psf(&of_files));
     let peak = b.iter().copied().fold(0.0, f64::max);
     assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-11 * peak));
-    let made = source::images(&plain).unwrap();
+    let made = source::simulate(&plain).unwrap();
     let (a, b) = (fit(&of_arrays, &made.images_e), fit(&of_files, &made.images_e));
     // Both stop within 1e-3 nm of one minimum.
     let (a, b) = (&a.combined.coefficients_nm, &b.combined.coefficients_nm);
@@ -151,7 +151,7 @@ fn arrays_and_files_are_the_same_model() {
 
 #[test]
 fn what_the_scene_says_of_modes_holds_where_there_are_no_arrays_of_them() {
-    let pupil = Telescope::of(&scene(&[])).unwrap().pupil;
+    let pupil = Telescope::new(&scene(&[])).unwrap().pupil;
     let arrays = Arrays { amplitude: pupil.amplitude, segments: Some(pupil.owner), modes: None, diversity_nm: None };
     let names = |text: &str, arrays: &Arrays| {
         let estimator = Estimator::from_arrays(&for_arrays(&format!("{IMAGE}{text}")), arrays).unwrap();
@@ -243,7 +243,7 @@ fn a_scene_for_arrays_may_leave_out_what_the_arrays_say() {
     let estimator = Estimator::from_arrays(&scene, &own(48)).unwrap();
     assert_eq!(estimator.model().telescope.pupil.grid.width_m(), 8.0);
     // It is no telescope by itself.
-    let alone = Telescope::of(&scene).err().unwrap().to_string();
+    let alone = Telescope::new(&scene).err().unwrap().to_string();
     assert!(alone.contains("its pupil is an array of the caller's"), "{alone}");
     // What no array says is still asked for.
     for (text, key) in [("", "image.wavelength_nm"), ("[image]\nwavelength_nm = 1000", "image.pixels")] {

@@ -37,7 +37,7 @@ fn modes_hold_a_focus_or_say_that_they_do_not() {
 fn an_error_of_the_diversity_is_in_the_error_bars_and_no_number_of_images_takes_it_out() {
     let known = scene(&[HELD, ("image.count", "3")]);
     let unsure = scene(&[HELD, ("image.count", "3"), ("estimate.diversity_error", "0.02")]);
-    let images_e = source::images(&known).unwrap().images_e;
+    let images_e = source::simulate(&known).unwrap().images_e;
     let kept = |scene| {
         let estimator = Arc::new(Estimator::new(scene, false).unwrap());
         let mut session =

@@ -57,7 +57,7 @@ fn promised(estimator: &Estimator, estimate: &Estimate) -> [f64; 2] {
 #[test]
 fn one_image_gives_both_maps_within_their_error_bars() {
     let scene = scene(&[]);
-    let made = source::images(&scene).unwrap();
+    let made = source::simulate(&scene).unwrap();
     let bad = made.images_e.mapv(|_| false);
     let (estimator, found) = estimate(&scene, &made.images_e, &bad);
     assert_eq!(found.images[0].status, Status::Ok, "chi2 {}", found.reduced_chi2());
@@ -74,7 +74,7 @@ fn pixels_that_stand_out_are_cut_where_no_model_explains_the_image() {
     // Each pixel by itself, and four of nine in one, where a hole would be smeared.
     for sampling in ["native", "nyquist"] {
         let scene = scene(&[("estimate.sampling", sampling)]);
-        let made = source::images(&scene).unwrap();
+        let made = source::simulate(&scene).unwrap();
         let bad = made.images_e.mapv(|_| false);
         let (_, clean) = estimate(&scene, &made.images_e, &bad);
         assert_eq!((clean.images[0].status, clean.images[0].cut_pixels), (Status::Ok, 0));
@@ -101,7 +101,7 @@ fn pixels_that_stand_out_are_cut_where_no_model_explains_the_image() {
 #[test]
 fn bad_pixels_cost_nothing_when_marked() {
     let scene = scene(&[]);
-    let made = source::images(&scene).unwrap();
+    let made = source::simulate(&scene).unwrap();
     let (mut images, mut bad) = (made.images_e.clone(), made.images_e.mapv(|_| false));
     for i in (7..images.len()).step_by(97) {
         let at = (0, i / 132 % 132, i % 132);
@@ -122,7 +122,7 @@ fn bad_pixels_cost_nothing_when_marked() {
 #[test]
 fn a_shifted_image_gives_the_same_maps_and_reports_the_shift() {
     let scene = scene(&[]);
-    let made = source::images(&scene).unwrap();
+    let made = source::simulate(&scene).unwrap();
     let mut shifted = Array3::from_elem(made.images_e.dim(), 0.0);
     // Nine pixels to the right, five down.
     shifted.slice_mut(s![.., ..127, 9..]).assign(&made.images_e.slice(s![.., 5.., ..123]));
@@ -146,7 +146,7 @@ fn a_shifted_image_gives_the_same_maps_and_reports_the_shift() {
 #[test]
 fn a_mirrored_detector_is_undone_by_the_flip() {
     let plain = scene(&[]);
-    let made = source::images(&plain).unwrap();
+    let made = source::simulate(&plain).unwrap();
     // Pixel 0 mirrors onto pixel 132, which is not there.
     let mut mirrored = made.images_e.clone();
     mirrored.slice_mut(s![.., .., 1..]).assign(&made.images_e.slice(s![.., .., 1..;-1]));
@@ -164,7 +164,7 @@ fn a_mirrored_detector_is_undone_by_the_flip() {
 #[test]
 fn a_sequence_averages_and_leaves_out_what_it_cannot_use() {
     let scene = scene(&[("image.count", "6")]);
-    let mut made = source::images(&scene).unwrap();
+    let mut made = source::simulate(&scene).unwrap();
     let bad = made.images_e.mapv(|_| false);
     let (_, all) = estimate(&scene, &made.images_e, &bad);
     let one =
@@ -188,7 +188,7 @@ fn segment_tip_and_tilt_are_found() {
         ("modes.ncpa_count", "6"),
         ("aberrations.ncpa_zernikes", "[4, 6]"),
     ]);
-    let made = source::images(&scene).unwrap();
+    let made = source::simulate(&scene).unwrap();
     let bad = made.images_e.mapv(|_| false);
     let (estimator, found) = estimate(&scene, &made.images_e, &bad);
     assert_eq!(found.images[0].status, Status::Ok, "chi2 {}", found.reduced_chi2());
@@ -204,7 +204,7 @@ fn segment_tip_and_tilt_are_found() {
 #[test]
 fn the_same_input_gives_the_same_bits() {
     let scene = scene(&[("image.count", "2")]);
-    let (a, b) = (source::images(&scene).unwrap(), source::images(&scene).unwrap());
+    let (a, b) = (source::simulate(&scene).unwrap(), source::simulate(&scene).unwrap());
     assert_eq!(a.images_e, b.images_e);
     let bad = a.images_e.mapv(|_| false);
     let (x, y) = (estimate(&scene, &a.images_e, &bad).1, estimate(&scene, &b.images_e, &bad).1);
@@ -244,7 +244,7 @@ fn a_telescope_from_fine_maps_is_read_back() {
     file.image("SEGMENT", &pupil.owner.mapv(f64::from), Pixel::I32, "").unwrap();
     file.finish().unwrap();
     let scene = scene_of_file(folder.path(), "pupil.fits", 4.8, "piston");
-    let made = source::images(&scene).unwrap();
+    let made = source::simulate(&scene).unwrap();
     let (estimator, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
     let residuals = residuals(&estimator, &found, &made);
     println!("residuals {residuals:?}, chi2 {}", found.reduced_chi2());
@@ -269,7 +269,7 @@ fn the_real_keck_pupil_is_read_back() {
             ("aberrations.segment_piston_rms_nm", "0"),
         ])
         .unwrap();
-    let made = source::images(&scene).unwrap();
+    let made = source::simulate(&scene).unwrap();
     let (estimator, found) = estimate(&scene, &made.images_e, &made.images_e.mapv(|_| false));
     let [_, ncpa] = residuals(&estimator, &found, &made);
     println!("NCPA residual {ncpa:.3} nm, chi2 {}", found.reduced_chi2());

@@ -12,7 +12,7 @@ const NO_NCPA: [(&str, &str); 3] =
 
 /// The estimator that `scene` makes of images of `made`; with its residuals and what the error bars promise, nm.
 fn found(made: &Scene, scene: &Scene) -> (Estimator, [f64; 2], [f64; 2]) {
-    let made = source::images(made).unwrap();
+    let made = source::simulate(made).unwrap();
     let (estimator, found) = estimate(scene, &made.images_e, &made.images_e.mapv(|_| false));
     let (residuals, promised) = (residuals(&estimator, &found, &made), promised(&estimator, &found));
     (estimator, residuals, promised)
@@ -69,7 +69,7 @@ fn a_filters_width_is_modelled_and_found() {
 fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     // As it is sampled where a plate scale is fitted.
     let own = scene(&[("estimate.sampling", "native")]);
-    let made = source::images(&own).unwrap();
+    let made = source::simulate(&own).unwrap();
     let bad = made.images_e.mapv(|_| false);
     let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);
     let (estimator, fitted) = read(&own.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap());

@@ -174,7 +174,7 @@ fn subsets_are_combined_without_another_fit() {
 #[test]
 fn noise_alone_gives_a_sequence_the_error_bars_of_its_fisher_matrix() {
     let scene = scene(&[("image.count", "12")]);
-    let made = source::images(&scene).unwrap();
+    let made = source::simulate(&scene).unwrap();
     let (estimator, found) = fit(Recipe::of(&scene), &made.images_e);
     assert!(found.images.iter().all(|image| image.status == Status::Ok) && found.clipped_images.is_empty());
     let bound = estimator.bound(Array1::from(found.combined.coefficients_nm.clone()).view(), made.flux_e, 0.0).unwrap();
@@ -188,7 +188,7 @@ fn noise_alone_gives_a_sequence_the_error_bars_of_its_fisher_matrix() {
 
 #[test]
 fn the_papers_objective_has_the_papers_minimum_at_a_fraction_of_the_evaluations() {
-    let artificial = source::images(&scene(&[])).unwrap().images_e;
+    let artificial = source::simulate(&scene(&[])).unwrap().images_e;
     let turbulent = Maker::new(5).sequence(2, 100.0).images_e;
     for (what, images_e) in [("artificial", artificial), ("turbulent", turbulent)] {
         let [bfgs, paper] = ["bfgs", "paper"].map(|optimizer| {
@@ -224,7 +224,7 @@ fn a_few_images_choose_the_basis_of_a_long_sequence() {
                 .map(|line| format!("{line}\n"))
                 .collect();
         let scene = Scene::from_text(&text, std::path::Path::new("")).unwrap();
-        let made = source::images(&scene).unwrap();
+        let made = source::simulate(&scene).unwrap();
         let bad = made.images_e.mapv(|_| false);
         let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };
         let (mut chains, mut watched) = (0, 0);

@@ -38,7 +38,7 @@ fn batch(estimator: &Estimator, images_e: &Array3<f64>) -> Estimate {
 fn a_session_is_the_estimator_bit_by_bit_whatever_the_count_and_the_threads() {
     for weighting in ["noise", "none"] {
         let scene = scene(&[("image.count", "5"), ("estimate.weighting", weighting)]);
-        let mut images_e = source::images(&scene).unwrap().images_e;
+        let mut images_e = source::simulate(&scene).unwrap().images_e;
         images_e.index_axis_mut(Axis(0), 2).fill(4.0);
         let estimator = estimator(&scene);
         let estimate = batch(&estimator, &images_e);
@@ -73,7 +73,7 @@ fn a_session_is_the_estimator_bit_by_bit_whatever_the_count_and_the_threads() {
 #[test]
 fn the_covariance_is_that_of_a_single_image() {
     let scene = scene(&[]);
-    let images_e = source::images(&scene).unwrap().images_e;
+    let images_e = source::simulate(&scene).unwrap().images_e;
     let estimator = estimator(&scene);
     let mut session = session(&estimator, SessionOptions::default());
     assert!(matches!(session.covariance_nm2(0), Err(Error::Value(_))));
@@ -89,7 +89,7 @@ fn the_covariance_is_that_of_a_single_image() {
 #[test]
 fn a_deadline_stops_the_call_with_the_best_so_far() {
     let scene = scene(&[("image.count", "3")]);
-    let images_e = source::images(&scene).unwrap().images_e;
+    let images_e = source::simulate(&scene).unwrap().images_e;
     let estimator = estimator(&scene);
     let options = SessionOptions { capacity: 3, ..SessionOptions::default() };
     let mut session = session(&estimator, options);
@@ -121,7 +121,7 @@ fn a_deadline_stops_the_call_with_the_best_so_far() {
 #[test]
 fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
     let scene = scene(&[]);
-    let images_e = source::images(&scene).unwrap().images_e;
+    let images_e = source::simulate(&scene).unwrap().images_e;
     let mut session = session(&estimator(&scene), SessionOptions::default());
     fill(&mut session, &images_e);
     session.cancel_flag().store(true, Ordering::Relaxed);
@@ -134,7 +134,7 @@ fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
 #[test]
 fn a_start_near_the_truth_takes_fewer_evaluations_to_the_same_point() {
     let scene = scene(&[]);
-    let images_e = source::images(&scene).unwrap().images_e;
+    let images_e = source::simulate(&scene).unwrap().images_e;
     let mut session = session(&estimator(&scene), SessionOptions::default());
     fill(&mut session, &images_e);
     session.fit(1, &FitOptions::default()).unwrap();
@@ -151,7 +151,7 @@ fn a_start_near_the_truth_takes_fewer_evaluations_to_the_same_point() {
 #[test]
 fn evaluations_are_those_of_the_chain() {
     let scene = scene(&[("image.count", "2")]);
-    let images_e = source::images(&scene).unwrap().images_e;
+    let images_e = source::simulate(&scene).unwrap().images_e;
     let estimator = estimator(&scene);
     let modes = estimator.model().optics.modes();
     let at = Array2::from_shape_fn((2, modes), |(i, k)| ((i * modes + k) as f64).sin() * 5.0);
@@ -210,7 +210,7 @@ fn what_cannot_be_is_refused_with_a_sentence() {
 #[test]
 fn bad_pixels_in_a_frame_to_be_reduced_are_refused_with_the_way_out() {
     let scene = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176")]);
-    let images_e = source::images(&scene).unwrap().images_e;
+    let images_e = source::simulate(&scene).unwrap().images_e;
     let estimator = estimator(&scene);
     assert!(estimator.model().preparation.reduced[0] < 176);
     let mut session = session(&estimator, SessionOptions::default());

@@ -101,7 +101,7 @@ fn build(text: &str) -> (bool, bool) {
         return (true, false);
     }
     let estimator = Estimator::new(&scene, false).inspect_err(probes::one_sentence);
-    let images = source::images(&scene).inspect_err(probes::one_sentence);
+    let images = source::simulate(&scene).inspect_err(probes::one_sentence);
     if let Ok(images) = images {
         assert!(images.images_e.iter().all(|e| e.is_finite()), "an image that is not finite:\n{text}");
     }

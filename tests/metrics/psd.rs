@@ -165,7 +165,7 @@ fn a_taper_recovers_the_spectrum_of_von_karman_turbulence() {
     let extent = pupil.grid.width_m();
     // The square of a Hann window over the width of the pupil.
     let taper = map(&pupil, |x, y| (PI * x.hypot(y) / extent).cos().powi(4) * f64::from(2.0 * x.hypot(y) < extent));
-    let mut tapered = PsdAverage::windowed(pupil.grid, taper.view(), 1).unwrap();
+    let mut tapered = PsdAverage::with_weights(pupil.grid, taper.view(), 1).unwrap();
     let mut plain = PsdAverage::new(&pupil, 1).unwrap();
     let mut variance = 0.0;
     for _ in 0..6 {
@@ -268,7 +268,7 @@ fn invalid_maps_weights_and_bands_are_refused_with_the_reason() {
 
     let weights = |value| Array2::from_elem((240, 240), value);
     for weights in [weights(0.0), weights(-1.0), weights(f64::NAN), weights(f64::MAX), Array2::zeros((0, 240))] {
-        assert!(PsdAverage::windowed(pupil.grid, weights.view(), 1).is_err());
+        assert!(PsdAverage::with_weights(pupil.grid, weights.view(), 1).is_err());
     }
     for padding in [0, LARGEST_PADDING + 1, usize::MAX] {
         assert!(PsdAverage::new(&pupil, padding).err().unwrap().to_string().contains("zero-padding"));

@@ -160,7 +160,7 @@ fn rejection_of_a_tilt(gain: f64, rate_hz: f64, frequency_hz: f64) -> f64 {
     for k in 0..600 {
         let now = (std::f64::consts::TAU * frequency_hz * f64::from(k) / rate_hz).sin();
         let extra: Vec<f32> = shape.iter().map(|s| now as f32 * s).collect();
-        let left = dot(simulator.step_behind(&extra).unwrap().residual_nm) / square;
+        let left = dot(simulator.step_with_opd(&extra).unwrap().residual_nm) / square;
         // The transient of the start has decayed.
         if k >= 100 {
             input += now.powi(2);

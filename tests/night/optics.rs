@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 /// View in focus, without static aberrations.
 fn unaberrated(simulator: &Simulator) -> View {
-    let view = View::of(&simulator.scene().image);
+    let view = View::from_scene(&simulator.scene().image);
     View { segments: false, ncpa: false, diversity: false, ..view }
 }
 
@@ -27,8 +27,12 @@ fn fft_and_matrix_transform_give_the_same_image() {
     let simulator = simulator(&[]);
     let residual = map(simulator.footprint(), |y, x| 90.0 * ((y * 7 + x * 3) as f32 * 0.05).sin());
     let image = |spacing: f64| {
-        let view =
-            View { samples_per_lambda_over_d: spacing, rows: 96, columns: 64, ..View::of(&simulator.scene().image) };
+        let view = View {
+            samples_per_lambda_over_d: spacing,
+            rows: 96,
+            columns: 64,
+            ..View::from_scene(&simulator.scene().image)
+        };
         simulator.camera(view).unwrap().psf(&residual)
     };
     // 240 × (2 + 1e-9) is not a whole number of samples, so the camera uses a matrix in place of the FFT.
@@ -43,7 +47,7 @@ fn a_rectangular_frame_is_the_middle_of_a_square_one() {
     let simulator = simulator(&[]);
     let residual = map(simulator.footprint(), |y, x| 90.0 * ((y * 7 + x * 3) as f32 * 0.05).sin());
     for spacing in [2.0, 2.03] {
-        let view = View { samples_per_lambda_over_d: spacing, ..View::of(&simulator.scene().image) };
+        let view = View { samples_per_lambda_over_d: spacing, ..View::from_scene(&simulator.scene().image) };
         let image = |rows, columns| simulator.camera(View { rows, columns, ..view }).unwrap().psf(&residual);
         let (square, frame) = (image(96, 96), image(96, 40));
         // A pixel is the same sum in both.
@@ -72,8 +76,8 @@ fn images_of_the_loop_and_of_an_artificial_source_agree_without_turbulence() {
     let settings = [NO_TURBULENCE.as_slice(), &NO_ERRORS_NO_NOISE, &[("aberrations.truth_samples", "960")]].concat();
     let simulator = simulator(&settings);
     let scene = simulator.scene();
-    let psf = simulator.camera(View::of(&scene.image)).unwrap().psf(simulator.segments_nm());
-    let camera = cophase::source::Camera::of(scene, simulator.telescope()).unwrap();
+    let psf = simulator.camera(View::from_scene(&scene.image)).unwrap().psf(simulator.segments_nm());
+    let camera = cophase::source::Camera::new(scene, simulator.telescope()).unwrap();
     let expected = camera.psf(simulator.truth()).unwrap();
     let peak = expected.iter().copied().fold(0.0, f64::max);
     let worst = psf.iter().zip(&expected).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
@@ -101,14 +105,14 @@ fn strehl_on_the_axis_agrees_with_the_image_and_with_marechal() {
 #[test]
 fn an_image_wider_than_the_sampling_allows_is_refused() {
     let simulator = simulator(&[]);
-    let view = View { rows: 600, ..View::of(&simulator.scene().image) };
+    let view = View { rows: 600, ..View::from_scene(&simulator.scene().image) };
     assert!(simulator.camera(view).is_err());
 }
 
 #[test]
 fn a_broad_filter_is_the_mean_over_its_wavelengths_at_fixed_angles() {
     let simulator = simulator(&[]);
-    let view = View { rows: 128, columns: 128, ..View::of(&simulator.scene().image) };
+    let view = View { rows: 128, columns: 128, ..View::from_scene(&simulator.scene().image) };
     let segments_nm = simulator.segments_nm().to_vec();
     let broad = simulator.camera(View { bandwidth_fraction: 0.2, ..view }).unwrap().psf(&segments_nm);
     let mut mean = ndarray::Array2::<f32>::zeros((128, 128));

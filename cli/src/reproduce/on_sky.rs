@@ -66,7 +66,7 @@ impl Sequence {
         let scene = row.scene(conditions)?;
         let seed = seed.to_string();
         if !row.has_loop() {
-            let made = source::images(&scene.with_override("aberrations.seed", &seed)?)?;
+            let made = source::simulate(&scene.with_override("aberrations.seed", &seed)?)?;
             let (phasing_nm, ncpa_nm) = (made.truth.phasing_nm, made.truth.ncpa_nm);
             return Ok(Self { images_e: made.images_e, phasing_nm, ncpa_nm, run: None });
         }

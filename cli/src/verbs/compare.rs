@@ -48,7 +48,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         let other = if arguments.truth.is_none() { ": name a file that does with --truth" } else { "" };
         Error::file(truth_path, format_args!("holds no truth (images TRUTH_PHASING and TRUTH_NCPA){other}"))
     })?;
-    let pupil = Telescope::of(&scene)?.pupil;
+    let pupil = Telescope::new(&scene)?.pupil;
     let residual = Comparison::new(&pupil, &phasing_nm, &ncpa_nm, &truth)
         .map_err(|error| Error::file(path, format_args!("compared with {}: {error}", truth_path.display())))?;
     let [phasing, ncpa, wavefront] = residual.rms_nm;

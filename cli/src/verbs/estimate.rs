@@ -95,7 +95,7 @@ impl Arguments {
             ("estimate.precision", &self.precision),
             ("estimate.optimizer", &self.optimizer),
             ("estimate.method", &self.method),
-            ("estimate.knows", &self.knows),
+            ("estimate.ao_knowledge", &self.knows),
         ];
         options.into_iter().filter_map(|(key, value)| Some((key, value.as_deref()?))).collect()
     }

@@ -79,11 +79,11 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
     check_memory(scene)?;
     let made = {
         let _wait = terminal.wait(&format!("Making {}", crate::terminal::counted(scene.image.count, "image")), 1);
-        source::images(scene)?
+        source::simulate(scene)?
     };
     interrupt.check("the images were made, nothing was written")?;
     source::write(output, scene, &made)?;
-    let pupil = Telescope::of(scene)?.pupil;
+    let pupil = Telescope::new(scene)?.pupil;
     let rms = |map: &ndarray::Array2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view());
     let (rows, columns) = scene.image.frame_shape();
     Ok(Made {

@@ -78,13 +78,13 @@ fn segments_that_were_corrected_leave_nothing_to_leak() {
     let mut settings: Vec<(&str, &str)> = calm.iter().map(|key| (key.as_str(), "[]")).collect();
     settings.extend([("wavefront_sensor.photon_noise", "false"), ("wavefront_sensor.read_noise_e", "0")]);
     let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
-    let telescope = Telescope::of(&scene).unwrap();
+    let telescope = Telescope::new(&scene).unwrap();
     let draw = || Truth::draw(&scene, &telescope, &mut rand_chacha::ChaCha12Rng::seed_from_u64(7)).unwrap();
     let ncpa_nm = draw().ncpa_nm;
     let truth = draw().with_pistons(&telescope, vec![0.0; 36]).unwrap();
     // The NCPA lie behind the loop, and stay.
     assert!(truth.ncpa_nm.iter().zip(&ncpa_nm).all(|(now, then)| now.to_bits() == then.to_bits()));
-    let mut simulator = Simulator::with_truth(&scene, Telescope::of(&scene).unwrap(), truth).unwrap();
+    let mut simulator = Simulator::with_truth(&scene, Telescope::new(&scene).unwrap(), truth).unwrap();
     for _ in 0..20 {
         let frame = simulator.step().unwrap();
         // A flat wavefront: the sensor's rounding, 1e-7 of a spot's width of some 230 mas, and the gain of a few hundred

@@ -14,7 +14,7 @@ const PITCH_M: f64 = 0.05;
 fn square(samples: usize) -> (Grid, Footprint) {
     let grid = Grid::new(samples, samples as f64 * PITCH_M).unwrap();
     let pupil = Pupil::from_maps(grid, Array2::ones((samples, samples)), None).unwrap();
-    (grid, Footprint::of(&pupil))
+    (grid, Footprint::new(&pupil))
 }
 
 /// Turbulence with layers of (fraction, samples per frame, direction).

@@ -74,7 +74,7 @@ impl ScienceCamera {
     }
 
     /// Adds the PSF of `residual_nm`, a map over the footprint, to `sum`, `[x, y]` (columns first: see
-    /// [`ScienceCamera::upright`]). A PSF sums to 1 over an unbounded detector.
+    /// [`ScienceCamera::to_image`]). A PSF sums to 1 over an unbounded detector.
     pub fn add(&mut self, residual_nm: &[f32], sum: &mut [f32]) {
         for static_field in self.wavelengths.clone().iter() {
             self.transform_rows(static_field, residual_nm);
@@ -156,7 +156,7 @@ impl ScienceCamera {
     }
 
     /// Transposes a sum of [`ScienceCamera::add`] into an image `[y, x]`.
-    pub fn upright(&self, sum: &[f32]) -> Array2<f32> {
+    pub fn to_image(&self, sum: &[f32]) -> Array2<f32> {
         Array2::from_shape_fn((self.rows, self.columns), |(y, x)| sum[x * self.rows + y])
     }
 
@@ -164,7 +164,7 @@ impl ScienceCamera {
     pub fn psf(&mut self, residual_nm: &[f32]) -> Array2<f32> {
         let mut sum = vec![0.0; self.pixels()];
         self.add(residual_nm, &mut sum);
-        self.upright(&sum)
+        self.to_image(&sum)
     }
 }
 

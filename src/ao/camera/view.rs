@@ -29,7 +29,7 @@ pub struct View {
 
 impl View {
     /// View of the scene's defocused images.
-    pub fn of(image: &ImageScene) -> Self {
+    pub fn from_scene(image: &ImageScene) -> Self {
         let (rows, columns) = image.frame_shape();
         Self {
             segments: true,

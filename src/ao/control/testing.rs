@@ -27,7 +27,7 @@ pub fn scene(keys: &str) -> ControlScene {
 
 /// Pupil of the preset, and the subapertures that are at least half illuminated.
 pub fn keck(samples: usize) -> (Pupil, Vec<usize>) {
-    sampled(&Telescope::of(&preset()).unwrap(), samples)
+    sampled(&Telescope::new(&preset()).unwrap(), samples)
 }
 
 fn sampled(telescope: &Telescope, samples: usize) -> (Pupil, Vec<usize>) {
@@ -63,7 +63,7 @@ impl Bench {
         BENCH.get_or_init(|| {
             let mut bench = Self::with_segment_side(0.9);
             let scene = preset();
-            let telescope = Telescope::of(&scene).unwrap();
+            let telescope = Telescope::new(&scene).unwrap();
             let influence = on_corners(&telescope.influence(&scene).unwrap(), &bench.subapertures);
             let turbulence = Telescope::turbulence(&scene).unwrap();
             let kl = karhunen_loeve(&influence, &telescope.pupil, &turbulence, 250).unwrap();
@@ -77,7 +77,7 @@ impl Bench {
         let preset = Scene::preset_text("keck-onsky").unwrap();
         let text = preset.replace("segment_side_m = 0.9", &format!("segment_side_m = {segment_side_m}"));
         let scene = Scene::from_text(&text, Path::new(".")).unwrap();
-        let telescope = Telescope::of(&scene).unwrap();
+        let telescope = Telescope::new(&scene).unwrap();
         let (pupil, subapertures) = sampled(&telescope, 240);
         let mask = segment_mask(&pupil, ACROSS, &subapertures, 0.75).unwrap();
         let influence = on_corners(&telescope.influence(&scene).unwrap(), &subapertures);

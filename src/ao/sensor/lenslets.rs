@@ -31,7 +31,7 @@ impl Lenslets {
     /// # Errors
     /// [`Error::Shape`] for a grid with other samples, [`Error::Value`] if no subaperture has enough light,
     /// [`Error::File`] for a map that cannot be read.
-    pub fn of(scene: &SensorScene, pupil: &Pupil, directory: &Path) -> Result<Self> {
+    pub fn new(scene: &SensorScene, pupil: &Pupil, directory: &Path) -> Result<Self> {
         let (across, samples) = (scene.lenslets_across, scene.samples_per_lenslet);
         if pupil.grid.samples() != across * samples {
             return Err(Error::Shape(format!(

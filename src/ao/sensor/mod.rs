@@ -104,7 +104,7 @@ impl Sensor {
     ///
     /// # Errors
     /// [`Error::Value`] for a shift that leaves a subaperture in use without light.
-    pub fn as_it_is(mut self, scene: &SensorScene, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
+    pub fn with_shift_and_gain(mut self, scene: &SensorScene, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
         self.unit_mas *= scene.slope_gain as f32;
         self.reference.iter_mut().for_each(|slope| *slope *= scene.slope_gain as f32);
         let [x, y] = [0, 1].map(|axis| scene.shift_subapertures.get(axis).copied().unwrap_or(0.0));
@@ -118,7 +118,7 @@ impl Sensor {
                      is needed"
                 )));
             }
-            self.detector = Detector::new(scene, &self.lenslets, &pupil.grid, &Footprint::of(&shifted));
+            self.detector = Detector::new(scene, &self.lenslets, &pupil.grid, &Footprint::new(&shifted));
             self.shift = Some(shift);
         }
         Ok(self)

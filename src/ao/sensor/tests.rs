@@ -13,12 +13,12 @@ struct Bench {
 
 fn bench(settings: &[(&str, &str)]) -> Bench {
     let scene = Scene::preset("keck-onsky").unwrap().with(settings).unwrap();
-    let telescope = Telescope::of(&scene).unwrap();
+    let telescope = Telescope::new(&scene).unwrap();
     let part = scene.wavefront_sensor.as_ref().unwrap();
     let samples = part.lenslets_across * part.samples_per_lenslet;
     let pupil = telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m()).unwrap()).unwrap();
-    let footprint = Footprint::of(&pupil);
-    let lenslets = Lenslets::of(part, &pupil, scene.directory()).unwrap();
+    let footprint = Footprint::new(&pupil);
+    let lenslets = Lenslets::new(part, &pupil, scene.directory()).unwrap();
     let sensor = Sensor::new(part, lenslets, &pupil, &footprint).unwrap();
     Bench { pupil, footprint, sensor, scene }
 }
@@ -165,7 +165,7 @@ fn shifted_lenslets_measure_the_shifted_wavefront() {
             ("wavefront_sensor.slope_gain", "0.9"),
         ]);
         let part = shifted.scene.wavefront_sensor.as_ref().unwrap();
-        let mut now = shifted.sensor.as_it_is(part, &shifted.pupil, &shifted.footprint).unwrap();
+        let mut now = shifted.sensor.with_shift_and_gain(part, &shifted.pupil, &shifted.footprint).unwrap();
         // W = a·(x² + y²): its slope grows by 2a per metre, so a shift of s adds 2a·s to every slope.
         let (grid, a) = (calibrated.pupil.grid, 20.0);
         let mut map = calibrated.footprint.zeros();

@@ -11,7 +11,7 @@ use crate::scene::Scene;
 fn a_device_that_is_lost_is_told() {
     let settings = [("pupil.samples", "64"), ("image.crop_pixels", "64"), ("modes.ncpa", "none"), ("image.count", "2")];
     let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
-    let made = crate::source::images(&scene).unwrap();
+    let made = crate::source::simulate(&scene).unwrap();
     let estimator = Arc::new(Estimator::new(&scene, true).unwrap());
     for info in test_devices().into_iter().filter(|info| info.supports(Precision::F64)) {
         let options = SessionOptions { capacity: 2, ..SessionOptions::default() };

@@ -5,9 +5,9 @@ use crate::reproduce::on_sky::{Reader, Sequence};
 use crate::reproduce::{Conditions, Progress, Way};
 use cophase::ao::{self, Shot, Simulator};
 use cophase::metrics::residual_nm;
-use cophase::pupil::Pupil;
-use cophase::scene::{Knows, Scene};
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
+use cophase::pupil::Pupil;
+use cophase::scene::{AoKnowledge, Scene};
 use cophase::source::{Truth, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
@@ -120,7 +120,7 @@ impl Behind {
     /// The full-phase estimate of the first `count` images.
     fn full_phase(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Estimate> {
         let images_e = self.images_e.slice(s![..count, .., ..]).to_owned();
-        let heard = reader.estimate.knows.is_none_or(|knows| knows >= Knows::Telemetry);
+        let heard = reader.estimate.ao_knowledge.is_none_or(|knows| knows >= AoKnowledge::Telemetry);
         let slopes_mas = heard.then(|| self.slopes_mas.slice(s![..count, ..]).to_owned());
         let images = Images { slopes_mas, ..Images::new(images_e) };
         let control = Control::with_flag(progress.cancel().cloned().unwrap_or_default(), |_| {});
@@ -153,7 +153,8 @@ impl Behind {
 
 /// The scene with which the paper's way reads what `reader` does in full-phase: it knows nothing of the loop.
 fn modal(reader: &Scene) -> Result<Scene> {
-    let settings = [("estimate.method", "modal"), ("estimate.knows", ""), ("wavefront_sensor.slope_gain", "1.0")];
+    let settings =
+        [("estimate.method", "modal"), ("estimate.ao_knowledge", ""), ("wavefront_sensor.slope_gain", "1.0")];
     let still = [("wavefront_sensor.shift_subapertures", "[0.0, 0.0]"), ("turbulence.wind_m_s", "[]")];
     let air = [("turbulence.wind_dir_rad", "[]"), ("turbulence.fractions", "[]"), ("turbulence.heights_m", "[]")];
     // Its modes need not hold the diversity, and its error bars are not asked for.
@@ -210,7 +211,7 @@ impl BeyondRow {
     ) -> Result<Behind> {
         let made = self.made(self.row, conditions, seed)?;
         let sky = (seed + SECOND_SKY).to_string();
-        let telescope = Telescope::of(&made)?;
+        let telescope = Telescope::new(&made)?;
         let truth = Truth::draw(&made, &telescope, &mut stream(seed as u64, 0))?;
         let (mut sums, mut samples) = (vec![0.0; truth.piston_nm.len()], vec![0.0; truth.piston_nm.len()]);
         for (&owner, nm) in telescope.pupil.owner.iter().zip(phasing_nm).filter(|(owner, _)| **owner >= 0) {

@@ -61,7 +61,7 @@ pub fn held_maps(folder: &Path, scene: &Scene, directory: &Path) -> Result<Vec<H
         let folder = folder.display();
         return Err(Error::Value(format!("{folder} holds no maps of NCPA: files {PREFIX}*.fits are needed")));
     }
-    let telescope = Telescope::of(scene)?;
+    let telescope = Telescope::new(scene)?;
     paths.iter().map(|path| held(path, scene, &telescope, directory)).collect()
 }
 
@@ -164,7 +164,7 @@ mod tests {
     /// A map that the mirror can make, and checks of one sample that it cannot.
     fn map(detail_nm: f64, across: bool) -> Array2<f64> {
         let grid = Grid::new(80, 11.25).unwrap();
-        let glass = Telescope::of(&Scene::preset("keck-onsky").unwrap()).unwrap().pupil_on(grid).unwrap().amplitude;
+        let glass = Telescope::new(&Scene::preset("keck-onsky").unwrap()).unwrap().pupil_on(grid).unwrap().amplitude;
         let map = Array2::from_shape_fn((80, 80), |(y, x)| {
             let (x_m, y_m) = (grid.coordinate_m(x), grid.coordinate_m(y));
             let smooth_nm = 100.0 * (0.9 * x_m).sin() * (0.7 * y_m + 0.3).cos() + 5.0;

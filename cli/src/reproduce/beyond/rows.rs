@@ -43,7 +43,7 @@ const fn zonal(name: &'static str, made: Settings, read: Settings) -> BeyondRow 
     row(name, "zonal", made, read)
 }
 
-const LOOP: Settings = &[("estimate.knows", "loop")];
+const LOOP: Settings = &[("estimate.ao_knowledge", "loop")];
 
 /// The row against whose χ² the others' is held.
 pub(super) const NOMINAL: &str = "75 images";
@@ -58,8 +58,8 @@ pub static BEYOND_ROWS: [BeyondRow; 38] = [
     same("128 nm", "zonal", &[("aberrations.segment_piston_rms_nm", "128.3")]),
     same("star 100 times fainter", "zonal", &[("image.peak_snr", "40")]),
     zonal("knows loop", &[], LOOP),
-    zonal("knows spectrum", &[], &[("estimate.knows", "spectrum")]),
-    zonal("knows nothing", &[], &[("estimate.knows", "nothing")]),
+    zonal("knows spectrum", &[], &[("estimate.ao_knowledge", "spectrum")]),
+    zonal("knows nothing", &[], &[("estimate.ao_knowledge", "nothing")]),
     row("pol + mask, knows loop", "pol-mask-inpaint", &[], LOOP),
     zonal("10 images, knows loop", &[("image.count", "10")], LOOP),
     BeyondRow {
@@ -89,8 +89,8 @@ pub static BEYOND_ROWS: [BeyondRow; 38] = [
     zonal("1.5 % bandwidth", &[("image.bandwidth_fraction", "0.015")], &[("image.bandwidth_fraction", "0")]),
     same("1.5 % bandwidth, known", "zonal", &[("image.bandwidth_fraction", "0.015")]),
     // What a scene says of a simulated detector, of reflectivities and of a drift, no reader asks.
-    same("pixel responses of 2 %", "zonal", &[("image.pixel_response_rms", "0.02")]),
-    same("pixels that are squares", "zonal", &[("image.pixel_fill", "1.0")]),
+    same("pixel responses of 2 %", "zonal", &[("faults.pixel_response_rms", "0.02")]),
+    same("pixels that are squares", "zonal", &[("faults.pixel_fill", "1.0")]),
     zonal("2 % defocus error", &[], &[("image.diversity_focus_waves_rms", "1.53")]),
     zonal(
         "2 % defocus error, known to 2 %",
@@ -99,12 +99,12 @@ pub static BEYOND_ROWS: [BeyondRow; 38] = [
     ),
     same("segment tilts of 20 nm", "zonal", &[("aberrations.segment_tip_tilt_rms_nm", "20")]),
     // 75 images take 22.5 s.
-    same("drift of 20 nm", "zonal", &[("aberrations.drift_nm_per_min", "53.3")]),
+    same("drift of 20 nm", "zonal", &[("faults.drift_nm_per_min", "53.3")]),
     zonal("plate scale off 0.5 %", &[], &[("image.samples_per_lambda_over_d", "2.01")]),
     zonal("plate scale off 1 %", &[], &[("image.samples_per_lambda_over_d", "2.02")]),
-    same("reflectivities of 5 %", "zonal", &[("aberrations.segment_reflectivity_rms", "0.05")]),
+    same("reflectivities of 5 %", "zonal", &[("faults.segment_reflectivity_rms", "0.05")]),
     // 5 % of amplitude.
-    same("reflectivities of 10 %", "zonal", &[("aberrations.segment_reflectivity_rms", "0.10")]),
+    same("reflectivities of 10 %", "zonal", &[("faults.segment_reflectivity_rms", "0.10")]),
     zonal("spiders not in the model", &[("pupil.spider_width_m", "0.0254")], &[("pupil.spider_width_m", "0")]),
     zonal(
         "obscuration not in the model",
@@ -146,7 +146,7 @@ impl BeyondRow {
     /// The NCPA that an estimate is held against, where those of `made` have more than any mode of the mirror.
     pub(super) fn held_nm(&self, made: &Scene) -> Result<Option<Array2<f64>>> {
         let Some(map) = &self.map else { return Ok(None) };
-        let (held, telescope) = (with_map(made, &map.held)?, Telescope::of(made)?);
+        let (held, telescope) = (with_map(made, &map.held)?, Telescope::new(made)?);
         Ok(Some(Truth::draw(&held, &telescope, &mut stream(0, 0))?.ncpa_nm))
     }
 

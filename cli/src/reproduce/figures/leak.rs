@@ -6,8 +6,8 @@ use crate::plot::{CaptionedMap, MapScale, MapsPicture};
 use crate::reproduce::statistics::{mean, standard_deviation};
 use crate::reproduce::{Cell, Conditions, Progress, Report, Segments, Table};
 use cophase::Result;
-use cophase::ao::CALM;
 use cophase::ao::Simulator;
+use cophase::ao::UNDISTURBED_LOOP;
 use cophase::scene::Scene;
 use rayon::prelude::*;
 use std::path::Path;
@@ -59,7 +59,7 @@ impl LeakCase {
     }
 
     fn scene(&self) -> Result<Scene> {
-        let conditions = Conditions { segments: self.segments, settings: CALM.to_vec() };
+        let conditions = Conditions { segments: self.segments, settings: UNDISTURBED_LOOP.to_vec() };
         let fraction = self.mask_dominant_fraction.to_string();
         setup::row(self.row)?.scene(&conditions)?.with_override("wavefront_sensor.mask_dominant_fraction", &fraction)
     }

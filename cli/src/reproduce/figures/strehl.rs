@@ -160,7 +160,7 @@ fn exposure(camera: &ScienceCamera, wavefronts: &[Vec<f32>]) -> Array2<f64> {
     let sum = |batch: &[Vec<f32>]| {
         let (mut camera, mut sum) = (camera.clone(), vec![0.0; camera.pixels()]);
         batch.iter().for_each(|residual_nm| camera.add(residual_nm, &mut sum));
-        camera.upright(&sum)
+        camera.to_image(&sum)
     };
     let batches: Vec<Array2<f32>> = wavefronts.par_chunks(BATCH).map(sum).collect();
     let mut image = Array2::zeros((PIXELS, PIXELS));

@@ -49,7 +49,7 @@ pub(super) struct Made {
 
 /// Makes the image of `scene` and spoils it. One seed is one image.
 pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
-    let telescope = Telescope::of(scene)?;
+    let telescope = Telescope::new(scene)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
     let mut truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
     if let Spoil::Segment(waves) = spoil {
@@ -58,7 +58,7 @@ pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
         piston_nm[which] = waves * scene.image.wavelength_nm;
         truth = truth.with_pistons(&telescope, piston_nm)?;
     }
-    let mut psf = Camera::of(scene, &telescope)?.psf(&truth)?;
+    let mut psf = Camera::new(scene, &telescope)?.psf(&truth)?;
     match spoil {
         Spoil::Rotated(degrees) => psf = rotated(psf, degrees.to_radians()),
         Spoil::Moved(x, y) => psf = sheared(sheared(psf, Axis(1), |_| x), Axis(0), |_| y),
