@@ -97,11 +97,11 @@ fn measure(
     walls.sort_by(f64::total_cmp);
     processor.sort_by(f64::total_cmp);
     println!(
-        "n {} m {} modes {} lit {} entries {} batch {batch} {precision} {edges:?}: min {:.1} median {:.1} max {:.1} us per image; processor time min {:.1} median {:.1}",
+        "n {} m {} modes {} illuminated {} entries {} batch {batch} {precision} {edges:?}: min {:.1} median {:.1} max {:.1} us per image; processor time min {:.1} median {:.1}",
         layout.samples,
         layout.pixels,
         layout.modes.len(),
-        layout.lit.len(),
+        layout.illuminated.len(),
         layout.segment_index.len(),
         walls[0],
         walls[walls.len() / 2],
@@ -150,20 +150,23 @@ mod scene {
                 lists.entry(index).or_default().push((s, weight));
             }
         }
-        let lit: Vec<usize> = lists.keys().copied().collect();
+        let illuminated: Vec<usize> = lists.keys().copied().collect();
         let mut layout = GpuLayout {
             samples,
             pixels,
             samples_per_lambda_over_d: 2.0,
             wavelength_nm: 1650.0,
             intensity_scale: 1e-8,
-            diversity_turns: lit.iter().map(|&i| 1e-4 * ((i % samples) as f64 - 60.0).powi(2)).collect(),
+            diversity_turns: illuminated.iter().map(|&i| 1e-4 * ((i % samples) as f64 - 60.0).powi(2)).collect(),
             smooth: (0..66)
                 .map(|j| {
-                    lit.iter().map(|&i| ((i % samples) as f64 * 0.01 * j as f64 + i as f64 * 1e-4).cos()).collect()
+                    illuminated
+                        .iter()
+                        .map(|&i| ((i % samples) as f64 * 0.01 * j as f64 + i as f64 * 1e-4).cos())
+                        .collect()
                 })
                 .collect(),
-            lit,
+            illuminated,
             segments: segments.len(),
             segment_start: vec![0],
             segment_index: Vec::new(),

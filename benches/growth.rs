@@ -5,7 +5,7 @@
 //! last two points of a table stands below each column, beside the one that its operations have:
 //!
 //! - an **evaluation** is two transforms, 4mn(n + m) multiply-adds each, and products with the smooth modes. Segment modes
-//!   cost what the lit samples cost, however many they are.
+//!   cost what the illuminated samples cost, however many they are.
 //! - **error bars** are Jᵀ W J, M²·m² multiply-adds, after derivatives (of a segment box·m·(m + box), of a smooth mode a
 //!   transform), and before an inverse and an eigen-decomposition, M³.
 //! - a **fit** is some 15 evaluations, each with two products with an M×M matrix, and one metric, which costs what error

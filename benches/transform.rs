@@ -16,14 +16,14 @@ fn routes<T: Real>(criterion: &mut Criterion, precision: &str) {
         let fft = Transform::<T>::fft(sampling).expect("two pixels per λ/D make a whole grid");
         for (name, transform) in [("matrix", Transform::matrix(sampling)), ("fft", fft)] {
             let mut workspace = transform.workspace();
-            let mut pupil: Vec<T> = (0..2 * samples * samples).map(|i| T::of((i as f64).sin())).collect();
-            let mut focus = vec![T::of(0.0); 2 * pixels * pixels];
+            let mut pupil: Vec<T> = (0..2 * samples * samples).map(|i| T::narrow((i as f64).sin())).collect();
+            let mut focus = vec![T::narrow(0.0); 2 * pixels * pixels];
             group.bench_with_input(BenchmarkId::new(name, format!("{samples}/{pixels}")), &(), |bencher, ()| {
                 bencher.iter(|| {
                     transform.forward(&pupil, &mut focus, &mut workspace);
                     transform.adjoint(&focus, &mut pupil, &mut workspace);
                     // Scaled back, so that repeated runs do not overflow.
-                    let scale = T::of(1e-4);
+                    let scale = T::narrow(1e-4);
                     pupil.iter_mut().for_each(|value| *value *= scale);
                 })
             });

@@ -159,7 +159,7 @@ fn corrections_take_off_what_is_really_there() {
     let influence = simulator.influence();
     let (places, moves): (Vec<[f64; 2]>, Vec<f64>) = commands.actuators_nm.iter().copied().unzip();
     assert!(places.iter().zip(influence.positions_m()).all(|(place, (x_m, y_m))| *place == [x_m, y_m]));
-    let samples = Samples::of(pupil).unwrap();
+    let samples = Samples::from_pupil(pupil).unwrap();
     let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
     let surface_nm = ArrayView1::from(&moves).dot(&shapes);
     let map = |at: &dyn Fn(usize, usize) -> f64| {

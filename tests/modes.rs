@@ -65,7 +65,7 @@ fn keck_kl(pupil: &Pupil, count: usize) -> KarhunenLoeve {
 
 /// Means and mean products of modes over the samples of the pupil, weight A.
 fn products(left: &SmoothBasis, right: &SmoothBasis, pupil: &Pupil) -> (Array1<f64>, Array2<f64>) {
-    let samples = Samples::of(pupil).unwrap();
+    let samples = Samples::from_pupil(pupil).unwrap();
     let weights = Array1::from(samples.weights.clone());
     let left = left.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
     let right = right.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
@@ -134,7 +134,7 @@ fn a_mode_is_the_same_function_on_every_grid() {
         assert_eq!(maps.maps()[[mode, 0, 0]], 0.0);
     }
     // The values do not depend on blocks, threads and the order of the points.
-    let samples = Samples::of(&pupil).unwrap();
+    let samples = Samples::from_pupil(&pupil).unwrap();
     let all = basis.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
     let last = samples.xs_m.len() - 1;
     let one = basis.evaluate(&samples.xs_m[last..], &samples.ys_m[last..]).unwrap();
@@ -180,7 +180,7 @@ fn karhunen_loeve_modes_are_uncorrelated_in_turbulence() {
     let pupil = keck_like(40);
     let actuators = Mirror::new(11, 1.125, 0.1458).unwrap().near(&pupil, Mirror::DEFAULT_MARGIN_PITCHES).unwrap();
     let kl = karhunen_loeve(&actuators, &pupil, &VonKarman::new(0.16, 50.0).unwrap(), 20).unwrap();
-    let samples = Samples::of(&pupil).unwrap();
+    let samples = Samples::from_pupil(&pupil).unwrap();
     let modes = kl.basis.evaluate(&samples.xs_m, &samples.ys_m).unwrap() * &Array1::from(samples.weights.clone());
     let turbulence = VonKarman::new(0.16, 50.0).unwrap();
     let points = samples.weights.len();
@@ -206,7 +206,7 @@ fn sixty_modes_contain_most_of_the_variance() {
     let pupil = keck_like(40);
     let kl = keck_kl(&pupil, 60);
     let turbulence = VonKarman::new(0.16, 50.0).unwrap();
-    let samples = Samples::of(&pupil).unwrap();
+    let samples = Samples::from_pupil(&pupil).unwrap();
     let mut total = 0.0;
     for p in 0..samples.weights.len() {
         for q in 0..samples.weights.len() {
@@ -228,7 +228,7 @@ fn nolls_residuals_come_out_of_the_structure_function() {
     let amplitude = Array2::from_shape_fn((48, 48), inside);
     let pupil =
         Pupil { grid, amplitude, owner: Array2::zeros((48, 48)), segments: vec![Segment { x_m: 0.0, y_m: 0.0 }] };
-    let samples = Samples::of(&pupil).unwrap();
+    let samples = Samples::from_pupil(&pupil).unwrap();
     let kolmogorov = VonKarman::new(1.0, f64::INFINITY).unwrap();
     let tip_tilt = zernike_basis(2, 3, &pupil).unwrap().evaluate(&samples.xs_m, &samples.ys_m).unwrap();
     let (mut residual, mut tip, mut tilt) = (0.0, 0.0, 0.0);
@@ -331,7 +331,7 @@ fn the_report_of_the_joint_basis_names_global_piston_and_the_tilts() {
     let kl = keck_kl(&pupil, 66).basis.sampled(&pupil).unwrap();
     let joint = SegmentModes::Piston.maps(&pupil).unwrap().followed_by(&kl).unwrap();
     let gram = joint.visible_gram(&pupil.amplitude).unwrap();
-    let report = Degeneracy::of(&gram, joint.names(), WEAK_BELOW).unwrap();
+    let report = Degeneracy::from_matrix(&gram, joint.names(), WEAK_BELOW).unwrap();
     assert_eq!(report.null.len(), 1, "{report}");
     assert_eq!(report.null[0].description, "all 36 segment pistons together (global piston)");
     // An independent program found singular values of 1.41 … 0.10 for such a basis. The bound is √(1 + 36/35): a mode

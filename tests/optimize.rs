@@ -53,7 +53,7 @@ fn rosenbrock_is_minimised_from_the_usual_start() {
         let out = minimize(&mut |x| rosenbrock(x), identity(n), &start, settings).unwrap();
         let error = out.x.iter().fold(0.0_f64, |m, x| m.max((x - 1.0).abs()));
         println!("Rosenbrock {n}: {} evaluations, error {error:e}: {}", out.evaluations, out.reason);
-        assert!(out.reason.converged(), "{}", out.reason);
+        assert!(out.reason.has_converged(), "{}", out.reason);
         // A decrement of 1e-20 with the smallest curvature near 0.4 leaves sqrt(2·1e-20/0.4) = 2e-10; the model's
         // curvature may be a hundred times off in the valley.
         assert!(error < 2e-8, "{error:e}");
@@ -73,7 +73,7 @@ fn an_exact_metric_solves_any_quadratic_in_three_evaluations() {
             out.evaluations,
             q.largest_error(&out.x)
         );
-        assert!(out.reason.converged(), "{}", out.reason);
+        assert!(out.reason.has_converged(), "{}", out.reason);
         assert!(out.evaluations <= 3, "{}", out.evaluations);
         // The step left is the error left; 1e-3 is what was asked for.
         assert!(q.largest_error(&out.x) < 1e-3);
@@ -119,7 +119,7 @@ fn the_metric_saves_most_evaluations_of_a_phase_retrieval() {
             let toy = Retrieval::new(rms_rad, seed);
             let metric = whitened(&toy.gauss_newton());
             let out = retrieve(&toy, metric.clone(), chi2_settings());
-            assert!(out.reason.converged(), "{}", out.reason);
+            assert!(out.reason.has_converged(), "{}", out.reason);
             right += usize::from(out.f < GOOD_CHI2);
             with += out.evaluations;
             fixed += retrieve(&toy, metric, Settings { scaling: Scaling::Metric, ..chi2_settings() }).evaluations;
@@ -144,15 +144,15 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
     let metric = whitened(&toy.gauss_newton());
     let mut machine = QuasiNewton::new(metric.clone(), &vec![0.0; toy.len()], chi2_settings()).unwrap();
     let run = |toy: &Retrieval, machine: &mut QuasiNewton| loop {
-        let (f, g) = toy.evaluate(machine.ask());
-        if machine.tell(f, &g) == Progress::Done {
+        let (f, g) = toy.evaluate(machine.point());
+        if machine.advance(f, &g) == Progress::Done {
             break machine.outcome().evaluations;
         }
     };
     let first = run(&toy, &mut machine);
     // The solution is lower than the last evaluated point, by the predicted decrease within a factor of 2.
     let mut end = vec![0.0; toy.len()];
-    machine.write_end(&mut end);
+    machine.write_solution(&mut end);
     let gained = machine.outcome().f - toy.evaluate(&end).0;
     let predicted = machine.outcome().predicted_decrease;
     assert!((gained - predicted).abs() < 0.5 * predicted, "{gained} of {predicted}");
@@ -160,13 +160,13 @@ fn a_new_weighting_continues_where_the_old_one_ended() {
     assert_eq!(machine.restart_objective(), Progress::Continue);
     // It continues from the end of the step that was too small to be worth an evaluation.
     let outcome = machine.outcome();
-    let moved = machine.ask().iter().zip(&outcome.x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    let moved = machine.point().iter().zip(&outcome.x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     // The step's largest component, to the rounding of a sum of numbers of order one.
     assert!((moved - outcome.proposed_step).abs() < 1e-12 && moved > 0.0, "{moved} {}", outcome.proposed_step);
     let second = run(&toy, &mut machine) - first;
     let scratch = retrieve(&toy, metric, chi2_settings());
     println!("{first} evaluations, then {second}; {} from scratch", scratch.evaluations);
-    assert!(machine.outcome().reason.converged());
+    assert!(machine.outcome().reason.has_converged());
     // 5 evaluations after the first 9, compared with 9 from the start.
     assert!(3 * second < 2 * scratch.evaluations);
     // Both stop within about their decrement of 1e-3 above the same minimum.
@@ -183,9 +183,9 @@ fn a_batch_in_lock_step_gives_bitwise_the_results_of_single_runs() {
         toys.iter().map(|_| QuasiNewton::new(metric.clone(), &start, chi2_settings()).unwrap()).collect();
     loop {
         // One call for all; those that are done are evaluated too, without effect.
-        let answers: Vec<_> = toys.iter().zip(&batch).map(|(toy, machine)| toy.evaluate(machine.ask())).collect();
+        let answers: Vec<_> = toys.iter().zip(&batch).map(|(toy, machine)| toy.evaluate(machine.point())).collect();
         let done =
-            batch.iter_mut().zip(&answers).filter_map(|(m, (f, g))| (m.tell(*f, g) == Progress::Done).then_some(()));
+            batch.iter_mut().zip(&answers).filter_map(|(m, (f, g))| (m.advance(*f, g) == Progress::Done).then_some(()));
         if done.count() == toys.len() {
             break;
         }
@@ -208,8 +208,8 @@ fn an_optimiser_restarted_with_begin_is_bitwise_a_new_one() {
     for toy in &toys {
         machine.begin(&metric, 1.0, &start).unwrap();
         while {
-            let (f, g) = toy.evaluate(machine.ask());
-            machine.tell(f, &g) == Progress::Continue
+            let (f, g) = toy.evaluate(machine.point());
+            machine.advance(f, &g) == Progress::Continue
         } {}
         let alone = retrieve(toy, metric.clone(), chi2_settings());
         let (x, y) = (&alone.x, &machine.outcome().x);
@@ -230,9 +230,9 @@ fn a_scale_replaces_a_scaled_metric() {
     let mut machine = QuasiNewton::new(metric.clone(), &[0.0; 12], settings).unwrap();
     machine.begin(&metric, 0.25, &[0.0; 12]).unwrap();
     while {
-        let (f, g) = q.evaluate(machine.ask());
+        let (f, g) = q.evaluate(machine.point());
         let g: Vec<f64> = g.iter().map(|g| 16.0 * g).collect();
-        machine.tell(16.0 * f, &g) == Progress::Continue
+        machine.advance(16.0 * f, &g) == Progress::Continue
     } {}
     // As with an exact metric: the start, the minimum, and the evaluation that confirms it.
     assert!(machine.outcome().evaluations <= 3, "{}", machine.outcome().evaluations);
@@ -245,10 +245,10 @@ fn the_deadline_ends_a_run_with_the_best_point_and_prevents_a_restart() {
     let start = vec![0.0; toy.len()];
     let settings = Settings { deadline: Some(Instant::now()), ..chi2_settings() };
     let mut machine = QuasiNewton::new(metric, &start, settings).unwrap();
-    let (f, g) = toy.evaluate(machine.ask());
-    assert_eq!(machine.tell(f, &g), Progress::Done);
+    let (f, g) = toy.evaluate(machine.point());
+    assert_eq!(machine.advance(f, &g), Progress::Done);
     assert_eq!((machine.outcome().reason, machine.outcome().evaluations), (StopReason::DeadlineReached, 1));
-    assert!(!machine.outcome().reason.converged());
+    assert!(!machine.outcome().reason.has_converged());
     assert_eq!(machine.restart_objective(), Progress::Done);
     machine.set_deadline(None);
     assert_eq!(machine.restart_objective(), Progress::Continue);
@@ -286,7 +286,7 @@ fn null_directions_are_never_moved() {
     };
     let settings = Settings { step_tolerance: 1e-6, ..Settings::default() };
     let out = minimize(&mut problem, metric, &start, settings).unwrap();
-    assert!(out.reason.converged() && out.evaluations <= 3, "{} after {}", out.reason, out.evaluations);
+    assert!(out.reason.has_converged() && out.evaluations <= 3, "{} after {}", out.reason, out.evaluations);
     let travelled = out.x.iter().zip(&start).map(|(x, s)| (x - s).powi(2)).sum::<f64>().sqrt();
     assert!(travelled > 10.0, "the other directions must move: {travelled}");
     for v in &null {
@@ -356,7 +356,7 @@ fn the_search_backs_out_of_regions_that_are_not_finite() {
     let settings = Settings { decrement_tolerance: 1e-16, ..Settings::default() };
     let out = minimize(&mut problem, metric.clone(), &[3.0], settings).unwrap();
     // f = 1 near the minimum, where the relative decrement tolerance of 1e-10 leaves sqrt(2e-10) = 1.4e-5.
-    assert!(out.reason.converged() && (out.x[0] - 1.0).abs() < 2e-5, "{} at {}", out.reason, out.x[0]);
+    assert!(out.reason.has_converged() && (out.x[0] - 1.0).abs() < 2e-5, "{} at {}", out.reason, out.x[0]);
     let out = minimize(&mut problem, metric.clone(), &[-1.0], Settings::default()).unwrap();
     assert_eq!((out.reason, out.evaluations), (StopReason::NotFinite, 1));
     // Finite at the start only: the start is returned after the 30 halvings from 1 to 1e-9.
@@ -449,14 +449,14 @@ fn the_reference_minimises_quadratics_and_rosenbrock() {
     };
     let out = argmin_bfgs(&mut problem, &[0.0; 8], 1e-6, 200).unwrap();
     println!("quadratic: {} evaluations, error {:e}: {}", out.evaluations, q.largest_error(&out.x), out.reason);
-    assert!(out.reason.converged(), "{}", out.reason);
+    assert!(out.reason.has_converged(), "{}", out.reason);
     assert_eq!(out.evaluations, count.get(), "one evaluation serves value and gradient");
     // A change below 1e-6 leaves about as much in J, with curvatures of 0.5 and more: sqrt(1e-6/0.25), five times.
     assert!(q.largest_error(&out.x) < 1e-2);
     let out = argmin_bfgs(&mut |x| rosenbrock(x), &[-1.2, 1.0], 1e-6, 200).unwrap();
     println!("Rosenbrock: {} evaluations at {:?}: {}", out.evaluations, out.x, out.reason);
     // The same with the smallest curvature 0.4 of Rosenbrock's valley.
-    assert!(out.reason.converged() && out.x.iter().all(|x| (x - 1.0).abs() < 1e-2));
+    assert!(out.reason.has_converged() && out.x.iter().all(|x| (x - 1.0).abs() < 1e-2));
 }
 
 #[test]
@@ -511,9 +511,9 @@ fn nothing_is_allocated_after_construction() {
     let mut machine = QuasiNewton::new(whitened(&toy.gauss_newton()), &vec![0.0; toy.len()], settings).unwrap();
     let mut allocated = 0;
     for _ in 0..40 {
-        let (f, g) = toy.evaluate(machine.ask());
+        let (f, g) = toy.evaluate(machine.point());
         let before = ALLOCATIONS.with(Cell::get);
-        let progress = machine.tell(f, &g);
+        let progress = machine.advance(f, &g);
         allocated += ALLOCATIONS.with(Cell::get) - before;
         if progress == Progress::Done {
             break;

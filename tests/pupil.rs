@@ -261,7 +261,7 @@ fn phases() -> Vec<f64> {
 fn hard_weights_are_the_basic_model() {
     let pupil = Aperture::keck().pupil(&keck_grid()).unwrap();
     let weights = SegmentWeights::hard(&pupil);
-    assert_eq!(weights.lit.len(), pupil.amplitude.iter().filter(|a| **a > 0.0).count());
+    assert_eq!(weights.illuminated.len(), pupil.amplitude.iter().filter(|a| **a > 0.0).count());
     for (cell, segments, values) in weights.rows() {
         let at = [cell / 120, cell % 120];
         assert_eq!((segments, values), (&[pupil.owner[at] as u32][..], &[pupil.amplitude[at]][..]));

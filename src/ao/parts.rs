@@ -31,7 +31,7 @@ pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceF
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
     // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
     let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
-    mirror.chosen(|x_m, y_m| {
+    mirror.select(|x_m, y_m| {
         let is_near = |&place: &usize| {
             (centre(place % lenslets.across) - x_m).abs() <= reach_m
                 && (centre(place / lenslets.across) - y_m).abs() <= reach_m

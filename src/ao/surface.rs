@@ -221,7 +221,7 @@ mod tests {
             let commands: Vec<f32> = (0..surface.actuators()).map(|i| ((i * 37 % 101) as f32 - 50.0) * 20.0).collect();
             let mut map = footprint.zeros();
             surface.add(&commands, 1.0, &mut map).unwrap();
-            let samples = Samples::of(pupil).unwrap();
+            let samples = Samples::from_pupil(pupil).unwrap();
             let values = influence.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
             let wide: Vec<f64> = commands.iter().map(|&c| f64::from(c)).collect();
             let expected = ndarray::aview1(&wide).dot(&values);

@@ -47,12 +47,12 @@ pub struct cophase_input {
 
 /// Element type.
 trait Element: Copy {
-    fn wide(self) -> f64;
+    fn widen(self) -> f64;
 }
 
 macro_rules! elements {
     ($($element:ty),*) => { $(impl Element for $element {
-        fn wide(self) -> f64 {
+        fn widen(self) -> f64 {
             f64::from(self)
         }
     })* };
@@ -163,7 +163,7 @@ impl<'a> Input<'a> {
             let row = along(k, count_stride) + along(y, row_stride);
             for x in 0..cols {
                 let element = unsafe { data.cast::<T>().offset(row + along(x, col_stride)).read() };
-                take(y, x, element.wide());
+                take(y, x, element.widen());
             }
         }
     }

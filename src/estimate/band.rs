@@ -27,7 +27,7 @@ pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversit
         None => wavelengths_needed(scene, telescope, diversity).min(MOST),
     };
     if count == 1 {
-        return Ok(vec![Colour::ALONE]);
+        return Ok(vec![Colour::MONOCHROMATIC]);
     }
     Ok(band(width, count).into_iter().map(|(ratio, share)| Colour { ratio, share }).collect())
 }
@@ -53,10 +53,10 @@ mod tests {
             let telescope = Telescope::new(&scene).unwrap();
             colours(&scene, &telescope, &Diversity::new(&scene, &telescope).unwrap())
         };
-        assert_eq!(with(&[]).unwrap(), [Colour::ALONE]);
+        assert_eq!(with(&[]).unwrap(), [Colour::MONOCHROMATIC]);
         assert_eq!(with(&[("image.bandwidth_fraction", "0.5")]).unwrap().len(), MOST);
         let broad = ("image.bandwidth_fraction", "0.1");
-        assert_eq!(with(&[broad, ("estimate.wavelengths", "1")]).unwrap(), [Colour::ALONE]);
+        assert_eq!(with(&[broad, ("estimate.wavelengths", "1")]).unwrap(), [Colour::MONOCHROMATIC]);
         let named = with(&[broad, ("estimate.wavelengths", "2")]).unwrap();
         assert!((named[0].ratio - (1.0 - 0.05 / 3f64.sqrt())).abs() < 1e-12 && named[0].share == named[1].share);
         let sentence = with(&[("estimate.wavelengths", "3")]).unwrap_err().to_string();

@@ -152,7 +152,7 @@ impl Estimate {
 }
 
 pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
-    reports.iter().filter(|report| report.status.converged()).count() >= SEQUENCE
+    reports.iter().filter(|report| report.status.has_converged()).count() >= SEQUENCE
 }
 
 /// One estimate from all images of a call. `indices` says which images the minima belong to.
@@ -205,7 +205,7 @@ pub(super) fn combine(
         compared: compared(estimator, &minima[first], &prepared[first]),
         used_images: images_of(&used),
         clipped_images: images_of(&clipped),
-        degeneracy: Degeneracy::of(&fisher, model.basis.names(), WEAK_BELOW)?,
+        degeneracy: Degeneracy::from_matrix(&fisher, model.basis.names(), WEAK_BELOW)?,
         images,
         image_coefficients_nm,
         combined,

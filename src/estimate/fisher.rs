@@ -43,7 +43,7 @@ impl Sensitivity {
             Photometry::FitFlux { .. } => Nuisances::Flux,
             Photometry::FitBoth => Nuisances::FluxAndBackground,
         };
-        let linear = judge.linear(coefficients_nm);
+        let linear = judge.linearise(coefficients_nm);
         // In units of the flux the derivatives are those of the PSF.
         let square = flux_e * flux_e;
         let mut weights = vec![weight.iter().map(|w| w * square).collect::<Vec<f64>>()];

@@ -234,7 +234,7 @@ impl Search<'_> {
         let beside = self.beside(&scene, &estimator, values, &own_basis)?;
         let mut sum = Sum::of(self.optics.len(), estimator.model.optics.modes());
         for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {
-            if minimum.reason.converged() && minimum.reduced_chi2.is_finite() {
+            if minimum.reason.has_converged() && minimum.reduced_chi2.is_finite() {
                 sum.add(&estimator, image, minimum, &self.electrons(&beside, minimum))?;
             }
         }

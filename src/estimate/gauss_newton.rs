@@ -4,7 +4,7 @@
 //! Beside the modes, a fitted flux and background have their rows: the PSF, and ones. What they would absorb is taken
 //! out of the finished matrix.
 
-use crate::imaging::Linear;
+use crate::imaging::LinearModel;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
 use ndarray::{Array1, Array2, ArrayView2, s};
@@ -54,7 +54,7 @@ pub(super) struct Kept(Array2<f64>);
 
 impl Kept {
     /// All of them: `[row, pixel]`.
-    pub(super) fn new(linear: &Linear, nuisances: Nuisances) -> Self {
+    pub(super) fn new(linear: &LinearModel, nuisances: Nuisances) -> Self {
         Self(derivatives(linear, nuisances, 0..linear.pixels()))
     }
 
@@ -69,7 +69,12 @@ impl Kept {
 
 /// For each list of weights (one of each pixel, 0 or more), Σ over the pixels of weight × row × row, `[row, row]`: rows are
 /// the modes' derivatives per nm, for a flux of 1, and the nuisances. Made in tiles of `tile` rows of pixels.
-pub(super) fn products(linear: &Linear, nuisances: Nuisances, weights: &[Vec<f64>], tile: usize) -> Vec<Array2<f64>> {
+pub(super) fn products(
+    linear: &LinearModel,
+    nuisances: Nuisances,
+    weights: &[Vec<f64>],
+    tile: usize,
+) -> Vec<Array2<f64>> {
     let m = linear.pixels();
     let mut all = zeros(linear.modes() + nuisances.count(), weights.len());
     for first in (0..m).step_by(tile) {
@@ -82,7 +87,7 @@ pub(super) fn products(linear: &Linear, nuisances: Nuisances, weights: &[Vec<f64
 
 /// Jᵀ v: how far each of some `vectors` over the pixels lies along the derivatives of the modes, `[mode, vector]`. In tiles of
 /// `tile` rows of pixels.
-pub(super) fn along(linear: &Linear, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
+pub(super) fn along(linear: &LinearModel, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
     let m = linear.pixels();
     let mut all = Array2::zeros((linear.modes(), vectors.len()));
     for first in (0..m).step_by(tile) {
@@ -99,7 +104,7 @@ fn zeros(rows: usize, count: usize) -> Vec<Array2<f64>> {
     (0..count).map(|_| Array2::zeros((rows, rows))).collect()
 }
 
-fn derivatives(linear: &Linear, nuisances: Nuisances, rows: std::ops::Range<usize>) -> Array2<f64> {
+fn derivatives(linear: &LinearModel, nuisances: Nuisances, rows: std::ops::Range<usize>) -> Array2<f64> {
     let (m, modes) = (linear.pixels(), linear.modes());
     let mut tile = Array2::ones((modes + nuisances.count(), rows.len() * m));
     linear.derivatives(rows.clone(), tile.slice_mut(s![..modes, ..]));

@@ -102,7 +102,7 @@ impl Model {
     pub fn memory(&self, threads: usize) -> Memory {
         let (parts, sampling) = (self.optics.parts(), self.optics.sampling());
         let (n, m, modes) = (sampling.samples, sampling.pixels, self.optics.modes());
-        let (lit, entries, smooth) = (parts.weights.lit.len(), parts.weights.weight.len(), parts.basis.nrows());
+        let (lit, entries, smooth) = (parts.weights.illuminated.len(), parts.weights.weight.len(), parts.basis.nrows());
         let maps = self.telescope.pupil.grid.samples().pow(2);
         let frame = self.preparation.frame[0] * self.preparation.frame[1];
         let k = n.max(m + 2);

@@ -106,7 +106,7 @@ impl Metrics {
 
     fn flat(&self, judge: &CpuChain<f64>) -> &Flat {
         self.flat.get_or_init(|| {
-            let linear = judge.linear(Array1::zeros(judge.optics().modes()).view());
+            let linear = judge.linearise(Array1::zeros(judge.optics().modes()).view());
             let peak = linear.psf().iter().copied().fold(0.0, f64::max);
             let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
             let kept = (rows == linear.pixels()).then(|| Kept::new(&linear, self.nuisances));
@@ -128,7 +128,7 @@ impl Metrics {
         let matrices = match &flat.kept {
             Some(kept) => kept.products(&weights),
             None => {
-                let linear = judge.linear(Array1::zeros(judge.optics().modes()).view());
+                let linear = judge.linearise(Array1::zeros(judge.optics().modes()).view());
                 let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
                 products(&linear, self.nuisances, &weights, rows)
             }

@@ -4,7 +4,7 @@ use super::recipe::Recipe;
 use crate::grid::Grid;
 use crate::imaging::Mode;
 use crate::io;
-use crate::modes::{self, Basis, Group, Separable, SmoothBasis};
+use crate::modes::{self, Basis, Group, SeparableBasis, SmoothBasis};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
 use crate::telescope::Telescope;
@@ -23,9 +23,9 @@ pub(super) enum Smooth {
 
 impl Smooth {
     /// The modes as products of functions of x and y on `grid`, where they are functions.
-    pub(super) fn products(&self, grid: Grid) -> Result<Option<Separable>> {
+    pub(super) fn products(&self, grid: Grid) -> Result<Option<SeparableBasis>> {
         match self {
-            Self::Functions(Some(basis)) => Separable::of(basis, grid).map(Some),
+            Self::Functions(Some(basis)) => SeparableBasis::new(basis, grid).map(Some),
             Self::Functions(None) | Self::Maps(_) => Ok(None),
         }
     }
@@ -39,7 +39,7 @@ impl Smooth {
                 basis.evaluate(&xs, &ys)
             }
             Self::Maps(maps) => {
-                let lit: Vec<usize> = weights.lit.iter().map(|&p| p as usize).collect();
+                let lit: Vec<usize> = weights.illuminated.iter().map(|&p| p as usize).collect();
                 let flat = maps.to_shape((maps.len_of(Axis(0)), maps.len() / maps.len_of(Axis(0)).max(1)));
                 Ok(flat.map_err(|error| Error::Internal(error.to_string()))?.select(Axis(1), &lit))
             }

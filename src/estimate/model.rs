@@ -103,7 +103,7 @@ impl Model {
         let per_lambda_over_d = pixels.per_lambda_over_d * telescope.pupil.grid.width_m() / grid.width_m();
         let sampling = Sampling::new(grid.samples(), pixels.preparation.pixels, per_lambda_over_d)?;
         let points: Vec<(f64, f64)> = weights
-            .lit
+            .illuminated
             .iter()
             .map(|&p| (p as usize % grid.samples(), p as usize / grid.samples()))
             .map(|(x, y)| (grid.coordinate_m(x), grid.coordinate_m(y)))

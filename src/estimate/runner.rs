@@ -106,15 +106,15 @@ impl Runner {
 
     /// Where to evaluate.
     pub(super) fn point(&self) -> &[f64] {
-        self.solver.ask()
+        self.solver.point()
     }
 
     /// Takes objective and gradient at [`Runner::point`].
     pub(super) fn tell(&mut self, evaluation: &Evaluation) -> Next {
-        if self.solver.tell(evaluation.objective, &evaluation.gradient) == Progress::Continue {
+        if self.solver.advance(evaluation.objective, &evaluation.gradient) == Progress::Continue {
             return Next::Evaluation;
         }
-        let renews = self.reweighs && self.unsettled() && self.reason().converged();
+        let renews = self.reweighs && self.unsettled() && self.reason().has_converged();
         if renews && self.solver.restart_objective() == Progress::Continue { Next::Renewal } else { Next::Psf }
     }
 
@@ -126,7 +126,7 @@ impl Runner {
         let photometry = photometry(&image.exposure, psf);
         reweigh(&mut image.exposure, psf, photometry, &image.floor_variance_e2);
         self.reweightings += 1;
-        self.weighted_at.copy_from_slice(self.solver.ask());
+        self.weighted_at.copy_from_slice(self.solver.point());
         self.set_tolerances()
     }
 
@@ -157,7 +157,7 @@ impl Runner {
     /// step, where there is one, leads by less than the tolerances.
     pub(super) fn write(&self, minimum: &mut Minimum) {
         let outcome = self.solver.outcome();
-        self.solver.write_end(&mut minimum.coefficients_nm);
+        self.solver.write_solution(&mut minimum.coefficients_nm);
         (minimum.flux_e, minimum.background_e) = (self.flux_e, self.background_e);
         (minimum.evaluations, minimum.reason) = (outcome.evaluations, outcome.reason);
         minimum.reduced_chi2 = self.reduced_chi2;

@@ -30,7 +30,7 @@ pub enum Status {
 
 impl Status {
     /// Whether there is a minimum behind it.
-    pub(super) fn converged(&self) -> bool {
+    pub(super) fn has_converged(&self) -> bool {
         matches!(self, Status::Ok | Status::Misfit | Status::WrongMinimum)
     }
 
@@ -120,7 +120,7 @@ pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Min
 
 /// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.
 pub(super) fn judge_together(reports: &mut [ImageReport]) {
-    let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.converged()).collect();
+    let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();
     if converged.len() < SEQUENCE {
         return;
     }
@@ -136,7 +136,7 @@ pub(super) fn judge_together(reports: &mut [ImageReport]) {
 pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum) -> ImageReport {
     let reduced_chi2 = minimum.reduced_chi2;
     let status = match minimum.reason {
-        reason if !reason.converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
+        reason if !reason.has_converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
         _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
         _ if reduced_chi2 > MISFIT => Status::Misfit,
         _ => Status::Ok,
@@ -180,7 +180,7 @@ impl Selection {
     /// status are used. From eight on, all that converged are, but for outliers of χ² or of the coefficients in a
     /// clipped mean.
     pub(super) fn of(reports: &[&ImageReport], coefficients_nm: &Array2<f64>, how: Combine) -> Self {
-        let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.converged()).collect();
+        let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();
         if converged.len() < SEQUENCE {
             return Self { used: best_kind(reports), clipped: Vec::new() };
         }

@@ -11,14 +11,14 @@ use rustfft::{Fft, FftPlanner};
 use std::sync::Arc;
 
 /// The transform of N×N numbers. Plans are shared by all threads; each thread has its own scratch memory,
-/// from [`Hartley::scratch`].
+/// from [`HartleyTransform::scratch`].
 #[derive(Clone)]
-pub struct Hartley<T: Real> {
+pub struct HartleyTransform<T: Real> {
     side: usize,
     fft: Arc<dyn Fft<T>>,
 }
 
-impl<T: Real> Hartley<T> {
+impl<T: Real> HartleyTransform<T> {
     /// The transform of `side`×`side` numbers.
     ///
     /// # Errors
@@ -62,7 +62,7 @@ impl<T: Real> Hartley<T> {
                 *line = Complex::new(re, im);
             }
             self.fft.process_with_scratch(line, scratch);
-            let half = T::of(0.5);
+            let half = T::narrow(0.5);
             for k in 0..=n / 2 {
                 let (a, b) = (line[k], line[(n - k) % n]);
                 columns[k * n + 2 * pair] = Complex::new((a.re + b.re) * half, (a.im - b.im) * half);
@@ -70,7 +70,7 @@ impl<T: Real> Hartley<T> {
             }
         }
         self.fft.process_with_scratch(columns, scratch);
-        let scale = T::of(1.0 / n as f64);
+        let scale = T::narrow(1.0 / n as f64);
         for (k, column) in columns.chunks_exact(n).enumerate() {
             for (to, value) in to[k * n..][..n].iter_mut().zip(column) {
                 *to = (value.re - value.im) * scale;
@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn the_transform_is_the_sum_that_defines_it() {
         let n = 6;
-        let transform = Hartley::<f64>::new(n).unwrap();
+        let transform = HartleyTransform::<f64>::new(n).unwrap();
         let (from, mut to) = (numbers(n), vec![f64::NAN; n * n]);
         transform.transform(&from, 0..n, &mut to, &mut transform.scratch());
         for (k, l) in (0..n).flat_map(|k| (0..n).map(move |l| (k, l))) {
@@ -117,17 +117,17 @@ mod tests {
     #[test]
     fn twice_is_the_identity_and_rows_of_zeros_need_not_be_read() {
         fn worst<T: Real>(n: usize, rows: std::ops::Range<usize>) -> f64 {
-            let transform = Hartley::<T>::new(n).unwrap();
+            let transform = HartleyTransform::<T>::new(n).unwrap();
             let inside = |i: usize| rows.contains(&(i / n));
             let full = numbers(n);
             let wanted: Vec<f64> = (0..n * n).map(|i| if inside(i) { full[i] } else { 0.0 }).collect();
-            let from: Vec<T> = wanted.iter().map(|&v| T::of(v)).collect();
+            let from: Vec<T> = wanted.iter().map(|&v| T::narrow(v)).collect();
             let (mut there, mut back) = (vec![T::nan(); n * n], vec![T::nan(); n * n]);
             let mut scratch = transform.scratch();
             scratch.fill(Complex::new(T::nan(), T::nan()));
             transform.transform(&from, rows, &mut there, &mut scratch);
             transform.transform(&there, 0..n, &mut back, &mut scratch);
-            back.iter().zip(&wanted).map(|(b, w)| (b.wide() - w).abs()).fold(0.0, f64::max)
+            back.iter().zip(&wanted).map(|(b, w)| (b.widen() - w).abs()).fold(0.0, f64::max)
         }
         // Two orthogonal transforms of numbers of order 1, log₂(60²) = 12 levels each, a rounding or two a level.
         assert!(worst::<f64>(60, 7..41) < 30.0 * f64::EPSILON);
@@ -137,6 +137,6 @@ mod tests {
 
     #[test]
     fn an_odd_side_is_refused() {
-        assert!(Hartley::<f64>::new(5).err().unwrap().to_string().contains("5 numbers"));
+        assert!(HartleyTransform::<f64>::new(5).err().unwrap().to_string().contains("5 numbers"));
     }
 }

@@ -38,7 +38,7 @@ impl<T: Real> MatrixTransform<T> {
             std::f64::consts::TAU * (turns - turns.round())
         };
         let table = |f: fn(f64) -> f64| {
-            (0..harmonics).flat_map(|u| (0..half).map(move |j| T::of(f(angle(u, j))))).collect::<Vec<T>>()
+            (0..harmonics).flat_map(|u| (0..half).map(move |j| T::narrow(f(angle(u, j))))).collect::<Vec<T>>()
         };
         let (cos, sin) = (table(f64::cos), table(f64::sin));
         let across = |table: &[T]| (0..half).flat_map(|j| (0..harmonics).map(move |u| table[u * half + j])).collect();

@@ -21,7 +21,7 @@ mod transform;
 mod workspace;
 
 pub use fft::FftTransform;
-pub use hartley::Hartley;
+pub use hartley::HartleyTransform;
 pub use matrix::MatrixTransform;
 pub(crate) use product::panel_len;
 pub use product::{Factors, Product};

@@ -7,25 +7,25 @@ pub trait Real:
     Product + num_traits::Float + num_traits::FloatConst + num_traits::NumAssign + rustfft::FftNum + Default
 {
     /// `value`, rounded to this precision.
-    fn of(value: f64) -> Self;
+    fn narrow(value: f64) -> Self;
     /// This value in double precision.
-    fn wide(self) -> f64;
+    fn widen(self) -> f64;
 }
 
 impl Real for f32 {
-    fn of(value: f64) -> Self {
+    fn narrow(value: f64) -> Self {
         value as f32
     }
-    fn wide(self) -> f64 {
+    fn widen(self) -> f64 {
         f64::from(self)
     }
 }
 
 impl Real for f64 {
-    fn of(value: f64) -> Self {
+    fn narrow(value: f64) -> Self {
         value
     }
-    fn wide(self) -> f64 {
+    fn widen(self) -> f64 {
         self
     }
 }

@@ -46,7 +46,7 @@ pub(super) fn case(seed: u64) -> Case {
     let (sampling, fft) = sampling(seed, random);
     let n = sampling.samples;
     // An asymmetric ellipse with a hole and some dark samples.
-    let lit: Vec<u32> = (0..(n * n) as u32)
+    let illuminated: Vec<u32> = (0..(n * n) as u32)
         .filter(|&p| {
             let [y, x] = [p as usize / n, p as usize % n].map(|i| (2 * i + 1) as f64 / n as f64 - 1.0);
             let r = (x - 0.1).powi(2) + (1.2 * y).powi(2);
@@ -55,14 +55,14 @@ pub(super) fn case(seed: u64) -> Case {
         .collect();
     let segments = random.random_range(1..8);
     let (mut offsets, mut segment, mut weight) = (vec![0], Vec::new(), Vec::new());
-    for &p in &lit {
+    for &p in &illuminated {
         for s in 0..segments.min(1 + random.random_range(0..3)) {
             segment.push((p / 3 + s) % segments);
             weight.push(if s == 0 { 1.0 } else { 0.3 * random.random::<f64>() - 0.15 });
         }
         offsets.push(weight.len() as u32);
     }
-    let (count, entries, smooth) = (lit.len(), weight.len(), random.random_range(0..9));
+    let (count, entries, smooth) = (illuminated.len(), weight.len(), random.random_range(0..9));
     let tilts = random.random::<bool>();
     let mut modes: Vec<Mode> = (0..segments as usize).map(Mode::Piston).collect();
     if tilts {
@@ -74,8 +74,8 @@ pub(super) fn case(seed: u64) -> Case {
         products: None,
         sampling,
         wavelength_nm: 1650.0,
-        colours: vec![Colour::ALONE],
-        weights: SegmentWeights { segments: segments as usize, lit, offsets, segment, weight, energy },
+        colours: vec![Colour::MONOCHROMATIC],
+        weights: SegmentWeights { segments: segments as usize, illuminated, offsets, segment, weight, energy },
         slopes: tilts.then(|| (uniform(entries, 1.7, random), uniform(entries, 1.7, random))),
         diversity_nm: uniform(count, 1500.0, random),
         basis: Array2::from_shape_vec((smooth, count), uniform(smooth * count, 1.5, random)).unwrap(),
@@ -124,15 +124,15 @@ pub(super) fn largest_difference(found: &[Evaluation], wanted: &[Evaluation]) ->
 
 /// A random free phase of up to ±0.3 turns for each active image.
 pub(super) fn free_phase(case: &Case) -> Vec<f64> {
-    let lit = case.optics.parts().weights.lit.len();
-    uniform(case.active.len() * lit, 0.3, &mut ChaCha8Rng::seed_from_u64(lit as u64))
+    let illuminated = case.optics.parts().weights.illuminated.len();
+    uniform(case.active.len() * illuminated, 0.3, &mut ChaCha8Rng::seed_from_u64(illuminated as u64))
 }
 
 /// Largest relative difference of the gradients by the free phase over the images, in the 2-norm.
 pub(super) fn largest_gradient_difference(found: &[f64], wanted: &[f64], images: usize) -> f64 {
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
-    let lit = wanted.len() / images;
-    let rows = found.chunks_exact(lit).zip(wanted.chunks_exact(lit));
+    let illuminated = wanted.len() / images;
+    let rows = found.chunks_exact(illuminated).zip(wanted.chunks_exact(illuminated));
     // f64::max ignores NaN, which must fail.
     let one = |(f, w): (&[f64], &[f64])| {
         let distance = norm(&mut f.iter().zip(w).map(|(f, w)| f - w)) / norm(&mut w.iter().copied());

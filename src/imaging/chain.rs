@@ -179,9 +179,9 @@ impl Chain {
     /// The sizes that determine the work of an evaluation: see [`Shapes::work`].
     pub fn shapes(&self) -> Shapes {
         match self {
-            Self::Cpu64(chain) => Shapes::of(chain.optics(), chain.fft_points()),
-            Self::Cpu32(chain) => Shapes::of(chain.optics(), chain.fft_points()),
-            Self::Device { chain, optics, .. } => Shapes::of(optics, chain.fft_points()),
+            Self::Cpu64(chain) => Shapes::new(chain.optics(), chain.fft_points()),
+            Self::Cpu32(chain) => Shapes::new(chain.optics(), chain.fft_points()),
+            Self::Device { chain, optics, .. } => Shapes::new(optics, chain.fft_points()),
             Self::Auto(fallback) => fallback.chain().shapes(),
         }
     }
@@ -211,7 +211,7 @@ impl Chain {
     }
 
     /// The chain that computes: the CPU chain if it has replaced a failed device, otherwise this one.
-    pub fn running(&mut self) -> &mut Self {
+    pub fn active_chain(&mut self) -> &mut Self {
         if self.failure().is_none() {
             return self;
         }
@@ -333,7 +333,7 @@ pub(super) fn layout(optics: &Optics) -> GpuLayout {
         samples_per_lambda_over_d: parts.sampling.pixels_per_lambda_over_d,
         wavelength_nm: parts.wavelength_nm,
         intensity_scale: optics.intensity_scale(),
-        lit: indices(&parts.weights.lit),
+        illuminated: indices(&parts.weights.illuminated),
         diversity_turns: optics.diversity_turns(),
         smooth: parts.basis.outer_iter().map(|row| row.to_vec()).collect(),
         segments: parts.weights.segments,

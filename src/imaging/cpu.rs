@@ -3,7 +3,7 @@
 
 mod free;
 
-use super::detector::{Evaluation, Exposure, Loaded};
+use super::detector::{Evaluation, Exposure, LoadedImage};
 use super::field::{Field, FieldState};
 use super::optics::Optics;
 use super::phasor::Polynomial;
@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex};
 pub struct CpuChain<T: Polynomial> {
     optics: Arc<Optics>,
     colours: Vec<Stages<T>>,
-    images: Vec<Loaded<T>>,
+    images: Vec<LoadedImage<T>>,
     /// Scratch memory not in use by a thread.
     idle: Mutex<Vec<Scratch<T>>>,
 }
@@ -44,8 +44,8 @@ struct ColourScratch<T: Polynomial> {
     workspace: Workspace<T>,
 }
 
-/// Field and PSF of the flat wavefront, which are the same for every image: see [`CpuChain::flat`]. For one thread.
-pub struct Flat<T: Polynomial> {
+/// Field and PSF of the flat wavefront, which are the same for every image: see [`CpuChain::flat_wavefront`]. For one thread.
+pub struct FlatWavefront<T: Polynomial> {
     scratch: Scratch<T>,
     /// The focal field of each wavelength; an evaluation overwrites the one in `scratch`.
     focus: Vec<Vec<T>>,
@@ -88,7 +88,7 @@ impl<T: Polynomial> CpuChain<T> {
     /// As [`Exposure::check`].
     pub fn load(&mut self, exposures: &[Exposure]) -> Result<()> {
         exposures.iter().try_for_each(|exposure| exposure.check(self.optics.sampling().pixels))?;
-        self.images.resize_with(exposures.len(), || Loaded::room(self.optics.sampling().pixels));
+        self.images.resize_with(exposures.len(), || LoadedImage::empty(self.optics.sampling().pixels));
         self.images.iter_mut().zip(exposures).for_each(|(image, exposure)| image.set(exposure));
         Ok(())
     }
@@ -130,13 +130,13 @@ impl<T: Polynomial> CpuChain<T> {
     /// If an argument was made by a chain of another model.
     pub fn evaluate_one(
         &self,
-        image: &Loaded<T>,
+        image: &LoadedImage<T>,
         coefficients_nm: ArrayView1<f64>,
         scratch: &mut Scratch<T>,
         evaluation: &mut Evaluation,
     ) {
         vectorised(Forward { chain: self, coefficients_nm, memory: scratch });
-        self.evaluate_there(image, scratch, evaluation);
+        self.evaluate_at_last_psf(image, scratch, evaluation);
     }
 
     /// As [`CpuChain::evaluate_one`] at the coefficients of the last [`CpuChain::psf_in`] with `scratch`, whose PSF is used
@@ -144,29 +144,29 @@ impl<T: Polynomial> CpuChain<T> {
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
-    pub fn evaluate_there(&self, image: &Loaded<T>, scratch: &mut Scratch<T>, evaluation: &mut Evaluation) {
+    pub fn evaluate_at_last_psf(&self, image: &LoadedImage<T>, scratch: &mut Scratch<T>, evaluation: &mut Evaluation) {
         crate::fault::panic_in_worker();
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
     }
 
     /// Field and PSF of the flat wavefront, computed once for many images.
-    pub fn flat(&self) -> Flat<T> {
+    pub fn flat_wavefront(&self) -> FlatWavefront<T> {
         let mut scratch = self.scratch();
         self.psf_in(Array1::zeros(self.optics.modes()).view(), &mut scratch);
-        Flat { focus: scratch.colours.iter().map(|colour| colour.focus.clone()).collect(), scratch }
+        FlatWavefront { focus: scratch.colours.iter().map(|colour| colour.focus.clone()).collect(), scratch }
     }
 
     /// As [`CpuChain::evaluate_one`] at the flat wavefront, in slightly more than half of the time: bitwise the same.
     ///
     /// # Panics
     /// As [`CpuChain::evaluate_one`].
-    pub fn evaluate_flat(&self, image: &Loaded<T>, flat: &mut Flat<T>, evaluation: &mut Evaluation) {
+    pub fn evaluate_flat(&self, image: &LoadedImage<T>, flat: &mut FlatWavefront<T>, evaluation: &mut Evaluation) {
         flat.scratch
             .colours
             .iter_mut()
             .zip(&flat.focus)
             .for_each(|(colour, focus)| colour.focus.copy_from_slice(focus));
-        self.evaluate_there(image, &mut flat.scratch, evaluation);
+        self.evaluate_at_last_psf(image, &mut flat.scratch, evaluation);
     }
 
     /// The PSF, as [`CpuChain::psf`], without allocation.
@@ -176,15 +176,15 @@ impl<T: Polynomial> CpuChain<T> {
     }
 
     /// Memory for one image of this model, without data.
-    pub fn room(&self) -> Loaded<T> {
-        Loaded::room(self.optics.sampling().pixels)
+    pub fn empty_image(&self) -> LoadedImage<T> {
+        LoadedImage::empty(self.optics.sampling().pixels)
     }
 
     /// Writes `exposure` into `image`.
     ///
     /// # Errors
     /// As [`Exposure::check`].
-    pub fn set(&self, image: &mut Loaded<T>, exposure: &Exposure) -> Result<()> {
+    pub fn set(&self, image: &mut LoadedImage<T>, exposure: &Exposure) -> Result<()> {
         exposure.check(self.optics.sampling().pixels)?;
         image.set(exposure);
         Ok(())
@@ -259,8 +259,8 @@ impl<T: Polynomial> CpuChain<T> {
         for (i, (stages, colour)) in self.colours.iter().zip(&mut memory.colours).enumerate() {
             stages.transform.forward(&colour.pupil, &mut colour.focus, &mut colour.workspace);
             match i {
-                0 => Loaded::intensity(&colour.focus, &mut memory.psf, pixels),
-                _ => Loaded::add_intensity(&colour.focus, &mut memory.psf, pixels),
+                0 => LoadedImage::intensity(&colour.focus, &mut memory.psf, pixels),
+                _ => LoadedImage::add_intensity(&colour.focus, &mut memory.psf, pixels),
             }
         }
     }
@@ -305,7 +305,7 @@ impl<T: Polynomial> NullaryFnOnce for Forward<'_, T> {
 /// Objective from the PSF, and the adjoint to the gradient.
 struct Backward<'a, T: Polynomial> {
     chain: &'a CpuChain<T>,
-    image: &'a Loaded<T>,
+    image: &'a LoadedImage<T>,
     memory: &'a mut Scratch<T>,
     evaluation: &'a mut Evaluation,
 }

@@ -83,7 +83,7 @@ impl Exposure {
 
 /// An exposure in the precision of the chain, with the sums that do not depend on the model.
 #[derive(Clone)]
-pub struct Loaded<T> {
+pub struct LoadedImage<T> {
     data: Vec<T>,
     weight: Vec<T>,
     photometry: Photometry,
@@ -97,9 +97,9 @@ const LANES: usize = 16;
 /// of so few additions is that of the products.
 const SPAN: usize = 4;
 
-impl<T: Polynomial> Loaded<T> {
+impl<T: Polynomial> LoadedImage<T> {
     /// Memory for an exposure of `pixels` a side, with all weights 0.
-    pub(super) fn room(pixels: usize) -> Self {
+    pub(super) fn empty(pixels: usize) -> Self {
         let zeros = || vec![T::zero(); pixels * pixels];
         let photometry = Photometry::Fixed { flux_e: 0.0, background_e: 0.0 };
         Self { data: zeros(), weight: zeros(), photometry, sum_w: 0.0, sum_wd: 0.0 }
@@ -107,7 +107,7 @@ impl<T: Polynomial> Loaded<T> {
 
     /// Replaces the data by those of an exposure of the same size.
     pub(super) fn set(&mut self, exposure: &Exposure) {
-        let fill = |to: &mut [T], from: &[f64]| to.iter_mut().zip(from).for_each(|(to, &from)| *to = T::of(from));
+        let fill = |to: &mut [T], from: &[f64]| to.iter_mut().zip(from).for_each(|(to, &from)| *to = T::narrow(from));
         fill(&mut self.data, &exposure.data_e);
         fill(&mut self.weight, &exposure.weight);
         self.photometry = exposure.photometry;
@@ -132,7 +132,7 @@ impl<T: Polynomial> Loaded<T> {
         }
     }
 
-    /// As [`Loaded::intensity`], added to the intensity of other wavelengths.
+    /// As [`LoadedImage::intensity`], added to the intensity of other wavelengths.
     #[inline(always)]
     pub(super) fn add_intensity(focus: &[T], psf: &mut [T], pixels: usize) {
         for (row, psf) in focus.chunks_exact(2 * pixels).zip(psf.chunks_exact_mut(pixels)) {
@@ -166,7 +166,7 @@ impl<T: Polynomial> Loaded<T> {
                 }
             }
             for (sums, lanes) in sums.iter_mut().zip(&lanes) {
-                sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane.wide());
+                sums.iter_mut().zip(lanes).for_each(|(sum, lane)| *sum += lane.widen());
             }
         }
         let [wh, whh, whd] = sums.map(|lanes| lanes.iter().sum::<f64>());
@@ -177,7 +177,7 @@ impl<T: Polynomial> Loaded<T> {
     /// row-planar grid.
     #[inline(always)]
     pub(super) fn adjoint(&self, evaluation: &mut Evaluation, psf: &[T], focus: &mut [T], pixels: usize) {
-        let (flux, background) = (T::of(evaluation.flux_e), T::of(evaluation.background_e));
+        let (flux, background) = (T::narrow(evaluation.flux_e), T::narrow(evaluation.background_e));
         let twice_flux = flux + flux;
         let mut sums = [0.0; LANES];
         for (v, row) in focus.chunks_exact_mut(2 * pixels).enumerate() {
@@ -202,7 +202,7 @@ impl<T: Polynomial> Loaded<T> {
             for u in whole..pixels {
                 pixel(u, &mut lanes[u - whole]);
             }
-            sums.iter_mut().zip(&lanes).for_each(|(sum, lane)| *sum += lane.wide());
+            sums.iter_mut().zip(&lanes).for_each(|(sum, lane)| *sum += lane.widen());
         }
         evaluation.objective = sums.iter().sum();
     }

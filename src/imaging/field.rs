@@ -22,7 +22,7 @@ use ndarray::ArrayView1;
 pub(super) struct Field<T> {
     samples: usize,
     /// Flat indices of the illuminated samples on the grid of whole blocks.
-    lit: Vec<usize>,
+    illuminated: Vec<usize>,
     /// Diversity on the grid of whole blocks, turns.
     diversity_turns: Vec<Lanes<T>>,
     smooth: SmoothModes<T>,
@@ -74,19 +74,19 @@ impl<T: Polynomial> Field<T> {
         let samples = parts.sampling.samples;
         let stride = samples.next_multiple_of(BLOCK);
         let place = |&flat: &u32| flat as usize / samples * stride + flat as usize % samples;
-        let lit: Vec<usize> = parts.weights.lit.iter().map(place).collect();
+        let illuminated: Vec<usize> = parts.weights.illuminated.iter().map(place).collect();
         let mut diversity_turns = vec![[T::zero(); BLOCK]; samples * stride / BLOCK];
-        for (&place, turns) in lit.iter().zip(optics.diversity_turns()) {
-            diversity_turns[place / BLOCK][place % BLOCK] = T::of(turns);
+        for (&place, turns) in illuminated.iter().zip(optics.diversity_turns()) {
+            diversity_turns[place / BLOCK][place % BLOCK] = T::narrow(turns);
         }
         Self {
             samples,
             diversity_turns,
             smooth: SmoothModes::new(optics),
-            segment_blocks: SegmentBlocks::new(optics, &lit, samples * stride / BLOCK),
-            lit,
+            segment_blocks: SegmentBlocks::new(optics, &illuminated, samples * stride / BLOCK),
+            illuminated,
             turns_per_nm: 1.0 / parts.wavelength_nm,
-            turns_of_free: T::of(1.0 / optics.colour().ratio),
+            turns_of_free: T::narrow(1.0 / optics.colour().ratio),
             modes: parts.modes.clone(),
         }
     }
@@ -115,7 +115,7 @@ impl<T: Polynomial> Field<T> {
         state.smooth.fill(T::zero());
         for (&mode, &nm) in self.modes.iter().zip(coefficients_nm) {
             match mode {
-                Mode::Smooth(row) => state.smooth[row] += T::of(nm),
+                Mode::Smooth(row) => state.smooth[row] += T::narrow(nm),
                 Mode::Piston(s) => add(&mut state.pose[s][0], nm * self.turns_per_nm),
                 Mode::Tip(s) => add(&mut state.pose[s][1], nm * self.turns_per_nm),
                 Mode::Tilt(s) => add(&mut state.pose[s][2], nm * self.turns_per_nm),
@@ -146,7 +146,7 @@ impl<T: Polynomial> Field<T> {
     ) {
         self.set(coefficients_nm, state);
         self.smooth.phase(&state.smooth, &mut state.turns, &mut state.smooth_scratch);
-        self.lit.iter().zip(free_turns).for_each(|(&place, &free)| {
+        self.illuminated.iter().zip(free_turns).for_each(|(&place, &free)| {
             state.turns[place] = self.turns_of_free.mul_add(free, state.turns[place]);
         });
         self.field(state, grid);
@@ -212,7 +212,7 @@ impl<T: Polynomial> Field<T> {
     #[inline(always)]
     fn gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
         let four_pi = 4.0 * std::f64::consts::PI;
-        let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
+        let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.widen()).sum::<f64>();
         let has_tilts = self.segment_blocks.slopes.is_some();
         for (&mode, gradient) in self.modes.iter().zip(gradient.iter_mut()) {
             *gradient += four_pi
@@ -221,7 +221,7 @@ impl<T: Polynomial> Field<T> {
                     Mode::Piston(s) if has_tilts => sum(&state.pose_bar[s][0]) * self.turns_per_nm,
                     Mode::Piston(s) => {
                         let ([q_re, q_im], [re, im, _]) = (state.piston[s], &state.pose_bar[s]);
-                        (sum(im) * q_re.wide() - sum(re) * q_im.wide()) * self.turns_per_nm
+                        (sum(im) * q_re.widen() - sum(re) * q_im.widen()) * self.turns_per_nm
                     }
                     Mode::Tip(s) => sum(&state.pose_bar[s][1]) * self.turns_per_nm,
                     Mode::Tilt(s) => sum(&state.pose_bar[s][2]) * self.turns_per_nm,
@@ -232,8 +232,8 @@ impl<T: Polynomial> Field<T> {
     /// Adds dJ/dψ at each illuminated sample, per turn at the wavelength of the model, from the last [`Field::adjoint`].
     #[inline(always)]
     pub(super) fn free_gradient(&self, state: &FieldState<T>, gradient: &mut [T]) {
-        let factor = T::of(4.0 * std::f64::consts::PI) * self.turns_of_free;
-        gradient.iter_mut().zip(&self.lit).for_each(|(out, &place)| *out += factor * state.turns_bar[place]);
+        let factor = T::narrow(4.0 * std::f64::consts::PI) * self.turns_of_free;
+        gradient.iter_mut().zip(&self.illuminated).for_each(|(out, &place)| *out += factor * state.turns_bar[place]);
     }
 
     /// Whether the amplitudes of the segments have an effect: not where segments tilt, whose phasors are computed per sample.
@@ -244,15 +244,15 @@ impl<T: Polynomial> Field<T> {
     /// Adds dJ/d ln of each segment's amplitude, from the last [`Field::adjoint`]: `2·Re(q_s*·Σ w·g)`, of which the piston's
     /// derivative is the imaginary part.
     pub(super) fn amplitude_gradient(&self, state: &FieldState<T>, gradient: &mut [f64]) {
-        let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.wide()).sum::<f64>();
+        let sum = |lanes: &Lanes<T>| lanes.iter().map(|lane| lane.widen()).sum::<f64>();
         for ((gradient, [q_re, q_im]), [re, im, _]) in gradient.iter_mut().zip(&state.piston).zip(&state.pose_bar) {
-            *gradient += 2.0 * (sum(re) * q_re.wide() + sum(im) * q_im.wide());
+            *gradient += 2.0 * (sum(re) * q_re.widen() + sum(im) * q_im.widen());
         }
     }
 
     /// dE/dc of one mode (per nm) at the state's coefficients, on the row-planar grid, which must be zero elsewhere.
     pub(super) fn derivative(&self, mode: Mode, state: &FieldState<T>, grid: &mut [T]) {
-        let tau = T::of(std::f64::consts::TAU);
+        let tau = T::narrow(std::f64::consts::TAU);
         let stride = self.samples.next_multiple_of(BLOCK);
         // i·2π·s·P·(re + i·im), s the derivative of the phase in turns per nm.
         let mut put = |place: usize, re: T, im: T, s: T| {
@@ -264,7 +264,7 @@ impl<T: Polynomial> Field<T> {
         };
         let (Mode::Piston(segment) | Mode::Tip(segment) | Mode::Tilt(segment)) = mode else {
             let Mode::Smooth(row) = mode else { unreachable!("the other modes are handled above") };
-            for (&place, &b) in self.lit.iter().zip(self.smooth.map(row)) {
+            for (&place, &b) in self.illuminated.iter().zip(self.smooth.map(row)) {
                 let [re, im] = state.blocks[place / BLOCK].aperture.map(|lanes| lanes[place % BLOCK]);
                 put(place, re, im, b);
             }
@@ -285,7 +285,7 @@ impl<T: Polynomial> Field<T> {
                     Mode::Tilt(_) => y,
                     _ => T::one(),
                 };
-                put(block * BLOCK + i, weight * q_re, weight * q_im, along * T::of(self.turns_per_nm));
+                put(block * BLOCK + i, weight * q_re, weight * q_im, along * T::narrow(self.turns_per_nm));
             }
         }
     }
@@ -321,5 +321,5 @@ fn take<T: Polynomial>(row: &[T]) -> Lanes<T> {
 }
 
 fn add<T: Polynomial>(to: &mut T, turns: f64) {
-    *to += T::of(turns);
+    *to += T::narrow(turns);
 }

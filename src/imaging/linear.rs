@@ -14,8 +14,8 @@ use ndarray::{ArrayView1, ArrayViewMut1, ArrayViewMut2};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The model linearised at one point: see [`CpuChain::linear`].
-pub struct Linear<'a> {
+/// The model linearised at one point: see [`CpuChain::linearise`].
+pub struct LinearModel<'a> {
     chain: &'a CpuChain<f64>,
     colours: Vec<ColourState<'a>>,
     psf: Vec<f64>,
@@ -36,12 +36,12 @@ struct ColourState<'a> {
 
 impl CpuChain<f64> {
     /// The model linearised at `coefficients_nm`.
-    pub fn linear(&self, coefficients_nm: ArrayView1<f64>) -> Linear<'_> {
+    pub fn linearise(&self, coefficients_nm: ArrayView1<f64>) -> LinearModel<'_> {
         let colour = |(optics, field): (Optics, _)| ColourState::at(coefficients_nm, field, optics.sampling());
         let colours: Vec<ColourState> = self.optics().colours().into_iter().zip(self.fields()).map(colour).collect();
         let mut psf = vec![0.0; self.optics().sampling().pixels.pow(2)];
         colours.iter().for_each(|colour| colour.add_psf(&mut psf));
-        Linear { chain: self, colours, psf, boxes: boxes(self.optics()) }
+        LinearModel { chain: self, colours, psf, boxes: boxes(self.optics()) }
     }
 }
 
@@ -74,7 +74,7 @@ impl<'a> ColourState<'a> {
     }
 }
 
-impl Linear<'_> {
+impl LinearModel<'_> {
     /// The PSF, m×m.
     pub fn psf(&self) -> &[f64] {
         &self.psf
@@ -198,7 +198,7 @@ struct FullPupilBuffers {
 }
 
 impl ThreadBuffers {
-    fn new(linear: &Linear) -> Self {
+    fn new(linear: &LinearModel) -> Self {
         let (n, m) = (linear.chain.optics().sampling().samples, linear.pixels());
         let tallest = linear.boxes.iter().map(|[ys, _]| ys.len()).max().unwrap_or(0);
         let (along_x, along_y) = (vec![0.0; 2 * tallest * m], vec![0.0; 2 * m * m]);
@@ -253,9 +253,9 @@ mod tests {
     /// over all of them.
     fn optics(tilts: bool, colours: &[Colour]) -> Arc<Optics> {
         let (n, m, side) = (30, 14, 9);
-        let (mut lit, mut offsets, mut segment, mut weight) = (Vec::new(), vec![0], Vec::new(), Vec::new());
+        let (mut illuminated, mut offsets, mut segment, mut weight) = (Vec::new(), vec![0], Vec::new(), Vec::new());
         for (y, x) in (0..27).flat_map(|y| (0..27).map(move |x| (y, x))) {
-            lit.push((n * (y + 1) + x + 2) as u32);
+            illuminated.push((n * (y + 1) + x + 2) as u32);
             for s in 0..9 {
                 let (top, left) = ((s / 3 * side) as i32, (s % 3 * side) as i32);
                 let inside = |at: i32, first: i32| (first - 1..first + 10).contains(&at);
@@ -274,14 +274,14 @@ mod tests {
             sampling: Sampling::new(n, m, 1.9).unwrap(),
             wavelength_nm: 2000.0,
             colours: colours.to_vec(),
-            diversity_nm: (0..lit.len()).map(|p| 900.0 * (0.02 * p as f64).sin()).collect(),
-            basis: Array2::from_shape_fn((1, lit.len()), |(_, p)| (0.05 * p as f64).cos()),
+            diversity_nm: (0..illuminated.len()).map(|p| 900.0 * (0.02 * p as f64).sin()).collect(),
+            basis: Array2::from_shape_fn((1, illuminated.len()), |(_, p)| (0.05 * p as f64).cos()),
             modes: (0..9).flat_map(modes_of).chain([Mode::Smooth(0)]).collect(),
             slopes: Some((slope(0.3), slope(0.7))),
             weights: SegmentWeights {
                 segments: 9,
                 energy: weight.iter().map(|w| w * w).sum(),
-                lit,
+                illuminated,
                 offsets,
                 segment,
                 weight,
@@ -294,12 +294,12 @@ mod tests {
     #[test]
     fn derivatives_in_tiles_agree_with_those_of_the_whole_image() {
         let three = [(0.95, 0.3), (1.0, 0.4), (1.04, 0.3)].map(|(ratio, share)| Colour { ratio, share });
-        let alone = [Colour::ALONE];
+        let alone = [Colour::MONOCHROMATIC];
         for (tilts, colours) in [(false, &alone[..]), (true, &alone), (false, &three), (true, &three)] {
             let chain = CpuChain::<f64>::new(optics(tilts, colours));
             let modes = chain.optics().modes();
             let at = ndarray::Array1::from_shape_fn(modes, |i| 60.0 * (i as f64 * 1.7).sin());
-            let linear = chain.linear(at.view());
+            let linear = chain.linearise(at.view());
             assert!((0..9).all(|segment| linear.is_small(segment)), "the test needs segments with small boxes");
             let (psf, wanted) = chain.jacobian(at.view());
             let (m, peak) = (linear.pixels(), wanted.iter().fold(0.0f64, |m, v| m.max(v.abs())));

@@ -21,9 +21,9 @@ mod smooth;
 mod work;
 
 pub use chain::{Chain, Choice, Fallback, Precision};
-pub use cpu::{CpuChain, Flat, Scratch};
-pub use detector::{Evaluation, Exposure, Loaded, Photometry};
-pub use linear::Linear;
+pub use cpu::{CpuChain, FlatWavefront, Scratch};
+pub use detector::{Evaluation, Exposure, LoadedImage, Photometry};
+pub use linear::LinearModel;
 pub use optics::{Colour, Mode, Optics, OpticsParts};
 pub use phasor::Polynomial;
 pub use work::{Shapes, Work};

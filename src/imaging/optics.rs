@@ -1,7 +1,7 @@
 //! The immutable optical model of one scene, in double precision, from which every chain is constructed.
 
 use crate::fourier::Sampling;
-use crate::modes::Separable;
+use crate::modes::SeparableBasis;
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
 use ndarray::Array2;
@@ -30,7 +30,7 @@ pub struct Colour {
 
 impl Colour {
     /// All flux at the wavelength of the model.
-    pub const ALONE: Self = Self { ratio: 1.0, share: 1.0 };
+    pub const MONOCHROMATIC: Self = Self { ratio: 1.0, share: 1.0 };
 }
 
 /// The arrays of an [`Optics`].
@@ -52,7 +52,7 @@ pub struct OpticsParts {
     /// Smooth modes at the illuminated samples, `[mode, sample]`, nm per nm.
     pub basis: Array2<f64>,
     /// The same modes on the whole grid as sums of products of functions of x and y, if available.
-    pub products: Option<Separable>,
+    pub products: Option<SeparableBasis>,
     /// Effect of each coefficient.
     pub modes: Vec<Mode>,
 }
@@ -71,7 +71,7 @@ impl Optics {
     /// # Errors
     /// [`Error::Shape`] or [`Error::Value`], naming the part.
     pub fn new(parts: OpticsParts) -> Result<Self> {
-        let lit = parts.weights.lit.len();
+        let illuminated = parts.weights.illuminated.len();
         let entries = parts.weights.weight.len();
         let samples = parts.sampling.samples;
         if !(parts.wavelength_nm.is_finite() && parts.wavelength_nm > 0.0) {
@@ -90,15 +90,15 @@ impl Optics {
             );
             return Err(Error::Value(text));
         }
-        if lit == 0 || !(parts.weights.energy.is_finite() && parts.weights.energy > 0.0) {
+        if illuminated == 0 || !(parts.weights.energy.is_finite() && parts.weights.energy > 0.0) {
             return Err(Error::Value("the pupil has no illuminated sample: at least one is needed".into()));
         }
-        if parts.weights.lit.iter().any(|&p| p as usize >= samples * samples) {
+        if parts.weights.illuminated.iter().any(|&p| p as usize >= samples * samples) {
             return Err(Error::Shape(format!(
                 "an illuminated sample is outside the pupil grid of {samples}x{samples} samples"
             )));
         }
-        let fits = parts.weights.offsets.len() == lit + 1
+        let fits = parts.weights.offsets.len() == illuminated + 1
             && parts.weights.segment.len() == entries
             && parts.weights.offsets.last() == Some(&(entries as u32))
             && parts.weights.segment.iter().all(|&s| (s as usize) < parts.weights.segments);
@@ -108,9 +108,9 @@ impl Optics {
             ));
         }
         for (what, length) in [("diversity", parts.diversity_nm.len()), ("smooth basis", parts.basis.ncols())] {
-            if length != lit {
+            if length != illuminated {
                 return Err(Error::Shape(format!(
-                    "the {what} has {length} samples, and the pupil {lit} illuminated ones: as many are needed"
+                    "the {what} has {length} samples, and the pupil {illuminated} illuminated ones: as many are needed"
                 )));
             }
         }
@@ -146,7 +146,7 @@ impl Optics {
                 )));
             }
         }
-        Ok(Self { parts, colour: Colour::ALONE })
+        Ok(Self { parts, colour: Colour::MONOCHROMATIC })
     }
 
     /// The arrays.
@@ -176,7 +176,7 @@ impl Optics {
                     pixels_per_lambda_over_d: pixels_per_lambda_over_d * colour.ratio,
                 },
                 wavelength_nm: self.parts.wavelength_nm * colour.ratio,
-                colours: vec![Colour::ALONE],
+                colours: vec![Colour::MONOCHROMATIC],
                 ..self.parts.clone()
             };
             Self { parts, colour }
@@ -190,10 +190,10 @@ impl Optics {
 
     /// Whether the model is monochromatic.
     pub fn has_one_wavelength(&self) -> bool {
-        self.parts.colours == [Colour::ALONE]
+        self.parts.colours == [Colour::MONOCHROMATIC]
     }
 
-    /// The wavelength that this model represents in a polychromatic one; [`Colour::ALONE`] for a complete model.
+    /// The wavelength that this model represents in a polychromatic one; [`Colour::MONOCHROMATIC`] for a complete model.
     pub(super) fn colour(&self) -> Colour {
         self.colour
     }

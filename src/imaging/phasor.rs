@@ -37,8 +37,8 @@ pub(crate) fn phasor<T: Polynomial>(turns: T) -> (T, T) {
     let mut k = T::TERMS - 1;
     while k > 0 {
         let even = (2 * k) as f64;
-        sin = (square * sin).mul_add(T::of(-1.0 / (even * (even + 1.0))), T::one());
-        cos = (square * cos).mul_add(T::of(-1.0 / (even * (even - 1.0))), T::one());
+        sin = (square * sin).mul_add(T::narrow(-1.0 / (even * (even + 1.0))), T::one());
+        cos = (square * cos).mul_add(T::narrow(-1.0 / (even * (even - 1.0))), T::one());
         k -= 1;
     }
     let sin = sin * angle;
@@ -53,10 +53,10 @@ mod tests {
     fn worst<T: Polynomial>() -> f64 {
         (-4000..4000)
             .map(|i| {
-                let turns = T::of(f64::from(i) * 0.000_731);
+                let turns = T::narrow(f64::from(i) * 0.000_731);
                 let (cos, sin) = phasor(turns);
-                let angle = std::f64::consts::TAU * (turns.wide() - turns.wide().round());
-                (cos.wide() - angle.cos()).abs().max((sin.wide() - angle.sin()).abs())
+                let angle = std::f64::consts::TAU * (turns.widen() - turns.widen().round());
+                (cos.widen() - angle.cos()).abs().max((sin.widen() - angle.sin()).abs())
             })
             .fold(0.0, f64::max)
     }

@@ -24,14 +24,14 @@ pub(super) struct SegmentBlocks<T> {
 }
 
 impl<T: Polynomial> SegmentBlocks<T> {
-    /// The entries in `blocks` blocks; `lit` are the flat indices of the illuminated samples.
-    pub(super) fn new(optics: &Optics, lit: &[usize], blocks: usize) -> Self {
+    /// The entries in `blocks` blocks; `illuminated` are the flat indices of the illuminated samples.
+    pub(super) fn new(optics: &Optics, illuminated: &[usize], blocks: usize) -> Self {
         let parts = optics.parts();
         let weights = &parts.weights;
         let slopes = parts.slopes.as_ref().filter(|_| optics.tilts_segments());
         let amplitude = optics.intensity_scale().sqrt();
         let mut entries = Vec::with_capacity(weights.weight.len());
-        for (&place, bounds) in lit.iter().zip(weights.offsets.windows(2)) {
+        for (&place, bounds) in illuminated.iter().zip(weights.offsets.windows(2)) {
             for entry in bounds[0] as usize..bounds[1] as usize {
                 entries.push((place / BLOCK, weights.segment[entry] as usize, place % BLOCK, entry));
             }
@@ -50,7 +50,7 @@ impl<T: Polynomial> SegmentBlocks<T> {
             while let Some(entries) = own.next_if(|entries| entries[0].0 == block) {
                 let gather = |values: &[f64], scale: f64| {
                     let mut lanes = [T::zero(); BLOCK];
-                    entries.iter().for_each(|&(_, _, lane, entry)| lanes[lane] = T::of(values[entry] * scale));
+                    entries.iter().for_each(|&(_, _, lane, entry)| lanes[lane] = T::narrow(values[entry] * scale));
                     lanes
                 };
                 let segment = entries[0].1;

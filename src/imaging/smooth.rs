@@ -9,12 +9,12 @@ use super::optics::Optics;
 use super::phasor::Polynomial;
 use super::segment_blocks::BLOCK;
 use crate::fourier::{Factors, panel_len};
-use crate::modes::Separable;
+use crate::modes::SeparableBasis;
 use ndarray::{Array2, s};
 
 /// The smooth modes in the precision of a chain, turns per nm, on a grid whose rows are padded to whole blocks.
 pub(super) struct SmoothModes<T> {
-    lit: usize,
+    illuminated: usize,
     /// Runs of neighbouring illuminated samples: flat index of the first on the grid, and length.
     strips: Vec<(usize, usize)>,
     /// `[mode][illuminated sample]`.
@@ -56,31 +56,31 @@ const LANES: usize = 32;
 impl<T: Polynomial> SmoothModes<T> {
     pub(super) fn new(optics: &Optics) -> Self {
         let parts = optics.parts();
-        let (modes, lit) = parts.basis.dim();
+        let (modes, illuminated) = parts.basis.dim();
         let turns_per_nm = 1.0 / parts.wavelength_nm;
-        let is_cheaper = |products: &&Separable| products.operations() < modes * lit;
+        let is_cheaper = |products: &&SeparableBasis| products.operations() < modes * illuminated;
         let products = parts.products.as_ref().filter(is_cheaper);
         Self {
-            lit,
-            strips: strips(&parts.weights.lit, parts.sampling.samples),
-            maps: parts.basis.iter().map(|&b| T::of(b * turns_per_nm)).collect(),
+            illuminated,
+            strips: strips(&parts.weights.illuminated, parts.sampling.samples),
+            maps: parts.basis.iter().map(|&b| T::narrow(b * turns_per_nm)).collect(),
             products: products.map(|products| Products::new(products, parts.sampling.samples, turns_per_nm)),
         }
     }
 
     /// Number of modes.
     pub(super) fn len(&self) -> usize {
-        self.maps.len() / self.lit
+        self.maps.len() / self.illuminated
     }
 
     /// A mode at the illuminated samples.
     pub(super) fn map(&self, mode: usize) -> &[T] {
-        &self.maps[mode * self.lit..][..self.lit]
+        &self.maps[mode * self.illuminated..][..self.illuminated]
     }
 
     pub(super) fn scratch(&self) -> SmoothScratch<T> {
         let (values, middle, panel) = match &self.products {
-            None => (self.lit, 0, 0),
+            None => (self.illuminated, 0, 0),
             Some(products) => {
                 let functions = products.lines.len() / products.samples;
                 (products.coefficients, products.rows.len(), panel_len(products.stride.max(functions)))
@@ -137,7 +137,7 @@ impl<T: Polynomial> SmoothModes<T> {
 }
 
 impl<T: Polynomial> Products<T> {
-    fn new(products: &Separable, samples: usize, turns_per_nm: f64) -> Self {
+    fn new(products: &SeparableBasis, samples: usize, turns_per_nm: f64) -> Self {
         let stride = samples.next_multiple_of(BLOCK);
         let lines = &products.lines;
         let mut filled = Array2::zeros((lines.nrows(), stride));
@@ -146,17 +146,17 @@ impl<T: Polynomial> Products<T> {
         let group = |&k: &usize| -> Vec<T> {
             let own = filled.slice(s![first..first + k, ..]);
             first += k;
-            own.t().iter().map(|&v| T::of(v)).collect()
+            own.t().iter().map(|&v| T::narrow(v)).collect()
         };
         Self {
             samples,
             stride,
             groups: products.groups.clone(),
             across_groups: products.groups.iter().map(group).collect(),
-            rows: filled.iter().map(|&v| T::of(v)).collect(),
-            lines: lines.iter().map(|&v| T::of(v)).collect(),
-            across: lines.t().iter().map(|&v| T::of(v)).collect(),
-            matrix: products.matrix.iter().map(|&v| T::of(v * turns_per_nm)).collect(),
+            rows: filled.iter().map(|&v| T::narrow(v)).collect(),
+            lines: lines.iter().map(|&v| T::narrow(v)).collect(),
+            across: lines.t().iter().map(|&v| T::narrow(v)).collect(),
+            matrix: products.matrix.iter().map(|&v| T::narrow(v * turns_per_nm)).collect(),
             coefficients: products.matrix.ncols(),
         }
     }
@@ -230,5 +230,5 @@ fn dot<T: Polynomial>(a: &[T], b: &[T]) -> f64 {
             lanes[i] = a[i].mul_add(b[i], lanes[i]);
         }
     }
-    lanes.iter().map(|lane| lane.wide()).sum::<f64>() + rest.wide()
+    lanes.iter().map(|lane| lane.widen()).sum::<f64>() + rest.widen()
 }

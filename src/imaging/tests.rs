@@ -8,7 +8,7 @@ mod free_phase;
 use super::*;
 use crate::fourier::{Sampling, Transform};
 use crate::grid::Grid;
-use crate::modes::{Mirror, Separable, SmoothBasis, Zernikes};
+use crate::modes::{Mirror, SeparableBasis, SmoothBasis, Zernikes};
 use crate::pupil::SegmentWeights;
 use approx::assert_relative_eq;
 use ndarray::{Array1, Array2};
@@ -23,9 +23,9 @@ fn random(count: usize, scale: f64, rng: &mut ChaCha8Rng) -> Vec<f64> {
 /// Three overlapping segments on an asymmetric pupil, two smooth modes, every kind of mode.
 fn optics(samples: usize, pixels: usize, per_lambda_over_d: f64) -> Arc<Optics> {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let lit: Vec<u32> = (0..(samples * samples) as u32).filter(|p| p % 7 != 0 && p % 5 != 1).collect();
+    let illuminated: Vec<u32> = (0..(samples * samples) as u32).filter(|p| p % 7 != 0 && p % 5 != 1).collect();
     let (mut offsets, mut segment, mut weight) = (vec![0], Vec::new(), Vec::new());
-    for &p in &lit {
+    for &p in &illuminated {
         for s in 0..3 {
             if (p + s) % 3 != 0 {
                 segment.push(s);
@@ -34,7 +34,7 @@ fn optics(samples: usize, pixels: usize, per_lambda_over_d: f64) -> Arc<Optics> 
         }
         offsets.push(weight.len() as u32);
     }
-    let (count, entries) = (lit.len(), weight.len());
+    let (count, entries) = (illuminated.len(), weight.len());
     let energy = weight.iter().map(|w| w * w).sum();
     let slopes = Some((random(entries, 1.7, &mut rng), random(entries, 1.7, &mut rng)));
     let mut modes: Vec<Mode> = (0..3).flat_map(|s| [Mode::Piston(s), Mode::Tip(s), Mode::Tilt(s)]).collect();
@@ -43,8 +43,8 @@ fn optics(samples: usize, pixels: usize, per_lambda_over_d: f64) -> Arc<Optics> 
         Optics::new(OpticsParts {
             sampling: Sampling::new(samples, pixels, per_lambda_over_d).unwrap(),
             wavelength_nm: 2168.6,
-            colours: vec![Colour::ALONE],
-            weights: SegmentWeights { segments: 3, lit, offsets, segment, weight, energy },
+            colours: vec![Colour::MONOCHROMATIC],
+            weights: SegmentWeights { segments: 3, illuminated, offsets, segment, weight, energy },
             slopes,
             diversity_nm: random(count, 4000.0, &mut rng),
             basis: Array2::from_shape_vec((2, count), random(2 * count, 2.0, &mut rng)).unwrap(),
@@ -184,7 +184,7 @@ fn single_precision_agrees_and_results_do_not_depend_on_the_batch() {
 fn evaluations_with_a_reused_psf_are_bitwise_the_same() {
     fn compare<T: Polynomial>() {
         let chain = CpuChain::<T>::new(optics(12, 10, 2.2));
-        let (mut scratch, mut flat) = (chain.scratch(), chain.flat());
+        let (mut scratch, mut flat) = (chain.scratch(), chain.flat_wavefront());
         let bits = |found: &Evaluation| {
             let gradient: Vec<u64> = found.gradient.iter().map(|g| g.to_bits()).collect();
             (found.objective.to_bits(), found.flux_e.to_bits(), found.background_e.to_bits(), gradient)
@@ -192,14 +192,14 @@ fn evaluations_with_a_reused_psf_are_bitwise_the_same() {
         let places = [coefficients(1, 11).row(0).to_owned(), Array1::zeros(11)];
         // The second image uses the scratch memory of the first.
         for exposure in &exposures(10) {
-            let mut image = chain.room();
+            let mut image = chain.empty_image();
             chain.set(&mut image, exposure).unwrap();
             let mut found = chain.evaluation();
             let [_, expected] = places.each_ref().map(|place| {
                 let mut expected = chain.evaluation();
                 chain.evaluate_one(&image, place.view(), &mut scratch, &mut expected);
                 chain.psf_in(place.view(), &mut scratch);
-                chain.evaluate_there(&image, &mut scratch, &mut found);
+                chain.evaluate_at_last_psf(&image, &mut scratch, &mut found);
                 assert_eq!(bits(&found), bits(&expected));
                 expected
             });
@@ -221,7 +221,7 @@ fn images_of_several_wavelengths_add() {
         let alone = OpticsParts {
             sampling: Sampling::new(12, 14, 1.9 * colour.ratio).unwrap(),
             wavelength_nm: 2168.6 * colour.ratio,
-            colours: vec![Colour::ALONE],
+            colours: vec![Colour::MONOCHROMATIC],
             ..optics.parts().clone()
         };
         let psf = CpuChain::<f64>::new(Arc::new(Optics::new(alone).unwrap())).psf(c.view());
@@ -243,19 +243,19 @@ fn images_of_several_wavelengths_add() {
 #[test]
 fn a_wavefront_that_grows_along_x_moves_the_spot_along_columns() {
     let (samples, pixels) = (16, 16);
-    let lit: Vec<u32> = (0..256).collect();
-    let tilt: Vec<f64> = lit.iter().map(|p| f64::from(p % 16) - 7.5).collect();
+    let illuminated: Vec<u32> = (0..256).collect();
+    let tilt: Vec<f64> = illuminated.iter().map(|p| f64::from(p % 16) - 7.5).collect();
     let optics = Optics::new(OpticsParts {
         sampling: Sampling::new(samples, pixels, 2.0).unwrap(),
         wavelength_nm: 1000.0,
-        colours: vec![Colour::ALONE],
+        colours: vec![Colour::MONOCHROMATIC],
         weights: SegmentWeights {
             segments: 1,
             offsets: (0..=256).collect(),
             segment: vec![0; 256],
             weight: vec![1.0; 256],
             energy: 256.0,
-            lit,
+            illuminated,
         },
         slopes: None,
         diversity_nm: vec![0.0; 256],
@@ -295,11 +295,11 @@ fn modes_as_products_agree_with_their_maps() {
     let basis = zernikes.followed_by(&mirror);
     let mut parts = optics.parts().clone();
     let at = |p: &u32| (grid.coordinate_m(*p as usize % n), grid.coordinate_m(*p as usize / n));
-    let (xs, ys): (Vec<f64>, Vec<f64>) = parts.weights.lit.iter().map(at).unzip();
+    let (xs, ys): (Vec<f64>, Vec<f64>) = parts.weights.illuminated.iter().map(at).unzip();
     parts.basis = basis.evaluate(&xs, &ys).unwrap();
     parts.modes = (0..basis.len()).map(Mode::Smooth).chain([Mode::Piston(1)]).collect();
     let maps = Arc::new(Optics::new(parts.clone()).unwrap());
-    let products = Separable::of(&basis, grid).unwrap();
+    let products = SeparableBasis::new(&basis, grid).unwrap();
     assert!(products.operations() < basis.len() * xs.len());
     parts.products = Some(products);
     let products = Arc::new(Optics::new(parts).unwrap());

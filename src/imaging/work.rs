@@ -39,7 +39,7 @@ pub struct Shapes {
     /// Points of the FFT, N; `None` with matrix products.
     pub fft: Option<usize>,
     /// Illuminated samples, L.
-    pub lit: usize,
+    pub illuminated: usize,
     /// Entries of segments in illuminated samples, E.
     pub entries: usize,
     /// Smooth modes, M.
@@ -54,13 +54,13 @@ pub struct Shapes {
 
 impl Shapes {
     /// The sizes of `optics`, with an FFT of `fft` points or matrix products.
-    pub fn of(optics: &Optics, fft: Option<usize>) -> Self {
+    pub fn new(optics: &Optics, fft: Option<usize>) -> Self {
         let parts = optics.parts();
         Self {
             samples: parts.sampling.samples,
             pixels: parts.sampling.pixels,
             fft,
-            lit: parts.weights.lit.len(),
+            illuminated: parts.weights.illuminated.len(),
             entries: parts.weights.weight.len(),
             smooth: parts.basis.nrows(),
             modes: parts.modes.len(),
@@ -71,8 +71,8 @@ impl Shapes {
 
     /// Work of one image's objective and gradient in a batch of `batch`.
     pub fn work(&self, precision: Precision, batch: usize) -> Work {
-        let counts = [self.samples, self.pixels, self.lit, self.entries, self.smooth, self.modes, self.colours];
-        let [n, m, lit, entries, smooth, modes, colours] = counts.map(|count| count as f64);
+        let counts = [self.samples, self.pixels, self.illuminated, self.entries, self.smooth, self.modes, self.colours];
+        let [n, m, illuminated, entries, smooth, modes, colours] = counts.map(|count| count as f64);
         let transform = match self.fft {
             Some(points) => 10.0 * points as f64 * (points as f64).log2() * (n + m),
             None => 4.0 * n * m * (n + m),
@@ -81,8 +81,8 @@ impl Shapes {
         let segments = if self.tilts { entries * (16.0 + 2.0 * turn) } else { 8.0 * entries };
         let number = precision.bytes() as f64;
         Work {
-            flops: colours * (transform + lit * (4.0 * smooth + turn + 20.0) + segments) + 30.0 * m * m,
-            bytes: number * (2.0 * m * m + colours * lit * smooth / batch.max(1) as f64) + 16.0 * modes,
+            flops: colours * (transform + illuminated * (4.0 * smooth + turn + 20.0) + segments) + 30.0 * m * m,
+            bytes: number * (2.0 * m * m + colours * illuminated * smooth / batch.max(1) as f64) + 16.0 * modes,
         }
     }
 }
@@ -97,7 +97,7 @@ mod tests {
             samples: 120,
             pixels: 240,
             fft: None,
-            lit: 9000,
+            illuminated: 9000,
             entries: 9000,
             smooth: 66,
             modes: 102,

@@ -167,7 +167,7 @@ impl LoopOffsets {
         ncpa_nm: &[f64],
         segments: usize,
     ) -> Result<Self> {
-        let samples = Samples::of(&telescope.pupil)?;
+        let samples = Samples::from_pupil(&telescope.pupil)?;
         let simulator = Simulator::new(scene)?;
         let influence = simulator.influence();
         let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m)?;

@@ -61,7 +61,7 @@ impl SensorModel {
         let footprint = Footprint::new(&pupil);
         let sensor = Sensor::new(sensing, Lenslets::new(sensing, &pupil, scene.directory())?, &pupil, &footprint)?
             .with_shift_and_gain(sensing, &pupil, &footprint)?;
-        let fine = Samples::of(&pupil)?;
+        let fine = Samples::from_pupil(&pupil)?;
         let n = grid.samples();
         let index = |&at: &usize| (at / n * footprint.stride() + at % n, pupil.owner[[at / n, at % n]].max(0) as usize);
         Ok(Self {

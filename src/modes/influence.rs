@@ -78,7 +78,7 @@ impl Mirror {
             let text = format!("an actuator margin of {margin_pitches} pitches is impossible: 0 or more is accepted");
             return Err(Error::Value(text));
         }
-        let illuminated = Samples::of(pupil)?;
+        let illuminated = Samples::from_pupil(pupil)?;
         let reach2 = (margin_pitches * self.pitch_m).powi(2);
         let across = self.actuators_across;
         let near = |&index: &usize| {
@@ -99,7 +99,7 @@ impl Mirror {
     ///
     /// # Errors
     /// [`Error::Value`] where there is none.
-    pub fn chosen(&self, keep: impl Fn(f64, f64) -> bool) -> Result<InfluenceFunctions> {
+    pub fn select(&self, keep: impl Fn(f64, f64) -> bool) -> Result<InfluenceFunctions> {
         let across = self.actuators_across;
         let kept = |index: &usize| keep(self.coordinate_m(index % across), self.coordinate_m(index / across));
         let indices: Vec<usize> = (0..across * across).filter(kept).collect();

@@ -55,7 +55,7 @@ pub struct KarhunenLoeve {
 /// The first `count` Karhunen-Loève modes of `influence` over `pupil` under `turbulence`.
 ///
 /// # Errors
-/// Those of [`Samples::of`]; [`Error::Value`] where `count` is 0 or exceeds the number of modes of the mirror, or the grid
+/// Those of [`Samples::from_pupil`]; [`Error::Value`] where `count` is 0 or exceeds the number of modes of the mirror, or the grid
 /// is too wide for the pitch.
 pub fn karhunen_loeve(
     influence: &InfluenceFunctions,
@@ -69,7 +69,7 @@ pub fn karhunen_loeve(
 /// The first `most` modes, or all that the mirror has and the samples of the pupil resolve, if those are fewer.
 ///
 /// # Errors
-/// Those of [`Samples::of`]; [`Error::Value`] for a grid that is too wide for the pitch.
+/// Those of [`Samples::from_pupil`]; [`Error::Value`] for a grid that is too wide for the pitch.
 pub fn karhunen_loeve_at_most(
     influence: &InfluenceFunctions,
     pupil: &Pupil,
@@ -106,7 +106,7 @@ fn modes(
     count_wanted: ModeCount,
 ) -> Result<KarhunenLoeve> {
     let working = working_pupil(pupil, influence.mirror().pitch_m())?;
-    let samples = Samples::of(&working)?;
+    let samples = Samples::from_pupil(&working)?;
     let mut values = influence.evaluate(&samples.xs_m, &samples.ys_m)?;
     let weights = ndarray::aview1(&samples.weights);
     let mean = values.dot(&weights);
@@ -171,7 +171,7 @@ fn geometric_modes(covariance: &Array2<f64>) -> Result<(Array2<f64>, usize)> {
 /// The pupil on a grid that suits the mirror: the pupil itself, or its amplitude averaged over the cells of another grid.
 fn working_pupil(pupil: &Pupil, pitch_m: f64) -> Result<Pupil> {
     // Checks the shape of the amplitude before it is indexed.
-    Samples::of(pupil)?;
+    Samples::from_pupil(pupil)?;
     let width_m = pupil.grid.width_m();
     let enough = ENOUGH_PER_PITCH * width_m / pitch_m;
     if enough > LARGEST_GRID {
@@ -297,7 +297,7 @@ mod tests {
         let grid = Grid::new(6, 3.0).unwrap();
         let amplitude = Array2::from_shape_fn((6, 6), |(y, x)| if x + 2 * y > 4 { 0.5 + 0.1 * x as f64 } else { 0.0 });
         let owner = Array2::from_elem((6, 6), 0);
-        let samples = Samples::of(&Pupil { grid, amplitude, owner, segments: vec![] }).unwrap();
+        let samples = Samples::from_pupil(&Pupil { grid, amplitude, owner, segments: vec![] }).unwrap();
         let weights = Array1::from(samples.weights.clone());
         let turbulence = VonKarman::new(0.2, 20.0).unwrap();
         let mut functions = Array2::from_shape_fn((3, weights.len()), |(k, p)| {

@@ -9,16 +9,16 @@ use ndarray::{Array2, Axis};
 
 /// Modes with zero mean and unit RMS over a pupil (weight A), orthogonal to each other, and the modes dropped.
 #[derive(Debug, Clone)]
-pub struct Orthonormal {
+pub struct OrthonormalBasis {
     /// The modes: each is its raw mode minus a combination of the modes before it, so that names and order are kept.
     pub basis: SmoothBasis,
     /// Modes in the span of piston and the modes before them.
-    pub dropped: Vec<Dropped>,
+    pub dropped: Vec<DroppedMode>,
 }
 
 /// A mode dropped from a basis because it is in the span of the modes before it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Dropped {
+pub struct DroppedMode {
     /// Name of the mode.
     pub name: String,
     /// RMS of its component outside that span, as a fraction of its own RMS.
@@ -33,17 +33,17 @@ pub struct Dropped {
 /// the lower limit of 1e-6.
 ///
 /// # Errors
-/// Those of [`Samples::of`]; [`Error::Value`] for a threshold out of range, modes that are not finite, or none left.
-pub fn orthonormalise(raw: &SmoothBasis, pupil: &Pupil, smallest: f64) -> Result<Orthonormal> {
+/// Those of [`Samples::from_pupil`]; [`Error::Value`] for a threshold out of range, modes that are not finite, or none left.
+pub fn orthonormalise(raw: &SmoothBasis, pupil: &Pupil, smallest: f64) -> Result<OrthonormalBasis> {
     if !(1e-6..1.0).contains(&smallest) {
         let text = format!("a smallest remainder of {smallest} is out of range: 1e-6 to below 1 is accepted");
         return Err(Error::Value(text));
     }
-    let samples = Samples::of(pupil)?;
+    let samples = Samples::from_pupil(pupil)?;
     let first = pass(raw, &samples, smallest)?;
     // The modes kept by the first pass are independent: none is dropped here.
     let second = pass(&first.basis, &samples, 0.0)?;
-    Ok(Orthonormal { basis: second.basis, dropped: first.dropped })
+    Ok(OrthonormalBasis { basis: second.basis, dropped: first.dropped })
 }
 
 /// The Zernike modes of Noll indices `first` to `last`, orthonormal over `pupil`, also to piston, tip, tilt and every
@@ -59,7 +59,7 @@ pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothB
         );
         return Err(Error::Value(text));
     }
-    let samples = Samples::of(pupil)?;
+    let samples = Samples::from_pupil(pupil)?;
     let radius_m = samples.radius_m().max(pupil.grid.pitch_m());
     let raw = SmoothBasis::zernike(Zernikes::new(2..=last, radius_m)?);
     let all = orthonormalise(&raw, pupil, 1e-6)?;
@@ -80,12 +80,12 @@ pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothB
 ///
 /// # Errors
 /// Those of [`orthonormalise`].
-pub fn join_exact(exact: &SmoothBasis, other: &SmoothBasis, pupil: &Pupil, smallest: f64) -> Result<Orthonormal> {
+pub fn join_exact(exact: &SmoothBasis, other: &SmoothBasis, pupil: &Pupil, smallest: f64) -> Result<OrthonormalBasis> {
     orthonormalise(&exact.followed_by(other), pupil, smallest)
 }
 
 /// One pass: removes the mean, then applies the inverse Cholesky factor of the Gram matrix.
-fn pass(basis: &SmoothBasis, samples: &Samples, smallest: f64) -> Result<Orthonormal> {
+fn pass(basis: &SmoothBasis, samples: &Samples, smallest: f64) -> Result<OrthonormalBasis> {
     let (mean, products) = basis.moments(samples);
     let gram = Array2::from_shape_fn(products.dim(), |(i, j)| products[[i, j]] - mean[i] * mean[j]);
     if let Some(mode) = (0..basis.len()).find(|&mode| !products[[mode, mode]].is_finite()) {
@@ -99,7 +99,7 @@ fn pass(basis: &SmoothBasis, samples: &Samples, smallest: f64) -> Result<Orthono
         let remainder2 = factor.push(&gram, mode, smallest * smallest * total);
         if let Some(left) = remainder2 {
             let remainder = if total > 0.0 { (left.max(0.0) / total).sqrt() } else { 0.0 };
-            dropped.push(Dropped { name: basis.names()[mode].clone(), remainder });
+            dropped.push(DroppedMode { name: basis.names()[mode].clone(), remainder });
         }
     }
     if factor.kept.is_empty() {
@@ -107,7 +107,7 @@ fn pass(basis: &SmoothBasis, samples: &Samples, smallest: f64) -> Result<Orthono
     }
     let names = factor.kept.iter().map(|&mode| basis.names()[mode].clone()).collect();
     let combination = factor.inverse(basis.len());
-    Ok(Orthonormal { basis: basis.combined(names, &combination, &mean), dropped })
+    Ok(OrthonormalBasis { basis: basis.combined(names, &combination, &mean), dropped })
 }
 
 /// A Cholesky factor, built row by row without the modes in the span of those before them.

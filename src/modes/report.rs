@@ -58,7 +58,7 @@ impl Degeneracy {
     /// # Errors
     /// [`Error::Shape`] where the matrix is not square or does not have one row per name; [`Error::Value`] where an entry is
     /// not finite, a diagonal entry is negative, or `weak_below` is not a number.
-    pub fn of(matrix: &Array2<f64>, names: &[String], weak_below: f64) -> Result<Self> {
+    pub fn from_matrix(matrix: &Array2<f64>, names: &[String], weak_below: f64) -> Result<Self> {
         let modes = names.len();
         if matrix.dim() != (modes, modes) {
             let text = format!(
@@ -236,7 +236,7 @@ mod tests {
         gram[[4, 3]] = 2.0;
         gram[[4, 4]] = 4.0;
         let names = names(&["s-0-piston", "s-1-piston", "s-2-piston", "kl-00", "kl-01", "kl-02"]);
-        let report = Degeneracy::of(&gram, &names, WEAK_BELOW).unwrap();
+        let report = Degeneracy::from_matrix(&gram, &names, WEAK_BELOW).unwrap();
         let descriptions: Vec<&str> = report.null.iter().map(|direction| direction.description.as_str()).collect();
         assert_eq!(descriptions.len(), 3, "{report}");
         assert_eq!(descriptions[0], "all 3 segment pistons together (global piston)");
@@ -263,7 +263,7 @@ mod tests {
     fn a_weak_direction_is_named_with_its_singular_value() {
         // Two modes with correlation 0.995: singular values √1.995 and √0.005 = 0.0707.
         let gram = array![[1.0, 0.995 * 3.0, 0.0], [0.995 * 3.0, 9.0, 0.0], [0.0, 0.0, 2.0]];
-        let report = Degeneracy::of(&gram, &names(&["noll-2", "kl-00", "kl-01"]), WEAK_BELOW).unwrap();
+        let report = Degeneracy::from_matrix(&gram, &names(&["noll-2", "kl-00", "kl-01"]), WEAK_BELOW).unwrap();
         assert!(report.null.is_empty());
         assert_eq!(report.weak.len(), 1);
         assert!((report.weak[0].singular_value - 0.005f64.sqrt()).abs() < 1e-12);
@@ -277,11 +277,11 @@ mod tests {
     #[test]
     fn bad_matrices_are_refused() {
         let two = names(&["a", "b"]);
-        assert!(Degeneracy::of(&Array2::eye(3), &two, 0.2).is_err());
-        assert!(Degeneracy::of(&array![[1.0, f64::NAN], [f64::NAN, 1.0]], &two, 0.2).is_err());
-        assert!(Degeneracy::of(&array![[1.0, 0.0], [0.0, -1.0]], &two, 0.2).is_err());
-        assert!(Degeneracy::of(&Array2::eye(2), &two, f64::NAN).is_err());
+        assert!(Degeneracy::from_matrix(&Array2::eye(3), &two, 0.2).is_err());
+        assert!(Degeneracy::from_matrix(&array![[1.0, f64::NAN], [f64::NAN, 1.0]], &two, 0.2).is_err());
+        assert!(Degeneracy::from_matrix(&array![[1.0, 0.0], [0.0, -1.0]], &two, 0.2).is_err());
+        assert!(Degeneracy::from_matrix(&Array2::eye(2), &two, f64::NAN).is_err());
         // A report of no modes is empty, not an error.
-        assert!(Degeneracy::of(&Array2::zeros((0, 0)), &[], 0.2).unwrap().null.is_empty());
+        assert!(Degeneracy::from_matrix(&Array2::zeros((0, 0)), &[], 0.2).unwrap().null.is_empty());
     }
 }

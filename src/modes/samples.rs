@@ -22,7 +22,7 @@ impl Samples {
     /// # Errors
     /// [`Error::Shape`] where the amplitude does not fit the grid; [`Error::Value`] for an amplitude that is negative
     /// or not finite, or a pupil without illuminated samples.
-    pub fn of(pupil: &Pupil) -> Result<Self> {
+    pub fn from_pupil(pupil: &Pupil) -> Result<Self> {
         let n = pupil.grid.samples();
         if pupil.amplitude.dim() != (n, n) {
             let text =

@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 /// `mode_i(x, y) = Σ_g Σ_ab matrix_{i,g,a,b} · f_{g,a}(y) · f_{g,b}(x)`: Gaussian influence functions are such products, and
 /// a polynomial of degree d is an exact sum of products of Chebyshev polynomials with (d + 1)² coefficients.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Separable {
+pub struct SeparableBasis {
     /// The functions at the coordinates of the grid, `[function, sample]`, group by group.
     pub lines: Array2<f64>,
     /// Number of functions of each group.
@@ -20,12 +20,12 @@ pub struct Separable {
     pub matrix: Array2<f64>,
 }
 
-impl Separable {
+impl SeparableBasis {
     /// The modes of `basis` on `grid`.
     ///
     /// # Errors
     /// None for a valid basis.
-    pub fn of(basis: &SmoothBasis, grid: Grid) -> Result<Self> {
+    pub fn new(basis: &SmoothBasis, grid: Grid) -> Result<Self> {
         let coordinates: Vec<f64> = (0..grid.samples()).map(|j| grid.coordinate_m(j)).collect();
         let (mut lines, mut groups, mut matrices) = (Vec::new(), Vec::new(), Vec::new());
         let mut constant = None;
@@ -117,7 +117,7 @@ mod tests {
 
     /// Largest difference between the modes of `basis` as functions and as sums of products, on a grid.
     fn difference(basis: &SmoothBasis, grid: Grid) -> f64 {
-        let separable = Separable::of(basis, grid).unwrap();
+        let separable = SeparableBasis::new(basis, grid).unwrap();
         let n = grid.samples();
         let points = (0..n * n).map(|i| (grid.coordinate_m(i % n), grid.coordinate_m(i / n)));
         let (xs, ys): (Vec<f64>, Vec<f64>) = points.unzip();
@@ -158,6 +158,6 @@ mod tests {
     fn a_large_basis_takes_fewer_operations_than_its_maps() {
         let mirror = SmoothBasis::influence(Mirror::new(21, 0.5, 0.14).unwrap().all());
         let grid = Grid::new(120, 10.0).unwrap();
-        assert!(Separable::of(&mirror, grid).unwrap().operations() < 441 * 120 * 120 / 8);
+        assert!(SeparableBasis::new(&mirror, grid).unwrap().operations() < 441 * 120 * 120 / 8);
     }
 }

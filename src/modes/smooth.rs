@@ -184,9 +184,9 @@ impl SmoothBasis {
     /// The modes as maps on the grid of the pupil, zero outside its illuminated samples.
     ///
     /// # Errors
-    /// Those of [`Samples::of`]; [`crate::Error::Value`] where two modes share a name.
+    /// Those of [`Samples::from_pupil`]; [`crate::Error::Value`] where two modes share a name.
     pub fn sampled(&self, pupil: &Pupil) -> Result<Basis> {
-        let samples = Samples::of(pupil)?;
+        let samples = Samples::from_pupil(pupil)?;
         let values = self.evaluate(&samples.xs_m, &samples.ys_m)?;
         let n = pupil.grid.samples();
         let mut maps = Array3::zeros((self.len(), n, n));

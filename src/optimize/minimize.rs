@@ -15,9 +15,9 @@ use std::sync::Arc;
 pub fn minimize(problem: &mut Objective, metric: Arc<Metric>, start: &[f64], settings: Settings) -> Result<Outcome> {
     let mut optimizer = QuasiNewton::new(metric, start, settings)?;
     loop {
-        let (f, gradient) = problem(optimizer.ask())?;
+        let (f, gradient) = problem(optimizer.point())?;
         check_gradient(&gradient, start.len())?;
-        if optimizer.tell(f, &gradient) == Progress::Done {
+        if optimizer.advance(f, &gradient) == Progress::Done {
             return Ok(optimizer.into_outcome());
         }
     }

@@ -77,7 +77,7 @@ pub enum StopReason {
 
 impl StopReason {
     /// Whether the point is a minimum within the tolerances or within rounding.
-    pub fn converged(self) -> bool {
+    pub fn has_converged(self) -> bool {
         matches!(
             self,
             StopReason::StepBelowTolerance

@@ -17,7 +17,7 @@ const WHITENED_INVERSE_CURVATURE: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[must_use]
 pub enum Progress {
-    /// Evaluate the objective at [`QuasiNewton::ask`].
+    /// Evaluate the objective at [`QuasiNewton::point`].
     Continue,
     /// The run has ended: see [`QuasiNewton::outcome`].
     Done,
@@ -34,8 +34,8 @@ enum Phase {
     Done,
 }
 
-/// L-BFGS with a reverse communication interface: evaluate the objective and its gradient at [`ask`](Self::ask) and pass
-/// both to [`tell`](Self::tell), until that returns [`Progress::Done`]. All arithmetic is f64 and depends on this problem
+/// L-BFGS with a reverse communication interface: evaluate the objective and its gradient at [`point`](Self::point) and pass
+/// both to [`advance`](Self::advance), until that returns [`Progress::Done`]. All arithmetic is f64 and depends on this problem
 /// only, so problems in lock-step give bitwise the same results as one by one. Nothing is allocated after construction;
 /// [`begin`](Self::begin) starts another problem of the same size in the same memory.
 #[derive(Debug, Clone)]
@@ -153,7 +153,7 @@ impl QuasiNewton {
     /// Writes the solution into `x`: the iterate, or, where the run stopped because the next step was too small to be worth
     /// an evaluation, the end of that step. The model predicts that step to a fraction of its length, so that the error
     /// is a fraction of the iterate's.
-    pub fn write_end(&self, x: &mut [f64]) {
+    pub fn write_solution(&self, x: &mut [f64]) {
         x.copy_from_slice(&self.outcome.x);
         if self.phase == Phase::Done && self.has_proposed_step() {
             x.iter_mut().zip(&self.direction_x).for_each(|(x, d)| *x += d);
@@ -168,16 +168,16 @@ impl QuasiNewton {
     }
 
     /// The point to evaluate, in the caller's coordinates. After [`Progress::Done`]: the best point.
-    pub fn ask(&self) -> &[f64] {
+    pub fn point(&self) -> &[f64] {
         &self.trial_x
     }
 
-    /// Processes the objective `f` and its gradient `gradient`, in the caller's coordinates, at [`ask`](Self::ask), and sets
+    /// Processes the objective `f` and its gradient `gradient`, in the caller's coordinates, at [`point`](Self::point), and sets
     /// the next point. Values that are not finite are allowed. After [`Progress::Done`] it has no effect.
     ///
     /// # Panics
     /// If `gradient` is not as long as the starting point.
-    pub fn tell(&mut self, f: f64, gradient: &[f64]) -> Progress {
+    pub fn advance(&mut self, f: f64, gradient: &[f64]) -> Progress {
         assert_eq!(gradient.len(), self.trial_x.len(), "length of the gradient");
         if self.phase == Phase::Done {
             return Progress::Done;

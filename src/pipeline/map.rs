@@ -95,7 +95,7 @@ fn outcome(found: &SequenceResult, last: &Iteration, image: usize) -> ImageOutco
     let is_used = last.used_images.contains(&image);
     let status = match &report.refusal {
         Some(_) => ImageStatus::Unusable,
-        None if report.reason.converged() => ImageStatus::Ok,
+        None if report.reason.has_converged() => ImageStatus::Ok,
         None => ImageStatus::NotConverged,
     };
     let how = if is_used { "used" } else { "left out, its χ² differs from the others'" };

@@ -129,7 +129,7 @@ fn centroids(grid: &Grid, amplitude: &Array2<f64>, owner: &Array2<i32>) -> Resul
     }
     if let Some(missing) = moments.iter().position(|m| m[0] == 0.0) {
         return Err(Error::Value(format!(
-            "no glass carries the segment label {missing}: labels 0 to {largest} without a hole are needed"
+            "no illuminated sample has the segment label {missing}: labels 0 to {largest} without a hole are needed"
         )));
     }
     Ok(moments.iter().map(|[a, x, y]| Segment { x_m: x / a, y_m: y / a }).collect())

@@ -13,8 +13,8 @@ pub struct SegmentWeights {
     /// Number of segments.
     pub segments: usize,
     /// Flat grid index `y·samples + x` of each illuminated sample, ascending.
-    pub lit: Vec<u32>,
-    /// Row starts into `segment` and `weight`; `lit.len() + 1` entries.
+    pub illuminated: Vec<u32>,
+    /// Row starts into `segment` and `weight`; `illuminated.len() + 1` entries.
     pub offsets: Vec<u32>,
     /// Segment of each entry.
     pub segment: Vec<u32>,
@@ -46,9 +46,9 @@ impl SegmentWeights {
         Ok(Self::from_columns(grid.samples(), &aperture.shares(grid)?, aperture.energy(grid)))
     }
 
-    /// The entries of each illuminated sample, in the order of `lit`: (flat grid index, segments, weights).
+    /// The entries of each illuminated sample, in the order of `illuminated`: (flat grid index, segments, weights).
     pub fn rows(&self) -> impl Iterator<Item = (usize, &[u32], &[f64])> + '_ {
-        self.lit.iter().zip(self.offsets.windows(2)).map(|(&cell, ends)| {
+        self.illuminated.iter().zip(self.offsets.windows(2)).map(|(&cell, ends)| {
             let entries = ends[0] as usize..ends[1] as usize;
             (cell as usize, &self.segment[entries.clone()], &self.weight[entries])
         })
@@ -71,11 +71,11 @@ impl SegmentWeights {
         for &(cell, _) in columns.iter().flatten() {
             count[cell as usize] += 1;
         }
-        let lit: Vec<u32> = (0..).zip(&count).filter(|(_, count)| **count > 0).map(|(cell, _)| cell).collect();
-        let mut offsets = Vec::with_capacity(lit.len() + 1);
+        let illuminated: Vec<u32> = (0..).zip(&count).filter(|(_, count)| **count > 0).map(|(cell, _)| cell).collect();
+        let mut offsets = Vec::with_capacity(illuminated.len() + 1);
         let mut next = vec![0u32; samples * samples];
         let mut total = 0;
-        for &cell in &lit {
+        for &cell in &illuminated {
             offsets.push(total);
             next[cell as usize] = total;
             total += count[cell as usize];
@@ -89,7 +89,7 @@ impl SegmentWeights {
             weight[*at as usize] = value;
             *at += 1;
         }
-        Self { segments: columns.len(), lit, offsets, segment, weight, energy }
+        Self { segments: columns.len(), illuminated, offsets, segment, weight, energy }
     }
 }
 

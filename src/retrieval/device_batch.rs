@@ -234,7 +234,7 @@ impl<'a, T: Polynomial> Lockstep<'a, T> {
             let mut buffers = workspace.take_buffers();
             lane.optimisation.place(&workspace.model, &mut buffers.preconditioner);
             coefficients_nm.assign(&lane.optimisation.coefficients_nm());
-            turns.iter_mut().zip(lane.optimisation.turns()).for_each(|(out, turns)| *out = turns.wide());
+            turns.iter_mut().zip(lane.optimisation.turns()).for_each(|(out, turns)| *out = turns.widen());
             workspace.buffers.put_back(buffers);
         });
     }
@@ -245,7 +245,7 @@ impl<'a, T: Polynomial> Lockstep<'a, T> {
         let lanes = self.lanes.par_iter_mut().zip(self.turns_bar.par_chunks_exact(model.samples())).zip(evaluations);
         let advance = |((lane, turns_bar), evaluation): ((&mut Lane<T>, &[f64]), &Evaluation)| {
             let mut buffers = workspace.take_buffers();
-            buffers.turns_bar.iter_mut().zip(turns_bar).for_each(|(out, &bar)| *out = T::of(bar));
+            buffers.turns_bar.iter_mut().zip(turns_bar).for_each(|(out, &bar)| *out = T::narrow(bar));
             let optimisation = &mut lane.optimisation;
             // Amplitudes of segments do not vary on a device.
             let progress =

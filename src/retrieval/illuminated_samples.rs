@@ -34,7 +34,7 @@ impl IlluminatedSamples {
     /// # Errors
     /// [`Error::Shape`] for a sample outside the grid.
     pub fn new(samples: usize, pitch_m: f64, weights: &SegmentWeights) -> Result<Self> {
-        let indices: Vec<usize> = weights.lit.iter().map(|&index| index as usize).collect();
+        let indices: Vec<usize> = weights.illuminated.iter().map(|&index| index as usize).collect();
         if let Some(index) = indices.iter().find(|&&index| index >= samples * samples) {
             return Err(Error::Shape(format!("sample {index} lies outside a grid of {samples}x{samples} samples")));
         }

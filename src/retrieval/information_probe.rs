@@ -43,21 +43,21 @@ pub(super) fn probe_response<T: Polynomial>(
 ) -> Result<()> {
     let optics = chain.optics().clone();
     let zero = Array1::zeros(optics.modes());
-    let (mut scratch, mut evaluation, mut loaded) = (chain.scratch(), chain.evaluation(), chain.room());
+    let (mut scratch, mut evaluation, mut loaded) = (chain.scratch(), chain.evaluation(), chain.empty_image());
     let drawn = preconditioner.draw(prior, 1.0 / optics.parts().wavelength_nm, 0);
     let photometry = Photometry::Fixed { flux_e: typical.flux_e, background_e: typical.background_e };
     let psf = chain.psf_free_in(zero.view(), &drawn, &mut scratch);
-    let data_e: Vec<f64> = psf.iter().map(|h| typical.flux_e * h.wide() + typical.background_e).collect();
+    let data_e: Vec<f64> = psf.iter().map(|h| typical.flux_e * h.widen() + typical.background_e).collect();
     let weight: Vec<f64> =
         data_e.iter().map(|&e| 1.0 / variance_e2(e, typical.pixel_variance_e2, model_error)).collect();
     let weighed_e = data_e.iter().zip(&weight).map(|(e, w)| (e - typical.background_e) * w).sum();
     chain.set(&mut loaded, &Exposure { data_e, weight, photometry })?;
     // A gradient per turn is 2·JᵀWJ·step; the information is per radian.
-    let scale = T::of(1.0 / (2.0 * PROBE_TURNS * TAU * TAU * information_rad2(&optics, typical.flux_e, weighed_e)));
+    let scale = T::narrow(1.0 / (2.0 * PROBE_TURNS * TAU * TAU * information_rad2(&optics, typical.flux_e, weighed_e)));
     let mut turns = drawn.clone();
     preconditioner.measure_response(PROBES, |step, product| {
         for ((turns, &drawn), &step) in turns.iter_mut().zip(&drawn).zip(step) {
-            *turns = drawn + step * T::of(PROBE_TURNS);
+            *turns = drawn + step * T::narrow(PROBE_TURNS);
         }
         chain.evaluate_free(&loaded, zero.view(), &turns, &mut scratch, &mut evaluation, product);
         product.iter_mut().for_each(|value| *value *= scale);

@@ -51,7 +51,7 @@ impl<T: Polynomial> MapModel<T> {
         let (parts, samples) = (model.optics.parts(), model.optics.sampling().samples);
         let amplitude: Vec<f64> = parts.weights.rows().map(|(.., weights)| weights.iter().sum()).collect();
         let mut preconditioner =
-            SpectralPreconditioner::new((&parts.weights.lit, &amplitude), samples, pitch_m, margin_m, prior)?;
+            SpectralPreconditioner::new((&parts.weights.illuminated, &amplitude), samples, pitch_m, margin_m, prior)?;
         let mut areas = vec![0.0; parts.weights.segments];
         for (&segment, &weight) in parts.weights.segment.iter().zip(&parts.weights.weight) {
             areas[segment as usize] += weight;
@@ -98,12 +98,12 @@ impl<T: Polynomial> MapModel<T> {
 
     /// Number of illuminated samples.
     pub(super) fn samples(&self) -> usize {
-        self.chain.optics().parts().weights.lit.len()
+        self.chain.optics().parts().weights.illuminated.len()
     }
 
     /// Draws a wavefront of power spectral density `psd`, nm at each illuminated sample.
     pub(super) fn draw_nm(&self, psd: &RadialPsd, seed: u64) -> Vec<f64> {
-        self.preconditioner.draw(psd, 1.0, seed).into_iter().map(|nm| nm.wide()).collect()
+        self.preconditioner.draw(psd, 1.0, seed).into_iter().map(|nm| nm.widen()).collect()
     }
 
     /// Fisher information of an exposure on the phase of each illuminated sample, nm⁻².
@@ -138,7 +138,7 @@ mod tests {
         let weights = &model.optics.parts().weights;
         let amplitude = |weights: &[f64]| weights.iter().sum::<f64>();
         let power = weights.rows().map(|(.., weights)| amplitude(weights).powi(2)).sum::<f64>();
-        let (probed, analytic) = (map.preconditioner.mean_response(), power / weights.lit.len() as f64);
+        let (probed, analytic) = (map.preconditioner.mean_response(), power / weights.illuminated.len() as f64);
         // Eight probes of some thousand samples know their mean to 1 %. The formula takes the phase between a sample's
         // light and the image's as uniform, which holds for a spot of 40 λ/D to a tenth.
         assert!((probed / analytic - 1.0).abs() < 0.1, "{probed} {analytic}");

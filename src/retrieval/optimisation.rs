@@ -114,7 +114,7 @@ impl<T: Polynomial> MapOptimisation<T> {
         self.base_turns.fill(T::zero());
         if let Some(about) = about {
             self.base_nm[..about.segments_nm.len()].copy_from_slice(&about.segments_nm);
-            let turns = about.smooth_nm.iter().map(|nm| T::of(nm / wavelength_nm));
+            let turns = about.smooth_nm.iter().map(|nm| T::narrow(nm / wavelength_nm));
             self.base_turns.iter_mut().zip(turns).for_each(|(out, turns)| *out = turns);
         }
         // The information assumed by the coordinates is less than the image's by this factor, and the curvature in them more.
@@ -130,7 +130,7 @@ impl<T: Polynomial> MapOptimisation<T> {
 
     fn place_at(&mut self, point: Point, model: &MapModel<T>, scratch: &mut PreconditionerScratch<T>) {
         let at = match point {
-            Point::Trial => self.solver.ask(),
+            Point::Trial => self.solver.point(),
             Point::Best => &self.solver.outcome().x,
         };
         let (y, u) = at.split_at(model.preconditioner.len());
@@ -171,7 +171,7 @@ impl<T: Polynomial> MapOptimisation<T> {
         let (phase, others) = self.gradient.split_at_mut(model.preconditioner.len());
         let (coefficients, amplitudes) = others.split_at_mut(model.free.len());
         model.preconditioner.phase_adjoint(&self.preconditioner, turns_bar, scratch, phase);
-        let (y, u) = self.solver.ask().split_at(model.preconditioner.len());
+        let (y, u) = self.solver.point().split_at(model.preconditioner.len());
         let mut objective = evaluation.objective + self.preconditioner.add_prior(y, phase);
         amplitude_gradient(amplitudes);
         objective += self.amplitudes.add_prior(&u[model.free.len()..], amplitudes);
@@ -185,7 +185,7 @@ impl<T: Polynomial> MapOptimisation<T> {
         if tolerance.is_finite() {
             self.solver.set_tolerances(0.0, tolerance)?;
         }
-        Ok(self.solver.tell(objective, &self.gradient))
+        Ok(self.solver.advance(objective, &self.gradient))
     }
 
     /// The MAP estimate at the best point.
@@ -199,7 +199,7 @@ impl<T: Polynomial> MapOptimisation<T> {
         self.place_at(Point::Best, model, preconditioner_scratch);
         self.set_amplitudes(scratch);
         let psf = model.chain.psf_free_in(self.coefficients_nm.view(), &self.turns, scratch);
-        let psf: Vec<f64> = psf.iter().map(|h| h.wide()).collect();
+        let psf: Vec<f64> = psf.iter().map(|h| h.widen()).collect();
         let (flux_e, background_e) = photometry(&prepared.exposure, &psf);
         let mut chi2 = 0.0;
         for ((h, &d), &floor) in psf.iter().zip(&prepared.exposure.data_e).zip(&prepared.floor_variance_e2) {
@@ -222,7 +222,7 @@ impl<T: Polynomial> MapOptimisation<T> {
         let wavelength_nm = model.chain.optics().parts().wavelength_nm;
         let coefficients_nm = self.coefficients_nm.to_vec();
         let mut wavefront_nm = modal_wavefront_nm(model.chain.optics(), &coefficients_nm);
-        wavefront_nm.iter_mut().zip(&self.turns).for_each(|(nm, turns)| *nm += turns.wide() * wavelength_nm);
+        wavefront_nm.iter_mut().zip(&self.turns).for_each(|(nm, turns)| *nm += turns.widen() * wavelength_nm);
         let ln_amplitudes = self.amplitudes.ln().to_vec();
         RetrievedImage { wavefront_nm, coefficients_nm, ln_amplitudes, report }
     }

@@ -13,7 +13,7 @@
 //! dominate, y² where the prior does. Any h gives the same objective in other coordinates, so h need not be exact.
 
 use super::prior::RadialPsd;
-use crate::fourier::{Hartley, Real, fast_side};
+use crate::fourier::{HartleyTransform, Real, fast_side};
 use num_complex::Complex;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -26,7 +26,7 @@ const MIN_RESPONSE: f64 = 1e-4;
 
 /// Spectral preconditioner of one scene: the periodic square, the pupil on it and the prior's power spectrum.
 pub(super) struct SpectralPreconditioner<T: Real> {
-    hartley: Hartley<T>,
+    hartley: HartleyTransform<T>,
     pitch_m: f64,
     /// Index of each illuminated sample, `[x][y]`.
     place: Vec<u32>,
@@ -59,7 +59,7 @@ impl<T: Real> SpectralPreconditioner<T> {
     /// the rim need no margin.
     ///
     /// # Errors
-    /// Those of [`Hartley::new`].
+    /// Those of [`HartleyTransform::new`].
     pub(super) fn new(
         (illuminated, amplitude): (&[u32], &[f64]),
         samples: usize,
@@ -85,7 +85,7 @@ impl<T: Real> SpectralPreconditioner<T> {
             ((x - left) * side + y - bottom) as u32
         };
         let mut square = Self {
-            hartley: Hartley::new(side)?,
+            hartley: HartleyTransform::new(side)?,
             pitch_m,
             place: illuminated.iter().map(index).collect(),
             rows: 0..right - left,
@@ -115,14 +115,14 @@ impl<T: Real> SpectralPreconditioner<T> {
         let parts = image.gain.iter_mut().zip(&mut image.prior).zip(&self.variance_nm2).zip(&self.response);
         for (((gain, prior), &variance), response) in parts {
             let information = information_nm2 * response;
-            *gain = T::of(turns_per_nm / (information + 1.0 / variance).sqrt());
+            *gain = T::narrow(turns_per_nm / (information + 1.0 / variance).sqrt());
             *prior = 1.0 / (1.0 + information * variance);
         }
     }
 
     /// Draws a phase of power spectral density `psd`, times `scale`, at the illuminated samples.
     pub(super) fn draw(&self, psd: &RadialPsd, scale: f64, seed: u64) -> Vec<T> {
-        let deviation = |at: usize| T::of(scale * self.variance_of(psd, at).sqrt());
+        let deviation = |at: usize| T::narrow(scale * self.variance_of(psd, at).sqrt());
         let filter = ImagePreconditioner { gain: (0..self.len()).map(deviation).collect(), prior: Vec::new() };
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let white: Vec<f64> = (0..self.len()).map(|_| StandardNormal.sample(&mut rng)).collect();
@@ -184,7 +184,7 @@ impl<T: Real> SpectralPreconditioner<T> {
         turns: &mut [T],
     ) {
         for ((from, &y), &gain) in scratch.from.iter_mut().zip(y).zip(&image.gain) {
-            *from = T::of(y) * gain;
+            *from = T::narrow(y) * gain;
         }
         self.hartley.transform(&scratch.from, 0..self.hartley.side(), &mut scratch.to, &mut scratch.fft);
         for (turns, &place) in turns.iter_mut().zip(&self.place) {
@@ -206,7 +206,7 @@ impl<T: Real> SpectralPreconditioner<T> {
         }
         self.hartley.transform(&scratch.from, self.rows.clone(), &mut scratch.to, &mut scratch.fft);
         for ((y_bar, &to), &gain) in y_bar.iter_mut().zip(&scratch.to).zip(&image.gain) {
-            *y_bar = (to * gain).wide();
+            *y_bar = (to * gain).widen();
         }
     }
 
@@ -275,13 +275,13 @@ mod tests {
             let (mut filter, mut scratch) = (square.image_preconditioner(), square.scratch());
             square.set(1e-3, 1.0 / 2000.0, &mut filter);
             let (y, bar) = (white(square.len(), 1), white(square.place.len(), 2));
-            let bar: Vec<T> = bar.iter().map(|&v| T::of(v)).collect();
+            let bar: Vec<T> = bar.iter().map(|&v| T::narrow(v)).collect();
             let (mut turns, mut y_bar) = (vec![T::nan(); bar.len()], vec![f64::NAN; y.len()]);
             square.phase(&filter, &y, &mut scratch, &mut turns);
             square.phase_adjoint(&filter, &bar, &mut scratch, &mut y_bar);
-            let forward: f64 = turns.iter().zip(&bar).map(|(a, b)| a.wide() * b.wide()).sum();
+            let forward: f64 = turns.iter().zip(&bar).map(|(a, b)| a.widen() * b.widen()).sum();
             let adjoint: f64 = y.iter().zip(&y_bar).map(|(a, b)| a * b).sum();
-            let size = |v: &[T]| v.iter().map(|v| v.wide().powi(2)).sum::<f64>().sqrt();
+            let size = |v: &[T]| v.iter().map(|v| v.widen().powi(2)).sum::<f64>().sqrt();
             (forward - adjoint).abs() / (size(&turns) * size(&bar))
         }
         // Random signs: a rounding a level of the transform, of which there are 12, at most.

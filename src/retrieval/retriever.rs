@@ -80,7 +80,7 @@ impl Retriever {
         let samples = model.optics.sampling().samples;
         let pitch_m = model.width_ratio() * model.telescope.pupil.grid.width_m() / samples as f64;
         let at = |i: usize| (i as f64 - (samples as f64 - 1.0) / 2.0) * pitch_m;
-        let illuminated = &model.optics.parts().weights.lit;
+        let illuminated = &model.optics.parts().weights.illuminated;
         let points_m = illuminated.iter().map(|&p| (at(p as usize % samples), at(p as usize / samples))).collect();
         // Behind a loop wavefronts two actuators apart are independent.
         let margin_m = 2.0 * scene.mirror.pitch_m;
@@ -187,7 +187,7 @@ impl Retriever {
         };
         let parts = self.model.optics.parts();
         let amplitudes = if self.settings.segment_amplitude_rms > 0.0 { parts.weights.segments } else { 0 };
-        let sizes = [parts.weights.lit.len(), parts.modes.len(), amplitudes];
+        let sizes = [parts.weights.illuminated.len(), parts.modes.len(), amplitudes];
         let mut wavefronts = RetrievedWavefronts::unfinished(frames.len(), sizes);
         let task = RetrievalTask { images: frames.len(), prepare: &prepare, about, cancel };
         match &self.engine {

@@ -93,7 +93,7 @@ fn wavefronts_drawn_are_retrieved_from_their_images() {
             let size = rms_nm(&retriever, truth_nm.iter().copied());
             let (all, coarse) = (rms_nm(&retriever, error_nm.iter().copied()), coarse_rms_nm(&retriever, &error_nm));
             println!("noise {noise} image {image}: {all:.1} and {coarse:.1} of {size:.1} nm, {report:?}");
-            assert!(report.reason.converged(), "{report:?}");
+            assert!(report.reason.has_converged(), "{report:?}");
             // Local minima occur, the more often the smaller the pupil. Their χ² is five and more times that of unresolved
             // turbulence.
             if report.reduced_chi2 > 10.0 {
@@ -203,7 +203,7 @@ fn the_psd_of_drawn_wavefronts_is_the_priors() {
     let model = retriever.model();
     let samples = model.optics.sampling().samples;
     let grid = crate::grid::Grid::new(samples, model.width_ratio() * model.telescope.pupil.grid.width_m()).unwrap();
-    let lit: Vec<usize> = model.optics.parts().weights.lit.iter().map(|&place| place as usize).collect();
+    let lit: Vec<usize> = model.optics.parts().weights.illuminated.iter().map(|&place| place as usize).collect();
     let map = |values: &[f64]| {
         let mut map = ndarray::Array2::zeros((samples, samples));
         lit.iter().zip(values).for_each(|(place, &value)| map[[place / samples, place % samples]] = value);

@@ -4,7 +4,7 @@ use super::model::MapModel;
 use super::optimisation::MapOptimisation;
 use super::preconditioner::PreconditionerScratch;
 use crate::Result;
-use crate::imaging::{Evaluation, Loaded, Polynomial, Scratch};
+use crate::imaging::{Evaluation, LoadedImage, Polynomial, Scratch};
 use std::sync::Mutex;
 
 /// Buffers of one thread.
@@ -13,7 +13,7 @@ pub(super) struct ThreadBuffers<T: Polynomial> {
     pub(super) scratch: Scratch<T>,
     /// Derivative by the free phase of each sample, per turn.
     pub(super) turns_bar: Vec<T>,
-    pub(super) loaded: Loaded<T>,
+    pub(super) loaded: LoadedImage<T>,
     pub(super) evaluation: Evaluation,
 }
 
@@ -24,7 +24,7 @@ impl<T: Polynomial> ThreadBuffers<T> {
             preconditioner: model.preconditioner.scratch(),
             scratch: chain.scratch(),
             turns_bar: vec![T::zero(); model.samples()],
-            loaded: chain.room(),
+            loaded: chain.empty_image(),
             evaluation: chain.evaluation(),
         }
     }

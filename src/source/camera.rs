@@ -70,7 +70,7 @@ impl<'a> Camera<'a> {
 
     /// NCPA plus diversity at the illuminated samples, nm.
     fn smooth_opd_nm(&self, truth: &Truth) -> Result<Vec<f64>> {
-        let (xs, ys): (Vec<f64>, Vec<f64>) = self.weights.lit.iter().map(|&p| self.at(p)).unzip();
+        let (xs, ys): (Vec<f64>, Vec<f64>) = self.weights.illuminated.iter().map(|&p| self.at(p)).unzip();
         let mut opd_nm = truth.ncpa_at(&xs, &ys)?;
         for (opd_nm, (&x, &y)) in opd_nm.iter_mut().zip(xs.iter().zip(&ys)) {
             *opd_nm += self.diversity.at(x, y);
@@ -93,7 +93,7 @@ impl<'a> Camera<'a> {
         let mut field = vec![0.0f64; 2 * n * n];
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
         let pistons: Vec<(f64, f64)> = truth.piston_nm.iter().map(|&nm| phasor(nm)).collect();
-        for (((p, segments, weights), &opd), &flat) in self.weights.rows().zip(opd_nm).zip(&self.weights.lit) {
+        for (((p, segments, weights), &opd), &flat) in self.weights.rows().zip(opd_nm).zip(&self.weights.illuminated) {
             let (mut re, mut im) = (0.0, 0.0);
             for (&segment, weight) in segments.iter().zip(weights) {
                 let (sin, cos) = if truth.tilts_segments() {

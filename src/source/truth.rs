@@ -247,7 +247,7 @@ fn draw_zernikes(
         .map(|((y, x), _)| pupil.grid.coordinate_m(x).hypot(pupil.grid.coordinate_m(y)))
         .fold(0.0, f64::max);
     let basis = SmoothBasis::zernike(Zernikes::new(nolls, radius_m)?);
-    let samples = crate::modes::Samples::of(pupil)?;
+    let samples = crate::modes::Samples::from_pupil(pupil)?;
     let map = ndarray::ArrayView1::from(&coefficients_nm).dot(&basis.evaluate(&samples.xs_m, &samples.ys_m)?);
     let mean: f64 = map.iter().zip(&samples.weights).map(|(m, w)| m * w).sum();
     let rms = map.iter().zip(&samples.weights).map(|(m, w)| w * (m - mean).powi(2)).sum::<f64>().sqrt();

@@ -181,7 +181,7 @@ mod tests {
             segment: vec![0; count],
             weight: vec![1.0; count],
             energy: count as f64,
-            lit,
+            illuminated: lit,
         };
         IlluminatedSamples::new(24, 0.1, &weights).unwrap()
     }

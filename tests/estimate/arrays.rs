@@ -205,7 +205,7 @@ fn arrays_that_cannot_be_used_are_refused_with_the_reason() {
         ("", |a| a.amplitude[[3, 4]] = f64::NAN, "row 3, column 4 is NaN: values in [0, 1]"),
         ("", |a| a.amplitude[[3, 4]] = 1.5, "row 3, column 4 is 1.5"),
         ("", |a| a.segments = Some(Array2::zeros((48, 46))), "segment labels is 48 × 46: the grid needs 48 × 48"),
-        ("", |a| a.segments = Some(Array2::from_elem((48, 48), 1)), "no glass carries the segment label 0"),
+        ("", |a| a.segments = Some(Array2::from_elem((48, 48), 1)), "no illuminated sample has the segment label 0"),
         ("", |a| a.segments = Some(Array2::from_elem((48, 48), i32::MAX)), "largest segment label is 2147483647"),
         ("", |a| a.segments = Some(Array2::from_elem((48, 48), -1)), "no segment's label within 2 samples"),
         ("", |a| a.modes = Some(Array3::zeros((0, 48, 48))), "0 modes is given; at least one is needed"),

@@ -71,7 +71,7 @@ impl MonochromaticField {
         let (mut re, mut im) = (optics.footprint.zeros(), optics.footprint.zeros());
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();
         let at = |&cell: &u32| (grid.coordinate_m(cell as usize % n), grid.coordinate_m(cell as usize / n));
-        let (xs_m, ys_m): (Vec<f64>, Vec<f64>) = weights.lit.iter().map(at).unzip();
+        let (xs_m, ys_m): (Vec<f64>, Vec<f64>) = weights.illuminated.iter().map(at).unzip();
         let mut smooth_nm = if view.ncpa { optics.truth.ncpa_at(&xs_m, &ys_m)? } else { vec![0.0; xs_m.len()] };
         if view.diversity {
             for (nm, (&x_m, &y_m)) in smooth_nm.iter_mut().zip(xs_m.iter().zip(&ys_m)) {

@@ -3,7 +3,7 @@
 use super::lane::Lane;
 use super::{Engine, FitTask, ImageFit, Prepare, REPORT, Watch, interrupted, stop_if_cancelled};
 use crate::Result;
-use crate::imaging::{CpuChain, Loaded, Polynomial, Precision};
+use crate::imaging::{CpuChain, LoadedImage, Polynomial, Precision};
 use ndarray::ArrayView2;
 use rayon::prelude::*;
 use std::borrow::Borrow;
@@ -18,7 +18,7 @@ pub(in crate::estimate) struct CpuEngine<T: Polynomial, C: Borrow<CpuChain<T>>> 
     /// Threads that fit; `None` for all that there are.
     threads: Option<usize>,
     /// Exposures for evaluations, one for each image.
-    loaded: Vec<Loaded<T>>,
+    loaded: Vec<LoadedImage<T>>,
 }
 
 impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
@@ -35,7 +35,7 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
         let threads = self.threads.unwrap_or_else(rayon::current_num_threads).min(capacity);
         let chain = self.chain.borrow();
         let lanes = (0..threads).map(|_| Lane::new(chain, precision::<T>(), task)).collect::<Result<Vec<_>>>()?;
-        self.loaded = vec![chain.room(); capacity];
+        self.loaded = vec![chain.empty_image(); capacity];
         self.lanes = Mutex::new(lanes);
         Ok(())
     }
@@ -120,11 +120,12 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> Engine for CpuEngine<T
         gradients: &mut [f64],
     ) -> Result<()> {
         let (chain, modes) = (self.chain.borrow(), coefficients_nm.ncols());
-        let one = |lane: &mut Lane<T>, image: usize, loaded: &Loaded<T>, objective: &mut f64, gradient: &mut [f64]| {
-            let found = lane.evaluate(chain, loaded, coefficients_nm.row(image));
-            *objective = found.objective;
-            gradient.copy_from_slice(&found.gradient);
-        };
+        let one =
+            |lane: &mut Lane<T>, image: usize, loaded: &LoadedImage<T>, objective: &mut f64, gradient: &mut [f64]| {
+                let found = lane.evaluate(chain, loaded, coefficients_nm.row(image));
+                *objective = found.objective;
+                gradient.copy_from_slice(&found.gradient);
+            };
         let lanes = self.lanes.get_mut().unwrap_or_else(PoisonError::into_inner);
         if let [lane] = lanes.as_mut_slice() {
             let places = self.loaded.iter().zip(objectives).zip(gradients.chunks_exact_mut(modes)).enumerate();

@@ -22,7 +22,7 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
 
     /// Fits a tile of prepared images, which the device has memory for.
     fn fit_tile(&mut self, task: &FitTask, images: &mut [&mut ImageFit], watch: &mut Watch) -> Result<()> {
-        match self.chain.borrow_mut().running() {
+        match self.chain.borrow_mut().active_chain() {
             // The device was lost before, and the CPU has taken its place.
             Chain::Cpu32(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
             Chain::Cpu64(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),

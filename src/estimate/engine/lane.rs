@@ -5,7 +5,7 @@ use super::{FitState, FitTask, ImageFit, Prepare};
 use crate::Result;
 use crate::estimate::prepare::{Prepared, Preparer};
 use crate::estimate::runner::{Next, Runner, settings};
-use crate::imaging::{CpuChain, Evaluation, Flat, Loaded, Polynomial, Precision, Scratch};
+use crate::imaging::{CpuChain, Evaluation, FlatWavefront, LoadedImage, Polynomial, Precision, Scratch};
 use crate::optimize::StopReason;
 use ndarray::ArrayView1;
 use std::time::Instant;
@@ -14,10 +14,10 @@ use std::time::Instant;
 pub(super) struct Lane<T: Polynomial> {
     preparer: Preparer,
     runner: Runner,
-    loaded: Loaded<T>,
+    loaded: LoadedImage<T>,
     scratch: Scratch<T>,
     /// Evaluation at the flat wavefront, where most fits start.
-    flat: Flat<T>,
+    flat: FlatWavefront<T>,
     evaluation: Evaluation,
     /// PSF in double precision: sums over it give flux, background and χ².
     psf: Vec<f64>,
@@ -34,9 +34,9 @@ impl<T: Polynomial> Lane<T> {
         Ok(Self {
             preparer: Preparer::new(task.model.preparation),
             runner: Runner::new(task.metrics.any(task.reference)?, task.recipe, settings)?,
-            loaded: chain.room(),
+            loaded: chain.empty_image(),
             scratch: chain.scratch(),
-            flat: chain.flat(),
+            flat: chain.flat_wavefront(),
             evaluation: chain.evaluation(),
             psf: vec![0.0; pixels * pixels],
             psf_at_nm: vec![f64::NAN; chain.optics().modes()],
@@ -96,7 +96,7 @@ impl<T: Polynomial> Lane<T> {
                     self.compute_psf(chain);
                     self.runner.renew(&self.psf, image)?;
                     chain.set(&mut self.loaded, &image.exposure)?;
-                    chain.evaluate_there(&self.loaded, &mut self.scratch, &mut self.evaluation);
+                    chain.evaluate_at_last_psf(&self.loaded, &mut self.scratch, &mut self.evaluation);
                     self.runner.tell(&self.evaluation)
                 }
                 Next::Psf => {
@@ -129,7 +129,7 @@ impl<T: Polynomial> Lane<T> {
         chain: &CpuChain<T>,
         prepare: &Prepare,
         index: usize,
-        (image, loaded): (&mut ImageFit, &mut Loaded<T>),
+        (image, loaded): (&mut ImageFit, &mut LoadedImage<T>),
     ) -> Result<()> {
         image.state = FitState::NotBegun;
         prepare(index, &mut self.preparer, &mut image.prepared).map_err(|refusal| super::unusable(index, refusal))?;
@@ -140,7 +140,7 @@ impl<T: Polynomial> Lane<T> {
     pub(super) fn evaluate(
         &mut self,
         chain: &CpuChain<T>,
-        loaded: &Loaded<T>,
+        loaded: &LoadedImage<T>,
         coefficients_nm: ArrayView1<f64>,
     ) -> &Evaluation {
         chain.evaluate_one(loaded, coefficients_nm, &mut self.scratch, &mut self.evaluation);
@@ -150,5 +150,5 @@ impl<T: Polynomial> Lane<T> {
 }
 
 fn widen<T: Polynomial>(from: &[T], to: &mut [f64]) {
-    to.iter_mut().zip(from).for_each(|(to, from)| *to = from.wide());
+    to.iter_mut().zip(from).for_each(|(to, from)| *to = from.widen());
 }

@@ -155,7 +155,7 @@ pub(super) fn fit(
     if task.recipe.optimizer == Optimizer::Bfgs {
         return paper::fit(chain, task, prepare, images, watch);
     }
-    match chain.running() {
+    match chain.active_chain() {
         Chain::Cpu32(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
         Chain::Cpu64(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
         device => DeviceEngine::new(device).fit(task, prepare, images, watch),

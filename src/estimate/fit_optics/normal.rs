@@ -60,7 +60,7 @@ impl Sum {
         derivatives: &[Array1<f64>],
     ) -> Result<()> {
         let at = ArrayView1::from(&minimum.coefficients_nm);
-        let linear = estimator.judge.linear(at);
+        let linear = estimator.judge.linearise(at);
         let (exposure, flux_e) = (&image.exposure, minimum.flux_e);
         let weight = ArrayView1::from(&exposure.weight);
         let psf = ArrayView1::from(linear.psf());

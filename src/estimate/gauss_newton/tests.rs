@@ -45,7 +45,7 @@ fn rounding(pixels: usize) -> f64 {
 #[test]
 fn products_in_tiles_are_those_of_the_whole() {
     let estimator = estimator();
-    let linear = estimator.judge().linear(Array1::from_elem(26, 17.0).view());
+    let linear = estimator.judge().linearise(Array1::from_elem(26, 17.0).view());
     let m = linear.pixels();
     let weights = weights(m * m);
     for nuisances in [Nuisances::None, Nuisances::Flux, Nuisances::FluxAndBackground] {
@@ -67,7 +67,7 @@ fn what_flux_and_background_absorb_is_what_projection_removes() {
     let estimator = estimator();
     let at = Array1::from_elem(26, 17.0);
     let (psf, mut jacobian) = estimator.judge().jacobian(at.view());
-    let linear = estimator.judge().linear(at.view());
+    let linear = estimator.judge().linearise(at.view());
     let weights = weights(psf.len());
     // Gram-Schmidt on the derivatives themselves, in the product of the first weights.
     let weight = Array1::from(weights[0].clone());

@@ -1,7 +1,7 @@
 //! The CPU chain with a free phase (one number per illuminated sample) and an amplitude per segment in addition to the modes,
 //! for MAP wavefront retrieval. With a free phase of zero and amplitudes of 1, an evaluation is bitwise that of the modes.
 
-use super::{Backward, CpuChain, Evaluation, Field, Loaded, Polynomial, Scratch, check_batch, vectorised};
+use super::{Backward, CpuChain, Evaluation, Field, LoadedImage, Polynomial, Scratch, check_batch, vectorised};
 use crate::{Error, Result};
 use ndarray::{ArrayView1, ArrayView2};
 use pulp::NullaryFnOnce;
@@ -16,15 +16,19 @@ impl<T: Polynomial> CpuChain<T> {
     /// If an argument was made by a chain of another model, or the free phase does not have one number per illuminated sample.
     pub fn evaluate_free(
         &self,
-        image: &Loaded<T>,
+        image: &LoadedImage<T>,
         coefficients_nm: ArrayView1<f64>,
         free_turns: &[T],
         scratch: &mut Scratch<T>,
         evaluation: &mut Evaluation,
         free_gradient: &mut [T],
     ) {
-        let lit = self.optics.parts().weights.lit.len();
-        assert_eq!((free_turns.len(), free_gradient.len()), (lit, lit), "one number per illuminated sample");
+        let illuminated = self.optics.parts().weights.illuminated.len();
+        assert_eq!(
+            (free_turns.len(), free_gradient.len()),
+            (illuminated, illuminated),
+            "one number per illuminated sample"
+        );
         vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
         vectorised(Backward { chain: self, image, memory: scratch, evaluation });
         free_gradient.fill(T::zero());
@@ -46,25 +50,25 @@ impl<T: Polynomial> CpuChain<T> {
         free_gradient: &mut [f64],
     ) -> Result<Vec<Evaluation>> {
         check_batch(images, coefficients_nm, self.images.len(), self.optics.modes())?;
-        let lit = self.optics.parts().weights.lit.len();
+        let illuminated = self.optics.parts().weights.illuminated.len();
         let given = (free_turns.len(), free_gradient.len());
-        if given != (images.len() * lit, images.len() * lit) {
+        if given != (images.len() * illuminated, images.len() * illuminated) {
             return Err(Error::Shape(format!(
-                "{} free phases and space for {} derivatives were given for {} images of {lit} samples: one per sample is needed",
+                "{} free phases and space for {} derivatives were given for {} images of {illuminated} samples: one per sample is needed",
                 given.0,
                 given.1,
                 images.len()
             )));
         }
-        let rows = free_turns.par_chunks_exact(lit).zip(free_gradient.par_chunks_exact_mut(lit));
+        let rows = free_turns.par_chunks_exact(illuminated).zip(free_gradient.par_chunks_exact_mut(illuminated));
         let one = |i: usize, turns: &[f64], gradient: &mut [f64]| {
             let (mut memory, mut evaluation) = (self.take_scratch(), self.evaluation());
-            let turns: Vec<T> = turns.iter().map(|&turns| T::of(turns)).collect();
-            let mut slopes = vec![T::zero(); lit];
+            let turns: Vec<T> = turns.iter().map(|&turns| T::narrow(turns)).collect();
+            let mut slopes = vec![T::zero(); illuminated];
             let (image, at) = (&self.images[images[i]], coefficients_nm.row(i));
             self.evaluate_free(image, at, &turns, &mut memory, &mut evaluation, &mut slopes);
             self.return_scratch(memory);
-            gradient.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope.wide());
+            gradient.iter_mut().zip(slopes).for_each(|(out, slope)| *out = slope.widen());
             evaluation
         };
         Ok(rows.enumerate().map(|(i, (turns, gradient))| one(i, turns, gradient)).collect())
@@ -81,7 +85,11 @@ impl<T: Polynomial> CpuChain<T> {
         free_turns: &[T],
         scratch: &'s mut Scratch<T>,
     ) -> &'s [T] {
-        assert_eq!(free_turns.len(), self.optics.parts().weights.lit.len(), "one number per illuminated sample");
+        assert_eq!(
+            free_turns.len(),
+            self.optics.parts().weights.illuminated.len(),
+            "one number per illuminated sample"
+        );
         vectorised(ForwardFree { chain: self, coefficients_nm, free_turns, memory: scratch });
         &scratch.psf
     }
@@ -107,7 +115,7 @@ impl<T: Polynomial> Scratch<T> {
     pub fn set_amplitudes(&mut self, amplitudes: impl Iterator<Item = f64> + Clone) {
         for colour in &mut self.colours {
             let own = colour.field.amplitudes().iter_mut();
-            own.zip(amplitudes.clone()).for_each(|(own, amplitude)| *own = T::of(amplitude));
+            own.zip(amplitudes.clone()).for_each(|(own, amplitude)| *own = T::narrow(amplitude));
         }
     }
 }

@@ -95,7 +95,7 @@ impl GpuChain {
 
     /// Number of samples with a free phase.
     fn free_samples(&self) -> usize {
-        if self.layout.free_phase { self.layout.lit.len() } else { 0 }
+        if self.layout.free_phase { self.layout.illuminated.len() } else { 0 }
     }
 
     /// Points of the FFT; `None` with matrix products. Beside the model, the work of an evaluation depends on it.

@@ -210,7 +210,7 @@ impl Blocks {
     pub fn new(layout: &GpuLayout, shape: &FoldedShape) -> Self {
         let (n, vector) = (layout.samples, shape.vector);
         let folded: Vec<FoldedSample> = layout
-            .lit
+            .illuminated
             .iter()
             .map(|&flat| {
                 let ((row, below), (x, left)) = (fold(flat / n, n), fold(flat % n, n));
@@ -266,7 +266,7 @@ impl Blocks {
         self.diversity = vec![0.0; 4 * count * vector];
         self.basis = vec![0.0; modes * 4 * count * vector];
         for (p, sample) in folded.iter().enumerate() {
-            let turns = layout.diversity_turns[p] + tilt(layout.lit[p]);
+            let turns = layout.diversity_turns[p] + tilt(layout.illuminated[p]);
             self.diversity[(sample.quadrant * count + sample.block) * vector + sample.lane] = turns - turns.round();
             let place = sample.block * self.block_stride + sample.quadrant * self.quadrant_stride + sample.lane;
             for (j, mode) in layout.smooth.iter().enumerate() {

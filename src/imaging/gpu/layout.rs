@@ -34,7 +34,7 @@ pub struct GpuLayout {
     /// PSF per squared modulus of the focal field.
     pub intensity_scale: f64,
     /// Flat indices `y*n + x` of the illuminated samples, each once.
-    pub lit: Vec<usize>,
+    pub illuminated: Vec<usize>,
     /// Diversity at each illuminated sample, turns.
     pub diversity_turns: Vec<f64>,
     /// Smooth modes `[mode][illuminated sample]`, nm of wavefront per nm of coefficient.
@@ -80,17 +80,19 @@ impl GpuLayout {
                 return Err(Error::Value(format!("{what} is {value}: a positive number is needed")));
             }
         }
-        let lit = self.lit.len();
+        let illuminated = self.illuminated.len();
         let expect = |what: &str, found: usize, wanted: usize| {
             if found == wanted {
                 return Ok(());
             }
-            Err(Error::Shape(format!("{what} has {found} entries for {lit} illuminated samples: {wanted} are needed")))
+            Err(Error::Shape(format!(
+                "{what} has {found} entries for {illuminated} illuminated samples: {wanted} are needed"
+            )))
         };
-        expect("diversity_turns", self.diversity_turns.len(), lit)?;
-        expect("segment_start", self.segment_start.len(), lit + 1)?;
+        expect("diversity_turns", self.diversity_turns.len(), illuminated)?;
+        expect("segment_start", self.segment_start.len(), illuminated + 1)?;
         for (j, mode) in self.smooth.iter().enumerate() {
-            expect(&format!("smooth mode {j}"), mode.len(), lit)?;
+            expect(&format!("smooth mode {j}"), mode.len(), illuminated)?;
         }
         self.check_samples()?;
         self.check_segments()?;
@@ -99,7 +101,7 @@ impl GpuLayout {
 
     fn check_samples(&self) -> Result<()> {
         let mut seen = vec![false; self.samples * self.samples];
-        for &index in &self.lit {
+        for &index in &self.illuminated {
             match seen.get_mut(index) {
                 Some(seen) if !*seen => *seen = true,
                 Some(_) => {
@@ -113,7 +115,7 @@ impl GpuLayout {
                 }
             }
         }
-        if seen.iter().all(|lit| !lit) {
+        if seen.iter().all(|illuminated| !illuminated) {
             return Err(Error::Shape("no sample of the pupil is illuminated: at least one is needed".into()));
         }
         match self.diversity_turns.iter().chain(self.smooth.iter().flatten()).find(|v| !v.is_finite()) {

@@ -144,7 +144,7 @@ impl Counts {
                 .fft
                 .map_or(shape.pairs.div_ceil(partition.pairs_per_strip), |fft| fft.points() / shape.vector),
             chunks: blocks.count().div_ceil(partition.blocks_per_chunk),
-            free: if layout.free_phase { layout.lit.len() } else { 0 },
+            free: if layout.free_phase { layout.illuminated.len() } else { 0 },
             outputs,
         };
         (counts, partition)

@@ -72,10 +72,11 @@ fn agreement_in(layout: &GpuLayout, active: &[usize], builds: impl Fn(&Device) -
     let size = layout.pixels * layout.pixels;
     let c = coefficients(layout, active.len(), &mut random);
     let free = free_phases(layout, active.len(), &mut random);
-    let lit = free.len() / active.len();
+    let illuminated = free.len() / active.len();
     let wanted: Vec<ReferenceResult> = (active.iter().zip(c.chunks_exact(layout.modes.len())).enumerate())
         .map(|(k, (&i, c))| {
-            let (range, layout) = (i * size..(i + 1) * size, with_free(layout, &free[k * lit..(k + 1) * lit]));
+            let (range, layout) =
+                (i * size..(i + 1) * size, with_free(layout, &free[k * illuminated..(k + 1) * illuminated]));
             reference(&layout, c, &images.data[range.clone()], &images.weights[range], images.photometry[i])
         })
         .collect();
@@ -94,7 +95,7 @@ fn agreement_in(layout: &GpuLayout, active: &[usize], builds: impl Fn(&Device) -
             let [close, closer] = if build.precision == Precision::F32 { [1e-5, 1e-5] } else { [1e-12, 1e-11] };
             for (i, wanted) in wanted.iter().enumerate() {
                 let gradient = &found.gradient[i * layout.modes.len()..(i + 1) * layout.modes.len()];
-                let slopes = &slopes[i * lit..(i + 1) * lit];
+                let slopes = &slopes[i * illuminated..(i + 1) * illuminated];
                 let errors = [
                     (found.objective[i] / wanted.objective - 1.0).abs(),
                     (found.flux_e[i] / wanted.flux - 1.0).abs(),
@@ -166,20 +167,26 @@ fn compare_with_single_images(layout: &GpuLayout) {
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();
             let all: Vec<f64> = batch.iter().flat_map(|&i| c[i * modes..(i + 1) * modes].to_vec()).collect();
             let free = free_phases(layout, 3, &mut random);
-            let lit = free.len() / 3;
-            let all_free: Vec<f64> = batch.iter().flat_map(|&i| free[i * lit..(i + 1) * lit].to_vec()).collect();
+            let illuminated = free.len() / 3;
+            let all_free: Vec<f64> =
+                batch.iter().flat_map(|&i| free[i * illuminated..(i + 1) * illuminated].to_vec()).collect();
             let mut slopes = vec![f64::NAN; all_free.len()];
             let together = chain.evaluate_free(&batch, &all, &all_free, &mut slopes).unwrap();
             // The same sums in the same order; only fused multiply-adds may differ: a few roundings, far below the errors of
             // the test above.
             let close = if build.precision == Precision::F32 { 1e-6 } else { 1e-14 };
             for (i, &image) in batch.iter().enumerate() {
-                let mut slopes_alone = vec![f64::NAN; lit];
-                let (own, own_free) = (&c[image * modes..(image + 1) * modes], &free[image * lit..(image + 1) * lit]);
+                let mut slopes_alone = vec![f64::NAN; illuminated];
+                let (own, own_free) =
+                    (&c[image * modes..(image + 1) * modes], &free[image * illuminated..(image + 1) * illuminated]);
                 let alone = chain.evaluate_free(&[image], own, own_free, &mut slopes_alone).unwrap();
                 let objective = (together.objective[i] / alone.objective[0] - 1.0).abs();
                 let gradient = distance(&together.gradient[i * modes..(i + 1) * modes], &alone.gradient);
-                let slopes = if lit > 0 { distance(&slopes[i * lit..(i + 1) * lit], &slopes_alone) } else { 0.0 };
+                let slopes = if illuminated > 0 {
+                    distance(&slopes[i * illuminated..(i + 1) * illuminated], &slopes_alone)
+                } else {
+                    0.0
+                };
                 let difference = objective.max(gradient).max(slopes);
                 assert!(difference < close, "{build:?} image {i}: {objective:e} {gradient:e} {slopes:e}");
             }
@@ -252,8 +259,8 @@ fn invalid_input_is_named() {
         ("0 image pixels", |l| l.pixels = 0),
         ("wavelength_nm", |l| l.wavelength_nm = f64::NAN),
         ("diversity_turns", |l| l.diversity_turns.truncate(3)),
-        ("twice", |l| l.lit[1] = l.lit[0]),
-        ("outside a pupil", |l| l.lit[0] = 18 * 18),
+        ("twice", |l| l.illuminated[1] = l.illuminated[0]),
+        ("outside a pupil", |l| l.illuminated[0] = 18 * 18),
         ("segment 9", |l| l.segment_index[3] = 9),
         ("segment weight", |l| l.segment_weight[0] = f64::INFINITY),
         ("smooth mode 7", |l| l.modes[0] = GpuMode::Smooth(7)),

@@ -19,15 +19,15 @@ fn amplitudes_are_exact(optics: Arc<Optics>) {
     let chain = CpuChain::<f64>::new(optics.clone());
     assert!(chain.has_amplitudes());
     let mut rng = ChaCha8Rng::seed_from_u64(13);
-    let lit = optics.parts().weights.lit.len();
-    let (free, c) = (random(lit, 0.3, &mut rng), coefficients(1, optics.modes()).row(0).to_owned());
+    let illuminated = optics.parts().weights.illuminated.len();
+    let (free, c) = (random(illuminated, 0.3, &mut rng), coefficients(1, optics.modes()).row(0).to_owned());
     let ln = random(3, 0.2, &mut rng);
     for exposure in &exposures(14) {
-        let mut image = chain.room();
+        let mut image = chain.empty_image();
         chain.set(&mut image, exposure).unwrap();
         let at = |ln: &[f64]| -> (f64, [f64; 3]) {
             let (mut evaluation, mut scratch) = (chain.evaluation(), chain.scratch());
-            let (mut unused, mut gradient) = (vec![0.0; lit], [f64::NAN; 3]);
+            let (mut unused, mut gradient) = (vec![0.0; illuminated], [f64::NAN; 3]);
             scratch.set_amplitudes(ln.iter().map(|ln| ln.exp()));
             chain.evaluate_free(&image, c.view(), &free, &mut scratch, &mut evaluation, &mut unused);
             chain.amplitude_gradient(&scratch, &mut gradient);
@@ -63,24 +63,24 @@ fn the_gradient_in_the_free_phase_is_exact() {
         free: &[f64],
     ) -> (Evaluation, Vec<f64>) {
         let chain = CpuChain::<T>::new(optics.clone());
-        let (mut image, mut evaluation, mut scratch) = (chain.room(), chain.evaluation(), chain.scratch());
+        let (mut image, mut evaluation, mut scratch) = (chain.empty_image(), chain.evaluation(), chain.scratch());
         chain.set(&mut image, exposure).unwrap();
-        let free: Vec<T> = free.iter().map(|&v| T::of(v)).collect();
+        let free: Vec<T> = free.iter().map(|&v| T::narrow(v)).collect();
         let mut gradient = vec![T::nan(); free.len()];
         chain.evaluate_free(&image, c.view(), &free, &mut scratch, &mut evaluation, &mut gradient);
-        (evaluation, gradient.iter().map(|g| g.wide()).collect())
+        (evaluation, gradient.iter().map(|g| g.widen()).collect())
     }
     let one = optics(12, 14, 1.9);
     let (exposures, c) = (exposures(14), coefficients(1, one.modes()).row(0).to_owned());
     let mut rng = ChaCha8Rng::seed_from_u64(11);
-    let lit = one.parts().weights.lit.len();
+    let illuminated = one.parts().weights.illuminated.len();
     let three = in_colours(&one);
     for (exposure, optics) in exposures.iter().flat_map(|exposure| [(exposure, &one), (exposure, &three)]) {
-        let free = random(lit, 0.3, &mut rng);
+        let free = random(illuminated, 0.3, &mut rng);
         let (here, gradient) = at::<f64>(optics, exposure, &c, &free);
         let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         for _ in 0..5 {
-            let along = random(lit, 1.0, &mut rng);
+            let along = random(illuminated, 1.0, &mut rng);
             let slope: f64 = gradient.iter().zip(&along).map(|(g, v)| g * v).sum();
             // As in the modes' test: truncation (2πh)²/6 = 7e-10 at 1e-5 turns, rounding 2e-16·J/h of about the same.
             let h = 1e-5;
@@ -100,7 +100,7 @@ fn the_gradient_in_the_free_phase_is_exact() {
         let mut chain = CpuChain::<f64>::new(optics.clone());
         chain.load(std::slice::from_ref(exposure)).unwrap();
         let alone = chain.evaluate(&[0], c.view().insert_axis(ndarray::Axis(0))).unwrap().remove(0);
-        let (with, _) = at::<f64>(optics, exposure, &c, &vec![0.0; lit]);
+        let (with, _) = at::<f64>(optics, exposure, &c, &vec![0.0; illuminated]);
         assert_eq!((alone.objective.to_bits(), alone.gradient), (with.objective.to_bits(), with.gradient));
     }
 }

@@ -12,7 +12,7 @@ use super::super::{GpuLayout, GpuMode, GpuPhotometry};
 pub(super) fn scene() -> GpuLayout {
     let (n, segments, smooth): (usize, _, _) = (18, 5, 7);
     let mut random = ChaCha8Rng::seed_from_u64(7);
-    let lit: Vec<usize> = (0..n * n)
+    let illuminated: Vec<usize> = (0..n * n)
         .filter(|i| {
             let (y, x) = (i / n, i % n);
             // Dark: an edge, two corners, and on the axis a whole row and a hole, whose blocks must be zeroed.
@@ -28,15 +28,15 @@ pub(super) fn scene() -> GpuLayout {
         .collect();
     let mut uniform = |low: f64, high: f64| low + (high - low) * random.random::<f64>();
     let (mut segment_start, mut segment_index, mut segment_weight) = (vec![0], Vec::new(), Vec::new());
-    for (p, index) in lit.iter().enumerate() {
+    for (p, index) in illuminated.iter().enumerate() {
         for s in 0..1 + p % 3 {
             segment_index.push((index / 70 + s) % segments);
             segment_weight.push(if s == 0 { uniform(0.5, 1.0) } else { uniform(-0.2, 0.2) });
         }
         segment_start.push(segment_index.len());
     }
-    let diversity_turns = lit.iter().map(|_| uniform(-3.0, 3.0)).collect();
-    let smooth: Vec<Vec<f64>> = (0..smooth).map(|_| lit.iter().map(|_| uniform(-1.5, 1.5)).collect()).collect();
+    let diversity_turns = illuminated.iter().map(|_| uniform(-3.0, 3.0)).collect();
+    let smooth: Vec<Vec<f64>> = (0..smooth).map(|_| illuminated.iter().map(|_| uniform(-1.5, 1.5)).collect()).collect();
     let mut modes: Vec<GpuMode> = (0..segments).map(GpuMode::Segment).collect();
     modes.splice(2..2, (0..smooth.len() - 1).rev().map(GpuMode::Smooth));
     GpuLayout {
@@ -45,7 +45,7 @@ pub(super) fn scene() -> GpuLayout {
         samples_per_lambda_over_d: 1.3,
         wavelength_nm: 1650.0,
         intensity_scale: 2.5e-5,
-        lit,
+        illuminated,
         diversity_turns,
         smooth,
         segments,
@@ -75,7 +75,7 @@ pub(super) fn free_scene() -> GpuLayout {
 
 /// A free phase of up to ±0.5 turns for each of `images`; empty where the layout has none.
 pub(super) fn free_phases(layout: &GpuLayout, images: usize, random: &mut impl Rng) -> Vec<f64> {
-    let count = if layout.free_phase { images * layout.lit.len() } else { 0 };
+    let count = if layout.free_phase { images * layout.illuminated.len() } else { 0 };
     (0..count).map(|_| random.random::<f64>() - 0.5).collect()
 }
 
@@ -156,7 +156,7 @@ pub(super) fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64;
     let amount = |mode: GpuMode| amount(layout, coefficients, mode);
     let phasors = entry_phasors(layout, coefficients);
     let smooth: Vec<f64> = (0..layout.smooth.len()).map(|j| amount(GpuMode::Smooth(j))).collect();
-    (0..layout.lit.len())
+    (0..layout.illuminated.len())
         .map(|p| {
             let psi = layout.diversity_turns[p] + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
             let a: Complex64 = (layout.segment_start[p]..layout.segment_start[p + 1])
@@ -178,7 +178,9 @@ pub(super) fn kernel(layout: &GpuLayout, sample: usize, pixel: usize) -> Complex
 
 pub(super) fn focal(layout: &GpuLayout, pupil: &[[Complex64; 3]]) -> Vec<Complex64> {
     (0..layout.pixels * layout.pixels)
-        .map(|pixel| layout.lit.iter().zip(pupil).map(|(&sample, p)| p[2] * kernel(layout, sample, pixel)).sum())
+        .map(|pixel| {
+            layout.illuminated.iter().zip(pupil).map(|(&sample, p)| p[2] * kernel(layout, sample, pixel)).sum()
+        })
         .collect()
 }
 
@@ -222,7 +224,7 @@ pub(super) fn reference(
     let k = TAU / layout.wavelength_nm;
     // dJ/dE* at each illuminated sample, by the adjoint sum.
     let bar: Vec<Complex64> = layout
-        .lit
+        .illuminated
         .iter()
         .map(|&sample| {
             (0..h.len())
