@@ -164,7 +164,9 @@ impl<'a> Package<'a> {
             if import.name == "*" && !import.is_public {
                 let glob = &import.path[..import.path.len() - 1];
                 let named = read.words.iter().filter(|word| !read.defined.contains(*word));
-                used.extend(named.filter_map(|word| self.find(&[glob, &[word.clone()]].concat(), &module, true, 8)));
+                used.extend(
+                    named.filter_map(|word| self.find(&[glob, std::slice::from_ref(word)].concat(), &module, true, 8)),
+                );
             } else if is_used {
                 used.extend(self.find(&import.path, &module, false, 8));
             }
