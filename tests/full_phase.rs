@@ -35,7 +35,7 @@ fn exposures(stepper: &mut Stepper, count: usize) -> Images {
 }
 
 #[test]
-fn precision_is_honoured_and_hardly_matters() {
+fn estimates_in_single_and_double_precision_agree() {
     let single = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
     let double = single.with_override("estimate.precision", "f64").unwrap();
     let images = exposures(&mut Stepper::new(&single).unwrap(), 3);
@@ -50,7 +50,7 @@ fn precision_is_honoured_and_hardly_matters() {
 
 /// The whole estimate on every OpenCL device: what it says of itself, and the CPU's answer.
 #[test]
-fn a_device_is_honoured_and_hardly_matters() {
+fn estimates_on_cpu_and_device_agree() {
     let settings = [("estimate.method", "full-phase"), ("estimate.precision", "f64"), ("estimate.device", "cpu")];
     let cpu = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
     let images = exposures(&mut Stepper::new(&cpu).unwrap(), 3);
@@ -78,7 +78,7 @@ fn a_device_is_honoured_and_hardly_matters() {
 
 /// In focus an image does not tell an even aberration from its negative.
 #[test]
-fn images_in_focus_have_no_signs_and_it_is_said() {
+fn images_in_focus_have_a_warning_of_ambiguous_signs() {
     let scene = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
     let said = |waves: &str| {
         let scene = scene.with_override("image.diversity_focus_waves_rms", waves).unwrap();
@@ -89,7 +89,7 @@ fn images_in_focus_have_no_signs_and_it_is_said() {
 }
 
 #[test]
-fn what_is_for_static_modes_alone_is_refused() {
+fn keys_of_modal_estimates_are_refused() {
     let scene = Scene::from_file(sky()).unwrap();
     for (key, value) in [
         ("estimate.optimizer", "bfgs"),
@@ -110,7 +110,7 @@ fn what_is_for_static_modes_alone_is_refused() {
 
 /// Before any image is looked at: these are empty.
 #[test]
-fn an_error_of_a_diversity_that_no_mode_holds_is_refused() {
+fn a_diversity_error_outside_the_modes_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("ripples.fits");
     let mut file = FitsWriter::create(&path).unwrap();
@@ -135,7 +135,7 @@ fn an_error_of_a_diversity_that_no_mode_holds_is_refused() {
 }
 
 #[test]
-fn corrections_take_off_what_is_really_there() {
+fn corrections_reduce_the_true_errors() {
     // Maps on the samples of the wavefront sensor.
     let settings = [("pupil.samples", "80"), ("estimate.method", "full-phase")];
     let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();

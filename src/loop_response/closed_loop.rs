@@ -23,8 +23,8 @@ const NO_ABERRATIONS: [(&str, &str); 6] = [
 /// Largest change of a command from frame to frame of a mirror at rest: at a gain of 0.3 the remaining change is three times that.
 const STILL_NM: f32 = 1e-3;
 
-/// Frames after which a mirror that still moves is taken as at rest: 30 s at most loops' rates. Directions that the controller
-/// hardly measures drift for long, and little.
+/// Frames after which a mirror that still moves is taken as at rest: 30 s at most loops' rates. Directions of weak
+/// singular values drift for long, and little.
 const MAX_FRAMES: usize = 3000;
 
 /// Piston with which the linear part is measured, nm.

@@ -134,7 +134,7 @@ impl SensorModel {
         };
         let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
         // Measured once: small changes of the static errors change the response by less than its scatter over images, and the
-        // iterations end where the differences vanish, whatever the step.
+        // iterations end where the differences vanish, for any response.
         let response = match self.response.take() {
             Some(known) => known,
             None => SensorResponse::new(self.measure_response(pistons_nm, &rests_nm)?),

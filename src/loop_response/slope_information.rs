@@ -2,7 +2,7 @@
 //! retrieved wavefronts and the measured ones.
 //!
 //! Slopes are weighted by their scatter from image to image, and modes along the singular vectors of the sensor's response, each by
-//! its own scatter. So directions that slopes hardly measure get next to no weight, and modes may be many. The error of the
+//! its own scatter. So directions with little response get next to no weight, and the modes may be many. The error of the
 //! sensor model is estimated from the data too: the part of the mean over images that no mode explains, beyond its scatter, does
 //! not average over images.
 
@@ -132,7 +132,7 @@ mod tests {
         // 77 slopes determine a variance to √(2/77) = 16 %.
         assert!((slopes.model_error_mas - 1.0).abs() < 0.25, "{}", slopes.model_error_mas);
         let (found_nm, sigma_nm) = solved(&slopes, 100.0);
-        // As one image would: √400 times the noise's 0.079 nm.
+        // That of one image: √400 times the noise's 0.079 nm.
         assert!((sigma_nm[0] / 1.58 - 1.0).abs() < 0.3, "{sigma_nm:?}");
         assert!((found_nm[0] - 12.0).abs() < 3.0 * sigma_nm[0], "{found_nm}");
     }

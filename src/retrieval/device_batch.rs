@@ -57,7 +57,7 @@ pub(super) struct DeviceBatch {
 /// An image in a slot of the batch.
 struct Lane<T: Polynomial> {
     image: usize,
-    /// Its place in the chain.
+    /// Index of the image in the chain.
     slot: usize,
     prepared: Prepared,
     optimisation: MapOptimisation<T>,

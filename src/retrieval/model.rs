@@ -17,7 +17,7 @@ const POINTING_RMS_NM: f64 = 2000.0;
 /// Coefficient of the model that is an unknown of the retrieval.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FreeCoefficient {
-    /// Its place among the model's modes.
+    /// Index among the model's modes.
     pub(super) mode: usize,
     /// Prior RMS, nm.
     pub(super) rms_nm: f64,

@@ -46,7 +46,7 @@ const DIRECTIONS: usize = 96;
 const ALIASES: i32 = 2;
 
 impl RadialPsd {
-    /// From its entries, `step_per_m` apart from frequency 0 on. Between them its logarithm is linear; beyond the last it falls
+    /// A PSD of entries `step_per_m` apart, from frequency 0 on. Between them its logarithm is linear; beyond the last it falls
     /// as f^(−11/3).
     ///
     /// # Errors
@@ -96,7 +96,7 @@ impl RadialPsd {
         Self::new(step_per_m, (0..ENTRIES).map(density).collect())
     }
 
-    /// From the average periodogram of wavefronts over the pupil (see [`crate::metrics::PsdAverage`]).
+    /// A PSD from the average periodogram of wavefronts over the pupil (see [`crate::metrics::PsdAverage`]).
     ///
     /// `floor` is added, and should be a small fraction of a predicted PSD: a prior of variance 0 is no prior.
     ///
@@ -128,7 +128,7 @@ impl RadialPsd {
         (low + share * (high - low)).exp()
     }
 
-    /// The same PSD times a factor.
+    /// This PSD times a factor.
     ///
     /// # Errors
     /// As [`RadialPsd::new`].
@@ -268,29 +268,28 @@ mod tests {
     fn fitting_error_agrees_with_the_textbook() {
         let scene = scene().with_override("image.exposure_s", "1e-6").unwrap();
         let nothing = StaticAberrationRms { piston_rms_nm: 0.0, ncpa_rms_nm: 0.0 };
-        let spectrum = RadialPsd::ao_residual(&scene, nothing).unwrap();
+        let psd = RadialPsd::ao_residual(&scene, nothing).unwrap();
         let cut_off = 0.5 / scene.mirror.pitch_m;
         let nm2 = (500.0 / TAU).powi(2) * (scene.mirror.pitch_m / scene.turbulence.r0_m).powf(5.0 / 3.0);
         // The corners of the square hold what the in-band error does not reach: from √2 times the cut-off on all of it
         // is fitting error. Kolmogorov beyond f: 0.0229·6π/5·f^(−5/3); the tail beyond the tables' end by its power law.
         let from = 2f64.sqrt() * cut_off;
         let tail = 0.0229 * 6.0 * PI / 5.0 * (from * scene.mirror.pitch_m).powf(-5.0 / 3.0) * nm2;
-        let found = spectrum.variance_nm2(from, 200.0 * cut_off);
+        let found = psd.variance_nm2(from, 200.0 * cut_off);
         // 0.0229 has three digits; the outer scale takes 3e-4, the end 1e-4.
         assert!((found / tail - 1.0).abs() < 5e-3, "{found} {tail}");
-        let whole = spectrum.variance_nm2(cut_off, 200.0 * cut_off) / nm2;
+        let whole = psd.variance_nm2(cut_off, 200.0 * cut_off) / nm2;
         assert!((0.2..0.3).contains(&whole), "{whole}");
     }
 
     #[test]
     fn unknown_aberrations_add_their_variance() {
         let variance = |piston_rms_nm, ncpa_rms_nm| {
-            let spectrum =
-                RadialPsd::ao_residual(&scene(), StaticAberrationRms { piston_rms_nm, ncpa_rms_nm }).unwrap();
-            spectrum.variance_nm2(0.0, 20.0)
+            let psd = RadialPsd::ao_residual(&scene(), StaticAberrationRms { piston_rms_nm, ncpa_rms_nm }).unwrap();
+            psd.variance_nm2(0.0, 20.0)
         };
         let none = variance(0.0, 0.0);
-        // A disc's spectrum falls as f⁻³, so that 2/(2π²·f·a) of it lie beyond f: 2.8 % beyond the table's end at 4.4
+        // A disc's PSD falls as f⁻³, so that 2/(2π²·f·a) of it lie beyond f: 2.8 % beyond the table's end at 4.4
         // cycles/m (a = 0.82 m), where the extrapolation falls too fast. The entry at frequency 0 and the interpolation between
         // entries are good to a few percent of the NCPA, which fall over a few entries.
         let pistons = variance(60.0, 0.0) - none;

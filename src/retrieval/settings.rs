@@ -11,7 +11,7 @@ pub struct RetrievalSettings {
     /// and 4.3 nm with 6 (one draw).
     pub cycles_across_a_segment: f64,
     /// Device of the imaging chain. On the CPU each thread retrieves an image of its own; on a device a batch goes in
-    /// lock-step. Where amplitudes of segments are unknowns the CPU is taken whatever the choice.
+    /// lock-step. Where amplitudes of segments are unknowns it is always the CPU.
     pub device: Choice,
     /// Precision of the imaging chain; the optimiser's steps are always in double precision.
     pub precision: Precision,

@@ -39,9 +39,7 @@ impl ResidualCovariance {
     pub fn from_residuals(samples: &IlluminatedSamples, residuals_nm: ArrayView2<f64>) -> Result<Self> {
         let (images, columns) = residuals_nm.dim();
         if images < 2 {
-            return Err(Error::Value(format!(
-                "a covariance from {images} images was asked for: at least 2 are needed"
-            )));
+            return Err(Error::Value(format!("{images} images were given for a covariance: at least 2 are needed")));
         }
         if columns != samples.len() {
             return Err(Error::Shape(format!(

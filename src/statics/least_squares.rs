@@ -11,7 +11,7 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 /// Prior RMS of unidentifiable coefficients (the mean wavefront, tip and tilt), nm: more than a model's whole range.
 const FLAT_PRIOR_NM: f64 = 1e4;
 
-/// Prior RMS of pistons before any correction, nm, for the error of directions that images hardly identify (their mean and the
+/// Prior RMS of pistons before any correction, nm, for the error of nearly degenerate directions (their mean and the
 /// plane through them) after an estimate like this one was corrected.
 const UNCORRECTED_NM: f64 = 30.0;
 

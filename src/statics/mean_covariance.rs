@@ -213,10 +213,10 @@ mod tests {
         let middle = samples.len() / 2 + 3;
         one[middle] = 1.0.into();
         let column = mean.times(&one);
-        let beside = (0..samples.len()).find(|&s| samples.indices[s] == samples.indices[middle] + 1).unwrap();
-        // The mean of ten: a tenth. Two thirds beside it, less the taper; to the same 10 %.
+        let neighbour = (0..samples.len()).find(|&s| samples.indices[s] == samples.indices[middle] + 1).unwrap();
+        // The mean of ten: a tenth. Two thirds at its neighbour, less the taper; to the same 10 %.
         assert!((column[middle].re * 90.0 - 1.0).abs() < 0.2, "{}", column[middle].re);
-        assert!((column[beside].re / column[middle].re - 2.0 / 3.0).abs() < 0.07);
+        assert!((column[neighbour].re / column[middle].re - 2.0 / 3.0).abs() < 0.07);
     }
 
     #[test]
@@ -234,7 +234,7 @@ mod tests {
         for (column, solved) in columns.outer_iter().zip(solved.outer_iter()) {
             let back = mean.times(&solved.iter().map(|&v| v.into()).collect::<Vec<_>>());
             let off: f64 = back.iter().zip(column).map(|(back, v)| (back.re - v).powi(2)).sum();
-            // What the iteration stops at, and rounding in the residual that it follows.
+            // The tolerance of the iteration, and rounding in its residual.
             assert!(off.sqrt() < 1.1 * TOLERANCE * column.dot(&column).sqrt());
         }
     }

@@ -107,7 +107,7 @@ mod tests {
         let along_x = Array1::from_shape_fn(2 * samples.pistons.nrows(), |k| if k % 2 == 0 { 10.0 } else { 0.0 });
         let tilted =
             SegmentTilts::estimate((&chance + &along_x.dot(&columns(&samples))).view(), &covariance, &samples).unwrap();
-        // What chance adds, in quadrature: 4 nm over the root of the samples to an unknown, about 10.
+        // Chance adds, in quadrature, 4 nm over the root of the samples to an unknown, about 10.
         assert!(tilted.is_significant() && (tilted.rms_nm - 10.0).abs() < 1.0, "{tilted:?}");
     }
 }

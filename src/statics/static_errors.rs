@@ -13,7 +13,7 @@ pub struct StaticErrors {
     /// Coefficients of the NCPA's modes, nm.
     pub ncpa_nm: Vec<f64>,
     /// Coefficients, in the same modes, of the part of the mean wavefront that the sensor measured too, nm: turbulence that did not
-    /// average, and wandering of actuators that the loop hardly measures. 0 without telemetry, which alone separates it from NCPA.
+    /// average, and the drift of actuators to which the sensor is nearly blind. 0 without telemetry, which alone separates it from NCPA.
     pub common_path_nm: Vec<f64>,
     /// Posterior covariance of pistons and NCPA in turn, nm².
     pub covariance_nm2: Array2<f64>,

@@ -1,4 +1,4 @@
-//! Static errors from the wavefronts that an AO simulation knows, as of a perfect retrieval, against the truth.
+//! Static errors from the known wavefronts of an AO simulation, as of a perfect retrieval, against the truth.
 
 use super::error_budget::ErrorSource;
 use super::{Iteration, RetrievedSequence, StaticsSettings, WavefrontSource, estimate_static_errors};
@@ -199,7 +199,7 @@ fn errors_decrease_with_the_knowledge_of_the_ao() {
     assert!(unknown.further_images([f64::INFINITY, 0.9 * response_nm]).is_err());
 }
 
-/// It is common to all images and iterations, so it changes neither the estimate, nor when iterations end, nor the gain of further
+/// The error is common to all images and iterations, so it changes neither the estimate, nor when iterations end, nor the gain of further
 /// images.
 #[test]
 fn an_error_of_the_diversity_is_in_the_error_bars_alone() {

@@ -1,4 +1,4 @@
-//! Source of the wavefronts of a sequence: a retrieval from images, or wavefronts that a simulation knows.
+//! Source of the wavefronts of a sequence: a retrieval from images, or the known wavefronts of a simulation.
 
 use crate::Result;
 use crate::retrieval::{IlluminatedSamples, RadialPsd, StaticWavefront};
