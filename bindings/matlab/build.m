@@ -9,7 +9,7 @@ function build(library_directory, output_directory)
     %       build
     %       addpath(pwd)
     %
-    %   See also cophase.Model, cophase.Session, cophase.Simulator.
+    %   See also cophase.Estimator, cophase.Model, cophase.Session, cophase.Simulator.
     here = fileparts(mfilename('fullpath'));
     root = fileparts(fileparts(here));
     if nargin < 1
@@ -18,9 +18,9 @@ function build(library_directory, output_directory)
     if nargin < 2
         output_directory = here;
     end
-    nouns = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'session', 'fit', 'sequence', 'simulator', ...
-        'full_phase'};
-    sources = strcat(fullfile(here, 'gateway', nouns), '.c');
+    files = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'estimate', 'session', 'sequence', ...
+        'simulator'};
+    sources = strcat(fullfile(here, 'gateway', files), '.c');
     include = ['-I' fullfile(root, 'include')];
     library = {['-L' library_directory], '-lcophase'};
     if exist('OCTAVE_VERSION', 'builtin')

@@ -1,16 +1,13 @@
 classdef Handle < handle
-    %HANDLE  What the classes of this package have in common: an object of the library's.
-    %   It is freed with the last variable that holds it, or by delete. Those that were made from it live on.
+    %HANDLE  Base of the classes of this package: an object of the library.
+    %   It is freed with the last variable that holds it, or by delete. Objects do not depend on the lifetime of those that
+    %   they were made from.
     %
-    %   See also cophase.Model, cophase.Session, cophase.Sequence, cophase.Simulator,
-    %   cophase.FullPhase.
+    %   See also cophase.Estimator, cophase.Estimate, cophase.Model, cophase.Session, cophase.Sequence,
+    %   cophase.Simulator.
 
     properties (Hidden, SetAccess = private)
-        id = 0 % the gateway's number for it; 0 is nobody's
-    end
-
-    properties (Access = private)
-        noun = ''
+        id = 0 % number of the object in the gateway; 0 for none
     end
 
     methods
@@ -19,28 +16,38 @@ classdef Handle < handle
             if self.id ~= 0
                 id = self.id;
                 self.id = 0;
-                cophase_mex([self.noun '.delete'], id);
+                cophase_mex('delete', id);
             end
         end
     end
 
     methods (Access = protected)
-        function varargout = create(self, noun, varargin)
-            % Creates the object; returns what the gateway returns after its number.
-            results = cell(1, nargout + 1);
-            [results{:}] = cophase_mex([noun '.create'], varargin{:});
-            self.noun = noun;
-            self.id = results{1};
-            varargout = results(2:end);
+        function create(self, command, varargin)
+            % Makes the object by a command of the gateway.
+            self.id = cophase_mex(command, varargin{:});
         end
     end
 
     methods (Static, Hidden)
-        function id = of(value)
-            % The number of an object; 0, which the gateway refuses, for anything else.
+        function id = number(value)
+            % Number of an object; 0, which the gateway refuses, for any other value.
             id = 0;
             if isa(value, 'cophase.Handle') && numel(value) == 1
                 id = value.id;
+            end
+        end
+
+        function maps = maps(values, rows, cols)
+            % Maps (y, x, k) of a column in C order.
+            maps = permute(reshape(values, cols, rows, []), [2 1 3]);
+        end
+
+        function lines = lines(text)
+            % Lines of a text, a cell column.
+            if isempty(text)
+                lines = {};
+            else
+                lines = strsplit(text, sprintf('\n'))';
             end
         end
     end

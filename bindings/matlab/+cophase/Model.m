@@ -1,40 +1,40 @@
 classdef Model < cophase.Handle
-    %MODEL  A telescope and its camera, as an estimate sees them.
-    %   m = cophase.Model(scene_text) builds the model that a scene (TOML) describes: pupil, modes, diversity, detector.
-    %   This takes about a second at the size of Keck. Share it between as many sessions as you like.
+    %MODEL  Model of an image: telescope, modes, diversity, camera.
+    %   m = cophase.Model(scene_text) builds the model of a scene (TOML). This takes about half a second at the size of
+    %   Keck. Any number of sessions can use it.
     %
-    %   m = cophase.Model(scene_text, directory) looks for the files that the scene names in a directory, and not in the
-    %   working directory.
+    %   m = cophase.Model(scene_text, directory) has the directory of the files that the scene names; the working directory
+    %   by default.
     %
-    %   m = cophase.Model(scene_text, directory, Name, Value, ...) puts arrays in the place of what the scene says:
-    %      'Pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. It is needed with the
-    %                      others.
-    %      'Segments'      n x n labels 0, 1, ... of the segment that a sample belongs to; negative where none is
-    %      'Modes'         n x n x K wavefronts, nm for each nm of their coefficient: those of unit RMS over the pupil
-    %                      make coefficients nm RMS
-    %      'Diversity_nm'  n x n wavefront, nm
+    %   m = cophase.Model(scene_text, directory, Name, Value, ...) takes arrays instead of the scene's telescope:
+    %      'pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. Required with the others.
+    %      'segments'      n x n indices 0, 1, ... of each sample's segment; negative outside all segments
+    %      'modes'         n x n x K wavefronts, nm per nm of their coefficient: with unit RMS over the pupil, coefficients
+    %                      are nm RMS
+    %      'diversity_nm'  n x n wavefront, nm
     %
-    %   m = cophase.Model.fromArrays(pupil, modes, Name, Value, ...) needs no scene.
+    %   m = cophase.Model.from_arrays(pupil, modes, Name, Value, ...) needs no scene.
     %
-    %   Maps are (y, x): rows go with y, columns with x. Coefficients and wavefronts are nm of optical path difference.
-    %   The beginning of an option's name is enough, whatever its case: 'diversity'. Failures raise cophase:<STATUS>,
-    %   such as cophase:BAD_SCENE, with one sentence.
+    %   Maps are (y, x): rows are y, columns are x. Coefficients and wavefronts are nm of optical path difference. The
+    %   beginning of an option's name is enough, whatever its case: 'diversity'. Failures raise cophase:<STATUS>, such as
+    %   cophase:BAD_SCENE, with one sentence.
     %
     %   Example:
     %       m = cophase.Model(cophase.preset('keck-artificial'));
-    %       c = zeros(m.Modes, 1);
+    %       c = zeros(m.modes, 1);
     %       c(1) = 100;                       % nm of piston of the first segment
     %       imagesc(m.psf(c)), axis image
     %
-    %   See also cophase.Model.fromArrays, cophase.Model.wavefront, cophase.Model.psf, cophase.Session, cophase.preset.
+    %   See also cophase.Model.from_arrays, cophase.Model.wavefront_nm, cophase.Model.psf, cophase.Session,
+    %   cophase.preset.
 
     properties (SetAccess = private)
-        Modes        % how many coefficients there are
-        SegmentModes % how many of them, the first ones, are of the segments
-        Names        % of the modes, a cell column of text
-        FrameSize    % [rows columns] of a frame of the detector
-        Samples      % rows, and columns, of wavefront maps
-        Pixels       % rows, and columns, of a PSF: the part of a frame that is fitted
+        modes         % number of modes, which is the number of coefficients of an image
+        segment_modes % number of modes that move segments; they come first, the others are NCPA modes
+        mode_names    % names of the modes, a cell column of text
+        frame_shape   % [rows columns] of a frame
+        samples       % rows, and columns, of a wavefront map
+        pixels        % rows, and columns, of a PSF: the pixels that are compared
     end
 
     methods
@@ -45,88 +45,88 @@ classdef Model < cophase.Handle
             if nargin < 2
                 directory = '';
             end
-            self.create('model', scene_text, directory, varargin{:});
-            self.Modes = cophase_mex('model.modes', self.id);
-            self.SegmentModes = cophase_mex('model.segment_modes', self.id);
-            self.Names = cophase_mex('model.names', self.id);
-            self.FrameSize = cophase_mex('model.frame_size', self.id);
-            self.Samples = cophase_mex('model.samples', self.id);
-            self.Pixels = cophase_mex('model.pixels', self.id);
+            self.create('model.create', scene_text, directory, varargin{:});
+            info = cophase_mex('model.info', self.id);
+            self.modes = info.modes;
+            self.segment_modes = info.segment_modes;
+            self.mode_names = cophase_mex('model.names', self.id);
+            self.frame_shape = [info.rows, info.cols];
+            self.samples = info.samples;
+            self.pixels = info.pixels;
         end
 
-        function [phasing_nm, ncpa_nm] = wavefront(self, coefficients_nm)
-            %WAVEFRONT  The wavefront of some coefficients.
-            %   [phasing_nm, ncpa_nm] = m.wavefront(c) returns two maps (y, x) of m.Samples rows and columns: the
-            %   errors of the segments, and the non-common path aberrations. They are NaN outside the pupil. c has
-            %   m.Modes elements, nm.
+        function [phasing_nm, ncpa_nm] = wavefront_nm(self, coefficients_nm)
+            %WAVEFRONT_NM  Wavefront of some coefficients.
+            %   [phasing_nm, ncpa_nm] = m.wavefront_nm(c) returns two maps (y, x) of m.samples rows and columns, nm: the
+            %   segments, and the non-common path aberrations. They are NaN outside the pupil. c has m.modes elements, nm.
             %
             %   Example:
-            %       [phasing_nm, ncpa_nm] = m.wavefront(c);
+            %       [phasing_nm, ncpa_nm] = m.wavefront_nm(c);
             %       imagesc(phasing_nm), axis image, colorbar
             %
             %   See also cophase.Model.psf, cophase.Session.fit.
-            maps_nm = cophase_mex('model.wavefront', self.id, coefficients_nm);
+            values = cophase_mex('model.wavefront_nm', self.id, coefficients_nm);
+            maps_nm = cophase.Handle.maps(values, self.samples, self.samples);
             phasing_nm = maps_nm(:, :, 1);
             ncpa_nm = maps_nm(:, :, 2);
         end
 
         function image = psf(self, coefficients_nm)
-            %PSF  The image of a point, with the diversity.
-            %   image = m.psf(c) returns the PSF of coefficients of m.Modes elements, nm, on m.Pixels rows and columns.
-            %   Over an unbounded detector it sums to 1.
+            %PSF  PSF of some coefficients, with the diversity.
+            %   image = m.psf(c) returns the PSF of coefficients of m.modes elements, nm, on m.pixels rows and columns.
+            %   Its sum over an unbounded detector would be 1.
             %
             %   Example:
-            %       imagesc(m.psf(zeros(m.Modes, 1))), axis image
+            %       imagesc(m.psf(zeros(m.modes, 1))), axis image
             %
-            %   See also cophase.Model.wavefront.
-            image = cophase_mex('model.psf', self.id, coefficients_nm);
+            %   See also cophase.Model.wavefront_nm.
+            image = cophase.Handle.maps(cophase_mex('model.psf', self.id, coefficients_nm), self.pixels, self.pixels);
         end
     end
 
     methods (Static)
-        function self = fromArrays(pupil, modes, varargin)
-            %FROMARRAYS  A model from a pupil and a matrix of modes, as OOMAO keeps them.
-            %   m = cophase.Model.fromArrays(pupil, modes, Name, Value, ...) builds a model without a scene.
+        function self = from_arrays(pupil, modes, varargin)
+            %FROM_ARRAYS  A model from a pupil and a matrix of modes, as OOMAO keeps them.
+            %   m = cophase.Model.from_arrays(pupil, modes, Name, Value, ...) builds a model without a scene.
             %
-            %   pupil is n x n, amplitude 0 to 1 or logical, n even. modes holds wavefronts: n x n x K, or as a matrix
-            %   with a column for each mode and a row for each sample of the grid, in the order of pupil(:), or for
-            %   each sample with light, in that of find(pupil). So the modes of an OOMAO zernike or deformable mirror
-            %   go in as they are, sparse ones too; [] is none. A coefficient is nm of such a mode: nm RMS if that has
-            %   unit RMS.
+            %   pupil is n x n, amplitude 0 to 1 or logical, n even. modes holds wavefronts: n x n x K, or a matrix with a
+            %   column for each mode, and a row for each sample of the grid, in the order of pupil(:), or for each
+            %   illuminated sample, in the order of find(pupil). So it takes the modes of an OOMAO zernike or deformable
+            %   mirror, also sparse ones; [] is none. A coefficient is nm of such a mode: nm RMS if that has unit RMS.
             %
-            %   What the camera sees:
-            %      'Wavelength_nm'          required
-            %      'FrameSize'              pixels of a frame, n or [rows columns]; required
-            %      'SamplesPerLambdaOverD'  pixels per lambda over the width of the pupil array; 2
-            %      'DiversityFocus_waves'   focus that defocuses the images, waves RMS; 1.5
-            %      'Diversity_nm'           n x n map of the diversity in place of a focus, nm
-            %      'ReadNoise_e'            read noise of a pixel, electrons RMS; 0
+            %   The camera:
+            %      'wavelength_nm'              required
+            %      'frame_shape'                pixels of a frame, n or [rows columns]; required
+            %      'samples_per_lambda_over_d'  pixels per lambda over the width of the pupil array; 2
+            %      'diversity_focus_waves_rms'  focus of the images, waves RMS; 1.5
+            %      'diversity_nm'               n x n map of the diversity instead of a focus, nm
+            %      'read_noise_e'               read noise of a pixel, electrons RMS; 0
             %
-            %   What the segments are:
-            %      'Segments'               n x n labels 0, 1, ... of the segments, negative where none is
-            %      'SegmentModes'           'piston', 'piston-tip-tilt' or 'none'; 'piston' if there are segments
+            %   The segments:
+            %      'segments'                   n x n indices 0, 1, ... of the segments; negative outside all segments
+            %      'segment_modes'              'piston', 'piston-tip-tilt' or 'none'; 'piston' if there are segments
             %
             %   Example:
             %       zern = zernike(4:15, 8, 'resolution', 64);              % OOMAO
-            %       m = cophase.Model.fromArrays(zern.pupil, zern.modes, 'Wavelength_nm', 2200, 'FrameSize', 128);
+            %       m = cophase.Model.from_arrays(zern.pupil, zern.modes, 'wavelength_nm', 2200, 'frame_shape', 128);
             %       s = cophase.Session(m);
             %       c = s.fit(frame);                                       % nm of each Zernike
             %
             %   See also cophase.Model, cophase.Session.
-            names = {'Wavelength_nm', 'FrameSize', 'SamplesPerLambdaOverD', 'DiversityFocus_waves', 'ReadNoise_e', ...
-                'SegmentModes', 'Segments', 'Diversity_nm'};
+            names = {'wavelength_nm', 'frame_shape', 'samples_per_lambda_over_d', 'diversity_focus_waves_rms', ...
+                'read_noise_e', 'segment_modes', 'segments', 'diversity_nm'};
             places = cophase_mex('options', names, varargin{:});
             given = cell(size(names));
             given(places > 0) = varargin(places(places > 0));
             scene_text = cophase.Model.scene(size(pupil, 1), given{1:6});
-            self = cophase.Model(scene_text, '', 'Pupil', pupil, 'Modes', cophase.Model.stack(modes, pupil), ...
-                'Segments', given{7}, 'Diversity_nm', given{8});
+            self = cophase.Model(scene_text, '', 'pupil', pupil, 'modes', cophase.Model.stack(modes, pupil), ...
+                'segments', given{7}, 'diversity_nm', given{8});
         end
     end
 
     methods (Static, Hidden)
         function maps = stack(modes, pupil)
-            % Modes as n x n x K, whichever way they came; another shape goes on to be refused.
+            % Modes as n x n x K. The library refuses arrays of other shapes.
             n = size(pupil, 1);
             maps = full(modes);
             if ndims(maps) > 2 || isequal(size(maps), size(pupil)) || isempty(maps)
@@ -139,19 +139,19 @@ classdef Model < cophase.Handle
                 maps = reshape(scattered, n, [], size(maps, 2));
             else
                 error('cophase:BAD_SHAPE', ...
-                    'modes has %d rows: %d, the samples of the pupil, or %d, those with light, is accepted', ...
+                    'modes has %d rows: %d, the samples of the pupil, or %d, the illuminated ones, is accepted', ...
                     size(maps, 1), numel(pupil), nnz(pupil));
             end
         end
 
-        function text = scene(samples, wavelength_nm, frame_size, sampling, focus_waves, read_noise_e, segment_modes)
-            % What the options of fromArrays say, as a scene.
+        function text = scene(samples, wavelength_nm, frame_shape, sampling, focus_waves, read_noise_e, segment_modes)
+            % Scene of the options of from_arrays.
             text = sprintf('[pupil]\nsamples = %d\n[image]\n', samples);
-            % A frame that is not square is the middle of one that is.
-            text = [text, cophase.Model.line('pixels', max(frame_size))];
-            if numel(frame_size) == 2 && frame_size(1) ~= frame_size(2)
-                text = [text, cophase.Model.line('rows', frame_size(1)), ...
-                    cophase.Model.line('columns', frame_size(2))];
+            % The rows and columns of a frame that is not square are cut from a square.
+            text = [text, cophase.Model.line('pixels', max(frame_shape))];
+            if numel(frame_shape) == 2 && frame_shape(1) ~= frame_shape(2)
+                text = [text, cophase.Model.line('rows', frame_shape(1)), ...
+                    cophase.Model.line('columns', frame_shape(2))];
             end
             text = [text, cophase.Model.line('wavelength_nm', wavelength_nm), ...
                 cophase.Model.line('samples_per_lambda_over_d', sampling), ...
@@ -161,7 +161,7 @@ classdef Model < cophase.Handle
         end
 
         function text = line(key, value)
-            % A line of a scene; none without a value.
+            % A line of a scene; empty without a value.
             if isempty(value)
                 text = '';
             elseif isnumeric(value)

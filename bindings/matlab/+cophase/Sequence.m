@@ -1,14 +1,12 @@
 classdef Sequence < cophase.Handle
-    %SEQUENCE  The static aberrations under a sequence of images, as they come.
-    %   q = cophase.Sequence(model, capacity) keeps the last `capacity` images, and combines what their fits found: each
-    %   image has its own turbulence, and what they share is what is sought.
+    %SEQUENCE  The last images that sessions of a model fitted, and their running estimate.
+    %   q = cophase.Sequence(model, capacity) keeps the last `capacity` images, and combines their fits.
     %
     %   Methods:
-    %      push          takes the images of a session's last fit
-    %      estimate      the estimate so far, with its error bars
-    %      covariance    of its coefficients
-    %      imagesNeeded  how many more images an accuracy asks for
-    %      clear         forgets all images
+    %      push           adds the images of a session's last fit
+    %      estimate       the estimate so far, with its error bars
+    %      images_needed  number of further images for an accuracy
+    %      clear          drops all images
     %
     %   Failures raise cophase:<STATUS>, such as cophase:BAD_VALUE, with one sentence.
     %
@@ -19,12 +17,12 @@ classdef Sequence < cophase.Handle
     %           q.push(s)
     %       end
     %       e = q.estimate();
-    %       fprintf('%.1f +- %.1f nm of phasing\n', e.PhasingRms_nm, e.PhasingSigma_nm)
+    %       fprintf('%.1f +- %.1f nm of phasing\n', e.info.phasing_rms_nm, e.info.phasing_sigma_nm)
     %
-    %   See also cophase.Sequence.estimate, cophase.Sequence.imagesNeeded, cophase.Session, cophase.Model.
+    %   See also cophase.Sequence.estimate, cophase.Sequence.images_needed, cophase.Session, cophase.Model.
 
     properties (SetAccess = private)
-        Capacity % most images that it keeps
+        capacity % number of images that are kept; the oldest are dropped beyond it
     end
 
     methods
@@ -32,51 +30,46 @@ classdef Sequence < cophase.Handle
             if nargin < 2
                 error('cophase:BAD_ARGUMENT', 'a model and a capacity are accepted: cophase.Sequence(model, 200)');
             end
-            self.create('sequence', cophase.Handle.of(model), capacity);
-            self.Capacity = capacity;
+            self.create('sequence.create', cophase.Handle.number(model), capacity);
+            self.capacity = capacity;
         end
 
         function push(self, session)
-            %PUSH  Takes the images of a session's last fit; if there is no room, the oldest go.
+            %PUSH  Adds all images of a session's last fit, of any status.
             %   q.push(s), where s is a session of the same model.
             %
             %   See also cophase.Session.fit, cophase.Sequence.estimate.
-            cophase_mex('sequence.push', self.id, cophase.Handle.of(session));
+            cophase_mex('sequence.push', self.id, cophase.Handle.number(session));
         end
 
         function result = estimate(self)
-            %ESTIMATE  The estimate so far.
+            %ESTIMATE  Estimate so far: mean, clipped mean or median of the images as the scene says.
             %   e = q.estimate() returns a struct with the fields
-            %      Coefficients_nm  a column, nm, for cophase.Model.wavefront
-            %      Sigma_nm         their error bars, 1 sigma
-            %      Images           how many images are kept; Used: combined; Clipped: left out as outliers
-            %      PhasingRms_nm    RMS over the pupil of the segments' errors; PhasingSigma_nm: of their error bar
-            %      NcpaRms_nm       RMS over the pupil of the NCPA; NcpaSigma_nm: of their error bar
-            %      ReducedChi2      median of the images used
+            %      coefficients_nm  a column, nm, for cophase.Model.wavefront_nm
+            %      sigma_nm         standard deviation of each coefficient, a column, nm
+            %      covariance_nm2   covariance of the coefficients, nm^2
+            %      info             a struct: images, used, clipped (left out as outliers); phasing_rms_nm and its error bar
+            %                       phasing_sigma_nm, ncpa_rms_nm and its ncpa_sigma_nm (RMS over the pupil);
+            %                       reduced_chi2, the median of the images used
+            %
+            %   From eight images on, outliers are found by comparing images, and error bars are from the scatter between
+            %   them.
             %
             %   Example:
             %       e = q.estimate();
-            %       [phasing_nm, ncpa_nm] = m.wavefront(e.Coefficients_nm);
+            %       [phasing_nm, ncpa_nm] = m.wavefront_nm(e.coefficients_nm);
             %
-            %   See also cophase.Sequence.covariance, cophase.Sequence.imagesNeeded.
+            %   See also cophase.Sequence.images_needed.
             result = cophase_mex('sequence.estimate', self.id);
         end
 
-        function covariance_nm2 = covariance(self)
-            %COVARIANCE  Of the estimate's coefficients.
-            %   C = q.covariance() returns m.Modes x m.Modes, nm^2.
-            %
-            %   See also cophase.Sequence.estimate, cophase.Session.covariance.
-            covariance_nm2 = cophase_mex('sequence.covariance', self.id);
-        end
-
-        function images = imagesNeeded(self, phasing_nm, ncpa_nm)
-            %IMAGESNEEDED  How many more images an accuracy asks for.
-            %   n = q.imagesNeeded(phasing_nm, ncpa_nm) returns the number of further images until both error bars, RMS
-            %   over the pupil, are at most these. Inf asks nothing of one.
+        function images = images_needed(self, phasing_nm, ncpa_nm)
+            %IMAGES_NEEDED  Number of further images for an accuracy.
+            %   n = q.images_needed(phasing_nm, ncpa_nm) returns the number of further images like those so far that bring
+            %   both error bars, nm RMS over the pupil, down to these; 0 if they are. Inf asks nothing of an error bar.
             %
             %   Example:
-            %       n = q.imagesNeeded(10, Inf);
+            %       n = q.images_needed(10, Inf);
             %
             %   See also cophase.Sequence.estimate.
             if nargin < 3
@@ -86,7 +79,7 @@ classdef Sequence < cophase.Handle
         end
 
         function clear(self)
-            %CLEAR  Forgets all images.
+            %CLEAR  Drops all images.
             %   q.clear()
             %
             %   See also cophase.Sequence.push.

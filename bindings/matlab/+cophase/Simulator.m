@@ -1,12 +1,12 @@
 classdef Simulator < cophase.Handle
-    %SIMULATOR  A simulated AO system under a sky.
-    %   s = cophase.Simulator(scene_text) builds the system that a scene (TOML) describes: turbulence, wavefront sensor,
-    %   deformable mirror, control, science camera. This takes about a second at the size of Keck.
-    %   s = cophase.Simulator(scene_text, directory) looks for the files that the scene names in a directory, and not in
-    %   the working directory.
+    %SIMULATOR  Simulator of an AO system: turbulence, wavefront sensor, mirror, control, science camera.
+    %   s = cophase.Simulator(scene_text) builds the system of a scene (TOML). This takes about a second at the size of
+    %   Keck.
+    %   s = cophase.Simulator(scene_text, directory) has the directory of the files that the scene names; the working
+    %   directory by default.
     %
-    %   s.step(n) advances the loop by n frames; the properties show the frame made last. Maps are (y, x), single. The
-    %   same scene gives the same bits as in every other language.
+    %   s.step(n) advances the loop by n frames; the properties are those of the last frame. Maps are (y, x), double. The
+    %   same scene gives the same bits in every language.
     %
     %   Failures raise cophase:<STATUS>, such as cophase:BAD_SCENE, with one sentence.
     %
@@ -15,16 +15,18 @@ classdef Simulator < cophase.Handle
     %       s.step(100);
     %       imagesc(s.image_e), axis image
     %
-    %   See also cophase.preset, cophase.Model.
+    %   See also cophase.preset, cophase.Estimator.
 
     properties (Dependent, SetAccess = private)
+        info            % sizes and state: slopes, actuators, residual_samples, truth_samples, rows, cols, frames, frame_s,
+                        % divergence_s, residual_rms_nm
         frames          % frames since the loop was closed
         frame_s         % duration of a frame, s
-        divergence_s    % time at which the loop was seen to diverge, s; NaN while it has not
-        slopes_mas      % slopes: along x for every subaperture, then along y, mas
+        divergence_s    % time at which the loop diverged, s; NaN while it has not
+        slopes_mas      % measured slopes, along x for every subaperture, then along y, mas
         commands_nm     % commands on the mirror, nm of wavefront
         residual_nm     % residual wavefront (y, x), nm; NaN where the pupil has no light
-        residual_rms_nm % its RMS over the pupil, piston removed, nm
+        residual_rms_nm % RMS of the residual wavefront over the pupil, piston removed, nm
         image_e         % defocused image (y, x) with the scene's noise, electrons
         phasing_nm      % true phasing errors of the segments (y, x), nm; NaN outside the pupil
         ncpa_nm         % true non-common path aberrations (y, x), nm; NaN outside the pupil
@@ -38,19 +40,19 @@ classdef Simulator < cophase.Handle
             if nargin < 2
                 directory = '';
             end
-            self.create('simulator', scene_text, directory);
+            self.create('simulator.create', scene_text, directory);
         end
 
         function step(self, frames)
             %STEP  Advances the loop.
             %   s.step(n) advances it by n frames; by one, if n is left out. A loop that diverges goes on: see
-            %   divergence_s. Ctrl-C stops between frames; what was made until then is there.
+            %   divergence_s. Ctrl-C stops between frames; those made until then remain.
             %
             %   See also cophase.Simulator.
             if nargin < 2
                 frames = 1;
             end
-            % Some tens of milliseconds at a time, so that Ctrl-C is heard.
+            % Some tens of milliseconds at a time, for Ctrl-C.
             while frames > 256
                 cophase_mex('simulator.step', self.id, 256);
                 frames = frames - 256;
@@ -58,46 +60,62 @@ classdef Simulator < cophase.Handle
             cophase_mex('simulator.step', self.id, frames);
         end
 
+        function value = get.info(self)
+            value = cophase_mex('simulator.info', self.id);
+        end
+
         function value = get.frames(self)
-            value = cophase_mex('simulator.frames', self.id);
+            value = self.info.frames;
         end
 
         function value = get.frame_s(self)
-            value = cophase_mex('simulator.frame_s', self.id);
+            value = self.info.frame_s;
         end
 
         function value = get.divergence_s(self)
-            value = cophase_mex('simulator.divergence_s', self.id);
+            value = self.info.divergence_s;
         end
 
         function value = get.slopes_mas(self)
-            value = cophase_mex('simulator.slopes_mas', self.id);
+            value = cophase_mex('simulator.array', self.id, 'SLOPES_MAS', self.info.slopes);
         end
 
         function value = get.commands_nm(self)
-            value = cophase_mex('simulator.commands_nm', self.id);
+            value = cophase_mex('simulator.array', self.id, 'COMMANDS_NM', self.info.actuators);
         end
 
         function value = get.residual_nm(self)
-            value = cophase_mex('simulator.residual_nm', self.id);
+            samples = self.info.residual_samples;
+            value = self.maps_of('RESIDUAL_NM', samples, samples, 1);
         end
 
         function value = get.residual_rms_nm(self)
-            value = cophase_mex('simulator.residual_rms_nm', self.id);
+            value = self.info.residual_rms_nm;
         end
 
         function value = get.image_e(self)
-            value = cophase_mex('simulator.image_e', self.id);
+            value = self.maps_of('IMAGE_E', self.info.rows, self.info.cols, 1);
         end
 
         function value = get.phasing_nm(self)
-            truth_nm = cophase_mex('simulator.truth_nm', self.id);
+            truth_nm = self.truth_nm();
             value = truth_nm(:, :, 1);
         end
 
         function value = get.ncpa_nm(self)
-            truth_nm = cophase_mex('simulator.truth_nm', self.id);
+            truth_nm = self.truth_nm();
             value = truth_nm(:, :, 2);
+        end
+    end
+
+    methods (Access = private)
+        function maps = truth_nm(self)
+            samples = self.info.truth_samples;
+            maps = self.maps_of('TRUTH_NM', samples, samples, 2);
+        end
+
+        function maps = maps_of(self, what, rows, cols, count)
+            maps = cophase.Handle.maps(cophase_mex('simulator.array', self.id, what, rows * cols * count), rows, cols);
         end
     end
 end

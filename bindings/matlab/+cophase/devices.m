@@ -1,16 +1,16 @@
 function list = devices()
-    %DEVICES  Where images can be fitted.
-    %   list = cophase.devices() returns a struct for each device, with the fields Address, for the option 'Device' of
-    %   cophase.Session, and Name.
+    %DEVICES  Devices of this machine.
+    %   list = cophase.devices() returns a struct for each device, with the fields name, for the option 'device' of
+    %   cophase.Session, and description. The first is always the CPU.
     %
     %   Example:
     %       list = cophase.devices();
-    %       s = cophase.Session(m, 'Device', list(end).Address);
+    %       s = cophase.Session(m, 'device', list(end).name);
     %
     %   See also cophase.Session.
     lines = regexp(cophase_mex('devices'), '([^\t\n]*)\t([^\n]*)', 'tokens');
-    list = struct('Address', cell(numel(lines), 1), 'Name', '');
+    list = struct('name', cell(numel(lines), 1), 'description', '');
     for i = 1:numel(lines)
-        [list(i).Address, list(i).Name] = lines{i}{:};
+        [list(i).name, list(i).description] = lines{i}{:};
     end
 end

@@ -1,12 +1,9 @@
-/* What comes from MATLAB and what goes back, checked. */
+/* Arguments from MATLAB, checked, and results for it. */
 #include "gateway.h"
 #include <ctype.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-
-/* Of a sentence: what the library keeps of one, and its zero. */
-#define SENTENCE_BYTES 2049
 
 static void fail_with(cophase_status status, const char *sentence)
 {
@@ -44,6 +41,15 @@ double number(const mxArray *value, const char *name)
     return mxGetScalar(value);
 }
 
+double chosen(const mxArray *value, const char *name)
+{
+    const double given = number(value, name);
+
+    if (given == 0.0)
+        fail(COPHASE_BAD_VALUE, "%s is 0: another number is accepted, or [] for the default", name);
+    return given;
+}
+
 size_t whole(const mxArray *value, size_t least, const char *name)
 {
     const double given = number(value, name);
@@ -52,6 +58,15 @@ size_t whole(const mxArray *value, size_t least, const char *name)
     if (!(given >= (double)least && given <= 9007199254740992.0) || given != (double)(uint64_t)given)
         fail(COPHASE_BAD_VALUE, "%s is %g: a whole number from %lu on is accepted", name, given, (unsigned long)least);
     return (size_t)given;
+}
+
+int32_t threads(const mxArray *value)
+{
+    const double given = chosen(value, "threads");
+
+    if (!(given >= -1.0 && given <= 65536.0) || given != (double)(int32_t)given)
+        fail(COPHASE_BAD_VALUE, "threads is %g: a number of threads, or -1 for one per processor, is accepted", given);
+    return (int32_t)given;
 }
 
 const char *text(const mxArray *value, const char *name)
@@ -192,18 +207,82 @@ void options(int inputs, const mxArray **in, const char *const *names, const mxA
     }
 }
 
-mxArray *maps(size_t rows, size_t cols, size_t count, cophase_array_f32 *view)
-{
-    const mwSize extents[3] = {rows, cols, count};
-    mxArray *stack = mxCreateNumericArray(3, extents, mxSINGLE_CLASS, mxREAL);
+mxArray *column(size_t count) { return mxCreateDoubleMatrix(count, 1, mxREAL); }
 
-    view->data = (float *)mxGetData(stack);
-    view->count = count, view->rows = rows, view->cols = cols;
-    view->count_stride = (ptrdiff_t)(rows * cols), view->row_stride = 1, view->col_stride = (ptrdiff_t)rows;
-    return stack;
+mxArray *long_text(text_call *call, const void *object, int32_t what, size_t index)
+{
+    char *memory;
+    size_t length;
+
+    check(call(object, what, index, NULL, 0, &length));
+    memory = (char *)mxMalloc(length + 1);
+    check(call(object, what, index, memory, length + 1, &length));
+    return mxCreateString(memory);
 }
 
-void set_number(mxArray *record, size_t index, const char *field, double value)
+int32_t constant(const mxArray *value, const constant_name *constants)
 {
-    mxSetField(record, index, field, mxCreateDoubleScalar(value));
+    const char *name = text(value, "the constant");
+
+    for (; constants->name != NULL; constants++)
+        if (name != NULL && strcmp(name, constants->name) == 0)
+            return constants->number;
+    fail(COPHASE_BAD_ARGUMENT, "cophase_mex has no constant '%s'", name == NULL ? "" : name);
+    return 0;
+}
+
+const constant_name POLICIES[] = {{"full", COPHASE_POLICY_FULL}, {"realtime", COPHASE_POLICY_REALTIME}, {NULL, 0}};
+const constant_name PRECISIONS[] = {{"f32", COPHASE_F32}, {"f64", COPHASE_F64}, {NULL, 0}};
+
+int32_t choice(const mxArray *value, const constant_name *choices, const char *name)
+{
+    const char *given = text(value, name);
+    const constant_name *row;
+
+    for (row = choices; row->name != NULL; row++)
+        if (given != NULL && strcmp(given, row->name) == 0)
+            return row->number;
+    fail(COPHASE_BAD_VALUE, "%s is '%s': '%s' or '%s' is accepted", name, given == NULL ? "" : given, choices[0].name,
+         choices[1].name);
+    return 0;
+}
+
+/* A field of a struct of the library in MATLAB's terms. */
+static mxArray *value_of(const field *field, const char *item)
+{
+    const void *at = item + field->offset;
+    const constant_name *name = field->names;
+
+    switch (field->kind) {
+    case IS_SIZE:
+        return mxCreateDoubleScalar((double)*(const size_t *)at);
+    case IS_COUNT:
+        return mxCreateDoubleScalar((double)*(const uint64_t *)at);
+    case IS_INT:
+        return mxCreateDoubleScalar(*(const int32_t *)at);
+    case IS_DOUBLE:
+        return mxCreateDoubleScalar(*(const double *)at);
+    case IS_LOGICAL:
+        return mxCreateLogicalScalar(*(const int32_t *)at != 0);
+    case IS_STATUS:
+        return mxCreateString(cophase_status_name(*(const int32_t *)at));
+    case IS_NAMED:
+        while (name->name != NULL && name->number != *(const int32_t *)at)
+            name++;
+        return mxCreateString(name->name == NULL ? "" : name->name);
+    }
+    return NULL;
+}
+
+mxArray *structs(const field *fields, const void *items, size_t size, size_t count)
+{
+    mxArray *result = mxCreateStructMatrix(count, 1, 0, NULL);
+    size_t i;
+
+    for (; fields->name != NULL; fields++) {
+        mxAddField(result, fields->name);
+        for (i = 0; i < count; i++)
+            mxSetField(result, i, fields->name, value_of(fields, (const char *)items + i * size));
+    }
+    return result;
 }

@@ -1,7 +1,8 @@
-/* The one gateway from MATLAB and Octave to libcophase: cophase_mex(COMMAND, ...), for the classes in +cophase only.
+/* Gateway from MATLAB and Octave to libcophase: cophase_mex(COMMAND, ...), for the classes in +cophase only.
  *
- * It uses nothing but the public header. What fails raises cophase:<STATUS> with the library's sentence. Arrays are
- * read and filled in MATLAB's column order through their strides, so nothing is copied or transposed. */
+ * It uses the public headers only. A failure raises cophase:<STATUS> with the library's sentence. Inputs are read in
+ * MATLAB's column order by their strides, without a copy. Outputs are columns of doubles in C order, which the classes
+ * reshape and permute. */
 #include "gateway.h"
 #include <string.h>
 
@@ -18,19 +19,22 @@ static void do_version(int outputs, mxArray **out, int inputs, const mxArray **i
     out[0] = mxCreateString(cophase_version());
 }
 
-/* As text: a line for each device, its address and its name with a tab between. */
-static void do_devices(int outputs, mxArray **out, int inputs, const mxArray **in)
+static cophase_status device_list(const void *object, int32_t what, size_t index, char *text, size_t capacity,
+                                  size_t *length)
 {
-    char *lines;
-    size_t length;
-
-    check(cophase_device_list(NULL, 0, &length));
-    lines = (char *)mxMalloc(length + 1);
-    check(cophase_device_list(lines, length + 1, &length));
-    out[0] = mxCreateString(lines);
+    return cophase_device_list(text, capacity, length);
 }
 
-/* (names, NAME, VALUE, ...): for each of the names which argument after `names` is its value; 0: none. */
+/* A text: a line for each device, its name, a tab, and a description. */
+static void do_devices(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    out[0] = long_text(device_list, NULL, 0, 0);
+}
+
+/* (object) */
+static void do_delete(int outputs, mxArray **out, int inputs, const mxArray **in) { handle_delete(in[0]); }
+
+/* (names, NAME, VALUE, ...): for each of the names, the index of its value among the arguments after `names`; 0: none. */
 static void do_options(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const size_t count = mxIsCell(in[0]) ? mxGetNumberOfElements(in[0]) : 0;
@@ -56,12 +60,12 @@ static const command COMMANDS[] = {
     {"version", 0, 0, do_version},
     {"devices", 0, 0, do_devices},
     {"options", 1, ANY_NUMBER, do_options},
+    {"delete", 1, 1, do_delete},
     {NULL, 0, 0, NULL},
 };
 
 static const command *const TABLES[] = {
-    COMMANDS,          MODEL_COMMANDS,     SESSION_COMMANDS,    FIT_COMMANDS,
-    SEQUENCE_COMMANDS, SIMULATOR_COMMANDS, FULL_PHASE_COMMANDS,
+    COMMANDS, MODEL_COMMANDS, ESTIMATE_COMMANDS, SESSION_COMMANDS, SEQUENCE_COMMANDS, SIMULATOR_COMMANDS,
 };
 
 static const command *command_of(const char *name, int inputs)
@@ -73,7 +77,7 @@ static const command *command_of(const char *name, int inputs)
         for (row = TABLES[table]; row->name != NULL; row++)
             if (strcmp(name, row->name) == 0 && inputs >= row->least && inputs <= row->most)
                 return row;
-    fail(COPHASE_BAD_ARGUMENT, "cophase_mex knows no command '%s' with %d arguments", name, inputs);
+    fail(COPHASE_BAD_ARGUMENT, "cophase_mex has no command '%s' with %d arguments", name, inputs);
     return NULL;
 }
 
@@ -86,6 +90,6 @@ void mexFunction(int outputs, mxArray **out, int inputs, const mxArray **in)
         fail(COPHASE_BAD_FILE, "libcophase has the C interface %u where cophase_mex was built for %u: run build again",
              (unsigned)cophase_abi_version(), (unsigned)COPHASE_ABI_VERSION);
     if (name == NULL || outputs > 2)
-        fail(COPHASE_BAD_ARGUMENT, "cophase_mex is for the classes in +cophase: use those");
+        fail(COPHASE_BAD_ARGUMENT, "cophase_mex is for the classes in +cophase only: use those");
     command_of(name, inputs - 1)->run(outputs, out, inputs - 1, in + 1);
 }

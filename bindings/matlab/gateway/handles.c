@@ -1,17 +1,23 @@
-/* The objects that are alive, by number. */
+/* The objects of the library that MATLAB holds, by number. */
 #include "gateway.h"
 #include <stdlib.h>
 
 static live *all_live = NULL;
 static double last_id = 0.0;
 
-static const char *const CLASSES[] = {"Model", "Session", "Sequence", "Simulator", "FullPhase"};
+static const char *const CLASSES[] = {"Model", "Estimator", "Estimate", "Session", "Sequence", "Simulator"};
 
 static void destroy_object(noun noun, void *object)
 {
     switch (noun) {
     case MODEL:
         cophase_model_destroy((cophase_model *)object);
+        break;
+    case ESTIMATOR:
+        cophase_estimator_destroy((cophase_estimator *)object);
+        break;
+    case ESTIMATE:
+        cophase_estimate_destroy((cophase_estimate *)object);
         break;
     case SESSION:
         cophase_session_destroy((cophase_session *)object);
@@ -22,13 +28,10 @@ static void destroy_object(noun noun, void *object)
     case SIMULATOR:
         cophase_simulator_destroy((cophase_simulator *)object);
         break;
-    case FULL_PHASE:
-        cophase_full_phase_destroy((cophase_full_phase *)object);
-        break;
     }
 }
 
-live *handle_new(noun noun, void *object, size_t modes)
+mxArray *handle_new(noun noun, void *object, size_t modes)
 {
     live *born = (live *)malloc(sizeof(live));
 
@@ -46,29 +49,34 @@ live *handle_new(noun noun, void *object, size_t modes)
     all_live = born;
     /* `clear mex` must not unload a library whose objects are in use. */
     mexLock();
-    return born;
+    return mxCreateDoubleScalar(born->id);
 }
 
-/* Where the pointer to an object stands in the list. */
-static live **place_of(const mxArray *value, noun noun)
+/* The pointer in the list to the object of a number; NULL if there is none. */
+static live **place_of(const mxArray *value)
 {
     live **place = &all_live;
-    double id = 0.0; /* nobody's */
+    double id = 0.0; /* of no object */
 
     if (mxIsDouble(value) && !mxIsComplex(value) && mxGetNumberOfElements(value) == 1)
         id = mxGetScalar(value);
     while (*place != NULL && (*place)->id != id)
         place = &(*place)->next;
-    if (*place == NULL)
-        fail(COPHASE_BAD_ARGUMENT, "there is no such %s, or it was deleted: a cophase.%s that is alive is accepted",
-              CLASSES[noun], CLASSES[noun]);
-    if ((*place)->noun != noun)
-        fail(COPHASE_BAD_ARGUMENT, "this is a cophase.%s: a cophase.%s is accepted", CLASSES[(*place)->noun],
-              CLASSES[noun]);
-    return place;
+    return *place == NULL ? NULL : place;
 }
 
-live *handle_of(const mxArray *value, noun noun) { return *place_of(value, noun); }
+live *handle_of(const mxArray *value, noun noun)
+{
+    live **place = place_of(value);
+
+    if (place == NULL)
+        fail(COPHASE_BAD_ARGUMENT, "there is no such %s, or it was deleted: a cophase.%s that exists is accepted",
+             CLASSES[noun], CLASSES[noun]);
+    if ((*place)->noun != noun)
+        fail(COPHASE_BAD_ARGUMENT, "this is a cophase.%s: a cophase.%s is accepted", CLASSES[(*place)->noun],
+             CLASSES[noun]);
+    return *place;
+}
 
 static void delete_at(live **place)
 {
@@ -79,9 +87,13 @@ static void delete_at(live **place)
     free(gone);
 }
 
-void handle_delete(const mxArray *value, noun noun)
+void handle_delete(const mxArray *value)
 {
-    delete_at(place_of(value, noun));
+    live **place = place_of(value);
+
+    if (place == NULL)
+        fail(COPHASE_BAD_ARGUMENT, "there is no such object, or it was deleted");
+    delete_at(place);
     mexUnlock();
 }
 

@@ -1,9 +1,9 @@
 /* Ctrl-C during a long call.
  *
- * MATLAB and Octave act on Ctrl-C between statements only. While a call runs they take note of it, SIGINT included, and
- * that note can be read: in Octave's quit.h, and in MATLAB's libut, which is undocumented but has been the same for
- * twenty years. Only the thread that was called may ask. So that one waits and asks, and the work is done in another.
- * MATLAB's compilers for Windows have no pthreads in common: there the work is done here, and a deadline bounds it. */
+ * MATLAB and Octave act on Ctrl-C between statements only. While a call runs they set a flag, also on SIGINT: in Octave it
+ * is in quit.h, in MATLAB in libut, which is undocumented but has been the same for twenty years. Only the thread that was
+ * called may read it. So this thread waits and reads the flag, and another one does the work. MATLAB's compilers for
+ * Windows have no pthreads in common: there this thread does the work, and a deadline bounds it. */
 #include "gateway.h"
 
 #if defined(_WIN32) && defined(MATLAB_MEX_FILE)
@@ -20,7 +20,7 @@ void interruptible(cancel_call *cancel, const void *object, cophase_status (*wor
 #include <string.h>
 #include <time.h>
 
-/* Whether Ctrl-C was pressed. It is heard then: nothing else stops because of it. */
+/* Whether Ctrl-C was pressed. Clears the flag, so that nothing else stops because of it. */
 #ifdef MATLAB_MEX_FILE
 
 extern bool utIsInterruptPending(void);
@@ -50,10 +50,10 @@ static int ctrl_c(void)
 
 #endif
 
-/* How often Ctrl-C is asked for: soon for a hand, seldom for a processor. */
+/* Interval between two looks at the flag: short for a person, long for a processor. */
 #define POLL_NS 20000000L
 
-/* What a new thread has on Linux; macOS would give it a sixteenth of this, too little for the library's frames. */
+/* Stack of a new thread on Linux. The default of macOS is a sixteenth of this, too little for the library. */
 #define STACK_BYTES (8u << 20)
 
 typedef struct job {
@@ -62,7 +62,7 @@ typedef struct job {
     cophase_status (*work)(void *);
     void *argument;
     cophase_status status;
-    char sentence[2049]; /* of a failure: it is known to the thread alone that failed */
+    char sentence[SENTENCE_BYTES]; /* of a failure: only the thread that failed can read it */
     int done;
     pthread_mutex_t lock;
     pthread_cond_t ended;
@@ -83,7 +83,7 @@ static void *do_work(void *argument)
     return NULL;
 }
 
-/* Until the job is done; tells whether there was a Ctrl-C before. */
+/* Waits until the job is done; whether there was a Ctrl-C before. */
 static int wait_for(job *job)
 {
     int pressed = 0;
@@ -106,7 +106,7 @@ static int wait_for(job *job)
     return pressed;
 }
 
-/* The job in a thread of its own, or where none is to be had in this one, deaf to Ctrl-C. */
+/* Does the job in a thread of its own, or in this one, without Ctrl-C, if no thread can be started. */
 static int run(job *job)
 {
     pthread_attr_t attributes;
@@ -142,8 +142,8 @@ void interruptible(cancel_call *cancel, const void *object, cophase_status (*wor
     pthread_cond_destroy(&job.ended);
     pthread_mutex_destroy(&job.lock);
 
-    /* Cancelled when all was done but the end: that would fall on the next call, which nobody wants to stop. Let it fall
-     * on this one, once more. */
+    /* The work ended before it was cancelled: the cancellation would stop the next call. Make this call once more, which it
+     * stops instead. */
     if (pressed && job.status != COPHASE_INTERRUPTED)
         work(argument);
     if (pressed)

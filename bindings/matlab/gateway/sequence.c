@@ -3,19 +3,14 @@
 
 static cophase_sequence *sequence_of(const live *sequence) { return (cophase_sequence *)sequence->object; }
 
-/* (model, capacity): the number of a new sequence. */
+/* (model, capacity): a new sequence. */
 static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *model = handle_of(in[0], MODEL);
     cophase_sequence *sequence;
 
     check(cophase_sequence_create((const cophase_model *)model->object, whole(in[1], 1, "capacity"), &sequence));
-    out[0] = mxCreateDoubleScalar(handle_new(SEQUENCE, sequence, model->modes)->id);
-}
-
-static void do_delete(int outputs, mxArray **out, int inputs, const mxArray **in)
-{
-    handle_delete(in[0], SEQUENCE);
+    out[0] = handle_new(SEQUENCE, sequence, model->modes);
 }
 
 /* (sequence, session): all images of its last fit. */
@@ -26,47 +21,50 @@ static void do_push(int outputs, mxArray **out, int inputs, const mxArray **in)
     check(cophase_sequence_push(sequence, (const cophase_session *)handle_of(in[1], SESSION)->object));
 }
 
+/* (sequence) */
 static void do_clear(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    check(cophase_sequence_clear(sequence_of(handle_of(in[0], SEQUENCE))));
+    check(cophase_sequence_push(sequence_of(handle_of(in[0], SEQUENCE)), NULL));
 }
 
-/* A struct. */
+static const field REPORT[] = {
+    FIELD(cophase_sequence_report, images, IS_SIZE),
+    FIELD(cophase_sequence_report, used, IS_SIZE),
+    FIELD(cophase_sequence_report, clipped, IS_SIZE),
+    FIELD(cophase_sequence_report, phasing_rms_nm, IS_DOUBLE),
+    FIELD(cophase_sequence_report, phasing_sigma_nm, IS_DOUBLE),
+    FIELD(cophase_sequence_report, ncpa_rms_nm, IS_DOUBLE),
+    FIELD(cophase_sequence_report, ncpa_sigma_nm, IS_DOUBLE),
+    FIELD(cophase_sequence_report, reduced_chi2, IS_DOUBLE),
+    END_OF_FIELDS,
+};
+
+static void set(mxArray *record, const char *name, mxArray *value)
+{
+    mxAddField(record, name);
+    mxSetField(record, 0, name, value);
+}
+
+/* (sequence): a struct. */
 static void do_estimate(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    static const char *FIELDS[] = {"Coefficients_nm", "Sigma_nm",         "Images",      "Used",         "Clipped",
-                                   "PhasingRms_nm",   "PhasingSigma_nm", "NcpaRms_nm", "NcpaSigma_nm", "ReducedChi2"};
     const live *sequence = handle_of(in[0], SEQUENCE);
-    mxArray *coefficients_nm = mxCreateDoubleMatrix(sequence->modes, 1, mxREAL);
-    mxArray *sigma_nm = mxCreateDoubleMatrix(sequence->modes, 1, mxREAL);
-    cophase_sequence_report report;
+    const size_t modes = sequence->modes;
+    mxArray *coefficients_nm = column(modes), *sigma_nm = column(modes);
+    mxArray *covariance_nm2 = mxCreateDoubleMatrix(modes, modes, mxREAL);
+    cophase_sequence_report report = {0};
 
-    check(cophase_sequence_estimate(sequence_of(sequence), (double *)mxGetData(coefficients_nm),
-                                    (double *)mxGetData(sigma_nm), sequence->modes, &report, sizeof report));
-    out[0] = mxCreateStructMatrix(1, 1, sizeof FIELDS / sizeof FIELDS[0], FIELDS);
-    mxSetField(out[0], 0, "Coefficients_nm", coefficients_nm);
-    mxSetField(out[0], 0, "Sigma_nm", sigma_nm);
-    set_number(out[0], 0, "Images", (double)report.images);
-    set_number(out[0], 0, "Used", (double)report.used);
-    set_number(out[0], 0, "Clipped", (double)report.clipped);
-    set_number(out[0], 0, "PhasingRms_nm", report.phasing_rms_nm);
-    set_number(out[0], 0, "PhasingSigma_nm", report.phasing_sigma_nm);
-    set_number(out[0], 0, "NcpaRms_nm", report.ncpa_rms_nm);
-    set_number(out[0], 0, "NcpaSigma_nm", report.ncpa_sigma_nm);
-    set_number(out[0], 0, "ReducedChi2", report.reduced_chi2);
+    /* The covariance is symmetric: rows are columns. */
+    check(cophase_sequence_estimate(sequence_of(sequence), mxGetPr(coefficients_nm), mxGetPr(sigma_nm),
+                                    mxGetPr(covariance_nm2), modes, &report, sizeof report));
+    out[0] = mxCreateStructMatrix(1, 1, 0, NULL);
+    set(out[0], "coefficients_nm", coefficients_nm);
+    set(out[0], "sigma_nm", sigma_nm);
+    set(out[0], "covariance_nm2", covariance_nm2);
+    set(out[0], "info", structs(REPORT, &report, sizeof report, 1));
 }
 
-/* modes x modes, nm^2. */
-static void do_covariance(int outputs, mxArray **out, int inputs, const mxArray **in)
-{
-    const live *sequence = handle_of(in[0], SEQUENCE);
-
-    out[0] = mxCreateDoubleMatrix(sequence->modes, sequence->modes, mxREAL);
-    /* Symmetric: rows are columns. */
-    check(cophase_sequence_covariance_nm2(sequence_of(sequence), (double *)mxGetData(out[0]), sequence->modes));
-}
-
-/* (sequence, phasing_nm, ncpa_nm): further images that the error bars ask for. */
+/* (sequence, phasing_nm, ncpa_nm): number of further images. */
 static void do_images_needed(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *sequence = handle_of(in[0], SEQUENCE);
@@ -79,11 +77,9 @@ static void do_images_needed(int outputs, mxArray **out, int inputs, const mxArr
 
 const command SEQUENCE_COMMANDS[] = {
     {"sequence.create", 2, 2, do_create},
-    {"sequence.delete", 1, 1, do_delete},
     {"sequence.push", 2, 2, do_push},
     {"sequence.clear", 1, 1, do_clear},
     {"sequence.estimate", 1, 1, do_estimate},
-    {"sequence.covariance", 1, 1, do_covariance},
     {"sequence.images_needed", 3, 3, do_images_needed},
     {NULL, 0, 0, NULL},
 };

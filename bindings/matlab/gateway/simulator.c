@@ -1,61 +1,19 @@
 /* cophase.Simulator. */
 #include "gateway.h"
 
-typedef cophase_status size_call(const cophase_simulator *, size_t *);
-typedef cophase_status number_call(const cophase_simulator *, double *);
-typedef cophase_status values_call(const cophase_simulator *, float *, size_t);
-typedef cophase_status maps_call(const cophase_simulator *, const cophase_array_f32 *);
-
 static cophase_simulator *simulator_of(const mxArray *value)
 {
     return (cophase_simulator *)handle_of(value, SIMULATOR)->object;
 }
 
-static mxArray *scalar(const mxArray *simulator, number_call *call)
-{
-    double value;
-
-    check(call(simulator_of(simulator), &value));
-    return mxCreateDoubleScalar(value);
-}
-
-/* A column of single values. */
-static mxArray *values(const mxArray *simulator, size_call *size, values_call *call)
-{
-    size_t count;
-    mxArray *column;
-
-    check(size(simulator_of(simulator), &count));
-    column = mxCreateNumericMatrix(count, 1, mxSINGLE_CLASS, mxREAL);
-    check(call(simulator_of(simulator), (float *)mxGetData(column), count));
-    return column;
-}
-
-static mxArray *stack(const mxArray *simulator, size_t count, size_call *size, maps_call *call)
-{
-    size_t side;
-    mxArray *result;
-    cophase_array_f32 view;
-
-    check(size(simulator_of(simulator), &side));
-    result = maps(side, side, count, &view);
-    check(call(simulator_of(simulator), &view));
-    return result;
-}
-
-/* (scene_text, directory): the number of a new simulator. */
+/* (scene_text, directory): a new simulator. */
 static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const char *scene_text = text(in[0], "scene_text"), *directory = text(in[1], "directory");
     cophase_simulator *simulator;
 
     check(cophase_simulator_create(scene_text == NULL ? "" : scene_text, directory, &simulator));
-    out[0] = mxCreateDoubleScalar(handle_new(SIMULATOR, simulator, 0)->id);
-}
-
-static void do_delete(int outputs, mxArray **out, int inputs, const mxArray **in)
-{
-    handle_delete(in[0], SIMULATOR);
+    out[0] = handle_new(SIMULATOR, simulator, 0);
 }
 
 /* (simulator, frames) */
@@ -66,49 +24,47 @@ static void do_step(int outputs, mxArray **out, int inputs, const mxArray **in)
     check(cophase_simulator_step(simulator, (uint64_t)whole(in[1], 0, "frames")));
 }
 
-static void do_frames(int outputs, mxArray **out, int inputs, const mxArray **in)
-{
-    uint64_t frames;
+static const field INFO[] = {
+    FIELD(cophase_simulator_info, slopes, IS_SIZE),
+    FIELD(cophase_simulator_info, actuators, IS_SIZE),
+    FIELD(cophase_simulator_info, residual_samples, IS_SIZE),
+    FIELD(cophase_simulator_info, truth_samples, IS_SIZE),
+    FIELD(cophase_simulator_info, rows, IS_SIZE),
+    FIELD(cophase_simulator_info, cols, IS_SIZE),
+    FIELD(cophase_simulator_info, frames, IS_COUNT),
+    FIELD(cophase_simulator_info, frame_s, IS_DOUBLE),
+    FIELD(cophase_simulator_info, divergence_s, IS_DOUBLE),
+    FIELD(cophase_simulator_info, residual_rms_nm, IS_DOUBLE),
+    END_OF_FIELDS,
+};
 
-    check(cophase_simulator_frames(simulator_of(in[0]), &frames));
-    out[0] = mxCreateDoubleScalar((double)frames);
+/* (simulator): a struct. */
+static void do_info(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    cophase_simulator_info info = {0};
+
+    check(cophase_simulator_get_info(simulator_of(in[0]), &info, sizeof info));
+    out[0] = structs(INFO, &info, sizeof info, 1);
 }
 
-static void do_image_e(int outputs, mxArray **out, int inputs, const mxArray **in)
+#define ARRAY(name) {#name, COPHASE_ARRAY_##name}
+static const constant_name ARRAYS[] = {
+    ARRAY(SLOPES_MAS), ARRAY(COMMANDS_NM), ARRAY(RESIDUAL_NM), ARRAY(IMAGE_E), ARRAY(TRUTH_NM), {NULL, 0},
+};
+
+/* (simulator, 'IMAGE_E', count): a column. */
+static void do_array(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    cophase_simulator *simulator = simulator_of(in[0]);
-    size_t rows, cols;
-    cophase_array_f32 view;
+    const size_t count = whole(in[2], 1, "count");
 
-    check(cophase_simulator_image_shape(simulator, &rows, &cols));
-    out[0] = maps(rows, cols, 1, &view);
-    check(cophase_simulator_image_e(simulator, &view));
+    out[0] = column(count);
+    check(cophase_simulator_array(simulator_of(in[0]), constant(in[1], ARRAYS), mxGetPr(out[0]), count));
 }
-
-/* A command that takes a simulator and returns one value. */
-#define GET(name, value)                                                                                               \
-    static void do_##name(int outputs, mxArray **out, int inputs, const mxArray **in) { out[0] = value; }
-
-GET(frame_s, scalar(in[0], cophase_simulator_frame_s))
-GET(divergence_s, scalar(in[0], cophase_simulator_divergence_s))
-GET(residual_rms_nm, scalar(in[0], cophase_simulator_residual_rms_nm))
-GET(slopes_mas, values(in[0], cophase_simulator_slope_count, cophase_simulator_slopes_mas))
-GET(commands_nm, values(in[0], cophase_simulator_actuator_count, cophase_simulator_commands_nm))
-GET(residual_nm, stack(in[0], 1, cophase_simulator_residual_samples, cophase_simulator_residual_nm))
-GET(truth_nm, stack(in[0], 2, cophase_simulator_truth_samples, cophase_simulator_truth_nm))
 
 const command SIMULATOR_COMMANDS[] = {
     {"simulator.create", 2, 2, do_create},
-    {"simulator.delete", 1, 1, do_delete},
     {"simulator.step", 2, 2, do_step},
-    {"simulator.frames", 1, 1, do_frames},
-    {"simulator.frame_s", 1, 1, do_frame_s},
-    {"simulator.divergence_s", 1, 1, do_divergence_s},
-    {"simulator.slopes_mas", 1, 1, do_slopes_mas},
-    {"simulator.commands_nm", 1, 1, do_commands_nm},
-    {"simulator.residual_nm", 1, 1, do_residual_nm},
-    {"simulator.residual_rms_nm", 1, 1, do_residual_rms_nm},
-    {"simulator.image_e", 1, 1, do_image_e},
-    {"simulator.truth_nm", 1, 1, do_truth_nm},
+    {"simulator.info", 1, 1, do_info},
+    {"simulator.array", 3, 3, do_array},
     {NULL, 0, 0, NULL},
 };

@@ -1,24 +1,27 @@
-"""Phasing errors and non-common path aberrations of segmented telescopes.
+"""Phasing errors and non-common path aberrations of segmented telescopes, from defocused images of a star.
 
-The library ``libcophase`` in Python. Arrays are ``[row = y, col = x]``; units stand in the names: wavefronts ``_nm`` of
-optical path difference, angles on the sky ``_mas``, signal ``_e`` (electrons), time ``_s``.
+The library ``libcophase`` in Python. Arrays are ``[row = y, col = x]``. A unit ends each name: wavefronts ``_nm`` of optical
+path difference, angles on the sky ``_mas``, signal ``_e`` (electrons), time ``_s``.
+
+All images of a scene at once, as the program does it:
 
 >>> import cophase
+>>> estimate = cophase.Estimator(cophase.preset("keck-artificial")).estimate(frames)    # (images, rows, cols)
+>>> print(estimate.report())
+>>> estimate.phasing_nm, estimate.ncpa_nm, estimate.info.phasing_sigma_nm
+
+Images as a camera delivers them, with a deadline:
+
 >>> model = cophase.Model(cophase.preset("keck-artificial"))
 >>> session = cophase.Session(model)
->>> fit = session.fit(frame)                          # (rows, cols), or a stack of them
+>>> fit = session.fit(frame, deadline_s=0.5)                                            # (rows, cols), or a stack
 >>> segments_nm, ncpa_nm = model.wavefront_nm(fit.coefficients_nm)
 
-And a minute of sky to try it on:
+Simulated exposures behind adaptive optics:
 
 >>> simulator = cophase.Simulator(cophase.preset("keck-onsky"))
 >>> simulator.step(100)
 >>> simulator.residual_rms_nm, simulator.image_e.shape
-
-Static errors from a sequence of exposures behind adaptive optics:
-
->>> estimate = cophase.FullPhase(cophase.preset("keck-onsky")).estimate(frames, slopes_mas)
->>> estimate.report.phasing_sigma_nm, estimate.phasing_nm
 """
 
 from ._library import version
@@ -37,10 +40,11 @@ from .errors import (
     Interrupted,
     PanicError,
 )
-from .full_phase import Corrections, FullPhase, FullPhaseEstimate
+from .estimate import Correction, Estimate
+from .estimator import Estimator, Progress
 from .model import Model
 from .scene import preset
-from .sequence import Estimate, Sequence
+from .sequence import Sequence, SequenceEstimate
 from .session import Fit, Session
 from .simulator import Simulator
 
@@ -52,18 +56,19 @@ __all__ = [
     "BadShapeError",
     "BadValueError",
     "BusyError",
-    "Corrections",
+    "Correction",
     "DeviceError",
     "Error",
     "Estimate",
+    "Estimator",
     "Fit",
-    "FullPhase",
-    "FullPhaseEstimate",
     "InternalError",
     "Interrupted",
     "Model",
     "PanicError",
+    "Progress",
     "Sequence",
+    "SequenceEstimate",
     "Session",
     "Simulator",
     "devices",

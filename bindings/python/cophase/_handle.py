@@ -5,26 +5,26 @@ from __future__ import annotations
 from types import TracebackType
 from typing import Any, TypeVar
 
-from ._library import ffi, scalar
+from ._library import ffi, lib, result
 from .errors import Error
 
 _Self = TypeVar("_Self", bound="Handle")
 
 
 class Handle:
-    """What owns an object of the library. A context manager: closed where its block ends."""
+    """Owner of an object of the library. As a context manager, it is closed at the end of its block."""
 
-    # Of the class, so that close() works on what was never made.
+    # An attribute of the class, so that close() works if __init__ failed.
     _handle: Any = ffi.NULL
 
-    def _own(self, kind: str, destroy: Any, create: Any, *inputs: Any) -> None:
+    def _own(self, kind: str, create: Any, *inputs: Any) -> None:
         """Owns the ``kind`` that ``create`` makes of ``inputs``."""
-        self._handle = ffi.gc(scalar(f"{kind} *", create, *inputs), destroy)
+        self._handle = ffi.gc(result(f"{kind} *", create, *inputs), getattr(lib, f"{kind}_destroy"))
 
     def close(self) -> None:
-        """Frees it now, and not when nobody refers to it any more. Every later use raises.
+        """Frees the object now, rather than with the last reference to it. Every later call raises.
 
-        A call that is still running in another thread keeps it until that call is over.
+        A call that is still running in another thread keeps the object until it returns.
         """
         self._handle = ffi.NULL
 
@@ -41,11 +41,11 @@ class Handle:
 
     def __repr__(self) -> str:
         try:
-            says = "closed" if self._handle == ffi.NULL else self._says()
+            line = "closed" if self._handle == ffi.NULL else self._summary()
         except Error as error:  # in use by another thread, for instance
-            says = error.status
-        return f"<cophase.{type(self).__name__}: {says}>"
+            line = error.status
+        return f"<cophase.{type(self).__name__}: {line}>"
 
-    def _says(self) -> str:
-        """What there is to know of it, in a line."""
+    def _summary(self) -> str:
+        """The object in a line."""
         raise NotImplementedError

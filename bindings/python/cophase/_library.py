@@ -1,6 +1,6 @@
-"""The C library: where it is, what its header declares, how it fails.
+"""C library: its file, the declarations of its headers, its failures, its texts and structs.
 
-The declarations are read from ``cophase.h`` itself, so there is no second copy of them that could drift.
+The declarations are read from ``cophase.h`` and ``cophase_simulator.h`` themselves, so there is no copy that could differ.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import os
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cffi
@@ -21,7 +22,7 @@ _NAME = {"darwin": "libcophase.dylib", "win32": "cophase.dll"}.get(sys.platform,
 
 
 def _find(variable: str, *places: Path) -> Path:
-    """The file that the environment names, or the first of ``places`` that is there."""
+    """The file that the environment variable names, or else the first of ``places`` that exists."""
     if variable in os.environ:
         return Path(os.environ[variable])
     for place in places:
@@ -31,28 +32,29 @@ def _find(variable: str, *places: Path) -> Path:
     raise ImportError(f"{places[0].name} is in none of {looked}: set {variable} to its path")
 
 
-def _declarations(header: str) -> str:
-    """What cffi reads of a header: without the preprocessor's lines and what is for C++, numbers kept."""
-    header = re.sub(r"#ifdef __cplusplus.*?#endif[^\n]*", "", header, flags=re.DOTALL)
-    return re.sub(r"^#(?!define \w+ \d+$).*$", "", header, flags=re.MULTILINE)
+def _declarations(header: Path) -> str:
+    """A header as cffi reads it: without directives and C++, with the numbers of its constants."""
+    text = re.sub(r"#ifdef __cplusplus.*?#endif[^\n]*", "", header.read_text("utf-8"), flags=re.DOTALL)
+    return re.sub(r"^#(?!define \w+ \d+$).*$", "", text, flags=re.MULTILINE)
 
 
+_header = _find("COPHASE_HEADER", _HERE / "cophase.h", _ROOT / "include/cophase.h")
 ffi: Any = cffi.FFI()
-ffi.cdef(_declarations(_find("COPHASE_HEADER", _HERE / "cophase.h", _ROOT / "include/cophase.h").read_text("utf-8")))
-# Beside this file where a package was installed; in a source tree, what cargo built.
+ffi.cdef(_declarations(_header) + _declarations(_header.with_name("cophase_simulator.h")))
+# An installed package has the library in its own directory; a source tree has what cargo built.
 lib: Any = ffi.dlopen(
     str(_find("COPHASE_LIBRARY", _HERE / _NAME, _ROOT / "target/release" / _NAME, _ROOT / "target/debug" / _NAME))
 )
 if lib.cophase_abi_version() != lib.COPHASE_ABI_VERSION:
     raise ImportError(
-        f"libcophase has C interface {lib.cophase_abi_version()}: {lib.COPHASE_ABI_VERSION} is what its header has"
+        f"libcophase has C interface {lib.cophase_abi_version()}: {lib.COPHASE_ABI_VERSION}, that of its header, is needed"
     )
 
 _ERRORS = {kind.status: kind for kind in Error.__subclasses__()}
 
 
 def words(text: Any) -> str:
-    """A string of the library's."""
+    """A C string of the library."""
     return ffi.string(text).decode(errors="replace")
 
 
@@ -62,64 +64,90 @@ def version() -> str:
 
 
 def check(status: int) -> None:
-    """Raises the :class:`Error` of a status, unless a call succeeded. To be called on the thread that made the call."""
+    """Raises the :class:`Error` of a status other than OK. It must run in the thread that made the call."""
     if status == lib.COPHASE_OK:
         return
-    length = lib.cophase_last_error(ffi.NULL, 0)
-    sentence = ffi.new("char[]", length + 1)
-    lib.cophase_last_error(sentence, length + 1)
+    sentence = ffi.new("char[]", lib.cophase_last_error(ffi.NULL, 0) + 1)
+    lib.cophase_last_error(sentence, len(sentence))
     name = words(lib.cophase_status_name(status))
     error = _ERRORS.get(name, Error)(words(sentence))
     error.status = name
     raise error
 
 
-def scalar(kind: str, call: Any, *inputs: Any) -> Any:
-    """What ``call`` puts into its last argument, a pointer to ``kind``."""
+def result(kind: str, call: Any, *inputs: Any) -> Any:
+    """The value that ``call`` writes through its last argument, a pointer to ``kind``."""
     out = ffi.new(f"{kind} *")
     check(call(*inputs, out))
     return out[0]
 
 
-def extents(call: Any, *inputs: Any) -> tuple[int, int]:
-    """The rows and columns that ``call`` puts into its last two arguments."""
-    rows, cols = ffi.new("size_t *"), ffi.new("size_t *")
-    check(call(*inputs, rows, cols))
-    return rows[0], cols[0]
-
-
-def text_of(call: Any, *inputs: Any) -> str:
-    """What ``call`` writes as a text: its last arguments are room for it, the size of that room, and its length."""
+def library_text(call: Any, *inputs: Any) -> str:
+    """The text that ``call`` writes; its last arguments are memory for it, the size of that memory, and its length."""
     length = ffi.new("size_t *")
     check(call(*inputs, ffi.NULL, 0, length))
-    room = ffi.new("char[]", length[0] + 1)
-    check(call(*inputs, room, len(room), length))
-    return words(room)
+    memory = ffi.new("char[]", length[0] + 1)
+    check(call(*inputs, memory, len(memory), length))
+    return words(memory)
 
 
 def text(name: str, value: str | os.PathLike[str]) -> bytes:
-    """A text of the caller's as C has it."""
+    """A text of the caller as C reads it."""
     value = os.fspath(value)
     if not isinstance(value, str):
         raise TypeError(f"{name} is a {type(value).__name__}: a str is accepted")
     if "\0" in value:
-        raise ValueError(f"{name} has a zero character in place {value.index(chr(0))}: text without is accepted")
+        raise ValueError(f"{name} has a zero character at index {value.index(chr(0))}: text without is accepted")
     return value.encode()
 
 
-def folder(directory: str | os.PathLike[str] | None) -> Any:
-    """A folder of the caller's; NULL is the working directory."""
-    return ffi.NULL if directory is None else text("directory", directory)
+def path_text(name: str, path: str | os.PathLike[str] | None) -> Any:
+    """A path of the caller as C reads it; NULL for ``None``."""
+    return ffi.NULL if path is None else text(name, path)
+
+
+def constants(prefix: str) -> dict[int, str]:
+    """Names of the header's constants that begin with ``prefix``, in lower case, by their numbers."""
+    names = (name for name in dir(lib) if name.startswith(prefix))
+    return {getattr(lib, name): name[len(prefix) :].lower() for name in names}
+
+
+#: Names of the numbers in a struct of the library, by field.
+_WORDS: dict[str, dict[int, str]] = {
+    "method": constants("COPHASE_METHOD_"),
+    "policy": constants("COPHASE_POLICY_"),
+    "knows": constants("COPHASE_KNOWS_"),
+    "precision": {lib.COPHASE_F32: "f32", lib.COPHASE_F64: "f64"},
+}
+
+
+def named(field: str, value: Any) -> Any:
+    """The value of a struct's field in Python: a bool, a name (``None`` for no name), or the number itself."""
+    if field.startswith(("is_", "has_")):
+        return value != 0
+    if field == "status":
+        return words(lib.cophase_status_name(value))
+    return _WORDS[field].get(value) if field in _WORDS else value
+
+
+def struct(kind: str, call: Any, *inputs: Any) -> SimpleNamespace:
+    """The struct ``kind`` that ``call`` fills; its last arguments are the struct and its size."""
+    out = ffi.new(f"{kind} *")
+    check(call(*inputs, out, ffi.sizeof(kind)))
+    return SimpleNamespace(**{name: named(name, getattr(out, name)) for name, _ in ffi.typeof(kind).fields})
 
 
 def options(kind: str, **fields: Any) -> Any:
-    """A struct of options with the library's own defaults, but for the fields that are not ``None``."""
+    """A struct of options. Fields that are ``None`` have the library's defaults, for which C has 0; so 0 is refused."""
     out = ffi.new(f"{kind} *")
-    check(getattr(lib, f"{kind}_init")(out, ffi.sizeof(kind)))
+    out.struct_size = ffi.sizeof(kind)
     for name, value in fields.items():
-        if value is not None:
-            try:
-                setattr(out, name, value)
-            except (OverflowError, TypeError) as error:
-                raise type(error)(f"{name} is {value!r}: {error}") from None
+        if value is None:
+            continue
+        if isinstance(value, (int, float)) and value == 0:
+            raise ValueError(f"{name} is 0: another number is accepted, or None for the default")
+        try:
+            setattr(out, name, value)
+        except (OverflowError, TypeError) as error:
+            raise type(error)(f"{name} is {value!r}: {error}") from None
     return out

@@ -1,11 +1,11 @@
-"""Where sessions run."""
+"""Devices of this machine."""
 
-from ._library import lib, text_of
+from ._library import lib, library_text
 
 
 def devices() -> dict[str, str]:
-    """The devices of this machine: what each is, by the name that :class:`cophase.Session` takes.
+    """Devices of this machine: a description of each, by the name that :class:`cophase.Session` takes.
 
-    The CPU chain, ``"cpu"``, is always there, and the first. OpenCL devices are ``"opencl:PLATFORM:DEVICE"``.
+    The first is always the CPU, ``"cpu"``. OpenCL devices are ``"opencl:PLATFORM:DEVICE"``.
     """
-    return dict(line.split("\t", 1) for line in text_of(lib.cophase_device_list).split("\n"))
+    return dict(line.split("\t", 1) for line in library_text(lib.cophase_device_list).split("\n"))

@@ -1,40 +1,54 @@
-"""The model that is fitted."""
+"""Models."""
 
 from __future__ import annotations
 
 import os
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._arrays import images, input_view, maps, numbers, values
+from ._arrays import Inputs, doubles, numbers, output
 from ._handle import Handle
-from ._library import extents, folder, lib, options, scalar, text, words
+from ._library import ffi, lib, path_text, result, struct, text, words
 
 
 class Model(Handle):
-    """Telescope, modes, diversity and camera: how coefficients become an image. Immutable; any thread may use it.
+    """Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it.
 
-    Building it takes about half a second at the size of Keck. Sessions and sequences live on when it is closed.
+    Building it takes about half a second at the size of Keck. Its sessions and sequences stay usable when it is closed.
 
     Parameters
     ----------
     scene : str
-        A scene as TOML. :func:`cophase.preset` has some, ``cophase scene --reference`` lists the keys.
+        Scene as TOML text. :func:`cophase.preset` has two, ``cophase scene --reference`` lists the keys.
     directory : path, optional
-        Where the files are looked for that the scene names; without it, the working directory.
+        Directory of the files that the scene names; the working directory by default.
+
+    Attributes
+    ----------
+    modes : int
+        Number of modes, which is the number of coefficients of an image.
+    segment_modes : int
+        Number of modes that move segments; they come first, the others are NCPA modes.
+    mode_names : list of str
+        Names of the modes.
+    frame_shape : (int, int)
+        Rows and columns of a frame.
+    samples : int
+        Rows, and columns, of a wavefront map.
+    pixels : int
+        Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling.
 
     Raises
     ------
     BadSceneError
-        With the line, the key, its value and what is accepted.
+        With line, key, value and what is accepted.
     BadFileError
-        For a file of the scene's.
+        For a file of the scene.
     """
 
     def __init__(self, scene: str, directory: str | os.PathLike[str] | None = None) -> None:
-        self._create(lib.cophase_model_create, text("scene", scene), folder(directory))
+        self._create(scene, directory)
 
     @classmethod
     def from_arrays(
@@ -47,79 +61,52 @@ class Model(Handle):
         diversity_nm: ArrayLike | None = None,
         directory: str | os.PathLike[str] | None = None,
     ) -> Model:
-        """A model with pupil, modes and diversity of the caller's in place of the scene's. The arrays are copied.
+        """Model with pupil, modes and diversity of the caller's instead of the scene's. The arrays are copied.
 
-        Of the scene this leaves the camera (``[image]``), how the fit is done (``[estimate]``), and whether the pistons
-        of the segments are estimated (``modes.segment``); they come before the caller's modes.
+        The scene then gives the camera (``[image]``), the fit (``[estimate]``), and whether the pistons of the segments
+        are estimated (``modes.segment``); these come before the caller's modes.
 
         Parameters
         ----------
         pupil : (n, n) array
-            Amplitude, 0 to 1, on the grid of the scene's ``pupil.grid_m``; n even.
+            Amplitude, 0 to 1, over the scene's ``pupil.grid_m``; n even.
         segments : (n, n) array of whole numbers, optional
-            The segment that each sample belongs to, from 0; negative where there is no glass. Without it, the mirror is
-            not segmented.
+            Index of each sample's segment, from 0; negative outside all segments. Without it, the mirror is not segmented.
         modes : (modes, n, n) array, optional
-            Wavefront of each mode, nm per nm of its coefficient. Without it, those of the scene.
+            Wavefront of each mode, nm per nm of its coefficient; the scene's modes by default.
         diversity_nm : (n, n) array, optional
-            The diversity, nm of wavefront. Without it, that of the scene.
+            Diversity, nm of wavefront; the scene's by default.
 
         Raises
         ------
         BadShapeError
             For maps that do not fit one another.
         BadValueError
-            For what cannot be a pupil or a mode.
+            For an array that is no pupil or no modes.
         """
         given = {"pupil": pupil, "segments": segments, "modes": modes, "diversity_nm": diversity_nm}
-        # Held until the library has copied what they show.
-        arrays = {name: images(name, array) for name, array in given.items() if array is not None}
-        views = {name: input_view(array)[0] for name, array in arrays.items()}
         self = cls.__new__(cls)
-        create = lib.cophase_model_create_from_arrays
-        self._create(create, text("scene", scene), folder(directory), options("cophase_model_arrays", **views))
+        self._create(scene, directory, Inputs("cophase_model_arrays", given))
         return self
 
-    def _create(self, create: Any, *inputs: Any) -> None:
-        self._own("cophase_model", lib.cophase_model_destroy, create, *inputs)
+    def _create(self, scene: str, directory: str | os.PathLike[str] | None, arrays: Inputs | None = None) -> None:
+        pointer = ffi.NULL if arrays is None else arrays.pointer
+        inputs = (text("scene", scene), path_text("directory", directory), pointer)
+        self._own("cophase_model", lib.cophase_model_create, *inputs)
+        info = struct("cophase_model_info", lib.cophase_model_get_info, self._handle)
+        self.modes: int = info.modes
+        self.segment_modes: int = info.segment_modes
+        self.frame_shape: tuple[int, int] = (info.rows, info.cols)
+        self.samples: int = info.samples
+        self.pixels: int = info.pixels
+        name = lib.cophase_model_mode_name
+        self.mode_names: list[str] = [words(result("char *", name, self._handle, k)) for k in range(self.modes)]
 
-    def _says(self) -> str:
+    def _summary(self) -> str:
         rows, cols = self.frame_shape
         return f"{self.modes} modes, {self.segment_modes} of segments; frames of {rows} x {cols}"
 
-    @property
-    def modes(self) -> int:
-        """Number of modes that are estimated: the coefficients of an image."""
-        return scalar("size_t", lib.cophase_model_mode_count, self._handle)
-
-    @property
-    def segment_modes(self) -> int:
-        """Number of those that move segments; they come first."""
-        return scalar("size_t", lib.cophase_model_segment_mode_count, self._handle)
-
-    @property
-    def mode_names(self) -> list[str]:
-        """Names of the modes."""
-        call = lib.cophase_model_mode_name
-        return [words(scalar("const char *", call, self._handle, mode)) for mode in range(self.modes)]
-
-    @property
-    def frame_shape(self) -> tuple[int, int]:
-        """Rows and columns of a detector frame."""
-        return extents(lib.cophase_model_frame_shape, self._handle)
-
-    @property
-    def samples(self) -> int:
-        """Rows, and columns, of a wavefront map."""
-        return scalar("size_t", lib.cophase_model_samples, self._handle)
-
-    @property
-    def pixels(self) -> int:
-        """Rows, and columns, of a PSF: the pixels that are compared, after the reduction of a frame to the model's
-        sampling and to what carries signal."""
-        return scalar("size_t", lib.cophase_model_pixels, self._handle)
-
-    def wavefront_nm(self, coefficients_nm: ArrayLike) -> NDArray[np.float32]:
+    def wavefront_nm(self, coefficients_nm: ArrayLike) -> NDArray[np.float64]:
         """Wavefront of some coefficients.
 
         Parameters
@@ -130,11 +117,13 @@ class Model(Handle):
         Returns
         -------
         (2, samples, samples) array
-            Maps ``[y, x]``, nm: that of the segments, and the non-common path aberrations. NaN outside the pupil.
+            Maps ``[y, x]``, nm: the segments, and the non-common path aberrations. NaN outside the pupil.
         """
-        return self._maps((2, self.samples, self.samples), lib.cophase_model_wavefront_nm, coefficients_nm)
+        given = numbers("coefficients_nm", coefficients_nm, self.modes)
+        shape = (2, self.samples, self.samples)
+        return output(shape, lib.cophase_model_wavefront_nm, self._handle, doubles(given), given.size)
 
-    def psf(self, coefficients_nm: ArrayLike) -> NDArray[np.float32]:
+    def psf(self, coefficients_nm: ArrayLike) -> NDArray[np.float64]:
         """PSF of some coefficients, with the diversity.
 
         Parameters
@@ -145,11 +134,9 @@ class Model(Handle):
         Returns
         -------
         (pixels, pixels) array
-            Intensity ``[y, x]``, whose sum over an unbounded detector would be 1. The optical axis is in row and column
+            Intensity ``[y, x]``. Its sum over an unbounded detector would be 1. The optical axis is on row and column
             ``pixels // 2``.
         """
-        return self._maps((self.pixels, self.pixels), lib.cophase_model_psf, coefficients_nm)
-
-    def _maps(self, shape: tuple[int, ...], call: Any, coefficients_nm: ArrayLike) -> NDArray[np.float32]:
         given = numbers("coefficients_nm", coefficients_nm, self.modes)
-        return maps(shape, call, self._handle, values(given), given.size)
+        shape = (self.pixels, self.pixels)
+        return output(shape, lib.cophase_model_psf, self._handle, doubles(given), given.size)

@@ -1,8 +1,8 @@
 """Scenes."""
 
-from ._library import lib, scalar, text, words
+from ._library import lib, result, text, words
 
 
 def preset(name: str) -> str:
-    """The text of a scene that comes with the library: ``keck-artificial`` or ``keck-onsky``."""
-    return words(scalar("const char *", lib.cophase_scene_preset, text("name", name)))
+    """Text of a scene that comes with the library: ``keck-artificial`` or ``keck-onsky``."""
+    return words(result("const char *", lib.cophase_scene_preset, text("name", name)))

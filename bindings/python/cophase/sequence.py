@@ -1,65 +1,66 @@
-"""Images that come one by one."""
+"""Sequences: the running estimate of images that come one by one."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._arrays import record, values
+from ._arrays import doubles
 from ._handle import Handle
-from ._library import check, ffi, lib, scalar
+from ._library import check, ffi, lib, result, struct
 from .model import Model
 from .session import Session
 
-_REPORT = record("cophase_sequence_report")
-
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
-    """What the images of a sequence say together.
+class SequenceEstimate:
+    """Running estimate of a sequence.
 
     Attributes
     ----------
     coefficients_nm : (modes,) array
         nm of wavefront.
     sigma_nm : (modes,) array
-        Their error bars, 1 sigma.
-    report : record
-        ``images`` that are kept, those that were ``used``, those ``clipped`` as outliers; ``phasing_rms_nm`` and its error
+        Standard deviation of each coefficient, nm.
+    covariance_nm2 : (modes, modes) array
+        Covariance of the coefficients, nm^2.
+    info : namespace
+        ``images`` in the sequence, those that were ``used``, those ``clipped`` as outliers; ``phasing_rms_nm`` and its error
         bar ``phasing_sigma_nm``, ``ncpa_rms_nm`` and its ``ncpa_sigma_nm`` (RMS over the pupil); ``reduced_chi2``, the
-        median of the images used. Read as ``report.used``.
+        median of the images used.
     """
 
     coefficients_nm: NDArray[np.float64]
     sigma_nm: NDArray[np.float64]
-    report: np.record
+    covariance_nm2: NDArray[np.float64]
+    info: SimpleNamespace
 
 
 class Sequence(Handle):
-    """The running static estimate of images that come one by one.
+    """The last images that sessions of a model fitted, and their running estimate.
 
     Parameters
     ----------
     model : Model
-        Of the sessions whose images are pushed.
+        Model of the sessions whose images are pushed.
     capacity : int
-        How many images are kept; the oldest make way.
+        Number of images that are kept; the oldest are dropped beyond it.
     """
 
     def __init__(self, model: Model, capacity: int) -> None:
         self._modes = model.modes
         self._capacity = capacity
-        create, destroy = lib.cophase_sequence_create, lib.cophase_sequence_destroy
-        self._own("cophase_sequence", destroy, create, model._handle, capacity)
+        self._own("cophase_sequence", lib.cophase_sequence_create, model._handle, capacity)
 
-    def _says(self) -> str:
+    def _summary(self) -> str:
         return f"{self._modes} modes, the last {self._capacity} images"
 
     def push(self, session: Session) -> None:
-        """Takes all images of a session's last fit, whatever became of them.
+        """Adds all images of a session's last fit, of any status.
 
         Raises
         ------
@@ -68,57 +69,36 @@ class Sequence(Handle):
         BusyError
             While the session fits in another thread.
         """
+        if session._handle == ffi.NULL:  # which C reads as clear()
+            session.cancel()
         check(lib.cophase_sequence_push(self._handle, session._handle))
 
     def clear(self) -> None:
-        """Forgets all images."""
-        check(lib.cophase_sequence_clear(self._handle))
+        """Drops all images."""
+        check(lib.cophase_sequence_push(self._handle, ffi.NULL))
 
-    def estimate(self) -> Estimate:
-        """The static estimate so far: mean or median of the images as the scene says (``estimate.combine``).
+    def estimate(self) -> SequenceEstimate:
+        """Estimate so far: mean, clipped mean or median of the images as the scene says (``estimate.combine``).
 
-        Up to seven images are judged one by one; from eight on by one another, and error bars are from the scatter
-        between them.
-
-        Raises
-        ------
-        BadImageError
-            Where no image was fitted yet.
+        From eight images on, outliers are found by comparing images, and error bars are from the scatter between them.
+        :class:`cophase.BadImageError` if no image was fitted.
         """
-        coefficients_nm, sigma_nm = np.empty(self._modes), np.empty(self._modes)
-        report = np.recarray(1, _REPORT)
-        check(
-            lib.cophase_sequence_estimate(
-                self._handle,
-                values(coefficients_nm),
-                values(sigma_nm),
-                self._modes,
-                ffi.cast("cophase_sequence_report *", report.ctypes.data),
-                _REPORT.itemsize,
-            )
-        )
-        return Estimate(coefficients_nm, sigma_nm, report[0])
-
-    def covariance_nm2(self) -> NDArray[np.float64]:
-        """Covariance ``(modes, modes)`` of the estimate so far, nm^2.
-
-        Raises
-        ------
-        BadImageError
-            Where no image was fitted yet.
-        """
-        out = np.empty((self._modes, self._modes))
-        check(lib.cophase_sequence_covariance_nm2(self._handle, values(out), self._modes))
-        return out
+        modes = self._modes
+        arrays = np.empty(modes), np.empty(modes), np.empty((modes, modes))
+        inputs = (self._handle, *map(doubles, arrays), modes)
+        info = struct("cophase_sequence_report", lib.cophase_sequence_estimate, *inputs)
+        return SequenceEstimate(*arrays, info)
 
     def images_needed(self, phasing_nm: float = math.inf, ncpa_nm: float = math.inf) -> int:
-        """How many further images like those so far bring both error bars down to these, nm RMS over the pupil.
+        """Number of further images like those so far that bring both error bars (nm RMS over the pupil) down to these.
 
-        0 where they are there. Infinity asks nothing.
+        0 if they are. Infinity asks nothing of an error bar.
 
         Raises
         ------
         BadImageError
-            Where no image was fitted yet.
+            If no image was fitted.
+        BadValueError
+            If errors that all images share alone are larger.
         """
-        return scalar("uint64_t", lib.cophase_sequence_images_needed, self._handle, phasing_nm, ncpa_nm)
+        return result("uint64_t", lib.cophase_sequence_images_needed, self._handle, phasing_nm, ncpa_nm)

@@ -1,40 +1,40 @@
-"""The workspace that images are fitted in."""
+"""Sessions: fits of single images with a deadline."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ._arrays import images, input_view, numbers, record, values
+from ._arrays import calibration, doubles, images, input_view, numbers, structs
 from ._handle import Handle
 from ._interrupt import interruptible
-from ._library import check, ffi, lib, options, scalar, text, text_of, words
+from ._library import check, ffi, lib, library_text, named, options, text
 from .model import Model
 
-_REPORT = record("cophase_report")
-_PRECISIONS = {"f32": lib.COPHASE_F32, "f64": lib.COPHASE_F64}
+_REPORT = "cophase_image_report"
+_PRECISIONS = {None: 0, "f32": lib.COPHASE_F32, "f64": lib.COPHASE_F64}
 
-#: Calls that end this soon by themselves need no Ctrl-C.
-_SOON_S = 0.1
+#: Calls with a deadline up to this, s, need no Ctrl-C.
+_SHORT_S = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What a fit found. Its arrays have an axis of images in front if the frames were a stack.
+    """Result of a fit. Its arrays have an axis of images in front if the frames were a stack.
 
     Attributes
     ----------
     coefficients_nm : (modes,) or (images, modes) array
-        nm of wavefront; NaN for an image that could not be used.
+        nm of wavefront; NaN for an unusable image.
     reports : () or (images,) record array
-        ``status``, a number (:attr:`status` has its name); ``bad_pixels`` that took no part; ``evaluations`` of the
-        model; ``reduced_chi2``, 1 where the model is right; ``flux_e`` of the star, electrons; ``background_e``, electrons
-        per pixel; ``tip_nm`` and ``tilt_nm`` of the fitted wavefront along x and y, nm RMS; ``seconds`` that it took.
-        Read as ``reports.flux_e``.
+        ``status``, a number (:attr:`status` has its name); ``bad_pixels``, those that took no part; ``policy``, a number;
+        ``evaluations`` of objective and gradient; ``reduced_chi2``, 1 where the model is right; ``flux_e`` of the star,
+        electrons; ``background_e``, electrons per pixel; ``tip_nm`` and ``tilt_nm`` of the fitted wavefront along x and y,
+        nm RMS; ``seconds`` of the fit. ``is_used``, ``is_clipped`` and ``rejected_pixels`` are 0 in a session, which neither
+        combines images nor rejects pixels. Read as ``reports.flux_e``.
     """
 
     coefficients_nm: NDArray[np.float64]
@@ -42,41 +42,53 @@ class Fit:
 
     @property
     def status(self) -> NDArray[np.str_]:
-        """What became of each image: ``OK``, ``MISFIT`` (fitted, with a residual larger than the noise),
+        """Status of each image: ``OK``, ``MISFIT`` (fitted, but the residual is larger than the noise),
         ``WRONG_MINIMUM``, ``NOT_CONVERGED``, ``DEADLINE`` (the best so far) or ``UNUSABLE``."""
-        numbers = self.reports["status"]
-        names = [words(lib.cophase_image_status_name(int(number))) for number in numbers.flat]
-        return np.array(names, np.str_).reshape(numbers.shape)
+        status = self.reports["status"]
+        return np.array([named("status", int(number)) for number in status.flat], np.str_).reshape(status.shape)
 
 
 class Session(Handle):
-    """One thread's workspace to fit images in: making it pays every cost that comes once.
+    """Fits of single images with a model, in memory that is allocated when the session is created.
 
-    One call at a time (:class:`cophase.BusyError` otherwise), but for :meth:`cancel`; other Python threads run on during
-    a call. The same frame gives the same bits, whatever else is in the call, in every language.
+    It follows the policy ``"realtime"``: no model selection, no outlier rejection, no restarts; :class:`cophase.Estimator`
+    is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except :meth:`cancel`; other Python
+    threads run during a call. The same frame gives the same bits, whatever else is in the call, in every language.
 
     Parameters
     ----------
     model : Model
-        What is fitted.
+        Model that is fitted.
     device : str, optional
-        A name of :func:`cophase.devices`, or ``"auto"``: a GPU where there is one. Without it, the CPU.
+        Name of a device, see :func:`cophase.devices`, or ``"auto"``; the scene's ``estimate.device`` by default.
     capacity : int
-        Most images of a call.
-    precision : {"f64", "f32"}
-        f32 takes half the memory and a third to half of the time, and costs some 0.02 nm.
+        Largest number of images of a call.
+    precision : {"f64", "f32"}, optional
+        ``"f32"`` takes half the memory and a third to half of the time, with errors of 0.02 nm; the scene's
+        ``estimate.precision`` by default.
     threads : int
-        Of the CPU: 1 for the caller's own, 0 for all that there are.
+        Threads of the CPU: 1 for the caller's own, -1 for one per processor.
     max_evaluations : int, optional
-        Of the model, for one image; without it, what the scene says.
+        Largest number of evaluations for one image; the scene's by default.
     step_tolerance_nm : float, optional
-        A fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this; without it,
-        what the scene says.
+        A fit stops where neither a coefficient nor the RMS of the wavefront would change by more than this; the scene's by
+        default.
+
+    Attributes
+    ----------
+    model : Model
+        Model that is fitted.
+    device, policy : str
+        Device that the session runs on, and its policy.
+    capacity : int
+        Largest number of images of a call.
 
     Raises
     ------
     DeviceError
-        Where the device is not there, or cannot run the model.
+        If the device is absent or cannot run the model.
+    BadValueError
+        For an option out of range, and for a scene with ``estimate.optimizer = "bfgs"``.
     """
 
     def __init__(
@@ -84,62 +96,46 @@ class Session(Handle):
         model: Model,
         device: str | None = None,
         capacity: int = 1,
-        precision: str = "f64",
+        precision: str | None = None,
         threads: int = 1,
         max_evaluations: int | None = None,
         step_tolerance_nm: float | None = None,
     ) -> None:
         if precision not in _PRECISIONS:
-            raise ValueError(f"precision is {precision!r}: {' or '.join(_PRECISIONS)} is accepted")
-        how = options(
+            raise ValueError(f"precision is {precision!r}: 'f32', 'f64' or None is accepted")
+        name = None if device is None else ffi.new("char[]", text("device", device))
+        chosen = options(
             "cophase_session_options",
+            device=name,
             capacity=capacity,
-            precision=_PRECISIONS[precision],
+            precision=_PRECISIONS[precision] or None,
             threads=threads,
             max_evaluations=max_evaluations,
             step_tolerance_nm=step_tolerance_nm,
         )
-        opened = scalar("cophase_device *", lib.cophase_device_open, text("device", device or "cpu"))
-        try:
-            self._device = text_of(lib.cophase_device_name, opened).partition("\t")[0]
-            create, destroy = lib.cophase_session_create, lib.cophase_session_destroy
-            self._own("cophase_session", destroy, create, opened, model._handle, how)
-        finally:
-            lib.cophase_device_close(opened)
-        self._model = model
-        self._modes = model.modes
-        self._capacity = capacity
-        self._precision = precision
+        self._own("cophase_session", lib.cophase_session_create, model._handle, chosen)
+        self.model = model
+        self.capacity = capacity
+        self.device = self._text("DEVICE")
+        self.policy = self._text("POLICY")
 
-    def _says(self) -> str:
-        return f"{self._modes} modes, up to {self._capacity} images, {self._precision} on {self._device}"
+    def _summary(self) -> str:
+        return f"{self.model.modes} modes, up to {self.capacity} images, on {self.device}"
 
-    @property
-    def model(self) -> Model:
-        """What is fitted."""
-        return self._model
-
-    @property
-    def device(self) -> str:
-        """Name of the device that it runs on, one of :func:`cophase.devices`."""
-        return self._device
-
-    @property
-    def capacity(self) -> int:
-        """Most images of a call."""
-        return self._capacity
+    def _text(self, what: str, index: int = 0) -> str:
+        return library_text(lib.cophase_session_text, self._handle, getattr(lib, f"COPHASE_TEXT_{what}"), index)
 
     def calibrate(
         self,
         dark: ArrayLike | None = None,
         flat: ArrayLike | None = None,
         bad: ArrayLike | None = None,
-        gain_e: float = 1.0,
-        saturation: float = math.inf,
+        gain_e: float | None = None,
+        saturation: float | None = None,
     ) -> None:
-        """Says what the raw values of coming frames mean: electrons are (raw - dark) * gain / flat.
+        """Sets the calibration of the frames of later calls: electrons = (raw - dark) * gain / flat.
 
-        Without arguments frames are electrons, as they are until the first call. The maps are copied.
+        Without arguments frames are electrons, as before the first call. The maps are copied.
 
         Parameters
         ----------
@@ -148,24 +144,20 @@ class Session(Handle):
         flat : (rows, cols) array, optional
             Relative response, about 1.
         bad : (rows, cols) array, optional
-            Pixels that are not 0 take no part.
-        gain_e : float
-            Electrons per raw unit.
-        saturation : float
-            Pixels that read as much or more take no part, raw units.
+            Bad pixels, which take no part, are not 0.
+        gain_e : float, optional
+            Electrons per raw unit; 1 by default.
+        saturation : float, optional
+            Raw value from which on a pixel is saturated, and bad.
 
         Raises
         ------
         BadValueError
-            For bad pixels where the model reduces frames to its own sampling, which would smear them: a scene with
-            ``estimate.sampling = "native"`` does not.
+            For bad pixels if the model reduces the sampling of frames, which would smear them: such a camera needs
+            ``estimate.sampling = "native"`` in its scene.
         """
-        given = {"dark": dark, "flat": flat, "bad": bad}
-        # Held until the library has copied what they show.
-        arrays = {name: images(name, array) for name, array in given.items() if array is not None}
-        views = {name: input_view(array)[0] for name, array in arrays.items()}
-        camera = options("cophase_calibration", gain_e=gain_e, saturation=saturation, **views)
-        check(lib.cophase_session_calibrate(self._handle, camera))
+        camera = calibration(dark, flat, bad, gain_e, saturation)
+        check(lib.cophase_session_calibrate(self._handle, camera.pointer))
 
     def fit(
         self,
@@ -176,107 +168,88 @@ class Session(Handle):
     ) -> Fit:
         """Fits the model to a frame, or to each frame of a stack.
 
-        Ctrl-C cancels it within an evaluation of the model. For that it runs in a thread of its own, which costs some
-        tens of microseconds; not so with a deadline of up to 0.1 s, which Ctrl-C then waits for.
+        Ctrl-C cancels it within an evaluation. For that the fit runs in a thread of its own, which costs some tens of
+        microseconds; not with a deadline of up to 0.1 s, after which Ctrl-C takes effect.
 
         Parameters
         ----------
         frames : (rows, cols) or (images, rows, cols) array
-            Raw values, or electrons where nothing was calibrated; :attr:`cophase.Model.frame_shape`. Values that are not
-            finite are bad pixels. The optical axis is in row ``rows // 2`` and column ``cols // 2``. Any strides;
-            float32, float64, uint16, int32, uint8 and bool are read where they are, other types are copied where NumPy
-            calls that safe.
+            Raw values, or electrons without a calibration; :attr:`cophase.Model.frame_shape`. Values that are not finite are
+            bad pixels. The optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64,
+            uint16, int32, uint8 and bool are read in place, other types are copied if NumPy casts them safely.
         deadline_s : float, optional
             Time for the whole call, s; images that are not done by then have the status ``DEADLINE``.
         read_noise_e : float, optional
-            Read noise of a pixel, RMS electrons; without it, what the scene says.
+            Read noise of a pixel, electrons RMS; the scene's by default.
         start_nm : (modes,) or (images, modes) array, optional
-            Where the fits begin, nm; without it, at a flat wavefront.
+            Starts of the fits, nm; a flat wavefront by default.
 
         Raises
         ------
         BadShapeError
-            For frames of another shape, or more than the session has room for.
+            For frames of another shape, or more than the capacity.
         Interrupted
             After :meth:`cancel`.
         """
         pixels = images("frames", frames)
-        count = pixels.shape[:-2]
-        how = options("cophase_fit_options", deadline_s=deadline_s, read_noise_e=read_noise_e)
-        if start_nm is not None:
-            start = values(numbers("start_nm", start_nm, *count, self._modes))
-            how.start_nm = start
-        coefficients_nm = np.empty((*count, self._modes))
-        reports = np.recarray(count, _REPORT)
-        view, into = input_view(pixels), values(coefficients_nm)
-        written = ffi.cast("cophase_report *", reports.ctypes.data)
+        count, modes = pixels.shape[:-2], self.model.modes
+        start = None if start_nm is None else doubles(numbers("start_nm", start_nm, *count, modes))
+        chosen = options("cophase_fit_options", deadline_s=deadline_s, read_noise_e=read_noise_e, start_nm=start)
+        coefficients_nm = np.empty((*count, modes))
+        reports, pointer = structs(_REPORT, count)
+        view, out, size = input_view(pixels), doubles(coefficients_nm), ffi.sizeof(_REPORT)
 
         def call() -> None:
-            fit = lib.cophase_session_fit
-            check(fit(self._handle, view, how, into, self._modes, written, _REPORT.itemsize))
+            check(lib.cophase_session_fit(self._handle, view, chosen, out, modes, pointer, size))
 
-        if deadline_s is not None and deadline_s <= _SOON_S:
+        if deadline_s is not None and deadline_s <= _SHORT_S:
             call()
         else:
             interruptible(call, self.cancel)
         return Fit(coefficients_nm, reports)
 
     def cancel(self) -> None:
-        """Makes the fit that is running in another thread, or else the next one, raise :class:`cophase.Interrupted`.
-
-        The one call that is meant to race: within an evaluation of the model it has its effect.
-        """
+        """Makes the fit that is running in another thread, or else the next one, raise :class:`cophase.Interrupted`
+        within one evaluation. Any thread may call it at any time."""
         check(lib.cophase_session_cancel(self._handle))
 
     def message(self, image: int = 0) -> str:
-        """Why an image of the last fit has the status that it has, in a sentence."""
-        return text_of(lib.cophase_session_image_message, self._handle, image)
+        """Reason of the status of an image of the last fit, a sentence."""
+        return self._text("IMAGE_MESSAGE", image)
 
     @property
-    def device_failure(self) -> str:
-        """That the device which ``"auto"`` chose was lost, and that the CPU has taken its place; empty where it was not.
-
-        A device that was named raises :class:`cophase.DeviceError` instead.
-        """
-        return text_of(lib.cophase_session_device_failure, self._handle)
+    def warnings(self) -> list[str]:
+        """What to know before using the numbers, such as the loss of the device that ``"auto"`` chose, after which the CPU
+        does the work. (A device that was named raises :class:`cophase.DeviceError` instead.)"""
+        return self._text("WARNINGS").splitlines()
 
     def covariance_nm2(self, image: int = 0) -> NDArray[np.float64]:
         """Covariance ``(modes, modes)`` of the coefficients of an image of the last fit, nm^2.
 
-        It is as the noise makes it, scaled by the image's chi squared where the model misfits. Takes as long as some
-        hundred evaluations.
-
-        Raises
-        ------
-        BadValueError
-            For an image that was not fitted.
+        It is the noise's, scaled by the image's chi-square where the model misfits. It takes as long as some hundred
+        evaluations. :class:`cophase.BadValueError` for an image that was not fitted.
         """
-        out = np.empty((self._modes, self._modes))
-        check(lib.cophase_session_covariance_nm2(self._handle, image, values(out), self._modes))
+        modes = self.model.modes
+        out = np.empty((modes, modes))
+        check(lib.cophase_session_covariance_nm2(self._handle, image, doubles(out), modes))
         return out
 
-    def load(self, frames: ArrayLike, read_noise_e: float | None = None) -> None:
-        """Loads frames for :meth:`evaluate`, with the weights that a fit begins with. Arguments as for :meth:`fit`.
+    def evaluate(
+        self, coefficients_nm: ArrayLike, frames: ArrayLike | None = None, read_noise_e: float | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Objective and gradient, for an optimizer of the caller's.
 
-        Raises
-        ------
-        BadImageError
-            Where a frame holds nothing to fit.
-        """
-        pixels = images("frames", frames)
-        how = options("cophase_fit_options", read_noise_e=read_noise_e)
-        check(lib.cophase_session_load(self._handle, input_view(pixels), how))
-
-    def evaluate(self, coefficients_nm: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The objective and its gradient, for an optimizer of the caller's.
-
-        The objective is the sum of weight * (flux * PSF + background - data)^2 over the pixels of each image that was
-        loaded, flux and background being those that minimise it.
+        The objective is the sum of weight * (flux * PSF + background - data)^2 over the pixels of each image, with the flux
+        and background that minimize it and the weights that a fit begins with.
 
         Parameters
         ----------
         coefficients_nm : (modes,) or (images, modes) array
-            nm of wavefront; as many images as were loaded.
+            nm of wavefront.
+        frames : (rows, cols) or (images, rows, cols) array, optional
+            As for :meth:`fit`; those of the last evaluation by default, if no fit came since.
+        read_noise_e : float, optional
+            Read noise of a pixel, electrons RMS, with frames only; the scene's by default.
 
         Returns
         -------
@@ -286,15 +259,19 @@ class Session(Handle):
 
         Raises
         ------
+        BadImageError
+            For a frame that cannot be used.
         BadValueError
-            Before :meth:`load`.
+            Without frames, if none are loaded.
         """
+        modes = self.model.modes
         count = np.shape(coefficients_nm)[:-1][:1]
-        at = numbers("coefficients_nm", coefficients_nm, *count, self._modes)
-        objectives, gradients = np.empty(count), np.empty((*count, self._modes))
-        check(
-            lib.cophase_session_evaluate(
-                self._handle, values(at), objectives.size, self._modes, values(objectives), values(gradients)
-            )
-        )
+        given = numbers("coefficients_nm", coefficients_nm, *count, modes)
+        pixels = None if frames is None else images("frames", frames)
+        view = ffi.NULL if pixels is None else input_view(pixels)
+        chosen = options("cophase_fit_options", read_noise_e=read_noise_e)
+        objectives, gradients = np.empty(count), np.empty((*count, modes))
+        outputs = (doubles(objectives), doubles(gradients))
+        inputs = (view, chosen, doubles(given), objectives.size, modes)
+        check(lib.cophase_session_evaluate(self._handle, *inputs, *outputs))
         return objectives, gradients

@@ -1,0 +1,158 @@
+classdef Estimate < cophase.Handle
+    %ESTIMATE  Estimate of the static wavefront: modes, maps, error bars, reports on the images.
+    %   cophase.Estimator.estimate makes it. Maps are (y, x), double, nm, NaN outside the pupil.
+    %
+    %   Fields of the struct info:
+    %      images, used, clipped             images; those that were combined; those left out as outliers
+    %      modes, segment_modes, samples     sizes; modes that move segments come first
+    %      error_terms, warnings             their numbers
+    %      method, policy, status            'modal' or 'map'; 'full' or 'realtime'; worst status of an image that counts
+    %      is_sequence                       whether error bars are from the scatter between images
+    %      iterations, has_settled, knows    of a MAP estimate; knows is the knowledge of the adaptive optics, 'nothing',
+    %                                        'spectrum', 'loop' or 'telemetry'
+    %      precision, evaluations            'f64' or 'f32'; evaluations of objective and gradient
+    %      phasing_rms_nm, ncpa_rms_nm, wavefront_rms_nm        RMS over the pupil, piston, tip and tilt removed
+    %      phasing_sigma_nm, ncpa_sigma_nm, wavefront_sigma_nm  their expected errors
+    %      reduced_chi2                      median of the images used
+    %      images_to_halve                   further images that halve both error bars; NaN if unknown
+    %      map_width_m, seconds, model_seconds
+    %
+    %   Methods:
+    %      report   text, as the program prints it
+    %      write    writes a FITS file
+    %      correct  what to add to segments, mirror and reference slopes
+    %
+    %   Example:
+    %       e = cophase.Estimator(scene_text).estimate(frames);
+    %       errorbar(e.coefficients_nm, e.sigma_nm)
+    %
+    %   See also cophase.Estimator, cophase.Estimate.report, cophase.Estimate.write, cophase.Estimate.correct.
+
+    properties (SetAccess = private)
+        info                  % sizes, status and figures, a struct; see help cophase.Estimate
+        policy                % 'full' or 'realtime'
+        method                % 'modal' or 'map'
+        model                 % modes that model selection added to the scene's
+        device                % device that the estimate ran on
+        scene                 % scene that was used (TOML), with the choices of a plan and the optics that were fitted
+        warnings              % what to know before using the numbers, a cell of sentences
+        remarks               % remarks that hold for every image of the scene, a cell of sentences
+        mode_names            % names of the modes, a cell column of text
+        coefficients_nm       % coefficients, a column, nm
+        sigma_nm              % standard deviation of each coefficient, a column, nm
+        covariance_nm2        % covariance of the coefficients, nm^2
+        image_coefficients_nm % coefficients of each image, modes x images, nm; [] in a MAP estimate
+        phasing_nm            % phasing errors (y, x), nm
+        ncpa_nm               % non-common path aberrations (y, x), nm
+        phasing_sigma_nm      % standard deviation of each sample of phasing_nm, nm
+        ncpa_sigma_nm         % standard deviation of each sample of ncpa_nm, nm
+        images                % report on each image, a struct array: status ('OK', 'MISFIT', 'WRONG_MINIMUM',
+                              % 'NOT_CONVERGED', 'UNUSABLE'), message, is_used, reduced_chi2, flux_e, ...
+        error_budget          % terms x 3, a cell: name, contributions to the error bars of phasing and NCPA, nm RMS
+    end
+
+    methods
+        function self = Estimate(estimator, frames, varargin)
+            if nargin < 2
+                error('cophase:BAD_ARGUMENT', 'frames is missing: use the method estimate of a cophase.Estimator');
+            end
+            self.create('estimate.create', cophase.Handle.number(estimator), frames, varargin{:});
+            info = cophase_mex('estimate.info', self.id);
+            self.info = info;
+            self.method = info.method;
+            self.policy = self.text('POLICY');
+            self.model = self.text('MODEL');
+            self.device = self.text('DEVICE');
+            self.scene = self.text('SCENE');
+            self.warnings = cophase.Handle.lines(self.text('WARNINGS'));
+            self.remarks = cophase.Handle.lines(self.text('REMARKS'));
+            self.mode_names = arrayfun(@(k) self.text('MODE_NAME', k), (1:info.modes)', 'UniformOutput', false);
+            self.coefficients_nm = self.array('COEFFICIENTS_NM', info.modes);
+            self.sigma_nm = self.array('SIGMA_NM', info.modes);
+            % Symmetric up to rounding; the library has rows.
+            self.covariance_nm2 = reshape(self.array('COVARIANCE_NM2', info.modes ^ 2), info.modes, info.modes)';
+            if strcmp(info.method, 'modal')
+                values = self.array('IMAGE_COEFFICIENTS_NM', info.images * info.modes);
+                self.image_coefficients_nm = reshape(values, info.modes, info.images);
+            end
+            maps_nm = cophase.Handle.maps(self.array('MAPS_NM', 4 * info.samples ^ 2), info.samples, info.samples);
+            self.phasing_nm = maps_nm(:, :, 1);
+            self.ncpa_nm = maps_nm(:, :, 2);
+            self.phasing_sigma_nm = maps_nm(:, :, 3);
+            self.ncpa_sigma_nm = maps_nm(:, :, 4);
+            images = cophase_mex('estimate.images', self.id, info.images);
+            for k = 1:info.images
+                images(k).message = self.text('IMAGE_MESSAGE', k);
+            end
+            self.images = images;
+            terms = arrayfun(@(k) self.text('ERROR_TERM_NAME', k), (1:info.error_terms)', 'UniformOutput', false);
+            budget_nm = reshape(self.array('ERROR_BUDGET_NM', 2 * info.error_terms), 2, [])';
+            self.error_budget = [terms, num2cell(budget_nm)];
+        end
+
+        function text = report(self)
+            %REPORT  The report, as the program prints it, warnings included.
+            %   text = e.report()
+            %
+            %   See also cophase.Estimate.write.
+            text = self.text('REPORT');
+        end
+
+        function write(self, path)
+            %WRITE  Writes the estimate as FITS, whole or not at all.
+            %   e.write(path)
+            %
+            %   See also cophase.Estimate.report.
+            cophase_mex('estimate.write', self.id, path);
+        end
+
+        function result = correct(self, limit_nm, path)
+            %CORRECT  What to add to segments, mirror and reference slopes; of a MAP estimate only.
+            %   c = e.correct() returns a struct with the fields
+            %      pistons_nm       what to add to the piston of each segment, nm of wavefront
+            %      actuators_nm     what to add to the command of each actuator, nm of wavefront; empty without a loop
+            %      actuators_m      2 x actuators: position of each, x and y, m
+            %      slopes_mas       what to add to the sensor's reference slopes, along x for every subaperture, then along
+            %                       y
+            %      corrected_modes  NCPA modes that are corrected
+            %      limited          commands that were cut at the limit
+            %   A positive command raises the wavefront. A mode whose estimate is smaller than its error bar is not
+            %   corrected.
+            %
+            %   c = e.correct(limit_nm) has no larger command; without it, or with [], the limit is the mirror's stroke
+            %   and, for segments, a quarter of the wavelength.
+            %   c = e.correct(limit_nm, path) also writes a FITS file.
+            %
+            %   Example:
+            %       c = e.correct(200);
+            %       pistons_nm = pistons_nm + c.pistons_nm;
+            %
+            %   See also cophase.Estimator.estimate.
+            if nargin < 2
+                limit_nm = [];
+            end
+            if nargin < 3
+                path = '';
+            end
+            found = cophase_mex('estimate.correct', self.id, limit_nm, path);
+            result = struct('pistons_nm', self.array('CORRECTION_PISTONS_NM', found.segments), ...
+                'actuators_nm', self.array('CORRECTION_ACTUATORS_NM', found.actuators), ...
+                'actuators_m', reshape(self.array('CORRECTION_ACTUATORS_M', 2 * found.actuators), 2, []), ...
+                'slopes_mas', self.array('CORRECTION_SLOPES_MAS', found.slopes), ...
+                'corrected_modes', found.corrected_modes, 'limited', found.limited);
+        end
+    end
+
+    methods (Access = private)
+        function text = text(self, what, index)
+            if nargin < 3
+                index = 1;
+            end
+            text = cophase_mex('estimate.text', self.id, what, index);
+        end
+
+        function values = array(self, what, count)
+            values = cophase_mex('estimate.array', self.id, what, count);
+        end
+    end
+end

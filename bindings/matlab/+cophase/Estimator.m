@@ -1,0 +1,63 @@
+classdef Estimator < cophase.Handle
+    %ESTIMATOR  The full pipeline for images of one scene, as the program does it.
+    %   estimator = cophase.Estimator(scene_text) makes an estimator of a scene (TOML). The scene's estimate.method says
+    %   whether the estimate is modal or maximum a posteriori (MAP, 'full-phase': the wavefront behind each exposure, static
+    %   errors separated from the turbulence). With estimate.budget_nm the model is planned here, which takes some
+    %   seconds. The results are those of `cophase estimate`, to the bit.
+    %
+    %   estimator = cophase.Estimator(scene_text, Name, Value, ...) chooses:
+    %      'policy'     'full': model selection, outlier rejection, restarts, optics fitted if the scene asks for it;
+    %                   'realtime': one fit with the largest basis, no retries, as a cophase.Session does; 'full'
+    %      'threads'    number of threads, -1 for one per processor, which does not change results; -1
+    %      'directory'  directory of the files that the scene names; the working directory
+    %   The beginning of a name is enough, whatever its case.
+    %
+    %   Failures raise cophase:<STATUS>, such as cophase:BAD_SCENE, with one sentence.
+    %
+    %   Example:
+    %       estimator = cophase.Estimator(cophase.preset('keck-artificial'));
+    %       e = estimator.estimate(frames);
+    %       disp(e.report())
+    %       imagesc(e.phasing_nm), axis image
+    %
+    %   See also cophase.Estimator.estimate, cophase.Estimate, cophase.Session, on_sky.
+
+    methods
+        function self = Estimator(scene_text, varargin)
+            if nargin < 1
+                error('cophase:BAD_ARGUMENT', 'scene_text is missing: the text of a scene is accepted');
+            end
+            self.create('estimator.create', scene_text, varargin{:});
+        end
+
+        function result = estimate(self, frames, varargin)
+            %ESTIMATE  Estimates the static wavefront behind images.
+            %   e = estimator.estimate(frames) returns a cophase.Estimate. frames holds images of the same static errors,
+            %   rows x columns x images, of class single, double, uint16, int32 or uint8, two or more for a MAP estimate.
+            %   Values that are not finite are bad pixels. The optical axis is on row rows/2 + 1 and column columns/2 + 1.
+            %
+            %   e = estimator.estimate(frames, Name, Value, ...) chooses:
+            %      'mask'          rows x columns, or rows x columns x images: bad pixels, which take no part, are not 0;
+            %                      none
+            %      'slopes_mas'    telemetry of a MAP estimate, slopes x images: slopes of the wavefront sensor, mean over
+            %                      each exposure, along x for every subaperture, then along y; none
+            %      'read_noise_e'  read noise of a pixel, electrons RMS; the scene's
+            %   and the calibration, electrons = (raw - dark) * gain / flat; without it frames are electrons:
+            %      'dark'          rows x columns, raw units; none
+            %      'flat'          rows x columns, about 1; none
+            %      'gain_e'        electrons per raw unit; 1
+            %      'saturation'    raw value from which on a pixel is saturated, and bad; none
+            %   The beginning of a name is enough, whatever its case.
+            %
+            %   Ctrl-C stops it within a second or two, with cophase:INTERRUPTED (not in MATLAB for Windows).
+            %
+            %   Example:
+            %       e = estimator.estimate(frames, 'slopes_mas', slopes_mas);
+            %       fprintf('%.1f +- %.1f nm of phasing\n', e.info.phasing_rms_nm, e.info.phasing_sigma_nm)
+            %       cellfun(@disp, e.warnings)
+            %
+            %   See also cophase.Estimate.
+            result = cophase.Estimate(self, frames, varargin{:});
+        end
+    end
+end

@@ -1,0 +1,246 @@
+/* cophase.Estimator and cophase.Estimate. */
+#include "gateway.h"
+#include <string.h>
+
+static const char *const ESTIMATOR_OPTIONS[] = {"policy", "threads", "directory", NULL};
+enum { POLICY, THREADS, DIRECTORY, ESTIMATOR_OPTION_COUNT };
+
+/* (scene_text, 'policy', 'full', ...): a new estimator. */
+static void do_create_estimator(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const char *scene_text = text(in[0], "scene_text");
+    const mxArray *given[ESTIMATOR_OPTION_COUNT];
+    cophase_estimator_options chosen_options = {0};
+    cophase_estimator *estimator;
+
+    options(inputs - 1, in + 1, ESTIMATOR_OPTIONS, given);
+    chosen_options.struct_size = sizeof chosen_options;
+    if (given[POLICY] != NULL)
+        chosen_options.policy = choice(given[POLICY], POLICIES, "policy");
+    if (given[THREADS] != NULL)
+        chosen_options.threads = threads(given[THREADS]);
+    check(cophase_estimator_create(scene_text == NULL ? "" : scene_text, text(given[DIRECTORY], "directory"),
+                                   &chosen_options, &estimator));
+    out[0] = handle_new(ESTIMATOR, estimator, 0);
+}
+
+typedef struct job {
+    cophase_estimator *estimator;
+    cophase_input frames, slopes_mas;
+    cophase_calibration calibration;
+    cophase_estimate_options options;
+    cophase_estimate *estimate;
+} job;
+
+static cophase_status work(void *argument)
+{
+    job *job = (struct job *)argument;
+
+    return cophase_estimator_estimate(job->estimator, &job->frames, job->slopes_mas.data == NULL ? NULL : &job->slopes_mas,
+                                      &job->options, &job->estimate);
+}
+
+static cophase_status cancel(const void *estimator)
+{
+    return cophase_estimator_cancel((const cophase_estimator *)estimator);
+}
+
+/* Slopes with a column for each image; the library has a row for each. */
+static cophase_input slopes_of(const mxArray *value)
+{
+    const cophase_input columns = input(value, "slopes_mas");
+    cophase_input rows = columns;
+
+    rows.rows = columns.cols, rows.row_stride = columns.col_stride;
+    rows.cols = columns.rows, rows.col_stride = columns.row_stride;
+    return rows;
+}
+
+/* Frames with NaN where a mask of the same size is not 0. */
+static const mxArray *masked(const mxArray *frames, const mxArray *mask)
+{
+    mxArray *result, *bad;
+    size_t i;
+
+    if (mxGetNumberOfElements(mask) != mxGetNumberOfElements(frames))
+        fail(COPHASE_BAD_SHAPE, "mask has %lu elements: %lu, those of frames, or one map for all images is accepted",
+             (unsigned long)mxGetNumberOfElements(mask), (unsigned long)mxGetNumberOfElements(frames));
+    mexCallMATLAB(1, &result, 1, (mxArray **)&frames, "double");
+    mexCallMATLAB(1, &bad, 1, (mxArray **)&mask, "double");
+    for (i = 0; i < mxGetNumberOfElements(frames); i++)
+        if (mxGetPr(bad)[i] != 0.0)
+            mxGetPr(result)[i] = mxGetNaN();
+    return result;
+}
+
+static const char *const ESTIMATE_OPTIONS[] = {"slopes_mas", "mask",   "read_noise_e", "dark",
+                                               "flat",       "gain_e", "saturation",   NULL};
+enum { SLOPES_MAS, MASK, READ_NOISE_E, DARK, FLAT, GAIN_E, SATURATION, ESTIMATE_OPTION_COUNT };
+
+/* (estimator, frames, 'slopes_mas', slopes_mas, ...): a new estimate. */
+static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const mxArray *given[ESTIMATE_OPTION_COUNT], *frames = in[1];
+    job job;
+
+    memset(&job, 0, sizeof job);
+    job.estimator = (cophase_estimator *)handle_of(in[0], ESTIMATOR)->object;
+    options(inputs - 2, in + 2, ESTIMATE_OPTIONS, given);
+    job.frames = input(frames, "frames");
+    if (given[MASK] != NULL && mxGetNumberOfDimensions(given[MASK]) > 2) {
+        job.frames = input(masked(frames, given[MASK]), "frames");
+        given[MASK] = NULL;
+    }
+    if (given[SLOPES_MAS] != NULL)
+        job.slopes_mas = slopes_of(given[SLOPES_MAS]);
+    job.calibration = calibration_of(given[DARK], given[FLAT], given[MASK], given[GAIN_E], given[SATURATION]);
+    job.options.struct_size = sizeof job.options;
+    job.options.calibration = &job.calibration;
+    if (given[READ_NOISE_E] != NULL)
+        job.options.read_noise_e = chosen(given[READ_NOISE_E], "read_noise_e");
+    interruptible(cancel, job.estimator, work, &job);
+    out[0] = handle_new(ESTIMATE, job.estimate, 0);
+}
+
+static cophase_estimate *estimate_of(const mxArray *value)
+{
+    return (cophase_estimate *)handle_of(value, ESTIMATE)->object;
+}
+
+static const constant_name METHODS[] = {{"modal", COPHASE_METHOD_MODAL}, {"map", COPHASE_METHOD_MAP}, {NULL, 0}};
+static const constant_name LEVELS[] = {
+    {"nothing", COPHASE_KNOWS_NOTHING},     {"spectrum", COPHASE_KNOWS_SPECTRUM}, {"loop", COPHASE_KNOWS_LOOP},
+    {"telemetry", COPHASE_KNOWS_TELEMETRY}, {NULL, 0},
+};
+static const field INFO[] = {
+    FIELD(cophase_estimate_info, images, IS_SIZE),
+    FIELD(cophase_estimate_info, used, IS_SIZE),
+    FIELD(cophase_estimate_info, clipped, IS_SIZE),
+    FIELD(cophase_estimate_info, modes, IS_SIZE),
+    FIELD(cophase_estimate_info, segment_modes, IS_SIZE),
+    FIELD(cophase_estimate_info, samples, IS_SIZE),
+    FIELD(cophase_estimate_info, error_terms, IS_SIZE),
+    FIELD(cophase_estimate_info, warnings, IS_SIZE),
+    NAMED_FIELD(cophase_estimate_info, method, METHODS),
+    NAMED_FIELD(cophase_estimate_info, policy, POLICIES),
+    FIELD(cophase_estimate_info, status, IS_STATUS),
+    FIELD(cophase_estimate_info, is_sequence, IS_LOGICAL),
+    FIELD(cophase_estimate_info, iterations, IS_INT),
+    FIELD(cophase_estimate_info, has_settled, IS_LOGICAL),
+    NAMED_FIELD(cophase_estimate_info, knows, LEVELS),
+    NAMED_FIELD(cophase_estimate_info, precision, PRECISIONS),
+    FIELD(cophase_estimate_info, evaluations, IS_COUNT),
+    FIELD(cophase_estimate_info, phasing_rms_nm, IS_DOUBLE),
+    FIELD(cophase_estimate_info, phasing_sigma_nm, IS_DOUBLE),
+    FIELD(cophase_estimate_info, ncpa_rms_nm, IS_DOUBLE),
+    FIELD(cophase_estimate_info, ncpa_sigma_nm, IS_DOUBLE),
+    FIELD(cophase_estimate_info, wavefront_rms_nm, IS_DOUBLE),
+    FIELD(cophase_estimate_info, wavefront_sigma_nm, IS_DOUBLE),
+    FIELD(cophase_estimate_info, reduced_chi2, IS_DOUBLE),
+    FIELD(cophase_estimate_info, images_to_halve, IS_DOUBLE),
+    FIELD(cophase_estimate_info, map_width_m, IS_DOUBLE),
+    FIELD(cophase_estimate_info, seconds, IS_DOUBLE),
+    FIELD(cophase_estimate_info, model_seconds, IS_DOUBLE),
+    END_OF_FIELDS,
+};
+
+/* (estimate): a struct. */
+static void do_info(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    cophase_estimate_info info = {0};
+
+    check(cophase_estimate_get_info(estimate_of(in[0]), &info, sizeof info));
+    out[0] = structs(INFO, &info, sizeof info, 1);
+}
+
+/* (estimate, count): a struct for each image. */
+static void do_images(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const size_t count = whole(in[1], 0, "count");
+    cophase_image_report *reports = (cophase_image_report *)mxCalloc(count, sizeof *reports);
+
+    check(cophase_estimate_images(estimate_of(in[0]), reports, sizeof *reports, count));
+    out[0] = structs(IMAGE_REPORT, reports, sizeof *reports, count);
+}
+
+#define ARRAY(name) {#name, COPHASE_ARRAY_##name}
+static const constant_name ARRAYS[] = {
+    ARRAY(COEFFICIENTS_NM),
+    ARRAY(SIGMA_NM),
+    ARRAY(COVARIANCE_NM2),
+    ARRAY(IMAGE_COEFFICIENTS_NM),
+    ARRAY(MAPS_NM),
+    ARRAY(ERROR_BUDGET_NM),
+    ARRAY(CORRECTION_PISTONS_NM),
+    ARRAY(CORRECTION_ACTUATORS_NM),
+    ARRAY(CORRECTION_ACTUATORS_M),
+    ARRAY(CORRECTION_SLOPES_MAS),
+    {NULL, 0},
+};
+
+/* (estimate, 'MAPS_NM', count): a column. */
+static void do_array(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const size_t count = whole(in[2], 0, "count");
+    double empty = 0.0;
+
+    out[0] = column(count);
+    check(cophase_estimate_array(estimate_of(in[0]), constant(in[1], ARRAYS), count == 0 ? &empty : mxGetPr(out[0]), count));
+}
+
+static cophase_status estimate_text(const void *object, int32_t what, size_t index, char *text, size_t capacity,
+                                    size_t *length)
+{
+    return cophase_estimate_text((const cophase_estimate *)object, what, index, text, capacity, length);
+}
+
+#define TEXT(name) {#name, COPHASE_TEXT_##name}
+static const constant_name TEXTS[] = {
+    TEXT(REPORT), TEXT(WARNINGS), TEXT(REMARKS),       TEXT(DEVICE),    TEXT(POLICY),          TEXT(MODEL),
+    TEXT(SCENE),  TEXT(IMAGE_MESSAGE), TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), {NULL, 0},
+};
+
+/* (estimate, 'MODE_NAME', index): a text; index from 1. */
+static void do_text(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    out[0] = long_text(estimate_text, estimate_of(in[0]), constant(in[1], TEXTS), whole(in[2], 1, "the index") - 1);
+}
+
+/* (estimate, path) */
+static void do_write(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const char *path = text(in[1], "path");
+
+    check(cophase_estimate_write(estimate_of(in[0]), path == NULL ? "" : path));
+}
+
+static const field CORRECTION[] = {
+    FIELD(cophase_correction_report, segments, IS_SIZE),
+    FIELD(cophase_correction_report, actuators, IS_SIZE),
+    FIELD(cophase_correction_report, slopes, IS_SIZE),
+    FIELD(cophase_correction_report, corrected_modes, IS_SIZE),
+    FIELD(cophase_correction_report, limited, IS_SIZE),
+    END_OF_FIELDS,
+};
+
+/* (estimate, limit_nm, path): a struct with the sizes of the CORRECTION_ arrays. */
+static void do_correct(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const double limit_nm = mxIsEmpty(in[1]) ? 0.0 : chosen(in[1], "limit_nm");
+    cophase_correction_report report = {0};
+
+    check(cophase_estimate_correct(estimate_of(in[0]), limit_nm, text(in[2], "path"), &report, sizeof report));
+    out[0] = structs(CORRECTION, &report, sizeof report, 1);
+}
+
+const command ESTIMATE_COMMANDS[] = {
+    {"estimator.create", 1, ANY_NUMBER, do_create_estimator},
+    {"estimate.create", 2, ANY_NUMBER, do_create},
+    {"estimate.info", 1, 1, do_info},
+    {"estimate.images", 2, 2, do_images},
+    {"estimate.array", 3, 3, do_array},
+    {"estimate.text", 3, 3, do_text},
+    {"estimate.write", 2, 2, do_write},
+    {"estimate.correct", 3, 3, do_correct},
+    {NULL, 0, 0, NULL},
+};

@@ -1,0 +1,183 @@
+"""Estimates: the result of the pipeline."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._arrays import output, structs
+from ._handle import Handle
+from ._library import check, ffi, lib, library_text, named, path_text, struct, text
+
+_IMAGE = "cophase_image_report"
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What to add to segments, mirror and reference slopes to correct the estimated errors.
+
+    A positive command raises the wavefront. A mode whose estimate is smaller than its error bar is not corrected.
+
+    Attributes
+    ----------
+    pistons_nm : (segments,) array
+        What to add to the piston of each segment, nm of wavefront.
+    actuators_nm : (actuators,) array
+        What to add to the command of each actuator, nm of wavefront; empty without a loop in the scene.
+    actuators_m : (actuators, 2) array
+        Position of each actuator, x and y, m.
+    slopes_mas : (slopes,) array
+        What to add to the sensor's reference slopes, mas, along x for every subaperture, then along y.
+    corrected_modes : int
+        NCPA modes that are corrected.
+    limited : int
+        Commands that were cut at the limit.
+    """
+
+    pistons_nm: NDArray[np.float64]
+    actuators_nm: NDArray[np.float64]
+    actuators_m: NDArray[np.float64]
+    slopes_mas: NDArray[np.float64]
+    corrected_modes: int
+    limited: int
+
+
+class Estimate(Handle):
+    """Estimate of the static wavefront: modes, maps, error bars, reports on the images.
+
+    :meth:`cophase.Estimator.estimate` makes it. ``print(estimate.report())`` shows it as the program does.
+
+    Attributes
+    ----------
+    info : namespace
+        Sizes, status and figures: ``images``, ``used`` (images that were combined), ``clipped`` (left out as outliers),
+        ``modes``, ``segment_modes`` (they come first), ``samples``, ``error_terms``, ``warnings``; ``method`` (``"modal"``
+        or ``"map"``), ``policy``, ``status`` (the worst of an image that counts for the whole), ``is_sequence`` (error bars
+        are from the scatter between images); of a MAP estimate ``iterations``, ``has_settled``, ``knows`` (knowledge of the
+        adaptive optics: ``"nothing"``, ``"spectrum"``, ``"loop"``, ``"telemetry"``); ``precision``; ``evaluations``;
+        ``phasing_rms_nm``, ``ncpa_rms_nm``, ``wavefront_rms_nm`` (both together) and their expected errors
+        ``phasing_sigma_nm``, ``ncpa_sigma_nm``, ``wavefront_sigma_nm`` (RMS over the pupil, piston, tip and tilt removed);
+        ``reduced_chi2`` (median of the images used); ``images_to_halve`` (further images that halve both error bars);
+        ``map_width_m``; ``seconds``, ``model_seconds``.
+    policy, method, device : str
+        Policy, method and device of the estimate.
+    model : str
+        Modes that model selection added to the scene's.
+    scene : str
+        Scene that was used (TOML), with the choices of a plan and the optics that were fitted.
+    warnings, remarks : list of str
+        What to know before using the numbers; remarks that hold for every image of the scene.
+    mode_names : list of str
+        Names of the modes.
+    coefficients_nm : (modes,) array
+        Coefficients, nm.
+    sigma_nm : (modes,) array
+        Standard deviation of each coefficient, nm.
+    covariance_nm2 : (modes, modes) array
+        Covariance of the coefficients, nm^2.
+    image_coefficients_nm : (images, modes) array, or None
+        Coefficients of each image, nm, NaN for unusable images; ``None`` in a MAP estimate.
+    phasing_nm, ncpa_nm : (samples, samples) array
+        Maps ``[y, x]`` of phasing errors and NCPA, nm; NaN outside the pupil.
+    phasing_sigma_nm, ncpa_sigma_nm : (samples, samples) array
+        Standard deviation of each sample of these maps, nm.
+    images : (images,) record array
+        Report on each image: ``status`` (``"OK"``, ``"MISFIT"``, ``"WRONG_MINIMUM"``, ``"NOT_CONVERGED"`` or
+        ``"UNUSABLE"``), ``message`` (the reason, a sentence), ``is_used``, ``is_clipped``, ``bad_pixels``,
+        ``rejected_pixels``, ``policy``, ``evaluations``, ``reduced_chi2`` (1 where the model is right), ``flux_e``,
+        ``background_e``, ``tip_nm``, ``tilt_nm``, ``seconds``. Read as ``images.flux_e`` or ``images[0].message``.
+    error_budget : list of (str, float, float)
+        Terms of the error budget: name, and contribution to the error bars of phasing and NCPA, nm RMS over the pupil. Their
+        squares add up to the squares of ``info.phasing_sigma_nm`` and ``info.ncpa_sigma_nm``.
+    """
+
+    def __init__(self, handle: Any) -> None:
+        self._handle = handle
+        self.info: SimpleNamespace = struct("cophase_estimate_info", lib.cophase_estimate_get_info, handle)
+        info, modes, samples = self.info, self.info.modes, self.info.samples
+        self.method: str = info.method
+        self.policy = self._text("POLICY")
+        self.device = self._text("DEVICE")
+        self.model = self._text("MODEL")
+        self.scene = self._text("SCENE")
+        self.warnings = self._text("WARNINGS").splitlines()
+        self.remarks = self._text("REMARKS").splitlines()
+        self.mode_names = [self._text("MODE_NAME", mode) for mode in range(modes)]
+        self.coefficients_nm = self._array("COEFFICIENTS_NM", modes)
+        self.sigma_nm = self._array("SIGMA_NM", modes)
+        self.covariance_nm2 = self._array("COVARIANCE_NM2", modes, modes)
+        modal = info.method == "modal"
+        self.image_coefficients_nm = self._array("IMAGE_COEFFICIENTS_NM", info.images, modes) if modal else None
+        maps_nm = self._array("MAPS_NM", 4, samples, samples)
+        self.phasing_nm, self.ncpa_nm, self.phasing_sigma_nm, self.ncpa_sigma_nm = maps_nm
+        self.images = self._images()
+        budget_nm = self._array("ERROR_BUDGET_NM", info.error_terms, 2).tolist()
+        self.error_budget = [(self._text("ERROR_TERM_NAME", k), *term) for k, term in enumerate(budget_nm)]
+
+    def _text(self, what: str, index: int = 0) -> str:
+        return library_text(lib.cophase_estimate_text, self._handle, getattr(lib, f"COPHASE_TEXT_{what}"), index)
+
+    def _array(self, what: str, *shape: int) -> NDArray[np.float64]:
+        return output(shape, lib.cophase_estimate_array, self._handle, getattr(lib, f"COPHASE_ARRAY_{what}"))
+
+    def _images(self) -> np.recarray[Any, np.dtype[Any]]:
+        count = self.info.images
+        numbers, pointer = structs(_IMAGE, (count,))
+        check(lib.cophase_estimate_images(self._handle, pointer, ffi.sizeof(_IMAGE), count))
+        fields = {name: [named(name, value) for value in numbers[name].tolist()] for name in numbers.dtype.names}
+        status = fields.pop("status")
+        messages = [self._text("IMAGE_MESSAGE", image) for image in range(count)]
+        return np.rec.fromarrays(
+            [np.array(status), np.array(messages, object), *map(np.array, fields.values())],
+            names=["status", "message", *fields],
+        )
+
+    def _summary(self) -> str:
+        info = self.info
+        return (
+            f"{info.used} of {info.images} images, phasing {info.phasing_rms_nm:.1f} +- {info.phasing_sigma_nm:.1f} nm, "
+            f"NCPA {info.ncpa_rms_nm:.1f} +- {info.ncpa_sigma_nm:.1f} nm"
+        )
+
+    def report(self) -> str:
+        """The report, as the program prints it, warnings included."""
+        return self._text("REPORT")
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes the estimate as FITS, whole or not at all. :class:`cophase.BadFileError` if it cannot be written."""
+        check(lib.cophase_estimate_write(self._handle, text("path", path)))
+
+    def correct(self, limit_nm: float | None = None, path: str | os.PathLike[str] | None = None) -> Correction:
+        """Computes what to add to segments, mirror and reference slopes; a MAP estimate only.
+
+        It takes about a second at the size of Keck if the scene has a loop.
+
+        Parameters
+        ----------
+        limit_nm : float, optional
+            Largest command, nm; by default the mirror's stroke and, for segments, a quarter of the wavelength.
+        path : path, optional
+            FITS file to write.
+
+        Raises
+        ------
+        BadValueError
+            For a modal estimate, which has no corrections, and for a negative limit.
+        BusyError
+            While other threads read the estimate.
+        """
+        inputs = (self._handle, limit_nm or 0.0, path_text("path", path))
+        found = struct("cophase_correction_report", lib.cophase_estimate_correct, *inputs)
+        return Correction(
+            self._array("CORRECTION_PISTONS_NM", found.segments),
+            self._array("CORRECTION_ACTUATORS_NM", found.actuators),
+            self._array("CORRECTION_ACTUATORS_M", found.actuators, 2),
+            self._array("CORRECTION_SLOPES_MAS", found.slopes),
+            found.corrected_modes,
+            found.limited,
+        )

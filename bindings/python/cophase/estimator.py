@@ -1,0 +1,182 @@
+"""Estimators: the full pipeline, from the images of one scene to one estimate."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._arrays import calibration, images, input_view
+from ._handle import Handle
+from ._interrupt import interruptible
+from ._library import check, constants, ffi, lib, options, path_text, text
+from .errors import BadShapeError
+from .estimate import Estimate
+
+_POLICIES = {name: number for number, name in constants("COPHASE_POLICY_").items()}
+_STAGES = constants("COPHASE_STAGE_")
+
+
+class Progress(NamedTuple):
+    """Progress of an estimate.
+
+    Attributes
+    ----------
+    stage : str
+        ``"idle"`` (no estimate is running), ``"planning"``, ``"preparing"``, ``"fitting"``, ``"combining"``, or, in a MAP
+        estimate, ``"retrieving"``, ``"separating"``.
+    done, total : int
+        Steps (images) of this stage that are done, and their number, 0 if it is unknown.
+    """
+
+    stage: str
+    done: int
+    total: int
+
+
+class Estimator(Handle):
+    """The full pipeline for images of one scene, the same as ``cophase estimate``; the results are the same to the bit.
+
+    The scene's ``estimate.method`` says whether the estimate is modal or maximum a posteriori (MAP, ``"full-phase"``: the
+    wavefront behind each exposure, static errors separated from the turbulence). An estimator can be used again and again.
+    One call at a time (:class:`cophase.BusyError` otherwise), except :meth:`cancel` and :attr:`progress`; other Python
+    threads run during a call.
+
+    Parameters
+    ----------
+    scene : str
+        Scene as TOML text. With ``estimate.budget_nm`` the model is planned here, which takes some seconds.
+    policy : {"full", "realtime"}
+        ``"full"``: model selection, outlier rejection, restarts, optics fitted if the scene asks for it. ``"realtime"``: one
+        fit with the largest basis, no retries, as a :class:`cophase.Session` does.
+    threads : int, optional
+        Number of threads; one per processor by default. Results do not depend on it.
+    directory : path, optional
+        Directory of the files that the scene names; the working directory by default.
+
+    Raises
+    ------
+    BadSceneError
+        With line, key, value and what is accepted: also for keys that the policy does not honour.
+
+    Examples
+    --------
+    >>> estimator = cophase.Estimator(cophase.preset("keck-artificial"))
+    >>> estimate = estimator.estimate(frames)
+    >>> print(estimate.report())
+
+    Progress of an estimate that runs in another thread:
+
+    >>> with concurrent.futures.ThreadPoolExecutor() as pool:
+    ...     future = pool.submit(estimator.estimate, frames)
+    ...     while not future.done():
+    ...         print(estimator.progress)
+    ...         time.sleep(1)
+    """
+
+    def __init__(
+        self,
+        scene: str,
+        policy: str = "full",
+        threads: int | None = None,
+        directory: str | os.PathLike[str] | None = None,
+    ) -> None:
+        if policy not in _POLICIES:
+            raise ValueError(f"policy is {policy!r}: {' or '.join(map(repr, _POLICIES))} is accepted")
+        chosen = options("cophase_estimator_options", threads=threads)
+        chosen.policy = _POLICIES[policy]
+        inputs = (text("scene", scene), path_text("directory", directory), chosen)
+        self._own("cophase_estimator", lib.cophase_estimator_create, *inputs)
+        self._policy = policy
+
+    def _summary(self) -> str:
+        return f"policy {self._policy}, {self.progress.stage}"
+
+    def estimate(
+        self,
+        frames: ArrayLike,
+        mask: ArrayLike | None = None,
+        slopes_mas: ArrayLike | None = None,
+        read_noise_e: float | None = None,
+        *,
+        dark: ArrayLike | None = None,
+        flat: ArrayLike | None = None,
+        gain_e: float | None = None,
+        saturation: float | None = None,
+    ) -> Estimate:
+        """Estimates the static wavefront behind images. Ctrl-C cancels it, within a second or two at the size of Keck.
+
+        electrons = (raw - dark) * gain / flat; without dark, flat and gain, frames are electrons.
+
+        Parameters
+        ----------
+        frames : (rows, cols) or (images, rows, cols) array
+            Images of the same static errors, two or more for a MAP estimate. Values that are not finite are bad pixels. The
+            optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64, uint16, int32,
+            uint8 and bool are read in place, other types are copied if NumPy casts them safely.
+        mask : (rows, cols) or (images, rows, cols) array, optional
+            Bad pixels, which take no part, are not 0: of all images, or of each.
+        slopes_mas : (images, slopes) array, optional
+            Telemetry of a MAP estimate: slopes of the wavefront sensor, mean over each exposure, mas, along x for every
+            subaperture, then along y.
+        read_noise_e : float, optional
+            Read noise of a pixel, electrons RMS; the scene's by default.
+        dark : (rows, cols) array, optional
+            Signal without light, raw units.
+        flat : (rows, cols) array, optional
+            Relative response, about 1.
+        gain_e : float, optional
+            Electrons per raw unit; 1 by default.
+        saturation : float, optional
+            Raw value from which on a pixel is saturated, and bad.
+
+        Raises
+        ------
+        BadShapeError
+            For frames, slopes or maps of another shape.
+        BadImageError
+            If no image can be used (fewer than two in a MAP estimate).
+        BadSceneError, BadFileError
+            If the telescope cannot be built.
+        DeviceError
+            If the device that the scene names is absent or fails.
+        Interrupted
+            After :meth:`cancel`.
+        """
+        pixels = images("frames", frames)
+        if mask is not None:
+            mask = images("mask", mask)
+            if mask.ndim == 3:
+                # C has one map of bad pixels for all images; in single images, values that are not finite are bad.
+                if mask.shape != pixels.shape:
+                    raise BadShapeError(f"mask has the shape {mask.shape}: {pixels.shape}, that of frames, is accepted")
+                pixels, mask = np.where(mask != 0, np.nan, pixels), None
+        slopes = None
+        if slopes_mas is not None:
+            slopes = images("slopes_mas", slopes_mas)
+            if slopes.ndim != 2:
+                raise BadShapeError(f"slopes_mas has the shape {slopes.shape}: [image, slope] is accepted")
+        camera = calibration(dark, flat, mask, gain_e, saturation)
+        chosen = options("cophase_estimate_options", calibration=camera.pointer, read_noise_e=read_noise_e)
+        frame_view, slope_view = input_view(pixels), ffi.NULL if slopes is None else input_view(slopes)
+        out = ffi.new("cophase_estimate **")
+
+        def call() -> None:
+            check(lib.cophase_estimator_estimate(self._handle, frame_view, slope_view, chosen, out))
+
+        interruptible(call, self.cancel)
+        return Estimate(ffi.gc(out[0], lib.cophase_estimate_destroy))
+
+    @property
+    def progress(self) -> Progress:
+        """Progress of the estimate that is running in another thread."""
+        stage, done, total = ffi.new("int32_t *"), ffi.new("uint64_t *"), ffi.new("uint64_t *")
+        check(lib.cophase_estimator_progress(self._handle, stage, done, total))
+        return Progress(_STAGES.get(stage[0], "unknown"), done[0], total[0])
+
+    def cancel(self) -> None:
+        """Makes the estimate that is running in another thread, or else the next one, raise
+        :class:`cophase.Interrupted` within a second or two at the size of Keck."""
+        check(lib.cophase_estimator_cancel(self._handle))
