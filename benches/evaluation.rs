@@ -6,8 +6,8 @@
 //! image to image, so that nothing can be reused.
 
 use cophase::device::{self, Choice, Precision};
-use cophase::estimate::{Estimator, Frame};
 use cophase::imaging::{Chain, Exposure};
+use cophase::modal::{Frame, ModalFitter};
 use cophase::scene::Scene;
 use cophase::source;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
@@ -30,7 +30,7 @@ fn scenes() -> [(&'static str, Scene); 2] {
 }
 
 /// The chains that are here, CPU first.
-fn chains(estimator: &Estimator, capacity: usize) -> Vec<(String, Chain)> {
+fn chains(estimator: &ModalFitter, capacity: usize) -> Vec<(String, Chain)> {
     let optics = || estimator.model().optics.clone();
     let precisions = [Precision::F32, Precision::F64];
     let mut chains: Vec<_> = precisions.map(|p| (format!("cpu {p}"), Chain::cpu(optics(), p))).into();
@@ -46,7 +46,7 @@ fn chains(estimator: &Estimator, capacity: usize) -> Vec<(String, Chain)> {
     chains
 }
 
-fn exposure(scene: &Scene, estimator: &Estimator) -> Exposure {
+fn exposure(scene: &Scene, estimator: &ModalFitter) -> Exposure {
     let made = source::simulate(scene).expect("the scene can be imaged");
     let bad = made.images_e.mapv(|_| false);
     let frame = Frame {
@@ -59,7 +59,7 @@ fn exposure(scene: &Scene, estimator: &Estimator) -> Exposure {
 
 fn evaluation(criterion: &mut Criterion) {
     for (name, scene) in scenes() {
-        let estimator = Estimator::new(&scene, false).expect("the scene has a model");
+        let estimator = ModalFitter::new(&scene, false).expect("the scene has a model");
         let exposure = exposure(&scene, &estimator);
         let mut group = criterion.benchmark_group(name);
         group.sample_size(20);

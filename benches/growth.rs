@@ -11,8 +11,8 @@
 //! - a **fit** is some 15 evaluations, each with two products with an M×M matrix, and one metric, which costs what error
 //!   bars cost.
 
-use cophase::estimate::{Cube, Estimator};
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::{Cube, ModalFitter};
 use cophase::scene::Scene;
 use cophase::source;
 use ndarray::{Array1, Array2, Axis};
@@ -172,7 +172,7 @@ fn scene(point: &Point) -> Scene {
 fn measure(point: &Point) -> Found {
     let scene = scene(point);
     let started = Instant::now();
-    let estimator = Estimator::new(&scene, false).expect("the scene has a model");
+    let estimator = ModalFitter::new(&scene, false).expect("the scene has a model");
     let model_s = started.elapsed().as_secs_f64();
     let modes = estimator.model().optics.modes();
     let images_e = source::simulate(&scene).expect("the scene can be imaged").images_e;

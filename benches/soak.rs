@@ -4,7 +4,7 @@
 //! nothing is said of it) may not grow after the first tenth, in which allocators and thread stacks settle, and the same frame
 //! must give the same bits each time.
 
-use cophase::estimate::{Estimator, FitOptions, Session, SessionOptions};
+use cophase::modal::{FitOptions, ModalFitter, Session, SessionOptions};
 use cophase::scene::Scene;
 use cophase::source;
 use ndarray::Axis;
@@ -51,7 +51,7 @@ fn main() {
     };
     let scene = Scene::from_text(SCENE, std::path::Path::new("")).expect("the scene is valid");
     let frames = source::simulate(&scene).expect("the scene can be imaged").images_e;
-    let estimator = Arc::new(Estimator::new(&scene, false).expect("the scene has a model"));
+    let estimator = Arc::new(ModalFitter::new(&scene, false).expect("the scene has a model"));
     let mut session = Session::new(estimator, &SessionOptions::default()).expect("a session has room");
 
     let started = Instant::now();

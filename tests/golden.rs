@@ -3,9 +3,9 @@
 mod common;
 
 use common::{chains, relative_difference};
-use cophase::estimate::{Cube, Estimate, Estimator, Frame};
 use cophase::imaging::{Chain, CpuChain, Exposure, Precision};
 use cophase::io;
+use cophase::modal::{Cube, Frame, ModalEstimate, ModalFitter};
 use cophase::modes::Group;
 use cophase::scene::Scene;
 use ndarray::{Array1, Array2, ArrayView1, Axis};
@@ -26,16 +26,16 @@ fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)
 }
 
-fn estimator(weighting: &str) -> Estimator {
+fn estimator(weighting: &str) -> ModalFitter {
     let scene = Scene::from_file(file("scene.toml")).unwrap().with(&CHOICES).unwrap();
-    Estimator::new(&scene.with(&[("estimate.weighting", weighting)]).unwrap(), false).unwrap()
+    ModalFitter::new(&scene.with(&[("estimate.weighting", weighting)]).unwrap(), false).unwrap()
 }
 
 fn image(name: &str) -> Array2<f64> {
     io::read_map(file(name), Some("IMAGES")).unwrap()
 }
 
-fn exposure(estimator: &Estimator, name: &str) -> Exposure {
+fn exposure(estimator: &ModalFitter, name: &str) -> Exposure {
     let data = image(name);
     let bad = data.mapv(|_| false);
     let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 120.0 };
@@ -143,7 +143,7 @@ fn the_gauss_newton_matrix_is_golden() {
     assert!(difference < 1e-11);
 }
 
-fn run(estimator: &Estimator, chain: &mut Chain, name: &str) -> Estimate {
+fn run(estimator: &ModalFitter, chain: &mut Chain, name: &str) -> ModalEstimate {
     let data = image(name).insert_axis(Axis(0));
     let bad = data.mapv(|_| false);
     estimator.estimate(chain, data.view(), bad.view(), Some(120.0), None, &mut |_, _| {}).unwrap()
@@ -181,8 +181,8 @@ fn our_default_is_at_least_as_close_to_the_truth() {
     for name in ["inspan.fits.gz", "zern.fits.gz"] {
         let images = io::read_images(file(name), None).unwrap();
         let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-        let mut open = |ours: &Estimator| Ok(Chain::cpu(ours.model().optics.clone(), Precision::F64));
-        let (ours, estimate) = cophase::estimate::read(&scene, cube, &mut open, None, &mut |_, _| {}).unwrap();
+        let mut open = |ours: &ModalFitter| Ok(Chain::cpu(ours.model().optics.clone(), Precision::F64));
+        let (ours, estimate) = cophase::modal::read(&scene, cube, &mut open, None, &mut |_, _| {}).unwrap();
         let pupil = &ours.model().telescope.pupil;
         let theirs = vector(name, "EST_LM_WEIGHTED");
         let residuals =

@@ -2,8 +2,8 @@
 
 mod common;
 
-use cophase::estimate::{Cube, Estimator};
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::{Cube, ModalFitter};
 use cophase::scene::Scene;
 use cophase::source;
 use ndarray::{Array1, Array3, Axis, s};
@@ -83,7 +83,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
     Scene::preset("keck-artificial").unwrap().with(&small).unwrap().with(settings).unwrap()
 }
 
-fn estimate_of(estimator: &Estimator, chain: &mut Chain, images_e: &Array3<f64>) -> cophase::estimate::Estimate {
+fn estimate_of(estimator: &ModalFitter, chain: &mut Chain, images_e: &Array3<f64>) -> cophase::modal::ModalEstimate {
     let bad = images_e.mapv(|_| false);
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
     estimator.estimate(chain, cube.images_e, cube.bad, None, None, &mut |_, _| {}).unwrap()
@@ -91,7 +91,7 @@ fn estimate_of(estimator: &Estimator, chain: &mut Chain, images_e: &Array3<f64>)
 
 /// `scene` with memory for `images` at once, and its limit in bytes.
 fn limited(scene: &Scene, images: usize) -> (Scene, usize) {
-    let memory = Estimator::new(scene, false).unwrap().model().memory(rayon::current_num_threads());
+    let memory = ModalFitter::new(scene, false).unwrap().model().memory(rayon::current_num_threads());
     let limit = memory.least_bytes() + 2 * (images - 1) * memory.fitted_image + memory.fitted_image;
     (scene.with_override("estimate.memory_gb", &format!("{}", limit as f64 / 1e9)).unwrap(), limit)
 }
@@ -101,7 +101,7 @@ fn a_cube_in_tiles_is_fitted_to_the_same_bits() {
     let _alone = alone();
     let (scene, _) = limited(&scene(&[]), 3);
     let images_e = source::simulate(&scene).unwrap().images_e;
-    let estimator = Estimator::new(&scene, false).unwrap();
+    let estimator = ModalFitter::new(&scene, false).unwrap();
     assert_eq!(estimator.model().tiles().images, 3);
     // Chains with room for a tile, not for the cube.
     for (name, mut chain) in common::chains(&estimator, 3) {
@@ -125,7 +125,7 @@ fn error_bars_from_tiles_are_those_of_the_whole() {
     let _alone = alone();
     let whole = scene(&[("modes.segment", "piston-tip-tilt")]);
     let (tiled, _) = limited(&whole, 1);
-    let [whole, tiled] = [whole, tiled].map(|scene| Estimator::new(&scene, false).unwrap());
+    let [whole, tiled] = [whole, tiled].map(|scene| ModalFitter::new(&scene, false).unwrap());
     let memory = whole.model().memory(1);
     assert!(tiled.model().tiles().derivative_bytes < memory.rows * memory.derivative_row / 2);
     let at = Array1::zeros(whole.model().optics.modes());
@@ -154,7 +154,7 @@ fn memory_stays_below_its_formula() {
     let images_e = source::simulate(&whole).unwrap().images_e;
     for (scene, limit) in [(&whole, 8_000_000_000), (&tiled, limit)] {
         let (memory, peak) = peak(|| {
-            let estimator = Estimator::new(scene, false).unwrap();
+            let estimator = ModalFitter::new(scene, false).unwrap();
             let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
             estimate_of(&estimator, &mut chain, &images_e);
             estimator.model().memory(rayon::current_num_threads())
@@ -173,9 +173,9 @@ fn memory_stays_below_its_formula() {
 fn a_scene_that_memory_cannot_hold_is_refused() {
     let _alone = alone();
     let scene = scene(&LARGE);
-    let least = Estimator::new(&scene, false).unwrap().model().memory(rayon::current_num_threads()).least_bytes();
+    let least = ModalFitter::new(&scene, false).unwrap().model().memory(rayon::current_num_threads()).least_bytes();
     let refused =
-        |gb: f64| Estimator::new(&scene.with_override("estimate.memory_gb", &format!("{gb}")).unwrap(), false);
+        |gb: f64| ModalFitter::new(&scene.with_override("estimate.memory_gb", &format!("{gb}")).unwrap(), false);
     let sentence = refused(least as f64 / 1.1e9).err().unwrap().to_string();
     let allowed = (least as f64 / 1.1e9 * 1e9) as usize;
     assert!(sentence.contains(&format!("{least} bytes")) && sentence.contains(&format!("{allowed}")), "{sentence}");

@@ -1,8 +1,8 @@
 //! On the CPU and the caller's own thread, a session neither allocates nor frees memory: counted at the allocator.
 
 use cophase::capi::*;
-use cophase::estimate::{Estimator, FitOptions, Refusal, Session, SessionOptions, Status};
 use cophase::imaging::Precision;
+use cophase::modal::{FitOptions, ModalFitter, Refusal, Session, SessionOptions, Status};
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
 use cophase::source;
@@ -92,7 +92,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 /// Runs everything that promises not to allocate, on a thread that has never run any of it.
 fn silent(scene: &Scene, precision: Precision) {
     let images_e = source::simulate(scene).unwrap().images_e;
-    let estimator = Arc::new(Estimator::new(scene, false).unwrap());
+    let estimator = Arc::new(ModalFitter::new(scene, false).unwrap());
     let modes = estimator.model().optics.modes();
     let options = SessionOptions { capacity: 5, precision: Some(precision), ..SessionOptions::default() };
     let mut session = Session::new(estimator, &options).unwrap();
@@ -158,7 +158,7 @@ fn native_frames_in_both_precisions() {
 #[test]
 fn frames_whose_sampling_is_reduced() {
     let scene = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176")]);
-    let estimator = Estimator::new(&scene, false).unwrap();
+    let estimator = ModalFitter::new(&scene, false).unwrap();
     assert!(estimator.model().preparation.reduced[0] < 176);
     for precision in [Precision::F64, Precision::F32] {
         silent(&scene, precision);
@@ -170,7 +170,7 @@ fn frames_that_are_not_square() {
     let (columns, rows) = (("image.pixels", "132"), ("image.rows", "120"));
     silent(&scene(&[("image.samples_per_lambda_over_d", "3"), columns, rows]), Precision::F64);
     let reduced = scene(&[("image.samples_per_lambda_over_d", "4"), ("image.pixels", "176"), ("image.rows", "144")]);
-    let preparation = Estimator::new(&reduced, false).unwrap().model().preparation;
+    let preparation = ModalFitter::new(&reduced, false).unwrap().model().preparation;
     assert_eq!((preparation.frame, preparation.reduced), ([176, 144], [88, 72]));
     silent(&reduced, Precision::F64);
 }

@@ -1,8 +1,8 @@
 //! The planner: budgets are kept on wavefronts that it has not seen, at less work; and it says what it cannot do.
 
-use cophase::estimate::{Cube, Estimator};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
+use cophase::modal::{Cube, ModalFitter};
 use cophase::modes::Group;
 use cophase::planner::{self, Plan};
 use cophase::scene::{self, Crop, Scene};
@@ -48,7 +48,7 @@ fn plan(scene: &Scene, budget_nm: f64) -> Result<Plan> {
 /// Residuals of phasing and NCPA where the planned model reads an image of `scene` as the simulator makes it.
 fn residuals_nm(plan: &Plan, scene: &Scene) -> [f64; 2] {
     let made = source::simulate(scene).unwrap();
-    let estimator = Estimator::new(&plan.scene, false).unwrap();
+    let estimator = ModalFitter::new(&plan.scene, false).unwrap();
     let precision = match plan.scene.estimate.precision {
         scene::Precision::F32 => Precision::F32,
         scene::Precision::F64 => Precision::F64,
@@ -169,7 +169,7 @@ fn what_cannot_be_planned_is_refused() {
     let error = plan(&small(&[("estimate.optimizer", "bfgs")]), 1.0).unwrap_err();
     assert!(matches!(&error, Error::Scene(sentence) if sentence.contains("gauss-newton")), "{error}");
     // An estimator of a scene with a budget would ignore it.
-    let error = Estimator::new(&small(&[("estimate.budget_nm", "1")]), false).err().unwrap();
+    let error = ModalFitter::new(&small(&[("estimate.budget_nm", "1")]), false).err().unwrap();
     assert!(error.to_string().contains("budget_nm"), "{error}");
     let flag = cophase::optimize::CancelFlag::default();
     flag.store(true, std::sync::atomic::Ordering::Relaxed);

@@ -225,7 +225,7 @@ fn contradictions_are_refused() {
         ("keck-onsky", &[("turbulence.fractions", "[0.5, 0.1, 0.1, 0.1, 0.05, 0.05, 0.05]")], "sum to 0.9500"),
         ("keck-onsky", &[("control.condition_number", "300")], "'control.condition_number' are both given"),
         ("keck-artificial", &[("control.gain", "0.2")], "a section [wavefront_sensor] is needed"),
-        ("keck-artificial", &[("faults.pixel_fill", "1.5")], "faults.pixel_fill = 1.5 is not accepted"),
+        ("keck-artificial", &[("image.pixel_fill", "1.5")], "image.pixel_fill = 1.5 is not accepted"),
     ];
     for (preset, settings, part) in cases {
         let message = refused_setting(preset, settings);
@@ -295,7 +295,6 @@ fn settings_with_unknown_keys_are_refused() {
 #[test]
 fn keys_that_moved_to_another_section_are_named_in_the_message() {
     for (section, key) in [
-        ("image", "pixel_fill"),
         ("image", "pixel_response_rms"),
         ("aberrations", "segment_reflectivity_rms"),
         ("aberrations", "drift_nm_per_min"),

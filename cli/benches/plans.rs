@@ -4,9 +4,9 @@
 //! the plan and by the scene's own model in double precision.
 
 use cophase::Result;
-use cophase::estimate::{Cube, EachImage, Estimator};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
+use cophase::modal::{Cube, EachImage, ModalFitter};
 use cophase::modes::Group;
 use cophase::planner;
 use cophase::scene::{self, Scene};
@@ -86,7 +86,7 @@ fn own_model(scene: &Scene) -> Result<Scene> {
 /// Seconds an image in a batch, and the residuals of phasing and NCPA, nm, where `model` reads the image of `scene`.
 fn read(model: &Scene, scene: &Scene) -> Result<(f64, [f64; 2])> {
     let made = source::simulate(scene)?;
-    let estimator = Estimator::new(model, false)?;
+    let estimator = ModalFitter::new(model, false)?;
     let precision = match model.estimate.precision {
         scene::Precision::F32 => Precision::F32,
         scene::Precision::F64 => Precision::F64,

@@ -2,7 +2,7 @@
 
 use super::input::{Input, cophase_input};
 use super::sized::{self, Options};
-use crate::estimate::{Calibration, CameraMaps};
+use crate::modal::{Calibration, CameraMaps};
 use crate::{Error, Result};
 use ndarray::Array2;
 

@@ -8,7 +8,7 @@ use super::model::scene;
 use super::pointer::{place, put_if_wanted};
 use super::sized::{self, Options};
 use super::status::{COPHASE_OK, cophase_status};
-use crate::estimate::Calibration;
+use crate::modal::Calibration;
 use crate::pipeline::{Control, Estimator, Images, Policy};
 use crate::scene::Scene;
 use crate::{Error, Result};

@@ -5,7 +5,7 @@ use super::status::{
     COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK,
     COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,
 };
-use crate::estimate::{ImageResult, Status};
+use crate::modal::{ImageResult, Status};
 use crate::optimize::StopReason;
 use crate::pipeline::{ImageOutcome, ImageStatus};
 

@@ -5,7 +5,7 @@ use super::input::{Input, cophase_input};
 use super::pointer::{numbers, place, put, put_array, text};
 use super::sized::{self, Options, Outputs};
 use super::status::cophase_status;
-use crate::estimate::{Arrays, Estimator};
+use crate::modal::{Arrays, ModalFitter};
 use crate::modes::Group;
 use crate::scene::Scene;
 use crate::{Error, Result, planner};
@@ -20,7 +20,7 @@ pub struct cophase_model(Handle<Named>);
 
 /// The model, with the names of its modes as C has them.
 struct Named {
-    estimator: Arc<Estimator>,
+    estimator: Arc<ModalFitter>,
     names: Vec<CString>,
 }
 
@@ -63,7 +63,7 @@ pub struct cophase_model_info {
 }
 
 impl Named {
-    fn new(estimator: Estimator) -> Result<Self> {
+    fn new(estimator: ModalFitter) -> Result<Self> {
         let name = |name: &String| {
             CString::new(name.as_str()).map_err(|error| Error::Internal(format!("a mode's name holds a zero: {error}")))
         };
@@ -100,7 +100,7 @@ pub(super) fn check_modes(given: usize, modes: usize) -> Result<()> {
 }
 
 /// The estimator behind a handle.
-pub(super) unsafe fn estimator(model: *const cophase_model) -> Result<Arc<Estimator>> {
+pub(super) unsafe fn estimator(model: *const cophase_model) -> Result<Arc<ModalFitter>> {
     let model = unsafe { model.as_ref() }.ok_or_else(|| null("model"))?;
     model.0.look(|model| model.estimator.clone())
 }
@@ -143,11 +143,11 @@ pub unsafe extern "C" fn cophase_model_create(
         let estimator = if arrays.is_null() {
             let scene = Scene::from_text(scene_text, directory)?;
             // Bad pixels are known frame by frame only: a scene for a camera that has some sets estimate.sampling.
-            Estimator::new(&planner::resolved(&scene, None)?, false)?
+            ModalFitter::new(&planner::resolved(&scene, None)?, false)?
         } else {
             let scene = Scene::for_arrays(scene_text, directory)?;
             let arrays = unsafe { sized::read(arrays, "arrays") }?;
-            Estimator::from_arrays(&scene, &unsafe { copied(&arrays) }?)?
+            ModalFitter::from_arrays(&scene, &unsafe { copied(&arrays) }?)?
         };
         let made = Box::new(cophase_model(Handle::new(Named::new(estimator)?)));
         unsafe { out.write(Box::into_raw(made)) };

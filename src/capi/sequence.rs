@@ -7,7 +7,7 @@ use super::session::{self, cophase_session};
 use super::sized::Outputs;
 use super::status::cophase_status;
 use crate::Result;
-use crate::estimate::{Accumulator, RunningEstimate};
+use crate::modal::{Accumulator, RunningEstimate};
 
 /// Sequence: the last images that sessions of a model fitted, and their running estimate. Calls that take it as const may
 /// run in several threads at once, any other only while no other call runs (COPHASE_BUSY otherwise).
@@ -104,7 +104,7 @@ pub unsafe extern "C" fn cophase_sequence_push(
     }
 }
 
-/// Estimate so far: mean, clipped mean or median of the images as the scene says (estimate.combine). From eight images on,
+/// ModalEstimate so far: mean, clipped mean or median of the images as the scene says (estimate.combine). From eight images on,
 /// outliers are found by comparing images, and error bars are from the scatter between them.
 ///
 /// coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations. covariance_nm2: receives

@@ -5,8 +5,8 @@ use super::images::TruthMaps;
 use super::outcome::{ImageOutcome, ImageStatus};
 use super::policy::Policy;
 use super::{file, report};
-use crate::estimate::{self, Compared};
 use crate::loop_response::Corrections;
+use crate::modal::{self, Compared};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
@@ -85,7 +85,7 @@ pub struct Estimate {
     /// Maps that simulated images were made with, and the residual against them.
     pub truth: Option<(TruthMaps, Comparison)>,
     /// Modal fitter with the model that the images were compared with; `None` in a MAP estimate.
-    pub fitter: Option<Arc<estimate::Estimator>>,
+    pub fitter: Option<Arc<modal::ModalFitter>>,
     /// What only a MAP estimate has.
     pub map: Option<MapSummary>,
 }

@@ -1,11 +1,11 @@
 //! Estimator: a scene, a policy, and the estimate of images by them.
 
 use super::control::{Control, Stage};
-use super::estimate::Estimate;
 use super::images::Images;
+use super::estimate::Estimate;
 use super::policy::Policy;
 use super::{map, modal};
-use crate::estimate::BasisCache;
+use crate::modal::BasisCache;
 use crate::planner;
 use crate::scene::{Method, Scene};
 use crate::{Error, Result};

@@ -8,9 +8,9 @@ use super::outcome::{ImageOutcome, ImageStatus};
 use super::policy::Policy;
 use super::warnings;
 use crate::Result;
-use crate::estimate::{self, BasisCache, Cube, FittedOptic, Model};
 use crate::imaging::Chain;
 use crate::metrics::MapGram;
+use crate::modal::{self, BasisCache, Cube, FittedOptic, Model};
 use crate::modes::Group;
 use crate::scene::{NollRange, Scene};
 use ndarray::Array2;
@@ -27,7 +27,7 @@ pub(super) fn estimate(
     let started = Instant::now();
     let count = images.len();
     control.enter(Stage::Preparing, 0);
-    let mut open = |estimator: &estimate::Estimator| {
+    let mut open = |estimator: &modal::ModalFitter| {
         control.check("the model was built, no image was fitted")?;
         control.enter(Stage::Fitting, count);
         let optics = estimator.model().optics.clone();
@@ -43,7 +43,7 @@ pub(super) fn estimate(
     };
     let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
     let recipes = policy.recipes(scene);
-    let (fitter, found) = estimate::select(scene, &recipes, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
+    let (fitter, found) = modal::select(scene, &recipes, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
     control.check("the images were fitted, nothing was written")?;
     let model_seconds = started.elapsed().as_secs_f64() - found.seconds;
     let model = fitter.model();
@@ -101,7 +101,7 @@ impl From<&FittedOptic> for OpticalParameter {
 }
 
 /// The basis that was chosen, in words.
-fn selected(recipes: &[estimate::Recipe], exact: NollRange) -> String {
+fn selected(recipes: &[modal::Recipe], exact: NollRange) -> String {
     match exact {
         NollRange::None => "the scene's modes".into(),
         NollRange::Span { first, last } if recipes.len() > 1 => format!("Zernikes {first} to {last} added (by χ²)"),
@@ -139,8 +139,8 @@ impl ExpectedErrors {
 /// The terms that add up to the covariance: what the images average out, and what all of them share.
 fn error_budget(
     errors: &ExpectedErrors,
-    fitter: &estimate::Estimator,
-    found: &estimate::Estimate,
+    fitter: &modal::ModalFitter,
+    found: &modal::ModalEstimate,
 ) -> Result<Vec<ErrorTerm>> {
     let averaged = if found.is_sequence() { "scatter between images" } else { "noise" };
     let shared = fitter.shared_errors().iter().map(|shared| (shared.name, &shared.covariance_nm2));

@@ -1,6 +1,6 @@
 //! Outcome of each image of an estimate.
 
-use crate::estimate::{ImageReport, Status};
+use crate::modal::{ImageReport, Status};
 
 /// Whether an image was fitted, and how well.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,11 +1,11 @@
 //! Policy: the choices of an estimate that are not part of the scene, in one visible struct.
 
-use crate::estimate::{Recipe, Session};
+use crate::modal::{Recipe, Session};
 use crate::scene::Scene;
 use crate::{Error, Result};
 
 /// How an estimate is made. [`Policy::default`] is what every interface does; [`Policy::realtime`] is what a
-/// [`Session`](crate::estimate::Session) does, which has a deadline and may not allocate.
+/// [`Session`](crate::modal::Session) does, which has a deadline and may not allocate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Policy {
     /// Whether the smallest basis that explains the images is sought (tip, tilt and focus beside the scene's modes

@@ -4,8 +4,8 @@
 use super::control::Control;
 use super::images::Images;
 use crate::ao::Lenslets;
-use crate::estimate::{Cube, WithoutOutliers, without_outliers};
 use crate::grid::Grid;
+use crate::modal::{Cube, WithoutOutliers, without_outliers};
 use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,

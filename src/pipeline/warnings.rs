@@ -2,7 +2,7 @@
 
 use super::images::counted;
 use super::sequence::SequenceResult;
-use crate::estimate::{self, HeldDiversity, ImageReport, Model, Session, Status};
+use crate::modal::{self, HeldDiversity, ImageReport, Model, Session, Status};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 
@@ -23,7 +23,7 @@ pub(super) fn of_diversity(held: &HeldDiversity, scene: &Scene) -> Option<String
 }
 
 /// Warnings of a modal estimate.
-pub(super) fn of_modal(fitter: &estimate::Estimator, held: &HeldDiversity, found: &estimate::Estimate) -> Vec<String> {
+pub(super) fn of_modal(fitter: &modal::ModalFitter, held: &HeldDiversity, found: &modal::ModalEstimate) -> Vec<String> {
     let model = fitter.model();
     let mut sentences: Vec<String> = found.device_failure.iter().cloned().collect();
     sentences.extend(held.warning(fitter.scene().image.wavelength_nm));
@@ -63,7 +63,7 @@ impl Session {
 }
 
 /// Warnings on single images, the worst kind first, and on a sequence as a whole.
-fn of_images(found: &estimate::Estimate) -> Vec<String> {
+fn of_images(found: &modal::ModalEstimate) -> Vec<String> {
     let mut sentences = Vec::new();
     let together = of_sequence(found);
     let count = found.images.len();
@@ -90,7 +90,7 @@ fn of_images(found: &estimate::Estimate) -> Vec<String> {
 }
 
 /// A warning on a sequence whose typical image misfits.
-fn of_sequence(found: &estimate::Estimate) -> Option<String> {
+fn of_sequence(found: &modal::ModalEstimate) -> Option<String> {
     let misfits = found.images.iter().filter(|image| image.status == Status::Misfit).count();
     if !found.is_sequence() || 2 * misfits <= found.used() {
         return None;

@@ -3,7 +3,7 @@
 use super::Price;
 use super::trial::Trials;
 use crate::Result;
-use crate::estimate::{Estimator, Recipe};
+use crate::modal::{ModalFitter, Recipe};
 use crate::optimize::CancelFlag;
 use crate::scene::Scene;
 
@@ -26,7 +26,7 @@ pub struct Omission {
 pub(super) fn omissions(
     asked: &Scene,
     planned: &Scene,
-    like: &Estimator,
+    like: &ModalFitter,
     chosen: Price,
     trials: &Trials,
     cancel: Option<&CancelFlag>,

@@ -1,9 +1,9 @@
 //! Wavefronts of a scene, imaged without noise, and what a model makes of them.
 
 use super::Price;
-use crate::estimate::{Cube, Estimator};
 use crate::imaging::Chain;
 use crate::metrics::{MapGram, residual_nm};
+use crate::modal::{Cube, ModalFitter};
 use crate::modes::Group;
 use crate::optimize::CancelFlag;
 use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
@@ -62,7 +62,7 @@ impl Trials {
     }
 
     /// What `estimator` costs on these wavefronts.
-    pub(super) fn price(&self, estimator: &Estimator, cancel: Option<&CancelFlag>) -> Result<Price> {
+    pub(super) fn price(&self, estimator: &ModalFitter, cancel: Option<&CancelFlag>) -> Result<Price> {
         stop(cancel)?;
         let (model, scene) = (estimator.model(), estimator.scene());
         let precision = scene.estimate.precision.into();
@@ -98,7 +98,7 @@ impl Trials {
     }
 
     /// What noise leaves of the scene's images together, at the first draw.
-    fn noise_nm(&self, estimator: &Estimator, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
+    fn noise_nm(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let (model, scene) = (estimator.model(), estimator.scene());
         let at = coefficients_nm.row(0);
         if at.iter().any(|nm| !nm.is_finite()) {
@@ -143,7 +143,7 @@ fn assumed(scene: &Scene) -> Result<Scene> {
 }
 
 /// Residual RMS of phasing and NCPA, nm; NaN for an image that was not fitted.
-fn errors_nm(estimator: &Estimator, truth: &Truth, coefficients_nm: &[f64]) -> Result<[f64; 2]> {
+fn errors_nm(estimator: &ModalFitter, truth: &Truth, coefficients_nm: &[f64]) -> Result<[f64; 2]> {
     if coefficients_nm.iter().any(|nm| !nm.is_finite()) {
         return Ok([f64::NAN; 2]);
     }

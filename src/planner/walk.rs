@@ -3,7 +3,7 @@
 use super::omission::omissions;
 use super::trial::{DRAWS, Trials};
 use super::{Choice, Plan, Price};
-use crate::estimate::{Estimator, Recipe};
+use crate::modal::{ModalFitter, Recipe};
 use crate::optimize::CancelFlag;
 use crate::scene::{Crop, NcpaBasis, Optimizer, PupilModel, Scene};
 use crate::{Error, Result};
@@ -35,7 +35,7 @@ const EXACT: [&str; 2] = ["[2, 4]", "[2, 21]"];
 /// A candidate with its estimator, from which others take what they share.
 struct Candidate {
     scene: Scene,
-    estimator: Estimator,
+    estimator: ModalFitter,
     price: Price,
 }
 
@@ -90,7 +90,7 @@ impl<'a> Walk<'a> {
     /// The scene's own model in double precision, with the exact Zernikes that its wavefronts ask for.
     fn reference(&mut self) -> Result<Candidate> {
         let scene = self.asked.with_override("estimate.precision", "f64")?;
-        let first = Estimator::new(&scene, false)?;
+        let first = ModalFitter::new(&scene, false)?;
         if Recipe::ladder(&scene).len() == 1 {
             return self.candidate(&first, &scene);
         }
@@ -261,7 +261,7 @@ impl<'a> Walk<'a> {
         Ok(best)
     }
 
-    fn candidate(&self, like: &Estimator, scene: &Scene) -> Result<Candidate> {
+    fn candidate(&self, like: &ModalFitter, scene: &Scene) -> Result<Candidate> {
         // A model that leads to a wrong minimum is not worth another try.
         let estimator = like.variant(scene, Recipe { restarts: 0, ..Recipe::of(scene) })?;
         let price = self.trials.price(&estimator, self.cancel)?;

@@ -4,8 +4,8 @@ use super::results::RetrievedImage;
 use super::static_wavefront::StaticWavefront;
 use super::workspace::{ThreadBuffers, Workspace};
 use crate::Result;
-use crate::estimate::Prepared;
 use crate::imaging::Polynomial;
+use crate::modal::Prepared;
 use crate::optimize::Progress;
 
 impl<T: Polynomial> Workspace<T> {

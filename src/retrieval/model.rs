@@ -4,8 +4,8 @@ use super::information_probe::{TypicalExposure, information_rad2, probe_response
 use super::preconditioner::SpectralPreconditioner;
 use super::prior::RadialPsd;
 use super::settings::RetrievalSettings;
-use crate::estimate::Model;
 use crate::imaging::{CpuChain, Mode, Polynomial, Precision};
+use crate::modal::Model;
 use crate::optimize::{Metric, RESOLUTION_F32, RESOLUTION_F64, Settings};
 use crate::{Error, Result};
 use std::f64::consts::TAU;
@@ -120,7 +120,7 @@ impl<T: Polynomial> MapModel<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimate::Recipe;
+    use crate::modal::Recipe;
     use crate::retrieval::StaticAberrationRms;
     use crate::scene::Scene;
 

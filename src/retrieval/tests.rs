@@ -1,8 +1,8 @@
 //! Retrieval of wavefronts drawn from the prior, with pistons, from simulated images of the same model.
 
 use super::*;
-use crate::estimate::Cube;
 use crate::imaging::{Choice, CpuChain, Precision};
+use crate::modal::Cube;
 use crate::scene::Scene;
 use ndarray::{Array1, Array3, s};
 

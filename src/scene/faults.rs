@@ -13,8 +13,6 @@ section! {
         drift_nm_per_min: f64, between(0.0, 1e6), default(0.0);
         /// RMS of the pixel responses about 1, drawn with aberrations.seed.
         pixel_response_rms: f64, between(0.0, 0.3), default(0.0);
-        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for point sampling.
-        pixel_fill: f64, between(0.0, 1.0), default(0.0);
     }
 }
 

@@ -182,6 +182,8 @@ section! {
         peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
         /// Electrons of the star in an image. Simulation only.
         flux_e: Option<f64>, above(0.0, 1e18), unset("given by peak_snr");
+        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for point sampling. Simulation only.
+        pixel_fill: f64, between(0.0, 1.0), default(0.0);
         /// Read noise of a pixel, RMS.
         read_noise_e: f64, between(0.0, 1e9), default(0.0);
         /// Background of a pixel. Read by simulations and full-phase estimates; modal estimates fit it.

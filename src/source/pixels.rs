@@ -23,7 +23,7 @@ impl DetectorPixels {
     /// Pixels of `scene`.
     pub(crate) fn new(scene: &Scene) -> Self {
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-        Self { fill: scene.faults.pixel_fill, response_rms: scene.faults.pixel_response_rms, seed }
+        Self { fill: scene.image.pixel_fill, response_rms: scene.faults.pixel_response_rms, seed }
     }
 
     /// Applies the pixels' area and response to a point-sampled PSF `[y, x]`. With `fill` = 0 and equal responses the

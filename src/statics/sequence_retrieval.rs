@@ -1,7 +1,7 @@
 //! Retrieval of a sequence of images, iteration after iteration about the last static wavefront.
 
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
-use crate::estimate::Cube;
+use crate::modal::Cube;
 use crate::optimize::CancelFlag;
 use crate::retrieval::{
     IlluminatedSamples, RadialPsd, RetrievalReport, RetrievedWavefronts, Retriever, StaticWavefront,

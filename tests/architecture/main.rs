@@ -198,7 +198,7 @@ fn planted_faults_of_the_map_are_found() {
 #[test]
 fn planted_violations_are_found() {
     for (file, text, named) in [
-        ("grid", "use crate::estimate::Fit;", "estimate"),
+        ("grid", "use crate::modal::Fit;", "estimate"),
         ("optimize/lbfgs", "use crate::{Error, grid::Grid};", "grid"),
         ("optimize/lbfgs", "use crate::{error::{Error}, pupil::{self, Pupil}};", "pupil"),
         ("metrics/mod", "fn f() { crate::io::read() }", "io"),
@@ -228,7 +228,7 @@ fn planted_violations_are_found() {
     }
     for (file, text, named) in [
         ("main", "use cophase::fourier;", "fourier"),
-        ("plot/canvas", "use cophase::estimate::Fit;", "estimate"),
+        ("plot/canvas", "use cophase::modal::Fit;", "estimate"),
         ("plot/canvas", "use crate::experiment::Table;", "experiment"),
         ("experiment/draw", "use cophase_cli::reproduce::Row;", "reproduce"),
         ("verbs/estimate", "use plotters::prelude::*;", "plotters"),

@@ -1,6 +1,6 @@
 //! What Rust makes of the frames that a program in another language dumped with its own answer.
 
-use cophase::estimate::{Estimator, FitOptions, Session, SessionOptions};
+use cophase::modal::{FitOptions, ModalFitter, Session, SessionOptions};
 use cophase::scene::Scene;
 use ndarray::{ArrayView2, ArrayView3, Axis};
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ pub(super) fn are_those_of_rust(scene: &Path, dump: &Path) {
     let mut values = values.iter().map(|&bytes| f64::from_ne_bytes(bytes));
     let mut next = |count| -> Vec<f64> { values.by_ref().take(count).collect() };
 
-    let estimator = Arc::new(Estimator::new(&Scene::from_file(scene).unwrap(), false).unwrap());
+    let estimator = Arc::new(ModalFitter::new(&Scene::from_file(scene).unwrap(), false).unwrap());
     let (rows, columns) = estimator.scene().image.frame_shape();
     let modes = estimator.model().optics.modes();
     let options = SessionOptions { capacity: COUNT, ..SessionOptions::default() };

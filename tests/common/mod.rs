@@ -2,12 +2,12 @@
 #![allow(dead_code)] // each test binary uses its part
 
 use cophase::device::{self, Choice};
-use cophase::estimate::Estimator;
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::ModalFitter;
 
 /// Every chain that this machine has for an estimator's model, with its name. OpenCL may be absent on a user's machine;
 /// where `COPHASE_REQUIRE_OPENCL=1` (as in CI) its absence is a failure.
-pub fn chains(estimator: &Estimator, capacity: usize) -> Vec<(String, Chain)> {
+pub fn chains(estimator: &ModalFitter, capacity: usize) -> Vec<(String, Chain)> {
     let optics = || estimator.model().optics.clone();
     let mut chains = vec![
         ("CPU f64".to_string(), Chain::cpu(optics(), Precision::F64)),

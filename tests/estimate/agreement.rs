@@ -6,7 +6,7 @@ mod common;
 
 use super::scene;
 use common::chains;
-use cophase::estimate::{Cube, Estimator, Status};
+use cophase::modal::{Cube, ModalFitter, Status};
 use cophase::source;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha12Rng;
@@ -35,7 +35,7 @@ fn every_chain_finds_the_estimate_of_the_double_precision_cpu() {
         let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
         let scene = scene(&settings);
         let made = source::simulate(&scene).unwrap();
-        let estimator = Estimator::new(&scene, false).unwrap();
+        let estimator = ModalFitter::new(&scene, false).unwrap();
         let bad = made.images_e.mapv(|_| false);
         let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };
         let mut judged = None;

@@ -1,10 +1,10 @@
 //! Telescopes, modes and diversities that a caller gives as arrays.
 
 use super::{scene, source};
-use cophase::estimate::{Arrays, Estimate, Estimator, Status};
 use cophase::grid::Grid;
 use cophase::imaging::{Chain, Precision};
 use cophase::io::{Column, FitsWriter, Pixel};
+use cophase::modal::{Arrays, ModalEstimate, ModalFitter, Status};
 use cophase::scene::Scene;
 use cophase::telescope::{Diversity, Telescope};
 use ndarray::{Array2, Array3, ArrayView1, Axis, stack};
@@ -16,7 +16,7 @@ fn for_arrays(text: &str) -> Scene {
     Scene::for_arrays(text, Path::new("")).unwrap()
 }
 
-fn fit(estimator: &Estimator, images_e: &Array3<f64>) -> Estimate {
+fn fit(estimator: &ModalFitter, images_e: &Array3<f64>) -> ModalEstimate {
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
     let bad = images_e.mapv(|_| false);
     estimator.estimate(&mut chain, images_e.view(), bad.view(), None, None, &mut |_, _| {}).unwrap()
@@ -71,7 +71,7 @@ fn own(samples: usize) -> Arrays {
 
 #[test]
 fn a_caller_s_telescope_and_modes_are_read_back() {
-    let estimator = Estimator::from_arrays(&for_arrays(IMAGE), &own(48)).unwrap();
+    let estimator = ModalFitter::from_arrays(&for_arrays(IMAGE), &own(48)).unwrap();
     assert_eq!(estimator.model().basis.names(), ["mode-1", "mode-2", "mode-3", "mode-4", "mode-5"]);
     assert_eq!(estimator.model().segment_modes, 0);
     let truth = [30.0, -45.0, 25.0, 60.0, -80.0];
@@ -98,7 +98,7 @@ fn arrays_and_files_are_the_same_model() {
     let diversity = Diversity::new(&plain, &telescope).unwrap();
     let at = |(y, x)| diversity.at(pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
     let diversity_nm = Array2::from_shape_fn(pupil.amplitude.dim(), at);
-    let modes = Estimator::new(&plain.with_override("modes.segment", "none").unwrap(), false).unwrap();
+    let modes = ModalFitter::new(&plain.with_override("modes.segment", "none").unwrap(), false).unwrap();
     let modes = modes.model().basis.maps().to_owned();
 
     let mut file = FitsWriter::create(folder.path().join("pupil.fits")).unwrap();
@@ -120,7 +120,7 @@ fn arrays_and_files_are_the_same_model() {
         "{image}diversity_file = 'diversity.fits'\n[pupil]\nfile = 'pupil.fits'\ngrid_m = 4.8\nsamples = 64\nmodel = 'hard'\n\
          [modes]\nsegment = 'piston'\nfile = 'modes.fits'\nexact_zernikes = 'none'\n"
     );
-    let of_files = Estimator::new(&Scene::from_text(&files, folder.path()).unwrap(), false).unwrap();
+    let of_files = ModalFitter::new(&Scene::from_text(&files, folder.path()).unwrap(), false).unwrap();
     let arrays = Arrays {
         amplitude: pupil.amplitude.clone(),
         segments: Some(pupil.owner.clone()),
@@ -129,15 +129,15 @@ fn arrays_and_files_are_the_same_model() {
     };
     // A planner cannot simulate what the scene does not describe: a budget is refused and not ignored.
     let budget = format!("{image}[estimate]\nbudget_nm = 1\n");
-    let error = Estimator::from_arrays(&for_arrays(&budget), &arrays).err().unwrap();
+    let error = ModalFitter::from_arrays(&for_arrays(&budget), &arrays).err().unwrap();
     assert!(error.to_string().contains("budget_nm"), "{error}");
     // The width is stated by the one and not by the other: nothing here has a length.
-    let of_arrays = Estimator::from_arrays(&for_arrays(image), &arrays).unwrap();
+    let of_arrays = ModalFitter::from_arrays(&for_arrays(image), &arrays).unwrap();
     assert_eq!(of_arrays.model().basis.names(), of_files.model().basis.names());
     assert_eq!(of_arrays.model().segment_modes, 7);
     assert_eq!(of_arrays.model().preparation, of_files.model().preparation);
     let coefficients_nm: Vec<f64> = (0..of_files.model().basis.len()).map(|i| 40.0 * (i as f64).sin()).collect();
-    let psf = |estimator: &Estimator| estimator.judge().psf(ArrayView1::from(&coefficients_nm));
+    let psf = |estimator: &ModalFitter| estimator.judge().psf(ArrayView1::from(&coefficients_nm));
     // Coordinates in units of other widths differ by roundings, which the diversity's interpolation passes on.
     let (a, b) = (psf(&of_arrays), psf(&of_files));
     let peak = b.iter().copied().fold(0.0, f64::max);
@@ -154,7 +154,7 @@ fn what_the_scene_says_of_modes_holds_where_there_are_no_arrays_of_them() {
     let pupil = Telescope::new(&scene(&[])).unwrap().pupil;
     let arrays = Arrays { amplitude: pupil.amplitude, segments: Some(pupil.owner), modes: None, diversity_nm: None };
     let names = |text: &str, arrays: &Arrays| {
-        let estimator = Estimator::from_arrays(&for_arrays(&format!("{IMAGE}{text}")), arrays).unwrap();
+        let estimator = ModalFitter::from_arrays(&for_arrays(&format!("{IMAGE}{text}")), arrays).unwrap();
         estimator.model().basis.names().to_vec()
     };
     // A basis that nobody named is not built for a mirror that nobody described.
@@ -183,7 +183,7 @@ fn modes_that_say_nothing_or_the_same_twice_are_told_by_the_degeneracy_report() 
     let zero = Array2::zeros((48, 48));
     let views = [modes.index_axis(Axis(0), 1), zero.view(), modes.index_axis(Axis(0), 4), modes.index_axis(Axis(0), 4)];
     arrays.modes = Some(stack(Axis(0), &views).unwrap());
-    let estimator = Estimator::from_arrays(&for_arrays(IMAGE), &arrays).unwrap();
+    let estimator = ModalFitter::from_arrays(&for_arrays(IMAGE), &arrays).unwrap();
     let psf = Array2::from_shape_vec((96, 96), estimator.judge().psf(ArrayView1::from(&[50.0, 0.0, -30.0, 0.0])));
     let found = fit(&estimator, &(psf.unwrap() * 1e6).insert_axis(Axis(0)));
     let nm = &found.combined.coefficients_nm;
@@ -226,7 +226,7 @@ fn arrays_that_cannot_be_used_are_refused_with_the_reason() {
     for (text, change, wanted) in cases.into_iter().chain(without) {
         let mut arrays = own(48);
         change(&mut arrays);
-        let error = Estimator::from_arrays(&for_arrays(&format!("{IMAGE}{text}")), &arrays).err();
+        let error = ModalFitter::from_arrays(&for_arrays(&format!("{IMAGE}{text}")), &arrays).err();
         let sentence = error.unwrap_or_else(|| panic!("accepted: {wanted}")).to_string();
         assert!(sentence.contains(wanted), "{sentence}\nlacks {wanted}");
     }
@@ -240,7 +240,7 @@ fn a_scene_for_arrays_may_leave_out_what_the_arrays_say() {
     let whole = Scene::from_text(text, Path::new("")).unwrap_err().to_string();
     assert!(whole.contains("pupil.grid_m = 8 is not accepted"), "{whole}");
     let scene = for_arrays(text).with_override("image.pixels", "64").unwrap();
-    let estimator = Estimator::from_arrays(&scene, &own(48)).unwrap();
+    let estimator = ModalFitter::from_arrays(&scene, &own(48)).unwrap();
     assert_eq!(estimator.model().telescope.pupil.grid.width_m(), 8.0);
     // It is no telescope by itself.
     let alone = Telescope::new(&scene).err().unwrap().to_string();

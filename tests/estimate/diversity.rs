@@ -2,7 +2,7 @@
 
 use super::scene;
 use cophase::Error;
-use cophase::estimate::{Accumulator, Estimator, FitOptions, Session, SessionOptions};
+use cophase::modal::{Accumulator, FitOptions, ModalFitter, Session, SessionOptions};
 use cophase::source;
 use ndarray::Axis;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ const HELD: (&str, &str) = ("modes.exact_zernikes", "[2, 4]");
 
 #[test]
 fn modes_hold_a_focus_or_say_that_they_do_not() {
-    let with = |settings: &[(&str, &str)]| Estimator::new(&scene(settings), false).unwrap();
+    let with = |settings: &[(&str, &str)]| ModalFitter::new(&scene(settings), false).unwrap();
     let own = with(&[HELD]);
     let (held, image) = (own.held_diversity().unwrap(), &own.scene().image);
     let rms_nm = image.diversity_focus_waves_rms * image.wavelength_nm;
@@ -27,7 +27,7 @@ fn modes_hold_a_focus_or_say_that_they_do_not() {
     assert!(focused.is_too_small(image.wavelength_nm) && !focused.is_held(), "{focused:?}");
     let refused =
         scene(&[("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("estimate.diversity_error", "0.05")]);
-    match Estimator::new(&refused, false).map(|_| ()) {
+    match ModalFitter::new(&refused, false).map(|_| ()) {
         Err(Error::Scene(sentence)) => assert!(sentence.contains("diversity_error = 0.05"), "{sentence}"),
         other => panic!("{other:?}"),
     }
@@ -39,7 +39,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_and_no_number_of_images_takes_
     let unsure = scene(&[HELD, ("image.count", "3"), ("estimate.diversity_error", "0.02")]);
     let images_e = source::simulate(&known).unwrap().images_e;
     let kept = |scene| {
-        let estimator = Arc::new(Estimator::new(scene, false).unwrap());
+        let estimator = Arc::new(ModalFitter::new(scene, false).unwrap());
         let mut session =
             Session::new(estimator.clone(), &SessionOptions { capacity: 3, ..SessionOptions::default() }).unwrap();
         let mut kept = Accumulator::new(estimator, 3).unwrap();

@@ -7,8 +7,8 @@ mod optics;
 mod sequence;
 mod session;
 
-use cophase::estimate::{Cube, Estimate, Estimator, Refusal, Status, read};
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, read};
 use cophase::scene::Scene;
 use cophase::source::{self, SourceImages};
 use ndarray::{Array2, Array3, Axis, s};
@@ -32,14 +32,14 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
     Scene::preset("keck-artificial").unwrap().with(&small).unwrap().with(settings).unwrap()
 }
 
-fn estimate(scene: &Scene, images_e: &Array3<f64>, bad: &Array3<bool>) -> (Estimator, Estimate) {
+fn estimate(scene: &Scene, images_e: &Array3<f64>, bad: &Array3<bool>) -> (ModalFitter, ModalEstimate) {
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-    let mut open = |estimator: &Estimator| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
+    let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
     read(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()
 }
 
 /// Residuals of phasing and NCPA, nm.
-fn residuals(estimator: &Estimator, estimate: &Estimate, made: &SourceImages) -> [f64; 2] {
+fn residuals(estimator: &ModalFitter, estimate: &ModalEstimate, made: &SourceImages) -> [f64; 2] {
     let pupil = &estimator.model().telescope.pupil;
     [(&estimate.phasing_nm, &made.truth.phasing_nm), (&estimate.ncpa_nm, &made.truth.ncpa_nm)].map(|(found, truth)| {
         let difference: Array2<f64> = found - truth;
@@ -48,7 +48,7 @@ fn residuals(estimator: &Estimator, estimate: &Estimate, made: &SourceImages) ->
 }
 
 /// What the error bars promise for both maps, nm (tip and tilt kept, so a little more than the residuals).
-fn promised(estimator: &Estimator, estimate: &Estimate) -> [f64; 2] {
+fn promised(estimator: &ModalFitter, estimate: &ModalEstimate) -> [f64; 2] {
     let pupil = &estimator.model().telescope.pupil;
     [&estimate.phasing_sigma_nm, &estimate.ncpa_sigma_nm]
         .map(|map| pupil.rms(map.mapv(|v| if v.is_nan() { 0.0 } else { v }).view()).unwrap())

@@ -2,7 +2,7 @@
 
 use super::{estimate, promised, residuals, scene};
 use cophase::Error;
-use cophase::estimate::{Cube, Estimator, read};
+use cophase::modal::{Cube, ModalFitter, read};
 use cophase::scene::Scene;
 use cophase::source;
 use ndarray::Array3;
@@ -11,7 +11,7 @@ const NO_NCPA: [(&str, &str); 3] =
     [("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("aberrations.ncpa_rms_nm", "0")];
 
 /// The estimator that `scene` makes of images of `made`; with its residuals and what the error bars promise, nm.
-fn found(made: &Scene, scene: &Scene) -> (Estimator, [f64; 2], [f64; 2]) {
+fn found(made: &Scene, scene: &Scene) -> (ModalFitter, [f64; 2], [f64; 2]) {
     let made = source::simulate(made).unwrap();
     let (estimator, found) = estimate(scene, &made.images_e, &made.images_e.mapv(|_| false));
     let (residuals, promised) = (residuals(&estimator, &found, &made), promised(&estimator, &found));
@@ -120,7 +120,7 @@ fn what_cannot_be_fitted_is_refused_in_a_sentence() {
         other => panic!("{other:?}"),
     };
     // There is no image yet.
-    let early = sentence(Estimator::new(&asked("[\"rotation\"]"), false).map(|_| ()));
+    let early = sentence(ModalFitter::new(&asked("[\"rotation\"]"), false).map(|_| ()));
     assert!(early.contains("asks for images before there is a model"), "{early}");
     let with = |settings: &[(&str, &str)]| sentence(asked("[\"rotation\"]").with(settings).map(|_| ()));
     assert!(with(&[("estimate.optimizer", "bfgs")]).contains("needs weights by the noise"));

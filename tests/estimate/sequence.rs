@@ -2,8 +2,8 @@
 
 use crate::scene;
 use cophase::Error;
-use cophase::estimate::{Cube, Estimate, Estimator, Recipe, Status, read};
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::{Cube, ModalEstimate, ModalFitter, Recipe, Status, read};
 use cophase::scene::{Combine, Scene};
 use cophase::source;
 use ndarray::{Array1, Array3, Axis, s};
@@ -26,14 +26,14 @@ struct Sequence {
 /// Makes images with the reader's own optics and more modes (Noll 2 to 60), so that all that the reader does not
 /// understand is the wavefront: each image has 20 nm RMS of its own in Noll 4 to 13 and `beyond_nm` in Noll 22 to 60.
 struct Maker {
-    estimator: Estimator,
+    estimator: ModalFitter,
     rng: ChaCha12Rng,
 }
 
 impl Maker {
     fn new(seed: u64) -> Self {
         let scene = scene(&[("modes.ncpa_count", "59"), ("image.crop_pixels", "132"), ("estimate.sampling", "native")]);
-        Self { estimator: Estimator::new(&scene, false).unwrap(), rng: ChaCha12Rng::seed_from_u64(seed) }
+        Self { estimator: ModalFitter::new(&scene, false).unwrap(), rng: ChaCha12Rng::seed_from_u64(seed) }
     }
 
     /// Normal draws over some of `modes`, of `rms_nm` together.
@@ -73,8 +73,8 @@ impl Maker {
     }
 }
 
-fn fit(recipe: Recipe, images_e: &Array3<f64>) -> (Estimator, Estimate) {
-    let estimator = Estimator::with_recipe(&scene(&[]), recipe, false).unwrap();
+fn fit(recipe: Recipe, images_e: &Array3<f64>) -> (ModalFitter, ModalEstimate) {
+    let estimator = ModalFitter::with_recipe(&scene(&[]), recipe, false).unwrap();
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
     let bad = images_e.mapv(|_| false);
     let found = estimator.estimate(&mut chain, images_e.view(), bad.view(), None, None, &mut |_, _| {}).unwrap();
@@ -85,7 +85,7 @@ fn ours() -> Recipe {
     Recipe::of(&scene(&[]))
 }
 
-fn every(estimate: &Estimate) -> Vec<usize> {
+fn every(estimate: &ModalEstimate) -> Vec<usize> {
     (0..estimate.images.len()).collect()
 }
 
@@ -228,7 +228,7 @@ fn a_few_images_choose_the_basis_of_a_long_sequence() {
         let bad = made.images_e.mapv(|_| false);
         let cube = Cube { images_e: made.images_e.view(), bad: bad.view(), read_noise_e: None };
         let (mut chains, mut watched) = (0, 0);
-        let mut open = |estimator: &Estimator| {
+        let mut open = |estimator: &ModalFitter| {
             chains += 1;
             Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64))
         };

@@ -2,8 +2,8 @@
 
 use super::scene;
 use cophase::Error;
-use cophase::estimate::{Cube, Estimate, Estimator, FitOptions, Refusal, Session, SessionOptions, Status};
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::{Cube, FitOptions, ModalEstimate, ModalFitter, Refusal, Session, SessionOptions, Status};
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
 use cophase::source;
@@ -12,11 +12,11 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-fn estimator(scene: &Scene) -> Arc<Estimator> {
-    Arc::new(Estimator::new(scene, false).unwrap())
+fn estimator(scene: &Scene) -> Arc<ModalFitter> {
+    Arc::new(ModalFitter::new(scene, false).unwrap())
 }
 
-fn session(estimator: &Arc<Estimator>, options: SessionOptions) -> Session {
+fn session(estimator: &Arc<ModalFitter>, options: SessionOptions) -> Session {
     Session::new(estimator.clone(), &options).unwrap()
 }
 
@@ -27,7 +27,7 @@ fn fill(session: &mut Session, images_e: &Array3<f64>) {
     }
 }
 
-fn batch(estimator: &Estimator, images_e: &Array3<f64>) -> Estimate {
+fn batch(estimator: &ModalFitter, images_e: &Array3<f64>) -> ModalEstimate {
     let bad = images_e.mapv(|_| false);
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
     let Cube { images_e, bad, .. } = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
@@ -156,7 +156,7 @@ fn evaluations_are_those_of_the_chain() {
     let modes = estimator.model().optics.modes();
     let at = Array2::from_shape_fn((2, modes), |(i, k)| ((i * modes + k) as f64).sin() * 5.0);
     let mut chain = Chain::cpu(estimator.model().optics.clone(), Precision::F64);
-    let frame = |image_e| cophase::estimate::Frame {
+    let frame = |image_e| cophase::modal::Frame {
         data_e: image_e,
         bad: ndarray::ArrayView2::from_shape((132, 132), &[false; 132 * 132]).unwrap(),
         read_noise_e: 60.0,
@@ -192,7 +192,7 @@ fn what_cannot_be_is_refused_with_a_sentence() {
     assert!(message(SessionOptions { capacity: 0, ..SessionOptions::default() }).contains("0 images"));
     let tolerance = SessionOptions { step_tolerance_nm: Some(-1.0), ..SessionOptions::default() };
     assert!(message(tolerance).contains("step_tolerance is -1"));
-    let paper = Arc::new(Estimator::new(&scene.with(&[("estimate.optimizer", "bfgs")]).unwrap(), false).unwrap());
+    let paper = Arc::new(ModalFitter::new(&scene.with(&[("estimate.optimizer", "bfgs")]).unwrap(), false).unwrap());
     let error = Session::new(paper, &SessionOptions::default()).err().unwrap();
     assert!(error.to_string().contains("bfgs"));
     let mut session = session(&estimator, SessionOptions::default());

@@ -1,7 +1,7 @@
 //! Scenes: every key with hostile values, and what is accepted of them is built and imaged.
 
 use super::{generator, pick, probes, seeds, word};
-use cophase::estimate::Estimator;
+use cophase::modal::ModalFitter;
 use cophase::scene::{Scene, reference};
 use cophase::source;
 use rand::RngExt;
@@ -100,7 +100,7 @@ fn build(text: &str) -> (bool, bool) {
     if sizes.iter().any(|&size| size > 64) || scene.pupil.rings > 3 || scene.estimate.budget_nm.is_some() {
         return (true, false);
     }
-    let estimator = Estimator::new(&scene, false).inspect_err(probes::one_sentence);
+    let estimator = ModalFitter::new(&scene, false).inspect_err(probes::one_sentence);
     let images = source::simulate(&scene).inspect_err(probes::one_sentence);
     if let Ok(images) = images {
         assert!(images.images_e.iter().all(|e| e.is_finite()), "an image that is not finite:\n{text}");

@@ -8,8 +8,8 @@ use super::set_up::SetUp;
 use crate::experiment::statistics::{median, rms};
 use crate::experiment::{Draw, Progress};
 use cophase::Result;
-use cophase::estimate::{Estimator, FitOptions, Session, SessionOptions};
 use cophase::imaging::Chain;
+use cophase::modal::{FitOptions, ModalFitter, Session, SessionOptions};
 use ndarray::Array2;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -69,7 +69,7 @@ pub(super) fn point(
     })
 }
 
-fn open(estimator: &Arc<Estimator>, variant: &Variant) -> Result<Session> {
+fn open(estimator: &Arc<ModalFitter>, variant: &Variant) -> Result<Session> {
     let &Variant { device, precision, batch } = variant;
     Session::new(
         estimator.clone(),

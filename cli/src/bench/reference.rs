@@ -2,7 +2,7 @@
 
 use crate::experiment::{Case, Draw};
 use cophase::Result;
-use cophase::estimate::{FitOptions, Session, SessionOptions};
+use cophase::modal::{FitOptions, Session, SessionOptions};
 use ndarray::Array2;
 
 /// RMS of the coefficients at which objectives are evaluated, nm: within the capture range of every scene, and not flat.

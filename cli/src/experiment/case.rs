@@ -1,9 +1,9 @@
 //! One way to estimate, tried on many draws: residuals, bounds, pulls, time.
 
 use super::{Draw, Progress, statistics};
-use cophase::estimate::{Estimate, Estimator, Frame};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::{MapGram, residual_nm};
+use cophase::modal::{Frame, ModalEstimate, ModalFitter};
 use cophase::modes::Group;
 use cophase::optimize::Metric;
 use cophase::scene::Scene;
@@ -58,8 +58,8 @@ impl Way {
 
 /// An estimator and what its maps weigh.
 pub struct Case {
-    /// The estimator; a [`cophase::estimate::Session`] shares it.
-    pub estimator: Arc<Estimator>,
+    /// The estimator; a [`cophase::modal::Session`] shares it.
+    pub estimator: Arc<ModalFitter>,
     phasing: MapGram,
     ncpa: MapGram,
 }
@@ -111,9 +111,9 @@ impl Case {
     /// Builds the estimator of `scene`.
     ///
     /// # Errors
-    /// Those of [`Estimator::new`].
+    /// Those of [`ModalFitter::new`].
     pub fn new(scene: &Scene) -> Result<Self> {
-        let estimator = Arc::new(Estimator::new(scene, false)?);
+        let estimator = Arc::new(ModalFitter::new(scene, false)?);
         let model = estimator.model();
         let (pupil, maps) = (&model.telescope.pupil, model.basis.maps());
         let phasing = MapGram::new(pupil, maps.slice(s![..model.segment_modes, .., ..]))?;
@@ -124,7 +124,7 @@ impl Case {
     /// Fits every draw on its own.
     ///
     /// # Errors
-    /// Those of [`Estimator::estimate`]; a fit that fails is no error but a [`Trial::status`].
+    /// Those of [`ModalFitter::estimate`]; a fit that fails is no error but a [`Trial::status`].
     pub fn fit(&self, draws: &[Draw], progress: &Progress) -> Result<Vec<Trial>> {
         let batches = draws.par_chunks(BATCH).map(|batch| {
             let trials = self.fit_batch(batch, progress)?;
@@ -152,7 +152,7 @@ impl Case {
         }
     }
 
-    fn trial(&self, found: &Estimate, image: usize, draw: &Draw, seconds: f64) -> Result<Trial> {
+    fn trial(&self, found: &ModalEstimate, image: usize, draw: &Draw, seconds: f64) -> Result<Trial> {
         let report = &found.images[image];
         let coefficients_nm = found.image_coefficients_nm.row(image).to_vec();
         let [phasing_nm, ncpa_nm] = self.residuals_nm(&coefficients_nm, draw)?;
@@ -184,7 +184,7 @@ impl Case {
     /// The bound at the estimate of one draw; NaN where there is no estimate.
     ///
     /// # Errors
-    /// Those of [`Estimator::bound`].
+    /// Those of [`ModalFitter::bound`].
     pub fn bound(&self, trial: &Trial, draw: &Draw) -> Result<Bound> {
         if trial.coefficients_nm.is_empty() {
             return Ok(Bound { phasing_nm: f64::NAN, ncpa_nm: f64::NAN, covariance_nm2: Array2::zeros((0, 0)) });
@@ -195,7 +195,7 @@ impl Case {
     /// The bound for the image of one draw, at some wavefront, nm.
     ///
     /// # Errors
-    /// Those of [`Estimator::bound`].
+    /// Those of [`ModalFitter::bound`].
     pub fn bound_at(&self, coefficients_nm: &[f64], draw: &Draw) -> Result<Bound> {
         let background_e = self.estimator.scene().image.background_e;
         let covariance_nm2 = self.estimator.bound(ArrayView1::from(coefficients_nm), draw.flux_e, background_e)?;

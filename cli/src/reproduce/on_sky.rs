@@ -7,9 +7,9 @@
 use super::table_rows::{Conditions, Row};
 use super::{Progress, Way};
 use cophase::ao::{self, Shot, Simulator};
-use cophase::estimate::{Estimate, Estimator, Recipe};
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
+use cophase::modal::{ModalEstimate, ModalFitter, Recipe};
 use cophase::scene::Scene;
 use cophase::source;
 use cophase::{Error, Result};
@@ -148,7 +148,7 @@ pub struct Reader {
     /// evaluations) and the mean over the images, or the scene's defaults.
     pub way: Way,
     /// The estimator.
-    pub estimator: Estimator,
+    pub estimator: ModalFitter,
     precision: Precision,
 }
 
@@ -175,7 +175,7 @@ impl Reader {
     /// Of `scene`, which may be that of any seed.
     ///
     /// # Errors
-    /// Those of [`Estimator::with_recipe`].
+    /// Those of [`ModalFitter::with_recipe`].
     pub fn new(way: Way, scene: &Scene) -> Result<Self> {
         let mut recipe = match way {
             Way::Paper => Recipe::paper_objective(scene),
@@ -187,14 +187,14 @@ impl Reader {
         } else {
             Precision::F64
         };
-        Ok(Self { way, estimator: Estimator::with_recipe(scene, recipe, false)?, precision })
+        Ok(Self { way, estimator: ModalFitter::with_recipe(scene, recipe, false)?, precision })
     }
 
     /// Fits every image of `sequence` and combines them; `None` where none can be fitted.
     ///
     /// # Errors
-    /// Those of [`Estimator::estimate`]; [`Error::Interrupted`].
-    pub fn fit(&self, sequence: &Sequence, progress: &Progress) -> Result<Option<Estimate>> {
+    /// Those of [`ModalFitter::estimate`]; [`Error::Interrupted`].
+    pub fn fit(&self, sequence: &Sequence, progress: &Progress) -> Result<Option<ModalEstimate>> {
         progress.check()?;
         let done = Cell::new(0);
         let mut watch = |now: usize, _: usize| progress.add(now.saturating_sub(done.replace(now)));

@@ -2,7 +2,7 @@
 
 use crate::terminal::counted;
 use cophase::Result;
-use cophase::estimate::Model;
+use cophase::modal::Model;
 use cophase::modes::Group;
 use cophase::pipeline::{Comparison, Estimate, Figure, TruthMaps};
 use cophase_cli::plot::{EstimatePicture, ImageTriple, MapTriple, ModalBars, ModeGroup};

@@ -3,7 +3,7 @@
 use super::super::fits::{are_those_of_rust, scenes};
 use super::super::sky;
 use super::{doubles, dumps, here, same};
-use cophase::estimate::Estimator;
+use cophase::modal::ModalFitter;
 use cophase::modes::Group;
 use cophase::scene::Scene;
 use ndarray::{Array2, ArrayView1, s};
@@ -11,7 +11,7 @@ use ndarray::{Array2, ArrayView1, s};
 #[test]
 fn models_have_the_maps_of_rust() {
     let scene = here().join("tiny.toml");
-    let estimator = Estimator::new(&Scene::from_file(&scene).unwrap(), false).unwrap();
+    let estimator = ModalFitter::new(&Scene::from_file(&scene).unwrap(), false).unwrap();
     let model = estimator.model();
     dumps("model.c", &[&scene], |dump| {
         let dump = doubles(dump);

@@ -1,8 +1,8 @@
 //! The golden vectors of tests/golden, through C.
 
 use super::{doubles, dumps, root, same, words};
-use cophase::estimate::{Estimator, Session, SessionOptions};
 use cophase::io;
+use cophase::modal::{ModalFitter, Session, SessionOptions};
 use cophase::scene::Scene;
 use ndarray::{Array2, ArrayView2, s};
 use std::path::{Path, PathBuf};
@@ -57,7 +57,7 @@ fn data(key: &str) -> Vec<f64> {
 /// Objectives and gradients in Rust.
 fn evaluated(scene: &Path, points_nm: ArrayView2<f64>) -> Vec<f64> {
     let scene = Scene::from_text(&std::fs::read_to_string(scene).unwrap(), &file("")).unwrap();
-    let estimator = Arc::new(Estimator::new(&scene, false).unwrap());
+    let estimator = Arc::new(ModalFitter::new(&scene, false).unwrap());
     let mut session = Session::new(estimator, &SessionOptions { capacity: POINTS, ..Default::default() }).unwrap();
     let image: Array2<f64> = io::read_map(file("inspan.fits.gz"), Some("IMAGES")).unwrap();
     for k in 0..POINTS {

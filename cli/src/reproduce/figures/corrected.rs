@@ -8,7 +8,7 @@ use super::setup;
 use crate::reproduce::on_sky::{Reader, Sequence};
 use crate::reproduce::{Conditions, Progress, Way};
 use cophase::ao::Simulator;
-use cophase::estimate::Estimate;
+use cophase::modal::ModalEstimate;
 use cophase::scene::Scene;
 use cophase::source::{Truth, stream};
 use cophase::telescope::Telescope;
@@ -150,7 +150,7 @@ impl Bench {
         Ok(states)
     }
 
-    fn estimate(&self, simulator: Simulator, progress: &Progress) -> Result<Estimate> {
+    fn estimate(&self, simulator: Simulator, progress: &Progress) -> Result<ModalEstimate> {
         let sequence = Sequence::behind(simulator, progress)?;
         let found = self.reader.fit(&sequence, progress)?;
         found.ok_or_else(|| Error::Image(format!("none of {} images could be fitted", sequence.images())))
@@ -163,7 +163,7 @@ impl Bench {
 }
 
 /// True pistons after the segments were moved by the opposite of their estimates, which come first among the modes.
-fn corrected(piston_nm: &[f64], estimate: &Estimate) -> Vec<f64> {
+fn corrected(piston_nm: &[f64], estimate: &ModalEstimate) -> Vec<f64> {
     piston_nm.iter().zip(&estimate.combined.coefficients_nm).map(|(truth, estimate)| truth - estimate).collect()
 }
 

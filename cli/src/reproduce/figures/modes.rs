@@ -5,7 +5,7 @@ use crate::plot::{EstimatePicture, MapTriple, ModalBars, ModeGroup};
 use crate::reproduce::on_sky::{Reader, Sequence};
 use crate::reproduce::statistics::{mean, rms, standard_deviation};
 use crate::reproduce::{Cell, Conditions, Progress, Report, Table, Way};
-use cophase::estimate::Estimate;
+use cophase::modal::ModalEstimate;
 use cophase::modes::Group;
 use cophase::pupil::Pupil;
 use cophase::{Error, Result};
@@ -68,7 +68,7 @@ pub fn modes(conditions: &Conditions, seeds: usize, progress: &Progress) -> Resu
 }
 
 impl ModalDraw {
-    fn of(reader: &Reader, sequence: &Sequence, estimate: &Estimate, seed: usize) -> Result<Self> {
+    fn of(reader: &Reader, sequence: &Sequence, estimate: &ModalEstimate, seed: usize) -> Result<Self> {
         let model = reader.estimator.model();
         let pupil = &model.telescope.pupil;
         let groups = model.basis.groups().to_vec();
@@ -113,7 +113,12 @@ fn product(pupil: &Pupil, a: ArrayView2<f64>, b: ArrayView2<f64>) -> f64 {
     lit.map(|(weight, (a, b))| weight * a * b).sum()
 }
 
-fn picture(reader: &Reader, sequence: &Sequence, estimate: &Estimate, draw: &ModalDraw) -> Result<EstimatePicture> {
+fn picture(
+    reader: &Reader,
+    sequence: &Sequence,
+    estimate: &ModalEstimate,
+    draw: &ModalDraw,
+) -> Result<EstimatePicture> {
     let pupil = &reader.estimator.model().telescope.pupil;
     let triple = |estimate: &Array2<f64>, truth: &Array2<f64>| -> Result<MapTriple> {
         Ok(MapTriple {
@@ -209,7 +214,7 @@ impl Modes {
         self.table().write_csv(&files[1])?;
         self.picture.draw(&files[2])?;
         let text =
-            "Estimate behind the masked, inpainted, pseudo-open loop, the paper's way: residual of the maps (tip and \
+            "ModalEstimate behind the masked, inpainted, pseudo-open loop, the paper's way: residual of the maps (tip and \
                     tilt removed),\nRMS error of the coefficients, correlation with the truth over the modes\n"
                 .to_string()
                 + &self.summary().text();

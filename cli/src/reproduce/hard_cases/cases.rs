@@ -147,7 +147,7 @@ pub static HARD_CASES: [HardCase; 74] = [
     model("background 0.1 %", BACKGROUNDS[0], &[]),
     model("background 1 %", BACKGROUNDS[1], &[]),
     model("pixel responses 2 %", &[("faults.pixel_response_rms", "0.02")], &[]),
-    model("pixels that are squares", &[("faults.pixel_fill", "1")], &[]),
+    model("pixels that are squares", &[("image.pixel_fill", "1")], &[]),
     model("bandwidth 1.5 %", &[("image.bandwidth_fraction", "0.015")], &[("image.bandwidth_fraction", "0")]),
     model("bandwidth 5 %", &[("image.bandwidth_fraction", "0.05")], &[("image.bandwidth_fraction", "0")]),
     model("bandwidth 5 %, known", &[("image.bandwidth_fraction", "0.05")], &[]),

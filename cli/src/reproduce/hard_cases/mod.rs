@@ -13,10 +13,10 @@ pub use verdict::Verdict;
 use super::Progress;
 use cophase::Result;
 use cophase::device::Choice;
-use cophase::estimate::{Cube, Estimator, Recipe};
 use cophase::imaging::{Chain, Precision};
+use cophase::modal::{Cube, ModalFitter, Recipe};
 use cophase::scene::Scene;
-use cophase::{Error, estimate};
+use cophase::{Error, modal};
 use ndarray::Axis;
 use rayon::prelude::*;
 use verdict::Judge;
@@ -39,12 +39,12 @@ pub fn hard_cases(cases: &[HardCase], seeds: usize, progress: &Progress) -> Resu
     progress.expect(cases.iter().map(|case| case.times * seeds).sum());
     let base = Scene::preset("keck-artificial")?.with(cases::BASE)?;
     // Its Karhunen-Loève basis, which takes the most time, is that of nearly all cases.
-    let like = Estimator::new(&base, false)?;
+    let like = ModalFitter::new(&base, false)?;
     let tried = |case: &HardCase| Ok((*case, tried(case, seeds, &base, &like, progress)?));
     Ok(HardCases { cases: cases.iter().map(tried).collect::<Result<Vec<_>>>()? })
 }
 
-fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &Estimator, progress: &Progress) -> Result<Vec<Verdict>> {
+fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &ModalFitter, progress: &Progress) -> Result<Vec<Verdict>> {
     let made = base.with(case.made)?;
     let read = made.with(case.read)?;
     let fits_optics = !read.estimate.fit_optics.is_empty();
@@ -97,8 +97,8 @@ fn judged_with_optics(scene: &Scene, image: &spoil::Made, progress: &Progress) -
     let (image_e, bad) = spoil::marked(&image.image_e);
     let (image_e, bad) = (image_e.insert_axis(Axis(0)), bad.insert_axis(Axis(0)));
     let cube = Cube { images_e: image_e.view(), bad: bad.view(), read_noise_e: None };
-    let mut open = |estimator: &Estimator| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
-    match estimate::read(scene, cube, &mut open, progress.cancel(), &mut |_, _| {}) {
+    let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
+    match modal::read(scene, cube, &mut open, progress.cancel(), &mut |_, _| {}) {
         Ok((estimator, found)) => Judge::new(estimator)?.verdict(&found, image),
         Err(error @ Error::Interrupted(_)) => Err(error),
         Err(error) => Ok(Verdict::refused(&error)),
@@ -107,11 +107,11 @@ fn judged_with_optics(scene: &Scene, image: &spoil::Made, progress: &Progress) -
 
 /// What `cophase estimate` makes of the image.
 fn read(
-    estimator: &Estimator,
+    estimator: &ModalFitter,
     chain: &mut Chain,
     image: &spoil::Made,
     progress: &Progress,
-) -> Result<estimate::Estimate> {
+) -> Result<modal::ModalEstimate> {
     let (image_e, bad) = spoil::marked(&image.image_e);
     let (image_e, bad) = (image_e.insert_axis(Axis(0)), bad.insert_axis(Axis(0)));
     estimator.estimate(chain, image_e.view(), bad.view(), None, progress.cancel(), &mut |_, _| {})

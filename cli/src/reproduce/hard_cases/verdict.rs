@@ -1,8 +1,8 @@
 //! Is an estimate right, and does it say so where it is not?
 
 use super::spoil::Made;
-use cophase::estimate::{Estimate, Estimator, HeldDiversity, Status};
 use cophase::metrics::{MapGram, residual_nm};
+use cophase::modal::{HeldDiversity, ModalEstimate, ModalFitter, Status};
 use cophase::modes::Group;
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2, s};
@@ -81,7 +81,7 @@ impl Verdict {
 
 /// An estimator, and what its maps weigh.
 pub(super) struct Judge {
-    pub(super) estimator: Estimator,
+    pub(super) estimator: ModalFitter,
     grams: [MapGram; 2],
     /// The diversity in the modes, where they hold it.
     diversity: Option<HeldDiversity>,
@@ -90,7 +90,7 @@ pub(super) struct Judge {
 }
 
 impl Judge {
-    pub(super) fn new(estimator: Estimator) -> Result<Self> {
+    pub(super) fn new(estimator: ModalFitter) -> Result<Self> {
         let model = estimator.model();
         let (pupil, maps, n) = (&model.telescope.pupil, model.basis.maps(), model.segment_modes);
         let grams =
@@ -101,7 +101,7 @@ impl Judge {
     }
 
     /// Of one image's estimate, against what is behind it.
-    pub(super) fn verdict(&self, found: &Estimate, made: &Made) -> Result<Verdict> {
+    pub(super) fn verdict(&self, found: &ModalEstimate, made: &Made) -> Result<Verdict> {
         let report = &found.images[0];
         let hidden = self.estimator.fitted_optics().iter().any(|optic| !optic.is_told());
         let unseen =

@@ -1,6 +1,6 @@
 //! Another fit for an image that the model does not explain, without the pixels that stand out.
 
-use super::Estimator;
+use super::ModalFitter;
 use super::engine::{FitTask, ImageFit};
 use super::outliers::{Cleaned, OutlierFinder};
 use super::prepare::Frame;
@@ -11,7 +11,7 @@ use crate::scene::Scene;
 use ndarray::{Array2, Array3, Axis};
 use rayon::prelude::*;
 
-impl Estimator {
+impl ModalFitter {
     /// Seeks outlier pixels in those of `frames` that the model does not explain, and fits these again without. Returns the
     /// frames in which there were any, and keeps the better fit.
     ///

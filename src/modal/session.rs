@@ -13,7 +13,7 @@ use super::prepare::{Frame, Prepared, Preparer, Refusal, Ringing};
 use super::residual::variance;
 use super::spread::Spread;
 use super::status::{Status, Tilts, judge, unfitted};
-use super::{Estimator, Recipe};
+use super::{ModalFitter, Recipe};
 use crate::imaging::Chain;
 use crate::optimize::{CancelFlag, StopReason};
 use crate::scene::Optimizer;
@@ -34,7 +34,7 @@ use std::time::Instant;
 ///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free
 /// memory, take no lock and format no text, but to say why they fail. A fit depends on its own image alone: bit by bit
-/// it is [`Estimator::estimate`]'s, whatever the number of images and threads.
+/// it is [`ModalFitter::estimate`]'s, whatever the number of images and threads.
 pub struct Session {
     shared: Shared,
     frames: Vec<FrameBuffer>,
@@ -49,7 +49,7 @@ pub struct Session {
 
 /// What all images of a session share.
 struct Shared {
-    estimator: Arc<Estimator>,
+    estimator: Arc<ModalFitter>,
     /// The estimator's, with the session's own limits.
     recipe: Recipe,
     tilts: Tilts,
@@ -69,7 +69,7 @@ impl Session {
     /// # Errors
     /// [`Error::Value`] for options out of range and for an estimator whose recipe is the paper's BFGS, which cannot be
     /// stopped and resumed; [`Error::Device`] where the device cannot run the model.
-    pub fn new(estimator: Arc<Estimator>, options: &SessionOptions) -> Result<Self> {
+    pub fn new(estimator: Arc<ModalFitter>, options: &SessionOptions) -> Result<Self> {
         if options.capacity == 0 {
             return Err(Error::Value("a session for 0 images was asked for, where 1 or more are needed".into()));
         }
@@ -107,7 +107,7 @@ impl Session {
     }
 
     /// The estimator whose model is fitted.
-    pub fn estimator(&self) -> &Arc<Estimator> {
+    pub fn estimator(&self) -> &Arc<ModalFitter> {
         &self.shared.estimator
     }
 
@@ -290,7 +290,7 @@ impl Shared {
     }
 
     fn task(&self, deadline: Option<Instant>) -> FitTask<'_> {
-        let Estimator { model, judge, metrics, .. } = &*self.estimator;
+        let ModalFitter { model, judge, metrics, .. } = &*self.estimator;
         FitTask { model, reference: judge, metrics, recipe: &self.recipe, cancel: Some(&self.cancel), deadline }
     }
 
@@ -342,7 +342,7 @@ fn prepare<'a>(
 
 impl FrameBuffer {
     /// Refuses a capacity that memory cannot hold, rather than find out while taking it.
-    fn check_capacity(estimator: &Estimator, capacity: usize) -> Result<()> {
+    fn check_capacity(estimator: &ModalFitter, capacity: usize) -> Result<()> {
         let preparation = &estimator.model.preparation;
         let [x, y] = preparation.frame;
         // A frame with its mask, and at the model's sampling data, weights and floor.

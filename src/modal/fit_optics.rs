@@ -19,7 +19,7 @@ use super::band;
 use super::minimum::Minimum;
 use super::mode_set::OwnBasis;
 use super::model::Model;
-use super::{Cube, Estimator, Recipe, SharedError};
+use super::{Cube, ModalFitter, Recipe, SharedError};
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
 use crate::scene::{Optic, Scene};
@@ -112,10 +112,10 @@ fn with(scene: &Scene, optics: &[Optic], values: &[f64]) -> Result<Scene> {
     scene.with(&settings)
 }
 
-/// The estimator of `scene` with the optics that `cube` shows; `native` as in [`Estimator::new`].
+/// The estimator of `scene` with the optics that `cube` shows; `native` as in [`ModalFitter::new`].
 ///
 /// # Errors
-/// Those of [`Estimator::new`] and of fits; [`Error::Scene`] for optics that the scene does not have;
+/// Those of [`ModalFitter::new`] and of fits; [`Error::Scene`] for optics that the scene does not have;
 /// [`Error::Interrupted`].
 pub(super) fn estimator(
     scene: &Scene,
@@ -123,7 +123,7 @@ pub(super) fn estimator(
     cube: Cube,
     native: bool,
     cancel: Option<&CancelFlag>,
-) -> Result<Estimator> {
+) -> Result<ModalFitter> {
     let optics = scene.estimate.fit_optics.clone();
     let numbers: Vec<(f64, f64)> = optics.iter().map(|&optic| number(scene, optic)).collect::<Result<_>>()?;
     let (own, steps): (Vec<f64>, Vec<f64>) = numbers.into_iter().unzip();
@@ -158,7 +158,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn run(&self, own: Vec<f64>) -> Result<Estimator> {
+    fn run(&self, own: Vec<f64>) -> Result<ModalFitter> {
         let (mut values, mut round) = (own.clone(), self.round(&own)?);
         for number in 1..=ROUNDS {
             let mut step = round.step.clone();
@@ -201,7 +201,7 @@ impl Search<'_> {
         }
         let scene = with(&self.scene, &self.optics, &values)?;
         let mut estimator =
-            Estimator::with_own_basis(&scene, self.recipe.clone(), self.native, self.own_basis(&scene))?;
+            ModalFitter::with_own_basis(&scene, self.recipe.clone(), self.native, self.own_basis(&scene))?;
         estimator.shared.push(SharedError { name: "fitted optics", covariance_nm2: round.common_nm2.clone() });
         let each = self.optics.iter().zip(own).zip(values).zip(round.sigma.iter().zip(&round.told));
         estimator.fitted_optics = each
@@ -228,7 +228,7 @@ impl Search<'_> {
         // Far from the right optics no start is better than another.
         let recipe = Recipe { restarts: 0, ..self.recipe.clone() };
         let own_basis = self.own_basis(&scene);
-        let estimator = Estimator::with_own_basis(&scene, recipe, self.native, own_basis.clone())?;
+        let estimator = ModalFitter::with_own_basis(&scene, recipe, self.native, own_basis.clone())?;
         let mut chain = Chain::cpu(estimator.model.optics.clone(), Precision::F64);
         let fitted = estimator.fitted(&mut chain, self.cube, self.cancel, &mut |_, _| {})?;
         let beside = self.beside(&scene, &estimator, values, &own_basis)?;
@@ -245,7 +245,7 @@ impl Search<'_> {
     fn beside(
         &self,
         scene: &Scene,
-        estimator: &Estimator,
+        estimator: &ModalFitter,
         values: &[f64],
         own_basis: &OwnBasis,
     ) -> Result<Vec<[CpuChain<f64>; 2]>> {

@@ -3,9 +3,9 @@
 
 use super::{FitState, FitTask, ImageFit, Prepare};
 use crate::Result;
-use crate::estimate::prepare::{Prepared, Preparer};
-use crate::estimate::runner::{Next, Runner, settings};
 use crate::imaging::{CpuChain, Evaluation, FlatWavefront, LoadedImage, Polynomial, Precision, Scratch};
+use crate::modal::prepare::{Prepared, Preparer};
+use crate::modal::runner::{Next, Runner, settings};
 use crate::optimize::StopReason;
 use ndarray::ArrayView1;
 use std::time::Instant;

@@ -6,7 +6,7 @@
 //! would give the same.
 
 use super::model::Model;
-use super::{Estimator, SharedError};
+use super::{ModalFitter, SharedError};
 use crate::modes::Basis;
 use crate::optimize::Metric;
 use crate::pupil::Pupil;
@@ -152,7 +152,7 @@ pub fn within_reach(wanted_nm: f64, shared_nm2: f64) -> Result<()> {
     Ok(())
 }
 
-impl Estimator {
+impl ModalFitter {
     /// The diversity as this estimator's modes see it.
     ///
     /// # Errors

@@ -12,7 +12,7 @@ fn a_device_that_is_lost_is_told() {
     let settings = [("pupil.samples", "64"), ("image.crop_pixels", "64"), ("modes.ncpa", "none"), ("image.count", "2")];
     let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
     let made = crate::source::simulate(&scene).unwrap();
-    let estimator = Arc::new(Estimator::new(&scene, true).unwrap());
+    let estimator = Arc::new(ModalFitter::new(&scene, true).unwrap());
     for info in test_devices().into_iter().filter(|info| info.supports(Precision::F64)) {
         let options = SessionOptions { capacity: 2, ..SessionOptions::default() };
         let mut session = Session::new(estimator.clone(), &options).unwrap();

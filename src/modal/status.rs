@@ -1,6 +1,6 @@
 //! What became of each image: judged by its own residual, and in a sequence by the others'.
 
-use super::Estimator;
+use super::ModalFitter;
 use super::engine::{FitState, ImageFit};
 use super::minimum::Minimum;
 use super::model::Model;
@@ -95,7 +95,7 @@ impl ImageReport {
     }
 }
 
-impl Estimator {
+impl ModalFitter {
     /// The reports on fits, in order.
     pub(super) fn reports(&self, fits: &[ImageFit]) -> Vec<ImageReport> {
         let report = |fit: &ImageFit| match fit.state {
@@ -110,7 +110,7 @@ impl Estimator {
 }
 
 /// The reports on the minima of `prepared`.
-pub(super) fn judged(estimator: &Estimator, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
+pub(super) fn judged(estimator: &ModalFitter, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
     let pairs = prepared.iter().zip(minima);
     let mut reports: Vec<ImageReport> =
         pairs.map(|(prepared, minimum)| judge(&estimator.model, &estimator.tilts, prepared, minimum)).collect();

@@ -3,9 +3,9 @@
 use super::device::prepare_all;
 use super::{FitState, FitTask, ImageFit, Prepare, Watch, stop_if_cancelled};
 use crate::Result;
-use crate::estimate::minimum::Minimum;
-use crate::estimate::residual::{photometry, reduced_chi2};
 use crate::imaging::{Chain, Exposure};
+use crate::modal::minimum::Minimum;
+use crate::modal::residual::{photometry, reduced_chi2};
 use crate::optimize::ArgminBfgs;
 use ndarray::{Array1, ArrayView1};
 

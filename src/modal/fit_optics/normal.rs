@@ -1,12 +1,12 @@
 //! The normal equations of optics beside modes: what each image adds, and what all say together.
 
-use crate::estimate::Estimator;
-use crate::estimate::fisher::{Sensitivity, pseudo_inverse};
-use crate::estimate::gauss_newton::{along, rows_of_tile};
-use crate::estimate::minimum::Minimum;
-use crate::estimate::prepare::Prepared;
-use crate::estimate::sequence::median;
 use crate::imaging::Photometry;
+use crate::modal::ModalFitter;
+use crate::modal::fisher::{Sensitivity, pseudo_inverse};
+use crate::modal::gauss_newton::{along, rows_of_tile};
+use crate::modal::minimum::Minimum;
+use crate::modal::prepare::Prepared;
+use crate::modal::sequence::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
@@ -54,7 +54,7 @@ impl Sum {
     /// Adds an image; `derivatives` of its electrons by the optics, `[optic, pixel]`, per unit.
     pub(super) fn add(
         &mut self,
-        estimator: &Estimator,
+        estimator: &ModalFitter,
         image: &Prepared,
         minimum: &Minimum,
         derivatives: &[Array1<f64>],
@@ -98,7 +98,7 @@ impl Sum {
     }
 
     /// The step, the error bars, and what is told.
-    pub(super) fn solved(self, estimator: &Estimator) -> Result<Round> {
+    pub(super) fn solved(self, estimator: &ModalFitter) -> Result<Round> {
         if self.images == 0 {
             return Err(Error::Image("no image converged from which estimate.fit_optics could be found".into()));
         }

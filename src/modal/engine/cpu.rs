@@ -11,7 +11,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 /// Fits on CPU threads, on a chain that it owns or borrows.
-pub(in crate::estimate) struct CpuEngine<T: Polynomial, C: Borrow<CpuChain<T>>> {
+pub(in crate::modal) struct CpuEngine<T: Polynomial, C: Borrow<CpuChain<T>>> {
     chain: C,
     /// Lanes that no thread uses now.
     lanes: Mutex<Vec<Lane<T>>>,
@@ -23,7 +23,7 @@ pub(in crate::estimate) struct CpuEngine<T: Polynomial, C: Borrow<CpuChain<T>>> 
 
 impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
     /// Takes no memory yet: that of a thread is taken when it fits its first image.
-    pub(in crate::estimate) fn new(chain: C, threads: Option<usize>) -> Self {
+    pub(in crate::modal) fn new(chain: C, threads: Option<usize>) -> Self {
         Self { chain, lanes: Mutex::new(Vec::new()), threads, loaded: Vec::new() }
     }
 
@@ -31,7 +31,7 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> CpuEngine<T, C> {
     ///
     /// # Errors
     /// As [`Lane::new`].
-    pub(in crate::estimate) fn allocate(&mut self, task: &FitTask, capacity: usize) -> Result<()> {
+    pub(in crate::modal) fn allocate(&mut self, task: &FitTask, capacity: usize) -> Result<()> {
         let threads = self.threads.unwrap_or_else(rayon::current_num_threads).min(capacity);
         let chain = self.chain.borrow();
         let lanes = (0..threads).map(|_| Lane::new(chain, precision::<T>(), task)).collect::<Result<Vec<_>>>()?;

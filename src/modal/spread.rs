@@ -1,7 +1,7 @@
 //! How well the images of a call fix the modes. Images of one static wavefront see the modes alike: they share a Fisher
 //! matrix, which costs as much as a hundred evaluations.
 
-use super::Estimator;
+use super::ModalFitter;
 use super::fisher::Sensitivity;
 use super::memory::MATRICES_AT_ONCE;
 use super::minimum::Minimum;
@@ -32,7 +32,7 @@ impl Spread {
     /// # Errors
     /// [`crate::Error::Value`] where an image sees no mode at all.
     pub(super) fn of(
-        estimator: &Estimator,
+        estimator: &ModalFitter,
         images: &[usize],
         prepared: &[Prepared],
         minima: &[Minimum],

@@ -1,7 +1,7 @@
 //! Which basis the images ask for: the smallest that explains them.
 
 use super::mode_set::OwnBasis;
-use super::{Estimate, Estimator, Recipe, Watch, fit_optics};
+use super::{ModalEstimate, ModalFitter, Recipe, Watch, fit_optics};
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
 use crate::scene::{Sampling, Scene};
@@ -21,7 +21,7 @@ pub struct Cube<'a> {
 }
 
 /// Makes the chain for an estimator's model.
-pub type Open<'a> = dyn FnMut(&Estimator) -> Result<Chain> + 'a;
+pub type Open<'a> = dyn FnMut(&ModalFitter) -> Result<Chain> + 'a;
 
 /// Reduced χ² up to which a basis is taken to explain the images. Over 9,000 pixels its scatter is 0.015; the sampling
 /// of the pupil leaves up to 0.1 at the bright end.
@@ -50,7 +50,7 @@ pub fn read(
     open: &mut Open,
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
-) -> Result<(Estimator, Estimate)> {
+) -> Result<(ModalFitter, ModalEstimate)> {
     select(scene, &Recipe::ladder(scene), &BasisCache::default(), cube, open, cancel, watch)
 }
 
@@ -60,7 +60,7 @@ pub fn read(
 /// names optics they are found first, with the last recipe, which is then the estimate's.
 ///
 /// # Errors
-/// Those of [`Estimator::new`], of [`Estimator::estimate`] and of `open`; [`Error::Internal`] without a recipe.
+/// Those of [`ModalFitter::new`], of [`ModalFitter::estimate`] and of `open`; [`Error::Internal`] without a recipe.
 pub fn select(
     scene: &Scene,
     recipes: &[Recipe],
@@ -69,7 +69,7 @@ pub fn select(
     open: &mut Open,
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
-) -> Result<(Estimator, Estimate)> {
+) -> Result<(ModalFitter, ModalEstimate)> {
     let Some(largest) = recipes.last() else { return Err(Error::Internal("no recipe was given".into())) };
     let ladder = Ladder { scene, recipes, cache, cancel };
     let native = scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad);
@@ -108,17 +108,23 @@ struct Ladder<'a> {
 }
 
 impl Ladder<'_> {
-    fn fit(&self, estimator: &Estimator, cube: Cube, open: &mut Open, watch: &mut Watch) -> Result<Estimate> {
+    fn fit(&self, estimator: &ModalFitter, cube: Cube, open: &mut Open, watch: &mut Watch) -> Result<ModalEstimate> {
         let mut chain = open(estimator)?;
         estimator.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, self.cancel, watch)
     }
 
     /// The estimate in the smallest basis that explains the images.
-    fn climb(&self, cube: Cube, native: bool, open: &mut Open, watch: &mut Watch) -> Result<(Estimator, Estimate)> {
-        let mut best: Option<(Estimator, Estimate)> = None;
+    fn climb(
+        &self,
+        cube: Cube,
+        native: bool,
+        open: &mut Open,
+        watch: &mut Watch,
+    ) -> Result<(ModalFitter, ModalEstimate)> {
+        let mut best: Option<(ModalFitter, ModalEstimate)> = None;
         let mut seconds = 0.0;
         for recipe in self.recipes {
-            let estimator = Estimator::with_own_basis(self.scene, recipe.clone(), native, self.cache.0.clone())?;
+            let estimator = ModalFitter::with_own_basis(self.scene, recipe.clone(), native, self.cache.0.clone())?;
             let estimate = self.fit(&estimator, cube, open, watch)?;
             seconds += estimate.seconds;
             let chi2 = estimate.typical_chi2();

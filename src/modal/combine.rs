@@ -1,6 +1,6 @@
 //! From the minima of single images to one estimate: mean or median, error bars, maps.
 
-use super::Estimator;
+use super::ModalFitter;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
@@ -44,7 +44,7 @@ pub struct Compared {
     pub residual_sigma: Array2<f64>,
 }
 
-/// Some images of an estimate, combined anew: what [`Estimator::combine_subset`] returns.
+/// Some images of an estimate, combined anew: what [`ModalFitter::combine_subset`] returns.
 #[derive(Debug, Clone)]
 pub struct Combination {
     /// The images that went into it.
@@ -63,9 +63,9 @@ pub struct Combination {
     pub ncpa_sigma_nm: Array2<f64>,
 }
 
-/// What [`Estimator::estimate`] found.
+/// What [`ModalFitter::estimate`] found.
 #[derive(Debug, Clone)]
-pub struct Estimate {
+pub struct ModalEstimate {
     /// One report per image, in order.
     pub images: Vec<ImageReport>,
     /// Coefficients of each image, `[image, mode]`, nm; NaN for unusable ones.
@@ -79,7 +79,7 @@ pub struct Estimate {
     pub clipped_images: Vec<usize>,
     /// Mean or median over the images that were used.
     pub combined: Combined,
-    /// The part of the covariance that more images would average out, nm²; the rest is [`Estimator::shared_errors`].
+    /// The part of the covariance that more images would average out, nm²; the rest is [`ModalFitter::shared_errors`].
     pub averaged_covariance_nm2: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
@@ -114,7 +114,7 @@ struct SingleImage {
     scatter_nm2: Array2<f64>,
 }
 
-impl Estimate {
+impl ModalEstimate {
     /// Number of images that were combined.
     pub fn used(&self) -> usize {
         self.used_images.len()
@@ -157,12 +157,12 @@ pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
 
 /// One estimate from all images of a call. `indices` says which images the minima belong to.
 pub(super) fn combine(
-    estimator: &Estimator,
+    estimator: &ModalFitter,
     refused: Vec<Option<Refusal>>,
     indices: &[usize],
     prepared: &[Prepared],
     mut minima: Vec<Minimum>,
-) -> Result<Estimate> {
+) -> Result<ModalEstimate> {
     let model = &estimator.model;
     let pistons = &estimator.pistons;
     minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
@@ -196,7 +196,7 @@ pub(super) fn combine(
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
     let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
-    Ok(Estimate {
+    Ok(ModalEstimate {
         combine: how,
         phasing_nm,
         ncpa_nm,
@@ -220,8 +220,8 @@ pub(super) fn combine(
 
 /// Some images of an estimate, combined anew.
 pub(super) fn subset(
-    estimator: &Estimator,
-    estimate: &Estimate,
+    estimator: &ModalFitter,
+    estimate: &ModalEstimate,
     images: &[usize],
     how: Combine,
 ) -> Result<Combination> {
@@ -276,7 +276,7 @@ pub(super) fn centre(pistons: &Pistons, used_nm: &Array2<f64>, how: Combine) -> 
 /// The covariance that an image's noise gives it (nm²), and its Fisher matrix (per nm²), at the wavefront of the whole
 /// sequence: one matrix for all, for the noise is the least part of their scatter.
 fn noise_at(
-    estimator: &Estimator,
+    estimator: &ModalFitter,
     prepared: &Prepared,
     minimum: &Minimum,
     coefficients_nm: &[f64],
@@ -292,7 +292,7 @@ fn noise_at(
 /// the model misfits; and, from four images on, what their scatter shows where that is more (a static wavefront under a
 /// changing one scatters more than its noise). With the Fisher matrix of the first.
 fn few(
-    estimator: &Estimator,
+    estimator: &ModalFitter,
     prepared: &[Prepared],
     minima: &[Minimum],
     reports: &[ImageReport],
@@ -342,7 +342,7 @@ fn sigma_maps(model: &Model, combined: &Combined) -> [Array2<f64>; 2] {
     [Group::Segment, Group::Ncpa].map(|group| sigma_map(model, &combined.covariance_nm2, group))
 }
 
-fn compared(estimator: &Estimator, minimum: &Minimum, prepared: &Prepared) -> Compared {
+fn compared(estimator: &ModalFitter, minimum: &Minimum, prepared: &Prepared) -> Compared {
     let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
     let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
     let size = estimator.model.preparation.pixels;

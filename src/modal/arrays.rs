@@ -1,6 +1,6 @@
 //! Models of a telescope that a caller gives as arrays: a pupil that is neither hexagons nor a file, modes of one's own.
 
-use super::Estimator;
+use super::ModalFitter;
 use super::mode_set::{ModeSet, OwnBasis, on_grid};
 use super::model::Model;
 use super::recipe::Recipe;
@@ -29,7 +29,7 @@ pub struct Arrays {
     pub diversity_nm: Option<Array2<f64>>,
 }
 
-impl Estimator {
+impl ModalFitter {
     /// An estimator whose pupil, and whatever else `arrays` holds, is the caller's; the scene says the rest. Its own pupil
     /// and the files for which there is an array are not looked at: read the scene with [`Scene::for_arrays`], and they
     /// need not fit together either.

@@ -1,11 +1,11 @@
 //! Tiles against the whole, and both against the definition, on seven segments that tilt.
 
 use super::*;
-use crate::estimate::Estimator;
+use crate::modal::ModalFitter;
 use crate::scene::Scene;
 use ndarray::{Array1, Axis};
 
-fn estimator() -> Estimator {
+fn estimator() -> ModalFitter {
     let small = [
         ("pupil.aperture", "hexagonal"),
         ("pupil.rings", "1"),
@@ -19,7 +19,7 @@ fn estimator() -> Estimator {
         ("modes.ncpa_count", "5"),
         ("modes.exact_zernikes", "none"),
     ];
-    Estimator::new(&Scene::preset("keck-artificial").unwrap().with(&small).unwrap(), false).unwrap()
+    ModalFitter::new(&Scene::preset("keck-artificial").unwrap().with(&small).unwrap(), false).unwrap()
 }
 
 /// Two lists of weights: of many sizes with bad pixels among them, and all the same.

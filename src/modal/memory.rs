@@ -212,7 +212,7 @@ mod tests {
         let many = scene
             .with(&[("modes.ncpa_count", "10000"), ("pupil.samples", "2048"), ("aberrations.truth_samples", "2048")])
             .unwrap();
-        let sentence = crate::estimate::Estimator::new(&many, false).err().unwrap().to_string();
+        let sentence = crate::modal::ModalFitter::new(&many, false).err().unwrap().to_string();
         assert!(sentence.contains("671088640000 bytes") && sentence.contains("allows 8000000000"), "{sentence}");
     }
 }

@@ -1,6 +1,6 @@
 //! The running static estimate of images that come one by one.
 
-use super::Estimator;
+use super::ModalFitter;
 use super::combine::{Combined, centre, is_sequence, of_few};
 use super::diversity_error::within_reach;
 use super::pistons::Pistons;
@@ -12,10 +12,10 @@ use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, Axis};
 use std::sync::Arc;
 
-/// Keeps the coefficients of the last images, and combines them by the rules of [`Estimator::estimate`]: up to seven are
+/// Keeps the coefficients of the last images, and combines them by the rules of [`ModalFitter::estimate`]: up to seven are
 /// judged one by one, eight and more by one another, outliers are left out as the scene says.
 pub struct Accumulator {
-    estimator: Arc<Estimator>,
+    estimator: Arc<ModalFitter>,
     pistons: Pistons,
     /// Inner products of the modes over the pupil, piston removed: the mean square of a map is cᵀ·G·c.
     gram: Array2<f64>,
@@ -54,7 +54,7 @@ impl Accumulator {
     ///
     /// # Errors
     /// [`Error::Value`] for no capacity, or one that memory cannot hold.
-    pub fn new(estimator: Arc<Estimator>, capacity: usize) -> Result<Self> {
+    pub fn new(estimator: Arc<ModalFitter>, capacity: usize) -> Result<Self> {
         let model = estimator.model();
         let modes = model.optics.modes();
         let size = capacity.checked_mul(modes).filter(|&size| size > 0);
@@ -102,7 +102,7 @@ impl Accumulator {
     }
 
     /// The estimator whose images it takes.
-    pub fn estimator(&self) -> &Arc<Estimator> {
+    pub fn estimator(&self) -> &Arc<ModalFitter> {
         &self.estimator
     }
 

@@ -3,7 +3,7 @@
 //! From the flat wavefront nearly every image leads to its minimum. What does not shows: its χ² is hundreds of times what
 //! noise explains, or the fit has used up its evaluations. It is tried again from elsewhere, and the best is kept.
 
-use super::Estimator;
+use super::ModalFitter;
 use super::engine::{FitTask, ImageFit};
 use super::minimum::Minimum;
 use super::outliers::Cleaned;
@@ -24,7 +24,7 @@ const SEGMENT_WAVES: f64 = 0.05;
 /// See [`SEGMENT_WAVES`].
 const NCPA_WAVES: f64 = 0.02;
 
-impl Estimator {
+impl ModalFitter {
     /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier pixels that were rejected
     /// from a frame stay so.
     ///

@@ -2,12 +2,12 @@
 //!
 //! ```text
 //! Scene ─ Recipe ─ Model ┐
-//!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ Estimate
+//!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ ModalEstimate
 //! frames ────────────────┘
 //! ```
 //!
-//! [`Estimator::new`], or [`Estimator::from_arrays`] for a telescope of the caller's own, pays every cost that does not
-//! depend on the images; [`Estimator::estimate`] takes a cube of them. A [`Session`] takes frames as a camera delivers
+//! [`ModalFitter::new`], or [`ModalFitter::from_arrays`] for a telescope of the caller's own, pays every cost that does not
+//! depend on the images; [`ModalFitter::estimate`] takes a cube of them. A [`Session`] takes frames as a camera delivers
 //! them, in memory that is taken once, and an [`Accumulator`] keeps what they say together.
 
 mod accumulator;
@@ -44,7 +44,7 @@ mod status;
 pub use accumulator::{Accumulator, RunningEstimate};
 pub use arrays::Arrays;
 pub use calibration::{Calibration, CameraMaps};
-pub use combine::{Combination, Combined, Compared, Estimate};
+pub use combine::{Combination, Combined, Compared, ModalEstimate};
 pub use diversity_error::{Held, HeldDiversity, Holder, within_reach};
 pub use engine::Watch;
 use engine::{FitState, FitTask, ImageFit};
@@ -74,7 +74,7 @@ use std::fmt;
 use std::sync::Arc;
 
 /// Reads images of one scene.
-pub struct Estimator {
+pub struct ModalFitter {
     scene: Scene,
     recipe: Recipe,
     model: Model,
@@ -99,13 +99,13 @@ pub struct SharedError {
     pub covariance_nm2: Array2<f64>,
 }
 
-impl fmt::Debug for Estimator {
+impl fmt::Debug for ModalFitter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Estimator").field("recipe", &self.recipe).finish_non_exhaustive()
+        f.debug_struct("ModalFitter").field("recipe", &self.recipe).finish_non_exhaustive()
     }
 }
 
-/// What [`Estimator::fit_each`] found.
+/// What [`ModalFitter::fit_each`] found.
 #[derive(Debug, Clone)]
 pub struct EachImage {
     /// `[image, mode]`, nm, pistons about their mean over the pupil; NaN for images that cannot be used.
@@ -202,7 +202,7 @@ impl Fitted {
     }
 }
 
-impl Estimator {
+impl ModalFitter {
     /// Builds the model of `scene`.
     ///
     /// `native` forbids the reduction to Nyquist sampling: needed where pixels are bad, because they would ring.
@@ -216,7 +216,7 @@ impl Estimator {
     /// Builds the model of `scene` for a recipe of the caller's.
     ///
     /// # Errors
-    /// As [`Estimator::new`].
+    /// As [`ModalFitter::new`].
     pub fn with_recipe(scene: &Scene, recipe: Recipe, native: bool) -> Result<Self> {
         Self::with_own_basis(scene, recipe, native, Arc::default())
     }
@@ -226,7 +226,7 @@ impl Estimator {
     /// and only the sampling and the fit differ. Otherwise it is made anew.
     ///
     /// # Errors
-    /// As [`Estimator::new`].
+    /// As [`ModalFitter::new`].
     pub fn variant(&self, scene: &Scene, recipe: Recipe) -> Result<Self> {
         let own_basis = if same_basis(&self.scene, scene) { self.own_basis.clone() } else { Arc::default() };
         Self::with_own_basis(scene, recipe, false, own_basis)
@@ -255,7 +255,7 @@ impl Estimator {
         &self.model
     }
 
-    /// What `estimate.fit_optics` found, in its order; its numbers are those of [`Estimator::scene`].
+    /// What `estimate.fit_optics` found, in its order; its numbers are those of [`ModalFitter::scene`].
     pub fn fitted_optics(&self) -> &[FittedOptic] {
         &self.fitted_optics
     }
@@ -290,7 +290,7 @@ impl Estimator {
         read_noise_e: Option<f64>,
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
-    ) -> Result<Estimate> {
+    ) -> Result<ModalEstimate> {
         let started = std::time::Instant::now();
         let cube = Cube { images_e, bad, read_noise_e };
         let Fitted { refused, indices, prepared, minima } = self.fitted(chain, cube, cancel, watch)?;
@@ -309,7 +309,7 @@ impl Estimator {
     /// and no maps, which take longer than the fits.
     ///
     /// # Errors
-    /// As [`Estimator::estimate`].
+    /// As [`ModalFitter::estimate`].
     pub fn fit_each(
         &self,
         chain: &mut Chain,
@@ -402,7 +402,7 @@ impl Estimator {
     /// # Errors
     /// [`Error::Value`] for an image that is not there, [`Error::Image`] where none of them was fitted, [`Error::Shape`]
     /// for an estimate of another model.
-    pub fn combine_subset(&self, estimate: &Estimate, images: &[usize], how: Combine) -> Result<Combination> {
+    pub fn combine_subset(&self, estimate: &ModalEstimate, images: &[usize], how: Combine) -> Result<Combination> {
         combine::subset(self, estimate, images, how)
     }
 

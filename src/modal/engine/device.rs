@@ -1,9 +1,9 @@
 //! Device engine: all images advance in lock-step, one batched evaluation a step, and those that are done drop out.
 
 use super::{CpuEngine, Engine, FitState, FitTask, ImageFit, Prepare, Watch, interrupted, stop_if_cancelled, unusable};
-use crate::estimate::prepare::Preparer;
-use crate::estimate::runner::{Next, Runner, settings};
 use crate::imaging::{Chain, Evaluation, Exposure};
+use crate::modal::prepare::Preparer;
+use crate::modal::runner::{Next, Runner, settings};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use rayon::prelude::*;
@@ -11,12 +11,12 @@ use std::borrow::BorrowMut;
 use std::time::Instant;
 
 /// Fits on a device, on a chain that it owns or borrows.
-pub(in crate::estimate) struct DeviceEngine<C: BorrowMut<Chain>> {
+pub(in crate::modal) struct DeviceEngine<C: BorrowMut<Chain>> {
     chain: C,
 }
 
 impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
-    pub(in crate::estimate) fn new(chain: C) -> Self {
+    pub(in crate::modal) fn new(chain: C) -> Self {
         Self { chain }
     }
 
