@@ -58,7 +58,7 @@ pub mod retrieval;
 pub mod scene;
 pub mod source;
 pub mod statics;
-pub mod statistics;
+mod statistics;
 pub mod telescope;
 
 pub use error::{Error, Result};
