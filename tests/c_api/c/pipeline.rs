@@ -72,7 +72,8 @@ fn the_pipeline_prints_what_rust_finds() {
     let mut command = command(&program);
     command.arg(&toml).arg(&raw).args([count, rows, cols].map(|extent| extent.to_string()));
     let printed = String::from_utf8(succeeded(&mut command).stdout).unwrap();
-    let found = Estimator::new(&Scene::from_text(scene.text(), Path::new("")).unwrap()).unwrap().estimate(&images).unwrap();
+    let found =
+        Estimator::new(&Scene::from_text(scene.text(), Path::new("")).unwrap()).unwrap().estimate(&images).unwrap();
     assert_eq!(found.images[1].rejected_pixels, 1, "the hot pixel");
     assert!(found.warnings.iter().any(|warning| warning.starts_with("1 pixel is not finite")), "{:?}", found.warnings);
     if super::words("COPHASE_C_RUNNER").is_empty() {
