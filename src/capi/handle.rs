@@ -1,4 +1,4 @@
-//! What a handle points to, and the one fence that every call runs inside.
+//! Objects behind opaque handles, and the fence that every call runs inside.
 
 use super::failure::keep;
 use super::status::{COPHASE_OK, cophase_status};
@@ -8,9 +8,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{RwLock, TryLockError};
 
-/// Runs the body of a call: a failure or a panic becomes its status, and its sentence is kept.
+/// Runs the body of a call. A failure or a panic becomes its status, and its sentence is kept for this thread.
 pub(super) fn fence(body: impl FnOnce() -> Result<()>) -> cophase_status {
-    // Nobody sees what a panic left half done: a handle that was in use is poisoned.
+    // Unwind safety: an object that a panic left half changed is poisoned, and no later call reads it.
     match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => COPHASE_OK,
         Ok(Err(error)) => keep(&error),
@@ -18,16 +18,16 @@ pub(super) fn fence(body: impl FnOnce() -> Result<()>) -> cophase_status {
     }
 }
 
-/// What a panic says.
+/// Message of a panic.
 fn words(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words")
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without a message")
 }
 
-/// An object behind an opaque pointer. Many threads may read it, or one may change it; a thread that comes at the wrong
-/// time is sent away and does not wait. After a panic inside a call nothing but dropping it is possible.
+/// An object behind an opaque pointer. Many threads may read it, or one may change it; any other call fails at once with
+/// [`Error::Busy`] and does not wait. After a panic inside a call it can only be dropped.
 ///
-/// `repr(C)`: an allocator writes first over the beginning of what it got back.
+/// `repr(C)` puts the mark first: an allocator overwrites the beginning of freed memory first.
 #[repr(C)]
 pub(super) struct Handle<T> {
     mark: u64,
@@ -41,7 +41,7 @@ impl<T: Send + Sync> Handle<T> {
         Self::enter(handle, name, |value| body(&*value.try_read().map_err(refused)?))
     }
 
-    /// What `body` reads, inside a call on another object.
+    /// Reads the object inside a call on another one.
     pub(super) fn look<R>(&self, body: impl FnOnce(&T) -> R) -> Result<R> {
         self.whole()?;
         Ok(body(&*self.value.try_read().map_err(refused)?))
@@ -53,24 +53,24 @@ impl<T: Send> Handle<T> {
         Self { mark: ALIVE, poisoned: AtomicBool::new(false), value: RwLock::new(value) }
     }
 
-    /// A call that changes what the argument `name` points to, or that reads what only one thread at a time may.
+    /// A call that changes what the argument `name` points to, or reads an object that only one thread at a time may read.
     pub(super) fn change(handle: Option<&Self>, name: &str, body: impl FnOnce(&mut T) -> Result<()>) -> cophase_status {
         Self::enter(handle, name, |value| body(&mut *value.try_write().map_err(refused)?))
     }
 
-    /// As [`Handle::look`], for what only one thread at a time may read.
+    /// As [`Handle::look`], for an object that only one thread at a time may read.
     pub(super) fn look_alone<R>(&self, body: impl FnOnce(&T) -> R) -> Result<R> {
         self.whole()?;
         Ok(body(&*self.value.try_write().map_err(refused)?))
     }
 
-    /// Whether it has not been given back. A guard and no promise: it reads memory that may be another's by now.
+    /// Whether it has not been destroyed, as far as its memory still shows it: that may belong to another object by now.
     pub(super) fn is_alive(&self) -> bool {
-        // Volatile, for by the rules of the language nothing can have changed it.
+        // Volatile: the compiler may assume that the mark of a live object does not change.
         unsafe { (&raw const self.mark).read_volatile() == ALIVE }
     }
 
-    /// That it is there, and that no call has panicked in it.
+    /// Refuses an object that was destroyed, or in which a call has panicked.
     fn whole(&self) -> Result<()> {
         if !self.is_alive() {
             return Err(given_back());
@@ -82,7 +82,7 @@ impl<T: Send> Handle<T> {
         fence(|| {
             let handle = handle.ok_or_else(|| null(name))?;
             handle.whole()?;
-            // Not every call that says COPHASE_PANIC: another object that it was given may be the one that panicked.
+            // Only a panic poisons: a call may also return COPHASE_PANIC because another object is poisoned.
             let _poison = PoisonIfPanicking(&handle.poisoned);
             fault::fail_call()?;
             body(&handle.value)
@@ -90,7 +90,7 @@ impl<T: Send> Handle<T> {
     }
 }
 
-/// The mark of a handle that has not been given back: no address, no small number.
+/// Mark of a live handle; neither an address nor a small number.
 const ALIVE: u64 = 0x636f_7068_a5e1_11fe;
 
 impl<T> Drop for Handle<T> {
@@ -99,8 +99,8 @@ impl<T> Drop for Handle<T> {
     }
 }
 
-/// Frees the object that `pointer` points to, whose handle `handle` finds; NULL is fine, and so, as far as the memory
-/// still shows it, is what was freed before.
+/// Frees the object that `pointer` points to, whose handle `handle` finds. NULL does nothing, nor, as far as the memory
+/// still shows it, does an object that was freed before.
 pub(super) unsafe fn give_back<O, T: Send>(pointer: *mut O, handle: impl FnOnce(&O) -> &Handle<T>) {
     fence(|| {
         if unsafe { pointer.as_ref() }.is_some_and(|object| handle(object).is_alive()) {
@@ -110,12 +110,12 @@ pub(super) unsafe fn give_back<O, T: Send>(pointer: *mut O, handle: impl FnOnce(
     });
 }
 
-/// What a call says of a handle that was destroyed.
+/// Error of a call on a handle that was destroyed.
 pub(super) fn given_back() -> Error {
     Error::Argument("the handle was destroyed, or is none: one that its create call made is accepted".into())
 }
 
-/// Raises the flag where a panic passes by.
+/// Raises the flag when it is dropped during a panic.
 struct PoisonIfPanicking<'a>(&'a AtomicBool);
 
 impl Drop for PoisonIfPanicking<'_> {
@@ -126,7 +126,7 @@ impl Drop for PoisonIfPanicking<'_> {
     }
 }
 
-/// What a call says of a handle that is NULL.
+/// Error of a call on NULL.
 pub(super) fn null(name: &str) -> Error {
     Error::Argument(format!("{name} is NULL: a handle that its create call made is accepted"))
 }

@@ -157,7 +157,7 @@ impl<'a> Input<'a> {
 
     fn each_of<T: Element>(&self, k: usize, mut take: impl FnMut(usize, usize, f64)) {
         let cophase_input { data, rows, cols, count_stride, row_stride, col_stride, .. } = self.array;
-        // No overflow: `check_reach` has been to the far corners. A stride of an extent of 1 is not used, whatever it is.
+        // No overflow: `check_reach` has been to the far corners. The stride of an extent of 1 is not used.
         let along = |index: usize, stride: isize| if index == 0 { 0 } else { index as isize * stride };
         for y in 0..rows {
             let row = along(k, count_stride) + along(y, row_stride);
@@ -168,7 +168,7 @@ impl<'a> Input<'a> {
         }
     }
 
-    /// The only frame, `[y, x]`. The input must have been held to one: [`Input::must_be`].
+    /// The only frame, `[y, x]`; [`Input::must_be`] must have checked that there is one.
     pub(super) fn map(&self) -> Result<Array2<f64>> {
         debug_assert!(self.array.count == 1);
         Ok(self.cube()?.index_axis_move(Axis(0), 0))

@@ -2,7 +2,7 @@
 
 use super::handle::{Handle, fence, give_back};
 use super::model::{check_modes, cophase_model, estimator};
-use super::pointer::{numbers_mut, place, put};
+use super::pointer::{place, put, put_array};
 use super::session::{self, cophase_session};
 use super::sized::Outputs;
 use super::status::cophase_status;
@@ -127,23 +127,18 @@ pub unsafe extern "C" fn cophase_sequence_estimate(
         read(sequence, |sequence| {
             check_modes(modes, sequence.estimator().model().optics.modes())?;
             let report = Outputs::new(report, report_size, ("report", "report_size"))?;
-            let wanted = |out: *mut f64, count: usize, name: &str| {
-                if out.is_null() { Ok(None) } else { numbers_mut(out, count, name).map(Some) }
-            };
+            let outputs =
+                [(coefficients_nm, "coefficients_nm"), (sigma_nm, "sigma_nm"), (covariance_nm2, "covariance_nm2")];
             // All are checked before the first is written.
-            let coefficients = wanted(coefficients_nm, modes, "coefficients_nm")?;
-            let sigma = wanted(sigma_nm, modes, "sigma_nm")?;
-            let covariance = wanted(covariance_nm2, modes * modes, "covariance_nm2")?;
+            for (out, name) in outputs.into_iter().filter(|(out, _)| !out.is_null()) {
+                place(out, name)?;
+            }
             let estimate = sequence.estimate()?;
             let combined = &estimate.combined;
-            if let Some(out) = coefficients {
-                out.copy_from_slice(&combined.coefficients_nm);
-            }
-            if let Some(out) = sigma {
-                out.copy_from_slice(&combined.sigma_nm());
-            }
-            for (out, value) in covariance.into_iter().flatten().zip(&combined.covariance_nm2) {
-                *out = *value;
+            let covariance = combined.covariance_nm2.iter().copied().collect();
+            let values: [Vec<f64>; 3] = [combined.coefficients_nm.clone(), combined.sigma_nm(), covariance];
+            for ((out, _), values) in outputs.into_iter().zip(values).filter(|((out, _), _)| !out.is_null()) {
+                put_array(out, values.len(), &[values.len()], values)?;
             }
             report.put(0, &(&estimate).into());
             Ok(())
