@@ -14,6 +14,7 @@ use std::process::Command;
 
 mod fits;
 mod octave;
+mod pipeline;
 mod python;
 mod sky;
 
