@@ -1,6 +1,6 @@
-"""Takes the C library along in the wheel, with the header that it was built from.
+"""Puts the C library into the wheel, with the headers that it was built from.
 
-cargo builds it, or COPHASE_LIBRARY (and COPHASE_HEADER, outside of the source tree) name what is there already.
+cargo builds it, or COPHASE_LIBRARY (and COPHASE_HEADER, outside of the source tree) name files that exist already.
 """
 
 import json
@@ -29,11 +29,11 @@ def built() -> Path:
 class BuildWithLibrary(build_py):
     def run(self) -> None:
         super().run()
-        # An editable package finds them in the source tree.
+        # An editable package uses those of the source tree.
         if not self.editable_mode:
             header = Path(os.environ.get("COPHASE_HEADER", ROOT / "include/cophase.h"))
             library = Path(os.environ["COPHASE_LIBRARY"]) if "COPHASE_LIBRARY" in os.environ else built()
-            for file in (header, library):
+            for file in (header, header.with_name("cophase_simulator.h"), library):
                 shutil.copy2(file, Path(self.build_lib, "cophase", file.name))
 
 

@@ -1,6 +1,7 @@
 //! Statistics of a sequence: images that are judged by one another, their mean or median, and how much it scatters.
 
 use crate::scene::Combine;
+use crate::statistics::median;
 use ndarray::{Array1, Array2, ArrayView1, Axis, Zip};
 
 /// Fewest images that are judged by one another: the median and the median deviation of eight withstand three that are
@@ -122,17 +123,6 @@ fn robust_variances(rows: &Array2<f64>, middle: &Array1<f64>) -> Array1<f64> {
 
 fn median_deviation(values: &[f64], middle: f64) -> f64 {
     median(&values.iter().map(|value| (value - middle).abs()).collect::<Vec<_>>())
-}
-
-/// The middle value, or the mean of the two middle ones; NaN of none.
-pub(super) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let (below, above) = (sorted.len().saturating_sub(1) / 2, sorted.len() / 2);
-    match (sorted.get(below), sorted.get(above)) {
-        (Some(a), Some(b)) => (a + b) / 2.0,
-        _ => f64::NAN,
-    }
 }
 
 fn sign(value: f64) -> f64 {

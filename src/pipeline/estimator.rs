@@ -1,8 +1,8 @@
 //! Estimator: a scene, a policy, and the estimate of images by them.
 
 use super::control::{Control, Stage};
-use super::images::Images;
 use super::estimate::Estimate;
+use super::images::Images;
 use super::policy::Policy;
 use super::{map, modal};
 use crate::modal::BasisCache;

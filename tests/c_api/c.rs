@@ -7,10 +7,10 @@
 
 mod estimates;
 mod golden;
-mod pipeline;
 mod rtc;
 
 use super::fits::same;
+use super::pipeline::prints_what_rust_finds;
 use super::{here, libraries, root};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -96,6 +96,12 @@ fn passes(source: &str, arguments: &[&str]) {
     let directory = tempfile::tempdir().unwrap();
     let program = compile("-std=c99", &here().join(source), directory.path());
     succeeded(command(&program).arg(here().join("tiny.toml")).args(arguments));
+}
+
+#[test]
+fn pipeline() {
+    let directory = tempfile::tempdir().unwrap();
+    prints_what_rust_finds(command(&compile("-std=c99", &here().join("pipeline.c"), directory.path())));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-"""What goes wrong, through the Python package: every exception, threads, Ctrl-C; run by tests/c_api/main.rs, see there:
+"""Failures through the Python package: every exception, threads, Ctrl-C; run by tests/c_api/main.rs, see there:
 
     python3 failures.py SCENE.toml [DEBUG]
 
@@ -18,7 +18,7 @@ from cophase._interrupt import interruptible
 from cophase._library import lib, words
 from support import failure, stars
 
-#: More frames than are fitted before somebody else has looked: some seconds' worth.
+#: Frames whose fit takes some seconds, so that another thread finds it running.
 MANY = 3000
 
 
@@ -43,7 +43,7 @@ def one_of_each(scene, model, session, frame):
     assert "no such.fits" in str(failure(lambda: cophase.Model(absent, "/no such folder"), cophase.BadFileError))
     failure(lambda: session.fit(frame[1:]), cophase.BadShapeError)
     failure(lambda: session.evaluate(np.zeros(model.modes)), cophase.BadValueError)
-    failure(lambda: session.load(0 * frame), cophase.BadImageError)
+    failure(lambda: session.evaluate(np.zeros(model.modes), 0 * frame), cophase.BadImageError)
     failure(lambda: cophase.Session(model, device="opencl:9:9"), cophase.DeviceError)
     closed = cophase.Session(model)
     closed.close()

@@ -17,6 +17,7 @@ mod fits;
 #[path = "../common/libraries.rs"]
 mod libraries;
 mod octave;
+mod pipeline;
 mod python;
 mod sky;
 

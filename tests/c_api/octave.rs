@@ -1,11 +1,12 @@
-//! The MATLAB package under Octave, on the library that cargo built: simulator, fits, help and examples.
+//! The MATLAB package under Octave, on the library that cargo built: simulator, fits, estimates, help and examples.
 
+use super::pipeline::prints_what_rust_finds;
 use super::{dumps_the_same, fits, here, is_here, libraries, root, sky};
 use std::path::Path;
 use std::process::Command;
 
-/// Octave with `script`, where it is installed with mkoctfile, which comes in a package of its own. It may keep what it
-/// likes to keep, such as a history, in `scratch`.
+/// Octave with `script`, if it is installed with mkoctfile, which comes in a package of its own. Its own files, such as a
+/// history, go into `scratch`.
 fn octave(script: &str, scratch: &Path) -> Option<Command> {
     let required = "COPHASE_REQUIRE_OCTAVE";
     let installed = is_here("octave-cli", &["--version"], required) && is_here("mkoctfile", &["--version"], required);
@@ -46,13 +47,22 @@ fn fits_have_the_bits_of_rust() {
 }
 
 #[test]
-fn full_phase_estimates_have_the_bits_of_rust() {
+fn map_estimates_have_the_bits_of_rust() {
     let scratch = tempfile::tempdir().unwrap();
     let dump = scratch.path().join("dump");
-    if let Some(mut command) = octave("full_phase.m", scratch.path()) {
+    if let Some(mut command) = octave("estimator.m", scratch.path()) {
         command.args([&sky::scene(), &dump, &root().join("bindings/matlab"), &libraries()]).arg(scratch.path());
         passes(&mut command);
         sky::is_that_of_rust(&dump);
+    }
+}
+
+#[test]
+fn pipeline() {
+    let scratch = tempfile::tempdir().unwrap();
+    if let Some(mut command) = octave("pipeline.m", scratch.path()) {
+        command.env("COPHASE_LIBRARIES", libraries()).env("COPHASE_SCRATCH", scratch.path());
+        prints_what_rust_finds(command);
     }
 }
 

@@ -5,13 +5,16 @@
  * FRAMES.raw holds COUNT x ROWS x COLS native doubles in C order, electrons, NaN for a bad pixel; SLOPES.raw COUNT x SLOPES,
  * mas. Files that the scene names are looked for in the working directory. Prints lines of
  *
- *   coefficient NAME VALUE SIGMA         (hexadecimal floats, nm)
+ *   coefficient NAME VALUE SIGMA         (nm)
  *   image INDEX STATUS CHI2 REJECTED
  *   warning SENTENCE
  *   policy NAME
  *   device TEXT
+ *
+ * VALUE, SIGMA and CHI2 are the bits of doubles, 16 hexadecimal digits: the same in every language.
  */
 #include "support.h"
+#include <inttypes.h>
 
 static void must(cophase_status status)
 {
@@ -22,6 +25,14 @@ static void must(cophase_status status)
     cophase_last_error(sentence, sizeof sentence);
     fprintf(stderr, "%s: %s\n", cophase_status_name(status), sentence);
     exit(1);
+}
+
+static uint64_t bits(double value)
+{
+    uint64_t bits;
+
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
 }
 
 /* A text of the estimate; the caller frees it. */
@@ -52,12 +63,12 @@ static void print(const cophase_estimate *estimate)
     must(cophase_estimate_images(estimate, images, sizeof *images, info.images));
     for (i = 0; i < info.modes; i++) {
         text = text_of(estimate, COPHASE_TEXT_MODE_NAME, i);
-        printf("coefficient %s %a %a\n", text, coefficients_nm[i], sigma_nm[i]);
+        printf("coefficient %s %016" PRIx64 " %016" PRIx64 "\n", text, bits(coefficients_nm[i]), bits(sigma_nm[i]));
         free(text);
     }
     for (i = 0; i < info.images; i++)
-        printf("image %d %s %a %d\n", (int)i, cophase_status_name(images[i].status), images[i].reduced_chi2,
-               (int)images[i].rejected_pixels);
+        printf("image %d %s %016" PRIx64 " %d\n", (int)i, cophase_status_name(images[i].status),
+               bits(images[i].reduced_chi2), (int)images[i].rejected_pixels);
     text = text_of(estimate, COPHASE_TEXT_WARNINGS, 0);
     for (line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n"))
         printf("warning %s\n", line);

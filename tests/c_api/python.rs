@@ -1,9 +1,10 @@
-//! The Python package on the library that cargo built: the simulator, fits, failures, the wheel.
+//! The Python package on the library that cargo built: simulator, fits, estimates, failures, the wheel.
 
+use super::pipeline::prints_what_rust_finds;
 use super::{dumps_the_same, fits, here, is_here, libraries, library, root, sky};
 use std::process::Command;
 
-/// `script` with the package on Python's path, where Python runs what it `needs`; where not and `variable` is set, a failure.
+/// `script` with the package on Python's path, if Python runs `needs`; a failure if it does not and `variable` is set.
 fn python(script: &str, needs: &str, variable: &str) -> Option<Command> {
     let python = std::env::var("COPHASE_PYTHON").unwrap_or("python3".into());
     is_here(&python, &["-c", needs], variable).then(|| {
@@ -46,12 +47,19 @@ fn fits_have_the_bits_of_rust() {
 }
 
 #[test]
-fn full_phase_estimates_have_the_bits_of_rust() {
+fn map_estimates_have_the_bits_of_rust() {
     let directory = tempfile::tempdir().unwrap();
     let dump = directory.path().join("dump");
-    if let Some(mut command) = with_package("full_phase.py") {
+    if let Some(mut command) = with_package("estimator.py") {
         passes(command.args([&sky::scene(), &dump]));
         sky::is_that_of_rust(&dump);
+    }
+}
+
+#[test]
+fn pipeline() {
+    if let Some(command) = with_package("pipeline.py") {
+        prints_what_rust_finds(command);
     }
 }
 

@@ -15,7 +15,7 @@ must_fail('BAD_SCENE', 'apertur', @() cophase.Simulator(sprintf('[pupil]\napertu
 must_fail('BAD_SCENE', 'keck-onsky', @() cophase.preset('keck-onsy'));
 must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.Simulator(3));
 must_fail('BAD_ARGUMENT', 'no command', @() cophase_mex('simulator.stride', 1));
-must_fail('BAD_ARGUMENT', 'deleted', @() cophase_mex('simulator.frames', 99));
+must_fail('BAD_ARGUMENT', 'deleted', @() cophase_mex('simulator.info', 99));
 assert(~isempty(strfind(cophase.preset('keck-onsky'), '[wavefront_sensor]')));
 
 s = cophase.Simulator(fileread(scene), '.');
@@ -30,7 +30,8 @@ assert(s.frames, frames);
 assert(s.frame_s, 1 / 1054);
 assert(isnan(s.divergence_s));
 assert(s.residual_rms_nm > 0);
-assert(class(s.image_e), 'single');
+assert(class(s.image_e), 'double');
+assert(size(s.image_e), [s.info.rows, s.info.cols]);
 
 % MATLAB's memory has columns: transposed, it has the rows that the other languages dump.
 out = fopen(dump, 'w');

@@ -1,9 +1,9 @@
 function residual_nm = artificial_source(draws, directory)
-    %ARTIFICIAL_SOURCE  One image of a source inside the telescope: what it tells of segments and NCPA.
+    %ARTIFICIAL_SOURCE  Segments and NCPA from one image of a source inside the telescope.
     %   artificial_source() draws aberrations of Keck as the paper's section 3 does, takes a defocused image of them
     %   with noise, estimates them from that image alone, and writes two pictures to the working directory:
     %      artificial_source_maps.png       image, truth, estimate and residual of the first draw
-    %      artificial_source_residuals.png  residuals of all draws, beside those that were published
+    %      artificial_source_residuals.png  residuals of all draws, and those that were published
     %
     %   residual_nm = artificial_source(draws, directory) makes that many draws (8), writes to another directory, and
     %   returns the residuals of each draw, nm RMS over the pupil: phasing in the first column, NCPA in the second.
@@ -21,7 +21,7 @@ function residual_nm = artificial_source(draws, directory)
     scene = cophase.preset('keck-artificial');
     source = cophase.Model(source_scene(scene));
     model = cophase.Model(scene);
-    session = cophase.Session(model, 'Threads', 0);
+    session = cophase.Session(model, 'threads', -1);
 
     residual_nm = zeros(draws, 2);
     for draw = 1:draws
@@ -31,7 +31,7 @@ function residual_nm = artificial_source(draws, directory)
         maps = compare(source, truth_nm, model, c);
         residual_nm(draw, :) = [rms_nm(maps{1, 3}), rms_nm(maps{2, 3})];
         fprintf('draw %2d: phasing %.3f nm, NCPA %.3f nm, chi2 %.2f, %s, %.2f s\n', draw, residual_nm(draw, :), ...
-            report.ReducedChi2, report.Status, report.Seconds);
+            report.reduced_chi2, report.status, report.seconds);
         if draw == 1
             save_picture(@() show_maps(frame, maps), fullfile(directory, 'artificial_source_maps.png'));
         end
@@ -40,7 +40,7 @@ function residual_nm = artificial_source(draws, directory)
 end
 
 function scene = source_scene(scene)
-    % The telescope as it is: finer samples than the estimate's, the modes of the truth, all pixels of the detector.
+    % The telescope of the image: finer samples than the estimate's, the modes of the truth, all pixels of the detector.
     scene = regexprep(scene, 'samples   = 120[^\n]*', 'samples = 240');
     scene = regexprep(scene, 'ncpa    = "kl"[^\n]*', 'ncpa = "zernike"');
     scene = regexprep(scene, 'ncpa_count = 66', sprintf('ncpa_count = 17\nexact_zernikes = []'));
@@ -51,9 +51,9 @@ end
 function truth_nm = draw_aberrations(source, seed)
     % Pistons of 64.15 nm RMS, Zernikes 4 to 18 of 72.7 nm RMS whose variance falls as the square of their radial order.
     randn('state', seed);
-    pistons = randn(source.SegmentModes, 1);
+    pistons = randn(source.segment_modes, 1);
     pistons = pistons - mean(pistons);
-    noll = 2:source.Modes - source.SegmentModes + 1;
+    noll = 2:source.modes - source.segment_modes + 1;
     order = ceil((sqrt(8 * noll + 1) - 3) / 2);
     zernikes = randn(numel(noll), 1) ./ order';
     zernikes(noll < 4) = 0;
@@ -62,7 +62,7 @@ end
 
 function frame = camera(source, truth_nm)
     % Electrons: a signal to noise ratio of 500 at the brightest pixel, read noise of 60.
-    psf = double(source.psf(truth_nm));
+    psf = source.psf(truth_nm);
     peak_e = (500 ^ 2 + sqrt(500 ^ 4 + 4 * (500 * 60) ^ 2)) / 2;
     star_e = psf * peak_e / max(psf(:));
     frame = star_e + sqrt(star_e + 60 ^ 2) .* randn(size(psf));
@@ -70,22 +70,22 @@ end
 
 function maps = compare(source, truth_nm, model, c)
     % Rows: phasing, NCPA. Columns: truth, estimate, residual. All on the estimate's grid, without piston, tip and tilt,
-    % which the two share. The pistons are the first coefficients of both models.
-    pistons_nm = zeros(model.Modes, 1);
-    pistons_nm(1:model.SegmentModes) = truth_nm(1:source.SegmentModes);
-    [~, ncpa_nm] = source.wavefront(truth_nm);
-    truth = {model.wavefront(pistons_nm), coarser(ncpa_nm, model.Samples)};
-    [estimate{1:2}] = model.wavefront(c);
+    % which phasing and NCPA share. The pistons are the first coefficients of both models.
+    pistons_nm = zeros(model.modes, 1);
+    pistons_nm(1:model.segment_modes) = truth_nm(1:source.segment_modes);
+    [~, ncpa_nm] = source.wavefront_nm(truth_nm);
+    truth = {model.wavefront_nm(pistons_nm), coarser(ncpa_nm, model.samples)};
+    [estimate{1:2}] = model.wavefront_nm(c);
     maps = cell(2, 3);
     for part = 1:2
-        maps{part, 1} = flattened(double(truth{part}));
-        maps{part, 2} = flattened(double(estimate{part}));
+        maps{part, 1} = flattened(truth{part});
+        maps{part, 2} = flattened(estimate{part});
         maps{part, 3} = flattened(maps{part, 2} - maps{part, 1});
     end
 end
 
 function map = coarser(map, samples)
-    % Means over blocks; NaN, and so left out, where a block is not wholly inside the pupil.
+    % Means over blocks; NaN, which is left out, if a block is not wholly inside the pupil.
     block = size(map, 1) / samples;
     map = reshape(map, block, samples, block, samples);
     map = squeeze(mean(mean(map, 1), 3));
@@ -93,9 +93,9 @@ end
 
 function map = flattened(map)
     [x, y] = meshgrid(linspace(-1, 1, size(map, 1)));
-    lit = isfinite(map);
-    plane = [ones(nnz(lit), 1), x(lit), y(lit)];
-    map(lit) = map(lit) - plane * (plane \ map(lit));
+    inside = isfinite(map);
+    plane = [ones(nnz(inside), 1), x(inside), y(inside)];
+    map(inside) = map(inside) - plane * (plane \ map(inside));
 end
 
 function value = rms_nm(map)

@@ -1,8 +1,8 @@
 function residual_nm = on_sky(images, directory)
-    %ON_SKY  Exposures behind adaptive optics: what they tell together of segments and NCPA.
-    %   on_sky() takes short exposures of a small telescope of Keck's segments behind a simulated loop, estimates
-    %   pistons and NCPA from them and from what the wavefront sensor measured meanwhile, and writes on_sky.png to the
-    %   working directory: truth, estimate, residual and error bar of both.
+    %ON_SKY  Segments and NCPA from exposures behind adaptive optics.
+    %   on_sky() takes short exposures of a small telescope of Keck's segments behind a simulated loop, estimates pistons and
+    %   NCPA from them and from the slopes of the wavefront sensor, and writes on_sky.png to the working directory: truth,
+    %   estimate, residual and error bar of both.
     %
     %   residual_nm = on_sky(images, directory) takes that many exposures (10), writes to another directory, and returns
     %   the residuals of phasing and NCPA, nm RMS over the pupil.
@@ -10,7 +10,7 @@ function residual_nm = on_sky(images, directory)
     %   Example:
     %       on_sky(20, tempdir)
     %
-    %   See also cophase.FullPhase, cophase.Simulator, artificial_source.
+    %   See also cophase.Estimator, cophase.Simulator, artificial_source.
     if nargin < 1
         images = 10;
     end
@@ -26,17 +26,16 @@ function residual_nm = on_sky(images, directory)
         slopes_mas(:, k) = sky.slopes_mas;
     end
 
-    estimator = cophase.FullPhase(scene);
-    e = estimator.estimate(frames, 'Slopes_mas', slopes_mas);
-    cellfun(@disp, e.Warnings)
-    c = estimator.corrections();
-    fprintf('%d of %d images, %d passes, %.1f s; %d NCPA modes to correct\n', e.Used, e.Images, e.Passes, e.Seconds, ...
-        c.CorrectedModes);
+    estimator = cophase.Estimator(scene);
+    e = estimator.estimate(frames, 'slopes_mas', slopes_mas);
+    disp(e.report())
+    c = e.correct();
+    fprintf('%d NCPA modes to correct\n', c.corrected_modes);
 
     truth = {sky.phasing_nm, sky.ncpa_nm};
-    found = {e.Phasing_nm, e.Ncpa_nm};
-    bars = {e.PhasingSigmaMap_nm, e.NcpaSigmaMap_nm};
-    sigma_nm = [e.PhasingSigma_nm, e.NcpaSigma_nm];
+    found = {e.phasing_nm, e.ncpa_nm};
+    bars = {e.phasing_sigma_nm, e.ncpa_sigma_nm};
+    sigma_nm = [e.info.phasing_sigma_nm, e.info.ncpa_sigma_nm];
     names = {'phasing', 'NCPA'};
     for k = 1:2
         residual{k} = flat(found{k} - truth{k});
@@ -48,8 +47,8 @@ function residual_nm = on_sky(images, directory)
 end
 
 function scene = small_scene(scene)
-    % Seven segments, whose exposures are quick to make and to read, with less defocus for a smaller detector; turbulence
-    % is frozen during each exposure.
+    % Seven segments need less time, with less defocus for a smaller detector; turbulence is frozen during each exposure.
+    % Method: the wavefront behind each exposure, static errors separated from the turbulence (MAP).
     changes = {'aperture  = "keck"', 'aperture = "hexagonal"'; 'rings     = 3', 'rings = 1'; ...
         'grid_m    = 11.25', 'grid_m = 5.625'; 'samples   = 120', 'samples = 64'; 'pixels    = 240', 'pixels = 128'; ...
         'exposure_s = 0.010', 'exposure_s = 0.0'; 'diversity_focus_waves_rms = 1.5', 'diversity_focus_waves_rms = 1.0'; ...
@@ -59,15 +58,16 @@ function scene = small_scene(scene)
         assert(~isempty(strfind(scene, changes{k, 1})), 'the preset has no "%s"', changes{k, 1});
         scene = strrep(scene, changes{k, :});
     end
+    scene = [scene, sprintf('\n[estimate]\nmethod = "full-phase"\n')];
 end
 
 function map = flat(map)
-    % Without piston, tip and tilt.
-    glass = ~isnan(map);
-    [y, x] = find(glass);
+    % A map without piston, tip and tilt.
+    inside = ~isnan(map);
+    [y, x] = find(inside);
     planes = [ones(numel(x), 1), x, y];
-    values = double(map(glass));
-    map(glass) = values - planes * (planes \ values);
+    values = map(inside);
+    map(inside) = values - planes * (planes \ values);
 end
 
 function value = rms_nm(map)

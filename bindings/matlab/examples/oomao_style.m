@@ -11,27 +11,27 @@ function [c, truth_nm] = oomao_style()
     %       [c, truth_nm] = oomao_style();
     %       bar([truth_nm, c])
     %
-    %   See also cophase.Model.fromArrays, artificial_source.
+    %   See also cophase.Model.from_arrays, artificial_source.
     [pupil, modes] = zernikes(64);
 
-    model = cophase.Model.fromArrays(pupil, modes, 'Wavelength_nm', 2200, 'FrameSize', 128, ...
-        'DiversityFocus_waves', 0.5);
+    model = cophase.Model.from_arrays(pupil, modes, 'wavelength_nm', 2200, 'frame_shape', 128, ...
+        'diversity_focus_waves_rms', 0.5);
     session = cophase.Session(model);
 
     randn('state', 1);
-    truth_nm = 30 * randn(model.Modes, 1);
-    psf = double(model.psf(truth_nm));
+    truth_nm = 30 * randn(model.modes, 1);
+    psf = model.psf(truth_nm);
     photons = 1e6 * psf;
-    frame = zeros(model.FrameSize);
-    middle = model.FrameSize(1) / 2 - model.Pixels / 2 + (1:model.Pixels);
+    frame = zeros(model.frame_shape);
+    middle = model.frame_shape(1) / 2 - model.pixels / 2 + (1:model.pixels);
     frame(middle, middle) = photons + sqrt(photons) .* randn(size(psf));
 
-    [c, report] = session.fit(single(frame), 'ReadNoise_e', 1);
-    sigma_nm = sqrt(diag(session.covariance()));
-    fprintf('%s after %d evaluations\n', report.Status, report.Evaluations);
-    for mode = 1:model.Modes
+    [c, report] = session.fit(single(frame), 'read_noise_e', 1);
+    sigma_nm = sqrt(diag(session.covariance_nm2()));
+    fprintf('%s after %d evaluations\n', report.status, report.evaluations);
+    for mode = 1:model.modes
         fprintf('%-8s %8.2f nm, estimated %8.2f +- %.2f nm\n', ...
-            model.Names{mode}, truth_nm(mode), c(mode), sigma_nm(mode));
+            model.mode_names{mode}, truth_nm(mode), c(mode), sigma_nm(mode));
     end
 end
 

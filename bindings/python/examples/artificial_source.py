@@ -1,8 +1,8 @@
 # %% [markdown]
 # # An artificial source, imaged once
 #
-# One defocused image of a point source inside Keck; from it, at once, the phasing errors of the 36 segments and the
-# non-common path aberrations (NCPA), with error bars. Runs as a script (`python artificial_source.py [PICTURE.png]`) or
+# The phasing errors of Keck's 36 segments and the non-common path aberrations (NCPA), with error bars, from one defocused
+# image of a point source inside the telescope. Runs as a script (`python artificial_source.py [PICTURE.png]`) or
 # cell by cell in an editor that knows `# %%`. Needs matplotlib.
 
 # %%
@@ -30,7 +30,7 @@ print(model)
 # ## An image
 #
 # 64 nm RMS of piston errors and 73 nm RMS of NCPA in the Zernike modes 4 (focus) to 18; photon and read noise at a peak
-# signal-to-noise ratio of 500. The frame comes from the model that will fit it: what the estimate is off by is noise.
+# signal-to-noise ratio of 500. The frame comes from the model that will fit it, so the error of the estimate is noise.
 
 # %%
 random = np.random.default_rng(1)
@@ -51,9 +51,12 @@ frame_e = random.poisson(frame_e) + read_noise_e * random.standard_normal(frame_
 
 # %% [markdown]
 # ## The estimate
+#
+# A session fits single images with a given model. `cophase.Estimator(scene).estimate(frames)` is the full pipeline, which
+# also selects the model and rejects outliers.
 
 # %%
-session = cophase.Session(model, threads=0)
+session = cophase.Session(model, threads=-1)
 fit = session.fit(frame_e, read_noise_e=read_noise_e)
 covariance_nm2 = session.covariance_nm2()
 report = fit.reports
@@ -63,21 +66,21 @@ print(
 
 # %% [markdown]
 # Maps follow from coefficients, and so do their error bars: the wavefront of each mode, weighed with the covariance.
-# Piston says nothing, nor does what is tilt of the segments together and of the NCPA at once: both are taken out of maps.
+# An image does not depend on piston, nor on how tilt is divided between segments and NCPA: both are removed from the maps.
 
 # %%
 unit_nm = np.stack([model.wavefront_nm(mode) for mode in np.eye(model.modes)])
-glass = ~np.isnan(unit_nm[0, 0])
-y, x = np.nonzero(glass)
+inside = ~np.isnan(unit_nm[0, 0])
+y, x = np.nonzero(inside)
 tilts = np.linalg.qr(np.stack([np.ones_like(x), x, y], axis=1).astype(float))[0]
 
 
 def flat(values):
-    """Samples on the glass without piston and tilt."""
+    """Samples inside the pupil without piston and tilt."""
     return values - (values @ tilts) @ tilts.T
 
 
-basis_nm = flat(unit_nm[..., glass].astype(float))  # (modes, 2, samples)
+basis_nm = flat(unit_nm[..., inside].astype(float))  # (modes, 2, samples)
 estimate_nm, true_nm = (np.tensordot(c, basis_nm, 1) for c in (fit.coefficients_nm, truth_nm))
 spread = np.linalg.cholesky(covariance_nm2 + 1e-12 * np.eye(model.modes) * np.trace(covariance_nm2))
 sigma_nm = np.sqrt((np.tensordot(spread.T, basis_nm, 1) ** 2).sum(axis=0))
@@ -109,8 +112,8 @@ def show(axis, values, title, unit="nm", **colours):
 for row, name, true, estimate, sigma in zip(axes, ("Phasing", "NCPA"), true_nm, estimate_nm, sigma_nm):
     panels = {"truth": true, "estimate": estimate, "residual": estimate - true, "one sigma": sigma}
     for axis, (title, values) in zip(row, panels.items()):
-        map_nm = np.full(glass.shape, np.nan)
-        map_nm[glass] = values
+        map_nm = np.full(inside.shape, np.nan)
+        map_nm[inside] = values
         largest = np.abs(true if title in ("truth", "estimate") else values).max()
         colours = {"vmin": 0, "cmap": "viridis"} if title == "one sigma" else {"vmin": -largest, "cmap": "RdBu_r"}
         show(axis, map_nm, f"{name} {title}, {rms(values):.3g} nm RMS", vmax=largest, **colours)

@@ -1,9 +1,8 @@
 # %% [markdown]
 # # On the sky
 #
-# Short exposures of a star behind adaptive optics; from all of them together, and from what the wavefront sensor measured
-# meanwhile, the phasing errors of the segments and the non-common path aberrations (NCPA), with error bars and corrections.
-# Runs as a script (`python on_sky.py [PICTURE.png]`) or cell by cell in an editor that knows `# %%`. Needs matplotlib.
+# Phasing errors of the segments and non-common path aberrations (NCPA), with error bars and corrections, from short exposures
+# of a star behind adaptive optics and the slopes of the wavefront sensor. Runs as a script (`python on_sky.py [PICTURE.png]`) or cell by cell in an editor that knows `# %%`. Needs matplotlib.
 
 # %%
 import re
@@ -16,8 +15,8 @@ import numpy as np
 # %% [markdown]
 # ## The telescope
 #
-# The preset is Keck. Seven of its segments are enough here, and quick, with less defocus for a smaller detector; turbulence
-# is frozen during each exposure.
+# The preset is Keck. Seven of its segments are enough here and need less time, with less defocus for a smaller detector;
+# turbulence is frozen during each exposure.
 
 # %%
 scene = cophase.preset("keck-onsky")
@@ -34,11 +33,13 @@ for key, value in {
 }.items():
     scene, found = re.subn(rf"^{key} .*$", f"{key} = {value}", scene, flags=re.MULTILINE)
     assert found == 1, key
+# The wavefront behind each exposure, static errors separated from the turbulence: maximum a posteriori (MAP).
+scene += '\n[estimate]\nmethod = "full-phase"\n'
 
 # %% [markdown]
 # ## Exposures
 #
-# 64 nm RMS of piston errors and 73 nm RMS of NCPA, behind a loop that knows of neither.
+# 64 nm RMS of piston errors and 73 nm RMS of NCPA, which the loop does not correct.
 
 # %%
 simulator = cophase.Simulator(scene)
@@ -52,52 +53,50 @@ for _ in range(10):
 # %% [markdown]
 # ## The estimate
 #
-# Without the slopes it knows the loop, but not what the sensor saw; with `knows="spectrum"` not even that. The less it
-# knows, the larger the error bars.
+# The estimate uses the slopes, if they are given, and the loop that the scene describes. `estimate.knows = "spectrum"` in the
+# scene makes it use neither; the error bars are larger then.
 
 # %%
-estimator = cophase.FullPhase(scene)
-estimate = estimator.estimate(np.stack(frames_e), np.stack(slopes_mas))
-report = estimate.report
-print(f"{report.used} of {report.images} images, {report.passes} passes, knows {estimate.knows}, {report.seconds:.1f} s")
-for sentence in estimate.warnings:
-    print("warning:", sentence)
+estimator = cophase.Estimator(scene)
+estimate = estimator.estimate(np.stack(frames_e), slopes_mas=np.stack(slopes_mas))
+info = estimate.info
+print(estimate.report())
 
 
 def flat(map_nm):
-    """Without piston and tilt."""
-    glass = ~np.isnan(map_nm)
-    y, x = np.nonzero(glass)
+    """A map without piston and tilt."""
+    inside = ~np.isnan(map_nm)
+    y, x = np.nonzero(inside)
     planes = np.stack([np.ones(x.size), x, y], axis=1)
-    left_nm = map_nm.astype(float)
-    left_nm[glass] -= planes @ np.linalg.lstsq(planes, left_nm[glass], rcond=None)[0]
-    return left_nm
+    flat_nm = map_nm.copy()
+    flat_nm[inside] -= planes @ np.linalg.lstsq(planes, map_nm[inside], rcond=None)[0]
+    return flat_nm
 
 
 rows = {
-    "phasing": (simulator.phasing_nm, estimate.phasing_nm, estimate.phasing_sigma_nm, report.phasing_sigma_nm),
-    "NCPA": (simulator.ncpa_nm, estimate.ncpa_nm, estimate.ncpa_sigma_nm, report.ncpa_sigma_nm),
+    "phasing": (simulator.phasing_nm, estimate.phasing_nm, estimate.phasing_sigma_nm, info.phasing_sigma_nm),
+    "NCPA": (simulator.ncpa_nm, estimate.ncpa_nm, estimate.ncpa_sigma_nm, info.ncpa_sigma_nm),
 }
 for name, (true_nm, found_nm, _, sigma_nm) in rows.items():
     true, residual = np.nanstd(flat(true_nm)), np.nanstd(flat(found_nm - true_nm))
     print(f"{name:8} {true:5.1f} nm RMS, residual {residual:.1f}, one sigma {sigma_nm:.1f}")
-print(estimator.images_needed(phasing_nm=5), "more images for 5 nm of phasing")
+print(f"{info.images_to_halve:.0f} more images halve both error bars")
 
 # %% [markdown]
 # ## Corrections
 #
-# What to add to the segments, and to the mirror's commands and the sensor's reference slopes, which keep them there. What is
-# under its error bar is left alone.
+# What to add to the segments, to the mirror's commands, and to the sensor's reference slopes, which keep the mirror there. A
+# mode whose estimate is smaller than its error bar is not corrected.
 
 # %%
-corrections = estimator.corrections()
-print("pistons to add:", np.round(corrections.pistons_nm).astype(int), "nm")
-print(f"{corrections.corrected_modes} NCPA modes to correct, with {corrections.actuators_nm.size} actuators")
+correction = estimate.correct()
+print("pistons to add:", np.round(correction.pistons_nm).astype(int), "nm")
+print(f"{correction.corrected_modes} NCPA modes to correct, with {correction.actuators_nm.size} actuators")
 
 # %% [markdown]
 # ## The picture
 #
-# The error bar of a map holds what is piston and tilt of all segments together, which the sigma above leaves out.
+# The error bar of a map includes piston and tilt of all segments together; the sigma above does not.
 
 # %%
 figure, axes = plt.subplots(2, 4, figsize=(15, 7), layout="constrained")

@@ -6,7 +6,7 @@ use crate::modal::fisher::{Sensitivity, pseudo_inverse};
 use crate::modal::gauss_newton::{along, rows_of_tile};
 use crate::modal::minimum::Minimum;
 use crate::modal::prepare::Prepared;
-use crate::modal::sequence::median;
+use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 

@@ -1,0 +1,46 @@
+% The whole pipeline through the MATLAB package, under Octave, on a file of raw doubles, printed as by pipeline.c, see there:
+%
+%   octave-cli pipeline.m SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
+%
+% The library is that of the directory COPHASE_LIBRARIES, or else of target/release; the gateway is built in the directory
+% COPHASE_SCRATCH, or else in a new one.
+
+1; % a script, not a function of this file's name
+
+function values = doubles_of(path)
+    file = fopen(path, 'r');
+    values = fread(file, Inf, 'double');
+    fclose(file);
+end
+
+root = fileparts(fileparts(fileparts(mfilename('fullpath'))));
+libraries = getenv('COPHASE_LIBRARIES');
+if isempty(libraries)
+    libraries = fullfile(root, 'target', 'release');
+end
+scratch = getenv('COPHASE_SCRATCH');
+if isempty(scratch)
+    scratch = tempname();
+    mkdir(scratch);
+end
+addpath(fullfile(root, 'bindings', 'matlab'), scratch);
+build(libraries, scratch);
+
+arguments = argv();
+extents = str2double(arguments(3:5));
+% Rows in the file are columns in memory.
+frames = permute(reshape(doubles_of(arguments{2}), extents(3), extents(2), extents(1)), [2 1 3]);
+options = {};
+if numel(arguments) > 5
+    options = {'slopes_mas', reshape(doubles_of(arguments{6}), str2double(arguments{7}), extents(1))};
+end
+e = cophase.Estimator(fileread(arguments{1})).estimate(frames, options{:});
+for k = 1:numel(e.mode_names)
+    printf('coefficient %s %s %s\n', e.mode_names{k}, num2hex(e.coefficients_nm(k)), num2hex(e.sigma_nm(k)));
+end
+for k = 1:numel(e.images)
+    printf('image %d %s %s %d\n', k - 1, e.images(k).status, num2hex(e.images(k).reduced_chi2), ...
+        e.images(k).rejected_pixels);
+end
+cellfun(@(sentence) printf('warning %s\n', sentence), e.warnings);
+printf('policy %s\ndevice %s\n', e.policy, e.device);

@@ -1,0 +1,33 @@
+"""The whole pipeline through the Python package on a file of raw doubles, printed as by pipeline.c, see there:
+
+    python3 pipeline.py SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
+"""
+
+import struct
+import sys
+
+import cophase
+import numpy as np
+
+
+def bits(value):
+    return struct.pack(">d", value).hex()
+
+
+def main(scene, frames, count, rows, cols, slopes=None, slope_count=0):
+    with open(scene, encoding="utf-8") as file:
+        estimator = cophase.Estimator(file.read())
+    frames_e = np.fromfile(frames).reshape(int(count), int(rows), int(cols))
+    slopes_mas = None if slopes is None else np.fromfile(slopes).reshape(int(count), int(slope_count))
+    estimate = estimator.estimate(frames_e, slopes_mas=slopes_mas)
+    for name, nm, sigma_nm in zip(estimate.mode_names, estimate.coefficients_nm, estimate.sigma_nm):
+        print("coefficient", name, bits(nm), bits(sigma_nm))
+    for index, image in enumerate(estimate.images):
+        print("image", index, image.status, bits(image.reduced_chi2), image.rejected_pixels)
+    for sentence in estimate.warnings:
+        print("warning", sentence)
+    print("policy", estimate.policy)
+    print("device", estimate.device)
+
+
+main(*sys.argv[1:])
