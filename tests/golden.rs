@@ -133,7 +133,7 @@ fn the_gauss_newton_matrix_is_golden() {
     let golden = io::read_map(file("gauss_newton.fits.gz"), Some("HESSIAN")).unwrap();
     let at = objectives("weighted").coefficients_nm.row(2).to_owned();
     let exposure = exposure(&estimator, "inspan.fits.gz");
-    let (_, mut jacobian) = estimator.judge().jacobian(at.view());
+    let (_, mut jacobian) = estimator.reference_chain().jacobian(at.view());
     jacobian *= exposure.data_e.iter().sum::<f64>();
     let weighted = &jacobian * &ArrayView1::from(&exposure.weight);
     let found = weighted.dot(&jacobian.t());

@@ -257,7 +257,7 @@ pub unsafe extern "C" fn cophase_model_psf(
         read(model, |named| {
             let coefficients_nm = named.coefficients(coefficients_nm, modes)?;
             let pixels = named.estimator.model().preparation.pixels;
-            let psf = named.estimator.judge().psf(ArrayView1::from(coefficients_nm));
+            let psf = named.estimator.reference_chain().psf(ArrayView1::from(coefficients_nm));
             put_array(out, count, &[pixels, pixels], psf)
         })
     }

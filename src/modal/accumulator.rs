@@ -1,8 +1,8 @@
 //! The running static estimate of images that come one by one.
 
-use super::ModalFitter;
 use super::combine::{Combined, centre, is_sequence, of_few};
 use super::diversity_error::within_reach;
+use super::fitter::ModalFitter;
 use super::pistons::Pistons;
 use super::sequence::{scatter, shrinkage_of_variance};
 use super::session::Session;

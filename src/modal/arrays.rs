@@ -1,6 +1,6 @@
 //! Models of a telescope that a caller gives as arrays: a pupil that is neither hexagons nor a file, modes of one's own.
 
-use super::ModalFitter;
+use super::fitter::{ModalFitter, refuse_budget, refuse_fit_optics, refuse_full_phase};
 use super::mode_set::{ModeSet, OwnBasis, on_grid};
 use super::model::Model;
 use super::recipe::Recipe;
@@ -50,9 +50,9 @@ impl ModalFitter {
     /// where there is glass, and where no mode is left; [`Error::Scene`] where the scene's basis cannot be built on this
     /// pupil; those of [`Model::of`].
     pub fn from_arrays(scene: &Scene, arrays: &Arrays) -> Result<Self> {
-        super::refuse_budget(scene)?;
-        super::refuse_fit_optics(scene)?;
-        super::refuse_full_phase(scene)?;
+        refuse_budget(scene)?;
+        refuse_fit_optics(scene)?;
+        refuse_full_phase(scene)?;
         let width_m = scene.pupil.grid_m.unwrap_or(UNSTATED_WIDTH_M);
         let telescope = Telescope::from_maps(width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
         let diversity = match &arrays.diversity_nm {
@@ -61,7 +61,7 @@ impl ModalFitter {
         };
         let (recipe, set) = modes_of(scene, arrays, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
-        Self::of_model(scene, recipe, model)
+        Self::from_model(scene, recipe, model)
     }
 }
 

@@ -1,6 +1,6 @@
 //! From the minima of single images to one estimate: mean or median, error bars, maps.
 
-use super::ModalFitter;
+use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
@@ -283,7 +283,7 @@ fn noise_at(
     coefficients_nm: &[f64],
 ) -> Result<(Array2<f64>, Array2<f64>)> {
     let minimum = Minimum { coefficients_nm: coefficients_nm.to_vec(), ..minimum.clone() };
-    let psf = estimator.judge.psf(ArrayView1::from(coefficients_nm));
+    let psf = estimator.reference.psf(ArrayView1::from(coefficients_nm));
     let variance_e2 = variance(&psf, &minimum, &prepared.floor_variance_e2);
     let spread = Spread::of(estimator, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
     Ok((spread.covariance(0).clone(), spread.fisher(0).clone()))
@@ -301,7 +301,7 @@ fn few(
     used_nm: &Array2<f64>,
 ) -> Result<(SingleImage, Array2<f64>)> {
     let variance_e2 = |&image: &usize| {
-        let psf = estimator.judge.psf(ArrayView1::from(&minima[image].coefficients_nm));
+        let psf = estimator.reference.psf(ArrayView1::from(&minima[image].coefficients_nm));
         variance(&psf, &minima[image], &prepared[image].floor_variance_e2)
     };
     let count = used.len() as f64;
@@ -344,7 +344,7 @@ fn sigma_maps(model: &Model, combined: &Combined) -> [Array2<f64>; 2] {
 }
 
 fn compared(estimator: &ModalFitter, minimum: &Minimum, prepared: &Prepared) -> Compared {
-    let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
+    let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
     let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
     let size = estimator.model.preparation.pixels;
     let pixel = |(v, u): (usize, usize)| v * size + u;

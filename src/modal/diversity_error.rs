@@ -6,7 +6,7 @@
 //! would give the same.
 
 use super::model::Model;
-use super::{ModalFitter, SharedError};
+
 use crate::modes::Basis;
 use crate::optimize::Metric;
 use crate::pupil::Pupil;
@@ -21,6 +21,15 @@ const HELD: f64 = 0.1;
 const LEAST_WAVES: f64 = 0.02;
 /// Directions of the modes over the pupil below this fraction of the strongest are rounding.
 const NULL_FLOOR: f64 = 1e-10;
+
+/// An error that all images share.
+#[derive(Debug, Clone)]
+pub struct SharedError {
+    /// Its cause, in a word or two.
+    pub name: &'static str,
+    /// Its covariance, `[mode, mode]`, nm².
+    pub covariance_nm2: Array2<f64>,
+}
 
 /// The diversity as the modes of the NCPA see it.
 #[derive(Debug, Clone)]
@@ -152,17 +161,11 @@ pub fn within_reach(wanted_nm: f64, shared_nm2: f64) -> Result<()> {
     Ok(())
 }
 
-impl ModalFitter {
-    /// The diversity as this estimator's modes see it.
-    ///
-    /// # Errors
-    /// [`Error::File`] for a map of it that cannot be read.
-    pub fn held_diversity(&self) -> Result<HeldDiversity> {
-        held(&self.model, &self.scene)
-    }
-}
-
-fn held(model: &Model, scene: &Scene) -> Result<HeldDiversity> {
+/// The diversity as the modes of `model` see it.
+///
+/// # Errors
+/// [`Error::File`] for a map of it that cannot be read.
+pub(super) fn held(model: &Model, scene: &Scene) -> Result<HeldDiversity> {
     HeldDiversity::of(scene, &model.telescope, &model.basis, model.segment_modes)
 }
 

@@ -16,10 +16,14 @@
 mod normal;
 
 use super::band;
+use super::cube::Cube;
+use super::diversity_error::SharedError;
+use super::fitted_optic::{FittedOptic, key};
+use super::fitter::{ModalFitter, same_basis};
 use super::minimum::Minimum;
 use super::mode_set::OwnBasis;
 use super::model::Model;
-use super::{Cube, ModalFitter, Recipe, SharedError};
+use super::recipe::Recipe;
 use crate::imaging::{Chain, CpuChain, Precision};
 use crate::optimize::CancelFlag;
 use crate::scene::{Optic, Scene};
@@ -41,42 +45,6 @@ const SETTLED: f64 = 0.1;
 const ROUNDING: f64 = 1e-4;
 /// Steps of the derivatives that one round goes at most: the derivatives hold for a pixel at the rim of the spot.
 const REACH: f64 = 10.0;
-
-/// A number of the scene, fitted.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FittedOptic {
-    /// Which.
-    pub optic: Optic,
-    /// What the scene says, in the unit of [`FittedOptic::key`].
-    pub scene: f64,
-    /// What the images say; where they say nothing it is not moved, and the scene's but for rounds that thought otherwise.
-    pub value: f64,
-    /// Its error bar, 1σ; infinite where the modes hold it.
-    pub sigma: f64,
-    /// Share of what it does to the image that neither the modes nor the other optics can do.
-    pub told: f64,
-}
-
-impl FittedOptic {
-    /// The key of the scene.
-    pub fn key(&self) -> &'static str {
-        key(self.optic)
-    }
-
-    /// Whether the images tell it from the modes.
-    pub fn is_told(&self) -> bool {
-        self.sigma.is_finite()
-    }
-}
-
-fn key(optic: Optic) -> &'static str {
-    match optic {
-        Optic::PlateScale => "image.samples_per_lambda_over_d",
-        Optic::Rotation => "pupil.rotation_deg",
-        Optic::Defocus => "image.diversity_focus_waves_rms",
-        Optic::Bandwidth => "image.bandwidth_fraction",
-    }
-}
 
 /// What `scene` says of an optic, and the step for its derivative: a twentieth of a pixel at the rim of a spot, about.
 ///
@@ -217,7 +185,7 @@ impl Search<'_> {
 
     /// The Karhunen-Loève basis that belongs to `scene`: a pupil that has turned has its own.
     fn own_basis(&self, scene: &Scene) -> Arc<OwnBasis> {
-        if super::same_basis(&self.scene, scene) { self.own_basis.clone() } else { Arc::default() }
+        if same_basis(&self.scene, scene) { self.own_basis.clone() } else { Arc::default() }
     }
 
     fn round(&self, values: &[f64]) -> Result<Round> {

@@ -17,20 +17,18 @@
 //! share what the rest leaves. Cutting changes the sums over pixels by their rounding, and the fits by nothing. A device
 //! holds its share of `images` in its own memory.
 
-use super::gauss_newton::bytes_of_row;
-use super::model::Model;
 use crate::scene::{NcpaBasis, NollRange, Scene};
 use crate::{Error, Result};
 
 /// The least that a fit takes, whatever its size: libraries, and the fine pupil on which the moments of a geometric one
 /// are taken.
-const BASE_BYTES: usize = 64 << 20;
+pub(super) const BASE_BYTES: usize = 64 << 20;
 /// Bytes of a number.
-const NUMBER: usize = size_of::<f64>();
+pub(super) const NUMBER: usize = size_of::<f64>();
 /// Square matrices that a call of several images keeps: ten metrics, and eight images' Fisher matrix and covariance.
-const KEPT_MATRICES: usize = 26;
+pub(super) const KEPT_MATRICES: usize = 26;
 /// Square matrices of one eigen-decomposition or inverse, its input and its result included.
-const WORKING_MATRICES: usize = 7;
+pub(super) const WORKING_MATRICES: usize = 7;
 /// Matrices that are decomposed at the same time, at most, however many threads there are: their memory goes as modes
 /// squared.
 pub(super) const MATRICES_AT_ONCE: usize = 4;
@@ -91,48 +89,9 @@ impl Memory {
 
     /// # Errors
     /// [`Error::Scene`] where not even the smallest tiles fit.
-    fn check(&self, limit: usize) -> Result<()> {
+    pub(super) fn check(&self, limit: usize) -> Result<()> {
         let least = self.least_bytes();
         if least <= limit { Ok(()) } else { Err(refused("a fit of this scene", least, limit)) }
-    }
-}
-
-impl Model {
-    /// What an estimate with this model takes on `threads` threads.
-    pub fn memory(&self, threads: usize) -> Memory {
-        let (parts, sampling) = (self.optics.parts(), self.optics.sampling());
-        let (n, m, modes) = (sampling.samples, sampling.pixels, self.optics.modes());
-        let (lit, entries, smooth) = (parts.weights.illuminated.len(), parts.weights.weight.len(), parts.basis.nrows());
-        let maps = self.telescope.pupil.grid.samples().pow(2);
-        let frame = self.preparation.frame[0] * self.preparation.frame[1];
-        let k = n.max(m + 2);
-        // The maps; the optics and two chains, which hold them at the lit samples; pupil, weights and tables.
-        let colours = parts.colours.len();
-        let each = 3 * smooth * lit + 9 * maps.max(n * n) + 12 * entries + 24 * lit + 2 * n * m;
-        let model = smooth * maps + colours * each;
-        // Two chains' scratch, one's for the flat wavefront, and that of the derivatives; a frame's preparation.
-        let thread = colours * (21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * lit) + 8 * frame;
-        let square = modes * modes * NUMBER;
-        Memory {
-            model: NUMBER * model + BASE_BYTES,
-            threads: threads.saturating_mul(NUMBER * thread),
-            matrices: square.saturating_mul(KEPT_MATRICES + WORKING_MATRICES * threads.min(MATRICES_AT_ONCE)),
-            kept_image: NUMBER * (3 * m * m + 3 * modes),
-            derivative_row: bytes_of_row(modes, m),
-            rows: m,
-            fitted_image: NUMBER * (7 * m * m + 70 * modes),
-        }
-    }
-
-    /// How the work is cut to stay under the scene's `estimate.memory_gb`.
-    pub fn tiles(&self) -> Tiles {
-        self.memory(rayon::current_num_threads()).tiles(self.limit_bytes)
-    }
-
-    /// # Errors
-    /// [`Error::Scene`] where not even the smallest tiles stay under the limit.
-    pub(super) fn check_memory(&self) -> Result<()> {
-        self.memory(rayon::current_num_threads()).check(self.limit_bytes)
     }
 }
 

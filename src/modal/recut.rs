@@ -1,7 +1,7 @@
 //! Another fit for an image that the model does not explain, without the pixels that stand out.
 
-use super::ModalFitter;
 use super::engine::{FitTask, ImageFit};
+use super::fitter::ModalFitter;
 use super::outliers::{Cleaned, OutlierFinder};
 use super::prepare::Frame;
 use super::status::Status;

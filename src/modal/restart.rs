@@ -3,8 +3,8 @@
 //! From the flat wavefront nearly every image leads to its minimum. What does not shows: its χ² is hundreds of times what
 //! noise explains, or the fit has used up its evaluations. It is tried again from elsewhere, and the best is kept.
 
-use super::ModalFitter;
 use super::engine::{FitTask, ImageFit};
+use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::outliers::Cleaned;
 use super::prepare::Frame;

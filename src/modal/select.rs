@@ -1,24 +1,18 @@
 //! Which basis the images ask for: the smallest that explains them.
 
+use super::combine::ModalEstimate;
+use super::cube::Cube;
+use super::engine::Watch;
+use super::fit_optics;
+use super::fitter::ModalFitter;
 use super::mode_set::OwnBasis;
-use super::{ModalEstimate, ModalFitter, Recipe, Watch, fit_optics};
+use super::recipe::Recipe;
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
 use crate::scene::{Sampling, Scene};
 use crate::{Error, Result};
-use ndarray::{ArrayView3, Axis};
+use ndarray::Axis;
 use std::sync::Arc;
-
-/// Images as they were read.
-#[derive(Debug, Clone, Copy)]
-pub struct Cube<'a> {
-    /// Electrons, `[image, y, x]`.
-    pub images_e: ArrayView3<'a, f64>,
-    /// Bad pixels, `[image, y, x]`.
-    pub bad: ArrayView3<'a, bool>,
-    /// Read noise of a pixel, RMS electrons; `None` takes the scene's.
-    pub read_noise_e: Option<f64>,
-}
 
 /// Makes the chain for an estimator's model.
 pub type Open<'a> = dyn FnMut(&ModalFitter) -> Result<Chain> + 'a;

@@ -8,12 +8,14 @@ mod tests;
 pub use options::{FitOptions, ImageResult, SessionOptions};
 
 use super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
+use super::fitter::ModalFitter;
 use super::pistons::Pistons;
 use super::prepare::{Frame, Prepared, Preparer, Refusal, Ringing};
+use super::recipe::Recipe;
 use super::residual::variance;
 use super::spread::Spread;
-use super::status::{Status, Tilts, judge, unfitted};
-use super::{ModalFitter, Recipe};
+use super::status::{Status, judge, unfitted};
+use super::tilts::Tilts;
 use crate::imaging::Chain;
 use crate::optimize::{CancelFlag, StopReason};
 use crate::scene::Optimizer;
@@ -84,7 +86,7 @@ impl Session {
         }
         recipe.max_evaluations = options.max_evaluations.unwrap_or(recipe.max_evaluations);
         recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
-        estimator.metrics.make_all(&estimator.judge)?;
+        estimator.metrics.make_all(&estimator.reference)?;
         let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::of(&estimator.model)?);
         let shared = Shared { estimator, recipe, tilts, pistons, cancel: CancelFlag::default() };
         let optics = shared.estimator.model.optics.clone();
@@ -190,7 +192,7 @@ impl Session {
             )));
         };
         let estimator = &self.shared.estimator;
-        let psf = estimator.judge.psf(ArrayView1::from(&minimum.coefficients_nm));
+        let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
         let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
         let spread = Spread::of(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
         Ok(estimator.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
@@ -290,8 +292,8 @@ impl Shared {
     }
 
     fn task(&self, deadline: Option<Instant>) -> FitTask<'_> {
-        let ModalFitter { model, judge, metrics, .. } = &*self.estimator;
-        FitTask { model, reference: judge, metrics, recipe: &self.recipe, cancel: Some(&self.cancel), deadline }
+        let ModalFitter { model, reference, metrics, .. } = &*self.estimator;
+        FitTask { model, reference, metrics, recipe: &self.recipe, cancel: Some(&self.cancel), deadline }
     }
 
     /// The engine for `chain`, with its memory.

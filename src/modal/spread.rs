@@ -1,8 +1,8 @@
 //! How well the images of a call fix the modes. Images of one static wavefront see the modes alike: they share a Fisher
 //! matrix, which costs as much as a hundred evaluations.
 
-use super::ModalFitter;
 use super::fisher::Sensitivity;
+use super::fitter::ModalFitter;
 use super::memory::MATRICES_AT_ONCE;
 use super::minimum::Minimum;
 use super::prepare::Prepared;
@@ -67,7 +67,7 @@ impl Spread {
                 Weighting::None => Some(variance_e2[head].as_slice()),
             };
             let noise = (exposure.weight.as_slice(), variance_e2);
-            let (judge, tile_bytes) = (&estimator.judge, estimator.model.tiles().derivative_bytes / threads);
+            let (judge, tile_bytes) = (&estimator.reference, estimator.model.tiles().derivative_bytes / threads);
             let sensitivity = Sensitivity::at(judge, at, minimum.flux_e, noise, exposure.photometry, tile_bytes);
             let covariance = pistons.centred(&sensitivity.covariance()?);
             Ok((sensitivity.fisher, covariance))

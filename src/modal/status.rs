@@ -1,12 +1,12 @@
 //! What became of each image: judged by its own residual, and in a sequence by the others'.
 
-use super::ModalFitter;
 use super::engine::{FitState, ImageFit};
+use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{Prepared, Refusal};
 use super::sequence::{SEQUENCE, distances, outliers};
-use crate::Result;
+use super::tilts::Tilts;
 use crate::optimize::StopReason;
 use crate::scene::Combine;
 use ndarray::{Array2, Axis};
@@ -207,46 +207,4 @@ fn best_kind(reports: &[&ImageReport]) -> Vec<usize> {
     };
     let Some(best) = reports.iter().filter_map(|report| rank(report)).min() else { return Vec::new() };
     reports.iter().enumerate().filter(|(_, report)| rank(report) == Some(best)).map(|(i, _)| i).collect()
-}
-
-/// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.
-pub(super) struct Tilts {
-    /// Of each mode, along x and y, per nm.
-    modes: Vec<[f64; 2]>,
-    /// Of a shift by one model pixel.
-    per_pixel_nm: [f64; 2],
-}
-
-impl Tilts {
-    ///
-    /// # Errors
-    /// [`crate::Error::Shape`] for modes on another grid than the pupil's.
-    pub(super) fn new(model: &Model) -> Result<Self> {
-        let pupil = &model.telescope.pupil;
-        let total = pupil.weight_sum();
-        let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / total;
-        // x and y about their mean, at unit RMS over the pupil; and that RMS, m.
-        let axes = [0, 1].map(|axis| {
-            let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
-            let map = Array2::from_shape_fn(pupil.amplitude.dim(), along);
-            let centred = &map - mean(&map);
-            let rms_m = mean(&(&centred * &centred)).sqrt();
-            (centred / rms_m, rms_m)
-        });
-        let [along_x, along_y] = [0, 1].map(|i| model.basis.along(&(&axes[i].0 * &pupil.amplitude / total)));
-        let modes = along_x?.into_iter().zip(along_y?).map(|(x, y)| [x, y]).collect();
-        // One pixel is λ over the width of the model's grid, divided by the pixels per λ/D.
-        let sampling = model.optics.sampling();
-        let width_m = pupil.grid.width_m() * model.width_ratio();
-        let per_pixel_nm_m = model.optics.parts().wavelength_nm / (sampling.pixels_per_lambda_over_d * width_m);
-        Ok(Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) })
-    }
-
-    /// Of a wavefront whose image was moved onto the axis by `shift_pixels`.
-    fn of(&self, coefficients_nm: &[f64], shift_pixels: [i64; 2]) -> [f64; 2] {
-        [0, 1].map(|axis| {
-            let modes = self.modes.iter().zip(coefficients_nm).map(|(slope, nm)| slope[axis] * nm);
-            modes.sum::<f64>() + shift_pixels[axis] as f64 * self.per_pixel_nm[axis]
-        })
-    }
 }

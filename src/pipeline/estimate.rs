@@ -4,7 +4,6 @@ use super::budget::ErrorTerm;
 use super::images::TruthMaps;
 use super::outcome::{ImageOutcome, ImageStatus};
 use super::policy::Policy;
-use super::{file, report};
 use crate::loop_response::Corrections;
 use crate::modal::{self, Compared};
 use crate::modes::{Degeneracy, Group};
@@ -13,7 +12,6 @@ use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
 use crate::statics::Iteration;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
-use std::path::Path;
 use std::sync::Arc;
 
 /// The static wavefront behind one image or many: modes, maps, error bars, and what became of each image.
@@ -234,30 +232,12 @@ impl Estimate {
         self.images.iter().map(|image| image.evaluations).sum()
     }
 
-    /// The estimate as text without its warnings: a table, the error budget, fitted optics, remarks.
-    pub fn summary(&self) -> String {
-        report::summary(self)
-    }
-
-    /// The estimate as text: [`Estimate::summary`], and the warnings.
-    pub fn report(&self) -> String {
-        report::report(self)
-    }
-
     /// Residual against the aberrations that simulated images were made with.
     ///
     /// # Errors
     /// [`Error::Shape`] for a truth on another grid.
     pub fn compare(&self, truth: &TruthMaps) -> Result<Comparison> {
         Comparison::new(&self.pupil, &self.phasing_nm, &self.ncpa_nm, truth)
-    }
-
-    /// Writes the estimate as FITS, whole or not at all.
-    ///
-    /// # Errors
-    /// [`Error::File`] where the file cannot be written.
-    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
-        file::write(path.as_ref(), self)
     }
 
     /// Corrections of segments, mirror and reference slopes. No command is larger than `limit_nm`; `None` takes the

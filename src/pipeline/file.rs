@@ -8,8 +8,17 @@ use crate::scene::Combine;
 use crate::statics::Iteration;
 use std::path::Path;
 
-/// Writes `estimate` to `path`, whole or not at all.
-pub(super) fn write(path: &Path, estimate: &Estimate) -> Result<()> {
+impl Estimate {
+    /// Writes the estimate as FITS, whole or not at all.
+    ///
+    /// # Errors
+    /// [`Error::File`](crate::Error::File) where the file cannot be written.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
+        write(path.as_ref(), self)
+    }
+}
+
+fn write(path: &Path, estimate: &Estimate) -> Result<()> {
     let mut file = FitsWriter::create(path)?;
     cards(&mut file, estimate)?;
     maps(&mut file, estimate)?;

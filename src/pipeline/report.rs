@@ -5,14 +5,20 @@ use super::images::counted;
 use crate::scene::Combine;
 use std::fmt::Write;
 
-/// The whole report: the summary, and the warnings.
-pub(super) fn report(estimate: &Estimate) -> String {
-    let warnings = estimate.warnings.iter().map(|warning| format!("Warning: {warning}.\n"));
-    summary(estimate) + &warnings.collect::<String>()
+impl Estimate {
+    /// The estimate as text: [`Estimate::summary`], and the warnings.
+    pub fn report(&self) -> String {
+        let warnings = self.warnings.iter().map(|warning| format!("Warning: {warning}.\n"));
+        self.summary() + &warnings.collect::<String>()
+    }
+
+    /// The estimate as text without its warnings: a table, the error budget, fitted optics, remarks.
+    pub fn summary(&self) -> String {
+        summary(self)
+    }
 }
 
-/// The estimate without its warnings.
-pub(super) fn summary(estimate: &Estimate) -> String {
+fn summary(estimate: &Estimate) -> String {
     let mut text = format!("{}, {}\n\n", combination(estimate), modes(estimate));
     text += &table(estimate);
     text += &format!("\nRMS over the pupil, tip and tilt removed. {}\n", quality(estimate));

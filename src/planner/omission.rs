@@ -1,6 +1,6 @@
 //! What is there and not modelled, and what is modelled though this scene may not need it: each with its price.
 
-use super::Price;
+use super::price::Price;
 use super::trial::Trials;
 use crate::Result;
 use crate::modal::{ModalFitter, Recipe};

@@ -1,6 +1,6 @@
 //! Wavefronts of a scene, imaged without noise, and what a model makes of them.
 
-use super::Price;
+use super::price::Price;
 use crate::imaging::Chain;
 use crate::metrics::{MapGram, residual_nm};
 use crate::modal::{Cube, ModalFitter};

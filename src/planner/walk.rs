@@ -1,8 +1,9 @@
 //! The search: one kind of choice after the other, each from the cheapest on.
 
 use super::omission::omissions;
+use super::plan::{Choice, Plan};
+use super::price::Price;
 use super::trial::{DRAWS, Trials};
-use super::{Choice, Plan, Price};
 use crate::modal::{ModalFitter, Recipe};
 use crate::optimize::CancelFlag;
 use crate::scene::{Crop, NcpaBasis, Optimizer, PupilModel, Scene};

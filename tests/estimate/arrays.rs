@@ -75,7 +75,7 @@ fn a_caller_s_telescope_and_modes_are_read_back() {
     assert_eq!(estimator.model().basis.names(), ["mode-1", "mode-2", "mode-3", "mode-4", "mode-5"]);
     assert_eq!(estimator.model().segment_modes, 0);
     let truth = [30.0, -45.0, 25.0, 60.0, -80.0];
-    let psf = Array2::from_shape_vec((96, 96), estimator.judge().psf(ArrayView1::from(&truth))).unwrap();
+    let psf = Array2::from_shape_vec((96, 96), estimator.reference_chain().psf(ArrayView1::from(&truth))).unwrap();
     let images_e = (psf * 1e6 + 50.0).insert_axis(Axis(0));
     let found = fit(&estimator, &images_e);
     assert_eq!(found.images[0].status, Status::Ok);
@@ -137,7 +137,7 @@ fn arrays_and_files_are_the_same_model() {
     assert_eq!(of_arrays.model().segment_modes, 7);
     assert_eq!(of_arrays.model().preparation, of_files.model().preparation);
     let coefficients_nm: Vec<f64> = (0..of_files.model().basis.len()).map(|i| 40.0 * (i as f64).sin()).collect();
-    let psf = |estimator: &ModalFitter| estimator.judge().psf(ArrayView1::from(&coefficients_nm));
+    let psf = |estimator: &ModalFitter| estimator.reference_chain().psf(ArrayView1::from(&coefficients_nm));
     // Coordinates in units of other widths differ by roundings, which the diversity's interpolation passes on.
     let (a, b) = (psf(&of_arrays), psf(&of_files));
     let peak = b.iter().copied().fold(0.0, f64::max);
@@ -184,7 +184,8 @@ fn modes_that_say_nothing_or_the_same_twice_are_told_by_the_degeneracy_report() 
     let views = [modes.index_axis(Axis(0), 1), zero.view(), modes.index_axis(Axis(0), 4), modes.index_axis(Axis(0), 4)];
     arrays.modes = Some(stack(Axis(0), &views).unwrap());
     let estimator = ModalFitter::from_arrays(&for_arrays(IMAGE), &arrays).unwrap();
-    let psf = Array2::from_shape_vec((96, 96), estimator.judge().psf(ArrayView1::from(&[50.0, 0.0, -30.0, 0.0])));
+    let psf =
+        Array2::from_shape_vec((96, 96), estimator.reference_chain().psf(ArrayView1::from(&[50.0, 0.0, -30.0, 0.0])));
     let found = fit(&estimator, &(psf.unwrap() * 1e6).insert_axis(Axis(0)));
     let nm = &found.combined.coefficients_nm;
     // What the images see is found: the first mode, and the sum of the two that are one.

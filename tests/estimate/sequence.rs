@@ -63,7 +63,7 @@ impl Maker {
 
     /// An image with a peak of some 10⁵ electrons and its noise.
     fn expose(&mut self, wavefront_nm: &Array1<f64>) -> ndarray::Array2<f64> {
-        let psf = self.estimator.judge().psf(wavefront_nm.view());
+        let psf = self.estimator.reference_chain().psf(wavefront_nm.view());
         let flux_e = 1e5 / psf.iter().copied().fold(0.0, f64::max);
         let mut noisy = |h: f64| -> f64 {
             let normal: f64 = StandardNormal.sample(&mut self.rng);

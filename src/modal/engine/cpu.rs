@@ -1,7 +1,7 @@
 //! CPU engine: each thread fits one image after the other.
 
 use super::lane::Lane;
-use super::{Engine, FitTask, ImageFit, Prepare, REPORT, Watch, interrupted, stop_if_cancelled};
+use super::task::{Engine, FitTask, ImageFit, Prepare, REPORT, Watch, interrupted, stop_if_cancelled};
 use crate::Result;
 use crate::imaging::{CpuChain, LoadedImage, Polynomial, Precision};
 use ndarray::ArrayView2;

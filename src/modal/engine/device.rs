@@ -1,6 +1,7 @@
 //! Device engine: all images advance in lock-step, one batched evaluation a step, and those that are done drop out.
 
-use super::{CpuEngine, Engine, FitState, FitTask, ImageFit, Prepare, Watch, interrupted, stop_if_cancelled, unusable};
+use super::cpu::CpuEngine;
+use super::task::{Engine, FitState, FitTask, ImageFit, Prepare, Watch, interrupted, stop_if_cancelled, unusable};
 use crate::imaging::{Chain, Evaluation, Exposure};
 use crate::modal::prepare::Preparer;
 use crate::modal::runner::{Next, Runner, settings};

@@ -1,7 +1,7 @@
 //! Lane: the memory in which one thread fits one image after the other. An image's data stay in that core's cache, and no
 //! thread waits for another.
 
-use super::{FitState, FitTask, ImageFit, Prepare};
+use super::task::{FitState, FitTask, ImageFit, Prepare};
 use crate::Result;
 use crate::imaging::{CpuChain, Evaluation, FlatWavefront, LoadedImage, Polynomial, Precision, Scratch};
 use crate::modal::prepare::{Prepared, Preparer};
@@ -123,7 +123,7 @@ impl<T: Polynomial> Lane<T> {
     /// Prepares image `index` into `loaded`.
     ///
     /// # Errors
-    /// As [`super::Engine::load`].
+    /// As [`super::task::Engine::load`].
     pub(super) fn load(
         &mut self,
         chain: &CpuChain<T>,
@@ -132,7 +132,8 @@ impl<T: Polynomial> Lane<T> {
         (image, loaded): (&mut ImageFit, &mut LoadedImage<T>),
     ) -> Result<()> {
         image.state = FitState::NotBegun;
-        prepare(index, &mut self.preparer, &mut image.prepared).map_err(|refusal| super::unusable(index, refusal))?;
+        prepare(index, &mut self.preparer, &mut image.prepared)
+            .map_err(|refusal| super::task::unusable(index, refusal))?;
         chain.set(loaded, &image.prepared.exposure)
     }
 

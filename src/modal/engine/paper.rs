@@ -1,7 +1,7 @@
 //! The paper's optimiser: BFGS from zero, image by image, coefficients in radians, tolerance 1e-6 on the gradient.
 
 use super::device::prepare_all;
-use super::{FitState, FitTask, ImageFit, Prepare, Watch, stop_if_cancelled};
+use super::task::{FitState, FitTask, ImageFit, Prepare, Watch, stop_if_cancelled};
 use crate::Result;
 use crate::imaging::{Chain, Exposure};
 use crate::modal::minimum::Minimum;

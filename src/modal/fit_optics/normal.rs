@@ -1,8 +1,8 @@
 //! The normal equations of optics beside modes: what each image adds, and what all say together.
 
 use crate::imaging::Photometry;
-use crate::modal::ModalFitter;
 use crate::modal::fisher::{Sensitivity, pseudo_inverse};
+use crate::modal::fitter::ModalFitter;
 use crate::modal::gauss_newton::{along, rows_of_tile};
 use crate::modal::minimum::Minimum;
 use crate::modal::prepare::Prepared;
@@ -60,7 +60,7 @@ impl Sum {
         derivatives: &[Array1<f64>],
     ) -> Result<()> {
         let at = ArrayView1::from(&minimum.coefficients_nm);
-        let linear = estimator.judge.linearise(at);
+        let linear = estimator.reference.linearise(at);
         let (exposure, flux_e) = (&image.exposure, minimum.flux_e);
         let weight = ArrayView1::from(&exposure.weight);
         let psf = ArrayView1::from(linear.psf());
@@ -78,7 +78,7 @@ impl Sum {
         // Derivatives by the modes are those of the PSF, for a flux of 1.
         let seen = along(&linear, &weighted, rows_of_tile(linear.modes(), linear.pixels(), tile_bytes)) * flux_e;
         let noise = (exposure.weight.as_slice(), None);
-        let sensitivity = Sensitivity::at(&estimator.judge, at, flux_e, noise, exposure.photometry, tile_bytes);
+        let sensitivity = Sensitivity::at(&estimator.reference, at, flux_e, noise, exposure.photometry, tile_bytes);
         let moves = sensitivity.covariance()?.dot(&seen);
         let residual = &ArrayView1::from(&exposure.data_e) - &model;
         for (i, weighted) in weighted.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! Tiles against the whole, and both against the definition, on seven segments that tilt.
 
 use super::*;
-use crate::modal::ModalFitter;
+use crate::modal::fitter::ModalFitter;
 use crate::scene::Scene;
 use ndarray::{Array1, Axis};
 
@@ -45,7 +45,7 @@ fn rounding(pixels: usize) -> f64 {
 #[test]
 fn products_in_tiles_are_those_of_the_whole() {
     let estimator = estimator();
-    let linear = estimator.judge().linearise(Array1::from_elem(26, 17.0).view());
+    let linear = estimator.reference_chain().linearise(Array1::from_elem(26, 17.0).view());
     let m = linear.pixels();
     let weights = weights(m * m);
     for nuisances in [Nuisances::None, Nuisances::Flux, Nuisances::FluxAndBackground] {
@@ -66,8 +66,8 @@ fn products_in_tiles_are_those_of_the_whole() {
 fn what_flux_and_background_absorb_is_what_projection_removes() {
     let estimator = estimator();
     let at = Array1::from_elem(26, 17.0);
-    let (psf, mut jacobian) = estimator.judge().jacobian(at.view());
-    let linear = estimator.judge().linearise(at.view());
+    let (psf, mut jacobian) = estimator.reference_chain().jacobian(at.view());
+    let linear = estimator.reference_chain().linearise(at.view());
     let weights = weights(psf.len());
     // Gram-Schmidt on the derivatives themselves, in the product of the first weights.
     let weight = Array1::from(weights[0].clone());

@@ -17,7 +17,7 @@ fn models_have_the_maps_of_rust() {
         let dump = doubles(dump);
         let (coefficients_nm, maps) = dump.split_at(model.optics.modes());
         let wavefronts = [Group::Segment, Group::Ncpa].map(|group| model.map_nm(coefficients_nm, group));
-        let psf = estimator.judge().psf(ArrayView1::from(coefficients_nm));
+        let psf = estimator.reference_chain().psf(ArrayView1::from(coefficients_nm));
         let expected = wavefronts.iter().flatten().chain(&psf).copied();
         same("the wavefronts and the PSF", maps, &expected.collect::<Vec<_>>());
         let turned = |map: &Array2<f64>| map.t() != map && map.slice(s![..;-1, ..]) != map;

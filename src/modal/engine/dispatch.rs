@@ -1,0 +1,30 @@
+//! Choice of the engine for a chain.
+
+use super::cpu::CpuEngine;
+use super::device::DeviceEngine;
+use super::paper;
+use super::task::{Engine, FitTask, ImageFit, Prepare, Watch};
+use crate::Result;
+use crate::imaging::Chain;
+use crate::scene::Optimizer;
+
+/// Fits images on `chain`, in memory that is taken for this call.
+///
+/// # Errors
+/// As [`Engine::fit`].
+pub(in crate::modal) fn fit(
+    chain: &mut Chain,
+    task: &FitTask,
+    prepare: &Prepare,
+    images: &mut [ImageFit],
+    watch: &mut Watch,
+) -> Result<()> {
+    if task.recipe.optimizer == Optimizer::Bfgs {
+        return paper::fit(chain, task, prepare, images, watch);
+    }
+    match chain.active_chain() {
+        Chain::Cpu32(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
+        Chain::Cpu64(chain) => CpuEngine::new(&*chain, None).fit(task, prepare, images, watch),
+        device => DeviceEngine::new(device).fit(task, prepare, images, watch),
+    }
+}

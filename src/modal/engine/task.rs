@@ -1,0 +1,147 @@
+//! Interface of the engines: the task, one image's fit, the trait.
+
+use crate::imaging::CpuChain;
+use crate::modal::metrics::Metrics;
+use crate::modal::minimum::Minimum;
+use crate::modal::model::Model;
+use crate::modal::prepare::{Preparation, Prepared, Preparer, Refusal};
+use crate::modal::recipe::Recipe;
+use crate::optimize::{CancelFlag, StopReason};
+use crate::{Error, Result};
+use ndarray::ArrayView2;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// Called with the number of images that are done, and of all.
+pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
+
+/// Prepares frame `index` in memory of the engine's.
+pub(in crate::modal) type Prepare<'a> =
+    dyn Fn(usize, &mut Preparer, &mut Prepared) -> std::result::Result<(), Refusal> + Sync + 'a;
+
+/// What all fits of a call share.
+pub(in crate::modal) struct FitTask<'a> {
+    pub(in crate::modal) model: &'a Model,
+    /// Reference chain (f64, CPU): metric, weights and χ² come from it whatever chain fits.
+    pub(in crate::modal) reference: &'a CpuChain<f64>,
+    pub(in crate::modal) metrics: &'a Metrics,
+    pub(in crate::modal) recipe: &'a Recipe,
+    pub(in crate::modal) cancel: Option<&'a CancelFlag>,
+    /// When to stop wherever the fits stand; the paper's BFGS ignores it.
+    pub(in crate::modal) deadline: Option<Instant>,
+}
+
+impl FitTask<'_> {
+    pub(super) fn is_late(&self) -> bool {
+        self.deadline.is_some_and(|deadline| Instant::now() >= deadline)
+    }
+
+    /// # Errors
+    /// [`Error::Interrupted`] where the flag is raised, after `done` of `count` images.
+    pub(super) fn check(&self, done: usize, count: usize) -> Result<()> {
+        match self.cancel {
+            Some(flag) if flag.load(Ordering::Relaxed) => Err(interrupted(done, count)),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// State of an image's fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::modal) enum FitState {
+    /// The deadline came before its turn.
+    NotBegun,
+    /// The frame cannot be used.
+    Refused(Refusal),
+    /// There is a minimum.
+    Fitted,
+}
+
+/// Fit of one image: what goes in, and where it ended.
+#[derive(Clone)]
+pub(in crate::modal) struct ImageFit {
+    pub(in crate::modal) prepared: Prepared,
+    /// Where the fit starts, nm.
+    pub(in crate::modal) start_nm: Vec<f64>,
+    pub(in crate::modal) minimum: Minimum,
+    pub(in crate::modal) state: FitState,
+    /// Wall-clock time of the fit, s; on a device, of the whole batch.
+    pub(in crate::modal) seconds: f64,
+}
+
+impl ImageFit {
+    /// Memory for the fit of an image with `modes` modes, from the flat wavefront.
+    pub(in crate::modal) fn new(preparation: &Preparation, modes: usize) -> Self {
+        Self {
+            prepared: preparation.room(),
+            start_nm: vec![0.0; modes],
+            minimum: Minimum::room(modes),
+            state: FitState::NotBegun,
+            seconds: 0.0,
+        }
+    }
+
+    pub(in crate::modal) fn is_fitted(&self) -> bool {
+        self.state == FitState::Fitted
+    }
+
+    /// Takes the place of another try, `again`, if that has a smaller χ²; counts the evaluations of both. Whether it did.
+    pub(in crate::modal) fn improve(&mut self, again: Self) -> bool {
+        if !again.is_fitted() {
+            return false;
+        }
+        let evaluations = self.minimum.evaluations + again.minimum.evaluations;
+        let is_better = again.minimum.reduced_chi2 < self.minimum.reduced_chi2 || self.minimum.reduced_chi2.is_nan();
+        if is_better {
+            *self = again;
+        }
+        self.minimum.evaluations = evaluations;
+        is_better
+    }
+}
+
+/// Runs fits. Two implementations: CPU threads, and a device.
+pub(in crate::modal) trait Engine: Send {
+    /// Prepares and fits every image from its start.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] where the flag was raised, and those of the chain.
+    fn fit(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit], watch: &mut Watch) -> Result<()>;
+
+    /// Prepares images for [`Engine::evaluate`], with the weights that a fit begins with.
+    ///
+    /// # Errors
+    /// [`Error::Image`] for the first that cannot be used, and those of the chain.
+    fn load(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()>;
+
+    /// Objectives and gradients of the loaded images at `coefficients_nm`, `[image, mode]`.
+    ///
+    /// # Errors
+    /// Those of the chain.
+    fn evaluate(
+        &mut self,
+        coefficients_nm: ArrayView2<f64>,
+        objectives: &mut [f64],
+        gradients: &mut [f64],
+    ) -> Result<()>;
+
+    /// Sentence on a device that was lost and that the CPU replaces.
+    fn failure(&self) -> Option<&str> {
+        None
+    }
+}
+
+/// Time between two reports of progress on the CPU, about: all threads wait for each other then.
+pub(super) const REPORT: Duration = Duration::from_millis(100);
+
+pub(super) fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()> {
+    if reason == StopReason::Cancelled { Err(interrupted(done, count)) } else { Ok(()) }
+}
+
+pub(super) fn interrupted(done: usize, count: usize) -> Error {
+    Error::Interrupted(format!("{done} of {count} images were fitted"))
+}
+
+pub(super) fn unusable(image: usize, refusal: Refusal) -> Error {
+    Error::Image(format!("frame {image} cannot be used: {refusal}"))
+}

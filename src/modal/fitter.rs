@@ -1,0 +1,256 @@
+//! Modal fitter: the model of a scene, and what every fit with it shares.
+
+use super::diversity_error::{self, HeldDiversity, SharedError};
+use super::engine::{self, FitTask, ImageFit, Watch};
+use super::fisher;
+use super::fitted_optic::FittedOptic;
+use super::metrics::Metrics;
+use super::mode_set::OwnBasis;
+use super::model::Model;
+use super::pistons::Pistons;
+use super::prepare::{Frame, Prepared, Preparer, Ringing};
+use super::recipe::Recipe;
+use super::tilts::Tilts;
+use crate::imaging::{Chain, CpuChain};
+use crate::optimize::CancelFlag;
+use crate::scene::{Method, PupilScene, Scene};
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView1};
+use std::fmt;
+use std::sync::Arc;
+
+/// Fits static modes to images of one scene, and combines the images.
+pub struct ModalFitter {
+    pub(super) scene: Scene,
+    pub(super) recipe: Recipe,
+    pub(super) model: Model,
+    /// The f64 CPU chain: metric, weights, χ² and error bars come from it whatever chain fits.
+    pub(super) reference: CpuChain<f64>,
+    pub(super) metrics: Metrics,
+    /// Means over the pupil, which take as long as some fits.
+    pub(super) pistons: Pistons,
+    pub(super) tilts: Tilts,
+    /// Errors that all images share.
+    pub(super) shared: Vec<SharedError>,
+    pub(super) own_basis: Arc<OwnBasis>,
+    pub(super) fitted_optics: Vec<FittedOptic>,
+}
+
+impl fmt::Debug for ModalFitter {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ModalFitter").field("recipe", &self.recipe).finish_non_exhaustive()
+    }
+}
+
+/// That `scene` has no budget left, which an estimator would ignore.
+///
+/// # Errors
+/// [`Error::Scene`].
+pub(super) fn refuse_budget(scene: &Scene) -> Result<()> {
+    match scene.estimate.budget_nm {
+        None => Ok(()),
+        Some(budget_nm) => Err(Error::Scene(format!(
+            "estimate.budget_nm = {budget_nm} asks for a plan, which needs a telescope that the scene describes: an \
+             estimator takes the scene that the planner makes of this one, or one without a budget"
+        ))),
+    }
+}
+
+/// That `scene` leaves no optics to be fitted, which an estimator would ignore.
+///
+/// # Errors
+/// [`Error::Scene`].
+pub(super) fn refuse_fit_optics(scene: &Scene) -> Result<()> {
+    if scene.estimate.fit_optics.is_empty() {
+        return Ok(());
+    }
+    Err(Error::Scene(
+        "estimate.fit_optics fits the telescope to images, which a model and its sessions do not do: leave it out, or give \
+         this scene to the full pipeline ('cophase estimate', pipeline::Estimator, cophase_estimator_create)"
+            .into(),
+    ))
+}
+
+/// That `scene` asks for static modes, fitted image by image.
+///
+/// # Errors
+/// [`Error::Scene`].
+pub(super) fn refuse_full_phase(scene: &Scene) -> Result<()> {
+    match scene.estimate.method {
+        Method::Modal => Ok(()),
+        Method::FullPhase => Err(Error::Scene(
+            "estimate.method = \"full-phase\" retrieves wavefronts of a whole sequence, which a model and its sessions do not \
+             do: leave it out, or give this scene to the full pipeline ('cophase estimate', pipeline::Estimator, \
+             cophase_estimator_create)"
+                .into(),
+        )),
+    }
+}
+
+/// Whether two scenes have the same Karhunen-Loève basis.
+pub(super) fn same_basis(one: &Scene, other: &Scene) -> bool {
+    let telescope = |scene: &Scene| {
+        let (samples, model) = (0, None);
+        PupilScene { samples, model, band_pass_cycles: None, band_stop_cycles: None, ..scene.pupil.clone() }
+    };
+    let modes = |scene: &Scene| (scene.modes.ncpa.clone(), scene.modes.ncpa_count);
+    telescope(one) == telescope(other)
+        && modes(one) == modes(other)
+        && one.mirror == other.mirror
+        && one.turbulence == other.turbulence
+        && one.directory() == other.directory()
+}
+
+impl ModalFitter {
+    /// Builds the model of `scene`.
+    ///
+    /// `native` forbids the reduction to Nyquist sampling: needed where pixels are bad, because they would ring.
+    ///
+    /// # Errors
+    /// Those of building the telescope, its modes and its pupil; see [`Model::of`].
+    pub fn new(scene: &Scene, native: bool) -> Result<Self> {
+        Self::with_recipe(scene, Recipe::of(scene), native)
+    }
+
+    /// Builds the model of `scene` for a recipe of the caller's.
+    ///
+    /// # Errors
+    /// As [`ModalFitter::new`].
+    pub fn with_recipe(scene: &Scene, recipe: Recipe, native: bool) -> Result<Self> {
+        Self::with_own_basis(scene, recipe, native, Arc::default())
+    }
+
+    /// An estimator of another scene, or for another recipe, that shares this one's Karhunen-Loève basis, which is most
+    /// of the time that an estimator costs: where the telescope, the mirror, the turbulence and the modes are the same,
+    /// and only the sampling and the fit differ. Otherwise it is made anew.
+    ///
+    /// # Errors
+    /// As [`ModalFitter::new`].
+    pub fn variant(&self, scene: &Scene, recipe: Recipe) -> Result<Self> {
+        let own_basis = if same_basis(&self.scene, scene) { self.own_basis.clone() } else { Arc::default() };
+        Self::with_own_basis(scene, recipe, false, own_basis)
+    }
+
+    pub(super) fn with_own_basis(
+        scene: &Scene,
+        recipe: Recipe,
+        native: bool,
+        own_basis: Arc<OwnBasis>,
+    ) -> Result<Self> {
+        refuse_budget(scene)?;
+        refuse_fit_optics(scene)?;
+        refuse_full_phase(scene)?;
+        let model = Model::with_own_basis(scene, &recipe, native, &own_basis)?;
+        Ok(Self { own_basis, ..Self::from_model(scene, recipe, model)? })
+    }
+
+    pub(super) fn from_model(scene: &Scene, recipe: Recipe, model: Model) -> Result<Self> {
+        let reference = CpuChain::new(model.optics.clone());
+        let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
+        let (pistons, tilts) = (Pistons::of(&model)?, Tilts::new(&model)?);
+        let shared = diversity_error::common(&model, scene)?.into_iter().collect();
+        let (scene, own_basis) = (scene.clone(), Arc::default());
+        let fitted_optics = Vec::new();
+        Ok(Self { scene, recipe, model, reference, metrics, pistons, tilts, shared, own_basis, fitted_optics })
+    }
+
+    /// The model that is compared with the images.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// What `estimate.fit_optics` found, in its order; its numbers are those of [`ModalFitter::scene`].
+    pub fn fitted_optics(&self) -> &[FittedOptic] {
+        &self.fitted_optics
+    }
+
+    /// How it is fitted.
+    pub fn recipe(&self) -> &Recipe {
+        &self.recipe
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The f64 CPU chain of this model.
+    pub fn reference_chain(&self) -> &CpuChain<f64> {
+        &self.reference
+    }
+
+    /// Prepares `frames` and fits them, each from the start of its fit.
+    pub(super) fn fit_frames(
+        &self,
+        chain: &mut Chain,
+        task: &FitTask,
+        frames: &[Frame],
+        fits: &mut [ImageFit],
+        watch: &mut Watch,
+    ) -> Result<()> {
+        let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut Prepared| {
+            preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
+        };
+        engine::fit(chain, task, &prepare, fits, watch)
+    }
+
+    /// The errors that all images share, so that no number of images averages them out.
+    pub fn shared_errors(&self) -> &[SharedError] {
+        &self.shared
+    }
+
+    /// Covariance of all errors that the images share, nm²; `None` where there are none.
+    pub(super) fn shared_covariance_nm2(&self) -> Option<Array2<f64>> {
+        let mut each = self.shared.iter().map(|shared| &shared.covariance_nm2);
+        let first = each.next()?.clone();
+        Some(each.fold(first, |sum, covariance_nm2| sum + covariance_nm2))
+    }
+
+    /// `covariance_nm2` of noise and scatter with that of the shared errors, nm².
+    pub(super) fn with_shared(&self, covariance_nm2: Array2<f64>) -> Array2<f64> {
+        match self.shared_covariance_nm2() {
+            Some(shared_nm2) => covariance_nm2 + shared_nm2,
+            None => covariance_nm2,
+        }
+    }
+
+    pub(super) fn task<'a>(&'a self, cancel: Option<&'a CancelFlag>) -> FitTask<'a> {
+        let Self { model, reference, metrics, recipe, .. } = self;
+        FitTask { model, reference, metrics, recipe, cancel, deadline: None }
+    }
+
+    /// The diversity as the modes see it.
+    ///
+    /// # Errors
+    /// [`Error::File`] for a map of it that cannot be read.
+    pub fn held_diversity(&self) -> Result<HeldDiversity> {
+        diversity_error::held(&self.model, &self.scene)
+    }
+
+    /// The variance that each mode would have at best, nm² (Cramér-Rao), for one image of a star of `flux_e` with the
+    /// scene's read noise at the given wavefront; null directions carry none. Pistons are about their mean.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where no mode is seen at all.
+    pub fn bound(&self, coefficients_nm: ArrayView1<f64>, flux_e: f64, background_e: f64) -> Result<Array2<f64>> {
+        let native_pixels = self.model.preparation.native_pixels();
+        let floor = (self.scene.image.read_noise_e.powi(2) + background_e) * native_pixels;
+        let psf = self.reference.psf(coefficients_nm);
+        let weight: Vec<f64> = psf.iter().map(|h| 1.0 / (flux_e * h + floor)).collect();
+        let photometry = match (self.recipe.fit_flux, self.recipe.fit_background) {
+            (true, true) => crate::imaging::Photometry::FitBoth,
+            (true, false) => crate::imaging::Photometry::FitFlux { background_e },
+            (false, _) => crate::imaging::Photometry::Fixed { flux_e, background_e },
+        };
+        let noise = (weight.as_slice(), None);
+        let sensitivity = fisher::Sensitivity::at(
+            &self.reference,
+            coefficients_nm,
+            flux_e,
+            noise,
+            photometry,
+            self.model.tiles().derivative_bytes,
+        );
+        Ok(self.pistons.centred(&sensitivity.covariance()?))
+    }
+}

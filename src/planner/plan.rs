@@ -1,0 +1,73 @@
+//! Plan: the scene with the choices of the planner, and what each choice costs.
+
+use super::omission::Omission;
+use super::price::Price;
+use crate::Result;
+use crate::scene::Scene;
+
+/// What was decided.
+#[derive(Debug, Clone)]
+pub struct Plan {
+    /// The scene with the choices as keys.
+    pub scene: Scene,
+    /// What was asked for: RMS error of the phasing, and of the NCPA, nm.
+    pub budget_nm: f64,
+    /// The scene's own model in double precision.
+    pub reference: Price,
+    /// The model of the plan.
+    pub chosen: Price,
+    /// What was tried, in order.
+    pub choices: Vec<Choice>,
+    /// What is there and not modelled, or modelled and perhaps not needed.
+    pub omissions: Vec<Omission>,
+    /// Wavefronts that were drawn.
+    pub draws: usize,
+}
+
+/// One value of one key, tried.
+#[derive(Debug, Clone)]
+pub struct Choice {
+    /// `section.key`.
+    pub key: &'static str,
+    /// Its value, as TOML.
+    pub value: String,
+    /// Whether the plan has it.
+    pub kept: bool,
+    /// What it costs with all that was kept before.
+    pub price: Price,
+}
+
+impl Plan {
+    /// Writes the plan's scene to a file, whole or not at all.
+    ///
+    /// # Errors
+    /// [`Error::File`](crate::Error::File) where it cannot be written.
+    pub fn write(&self, path: &std::path::Path) -> Result<()> {
+        crate::atomic::write(path, self.scene.text().as_bytes())
+    }
+
+    /// Whether the plan's error is within the budget.
+    pub fn is_met(&self) -> bool {
+        self.chosen.error_nm() <= self.budget_nm
+    }
+
+    /// Where the budget cannot be met: why, and what would help.
+    pub fn shortfall(&self) -> Option<String> {
+        if self.is_met() {
+            return None;
+        }
+        let (budget_nm, noise_nm) = (self.budget_nm, self.chosen.noise_nm.into_iter().fold(0.0, f64::max));
+        Some(if noise_nm > budget_nm {
+            let images = (self.scene.image.count as f64 * (noise_nm / budget_nm).powi(2)).ceil();
+            format!(
+                "the noise alone leaves {noise_nm:.2} nm, more than the budget of {budget_nm} nm: about {images:.0} images, or a \
+                 brighter star, are needed"
+            )
+        } else {
+            format!(
+                "no model that was tried keeps the error below {:.2} nm, where {budget_nm} nm were asked for",
+                self.chosen.error_nm()
+            )
+        })
+    }
+}
