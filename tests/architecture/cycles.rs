@@ -1,10 +1,10 @@
-//! Files of one room that use each other in a circle.
+//! Files of one module that use each other in a circle.
 //!
 //! A file uses another where a path outside its tests leads to an item that is defined there: an import, or a longer path in
 //! the code. Re-exports are followed to the definition and are no use by themselves, so that `mod.rs` counts as a file for
 //! what it defines. Methods and traits' items, which no path names, are not seen.
 
-use crate::rules::room_of;
+use crate::rules::module_of;
 use crate::source::{
     self, Source, before_colons, branches, continues_a_path, ident, is_punct, is_test_attribute, trees,
 };
@@ -45,7 +45,7 @@ impl File {
                     at = Source::default().skip_test_item(tokens, at, module);
                     continue;
                 }
-                // `pub(in crate::room)` uses nothing.
+                // `pub(in crate::module)` uses nothing.
                 TokenTree::Group(_) if at > 0 && ident(tokens, at - 1).as_deref() == Some("pub") => {}
                 TokenTree::Group(group) => {
                     let is_module = at >= 2 && ident(tokens, at - 2).as_deref() == Some("mod");
@@ -142,7 +142,7 @@ impl<'a> Package<'a> {
         Self { files, modules }
     }
 
-    /// Sets of files of one room, each of which uses all others, directly or through others of them.
+    /// Sets of files of one module, each of which uses all others, directly or through others of them.
     pub fn cycles(&self) -> Vec<BTreeSet<String>> {
         let uses: BTreeMap<&str, BTreeSet<&str>> =
             self.files.keys().map(|file| (file.as_str(), self.used(file))).collect();
@@ -155,7 +155,7 @@ impl<'a> Package<'a> {
         circles.into_iter().collect()
     }
 
-    /// The other files of its room that `file` uses.
+    /// The other files of its module that `file` uses.
     pub fn used(&self, file: &str) -> BTreeSet<&'a str> {
         let (read, module) = (&self.files[file], source::module_of(file));
         let mut used = BTreeSet::new();
@@ -172,7 +172,7 @@ impl<'a> Package<'a> {
             }
         }
         used.extend(read.paths.iter().filter_map(|path| self.find(path, &module, false, 8)));
-        used.retain(|other| *other != file && room_of(other) == room_of(file));
+        used.retain(|other| *other != file && module_of(other) == module_of(file));
         used
     }
 

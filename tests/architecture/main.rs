@@ -5,7 +5,7 @@ mod rules;
 mod source;
 mod version;
 
-use rules::{Rules, room_of};
+use rules::{Rules, module_of};
 use source::Source;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -81,11 +81,11 @@ fn the_sources_keep_the_arrows() {
 fn the_map_shows_the_rooms_that_are_there() {
     for package in PACKAGES {
         let (sources, rules) = (package.sources(), package.rules());
-        let built: BTreeSet<&str> = sources.keys().map(|file| room_of(file)).filter(|room| *room != "lib").collect();
+        let built: BTreeSet<&str> = sources.keys().map(|file| module_of(file)).filter(|module| *module != "lib").collect();
         let shown: BTreeSet<&str> =
-            rules.rooms.iter().filter(|(_, room)| !room.to_come).map(|(name, _)| name.as_str()).collect();
+            rules.modules.iter().filter(|(_, module)| !module.to_come).map(|(name, _)| name.as_str()).collect();
         let folder = package.folder;
-        assert_eq!(shown, built, "left: ARCHITECTURE.md, without the rooms marked (to come); right: {folder}");
+        assert_eq!(shown, built, "left: ARCHITECTURE.md, without the modules marked (to come); right: {folder}");
     }
 }
 
@@ -183,9 +183,9 @@ fn planted_cycles_are_found() {
 #[test]
 fn planted_faults_of_the_map_are_found() {
     let map =
-        |rooms: &str| Rules::parse(&format!("## Rooms\n| Room | What | Uses |\n|---|---|---|\n{rooms}"), "").faults();
+        |modules: &str| Rules::parse(&format!("## Modules\n| Module | What | Uses |\n|---|---|---|\n{modules}"), "").faults();
     assert!(map("| `a` | | – |\n| `b` | | `a` |\n").is_empty());
-    assert_eq!(map("| `a` | | `c` |\n"), ["the map names the room `c`, which has no row"]);
+    assert_eq!(map("| `a` | | `c` |\n"), ["the map names the module `c`, which has no row"]);
     assert_eq!(
         map("| `a` | | `b` |\n| `b` | | `c` |\n| `c` | | `a` |\n| `d` | | – |\n"),
         ["the map runs in a circle through [\"a\", \"b\", \"c\"]"]
@@ -268,7 +268,7 @@ fn the_innocent_are_left_alone() {
 #[test]
 fn re_exports_lead_to_their_room() {
     let exported = source::exported("pub mod a; pub use a::{X, b::{Y as Z}}; pub use crate::c::W; pub use d::V;");
-    let pairs: Vec<(&str, &str)> = exported.iter().map(|(name, room)| (name.as_str(), room.as_str())).collect();
+    let pairs: Vec<(&str, &str)> = exported.iter().map(|(name, module)| (name.as_str(), module.as_str())).collect();
     assert_eq!(pairs, [("V", "d"), ("W", "c"), ("X", "a"), ("Z", "a")]);
 }
 

@@ -5,22 +5,22 @@ use std::collections::{BTreeMap, BTreeSet};
 
 type Names = BTreeSet<String>;
 
-/// A row of "Rooms".
+/// A row of "Modules".
 #[derive(Debug)]
-pub struct Room {
+pub struct Module {
     /// The map shows it, the sources do not have it yet.
     pub to_come: bool,
     uses: Names,
 }
 
-/// The tables of one package. A place is a room, or the start of a path under `src` where it holds a slash: `imaging/gpu`
+/// The tables of one package. A place is a module, or the start of a path under `src` where it holds a slash: `imaging/gpu`
 /// is `imaging/gpu.rs`, `imaging/gpu_batch.rs` and all of `imaging/gpu/`.
 #[derive(Debug, Default)]
 pub struct Rules {
-    pub rooms: BTreeMap<String, Room>,
-    /// Rooms of any package.
+    pub modules: BTreeMap<String, Module>,
+    /// Modules of any package.
     known: Names,
-    /// Places, and the rooms that they may use besides those of their own room's row.
+    /// Places, and the modules that they may use besides those of their own module's row.
     exceptions: Vec<(Names, Names)>,
     /// Names from outside the crate, and the only places where they may stand.
     confined: Vec<(Names, Names)>,
@@ -30,13 +30,13 @@ pub struct Rules {
     pub cycles: Vec<Names>,
 }
 
-/// The file's room: its first folder, or itself. `file` is relative to `src`, without `.rs`.
-pub fn room_of(file: &str) -> &str {
+/// The file's module: its first folder, or itself. `file` is relative to `src`, without `.rs`.
+pub fn module_of(file: &str) -> &str {
     file.split('/').next().unwrap_or(file)
 }
 
 fn lies_in(file: &str, place: &str) -> bool {
-    if place.contains('/') { file.starts_with(place) } else { room_of(file) == place }
+    if place.contains('/') { file.starts_with(place) } else { module_of(file) == place }
 }
 
 /// What stands between backticks.
@@ -58,17 +58,17 @@ impl Rules {
             if cells.len() < 4 || quoted(cells[1]).is_empty() {
                 continue;
             }
-            if section.starts_with("Rooms") {
+            if section.starts_with("Modules") {
                 rules.known.extend(quoted(cells[1]));
             }
             match section.strip_suffix(package).unwrap_or_default() {
-                "Rooms" => rules.rooms.extend(
+                "Modules" => rules.modules.extend(
                     quoted(cells[1])
                         .into_iter()
-                        .map(|name| (name, Room { to_come: cells[1].contains("(to come)"), uses: quoted(cells[3]) })),
+                        .map(|name| (name, Module { to_come: cells[1].contains("(to come)"), uses: quoted(cells[3]) })),
                 ),
                 "Exceptions" => rules.exceptions.push((quoted(cells[1]), quoted(cells[2]))),
-                "Names that stay in their room" => rules.confined.push((quoted(cells[1]), quoted(cells[2]))),
+                "Names that stay in their module" => rules.confined.push((quoted(cells[1]), quoted(cells[2]))),
                 _ => {}
             }
             match section {
@@ -83,29 +83,29 @@ impl Rules {
     /// Every arrow of the map, exceptions included, from the user to the used.
     fn arrows(&self) -> BTreeMap<&str, BTreeSet<&str>> {
         let mut arrows: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
-        for (name, room) in &self.rooms {
-            arrows.entry(name).or_default().extend(room.uses.iter().map(String::as_str));
+        for (name, module) in &self.modules {
+            arrows.entry(name).or_default().extend(module.uses.iter().map(String::as_str));
         }
         for (places, uses) in &self.exceptions {
             for place in places {
-                arrows.entry(room_of(place)).or_default().extend(uses.iter().map(String::as_str));
+                arrows.entry(module_of(place)).or_default().extend(uses.iter().map(String::as_str));
             }
         }
         arrows
     }
 
-    /// What is wrong with the map itself: names of rooms that have no row, and cycles.
+    /// What is wrong with the map itself: names of modules that have no row, and cycles.
     pub fn faults(&self) -> Vec<String> {
         let mut arrows = self.arrows();
-        let places = self.confined.iter().flat_map(|(_, places)| places).map(|place| room_of(place));
-        let named = arrows.iter().flat_map(|(room, uses)| uses.iter().chain([room])).copied().chain(places);
+        let places = self.confined.iter().flat_map(|(_, places)| places).map(|place| module_of(place));
+        let named = arrows.iter().flat_map(|(module, uses)| uses.iter().chain([module])).copied().chain(places);
         let mut faults: Vec<String> = named
             .collect::<BTreeSet<_>>()
             .into_iter()
             .filter(|name| !self.known.contains(*name))
-            .map(|name| format!("the map names the room `{name}`, which has no row"))
+            .map(|name| format!("the map names the module `{name}`, which has no row"))
             .collect();
-        // Take away the rooms that use none of those left, until nothing changes: what stays uses itself in a circle.
+        // Take away the modules that use none of those left, until nothing changes: what stays uses itself in a circle.
         loop {
             let left: BTreeSet<&str> = arrows.keys().copied().collect();
             arrows.retain(|_, uses| uses.iter().any(|used| left.contains(used)));
@@ -119,22 +119,22 @@ impl Rules {
         faults
     }
 
-    /// What `file` does against the rules; one sentence each. `exported` gives the room of each name that `lib.rs`
+    /// What `file` does against the rules; one sentence each. `exported` gives the module of each name that `lib.rs`
     /// re-exports.
     pub fn violations(&self, file: &str, source: &Source, exported: &BTreeMap<String, String>) -> Vec<String> {
-        let room = room_of(file);
+        let module = module_of(file);
         let mut violations = Vec::new();
-        // lib.rs is the door: it names every room.
-        if room != "lib" {
-            let Some(row) = self.rooms.get(room) else {
-                return vec![format!("{file}.rs: the room `{room}` has no row in ARCHITECTURE.md")];
+        // lib.rs is the door: it names every module.
+        if module != "lib" {
+            let Some(row) = self.modules.get(module) else {
+                return vec![format!("{file}.rs: the module `{module}` has no row in ARCHITECTURE.md")];
             };
             let excepted = self.exceptions.iter().filter(|(places, _)| places.iter().any(|place| lies_in(file, place)));
             let allowed: BTreeSet<&String> = row.uses.iter().chain(excepted.flat_map(|(_, uses)| uses)).collect();
             for name in &source.uses {
                 let used = exported.get(name).unwrap_or(name);
-                if used != room && !allowed.contains(used) {
-                    violations.push(format!("{file}.rs: `{room}` may not use `crate::{name}`"));
+                if used != module && !allowed.contains(used) {
+                    violations.push(format!("{file}.rs: `{module}` may not use `crate::{name}`"));
                 }
             }
         }

@@ -119,7 +119,7 @@ pub fn module_of(file: &str) -> Vec<&str> {
     path.split('/').filter(|name| !name.is_empty()).collect()
 }
 
-/// The room of each name that the door, `lib.rs`, re-exports: `pub use error::{Error, Result}` gives `Error → error`.
+/// The module of each name that the door, `lib.rs`, re-exports: `pub use error::{Error, Result}` gives `Error → error`.
 pub fn exported(door: &str) -> BTreeMap<String, String> {
     let tokens = trees(door.parse().expect("src/lib.rs does not parse"));
     let mut exported = BTreeMap::new();
@@ -129,8 +129,8 @@ pub fn exported(door: &str) -> BTreeMap<String, String> {
         };
         let rooted = matches!(ident(item, start + 1).as_deref(), Some("crate" | "self"));
         let path = &item[start + if rooted { 4 } else { 1 }..];
-        if let Some(room) = ident(path, 0) {
-            exported.extend(leaves(path).into_iter().map(|name| (name, room.clone())));
+        if let Some(module) = ident(path, 0) {
+            exported.extend(leaves(path).into_iter().map(|name| (name, module.clone())));
         }
     }
     exported
