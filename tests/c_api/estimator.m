@@ -2,8 +2,9 @@
 %
 %   octave-cli estimator.m SCENE.toml DUMP BINDINGS LIBRARY_DIRECTORY SCRATCH
 %
-% The scene has a loop, and is given estimate.method = "full-phase": a MAP estimate. DUMP receives, as doubles in C order, as
-% in the C test: frames, slopes, coefficients and their standard deviations, covariance, maps, error budget, corrections.
+% The scene has a loop, and is given estimate.method = "full-phase": a MAP estimate. DUMP receives, as doubles in C
+% order, as in the C test: frames, slopes, coefficients and their standard deviations, covariance, maps, error budget,
+% corrections.
 
 1; % a script, not a function of this file's name
 
@@ -65,6 +66,7 @@ unknown(repmat(mask, [1 1 count])) = NaN;
 masked = f.estimate(unknown);
 assert(f.estimate(frames, 'mask', mask).coefficients_nm, masked.coefficients_nm);
 assert(f.estimate(frames, 'mask', repmat(mask, [1 1 count])).coefficients_nm, masked.coefficients_nm);
+assert(~any(isnan(frames(:)))); % they are not changed
 assert(any(~cellfun(@isempty, strfind(masked.warnings, 'not finite'))));
 assert(numel(masked.warnings), masked.info.warnings);
 

@@ -2,8 +2,9 @@
 
     python3 estimator.py SCENE.toml DUMP
 
-The scene has a loop, and is given estimate.method = "full-phase": a MAP estimate. DUMP receives, as doubles in C order, as
-in the C test: frames, slopes, coefficients and their standard deviations, covariance, maps, error budget, corrections.
+The scene has a loop, and is given estimate.method = "full-phase": a MAP estimate. DUMP receives, as doubles in C order,
+as in the C test: frames, slopes, coefficients and their standard deviations, covariance, maps, error budget,
+corrections.
 """
 
 import os
@@ -120,8 +121,7 @@ def results(found, truth):
     info = found.info
     assert all(name in cophase.Estimate.__doc__ for name in vars(info))
     assert all(name in cophase.Estimate.__doc__ for name in found.images.dtype.names)
-    assert (found.method, found.policy, info.knows, info.precision) == ("map", "full", "telemetry", "f32"), (
-        info, found.device, found.warnings)
+    assert (found.method, found.policy, info.knows, info.precision) == ("map", "full", "telemetry", "f32"), info
     assert info.has_settled is True and info.images == COUNT and info.used == found.images.is_used.sum()
     assert list(found.images.status) == COUNT * ["OK"] and "reduced" in found.images[0].message
     assert info.modes == len(found.mode_names) == found.coefficients_nm.size and info.segment_modes == 7

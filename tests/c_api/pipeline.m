@@ -1,9 +1,9 @@
-% The whole pipeline through the MATLAB package, under Octave, on a file of raw doubles, printed as by pipeline.c, see there:
+% The whole pipeline through the MATLAB package, under Octave, on a file of raw doubles, printed as by pipeline.c:
 %
 %   octave-cli pipeline.m SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
 %
-% The library is that of the directory COPHASE_LIBRARIES, or else of target/release; the gateway is built in the directory
-% COPHASE_SCRATCH, or else in a new one.
+% The library is that of the directory COPHASE_LIBRARIES, or else of target/release; the gateway is built in the
+% directory COPHASE_SCRATCH, or else in a new one.
 
 1; % a script, not a function of this file's name
 

@@ -1,6 +1,6 @@
 """The whole pipeline through the Python package on a file of raw doubles, printed as by pipeline.c, see there:
 
-    python3 pipeline.py SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
+python3 pipeline.py SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
 """
 
 import struct

@@ -26,10 +26,10 @@ must_fail('BAD_VALUE', 'frames is', @() s.step(1.5));
 must_fail('BAD_VALUE', 'frames is', @() s.step(NaN));
 s.step();
 s.step(frames - 1);
-assert(s.frames, frames);
-assert(s.frame_s, 1 / 1054);
-assert(isnan(s.divergence_s));
-assert(s.residual_rms_nm > 0);
+assert(s.info.frames, frames);
+assert(s.info.frame_s, 1 / 1054);
+assert(isnan(s.info.divergence_s));
+assert(s.info.residual_rms_nm > 0);
 assert(class(s.image_e), 'double');
 assert(size(s.image_e), [s.info.rows, s.info.cols]);
 
@@ -43,8 +43,8 @@ fclose(out);
 % Two at once, and each goes when it is deleted; a number that is stale finds nothing.
 t = cophase.Simulator(fileread(scene));
 delete(s);
-must_fail('BAD_ARGUMENT', 'deleted', @() s.frames);
-assert(t.frames, 0);
+must_fail('BAD_ARGUMENT', 'deleted', @() s.info);
+assert(t.info.frames, 0);
 delete(t);
 delete(t);
 assert(~mislocked('cophase_mex'));

@@ -39,11 +39,11 @@ def main(scene, frames, dump):
     early = failure(lambda: simulator.image_e)
     assert early.status == "BAD_VALUE" and "step first" in str(early), early
     simulator.step(int(frames))
-    assert simulator.frames == int(frames) and simulator.frame_s == 1 / 1054
-    assert simulator.divergence_s is None
+    assert simulator.info.frames == int(frames) and simulator.info.frame_s == 1 / 1054
+    assert np.isnan(simulator.info.divergence_s)
     # The weights differ only at the pupil's edge, on a few percent of the samples.
     residual = simulator.residual_nm
-    assert abs(np.nanstd(residual) / simulator.residual_rms_nm - 1) < 0.1
+    assert abs(np.nanstd(residual) / simulator.info.residual_rms_nm - 1) < 0.1
     image = simulator.image_e
     assert image.shape == (simulator.info.rows, simulator.info.cols)
     truth = [simulator.phasing_nm, simulator.ncpa_nm]

@@ -3,18 +3,19 @@ classdef Estimate < cophase.Handle
     %   cophase.Estimator.estimate makes it. Maps are (y, x), double, nm, NaN outside the pupil.
     %
     %   Fields of the struct info:
-    %      images, used, clipped             images; those that were combined; those left out as outliers
-    %      modes, segment_modes, samples     sizes; modes that move segments come first
-    %      error_terms, warnings             their numbers
-    %      method, policy, status            'modal' or 'map'; 'full' or 'realtime'; worst status of an image that counts
-    %      is_sequence                       whether error bars are from the scatter between images
-    %      iterations, has_settled, knows    of a MAP estimate; knows is the knowledge of the adaptive optics, 'nothing',
-    %                                        'spectrum', 'loop' or 'telemetry'
-    %      precision, evaluations            'f64' or 'f32'; evaluations of objective and gradient
+    %      images, used, clipped          images; those that were combined; those left out as outliers
+    %      modes, segment_modes, samples  sizes; modes that move segments come first
+    %      error_terms, warnings          their numbers
+    %      method, policy                 'modal' or 'map'; 'full' or 'realtime'
+    %      status                         the worst of an image that counts for the whole
+    %      is_sequence                    whether error bars are from the scatter between images
+    %      iterations, has_settled        of a MAP estimate
+    %      knows                          of the adaptive optics: 'nothing', 'spectrum', 'loop', 'telemetry'
+    %      precision, evaluations         'f64' or 'f32'; evaluations of objective and gradient
     %      phasing_rms_nm, ncpa_rms_nm, wavefront_rms_nm        RMS over the pupil, piston, tip and tilt removed
     %      phasing_sigma_nm, ncpa_sigma_nm, wavefront_sigma_nm  their expected errors
-    %      reduced_chi2                      median of the images used
-    %      images_to_halve                   further images that halve both error bars; NaN if unknown
+    %      reduced_chi2                   median of the images used
+    %      images_to_halve                further images that halve both error bars; NaN if unknown
     %      map_width_m, seconds, model_seconds
     %
     %   Methods:
@@ -112,8 +113,8 @@ classdef Estimate < cophase.Handle
             %      pistons_nm       what to add to the piston of each segment, nm of wavefront
             %      actuators_nm     what to add to the command of each actuator, nm of wavefront; empty without a loop
             %      actuators_m      2 x actuators: position of each, x and y, m
-            %      slopes_mas       what to add to the sensor's reference slopes, along x for every subaperture, then along
-            %                       y
+            %      slopes_mas       what to add to the sensor's reference slopes, along x for every subaperture, then
+            %                       along y
             %      corrected_modes  NCPA modes that are corrected
             %      limited          commands that were cut at the limit
             %   A positive command raises the wavefront. A mode whose estimate is smaller than its error bar is not

@@ -1,9 +1,9 @@
 classdef Estimator < cophase.Handle
     %ESTIMATOR  The full pipeline for images of one scene, as the program does it.
     %   estimator = cophase.Estimator(scene_text) makes an estimator of a scene (TOML). The scene's estimate.method says
-    %   whether the estimate is modal or maximum a posteriori (MAP, 'full-phase': the wavefront behind each exposure, static
-    %   errors separated from the turbulence). With estimate.budget_nm the model is planned here, which takes some
-    %   seconds. The results are those of `cophase estimate`, to the bit.
+    %   whether the estimate is modal or maximum a posteriori (MAP, 'full-phase': the wavefront behind each exposure,
+    %   static errors separated from the turbulence). With estimate.budget_nm the model is planned here, which takes
+    %   some seconds. The results are those of `cophase estimate`, to the bit.
     %
     %   estimator = cophase.Estimator(scene_text, Name, Value, ...) chooses:
     %      'policy'     'full': model selection, outlier rejection, restarts, optics fitted if the scene asks for it;
@@ -32,15 +32,16 @@ classdef Estimator < cophase.Handle
 
         function result = estimate(self, frames, varargin)
             %ESTIMATE  Estimates the static wavefront behind images.
-            %   e = estimator.estimate(frames) returns a cophase.Estimate. frames holds images of the same static errors,
-            %   rows x columns x images, of class single, double, uint16, int32 or uint8, two or more for a MAP estimate.
-            %   Values that are not finite are bad pixels. The optical axis is on row rows/2 + 1 and column columns/2 + 1.
+            %   e = estimator.estimate(frames) returns a cophase.Estimate. frames holds images of the same static
+            %   errors, rows x columns x images, of class single, double, uint16, int32 or uint8, two or more for a MAP
+            %   estimate. Values that are not finite are bad pixels. The optical axis is on row rows/2 + 1 and column
+            %   columns/2 + 1.
             %
             %   e = estimator.estimate(frames, Name, Value, ...) chooses:
-            %      'mask'          rows x columns, or rows x columns x images: bad pixels, which take no part, are not 0;
-            %                      none
-            %      'slopes_mas'    telemetry of a MAP estimate, slopes x images: slopes of the wavefront sensor, mean over
-            %                      each exposure, along x for every subaperture, then along y; none
+            %      'mask'          rows x columns, or rows x columns x images: bad pixels, which take no part, are not
+            %                      0; none
+            %      'slopes_mas'    telemetry of a MAP estimate, slopes x images: slopes of the wavefront sensor, mean
+            %                      over each exposure, along x for every subaperture, then along y; none
             %      'read_noise_e'  read noise of a pixel, electrons RMS; the scene's
             %   and the calibration, electrons = (raw - dark) * gain / flat; without it frames are electrons:
             %      'dark'          rows x columns, raw units; none

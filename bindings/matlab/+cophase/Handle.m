@@ -1,7 +1,7 @@
 classdef Handle < handle
     %HANDLE  Base of the classes of this package: an object of the library.
-    %   It is freed with the last variable that holds it, or by delete. Objects do not depend on the lifetime of those that
-    %   they were made from.
+    %   It is freed with the last variable that holds it, or by delete. Objects do not depend on the lifetime of those
+    %   that they were made from.
     %
     %   See also cophase.Estimator, cophase.Estimate, cophase.Model, cophase.Session, cophase.Sequence,
     %   cophase.Simulator.

@@ -3,21 +3,21 @@ classdef Model < cophase.Handle
     %   m = cophase.Model(scene_text) builds the model of a scene (TOML). This takes about half a second at the size of
     %   Keck. Any number of sessions can use it.
     %
-    %   m = cophase.Model(scene_text, directory) has the directory of the files that the scene names; the working directory
-    %   by default.
+    %   m = cophase.Model(scene_text, directory) has the directory of the files that the scene names; the working
+    %   directory by default.
     %
     %   m = cophase.Model(scene_text, directory, Name, Value, ...) takes arrays instead of the scene's telescope:
     %      'pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. Required with the others.
     %      'segments'      n x n indices 0, 1, ... of each sample's segment; negative outside all segments
-    %      'modes'         n x n x K wavefronts, nm per nm of their coefficient: with unit RMS over the pupil, coefficients
-    %                      are nm RMS
+    %      'modes'         n x n x K wavefronts, nm per nm of their coefficient: with unit RMS over the pupil,
+    %                      coefficients are nm RMS
     %      'diversity_nm'  n x n wavefront, nm
     %
     %   m = cophase.Model.from_arrays(pupil, modes, Name, Value, ...) needs no scene.
     %
     %   Maps are (y, x): rows are y, columns are x. Coefficients and wavefronts are nm of optical path difference. The
-    %   beginning of an option's name is enough, whatever its case: 'diversity'. Failures raise cophase:<STATUS>, such as
-    %   cophase:BAD_SCENE, with one sentence.
+    %   beginning of an option's name is enough, whatever its case: 'diversity'. Failures raise cophase:<STATUS>, such
+    %   as cophase:BAD_SCENE, with one sentence.
     %
     %   Example:
     %       m = cophase.Model(cophase.preset('keck-artificial'));
@@ -58,7 +58,7 @@ classdef Model < cophase.Handle
         function [phasing_nm, ncpa_nm] = wavefront_nm(self, coefficients_nm)
             %WAVEFRONT_NM  Wavefront of some coefficients.
             %   [phasing_nm, ncpa_nm] = m.wavefront_nm(c) returns two maps (y, x) of m.samples rows and columns, nm: the
-            %   segments, and the non-common path aberrations. They are NaN outside the pupil. c has m.modes elements, nm.
+            %   segments, and the non-common path aberrations; NaN outside the pupil. c has m.modes elements, nm.
             %
             %   Example:
             %       [phasing_nm, ncpa_nm] = m.wavefront_nm(c);
@@ -89,8 +89,8 @@ classdef Model < cophase.Handle
             %FROM_ARRAYS  A model from a pupil and a matrix of modes, as OOMAO keeps them.
             %   m = cophase.Model.from_arrays(pupil, modes, Name, Value, ...) builds a model without a scene.
             %
-            %   pupil is n x n, amplitude 0 to 1 or logical, n even. modes holds wavefronts: n x n x K, or a matrix with a
-            %   column for each mode, and a row for each sample of the grid, in the order of pupil(:), or for each
+            %   pupil is n x n, amplitude 0 to 1 or logical, n even. modes holds wavefronts: n x n x K, or a matrix with
+            %   a column for each mode, and a row for each sample of the grid, in the order of pupil(:), or for each
             %   illuminated sample, in the order of find(pupil). So it takes the modes of an OOMAO zernike or deformable
             %   mirror, also sparse ones; [] is none. A coefficient is nm of such a mode: nm RMS if that has unit RMS.
             %

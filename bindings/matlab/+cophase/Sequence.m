@@ -48,12 +48,12 @@ classdef Sequence < cophase.Handle
             %      coefficients_nm  a column, nm, for cophase.Model.wavefront_nm
             %      sigma_nm         standard deviation of each coefficient, a column, nm
             %      covariance_nm2   covariance of the coefficients, nm^2
-            %      info             a struct: images, used, clipped (left out as outliers); phasing_rms_nm and its error bar
-            %                       phasing_sigma_nm, ncpa_rms_nm and its ncpa_sigma_nm (RMS over the pupil);
+            %      info             a struct: images, used, clipped (left out as outliers); phasing_rms_nm and its error
+            %                       bar phasing_sigma_nm, ncpa_rms_nm and its ncpa_sigma_nm (RMS over the pupil);
             %                       reduced_chi2, the median of the images used
             %
-            %   From eight images on, outliers are found by comparing images, and error bars are from the scatter between
-            %   them.
+            %   From eight images on, outliers are found by comparing images, and error bars are from the scatter
+            %   between them.
             %
             %   Example:
             %       e = q.estimate();
@@ -65,8 +65,8 @@ classdef Sequence < cophase.Handle
 
         function images = images_needed(self, phasing_nm, ncpa_nm)
             %IMAGES_NEEDED  Number of further images for an accuracy.
-            %   n = q.images_needed(phasing_nm, ncpa_nm) returns the number of further images like those so far that bring
-            %   both error bars, nm RMS over the pupil, down to these; 0 if they are. Inf asks nothing of an error bar.
+            %   n = q.images_needed(phasing_nm, ncpa_nm) returns the number of further images like those so far that
+            %   bring both error bars, nm RMS over the pupil, down to these; 0 if they are. Inf asks nothing.
             %
             %   Example:
             %       n = q.images_needed(10, Inf);

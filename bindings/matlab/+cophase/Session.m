@@ -9,8 +9,8 @@ classdef Session < cophase.Handle
     %      'device'             'cpu', 'auto', 'opencl' or a name of cophase.devices; the scene's
     %      'threads'            threads of the CPU: 1 for the caller's own, -1 for one per processor; 1
     %      'max_evaluations'    largest number of evaluations for one image; the scene's
-    %      'step_tolerance_nm'  a fit stops where neither a coefficient nor the RMS of the wavefront would change by more
-    %                           than this; the scene's
+    %      'step_tolerance_nm'  a fit stops where neither a coefficient nor the RMS of the wavefront would change by
+    %                           more than this; the scene's
     %   The beginning of a name is enough, whatever its case.
     %
     %   Methods:
@@ -50,14 +50,14 @@ classdef Session < cophase.Handle
 
         function [coefficients_nm, report] = fit(self, frames, varargin)
             %FIT  Fits the model to images.
-            %   c = s.fit(frames) returns the coefficients, nm, of each image in a column: m.modes x count, double. frames
-            %   is rows x columns x count, m.frame_shape each, of class single, double, uint16, int32 or uint8, and is not
-            %   copied. Values are electrons without a calibration. Values that are not finite are bad pixels. The optical
-            %   axis is on row rows/2 + 1 and column columns/2 + 1.
+            %   c = s.fit(frames) returns the coefficients, nm, of each image in a column: m.modes x count, double.
+            %   frames is rows x columns x count, m.frame_shape each, of class single, double, uint16, int32 or uint8,
+            %   and is not copied. Values are electrons without a calibration. Values that are not finite are bad
+            %   pixels. The optical axis is on row rows/2 + 1 and column columns/2 + 1.
             %
             %   [c, report] = s.fit(frames) also returns a struct for each image, with the fields
             %      status         'OK'; 'MISFIT' if the residual is larger than the noise; 'WRONG_MINIMUM';
-            %                     'NOT_CONVERGED'; 'UNUSABLE', with coefficients of NaN; 'DEADLINE', with the best so far
+            %                     'NOT_CONVERGED'; 'UNUSABLE', with coefficients of NaN; 'DEADLINE', the best so far
             %      bad_pixels     pixels that took no part
             %      evaluations    of objective and gradient
             %      reduced_chi2   1 where the model is right
@@ -109,8 +109,8 @@ classdef Session < cophase.Handle
 
         function sentences = warnings(self)
             %WARNINGS  What to know before using the numbers, a cell of sentences.
-            %   sentences = s.warnings() has, for instance, the loss of the device that 'auto' chose, after which the CPU
-            %   does the work. A device that was named fails with cophase:DEVICE instead.
+            %   sentences = s.warnings() has, for instance, the loss of the device that 'auto' chose, after which the
+            %   CPU does the work. A device that was named fails with cophase:DEVICE instead.
             %
             %   See also cophase.Session.fit, cophase.devices.
             sentences = cophase.Handle.lines(self.text('WARNINGS', 1));
@@ -118,8 +118,8 @@ classdef Session < cophase.Handle
 
         function covariance_nm2 = covariance_nm2(self, image)
             %COVARIANCE_NM2  Covariance of the coefficients of an image.
-            %   C = s.covariance_nm2(k) returns the covariance, m.modes x m.modes, nm^2, of image k of the last fit; of the
-            %   first by default.
+            %   C = s.covariance_nm2(k) returns the covariance, m.modes x m.modes, nm^2, of image k of the last fit; of
+            %   the first by default.
             %
             %   Example:
             %       c = s.fit(frame);
@@ -167,7 +167,8 @@ classdef Session < cophase.Handle
                 frames = [];
             end
             if nargout > 1
-                [objectives, gradients] = cophase_mex('session.evaluate', self.id, coefficients_nm, frames, varargin{:});
+                [objectives, gradients] = ...
+                    cophase_mex('session.evaluate', self.id, coefficients_nm, frames, varargin{:});
             else
                 objectives = cophase_mex('session.evaluate', self.id, coefficients_nm, frames, varargin{:});
             end

@@ -5,8 +5,8 @@ classdef Simulator < cophase.Handle
     %   s = cophase.Simulator(scene_text, directory) has the directory of the files that the scene names; the working
     %   directory by default.
     %
-    %   s.step(n) advances the loop by n frames; the properties are those of the last frame. Maps are (y, x), double. The
-    %   same scene gives the same bits in every language.
+    %   s.step(n) advances the loop by n frames; the properties are those of the last frame. Maps are (y, x), double.
+    %   The same scene gives the same bits in every language.
     %
     %   Failures raise cophase:<STATUS>, such as cophase:BAD_SCENE, with one sentence.
     %
@@ -18,15 +18,12 @@ classdef Simulator < cophase.Handle
     %   See also cophase.preset, cophase.Estimator.
 
     properties (Dependent, SetAccess = private)
-        info            % sizes and state: slopes, actuators, residual_samples, truth_samples, rows, cols, frames, frame_s,
-                        % divergence_s, residual_rms_nm
-        frames          % frames since the loop was closed
-        frame_s         % duration of a frame, s
-        divergence_s    % time at which the loop diverged, s; NaN while it has not
+        info            % slopes, actuators, residual_samples, truth_samples, rows, cols: sizes; frames since the loop
+                        % was closed; frame_s of each; divergence_s, time at which the loop diverged, NaN while it has
+                        % not; residual_rms_nm over the pupil, piston removed
         slopes_mas      % measured slopes, along x for every subaperture, then along y, mas
         commands_nm     % commands on the mirror, nm of wavefront
         residual_nm     % residual wavefront (y, x), nm; NaN where the pupil has no light
-        residual_rms_nm % RMS of the residual wavefront over the pupil, piston removed, nm
         image_e         % defocused image (y, x) with the scene's noise, electrons
         phasing_nm      % true phasing errors of the segments (y, x), nm; NaN outside the pupil
         ncpa_nm         % true non-common path aberrations (y, x), nm; NaN outside the pupil
@@ -46,7 +43,7 @@ classdef Simulator < cophase.Handle
         function step(self, frames)
             %STEP  Advances the loop.
             %   s.step(n) advances it by n frames; by one, if n is left out. A loop that diverges goes on: see
-            %   divergence_s. Ctrl-C stops between frames; those made until then remain.
+            %   info.divergence_s. Ctrl-C stops between frames; those made until then remain.
             %
             %   See also cophase.Simulator.
             if nargin < 2
@@ -64,18 +61,6 @@ classdef Simulator < cophase.Handle
             value = cophase_mex('simulator.info', self.id);
         end
 
-        function value = get.frames(self)
-            value = self.info.frames;
-        end
-
-        function value = get.frame_s(self)
-            value = self.info.frame_s;
-        end
-
-        function value = get.divergence_s(self)
-            value = self.info.divergence_s;
-        end
-
         function value = get.slopes_mas(self)
             value = cophase_mex('simulator.array', self.id, 'SLOPES_MAS', self.info.slopes);
         end
@@ -87,10 +72,6 @@ classdef Simulator < cophase.Handle
         function value = get.residual_nm(self)
             samples = self.info.residual_samples;
             value = self.maps_of('RESIDUAL_NM', samples, samples, 1);
-        end
-
-        function value = get.residual_rms_nm(self)
-            value = self.info.residual_rms_nm;
         end
 
         function value = get.image_e(self)

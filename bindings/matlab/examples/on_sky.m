@@ -1,8 +1,8 @@
 function residual_nm = on_sky(images, directory)
     %ON_SKY  Segments and NCPA from exposures behind adaptive optics.
-    %   on_sky() takes short exposures of a small telescope of Keck's segments behind a simulated loop, estimates pistons and
-    %   NCPA from them and from the slopes of the wavefront sensor, and writes on_sky.png to the working directory: truth,
-    %   estimate, residual and error bar of both.
+    %   on_sky() takes short exposures of a small telescope of Keck's segments behind a simulated loop, estimates
+    %   pistons and NCPA from them and from the slopes of the wavefront sensor, and writes on_sky.png to the working
+    %   directory: truth, estimate, residual and error bar of both.
     %
     %   residual_nm = on_sky(images, directory) takes that many exposures (10), writes to another directory, and returns
     %   the residuals of phasing and NCPA, nm RMS over the pupil.
@@ -40,15 +40,15 @@ function residual_nm = on_sky(images, directory)
     for k = 1:2
         residual{k} = flat(found{k} - truth{k});
         residual_nm(k) = rms_nm(residual{k});
-        fprintf('%-8s %5.1f nm RMS, residual %.1f, one sigma %.1f\n', names{k}, rms_nm(flat(truth{k})), residual_nm(k), ...
-            sigma_nm(k));
+        fprintf('%-8s %5.1f nm RMS, residual %.1f, one sigma %.1f\n', names{k}, rms_nm(flat(truth{k})), ...
+            residual_nm(k), sigma_nm(k));
     end
     show(names, {truth, found, residual, bars}, fullfile(directory, 'on_sky.png'));
 end
 
 function scene = small_scene(scene)
-    % Seven segments need less time, with less defocus for a smaller detector; turbulence is frozen during each exposure.
-    % Method: the wavefront behind each exposure, static errors separated from the turbulence (MAP).
+    % Seven segments need less time, with less defocus for a smaller detector; turbulence is frozen during each
+    % exposure. Method: the wavefront behind each exposure, static errors separated from the turbulence (MAP).
     changes = {'aperture  = "keck"', 'aperture = "hexagonal"'; 'rings     = 3', 'rings = 1'; ...
         'grid_m    = 11.25', 'grid_m = 5.625'; 'samples   = 120', 'samples = 64'; 'pixels    = 240', 'pixels = 128'; ...
         'exposure_s = 0.010', 'exposure_s = 0.0'; 'diversity_focus_waves_rms = 1.5', 'diversity_focus_waves_rms = 1.0'; ...

@@ -220,30 +220,21 @@ mxArray *long_text(text_call *call, const void *object, int32_t what, size_t ind
     return mxCreateString(memory);
 }
 
-int32_t constant(const mxArray *value, const constant_name *constants)
-{
-    const char *name = text(value, "the constant");
-
-    for (; constants->name != NULL; constants++)
-        if (name != NULL && strcmp(name, constants->name) == 0)
-            return constants->number;
-    fail(COPHASE_BAD_ARGUMENT, "cophase_mex has no constant '%s'", name == NULL ? "" : name);
-    return 0;
-}
-
 const constant_name POLICIES[] = {{"full", COPHASE_POLICY_FULL}, {"realtime", COPHASE_POLICY_REALTIME}, {NULL, 0}};
 const constant_name PRECISIONS[] = {{"f32", COPHASE_F32}, {"f64", COPHASE_F64}, {NULL, 0}};
 
 int32_t choice(const mxArray *value, const constant_name *choices, const char *name)
 {
     const char *given = text(value, name);
-    const constant_name *row;
+    char accepted[512] = "";
 
-    for (row = choices; row->name != NULL; row++)
-        if (given != NULL && strcmp(given, row->name) == 0)
-            return row->number;
-    fail(COPHASE_BAD_VALUE, "%s is '%s': '%s' or '%s' is accepted", name, given == NULL ? "" : given, choices[0].name,
-         choices[1].name);
+    for (; choices->name != NULL; choices++) {
+        if (given != NULL && strcmp(given, choices->name) == 0)
+            return choices->number;
+        snprintf(accepted + strlen(accepted), sizeof accepted - strlen(accepted), "%s'%s'",
+                 *accepted == '\0' ? "" : " or ", choices->name);
+    }
+    fail(COPHASE_BAD_VALUE, "%s is '%s': %s is accepted", name, given == NULL ? "" : given, accepted);
     return 0;
 }
 

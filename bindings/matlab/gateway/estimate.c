@@ -59,13 +59,14 @@ static cophase_input slopes_of(const mxArray *value)
 /* Frames with NaN where a mask of the same size is not 0. */
 static const mxArray *masked(const mxArray *frames, const mxArray *mask)
 {
-    mxArray *result, *bad;
+    mxArray *converted, *result, *bad;
     size_t i;
 
     if (mxGetNumberOfElements(mask) != mxGetNumberOfElements(frames))
         fail(COPHASE_BAD_SHAPE, "mask has %lu elements: %lu, those of frames, or one map for all images is accepted",
              (unsigned long)mxGetNumberOfElements(mask), (unsigned long)mxGetNumberOfElements(frames));
-    mexCallMATLAB(1, &result, 1, (mxArray **)&frames, "double");
+    mexCallMATLAB(1, &converted, 1, (mxArray **)&frames, "double");
+    result = mxDuplicateArray(converted); /* which may share its memory with the frames */
     mexCallMATLAB(1, &bad, 1, (mxArray **)&mask, "double");
     for (i = 0; i < mxGetNumberOfElements(frames); i++)
         if (mxGetPr(bad)[i] != 0.0)
@@ -112,37 +113,19 @@ static const constant_name LEVELS[] = {
     {"nothing", COPHASE_KNOWS_NOTHING},     {"spectrum", COPHASE_KNOWS_SPECTRUM}, {"loop", COPHASE_KNOWS_LOOP},
     {"telemetry", COPHASE_KNOWS_TELEMETRY}, {NULL, 0},
 };
+#define T cophase_estimate_info
 static const field INFO[] = {
-    FIELD(cophase_estimate_info, images, IS_SIZE),
-    FIELD(cophase_estimate_info, used, IS_SIZE),
-    FIELD(cophase_estimate_info, clipped, IS_SIZE),
-    FIELD(cophase_estimate_info, modes, IS_SIZE),
-    FIELD(cophase_estimate_info, segment_modes, IS_SIZE),
-    FIELD(cophase_estimate_info, samples, IS_SIZE),
-    FIELD(cophase_estimate_info, error_terms, IS_SIZE),
-    FIELD(cophase_estimate_info, warnings, IS_SIZE),
-    NAMED_FIELD(cophase_estimate_info, method, METHODS),
-    NAMED_FIELD(cophase_estimate_info, policy, POLICIES),
-    FIELD(cophase_estimate_info, status, IS_STATUS),
-    FIELD(cophase_estimate_info, is_sequence, IS_LOGICAL),
-    FIELD(cophase_estimate_info, iterations, IS_INT),
-    FIELD(cophase_estimate_info, has_settled, IS_LOGICAL),
-    NAMED_FIELD(cophase_estimate_info, knows, LEVELS),
-    NAMED_FIELD(cophase_estimate_info, precision, PRECISIONS),
-    FIELD(cophase_estimate_info, evaluations, IS_COUNT),
-    FIELD(cophase_estimate_info, phasing_rms_nm, IS_DOUBLE),
-    FIELD(cophase_estimate_info, phasing_sigma_nm, IS_DOUBLE),
-    FIELD(cophase_estimate_info, ncpa_rms_nm, IS_DOUBLE),
-    FIELD(cophase_estimate_info, ncpa_sigma_nm, IS_DOUBLE),
-    FIELD(cophase_estimate_info, wavefront_rms_nm, IS_DOUBLE),
-    FIELD(cophase_estimate_info, wavefront_sigma_nm, IS_DOUBLE),
-    FIELD(cophase_estimate_info, reduced_chi2, IS_DOUBLE),
-    FIELD(cophase_estimate_info, images_to_halve, IS_DOUBLE),
-    FIELD(cophase_estimate_info, map_width_m, IS_DOUBLE),
-    FIELD(cophase_estimate_info, seconds, IS_DOUBLE),
-    FIELD(cophase_estimate_info, model_seconds, IS_DOUBLE),
-    END_OF_FIELDS,
+    FIELD(T, images, IS_SIZE), FIELD(T, used, IS_SIZE), FIELD(T, clipped, IS_SIZE), FIELD(T, modes, IS_SIZE),
+    FIELD(T, segment_modes, IS_SIZE), FIELD(T, samples, IS_SIZE), FIELD(T, error_terms, IS_SIZE),
+    FIELD(T, warnings, IS_SIZE), NAMED_FIELD(T, method, METHODS), NAMED_FIELD(T, policy, POLICIES),
+    FIELD(T, status, IS_STATUS), FIELD(T, is_sequence, IS_LOGICAL), FIELD(T, iterations, IS_INT),
+    FIELD(T, has_settled, IS_LOGICAL), NAMED_FIELD(T, knows, LEVELS), NAMED_FIELD(T, precision, PRECISIONS),
+    FIELD(T, evaluations, IS_COUNT), FIELD(T, phasing_rms_nm, IS_DOUBLE), FIELD(T, phasing_sigma_nm, IS_DOUBLE),
+    FIELD(T, ncpa_rms_nm, IS_DOUBLE), FIELD(T, ncpa_sigma_nm, IS_DOUBLE), FIELD(T, wavefront_rms_nm, IS_DOUBLE),
+    FIELD(T, wavefront_sigma_nm, IS_DOUBLE), FIELD(T, reduced_chi2, IS_DOUBLE), FIELD(T, images_to_halve, IS_DOUBLE),
+    FIELD(T, map_width_m, IS_DOUBLE), FIELD(T, seconds, IS_DOUBLE), FIELD(T, model_seconds, IS_DOUBLE), END_OF_FIELDS,
 };
+#undef T
 
 /* (estimate): a struct. */
 static void do_info(int outputs, mxArray **out, int inputs, const mxArray **in)
@@ -165,17 +148,9 @@ static void do_images(int outputs, mxArray **out, int inputs, const mxArray **in
 
 #define ARRAY(name) {#name, COPHASE_ARRAY_##name}
 static const constant_name ARRAYS[] = {
-    ARRAY(COEFFICIENTS_NM),
-    ARRAY(SIGMA_NM),
-    ARRAY(COVARIANCE_NM2),
-    ARRAY(IMAGE_COEFFICIENTS_NM),
-    ARRAY(MAPS_NM),
-    ARRAY(ERROR_BUDGET_NM),
-    ARRAY(CORRECTION_PISTONS_NM),
-    ARRAY(CORRECTION_ACTUATORS_NM),
-    ARRAY(CORRECTION_ACTUATORS_M),
-    ARRAY(CORRECTION_SLOPES_MAS),
-    {NULL, 0},
+    ARRAY(COEFFICIENTS_NM), ARRAY(SIGMA_NM), ARRAY(COVARIANCE_NM2), ARRAY(IMAGE_COEFFICIENTS_NM), ARRAY(MAPS_NM),
+    ARRAY(ERROR_BUDGET_NM), ARRAY(CORRECTION_PISTONS_NM), ARRAY(CORRECTION_ACTUATORS_NM), ARRAY(CORRECTION_ACTUATORS_M),
+    ARRAY(CORRECTION_SLOPES_MAS), {NULL, 0},
 };
 
 /* (estimate, 'MAPS_NM', count): a column. */
@@ -185,7 +160,8 @@ static void do_array(int outputs, mxArray **out, int inputs, const mxArray **in)
     double empty = 0.0;
 
     out[0] = column(count);
-    check(cophase_estimate_array(estimate_of(in[0]), constant(in[1], ARRAYS), count == 0 ? &empty : mxGetPr(out[0]), count));
+    check(cophase_estimate_array(estimate_of(in[0]), choice(in[1], ARRAYS, "the name"),
+                                 count == 0 ? &empty : mxGetPr(out[0]), count));
 }
 
 static cophase_status estimate_text(const void *object, int32_t what, size_t index, char *text, size_t capacity,
@@ -196,14 +172,16 @@ static cophase_status estimate_text(const void *object, int32_t what, size_t ind
 
 #define TEXT(name) {#name, COPHASE_TEXT_##name}
 static const constant_name TEXTS[] = {
-    TEXT(REPORT), TEXT(WARNINGS), TEXT(REMARKS),       TEXT(DEVICE),    TEXT(POLICY),          TEXT(MODEL),
-    TEXT(SCENE),  TEXT(IMAGE_MESSAGE), TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), {NULL, 0},
+    TEXT(REPORT), TEXT(WARNINGS), TEXT(REMARKS), TEXT(DEVICE), TEXT(POLICY), TEXT(MODEL), TEXT(SCENE), TEXT(IMAGE_MESSAGE),
+    TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), {NULL, 0},
 };
 
 /* (estimate, 'MODE_NAME', index): a text; index from 1. */
 static void do_text(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    out[0] = long_text(estimate_text, estimate_of(in[0]), constant(in[1], TEXTS), whole(in[2], 1, "the index") - 1);
+    const size_t index = whole(in[2], 1, "the index");
+
+    out[0] = long_text(estimate_text, estimate_of(in[0]), choice(in[1], TEXTS, "the name"), index - 1);
 }
 
 /* (estimate, path) */
@@ -214,14 +192,12 @@ static void do_write(int outputs, mxArray **out, int inputs, const mxArray **in)
     check(cophase_estimate_write(estimate_of(in[0]), path == NULL ? "" : path));
 }
 
+#define T cophase_correction_report
 static const field CORRECTION[] = {
-    FIELD(cophase_correction_report, segments, IS_SIZE),
-    FIELD(cophase_correction_report, actuators, IS_SIZE),
-    FIELD(cophase_correction_report, slopes, IS_SIZE),
-    FIELD(cophase_correction_report, corrected_modes, IS_SIZE),
-    FIELD(cophase_correction_report, limited, IS_SIZE),
-    END_OF_FIELDS,
+    FIELD(T, segments, IS_SIZE), FIELD(T, actuators, IS_SIZE), FIELD(T, slopes, IS_SIZE),
+    FIELD(T, corrected_modes, IS_SIZE), FIELD(T, limited, IS_SIZE), END_OF_FIELDS,
 };
+#undef T
 
 /* (estimate, limit_nm, path): a struct with the sizes of the CORRECTION_ arrays. */
 static void do_correct(int outputs, mxArray **out, int inputs, const mxArray **in)

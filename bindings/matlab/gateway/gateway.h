@@ -75,10 +75,7 @@ typedef struct constant_name {
 
 extern const constant_name POLICIES[], PRECISIONS[];
 
-/* The number of the constant that a class of +cophase names. */
-int32_t constant(const mxArray *value, const constant_name *constants);
-
-/* The number of one of two choices of an option. */
+/* The number of the constant that a text names. */
 int32_t choice(const mxArray *value, const constant_name *choices, const char *name);
 
 /* ---- results (arguments.c) */

@@ -36,15 +36,12 @@ static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in
     out[0] = handle_new(MODEL, model, info.modes);
 }
 
+#define T cophase_model_info
 static const field INFO[] = {
-    FIELD(cophase_model_info, modes, IS_SIZE),
-    FIELD(cophase_model_info, segment_modes, IS_SIZE),
-    FIELD(cophase_model_info, rows, IS_SIZE),
-    FIELD(cophase_model_info, cols, IS_SIZE),
-    FIELD(cophase_model_info, samples, IS_SIZE),
-    FIELD(cophase_model_info, pixels, IS_SIZE),
-    END_OF_FIELDS,
+    FIELD(T, modes, IS_SIZE), FIELD(T, segment_modes, IS_SIZE), FIELD(T, rows, IS_SIZE), FIELD(T, cols, IS_SIZE),
+    FIELD(T, samples, IS_SIZE), FIELD(T, pixels, IS_SIZE), END_OF_FIELDS,
 };
+#undef T
 
 static cophase_model_info info_of(const mxArray *model)
 {

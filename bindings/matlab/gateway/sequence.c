@@ -27,17 +27,13 @@ static void do_clear(int outputs, mxArray **out, int inputs, const mxArray **in)
     check(cophase_sequence_push(sequence_of(handle_of(in[0], SEQUENCE)), NULL));
 }
 
+#define T cophase_sequence_report
 static const field REPORT[] = {
-    FIELD(cophase_sequence_report, images, IS_SIZE),
-    FIELD(cophase_sequence_report, used, IS_SIZE),
-    FIELD(cophase_sequence_report, clipped, IS_SIZE),
-    FIELD(cophase_sequence_report, phasing_rms_nm, IS_DOUBLE),
-    FIELD(cophase_sequence_report, phasing_sigma_nm, IS_DOUBLE),
-    FIELD(cophase_sequence_report, ncpa_rms_nm, IS_DOUBLE),
-    FIELD(cophase_sequence_report, ncpa_sigma_nm, IS_DOUBLE),
-    FIELD(cophase_sequence_report, reduced_chi2, IS_DOUBLE),
-    END_OF_FIELDS,
+    FIELD(T, images, IS_SIZE), FIELD(T, used, IS_SIZE), FIELD(T, clipped, IS_SIZE),
+    FIELD(T, phasing_rms_nm, IS_DOUBLE), FIELD(T, phasing_sigma_nm, IS_DOUBLE), FIELD(T, ncpa_rms_nm, IS_DOUBLE),
+    FIELD(T, ncpa_sigma_nm, IS_DOUBLE), FIELD(T, reduced_chi2, IS_DOUBLE), END_OF_FIELDS,
 };
+#undef T
 
 static void set(mxArray *record, const char *name, mxArray *value)
 {

@@ -106,22 +106,15 @@ static cophase_status cancel(const void *session)
     return cophase_session_cancel((const cophase_session *)session);
 }
 
+#define T cophase_image_report
 const field IMAGE_REPORT[] = {
-    FIELD(cophase_image_report, status, IS_STATUS),
-    FIELD(cophase_image_report, is_used, IS_LOGICAL),
-    FIELD(cophase_image_report, is_clipped, IS_LOGICAL),
-    FIELD(cophase_image_report, bad_pixels, IS_INT),
-    FIELD(cophase_image_report, rejected_pixels, IS_INT),
-    NAMED_FIELD(cophase_image_report, policy, POLICIES),
-    FIELD(cophase_image_report, evaluations, IS_COUNT),
-    FIELD(cophase_image_report, reduced_chi2, IS_DOUBLE),
-    FIELD(cophase_image_report, flux_e, IS_DOUBLE),
-    FIELD(cophase_image_report, background_e, IS_DOUBLE),
-    FIELD(cophase_image_report, tip_nm, IS_DOUBLE),
-    FIELD(cophase_image_report, tilt_nm, IS_DOUBLE),
-    FIELD(cophase_image_report, seconds, IS_DOUBLE),
-    END_OF_FIELDS,
+    FIELD(T, status, IS_STATUS), FIELD(T, is_used, IS_LOGICAL), FIELD(T, is_clipped, IS_LOGICAL),
+    FIELD(T, bad_pixels, IS_INT), FIELD(T, rejected_pixels, IS_INT), NAMED_FIELD(T, policy, POLICIES),
+    FIELD(T, evaluations, IS_COUNT), FIELD(T, reduced_chi2, IS_DOUBLE), FIELD(T, flux_e, IS_DOUBLE),
+    FIELD(T, background_e, IS_DOUBLE), FIELD(T, tip_nm, IS_DOUBLE), FIELD(T, tilt_nm, IS_DOUBLE),
+    FIELD(T, seconds, IS_DOUBLE), END_OF_FIELDS,
 };
+#undef T
 
 /* (session, frames, 'deadline_s', ...): coefficients, a column for each frame, and a report on each. */
 static void do_fit(int outputs, mxArray **out, int inputs, const mxArray **in)
@@ -173,7 +166,7 @@ static void do_text(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     const live *session = handle_of(in[0], SESSION);
 
-    out[0] = long_text(session_text, session_of(session), constant(in[1], TEXTS), image_of(session, in[2]));
+    out[0] = long_text(session_text, session_of(session), choice(in[1], TEXTS, "the name"), image_of(session, in[2]));
 }
 
 /* (session, image): modes x modes, nm^2. */

@@ -24,19 +24,14 @@ static void do_step(int outputs, mxArray **out, int inputs, const mxArray **in)
     check(cophase_simulator_step(simulator, (uint64_t)whole(in[1], 0, "frames")));
 }
 
+#define T cophase_simulator_info
 static const field INFO[] = {
-    FIELD(cophase_simulator_info, slopes, IS_SIZE),
-    FIELD(cophase_simulator_info, actuators, IS_SIZE),
-    FIELD(cophase_simulator_info, residual_samples, IS_SIZE),
-    FIELD(cophase_simulator_info, truth_samples, IS_SIZE),
-    FIELD(cophase_simulator_info, rows, IS_SIZE),
-    FIELD(cophase_simulator_info, cols, IS_SIZE),
-    FIELD(cophase_simulator_info, frames, IS_COUNT),
-    FIELD(cophase_simulator_info, frame_s, IS_DOUBLE),
-    FIELD(cophase_simulator_info, divergence_s, IS_DOUBLE),
-    FIELD(cophase_simulator_info, residual_rms_nm, IS_DOUBLE),
+    FIELD(T, slopes, IS_SIZE), FIELD(T, actuators, IS_SIZE), FIELD(T, residual_samples, IS_SIZE),
+    FIELD(T, truth_samples, IS_SIZE), FIELD(T, rows, IS_SIZE), FIELD(T, cols, IS_SIZE), FIELD(T, frames, IS_COUNT),
+    FIELD(T, frame_s, IS_DOUBLE), FIELD(T, divergence_s, IS_DOUBLE), FIELD(T, residual_rms_nm, IS_DOUBLE),
     END_OF_FIELDS,
 };
+#undef T
 
 /* (simulator): a struct. */
 static void do_info(int outputs, mxArray **out, int inputs, const mxArray **in)
@@ -58,7 +53,7 @@ static void do_array(int outputs, mxArray **out, int inputs, const mxArray **in)
     const size_t count = whole(in[2], 1, "count");
 
     out[0] = column(count);
-    check(cophase_simulator_array(simulator_of(in[0]), constant(in[1], ARRAYS), mxGetPr(out[0]), count));
+    check(cophase_simulator_array(simulator_of(in[0]), choice(in[1], ARRAYS, "the name"), mxGetPr(out[0]), count));
 }
 
 const command SIMULATOR_COMMANDS[] = {

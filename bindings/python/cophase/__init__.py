@@ -1,7 +1,7 @@
 """Phasing errors and non-common path aberrations of segmented telescopes, from defocused images of a star.
 
-The library ``libcophase`` in Python. Arrays are ``[row = y, col = x]``. A unit ends each name: wavefronts ``_nm`` of optical
-path difference, angles on the sky ``_mas``, signal ``_e`` (electrons), time ``_s``.
+The library ``libcophase`` in Python. Arrays are ``[row = y, col = x]``. A unit ends each name: wavefronts ``_nm`` of
+optical path difference, angles on the sky ``_mas``, signal ``_e`` (electrons), time ``_s``.
 
 All images of a scene at once, as the program does it:
 
@@ -21,11 +21,10 @@ Simulated exposures behind adaptive optics:
 
 >>> simulator = cophase.Simulator(cophase.preset("keck-onsky"))
 >>> simulator.step(100)
->>> simulator.residual_rms_nm, simulator.image_e.shape
+>>> simulator.info.residual_rms_nm, simulator.image_e.shape
 """
 
-from ._library import version
-from .device import devices
+from ._library import devices, preset, version
 from .errors import (
     BadArgumentError,
     BadFileError,
@@ -43,7 +42,6 @@ from .errors import (
 from .estimate import Correction, Estimate
 from .estimator import Estimator, Progress
 from .model import Model
-from .scene import preset
 from .sequence import Sequence, SequenceEstimate
 from .session import Fit, Session
 from .simulator import Simulator

@@ -42,7 +42,9 @@ def images(name: str, values: ArrayLike) -> NDArray[Any]:
         if np.can_cast(array.dtype, element, "safe"):
             return array.astype(element)
     accepted = ", ".join(map(str, reversed(_ELEMENTS)))
-    raise TypeError(f"{name} has the type {array.dtype}: {accepted}, bool and types that NumPy casts safely are accepted")
+    raise TypeError(
+        f"{name} has the type {array.dtype}: {accepted}, bool and types that NumPy casts safely are accepted"
+    )
 
 
 def input_view(array: NDArray[Any]) -> Any:
@@ -65,7 +67,11 @@ class Inputs:
 
 
 def calibration(
-    dark: ArrayLike | None, flat: ArrayLike | None, bad: ArrayLike | None, gain_e: float | None, saturation: float | None
+    dark: ArrayLike | None,
+    flat: ArrayLike | None,
+    bad: ArrayLike | None,
+    gain_e: float | None,
+    saturation: float | None,
 ) -> Inputs:
     """A ``cophase_calibration``."""
     arrays = {"dark": dark, "flat": flat, "bad": bad}
@@ -76,7 +82,9 @@ def numbers(name: str, values: ArrayLike, *shape: int) -> NDArray[np.float64]:
     """Coefficients of the given shape in C order: the caller's own memory if it is that already, else a copy."""
     array = np.asarray(values)
     if not np.can_cast(array.dtype, np.float64, "safe"):
-        raise TypeError(f"{name} has the type {array.dtype}: float64 and types that NumPy casts to it safely are accepted")
+        raise TypeError(
+            f"{name} has the type {array.dtype}: float64 and types that NumPy casts to it safely are accepted"
+        )
     if array.shape != shape:
         raise BadShapeError(f"{name} has the shape {array.shape}: {shape} is accepted")
     return np.require(array, np.float64, ["C", "A"])

@@ -1,6 +1,6 @@
 """C library: its file, the declarations of its headers, its failures, its texts and structs.
 
-The declarations are read from ``cophase.h`` and ``cophase_simulator.h`` themselves, so there is no copy that could differ.
+The declarations are read from ``cophase.h`` and ``cophase_simulator.h`` themselves: no copy can differ from them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ lib: Any = ffi.dlopen(
 )
 if lib.cophase_abi_version() != lib.COPHASE_ABI_VERSION:
     raise ImportError(
-        f"libcophase has C interface {lib.cophase_abi_version()}: {lib.COPHASE_ABI_VERSION}, that of its header, is needed"
+        f"libcophase has C interface {lib.cophase_abi_version()}: {lib.COPHASE_ABI_VERSION}, its header's, is accepted"
     )
 
 _ERRORS = {kind.status: kind for kind in Error.__subclasses__()}
@@ -99,6 +99,19 @@ def text(name: str, value: str | os.PathLike[str]) -> bytes:
     if "\0" in value:
         raise ValueError(f"{name} has a zero character at index {value.index(chr(0))}: text without is accepted")
     return value.encode()
+
+
+def preset(name: str) -> str:
+    """Text of a scene that comes with the library: ``keck-artificial`` or ``keck-onsky``."""
+    return words(result("const char *", lib.cophase_scene_preset, text("name", name)))
+
+
+def devices() -> dict[str, str]:
+    """Devices of this machine: a description of each, by the name that :class:`cophase.Session` takes.
+
+    The first is always the CPU, ``"cpu"``. OpenCL devices are ``"opencl:PLATFORM:DEVICE"``.
+    """
+    return dict(line.split("\t", 1) for line in library_text(lib.cophase_device_list).split("\n"))
 
 
 def path_text(name: str, path: str | os.PathLike[str] | None) -> Any:

@@ -77,6 +77,6 @@ class BusyError(Error):
 
 
 class PanicError(Error):
-    """Panic inside the library, now or earlier, in a call on this object, which can only be closed. Please report it."""
+    """Panic inside the library, now or earlier, in a call on this object. It can only be closed; please report it."""
 
     status = "PANIC"

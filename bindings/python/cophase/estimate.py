@@ -56,14 +56,15 @@ class Estimate(Handle):
     ----------
     info : namespace
         Sizes, status and figures: ``images``, ``used`` (images that were combined), ``clipped`` (left out as outliers),
-        ``modes``, ``segment_modes`` (they come first), ``samples``, ``error_terms``, ``warnings``; ``method`` (``"modal"``
-        or ``"map"``), ``policy``, ``status`` (the worst of an image that counts for the whole), ``is_sequence`` (error bars
-        are from the scatter between images); of a MAP estimate ``iterations``, ``has_settled``, ``knows`` (knowledge of the
-        adaptive optics: ``"nothing"``, ``"spectrum"``, ``"loop"``, ``"telemetry"``); ``precision``; ``evaluations``;
-        ``phasing_rms_nm``, ``ncpa_rms_nm``, ``wavefront_rms_nm`` (both together) and their expected errors
-        ``phasing_sigma_nm``, ``ncpa_sigma_nm``, ``wavefront_sigma_nm`` (RMS over the pupil, piston, tip and tilt removed);
-        ``reduced_chi2`` (median of the images used); ``images_to_halve`` (further images that halve both error bars);
-        ``map_width_m``; ``seconds``, ``model_seconds``.
+        ``modes``, ``segment_modes`` (they come first), ``samples``, ``error_terms``, ``warnings``; ``method``
+        (``"modal"`` or ``"map"``), ``policy``, ``status`` (the worst of an image that counts for the whole),
+        ``is_sequence`` (error bars are from the scatter between images); of a MAP estimate ``iterations``,
+        ``has_settled``, ``knows`` (of the adaptive optics: ``"nothing"``, ``"spectrum"``, ``"loop"``,
+        ``"telemetry"``); ``precision``; ``evaluations``; ``phasing_rms_nm``, ``ncpa_rms_nm``, ``wavefront_rms_nm``
+        (both together) and their expected errors ``phasing_sigma_nm``, ``ncpa_sigma_nm``, ``wavefront_sigma_nm`` (RMS
+        over the pupil, piston, tip and tilt removed); ``reduced_chi2`` (median of the images used);
+        ``images_to_halve`` (further images that halve both error bars); ``map_width_m``; ``seconds``,
+        ``model_seconds``.
     policy, method, device : str
         Policy, method and device of the estimate.
     model : str
@@ -92,8 +93,8 @@ class Estimate(Handle):
         ``rejected_pixels``, ``policy``, ``evaluations``, ``reduced_chi2`` (1 where the model is right), ``flux_e``,
         ``background_e``, ``tip_nm``, ``tilt_nm``, ``seconds``. Read as ``images.flux_e`` or ``images[0].message``.
     error_budget : list of (str, float, float)
-        Terms of the error budget: name, and contribution to the error bars of phasing and NCPA, nm RMS over the pupil. Their
-        squares add up to the squares of ``info.phasing_sigma_nm`` and ``info.ncpa_sigma_nm``.
+        Terms of the error budget: name, and contribution to the error bars of phasing and NCPA, nm RMS over the pupil.
+        Their squares add up to the squares of ``info.phasing_sigma_nm`` and ``info.ncpa_sigma_nm``.
     """
 
     def __init__(self, handle: Any) -> None:
@@ -132,16 +133,14 @@ class Estimate(Handle):
         fields = {name: [named(name, value) for value in numbers[name].tolist()] for name in numbers.dtype.names}
         status = fields.pop("status")
         messages = [self._text("IMAGE_MESSAGE", image) for image in range(count)]
-        return np.rec.fromarrays(
-            [np.array(status), np.array(messages, object), *map(np.array, fields.values())],
-            names=["status", "message", *fields],
-        )
+        columns = [np.array(status), np.array(messages, object), *map(np.array, fields.values())]
+        return np.rec.fromarrays(columns, names=",".join(["status", "message", *fields]))  # type: ignore[call-overload]
 
     def _summary(self) -> str:
         info = self.info
         return (
-            f"{info.used} of {info.images} images, phasing {info.phasing_rms_nm:.1f} +- {info.phasing_sigma_nm:.1f} nm, "
-            f"NCPA {info.ncpa_rms_nm:.1f} +- {info.ncpa_sigma_nm:.1f} nm"
+            f"{info.used} of {info.images} images, phasing {info.phasing_rms_nm:.1f} +- {info.phasing_sigma_nm:.1f} nm,"
+            f" NCPA {info.ncpa_rms_nm:.1f} +- {info.ncpa_sigma_nm:.1f} nm"
         )
 
     def report(self) -> str:

@@ -25,8 +25,8 @@ class Progress(NamedTuple):
     Attributes
     ----------
     stage : str
-        ``"idle"`` (no estimate is running), ``"planning"``, ``"preparing"``, ``"fitting"``, ``"combining"``, or, in a MAP
-        estimate, ``"retrieving"``, ``"separating"``.
+        ``"idle"`` (no estimate is running), ``"planning"``, ``"preparing"``, ``"fitting"``, ``"combining"``, or, in a
+        MAP estimate, ``"retrieving"``, ``"separating"``.
     done, total : int
         Steps (images) of this stage that are done, and their number, 0 if it is unknown.
     """
@@ -39,18 +39,18 @@ class Progress(NamedTuple):
 class Estimator(Handle):
     """The full pipeline for images of one scene, the same as ``cophase estimate``; the results are the same to the bit.
 
-    The scene's ``estimate.method`` says whether the estimate is modal or maximum a posteriori (MAP, ``"full-phase"``: the
-    wavefront behind each exposure, static errors separated from the turbulence). An estimator can be used again and again.
-    One call at a time (:class:`cophase.BusyError` otherwise), except :meth:`cancel` and :attr:`progress`; other Python
-    threads run during a call.
+    The scene's ``estimate.method`` says whether the estimate is modal or maximum a posteriori (MAP, ``"full-phase"``:
+    the wavefront behind each exposure, static errors separated from the turbulence). An estimator can be used again and
+    again. One call at a time (:class:`cophase.BusyError` otherwise), except :meth:`cancel` and :attr:`progress`; other
+    Python threads run during a call.
 
     Parameters
     ----------
     scene : str
         Scene as TOML text. With ``estimate.budget_nm`` the model is planned here, which takes some seconds.
     policy : {"full", "realtime"}
-        ``"full"``: model selection, outlier rejection, restarts, optics fitted if the scene asks for it. ``"realtime"``: one
-        fit with the largest basis, no retries, as a :class:`cophase.Session` does.
+        ``"full"``: model selection, outlier rejection, restarts, optics fitted if the scene asks for it.
+        ``"realtime"``: one fit with the largest basis, no retries, as a :class:`cophase.Session` does.
     threads : int, optional
         Number of threads; one per processor by default. Results do not depend on it.
     directory : path, optional
@@ -113,9 +113,9 @@ class Estimator(Handle):
         Parameters
         ----------
         frames : (rows, cols) or (images, rows, cols) array
-            Images of the same static errors, two or more for a MAP estimate. Values that are not finite are bad pixels. The
-            optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64, uint16, int32,
-            uint8 and bool are read in place, other types are copied if NumPy casts them safely.
+            Images of the same static errors, two or more for a MAP estimate. Values that are not finite are bad pixels.
+            The optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64, uint16,
+            int32, uint8 and bool are read in place, other types are copied if NumPy casts them safely.
         mask : (rows, cols) or (images, rows, cols) array, optional
             Bad pixels, which take no part, are not 0: of all images, or of each.
         slopes_mas : (images, slopes) array, optional

@@ -37,7 +37,8 @@ class Model(Handle):
     samples : int
         Rows, and columns, of a wavefront map.
     pixels : int
-        Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's sampling.
+        Rows, and columns, of a PSF: the pixels that are compared, after a frame is cut and reduced to the model's
+        sampling.
 
     Raises
     ------
@@ -71,7 +72,7 @@ class Model(Handle):
         pupil : (n, n) array
             Amplitude, 0 to 1, over the scene's ``pupil.grid_m``; n even.
         segments : (n, n) array of whole numbers, optional
-            Index of each sample's segment, from 0; negative outside all segments. Without it, the mirror is not segmented.
+            Index of each sample's segment, from 0; negative outside all segments. Not segmented by default.
         modes : (modes, n, n) array, optional
             Wavefront of each mode, nm per nm of its coefficient; the scene's modes by default.
         diversity_nm : (n, n) array, optional

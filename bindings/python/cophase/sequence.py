@@ -29,9 +29,9 @@ class SequenceEstimate:
     covariance_nm2 : (modes, modes) array
         Covariance of the coefficients, nm^2.
     info : namespace
-        ``images`` in the sequence, those that were ``used``, those ``clipped`` as outliers; ``phasing_rms_nm`` and its error
-        bar ``phasing_sigma_nm``, ``ncpa_rms_nm`` and its ``ncpa_sigma_nm`` (RMS over the pupil); ``reduced_chi2``, the
-        median of the images used.
+        ``images`` in the sequence, those that were ``used``, those ``clipped`` as outliers; ``phasing_rms_nm`` and its
+        error bar ``phasing_sigma_nm``, ``ncpa_rms_nm`` and its ``ncpa_sigma_nm`` (RMS over the pupil);
+        ``reduced_chi2``, the median of the images used.
     """
 
     coefficients_nm: NDArray[np.float64]

@@ -30,11 +30,11 @@ class Fit:
     coefficients_nm : (modes,) or (images, modes) array
         nm of wavefront; NaN for an unusable image.
     reports : () or (images,) record array
-        ``status``, a number (:attr:`status` has its name); ``bad_pixels``, those that took no part; ``policy``, a number;
-        ``evaluations`` of objective and gradient; ``reduced_chi2``, 1 where the model is right; ``flux_e`` of the star,
-        electrons; ``background_e``, electrons per pixel; ``tip_nm`` and ``tilt_nm`` of the fitted wavefront along x and y,
-        nm RMS; ``seconds`` of the fit. ``is_used``, ``is_clipped`` and ``rejected_pixels`` are 0 in a session, which neither
-        combines images nor rejects pixels. Read as ``reports.flux_e``.
+        ``status``, a number (:attr:`status` has its name); ``bad_pixels``, those that took no part; ``policy``, a
+        number; ``evaluations`` of objective and gradient; ``reduced_chi2``, 1 where the model is right; ``flux_e`` of
+        the star, electrons; ``background_e``, electrons per pixel; ``tip_nm`` and ``tilt_nm`` of the fitted wavefront
+        along x and y, nm RMS; ``seconds`` of the fit; ``is_used``, ``is_clipped`` and ``rejected_pixels``, which are 0
+        in a session. Read as ``reports.flux_e``.
     """
 
     coefficients_nm: NDArray[np.float64]
@@ -51,9 +51,10 @@ class Fit:
 class Session(Handle):
     """Fits of single images with a model, in memory that is allocated when the session is created.
 
-    It follows the policy ``"realtime"``: no model selection, no outlier rejection, no restarts; :class:`cophase.Estimator`
-    is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except :meth:`cancel`; other Python
-    threads run during a call. The same frame gives the same bits, whatever else is in the call, in every language.
+    It follows the policy ``"realtime"``: no model selection, no outlier rejection, no restarts;
+    :class:`cophase.Estimator` is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except
+    :meth:`cancel`; other Python threads run during a call. The same frame gives the same bits, whatever else is in the
+    call, in every language.
 
     Parameters
     ----------
@@ -71,8 +72,8 @@ class Session(Handle):
     max_evaluations : int, optional
         Largest number of evaluations for one image; the scene's by default.
     step_tolerance_nm : float, optional
-        A fit stops where neither a coefficient nor the RMS of the wavefront would change by more than this; the scene's by
-        default.
+        A fit stops where neither a coefficient nor the RMS of the wavefront would change by more than this; the scene's
+        by default.
 
     Attributes
     ----------
@@ -174,9 +175,10 @@ class Session(Handle):
         Parameters
         ----------
         frames : (rows, cols) or (images, rows, cols) array
-            Raw values, or electrons without a calibration; :attr:`cophase.Model.frame_shape`. Values that are not finite are
-            bad pixels. The optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64,
-            uint16, int32, uint8 and bool are read in place, other types are copied if NumPy casts them safely.
+            Raw values, or electrons without a calibration; :attr:`cophase.Model.frame_shape`. Values that are not
+            finite are bad pixels. The optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides;
+            float32, float64, uint16, int32, uint8 and bool are read in place, other types are copied if NumPy casts
+            them safely.
         deadline_s : float, optional
             Time for the whole call, s; images that are not done by then have the status ``DEADLINE``.
         read_noise_e : float, optional
@@ -219,8 +221,8 @@ class Session(Handle):
 
     @property
     def warnings(self) -> list[str]:
-        """What to know before using the numbers, such as the loss of the device that ``"auto"`` chose, after which the CPU
-        does the work. (A device that was named raises :class:`cophase.DeviceError` instead.)"""
+        """What to know before using the numbers, such as the loss of the device that ``"auto"`` chose, after which the
+        CPU does the work. (A device that was named raises :class:`cophase.DeviceError` instead.)"""
         return self._text("WARNINGS").splitlines()
 
     def covariance_nm2(self, image: int = 0) -> NDArray[np.float64]:
@@ -239,8 +241,8 @@ class Session(Handle):
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Objective and gradient, for an optimizer of the caller's.
 
-        The objective is the sum of weight * (flux * PSF + background - data)^2 over the pixels of each image, with the flux
-        and background that minimize it and the weights that a fit begins with.
+        The objective is the sum of weight * (flux * PSF + background - data)^2 over the pixels of each image, with the
+        flux and background that minimize it and the weights that a fit begins with.
 
         Parameters
         ----------

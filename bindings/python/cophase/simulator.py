@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from types import SimpleNamespace
 
@@ -20,8 +19,8 @@ _FRAMES_AT_ONCE = 256
 class Simulator(Handle):
     """Simulator of an AO system: turbulence, wavefront sensor, deformable mirror, control, science camera.
 
-    Its arrays are those of the last frame; :class:`cophase.BadValueError` before the first. One thread at a time. The same
-    scene gives the same bits in every language.
+    Its arrays are those of the last frame; :class:`cophase.BadValueError` before the first. One thread at a time. The
+    same scene gives the same bits in every language.
 
     Parameters
     ----------
@@ -36,10 +35,10 @@ class Simulator(Handle):
         self._own("cophase_simulator", lib.cophase_simulator_create, *inputs)
 
     def _summary(self) -> str:
-        return f"{self.frames} frames of {self.frame_s * 1e3:.3g} ms"
+        return f"{self.info.frames} frames of {self.info.frame_s * 1e3:.3g} ms"
 
     def step(self, frames: int = 1) -> None:
-        """Advances the loop by ``frames`` frames. A loop that diverges goes on: see :attr:`divergence_s`.
+        """Advances the loop by ``frames`` frames. A loop that diverges goes on: see ``info.divergence_s``.
 
         Ctrl-C stops between frames; those made until then remain.
         """
@@ -52,25 +51,10 @@ class Simulator(Handle):
 
     @property
     def info(self) -> SimpleNamespace:
-        """Sizes and state: ``slopes``, ``actuators``, ``residual_samples``, ``truth_samples``, ``rows``, ``cols``,
-        ``frames``, ``frame_s``, ``divergence_s``, ``residual_rms_nm``."""
+        """Sizes ``slopes``, ``actuators``, ``residual_samples``, ``truth_samples``, ``rows``, ``cols``; ``frames``
+        since the loop was closed, ``frame_s`` of each, ``divergence_s`` (time at which the loop diverged, NaN while it
+        has not), ``residual_rms_nm`` over the pupil, piston removed."""
         return struct("cophase_simulator_info", lib.cophase_simulator_get_info, self._handle)
-
-    @property
-    def frames(self) -> int:
-        """Frames since the loop was closed."""
-        return self.info.frames
-
-    @property
-    def frame_s(self) -> float:
-        """Duration of a frame, s."""
-        return self.info.frame_s
-
-    @property
-    def divergence_s(self) -> float | None:
-        """Time at which the loop diverged, s since it was closed; ``None`` while it has not."""
-        time_s = self.info.divergence_s
-        return None if math.isnan(time_s) else time_s
 
     @property
     def slopes_mas(self) -> NDArray[np.float64]:
@@ -86,11 +70,6 @@ class Simulator(Handle):
     def residual_nm(self) -> NDArray[np.float64]:
         """Residual wavefront ``[y, x]``, nm; NaN where the pupil has no light."""
         return self._array("RESIDUAL_NM", self.info.residual_samples, self.info.residual_samples)
-
-    @property
-    def residual_rms_nm(self) -> float:
-        """RMS of the residual wavefront over the pupil, piston removed, nm."""
-        return self.info.residual_rms_nm
 
     @property
     def image_e(self) -> NDArray[np.float64]:
