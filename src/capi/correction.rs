@@ -1,7 +1,6 @@
 //! Corrections of segments, mirror and wavefront sensor from an estimate.
 
-use super::estimate::change;
-use super::estimator::cophase_estimate;
+use super::estimate::{change, cophase_estimate};
 use super::pointer::text;
 use super::sized::Outputs;
 use super::status::cophase_status;

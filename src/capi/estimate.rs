@@ -1,9 +1,9 @@
 //! Estimates: the result of the pipeline, as C reads it.
 
-use super::estimator::{cophase_estimate, policy_number};
 use super::handle::{Handle, give_back};
 use super::image_report::{cophase_image_report, outcome_number};
 use super::pointer::{place, put_array, put_text, text};
+use super::policy::policy_number;
 use super::sized::Outputs;
 use super::status::cophase_status;
 use super::text::*;
@@ -52,6 +52,11 @@ pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_M: i32 = 9;
 /// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
 /// then along y; slopes. It keeps the mirror where the commands put it.
 pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
+
+/// Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
+/// several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
+#[allow(non_camel_case_types)] // a name of the header
+pub struct cophase_estimate(pub(super) Handle<Found>);
 
 /// The estimate, and the corrections that were computed from it.
 pub(super) struct Found {
@@ -338,16 +343,6 @@ pub unsafe extern "C" fn cophase_estimate_text(
             put_text(text, capacity, length, &sentence)
         })
     }
-}
-
-/// Element `index`.
-///
-/// # Errors
-/// [`Error::Value`] where there is none.
-pub(super) fn at<'a, T>(all: &'a [T], index: usize, noun: &str) -> Result<&'a T> {
-    let count = all.len();
-    all.get(index)
-        .ok_or_else(|| Error::Value(format!("index is {index}: less than {count} is accepted, the number of {noun}")))
 }
 
 /// Writes the estimate as FITS, whole or not at all. path: UTF-8. COPHASE_BAD_FILE if it cannot be written.

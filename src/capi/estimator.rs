@@ -1,11 +1,12 @@
 //! Estimators: the full pipeline, from the images of one scene to one estimate.
 
 use super::calibration::{calibration, cophase_calibration, read_noise_e};
-use super::estimate::Found;
+use super::estimate::{Found, cophase_estimate};
 use super::handle::{Handle, fence, give_back, given_back, null};
 use super::input::{Input, cophase_input};
 use super::model::scene;
 use super::pointer::{place, put_if_wanted};
+use super::policy::{COPHASE_POLICY_FULL, COPHASE_POLICY_REALTIME};
 use super::sized::{self, Options};
 use super::status::{COPHASE_OK, cophase_status};
 use crate::modal::Calibration;
@@ -15,12 +16,6 @@ use crate::{Error, Result};
 use ndarray::Array3;
 use rayon::ThreadPool;
 use std::ffi::c_char;
-
-/// Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
-/// the scene asks for it.
-pub const COPHASE_POLICY_FULL: i32 = 0;
-/// Policy: one fit with the largest basis, no retries; what a session does.
-pub const COPHASE_POLICY_REALTIME: i32 = 1;
 
 /// Stage of an estimate: none is running.
 pub const COPHASE_STAGE_IDLE: i32 = 0;
@@ -47,11 +42,6 @@ pub struct cophase_estimator {
     inside: Handle<Working>,
     control: Control,
 }
-
-/// Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
-/// several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
-#[allow(non_camel_case_types)] // a name of the header
-pub struct cophase_estimate(pub(super) Handle<Found>);
 
 /// What a call works on.
 struct Working {
@@ -89,11 +79,6 @@ pub struct cophase_estimate_options {
 }
 
 unsafe impl Options for cophase_estimate_options {}
-
-/// The number of a policy.
-pub(super) fn policy_number(policy: &Policy) -> i32 {
-    if *policy == Policy::realtime() { COPHASE_POLICY_REALTIME } else { COPHASE_POLICY_FULL }
-}
 
 fn policy(number: i32) -> Result<Policy> {
     match number {

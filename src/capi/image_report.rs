@@ -1,6 +1,6 @@
 //! Report on one image of a fit or an estimate.
 
-use super::estimator::COPHASE_POLICY_REALTIME;
+use super::policy::COPHASE_POLICY_REALTIME;
 use super::status::{
     COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK,
     COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,

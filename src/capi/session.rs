@@ -1,7 +1,6 @@
 //! Sessions: fits with a deadline, in memory that is allocated beforehand.
 
 use super::calibration::{calibration, cophase_calibration, read_noise_e};
-use super::estimate::at;
 use super::handle::{Handle, fence, give_back, given_back, null};
 use super::image_report::cophase_image_report;
 use super::input::{COPHASE_F32, COPHASE_F64, Input, cophase_input};

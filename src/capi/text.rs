@@ -1,5 +1,7 @@
 //! Numbers of the texts that a session or an estimate has.
 
+use crate::{Error, Result};
+
 /// Text of an estimate: its report, as the program prints it.
 pub const COPHASE_TEXT_REPORT: i32 = 1;
 /// Text of an estimate or a session: what to know before using the numbers, one sentence a line; empty without warnings.
@@ -20,3 +22,13 @@ pub const COPHASE_TEXT_IMAGE_MESSAGE: i32 = 8;
 pub const COPHASE_TEXT_MODE_NAME: i32 = 9;
 /// Text of an estimate: name of term `index` of the error budget.
 pub const COPHASE_TEXT_ERROR_TERM_NAME: i32 = 10;
+
+/// Element `index`.
+///
+/// # Errors
+/// [`Error::Value`] where there is none.
+pub(super) fn at<'a, T>(all: &'a [T], index: usize, noun: &str) -> Result<&'a T> {
+    let count = all.len();
+    all.get(index)
+        .ok_or_else(|| Error::Value(format!("index is {index}: less than {count} is accepted, the number of {noun}")))
+}

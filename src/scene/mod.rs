@@ -20,6 +20,7 @@ mod fit;
 mod lists;
 mod purpose;
 mod reference;
+mod section_keys;
 mod table;
 mod telescope;
 mod value;
@@ -31,7 +32,6 @@ pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::NollRange;
 pub(crate) use purpose::Purpose;
-pub use reference::reference;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optic,
@@ -39,10 +39,11 @@ pub use words::{
 };
 
 use crate::{Error, Result};
+use section_keys::SectionKeys;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use table::{Check, Key, Reader, Section, Source, nearest};
+use table::{Check, Reader, Section, Source, nearest};
 use toml_edit::{Document, Item};
 
 /// Validated, immutable scene. It dereferences to its [`Sections`]. [`Scene::with`] makes a changed copy. Cloning is
@@ -103,13 +104,6 @@ sections! {
     control: Option<ControlScene>;
     /// Settings of the estimate.
     estimate: EstimateScene;
-}
-
-/// Section in the table of all keys.
-struct SectionKeys {
-    name: &'static str,
-    about: &'static str,
-    keys: Vec<Key>,
 }
 
 /// Section as a field of [`Sections`]: always present (with defaults), or optional.
@@ -381,4 +375,9 @@ fn suggestion<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) -> Strin
 /// Key for a message: TOML allows any text of any length as a quoted key, so it is shortened to printable characters.
 fn shown(key: &str) -> String {
     key.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect()
+}
+
+/// Reference of every section and key of a scene, as text: unit, meaning, accepted values, default.
+pub fn reference() -> String {
+    reference::reference_of(directory_of_keys())
 }

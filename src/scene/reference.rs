@@ -1,6 +1,6 @@
 //! Reference of all keys, generated from the parser's table.
 
-use super::directory_of_keys;
+use super::section_keys::SectionKeys;
 use std::fmt::Write;
 
 /// Suffixes of keys and their units, longer ones first.
@@ -26,10 +26,10 @@ Each key has its unit, its meaning, the accepted values, and the default where a
 \"estimate only\": read by estimates, ignored by the simulators. Other keys are read by both.
 ";
 
-/// Reference of every section and key of a scene, as text: unit, meaning, accepted values, default.
-pub fn reference() -> String {
+/// Reference of these sections and their keys, as text: unit, meaning, accepted values, default.
+pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
     let mut text = String::from(HEADER);
-    for section in directory_of_keys() {
+    for section in sections {
         // Writing to a String cannot fail.
         let _ = write!(text, "\n[{}]{}\n", section.name, section.about);
         for key in section.keys {

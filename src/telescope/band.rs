@@ -4,7 +4,8 @@
 //! exactly. At r λ/D from the axis the phase of the field changes by r·Δ turns over a band of width Δ; the mean of
 //! cos(2π·t·r·Δ) over t from −½ to ½ has an error of 1e-3 with K = 2 + 2·r·Δ nodes.
 
-use super::{Diversity, Telescope};
+use super::diversity::Diversity;
+use super::model::Telescope;
 use crate::scene::Scene;
 
 /// Number of wavelengths for the spot of `scene`: the error is a thousandth of the effect of the filter's width. 1 for

@@ -1,6 +1,6 @@
 //! Diversity of a scene: focus or a map.
 
-use super::Telescope;
+use super::model::Telescope;
 use crate::io;
 use crate::pupil::Pupil;
 use crate::scene::Scene;

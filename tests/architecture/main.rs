@@ -81,7 +81,8 @@ fn the_sources_keep_the_arrows() {
 fn the_map_shows_the_rooms_that_are_there() {
     for package in PACKAGES {
         let (sources, rules) = (package.sources(), package.rules());
-        let built: BTreeSet<&str> = sources.keys().map(|file| module_of(file)).filter(|module| *module != "lib").collect();
+        let built: BTreeSet<&str> =
+            sources.keys().map(|file| module_of(file)).filter(|module| *module != "lib").collect();
         let shown: BTreeSet<&str> =
             rules.modules.iter().filter(|(_, module)| !module.to_come).map(|(name, _)| name.as_str()).collect();
         let folder = package.folder;
@@ -182,8 +183,9 @@ fn planted_cycles_are_found() {
 
 #[test]
 fn planted_faults_of_the_map_are_found() {
-    let map =
-        |modules: &str| Rules::parse(&format!("## Modules\n| Module | What | Uses |\n|---|---|---|\n{modules}"), "").faults();
+    let map = |modules: &str| {
+        Rules::parse(&format!("## Modules\n| Module | What | Uses |\n|---|---|---|\n{modules}"), "").faults()
+    };
     assert!(map("| `a` | | – |\n| `b` | | `a` |\n").is_empty());
     assert_eq!(map("| `a` | | `c` |\n"), ["the map names the module `c`, which has no row"]);
     assert_eq!(
@@ -198,7 +200,7 @@ fn planted_faults_of_the_map_are_found() {
 #[test]
 fn planted_violations_are_found() {
     for (file, text, named) in [
-        ("grid", "use crate::modal::Fit;", "estimate"),
+        ("grid", "use crate::modal::Fit;", "modal"),
         ("optimize/lbfgs", "use crate::{Error, grid::Grid};", "grid"),
         ("optimize/lbfgs", "use crate::{error::{Error}, pupil::{self, Pupil}};", "pupil"),
         ("metrics/mod", "fn f() { crate::io::read() }", "io"),
@@ -216,9 +218,9 @@ fn planted_violations_are_found() {
         ("cellar/mod", "", "cellar"),
         ("imaging/field", "fn f(q: ocl::Queue) {}", "ocl"),
         ("device", "use argmin::core::Problem;", "argmin"),
-        ("estimate/fit", "use argmin as solver;", "argmin"),
-        ("estimate/fit", "use ::fitsio::FitsFile;", "fitsio"),
-        ("estimate/fit", "fn f() { for i in 0..ocl::MAX {} }", "ocl"),
+        ("modal/fit", "use argmin as solver;", "argmin"),
+        ("modal/fit", "use ::fitsio::FitsFile;", "fitsio"),
+        ("modal/fit", "fn f() { for i in 0..ocl::MAX {} }", "ocl"),
         ("lib", "extern crate argmin;", "argmin"),
         ("lib", "pub extern \"C\" fn f() {}", "extern \"C\""),
         ("io/mod", "unsafe extern \"C-unwind\" { fn f(); }", "extern \"C\""),
@@ -228,7 +230,7 @@ fn planted_violations_are_found() {
     }
     for (file, text, named) in [
         ("main", "use cophase::fourier;", "fourier"),
-        ("plot/canvas", "use cophase::modal::Fit;", "estimate"),
+        ("plot/canvas", "use cophase::modal::Fit;", "modal"),
         ("plot/canvas", "use crate::experiment::Table;", "experiment"),
         ("experiment/draw", "use cophase_cli::reproduce::Row;", "reproduce"),
         ("verbs/estimate", "use plotters::prelude::*;", "plotters"),
@@ -258,7 +260,7 @@ fn the_innocent_are_left_alone() {
         ("imaging/gpu_batch", "use crate::device::Context; use ocl::Queue;"),
         ("imaging/gpu/mod", "use crate::device; fn f() -> ocl::Result<()> {}"),
         ("device/loader", "unsafe extern \"C\" { fn f(); }"),
-        ("estimate/fit", "let fitsio = local.argmin::<f64>(); let x = shapes::argmin::f();"),
+        ("modal/fit", "let fitsio = local.argmin::<f64>(); let x = shapes::argmin::f();"),
         ("lib", "pub mod io; pub use error::{Error, Result};"),
     ] {
         assert_eq!(LIBRARY.judge(file, text), [""; 0], "{file}: {text}");

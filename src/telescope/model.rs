@@ -1,14 +1,4 @@
-//! Telescope of a scene: pupil on any grid, segment weights, diversity, filter, deformable mirror, turbulence
-//! statistics.
-//!
-//! Simulators and estimators share this module, so that both describe the same telescope; each chooses its own
-//! sampling.
-
-mod band;
-mod diversity;
-
-pub use band::{band, wavelengths_needed, wavelengths_to};
-pub use diversity::{Diversity, MapOnGrid};
+//! Telescope of a scene.
 
 use crate::grid::Grid;
 use crate::io;
@@ -179,7 +169,7 @@ impl Telescope {
     }
 
     /// Pupil on the finest known grid; exact geometry on a grid on which its moments have errors of about 1e-6.
-    fn finest_pupil(&self) -> Result<Pupil> {
+    pub(super) fn finest_pupil(&self) -> Result<Pupil> {
         match &self.source {
             PupilSource::Exact(_) => self.pupil_on(Grid::new(FINE_SAMPLES, self.pupil.grid.width_m())?),
             PupilSource::Fine(fine) => Ok(fine.pupil().clone()),

@@ -1,0 +1,14 @@
+//! Policies of an estimate.
+
+use crate::pipeline::Policy;
+
+/// Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
+/// the scene asks for it.
+pub const COPHASE_POLICY_FULL: i32 = 0;
+/// Policy: one fit with the largest basis, no retries; what a session does.
+pub const COPHASE_POLICY_REALTIME: i32 = 1;
+
+/// The number of a policy.
+pub(super) fn policy_number(policy: &Policy) -> i32 {
+    if *policy == Policy::realtime() { COPHASE_POLICY_REALTIME } else { COPHASE_POLICY_FULL }
+}

@@ -1,0 +1,13 @@
+//! Telescope of a scene: pupil on any grid, segment weights, diversity, filter, deformable mirror, turbulence
+//! statistics.
+//!
+//! Simulators and estimators share this module, so that both describe the same telescope; each chooses its own
+//! sampling.
+
+mod band;
+mod diversity;
+mod model;
+
+pub use band::{band, wavelengths_needed, wavelengths_to};
+pub use diversity::{Diversity, MapOnGrid};
+pub use model::Telescope;
