@@ -1,8 +1,7 @@
 //! Comparison with vectors from an independent program (`tests/golden/README.md`), on every available chain.
 
-mod common;
 
-use common::{chains, relative_difference};
+use crate::common::{chains, relative_difference};
 use cophase::imaging::{Chain, CpuChain, Exposure, Precision};
 use cophase::io;
 use cophase::modal::{Cube, Frame, ModalEstimate, ModalFitter};

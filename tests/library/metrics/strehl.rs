@@ -1,6 +1,6 @@
 //! Strehl ratios of simulated PSFs.
 
-use crate::{keck, map};
+use super::{keck, map};
 use cophase::fourier::{Sampling, Transform};
 use cophase::metrics::{Marechal, centre, strehl_by_energy, strehl_by_marechal, strehl_by_otf};
 use cophase::pupil::Pupil;

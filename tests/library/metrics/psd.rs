@@ -1,6 +1,6 @@
 //! Power spectra of known wavefronts.
 
-use crate::{keck, map};
+use super::{keck, map};
 use cophase::grid::Grid;
 use cophase::metrics::{LARGEST_PADDING, Psd, PsdAverage, control_half_width_per_m};
 use cophase::modes::VonKarman;

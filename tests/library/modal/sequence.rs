@@ -1,6 +1,6 @@
 //! Sequences of short exposures: a static wavefront under one that changes from image to image.
 
-use crate::scene;
+use super::scene;
 use cophase::Error;
 use cophase::imaging::{Chain, Precision};
 use cophase::modal::{Cube, ModalEstimate, ModalFitter, Recipe, Status, read};

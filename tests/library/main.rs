@@ -1,0 +1,17 @@
+//! Tests of the library through its public API, in one program: linking is most of what a test program costs.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod fits;
+mod full_phase;
+mod fuzz;
+mod golden;
+mod metrics;
+mod modal;
+mod modes;
+mod night;
+mod planner;
+mod pupil;
+mod pupil_maps;
+mod scene;
