@@ -189,6 +189,14 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate: name of term `index` of the error budget. */
 #define COPHASE_TEXT_ERROR_TERM_NAME 10
 
+/* Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
+ * the scene asks for it.
+ */
+#define COPHASE_POLICY_FULL 0
+
+/* Policy: one fit with the largest basis, no retries; what a session does. */
+#define COPHASE_POLICY_REALTIME 1
+
 /* ------------------------------- Frames, calibration, image reports ------------------------------- */
 
 /* Element type of a cophase_input: float. */
@@ -370,14 +378,6 @@ cophase_status cophase_model_psf(const cophase_model *model,
 
 /* ------------------------------------------ Estimator ------------------------------------------ */
 
-/* Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
- * the scene asks for it.
- */
-#define COPHASE_POLICY_FULL 0
-
-/* Policy: one fit with the largest basis, no retries; what a session does. */
-#define COPHASE_POLICY_REALTIME 1
-
 /* Stage of an estimate: none is running. */
 #define COPHASE_STAGE_IDLE 0
 
@@ -398,11 +398,6 @@ cophase_status cophase_model_psf(const cophase_model *model,
 
 /* Stage: static errors are separated from the turbulence (MAP). */
 #define COPHASE_STAGE_SEPARATING 6
-
-/* Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
- * several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
- */
-typedef struct cophase_estimate cophase_estimate;
 
 /* Estimator: the full pipeline for images of one scene, modal or maximum a posteriori (MAP, estimate.method =
  * "full-phase") as the scene says. It can be used again and again.
@@ -543,6 +538,11 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
  * then along y; slopes. It keeps the mirror where the commands put it.
  */
 #define COPHASE_ARRAY_CORRECTION_SLOPES_MAS 10
+
+/* Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
+ * several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
+ */
+typedef struct cophase_estimate cophase_estimate;
 
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
 typedef struct {
@@ -869,7 +869,7 @@ void cophase_sequence_destroy(cophase_sequence *sequence);
 cophase_status cophase_sequence_push(cophase_sequence *sequence,
                                      const cophase_session *session);
 
-/* Estimate so far: mean, clipped mean or median of the images as the scene says (estimate.combine). From eight images on,
+/* ModalEstimate so far: mean, clipped mean or median of the images as the scene says (estimate.combine). From eight images on,
  * outliers are found by comparing images, and error bars are from the scatter between them.
  *
  * coefficients_nm: receives `modes` numbers. sigma_nm: receives `modes` standard deviations. covariance_nm2: receives

@@ -1,6 +1,7 @@
 //! Corrections of segments, mirror and wavefront sensor from an estimate.
 
-use super::estimate::{change, cophase_estimate};
+use super::estimate::change;
+use super::estimate_handle::cophase_estimate;
 use super::pointer::text;
 use super::sized::Outputs;
 use super::status::cophase_status;
@@ -52,21 +53,21 @@ pub unsafe extern "C" fn cophase_estimate_correct(
                     "limit_nm is {limit_nm}: a positive limit, or 0 for the default, is accepted"
                 )));
             }
-            let commands = found.estimate.corrections((limit_nm > 0.0).then_some(limit_nm))?;
+            let corrections = found.estimate.corrections((limit_nm > 0.0).then_some(limit_nm))?;
             if let Some(path) = path {
-                commands.write(path)?;
+                corrections.write(path)?;
             }
             report.put(
                 0,
                 &cophase_correction_report {
-                    segments: commands.pistons_nm.len(),
-                    actuators: commands.actuators_nm.len(),
-                    slopes: commands.slopes_mas.len(),
-                    corrected_modes: commands.corrected_modes,
-                    limited: commands.limited,
+                    segments: corrections.pistons_nm.len(),
+                    actuators: corrections.actuators_nm.len(),
+                    slopes: corrections.slopes_mas.len(),
+                    corrected_modes: corrections.corrected_modes,
+                    limited: corrections.limited,
                 },
             );
-            found.commands = Some(commands);
+            found.corrections = Some(corrections);
             Ok(())
         })
     }

@@ -1,5 +1,6 @@
 //! Estimates: the result of the pipeline, as C reads it.
 
+use super::estimate_handle::{EstimateState, cophase_estimate};
 use super::handle::{Handle, give_back};
 use super::image_report::{cophase_image_report, outcome_number};
 use super::pointer::{place, put_array, put_text, text};
@@ -7,7 +8,6 @@ use super::policy::policy_number;
 use super::sized::Outputs;
 use super::status::cophase_status;
 use super::text::*;
-use crate::loop_response::Corrections;
 use crate::pipeline::Estimate;
 use crate::scene::{AoKnowledge, Method};
 use crate::{Error, Result};
@@ -50,19 +50,8 @@ pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_NM: i32 = 8;
 /// Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_M: i32 = 9;
 /// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
-/// then along y; slopes. It keeps the mirror where the commands put it.
+/// then along y; slopes. It keeps the mirror where the corrections put it.
 pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
-
-/// Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
-/// several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
-#[allow(non_camel_case_types)] // a name of the header
-pub struct cophase_estimate(pub(super) Handle<Found>);
-
-/// The estimate, and the corrections that were computed from it.
-pub(super) struct Found {
-    pub(super) estimate: Estimate,
-    pub(super) commands: Option<Corrections>,
-}
 
 /// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed.
 #[allow(non_camel_case_types)] // a name of the header
@@ -129,21 +118,15 @@ pub struct cophase_estimate_info {
     pub model_seconds: f64,
 }
 
-impl Found {
-    pub(super) fn new(estimate: Estimate) -> Self {
-        Self { estimate, commands: None }
-    }
-}
-
 /// A call that reads the estimate.
-unsafe fn read(estimate: *const cophase_estimate, body: impl FnOnce(&Found) -> Result<()>) -> cophase_status {
+unsafe fn read(estimate: *const cophase_estimate, body: impl FnOnce(&EstimateState) -> Result<()>) -> cophase_status {
     Handle::read(unsafe { estimate.as_ref() }.map(|estimate| &estimate.0), "estimate", body)
 }
 
 /// A call that changes it.
 pub(super) unsafe fn change(
     estimate: *mut cophase_estimate,
-    body: impl FnOnce(&mut Found) -> Result<()>,
+    body: impl FnOnce(&mut EstimateState) -> Result<()>,
 ) -> cophase_status {
     Handle::change(unsafe { estimate.as_ref() }.map(|estimate| &estimate.0), "estimate", body)
 }
@@ -265,22 +248,22 @@ pub unsafe extern "C" fn cophase_estimate_array(
 }
 
 /// Shape and values of an array.
-fn array(found: &Found, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
-    let Found { estimate, commands } = found;
+fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
+    let EstimateState { estimate, corrections } = found;
     let list = |values: Vec<f64>| (vec![values.len()], values);
     let matrix = |matrix: &ndarray::Array2<f64>| (matrix.shape().to_vec(), matrix.iter().copied().collect());
     if (COPHASE_ARRAY_CORRECTION_PISTONS_NM..=COPHASE_ARRAY_CORRECTION_SLOPES_MAS).contains(&what) {
-        let commands = commands
+        let corrections = corrections
             .as_ref()
             .ok_or_else(|| Error::Value("there are no corrections yet: call cophase_estimate_correct first".into()))?;
-        let actuators = &commands.actuators_nm;
+        let actuators = &corrections.actuators_nm;
         return Ok(match what {
-            COPHASE_ARRAY_CORRECTION_PISTONS_NM => list(commands.pistons_nm.clone()),
+            COPHASE_ARRAY_CORRECTION_PISTONS_NM => list(corrections.pistons_nm.clone()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_NM => list(actuators.iter().map(|(_, nm)| *nm).collect()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_M => {
                 (vec![actuators.len(), 2], actuators.iter().flat_map(|(place_m, _)| *place_m).collect())
             }
-            _ => list(commands.slopes_mas.clone()),
+            _ => list(corrections.slopes_mas.clone()),
         });
     }
     Ok(match what {

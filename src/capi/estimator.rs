@@ -1,7 +1,7 @@
 //! Estimators: the full pipeline, from the images of one scene to one estimate.
 
 use super::calibration::{calibration, cophase_calibration, read_noise_e};
-use super::estimate::{Found, cophase_estimate};
+use super::estimate_handle::{EstimateState, cophase_estimate};
 use super::handle::{Handle, fence, give_back, given_back, null};
 use super::input::{Input, cophase_input};
 use super::model::scene;
@@ -222,7 +222,7 @@ pub unsafe extern "C" fn cophase_estimator_estimate(
             images.slopes_mas = Some(slopes.must_be([1, images.len(), slope_count])?.map()?);
         }
         let made = on_threads(working.pool.as_ref(), || working.estimator.estimate(&images))?;
-        unsafe { out.write(Box::into_raw(Box::new(cophase_estimate(Handle::new(Found::new(made)))))) };
+        unsafe { out.write(Box::into_raw(Box::new(cophase_estimate(Handle::new(EstimateState::new(made)))))) };
         Ok(())
     })
 }

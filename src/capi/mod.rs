@@ -12,6 +12,7 @@
 mod calibration;
 mod correction;
 mod estimate;
+mod estimate_handle;
 mod estimator;
 mod failure;
 mod handle;
@@ -32,6 +33,7 @@ mod version;
 pub use calibration::cophase_calibration;
 pub use correction::*;
 pub use estimate::*;
+pub use estimate_handle::cophase_estimate;
 pub use estimator::*;
 pub use failure::cophase_last_error;
 pub use image_report::cophase_image_report;

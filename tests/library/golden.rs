@@ -1,6 +1,5 @@
 //! Comparison with vectors from an independent program (`tests/golden/README.md`), on every available chain.
 
-
 use crate::common::{chains, relative_difference};
 use cophase::imaging::{Chain, CpuChain, Exposure, Precision};
 use cophase::io;

@@ -1,11 +1,8 @@
 //! Whatever chain fits, in whatever precision: the same estimate, over random scenes; and f32 stops where it resolves
 //! no descent.
 
-#[path = "../common/mod.rs"]
-mod common;
-
 use super::scene;
-use common::chains;
+use crate::common::chains;
 use cophase::modal::{Cube, ModalFitter, Status};
 use cophase::source;
 use rand::{RngExt, SeedableRng};
