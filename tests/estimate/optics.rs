@@ -121,7 +121,7 @@ fn what_cannot_be_fitted_is_refused_in_a_sentence() {
     };
     // There is no image yet.
     let early = sentence(ModalFitter::new(&asked("[\"rotation\"]"), false).map(|_| ()));
-    assert!(early.contains("asks for images before there is a model"), "{early}");
+    assert!(early.contains("fits the telescope to images"), "{early}");
     let with = |settings: &[(&str, &str)]| sentence(asked("[\"rotation\"]").with(settings).map(|_| ()));
     assert!(with(&[("estimate.optimizer", "bfgs")]).contains("needs weights by the noise"));
     assert!(with(&[("estimate.budget_nm", "1")]).contains("fit_optics"));
