@@ -1,5 +1,5 @@
-//! **cophase** reads defocused images of a star and says, separately, what the segments of a telescope's mirror and
-//! what the non-common path aberrations (NCPA) behind its adaptive optics are doing: in nanometres, with error bars.
+//! **cophase** estimates the phasing errors of a telescope's segments and the non-common path aberrations (NCPA) behind its
+//! adaptive optics from defocused images of a star: separately, in nanometres, with error bars.
 //!
 //! # Conventions, the same in every language
 //!
@@ -30,8 +30,8 @@
 //! # }
 //! ```
 //!
-//! [`pipeline`] is what every interface calls. The other modules are its parts, from the telescope to the optimiser; see
-//! `ARCHITECTURE.md`: each uses only those to the left of it.
+//! Every interface (the program, C, Python, MATLAB) calls [`pipeline`]. The other modules are its parts, from the telescope to
+//! the optimiser; `ARCHITECTURE.md` says which module uses which.
 
 #![deny(missing_docs)]
 

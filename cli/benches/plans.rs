@@ -6,7 +6,7 @@
 use cophase::Result;
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
-use cophase::modal::{Cube, EachImage, ModalFitter};
+use cophase::modal::{Cube, ImageFits, ModalFitter};
 use cophase::modes::Group;
 use cophase::planner;
 use cophase::scene::{self, Scene};
@@ -92,7 +92,7 @@ fn read(model: &Scene, scene: &Scene) -> Result<(f64, [f64; 2])> {
         scene::Precision::F64 => Precision::F64,
     };
     let mut chain = Chain::cpu(estimator.model().optics.clone(), precision);
-    let mut fit = |images_e: &Array3<f64>| -> Result<EachImage> {
+    let mut fit = |images_e: &Array3<f64>| -> Result<ImageFits> {
         let bad = images_e.mapv(|_| false);
         let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
         estimator.fit_each(&mut chain, cube, None, &mut |_, _| {})

@@ -1,67 +1,68 @@
-//! The running static estimate of images that come one by one.
+//! Accumulator: running static estimate of images that are fitted one after the other.
 
-use super::combine::{Combined, centre, is_sequence, of_few};
-use super::diversity_error::within_reach;
+use super::combine::{CombinedModes, centre, covariance_with_scatter, is_sequence};
+use super::diversity_error::check_reachable;
 use super::fitter::ModalFitter;
 use super::pistons::Pistons;
 use super::sequence::{scatter, shrinkage_of_variance};
 use super::session::Session;
-use super::status::{ImageReport, Selection, judge_together};
+use super::status::{ImageReport, Selection, assess_together};
 use crate::modes::Group;
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, Axis};
 use std::sync::Arc;
 
-/// Keeps the coefficients of the last images, and combines them by the rules of [`ModalFitter::estimate`]: up to seven are
-/// judged one by one, eight and more by one another, outliers are left out as the scene says.
+/// Keeps the coefficients of the last images, and combines them by the rules of [`ModalFitter::estimate`]: up to seven images
+/// are assessed one by one, eight and more as a sequence. Outliers are left out as the scene says.
 pub struct Accumulator {
     estimator: Arc<ModalFitter>,
     pistons: Pistons,
     /// Inner products of the modes over the pupil, piston removed: the mean square of a map is cᵀ·G·c.
     gram: Array2<f64>,
-    /// A ring: `[place, mode]`, nm.
+    /// Ring buffer, `[place, mode]`, nm.
     coefficients_nm: Array2<f64>,
     reports: Vec<ImageReport>,
-    /// Images ever pushed since the last [`Accumulator::clear`].
+    /// Number of images pushed since the last [`Accumulator::clear`].
     pushed: u64,
 }
 
-/// What the images so far say together.
+/// Combined estimate of the images that are kept.
 #[derive(Debug, Clone)]
 pub struct RunningEstimate {
     /// Mean or median of the images used, and its covariance.
-    pub combined: Combined,
-    /// Images that are kept.
+    pub combined: CombinedModes,
+    /// Number of images that are kept.
     pub images: usize,
-    /// Those that were combined.
+    /// Number of images that were combined.
     pub used: usize,
-    /// Those that converged and that the clipped mean left out.
+    /// Number of images that converged and that the clipped mean left out.
     pub clipped: usize,
     /// RMS over the pupil of the segments' part of the wavefront, nm.
     pub phasing_rms_nm: f64,
-    /// RMS over the pupil of its error bar, nm.
+    /// RMS over the pupil of the error bar of the phasing, nm.
     pub phasing_sigma_nm: f64,
-    /// Likewise of the non-common path aberrations.
+    /// RMS over the pupil of the non-common path aberrations, nm.
     pub ncpa_rms_nm: f64,
-    /// Likewise.
+    /// RMS over the pupil of the error bar of the NCPA, nm.
     pub ncpa_sigma_nm: f64,
     /// Median reduced χ² of the images used.
     pub reduced_chi2: f64,
 }
 
 impl Accumulator {
-    /// Keeps the last `capacity` images of the estimator's model.
+    /// An accumulator of the last `capacity` images of the estimator's model.
     ///
     /// # Errors
-    /// [`Error::Value`] for no capacity, or one that memory cannot hold.
+    /// [`Error::Value`] for a capacity of 0, or one that memory cannot hold.
     pub fn new(estimator: Arc<ModalFitter>, capacity: usize) -> Result<Self> {
         let model = estimator.model();
         let modes = model.optics.modes();
         let size = capacity.checked_mul(modes).filter(|&size| size > 0);
         let (mut memory, mut reports) = (Vec::<f64>::new(), Vec::new());
-        let refused = |size| memory.try_reserve_exact(size).is_err() || reports.try_reserve_exact(capacity).is_err();
-        if size.is_none_or(refused) {
+        let is_too_large =
+            |size| memory.try_reserve_exact(size).is_err() || reports.try_reserve_exact(capacity).is_err();
+        if size.is_none_or(is_too_large) {
             return Err(Error::Value(format!(
                 "capacity is {capacity}: 1 to as many images of {modes} coefficients as memory holds are accepted"
             )));
@@ -69,11 +70,11 @@ impl Accumulator {
         memory.resize(capacity * modes, 0.0);
         let coefficients_nm = Array2::from_shape_vec((capacity, modes), memory)
             .map_err(|error| Error::Internal(format!("the ring of images: {error}")))?;
-        let (pistons, gram) = (Pistons::of(model)?, model.basis.visible_gram(&model.telescope.pupil.amplitude)?);
+        let (pistons, gram) = (Pistons::new(model)?, model.basis.visible_gram(&model.telescope.pupil.amplitude)?);
         Ok(Self { pistons, gram, coefficients_nm, reports, pushed: 0, estimator })
     }
 
-    /// Takes all images of the session's last fit; the oldest make way. Allocates nothing.
+    /// Adds all images of the session's last fit; they replace the oldest ones. Allocates nothing.
     ///
     /// # Errors
     /// [`Error::Value`] for a session of another model.
@@ -96,7 +97,7 @@ impl Accumulator {
         Ok(())
     }
 
-    /// Forgets all images.
+    /// Removes all images.
     pub fn clear(&mut self) {
         self.reports.clear();
         self.pushed = 0;
@@ -115,9 +116,9 @@ impl Accumulator {
         let (single_nm2, selected, coefficients_nm) = self.single()?;
         let how = self.estimator.recipe().combine;
         let covariance_nm2 = self.estimator.with_shared(single_nm2 * shrinkage_of_variance(how, selected.used.len()));
-        let square = |group, of: &dyn Fn(usize, usize) -> f64| self.mean_square(group, of).max(0.0).sqrt();
-        let rms = |group| square(group, &|i, j| coefficients_nm[i] * coefficients_nm[j]);
-        let sigma = |group| square(group, &|i, j| covariance_nm2[[i, j]]);
+        let root = |group, product: &dyn Fn(usize, usize) -> f64| self.mean_square(group, product).max(0.0).sqrt();
+        let rms = |group| root(group, &|i, j| coefficients_nm[i] * coefficients_nm[j]);
+        let sigma = |group| root(group, &|i, j| covariance_nm2[[i, j]]);
         let chi2: Vec<f64> = selected.used.iter().map(|&place| self.reports[place].reduced_chi2).collect();
         Ok(RunningEstimate {
             images: self.reports.len(),
@@ -128,14 +129,14 @@ impl Accumulator {
             ncpa_rms_nm: rms(Group::Ncpa),
             ncpa_sigma_nm: sigma(Group::Ncpa),
             reduced_chi2: median(&chi2),
-            combined: Combined { coefficients_nm, covariance_nm2 },
+            combined: CombinedModes { coefficients_nm, covariance_nm2 },
         })
     }
 
-    /// How many further images like those so far would bring the error bars of both maps (RMS over the pupil) down to
-    /// these; infinity asks nothing of one. 0 where they are there already.
+    /// Number of further images like those so far that would bring the error bars of both maps (RMS over the pupil) down to
+    /// these values; infinity sets no limit on a map. 0 where the error bars are small enough already.
     ///
-    /// Images that were of no use so far count as they come: where one in two is used, two are needed for one.
+    /// Images that could not be used count, too: where one in two is used, two more are needed for one.
     ///
     /// # Errors
     /// [`Error::Value`] for a wanted error that is not positive, and those of [`Accumulator::estimate`].
@@ -146,7 +147,7 @@ impl Accumulator {
             }
         }
         let now = self.estimate()?;
-        // What all images share no number of them averages out.
+        // Errors that all images share are not averaged out.
         let all_shared_nm2 = self.estimator.shared_covariance_nm2();
         let shared = |group| match &all_shared_nm2 {
             Some(shared_nm2) => self.mean_square(group, &|i, j| shared_nm2[[i, j]]).max(0.0),
@@ -157,7 +158,7 @@ impl Accumulator {
             [(Group::Segment, now.phasing_sigma_nm, phasing_nm), (Group::Ncpa, now.ncpa_sigma_nm, ncpa_nm)]
         {
             let shared_nm2 = shared(group);
-            within_reach(wanted_nm, shared_nm2)?;
+            check_reachable(wanted_nm, shared_nm2)?;
             let averaged_nm2 = (sigma_nm.powi(2) - shared_nm2).max(0.0);
             ratio = ratio.max((averaged_nm2 / (wanted_nm.powi(2) - shared_nm2)).sqrt());
         }
@@ -173,11 +174,11 @@ impl Accumulator {
     /// mean or median.
     fn single(&self) -> Result<(Array2<f64>, Selection, Vec<f64>)> {
         let mut reports = self.reports.clone();
-        judge_together(&mut reports);
+        assess_together(&mut reports);
         let reports: Vec<&ImageReport> = reports.iter().collect();
         let how = self.estimator.recipe().combine;
         let rows = self.coefficients_nm.slice(ndarray::s![..reports.len(), ..]).to_owned();
-        let selected = Selection::of(&reports, &rows, how);
+        let selected = Selection::new(&reports, &rows, how);
         if selected.used.is_empty() {
             return Err(Error::Image(match reports.first() {
                 None => "the sequence holds no image: push a fitted one first".into(),
@@ -186,30 +187,35 @@ impl Accumulator {
         }
         let used_nm = rows.select(Axis(0), &selected.used);
         let coefficients_nm = centre(&self.pistons, &used_nm, how);
-        let of_used = |value: fn(&ImageReport) -> f64| {
+        let median_of_used = |value: fn(&ImageReport) -> f64| {
             median(&selected.used.iter().map(|&place| value(reports[place])).collect::<Vec<_>>())
         };
         let noise_nm2 = self.estimator.bound(
             ArrayView1::from(&coefficients_nm),
-            of_used(|report| report.flux_e),
-            of_used(|report| report.background_e).max(0.0),
+            median_of_used(|report| report.flux_e),
+            median_of_used(|report| report.background_e).max(0.0),
         )?;
         let single_nm2 = if is_sequence(&reports) {
             self.pistons.centred(&scatter(&used_nm, how, &noise_nm2))
         } else {
             let chi2 = selected.used.iter().map(|&place| reports[place].reduced_chi2.max(1.0)).sum::<f64>();
-            of_few(noise_nm2 * (chi2 / selected.used.len() as f64), &used_nm)
+            covariance_with_scatter(noise_nm2 * (chi2 / selected.used.len() as f64), &used_nm)
         };
         Ok((single_nm2, selected, coefficients_nm))
     }
 
-    /// The mean over the pupil of the square that the products `of(i, j)` of coefficients make, for the modes of a group.
-    fn mean_square(&self, group: Group, of: &dyn Fn(usize, usize) -> f64) -> f64 {
+    /// Mean square over the pupil of the map of a group: Σ gram[i, j]·product(i, j) over the modes of the group, where
+    /// `product(i, j)` is the product (or the covariance) of two coefficients.
+    fn mean_square(&self, group: Group, product: &dyn Fn(usize, usize) -> f64) -> f64 {
         let model = self.estimator.model();
         let range = match group {
             Group::Segment => 0..model.segment_modes,
             Group::Ncpa => model.segment_modes..model.basis.len(),
         };
-        range.clone().flat_map(|i| range.clone().map(move |j| (i, j))).map(|(i, j)| self.gram[[i, j]] * of(i, j)).sum()
+        range
+            .clone()
+            .flat_map(|i| range.clone().map(move |j| (i, j)))
+            .map(|(i, j)| self.gram[[i, j]] * product(i, j))
+            .sum()
     }
 }

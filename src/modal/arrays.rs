@@ -1,7 +1,7 @@
-//! Models of a telescope that a caller gives as arrays: a pupil that is neither hexagons nor a file, modes of one's own.
+//! Models of a telescope that the caller gives as arrays: pupil amplitude, segment labels, modes, diversity.
 
 use super::fitter::{ModalFitter, refuse_budget, refuse_fit_optics, refuse_full_phase};
-use super::mode_set::{ModeSet, OwnBasis, on_grid};
+use super::mode_set::{ModeSet, SceneBasis, on_grid};
 use super::model::Model;
 use super::recipe::Recipe;
 use crate::modes::Group;
@@ -11,7 +11,7 @@ use crate::telescope::{Diversity, MapOnGrid, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayViewMut2};
 
-/// Width of the grid where the scene states none: nothing that has no length of its own depends on it.
+/// Width of the grid where the scene states none. No result depends on it unless the scene has other lengths in metres.
 const UNSTATED_WIDTH_M: f64 = 1.0;
 
 /// A telescope, its modes and its diversity as maps of the caller's, in place of the scene's. All are `[y, x]` on one
@@ -23,22 +23,22 @@ pub struct Arrays {
     /// Segment of each sample, `[y, x]`: 0, 1, … and negative where there is none; `None` for a telescope of one piece.
     pub segments: Option<Array2<i32>>,
     /// NCPA modes, `[mode, y, x]`, nm for each nm of their coefficients, which keep this order and this scale; named
-    /// `mode-1`, `mode-2`, … Samples without glass may hold anything, NaN included.
+    /// `mode-1`, `mode-2`, … Values where the amplitude is 0 are ignored, NaN included.
     pub modes: Option<Array3<f64>>,
-    /// Diversity, `[y, x]`, nm. Samples without glass may hold anything, NaN included.
+    /// Diversity, `[y, x]`, nm. Values where the amplitude is 0 are ignored, NaN included.
     pub diversity_nm: Option<Array2<f64>>,
 }
 
 impl ModalFitter {
-    /// An estimator whose pupil, and whatever else `arrays` holds, is the caller's; the scene says the rest. Its own pupil
-    /// and the files for which there is an array are not looked at: read the scene with [`Scene::for_arrays`], and they
-    /// need not fit together either.
+    /// A fitter for the pupil in `arrays` and whatever else `arrays` holds; the rest is the scene's. The scene's own pupil,
+    /// and its files for which there is an array, are ignored: [`Scene::for_arrays`] reads a scene without checking
+    /// them.
     ///
     /// The pupil is used on its own samples, whatever `pupil.samples` and `pupil.model` say, and `pupil.grid_m` is needed
     /// only where lengths matter (`modes.ncpa = "kl"`).
     ///
     /// * **Segment modes** are those of `modes.segment` for the labelled segments. Without labels there are none, because
-    ///   nothing sees the piston of a single piece.
+    ///   the piston of a single piece does not change the image.
     /// * **NCPA modes** are those of `arrays`; without any, those of `modes.ncpa` or `modes.file` where the scene names
     ///   one of them, else none.
     /// * **Exact Zernikes** join the modes of a caller only where the scene names `modes.exact_zernikes`.
@@ -46,9 +46,9 @@ impl ModalFitter {
     ///
     /// # Errors
     /// [`Error::Shape`] for maps that are not square, of an even side and of one size; [`Error::Value`] for an amplitude
-    /// outside \[0, 1\], no glass at all, labels that leave out a number or glass, modes or a diversity that are not finite
-    /// where there is glass, and where no mode is left; [`Error::Scene`] where the scene's basis cannot be built on this
-    /// pupil; those of [`Model::of`].
+    /// outside \[0, 1\], a pupil without illuminated samples, labels that leave out a number or an illuminated sample, modes
+    /// or a diversity that are not finite at an illuminated sample, and where no mode is left; [`Error::Scene`] where the scene's basis cannot be built on this
+    /// pupil; those of [`Model::new`].
     pub fn from_arrays(scene: &Scene, arrays: &Arrays) -> Result<Self> {
         refuse_budget(scene)?;
         refuse_fit_optics(scene)?;
@@ -56,30 +56,33 @@ impl ModalFitter {
         let width_m = scene.pupil.grid_m.unwrap_or(UNSTATED_WIDTH_M);
         let telescope = Telescope::from_maps(width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
         let diversity = match &arrays.diversity_nm {
-            Some(map) => diversity_of(map.clone(), &telescope.pupil)?,
+            Some(map) => diversity_from_map(map.clone(), &telescope.pupil)?,
             None => Diversity::new(scene, &telescope)?,
         };
-        let (recipe, set) = modes_of(scene, arrays, &telescope)?;
+        let (recipe, set) = build_modes(scene, arrays, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
         Self::from_model(scene, recipe, model)
     }
 }
 
-/// The modes, and the recipe that goes with them.
-fn modes_of(scene: &Scene, arrays: &Arrays, telescope: &Telescope) -> Result<(Recipe, ModeSet)> {
+/// Builds the modes, and the recipe that goes with them.
+fn build_modes(scene: &Scene, arrays: &Arrays, telescope: &Telescope) -> Result<(Recipe, ModeSet)> {
     let pupil = &telescope.pupil;
     let segment = segment_modes(scene, arrays)?;
     let own = arrays.modes.is_none() && (scene.names("modes.ncpa") || scene.names("modes.file"));
-    let mut recipe = Recipe::of(scene);
+    let mut recipe = Recipe::from_scene(scene);
     // A map on the model's own grid has no finer one from which to band-limit it.
     recipe.pupil_model = PupilModel::Hard;
     if !own && scene.modes.exact_zernikes.is_none() {
         recipe.exact_zernikes = NollRange::None;
     }
     if let Some(maps) = &arrays.modes {
-        return Ok((recipe.clone(), ModeSet::of_maps(segment, ncpa_of(maps.clone(), pupil)?, &recipe, pupil)?));
+        return Ok((
+            recipe.clone(),
+            ModeSet::from_maps(segment, ncpa_from_maps(maps.clone(), pupil)?, &recipe, pupil)?,
+        ));
     }
-    let basis = if own && scene.modes.ncpa != NcpaBasis::None { OwnBasis::default() } else { OwnBasis::none() };
+    let basis = if own && scene.modes.ncpa != NcpaBasis::None { SceneBasis::default() } else { SceneBasis::none() };
     if own && scene.modes.ncpa == NcpaBasis::Kl && scene.pupil.grid_m.is_none() {
         let sentence =
             "'pupil.grid_m' is missing; the width of the pupil's array, in m, is needed by modes.ncpa = \"kl\"";
@@ -93,12 +96,12 @@ fn modes_of(scene: &Scene, arrays: &Arrays, telescope: &Telescope) -> Result<(Re
                 .into(),
         ));
     }
-    let set = ModeSet::of(scene, segment, &recipe, telescope, &basis)?;
+    let set = ModeSet::from_scene(scene, segment, &recipe, telescope, &basis)?;
     Ok((recipe, set))
 }
 
-/// The motions of the labelled segments. A scene that does not speak of segments means pistons, so that without labels
-/// pistons are no contradiction; tips and tilts are.
+/// Motions of the labelled segments. Pistons are the scene's default, so that pistons without labels are no error; tips and
+/// tilts without labels are one.
 fn segment_modes(scene: &Scene, arrays: &Arrays) -> Result<SegmentModes> {
     match (scene.modes.segment, &arrays.segments) {
         (modes, Some(_)) => Ok(modes),
@@ -111,7 +114,7 @@ fn segment_modes(scene: &Scene, arrays: &Arrays) -> Result<SegmentModes> {
     }
 }
 
-fn ncpa_of(mut maps: Array3<f64>, pupil: &Pupil) -> Result<crate::modes::Basis> {
+fn ncpa_from_maps(mut maps: Array3<f64>, pupil: &Pupil) -> Result<crate::modes::Basis> {
     let count = maps.dim().0;
     if count == 0 {
         return Err(Error::Shape("an array of 0 modes is given; at least one is needed, or no array at all".into()));
@@ -120,29 +123,30 @@ fn ncpa_of(mut maps: Array3<f64>, pupil: &Pupil) -> Result<crate::modes::Basis> 
     // Another shape is refused by `on_grid`.
     if (maps.dim().1, maps.dim().2) == pupil.amplitude.dim() {
         for (map, name) in maps.outer_iter_mut().zip(&names) {
-            finite_on_glass(map, name, pupil)?;
+            check_finite_in_pupil(map, name, pupil)?;
         }
     }
     on_grid(names, vec![Group::Ncpa; count], maps, pupil)
 }
 
-fn diversity_of(mut map: Array2<f64>, pupil: &Pupil) -> Result<Diversity> {
+fn diversity_from_map(mut map: Array2<f64>, pupil: &Pupil) -> Result<Diversity> {
     let (samples, (rows, columns)) = (pupil.grid.samples(), map.dim());
     if (rows, columns) != (samples, samples) {
         return Err(Error::Shape(format!(
             "the diversity has {columns}x{rows} samples where the pupil has {samples}x{samples}"
         )));
     }
-    finite_on_glass(map.view_mut(), "the diversity", pupil)?;
+    check_finite_in_pupil(map.view_mut(), "the diversity", pupil)?;
     Ok(Diversity::Map(MapOnGrid::new(map, pupil.grid.width_m())?))
 }
 
-/// Refuses what is not finite where there is glass, and puts 0 in its place elsewhere: maps are commonly NaN out there.
-fn finite_on_glass(mut map: ArrayViewMut2<f64>, name: &str, pupil: &Pupil) -> Result<()> {
+/// Refuses values that are not finite at illuminated samples, and replaces them by 0 elsewhere: maps are commonly NaN outside
+/// the pupil.
+fn check_finite_in_pupil(mut map: ArrayViewMut2<f64>, name: &str, pupil: &Pupil) -> Result<()> {
     for ((y, x), value) in map.indexed_iter_mut().filter(|(_, value)| !value.is_finite()) {
         if pupil.amplitude[[y, x]] > 0.0 {
             return Err(Error::Value(format!(
-                "{name} is {value} at row {y}, column {x}, where the pupil has glass; finite values are needed"
+                "{name} is {value} at row {y}, column {x}, where the pupil is illuminated; finite values are needed"
             )));
         }
         *value = 0.0;

@@ -1,12 +1,12 @@
-//! The wavelengths of a model.
+//! Wavelengths of a model of a filter with a width.
 
 use crate::imaging::Colour;
 use crate::scene::{Optimizer, Scene};
 use crate::telescope::{Diversity, Telescope, band, wavelengths_needed};
 use crate::{Error, Result};
 
-/// Most wavelengths that are taken where the scene does not say: a band of 30 % behind the paper's defocus.
-const MOST: usize = 15;
+/// Most wavelengths where the scene does not name their number: enough for a band of 30 % behind the paper's defocus.
+const MAX_WAVELENGTHS: usize = 15;
 
 /// The wavelengths of the model of `scene`.
 ///
@@ -22,9 +22,9 @@ pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversit
             )));
         }
         Some(count) => count,
-        // The paper's recipes know one.
+        // The paper's recipes have one wavelength.
         None if scene.estimate.optimizer != Optimizer::GaussNewton => 1,
-        None => wavelengths_needed(scene, telescope, diversity).min(MOST),
+        None => wavelengths_needed(scene, telescope, diversity).min(MAX_WAVELENGTHS),
     };
     if count == 1 {
         return Ok(vec![Colour::MONOCHROMATIC]);
@@ -39,7 +39,7 @@ pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversit
 pub(super) fn enough_beyond(scene: &Scene) -> Result<usize> {
     let telescope = Telescope::new(scene)?;
     let needed = wavelengths_needed(scene, &telescope, &Diversity::new(scene, &telescope)?);
-    Ok((needed + needed.div_ceil(2)).min(MOST))
+    Ok((needed + needed.div_ceil(2)).min(MAX_WAVELENGTHS))
 }
 
 #[cfg(test)]
@@ -47,14 +47,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scene_says_how_many_or_its_filter_does() {
+    fn the_number_of_wavelengths_comes_from_the_scene_or_from_its_filter() {
         let with = |settings: &[(&str, &str)]| {
             let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
             let telescope = Telescope::new(&scene).unwrap();
             colours(&scene, &telescope, &Diversity::new(&scene, &telescope).unwrap())
         };
         assert_eq!(with(&[]).unwrap(), [Colour::MONOCHROMATIC]);
-        assert_eq!(with(&[("image.bandwidth_fraction", "0.5")]).unwrap().len(), MOST);
+        assert_eq!(with(&[("image.bandwidth_fraction", "0.5")]).unwrap().len(), MAX_WAVELENGTHS);
         let broad = ("image.bandwidth_fraction", "0.1");
         assert_eq!(with(&[broad, ("estimate.wavelengths", "1")]).unwrap(), [Colour::MONOCHROMATIC]);
         let named = with(&[broad, ("estimate.wavelengths", "2")]).unwrap();

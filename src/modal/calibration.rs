@@ -1,21 +1,21 @@
-//! From what a camera delivers to electrons.
+//! Camera calibration: raw values to electrons.
 
 use crate::{Error, Result};
 use ndarray::Array2;
 
-/// What a camera's maker or its owner has measured, `[y, x]`; what is absent is perfect.
+/// Calibration maps of a camera, `[y, x]`; a map that is absent is perfect.
 #[derive(Debug, Clone, Default)]
 pub struct CameraMaps {
     /// Signal without light, raw units.
     pub dark: Option<Array2<f64>>,
     /// Relative response, about 1.
     pub flat: Option<Array2<f64>>,
-    /// Pixels that take no part.
+    /// Bad pixels, which take no part.
     pub bad: Option<Array2<bool>>,
 }
 
-/// Turns raw values into electrons: (raw − dark)·gain/flat. Pixels whose dark or flat is no usable number are bad, and so
-/// is a value at or above the saturation.
+/// Turns raw values into electrons: (raw − dark)·gain/flat. Pixels whose dark is not finite or whose flat is not positive are
+/// bad; so is a value at or above the saturation.
 #[derive(Debug, Clone)]
 pub struct Calibration {
     dark: Array2<f64>,
@@ -26,7 +26,7 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// For frames of `shape` (rows, columns). `gain_e` are electrons per raw unit; `saturation` is in raw units, and
+    /// A calibration for frames of `shape` (rows, columns). `gain_e` are electrons per raw unit; `saturation` is in raw units, and
     /// infinite where nothing saturates.
     ///
     /// # Errors

@@ -1,14 +1,14 @@
-//! From the minima of single images to one estimate: mean or median, error bars, maps.
+//! Combination of the minima of single images into one estimate: mean or median, error bars, maps.
 
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
-use super::prepare::{Prepared, Refusal};
+use super::prepare::{PreparedFrame, Refusal};
 use super::residual::variance;
 use super::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
 use super::spread::Spread;
-use super::status::{ImageReport, Selection, Status, judged, unfitted};
+use super::status::{ImageReport, Selection, Status, assess_all, unfitted_report};
 use crate::modes::{Degeneracy, Group, WEAK_BELOW};
 use crate::optimize::StopReason;
 use crate::scene::Combine;
@@ -18,25 +18,25 @@ use ndarray::{Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 use std::slice::from_ref;
 
-/// The static wavefront.
+/// Modes of the static wavefront.
 #[derive(Debug, Clone)]
-pub struct Combined {
+pub struct CombinedModes {
     /// Every mode, nm; pistons have zero mean over the pupil.
     pub coefficients_nm: Vec<f64>,
     /// Its covariance, nm².
     pub covariance_nm2: Array2<f64>,
 }
 
-impl Combined {
+impl CombinedModes {
     /// Standard deviation of each mode, nm.
     pub fn sigma_nm(&self) -> Vec<f64> {
         self.covariance_nm2.diag().iter().map(|v| v.max(0.0).sqrt()).collect()
     }
 }
 
-/// Images of one estimate: what was compared, for pictures. `[y, x]`, electrons at the model's sampling.
+/// One image beside its fitted model, for pictures: `[y, x]`, electrons at the model's sampling.
 #[derive(Debug, Clone)]
-pub struct Compared {
+pub struct FittedImage {
     /// The data; NaN where bad.
     pub data_e: Array2<f64>,
     /// The fitted model.
@@ -45,73 +45,73 @@ pub struct Compared {
     pub residual_sigma: Array2<f64>,
 }
 
-/// Some images of an estimate, combined anew: what [`ModalFitter::combine_subset`] returns.
+/// A new combination of some images of an estimate; see [`ModalFitter::combine_subset`].
 #[derive(Debug, Clone)]
 pub struct Combination {
-    /// The images that went into it.
+    /// The images that were combined.
     pub used_images: Vec<usize>,
-    /// Those that the clipped mean left out.
+    /// Images that the clipped mean left out.
     pub clipped_images: Vec<usize>,
-    /// Mean or median over them.
-    pub combined: Combined,
+    /// Mean or median over the images.
+    pub combined: CombinedModes,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations likewise.
+    /// Non-common path aberrations, `[y, x]`, nm, NaN outside the pupil.
     pub ncpa_nm: Array2<f64>,
-    /// Error bar of each map, 1σ, nm.
+    /// Error bar of the phasing map, 1σ, nm.
     pub phasing_sigma_nm: Array2<f64>,
-    /// Likewise.
+    /// Error bar of the NCPA map, 1σ, nm.
     pub ncpa_sigma_nm: Array2<f64>,
 }
 
-/// What [`ModalFitter::estimate`] found.
+/// Modal estimate of the static wavefront; see [`ModalFitter::estimate`].
 #[derive(Debug, Clone)]
 pub struct ModalEstimate {
-    /// One report per image, in order.
+    /// Report of each image, in order.
     pub images: Vec<ImageReport>,
     /// Coefficients of each image, `[image, mode]`, nm; NaN for unusable ones.
     pub image_coefficients_nm: Array2<f64>,
     /// How they were combined.
     pub combine: Combine,
-    /// The images that were combined: of up to seven those of the best kind of status that is there, from eight on all
-    /// that converged and were not clipped.
+    /// The images that were combined: of up to seven those with the best kind of status, from eight on all that converged
+    /// and were not clipped.
     pub used_images: Vec<usize>,
-    /// Those that converged and that the clipped mean left out.
+    /// Images that converged and that the clipped mean left out.
     pub clipped_images: Vec<usize>,
     /// Mean or median over the images that were used.
-    pub combined: Combined,
-    /// The part of the covariance that more images would average out, nm²; the rest is [`ModalFitter::shared_errors`].
+    pub combined: CombinedModes,
+    /// The part of the covariance that further images would average out, nm²; the rest is [`ModalFitter::shared_errors`].
     pub averaged_covariance_nm2: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations likewise.
+    /// Non-common path aberrations, `[y, x]`, nm, NaN outside the pupil.
     pub ncpa_nm: Array2<f64>,
-    /// Error bar of each map, 1σ, nm.
+    /// Error bar of the phasing map, 1σ, nm.
     pub phasing_sigma_nm: Array2<f64>,
-    /// Likewise.
+    /// Error bar of the NCPA map, 1σ, nm.
     pub ncpa_sigma_nm: Array2<f64>,
-    /// The first image that was used, beside its model.
-    pub compared: Compared,
-    /// Which combinations of modes the images do not see, or hardly.
+    /// The first image that was used, with its model.
+    pub compared: FittedImage,
+    /// Combinations of modes that change the images little or not at all.
     pub degeneracy: Degeneracy,
     /// Wall-clock time of the estimate, without building the model.
     pub seconds: f64,
     /// Where it ran.
     pub device: String,
-    /// Why a device that `auto` had taken did not end what it began, as a sentence.
+    /// Why the device that `auto` selected failed, as a sentence; `None` where it did not.
     pub device_failure: Option<String>,
-    /// In which precision.
+    /// Precision of the chain.
     pub precision: &'static str,
-    /// What a single image is worth.
+    /// Covariances of a single image.
     single: SingleImage,
 }
 
 /// Covariances of the coefficients of one image, nm², pistons about their mean.
 #[derive(Debug, Clone)]
 struct SingleImage {
-    /// As its noise makes it.
+    /// From the noise.
     noise_nm2: Array2<f64>,
-    /// As the images of the estimate show it.
+    /// From the scatter of the images.
     scatter_nm2: Array2<f64>,
 }
 
@@ -132,8 +132,8 @@ impl ModalEstimate {
         median(&fitted.collect::<Vec<_>>())
     }
 
-    /// Whether the images are enough to be judged by one another (eight that converged): then error bars are from the
-    /// scatter between them.
+    /// Whether eight images or more converged: then they are assessed as a sequence, and error bars are from the scatter
+    /// between them.
     pub fn is_sequence(&self) -> bool {
         is_sequence(&self.images.iter().collect::<Vec<_>>())
     }
@@ -156,44 +156,44 @@ pub(super) fn is_sequence(reports: &[&ImageReport]) -> bool {
     reports.iter().filter(|report| report.status.has_converged()).count() >= SEQUENCE
 }
 
-/// One estimate from all images of a call. `indices` says which images the minima belong to.
+/// Combines all images of a call. `indices` are the images that the minima belong to.
 pub(super) fn combine(
     estimator: &ModalFitter,
     refused: Vec<Option<Refusal>>,
     indices: &[usize],
-    prepared: &[Prepared],
+    prepared: &[PreparedFrame],
     mut minima: Vec<Minimum>,
 ) -> Result<ModalEstimate> {
     let model = &estimator.model;
     let pistons = &estimator.pistons;
     minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
-    let reports = judged(estimator, prepared, &minima);
-    // The reports of those that were fitted take the places of those that say why not.
+    let reports = assess_all(estimator, prepared, &minima);
+    // Reports of images that were not fitted first; those of fitted images then take their places.
     let reason =
         |refused: Option<Refusal>| refused.map_or(Status::NotConverged(StopReason::Unfinished), Status::Unusable);
-    let mut images: Vec<ImageReport> = refused.into_iter().map(|refused| unfitted(reason(refused))).collect();
+    let mut images: Vec<ImageReport> = refused.into_iter().map(|refused| unfitted_report(reason(refused))).collect();
     let mut image_coefficients_nm = Array2::from_elem((images.len(), model.optics.modes()), f64::NAN);
     for ((&image, minimum), report) in indices.iter().zip(&minima).zip(&reports) {
         images[image] = *report;
         image_coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
     }
     let how = estimator.recipe.combine;
-    let of_reports: Vec<&ImageReport> = reports.iter().collect();
+    let fitted_reports: Vec<&ImageReport> = reports.iter().collect();
     let fitted_nm = image_coefficients_nm.select(Axis(0), indices);
-    let Selection { used, clipped } = Selection::of(&of_reports, &fitted_nm, how);
-    let Some(&first) = used.first() else { return Err(nothing_fitted(&of_reports)) };
+    let Selection { used, clipped } = Selection::new(&fitted_reports, &fitted_nm, how);
+    let Some(&first) = used.first() else { return Err(nothing_fitted(&fitted_reports)) };
     let used_nm = fitted_nm.select(Axis(0), &used);
     let coefficients_nm = centre(pistons, &used_nm, how);
-    let (single, fisher) = if is_sequence(&of_reports) {
+    let (single, fisher) = if is_sequence(&fitted_reports) {
         let (noise_nm2, fisher) = noise_at(estimator, &prepared[first], &minima[first], &coefficients_nm)?;
         let scatter_nm2 = pistons.centred(&scatter(&used_nm, how, &noise_nm2));
         (SingleImage { noise_nm2, scatter_nm2 }, fisher)
     } else {
-        few(estimator, prepared, &minima, &reports, &used, &used_nm)?
+        few_images(estimator, prepared, &minima, &reports, &used, &used_nm)?
     };
     let averaged_covariance_nm2 = &single.scatter_nm2 * shrinkage_of_variance(how, used.len());
     let covariance_nm2 = estimator.with_shared(averaged_covariance_nm2.clone());
-    let combined = Combined { coefficients_nm, covariance_nm2 };
+    let combined = CombinedModes { coefficients_nm, covariance_nm2 };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
     let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
@@ -203,7 +203,7 @@ pub(super) fn combine(
         ncpa_nm,
         phasing_sigma_nm,
         ncpa_sigma_nm,
-        compared: compared(estimator, &minima[first], &prepared[first]),
+        compared: fitted_image(estimator, &minima[first], &prepared[first]),
         used_images: images_of(&used),
         clipped_images: images_of(&clipped),
         degeneracy: Degeneracy::from_matrix(&fisher, model.basis.names(), WEAK_BELOW)?,
@@ -219,7 +219,7 @@ pub(super) fn combine(
     })
 }
 
-/// Some images of an estimate, combined anew.
+/// Combines some images of an estimate.
 pub(super) fn subset(
     estimator: &ModalFitter,
     estimate: &ModalEstimate,
@@ -232,11 +232,13 @@ pub(super) fn subset(
         return Err(Error::Shape(format!("the estimate has {} modes where its estimator has {}", modes.0, modes.1)));
     }
     if let Some(image) = images.iter().find(|&&image| image >= count) {
-        return Err(Error::Value(format!("image {image} was asked for, where the estimate has {count}")));
+        return Err(Error::Value(format!(
+            "image {image} does not exist: the estimate has {count} images, numbered from 0"
+        )));
     }
     let reports: Vec<&ImageReport> = images.iter().map(|&image| &estimate.images[image]).collect();
     let coefficients_nm = estimate.image_coefficients_nm.select(Axis(0), images);
-    let Selection { used, clipped } = Selection::of(&reports, &coefficients_nm, how);
+    let Selection { used, clipped } = Selection::new(&reports, &coefficients_nm, how);
     if used.is_empty() {
         return Err(nothing_fitted(&reports));
     }
@@ -247,7 +249,7 @@ pub(super) fn subset(
     } else {
         estimate.single.scatter_nm2.clone()
     };
-    let combined = Combined {
+    let combined = CombinedModes {
         coefficients_nm: centre(pistons, &used_nm, how),
         covariance_nm2: estimator.with_shared(single_nm2 * shrinkage_of_variance(how, used.len())),
     };
@@ -274,27 +276,27 @@ pub(super) fn centre(pistons: &Pistons, used_nm: &Array2<f64>, how: Combine) -> 
     coefficients_nm
 }
 
-/// The covariance that an image's noise gives it (nm²), and its Fisher matrix (per nm²), at the wavefront of the whole
-/// sequence: one matrix for all, for the noise is the least part of their scatter.
+/// Covariance of one image from its noise (nm²), and its Fisher matrix (per nm²), at the wavefront of the whole sequence. One
+/// matrix serves all images, because the noise is the smallest part of their scatter.
 fn noise_at(
     estimator: &ModalFitter,
-    prepared: &Prepared,
+    prepared: &PreparedFrame,
     minimum: &Minimum,
     coefficients_nm: &[f64],
 ) -> Result<(Array2<f64>, Array2<f64>)> {
     let minimum = Minimum { coefficients_nm: coefficients_nm.to_vec(), ..minimum.clone() };
     let psf = estimator.reference.psf(ArrayView1::from(coefficients_nm));
     let variance_e2 = variance(&psf, &minimum, &prepared.floor_variance_e2);
-    let spread = Spread::of(estimator, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
+    let spread = Spread::new(estimator, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
     Ok((spread.covariance(0).clone(), spread.fisher(0).clone()))
 }
 
-/// What one of a few images is worth: the mean over those used of what the noise of each gives, scaled by its χ² where
-/// the model misfits; and, from four images on, what their scatter shows where that is more (a static wavefront under a
-/// changing one scatters more than its noise). With the Fisher matrix of the first.
-fn few(
+/// Covariance of one of a few images, and the Fisher matrix of the first: the mean over the used images of the covariance from
+/// the noise, scaled by χ² where the model misfits; from four images on that of their scatter where it is larger (a static
+/// wavefront under a changing one scatters more than its noise).
+fn few_images(
     estimator: &ModalFitter,
-    prepared: &[Prepared],
+    prepared: &[PreparedFrame],
     minima: &[Minimum],
     reports: &[ImageReport],
     used: &[usize],
@@ -307,43 +309,43 @@ fn few(
     let count = used.len() as f64;
     let mut noise_nm2 = Array2::<f64>::zeros([estimator.model.optics.modes(); 2]);
     let mut fisher = None;
-    // Where no fit converged they may be many, and each keeps two matrices.
+    // Where no fit converged there may be many images, and each keeps two matrices.
     for images in used.chunks(SEQUENCE) {
         let variances: Vec<Vec<f64>> = images.par_iter().map(variance_e2).collect();
-        let spread = Spread::of(estimator, images, prepared, minima, &variances)?;
+        let spread = Spread::new(estimator, images, prepared, minima, &variances)?;
         for (place, &image) in images.iter().enumerate() {
             noise_nm2.scaled_add(reports[image].reduced_chi2.max(1.0) / count, spread.covariance(place));
         }
         fisher.get_or_insert_with(|| spread.fisher(0).clone());
     }
-    let scatter_nm2 = of_few(noise_nm2.clone(), used_nm);
+    let scatter_nm2 = covariance_with_scatter(noise_nm2.clone(), used_nm);
     let fisher = fisher.ok_or_else(|| Error::Internal("no image is used".into()))?;
     Ok((SingleImage { noise_nm2, scatter_nm2 }, fisher))
 }
 
-/// Covariance of one of a few images whose noise gives it `noise_nm2`: from four on, what their scatter shows where that
-/// is more.
-pub(super) fn of_few(mut noise_nm2: Array2<f64>, used_nm: &Array2<f64>) -> Array2<f64> {
+/// Covariance of one of a few images, `noise_nm2` from its noise: from four images on it is scaled up to their scatter where
+/// that is larger.
+pub(super) fn covariance_with_scatter(mut noise_nm2: Array2<f64>, used_nm: &Array2<f64>) -> Array2<f64> {
     if used_nm.nrows() >= 4 {
         let deviations = used_nm - &location(used_nm, Combine::Mean).insert_axis(Axis(0));
-        // A common factor keeps the matrix positive; the mean over modes keeps it steady.
+        // A common factor keeps the matrix positive definite; the mean over the modes averages its own scatter.
         let scatter = (&deviations * &deviations).sum() / (used_nm.nrows() - 1) as f64;
         noise_nm2 *= (scatter / noise_nm2.diag().sum()).max(1.0);
     }
     noise_nm2
 }
 
-/// Phasing and NCPA.
-fn maps(model: &Model, combined: &Combined) -> [Array2<f64>; 2] {
+/// Maps of phasing and NCPA.
+fn maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
     [Group::Segment, Group::Ncpa].map(|group| model.map_nm(&combined.coefficients_nm, group))
 }
 
-/// Their error bars.
-fn sigma_maps(model: &Model, combined: &Combined) -> [Array2<f64>; 2] {
+/// Error bars of phasing and NCPA.
+fn sigma_maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
     [Group::Segment, Group::Ncpa].map(|group| sigma_map(model, &combined.covariance_nm2, group))
 }
 
-fn compared(estimator: &ModalFitter, minimum: &Minimum, prepared: &Prepared) -> Compared {
+fn fitted_image(estimator: &ModalFitter, minimum: &Minimum, prepared: &PreparedFrame) -> FittedImage {
     let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
     let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
     let size = estimator.model.preparation.pixels;
@@ -354,7 +356,7 @@ fn compared(estimator: &ModalFitter, minimum: &Minimum, prepared: &Prepared) -> 
     });
     let residual_sigma =
         Array2::from_shape_fn((size, size), |at| (data_e[at] - model_e[at]) / variance_e2[pixel(at)].sqrt());
-    Compared { data_e, model_e, residual_sigma }
+    FittedImage { data_e, model_e, residual_sigma }
 }
 
 /// √ of the diagonal of M C Mᵀ over the pupil, for the modes of one group.

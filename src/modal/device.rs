@@ -1,4 +1,4 @@
-//! Words of the scene in the terms of the chain.
+//! Conversions of the scene's device and precision to those of the imaging chain.
 
 use crate::imaging::{Choice, Precision};
 use crate::scene;

@@ -5,7 +5,7 @@ use super::cube::Cube;
 use super::engine::{FitState, ImageFit, Watch};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
-use super::prepare::{Frame, Prepared, Refusal};
+use super::prepare::{Frame, PreparedFrame, Refusal};
 use super::status::{self, ImageReport, Status};
 use crate::imaging::{Chain, Precision};
 use crate::optimize::CancelFlag;
@@ -13,26 +13,26 @@ use crate::scene::Combine;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
 
-/// What [`ModalFitter::fit_each`] found.
+/// Coefficients and report of each image; see [`ModalFitter::fit_each`].
 #[derive(Debug, Clone)]
-pub struct EachImage {
+pub struct ImageFits {
     /// `[image, mode]`, nm, pistons about their mean over the pupil; NaN for images that cannot be used.
     pub coefficients_nm: Array2<f64>,
-    /// One report per image, in order.
+    /// Report of each image, in order.
     pub reports: Vec<ImageReport>,
 }
 
-/// The minima of a cube.
-pub(super) struct Fitted {
-    /// Why an image could not be used, for each.
+/// Fits of a cube of images.
+pub(super) struct FittedCube {
+    /// For each image, why it could not be used.
     pub(super) refused: Vec<Option<Refusal>>,
-    /// The images that could.
+    /// The images that were fitted.
     pub(super) indices: Vec<usize>,
-    pub(super) prepared: Vec<Prepared>,
+    pub(super) prepared: Vec<PreparedFrame>,
     pub(super) minima: Vec<Minimum>,
 }
 
-impl Fitted {
+impl FittedCube {
     fn from_fits(fits: Vec<ImageFit>) -> Self {
         let mut fitted = Self { refused: Vec::new(), indices: Vec::new(), prepared: Vec::new(), minima: Vec::new() };
         for (image, fit) in fits.into_iter().enumerate() {
@@ -54,11 +54,11 @@ impl Fitted {
 impl ModalFitter {
     /// Estimates the static wavefront behind a cube of images (`[image, y, x]`, electrons) on `chain`.
     ///
-    /// Images that cannot be used are reported with their reason and left out. `watch` is told how many images are done.
+    /// Images that cannot be used are reported with their reason and left out. `watch` is called with the number of images that are done.
     ///
     /// # Errors
     /// [`Error::Image`] where no image can be used, [`Error::Shape`] where they have another size than the scene says,
-    /// [`Error::Interrupted`] where `cancel` went up, [`Error::Device`] where the device failed.
+    /// [`Error::Interrupted`] where `cancel` was raised, [`Error::Device`] where the device failed.
     pub fn estimate(
         &self,
         chain: &mut Chain,
@@ -70,7 +70,7 @@ impl ModalFitter {
     ) -> Result<ModalEstimate> {
         let started = std::time::Instant::now();
         let cube = Cube { images_e, bad, read_noise_e };
-        let Fitted { refused, indices, prepared, minima } = self.fitted(chain, cube, cancel, watch)?;
+        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, cancel, watch)?;
         let mut estimate = combine::combine(self, refused, &indices, &prepared, minima)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();
@@ -82,8 +82,8 @@ impl ModalFitter {
         Ok(estimate)
     }
 
-    /// What each image of a cube (`[image, y, x]`, electrons) says by itself, on `chain`: no combination, no error bars
-    /// and no maps, which take longer than the fits.
+    /// Fits each image of a cube (`[image, y, x]`, electrons) on `chain`, without combination, error bars and maps, which take
+    /// longer than the fits.
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`].
@@ -93,34 +93,36 @@ impl ModalFitter {
         cube: Cube,
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
-    ) -> Result<EachImage> {
-        let Fitted { refused, indices, prepared, minima } = self.fitted(chain, cube, cancel, watch)?;
+    ) -> Result<ImageFits> {
+        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, cancel, watch)?;
         let mut coefficients_nm = Array2::from_elem((refused.len(), self.model.optics.modes()), f64::NAN);
-        let mut reports: Vec<ImageReport> =
-            refused.into_iter().map(|refusal| status::unfitted(refusal.map_or(Status::Ok, Status::Unusable))).collect();
+        let mut reports: Vec<ImageReport> = refused
+            .into_iter()
+            .map(|refusal| status::unfitted_report(refusal.map_or(Status::Ok, Status::Unusable)))
+            .collect();
         for ((&image, mut minimum), report) in
-            indices.iter().zip(minima.iter().cloned()).zip(status::judged(self, &prepared, &minima))
+            indices.iter().zip(minima.iter().cloned()).zip(status::assess_all(self, &prepared, &minima))
         {
             self.pistons.centre(&mut minimum.coefficients_nm);
             coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
             reports[image] = report;
         }
-        Ok(EachImage { coefficients_nm, reports })
+        Ok(ImageFits { coefficients_nm, reports })
     }
 
     /// Prepares and fits every image: outlier pixels rejected, fits in a wrong minimum restarted, as the recipe says.
-    pub(super) fn fitted(
+    pub(super) fn fit_all(
         &self,
         chain: &mut Chain,
         cube: Cube,
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
-    ) -> Result<Fitted> {
+    ) -> Result<FittedCube> {
         let read_noise_e = cube.read_noise_e.unwrap_or(self.scene.image.read_noise_e);
         let preparation = self.model.preparation;
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
-        frames.iter().try_for_each(|frame| preparation.checked(*frame))?;
+        frames.iter().try_for_each(|frame| preparation.check(*frame))?;
         let task = self.task(cancel);
         let mut fits = vec![ImageFit::new(&preparation, self.model.optics.modes()); frames.len()];
         self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
@@ -133,17 +135,17 @@ impl ModalFitter {
         }
         let cleaned = self.reject_outliers(chain, &task, &frames, &mut fits)?;
         self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
-        Ok(Fitted::from_fits(fits))
+        Ok(FittedCube::from_fits(fits))
     }
 
-    /// Combines some images of `estimate` (which this estimator made) anew, without fitting them again: for a study of
-    /// the number of images, or another way to combine them.
+    /// Combines some images of `estimate`, which this fitter made, without fitting them again: for a study of the number of
+    /// images, or of another way to combine them.
     ///
-    /// The images are taken as if there were no others, by the rules of [`Combine`] and [`Status`]; only the error bars
-    /// of fewer than eight are those of the whole estimate's scatter, over the root of their number.
+    /// The images are combined as if there were no others, by the rules of [`Combine`] and [`Status`]; only the error bars
+    /// of fewer than eight are from the scatter of the whole estimate, over the root of their number.
     ///
     /// # Errors
-    /// [`Error::Value`] for an image that is not there, [`Error::Image`] where none of them was fitted, [`Error::Shape`]
+    /// [`Error::Value`] for an image that does not exist, [`Error::Image`] where none of them was fitted, [`Error::Shape`]
     /// for an estimate of another model.
     pub fn combine_subset(&self, estimate: &ModalEstimate, images: &[usize], how: Combine) -> Result<Combination> {
         combine::subset(self, estimate, images, how)

@@ -1,6 +1,6 @@
-//! How well an image fixes the modes: the Gauss-Newton (Fisher) matrix, and the covariance that follows from it.
+//! Fisher matrix of an image (the Gauss-Newton matrix JᵀWJ), and the covariance of the modes that follows from it.
 
-use super::gauss_newton::{Absorbed, Nuisances, products, rows_of_tile, times_transposed};
+use super::gauss_newton::{NuisanceShares, Nuisances, products, rows_of_tile, times_transposed};
 use crate::Result;
 use crate::imaging::{CpuChain, Photometry};
 use crate::optimize::Metric;
@@ -10,16 +10,16 @@ use ndarray::{Array2, ArrayView1, Axis};
 /// about 1e-15; the weakest real direction of 36 pistons and 66 modes has 1e-3).
 const NULL_FLOOR: f64 = 1e-11;
 
-/// The fraction below which an eigenvalue of a matrix of `modes` directions, summed over `pixels`, is null. Rounding leaves
-/// some ε·√pixels in each entry of a sum over pixels, and so modes times that in an eigenvalue at most: 2,468 modes of
-/// 256×256 pixels were seen with −2e-11, which a fixed floor of 1e-11 calls a mistake.
+/// The fraction of the largest eigenvalue below which an eigenvalue of a matrix of `modes` directions, summed over `pixels`, is
+/// null. Rounding leaves some ε·√pixels in each entry of a sum over pixels, and so modes times that in an eigenvalue at most:
+/// 2,468 modes of 256×256 pixels gave −2e-11, for which a fixed floor of 1e-11 reports an error.
 pub(super) fn null_floor(modes: usize, pixels: usize) -> f64 {
     NULL_FLOOR.max(modes as f64 * (pixels as f64).sqrt() * f64::EPSILON)
 }
 
-/// What one image says of the modes at one point, and what its noise makes of it.
+/// Fisher matrix of one image at one point, and the propagation of its noise.
 pub(super) struct Sensitivity {
-    /// Jᵀ W J, `[mode, mode]`, per nm²; what a fitted flux and background would absorb is taken out of J.
+    /// Jᵀ W J, `[mode, mode]`, per nm², with J orthogonalised to a fitted flux and background.
     pub(super) fisher: Array2<f64>,
     /// Jᵀ W V W J, where the weights are not the inverse variances.
     noise: Option<Array2<f64>>,
@@ -28,10 +28,10 @@ pub(super) struct Sensitivity {
 }
 
 impl Sensitivity {
-    /// At `coefficients_nm`, for a star of `flux_e` and the given weights. `variance_e2` is that of the pixels (infinite
+    /// Computed at `coefficients_nm`, for a star of `flux_e` and the given weights. `variance_e2` is that of the pixels (infinite
     /// where the weight is 0), or `None` where the weights are the inverse variances. `tile_bytes` of derivatives at a time.
     pub(super) fn at(
-        judge: &CpuChain<f64>,
+        reference: &CpuChain<f64>,
         coefficients_nm: ArrayView1<f64>,
         flux_e: f64,
         (weight, variance_e2): (&[f64], Option<&[f64]>),
@@ -43,7 +43,7 @@ impl Sensitivity {
             Photometry::FitFlux { .. } => Nuisances::Flux,
             Photometry::FitBoth => Nuisances::FluxAndBackground,
         };
-        let linear = judge.linearise(coefficients_nm);
+        let linear = reference.linearise(coefficients_nm);
         // In units of the flux the derivatives are those of the PSF.
         let square = flux_e * flux_e;
         let mut weights = vec![weight.iter().map(|w| w * square).collect::<Vec<f64>>()];
@@ -54,16 +54,16 @@ impl Sensitivity {
         let rows = rows_of_tile(linear.modes(), linear.pixels(), tile_bytes);
         let mut found = products(&linear, nuisances, &weights, rows).into_iter();
         let fisher = found.next().unwrap_or_default();
-        let absorbed = Absorbed::of(&fisher, nuisances);
-        let noise = found.next().map(|noise| absorbed.cleared(noise));
-        Self { fisher: absorbed.cleared(fisher), noise, floor: null_floor(linear.modes(), weight.len()) }
+        let shares = NuisanceShares::new(&fisher, nuisances);
+        let noise = found.next().map(|noise| shares.project_out(noise));
+        Self { fisher: shares.project_out(fisher), noise, floor: null_floor(linear.modes(), weight.len()) }
     }
 
     /// Covariance of the modes, nm². Where the weights are the inverse variances it is the inverse of `fisher`; otherwise
-    /// F⁻¹ (Jᵀ W V W J) F⁻¹. Null directions carry no error: nothing moves along them.
+    /// F⁻¹ (Jᵀ W V W J) F⁻¹. Null directions carry no error: the fit does not move along them.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] where no mode is seen at all.
+    /// [`crate::Error::Value`] where no mode changes the image.
     pub(super) fn covariance(&self) -> Result<Array2<f64>> {
         let inverse = pseudo_inverse(&self.fisher, self.floor)?;
         let Some(noise) = &self.noise else { return Ok(inverse) };
@@ -73,10 +73,10 @@ impl Sensitivity {
     }
 }
 
-/// F⁻¹ in the directions that the data see: those above `floor`, a fraction of the strongest.
+/// F⁻¹ in the directions whose eigenvalue is above `floor`, a fraction of the largest.
 ///
 /// # Errors
-/// [`crate::Error::Value`] where no direction is seen at all.
+/// [`crate::Error::Value`] where no direction changes the image.
 pub(super) fn pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Result<Array2<f64>> {
     // Scaled to a unit diagonal, so that "null" does not depend on the units of a mode.
     let scale = fisher.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });

@@ -1,20 +1,20 @@
-//! Optical parameters that were fitted beside the modes.
+//! Optical parameters of the scene that were fitted together with the modes.
 
 use crate::scene::Optic;
 
-/// A number of the scene, fitted.
+/// An optical parameter of the scene, fitted.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittedOptic {
-    /// Which.
+    /// The parameter.
     pub optic: Optic,
-    /// What the scene says, in the unit of [`FittedOptic::key`].
+    /// Value of the scene, in the unit of [`FittedOptic::key`].
     pub scene: f64,
-    /// What the images say; where they say nothing it is not moved, and the scene's but for rounds that thought otherwise.
+    /// Fitted value; where it is not identifiable, the scene's, or that of the last iteration in which it was.
     pub value: f64,
-    /// Its error bar, 1σ; infinite where the modes hold it.
+    /// Error bar, 1σ; infinite where the modes reproduce its effect.
     pub sigma: f64,
-    /// Share of what it does to the image that neither the modes nor the other optics can do.
-    pub told: f64,
+    /// Share of its effect on the image that neither the modes nor the other optical parameters reproduce.
+    pub identifiable_share: f64,
 }
 
 impl FittedOptic {
@@ -23,8 +23,8 @@ impl FittedOptic {
         key(self.optic)
     }
 
-    /// Whether the images tell it from the modes.
-    pub fn is_told(&self) -> bool {
+    /// Whether the images distinguish it from the modes.
+    pub fn is_identifiable(&self) -> bool {
         self.sigma.is_finite()
     }
 }

@@ -1,14 +1,14 @@
-//! Modal fitter: the model of a scene, and what every fit with it shares.
+//! Modal fitter: the model of a scene, and the data that all fits with it share.
 
-use super::diversity_error::{self, HeldDiversity, SharedError};
+use super::diversity_error::{self, DiversityProjection, SharedError};
 use super::engine::{self, FitTask, ImageFit, Watch};
 use super::fisher;
 use super::fitted_optic::FittedOptic;
 use super::metrics::Metrics;
-use super::mode_set::OwnBasis;
+use super::mode_set::SceneBasis;
 use super::model::Model;
 use super::pistons::Pistons;
-use super::prepare::{Frame, Prepared, Preparer, Ringing};
+use super::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use super::recipe::Recipe;
 use super::tilts::Tilts;
 use crate::imaging::{Chain, CpuChain};
@@ -24,15 +24,15 @@ pub struct ModalFitter {
     pub(super) scene: Scene,
     pub(super) recipe: Recipe,
     pub(super) model: Model,
-    /// The f64 CPU chain: metric, weights, χ² and error bars come from it whatever chain fits.
+    /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it whatever chain fits.
     pub(super) reference: CpuChain<f64>,
     pub(super) metrics: Metrics,
-    /// Means over the pupil, which take as long as some fits.
+    /// Shares of the pistons in their mean over the pupil, computed once because that takes as long as some fits.
     pub(super) pistons: Pistons,
     pub(super) tilts: Tilts,
     /// Errors that all images share.
     pub(super) shared: Vec<SharedError>,
-    pub(super) own_basis: Arc<OwnBasis>,
+    pub(super) scene_basis: Arc<SceneBasis>,
     pub(super) fitted_optics: Vec<FittedOptic>,
 }
 
@@ -42,7 +42,7 @@ impl fmt::Debug for ModalFitter {
     }
 }
 
-/// That `scene` has no budget left, which an estimator would ignore.
+/// Refuses a scene with an error budget, which a fitter would ignore.
 ///
 /// # Errors
 /// [`Error::Scene`].
@@ -50,13 +50,13 @@ pub(super) fn refuse_budget(scene: &Scene) -> Result<()> {
     match scene.estimate.budget_nm {
         None => Ok(()),
         Some(budget_nm) => Err(Error::Scene(format!(
-            "estimate.budget_nm = {budget_nm} asks for a plan, which needs a telescope that the scene describes: an \
-             estimator takes the scene that the planner makes of this one, or one without a budget"
+            "estimate.budget_nm = {budget_nm} needs a plan, which a model and its sessions do not make: use the scene that \
+             'cophase plan' or planner::plan writes, or leave the budget out"
         ))),
     }
 }
 
-/// That `scene` leaves no optics to be fitted, which an estimator would ignore.
+/// Refuses a scene with optical parameters to be fitted, which a fitter would ignore.
 ///
 /// # Errors
 /// [`Error::Scene`].
@@ -71,7 +71,7 @@ pub(super) fn refuse_fit_optics(scene: &Scene) -> Result<()> {
     ))
 }
 
-/// That `scene` asks for static modes, fitted image by image.
+/// Refuses a scene whose method is not modal.
 ///
 /// # Errors
 /// [`Error::Scene`].
@@ -104,67 +104,67 @@ pub(super) fn same_basis(one: &Scene, other: &Scene) -> bool {
 impl ModalFitter {
     /// Builds the model of `scene`.
     ///
-    /// `native` forbids the reduction to Nyquist sampling: needed where pixels are bad, because they would ring.
+    /// `native` forbids the reduction to Nyquist sampling: needed where pixels are bad, because the reduction would ring around them.
     ///
     /// # Errors
-    /// Those of building the telescope, its modes and its pupil; see [`Model::of`].
+    /// Those of building the telescope, its modes and its pupil; see [`Model::new`].
     pub fn new(scene: &Scene, native: bool) -> Result<Self> {
-        Self::with_recipe(scene, Recipe::of(scene), native)
+        Self::with_recipe(scene, Recipe::from_scene(scene), native)
     }
 
-    /// Builds the model of `scene` for a recipe of the caller's.
+    /// Builds the model of `scene` for another recipe.
     ///
     /// # Errors
     /// As [`ModalFitter::new`].
     pub fn with_recipe(scene: &Scene, recipe: Recipe, native: bool) -> Result<Self> {
-        Self::with_own_basis(scene, recipe, native, Arc::default())
+        Self::with_scene_basis(scene, recipe, native, Arc::default())
     }
 
-    /// An estimator of another scene, or for another recipe, that shares this one's Karhunen-Loève basis, which is most
-    /// of the time that an estimator costs: where the telescope, the mirror, the turbulence and the modes are the same,
-    /// and only the sampling and the fit differ. Otherwise it is made anew.
+    /// A fitter for another scene or recipe that shares this one's Karhunen-Loève basis, which takes most of the time of
+    /// building a fitter, where telescope, mirror, turbulence and modes are the same and only the sampling and the fit
+    /// differ. Otherwise the basis is computed again.
     ///
     /// # Errors
     /// As [`ModalFitter::new`].
     pub fn variant(&self, scene: &Scene, recipe: Recipe) -> Result<Self> {
-        let own_basis = if same_basis(&self.scene, scene) { self.own_basis.clone() } else { Arc::default() };
-        Self::with_own_basis(scene, recipe, false, own_basis)
+        let scene_basis = if same_basis(&self.scene, scene) { self.scene_basis.clone() } else { Arc::default() };
+        Self::with_scene_basis(scene, recipe, false, scene_basis)
     }
 
-    pub(super) fn with_own_basis(
+    pub(super) fn with_scene_basis(
         scene: &Scene,
         recipe: Recipe,
         native: bool,
-        own_basis: Arc<OwnBasis>,
+        scene_basis: Arc<SceneBasis>,
     ) -> Result<Self> {
         refuse_budget(scene)?;
         refuse_fit_optics(scene)?;
         refuse_full_phase(scene)?;
-        let model = Model::with_own_basis(scene, &recipe, native, &own_basis)?;
-        Ok(Self { own_basis, ..Self::from_model(scene, recipe, model)? })
+        let model = Model::with_scene_basis(scene, &recipe, native, &scene_basis)?;
+        Ok(Self { scene_basis, ..Self::from_model(scene, recipe, model)? })
     }
 
     pub(super) fn from_model(scene: &Scene, recipe: Recipe, model: Model) -> Result<Self> {
         let reference = CpuChain::new(model.optics.clone());
         let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
-        let (pistons, tilts) = (Pistons::of(&model)?, Tilts::new(&model)?);
-        let shared = diversity_error::common(&model, scene)?.into_iter().collect();
-        let (scene, own_basis) = (scene.clone(), Arc::default());
+        let (pistons, tilts) = (Pistons::new(&model)?, Tilts::new(&model)?);
+        let shared = diversity_error::shared_error(&model, scene)?.into_iter().collect();
+        let (scene, scene_basis) = (scene.clone(), Arc::default());
         let fitted_optics = Vec::new();
-        Ok(Self { scene, recipe, model, reference, metrics, pistons, tilts, shared, own_basis, fitted_optics })
+        Ok(Self { scene, recipe, model, reference, metrics, pistons, tilts, shared, scene_basis, fitted_optics })
     }
 
-    /// The model that is compared with the images.
+    /// The model of the images.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// What `estimate.fit_optics` found, in its order; its numbers are those of [`ModalFitter::scene`].
+    /// Optical parameters that were fitted, in the order of `estimate.fit_optics`; [`ModalFitter::scene`] has their values.
     pub fn fitted_optics(&self) -> &[FittedOptic] {
         &self.fitted_optics
     }
 
-    /// How it is fitted.
+    /// The recipe of the fits.
     pub fn recipe(&self) -> &Recipe {
         &self.recipe
     }
@@ -188,13 +188,13 @@ impl ModalFitter {
         fits: &mut [ImageFit],
         watch: &mut Watch,
     ) -> Result<()> {
-        let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut Prepared| {
+        let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
             preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
         };
         engine::fit(chain, task, &prepare, fits, watch)
     }
 
-    /// The errors that all images share, so that no number of images averages them out.
+    /// Errors that all images share, so that no number of images averages them out.
     pub fn shared_errors(&self) -> &[SharedError] {
         &self.shared
     }
@@ -206,7 +206,7 @@ impl ModalFitter {
         Some(each.fold(first, |sum, covariance_nm2| sum + covariance_nm2))
     }
 
-    /// `covariance_nm2` of noise and scatter with that of the shared errors, nm².
+    /// `covariance_nm2` of noise and scatter plus that of the shared errors, nm².
     pub(super) fn with_shared(&self, covariance_nm2: Array2<f64>) -> Array2<f64> {
         match self.shared_covariance_nm2() {
             Some(shared_nm2) => covariance_nm2 + shared_nm2,
@@ -219,19 +219,19 @@ impl ModalFitter {
         FitTask { model, reference, metrics, recipe, cancel, deadline: None }
     }
 
-    /// The diversity as the modes see it.
+    /// Projection of the diversity on the modes of the NCPA.
     ///
     /// # Errors
     /// [`Error::File`] for a map of it that cannot be read.
-    pub fn held_diversity(&self) -> Result<HeldDiversity> {
-        diversity_error::held(&self.model, &self.scene)
+    pub fn diversity_projection(&self) -> Result<DiversityProjection> {
+        diversity_error::project_diversity(&self.model, &self.scene)
     }
 
-    /// The variance that each mode would have at best, nm² (Cramér-Rao), for one image of a star of `flux_e` with the
-    /// scene's read noise at the given wavefront; null directions carry none. Pistons are about their mean.
+    /// Cramér-Rao bound: covariance of the modes, nm², for one image of a star of `flux_e` with the scene's read noise at the
+    /// given wavefront; null directions have none. Pistons are about their mean.
     ///
     /// # Errors
-    /// [`Error::Value`] where no mode is seen at all.
+    /// [`Error::Value`] where no mode changes the image.
     pub fn bound(&self, coefficients_nm: ArrayView1<f64>, flux_e: f64, background_e: f64) -> Result<Array2<f64>> {
         let native_pixels = self.model.preparation.native_pixels();
         let floor = (self.scene.image.read_noise_e.powi(2) + background_e) * native_pixels;

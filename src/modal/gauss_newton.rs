@@ -1,8 +1,8 @@
-//! Jᵀ W J: products over the pixels of the derivatives by the modes, made tile by tile of pixels, so that the derivatives
-//! of 2,400 modes at a million pixels (20 GB) never stand in memory at once.
+//! Gauss-Newton matrix Jᵀ W J: weighted products over the pixels of the derivatives by the modes, computed in tiles of pixels,
+//! because the derivatives of 2,400 modes at a million pixels would take 20 GB.
 //!
-//! Beside the modes, a fitted flux and background have their rows: the PSF, and ones. What they would absorb is taken
-//! out of the finished matrix.
+//! A fitted flux and a fitted background have rows of their own in J: the PSF, and ones. They are projected out of the
+//! finished matrix.
 
 use crate::imaging::LinearModel;
 use faer::linalg::matmul::matmul;
@@ -10,11 +10,12 @@ use faer::{Accum, MatMut, MatRef, Par};
 use ndarray::{Array1, Array2, ArrayView2, s};
 use rayon::prelude::*;
 
-/// Rows of a product that are one task. Its lower triangle is wanted: a strip of so many rows computes half a square of
-/// them too much.
+/// Rows of a product in one task. Only the lower triangle is needed: a strip of this many rows computes half a square of them
+/// in excess.
 const STRIP: usize = 128;
-/// What is left of a nuisance's norm, squared, below which it is another's copy: rounding of sums over 10⁴ pixels.
-const COPY: f64 = 1e-13;
+/// Share of a nuisance row's squared norm, after the rows before it were projected out, below which it is a copy of them:
+/// rounding of sums over 10⁴ pixels.
+const DEGENERATE_SHARE: f64 = 1e-13;
 
 /// Rows that a fitted flux and background add to those of the modes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,7 +26,7 @@ pub(super) enum Nuisances {
 }
 
 impl Nuisances {
-    pub(super) fn of(fit_flux: bool, fit_background: bool) -> Self {
+    pub(super) fn new(fit_flux: bool, fit_background: bool) -> Self {
         match (fit_flux, fit_background) {
             (false, _) => Self::None,
             (true, false) => Self::Flux,
@@ -43,22 +44,22 @@ pub(super) fn rows_of_tile(modes: usize, pixels: usize, bytes: usize) -> usize {
     (bytes / bytes_of_row(modes, pixels)).clamp(1, pixels)
 }
 
-/// What one row of pixels takes in a tile.
+/// Bytes of one row of pixels in a tile.
 pub(super) fn bytes_of_row(modes: usize, pixels: usize) -> usize {
     // The modes, two nuisances at most, plain and weighted.
     2 * (modes + 2) * pixels * size_of::<f64>()
 }
 
-/// Derivatives that are kept for products with other weights.
-pub(super) struct Kept(Array2<f64>);
+/// Derivatives that are stored for products with other weights.
+pub(super) struct StoredDerivatives(Array2<f64>);
 
-impl Kept {
+impl StoredDerivatives {
     /// All of them: `[row, pixel]`.
     pub(super) fn new(linear: &LinearModel, nuisances: Nuisances) -> Self {
         Self(derivatives(linear, nuisances, 0..linear.pixels()))
     }
 
-    /// As [`products`], from what is kept.
+    /// As [`products`], from the stored derivatives.
     pub(super) fn products(&self, weights: &[Vec<f64>]) -> Vec<Array2<f64>> {
         let mut all = zeros(self.0.nrows(), weights.len());
         add_products(&self.0, weights, 0, &mut all);
@@ -68,7 +69,7 @@ impl Kept {
 }
 
 /// For each list of weights (one of each pixel, 0 or more), Σ over the pixels of weight × row × row, `[row, row]`: rows are
-/// the modes' derivatives per nm, for a flux of 1, and the nuisances. Made in tiles of `tile` rows of pixels.
+/// the modes' derivatives per nm, for a flux of 1, and the nuisances. Computed in tiles of `tile` rows of pixels.
 pub(super) fn products(
     linear: &LinearModel,
     nuisances: Nuisances,
@@ -85,8 +86,8 @@ pub(super) fn products(
     all
 }
 
-/// Jᵀ v: how far each of some `vectors` over the pixels lies along the derivatives of the modes, `[mode, vector]`. In tiles of
-/// `tile` rows of pixels.
+/// Jᵀ v: inner products of the derivatives by the modes with some `vectors` over the pixels, `[mode, vector]`. Computed in
+/// tiles of `tile` rows of pixels.
 pub(super) fn along(linear: &LinearModel, vectors: &[Array1<f64>], tile: usize) -> Array2<f64> {
     let m = linear.pixels();
     let mut all = Array2::zeros((linear.modes(), vectors.len()));
@@ -128,7 +129,7 @@ fn add_products(tile: &Array2<f64>, weights: &[Vec<f64>], first: usize, all: &mu
     }
 }
 
-/// Adds a·aᵀ, the lower triangle and what its strips hold beside it.
+/// Adds a·aᵀ: the lower triangle, and the excess of its strips.
 fn add_gram(a: &Array2<f64>, product: &mut Array2<f64>) {
     let (rows, columns) = a.dim();
     let (Some(a), Some(product)) = (a.as_slice(), product.as_slice_mut()) else { return };
@@ -148,42 +149,42 @@ fn mirror(matrix: &mut Array2<f64>) {
     }
 }
 
-/// What a fitted flux and background would absorb, as seen with some weights.
-pub(super) struct Absorbed {
-    /// For each nuisance, what of its row is taken from each other row.
+/// Shares of the rows of a fitted flux and background in each other row, for some weights.
+pub(super) struct NuisanceShares {
+    /// For each nuisance, the multiple of its row that is subtracted from each other row.
     shares: Vec<Vec<f64>>,
     modes: usize,
 }
 
-impl Absorbed {
-    /// Of `products` with the weights of the fit, whose last rows are the nuisances.
-    pub(super) fn of(products: &Array2<f64>, nuisances: Nuisances) -> Self {
+impl NuisanceShares {
+    /// From `products` with the weights of the fit, whose last rows are the nuisances.
+    pub(super) fn new(products: &Array2<f64>, nuisances: Nuisances) -> Self {
         let (mut rest, modes) = (products.clone(), products.nrows() - nuisances.count());
         let mut shares = Vec::new();
         for k in modes..products.nrows() {
             let pivot = rest[[k, k]];
-            let share: Vec<f64> = if pivot > COPY * products[[k, k]] {
+            let share: Vec<f64> = if pivot > DEGENERATE_SHARE * products[[k, k]] {
                 rest.column(k).iter().enumerate().map(|(i, v)| if i == k { 0.0 } else { v / pivot }).collect()
             } else {
                 vec![0.0; products.nrows()]
             };
-            take_out(&mut rest, k, &share);
+            subtract_row(&mut rest, k, &share);
             shares.push(share);
         }
         Self { shares, modes }
     }
 
-    /// The modes' part of a matrix of products, cleared of what is absorbed.
-    pub(super) fn cleared(&self, mut products: Array2<f64>) -> Array2<f64> {
+    /// The modes' part of a matrix of products, with the nuisances projected out.
+    pub(super) fn project_out(&self, mut products: Array2<f64>) -> Array2<f64> {
         for (k, share) in (self.modes..).zip(&self.shares) {
-            take_out(&mut products, k, share);
+            subtract_row(&mut products, k, share);
         }
         products.slice(s![..self.modes, ..self.modes]).to_owned()
     }
 }
 
-/// row_i ← row_i − share_i·row_k, in the products: on both sides.
-fn take_out(products: &mut Array2<f64>, k: usize, share: &[f64]) {
+/// row_i ← row_i − share_i·row_k, on both sides of the product.
+fn subtract_row(products: &mut Array2<f64>, k: usize, share: &[f64]) {
     let row = products.row(k).to_owned();
     let own = row[k];
     for (i, mut line) in products.outer_iter_mut().enumerate() {

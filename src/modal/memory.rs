@@ -1,6 +1,6 @@
-//! What an estimate takes of memory, by a formula, and how its work is cut where that is more than is allowed.
+//! Memory of an estimate, by a formula, and the tiles into which its work is divided to stay within a limit.
 //!
-//! With n pupil samples and m pixels a side, M modes of which D fill the pupil, L lit samples with E segment weights,
+//! With n pupil samples and m pixels a side, M modes of which D fill the pupil, L illuminated samples with E segment weights,
 //! C wavelengths, T threads and I images, in bytes and with S = 8 for a number:
 //!
 //! ```text
@@ -13,46 +13,44 @@
 //!           images:      S·(7·m² + 70·M) for each that is fitted at once, one at least
 //! ```
 //!
-//! All but `kept` and the images themselves, which the caller has brought, stays under `estimate.memory_gb`: the tiles
-//! share what the rest leaves. Cutting changes the sums over pixels by their rounding, and the fits by nothing. A device
-//! holds its share of `images` in its own memory.
+//! All but `kept` and the images themselves, which are the caller's, stays within `estimate.memory_gb`: the tiles share what
+//! the rest leaves. Tiles change the sums over pixels by their rounding, and no bit of the fits. A device holds its share of
+//! `images` in its own memory.
 
 use crate::scene::{NcpaBasis, NollRange, Scene};
 use crate::{Error, Result};
 
-/// The least that a fit takes, whatever its size: libraries, and the fine pupil on which the moments of a geometric one
-/// are taken.
+/// Memory of a fit of any size: libraries, and the fine pupil on which the moments of a geometric one are computed.
 pub(super) const BASE_BYTES: usize = 64 << 20;
 /// Bytes of a number.
 pub(super) const NUMBER: usize = size_of::<f64>();
-/// Square matrices that a call of several images keeps: ten metrics, and eight images' Fisher matrix and covariance.
+/// Square matrices that a call with several images keeps: ten metrics, and eight images' Fisher matrix and covariance.
 pub(super) const KEPT_MATRICES: usize = 26;
 /// Square matrices of one eigen-decomposition or inverse, its input and its result included.
 pub(super) const WORKING_MATRICES: usize = 7;
-/// Matrices that are decomposed at the same time, at most, however many threads there are: their memory goes as modes
-/// squared.
+/// Most matrices that are decomposed at the same time, whatever the number of threads: their memory goes as modes squared.
 pub(super) const MATRICES_AT_ONCE: usize = 4;
 
 /// Memory of an estimate, bytes: upper bounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Memory {
-    /// The model and what all threads share of it.
+    /// The model, and what the threads share.
     pub model: usize,
-    /// What threads need for themselves, all together.
+    /// Memory of all threads together.
     pub threads: usize,
     /// Matrices of modes × modes.
     pub matrices: usize,
-    /// Each image of the cube, beside its frame.
+    /// Each image of the cube, without its frame.
     pub kept_image: usize,
     /// Derivatives at one row of pixels.
     pub derivative_row: usize,
-    /// Rows of pixels that there are.
+    /// Number of rows of pixels.
     pub rows: usize,
     /// Each image that is fitted at the same time.
     pub fitted_image: usize,
 }
 
-/// What is worked on at once.
+/// Tiles: how much is worked on at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Tiles {
     /// Bytes of derivatives.
@@ -62,13 +60,13 @@ pub struct Tiles {
 }
 
 impl Memory {
-    /// The least that works, without what each image of a cube adds.
+    /// The least with which a fit is possible, without `kept_image`.
     pub fn least_bytes(&self) -> usize {
         let tiles = 2 * MATRICES_AT_ONCE * self.derivative_row + self.fitted_image;
         [self.model, self.threads, self.matrices, tiles].into_iter().fold(0, usize::saturating_add)
     }
 
-    /// The most that an estimate from `images` images takes within `limit` bytes: less where it needs no tiles.
+    /// The most that an estimate from `images` images takes within `limit` bytes; less than the limit where it needs no tiles.
     pub fn most_bytes(&self, images: usize, limit: usize) -> usize {
         let tiles = self.tiles(limit);
         let derivatives = 2 * tiles.derivative_bytes.min(self.rows * self.derivative_row);
@@ -77,8 +75,8 @@ impl Memory {
         [self.model, self.threads, self.matrices, derivatives, fitted, kept].into_iter().fold(0, usize::saturating_add)
     }
 
-    /// The tiles within `limit` bytes: half of what is left is the images', a quarter the metrics' derivatives, a quarter
-    /// the Fisher matrices'.
+    /// The tiles within `limit` bytes: half of what is left is for the images, a quarter for the metrics' derivatives,
+    /// a quarter for those of the Fisher matrices.
     pub fn tiles(&self, limit: usize) -> Tiles {
         let spare = limit.saturating_sub(self.least_bytes());
         Tiles {
@@ -91,7 +89,7 @@ impl Memory {
     /// [`Error::Scene`] where not even the smallest tiles fit.
     pub(super) fn check(&self, limit: usize) -> Result<()> {
         let least = self.least_bytes();
-        if least <= limit { Ok(()) } else { Err(refused("a fit of this scene", least, limit)) }
+        if least <= limit { Ok(()) } else { Err(refusal("a fit of this scene", least, limit)) }
     }
 }
 
@@ -100,27 +98,27 @@ pub(super) fn limit_bytes(scene: &Scene) -> usize {
     (scene.estimate.memory_gb * 1e9) as usize
 }
 
-/// Refuses a basis whose maps alone are more than is allowed, before it is made.
+/// Refuses a basis whose maps alone exceed the limit, before it is built.
 ///
 /// # Errors
 /// [`Error::Scene`].
 pub(super) fn check_maps(scene: &Scene) -> Result<()> {
     let own = match scene.modes.ncpa {
         NcpaBasis::Kl | NcpaBasis::Zernike => scene.modes.ncpa_count,
-        // A file's modes are as many as it holds, and are refused with the rest.
+        // The number of a file's modes is not known yet: they are checked with the rest.
         NcpaBasis::None | NcpaBasis::File(_) => 0,
     };
     let exact = match scene.modes.exact_zernikes {
         Some(NollRange::Span { first, last }) => last + 1 - first,
         Some(NollRange::None) | None => 0,
     };
-    // The maps, and the values at the lit samples from which they are made.
+    // The maps, and the values at the illuminated samples from which they are computed.
     let bytes = 2 * NUMBER * (own + exact) * scene.pupil.samples.pow(2);
     let limit = limit_bytes(scene);
-    if bytes <= limit { Ok(()) } else { Err(refused("the maps of this scene's modes", bytes, limit)) }
+    if bytes <= limit { Ok(()) } else { Err(refusal("the maps of this scene's modes", bytes, limit)) }
 }
 
-fn refused(what: &str, wanted: usize, limit: usize) -> Error {
+fn refusal(what: &str, wanted: usize, limit: usize) -> Error {
     Error::Scene(format!(
         "{what} would take {wanted} bytes of memory, where estimate.memory_gb allows {limit}: allow {} or more, or take \
          fewer samples, modes or pixels",

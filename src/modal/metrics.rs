@@ -1,14 +1,14 @@
-//! Coordinates in which an image's objective looks round: the Gauss-Newton matrix of the flat wavefront, with the
-//! weights that an image of this brightness would have.
+//! Metrics of the optimiser: the Gauss-Newton matrix of the flat wavefront, with the weights of an image of this brightness. In
+//! its coordinates the objective is nearly spherical.
 //!
 //! For a star of flux S and a variance f without photons the weights are 1/(S·h + f) and the derivatives S·dh: in units
-//! of the flux, S times the matrix of weights 1/(h + f/S). So one parameter makes the family, and the flux is a scale of
-//! the coordinates. All members share one set of derivatives.
+//! of the flux, S times the matrix of weights 1/(h + f/S). So f/S is the only parameter of the family, and the flux scales the
+//! coordinates. All metrics share one set of derivatives.
 
 use super::fisher::null_floor;
-use super::gauss_newton::{Absorbed, Kept, Nuisances, products, rows_of_tile};
+use super::gauss_newton::{NuisanceShares, Nuisances, StoredDerivatives, products, rows_of_tile};
 use super::memory::MATRICES_AT_ONCE;
-use super::prepare::Prepared;
+use super::prepare::PreparedFrame;
 use super::recipe::Recipe;
 use crate::imaging::CpuChain;
 use crate::optimize::Metric;
@@ -19,84 +19,84 @@ use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 
-/// Ratio of neighbouring values of f/S: no image's own is more than a factor of two from one of them, as much as the
-/// variance of a pixel is off at the most.
+/// Ratio of neighbouring values of f/S: the value of an image is within a factor of two of one of them, and so is the variance
+/// of each pixel.
 const STEP: f64 = 4.0;
 /// Values of f/S, from the brightest pixel of the flat wavefront's PSF times `STEP` down: above it the weights are
-/// uniform and scale with 1/f, below the last (1e-5 of the brightest pixel) the pixels that the floor still rules hold
+/// uniform and scale with 1/f; below the last (1e-5 of the brightest pixel) the pixels whose variance is mostly the floor hold
 /// no light.
 const LEVELS: usize = 10;
 
-/// The image of the flat wavefront and its derivatives, for a flux of 1.
-struct Flat {
+/// Image of the flat wavefront and its derivatives, for a flux of 1.
+struct FlatImage {
     psf: Vec<f64>,
     /// The derivatives, where memory holds them.
-    kept: Option<Kept>,
+    kept: Option<StoredDerivatives>,
     /// Value of the brightest pixel.
     peak: f64,
 }
 
-/// The metrics of one model, each made when it is first asked for.
+/// Metrics of one model, each computed at its first use.
 pub(super) struct Metrics {
     weighting: Weighting,
     nuisances: Nuisances,
-    /// Memory for derivatives.
+    /// Bytes for derivatives.
     tile_bytes: usize,
-    flat: OnceLock<Flat>,
+    flat: OnceLock<FlatImage>,
     made: [OnceLock<Arc<Metric>>; LEVELS],
 }
 
 impl Metrics {
-    /// With `tile_bytes` for derivatives at a time.
+    /// No metric yet; derivatives will take `tile_bytes` at a time.
     pub(super) fn new(recipe: &Recipe, tile_bytes: usize) -> Self {
         Self {
             weighting: recipe.weighting,
-            nuisances: Nuisances::of(recipe.fit_flux, recipe.fit_background),
+            nuisances: Nuisances::new(recipe.fit_flux, recipe.fit_background),
             tile_bytes,
             flat: OnceLock::new(),
             made: [const { OnceLock::new() }; LEVELS],
         }
     }
 
-    /// Makes all of them, so that [`Metrics::of`] only looks up.
+    /// Computes all of them, so that [`Metrics::for_image`] only looks up.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] where no mode is seen at all.
-    pub(super) fn make_all(&self, judge: &CpuChain<f64>) -> Result<()> {
+    /// [`crate::Error::Value`] where no mode changes the image.
+    pub(super) fn make_all(&self, reference: &CpuChain<f64>) -> Result<()> {
         let levels = if self.weighting == Weighting::None { 1 } else { LEVELS };
-        // As many together as memory was counted for.
+        // As many at once as the memory formula has room for.
         (0..levels)
             .step_by(MATRICES_AT_ONCE)
-            .try_for_each(|first| self.make(judge, first..levels.min(first + MATRICES_AT_ONCE)))
+            .try_for_each(|first| self.make(reference, first..levels.min(first + MATRICES_AT_ONCE)))
     }
 
     /// Any of them, for its size.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] where no mode is seen at all.
-    pub(super) fn any(&self, judge: &CpuChain<f64>) -> Result<&Arc<Metric>> {
-        self.level(judge, 0)
+    /// [`crate::Error::Value`] where no mode changes the image.
+    pub(super) fn any(&self, reference: &CpuChain<f64>) -> Result<&Arc<Metric>> {
+        self.level(reference, 0)
     }
 
     /// The metric of an image and the scale of its coordinates, which depend on this image alone: so a fit does not
     /// depend on what else is in the batch.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] where no mode is seen at all.
-    pub(super) fn of(&self, judge: &CpuChain<f64>, image: &Prepared) -> Result<(&Arc<Metric>, f64)> {
+    /// [`crate::Error::Value`] where no mode changes the image.
+    pub(super) fn for_image(&self, reference: &CpuChain<f64>, image: &PreparedFrame) -> Result<(&Arc<Metric>, f64)> {
         // Unweighted, the data are in units of the brightest pixel: neither flux nor noise matters.
         if self.weighting == Weighting::None {
-            return Ok((self.level(judge, 0)?, 1.0));
+            return Ok((self.level(reference, 0)?, 1.0));
         }
-        let (flux_e, floor) = light(image);
+        let (flux_e, floor) = flux_and_floor(image);
         let relative = floor / flux_e;
-        let peak = self.flat(judge).peak;
+        let peak = self.flat(reference).peak;
         let steps = ((STEP * peak / relative).ln() / STEP.ln()).round();
         let level = steps.clamp(0.0, (LEVELS - 1) as f64) as usize;
         // Beyond the first level the weights are uniform, and go as 1/f.
         let largest = Self::relative_floor(peak, 0);
         let flux_e = if relative > largest { flux_e * largest / relative } else { flux_e };
-        Ok((self.level(judge, level)?, flux_e.sqrt().recip()))
+        Ok((self.level(reference, level)?, flux_e.sqrt().recip()))
     }
 
     /// f/S of a level.
@@ -104,47 +104,47 @@ impl Metrics {
         peak * STEP.powi(1 - level as i32)
     }
 
-    fn flat(&self, judge: &CpuChain<f64>) -> &Flat {
+    fn flat(&self, reference: &CpuChain<f64>) -> &FlatImage {
         self.flat.get_or_init(|| {
-            let linear = judge.linearise(Array1::zeros(judge.optics().modes()).view());
+            let linear = reference.linearise(Array1::zeros(reference.optics().modes()).view());
             let peak = linear.psf().iter().copied().fold(0.0, f64::max);
             let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
-            let kept = (rows == linear.pixels()).then(|| Kept::new(&linear, self.nuisances));
-            Flat { psf: linear.psf().to_vec(), kept, peak }
+            let kept = (rows == linear.pixels()).then(|| StoredDerivatives::new(&linear, self.nuisances));
+            FlatImage { psf: linear.psf().to_vec(), kept, peak }
         })
     }
 
-    fn level(&self, judge: &CpuChain<f64>, level: usize) -> Result<&Arc<Metric>> {
+    fn level(&self, reference: &CpuChain<f64>, level: usize) -> Result<&Arc<Metric>> {
         if self.made[level].get().is_none() {
-            self.make(judge, level..level + 1)?;
+            self.make(reference, level..level + 1)?;
         }
         self.made[level].get().ok_or_else(|| Error::Internal("a metric was made and is not there".into()))
     }
 
-    /// Makes some levels together: where the derivatives are not kept, they are computed once for all of them.
-    fn make(&self, judge: &CpuChain<f64>, levels: Range<usize>) -> Result<()> {
-        let flat = self.flat(judge);
+    /// Computes some levels together: where the derivatives are not stored, they are computed once for all of them.
+    fn make(&self, reference: &CpuChain<f64>, levels: Range<usize>) -> Result<()> {
+        let flat = self.flat(reference);
         let weights: Vec<Vec<f64>> = levels.clone().map(|level| self.weights(flat, level)).collect();
         let matrices = match &flat.kept {
             Some(kept) => kept.products(&weights),
             None => {
-                let linear = judge.linearise(Array1::zeros(judge.optics().modes()).view());
+                let linear = reference.linearise(Array1::zeros(reference.optics().modes()).view());
                 let rows = rows_of_tile(linear.modes(), linear.pixels(), self.tile_bytes);
                 products(&linear, self.nuisances, &weights, rows)
             }
         };
-        let floor = null_floor(judge.optics().modes(), flat.psf.len());
+        let floor = null_floor(reference.optics().modes(), flat.psf.len());
         levels.into_par_iter().zip(matrices).try_for_each(|(level, matrix)| {
-            // What a fitted flux or background would absorb is no curvature.
-            let cleared = Absorbed::of(&matrix, self.nuisances).cleared(matrix);
-            let metric = Arc::new(Metric::from_gauss_newton(&cleared, floor)?);
+            // Directions of a fitted flux or background carry no curvature.
+            let projected = NuisanceShares::new(&matrix, self.nuisances).project_out(matrix);
+            let metric = Arc::new(Metric::from_gauss_newton(&projected, floor)?);
             self.made[level].get_or_init(|| metric);
             Ok(())
         })
     }
 
     /// The metric and the cost must use the same kind of weights: mixing them loses the capture range.
-    fn weights(&self, flat: &Flat, level: usize) -> Vec<f64> {
+    fn weights(&self, flat: &FlatImage, level: usize) -> Vec<f64> {
         match self.weighting {
             Weighting::Noise => {
                 let floor = Self::relative_floor(flat.peak, level);
@@ -155,9 +155,9 @@ impl Metrics {
     }
 }
 
-/// What an image's good pixels hold above its level, electrons (1 at the least), and the smallest variance of a pixel
-/// without the star. Bad pixels are an image's own; one that has many only looks a little less round.
-fn light(image: &Prepared) -> (f64, f64) {
+/// Flux above the level in an image's good pixels, electrons (1 at the least), and the smallest variance of a pixel without the
+/// star. The metric ignores bad pixels: an image with many of them has coordinates that are a little less spherical.
+fn flux_and_floor(image: &PreparedFrame) -> (f64, f64) {
     const LANES: usize = 8;
     let (mut flux, mut least) = ([0.0; LANES], [f64::INFINITY; LANES]);
     for (data, floor) in image.exposure.data_e.chunks(LANES).zip(image.floor_variance_e2.chunks(LANES)) {

@@ -1,4 +1,4 @@
-//! Where the fit of an image ended.
+//! Minimum: result of the fit of one image.
 
 use crate::optimize::StopReason;
 
@@ -15,8 +15,8 @@ pub(super) struct Minimum {
 }
 
 impl Minimum {
-    /// Room for one of `modes` coefficients.
-    pub(super) fn room(modes: usize) -> Self {
+    /// An empty minimum of `modes` coefficients, to be written by a fit.
+    pub(super) fn empty(modes: usize) -> Self {
         Self {
             coefficients_nm: vec![0.0; modes],
             flux_e: f64::NAN,

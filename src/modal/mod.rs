@@ -1,4 +1,4 @@
-//! From images to what the segments and the NCPA are doing, in nm, with error bars.
+//! Modal fits: segment errors and NCPA as coefficients of modes, fitted to images, in nm with error bars.
 //!
 //! ```text
 //! Scene ─ Recipe ─ Model ┐
@@ -6,9 +6,9 @@
 //! frames ────────────────┘
 //! ```
 //!
-//! [`ModalFitter::new`], or [`ModalFitter::from_arrays`] for a telescope of the caller's own, pays every cost that does not
-//! depend on the images; [`ModalFitter::estimate`] takes a cube of them. A [`Session`] takes frames as a camera delivers
-//! them, in memory that is taken once, and an [`Accumulator`] keeps what they say together.
+//! [`ModalFitter::new`], or [`ModalFitter::from_arrays`] for a telescope that the caller gives as arrays, builds everything
+//! that does not depend on the images; [`ModalFitter::estimate`] takes a cube of images. A [`Session`] fits frames as a camera
+//! delivers them, in memory that is allocated once, and an [`Accumulator`] combines its results.
 
 mod accumulator;
 mod arrays;
@@ -36,7 +36,7 @@ mod pistons;
 mod plan;
 mod prepare;
 mod recipe;
-mod recut;
+mod reject_outliers;
 mod residual;
 mod restart;
 mod runner;
@@ -50,20 +50,20 @@ mod tilts;
 pub use accumulator::{Accumulator, RunningEstimate};
 pub use arrays::Arrays;
 pub use calibration::{Calibration, CameraMaps};
-pub use combine::{Combination, Combined, Compared, ModalEstimate};
+pub use combine::{Combination, CombinedModes, FittedImage, ModalEstimate};
 pub use cube::Cube;
-pub use diversity_error::{Held, HeldDiversity, Holder, SharedError, within_reach};
+pub use diversity_error::{DiversityProjection, ModeProjector, Projection, SharedError, check_reachable};
 pub use engine::Watch;
-pub use estimate::EachImage;
+pub use estimate::ImageFits;
 pub use fitted_optic::FittedOptic;
 pub use fitter::ModalFitter;
 pub use memory::{Memory, Tiles};
 pub use model::Model;
 pub(crate) use plan::{LEAST_HALF_WIDTH, SPOT_MARGIN};
-pub use prepare::{Frame, Preparation, Prepared, Refusal};
+pub use prepare::{Frame, Preparation, PreparedFrame, Refusal};
 pub use recipe::Recipe;
-pub use recut::{WithoutOutliers, without_outliers};
+pub use reject_outliers::{CleanedImages, reject_outliers};
 pub(crate) use residual::photometry;
-pub use select::{BasisCache, Open, read, select};
+pub use select::{BasisCache, OpenChain, select, select_default};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 pub use status::{ImageReport, Status};

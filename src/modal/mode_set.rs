@@ -1,4 +1,4 @@
-//! Which modes are estimated: those of the scene, and the Zernikes that a recipe wants exactly.
+//! Mode set: the modes of the scene, and the Zernikes that a recipe adds to them exactly.
 
 use super::recipe::Recipe;
 use crate::grid::Grid;
@@ -12,7 +12,7 @@ use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, Axis};
 use std::sync::OnceLock;
 
-/// A mode is dropped where those before it already span all but this fraction of it.
+/// A mode is dropped where those before it span all but this fraction of it.
 const SMALLEST_REMAINDER: f64 = 1e-3;
 
 /// The smooth modes: functions, or maps on the scene's grid.
@@ -30,7 +30,7 @@ impl Smooth {
         }
     }
 
-    /// Values at the lit samples, `[mode, lit]`.
+    /// Values at the illuminated samples, `[mode, sample]`.
     pub(super) fn at(&self, points: &[(f64, f64)], weights: &SegmentWeights) -> Result<Array2<f64>> {
         match self {
             Self::Functions(None) => Ok(Array2::zeros((0, points.len()))),
@@ -39,9 +39,9 @@ impl Smooth {
                 basis.evaluate(&xs, &ys)
             }
             Self::Maps(maps) => {
-                let lit: Vec<usize> = weights.illuminated.iter().map(|&p| p as usize).collect();
+                let illuminated: Vec<usize> = weights.illuminated.iter().map(|&p| p as usize).collect();
                 let flat = maps.to_shape((maps.len_of(Axis(0)), maps.len() / maps.len_of(Axis(0)).max(1)));
-                Ok(flat.map_err(|error| Error::Internal(error.to_string()))?.select(Axis(1), &lit))
+                Ok(flat.map_err(|error| Error::Internal(error.to_string()))?.select(Axis(1), &illuminated))
             }
         }
     }
@@ -51,14 +51,14 @@ impl Smooth {
 pub(super) struct ModeSet {
     /// Names, groups and maps on the scene's grid.
     pub(super) basis: Basis,
-    /// What each coefficient moves in the model.
+    /// What each coefficient changes in the model.
     pub(super) kinds: Vec<Mode>,
     pub(super) smooth: Smooth,
-    /// Names of modes that the others already span.
+    /// Names of modes that were dropped because the others span them.
     pub(super) dropped: Vec<String>,
 }
 
-/// The NCPA modes, and on the scene's grid; names of those that the others already span.
+/// NCPA modes, their maps on the scene's grid, and the names of those that were dropped.
 struct NcpaModes {
     smooth: Smooth,
     sampled: Option<Basis>,
@@ -66,17 +66,17 @@ struct NcpaModes {
 }
 
 impl NcpaModes {
-    fn of(scene: &Scene, recipe: &Recipe, telescope: &Telescope, own: &OwnBasis) -> Result<Self> {
+    fn from_scene(scene: &Scene, recipe: &Recipe, telescope: &Telescope, own: &SceneBasis) -> Result<Self> {
         if let NcpaBasis::File(file) = &scene.modes.ncpa {
-            return Self::of_maps(from_file(&scene.resolve(file), &telescope.pupil)?, recipe, &telescope.pupil);
+            return Self::from_maps(from_file(&scene.resolve(file), &telescope.pupil)?, recipe, &telescope.pupil);
         }
         let (smooth, dropped) = functions(scene, recipe, telescope, own)?;
         let sampled = smooth.as_ref().map(|basis| basis.sampled(&telescope.pupil)).transpose()?;
         Ok(Self { smooth: Smooth::Functions(smooth), sampled, dropped })
     }
 
-    /// Modes known by their maps, used as they are, followed by what the exact Zernikes add to the NCPA among them.
-    fn of_maps(given: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
+    /// Modes given by their maps, unchanged, followed by what the exact Zernikes add to the NCPA among them.
+    fn from_maps(given: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
         let (basis, dropped) = with_exact(given, recipe.exact_zernikes, pupil)?;
         Ok(Self { smooth: Smooth::Maps(basis.maps()), sampled: Some(basis), dropped })
     }
@@ -84,19 +84,19 @@ impl NcpaModes {
 
 impl ModeSet {
     /// The NCPA modes of `scene`, behind those of the segments.
-    pub(super) fn of(
+    pub(super) fn from_scene(
         scene: &Scene,
         segment: SegmentModes,
         recipe: &Recipe,
         telescope: &Telescope,
-        own: &OwnBasis,
+        own: &SceneBasis,
     ) -> Result<Self> {
-        Self::assemble(segment, NcpaModes::of(scene, recipe, telescope, own)?, &telescope.pupil)
+        Self::assemble(segment, NcpaModes::from_scene(scene, recipe, telescope, own)?, &telescope.pupil)
     }
 
-    /// The modes of a caller on the grid of `pupil`, behind those of the segments.
-    pub(super) fn of_maps(segment: SegmentModes, ncpa: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
-        Self::assemble(segment, NcpaModes::of_maps(ncpa, recipe, pupil)?, pupil)
+    /// NCPA modes that the caller gives on the grid of `pupil`, behind those of the segments.
+    pub(super) fn from_maps(segment: SegmentModes, ncpa: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
+        Self::assemble(segment, NcpaModes::from_maps(ncpa, recipe, pupil)?, pupil)
     }
 
     fn assemble(segment: SegmentModes, ncpa: NcpaModes, pupil: &Pupil) -> Result<Self> {
@@ -121,23 +121,24 @@ impl ModeSet {
         Ok(Self { basis, kinds, smooth, dropped })
     }
 
-    /// Whether the smooth modes are known on the scene's grid only.
+    /// Whether the smooth modes are given on the scene's grid only.
     pub(super) fn is_from_file(&self) -> bool {
         matches!(self.smooth, Smooth::Maps(_))
     }
 }
 
-/// The scene's own basis, which costs a second to build: made once for all recipes of a scene.
+/// The scene's own basis, which takes a second to build: built once for all recipes of a scene.
 #[derive(Default)]
-pub(super) struct OwnBasis(OnceLock<Option<SmoothBasis>>);
+pub(super) struct SceneBasis(OnceLock<Option<SmoothBasis>>);
 
-impl OwnBasis {
-    /// No basis, whatever the scene says.
+impl SceneBasis {
+    /// An empty basis, whatever the scene names.
     pub(super) fn none() -> Self {
         Self(OnceLock::from(None))
     }
 
-    fn of(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
+    /// The basis, built at the first call.
+    fn get_or_build(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
         if let Some(made) = self.0.get() {
             return Ok(made.clone());
         }
@@ -154,18 +155,18 @@ impl OwnBasis {
     }
 }
 
-/// Exact Zernikes first, then what the scene's basis adds to them; names keep the order.
+/// Exact Zernikes first, then what the scene's basis adds to them, and the names of its modes that were dropped.
 fn functions(
     scene: &Scene,
     recipe: &Recipe,
     telescope: &Telescope,
-    own: &OwnBasis,
+    own: &SceneBasis,
 ) -> Result<(Option<SmoothBasis>, Vec<String>)> {
     let (pupil, count) = (&telescope.pupil, scene.modes.ncpa_count);
-    let own = own.of(scene, telescope)?;
+    let own = own.get_or_build(scene, telescope)?;
     let exact = match recipe.exact_zernikes {
         NollRange::Span { first, last } => match &scene.modes.ncpa {
-            // A Zernike basis that already reaches as far is exact as it is.
+            // A Zernike basis that reaches as far has the exact Zernikes.
             NcpaBasis::Zernike if last <= count + 1 => None,
             _ => Some(modes::zernike_basis(first, last, pupil)?),
         },
@@ -229,7 +230,7 @@ fn remainders(given: &Basis, extra: &Basis, pupil: &Pupil) -> (Vec<(String, Arra
         kept.map(|(_, map)| map.iter().zip(&root).map(|(v, r)| v * r).collect()).collect()
     };
     let mut directions: Vec<Array1<f64>> = Vec::new();
-    // Twice is enough: the classical result on Gram-Schmidt with re-orthogonalisation.
+    // Gram-Schmidt with one re-orthogonalisation is accurate to rounding ("twice is enough").
     let project = |mut v: Array1<f64>, directions: &[Array1<f64>]| {
         for direction in directions.iter().chain(directions) {
             let along = direction.dot(&v);

@@ -1,7 +1,7 @@
-//! The estimator's model of a scene: which modes, on which samples, compared with which pixels.
+//! Model of a scene for modal fits: modes, pupil samples, pixels.
 
-use super::mode_set::{ModeSet, OwnBasis};
-use super::plan::{Plan, band_limited_weights};
+use super::mode_set::{ModeSet, SceneBasis};
+use super::plan::{PixelPlan, band_limited_weights};
 use super::prepare::Preparation;
 use super::recipe::Recipe;
 use super::{band, memory};
@@ -15,13 +15,13 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
 
-/// Everything that is fixed before an image is looked at.
+/// Model of the images of one scene: everything that does not depend on the images.
 pub struct Model {
     /// The telescope, on the scene's grid.
     pub telescope: Telescope,
     /// The model that the chains run.
     pub optics: Arc<Optics>,
-    /// How frames become exposures.
+    /// Preparation of frames.
     pub preparation: Preparation,
     /// Names, groups and maps (on the scene's grid, `[mode, y, x]`, nm per nm) of the modes.
     pub basis: Basis,
@@ -29,53 +29,60 @@ pub struct Model {
     pub(super) mean_squares: Arc<[f64]>,
     /// Number of segment modes; they come first.
     pub segment_modes: usize,
-    /// Modes that were asked for but that the others already span.
+    /// Names of modes that were left out because the others span them.
     pub dropped: Vec<String>,
-    /// What an estimate may take, bytes.
+    /// Limit of an estimate's memory, bytes.
     pub(super) limit_bytes: usize,
     /// Side of the grid on which the model runs, m.
     grid_width_m: f64,
 }
 
 impl Model {
-    /// Builds the model of `scene`. `native` forbids the reduction to Nyquist sampling (bad pixels would ring).
+    /// Builds the model of `scene`. `native` forbids the reduction to Nyquist sampling (it would ring around bad pixels).
     ///
     /// # Errors
-    /// Those of the rooms below, for files that cannot be read and bases that cannot be built.
-    pub fn of(scene: &Scene, recipe: &Recipe, native: bool) -> Result<Self> {
-        Self::with_own_basis(scene, recipe, native, &OwnBasis::default())
+    /// Those of the modules below, for files that cannot be read and bases that cannot be built.
+    pub fn new(scene: &Scene, recipe: &Recipe, native: bool) -> Result<Self> {
+        Self::with_scene_basis(scene, recipe, native, &SceneBasis::default())
     }
 
-    /// As [`Model::of`], reduced to Nyquist sampling, for a telescope that is the scene's but for the amplitudes of its
-    /// segments.
+    /// As [`Model::new`], reduced to Nyquist sampling, for a telescope that differs from the scene's in the amplitudes of its
+    /// segments only.
     ///
     /// # Errors
-    /// As [`Model::of`].
-    pub fn of_telescope(scene: &Scene, recipe: &Recipe, telescope: Telescope) -> Result<Self> {
+    /// As [`Model::new`].
+    pub fn with_telescope(scene: &Scene, recipe: &Recipe, telescope: Telescope) -> Result<Self> {
         memory::check_maps(scene)?;
         let diversity = Diversity::new(scene, &telescope)?;
-        let set = ModeSet::of(scene, scene.modes.segment, recipe, &telescope, &OwnBasis::default())?;
+        let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &telescope, &SceneBasis::default())?;
         Self::assemble(scene, recipe, false, telescope, &diversity, set)
     }
 
-    /// As [`Model::of`], with the scene's own basis kept for other recipes of the same scene.
-    pub(super) fn with_own_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
+    /// As [`Model::new`], with the scene's own basis, which other recipes of the same scene share.
+    pub(super) fn with_scene_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &SceneBasis) -> Result<Self> {
         memory::check_maps(scene)?;
         let telescope = Telescope::new(scene)?;
         let diversity = Diversity::new(scene, &telescope)?;
-        let set = ModeSet::of(scene, scene.modes.segment, recipe, &telescope, own)?;
+        let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &telescope, own)?;
         Self::assemble(scene, recipe, native, telescope, &diversity, set)
     }
 
-    /// The model of `beside`, a scene that differs from `scene` by a little of its optics, for the modes of `scene`.
-    pub(super) fn beside(scene: &Scene, beside: &Scene, recipe: &Recipe, native: bool, own: &OwnBasis) -> Result<Self> {
-        let set = ModeSet::of(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, own)?;
-        let telescope = Telescope::new(beside)?;
-        let diversity = Diversity::new(beside, &telescope)?;
-        Self::assemble(beside, recipe, native, telescope, &diversity, set)
+    /// The model of `perturbed`, a scene that differs slightly from `scene` in its optical parameters, for the modes of
+    /// `scene`.
+    pub(super) fn with_perturbed_optics(
+        scene: &Scene,
+        perturbed: &Scene,
+        recipe: &Recipe,
+        native: bool,
+        own: &SceneBasis,
+    ) -> Result<Self> {
+        let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, own)?;
+        let telescope = Telescope::new(perturbed)?;
+        let diversity = Diversity::new(perturbed, &telescope)?;
+        Self::assemble(perturbed, recipe, native, telescope, &diversity, set)
     }
 
-    /// The model of these parts; of `scene`, its image and how the pupil is band-limited.
+    /// Assembles the model of these parts; `scene` gives the image and the band limit of the pupil.
     pub(super) fn assemble(
         scene: &Scene,
         recipe: &Recipe,
@@ -84,13 +91,13 @@ impl Model {
         diversity: &Diversity,
         set: ModeSet,
     ) -> Result<Self> {
-        let pixels = Plan::of(scene, recipe, native, diversity, &telescope.pupil);
+        let pixels = PixelPlan::new(scene, recipe, native, diversity, &telescope.pupil);
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
         if let Some(samples) = scene.estimate.samples.filter(|&samples| !band_limited && samples != scene.pupil.samples)
         {
             return Err(Error::Scene(format!(
-                "estimate.samples = {samples} needs a band-limited model of a pupil that is known finely; leave it out, or name \
-                 pupil.samples"
+                "estimate.samples = {samples} needs a band-limited model of a pupil that is known on a finer grid; leave it out, \
+                 or name pupil.samples"
             )));
         }
         let (grid, weights) = if band_limited {
@@ -154,7 +161,7 @@ impl Model {
         }
     }
 
-    /// `map` with NaN where there is no glass.
+    /// `map` with NaN outside the pupil.
     pub fn outside_to_nan(&self, mut map: Array2<f64>) -> Array2<f64> {
         ndarray::Zip::from(&mut map).and(&self.telescope.pupil.owner).for_each(|value, &owner| {
             if owner < 0 {

@@ -1,4 +1,4 @@
-//! Memory that an estimate with a model takes.
+//! Memory of an estimate with a model.
 
 use super::gauss_newton::bytes_of_row;
 use super::memory::{BASE_BYTES, KEPT_MATRICES, MATRICES_AT_ONCE, Memory, NUMBER, Tiles, WORKING_MATRICES};
@@ -6,20 +6,21 @@ use super::model::Model;
 use crate::Result;
 
 impl Model {
-    /// What an estimate with this model takes on `threads` threads.
+    /// Memory of an estimate with this model on `threads` threads.
     pub fn memory(&self, threads: usize) -> Memory {
         let (parts, sampling) = (self.optics.parts(), self.optics.sampling());
         let (n, m, modes) = (sampling.samples, sampling.pixels, self.optics.modes());
-        let (lit, entries, smooth) = (parts.weights.illuminated.len(), parts.weights.weight.len(), parts.basis.nrows());
+        let (illuminated, entries, smooth) =
+            (parts.weights.illuminated.len(), parts.weights.weight.len(), parts.basis.nrows());
         let maps = self.telescope.pupil.grid.samples().pow(2);
         let frame = self.preparation.frame[0] * self.preparation.frame[1];
         let k = n.max(m + 2);
-        // The maps; the optics and two chains, which hold them at the lit samples; pupil, weights and tables.
+        // The maps; the optics and two chains, which have their values at the illuminated samples; pupil, weights and tables.
         let colours = parts.colours.len();
-        let each = 3 * smooth * lit + 9 * maps.max(n * n) + 12 * entries + 24 * lit + 2 * n * m;
+        let each = 3 * smooth * illuminated + 9 * maps.max(n * n) + 12 * entries + 24 * illuminated + 2 * n * m;
         let model = smooth * maps + colours * each;
         // Two chains' scratch, one's for the flat wavefront, and that of the derivatives; a frame's preparation.
-        let thread = colours * (21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * lit) + 8 * frame;
+        let thread = colours * (21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * illuminated) + 8 * frame;
         let square = modes * modes * NUMBER;
         Memory {
             model: NUMBER * model + BASE_BYTES,
@@ -32,7 +33,7 @@ impl Model {
         }
     }
 
-    /// How the work is cut to stay under the scene's `estimate.memory_gb`.
+    /// Tiles of the work within the scene's `estimate.memory_gb`.
     pub fn tiles(&self) -> Tiles {
         self.memory(rayon::current_num_threads()).tiles(self.limit_bytes)
     }

@@ -1,11 +1,11 @@
-//! Pixels that are not light: cosmic rays, hot and dead pixels that nobody has marked.
+//! Outlier pixels: cosmic rays, hot and dead pixels that are not marked as bad.
 //!
-//! A telescope of diameter D passes no spatial frequency beyond D/λ, so that what a frame has there is noise, and pixels that
-//! stand alone. With the frame's transform zeroed up to that frequency (kernel k, `k(0)` the share that is left), a pixel too
-//! high by A is A·k about its place, and noise of variance v has the variance `Σ k²·v`. The pixel that stands out most is noted,
-//! what all that were noted have too much is found together, and is taken off, until none stands out (orthogonal matching
-//! pursuit, Pati et al. 1993). No model of the image is needed, and none can be led astray. Towards its border the frame is
-//! faded out, or the jump from one side to the other would stand out; what stands out there all the same is left where it is.
+//! A telescope of diameter D passes no spatial frequency beyond D/λ, so that a frame has only noise and outlier pixels there.
+//! With the frame's transform set to 0 up to that frequency (kernel k, `k(0)` the share of frequencies that is left), a pixel
+//! too high by A becomes A·k about its place, and noise of variance v has the variance `Σ k²·v`. The most significant pixel is
+//! added to a list, the excesses of all pixels in the list are fitted together and subtracted, until no pixel is significant
+//! (orthogonal matching pursuit, Pati et al. 1993). No model of the image is needed. Towards its border the frame is tapered,
+//! because the jump from one side to the other would be significant; outliers within the taper are not rejected.
 
 use super::prepare::Frame;
 use crate::scene::Scene;
@@ -15,139 +15,140 @@ use num_complex::Complex64;
 use rustfft::{Fft, FftDirection, FftPlanner};
 use std::sync::Arc;
 
-/// Standard deviations beyond which a pixel stands out: of 100,000 pixels of noise one does in 5,000 frames.
-const STANDS_OUT: f64 = 6.0;
-/// Outliers, and their share of a frame's pixels, beyond which they do not stand alone: the frame or its noise is not what the
-/// scene says, and χ² tells.
-const MOST: usize = 48;
-/// See [`MOST`].
-const MOST_SHARE: f64 = 3e-3;
-/// Standard deviations by which what a pixel has too much may change as others are found, and stay what it was.
-const SETTLED: f64 = 0.1;
-/// Frequencies that light does not reach, as a share of all, below which too little is left to tell by.
-const LEAST_FREE: f64 = 0.1;
-/// Room for a plate scale that is not quite the scene's.
+/// Standard deviations beyond which a pixel is an outlier: with 100,000 pixels of noise one in 5,000 frames.
+const OUTLIER_SIGMA: f64 = 6.0;
+/// Largest number of outliers of a frame, and their largest share of its pixels. Beyond it none is rejected: the frame or its
+/// noise is not what the scene says, and χ² shows it.
+const MAX_OUTLIERS: usize = 48;
+/// See [`MAX_OUTLIERS`].
+const MAX_OUTLIER_SHARE: f64 = 3e-3;
+/// Changes of a pixel's excess below this number of standard deviations are ignored as others are found.
+const SMALL_CHANGE: f64 = 0.1;
+/// Smallest share of frequencies beyond D/λ for which outliers can be found.
+const MIN_FREE_SHARE: f64 = 0.1;
+/// Margin of the cut-off for a plate scale that differs from the scene's.
 const MARGIN: f64 = 1.02;
-/// Pixels along the border in which the frame is faded out.
-const FADED: usize = 8;
-/// Least variance of a pixel's frequencies, of the read noise's.
-const LEAST_SHARE: f64 = 1e-3;
-/// Least read noise, e⁻: pixels without light or noise are not infinitely sure.
-const LEAST_NOISE_E: f64 = 1.0;
+/// Width of the taper along the border, pixels.
+const TAPER: usize = 8;
+/// Smallest variance of a filtered pixel, as a share of that of the read noise.
+const MIN_VARIANCE_SHARE: f64 = 1e-3;
+/// Smallest read noise, e⁻, so that pixels without light and noise have a variance.
+const MIN_NOISE_E: f64 = 1.0;
 
-/// A frame without the pixels that stood out.
-pub(super) struct Cleaned {
-    /// Electrons; where a pixel stood out, what it has without that.
+/// A frame without its outliers.
+pub(super) struct CleanedFrame {
+    /// Electrons; of an outlier, without its excess.
     pub(super) data_e: Array2<f64>,
-    /// Bad pixels, and those that stood out.
+    /// Bad pixels and outliers.
     pub(super) bad: Array2<bool>,
-    /// How many stood out.
-    pub(super) cut: usize,
+    /// Number of outliers.
+    pub(super) rejected: usize,
 }
 
 /// Finds outliers in frames of one scene.
 pub(super) struct OutlierFinder {
-    /// Of rows, and of columns: there and back.
+    /// Plans of rows and of columns, forward and inverse.
     plans: [[Arc<dyn Fft<f64>>; 2]; 2],
-    /// Frequencies that light does not reach.
+    /// Frequencies beyond D/λ.
     free: Array2<bool>,
     kernel: Array2<f64>,
-    /// What is left of each pixel where the frame is faded out.
+    /// Window that tapers the frame.
     window: Array2<f64>,
     /// Transform of the kernel's square.
     square: Array2<Complex64>,
 }
 
 impl OutlierFinder {
-    /// For frames of `scene`; none where they are sampled too coarsely.
-    pub(super) fn of(scene: &Scene) -> Option<Self> {
+    /// A finder for frames of `scene`; `None` where they are sampled too coarsely.
+    pub(super) fn new(scene: &Scene) -> Option<Self> {
         let (rows, columns) = scene.image.frame_shape();
         let shortest = 1.0 - 0.5 * scene.image.bandwidth_fraction;
         let cutoff = MARGIN / (scene.image.samples_per_lambda_over_d * shortest);
         let cycles = |i: usize, n: usize| i.min(n - i) as f64 / n as f64;
         let free = Array2::from_shape_fn((rows, columns), |(y, x)| cycles(y, rows).hypot(cycles(x, columns)) > cutoff);
         let share = free.iter().filter(|free| **free).count() as f64 / free.len() as f64;
-        if share < LEAST_FREE {
+        if share < MIN_FREE_SHARE {
             return None;
         }
-        let faded = |i: usize, n: usize| {
-            let inside = (i.min(n - 1 - i) as f64 + 0.5) / FADED as f64;
+        let taper = |i: usize, n: usize| {
+            let inside = (i.min(n - 1 - i) as f64 + 0.5) / TAPER as f64;
             if inside < 1.0 { (0.5 * std::f64::consts::PI * inside).sin().powi(2) } else { 1.0 }
         };
-        let window = Array2::from_shape_fn((rows, columns), |(y, x)| faded(y, rows) * faded(x, columns));
+        let window = Array2::from_shape_fn((rows, columns), |(y, x)| taper(y, rows) * taper(x, columns));
         let mut planner = FftPlanner::new();
         let plans = [columns, rows]
             .map(|n| [FftDirection::Forward, FftDirection::Inverse].map(|direction| planner.plan_fft(n, direction)));
         let mut finder = Self { plans, kernel: Array2::zeros((0, 0)), square: Array2::default((0, 0)), window, free };
-        finder.kernel = finder.back(finder.free.mapv(|free| Complex64::from(if free { 1.0 } else { 0.0 })));
-        finder.square = finder.there(&finder.kernel.mapv(|k| k * k));
+        finder.kernel = finder.inverse(finder.free.mapv(|free| Complex64::from(if free { 1.0 } else { 0.0 })));
+        finder.square = finder.forward(&finder.kernel.mapv(|k| k * k));
         Some(finder)
     }
 
-    /// `frame` without the pixels that stand out; none where no pixel does, or where too many do.
-    pub(super) fn clean(&self, frame: Frame) -> Option<Cleaned> {
-        let most = MOST.min((MOST_SHARE * self.free.len() as f64) as usize);
+    /// `frame` without its outliers; `None` where it has none, or too many.
+    pub(super) fn clean(&self, frame: Frame) -> Option<CleanedFrame> {
+        let most = MAX_OUTLIERS.min((MAX_OUTLIER_SHARE * self.free.len() as f64) as usize);
         let known = Zip::from(frame.bad).and(frame.data_e).map_collect(|&bad, e| bad || !e.is_finite());
         let known_count = known.iter().filter(|known| **known).count();
         if frame.data_e.dim() != self.free.dim() || known_count > most {
             return None;
         }
         let data_e = Zip::from(&known).and(frame.data_e).map_collect(|&known, &e| if known { 0.0 } else { e });
-        let floor_e2 = frame.read_noise_e.max(LEAST_NOISE_E).powi(2);
-        let mut high = self.there(&(&data_e * &self.window));
+        let floor_e2 = frame.read_noise_e.max(MIN_NOISE_E).powi(2);
+        let mut high = self.forward(&(&data_e * &self.window));
         Zip::from(&mut high).and(&self.free).for_each(|value, &free| *value *= if free { 1.0 } else { 0.0 });
-        let high_e = self.back(high);
+        let high_e = self.inverse(high);
         let faded_e2 =
             Array2::from_shape_fn(data_e.dim(), |at| light_e(&data_e, at) + floor_e2) * &self.window * &self.window;
-        // At the rim variances are nothing but rounding: 1e-16 of the light's.
-        let variance_e2 = self.back(self.there(&faded_e2) * &self.square).mapv(|e2| e2.max(LEAST_SHARE * floor_e2));
+        // At the rim the variances are rounding: 1e-16 of those of the light.
+        let variance_e2 =
+            self.inverse(self.forward(&faded_e2) * &self.square).mapv(|e2| e2.max(MIN_VARIANCE_SHARE * floor_e2));
         let mut left_e = high_e.clone();
-        let (mut standing, mut taken_e): (Vec<(usize, usize)>, Vec<f64>) = Default::default();
+        let (mut outliers, mut excess_e): (Vec<(usize, usize)>, Vec<f64>) = Default::default();
         loop {
             let (at, most_squared) = Zip::indexed(&left_e).and(&variance_e2).fold(((0, 0), 0.0), |most, at, e, e2| {
                 let squared = e * e / e2;
                 if squared > most.1 { (at, squared) } else { most }
             });
-            if most_squared <= STANDS_OUT.powi(2) {
+            if most_squared <= OUTLIER_SIGMA.powi(2) {
                 break;
             }
-            if standing.len() == 2 * most + known_count || standing.contains(&at) {
+            if outliers.len() == 2 * most + known_count || outliers.contains(&at) {
                 return None;
             }
-            let between = standing.iter().flat_map(|&other| between(at, other)).collect::<Vec<_>>();
+            let between = outliers.iter().flat_map(|&other| between(at, other)).collect::<Vec<_>>();
             for at in std::iter::once(at).chain(between) {
-                if !standing.contains(&at) {
-                    standing.push(at);
-                    taken_e.push(0.0);
+                if !outliers.contains(&at) {
+                    outliers.push(at);
+                    excess_e.push(0.0);
                 }
             }
-            let together_e = self.together(&standing, &high_e)?;
-            for ((&at, taken_e), wanted_e) in standing.iter().zip(&mut taken_e).zip(together_e) {
-                let more_e = wanted_e - *taken_e;
-                if (more_e * self.kernel[[0, 0]]).powi(2) >= SETTLED.powi(2) * variance_e2[at] {
-                    *taken_e = wanted_e;
+            let fitted_e = self.fit_excess(&outliers, &high_e)?;
+            for ((&at, excess_e), wanted_e) in outliers.iter().zip(&mut excess_e).zip(fitted_e) {
+                let more_e = wanted_e - *excess_e;
+                if (more_e * self.kernel[[0, 0]]).powi(2) >= SMALL_CHANGE.powi(2) * variance_e2[at] {
+                    *excess_e = wanted_e;
                     Zip::indexed(&mut left_e).for_each(|(y, x), e| *e -= more_e * self.kernel_at((y, x), at));
                 }
             }
         }
-        let mut found = Cleaned { data_e, bad: known, cut: 0 };
-        for (&at, &too_high_e) in standing.iter().zip(&taken_e) {
-            // What was taken for an outlier before its neighbours were found is none beside them.
-            let stands_out = (too_high_e * self.kernel[[0, 0]]).powi(2) > STANDS_OUT.powi(2) * variance_e2[at];
-            if self.window[at] == 1.0 && stands_out {
-                found.data_e[at] -= too_high_e;
-                found.cut += usize::from(!found.bad[at]);
+        let mut found = CleanedFrame { data_e, bad: known, rejected: 0 };
+        for (&at, &own_excess_e) in outliers.iter().zip(&excess_e) {
+            // A pixel that was significant before its neighbours were found may not be after.
+            let is_outlier = (own_excess_e * self.kernel[[0, 0]]).powi(2) > OUTLIER_SIGMA.powi(2) * variance_e2[at];
+            if self.window[at] == 1.0 && is_outlier {
+                found.data_e[at] -= own_excess_e;
+                found.rejected += usize::from(!found.bad[at]);
                 found.bad[at] = true;
             }
         }
-        (1..=most).contains(&found.cut).then_some(found)
+        (1..=most).contains(&found.rejected).then_some(found)
     }
 
-    /// By how much each of these pixels is too high, all together, e⁻: least squares in the frequencies without light.
-    fn together(&self, standing: &[(usize, usize)], high_e: &Array2<f64>) -> Option<Vec<f64>> {
-        let count = standing.len();
-        let gram = faer::Mat::from_fn(count, count, |i, j| self.kernel_at(standing[i], standing[j]));
-        let solved = gram.llt(faer::Side::Lower).ok()?.solve(faer::Mat::from_fn(count, 1, |i, _| high_e[standing[i]]));
+    /// Excess of each of these pixels, fitted together, e⁻: least squares in the frequencies without light.
+    fn fit_excess(&self, outliers: &[(usize, usize)], high_e: &Array2<f64>) -> Option<Vec<f64>> {
+        let count = outliers.len();
+        let gram = faer::Mat::from_fn(count, count, |i, j| self.kernel_at(outliers[i], outliers[j]));
+        let solved = gram.llt(faer::Side::Lower).ok()?.solve(faer::Mat::from_fn(count, 1, |i, _| high_e[outliers[i]]));
         Some((0..count).map(|i| solved[(i, 0)]).collect())
     }
 
@@ -157,13 +158,13 @@ impl OutlierFinder {
         self.kernel[[(at.0 + rows - from.0) % rows, (at.1 + columns - from.1) % columns]]
     }
 
-    fn there(&self, map: &Array2<f64>) -> Array2<Complex64> {
+    fn forward(&self, map: &Array2<f64>) -> Array2<Complex64> {
         let mut map = map.mapv(Complex64::from);
         self.transform(&mut map, 0);
         map
     }
 
-    fn back(&self, mut map: Array2<Complex64>) -> Array2<f64> {
+    fn inverse(&self, mut map: Array2<Complex64>) -> Array2<f64> {
         self.transform(&mut map, 1);
         let scale = 1.0 / map.len() as f64;
         map.mapv(|value| value.re * scale)
@@ -179,8 +180,8 @@ impl OutlierFinder {
     }
 }
 
-/// The pixels between two that have room for one, as a track would cross them: what stands out most is found first, and what
-/// it took of its neighbours' shows beyond them.
+/// The pixels between two that are two pixels apart, as a track would cross them: the brightest pixels of a track are found
+/// first, and absorb a part of the excess of those between them.
 fn between(a: (usize, usize), b: (usize, usize)) -> Vec<(usize, usize)> {
     if a.0.abs_diff(b.0).max(a.1.abs_diff(b.1)) != 2 {
         return Vec::new();
@@ -190,7 +191,7 @@ fn between(a: (usize, usize), b: (usize, usize)) -> Vec<(usize, usize)> {
 }
 
 /// Electrons of the light in a pixel, at most: twice the median of the pixels around it, which a spot of two pixels' width has
-/// in its middle. A pixel that is wrong has no part in it, so that its neighbours are judged by the noise of the light alone.
+/// in its middle. The median ignores a single outlier, so that the noise of its neighbours is that of the light alone.
 fn light_e(data_e: &Array2<f64>, (y, x): (usize, usize)) -> f64 {
     let around = |at: usize, size: usize| at.saturating_sub(1)..(at + 2).min(size);
     let (rows, columns) = data_e.dim();
@@ -226,36 +227,39 @@ mod tests {
         source::simulate(scene).unwrap().images_e
     }
 
-    fn cleaned(scene: &Scene, data_e: &Array2<f64>, bad: &Array2<bool>) -> Option<Cleaned> {
+    fn clean(scene: &Scene, data_e: &Array2<f64>, bad: &Array2<bool>) -> Option<CleanedFrame> {
         let frame = Frame { data_e: data_e.view(), bad: bad.view(), read_noise_e: NOISE_E };
-        OutlierFinder::of(scene).unwrap().clean(frame)
+        OutlierFinder::new(scene).unwrap().clean(frame)
     }
 
     #[test]
-    fn what_stands_alone_is_cut_and_what_was_there_comes_back() {
+    fn outliers_are_rejected_and_the_image_is_recovered() {
         for settings in [&[][..], &[("image.samples_per_lambda_over_d", "2")]] {
             let scene = scene(settings);
             let image_e = images(&scene).index_axis_move(Axis(0), 0);
             let bad = image_e.mapv(|_| false);
-            assert!(cleaned(&scene, &image_e, &bad).is_none(), "light and noise stand out");
+            assert!(clean(&scene, &image_e, &bad).is_none(), "light and noise have no outlier");
             let peak_e = image_e.iter().copied().fold(0.0, f64::max);
             let (rows, columns) = image_e.dim();
             // A hot pixel, a dead one in the light, a track of three, and a pixel that is known.
             let middle = (rows / 2, columns / 2);
             let track = [0, 1, 2].map(|i| (rows / 4 + i, columns / 3 + i));
-            let lit = image_e.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0;
+            let brightest = image_e.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap().0;
             let mut spoilt = image_e.clone();
             spoilt[middle] += 10.0 * peak_e;
-            spoilt[lit] = 0.0;
+            spoilt[brightest] = 0.0;
             track.iter().for_each(|&at| spoilt[at] += 0.3 * peak_e);
             let (mut known, place) = (bad.clone(), (rows / 3, columns / 2));
             (known[place], spoilt[place]) = (true, f64::NAN);
-            let found = cleaned(&scene, &spoilt, &known).unwrap();
-            let expected: Vec<_> = [middle, lit, place].into_iter().chain(track).collect();
+            let found = clean(&scene, &spoilt, &known).unwrap();
+            let expected: Vec<_> = [middle, brightest, place].into_iter().chain(track).collect();
             let marked: Vec<_> = found.bad.indexed_iter().filter(|(_, bad)| **bad).map(|(at, _)| at).collect();
-            assert!(expected.iter().all(|at| marked.contains(at)) && marked.len() == 6 && found.cut == 5, "{marked:?}");
+            assert!(
+                expected.iter().all(|at| marked.contains(at)) && marked.len() == 6 && found.rejected == 5,
+                "{marked:?}"
+            );
             // With the noise of what is beyond the light's frequencies: at two pixels per λ/D a fifth of them, 1/√0.2 times
-            // a pixel's, four of these, and where neighbours were cut twice that.
+            // a pixel's, four of these, and where neighbours were rejected twice that.
             for at in expected {
                 let off_e = found.data_e[at] - image_e[at];
                 assert!(off_e.abs() < 20.0 * (image_e[at].max(0.0) + NOISE_E * NOISE_E).sqrt(), "{at:?}: {off_e}");
@@ -264,23 +268,23 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_stand_alone_is_left() {
+    fn errors_that_are_not_single_pixels_are_left() {
         let scene = scene(&[]);
         let image_e = images(&scene).index_axis_move(Axis(0), 1);
         let bad = image_e.mapv(|_| false);
         // Responses of pixels that scatter by 10 % are not single pixels.
         let mut uneven = image_e.clone();
         uneven.indexed_iter_mut().for_each(|((y, x), e)| *e *= 1.0 + 0.1 * ((7 * y + 13 * x * x) as f64).sin());
-        assert!(cleaned(&scene, &uneven, &bad).is_none());
+        assert!(clean(&scene, &uneven, &bad).is_none());
         // Frames with as many bad pixels as that are left alone, too, and of another size.
         let mut many = bad.clone();
         many.iter_mut().take(bad.len() / 100).for_each(|bad| *bad = true);
         let mut hot = image_e.clone();
         hot[[10, 10]] = 1e6;
-        assert!(cleaned(&scene, &hot, &bad).is_some() && cleaned(&scene, &hot, &many).is_none());
-        assert!(cleaned(&scene, &Array2::zeros((8, 8)), &Array2::from_elem((8, 8), false)).is_none());
+        assert!(clean(&scene, &hot, &bad).is_some() && clean(&scene, &hot, &many).is_none());
+        assert!(clean(&scene, &Array2::zeros((8, 8)), &Array2::from_elem((8, 8), false)).is_none());
         // Light of coarser pixels reaches all frequencies.
         let coarse = scene.with(&[("image.samples_per_lambda_over_d", "1.5")]).unwrap();
-        assert!(OutlierFinder::of(&coarse).is_none());
+        assert!(OutlierFinder::new(&coarse).is_none());
     }
 }

@@ -1,10 +1,10 @@
-//! Pistons about their mean over the pupil: the one direction that no image sees is taken out of them.
+//! Pistons about their mean over the pupil: removes the global piston, on which no image depends.
 
 use super::model::Model;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView2, s};
 
-/// How a model's pistons make up their mean over the pupil.
+/// Shares of a model's pistons in their mean over the pupil.
 pub(super) struct Pistons {
     /// Each piston's share; empty where pistons are not estimated.
     shares: Vec<f64>,
@@ -12,15 +12,15 @@ pub(super) struct Pistons {
 
 impl Pistons {
     /// # Errors
-    /// [`Error::Value`] for pistons that move no glass.
-    pub(super) fn of(model: &Model) -> Result<Self> {
+    /// [`Error::Value`] for pistons of segments without area.
+    pub(super) fn new(model: &Model) -> Result<Self> {
         let pistons = model.basis.names().iter().take(model.segment_modes).take_while(|name| name.ends_with("-piston"));
         let count = pistons.count();
         let pupil = &model.telescope.pupil;
         let areas = model.basis.along(&pupil.amplitude)?[..count].to_vec();
         let total: f64 = areas.iter().sum();
         if count > 0 && total <= 0.0 {
-            return Err(Error::Value("the segment pistons move no glass".into()));
+            return Err(Error::Value("the segments of the pistons have no illuminated area".into()));
         }
         Ok(Self { shares: areas.iter().map(|area| area / total).collect() })
     }
@@ -45,7 +45,7 @@ impl Pistons {
             .columns_mut()
             .into_iter()
             .for_each(|mut column| column -= &of_columns);
-        // Symmetric to the last bit, as who takes its eigenvalues may ask.
+        // Symmetric to the last bit, which an eigen-decomposition may need.
         (&covariance_nm2 + &covariance_nm2.t()) * 0.5
     }
 }

@@ -1,4 +1,4 @@
-//! Which pixels are compared, and how finely the pupil is sampled for them.
+//! Pixel plan: the pixels that are fitted, and the sampling of the pupil for them.
 
 use super::prepare::Preparation;
 use super::recipe::Recipe;
@@ -8,8 +8,8 @@ use crate::pupil::{BandLimit, Pupil, SegmentWeights};
 use crate::scene::{Crop, PupilModel, Sampling, Scene};
 use crate::telescope::{Diversity, Telescope};
 
-/// Spare samples on each side of the pupil in a band-limited model, fewest and most: the weights ring beyond the glass,
-/// and what rings beyond the grid is lost. Every spare sample is one less across the pupil: at 120 samples 4 leave
+/// Spare samples on each side of the pupil in a band-limited model, fewest and most: the weights ring beyond the pupil,
+/// and the part beyond the grid is lost. Every spare sample is one less across the pupil: at 120 samples 4 leave
 /// 0.026 nm of NCPA where 1 leaves 0.037 (the noise 0.1), at 96 samples 0.7 where 1 leaves 0.12.
 const SPARE_SAMPLES: (f64, f64) = (1.0, 4.0);
 /// Half of the low pass's transition, cycles, on either side of the Nyquist frequency: it keeps the ringing short. 8
@@ -22,8 +22,8 @@ pub(crate) const SPOT_MARGIN: f64 = 3.0;
 /// Least half-width of the fitted image, λ/D: without defocus the light of single segments still spreads this far.
 pub(crate) const LEAST_HALF_WIDTH: f64 = 16.0;
 
-/// Which pixels are compared.
-pub(super) struct Plan {
+/// Pixels that are fitted, and their sampling.
+pub(super) struct PixelPlan {
     pub(super) preparation: Preparation,
     /// Model pixels per λ/grid_m.
     pub(super) per_lambda_over_d: f64,
@@ -33,8 +33,8 @@ pub(super) struct Plan {
     spare_samples: usize,
 }
 
-impl Plan {
-    pub(super) fn of(scene: &Scene, recipe: &Recipe, native: bool, diversity: &Diversity, pupil: &Pupil) -> Self {
+impl PixelPlan {
+    pub(super) fn new(scene: &Scene, recipe: &Recipe, native: bool, diversity: &Diversity, pupil: &Pupil) -> Self {
         let image = &scene.image;
         let ((rows, columns), frame_sampling) = (image.frame_shape(), image.samples_per_lambda_over_d);
         let frame = [columns, rows];
@@ -47,13 +47,13 @@ impl Plan {
             if wanted { (nyquist.map(|pixels| pixels.round() as usize), 2.0) } else { (frame, frame_sampling) };
         let spot = diversity.spot(pupil, image.wavelength_nm);
         let mut half_width = (spot + SPOT_MARGIN).max(LEAST_HALF_WIDTH);
-        // What the samples could pass beyond what the image needs.
+        // Frequencies that the samples carry beyond those that the image needs.
         let samples = samples(scene) as f64;
         let beyond = samples / 2.0 - (half_width + spot + ABERRATION_CYCLES);
         let spare_samples = beyond.clamp(SPARE_SAMPLES.0, SPARE_SAMPLES.1) as usize;
         if recipe.pupil_model == PupilModel::BandLimited {
-            // Not wider than what the samples can carry: what aliases beyond that costs more than the light that is
-            // left out, down to two thirds of the spot.
+            // Not wider than the samples can carry: aliasing beyond that costs more than the light that is left out, down to
+            // two thirds of the spot.
             let carried = samples / 2.0 - spare_samples as f64 - spot - ABERRATION_CYCLES;
             half_width = half_width.min(carried.max(spot * 2.0 / 3.0).max(LEAST_HALF_WIDTH));
         }
@@ -81,14 +81,14 @@ fn samples(scene: &Scene) -> usize {
     scene.estimate.samples.unwrap_or(scene.pupil.samples)
 }
 
-/// The model's number of samples, spread over the pupil and some room around it, and the weights on them.
+/// Grid of the model, with spare samples around the pupil, and the weights on it.
 ///
 /// The pass band holds every frequency of the pupil that light of the spot can bring into the image: half the image and
 /// the spot, and a little for the aberrations.
 pub(super) fn band_limited_weights(
     scene: &Scene,
     telescope: &Telescope,
-    pixels: &Plan,
+    pixels: &PixelPlan,
 ) -> Result<(Grid, SegmentWeights)> {
     let own = telescope.pupil.grid;
     let samples = samples(scene);

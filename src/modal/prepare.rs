@@ -1,5 +1,4 @@
-//! From a detector frame to the exposure that the chain compares with: checked, reduced to the model's sampling with
-//! its noise carried along, centred, cropped, weighted.
+//! Preparation of a detector frame: checked, reduced to the model's sampling with its noise, centred, cropped, weighted.
 
 mod extent;
 mod reduction;
@@ -12,12 +11,12 @@ use super::recipe::Recipe;
 use crate::imaging::{Exposure, Photometry};
 use crate::scene::Weighting;
 use crate::{Error, Result};
-use extent::{Extent, of_clean_rows};
+use extent::{Extent, extents_of_clean_rows};
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use reduction::Reduction;
 use statistics::Statistics;
 
-/// One frame as it comes: electrons, and which pixels are bad.
+/// A frame: electrons and bad pixels.
 #[derive(Debug, Clone, Copy)]
 pub struct Frame<'a> {
     /// Electrons, `[y, x]`.
@@ -28,37 +27,37 @@ pub struct Frame<'a> {
     pub read_noise_e: f64,
 }
 
-/// How frames become exposures of one model.
+/// Preparation of frames for one model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Preparation {
     /// Pixels of a frame along x and y, both even; the axis is on pixel `[frame[0] / 2, frame[1] / 2]`.
     pub frame: [usize; 2],
     /// Pixels along x and y after the reduction to the model's sampling (equal to `frame` where there is none), even.
     pub reduced: [usize; 2],
-    /// Pixels along a side of the part that is fitted; what it has beyond the frame is bad.
+    /// Pixels along a side of the part that is fitted; its pixels beyond the frame are bad.
     pub pixels: usize,
     /// Whether the detector's columns, and its rows, run against the axes.
     pub flip: [bool; 2],
 }
 
-/// A frame made ready.
+/// A prepared frame.
 #[derive(Debug, Clone)]
-pub struct Prepared {
-    /// What the chain compares with.
+pub struct PreparedFrame {
+    /// Exposure for the imaging chain.
     pub exposure: Exposure,
     /// Variance of each pixel without the star's photons (read noise and background), e²; infinite for a bad pixel.
     pub floor_variance_e2: Vec<f64>,
     /// Level of the frame's border, e⁻ per model pixel: a first guess of the background.
     pub level_e: f64,
-    /// Whole model pixels by which the frame was moved, along x and y: the star stands there.
+    /// Position of the star: whole model pixels by which the frame was moved onto the axis, along x and y.
     pub shift_pixels: [i64; 2],
-    /// Pixels that take no part.
+    /// Number of bad pixels of the fitted part.
     pub bad_pixels: usize,
-    /// Pixels of the frame that nobody had marked and that stood out: they were cut out.
-    pub cut_pixels: usize,
+    /// Number of outlier pixels of the frame that were rejected.
+    pub rejected_pixels: usize,
 }
 
-/// What becomes of bad pixels where the sampling is reduced.
+/// Treatment of bad pixels where the sampling is reduced.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Ringing {
     /// They count as 0, and ring.
@@ -68,13 +67,13 @@ pub(super) enum Ringing {
 }
 
 impl Preparation {
-    /// Makes `frame` ready.
+    /// Prepares `frame`.
     ///
     /// # Errors
-    /// [`Error::Shape`] for a frame of another size than the scene's, [`Error::Image`] for one that holds no star.
-    pub fn prepare(&self, frame: Frame, recipe: &Recipe) -> Result<Prepared> {
-        self.checked(frame)?;
-        let mut prepared = self.room();
+    /// [`Error::Shape`] for a frame of another size than the scene's, [`Error::Image`] for one without a star.
+    pub fn prepare(&self, frame: Frame, recipe: &Recipe) -> Result<PreparedFrame> {
+        self.check(frame)?;
+        let mut prepared = self.empty();
         let outcome = Preparer::new(*self).prepare(frame, recipe, Ringing::Accepted, &mut prepared);
         outcome.map_err(|refusal| Error::Image(refusal.to_string()))?;
         Ok(prepared)
@@ -90,25 +89,25 @@ impl Preparation {
         self.frame[axis] as f64 / self.reduced[axis] as f64
     }
 
-    /// Room for a prepared frame.
-    pub(super) fn room(&self) -> Prepared {
+    /// An empty prepared frame, to be written by a [`Preparer`].
+    pub(super) fn empty(&self) -> PreparedFrame {
         let zeros = || vec![0.0; self.pixels * self.pixels];
         let photometry = Photometry::Fixed { flux_e: 0.0, background_e: 0.0 };
-        Prepared {
+        PreparedFrame {
             exposure: Exposure { data_e: zeros(), weight: zeros(), photometry },
             floor_variance_e2: zeros(),
             level_e: 0.0,
             shift_pixels: [0, 0],
             bad_pixels: 0,
-            cut_pixels: 0,
+            rejected_pixels: 0,
         }
     }
 
-    /// That a frame has the size that the scene says.
+    /// Refuses a frame of another size than the scene's.
     ///
     /// # Errors
     /// [`Error::Shape`].
-    pub(super) fn checked(&self, frame: Frame) -> Result<()> {
+    pub(super) fn check(&self, frame: Frame) -> Result<()> {
         let [x, y] = self.frame;
         if frame.data_e.dim() != (y, x) || frame.bad.dim() != (y, x) {
             let (rows, columns) = frame.data_e.dim();
@@ -121,28 +120,28 @@ impl Preparation {
     }
 }
 
-/// The memory in which frames are made ready, one after the other. Nothing is allocated after construction.
+/// Prepares frames one after the other, in memory of its own. Nothing is allocated after construction.
 pub(super) struct Preparer {
     plan: Preparation,
     /// The frame in the model's orientation, `[y, x]`; bad pixels hold 0.
     data: Array2<f64>,
     bad: Array2<bool>,
-    /// Of each row of the frame, and then of each row at the model's sampling.
+    /// Extents of each row of the frame, and then of each row at the model's sampling.
     extents: Vec<Extent>,
     statistics: Statistics,
     reduction: Option<Reduction>,
 }
 
 /// A frame at the model's sampling, before it is cropped.
-struct Sampled<'a> {
+struct SampledFrame<'a> {
     data: ArrayView2<'a, f64>,
-    /// `None` after a reduction, which leaves no pixel out.
+    /// `None` after a reduction, which has no bad pixels.
     bad: Option<ArrayView2<'a, bool>>,
-    /// Of each row.
+    /// Extents of each row.
     extents: &'a [Extent],
 }
 
-impl Sampled<'_> {
+impl SampledFrame<'_> {
     fn is_bad(&self, at: (usize, usize)) -> bool {
         self.bad.as_ref().is_some_and(|bad| bad[at])
     }
@@ -163,16 +162,16 @@ impl Preparer {
             plan,
             data: Array2::zeros(shape),
             bad: Array2::from_elem(shape, false),
-            extents: vec![Extent::NOTHING; shape.0.max(plan.reduced[1])],
-            statistics: Statistics::with_room(shape.0 * shape.1),
+            extents: vec![Extent::EMPTY; shape.0.max(plan.reduced[1])],
+            statistics: Statistics::with_capacity(shape.0 * shape.1),
             reduction: (plan.reduced != plan.frame).then(|| Reduction::new(plan.frame, plan.reduced)),
         }
     }
 
-    /// Makes `frame`, whose shape the caller has checked, ready in the memory of `prepared`.
+    /// Prepares `frame`, whose shape the caller has checked, in the memory of `prepared`.
     ///
     /// # Errors
-    /// Why the frame cannot be used; `prepared` holds nothing of use then.
+    /// Why the frame cannot be used; the content of `prepared` is then undefined.
     ///
     /// # Panics
     /// Where the frame has another shape than the plan.
@@ -181,11 +180,11 @@ impl Preparer {
         frame: Frame,
         recipe: &Recipe,
         ringing: Ringing,
-        prepared: &mut Prepared,
+        prepared: &mut PreparedFrame,
     ) -> std::result::Result<(), Refusal> {
-        // Most frames are good and stand as the model's do: they are read where they are.
+        // Most frames have no bad pixel and are not flipped: they are read without a copy.
         let flipped = self.plan.flip != [false; 2];
-        let clean = if flipped { None } else { of_clean_rows(frame.data_e, frame.bad, &mut self.extents) };
+        let clean = if flipped { None } else { extents_of_clean_rows(frame.data_e, frame.bad, &mut self.extents) };
         let lost = if clean.is_some() { 0 } else { self.orient(frame) };
         if self.reduction.is_some() && ringing == Ringing::Refused && lost > 0 {
             return Err(Refusal::BadPixelsWouldRing { bad: lost });
@@ -193,7 +192,7 @@ impl Preparer {
         let (data, bad) = if clean.is_some() { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
         let level = self.statistics.level_of_border(data, bad);
         refuse_unusable(&self.extents[..self.plan.frame[1]], level)?;
-        // Without a stated read noise the border's scatter stands for it; 1 e⁻ keeps weights finite on synthetic frames.
+        // Without a stated read noise the scatter of the border is used; 1 e⁻ keeps weights finite on synthetic frames.
         let read_noise_e = match frame.read_noise_e {
             stated if stated > 0.0 => stated,
             _ => self.statistics.scatter_about(level).max(1.0),
@@ -202,11 +201,11 @@ impl Preparer {
             Some(reduction) => {
                 let data = reduction.run(data);
                 for (extent, row) in self.extents.iter_mut().zip(data.outer_iter()) {
-                    *extent = row.as_slice().map_or(Extent::NOTHING, Extent::of);
+                    *extent = row.as_slice().map_or(Extent::EMPTY, Extent::from_row);
                 }
-                Sampled { data: data.view(), bad: None, extents: &self.extents }
+                SampledFrame { data: data.view(), bad: None, extents: &self.extents }
             }
-            None => Sampled { data, bad: clean.is_none().then_some(bad), extents: &self.extents },
+            None => SampledFrame { data, bad: clean.is_none().then_some(bad), extents: &self.extents },
         };
         let area = self.plan.native_pixels();
         prepared.level_e = level * area;
@@ -221,7 +220,7 @@ impl Preparer {
         Ok(())
     }
 
-    /// Takes up the frame in the model's orientation, bad pixels as 0; how many of the frame's own are bad.
+    /// Copies the frame in the model's orientation, bad pixels as 0. Returns the number of bad pixels of the frame itself.
     ///
     /// Flipping an even number of pixels moves the axis from pixel M/2 to M/2 − 1: it is moved back, and the line that
     /// wraps around is bad.
@@ -235,13 +234,13 @@ impl Preparer {
             let Some(at) = from(v, rows, flip_y) else {
                 data.fill(0.0);
                 bad.fill(true);
-                *extent = Extent::NOTHING;
+                *extent = Extent::EMPTY;
                 continue;
             };
             let (values, marks) = (frame.data_e.row(at), frame.bad.row(at));
-            // Most rows have no bad pixel: without a way out of the loop it runs in vectors.
+            // Most rows have no bad pixel. A loop without an early exit is vectorised.
             let marked = marks.iter().fold(false, |any, marked| any | *marked);
-            let whole = values.as_slice().filter(|_| !marked && !flip_x).and_then(Extent::of_finite);
+            let whole = values.as_slice().filter(|_| !marked && !flip_x).and_then(Extent::from_finite_row);
             if let Some(whole) = whole {
                 data.assign(&values);
                 bad.fill(false);
@@ -255,9 +254,9 @@ impl Preparer {
                 *bad = good.is_none();
             }
             let good = data.iter().zip(&bad).filter(|(_, bad)| !**bad);
-            *extent = good.fold(Extent::NOTHING, |extent, (&value, _)| extent.with(value));
+            *extent = good.fold(Extent::EMPTY, |extent, (&value, _)| extent.with(value));
         }
-        // The row that a flip wraps around is not read, and counts.
+        // The row that a flip wraps around is not read, but its bad pixels count.
         if flip_y {
             let (values, marks) = (frame.data_e.row(0), frame.bad.row(0));
             lost += values.iter().zip(marks).filter(|(value, marked)| **marked || !value.is_finite()).count();
@@ -268,7 +267,7 @@ impl Preparer {
 
 /// Refuses frames without a star in them. `level` is the border's.
 fn refuse_unusable(rows: &[Extent], level: f64) -> std::result::Result<(), Refusal> {
-    let Extent { good, least, most, sum } = rows.iter().fold(Extent::NOTHING, |all, row| all.and(row));
+    let Extent { good, least, most, sum } = rows.iter().fold(Extent::EMPTY, |all, row| all.and(row));
     let flux_e = sum - level * good as f64;
     match good {
         0 => Err(Refusal::NoGoodPixel),
@@ -282,13 +281,13 @@ fn refuse_unusable(rows: &[Extent], level: f64) -> std::result::Result<(), Refus
 }
 
 /// Whole pixels from the axis to the star's centroid; 0 within 3 pixels, where exact tip and tilt do better.
-fn off_axis(frame: &Sampled, level: f64) -> [i64; 2] {
+fn off_axis(frame: &SampledFrame, level: f64) -> [i64; 2] {
     let (rows, columns) = frame.data.dim();
-    // Only what stands out: 5 % of the brightest pixel, so that noise far away does not pull.
+    // Only pixels above 5 % of the brightest one, so that noise far from the star does not shift the centroid.
     let brightest = frame.extents[..rows].iter().fold(f64::MIN, |most, row| most.max(row.most)) - level;
     let threshold = level + 0.05 * brightest;
     let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-    // Most rows hold nothing that stands out.
+    // Most rows have no pixel above the threshold.
     for (v, row) in frame.data.outer_iter().enumerate().filter(|(v, _)| frame.extents[*v].most > threshold) {
         for (u, &value) in row.iter().enumerate() {
             if value > threshold && !frame.is_bad((v, u)) {
@@ -299,14 +298,14 @@ fn off_axis(frame: &Sampled, level: f64) -> [i64; 2] {
     }
     [(x, columns), (y, rows)].map(|(moment, size)| {
         let offset = moment / sum - (size / 2) as f64;
-        // Beyond the frame no mean of its pixels lies: their sums have overflowed.
+        // A centroid beyond the frame means that the sums have overflowed.
         if (3.0..size as f64).contains(&offset.abs()) { offset.round() as i64 } else { 0 }
     })
 }
 
-/// The `size` pixels a side about the axis, moved by the shift in `prepared`, into its data and its floor (`floor`;
-/// infinite for bad pixels, as all outside the frame are); how many are bad.
-fn crop(frame: &Sampled, size: usize, floor: f64, prepared: &mut Prepared) -> usize {
+/// Copies the `size` pixels a side about the axis, moved by the shift in `prepared`, into its data, and their variance `floor`
+/// into its floor (infinite for bad pixels; pixels outside the frame are bad). Returns the number of bad pixels.
+fn crop(frame: &SampledFrame, size: usize, floor: f64, prepared: &mut PreparedFrame) -> usize {
     let (rows, columns) = frame.data.dim();
     let [shift_x, shift_y] = prepared.shift_pixels;
     let from = |i: usize, full: usize, shift: i64| {
@@ -333,9 +332,9 @@ fn crop(frame: &Sampled, size: usize, floor: f64, prepared: &mut Prepared) -> us
     bad_pixels
 }
 
-/// The first weights of cropped data, and how its flux and background are found.
-fn weigh(prepared: &mut Prepared, recipe: &Recipe) {
-    let Prepared { exposure: Exposure { data_e, weight, photometry }, floor_variance_e2: floor, .. } = prepared;
+/// Sets the first weights of cropped data, and the treatment of flux and background.
+fn weigh(prepared: &mut PreparedFrame, recipe: &Recipe) {
+    let PreparedFrame { exposure: Exposure { data_e, weight, photometry }, floor_variance_e2: floor, .. } = prepared;
     match recipe.weighting {
         Weighting::Noise => {
             for ((weight, d), floor) in weight.iter_mut().zip(data_e.iter()).zip(floor.iter()) {

@@ -1,14 +1,14 @@
-//! How a fit is done: the paper's way or ours, with whatever the scene changes.
+//! Recipe: the choices of a fit, those of the paper or ours, with the changes that the scene makes.
 
 use crate::scene::{Combine, NollRange, Optimizer, PupilModel, Sampling, Scene, Weighting};
 
-/// Tip, tilt and focus: what every optic does.
+/// Tip, tilt and focus, which every optical system has.
 const NARROW: NollRange = NollRange::Span { first: 2, last: 4 };
-/// Everything to radial order 5: with 66 Karhunen-Loève modes this spans the low-order NCPA of which a mirror of small
-/// coupling holds only 75 to 95 %.
+/// All Zernikes to radial order 5: with 66 Karhunen-Loève modes they span the low-order NCPA, of which a mirror of small
+/// coupling spans only 75 to 95 %.
 const WIDE: NollRange = NollRange::Span { first: 2, last: 21 };
 
-/// The choices of one fit. [`Recipe::of`] fills in what the scene leaves open.
+/// The choices of one fit. [`Recipe::from_scene`] fills in what the scene leaves open.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recipe {
     /// The optimiser.
@@ -23,7 +23,7 @@ pub struct Recipe {
     pub recentre: bool,
     /// Whether only the pixels that carry signal are fitted.
     pub crop: bool,
-    /// The pixels that are compared.
+    /// Sampling of the pixels that are fitted.
     pub sampling: Sampling,
     /// How the model samples a geometric pupil, or a fine map of one.
     pub pupil_model: PupilModel,
@@ -33,28 +33,28 @@ pub struct Recipe {
     pub max_evaluations: usize,
     /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
     pub step_tolerance_nm: f64,
-    /// How often a fit that ended in a wrong minimum is tried again from elsewhere.
+    /// How often a fit that ended in a wrong minimum is restarted from a perturbed start.
     pub restarts: usize,
-    /// Whether outlier pixels are sought in images that the model does not explain, and rejected.
+    /// Whether outlier pixels are searched for in images that the model does not explain, and rejected.
     pub reject_outliers: bool,
-    /// How the images become one estimate.
+    /// How the images are combined.
     pub combine: Combine,
 }
 
 impl Recipe {
-    /// The recipe that `scene` asks for.
+    /// The recipe of `scene`.
     ///
     /// `optimizer = "bfgs"` is the paper's method as a whole: a hard-edged pupil of grey samples, the scene's own modes
     /// and no others, an unweighted objective with the flux fixed to the image's sum and no background, the whole image
     /// at Nyquist sampling, BFGS from zero. Ours weighs by the noise, fits flux and background, samples the pupil with
-    /// band-limited weights, crops to the signal, and estimates low Zernikes exactly. `"paper"` is the paper's but for
-    /// the optimiser, which is ours.
-    pub fn of(scene: &Scene) -> Self {
+    /// band-limited weights, crops to the signal, and estimates low Zernikes exactly. `"paper"` is the paper's recipe with our
+    /// optimiser.
+    pub fn from_scene(scene: &Scene) -> Self {
         Self::with_optimizer(scene, scene.estimate.optimizer)
     }
 
-    /// The paper's objective with our optimiser, whatever optimiser `scene` names; what else the scene says of the fit
-    /// holds.
+    /// The paper's objective with our optimiser, whatever optimiser `scene` names; the scene's other keys of the fit are
+    /// used.
     pub fn paper_objective(scene: &Scene) -> Self {
         Self::with_optimizer(scene, Optimizer::Paper)
     }
@@ -76,27 +76,27 @@ impl Recipe {
                 _ => PupilModel::Hard,
             },
             exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(WIDE) } else { NollRange::None },
-            // The paper's way needs 130 to 400; ours about 15.
+            // BFGS needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
-            // The paper's objective is for wavefronts that its modes do not span: 0.03 nm from its minimum at most, at
-            // three quarters of the evaluations, where an image of turbulence scatters by 20.
+            // The paper's objective is used where the modes do not span the wavefront: this tolerance ends within 0.03 nm of the
+            // minimum in three quarters of the evaluations, where images of turbulence scatter by 20 nm.
             step_tolerance_nm: estimate.step_tolerance_nm.unwrap_or(if optimizer == Optimizer::Paper {
                 1e-2
             } else {
                 1e-3
             }),
             restarts: estimate.restarts.unwrap_or(if ours { 3 } else { 0 }),
-            // The paper's recipes know no noise from which a pixel could be an outlier.
+            // Without weights there is no noise model by which a pixel could be an outlier.
             reject_outliers: estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None })
                 == Weighting::Noise,
             combine: estimate.combine.unwrap_or(if ours { Combine::ClippedMean } else { Combine::Mean }),
         }
     }
 
-    /// The recipes to try in turn, the smallest basis first: where the scene leaves the exact Zernikes open, tip, tilt
-    /// and focus, then those to Noll 21. Otherwise the one that the scene asks for.
+    /// Basis ladder: the recipes to fit in turn, the smallest basis first. Where the scene leaves the exact Zernikes open, tip, tilt
+    /// and focus, then those to Noll 21; otherwise the one recipe of the scene.
     pub fn ladder(scene: &Scene) -> Vec<Self> {
-        let own = Self::of(scene);
+        let own = Self::from_scene(scene);
         if own.optimizer != Optimizer::GaussNewton || scene.modes.exact_zernikes.is_some() {
             return vec![own];
         }

@@ -1,13 +1,12 @@
-//! What a fitted model says of an exposure: flux and background, variances, χ².
+//! Residual of an exposure under a fitted model: flux and background, variances, χ².
 
 use super::minimum::Minimum;
 use crate::imaging::{Exposure, Photometry};
 
-/// Independent partial sums, so that they run in vectors.
+/// Independent partial sums, so that they are vectorised.
 const LANES: usize = 8;
 
-/// Variance of a pixel of which the model expects `electrons`: their photon noise, and the floor (infinite for a bad
-/// pixel).
+/// Variance of a pixel whose expected signal is `electrons`: photon noise, and the floor (infinite for a bad pixel).
 pub(super) fn pixel_variance(electrons: f64, floor_variance_e2: f64) -> f64 {
     electrons.max(0.0) + floor_variance_e2
 }
@@ -18,7 +17,7 @@ pub(super) fn variance(psf: &[f64], minimum: &Minimum, floor_variance_e2: &[f64]
     expected.zip(floor_variance_e2).map(|(electrons, &floor)| pixel_variance(electrons, floor)).collect()
 }
 
-/// Weighs an exposure by the variances that the model with this PSF, flux and background gives it.
+/// Sets the weights of an exposure to the inverse variances under the model with this PSF, flux and background.
 pub(super) fn reweigh(exposure: &mut Exposure, psf: &[f64], (flux_e, background_e): (f64, f64), floor: &[f64]) {
     for ((weight, h), &floor) in exposure.weight.iter_mut().zip(psf).zip(floor) {
         *weight = 1.0 / pixel_variance(flux_e * h + background_e, floor);
@@ -49,14 +48,14 @@ pub(super) fn reduced_chi2(
     (flux_e, background_e): (f64, f64),
     exposure: &Exposure,
     floor_variance_e2: &[f64],
-    seen_modes: usize,
+    modes: usize,
 ) -> f64 {
     let (mut sums, mut good) = ([0.0; LANES], [0.0; LANES]);
     let pixels = psf.chunks(LANES).zip(exposure.data_e.chunks(LANES)).zip(floor_variance_e2.chunks(LANES));
     for ((psf, data), floor) in pixels {
         for (i, ((h, d), &floor)) in psf.iter().zip(data).zip(floor).enumerate() {
             let expected = flux_e * h + background_e;
-            // An infinite variance takes a pixel out.
+            // An infinite variance excludes a pixel.
             sums[i] += (expected - d).powi(2) / pixel_variance(expected, floor);
             good[i] += if floor < f64::INFINITY { 1.0 } else { 0.0 };
         }
@@ -67,5 +66,5 @@ pub(super) fn reduced_chi2(
         Photometry::FitFlux { .. } => 1,
         Photometry::FitBoth => 2,
     };
-    sum / good.saturating_sub(seen_modes + nuisances).max(1) as f64
+    sum / good.saturating_sub(modes + nuisances).max(1) as f64
 }

@@ -1,12 +1,13 @@
-//! Another try for a fit that ended in the wrong place.
+//! Restarts of fits that ended in a wrong minimum.
 //!
-//! From the flat wavefront nearly every image leads to its minimum. What does not shows: its χ² is hundreds of times what
-//! noise explains, or the fit has used up its evaluations. It is tried again from elsewhere, and the best is kept.
+//! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does not, χ² is hundreds of times
+//! what the noise explains, or the fit has used up its evaluations. It is then restarted from a perturbed start, and the better
+//! fit is kept.
 
 use super::engine::{FitTask, ImageFit};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
-use super::outliers::Cleaned;
+use super::outliers::CleanedFrame;
 use super::prepare::Frame;
 use super::status::Status;
 use crate::Result;
@@ -16,17 +17,17 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// What another start keeps of where a fit ended, and how far aside it steps, waves RMS a mode. Of 32 draws with pistons of
-/// 500 nm behind a defocus of 0.5 and 0.25 waves this brought 28 to the right minimum; 27 with all of the wrong one kept, and
-/// then 25 with steps of half the size, 21 of twice the size.
-const KEPT: f64 = 0.5;
+/// The new start is this share of the end of the last fit plus a random perturbation, waves RMS a mode. Of 32 draws with pistons
+/// of 500 nm and a defocus of 0.5 and 0.25 waves 28 then ended in the right minimum; with a share of 1 27, and then 25 with
+/// half the perturbation and 21 with twice the perturbation.
+const START_SHARE: f64 = 0.5;
 const SEGMENT_WAVES: f64 = 0.05;
 /// See [`SEGMENT_WAVES`].
 const NCPA_WAVES: f64 = 0.02;
 
 impl ModalFitter {
     /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier pixels that were rejected
-    /// from a frame stay so.
+    /// from a frame stay rejected.
     ///
     /// # Errors
     /// As [`super::engine::fit`].
@@ -34,14 +35,14 @@ impl ModalFitter {
         &self,
         chain: &mut Chain,
         task: &FitTask,
-        (frames, cleaned): (&'a [Frame<'a>], &'a [Option<Cleaned>]),
+        (frames, cleaned): (&'a [Frame<'a>], &'a [Option<CleanedFrame>]),
         fits: &mut [ImageFit],
     ) -> Result<()> {
         for attempt in 1..=self.recipe.restarts {
             let reports = self.reports(fits);
-            let is_lost = |&image: &usize| fits[image].is_fitted() && is_lost(&reports[image].status);
-            let lost: Vec<usize> = (0..fits.len()).filter(is_lost).collect();
-            if lost.is_empty() {
+            let needs_restart = |&image: &usize| fits[image].is_fitted() && needs_restart(&reports[image].status);
+            let failed: Vec<usize> = (0..fits.len()).filter(needs_restart).collect();
+            if failed.is_empty() {
                 break;
             }
             let without = |&image: &usize| -> Frame<'a> {
@@ -50,38 +51,37 @@ impl ModalFitter {
                     None => frames[image],
                 }
             };
-            let lost_frames: Vec<Frame> = lost.iter().map(without).collect();
+            let failed_frames: Vec<Frame> = failed.iter().map(without).collect();
             let from = |&image: &usize| {
-                let start_nm = self.start(&fits[image].minimum, attempt);
+                let start_nm = self.perturbed_start(&fits[image].minimum, attempt);
                 ImageFit { start_nm, ..ImageFit::new(&self.model.preparation, self.model.optics.modes()) }
             };
-            let mut again: Vec<ImageFit> = lost.iter().map(from).collect();
-            self.fit_frames(chain, task, &lost_frames, &mut again, &mut |_, _| {})?;
-            for (image, mut again) in lost.into_iter().zip(again) {
-                again.prepared.cut_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.cut);
+            let mut again: Vec<ImageFit> = failed.iter().map(from).collect();
+            self.fit_frames(chain, task, &failed_frames, &mut again, &mut |_, _| {})?;
+            for (image, mut again) in failed.into_iter().zip(again) {
+                again.prepared.rejected_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.rejected);
                 fits[image].improve(again);
             }
         }
         Ok(())
     }
 
-    /// Where to begin another time: half way back, and aside. The same steps for every image, so that a fit depends on its own
-    /// image alone.
-    fn start(&self, minimum: &Minimum, attempt: usize) -> Vec<f64> {
+    /// Perturbed start. The perturbation is the same for every image, so that a fit depends on its own image alone.
+    fn perturbed_start(&self, minimum: &Minimum, attempt: usize) -> Vec<f64> {
         let mut rng = ChaCha12Rng::seed_from_u64(attempt as u64);
         let wavelength_nm = self.model.optics.parts().wavelength_nm;
-        let aside = |(mode, &nm): (usize, &f64)| {
+        let perturbed = |(mode, &nm): (usize, &f64)| {
             let waves = if mode < self.model.segment_modes { SEGMENT_WAVES } else { NCPA_WAVES };
             let normal: f64 = StandardNormal.sample(&mut rng);
-            let kept = if nm.is_finite() { KEPT * nm } else { 0.0 };
+            let kept = if nm.is_finite() { START_SHARE * nm } else { 0.0 };
             kept + waves * wavelength_nm * normal
         };
-        minimum.coefficients_nm.iter().enumerate().map(aside).collect()
+        minimum.coefficients_nm.iter().enumerate().map(perturbed).collect()
     }
 }
 
-/// Whether a fit ended in the wrong place, and another could end elsewhere.
-fn is_lost(status: &Status) -> bool {
+/// Whether a fit probably ended in a wrong minimum, so that another start could lead to a better one.
+fn needs_restart(status: &Status) -> bool {
     match status {
         Status::WrongMinimum => true,
         Status::NotConverged(reason) => *reason == StopReason::EvaluationLimit,

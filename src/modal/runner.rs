@@ -1,9 +1,11 @@
-//! One image's way to its minimum: asked for a point, told its objective, weighted anew where it converged, until done.
-//! It neither evaluates nor allocates: the batch in lock-step and the loop over single images drive the same machine.
+//! Runner: state machine of one image's fit by reverse communication. The caller evaluates objective and gradient at
+//! [`Runner::point`] and passes them to [`Runner::advance`], which says what it needs next; the weights are renewed where the fit
+//! converged. A runner neither evaluates nor allocates: the lock-step batch on a device and the loop over images on a CPU thread
+//! use the same one.
 
 use super::minimum::Minimum;
 use super::model::Model;
-use super::prepare::Prepared;
+use super::prepare::PreparedFrame;
 use super::recipe::Recipe;
 use super::residual::{photometry, reduced_chi2, reweigh};
 use crate::Result;
@@ -15,28 +17,28 @@ use crate::scene::Weighting;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Most often that the weights are renewed from the fitted model. Where the model is right two renewals settle it;
-/// where it misfits, each brings about a digit.
+/// Most renewals of the weights from the fitted model. Where the model is right two are enough; where it misfits, each gains
+/// about one digit.
 const REWEIGHTINGS: usize = 8;
-/// Decrease of χ² that is left where a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. Another step
-/// tolerance changes it as its square.
+/// Expected decrease of χ² below which a fit stops, at the default step tolerance: √(2·1e-5) = 0.4 % of a σ. Another step
+/// tolerance scales it as its square.
 const DECREMENT: f64 = 1e-5;
-/// The same where the first weights, those of the data's own noise, have done their work: one σ along one of a hundred
-/// directions. Beyond, the weights of the model lead to a better minimum by the same steps.
+/// The same for the fit with the first weights, those of the data's own noise: one σ along one of a hundred directions. Further
+/// steps are better made with the weights of the model.
 const APPROACH: f64 = 1.0;
-/// New weights move the minimum by at most a tenth of what moved it since the last ones (where the model misfits; where
-/// it is right, by far less): they are not worth another fit where that is less than the step tolerance.
-const SETTLED_STEPS: f64 = 10.0;
-/// The first weights have done their work where the next step is this many tolerances too: less than [`SETTLED_STEPS`],
-/// so that what the fit still moves rarely asks for new weights once more.
+/// New weights move the minimum by at most a tenth of the distance since the last ones (where the model misfits; by far less
+/// where it is right): they are not renewed where that is less than the step tolerance.
+const REWEIGHTING_STEPS: f64 = 10.0;
+/// The fit with the first weights also stops where the next step is this many tolerances: less than [`REWEIGHTING_STEPS`], so
+/// that the remaining steps rarely need another renewal.
 const APPROACH_STEPS: f64 = 5.0;
 /// The step tolerance to which [`DECREMENT`] belongs.
 const DECREMENT_STEP_NM: f64 = 1e-3;
 /// Largest step of one iteration, as a fraction of the wavelength: about one radian, beyond which the linearisation
-/// that made the metric says nothing.
+/// behind the metric does not hold.
 const LARGEST_STEP_WAVES: f64 = 0.2;
 
-/// What an image's fit asks for next.
+/// What a fit needs next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[must_use]
 pub(super) enum Next {
@@ -45,19 +47,20 @@ pub(super) enum Next {
     /// The PSF at [`Runner::point`] for [`Runner::renew`], and then objective and gradient there, of the exposure with its
     /// new weights.
     Renewal,
-    /// The PSF at [`Runner::point`], for [`Runner::settle`], and no more.
+    /// The PSF at [`Runner::point`] for [`Runner::settle`], which ends the fit.
     Psf,
 }
 
-/// One image on its way.
+/// Fit of one image, by reverse communication.
 pub(super) struct Runner {
     solver: QuasiNewton,
-    reweighs: bool,
+    has_noise_weights: bool,
     /// Step, nm, and decrease of the objective below which a fit ends.
     tolerances: (f64, f64),
-    settled_nm: f64,
+    /// Distance of the minimum from `weighted_at` beyond which the weights are renewed, nm.
+    reweighting_nm: f64,
     reweightings: usize,
-    /// Where the last weights were made.
+    /// Point of the last renewal, nm.
     weighted_at: Vec<f64>,
     flux_e: f64,
     background_e: f64,
@@ -65,19 +68,19 @@ pub(super) struct Runner {
 }
 
 impl Runner {
-    /// A machine for a model of the metric's dimension.
+    /// A runner for a model of the metric's dimension.
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a tolerance out of range.
     pub(super) fn new(metric: &Arc<Metric>, recipe: &Recipe, settings: Settings) -> Result<Self> {
         let zeros = vec![0.0; metric.dimension()];
         let tolerances = (settings.step_tolerance, settings.decrement_tolerance);
-        let settled_nm = SETTLED_STEPS * settings.step_tolerance;
+        let reweighting_nm = REWEIGHTING_STEPS * settings.step_tolerance;
         Ok(Self {
             solver: QuasiNewton::new(metric.clone(), &zeros, settings)?,
-            reweighs: recipe.weighting == Weighting::Noise,
+            has_noise_weights: recipe.weighting == Weighting::Noise,
             tolerances,
-            settled_nm,
+            reweighting_nm,
             reweightings: 0,
             weighted_at: zeros,
             flux_e: f64::NAN,
@@ -86,7 +89,7 @@ impl Runner {
         })
     }
 
-    /// Takes up another image, in the coordinates that [`super::metrics::Metrics::of`] gives it.
+    /// Begins the fit of another image, in the coordinates that [`super::metrics::Metrics::for_image`] gives it.
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a start that is not finite, [`crate::Error::Shape`] for one of another length.
@@ -104,17 +107,17 @@ impl Runner {
         Ok(())
     }
 
-    /// Where to evaluate.
+    /// Point of the next evaluation, nm.
     pub(super) fn point(&self) -> &[f64] {
         self.solver.point()
     }
 
-    /// Takes objective and gradient at [`Runner::point`].
-    pub(super) fn tell(&mut self, evaluation: &Evaluation) -> Next {
+    /// Advances the fit by the objective and gradient at [`Runner::point`].
+    pub(super) fn advance(&mut self, evaluation: &Evaluation) -> Next {
         if self.solver.advance(evaluation.objective, &evaluation.gradient) == Progress::Continue {
             return Next::Evaluation;
         }
-        let renews = self.reweighs && self.unsettled() && self.reason().has_converged();
+        let renews = self.has_noise_weights && self.needs_new_weights() && self.reason().has_converged();
         if renews && self.solver.restart_objective() == Progress::Continue { Next::Renewal } else { Next::Psf }
     }
 
@@ -122,7 +125,7 @@ impl Runner {
     ///
     /// # Errors
     /// [`crate::Error::Value`] for a tolerance out of range.
-    pub(super) fn renew(&mut self, psf: &[f64], image: &mut Prepared) -> Result<()> {
+    pub(super) fn renew(&mut self, psf: &[f64], image: &mut PreparedFrame) -> Result<()> {
         let photometry = photometry(&image.exposure, psf);
         reweigh(&mut image.exposure, psf, photometry, &image.floor_variance_e2);
         self.reweightings += 1;
@@ -130,8 +133,8 @@ impl Runner {
         self.set_tolerances()
     }
 
-    /// Takes the PSF where the solver ended: finds flux, background and χ².
-    pub(super) fn settle(&mut self, psf: &[f64], image: &Prepared) {
+    /// Ends the fit: computes flux, background and χ² from the PSF at the point where the solver ended.
+    pub(super) fn settle(&mut self, psf: &[f64], image: &PreparedFrame) {
         let photometry = photometry(&image.exposure, psf);
         (self.flux_e, self.background_e) = photometry;
         self.reduced_chi2 =
@@ -140,21 +143,21 @@ impl Runner {
 
     fn set_tolerances(&mut self) -> Result<()> {
         let (step_nm, decrement) = self.tolerances;
-        if self.reweighs && self.reweightings == 0 {
-            // What a step in nm is worth depends on the star's brightness: of a faint one the decrease decides.
+        if self.has_noise_weights && self.reweightings == 0 {
+            // A step in nm is a smaller part of the error bars of a fainter star: there the decrease ends the fit.
             self.solver.set_tolerances(APPROACH_STEPS * step_nm, decrement.max(APPROACH))
         } else {
             self.solver.set_tolerances(step_nm, decrement)
         }
     }
 
-    /// Why it stopped.
+    /// Why the fit stopped.
     pub(super) fn reason(&self) -> StopReason {
         self.solver.outcome().reason
     }
 
-    /// Writes where it ends. Flux, background and χ² are those of the best point that was evaluated, from which the last
-    /// step, where there is one, leads by less than the tolerances.
+    /// Writes the minimum. Flux, background and χ² are those of the best point that was evaluated; the last step from there,
+    /// where there is one, is below the tolerances.
     pub(super) fn write(&self, minimum: &mut Minimum) {
         let outcome = self.solver.outcome();
         self.solver.write_solution(&mut minimum.coefficients_nm);
@@ -163,14 +166,14 @@ impl Runner {
         minimum.reduced_chi2 = self.reduced_chi2;
     }
 
-    /// Whether new weights could still move the minimum by more than matters.
-    fn unsettled(&self) -> bool {
+    /// Whether new weights could move the minimum by more than the step tolerance.
+    fn needs_new_weights(&self) -> bool {
         let moved = self.solver.outcome().x.iter().zip(&self.weighted_at).map(|(a, b)| (a - b).abs());
-        self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > self.settled_nm)
+        self.reweightings == 0 || (self.reweightings < REWEIGHTINGS && moved.fold(0.0, f64::max) > self.reweighting_nm)
     }
 }
 
-/// How far the solver goes.
+/// Settings of the solver.
 pub(super) fn settings(model: &Model, recipe: &Recipe, precision: Precision, cancel: Option<&CancelFlag>) -> Settings {
     Settings {
         max_evaluations: recipe.max_evaluations,

@@ -1,11 +1,11 @@
-//! Which basis the images ask for: the smallest that explains them.
+//! Model selection: the smallest basis that explains the images.
 
 use super::combine::ModalEstimate;
 use super::cube::Cube;
 use super::engine::Watch;
 use super::fit_optics;
 use super::fitter::ModalFitter;
-use super::mode_set::OwnBasis;
+use super::mode_set::SceneBasis;
 use super::recipe::Recipe;
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
@@ -14,34 +14,34 @@ use crate::{Error, Result};
 use ndarray::Axis;
 use std::sync::Arc;
 
-/// Makes the chain for an estimator's model.
-pub type Open<'a> = dyn FnMut(&ModalFitter) -> Result<Chain> + 'a;
+/// Opens the chain for a fitter's model.
+pub type OpenChain<'a> = dyn FnMut(&ModalFitter) -> Result<Chain> + 'a;
 
-/// Reduced χ² up to which a basis is taken to explain the images. Over 9,000 pixels its scatter is 0.015; the sampling
+/// Largest reduced χ² at which a basis explains the images. Over 9,000 pixels its scatter is 0.015; the sampling
 /// of the pupil leaves up to 0.1 at the bright end.
 const EXPLAINED: f64 = 1.1;
-/// A larger basis is kept only if it lowers χ² at least to this fraction: far beyond what 17 more modes take from noise
-/// (0.2 % over 9,000 pixels).
-const WORTH_IT: f64 = 0.97;
+/// A larger basis is kept only if it lowers χ² at least to this fraction: far more than 17 further modes lower it by fitting
+/// noise (0.2 % over 9,000 pixels).
+const CHI2_RATIO: f64 = 0.97;
 
 /// Longest sequence of which every image is fitted in every basis.
 const SHORT: usize = 12;
-/// Images that choose the basis of a longer one: the median of six knows χ² to a few per cent where turbulence rules it,
-/// and the two bases are compared on the same images.
+/// Images of a longer sequence from which the basis is selected: the median of six χ² is accurate to a few per cent where
+/// turbulence dominates it, and the bases are compared on the same images.
 const PILOTS: usize = 6;
 
-/// Karhunen-Loève basis of a scene, which is most of what a model costs: made once for all models of one scene.
+/// Karhunen-Loève basis of a scene, which takes most of the time of building a model: computed once for all models of one scene.
 #[derive(Clone, Default)]
-pub struct BasisCache(pub(super) Arc<OwnBasis>);
+pub struct BasisCache(pub(super) Arc<SceneBasis>);
 
 /// [`select`] with the recipes of the scene, as [`Recipe::ladder`] has them.
 ///
 /// # Errors
 /// As [`select`].
-pub fn read(
+pub fn select_default(
     scene: &Scene,
     cube: Cube,
-    open: &mut Open,
+    open: &mut OpenChain,
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(ModalFitter, ModalEstimate)> {
@@ -49,9 +49,9 @@ pub fn read(
 }
 
 /// Estimates the static wavefront behind `cube` with the first of `recipes`, smallest basis first, that explains it, on the
-/// chain that `open` makes for a model. Of a sequence of more than twelve images, six spread over it choose the basis.
-/// Frames with bad pixels are compared at their native sampling: a reduction would smear them. Where `estimate.fit_optics`
-/// names optics they are found first, with the last recipe, which is then the estimate's.
+/// chain that `open` opens for a model. The basis of a sequence of more than twelve images is selected from six images spread
+/// over it. Frames with bad pixels are fitted at their native sampling, because a reduction would smear them. Optical parameters
+/// that `estimate.fit_optics` names are fitted first, with the last recipe, which is then that of the estimate.
 ///
 /// # Errors
 /// Those of [`ModalFitter::new`], of [`ModalFitter::estimate`] and of `open`; [`Error::Internal`] without a recipe.
@@ -60,7 +60,7 @@ pub fn select(
     recipes: &[Recipe],
     cache: &BasisCache,
     cube: Cube,
-    open: &mut Open,
+    open: &mut OpenChain,
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(ModalFitter, ModalEstimate)> {
@@ -78,22 +78,22 @@ pub fn select(
         let at: Vec<usize> = (0..PILOTS).map(|i| (2 * i + 1) * count / (2 * PILOTS)).collect();
         let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
         let pilots = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
-        // Pilots are not what the caller waits for.
-        match ladder.climb(pilots, native, open, &mut |_, _| {}) {
+        // The caller waits for all images: progress of the pilots is not reported.
+        match ladder.select(pilots, native, open, &mut |_, _| {}) {
             Ok((estimator, chosen)) => {
                 let mut estimate = ladder.fit(&estimator, cube, open, watch)?;
                 estimate.seconds += chosen.seconds;
                 return Ok((estimator, estimate));
             }
-            // Not one of them can be used: all choose.
+            // No pilot can be used: the basis is selected from all images.
             Err(Error::Image(_)) => {}
             Err(error) => return Err(error),
         }
     }
-    ladder.climb(cube, native, open, watch)
+    ladder.select(cube, native, open, watch)
 }
 
-/// The recipes to choose from.
+/// Basis ladder of one scene.
 struct Ladder<'a> {
     scene: &'a Scene,
     recipes: &'a [Recipe],
@@ -102,28 +102,34 @@ struct Ladder<'a> {
 }
 
 impl Ladder<'_> {
-    fn fit(&self, estimator: &ModalFitter, cube: Cube, open: &mut Open, watch: &mut Watch) -> Result<ModalEstimate> {
+    fn fit(
+        &self,
+        estimator: &ModalFitter,
+        cube: Cube,
+        open: &mut OpenChain,
+        watch: &mut Watch,
+    ) -> Result<ModalEstimate> {
         let mut chain = open(estimator)?;
         estimator.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, self.cancel, watch)
     }
 
     /// The estimate in the smallest basis that explains the images.
-    fn climb(
+    fn select(
         &self,
         cube: Cube,
         native: bool,
-        open: &mut Open,
+        open: &mut OpenChain,
         watch: &mut Watch,
     ) -> Result<(ModalFitter, ModalEstimate)> {
         let mut best: Option<(ModalFitter, ModalEstimate)> = None;
         let mut seconds = 0.0;
         for recipe in self.recipes {
-            let estimator = ModalFitter::with_own_basis(self.scene, recipe.clone(), native, self.cache.0.clone())?;
+            let estimator = ModalFitter::with_scene_basis(self.scene, recipe.clone(), native, self.cache.0.clone())?;
             let estimate = self.fit(&estimator, cube, open, watch)?;
             seconds += estimate.seconds;
             let chi2 = estimate.typical_chi2();
-            // A comparison with NaN is false: whatever cannot be judged does not displace what can.
-            let better = best.as_ref().is_none_or(|(_, smaller)| chi2 < WORTH_IT * smaller.typical_chi2());
+            // A comparison with NaN is false: a fit without χ² does not replace one that has it.
+            let better = best.as_ref().is_none_or(|(_, smaller)| chi2 < CHI2_RATIO * smaller.typical_chi2());
             if better {
                 best = Some((estimator, estimate));
             }
@@ -131,7 +137,7 @@ impl Ladder<'_> {
                 break;
             }
         }
-        let (estimator, mut estimate) = best.ok_or_else(|| Error::Internal("no recipe was tried".into()))?;
+        let (estimator, mut estimate) = best.ok_or_else(|| Error::Internal("no recipe was fitted".into()))?;
         estimate.seconds = seconds;
         Ok((estimator, estimate))
     }

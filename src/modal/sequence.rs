@@ -1,11 +1,11 @@
-//! Statistics of a sequence: images that are judged by one another, their mean or median, and how much it scatters.
+//! Statistics of a sequence: outliers among its images, their mean or median, and its covariance from their scatter.
 
 use crate::scene::Combine;
 use crate::statistics::median;
 use ndarray::{Array1, Array2, ArrayView1, Axis, Zip};
 
-/// Fewest images that are judged by one another: the median and the median deviation of eight withstand three that are
-/// arbitrarily bad, and the deviation is known to 40 %.
+/// Fewest images of a sequence: the median and the median deviation of eight withstand three that are arbitrarily bad, and the
+/// deviation is accurate to 40 %.
 pub(super) const SEQUENCE: usize = 8;
 /// Images that scatter up to this many times as much as the others are never outliers: a mean of n images gains by
 /// leaving one out only where its variance is more than 2 + 1/(n−1) times theirs.
@@ -18,10 +18,10 @@ const NORMAL_MAD: f64 = 1.4826;
 /// Variance of the median over that of the mean, for normal draws: its standard error is 1.2533 times as large.
 const MEDIAN_VARIANCE: f64 = std::f64::consts::FRAC_PI_2;
 
-/// Which of these variances are far above the others: beyond what their own spread explains (of the logarithms, for
-/// variances are positive and skew), and beyond what a mean would rather keep. What is not a number is.
+/// Which of these variances are outliers: above the median by more than their own spread explains (of the logarithms, because
+/// variances are positive and skewed), and so large that the mean gains by leaving them out. NaN is an outlier.
 pub(super) fn outliers(variances: &[f64]) -> Vec<bool> {
-    // The logarithm of a variance of nothing would make all others outliers.
+    // A variance of 0 has an infinite logarithm, which would make all others outliers.
     let logarithm = |variance: &f64| variance.max(f64::MIN_POSITIVE).ln();
     let logarithms: Vec<f64> = variances.iter().filter(|v| !v.is_nan()).map(logarithm).collect();
     let middle = median(&logarithms);
@@ -30,8 +30,8 @@ pub(super) fn outliers(variances: &[f64]) -> Vec<bool> {
     variances.iter().map(|variance| variance.is_nan() || logarithm(variance) > limit).collect()
 }
 
-/// How far each row lies from the median of all, as the mean over the columns of its squared distance in units of the
-/// column's scatter.
+/// Distance of each row from the median of all: the mean over the columns of the squared difference in units of the column's
+/// variance.
 pub(super) fn distances(rows: &Array2<f64>) -> Vec<f64> {
     let middle = location(rows, Combine::Median);
     let scatter = robust_variances(rows, &middle);
@@ -62,8 +62,8 @@ pub(super) fn shrinkage_of_variance(how: Combine, count: usize) -> f64 {
 
 /// Covariance of one image's coefficients, from how they scatter: `rows` is `[image, mode]`, at least two images.
 ///
-/// The variances are those of the scatter, and not below the noise, which is known. The correlations of fewer images
-/// than modes are singular, and of few more they are noise: they are drawn towards those of the noise (`noise_nm2`, one
+/// The variances are those of the scatter, and at least those of the noise, which are known. The correlations of fewer images
+/// than modes are singular, and those of few more images are mostly noise: they are shrunk towards those of the noise (`noise_nm2`, one
 /// image's covariance by its Fisher matrix) by the amount that minimises the expected square error (Schäfer and
 /// Strimmer 2005, *Stat. Appl. Genet. Mol. Biol.* 4, 32, with that target). So images that differ by noise alone have
 /// the Fisher matrix's correlations, and long sequences their own. For the median, scatter is the median deviation, and
@@ -85,29 +85,29 @@ pub(super) fn scatter(rows: &Array2<f64>, how: Combine, noise_nm2: &Array2<f64>)
     covariance
 }
 
-/// Correlation matrix of the columns of `deviations`, drawn towards `target`.
+/// Correlation matrix of the columns of `deviations`, shrunk towards `target`.
 fn correlation(mut deviations: Array2<f64>, target: &Array2<f64>) -> Array2<f64> {
     let count = deviations.nrows() as f64;
     for mut column in deviations.columns_mut() {
         let rms = (column.dot(&column) / count).sqrt();
         column.mapv_inplace(|z| if rms > 0.0 { z / rms } else { 0.0 });
     }
-    let seen = deviations.t().dot(&deviations) / count;
+    let sample = deviations.t().dot(&deviations) / count;
     // Variance of each entry, an average of z_i·z_j over the images: (⟨z_i² z_j²⟩ − r²)/(n − 1).
     let squares = deviations.mapv(|z| z * z);
     let fourth = squares.t().dot(&squares) / count;
     let (mut noise, mut distance) = (0.0, 0.0);
-    for ((at, r), fourth) in seen.indexed_iter().zip(&fourth).filter(|(((i, j), _), _)| i != j) {
+    for ((at, r), fourth) in sample.indexed_iter().zip(&fourth).filter(|(((i, j), _), _)| i != j) {
         noise += (fourth - r * r) / (count - 1.0);
         distance += (r - target[at]).powi(2);
     }
     let towards = if distance > 0.0 { (noise / distance).clamp(0.0, 1.0) } else { 1.0 };
-    let mut drawn = target * towards + seen * (1.0 - towards);
-    drawn.diag_mut().fill(1.0);
-    drawn
+    let mut shrunk = target * towards + sample * (1.0 - towards);
+    shrunk.diag_mut().fill(1.0);
+    shrunk
 }
 
-/// The correlation matrix of a covariance; a mode without variance is like no other.
+/// The correlation matrix of a covariance; a mode without variance has no correlation with others.
 fn correlation_of(covariance: &Array2<f64>) -> Array2<f64> {
     let scale = covariance.diag().mapv(|v| if v > 0.0 { v.sqrt().recip() } else { 0.0 });
     let mut correlation = covariance * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));

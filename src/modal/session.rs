@@ -1,4 +1,4 @@
-//! Session: the pipeline of a real-time user, with all memory taken when it is made. Frames are fitted as
+//! Session: modal fits in real time, with all memory allocated when it is created. Frames are fitted as
 //! [`Policy::realtime`](crate::pipeline::Policy::realtime) says: one basis, no outlier search, no restarts.
 
 mod options;
@@ -10,11 +10,11 @@ pub use options::{FitOptions, ImageResult, SessionOptions};
 use super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
 use super::fitter::ModalFitter;
 use super::pistons::Pistons;
-use super::prepare::{Frame, Prepared, Preparer, Refusal, Ringing};
+use super::prepare::{Frame, PreparedFrame, Preparer, Refusal, Ringing};
 use super::recipe::Recipe;
 use super::residual::variance;
 use super::spread::Spread;
-use super::status::{Status, judge, unfitted};
+use super::status::{Status, assess, unfitted_report};
 use super::tilts::Tilts;
 use crate::imaging::Chain;
 use crate::optimize::{CancelFlag, StopReason};
@@ -35,8 +35,8 @@ use std::time::Instant;
 /// [`SessionOptions`] leave them open.
 ///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free
-/// memory, take no lock and format no text, but to say why they fail. A fit depends on its own image alone: bit by bit
-/// it is [`ModalFitter::estimate`]'s, whatever the number of images and threads.
+/// memory, take no lock and format no text, except for an error message. A fit depends on its own image alone: it is that of
+/// [`ModalFitter::estimate`] to the last bit, whatever the number of images and threads.
 pub struct Session {
     shared: Shared,
     frames: Vec<FrameBuffer>,
@@ -44,15 +44,15 @@ pub struct Session {
     results: Vec<ImageResult>,
     engine: Box<dyn Engine>,
     device: String,
-    /// How many images the last fit was of, and how many are loaded for [`Session::evaluate`].
+    /// Number of images of the last fit, and of those loaded for [`Session::evaluate`].
     fitted: usize,
     loaded: usize,
 }
 
-/// What all images of a session share.
+/// Data that all images of a session share.
 struct Shared {
     estimator: Arc<ModalFitter>,
-    /// The estimator's, with the session's own limits.
+    /// Recipe of the fitter, with the session's own limits.
     recipe: Recipe,
     tilts: Tilts,
     pistons: Pistons,
@@ -66,14 +66,14 @@ struct FrameBuffer {
 }
 
 impl Session {
-    /// Takes all memory, and makes the metrics of `estimator` where it has none yet (a second or so for a large model).
+    /// Allocates all memory, and computes the metrics of `estimator` where it has none yet (about a second for a large model).
     ///
     /// # Errors
     /// [`Error::Value`] for options out of range and for an estimator whose recipe is the paper's BFGS, which cannot be
     /// stopped and resumed; [`Error::Device`] where the device cannot run the model.
     pub fn new(estimator: Arc<ModalFitter>, options: &SessionOptions) -> Result<Self> {
         if options.capacity == 0 {
-            return Err(Error::Value("a session for 0 images was asked for, where 1 or more are needed".into()));
+            return Err(Error::Value("capacity is 0: 1 image or more is accepted".into()));
         }
         FrameBuffer::check_capacity(&estimator, options.capacity)?;
         let mut recipe = estimator.recipe.clone();
@@ -87,7 +87,7 @@ impl Session {
         recipe.max_evaluations = options.max_evaluations.unwrap_or(recipe.max_evaluations);
         recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
         estimator.metrics.make_all(&estimator.reference)?;
-        let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::of(&estimator.model)?);
+        let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::new(&estimator.model)?);
         let shared = Shared { estimator, recipe, tilts, pistons, cancel: CancelFlag::default() };
         let optics = shared.estimator.model.optics.clone();
         let scene = &shared.estimator.scene.estimate;
@@ -101,7 +101,7 @@ impl Session {
         let fits = vec![ImageFit::new(&preparation, modes); options.capacity];
         let result = ImageResult {
             coefficients_nm: vec![f64::NAN; modes],
-            report: unfitted(Status::NotConverged(StopReason::Unfinished)),
+            report: unfitted_report(Status::NotConverged(StopReason::Unfinished)),
             seconds: 0.0,
         };
         let results = vec![result; options.capacity];
@@ -113,7 +113,7 @@ impl Session {
         &self.shared.estimator
     }
 
-    /// That the device which `auto` took was lost, and the CPU has taken its place, as a sentence.
+    /// Warning that the device that `auto` selected was lost and the CPU replaces it.
     pub fn device_failure(&self) -> Option<&str> {
         self.engine.failure()
     }
@@ -128,32 +128,34 @@ impl Session {
         self.frames.len()
     }
 
-    /// The buffers of frame `image`, `[y, x]`: electrons, and bad pixels, which the caller fills before a fit. They
-    /// keep what was written.
+    /// Buffers of frame `image`, `[y, x]`: electrons and bad pixels, which the caller writes before a fit. A fit does not change
+    /// them.
     ///
     /// # Errors
     /// [`Error::Shape`] beyond the capacity.
     pub fn frame_mut(&mut self, image: usize) -> Result<(ArrayViewMut2<'_, f64>, ArrayViewMut2<'_, bool>)> {
         let capacity = self.frames.len();
         let frame = self.frames.get_mut(image).ok_or_else(|| {
-            Error::Shape(format!("frame {image} was asked for, where the session has room for {capacity}"))
+            Error::Shape(format!(
+                "frame {image} does not exist: the session has a capacity of {capacity} images, numbered from 0"
+            ))
         })?;
         Ok((frame.data_e.view_mut(), frame.bad.view_mut()))
     }
 
-    /// Fits frames 0 to `count` − 1. What troubles one image is in its result.
+    /// Fits frames 0 to `count` − 1. An image that cannot be fitted has its status in its result.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] where the cancel flag went up, which leaves no results; [`Error::Shape`] for more frames
+    /// [`Error::Interrupted`] where the cancel flag was raised, which leaves no results; [`Error::Shape`] for more frames
     /// than the capacity or a start of another shape, [`Error::Value`] for an option out of range, [`Error::Device`]
     /// where a device fails.
     pub fn fit(&mut self, count: usize, options: &FitOptions) -> Result<()> {
         let began = Instant::now();
         (self.fitted, self.loaded) = (0, 0);
-        self.checked_count(count)?;
-        self.checked_start(count, options.start_nm)?;
+        self.check_count(count)?;
+        self.check_start(count, options.start_nm)?;
         let read_noise_e = self.read_noise_e(options.read_noise_e)?;
-        // A deadline beyond the end of the clock is none.
+        // A deadline that the clock cannot represent is no deadline.
         let deadline = options.deadline.and_then(|time| began.checked_add(time));
         for (image, fit) in self.fits[..count].iter_mut().enumerate() {
             write_start(&mut fit.start_nm, options.start_nm.as_ref().map(|start_nm| start_nm.row(image)));
@@ -182,7 +184,7 @@ impl Session {
     /// by χ² where the model misfits.
     ///
     /// # Errors
-    /// [`Error::Value`] for an image that was not fitted, or that sees no mode at all.
+    /// [`Error::Value`] for an image that was not fitted, or that no mode changes.
     pub fn covariance_nm2(&self, image: usize) -> Result<Array2<f64>> {
         let fitted = self.results().get(image).zip(self.fits.get(image)).filter(|(_, fit)| fit.is_fitted());
         let Some((result, ImageFit { prepared, minimum, .. })) = fitted else {
@@ -194,24 +196,24 @@ impl Session {
         let estimator = &self.shared.estimator;
         let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
         let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
-        let spread = Spread::of(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
+        let spread = Spread::new(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
         Ok(estimator.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
     }
 
-    /// The flag that stops the fit that is running, or else the next: another thread raises it, and the fit that
-    /// returns [`Error::Interrupted`] lowers it.
+    /// The flag that cancels the running fit, or else the next: another thread raises it, and the fit that returns
+    /// [`Error::Interrupted`] lowers it.
     pub fn cancel_flag(&self) -> CancelFlag {
         self.shared.cancel.clone()
     }
 
-    /// Prepares frames 0 to `count` − 1 for [`Session::evaluate`], weighed by the noise of their own pixels.
+    /// Prepares frames 0 to `count` − 1 for [`Session::evaluate`], weighted by the noise of their own pixels.
     ///
     /// # Errors
     /// [`Error::Image`] for the first that cannot be used, [`Error::Shape`] for more than the capacity,
     /// [`Error::Value`] for a read noise out of range, [`Error::Device`] where a device fails.
     pub fn load(&mut self, count: usize, read_noise_e: Option<f64>) -> Result<()> {
         (self.fitted, self.loaded) = (0, 0);
-        self.checked_count(count)?;
+        self.check_count(count)?;
         let read_noise_e = self.read_noise_e(read_noise_e)?;
         let task = self.shared.task(None);
         let prepare = prepare(&self.frames, &self.shared.recipe, read_noise_e);
@@ -251,15 +253,15 @@ impl Session {
         self.engine.evaluate(coefficients_nm, objectives, gradients)
     }
 
-    fn checked_count(&self, count: usize) -> Result<()> {
+    fn check_count(&self, count: usize) -> Result<()> {
         let capacity = self.frames.len();
         if count > capacity {
-            return Err(Error::Shape(format!("{count} images were given, where the session has room for {capacity}")));
+            return Err(Error::Shape(format!("{count} images were given: the session accepts up to {capacity}")));
         }
         Ok(())
     }
 
-    fn checked_start(&self, count: usize, start_nm: Option<ArrayView2<f64>>) -> Result<()> {
+    fn check_start(&self, count: usize, start_nm: Option<ArrayView2<f64>>) -> Result<()> {
         let Some(start_nm) = start_nm else { return Ok(()) };
         let (wanted, (rows, columns)) = (self.shared.modes(), start_nm.dim());
         if (rows, columns) != (count, wanted) {
@@ -319,7 +321,7 @@ impl Shared {
         match fit.state {
             FitState::Fitted => {
                 self.pistons.centre(&mut fit.minimum.coefficients_nm);
-                result.report = judge(&self.estimator.model, &self.tilts, &fit.prepared, &fit.minimum);
+                result.report = assess(&self.estimator.model, &self.tilts, &fit.prepared, &fit.minimum);
                 result.coefficients_nm.copy_from_slice(&fit.minimum.coefficients_nm);
             }
             FitState::Refused(refusal) => result.refuse(refusal),
@@ -334,7 +336,7 @@ fn prepare<'a>(
     frames: &'a [FrameBuffer],
     recipe: &'a Recipe,
     read_noise_e: f64,
-) -> impl Fn(usize, &mut Preparer, &mut Prepared) -> std::result::Result<(), Refusal> + Sync + 'a {
+) -> impl Fn(usize, &mut Preparer, &mut PreparedFrame) -> std::result::Result<(), Refusal> + Sync + 'a {
     move |index, preparer, prepared| {
         let FrameBuffer { data_e, bad } = &frames[index];
         let frame = Frame { data_e: data_e.view(), bad: bad.view(), read_noise_e };
@@ -343,7 +345,7 @@ fn prepare<'a>(
 }
 
 impl FrameBuffer {
-    /// Refuses a capacity that memory cannot hold, rather than find out while taking it.
+    /// Refuses a capacity that memory cannot hold, before any is allocated.
     fn check_capacity(estimator: &ModalFitter, capacity: usize) -> Result<()> {
         let preparation = &estimator.model.preparation;
         let [x, y] = preparation.frame;
@@ -352,7 +354,7 @@ impl FrameBuffer {
         let all = capacity.checked_mul(bytes);
         if all.is_none_or(|all| Vec::<u8>::new().try_reserve_exact(all).is_err()) {
             return Err(Error::Value(format!(
-                "a session for {capacity} images was asked for, which memory cannot hold: each takes {bytes} bytes"
+                "capacity is {capacity}, more than memory can hold: each image takes {bytes} bytes"
             )));
         }
         Ok(())

@@ -1,40 +1,40 @@
-//! How well the images of a call fix the modes. Images of one static wavefront see the modes alike: they share a Fisher
-//! matrix, which costs as much as a hundred evaluations.
+//! Fisher and covariance matrices of the images of a call. Images of one static wavefront have nearly the same Fisher matrix and
+//! share it, because one takes as long as a hundred evaluations.
 
 use super::fisher::Sensitivity;
 use super::fitter::ModalFitter;
 use super::memory::MATRICES_AT_ONCE;
 use super::minimum::Minimum;
-use super::prepare::Prepared;
+use super::prepare::PreparedFrame;
 use crate::Result;
 use crate::scene::Weighting;
 use ndarray::{Array2, ArrayView1};
 use rayon::prelude::*;
 
-/// Wavefronts that differ by less, in waves RMS over the modes, share a Fisher matrix: 0.02 rad change an error bar by
+/// Wavefronts that differ by less than this, in waves RMS over the modes, share a Fisher matrix: 0.02 rad change an error bar by
 /// about 2 % at the most.
 const ALIKE_WAVES: f64 = 0.003;
-/// Fluxes that differ by less, as a fraction, do too: an error bar goes as the flux to the power −½ to −1.
+/// Fluxes that differ by less than this fraction do, too: an error bar goes as the flux to the power −½ to −1.
 const ALIKE_FLUX: f64 = 0.02;
 
 /// Fisher and covariance matrices of the images of a call.
 pub(super) struct Spread {
-    /// Which of the matrices is each image's.
-    of: Vec<usize>,
+    /// Place of each image's matrices in `matrices`.
+    place: Vec<usize>,
     /// Fisher matrix (per nm²) and covariance (nm², pistons about their mean).
-    known: Vec<(Array2<f64>, Array2<f64>)>,
+    matrices: Vec<(Array2<f64>, Array2<f64>)>,
 }
 
 impl Spread {
-    /// Of some `images` among the minima of `prepared`, which it then knows by their place in that list; `variance_e2` is
-    /// that of the pixels of each of them under its fitted model.
+    /// Computes the matrices of some `images` among the minima of `prepared`; afterwards an image is named by its place in
+    /// `images`. `variance_e2` is that of the pixels of each under its fitted model.
     ///
     /// # Errors
-    /// [`crate::Error::Value`] where an image sees no mode at all.
-    pub(super) fn of(
+    /// [`crate::Error::Value`] where no mode changes an image.
+    pub(super) fn new(
         estimator: &ModalFitter,
         images: &[usize],
-        prepared: &[Prepared],
+        prepared: &[PreparedFrame],
         minima: &[Minimum],
         variance_e2: &[Vec<f64>],
     ) -> Result<Self> {
@@ -48,10 +48,10 @@ impl Spread {
                 && differences.sum::<f64>().sqrt() < alike_nm
         };
         let mut heads: Vec<usize> = Vec::new();
-        let mut of = Vec::with_capacity(images.len());
+        let mut places = Vec::with_capacity(images.len());
         for image in 0..images.len() {
             let place = heads.iter().position(|&head| alike(image, head));
-            of.push(place.unwrap_or(heads.len()));
+            places.push(place.unwrap_or(heads.len()));
             if place.is_none() {
                 heads.push(image);
             }
@@ -59,7 +59,7 @@ impl Spread {
         let pistons = &estimator.pistons;
         // Images that are worked on at once share the memory.
         let threads = MATRICES_AT_ONCE.min(heads.len()).max(1);
-        let matrices = |&head: &usize| {
+        let compute = |&head: &usize| {
             let (image, minimum) = (&prepared[images[head]], &minima[images[head]]);
             let (at, exposure) = (ArrayView1::from(&minimum.coefficients_nm), &image.exposure);
             let variance_e2 = match estimator.recipe.weighting {
@@ -67,25 +67,25 @@ impl Spread {
                 Weighting::None => Some(variance_e2[head].as_slice()),
             };
             let noise = (exposure.weight.as_slice(), variance_e2);
-            let (judge, tile_bytes) = (&estimator.reference, estimator.model.tiles().derivative_bytes / threads);
-            let sensitivity = Sensitivity::at(judge, at, minimum.flux_e, noise, exposure.photometry, tile_bytes);
+            let (reference, tile_bytes) = (&estimator.reference, estimator.model.tiles().derivative_bytes / threads);
+            let sensitivity = Sensitivity::at(reference, at, minimum.flux_e, noise, exposure.photometry, tile_bytes);
             let covariance = pistons.centred(&sensitivity.covariance()?);
             Ok((sensitivity.fisher, covariance))
         };
-        let mut known = Vec::with_capacity(heads.len());
+        let mut matrices = Vec::with_capacity(heads.len());
         for heads in heads.chunks(MATRICES_AT_ONCE) {
-            known.extend(heads.par_iter().map(matrices).collect::<Result<Vec<_>>>()?);
+            matrices.extend(heads.par_iter().map(compute).collect::<Result<Vec<_>>>()?);
         }
-        Ok(Self { of, known })
+        Ok(Self { place: places, matrices })
     }
 
     /// The Fisher matrix of an image, per nm².
     pub(super) fn fisher(&self, image: usize) -> &Array2<f64> {
-        &self.known[self.of[image]].0
+        &self.matrices[self.place[image]].0
     }
 
     /// The covariance of an image's modes, nm², if the model is right.
     pub(super) fn covariance(&self, image: usize) -> &Array2<f64> {
-        &self.known[self.of[image]].1
+        &self.matrices[self.place[image]].1
     }
 }

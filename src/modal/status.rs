@@ -1,35 +1,35 @@
-//! What became of each image: judged by its own residual, and in a sequence by the others'.
+//! Status of each image: from its own residual, and in a sequence also from those of the others.
 
 use super::engine::{FitState, ImageFit};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::model::Model;
-use super::prepare::{Prepared, Refusal};
+use super::prepare::{PreparedFrame, Refusal};
 use super::sequence::{SEQUENCE, distances, outliers};
 use super::tilts::Tilts;
 use crate::optimize::StopReason;
 use crate::scene::Combine;
 use ndarray::{Array2, Axis};
 
-/// What became of one image.
+/// Status of one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Status {
     /// Fitted, and the model explains it.
     Ok,
-    /// Fitted, but the residual is larger than the noise: the modes do not span what is there, or the model is off.
+    /// Fitted, but the residual is larger than the noise: the modes do not span the wavefront, or the model is wrong.
     /// Error bars are scaled up by √χ²; those of a sequence are from the scatter between its images.
     Misfit,
-    /// The residual is so large that the fit probably sits in a wrong minimum. Among eight images or more it must also
-    /// be an outlier: turbulence that the modes do not span leaves as much in every image.
+    /// The residual is so large that the fit is probably in a wrong minimum. Among eight images or more it must also be an
+    /// outlier: turbulence that the modes do not span leaves the same residual in every image.
     WrongMinimum,
-    /// The optimiser gave up before it converged.
+    /// The optimiser stopped before it converged.
     NotConverged(StopReason),
     /// The image could not be used.
     Unusable(Refusal),
 }
 
 impl Status {
-    /// Whether there is a minimum behind it.
+    /// Whether the fit converged to a minimum.
     pub(super) fn has_converged(&self) -> bool {
         matches!(self, Status::Ok | Status::Misfit | Status::WrongMinimum)
     }
@@ -56,7 +56,7 @@ const WRONG_MINIMUM: f64 = 300.0;
 /// The report on one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImageReport {
-    /// What became of it.
+    /// Status.
     pub status: Status,
     /// Evaluations of objective and gradient.
     pub evaluations: usize,
@@ -68,14 +68,14 @@ pub struct ImageReport {
     pub background_e: f64,
     /// Tilt of the fitted wavefront and of the shift onto the axis, along x and y, nm RMS over the pupil.
     pub tip_tilt_nm: [f64; 2],
-    /// Pixels of the fitted part that were bad.
+    /// Number of bad pixels of the fitted part.
     pub bad_pixels: usize,
-    /// Pixels of the frame that nobody had marked bad, that stood out, and that were cut out.
-    pub cut_pixels: usize,
+    /// Number of outlier pixels of the frame that were rejected.
+    pub rejected_pixels: usize,
 }
 
 impl ImageReport {
-    /// What became of the image and why, in a sentence.
+    /// The status and its reason, as a sentence.
     pub fn sentence(&self) -> String {
         let chi2 = self.reduced_chi2;
         match self.status {
@@ -84,11 +84,11 @@ impl ImageReport {
                 "the residual is larger than the noise: reduced chi-square {chi2:.3}, where up to {MISFIT} is explained"
             ),
             Status::WrongMinimum => format!(
-                "the fit probably sits in a wrong minimum: reduced chi-square {chi2:.0}, where up to {WRONG_MINIMUM} is \
+                "the fit is probably in a wrong minimum: reduced chi-square {chi2:.0}, where up to {WRONG_MINIMUM} is \
                  plausible"
             ),
             Status::NotConverged(reason) => {
-                format!("after {} evaluations the fit is not done: {reason}", self.evaluations)
+                format!("the fit did not converge in {} evaluations: {reason}", self.evaluations)
             }
             Status::Unusable(refusal) => refusal.to_string(),
         }
@@ -99,27 +99,28 @@ impl ModalFitter {
     /// The reports on fits, in order.
     pub(super) fn reports(&self, fits: &[ImageFit]) -> Vec<ImageReport> {
         let report = |fit: &ImageFit| match fit.state {
-            FitState::Fitted => judge(&self.model, &self.tilts, &fit.prepared, &fit.minimum),
-            FitState::Refused(refusal) => unfitted(Status::Unusable(refusal)),
-            FitState::NotBegun => unfitted(Status::NotConverged(StopReason::Unfinished)),
+            FitState::Fitted => assess(&self.model, &self.tilts, &fit.prepared, &fit.minimum),
+            FitState::Refused(refusal) => unfitted_report(Status::Unusable(refusal)),
+            FitState::NotBegun => unfitted_report(Status::NotConverged(StopReason::Unfinished)),
         };
         let mut reports: Vec<ImageReport> = fits.iter().map(report).collect();
-        judge_together(&mut reports);
+        assess_together(&mut reports);
         reports
     }
 }
 
 /// The reports on the minima of `prepared`.
-pub(super) fn judged(estimator: &ModalFitter, prepared: &[Prepared], minima: &[Minimum]) -> Vec<ImageReport> {
+pub(super) fn assess_all(estimator: &ModalFitter, prepared: &[PreparedFrame], minima: &[Minimum]) -> Vec<ImageReport> {
     let pairs = prepared.iter().zip(minima);
     let mut reports: Vec<ImageReport> =
-        pairs.map(|(prepared, minimum)| judge(&estimator.model, &estimator.tilts, prepared, minimum)).collect();
-    judge_together(&mut reports);
+        pairs.map(|(prepared, minimum)| assess(&estimator.model, &estimator.tilts, prepared, minimum)).collect();
+    assess_together(&mut reports);
     reports
 }
 
-/// What turbulence leaves in every image of a sequence is no sign of a wrong minimum; what stands out is.
-pub(super) fn judge_together(reports: &mut [ImageReport]) {
+/// Corrects the statuses of a sequence: a large residual that all images share is from turbulence that the modes do not span; only
+/// an outlier is a wrong minimum.
+pub(super) fn assess_together(reports: &mut [ImageReport]) {
     let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();
     if converged.len() < SEQUENCE {
         return;
@@ -132,8 +133,8 @@ pub(super) fn judge_together(reports: &mut [ImageReport]) {
     }
 }
 
-/// Judges one minimum by itself. `tilts` are the slopes of each mode.
-pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: &Minimum) -> ImageReport {
+/// Assesses one minimum by itself. `tilts` are the slopes of each mode.
+pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, minimum: &Minimum) -> ImageReport {
     let reduced_chi2 = minimum.reduced_chi2;
     let status = match minimum.reason {
         reason if !reason.has_converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
@@ -147,14 +148,14 @@ pub(super) fn judge(model: &Model, tilts: &Tilts, prepared: &Prepared, minimum: 
         reduced_chi2,
         flux_e: minimum.flux_e,
         background_e: minimum.background_e / model.preparation.native_pixels(),
-        tip_tilt_nm: tilts.of(&minimum.coefficients_nm, prepared.shift_pixels),
+        tip_tilt_nm: tilts.tip_tilt_nm(&minimum.coefficients_nm, prepared.shift_pixels),
         bad_pixels: prepared.bad_pixels,
-        cut_pixels: prepared.cut_pixels,
+        rejected_pixels: prepared.rejected_pixels,
     }
 }
 
 /// The report on an image that was not fitted.
-pub(super) fn unfitted(status: Status) -> ImageReport {
+pub(super) fn unfitted_report(status: Status) -> ImageReport {
     ImageReport {
         status,
         evaluations: 0,
@@ -163,23 +164,22 @@ pub(super) fn unfitted(status: Status) -> ImageReport {
         background_e: f64::NAN,
         tip_tilt_nm: [f64::NAN; 2],
         bad_pixels: 0,
-        cut_pixels: 0,
+        rejected_pixels: 0,
     }
 }
 
-/// Which images are combined, and which the clipped mean leaves out; as places in what was given.
+/// Images that are combined, and images that the clipped mean leaves out; as places in the list that was given.
 pub(super) struct Selection {
     pub(super) used: Vec<usize>,
     pub(super) clipped: Vec<usize>,
 }
 
 impl Selection {
-    /// Of images with these reports and coefficients (`[image, mode]`, the rows of the reports).
+    /// Selects among images with these reports and coefficients (`[image, mode]`, in the order of the reports).
     ///
-    /// Up to seven images that converged are judged one by one, whatever the combination: those of the best kind of
-    /// status are used. From eight on, all that converged are, but for outliers of χ² or of the coefficients in a
-    /// clipped mean.
-    pub(super) fn of(reports: &[&ImageReport], coefficients_nm: &Array2<f64>, how: Combine) -> Self {
+    /// Of up to seven images that converged, those with the best kind of status are used, whatever the combination. From eight
+    /// on, all that converged are used; a clipped mean leaves out outliers of χ² and of the coefficients.
+    pub(super) fn new(reports: &[&ImageReport], coefficients_nm: &Array2<f64>, how: Combine) -> Self {
         let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();
         if converged.len() < SEQUENCE {
             return Self { used: best_kind(reports), clipped: Vec::new() };
@@ -196,8 +196,8 @@ impl Selection {
     }
 }
 
-/// Which of a few fits are used: those that converged on a plausible minimum; where there is none, suspected wrong
-/// minima; where all gave up early, those that at least ended on numbers. Each says what it is by its status.
+/// Which of a few fits are used: those that converged to a plausible minimum; where there is none, suspected wrong minima; where
+/// none converged, those with a finite χ². Their status tells them apart.
 fn best_kind(reports: &[&ImageReport]) -> Vec<usize> {
     let rank = |report: &ImageReport| match report.status {
         Status::Ok | Status::Misfit => Some(0),

@@ -6,14 +6,14 @@ use ndarray::Array2;
 
 /// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.
 pub(super) struct Tilts {
-    /// Of each mode, along x and y, per nm.
+    /// Tip and tilt of each mode, per nm.
     modes: Vec<[f64; 2]>,
-    /// Of a shift by one model pixel.
+    /// Tip and tilt of a shift by one model pixel.
     per_pixel_nm: [f64; 2],
 }
 
 impl Tilts {
-    /// Of the modes of `model`.
+    /// Computes the slopes of the modes of `model`.
     ///
     /// # Errors
     /// [`crate::Error::Shape`] for modes on another grid than the pupil's.
@@ -38,8 +38,8 @@ impl Tilts {
         Ok(Self { modes, per_pixel_nm: [0, 1].map(|i| per_pixel_nm_m * axes[i].1) })
     }
 
-    /// Of a wavefront whose image was moved onto the axis by `shift_pixels`.
-    pub(super) fn of(&self, coefficients_nm: &[f64], shift_pixels: [i64; 2]) -> [f64; 2] {
+    /// Tip and tilt of a wavefront whose image was moved onto the axis by `shift_pixels`, nm RMS.
+    pub(super) fn tip_tilt_nm(&self, coefficients_nm: &[f64], shift_pixels: [i64; 2]) -> [f64; 2] {
         [0, 1].map(|axis| {
             let modes = self.modes.iter().zip(coefficients_nm).map(|(slope, nm)| slope[axis] * nm);
             modes.sum::<f64>() + shift_pixels[axis] as f64 * self.per_pixel_nm[axis]

@@ -5,7 +5,7 @@ use crate::{Error, Result};
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What an estimate is doing.
+/// Stage of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
     /// Nothing has begun.
@@ -35,7 +35,7 @@ impl Stage {
         Self::Separating,
     ];
 
-    /// In a few words, for a progress bar.
+    /// Label for a progress bar.
     pub fn label(self) -> &'static str {
         match self {
             Self::Idle => "Idle",
@@ -49,10 +49,10 @@ impl Stage {
     }
 }
 
-/// How far an estimate is.
+/// Progress of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Progress {
-    /// What it is doing.
+    /// Current stage.
     pub stage: Stage,
     /// Steps of this stage that are done: images, or candidates of a plan.
     pub done: u64,
@@ -87,7 +87,7 @@ impl Control {
         Self::with_flag(CancelFlag::default(), observer)
     }
 
-    /// As [`Control::with_observer`], with a flag that somebody else raises, such as a signal handler.
+    /// As [`Control::with_observer`], with a flag of the caller's, which for example a signal handler raises.
     pub fn with_flag(cancel: CancelFlag, observer: impl FnMut(Progress) + Send + 'static) -> Self {
         let observer: Mutex<Option<Observer>> = Mutex::new(Some(Box::new(observer)));
         Self { shared: Arc::new(Shared { cancel, observer, ..Shared::default() }) }
@@ -104,7 +104,7 @@ impl Control {
         self.shared.cancel.load(Ordering::Relaxed)
     }
 
-    /// How far the call is.
+    /// Progress of the call.
     pub fn progress(&self) -> Progress {
         let shared = &self.shared;
         let stage = usize::from(shared.stage.load(Ordering::Relaxed));
@@ -121,13 +121,13 @@ impl Control {
         &self.shared.cancel
     }
 
-    /// Accepts calls again after one that was cancelled, and forgets its progress.
+    /// Resets the progress at the start of a call.
     pub(super) fn reset_progress(&self) {
         self.shared.all_done.store(0, Ordering::Relaxed);
         self.enter(Stage::Idle, 0);
     }
 
-    /// Lowers the flag after a call has returned for it.
+    /// Lowers the flag after a call was cancelled.
     pub(super) fn acknowledge(&self) {
         self.shared.cancel.store(false, Ordering::Relaxed);
     }
@@ -144,14 +144,14 @@ impl Control {
     /// `done` steps of this stage are done.
     pub(super) fn advance_to(&self, done: usize) {
         let before = self.shared.done.swap(done as u64, Ordering::Relaxed);
-        // A smaller number begins to count anew, as each iteration of a MAP estimate does.
+        // A smaller number starts a new count, as each iteration of a MAP estimate does.
         let new = if (done as u64) < before { done as u64 } else { done as u64 - before };
         self.shared.all_done.fetch_add(new, Ordering::Relaxed);
         self.observe();
     }
 
     /// # Errors
-    /// [`Error::Interrupted`] with `state`, what is there by then, where the flag is raised.
+    /// [`Error::Interrupted`] with `state`, a description of what was done by then, where the flag is raised.
     pub(super) fn check(&self, state: &str) -> Result<()> {
         if self.is_cancelled() { Err(Error::Interrupted(state.into())) } else { Ok(()) }
     }

@@ -5,7 +5,7 @@ use super::images::TruthMaps;
 use super::outcome::{ImageOutcome, ImageStatus};
 use super::policy::Policy;
 use crate::loop_response::Corrections;
-use crate::modal::{self, Compared};
+use crate::modal::{self, FittedImage};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
@@ -14,7 +14,7 @@ use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 use std::sync::Arc;
 
-/// The static wavefront behind one image or many: modes, maps, error bars, and what became of each image.
+/// Static wavefront behind one image or many: modes, maps, error bars, and the outcome of each image.
 ///
 /// Maps are `[y, x]` on the grid of [`Estimate::pupil`], nm of wavefront, NaN outside the pupil. Modes are those of
 /// [`Estimate::basis`]: segments first, then NCPA.
@@ -40,9 +40,9 @@ pub struct Estimate {
     pub ncpa_sigma_nm: Array2<f64>,
     /// RMS over the pupil of the phasing, piston, tip and tilt removed, and its error bar.
     pub phasing: Figure,
-    /// Likewise of the NCPA.
+    /// RMS of the NCPA, and its error bar.
     pub ncpa: Figure,
-    /// Likewise of their sum; the error bar is NaN in a MAP estimate, which does not compute it.
+    /// RMS of the sum of both, and its error bar; the error bar is NaN in a MAP estimate, which does not compute it.
     pub wavefront: Figure,
     /// Contributions to the error bars of phasing and NCPA.
     pub error_budget: Vec<ErrorTerm>,
@@ -56,15 +56,15 @@ pub struct Estimate {
     pub reduced_chi2: f64,
     /// Whether error bars are from the scatter between images, as from eight images on.
     pub is_sequence: bool,
-    /// The worst status that counts for the whole.
+    /// Worst status of the images that the estimate depends on.
     pub status: ImageStatus,
-    /// What was added to the scene's modes by model selection, in words.
+    /// Description of the modes that model selection added to the scene's.
     pub model: String,
     /// Optical parameters that were fitted, or found to differ from the scene's.
     pub optics: Vec<OpticalParameter>,
     /// Warnings: sentences that a user should read before using the numbers.
     pub warnings: Vec<String>,
-    /// Remarks that hold for every image of this scene, and are no fault of these.
+    /// Remarks that hold for every image of this scene.
     pub remarks: Vec<String>,
     /// The pupil on which the maps are.
     pub pupil: Pupil,
@@ -76,15 +76,15 @@ pub struct Estimate {
     pub seconds: f64,
     /// Wall-clock time of building the model, s.
     pub model_seconds: f64,
-    /// First image that was used, beside its model; `None` in a MAP estimate.
-    pub compared: Option<Compared>,
-    /// Combinations of modes that the images see badly or not at all; `None` in a MAP estimate.
+    /// First image that was used, with its model; `None` in a MAP estimate.
+    pub compared: Option<FittedImage>,
+    /// Combinations of modes that change the images little or not at all; `None` in a MAP estimate.
     pub degeneracy: Option<Degeneracy>,
     /// Maps that simulated images were made with, and the residual against them.
     pub truth: Option<(TruthMaps, Comparison)>,
     /// Modal fitter with the model that the images were compared with; `None` in a MAP estimate.
     pub fitter: Option<Arc<modal::ModalFitter>>,
-    /// What only a MAP estimate has.
+    /// Iterations and assumptions of a MAP estimate; `None` in a modal one.
     pub map: Option<MapSummary>,
 }
 
@@ -106,7 +106,7 @@ pub struct Figure {
     pub sigma_nm: f64,
 }
 
-/// An optical parameter that was fitted beside the modes.
+/// An optical parameter that was fitted together with the modes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OpticalParameter {
     /// Key of the scene.
@@ -115,7 +115,7 @@ pub struct OpticalParameter {
     pub scene: f64,
     /// Fitted value.
     pub value: f64,
-    /// Error bar, 1σ: infinite where the modes take up all that the parameter does, NaN where it is not known.
+    /// Error bar, 1σ: infinite where the modes reproduce its effect, NaN where it is not known.
     pub sigma: f64,
     /// Share of the parameter's effect on the image that neither the modes nor other parameters reproduce; NaN where it is
     /// not known.
@@ -140,17 +140,17 @@ pub struct MapSummary {
     pub knows: AoKnowledge,
     /// All iterations; the last one is the estimate.
     pub iterations: Vec<Iteration>,
-    /// Whether they ended because the last one changed next to nothing.
+    /// Whether they ended because the last one changed less than the tolerance.
     pub has_settled: bool,
     /// Wall-clock time in retrievals, s.
     pub retrieval_seconds: f64,
-    /// Reflectivity of each segment over the mean; empty where all are taken to be alike.
+    /// Reflectivity of each segment over the mean; empty where all are taken to be equal.
     pub segment_reflectivities: Vec<f64>,
 }
 
 impl Figure {
     /// RMS of `map` over the pupil, piston, tip and tilt removed, with this error bar.
-    pub(super) fn of_map(pupil: &Pupil, map: ArrayView2<f64>, sigma_nm: f64) -> Result<Self> {
+    pub(super) fn from_map(pupil: &Pupil, map: ArrayView2<f64>, sigma_nm: f64) -> Result<Self> {
         Ok(Self { rms_nm: detrended(pupil, map)?.1, sigma_nm })
     }
 }

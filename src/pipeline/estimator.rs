@@ -63,13 +63,13 @@ impl Estimator {
         &self.control
     }
 
-    /// Estimates the static wavefront behind `images`. What is wrong with single images is in their outcomes; what a user
-    /// should know of the whole is in [`Estimate::warnings`].
+    /// Estimates the static wavefront behind `images`. Problems of single images are in their outcomes; warnings on the whole
+    /// are in [`Estimate::warnings`].
     ///
     /// # Errors
     /// Those of building the telescope and its modes; [`Error::Shape`] for images of another size than the scene says,
     /// or telemetry of another number; [`Error::Image`] where no image can be used (two in a MAP estimate);
-    /// [`Error::Device`] where the device that the scene names is not there or fails; [`Error::Interrupted`] after
+    /// [`Error::Device`] where the device that the scene names does not exist or fails; [`Error::Interrupted`] after
     /// [`Control::cancel`].
     pub fn estimate(&self, images: &Images) -> Result<Estimate> {
         images.check()?;
@@ -84,7 +84,7 @@ impl Estimator {
         if let Some(truth) = &images.truth {
             match estimate.compare(truth) {
                 Ok(residual) => estimate.truth = Some((truth.clone(), residual)),
-                // A truth on another grid says nothing of these maps, and is no reason to withhold them.
+                // A truth on another grid cannot be compared; the estimate is valid without it.
                 Err(error) => estimate.warnings.push(format!("the truth of these images is not shown: {error}")),
             }
         }
@@ -92,7 +92,7 @@ impl Estimator {
     }
 }
 
-/// Lowers the flag of a call that has ended for it.
+/// Lowers the cancel flag after a call that it has ended.
 fn acknowledged<T>(control: &Control, outcome: Result<T>) -> Result<T> {
     if let Err(Error::Interrupted(_)) = outcome {
         control.acknowledge();

@@ -1,4 +1,4 @@
-//! Images of an estimate, with all that comes with them: bad pixels, read noise, telemetry, truth.
+//! Images of an estimate, with bad pixels, read noise, telemetry and truth.
 
 use crate::io::{self, FitsReader};
 use crate::scene::Scene;
@@ -12,9 +12,9 @@ use std::path::Path;
 pub struct Images {
     /// Electrons, `[image, y, x]`.
     pub images_e: Array3<f64>,
-    /// Bad pixels, `[image, y, x]`: they take no part. Pixels that are not finite are bad, too.
+    /// Bad pixels, `[image, y, x]`: they are ignored. Pixels that are not finite are bad, too.
     pub bad: Array3<bool>,
-    /// Read noise of a pixel, RMS electrons; `None` takes the scene's.
+    /// Read noise of a pixel, RMS electrons; `None` for the scene's.
     pub read_noise_e: Option<f64>,
     /// Slopes of the wavefront sensor, mean over each exposure, `[image, slope]`, mas: along x for every subaperture, then
     /// along y. A MAP estimate uses them; `None` without telemetry.

@@ -17,13 +17,13 @@ use crate::{Error, Result};
 use ndarray::Array2;
 use std::time::Instant;
 
-/// Reduced χ² of images that the model explains but for turbulence finer than its samples: behind a bright star 1.4 to 1.6
-/// where exposures are frozen, 4.2 in exposures of 10 ms; square pixels taken for points make it 8.
+/// Largest reduced χ² of images that the model explains except for turbulence finer than its samples: with a bright star 1.4 to
+/// 1.6 in frozen exposures, 4.2 in exposures of 10 ms; square pixels modelled as points make it 8.
 const EXPLAINED: f64 = 6.0;
 
 pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Images) -> Result<Estimate> {
     let count = images.len();
-    // A level below telemetry uses no slopes, and those of a file may then be anything.
+    // A level below telemetry uses no slopes, and does not check those of a file.
     let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|knows| knows >= AoKnowledge::Telemetry);
     let slopes_mas = images.slopes_mas.as_ref().filter(|_| uses_telemetry);
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != count) {
@@ -40,10 +40,10 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     let Some(last) = found.iterations.last() else { return Err(Error::Internal("no iteration was made".into())) };
     let settings = StaticsSettings::default();
     let has_settled = found.iterations.len() < settings.max_iterations || !last.has_changed(settings.tolerance);
-    // Where optical parameters were searched for, what was found should have explained the images.
+    // After a search for optical parameters the limit is that of the search.
     let explained = if found.optics.warnings().is_empty() { EXPLAINED } else { OPTICS_SEARCH_CHI2 };
     let is_misfit = last.reduced_chi2 > explained;
-    let sentences = warnings::of_map(&found, last, has_settled, is_misfit);
+    let sentences = warnings::map_warnings(&found, last, has_settled, is_misfit);
     let outcomes = (0..count).map(|image| outcome(&found, last, image)).collect();
     let pupil = found.pupil.clone();
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
@@ -52,9 +52,9 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         basis: basis(last),
         coefficients_nm: last.coefficients_nm(),
         covariance_nm2: last.errors.covariance_nm2.clone(),
-        phasing: Figure::of_map(&pupil, last.phasing_nm.view(), last.error_budget.total_nm[0])?,
-        ncpa: Figure::of_map(&pupil, last.ncpa_nm.view(), last.error_budget.total_nm[1])?,
-        wavefront: Figure::of_map(&pupil, wavefront_nm.view(), f64::NAN)?,
+        phasing: Figure::from_map(&pupil, last.phasing_nm.view(), last.error_budget.total_nm[0])?,
+        ncpa: Figure::from_map(&pupil, last.ncpa_nm.view(), last.error_budget.total_nm[1])?,
+        wavefront: Figure::from_map(&pupil, wavefront_nm.view(), f64::NAN)?,
         phasing_nm: last.phasing_nm.clone(),
         ncpa_nm: last.ncpa_nm.clone(),
         phasing_sigma_nm: last.phasing_sigma_nm.clone(),
@@ -69,7 +69,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         model: selected(last),
         optics: optics(scene, &found),
         warnings: sentences,
-        remarks: warnings::of_diversity(&last.diversity, &found.scene).into_iter().collect(),
+        remarks: warnings::diversity_remark(&last.diversity, &found.scene).into_iter().collect(),
         pupil,
         device: found.device,
         precision: scene.estimate.precision,
@@ -117,7 +117,7 @@ fn outcome(found: &SequenceResult, last: &Iteration, image: usize) -> ImageOutco
     }
 }
 
-/// The NCPA basis that the images asked for, in words.
+/// Description of the NCPA basis that was selected.
 fn selected(last: &Iteration) -> String {
     let modes = last.ncpa_names.len();
     match last.family {
@@ -155,7 +155,7 @@ fn optics(given: &Scene, found: &SequenceResult) -> Vec<OpticalParameter> {
     parameters
 }
 
-/// The terms of an iteration's error bars: what the images average out, and what all of them share.
+/// Terms of an iteration's error bars: the part that the images average out, and the errors that all of them share.
 fn error_budget(last: &Iteration) -> Vec<ErrorTerm> {
     let terms = last.error_budget.terms.iter().filter(|term| term.phasing_nm > 0.0 || term.ncpa_nm > 0.0);
     let term = |term: &statics::ErrorTerm| ErrorTerm {

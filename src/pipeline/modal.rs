@@ -31,7 +31,7 @@ pub(super) fn estimate(
         control.check("the model was built, no image was fitted")?;
         control.enter(Stage::Fitting, count);
         let optics = estimator.model().optics.clone();
-        // No more are fitted at once.
+        // No more images than this are fitted at once.
         let capacity = count.min(estimator.model().tiles().images);
         Chain::open(optics, scene.estimate.device.into(), scene.estimate.precision.into(), capacity)
     };
@@ -47,7 +47,7 @@ pub(super) fn estimate(
     control.check("the images were fitted, nothing was written")?;
     let model_seconds = started.elapsed().as_secs_f64() - found.seconds;
     let model = fitter.model();
-    let held = fitter.held_diversity()?;
+    let diversity = fitter.diversity_projection()?;
     let errors = ExpectedErrors::new(model)?;
     let sigma_nm = errors.rms_nm(&found.combined.covariance_nm2)?;
     let pupil = model.telescope.pupil.clone();
@@ -59,9 +59,9 @@ pub(super) fn estimate(
     Ok(Estimate {
         policy: *policy,
         basis: Basis { names: model.basis.names().to_vec(), groups: model.basis.groups().to_vec() },
-        phasing: Figure::of_map(&pupil, found.phasing_nm.view(), sigma_nm[0])?,
-        ncpa: Figure::of_map(&pupil, found.ncpa_nm.view(), sigma_nm[1])?,
-        wavefront: Figure::of_map(&pupil, wavefront_nm.view(), sigma_nm[2])?,
+        phasing: Figure::from_map(&pupil, found.phasing_nm.view(), sigma_nm[0])?,
+        ncpa: Figure::from_map(&pupil, found.ncpa_nm.view(), sigma_nm[1])?,
+        wavefront: Figure::from_map(&pupil, wavefront_nm.view(), sigma_nm[2])?,
         error_budget: error_budget(&errors, &fitter, &found)?,
         images: outcomes.collect(),
         combine: Some(found.combine),
@@ -70,8 +70,8 @@ pub(super) fn estimate(
         status: ImageStatus::from_modal(found.status()),
         model: selected(&recipes, fitter.recipe().exact_zernikes),
         optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
-        warnings: warnings::of_modal(&fitter, &held, &found),
-        remarks: warnings::of_diversity(&held, fitter.scene()).into_iter().collect(),
+        warnings: warnings::modal_warnings(&fitter, &diversity, &found),
+        remarks: warnings::diversity_remark(&diversity, fitter.scene()).into_iter().collect(),
         scene: fitter.scene().clone(),
         pupil,
         precision: scene.estimate.precision,
@@ -95,12 +95,12 @@ pub(super) fn estimate(
 
 impl From<&FittedOptic> for OpticalParameter {
     fn from(optic: &FittedOptic) -> Self {
-        let FittedOptic { scene, value, sigma, told, .. } = *optic;
-        Self { key: optic.key().into(), scene, value, sigma, identifiable: told }
+        let FittedOptic { scene, value, sigma, identifiable_share, .. } = *optic;
+        Self { key: optic.key().into(), scene, value, sigma, identifiable: identifiable_share }
     }
 }
 
-/// The basis that was chosen, in words.
+/// Description of the basis that was selected.
 fn selected(recipes: &[modal::Recipe], exact: NollRange) -> String {
     match exact {
         NollRange::None => "the scene's modes".into(),
@@ -124,19 +124,19 @@ impl ExpectedErrors {
         Ok(Self { gram, groups: model.basis.groups().to_vec() })
     }
 
-    /// Of phasing, NCPA and their sum, nm.
+    /// Expected RMS of the errors of phasing, NCPA and their sum, nm.
     fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
-        let of = |keep: &dyn Fn(Group) -> bool| {
+        let rms_nm = |keep: &dyn Fn(Group) -> bool| {
             let inside = |(k, l): (usize, usize)| keep(self.groups[k]) && keep(self.groups[l]);
             let part =
                 Array2::from_shape_fn(covariance_nm2.dim(), |at| if inside(at) { covariance_nm2[at] } else { 0.0 });
             self.gram.expected_rms_nm(part.view())
         };
-        Ok([of(&|group| group == Group::Segment)?, of(&|group| group == Group::Ncpa)?, of(&|_| true)?])
+        Ok([rms_nm(&|group| group == Group::Segment)?, rms_nm(&|group| group == Group::Ncpa)?, rms_nm(&|_| true)?])
     }
 }
 
-/// The terms that add up to the covariance: what the images average out, and what all of them share.
+/// Terms of the covariance: the part that the images average out, and the errors that all of them share.
 fn error_budget(
     errors: &ExpectedErrors,
     fitter: &modal::ModalFitter,

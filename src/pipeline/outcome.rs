@@ -18,7 +18,7 @@ pub enum ImageStatus {
 }
 
 impl ImageStatus {
-    /// The word for it in files and JSON.
+    /// The word in files and JSON.
     pub fn word(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -83,7 +83,7 @@ impl ImageOutcome {
             background_e: report.background_e,
             tip_tilt_nm: report.tip_tilt_nm,
             bad_pixels: report.bad_pixels,
-            rejected_pixels: report.cut_pixels,
+            rejected_pixels: report.rejected_pixels,
         }
     }
 }

@@ -1,16 +1,16 @@
-//! Policy: the choices of an estimate that are not part of the scene, in one visible struct.
+//! Policy: the choices of an estimate that are not part of the scene.
 
 use crate::modal::{Recipe, Session};
 use crate::scene::Scene;
 use crate::{Error, Result};
 
-/// How an estimate is made. [`Policy::default`] is what every interface does; [`Policy::realtime`] is what a
-/// [`Session`](crate::modal::Session) does, which has a deadline and may not allocate.
+/// Choices of an estimate. Every interface follows [`Policy::default`] unless told otherwise; a
+/// [`Session`](crate::modal::Session), which has a deadline and may not allocate, follows [`Policy::realtime`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Policy {
-    /// Whether the smallest basis that explains the images is sought (tip, tilt and focus beside the scene's modes
-    /// first, Zernikes to Noll 21 where χ² asks for them). Otherwise the largest is fitted at once. Without effect where
-    /// the scene names `modes.exact_zernikes`.
+    /// Whether the smallest basis that explains the images is selected: the scene's modes with tip, tilt and focus first,
+    /// with Zernikes to Noll 21 where χ² is too large. Otherwise the largest is fitted at once. Without effect where the
+    /// scene names `modes.exact_zernikes`.
     pub select_basis: bool,
     /// Whether outlier pixels (cosmic rays, hot and dead pixels) are sought in images that the model does not explain,
     /// and rejected.
@@ -35,7 +35,7 @@ impl Policy {
         Self { select_basis: false, reject_outliers: false, restart: false, fit_optics: false }
     }
 
-    /// `full`, `realtime`, or `custom`: the word for it in reports and files.
+    /// The word in reports and files: `full`, `realtime`, or `custom`.
     pub fn name(&self) -> &'static str {
         match self {
             policy if *policy == Self::default() => "full",
@@ -46,7 +46,7 @@ impl Policy {
 
     /// The recipes to fit in turn, the smallest basis first.
     pub(super) fn recipes(&self, scene: &Scene) -> Vec<Recipe> {
-        let mut recipes = if self.select_basis { Recipe::ladder(scene) } else { vec![Recipe::of(scene)] };
+        let mut recipes = if self.select_basis { Recipe::ladder(scene) } else { vec![Recipe::from_scene(scene)] };
         for recipe in &mut recipes {
             recipe.reject_outliers &= self.reject_outliers;
             if !self.restart {
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_policy_says_what_is_tried() {
+    fn a_policy_sets_the_recipes() {
         let scene = Scene::preset("keck-artificial").unwrap();
         let (full, realtime) = (Policy::default(), Policy::realtime());
         assert_eq!((full.name(), realtime.name()), ("full", "realtime"));

@@ -31,7 +31,7 @@ fn summary(estimate: &Estimate) -> String {
     text
 }
 
-/// How many images became the estimate, and how.
+/// Number of images that were combined, and how.
 fn combination(estimate: &Estimate) -> String {
     let (count, used) = (estimate.images.len(), estimate.used());
     let all = counted(count, "image");
@@ -125,7 +125,7 @@ fn budget(estimate: &Estimate) -> String {
 fn optics(parameter: &OpticalParameter) -> String {
     let OpticalParameter { key, scene, value, sigma, .. } = parameter;
     if sigma.is_infinite() {
-        format!("{key} = {value} (the scene says {scene}): not identifiable, the modes reproduce all that it does\n")
+        format!("{key} = {value} (the scene says {scene}): not identifiable, the modes reproduce its effect\n")
     } else if sigma.is_nan() {
         format!("{key} = {value:.6} (the scene says {scene})\n")
     } else {

@@ -5,7 +5,7 @@ use super::control::Control;
 use super::images::Images;
 use crate::ao::Lenslets;
 use crate::grid::Grid;
-use crate::modal::{Cube, WithoutOutliers, without_outliers};
+use crate::modal::{CleanedImages, Cube, reject_outliers};
 use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
@@ -84,12 +84,12 @@ fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) 
     }
 }
 
-/// Power spectral density that is expected of the dynamic wavefront.
+/// Prior power spectral density of the dynamic wavefront.
 fn prior(scene: &Scene, knows: AoKnowledge) -> Result<RadialPsd> {
     if knows > AoKnowledge::Nothing {
         return RadialPsd::ao_residual(scene, StaticAberrationRms::default());
     }
-    // Ordinary seeing, r0 = 16 cm at 500 nm, beyond what the mirror's pitch corrects; below, as much as there: a flat band.
+    // Ordinary seeing, r0 = 16 cm at 500 nm, above the cut-off of the mirror's pitch; below it the value at the cut-off.
     // Kolmogorov: 0.0229·r0^(−5/3)·f^(−11/3) rad²·m².
     const ENTRIES: usize = 200;
     let cut_off_per_m = 0.5 / scene.mirror.pitch_m;
@@ -102,10 +102,10 @@ fn prior(scene: &Scene, knows: AoKnowledge) -> Result<RadialPsd> {
     RadialPsd::new(step_per_m, (0..ENTRIES).map(at).collect())
 }
 
-/// Up to so many images each is retrieved at a finer resolution, which takes three times as long: the first ten of a sequence
-/// then leave 7.8 nm of phasing in place of 8.8.
+/// Largest number of images that are retrieved at a finer resolution, which takes three times as long: the residual phasing of
+/// the first ten images of a sequence is then 7.8 nm in place of 8.8.
 const FEW_IMAGES: usize = 40;
-/// Cycles across a segment then, over the usual ones.
+/// Finer resolution over the usual one, in cycles across a segment.
 const FEW_IMAGES_RESOLUTION: f64 = 1.25;
 
 /// Estimates the static errors behind a sequence.
@@ -132,20 +132,20 @@ pub(super) fn estimate(
     }
     let used_slopes_mas = slopes_mas.filter(|_| knows >= AoKnowledge::Telemetry);
     let own_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(scene, &Telescope::new(scene)?, mas));
-    // Slopes of another number of subapertures may be those behind the pupil that the images show.
+    // Slopes of another number of subapertures may belong to the pupil that the search finds.
     let own_sensor = match own_sensor {
         Err(Error::Shape(_)) if scene.pupil.extent_m().is_some() => own_sensor,
         other => Ok(other?),
     };
     let prior = prior(scene, knows)?;
-    let cleaned = without_outliers(scene, &images.images_e, &images.bad, images.read_noise_e);
-    let images_e = cleaned.as_ref().map_or(&images.images_e, |cleaned: &WithoutOutliers| &cleaned.images_e);
+    let cleaned = reject_outliers(scene, &images.images_e, &images.bad, images.read_noise_e);
+    let images_e = cleaned.as_ref().map_or(&images.images_e, |cleaned: &CleanedImages| &cleaned.images_e);
     let cube = Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
     let retrieval = retrieval_settings(scene, cube.images_e);
     let cancel = Some(control.flag());
     let optics = estimate_optics(scene, &prior, &retrieval, cube, cancel)?;
     let found_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
-    // An obscuration that was found moves no lenslet that the slopes say is there.
+    // The optics that were found are used for the static errors only where the slopes belong to their subapertures.
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
     let retriever = Retriever::with_telescope(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
@@ -157,7 +157,7 @@ pub(super) fn estimate(
         iterations,
         reports: std::mem::take(&mut source.reports),
         retrieval_seconds: source.seconds,
-        rejected_pixels: cleaned.map_or_else(|| vec![0; images.len()], |cleaned| cleaned.cut_pixels),
+        rejected_pixels: cleaned.map_or_else(|| vec![0; images.len()], |cleaned| cleaned.rejected_pixels),
         knows,
         optics,
         pupil: Telescope::new(&static_scene)?.pupil,
@@ -167,11 +167,11 @@ pub(super) fn estimate(
     })
 }
 
-/// How the exposures `[image, y, x]` of `scene` are retrieved.
+/// Settings of the retrieval of the exposures `[image, y, x]` of `scene`.
 fn retrieval_settings(scene: &Scene, images_e: ArrayView3<f64>) -> RetrievalSettings {
     let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
-    // Pistons as coefficients of their own let each image exchange an edge for a field that is nearly one: the field alone
-    // shows what an image says.
+    // Pistons as separate coefficients are nearly degenerate with wavefronts that have steep edges: each image is retrieved
+    // as a wavefront alone.
     let usual = RetrievalSettings { device, precision, piston_rms_nm: 0.0, ..RetrievalSettings::default() };
     if images_e.dim().0 > FEW_IMAGES {
         return usual;

@@ -1,8 +1,8 @@
-//! Warnings: what a user should know before using an estimate, a sentence each.
+//! Warnings on an estimate: one sentence each, which a user should read before using it.
 
 use super::images::counted;
 use super::sequence::SequenceResult;
-use crate::modal::{self, HeldDiversity, ImageReport, Model, Session, Status};
+use crate::modal::{self, DiversityProjection, ImageReport, Model, Session, Status};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 
@@ -11,23 +11,27 @@ const NAMED_IMAGES: usize = 3;
 /// Modes named one by one in a warning; the others are counted.
 const NAMED_MODES: usize = 6;
 
-/// A remark on the diversity, which holds for every image of a scene: how much of it the NCPA take for theirs.
-pub(super) fn of_diversity(held: &HeldDiversity, scene: &Scene) -> Option<String> {
-    (held.is_held() && scene.estimate.diversity_error == 0.0).then(|| {
+/// Remark on the diversity, which holds for every image of a scene: how an error of it changes the NCPA.
+pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -> Option<String> {
+    (diversity.is_spanned() && scene.estimate.diversity_error == 0.0).then(|| {
         format!(
-            "The NCPA count from the scene's diversity: 1 % more of it would read as {:.1} nm of them \
-             (estimate.diversity_error is for the error bars).",
-            0.01 * held.rms_nm
+            "The NCPA depend on the scene's diversity: an error of 1 % of it changes them by {:.1} nm \
+             (estimate.diversity_error includes such an error in the error bars).",
+            0.01 * diversity.rms_nm
         )
     })
 }
 
 /// Warnings of a modal estimate.
-pub(super) fn of_modal(fitter: &modal::ModalFitter, held: &HeldDiversity, found: &modal::ModalEstimate) -> Vec<String> {
+pub(super) fn modal_warnings(
+    fitter: &modal::ModalFitter,
+    diversity: &DiversityProjection,
+    found: &modal::ModalEstimate,
+) -> Vec<String> {
     let model = fitter.model();
     let mut sentences: Vec<String> = found.device_failure.iter().cloned().collect();
-    sentences.extend(held.warning(fitter.scene().image.wavelength_nm));
-    for optic in fitter.fitted_optics().iter().filter(|optic| !optic.is_told()) {
+    sentences.extend(diversity.warning(fitter.scene().image.wavelength_nm));
+    for optic in fitter.fitted_optics().iter().filter(|optic| !optic.is_identifiable()) {
         sentences.push(format!(
             "estimate.fit_optics names \"{}\", which these images do not distinguish from the modes: {} stays {}, and the \
              error bars do not include its error",
@@ -36,17 +40,18 @@ pub(super) fn of_modal(fitter: &modal::ModalFitter, held: &HeldDiversity, found:
             optic.value
         ));
     }
-    sentences.extend(of_images(found));
-    sentences.extend(of_model(model));
+    sentences.extend(image_warnings(found));
+    sentences.extend(model_warning(model));
     for direction in found.degeneracy.null.iter().filter(|direction| !direction.is_global_piston()) {
         let what = &direction.description;
-        sentences.push(format!("the images do not see this direction at all, and 0 is reported for it: {what}"));
+        sentences
+            .push(format!("the images do not depend on this combination of modes, and 0 is reported for it: {what}"));
     }
     sentences
 }
 
-/// A warning on modes of the scene that are not estimated.
-fn of_model(model: &Model) -> Option<String> {
+/// Warning on modes of the scene that are not estimated.
+fn model_warning(model: &Model) -> Option<String> {
     (!model.dropped.is_empty()).then(|| {
         let dropped = counted(model.dropped.len(), "mode");
         format!("{dropped} left out, because the others span them: {}", listed(&model.dropped))
@@ -58,18 +63,18 @@ impl Session {
     /// images are in their reports.
     pub fn warnings(&self) -> Vec<String> {
         let device = self.device_failure().map(str::to_owned);
-        device.into_iter().chain(of_model(self.estimator().model())).collect()
+        device.into_iter().chain(model_warning(self.estimator().model())).collect()
     }
 }
 
 /// Warnings on single images, the worst kind first, and on a sequence as a whole.
-fn of_images(found: &modal::ModalEstimate) -> Vec<String> {
+fn image_warnings(found: &modal::ModalEstimate) -> Vec<String> {
     let mut sentences = Vec::new();
-    let together = of_sequence(found);
+    let whole = sequence_warning(found);
     let count = found.images.len();
     for word in ["unusable", "not-converged", "wrong-minimum", "misfit"] {
         if word == "misfit"
-            && let Some(sentence) = &together
+            && let Some(sentence) = &whole
         {
             sentences.push(sentence.clone());
             continue;
@@ -78,7 +83,7 @@ fn of_images(found: &modal::ModalEstimate) -> Vec<String> {
             found.images.iter().enumerate().filter(|(_, image)| image.status.word() == word).collect();
         for (index, image) in concerned.iter().take(NAMED_IMAGES) {
             let which = if count > 1 { format!("image {} of {count}: ", index + 1) } else { String::new() };
-            let sentence = of_image(image, found.used_images.contains(index));
+            let sentence = image_warning(image, found.used_images.contains(index));
             sentences.extend(sentence.map(|sentence| which + &sentence));
         }
         if concerned.len() > NAMED_IMAGES {
@@ -89,8 +94,8 @@ fn of_images(found: &modal::ModalEstimate) -> Vec<String> {
     sentences
 }
 
-/// A warning on a sequence whose typical image misfits.
-fn of_sequence(found: &modal::ModalEstimate) -> Option<String> {
+/// Warning on a sequence whose typical image misfits.
+fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
     let misfits = found.images.iter().filter(|image| image.status == Status::Misfit).count();
     if !found.is_sequence() || 2 * misfits <= found.used() {
         return None;
@@ -104,7 +109,7 @@ fn of_sequence(found: &modal::ModalEstimate) -> Option<String> {
     ))
 }
 
-fn of_image(image: &ImageReport, is_used: bool) -> Option<String> {
+fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
     let chi2 = image.reduced_chi2;
     match &image.status {
         Status::Ok => None,
@@ -131,7 +136,12 @@ fn listed(names: &[String]) -> String {
 }
 
 /// Warnings of a MAP estimate, whose last iteration is `last`.
-pub(super) fn of_map(found: &SequenceResult, last: &Iteration, has_settled: bool, is_misfit: bool) -> Vec<String> {
+pub(super) fn map_warnings(
+    found: &SequenceResult,
+    last: &Iteration,
+    has_settled: bool,
+    is_misfit: bool,
+) -> Vec<String> {
     let mut sentences = Vec::new();
     let (all, left_out) = (found.reports.len(), found.reports.len() - last.used_images.len());
     if left_out > 0 {

@@ -1,19 +1,18 @@
-//! Which model a scene needs: the cheapest that keeps the error within a budget, what each choice costs in nm and in
-//! time, and what is left out.
+//! Planner: the cheapest model of a scene whose error stays within a budget, with the cost of each choice in nm and in time.
 //!
-//! A plan is a scene: [`Plan::scene`] is the one that was asked about with the choices written in as keys, so that it
-//! can be read, kept, and given to any estimator. A choice changes how the answer is computed and not what was asked:
-//! keys that name modes stay as they are.
+//! A plan is a scene: [`Plan::scene`] is the given scene with the choices written in as keys, so that it can be read, stored, and
+//! given to any estimator. A choice changes how the result is computed, and not which modes are estimated: keys that name modes
+//! stay as they are.
 //!
-//! Nothing here rests on a table. Wavefronts are drawn from the scene's own `[aberrations]`, imaged without noise by the
-//! simulator on its fine pupil, and read by each candidate: what is left is the candidate's own error on this scene.
-//! Noise adds what the Fisher information of the candidate's pixels leaves (the Cramér-Rao bound).
+//! Wavefronts are drawn from the scene's own `[aberrations]`, imaged without noise by the simulator on its fine pupil, and
+//! estimated by each candidate: the residual is the candidate's own error on this scene. The error from noise is the Cramér-Rao
+//! bound of the candidate's pixels.
 
 mod omission;
 mod plan;
 mod price;
+mod search;
 mod trial;
-mod walk;
 
 pub use omission::Omission;
 pub use plan::{Choice, Plan};
@@ -29,21 +28,21 @@ use crate::{Error, Result};
 ///
 /// # Errors
 /// [`Error::Value`] for a budget that is not positive, [`Error::Scene`] for a scene whose images cannot be simulated or
-/// whose recipe is the paper's, [`Error::Interrupted`] where `cancel` went up, and those of the estimator.
+/// whose recipe is the paper's, [`Error::Interrupted`] where `cancel` was raised, and those of the estimator.
 pub fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Result<Plan> {
     if !(budget_nm.is_finite() && budget_nm > 0.0) {
         return Err(Error::Value(format!("a budget of {budget_nm} nm is not accepted: a positive number is needed")));
     }
-    // The plan is the answer to the budget: a scene that still had it would be planned again.
-    let asked = scene.without("estimate.budget_nm")?;
-    walk::Walk::new(&asked, budget_nm, cancel)?.run()
+    // The plan has no budget: a scene with one would be planned again.
+    let given = scene.without("estimate.budget_nm")?;
+    search::Search::new(&given, budget_nm, cancel)?.run()
 }
 
 /// `scene`, or its plan where it names a budget (`estimate.budget_nm`).
 ///
 /// # Errors
 /// As [`plan`].
-pub fn resolved(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Scene> {
+pub fn resolve(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Scene> {
     match scene.estimate.budget_nm {
         Some(budget_nm) => Ok(plan(scene, budget_nm, cancel)?.scene),
         None => Ok(scene.clone()),

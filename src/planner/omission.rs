@@ -1,4 +1,4 @@
-//! What is there and not modelled, and what is modelled though this scene may not need it: each with its price.
+//! Effects that the plan does not model, and effects that it models although this scene may not need them, each with its cost.
 
 use super::price::Price;
 use super::trial::Trials;
@@ -7,10 +7,10 @@ use crate::modal::{ModalFitter, Recipe};
 use crate::optimize::CancelFlag;
 use crate::scene::Scene;
 
-/// Something that a model may leave out.
+/// An effect that a model may leave out.
 #[derive(Debug, Clone)]
 pub struct Omission {
-    /// What it is.
+    /// The effect.
     pub what: &'static str,
     /// Whether the plan models it.
     pub modelled: bool,
@@ -18,11 +18,11 @@ pub struct Omission {
     pub with_nm: f64,
     /// Error without it, nm.
     pub without_nm: f64,
-    /// Why it is or is not there, in a sentence.
+    /// Why it is or is not modelled, as a sentence.
     pub because: String,
 }
 
-/// Prices what `planned` leaves out, on the wavefronts of `trials`.
+/// Computes the cost of what `planned` models or leaves out, on the wavefronts of `trials`.
 pub(super) fn omissions(
     asked: &Scene,
     planned: &Scene,
@@ -35,20 +35,21 @@ pub(super) fn omissions(
     let own = chosen.error_nm();
     let width = asked.image.bandwidth_fraction;
     if width > 0.0 {
-        // The images have the filter's width, and the plan may have it or not: the other one is priced beside it.
+        // The images have the filter's width; the plan may model it or not, and the other choice is tried here.
         let modelled = !like.model().optics.has_one_wavelength();
         let other = planned.with_override("estimate.wavelengths", if modelled { "1" } else { "" })?;
-        let model = like.variant(&other, Recipe::of(&other))?;
+        let model = like.variant(&other, Recipe::from_scene(&other))?;
         let other_nm = trials.price(&model, cancel)?.error_nm();
         let [with_nm, without_nm] = if modelled { [own, other_nm] } else { [other_nm, own] };
         let broad = if modelled { like.model() } else { model.model() };
         let times = broad.optics.parts().colours.len();
-        let because = format!("the filter of {} % takes {times} wavelengths, and as often the time", 100.0 * width);
+        let because =
+            format!("the filter of {} % takes {times} wavelengths, and {times} times the time", 100.0 * width);
         omissions.push(Omission { what: "bandwidth of the filter", modelled, with_nm, without_nm, because });
     }
     let mut alternative = |what, key, value: &str, because: String| -> Result<()> {
         let scene = planned.with_override(key, value)?;
-        let price = trials.price(&like.variant(&scene, Recipe::of(&scene))?, cancel)?;
+        let price = trials.price(&like.variant(&scene, Recipe::from_scene(&scene))?, cancel)?;
         omissions.push(Omission { what, modelled: true, with_nm: own, without_nm: price.error_nm(), because });
         Ok(())
     };

@@ -5,26 +5,26 @@ use super::price::Price;
 use crate::Result;
 use crate::scene::Scene;
 
-/// What was decided.
+/// Plan of the model of a scene.
 #[derive(Debug, Clone)]
 pub struct Plan {
     /// The scene with the choices as keys.
     pub scene: Scene,
-    /// What was asked for: RMS error of the phasing, and of the NCPA, nm.
+    /// Error budget: RMS error of the phasing, and of the NCPA, nm.
     pub budget_nm: f64,
     /// The scene's own model in double precision.
     pub reference: Price,
     /// The model of the plan.
     pub chosen: Price,
-    /// What was tried, in order.
+    /// Choices that were tried, in order.
     pub choices: Vec<Choice>,
-    /// What is there and not modelled, or modelled and perhaps not needed.
+    /// Effects that are not modelled, or modelled and perhaps not needed.
     pub omissions: Vec<Omission>,
-    /// Wavefronts that were drawn.
+    /// Number of wavefronts that were drawn.
     pub draws: usize,
 }
 
-/// One value of one key, tried.
+/// One value of one key that was tried.
 #[derive(Debug, Clone)]
 pub struct Choice {
     /// `section.key`.
@@ -33,7 +33,7 @@ pub struct Choice {
     pub value: String,
     /// Whether the plan has it.
     pub kept: bool,
-    /// What it costs with all that was kept before.
+    /// Cost with all choices that were kept before.
     pub price: Price,
 }
 
@@ -51,7 +51,7 @@ impl Plan {
         self.chosen.error_nm() <= self.budget_nm
     }
 
-    /// Where the budget cannot be met: why, and what would help.
+    /// Why the budget cannot be met, and what would help; `None` where it is met.
     pub fn shortfall(&self) -> Option<String> {
         if self.is_met() {
             return None;
@@ -65,7 +65,7 @@ impl Plan {
             )
         } else {
             format!(
-                "no model that was tried keeps the error below {:.2} nm, where {budget_nm} nm were asked for",
+                "no model that was tried keeps the error below {:.2} nm, and the budget is {budget_nm} nm",
                 self.chosen.error_nm()
             )
         })

@@ -1,11 +1,11 @@
-//! What a model costs.
+//! Cost of a model: its error, and the work of a fit.
 
-/// The error of a model, and the work that it takes.
+/// Error of a model, and the work of one image's fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Price {
-    /// RMS error without noise, nm, of the phasing and of the NCPA: the worst of the draws.
+    /// RMS error without noise, nm, of the phasing and of the NCPA: the largest of the draws.
     pub model_nm: [f64; 2],
-    /// RMS error that noise adds at the least (Cramér-Rao bound of these pixels), nm, likewise.
+    /// RMS error from noise (Cramér-Rao bound of these pixels), nm, of the phasing and of the NCPA.
     pub noise_nm: [f64; 2],
     /// Evaluations of the objective for one image, mean.
     pub evaluations: f64,

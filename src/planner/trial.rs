@@ -1,4 +1,4 @@
-//! Wavefronts of a scene, imaged without noise, and what a model makes of them.
+//! Trials: wavefronts of a scene, imaged without noise, and the error with which a model estimates them.
 
 use super::price::Price;
 use crate::imaging::Chain;
@@ -16,15 +16,16 @@ use rand_chacha::ChaCha12Rng;
 use rayon::prelude::*;
 use std::time::Instant;
 
-/// Wavefronts that are drawn. The worst of eight stands for the scene: of a hundred more, one in nine is worse, by the
-/// head-room that [`super::walk`] leaves.
+/// Number of wavefronts that are drawn. The largest error of eight represents the scene: of a hundred more, one in nine is worse,
+/// for which [`super::search`] leaves a margin.
 pub(super) const DRAWS: usize = 8;
-/// Stream of the random numbers: not those of the scene's own images, so that no image is judged by itself.
+/// Stream of the random numbers: another one than that of the scene's own images, so that no image is estimated with a model that
+/// was chosen by it.
 const STREAM: u64 = 0x70_6c_61_6e;
-/// Pistons that are drawn where the scene does not say, nm RMS, and NCPA: what segments and optics that were aligned
-/// once drift to.
+/// RMS of the pistons and of the NCPA that are drawn where the scene has none, nm: typical of segments and optics that drift after
+/// an alignment.
 const ASSUMED_NM: [&str; 2] = ["60", "70"];
-/// The last Noll index of the NCPA then.
+/// Last Noll index of these NCPA.
 const ASSUMED_LAST_NOLL: usize = 18;
 
 /// The draws of one scene.
@@ -39,8 +40,8 @@ pub(super) struct Trials {
 
 impl Trials {
     /// Draws and images wavefronts of `scene`.
-    pub(super) fn of(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Self> {
-        let scene = &if scene.aberrations.is_some() { scene.clone() } else { assumed(scene)? };
+    pub(super) fn new(scene: &Scene, cancel: Option<&CancelFlag>) -> Result<Self> {
+        let scene = &if scene.aberrations.is_some() { scene.clone() } else { with_assumed_aberrations(scene)? };
         let telescope = Telescope::new(scene)?;
         let camera = Camera::new(scene, &telescope)?;
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
@@ -48,7 +49,7 @@ impl Trials {
         rng.set_stream(STREAM);
         let truths = (0..DRAWS).map(|_| Truth::draw(scene, &telescope, &mut rng)).collect::<Result<Vec<_>>>()?;
         let psf = |truth: &Truth| -> Result<(Array2<f64>, f64)> {
-            stop(cancel)?;
+            check_cancelled(cancel)?;
             let psf = camera.psf(truth)?;
             let flux_e = source::flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
             Ok((psf * flux_e + scene.image.background_e, flux_e))
@@ -61,15 +62,15 @@ impl Trials {
         Ok(Self { bad: frames_e.mapv(|_| false), frames_e, truths, flux_e })
     }
 
-    /// What `estimator` costs on these wavefronts.
+    /// Cost of `estimator` on these wavefronts.
     pub(super) fn price(&self, estimator: &ModalFitter, cancel: Option<&CancelFlag>) -> Result<Price> {
-        stop(cancel)?;
+        check_cancelled(cancel)?;
         let (model, scene) = (estimator.model(), estimator.scene());
         let precision = scene.estimate.precision.into();
         let mut chain = Chain::cpu(model.optics.clone(), precision);
         let cube = Cube { images_e: self.frames_e.view(), bad: self.bad.view(), read_noise_e: None };
         let found = estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;
-        // Once more for the time: the first fit also makes the metrics.
+        // Once more for the time: the first fit also computes the metrics.
         let began = Instant::now();
         estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;
         let estimate_us = 1e6 * began.elapsed().as_secs_f64() / DRAWS as f64;
@@ -79,7 +80,7 @@ impl Trials {
             .zip(found.coefficients_nm.axis_iter(Axis(0)).into_par_iter())
             .map(|(truth, coefficients_nm)| errors_nm(estimator, truth, &coefficients_nm.to_vec()))
             .collect::<Result<Vec<_>>>()?;
-        // A fit that failed is no model at all.
+        // A fit that failed has an infinite error.
         let worst = |part: usize| {
             errors
                 .iter()
@@ -97,7 +98,7 @@ impl Trials {
         })
     }
 
-    /// What noise leaves of the scene's images together, at the first draw.
+    /// Error from the noise of all images of the scene together, at the first draw.
     fn noise_nm(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let (model, scene) = (estimator.model(), estimator.scene());
         let at = coefficients_nm.row(0);
@@ -107,21 +108,21 @@ impl Trials {
         let covariance_nm2 = estimator.bound(at, self.flux_e, scene.image.background_e)?;
         let (n, pupil) = (model.segment_modes, &model.telescope.pupil);
         let images = (scene.image.count as f64).sqrt();
-        // By products and not by maps, which thousands of segment modes would fill the memory with.
+        // By inner products, because the maps of thousands of segment modes would fill the memory.
         let weight = &pupil.amplitude / pupil.weight_sum();
         let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
         let gram = MapGram::from_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
-        let of = |part: std::ops::Range<usize>| -> Result<f64> {
+        let rms_nm = |part: std::ops::Range<usize>| -> Result<f64> {
             let mut own = Array2::zeros(covariance_nm2.dim());
             own.slice_mut(s![part.clone(), part.clone()]).assign(&covariance_nm2.slice(s![part.clone(), part]));
             Ok(gram.expected_rms_nm(own.view())? / images)
         };
-        Ok([of(0..n)?, of(n..covariance_nm2.nrows())?])
+        Ok([rms_nm(0..n)?, rms_nm(n..covariance_nm2.nrows())?])
     }
 }
 
-/// `scene` with aberrations that its own modes can hold: what else there may be, nobody has said.
-fn assumed(scene: &Scene) -> Result<Scene> {
+/// `scene` with aberrations that its own modes span: nothing is known of others.
+fn with_assumed_aberrations(scene: &Scene) -> Result<Scene> {
     let last = match scene.modes.ncpa {
         NcpaBasis::Kl => ASSUMED_LAST_NOLL,
         NcpaBasis::Zernike => ASSUMED_LAST_NOLL.min(scene.modes.ncpa_count + 1),
@@ -156,8 +157,8 @@ fn errors_nm(estimator: &ModalFitter, truth: &Truth, coefficients_nm: &[f64]) ->
 }
 
 /// # Errors
-/// [`Error::Interrupted`] where the flag is up.
-fn stop(cancel: Option<&CancelFlag>) -> Result<()> {
+/// [`Error::Interrupted`] where the flag is raised.
+fn check_cancelled(cancel: Option<&CancelFlag>) -> Result<()> {
     if cancel.is_some_and(|flag| flag.load(std::sync::atomic::Ordering::Relaxed)) {
         return Err(Error::Interrupted("nothing was planned".into()));
     }

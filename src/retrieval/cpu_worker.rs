@@ -5,7 +5,7 @@ use super::static_wavefront::StaticWavefront;
 use super::workspace::{ThreadBuffers, Workspace};
 use crate::Result;
 use crate::imaging::Polynomial;
-use crate::modal::Prepared;
+use crate::modal::PreparedFrame;
 use crate::optimize::Progress;
 
 impl<T: Polynomial> Workspace<T> {
@@ -13,7 +13,11 @@ impl<T: Polynomial> Workspace<T> {
     ///
     /// # Errors
     /// Broken promises of this module's.
-    pub(super) fn retrieve(&self, mut prepared: Prepared, about: Option<&StaticWavefront>) -> Result<RetrievedImage> {
+    pub(super) fn retrieve(
+        &self,
+        mut prepared: PreparedFrame,
+        about: Option<&StaticWavefront>,
+    ) -> Result<RetrievedImage> {
         let model = &self.model;
         let (mut optimisation, mut buffers) = (self.take_optimisation()?, self.take_buffers());
         optimisation.begin(model, &mut prepared, about)?;

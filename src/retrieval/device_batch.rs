@@ -9,7 +9,7 @@ use super::settings::RetrievalSettings;
 use super::static_wavefront::StaticWavefront;
 use super::workspace::Workspace;
 use crate::imaging::{Chain, Evaluation, Exposure, Polynomial};
-use crate::modal::Prepared;
+use crate::modal::PreparedFrame;
 use crate::optimize::{CancelFlag, Progress};
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
@@ -20,7 +20,7 @@ use std::sync::atomic::Ordering;
 const OPTIMISATION_BYTES: usize = 512 << 20;
 
 /// A prepared image, or the reason why it is unusable.
-pub(super) type PreparedImage = std::result::Result<Prepared, String>;
+pub(super) type PreparedImage = std::result::Result<PreparedFrame, String>;
 
 /// Takes the result of an image, or the reason why it is unusable.
 pub(super) type Store<'a> = dyn FnMut(usize, std::result::Result<RetrievedImage, String>) + 'a;
@@ -59,7 +59,7 @@ struct Lane<T: Polynomial> {
     image: usize,
     /// Index of the image in the chain.
     slot: usize,
-    prepared: Prepared,
+    prepared: PreparedFrame,
     optimisation: MapOptimisation<T>,
 }
 
@@ -111,7 +111,7 @@ impl<T: Polynomial> Workspace<T> {
         &self,
         task: &RetrievalTask,
         image: usize,
-    ) -> Result<std::result::Result<(Prepared, MapOptimisation<T>), String>> {
+    ) -> Result<std::result::Result<(PreparedFrame, MapOptimisation<T>), String>> {
         let mut prepared = match (task.prepare)(image)? {
             Ok(prepared) => prepared,
             Err(refusal) => return Ok(Err(refusal)),

@@ -129,7 +129,7 @@ mod tests {
     fn analytic_information_of_a_sample_agrees_with_the_probes() {
         let settings = [("pupil.samples", "64"), ("modes.ncpa", "none"), ("modes.exact_zernikes", "[2, 3]")];
         let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
-        let model = Model::of(&scene, &Recipe::of(&scene), false).unwrap();
+        let model = Model::new(&scene, &Recipe::from_scene(&scene), false).unwrap();
         let prior = RadialPsd::ao_residual(&scene, StaticAberrationRms::default()).unwrap();
         let pitch_m = 11.25 * model.width_ratio() / 64.0;
         let typical = TypicalExposure { flux_e: 1e9, background_e: 0.0, pixel_variance_e2: 100.0 };

@@ -16,7 +16,7 @@ use super::segment_amplitudes::SegmentAmplitudes;
 use super::static_wavefront::StaticWavefront;
 use crate::Result;
 use crate::imaging::{Evaluation, Polynomial, Scratch};
-use crate::modal::{Prepared, photometry};
+use crate::modal::{PreparedFrame, photometry};
 use crate::optimize::{Progress, QuasiNewton};
 use ndarray::{Array1, ArrayView1};
 use std::f64::consts::TAU;
@@ -78,7 +78,7 @@ impl<T: Polynomial> MapOptimisation<T> {
     pub(super) fn begin(
         &mut self,
         model: &MapModel<T>,
-        prepared: &mut Prepared,
+        prepared: &mut PreparedFrame,
         about: Option<&StaticWavefront>,
     ) -> Result<()> {
         let (mut flux_e, mut weighed_e) = (0.0, 0.0);
@@ -192,7 +192,7 @@ impl<T: Polynomial> MapOptimisation<T> {
     pub(super) fn result(
         &mut self,
         model: &MapModel<T>,
-        prepared: &Prepared,
+        prepared: &PreparedFrame,
         preconditioner_scratch: &mut PreconditionerScratch<T>,
         scratch: &mut Scratch<T>,
     ) -> RetrievedImage {

@@ -51,7 +51,7 @@ impl Retriever {
     /// the segments need, unless `estimate.samples` and `image.crop_pixels` give them.
     ///
     /// # Errors
-    /// Those of [`Model::of`]; [`Error::Value`] for a setting out of range.
+    /// Those of [`Model::new`]; [`Error::Value`] for a setting out of range.
     pub fn new(scene: &Scene, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
         Self::with_telescope(scene, Telescope::new(scene)?, prior, settings)
     }
@@ -75,8 +75,8 @@ impl Retriever {
             ("estimate.optimizer", "gauss-newton"),
         ])?;
         let scene = with_retrieval_sampling(&scene, &telescope, settings.cycles_across_a_segment)?;
-        let recipe = Recipe::of(&scene);
-        let model = Model::of_telescope(&scene, &recipe, telescope)?;
+        let recipe = Recipe::from_scene(&scene);
+        let model = Model::with_telescope(&scene, &recipe, telescope)?;
         let samples = model.optics.sampling().samples;
         let pitch_m = model.width_ratio() * model.telescope.pupil.grid.width_m() / samples as f64;
         let at = |i: usize| (i as f64 - (samples as f64 - 1.0) / 2.0) * pitch_m;

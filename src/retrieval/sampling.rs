@@ -89,7 +89,7 @@ mod tests {
     fn the_highest_frequency_is_that_of_the_copies_on_the_pixels() {
         let scene = Scene::preset("keck-onsky").unwrap().with(&[("image.crop_pixels", "152")]).unwrap();
         let scene = scene.with(&[("estimate.samples", "144")]).unwrap();
-        let model = Model::of(&scene, &crate::modal::Recipe::of(&scene), false).unwrap();
+        let model = Model::new(&scene, &crate::modal::Recipe::from_scene(&scene), false).unwrap();
         let highest = highest_frequency_per_m(&scene, &model).unwrap();
         let spot = spot(&scene, &model.telescope).unwrap();
         assert!((highest - (38.0 + spot) / 11.25).abs() < 1e-9, "{highest}");

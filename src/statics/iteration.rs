@@ -6,7 +6,7 @@ use super::segment_tilts::SegmentTilts;
 use super::static_errors::StaticErrors;
 use crate::Result;
 use crate::loop_response::{CorrectableErrors, Corrections};
-use crate::modal::{HeldDiversity, within_reach};
+use crate::modal::{DiversityProjection, check_reachable};
 use crate::modes::SegmentModes;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
@@ -41,7 +41,7 @@ pub struct Iteration {
     /// RMS of the wavefronts about their mean, nm.
     pub residual_rms_nm: f64,
     /// Diversity in the NCPA's modes.
-    pub diversity: HeldDiversity,
+    pub diversity: DiversityProjection,
     /// Tilts of single segments in the mean wavefront's residual; of the last iteration only.
     pub segment_tilts: Option<SegmentTilts>,
 }
@@ -75,7 +75,7 @@ impl Iteration {
         for (i, wanted_nm) in wanted_nm.into_iter().enumerate() {
             let averaged_nm = averaged_nm[i];
             let shared_nm2 = (total_nm[i].powi(2) - averaged_nm.powi(2)).max(0.0);
-            within_reach(wanted_nm, shared_nm2)?;
+            check_reachable(wanted_nm, shared_nm2)?;
             factor = factor.max((averaged_nm / (wanted_nm.powi(2) - shared_nm2).sqrt()).powi(2));
         }
         Ok(((factor - 1.0) * self.used_images.len() as f64).ceil() as usize)

@@ -6,7 +6,7 @@ use super::iteration::Iteration;
 use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::static_errors::StaticErrors;
 use crate::metrics::MapGram;
-use crate::modal::{HeldDiversity, Holder};
+use crate::modal::{DiversityProjection, ModeProjector};
 use crate::modes::{Basis, SmoothBasis};
 use crate::pupil::Pupil;
 use crate::retrieval::IlluminatedSamples;
@@ -26,11 +26,11 @@ pub(super) struct StaticModes {
     maps: Array3<f64>,
     segments: usize,
     gram: [MapGram; 2],
-    diversity: HeldDiversity,
+    diversity: DiversityProjection,
     /// Covariance of the NCPA's modes from an error of the diversity common to all images, nm²; `None` where it is known.
     diversity_nm2: Option<Array2<f64>>,
     /// The NCPA's modes on the scene's grid with the projection of maps onto them, where the loop response is unknown.
-    projection: Option<(Basis, Holder)>,
+    projection: Option<(Basis, ModeProjector)>,
 }
 
 /// RMS response of an unknown loop to the pistons, over their projection onto the NCPA's modes: 1/√3, of a response uniform from 0
@@ -53,12 +53,12 @@ impl StaticModes {
         let at_all = basis.evaluate(&samples.xs_m, &samples.ys_m)?;
         let pupil = &telescope.pupil;
         let sampled = basis.sampled(pupil)?;
-        let diversity = HeldDiversity::of(scene, telescope, &sampled, 0)?;
+        let diversity = DiversityProjection::new(scene, telescope, &sampled, 0)?;
         let diversity_nm2 = diversity_covariance_nm2(&diversity, scene)?;
         let smooth = sampled.maps();
         let projection = match is_loop_known {
             true => None,
-            false => Some(Holder::of(pupil, &sampled, 0)?).map(|holder| (sampled, holder)),
+            false => Some(ModeProjector::new(pupil, &sampled, 0)?).map(|projector| (sampled, projector)),
         };
         let pistons = crate::modes::SegmentModes::Piston.maps(pupil)?.maps();
         let gram = [MapGram::new(pupil, pistons.view())?, MapGram::new(pupil, smooth.view())?];
@@ -153,9 +153,9 @@ impl StaticModes {
 
     /// Standard deviation of an unknown loop's response to the pistons, in the NCPA's modes, nm; 0 where the loop is known.
     fn unknown_response_nm(&self, coefficients: &Array1<f64>) -> Result<Array1<f64>> {
-        let Some((basis, holder)) = &self.projection else { return Ok(Array1::zeros(self.at_all.nrows())) };
+        let Some((basis, projector)) = &self.projection else { return Ok(Array1::zeros(self.at_all.nrows())) };
         let pistons_nm = self.sum(coefficients, 0..self.segments);
-        Ok(holder.held(basis, &pistons_nm)?.coefficients_nm * UNKNOWN_RESPONSE)
+        Ok(projector.project(basis, &pistons_nm)?.coefficients_nm * UNKNOWN_RESPONSE)
     }
 
     /// Map of the modes in `range`, NaN outside the pupil.
@@ -190,9 +190,9 @@ impl StaticModes {
 }
 
 /// Covariance of the NCPA's modes from an error of the diversity, nm².
-fn diversity_covariance_nm2(diversity: &HeldDiversity, scene: &Scene) -> Result<Option<Array2<f64>>> {
+fn diversity_covariance_nm2(diversity: &DiversityProjection, scene: &Scene) -> Result<Option<Array2<f64>>> {
     let fraction = scene.estimate.diversity_error;
-    let left = 100.0 * diversity.outside;
+    let left = 100.0 * diversity.residual_share;
     let remedy = format!("the full-phase estimate's modes leave {left:.0} % of this one, and hold a focus");
     (fraction > 0.0).then(|| diversity.covariance_nm2(fraction, &remedy)).transpose()
 }
@@ -204,7 +204,7 @@ fn diversity_covariance_nm2(diversity: &HeldDiversity, scene: &Scene) -> Result<
 pub(crate) fn check_diversity(family: NcpaFamily, scene: &Scene, telescope: &Telescope) -> Result<()> {
     if scene.estimate.diversity_error > 0.0 {
         let sampled = NcpaBasis::new(family, scene, telescope)?.modes.sampled(&telescope.pupil)?;
-        diversity_covariance_nm2(&HeldDiversity::of(scene, telescope, &sampled, 0)?, scene)?;
+        diversity_covariance_nm2(&DiversityProjection::new(scene, telescope, &sampled, 0)?, scene)?;
     }
     Ok(())
 }

@@ -225,7 +225,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_alone() {
     // A focus is Noll's 4, the third of the modes, and of 1.5 waves RMS over the finest pupil: a part in a hundred.
     let segments = sure.errors.pistons_nm.len();
     let (rms_nm, along_nm) = (1.5 * known.image.wavelength_nm, &sure.diversity.coefficients_nm);
-    assert!((along_nm[2].abs() / rms_nm - 1.0).abs() < 0.01 && sure.diversity.is_held(), "{:?}", sure.diversity);
+    assert!((along_nm[2].abs() / rms_nm - 1.0).abs() < 0.01 && sure.diversity.is_spanned(), "{:?}", sure.diversity);
     let more_nm2 = &unsure.errors.covariance_nm2 - &sure.errors.covariance_nm2;
     let along = |mode: usize| if mode < segments { 0.0 } else { fraction * along_nm[mode - segments] };
     // Rounding of variances of some 10⁵ nm².

@@ -94,7 +94,7 @@ fn a_plan_is_a_scene_that_says_the_same_on_every_run() {
     assert_eq!(first.scene.text(), second.scene.text());
     // The budget is spent: the plan is not planned again.
     assert_eq!(first.scene.estimate.budget_nm, None);
-    assert_eq!(planner::resolved(&scene, None).unwrap().text(), first.scene.text());
+    assert_eq!(planner::resolve(&scene, None).unwrap().text(), first.scene.text());
     // What was decided stands in it, and what was not asked for is as it was.
     assert!(matches!(first.scene.image.crop_pixels, Crop::Pixels(_)));
     assert!(first.scene.estimate.samples.is_some_and(|samples| samples < 64), "{:?}", first.scene.estimate.samples);

@@ -179,7 +179,7 @@ impl Reader {
     pub fn new(way: Way, scene: &Scene) -> Result<Self> {
         let mut recipe = match way {
             Way::Paper => Recipe::paper_objective(scene),
-            Way::Ours => Recipe::of(scene),
+            Way::Ours => Recipe::from_scene(scene),
         };
         let precision = if scene.image.count > 1 {
             recipe.step_tolerance_nm = recipe.step_tolerance_nm.max(TURBULENT_STEP_NM);

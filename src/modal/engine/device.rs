@@ -41,7 +41,7 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
         let settings = settings(task.model, task.recipe, chain.precision(), task.cancel);
         let (count, modes) = (images.len(), task.model.optics.modes());
         let runner = |image: &&mut ImageFit| -> Result<Runner> {
-            let metric = task.metrics.of(task.reference, &image.prepared)?;
+            let metric = task.metrics.for_image(task.reference, &image.prepared)?;
             let mut runner = Runner::new(metric.0, task.recipe, settings.clone())?;
             runner.begin(metric, &image.start_nm, task.deadline)?;
             Ok(runner)
@@ -64,7 +64,7 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
                 all.filter_map(own).collect()
             };
             let step = |(runner, fit, evaluation): (&mut Runner, &mut &mut ImageFit, &Evaluation)| -> Result<Next> {
-                let next = runner.tell(evaluation);
+                let next = runner.advance(evaluation);
                 // A device gives no PSFs.
                 let psf = |runner: &Runner| task.reference.psf(ArrayView1::from(runner.point()));
                 match next {

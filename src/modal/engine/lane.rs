@@ -4,7 +4,7 @@
 use super::task::{FitState, FitTask, ImageFit, Prepare};
 use crate::Result;
 use crate::imaging::{CpuChain, Evaluation, FlatWavefront, LoadedImage, Polynomial, Precision, Scratch};
-use crate::modal::prepare::{Prepared, Preparer};
+use crate::modal::prepare::{PreparedFrame, Preparer};
 use crate::modal::runner::{Next, Runner, settings};
 use crate::optimize::StopReason;
 use ndarray::ArrayView1;
@@ -27,7 +27,7 @@ pub(super) struct Lane<T: Polynomial> {
 
 impl<T: Polynomial> Lane<T> {
     /// # Errors
-    /// [`crate::Error::Value`] for settings out of range, or where no mode is seen at all.
+    /// [`crate::Error::Value`] for settings out of range, or where no mode changes the image.
     pub(super) fn new(chain: &CpuChain<T>, precision: Precision, task: &FitTask) -> Result<Self> {
         let pixels = chain.optics().sampling().pixels;
         let settings = settings(task.model, task.recipe, precision, task.cancel);
@@ -64,7 +64,7 @@ impl<T: Polynomial> Lane<T> {
         }
         match prepare(index, &mut self.preparer, &mut image.prepared) {
             Ok(()) => {
-                let metric = task.metrics.of(task.reference, &image.prepared)?;
+                let metric = task.metrics.for_image(task.reference, &image.prepared)?;
                 self.runner.begin(metric, &image.start_nm, task.deadline)?;
                 self.minimize(chain, &mut image.prepared)?;
                 self.runner.write(&mut image.minimum);
@@ -77,12 +77,12 @@ impl<T: Polynomial> Lane<T> {
     }
 
     /// Runs the optimiser, which has begun, to the minimum of `image`.
-    fn minimize(&mut self, chain: &CpuChain<T>, image: &mut Prepared) -> Result<()> {
+    fn minimize(&mut self, chain: &CpuChain<T>, image: &mut PreparedFrame) -> Result<()> {
         chain.set(&mut self.loaded, &image.exposure)?;
         let mut next = Next::Evaluation;
         if self.runner.point().iter().all(|&nm| nm == 0.0) {
             chain.evaluate_flat(&self.loaded, &mut self.flat, &mut self.evaluation);
-            next = self.runner.tell(&self.evaluation);
+            next = self.runner.advance(&self.evaluation);
         }
         loop {
             next = match next {
@@ -90,14 +90,14 @@ impl<T: Polynomial> Lane<T> {
                     let Self { runner, loaded, scratch, evaluation, psf_at_nm, .. } = self;
                     chain.evaluate_one(loaded, runner.point().into(), scratch, evaluation);
                     psf_at_nm.copy_from_slice(runner.point());
-                    runner.tell(evaluation)
+                    runner.advance(evaluation)
                 }
                 Next::Renewal => {
                     self.compute_psf(chain);
                     self.runner.renew(&self.psf, image)?;
                     chain.set(&mut self.loaded, &image.exposure)?;
                     chain.evaluate_at_last_psf(&self.loaded, &mut self.scratch, &mut self.evaluation);
-                    self.runner.tell(&self.evaluation)
+                    self.runner.advance(&self.evaluation)
                 }
                 Next::Psf => {
                     // Most fits end where they were evaluated last.

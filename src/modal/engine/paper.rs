@@ -10,8 +10,8 @@ use crate::optimize::ArgminBfgs;
 use ndarray::{Array1, ArrayView1};
 
 /// The paper's BFGS also stops where the objective, in units of the brightest pixel squared, changes by no more than this:
-/// a few roundings. Where much is unexplained the gradient never gets small against them, and 2,000 evaluations are
-/// spent on nothing; with it 330 lead to within 1e-4 nm of the same point (150 nm of turbulence).
+/// a few roundings. Where the residual is large the gradient stays above its tolerance because of rounding, and a fit takes
+/// all 2,000 evaluations; with this limit 330 lead to within 1e-4 nm of the same point (150 nm of turbulence).
 const COST_TOLERANCE: f64 = 1e-13;
 
 pub(super) fn fit(

@@ -4,7 +4,7 @@ use crate::imaging::CpuChain;
 use crate::modal::metrics::Metrics;
 use crate::modal::minimum::Minimum;
 use crate::modal::model::Model;
-use crate::modal::prepare::{Preparation, Prepared, Preparer, Refusal};
+use crate::modal::prepare::{Preparation, PreparedFrame, Preparer, Refusal};
 use crate::modal::recipe::Recipe;
 use crate::optimize::{CancelFlag, StopReason};
 use crate::{Error, Result};
@@ -12,12 +12,12 @@ use ndarray::ArrayView2;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Called with the number of images that are done, and of all.
+/// Observer of progress: called with the number of images that are done, and the number of all.
 pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
 
 /// Prepares frame `index` in memory of the engine's.
 pub(in crate::modal) type Prepare<'a> =
-    dyn Fn(usize, &mut Preparer, &mut Prepared) -> std::result::Result<(), Refusal> + Sync + 'a;
+    dyn Fn(usize, &mut Preparer, &mut PreparedFrame) -> std::result::Result<(), Refusal> + Sync + 'a;
 
 /// What all fits of a call share.
 pub(in crate::modal) struct FitTask<'a> {
@@ -27,7 +27,7 @@ pub(in crate::modal) struct FitTask<'a> {
     pub(in crate::modal) metrics: &'a Metrics,
     pub(in crate::modal) recipe: &'a Recipe,
     pub(in crate::modal) cancel: Option<&'a CancelFlag>,
-    /// When to stop wherever the fits stand; the paper's BFGS ignores it.
+    /// When to stop, converged or not; the paper's BFGS ignores it.
     pub(in crate::modal) deadline: Option<Instant>,
 }
 
@@ -60,7 +60,7 @@ pub(in crate::modal) enum FitState {
 /// Fit of one image: what goes in, and where it ended.
 #[derive(Clone)]
 pub(in crate::modal) struct ImageFit {
-    pub(in crate::modal) prepared: Prepared,
+    pub(in crate::modal) prepared: PreparedFrame,
     /// Where the fit starts, nm.
     pub(in crate::modal) start_nm: Vec<f64>,
     pub(in crate::modal) minimum: Minimum,
@@ -73,9 +73,9 @@ impl ImageFit {
     /// Memory for the fit of an image with `modes` modes, from the flat wavefront.
     pub(in crate::modal) fn new(preparation: &Preparation, modes: usize) -> Self {
         Self {
-            prepared: preparation.room(),
+            prepared: preparation.empty(),
             start_nm: vec![0.0; modes],
-            minimum: Minimum::room(modes),
+            minimum: Minimum::empty(modes),
             state: FitState::NotBegun,
             seconds: 0.0,
         }
@@ -85,15 +85,16 @@ impl ImageFit {
         self.state == FitState::Fitted
     }
 
-    /// Takes the place of another try, `again`, if that has a smaller χ²; counts the evaluations of both. Whether it did.
-    pub(in crate::modal) fn improve(&mut self, again: Self) -> bool {
-        if !again.is_fitted() {
+    /// Replaces this fit by another one of the same image where that has a smaller χ², and adds up the evaluations of both.
+    /// Returns whether it was replaced.
+    pub(in crate::modal) fn improve(&mut self, other: Self) -> bool {
+        if !other.is_fitted() {
             return false;
         }
-        let evaluations = self.minimum.evaluations + again.minimum.evaluations;
-        let is_better = again.minimum.reduced_chi2 < self.minimum.reduced_chi2 || self.minimum.reduced_chi2.is_nan();
+        let evaluations = self.minimum.evaluations + other.minimum.evaluations;
+        let is_better = other.minimum.reduced_chi2 < self.minimum.reduced_chi2 || self.minimum.reduced_chi2.is_nan();
         if is_better {
-            *self = again;
+            *self = other;
         }
         self.minimum.evaluations = evaluations;
         is_better
@@ -131,7 +132,7 @@ pub(in crate::modal) trait Engine: Send {
     }
 }
 
-/// Time between two reports of progress on the CPU, about: all threads wait for each other then.
+/// Approximate time between two reports of progress on the CPU: all threads wait for each other then.
 pub(super) const REPORT: Duration = Duration::from_millis(100);
 
 pub(super) fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()> {

@@ -50,7 +50,7 @@ fn products_in_tiles_are_those_of_the_whole() {
     let weights = weights(m * m);
     for nuisances in [Nuisances::None, Nuisances::Flux, Nuisances::FluxAndBackground] {
         let whole = products(&linear, nuisances, &weights, m);
-        let kept = Kept::new(&linear, nuisances).products(&weights);
+        let kept = StoredDerivatives::new(&linear, nuisances).products(&weights);
         assert_eq!(whole, kept, "the same work, twice");
         // Tiles that divide the image, that do not, and the smallest.
         for tile in [m / 2, 7, 1] {
@@ -86,10 +86,10 @@ fn what_flux_and_background_absorb_is_what_projection_removes() {
     }
     let nuisances = Nuisances::FluxAndBackground;
     let found = products(&linear, nuisances, &weights, 11);
-    let absorbed = Absorbed::of(&found[0], nuisances);
+    let shares = NuisanceShares::new(&found[0], nuisances);
     for (found, weight) in found.into_iter().zip(&weights) {
         let wanted = (&jacobian * &Array1::from(weight.clone())).dot(&jacobian.t());
-        let found = absorbed.cleared(found);
+        let found = shares.project_out(found);
         assert_eq!(found, found.t(), "symmetric to the last bit");
         // Taking out cancels at most the modes' own share of the nuisances: no entry is less than 1e-3 of what it was.
         let off = difference(&found, &wanted);
@@ -101,7 +101,7 @@ fn what_flux_and_background_absorb_is_what_projection_removes() {
 fn a_nuisance_that_is_another_is_taken_out_once() {
     // Rows: one mode, a nuisance, and the same nuisance doubled.
     let products = ndarray::array![[5.0, 2.0, 4.0], [2.0, 1.0, 2.0], [4.0, 2.0, 4.0]];
-    let cleared = Absorbed::of(&products, Nuisances::FluxAndBackground).cleared(products);
+    let cleared = NuisanceShares::new(&products, Nuisances::FluxAndBackground).project_out(products);
     assert_eq!(cleared, ndarray::array![[1.0]]);
 }
 

@@ -1,9 +1,9 @@
-//! What the rows of a frame hold, in vectors.
+//! Extents of the rows of a frame: number, range and sum of their good pixels, with vector instructions.
 
 use ndarray::ArrayView2;
 use pulp::{Arch, NullaryFnOnce};
 
-/// What the good pixels of a row hold.
+/// Number, range and sum of the good pixels of a row.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Extent {
     pub(super) good: usize,
@@ -13,15 +13,15 @@ pub(super) struct Extent {
 }
 
 impl Extent {
-    pub(super) const NOTHING: Self = Self { good: 0, least: f64::MAX, most: f64::MIN, sum: 0.0 };
+    pub(super) const EMPTY: Self = Self { good: 0, least: f64::MAX, most: f64::MIN, sum: 0.0 };
 
-    /// Of a row without a bad pixel.
-    pub(super) fn of(row: &[f64]) -> Self {
+    /// Extent of a row without a bad pixel.
+    pub(super) fn from_row(row: &[f64]) -> Self {
         Arch::new().dispatch(Row(row)).0
     }
 
-    /// The same, where all of the row are finite.
-    pub(super) fn of_finite(row: &[f64]) -> Option<Self> {
+    /// Extent of a row without a bad pixel; `None` where a value is not finite.
+    pub(super) fn from_finite_row(row: &[f64]) -> Option<Self> {
         let (extent, finite) = Arch::new().dispatch(Row(row));
         finite.then_some(extent)
     }
@@ -40,14 +40,18 @@ impl Extent {
     }
 }
 
-/// The extents of all rows of a frame into `extents`, where none of its pixels is marked as bad or not finite; `None`
+/// Writes the extents of all rows of a frame, where none of its pixels is marked as bad or not finite; `None`
 /// where one is, or where its rows are not contiguous.
-pub(super) fn of_clean_rows(data: ArrayView2<f64>, bad: ArrayView2<bool>, extents: &mut [Extent]) -> Option<()> {
+pub(super) fn extents_of_clean_rows(
+    data: ArrayView2<f64>,
+    bad: ArrayView2<bool>,
+    extents: &mut [Extent],
+) -> Option<()> {
     let (data, marks) = (data.to_slice()?, bad.to_slice()?);
     Arch::new().dispatch(Frame { data, marks, columns: bad.ncols(), extents }).then_some(())
 }
 
-/// [`of_clean_rows`] of contiguous rows, compiled for the widest vectors that this processor has.
+/// [`extents_of_clean_rows`] of contiguous rows, compiled for the widest vectors that this processor has.
 struct Frame<'a> {
     data: &'a [f64],
     marks: &'a [bool],
@@ -60,7 +64,7 @@ impl NullaryFnOnce for Frame<'_> {
 
     #[inline(always)]
     fn call(self) -> bool {
-        // Without a way out of the loop it runs in vectors.
+        // A loop without an early exit is vectorised.
         if self.marks.iter().fold(false, |any, marked| any | *marked) {
             return false;
         }
@@ -73,7 +77,7 @@ impl NullaryFnOnce for Frame<'_> {
     }
 }
 
-/// The extent of a row, and whether all of it is finite: in eight parts, so that it runs in vectors.
+/// The extent of a row, and whether all of it is finite: in eight partial sums, so that it is vectorised.
 struct Row<'a>(&'a [f64]);
 
 impl NullaryFnOnce for Row<'_> {
@@ -83,7 +87,7 @@ impl NullaryFnOnce for Row<'_> {
     fn call(self) -> (Extent, bool) {
         const LANES: usize = 8;
         let (mut least, mut most, mut sum) = ([f64::MAX; LANES], [f64::MIN; LANES], [0.0; LANES]);
-        // 0 times a number that is not finite is no number.
+        // 0 times a value that is not finite is NaN.
         let mut zeros = [0.0; LANES];
         let (parts, rest) = self.0.as_chunks::<LANES>();
         for part in parts {

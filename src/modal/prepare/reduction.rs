@@ -1,4 +1,4 @@
-//! The reduction of a frame to the model's sampling.
+//! Reduction of a frame to the model's sampling.
 
 use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
@@ -11,7 +11,7 @@ use std::sync::Arc;
 pub(super) struct Reduction {
     along_x: Line,
     along_y: Line,
-    /// The frame reduced along x, `[x][y]`: so that the second pass reads along its lines.
+    /// The frame reduced along x, `[x][y]`, so that the reduction along y reads contiguous lines.
     middle: Vec<Complex64>,
     /// `[y, x]`.
     reduced: Array2<f64>,
@@ -73,7 +73,7 @@ impl Line {
         kept[..half].copy_from_slice(&full[..half]);
         kept[half..].copy_from_slice(&full[full.len() - half..]);
         if kept.len() < full.len() {
-            // The Nyquist frequency of the new grid stands for both of its signs.
+            // The Nyquist frequency of the new grid is the mean of both signs.
             kept[half] = (kept[half] + full[half]) * 0.5;
         }
         self.inverse.process_with_scratch(kept, &mut self.scratch);

@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-/// Why a frame cannot be used: a value, so that it can be passed on where nothing may be allocated; its sentence is its
-/// `Display`.
+/// Why a frame cannot be used. A value without text, so that it can be returned where nothing may be allocated; `Display`
+/// writes the sentence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Refusal {
     /// All pixels are bad, in the frame or in the part of it that is fitted.
@@ -13,9 +13,9 @@ pub enum Refusal {
         /// Number of good pixels.
         good: usize,
     },
-    /// All good pixels hold the same.
+    /// All good pixels have the same value.
     Constant {
-        /// What they hold, e⁻.
+        /// Value of all good pixels, e⁻.
         value: f64,
     },
     /// No good pixel is above 0.

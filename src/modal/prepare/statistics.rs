@@ -1,19 +1,19 @@
-//! What the border of a frame says of its background.
+//! Statistics of the border of a frame: background level and scatter.
 
 use ndarray::{ArrayView2, s};
 
-/// Pixels of a border that are enough: their median is known to 2 % of their scatter, and a quarter of a frame's pixels
-/// and more are border.
+/// Pixels of the border that are used: their median is accurate to 2 % of their scatter. The border has a quarter of a frame's
+/// pixels or more.
 const ENOUGH: usize = 4096;
 
-/// The memory in which medians are selected.
+/// Medians, in memory that is allocated once.
 pub(super) struct Statistics {
     values: Vec<f64>,
 }
 
 impl Statistics {
-    /// For frames of up to `pixels`.
-    pub(super) fn with_room(pixels: usize) -> Self {
+    /// Statistics for frames of up to `pixels`.
+    pub(super) fn with_capacity(pixels: usize) -> Self {
         Self { values: Vec::with_capacity(pixels) }
     }
 
@@ -34,7 +34,7 @@ impl Statistics {
         median(&mut self.values)
     }
 
-    /// Scatter of the same pixels about their `level`: 1.4826 times the median deviation. They are lost by it.
+    /// Scatter of the same pixels about their `level`: 1.4826 times the median deviation. Overwrites them.
     pub(super) fn scatter_about(&mut self, level: f64) -> f64 {
         self.values.iter_mut().for_each(|d| *d = (*d - level).abs());
         1.4826 * median(&mut self.values)

@@ -5,14 +5,14 @@ use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 
 fn recipe() -> Recipe {
-    Recipe::of(&Scene::preset("keck-artificial").unwrap())
+    Recipe::from_scene(&Scene::preset("keck-artificial").unwrap())
 }
 
 fn plan(frame_pixels: usize, reduced_pixels: usize, pixels: usize) -> Preparation {
     Preparation { frame: [frame_pixels; 2], reduced: [reduced_pixels; 2], pixels, flip: [false, false] }
 }
 
-fn prepare(plan: &Preparation, data: &Array2<f64>) -> Result<Prepared> {
+fn prepare(plan: &Preparation, data: &Array2<f64>) -> Result<PreparedFrame> {
     let bad = data.mapv(|_| false);
     plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 }, &recipe())
 }
@@ -132,7 +132,7 @@ fn frames_that_are_not_square_keep_their_axis_through_the_flip_the_reduction_and
         plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 }, &recipe()).unwrap()
     };
     let plain = Preparation { frame: [width, height], reduced: [width, height], pixels: 24, flip: [false; 2] };
-    let brightest = |prepared: &Prepared| {
+    let brightest = |prepared: &PreparedFrame| {
         let data = &prepared.exposure.data_e;
         (0..data.len()).max_by(|&a, &b| data[a].total_cmp(&data[b])).unwrap()
     };

@@ -26,7 +26,7 @@ fn off_diagonal(matrix: &Array2<f64>) -> f64 {
 }
 
 #[test]
-fn outliers_are_told_by_the_others() {
+fn outliers_are_found_by_their_distance_from_the_others() {
     // Within a factor of 2 nothing is an outlier, however alike the others are.
     let mut chi2 = vec![1.0; 12];
     chi2[3] = 1.9;
@@ -70,7 +70,7 @@ fn the_error_bars_are_those_of_mean_and_median() {
 
 #[test]
 fn correlations_of_few_images_are_those_of_the_noise() {
-    // Draws with the correlation of the noise: 8 images of 60 modes show 0.3 ± 0.4, and are told to have 0.3.
+    // Draws with the correlation of the noise: 8 images of 60 modes show 0.3 ± 0.4, and shrinkage gives 0.3.
     let rows = draws(8, 60, 0.3f64.sqrt(), 3);
     let noise = equicorrelated(60, 0.3);
     let found = scatter(&rows, Combine::Mean, &noise);

@@ -5,10 +5,10 @@ use crate::device::tests::test_devices;
 use crate::imaging::{Fallback, Precision};
 use crate::scene::Scene;
 
-/// What a session says of a device that `auto` might have taken, before and after it is lost in the midst of a fit; the fit's
-/// answer is the same.
+/// Warning of a session on a device that `auto` might have selected, before and after it is lost in the midst of a fit; the result
+/// of the fit is the same.
 #[test]
-fn a_device_that_is_lost_is_told() {
+fn a_session_warns_of_a_lost_device() {
     let settings = [("pupil.samples", "64"), ("image.crop_pixels", "64"), ("modes.ncpa", "none"), ("image.count", "2")];
     let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
     let made = crate::source::simulate(&scene).unwrap();
@@ -37,7 +37,7 @@ fn a_device_that_is_lost_is_told() {
         let lost = device.fault().commands() + 20;
         device.fault().arm(lost, u64::MAX);
         let (after_nm, failure) = fit();
-        let failure = failure.expect("a device that is lost is told");
+        let failure = failure.expect("a lost device gives a warning");
         assert!(failure.starts_with(&info.address()) && failure.contains("CPU has taken its place"), "{failure}");
         // The same fit to another chain's rounding, and to the step at which fits end.
         let apart = before_nm.iter().zip(&after_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

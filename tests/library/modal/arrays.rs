@@ -44,7 +44,7 @@ fn map(samples: usize, value: impl Fn(f64, f64) -> f64) -> Array2<f64> {
     Array2::from_shape_fn((samples, samples), |(y, x)| value(grid.coordinate_m(x), grid.coordinate_m(y)))
 }
 
-/// Five modes of a caller's own: neither orthogonal nor of unit RMS, NaN where there is no glass.
+/// Five modes of a caller's own: neither orthogonal nor of unit RMS, NaN outside the pupil.
 fn own_modes(amplitude: &Array2<f64>) -> Array3<f64> {
     let shapes: [fn(f64, f64) -> f64; 5] = [
         |x, _| 2.0 * x,
@@ -214,7 +214,7 @@ fn arrays_that_cannot_be_used_are_refused_with_the_reason() {
         (
             "",
             |a| a.modes.as_mut().unwrap()[[2, 24, 8]] = f64::INFINITY,
-            "mode-3 is inf at row 24, column 8, where the pupil has glass",
+            "mode-3 is inf at row 24, column 8, where the pupil is illuminated",
         ),
         ("", |a| a.diversity_nm = Some(Array2::zeros((24, 24))), "the diversity has 24x24 samples"),
         ("", |a| a.diversity_nm.as_mut().unwrap()[[24, 8]] = f64::NAN, "the diversity is NaN at row 24, column 8"),

@@ -14,17 +14,17 @@ const HELD: (&str, &str) = ("modes.exact_zernikes", "[2, 4]");
 fn modes_hold_a_focus_or_say_that_they_do_not() {
     let with = |settings: &[(&str, &str)]| ModalFitter::new(&scene(settings), false).unwrap();
     let own = with(&[HELD]);
-    let (held, image) = (own.held_diversity().unwrap(), &own.scene().image);
+    let (held, image) = (own.diversity_projection().unwrap(), &own.scene().image);
     let rms_nm = image.diversity_focus_waves_rms * image.wavelength_nm;
     // Noll 4 is the diversity up to a constant, on the model's coarser grid: a part in a thousand of its RMS.
     assert!((held.rms_nm / rms_nm - 1.0).abs() < 0.01, "{held:?}");
-    assert!(held.is_held() && held.outside < 1e-3 && !held.is_too_small(image.wavelength_nm), "{held:?}");
-    let none = with(&[("modes.ncpa", "none"), ("modes.exact_zernikes", "none")]).held_diversity().unwrap();
-    assert!(!none.is_held() && none.coefficients_nm.iter().all(|nm| *nm == 0.0), "{none:?}");
+    assert!(held.is_spanned() && held.residual_share < 1e-3 && !held.is_too_small(image.wavelength_nm), "{held:?}");
+    let none = with(&[("modes.ncpa", "none"), ("modes.exact_zernikes", "none")]).diversity_projection().unwrap();
+    assert!(!none.is_spanned() && none.coefficients_nm.iter().all(|nm| *nm == 0.0), "{none:?}");
     // What no mode holds is there all the same.
     assert!(none.rms_nm == held.rms_nm && !none.is_too_small(image.wavelength_nm), "{none:?}");
-    let focused = with(&[HELD, ("image.diversity_focus_waves_rms", "0")]).held_diversity().unwrap();
-    assert!(focused.is_too_small(image.wavelength_nm) && !focused.is_held(), "{focused:?}");
+    let focused = with(&[HELD, ("image.diversity_focus_waves_rms", "0")]).diversity_projection().unwrap();
+    assert!(focused.is_too_small(image.wavelength_nm) && !focused.is_spanned(), "{focused:?}");
     let refused =
         scene(&[("modes.ncpa", "none"), ("modes.exact_zernikes", "none"), ("estimate.diversity_error", "0.05")]);
     match ModalFitter::new(&refused, false).map(|_| ()) {
@@ -54,7 +54,7 @@ fn an_error_of_the_diversity_is_in_the_error_bars_and_no_number_of_images_takes_
     let image = &known.image;
     let shared_nm = 0.02 * image.diversity_focus_waves_rms * image.wavelength_nm;
     // A multiple of the diversity, and nothing else; rounding of variances of some 10³ nm².
-    let along_nm = unsure.estimator().held_diversity().unwrap().coefficients_nm * 0.02;
+    let along_nm = unsure.estimator().diversity_projection().unwrap().coefficients_nm * 0.02;
     for ((i, j), more_nm2) in (&wider - &covariance).indexed_iter() {
         assert!((more_nm2 - along_nm[i] * along_nm[j]).abs() < 1e-9, "{i} {j}: {more_nm2}");
     }

@@ -8,7 +8,7 @@ mod sequence;
 mod session;
 
 use cophase::imaging::{Chain, Precision};
-use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, read};
+use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, select_default};
 use cophase::scene::Scene;
 use cophase::source::{self, SourceImages};
 use ndarray::{Array2, Array3, Axis, s};
@@ -35,7 +35,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 fn estimate(scene: &Scene, images_e: &Array3<f64>, bad: &Array3<bool>) -> (ModalFitter, ModalEstimate) {
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
     let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
-    read(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()
+    select_default(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()
 }
 
 /// Residuals of phasing and NCPA, nm.
@@ -77,7 +77,7 @@ fn pixels_that_stand_out_are_cut_where_no_model_explains_the_image() {
         let made = source::simulate(&scene).unwrap();
         let bad = made.images_e.mapv(|_| false);
         let (_, clean) = estimate(&scene, &made.images_e, &bad);
-        assert_eq!((clean.images[0].status, clean.images[0].cut_pixels), (Status::Ok, 0));
+        assert_eq!((clean.images[0].status, clean.images[0].rejected_pixels), (Status::Ok, 0));
         let peak_e = made.images_e.iter().copied().fold(0.0, f64::max);
         let mut images_e = made.images_e.clone();
         // Hot, dead, and the track of a cosmic ray.
@@ -87,14 +87,19 @@ fn pixels_that_stand_out_are_cut_where_no_model_explains_the_image() {
         [(40, 90), (41, 91), (42, 92)].iter().for_each(|&(y, x)| images_e[[0, y, x]] += 0.3 * peak_e);
         let (estimator, found) = estimate(&scene, &images_e, &bad);
         let report = &found.images[0];
-        assert_eq!((report.status, report.cut_pixels), (Status::Ok, 5), "{sampling}: chi2 {}", report.reduced_chi2);
+        assert_eq!(
+            (report.status, report.rejected_pixels),
+            (Status::Ok, 5),
+            "{sampling}: chi2 {}",
+            report.reduced_chi2
+        );
         for (residual, promised) in residuals(&estimator, &found, &made).into_iter().zip(promised(&estimator, &found)) {
             // As in the test above.
             assert!(residual < 1.7 * promised, "{sampling}: {residual} {promised}");
         }
         // The paper's way knows no noise that a pixel could stand out of.
         let paper = scene.with(&[("estimate.optimizer", "paper")]).unwrap();
-        assert_eq!(estimate(&paper, &images_e, &bad).1.images[0].cut_pixels, 0);
+        assert_eq!(estimate(&paper, &images_e, &bad).1.images[0].rejected_pixels, 0);
     }
 }
 

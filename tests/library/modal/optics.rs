@@ -2,7 +2,7 @@
 
 use super::{estimate, promised, residuals, scene};
 use cophase::Error;
-use cophase::modal::{Cube, ModalFitter, read};
+use cophase::modal::{Cube, ModalFitter, select_default};
 use cophase::scene::Scene;
 use cophase::source;
 use ndarray::Array3;
@@ -27,7 +27,7 @@ fn plate_scale_and_rotation_are_found_with_error_bars() {
     let (estimator, residual_nm, promised_nm) = found(&made, &asked);
     let optics = estimator.fitted_optics();
     for (optic, (own, truth)) in optics.iter().zip([(3.0, 3.02), (0.0, 0.6)]) {
-        assert!(optic.is_told() && optic.scene == own && optic.told > 0.1, "{optic:?}");
+        assert!(optic.is_identifiable() && optic.scene == own && optic.identifiable_share > 0.1, "{optic:?}");
         // Four error bars, each far below what was off.
         assert!((optic.value - truth).abs() < 4.0 * optic.sigma, "{optic:?}");
         assert!(optic.sigma < 0.01 * (truth - own), "{optic:?}");
@@ -54,7 +54,7 @@ fn a_filters_width_is_modelled_and_found() {
     let (fitted, fitted_nm, fitted_promised_nm) =
         found(&made, &broad("0.08", &[("estimate.fit_optics", "[\"bandwidth\"]")]));
     let [optic] = fitted.fitted_optics() else { panic!("one was asked for") };
-    assert!(optic.is_told() && optic.scene == 0.08 && optic.key() == "image.bandwidth_fraction", "{optic:?}");
+    assert!(optic.is_identifiable() && optic.scene == 0.08 && optic.key() == "image.bandwidth_fraction", "{optic:?}");
     assert!((optic.value - 0.1).abs() < 4.0 * optic.sigma && optic.sigma < 0.002, "{optic:?}");
     for (residual_nm, promised_nm) in
         known_nm.iter().chain(&fitted_nm).zip(promised_nm.iter().chain(&fitted_promised_nm))
@@ -95,11 +95,11 @@ fn a_defocus_is_found_only_where_no_mode_holds_it() {
     let asked = ("estimate.fit_optics", "[\"defocus\"]");
     let (estimator, _, _) = found(&made, &scene(&[asked]));
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
-    assert!(!optic.is_told() && optic.value == 0.8 && optic.told < 1e-5, "{optic:?}");
+    assert!(!optic.is_identifiable() && optic.value == 0.8 && optic.identifiable_share < 1e-5, "{optic:?}");
     let (estimator, residual_nm, promised_nm) =
         found(&made.with(&NO_NCPA).unwrap(), &scene(&[asked]).with(&NO_NCPA).unwrap());
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
-    assert!(optic.is_told() && (optic.value - 0.82).abs() < 4.0 * optic.sigma, "{optic:?}");
+    assert!(optic.is_identifiable() && (optic.value - 0.82).abs() < 4.0 * optic.sigma, "{optic:?}");
     // Seven pistons scatter more about their error bars than a hundred modes.
     assert!(residual_nm[0] < 2.5 * promised_nm[0], "{residual_nm:?} {promised_nm:?}");
 }
@@ -109,7 +109,7 @@ fn read_of(scene: &Scene) -> cophase::Result<()> {
     let images_e = Array3::from_elem((1, 132, 132), 100.0);
     let bad = images_e.mapv(|_| false);
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-    read(scene, cube, &mut |_| panic!("no chain is needed"), None, &mut |_, _| {}).map(|_| ())
+    select_default(scene, cube, &mut |_| panic!("no chain is needed"), None, &mut |_, _| {}).map(|_| ())
 }
 
 #[test]
@@ -121,7 +121,7 @@ fn what_cannot_be_fitted_is_refused_in_a_sentence() {
     };
     // There is no image yet.
     let early = sentence(ModalFitter::new(&asked("[\"rotation\"]"), false).map(|_| ()));
-    assert!(early.contains("asks for images before there is a model"), "{early}");
+    assert!(early.contains("fits the telescope to images"), "{early}");
     let with = |settings: &[(&str, &str)]| sentence(asked("[\"rotation\"]").with(settings).map(|_| ()));
     assert!(with(&[("estimate.optimizer", "bfgs")]).contains("needs weights by the noise"));
     assert!(with(&[("estimate.budget_nm", "1")]).contains("fit_optics"));

@@ -3,7 +3,7 @@
 use super::scene;
 use cophase::Error;
 use cophase::imaging::{Chain, Precision};
-use cophase::modal::{Cube, ModalEstimate, ModalFitter, Recipe, Status, read};
+use cophase::modal::{Cube, ModalEstimate, ModalFitter, Recipe, Status, select_default};
 use cophase::scene::{Combine, Scene};
 use cophase::source;
 use ndarray::{Array1, Array3, Axis, s};
@@ -82,7 +82,7 @@ fn fit(recipe: Recipe, images_e: &Array3<f64>) -> (ModalFitter, ModalEstimate) {
 }
 
 fn ours() -> Recipe {
-    Recipe::of(&scene(&[]))
+    Recipe::from_scene(&scene(&[]))
 }
 
 fn every(estimate: &ModalEstimate) -> Vec<usize> {
@@ -175,7 +175,7 @@ fn subsets_are_combined_without_another_fit() {
 fn noise_alone_gives_a_sequence_the_error_bars_of_its_fisher_matrix() {
     let scene = scene(&[("image.count", "12")]);
     let made = source::simulate(&scene).unwrap();
-    let (estimator, found) = fit(Recipe::of(&scene), &made.images_e);
+    let (estimator, found) = fit(Recipe::from_scene(&scene), &made.images_e);
     assert!(found.images.iter().all(|image| image.status == Status::Ok) && found.clipped_images.is_empty());
     let bound = estimator.bound(Array1::from(found.combined.coefficients_nm.clone()).view(), made.flux_e, 0.0).unwrap();
     for (sigma, bound) in found.combined.sigma_nm().into_iter().zip(bound.diag()) {
@@ -193,7 +193,7 @@ fn the_papers_objective_has_the_papers_minimum_at_a_fraction_of_the_evaluations(
     for (what, images_e) in [("artificial", artificial), ("turbulent", turbulent)] {
         let [bfgs, paper] = ["bfgs", "paper"].map(|optimizer| {
             let scene = scene(&[("estimate.optimizer", optimizer)]);
-            fit(Recipe::of(&scene), &images_e).1
+            fit(Recipe::from_scene(&scene), &images_e).1
         });
         for (image, (theirs, ours)) in bfgs.images.iter().zip(&paper.images).enumerate() {
             let pairs = bfgs.image_coefficients_nm.row(image);
@@ -208,7 +208,10 @@ fn the_papers_objective_has_the_papers_minimum_at_a_fraction_of_the_evaluations(
         }
     }
     let scene = scene(&[]);
-    assert_eq!(Recipe::paper_objective(&scene), Recipe::of(&scene.with(&[("estimate.optimizer", "paper")]).unwrap()));
+    assert_eq!(
+        Recipe::paper_objective(&scene),
+        Recipe::from_scene(&scene.with(&[("estimate.optimizer", "paper")]).unwrap())
+    );
 }
 
 #[test]
@@ -232,7 +235,7 @@ fn a_few_images_choose_the_basis_of_a_long_sequence() {
             chains += 1;
             Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64))
         };
-        let (estimator, found) = read(&scene, cube, &mut open, None, &mut |_, all| watched = all).unwrap();
+        let (estimator, found) = select_default(&scene, cube, &mut open, None, &mut |_, all| watched = all).unwrap();
         assert_eq!((chains, watched, found.images.len(), found.used()), (opened, 14, 14, 14));
         assert_eq!(estimator.model().basis.len(), 7 + highest - 1);
         assert!(found.reduced_chi2() < 1.3, "{}", found.reduced_chi2());

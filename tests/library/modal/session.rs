@@ -189,7 +189,7 @@ fn what_cannot_be_is_refused_with_a_sentence() {
     let scene = scene(&[]);
     let estimator = estimator(&scene);
     let message = |options| Session::new(estimator.clone(), &options).err().unwrap().to_string();
-    assert!(message(SessionOptions { capacity: 0, ..SessionOptions::default() }).contains("0 images"));
+    assert!(message(SessionOptions { capacity: 0, ..SessionOptions::default() }).contains("capacity is 0"));
     let tolerance = SessionOptions { step_tolerance_nm: Some(-1.0), ..SessionOptions::default() };
     assert!(message(tolerance).contains("step_tolerance is -1"));
     let paper = Arc::new(ModalFitter::new(&scene.with(&[("estimate.optimizer", "bfgs")]).unwrap(), false).unwrap());

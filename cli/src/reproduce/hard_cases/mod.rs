@@ -48,7 +48,8 @@ fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &ModalFitter, progre
     let made = base.with(case.made)?;
     let read = made.with(case.read)?;
     let fits_optics = !read.estimate.fit_optics.is_empty();
-    let judge = if fits_optics { None } else { Some(like.variant(&read, Recipe::of(&read)).and_then(Judge::new)) };
+    let judge =
+        if fits_optics { None } else { Some(like.variant(&read, Recipe::from_scene(&read)).and_then(Judge::new)) };
     let verdict = |number: usize| -> Result<Verdict> {
         progress.check()?;
         let scene = made.with_override("aberrations.seed", &(1 + number).to_string())?;
@@ -98,7 +99,7 @@ fn judged_with_optics(scene: &Scene, image: &spoil::Made, progress: &Progress) -
     let (image_e, bad) = (image_e.insert_axis(Axis(0)), bad.insert_axis(Axis(0)));
     let cube = Cube { images_e: image_e.view(), bad: bad.view(), read_noise_e: None };
     let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
-    match modal::read(scene, cube, &mut open, progress.cancel(), &mut |_, _| {}) {
+    match modal::select_default(scene, cube, &mut open, progress.cancel(), &mut |_, _| {}) {
         Ok((estimator, found)) => Judge::new(estimator)?.verdict(&found, image),
         Err(error @ Error::Interrupted(_)) => Err(error),
         Err(error) => Ok(Verdict::refused(&error)),

@@ -2,7 +2,7 @@
 
 use super::spoil::Made;
 use cophase::metrics::{MapGram, residual_nm};
-use cophase::modal::{HeldDiversity, ModalEstimate, ModalFitter, Status};
+use cophase::modal::{DiversityProjection, ModalEstimate, ModalFitter, Status};
 use cophase::modes::Group;
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2, s};
@@ -84,7 +84,7 @@ pub(super) struct Judge {
     pub(super) estimator: ModalFitter,
     grams: [MapGram; 2],
     /// The diversity in the modes, where they hold it.
-    diversity: Option<HeldDiversity>,
+    diversity: Option<DiversityProjection>,
     /// Whether there is none to speak of.
     has_no_sign: bool,
 }
@@ -95,15 +95,15 @@ impl Judge {
         let (pupil, maps, n) = (&model.telescope.pupil, model.basis.maps(), model.segment_modes);
         let grams =
             [MapGram::new(pupil, maps.slice(s![..n, .., ..]))?, MapGram::new(pupil, maps.slice(s![n.., .., ..]))?];
-        let held = estimator.held_diversity()?;
-        let has_no_sign = held.is_too_small(estimator.scene().image.wavelength_nm);
-        Ok(Self { estimator, grams, diversity: Some(held).filter(HeldDiversity::is_held), has_no_sign })
+        let diversity = estimator.diversity_projection()?;
+        let has_no_sign = diversity.is_too_small(estimator.scene().image.wavelength_nm);
+        Ok(Self { estimator, grams, diversity: Some(diversity).filter(DiversityProjection::is_spanned), has_no_sign })
     }
 
     /// Of one image's estimate, against what is behind it.
     pub(super) fn verdict(&self, found: &ModalEstimate, made: &Made) -> Result<Verdict> {
         let report = &found.images[0];
-        let hidden = self.estimator.fitted_optics().iter().any(|optic| !optic.is_told());
+        let hidden = self.estimator.fitted_optics().iter().any(|optic| !optic.is_identifiable());
         let unseen =
             self.has_no_sign || hidden || found.degeneracy.null.iter().any(|direction| !direction.is_global_piston());
         let word = if report.status == Status::Ok && unseen { "blind" } else { report.status.word() };
@@ -138,8 +138,8 @@ impl Judge {
         let phasing = residual_nm(pupil, model.map_nm(&near_nm, Group::Segment).view(), phasing_nm.view())?;
         let found_nm = model.map_nm(&near_nm, Group::Ncpa);
         let ncpa = residual_nm(pupil, found_nm.view(), ncpa_nm.view())?;
-        let Some(held) = &self.diversity else { return Ok([phasing, ncpa, f64::NAN]) };
-        let diversity_nm = model.map_nm(&held.coefficients_nm.to_vec(), Group::Ncpa);
+        let Some(diversity) = &self.diversity else { return Ok([phasing, ncpa, f64::NAN]) };
+        let diversity_nm = model.map_nm(&diversity.coefficients_nm.to_vec(), Group::Ncpa);
         let flat = |map: Array2<f64>| -> Result<Array2<f64>> {
             Ok(pupil.remove_piston_tip_tilt(map.view())?.mapv(|v| if v.is_nan() { 0.0 } else { v }))
         };

@@ -1,4 +1,4 @@
-//! The search: one kind of choice after the other, each from the cheapest on.
+//! Search for the cheapest model within the budget: one key after the other, each from the cheapest value on.
 
 use super::omission::omissions;
 use super::plan::{Choice, Plan};
@@ -9,11 +9,11 @@ use crate::optimize::CancelFlag;
 use crate::scene::{Crop, NcpaBasis, Optimizer, PupilModel, Scene};
 use crate::{Error, Result};
 
-/// What is left of the budget for wavefronts worse than those drawn, and for noise that is larger than its mean: the
-/// residual of a hundred modes scatters by 7 %.
+/// Margin of the budget for wavefronts worse than those drawn, and for noise that is larger than its mean: the residual of a
+/// hundred modes scatters by 7 %.
 const HEADROOM: f64 = 1.15;
-/// Where the noise alone is above the budget, the error that a model may add to it, as a fraction.
-const BESIDE_NOISE: f64 = 0.1;
+/// Error that a model may add where the noise alone is above the budget, as a fraction of the noise.
+const MODEL_SHARE: f64 = 0.1;
 /// Samples across the pupil that are tried: steps of an eighth or so, which is a quarter in time, and of half of that
 /// where most plans for a nanometre end.
 const SAMPLES: [usize; 24] =
@@ -22,42 +22,43 @@ const SAMPLES: [usize; 24] =
 const CROP_STEP: usize = 8;
 /// Narrower crops that are tried.
 const CROPS: usize = 4;
-/// Work that a narrower crop must stay below, as a fraction: for less than a twentieth it is not worth the noise that it adds,
-/// and the evaluations that it will take when the tolerance is loosened.
-const WORTH_A_CROP: f64 = 0.95;
+/// Largest work of a narrower crop, as a fraction of that of the wider one: a saving of less than a twentieth does not outweigh
+/// the noise that it adds, and the further evaluations at a looser tolerance.
+const CROP_WORK: f64 = 0.95;
 /// Step tolerances that are tried, nm, as fractions of the budget: a fit takes the step that is below the tolerance, and
-/// is left with a third of its length or so. Twice the budget would save a twentieth of the evaluations of a plan of Keck
+/// its error is about a third of that step. Twice the budget would save a twentieth of the evaluations of a plan of Keck
 /// for 1 nm, for a fifth more error.
 const TOLERANCES: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 
 /// The exact Zernikes that are tried where the scene leaves them open, in the order of [`Recipe::ladder`].
 const EXACT: [&str; 2] = ["[2, 4]", "[2, 21]"];
 
-/// A candidate with its estimator, from which others take what they share.
+/// A candidate with its fitter, whose basis other candidates share.
 struct Candidate {
     scene: Scene,
     estimator: ModalFitter,
     price: Price,
 }
 
-pub(super) struct Walk<'a> {
-    asked: &'a Scene,
+/// State of the search.
+pub(super) struct Search<'a> {
+    given: &'a Scene,
     budget_nm: f64,
     cancel: Option<&'a CancelFlag>,
     trials: Trials,
     choices: Vec<Choice>,
 }
 
-impl<'a> Walk<'a> {
+impl<'a> Search<'a> {
     pub(super) fn new(scene: &'a Scene, budget_nm: f64, cancel: Option<&'a CancelFlag>) -> Result<Self> {
         if scene.estimate.optimizer != Optimizer::GaussNewton {
             return Err(Error::Scene(
-                "a budget was given where estimate.optimizer is the paper's method, whose error is its own; \
-                 \"gauss-newton\" is needed"
+                "an error budget needs estimate.optimizer = \"gauss-newton\": the error of the paper's method does not depend \
+                 on the choices of a plan"
                     .into(),
             ));
         }
-        Ok(Self { asked: scene, budget_nm, cancel, trials: Trials::of(scene, cancel)?, choices: Vec::new() })
+        Ok(Self { given: scene, budget_nm, cancel, trials: Trials::new(scene, cancel)?, choices: Vec::new() })
     }
 
     pub(super) fn run(mut self) -> Result<Plan> {
@@ -70,7 +71,7 @@ impl<'a> Walk<'a> {
         best = self.single_precision(best, limit_nm)?;
         best = self.stopped_early(best, limit_nm)?;
         best = self.fewer_modes(best, limit_nm)?;
-        let omissions = omissions(self.asked, &best.scene, &best.estimator, best.price, &self.trials, self.cancel)?;
+        let omissions = omissions(self.given, &best.scene, &best.estimator, best.price, &self.trials, self.cancel)?;
         Ok(Plan {
             scene: best.scene,
             budget_nm: self.budget_nm,
@@ -82,15 +83,15 @@ impl<'a> Walk<'a> {
         })
     }
 
-    /// The error up to which a candidate is good enough.
+    /// Largest error of an acceptable candidate, nm.
     fn limit_nm(&self, reference: &Candidate) -> f64 {
         let noise_nm = reference.price.noise_nm.into_iter().fold(0.0, f64::max);
-        (self.budget_nm / HEADROOM).max(noise_nm * (1.0 + BESIDE_NOISE))
+        (self.budget_nm / HEADROOM).max(noise_nm * (1.0 + MODEL_SHARE))
     }
 
-    /// The scene's own model in double precision, with the exact Zernikes that its wavefronts ask for.
+    /// The scene's own model in double precision, with the exact Zernikes that its wavefronts need.
     fn reference(&mut self) -> Result<Candidate> {
-        let scene = self.asked.with_override("estimate.precision", "f64")?;
+        let scene = self.given.with_override("estimate.precision", "f64")?;
         let first = ModalFitter::new(&scene, false)?;
         if Recipe::ladder(&scene).len() == 1 {
             return self.candidate(&first, &scene);
@@ -99,7 +100,7 @@ impl<'a> Walk<'a> {
         for exact in EXACT {
             tried.push(self.candidate(&first, &scene.with_override("modes.exact_zernikes", exact)?)?);
         }
-        // The smaller basis where it does not leak: where it is as good as noise lets anybody see.
+        // The smaller basis where its error is within the limit, or not larger than that of the other.
         let wide = tried.pop();
         let narrow = tried.pop();
         let (Some(narrow), Some(wide)) = (narrow, wide) else {
@@ -117,14 +118,14 @@ impl<'a> Walk<'a> {
         Ok(if narrow_is_enough { narrow } else { wide })
     }
 
-    /// The fewest samples that are good enough, by bisection: the error falls with the samples.
+    /// The fewest samples within the limit, by bisection: the error falls with the number of samples.
     fn sampled(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
         if from.estimator.recipe().pupil_model != PupilModel::BandLimited || !from.estimator.model().telescope.is_fine()
         {
-            // A map is as fine as it is.
+            // The samples of a map are fixed.
             return Ok(from);
         }
-        if self.asked.estimate.samples.is_some() {
+        if self.given.estimate.samples.is_some() {
             return Ok(from);
         }
         let own = from.scene.pupil.samples;
@@ -150,10 +151,10 @@ impl<'a> Walk<'a> {
         Ok(best)
     }
 
-    /// The fewest wavelengths that are good enough: each takes its time.
+    /// The fewest wavelengths within the limit: the work is proportional to their number.
     fn fewer_wavelengths(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
         let own = from.estimator.model().optics.parts().colours.len();
-        if own == 1 || self.asked.estimate.wavelengths.is_some() {
+        if own == 1 || self.given.estimate.wavelengths.is_some() {
             return Ok(from);
         }
         for count in (1..own).map(|count| count.to_string()) {
@@ -168,15 +169,15 @@ impl<'a> Walk<'a> {
         Ok(from)
     }
 
-    /// The narrowest part of the image that is good enough.
+    /// The narrowest crop within the limit.
     fn cropped(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
-        if !matches!(self.asked.image.crop_pixels, Crop::Auto) {
+        if !matches!(self.given.image.crop_pixels, Crop::Auto) {
             return Ok(from);
         }
         let preparation = from.estimator.model().preparation;
         let native = |pixels: usize| (pixels as f64 * preparation.native_along(0)).round() as usize;
         let own = native(preparation.pixels).to_string();
-        // What the model found by itself, written down: the plan is to be the same when it is read again.
+        // The crop that the model chose by itself is written into the plan, so that it is the same when it is read again.
         let scene = from.scene.with_override("image.crop_pixels", &own)?;
         self.note("image.crop_pixels", own, from.price);
         let mut best = Candidate { scene, ..from };
@@ -191,7 +192,7 @@ impl<'a> Walk<'a> {
             if candidate.price.error_nm() > limit_nm {
                 break;
             }
-            if candidate.price.megaflops < WORTH_A_CROP * best.price.megaflops {
+            if candidate.price.megaflops < CROP_WORK * best.price.megaflops {
                 best = candidate;
             }
         }
@@ -202,17 +203,17 @@ impl<'a> Walk<'a> {
     }
 
     fn single_precision(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
-        self.one_or_the_other(from, "estimate.precision", "\"f32\"", limit_nm)
+        self.with_value_if_cheaper(from, "estimate.precision", "\"f32\"", limit_nm)
     }
 
-    /// The loosest tolerance that is good enough.
+    /// The loosest step tolerance within the limit.
     fn stopped_early(&mut self, mut best: Candidate, limit_nm: f64) -> Result<Candidate> {
-        if self.asked.estimate.step_tolerance_nm.is_some() {
+        if self.given.estimate.step_tolerance_nm.is_some() {
             return Ok(best);
         }
         for fraction in TOLERANCES {
             let value = format!("{}", rounded(fraction * self.budget_nm));
-            best = self.one_or_the_other(best, "estimate.step_tolerance_nm", &value, limit_nm)?;
+            best = self.with_value_if_cheaper(best, "estimate.step_tolerance_nm", &value, limit_nm)?;
             if self.choices.last().is_some_and(|choice| choice.kept) {
                 break;
             }
@@ -225,14 +226,14 @@ impl<'a> Walk<'a> {
         if best.scene.modes.ncpa != NcpaBasis::Kl {
             return Ok(best);
         }
-        let named = self.asked.names("modes.ncpa_count");
+        let named = self.given.names("modes.ncpa_count");
         let mut count = best.scene.modes.ncpa_count;
         while count >= 8 {
             count /= 2;
             let candidate =
                 self.candidate(&best.estimator, &best.scene.with_override("modes.ncpa_count", &count.to_string())?)?;
             self.note("modes.ncpa_count", count.to_string(), candidate.price);
-            // The scene's own number is what was asked for; the price of another is told, and that is all.
+            // A number that the scene names stays; the cost of fewer modes is reported.
             if named || candidate.price.error_nm() > limit_nm || candidate.price.megaflops >= best.price.megaflops {
                 break;
             }
@@ -243,8 +244,8 @@ impl<'a> Walk<'a> {
         Ok(best)
     }
 
-    /// `best` with `key` changed, where that is good enough and less work.
-    fn one_or_the_other(
+    /// `best` with `key` changed, where that is within the limit and less work.
+    fn with_value_if_cheaper(
         &mut self,
         best: Candidate,
         key: &'static str,
@@ -253,7 +254,7 @@ impl<'a> Walk<'a> {
     ) -> Result<Candidate> {
         let candidate = self.candidate(&best.estimator, &best.scene.with_override(key, value.trim_matches('"'))?)?;
         self.note(key, value.to_string(), candidate.price);
-        // Single precision is no fewer operations, but each is half as long.
+        // Single precision takes as many operations, each of half the time.
         let cheaper = candidate.price.megaflops < best.price.megaflops || key == "estimate.precision";
         if candidate.price.error_nm() <= limit_nm && cheaper {
             self.keep(key, value);
@@ -263,8 +264,8 @@ impl<'a> Walk<'a> {
     }
 
     fn candidate(&self, like: &ModalFitter, scene: &Scene) -> Result<Candidate> {
-        // A model that leads to a wrong minimum is not worth another try.
-        let estimator = like.variant(scene, Recipe { restarts: 0, ..Recipe::of(scene) })?;
+        // Without restarts: a model that leads to a wrong minimum is not acceptable.
+        let estimator = like.variant(scene, Recipe { restarts: 0, ..Recipe::from_scene(scene) })?;
         let price = self.trials.price(&estimator, self.cancel)?;
         Ok(Candidate { scene: scene.clone(), estimator, price })
     }
@@ -273,7 +274,7 @@ impl<'a> Walk<'a> {
         self.choices.push(Choice { key, value, kept: false, price });
     }
 
-    /// Marks the one value of `key` that stays.
+    /// Marks the value of `key` that is kept.
     fn keep(&mut self, key: &str, value: &str) {
         for choice in self.choices.iter_mut().filter(|choice| choice.key == key) {
             choice.kept = choice.value == value;
@@ -281,9 +282,9 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// One significant digit: a tolerance that a scene can show.
+/// Rounds to one significant digit, so that the tolerance is readable in a scene.
 fn rounded(value: f64) -> f64 {
     let unit = 10f64.powf(value.log10().floor());
-    // Through the text, so that 3 × 0.1 is 0.3.
+    // Through text, so that 3 × 0.1 is 0.3.
     format!("{:e}", (value / unit).round() * unit).parse().map_or(value, |v: f64| (v * 1e12).round() / 1e12)
 }
