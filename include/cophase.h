@@ -378,6 +378,12 @@ cophase_status cophase_model_psf(const cophase_model *model,
 
 /* ------------------------------------------ Estimator ------------------------------------------ */
 
+/*
+ Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
+ several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
+ */
+typedef struct cophase_estimate cophase_estimate;
+
 /* Stage of an estimate: none is running. */
 #define COPHASE_STAGE_IDLE 0
 
@@ -535,14 +541,9 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
 #define COPHASE_ARRAY_CORRECTION_ACTUATORS_M 9
 
 /* Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
- * then along y; slopes. It keeps the mirror where the commands put it.
+ * then along y; slopes. It keeps the mirror where the corrections put it.
  */
 #define COPHASE_ARRAY_CORRECTION_SLOPES_MAS 10
-
-/* Estimate of the static wavefront: modes, maps, error bars, reports on the images. Calls that take it as const may run in
- * several threads at once; cophase_estimate_correct only while no other call runs (COPHASE_BUSY otherwise).
- */
-typedef struct cophase_estimate cophase_estimate;
 
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
 typedef struct {
