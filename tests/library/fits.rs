@@ -653,7 +653,7 @@ fn targets_that_cannot_be_written_are_refused_at_once() {
     };
     refused(&folder.path().join("no/such/out.fits"), "does not exist");
     refused(folder.path(), "is a directory");
-    refused(Path::new("/dev/null"), "plain files");
+    refused(Path::new("/dev/null"), "is a device or a pipe");
     refused(&put(&folder, "file", b"x").join("out.fits"), "cannot be written");
     // The proc file system takes no new files, even from root.
     if Path::new("/proc/self").exists() {

@@ -154,7 +154,7 @@ fn a_full_disk_leaves_what_was_there() {
         // 8 blocks of 512 or 1024 bytes, as the shell counts: less than either file, more than a line.
         shell.args(["-c", "ulimit -f 8 && exec \"$@\"", "sh", env!("CARGO_BIN_EXE_cophase")]).args(arguments);
         let done = Done::from(shell.current_dir(desk.path("")).output().unwrap());
-        done.failed(arguments, &["cannot be written", "nothing was left"]);
+        done.failed(arguments, &["cannot be written", "no partial file is left"]);
         assert_eq!(desk.files(), before);
     }
     assert_eq!(std::fs::read_to_string(desk.path("est.fits")).unwrap(), "what was there");

@@ -92,6 +92,6 @@ fn a_scene_that_does_not_fit_the_image_is_called_a_misfit() {
 fn a_truth_on_another_grid_is_left_out_of_the_table() {
     let desk = Desk::with_images(&[]);
     let done = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--set", "pupil.samples=80"]);
-    assert!(done.err.contains("its truth is not shown") && done.err.contains("64x64"), "{}", done.err);
+    assert!(done.err.contains("the truth of these images is not shown") && done.err.contains("64x64"), "{}", done.err);
     assert!(done.out.contains("phasing") && !done.out.contains("residual"), "{}", done.out);
 }

@@ -196,7 +196,7 @@ fn in_octave(desk: &Desk) -> Option<Command> {
     let mut command = Command::new("octave-cli");
     command.env("HOME", desk.path("")).env("LD_LIBRARY_PATH", libraries());
     command.args(["--norc", "--quiet"]).arg(root().join("tests/c_api/pipeline.m"));
-    command.arg(root().join("bindings/matlab")).arg(libraries()).arg(desk.path(""));
+    command.env("COPHASE_LIBRARIES", libraries()).env("COPHASE_SCRATCH", desk.path(""));
     Some(command)
 }
 

@@ -201,7 +201,7 @@ fn arrays_that_cannot_be_used_are_refused_with_the_reason() {
     let cases: [(&str, Change, &str); 16] = [
         ("", |a| a.amplitude = Array2::ones((48, 50)), "50x48 samples; a square with an even side is needed"),
         ("", |a| a.amplitude = Array2::ones((47, 47)), "47x47 samples; a square with an even side is needed"),
-        ("", |a| a.amplitude = Array2::zeros((0, 0)), "0 samples is empty"),
+        ("", |a| a.amplitude = Array2::zeros((0, 0)), "0 samples is impossible"),
         ("", |a| a.amplitude.fill(0.0), "amplitude is 0 everywhere"),
         ("", |a| a.amplitude[[3, 4]] = f64::NAN, "row 3, column 4 is NaN: values in [0, 1]"),
         ("", |a| a.amplitude[[3, 4]] = 1.5, "row 3, column 4 is 1.5"),

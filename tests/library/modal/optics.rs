@@ -123,7 +123,7 @@ fn what_cannot_be_fitted_is_refused_in_a_sentence() {
     let early = sentence(ModalFitter::new(&asked("[\"rotation\"]"), false).map(|_| ()));
     assert!(early.contains("fits the telescope to images"), "{early}");
     let with = |settings: &[(&str, &str)]| sentence(asked("[\"rotation\"]").with(settings).map(|_| ()));
-    assert!(with(&[("estimate.optimizer", "bfgs")]).contains("needs weights by the noise"));
+    assert!(with(&[("estimate.optimizer", "bfgs")]).contains("needs noise weights"));
     assert!(with(&[("estimate.budget_nm", "1")]).contains("fit_optics"));
     assert!(with(&[("estimate.method", "full-phase")]).contains("fit_optics"));
     assert!(with(&[("estimate.fit_optics", "[\"rotation\", \"rotation\"]")]).contains("\"plate-scale\""));
