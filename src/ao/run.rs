@@ -108,7 +108,7 @@ impl Summary {
 /// Progress report and cancellation of a run.
 #[derive(Default)]
 pub struct Progress<'a> {
-    /// Called with (frames done, frames in all) every [`LOOK_EVERY`] frames.
+    /// Called with (frames done, frames in all) every `LOOK_EVERY` frames.
     pub watch: Option<&'a mut dyn FnMut(u64, u64)>,
     /// Flag that stops the run when another thread sets it.
     pub cancel: Option<&'a AtomicBool>,

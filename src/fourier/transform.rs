@@ -26,7 +26,7 @@ const FFT_OPERATION_ROUGH: f64 = 13.0;
 
 impl<T: Real> Transform<T> {
     /// The cheaper algorithm for `sampling`, by counting operations: `2mn(n+m)` multiply-adds for the matrix products, and
-    /// `5·N·log₂N` operations for each of the n + m lines of the FFT, weighted with [`FFT_OPERATION`].
+    /// `5·N·log₂N` operations for each of the n + m lines of the FFT, weighted with `FFT_OPERATION`.
     pub fn choose(sampling: Sampling) -> Self {
         let (n, m) = (sampling.samples as f64, sampling.pixels as f64);
         match sampling.padded() {

@@ -60,7 +60,7 @@ impl ClosedLoopResponse {
     /// Simulates the commands of the mirror at rest behind segments with these pistons, nm.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of segments; those of [`Simulator::step_behind`].
+    /// [`Error::Shape`] for another number of segments; those of [`Simulator::step_with_opd`].
     pub fn commands_nm(&mut self, pistons_nm: &[f64]) -> Result<Vec<f64>> {
         if pistons_nm.len() != self.segments {
             let (given, needed) = (pistons_nm.len(), self.segments);

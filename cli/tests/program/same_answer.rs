@@ -231,13 +231,8 @@ fn a_basis_that_suffices_and_one_that_does_not() {
 
 #[test]
 fn a_fit_that_is_restarted() {
-    // Pistons far beyond the range of a defocus of a quarter of a wave.
-    let far: &[(&str, &str)] = &[
-        ("aberrations.segment_piston_rms_nm", "500"),
-        ("image.diversity_focus_waves_rms", "0.25"),
-        ("aberrations.seed", "3"),
-    ];
-    let case = Case::of_source(far);
+    // Too few evaluations to converge: each restart begins elsewhere, and the best fit is kept.
+    let case = Case::of_source(&[("estimate.max_evaluations", "6")]);
     let found = case.is_the_same_everywhere();
     let at_once = case.estimate(Policy { restart: false, ..Policy::default() });
     assert!(found.evaluations() > at_once.evaluations(), "{}", at_once.report());

@@ -103,7 +103,7 @@ impl GpuChain {
         self.build.fft.map(|fft| fft.points())
     }
 
-    /// Device memory that the chain takes, bytes: see [`super::budget`].
+    /// Device memory that the chain takes, bytes: see the memory budget in `budget.rs`.
     pub fn bytes(&self) -> u64 {
         self.stages.bytes()
     }

@@ -208,7 +208,7 @@ fn arrays_that_cannot_be_used_are_refused_with_the_reason() {
         ("", |a| a.segments = Some(Array2::zeros((48, 46))), "segment labels is 48 × 46: the grid needs 48 × 48"),
         ("", |a| a.segments = Some(Array2::from_elem((48, 48), 1)), "no illuminated sample has the segment label 0"),
         ("", |a| a.segments = Some(Array2::from_elem((48, 48), i32::MAX)), "largest segment label is 2147483647"),
-        ("", |a| a.segments = Some(Array2::from_elem((48, 48), -1)), "no segment's label within 2 samples"),
+        ("", |a| a.segments = Some(Array2::from_elem((48, 48), -1)), "there is no segment label within 2 samples"),
         ("", |a| a.modes = Some(Array3::zeros((0, 48, 48))), "0 modes is given; at least one is needed"),
         ("", |a| a.modes = Some(Array3::zeros((2, 48, 47))), "the modes have 47x48 samples where the pupil has 48x48"),
         (
