@@ -13,7 +13,11 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
-const CASES: u64 = 16;
+/// Random scenes: six in a usual run, which has each branch of [`sampling`] and each combination of builds; sixteen in
+/// `scripts/test --all`. Most of their time is that of compiling kernels.
+fn cases() -> u64 {
+    if std::env::var_os("COPHASE_LONG_TESTS").is_some() { 16 } else { 6 }
+}
 
 pub(super) struct Case {
     pub optics: Arc<Optics>,
@@ -162,7 +166,7 @@ pub(super) fn allowed(precision: Precision) -> f64 {
 fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
     let devices = test_devices();
     let mut worst = [0.0f64; 2];
-    for seed in 0..CASES {
+    for seed in 0..cases() {
         let case = case(seed);
         let mut reference = CpuChain::<f64>::new(case.optics.clone());
         reference.load(&case.exposures).unwrap();

@@ -140,5 +140,10 @@ fn what_was_destroyed_is_mostly_noticed() {
 
 #[test]
 fn handles_that_come_and_go_leave_nothing() {
-    passes("lifetimes.c", &[if is_watched() { "20" } else { "10000" }]);
+    let times = match is_watched() {
+        true => "20",
+        false if std::env::var_os("COPHASE_LONG_TESTS").is_some() => "10000",
+        false => "2000",
+    };
+    passes("lifetimes.c", &[times]);
 }

@@ -2,7 +2,7 @@
  *
  *   lifetimes SCENE.toml TIMES
  *
- * From 10,000 times on, what is resident must not grow. Fewer are for tools that count leaks themselves, and that keep
+ * From 2,000 times on, what is resident must not grow. Fewer are for tools that count leaks themselves, and that keep
  * freed memory for a while. Linux only: what is resident is read from /proc. */
 #include "setting.h"
 
@@ -100,8 +100,8 @@ static void repeat(const char *what, void (*once)(const struct setting *), const
     CHECK(!counts || grown < most_pages);
 }
 
-/* Half a megabyte: 10,000 leaks of 53 bytes are more. Models take and give back so much that the heap's upper end moves
- * by megabytes: 100 leaks of 160 kB, a fraction of a model, are more than that. */
+/* Half a megabyte: 2,000 leaks of 263 bytes, or 10,000 of 53, are more. Models take and give back so much that the heap's
+ * upper end moves by megabytes: 20 leaks of 840 kB, a fraction of a model, are more than that. */
 enum { FEW = 128, MANY = 4096 };
 
 int main(int argc, char **argv)
@@ -115,7 +115,7 @@ int main(int argc, char **argv)
         return 2;
     scene = read_file(argv[1], &size);
     times = strtol(argv[2], NULL, 10);
-    counts = times >= 10000;
+    counts = times >= 2000;
     s = setting_of(scene);
     frames = frames_of(&s, COUNT);
     CHECK(cophase_session_fit(s.session, &frames, NULL, s.fitted_nm, s.modes, NULL, 0) == COPHASE_OK);
