@@ -20,6 +20,7 @@ mod segment_blocks;
 mod smooth;
 mod work;
 
+pub use crate::fourier::{Real, Sampling, Transform};
 pub use chain::{Chain, Choice, Fallback, Precision};
 pub use cpu::{CpuChain, FlatWavefront, Scratch};
 pub use detector::{Evaluation, Exposure, LoadedImage, Photometry};

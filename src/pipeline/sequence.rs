@@ -148,7 +148,7 @@ pub(super) fn estimate(
     // The optics that were found are used for the static errors only where the slopes belong to their subapertures.
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
-    let retriever = Retriever::with_telescope(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
+    let retriever = Retriever::new(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
     let watch = |done: usize| control.advance_to(done);
     let mut source = SequenceRetrieval::new(&retriever, &prior, cube, slopes_mas.cloned(), cancel, &watch)?;
     let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;

@@ -78,6 +78,7 @@ mod tests {
     use super::*;
     use crate::retrieval::{RetrievalSettings, StaticAberrationRms};
     use crate::scene::Scene;
+    use crate::telescope::Telescope;
     use ndarray::Array3;
 
     #[test]
@@ -92,7 +93,7 @@ mod tests {
         let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
         let prior = RadialPsd::ao_residual(&scene, StaticAberrationRms::default()).unwrap();
         let settings = RetrievalSettings { piston_rms_nm: 0.0, ..RetrievalSettings::default() };
-        let retriever = Retriever::new(&scene, &prior, settings).unwrap();
+        let retriever = Retriever::new(&scene, Telescope::new(&scene).unwrap(), &prior, settings).unwrap();
         let (images_e, bad) = (Array3::zeros((2, 240, 240)), Array3::from_elem((2, 240, 240), false));
         let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
         let source = SequenceRetrieval::new(&retriever, &prior, cube, None, None, &|_| {}).unwrap();

@@ -1,7 +1,8 @@
 //! Static errors from the known wavefronts of an AO simulation, as of a perfect retrieval, against the truth.
 
 use super::error_budget::ErrorSource;
-use super::{Iteration, RetrievedSequence, StaticsSettings, WavefrontSource, estimate_static_errors};
+use super::wavefront_source::{RetrievedSequence, WavefrontSource};
+use super::{Iteration, StaticsSettings, estimate_static_errors};
 use crate::Result;
 use crate::ao::{Frame, Progress, Recorder, Schedule, Shot, Simulator};
 use crate::metrics::residual_nm;

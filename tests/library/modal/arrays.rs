@@ -1,7 +1,7 @@
 //! Telescopes, modes and diversities that a caller gives as arrays.
 
 use super::{scene, source};
-use cophase::grid::Grid;
+use cophase::pupil::Grid;
 use cophase::imaging::{Chain, Precision};
 use cophase::io::{Column, FitsWriter, Pixel};
 use cophase::modal::{Arrays, ModalEstimate, ModalFitter, Status};

@@ -5,7 +5,7 @@
 //! where it shows nothing, with what the mirror makes of it; estimates are held against what the mirror makes of it, and how
 //! much of the map that leaves is told beside.
 
-use cophase::grid::Grid;
+use cophase::pupil::Grid;
 use cophase::io::{FitsWriter, Pixel, read_map};
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;

@@ -1,8 +1,8 @@
 //! Strehl ratios of simulated PSFs.
 
 use super::{keck, map};
-use cophase::fourier::{Sampling, Transform};
-use cophase::metrics::{Marechal, centre, strehl_by_energy, strehl_by_marechal, strehl_by_otf};
+use cophase::imaging::{Sampling, Transform};
+use cophase_cli::experiment::metrics::{Marechal, centre, strehl_by_energy, strehl_by_marechal, strehl_by_otf};
 use cophase::pupil::Pupil;
 use ndarray::{Array2, Axis, Zip};
 use rand::SeedableRng;
