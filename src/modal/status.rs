@@ -177,7 +177,7 @@ pub(super) struct Selection {
 impl Selection {
     /// Selects among images with these reports and coefficients (`[image, mode]`, in the order of the reports).
     ///
-    /// Of up to seven images that converged, those with the best kind of status are used, whatever the combination. From eight
+    /// Of up to seven images that converged, those with the best kind of status are used in every combination. From eight
     /// on, all that converged are used; a clipped mean leaves out outliers of χ² and of the coefficients.
     pub(super) fn new(reports: &[&ImageReport], coefficients_nm: &Array2<f64>, how: Combine) -> Self {
         let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();

@@ -137,7 +137,7 @@ pub struct Comparison {
 #[derive(Debug, Clone)]
 pub struct MapSummary {
     /// What was assumed of the adaptive optics.
-    pub knows: AoKnowledge,
+    pub ao_knowledge: AoKnowledge,
     /// All iterations; the last one is the estimate.
     pub iterations: Vec<Iteration>,
     /// Whether they ended because the last one changed less than the tolerance.

@@ -24,7 +24,7 @@ const EXPLAINED: f64 = 6.0;
 pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Images) -> Result<Estimate> {
     let count = images.len();
     // A level below telemetry uses no slopes, and does not check those of a file.
-    let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|knows| knows >= AoKnowledge::Telemetry);
+    let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
     let slopes_mas = images.slopes_mas.as_ref().filter(|_| uses_telemetry);
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != count) {
         return Err(Error::Shape(format!(
@@ -80,7 +80,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         truth: None,
         fitter: None,
         map: Some(MapSummary {
-            knows: found.knows,
+            ao_knowledge: found.ao_knowledge,
             iterations: found.iterations,
             has_settled,
             retrieval_seconds: found.retrieval_seconds,

@@ -33,7 +33,7 @@ pub use iterate::estimate_static_errors;
 pub use iteration::Iteration;
 pub use ncpa_basis::NcpaFamily;
 pub use segment_tilts::SegmentTilts;
-pub use sequence_retrieval::SequenceRetrieval;
+pub use sequence_retrieval::{SequenceProgress, SequenceRetrieval};
 pub use settings::StaticsSettings;
 pub(crate) use static_modes::check_diversity;
 
