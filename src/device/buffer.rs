@@ -77,16 +77,23 @@ impl<T: Element> Buffer<T> {
         Ok(())
     }
 
+    /// Checks a copy of `count` elements from `offset` on, and counts its command; `false` where there is nothing to copy.
+    fn begin_copy(&self, offset: usize, count: usize) -> Result<bool> {
+        self.check(offset, count)?;
+        if count > 0 {
+            self.context.fault.count_command()?;
+        }
+        Ok(count > 0)
+    }
+
     /// Copies `values` to the elements from `offset` on, and waits for the copy.
     ///
     /// # Errors
     /// [`Error::Device`] where the device failed, [`Error::Internal`] where the values do not fit.
     pub fn write(&mut self, offset: usize, values: &[T]) -> Result<()> {
-        self.check(offset, values.len())?;
-        if values.is_empty() {
+        if !self.begin_copy(offset, values.len())? {
             return Ok(());
         }
-        self.context.fault.count_command()?;
         let queue = &*self.context.queue;
         // SAFETY: the range was checked, and a blocking write has read `values` when it returns.
         unsafe {
@@ -100,11 +107,9 @@ impl<T: Element> Buffer<T> {
     /// # Errors
     /// As for [`Buffer::write`].
     pub fn read(&self, offset: usize, values: &mut [T]) -> Result<()> {
-        self.check(offset, values.len())?;
-        if values.is_empty() {
+        if !self.begin_copy(offset, values.len())? {
             return Ok(());
         }
-        self.context.fault.count_command()?;
         let queue = &*self.context.queue;
         // SAFETY: the range was checked, and a blocking read has filled `values` when it returns.
         unsafe {

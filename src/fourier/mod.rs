@@ -22,8 +22,8 @@ mod transform;
 mod workspace;
 
 pub use hartley::HartleyTransform;
-pub(crate) use product::panel_len;
 pub use product::Factors;
+pub(crate) use product::panel_len;
 pub use real::Real;
 pub use sampling::{Sampling, fast_side};
 pub use transform::Transform;

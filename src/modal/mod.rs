@@ -66,4 +66,4 @@ pub use reject_outliers::{CleanedImages, reject_outliers};
 pub(crate) use residual::photometry;
 pub use select::{BasisCache, OpenChain, select, select_default};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
-pub use status::{ImageReport, Status};
+pub use status::{ImageReport, ImageStatus, Status};

@@ -2,9 +2,10 @@
 
 use super::budget::ErrorTerm;
 use super::images::TruthMaps;
-use super::outcome::{ImageOutcome, ImageStatus};
+use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use crate::loop_response::Corrections;
+use crate::modal::ImageStatus;
 use crate::modal::{self, FittedImage};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;

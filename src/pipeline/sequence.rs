@@ -11,7 +11,9 @@ use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
 use crate::scene::{AoKnowledge, Scene, SegmentModes};
-use crate::statics::{Iteration, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity, estimate_static_errors};
+use crate::statics::{
+    Iteration, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity, estimate_static_errors,
+};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView3};

@@ -53,12 +53,7 @@ impl Retriever {
     ///
     /// # Errors
     /// Those of [`Model::with_telescope`]; [`Error::Value`] for a setting out of range.
-    pub fn new(
-        scene: &Scene,
-        telescope: Telescope,
-        prior: &RadialPsd,
-        settings: RetrievalSettings,
-    ) -> Result<Self> {
+    pub fn new(scene: &Scene, telescope: Telescope, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
         settings.check()?;
         // The free phase includes the NCPA modes; tip and tilt can exceed any power spectrum.
         let scene = scene.with(&[

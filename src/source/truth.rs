@@ -165,12 +165,7 @@ impl Truth {
                 "a pupil of {given} segments was given for a truth of {wanted}; the same number is needed"
             )));
         }
-        let illuminated: Vec<((usize, usize), usize)> = pupil
-            .owner
-            .indexed_iter()
-            .filter(|(_, owner)| **owner >= 0)
-            .map(|(at, &owner)| (at, owner as usize))
-            .collect();
+        let illuminated: Vec<((usize, usize), usize)> = pupil.owned_samples().collect();
         let at = |((y, x), _): &((usize, usize), usize)| (pupil.grid.coordinate_m(*x), pupil.grid.coordinate_m(*y));
         let (xs, ys): (Vec<f64>, Vec<f64>) = illuminated.iter().map(at).unzip();
         let outside = Array2::from_elem(pupil.owner.dim(), f64::NAN);
@@ -207,10 +202,8 @@ impl Ncpa {
 fn segment_radius_rms(telescope: &Telescope) -> f64 {
     let pupil = &telescope.pupil;
     let (mut weight, mut square) = (0.0, 0.0);
-    for (((y, x), &owner), &a) in
-        pupil.owner.indexed_iter().zip(&pupil.amplitude).filter(|((_, owner), _)| **owner >= 0)
-    {
-        let centre = pupil.segments[owner as usize];
+    for ((y, x), owner) in pupil.owned_samples() {
+        let (a, centre) = (pupil.amplitude[[y, x]], pupil.segments[owner]);
         let (x, y) = (pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m);
         (weight, square) = (weight + a, square + a * (x * x + y * y) / 2.0);
     }

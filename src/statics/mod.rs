@@ -28,7 +28,7 @@ mod static_errors;
 mod static_modes;
 mod wavefront_source;
 
-pub use error_budget::{ErrorSource, ErrorTerm};
+pub use error_budget::{BudgetTerm, ErrorSource};
 pub use iterate::estimate_static_errors;
 pub use iteration::Iteration;
 pub use ncpa_basis::NcpaFamily;

@@ -1,7 +1,7 @@
 //! Mode bases through the public interface: on a segmented pupil, with the deformable mirror of Keck.
 
-use cophase::pupil::Grid;
 use cophase::modes::*;
+use cophase::pupil::Grid;
 use cophase::pupil::{Pupil, Segment};
 use ndarray::{Array1, Array2, Array3, Axis};
 

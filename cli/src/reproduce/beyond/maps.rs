@@ -5,8 +5,8 @@
 //! where it shows nothing, with what the mirror makes of it; estimates are held against what the mirror makes of it, and how
 //! much of the map that leaves is told beside.
 
-use cophase::pupil::Grid;
 use cophase::io::{FitsWriter, Pixel, read_map};
+use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};

@@ -1,9 +1,9 @@
 //! Power spectra of known wavefronts.
 
 use super::{keck, map};
-use cophase_cli::experiment::metrics::{LARGEST_PADDING, Psd, PsdAverage, control_half_width_per_m};
 use cophase::modes::VonKarman;
 use cophase::pupil::{Grid, Pupil};
+use cophase_cli::experiment::metrics::{LARGEST_PADDING, Psd, PsdAverage, control_half_width_per_m};
 use ndarray::{Array2, s};
 use num_complex::Complex64;
 use rand::SeedableRng;

@@ -2,8 +2,8 @@
 
 use super::{keck, map};
 use cophase::imaging::{Sampling, Transform};
-use cophase_cli::experiment::metrics::{Marechal, centre, strehl_by_energy, strehl_by_marechal, strehl_by_otf};
 use cophase::pupil::Pupil;
+use cophase_cli::experiment::metrics::{Marechal, centre, strehl_by_energy, strehl_by_marechal, strehl_by_otf};
 use ndarray::{Array2, Axis, Zip};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
