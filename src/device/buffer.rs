@@ -10,13 +10,13 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 /// Element type of a buffer.
-pub trait Element: ocl::OclPrm + Default {}
+pub(crate) trait Element: ocl::OclPrm + Default {}
 impl Element for f32 {}
 impl Element for f64 {}
 impl Element for i32 {}
 
 /// Array of numbers in the memory of a device.
-pub struct Buffer<T: Element> {
+pub(crate) struct Buffer<T: Element> {
     context: Arc<Context>,
     mem: OpenClObject<core::Mem>,
     len: usize,
@@ -53,16 +53,6 @@ impl<T: Element> Buffer<T> {
         .map_err(failed)?;
         context.allocated.fetch_add(bytes, Ordering::Relaxed);
         Ok(Buffer { context: context.clone(), mem, len, marker: PhantomData })
-    }
-
-    /// Number of elements.
-    pub fn len(&self) -> usize {
-        self.len
-    }
-
-    /// Always false: a request for 0 elements makes a buffer of one.
-    pub fn is_empty(&self) -> bool {
-        self.len == 0
     }
 
     /// The OpenCL object, for a kernel's argument.

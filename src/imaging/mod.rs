@@ -8,8 +8,8 @@
 //! Each stage has a file with its forward step and its adjoint. [`Chain`] composes them and selects device and precision.
 //! The f64 CPU chain is the reference, against which all others are tested.
 
-pub mod chain;
-pub mod cpu;
+mod chain;
+mod cpu;
 mod detector;
 mod field;
 pub mod gpu;

@@ -28,13 +28,14 @@ mod static_errors;
 mod static_modes;
 mod wavefront_source;
 
-pub use error_budget::{BudgetTerm, ErrorSource};
+pub use error_budget::{BudgetTerm, ErrorBudget, ErrorSource};
 pub use iterate::estimate_static_errors;
 pub use iteration::Iteration;
 pub use ncpa_basis::NcpaFamily;
 pub use segment_tilts::SegmentTilts;
 pub use sequence_retrieval::{SequenceProgress, SequenceRetrieval};
 pub use settings::StaticsSettings;
+pub use static_errors::StaticErrors;
 pub(crate) use static_modes::check_diversity;
 
 #[cfg(test)]
