@@ -6,7 +6,7 @@ use crate::pupil::Pupil;
 use crate::scene::{NollRange as Span, Scene};
 use crate::telescope::{MapOnGrid, Telescope};
 use crate::{Error, Result};
-use ndarray::{Array2, Array3};
+use ndarray::Array2;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -176,11 +176,6 @@ impl Truth {
             ncpa_nm[at] = ncpa;
         }
         Ok([phasing_nm, ncpa_nm])
-    }
-
-    /// Both maps as a cube, phasing first.
-    pub fn maps_nm(&self) -> Array3<f64> {
-        ndarray::stack![ndarray::Axis(0), self.phasing_nm, self.ncpa_nm]
     }
 }
 
