@@ -65,7 +65,6 @@ pub use prepare::{Frame, Preparation, PreparedFrame, Refusal};
 pub use recipe::Recipe;
 pub(crate) use reject_outliers::{CleanedImages, reject_outliers};
 pub(crate) use residual::photometry;
-pub use select::select_default;
-pub(crate) use select::{BasisCache, select};
+pub use select::{BasisCache, OpenChain, select, select_default};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 pub use status::{ImageReport, ImageStatus, Status};
