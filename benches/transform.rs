@@ -3,7 +3,7 @@
 //!
 //! `Transform::choose` decides by a count of operations and one ratio of speeds; this is where the ratio comes from.
 
-use cophase::fourier::{Real, Sampling, Transform};
+use cophase::imaging::{Real, Sampling, Transform};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 
 /// Pupil samples, pixels: the paper's full image, our crop, and two sizes beyond.

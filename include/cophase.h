@@ -500,16 +500,16 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
 /* Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the mirror's pitch and ordinary
  * seeing.
  */
-#define COPHASE_KNOWS_NOTHING 1
+#define COPHASE_AO_KNOWLEDGE_NOTHING 1
 
 /* Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and control. */
-#define COPHASE_KNOWS_SPECTRUM 2
+#define COPHASE_AO_KNOWLEDGE_SPECTRUM 2
 
 /* Knowledge: also the closed loop's response to the segments. */
-#define COPHASE_KNOWS_LOOP 3
+#define COPHASE_AO_KNOWLEDGE_LOOP 3
 
 /* Knowledge: also the slopes of the wavefront sensor during each exposure. */
-#define COPHASE_KNOWS_TELEMETRY 4
+#define COPHASE_AO_KNOWLEDGE_TELEMETRY 4
 
 /* Array of an estimate: coefficients, nm; modes. */
 #define COPHASE_ARRAY_COEFFICIENTS_NM 1
@@ -575,8 +575,8 @@ typedef struct {
   int32_t iterations;
   /* 1 if the last iteration of a MAP estimate changed next to nothing, else 0; 1 in a modal one. */
   int32_t has_settled;
-  /* COPHASE_KNOWS_ number of a MAP estimate; 0 in a modal one. */
-  int32_t knows;
+  /* COPHASE_AO_KNOWLEDGE_ number of a MAP estimate; 0 in a modal one. */
+  int32_t ao_knowledge;
   /* Precision of the imaging chain: COPHASE_F64 or COPHASE_F32. */
   int32_t precision;
   /* Evaluations of objective and gradient, all images together. */
@@ -691,7 +691,7 @@ cophase_status cophase_estimate_correct(cophase_estimate *estimate,
 
 /* Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
  * COPHASE_POLICY_REALTIME: no model selection, no outlier rejection, no restarts. The same frame gives the same bits,
- * whatever else is in the call.
+ * with any other frames in the call.
  *
  * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
  */

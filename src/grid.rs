@@ -46,11 +46,6 @@ impl Grid {
     pub fn coordinate_m(&self, j: usize) -> f64 {
         (j as f64 - (self.samples as f64 - 1.0) / 2.0) * self.pitch_m()
     }
-
-    /// Grid with `factor` times as many samples over the same width.
-    pub fn refined(&self, factor: usize) -> Self {
-        Self { samples: self.samples * factor, width_m: self.width_m }
-    }
 }
 
 #[cfg(test)]

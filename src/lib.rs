@@ -36,17 +36,17 @@
 #![deny(missing_docs)]
 
 pub mod ao;
-pub mod atomic;
+mod atomic;
 pub mod capi;
 pub mod device;
-pub mod error;
+mod error;
 mod fault;
-pub mod fourier;
-pub mod grid;
+mod fourier;
+mod grid;
 pub mod imaging;
 pub mod io;
 mod linear_algebra;
-pub mod loop_response;
+mod loop_response;
 pub mod metrics;
 pub mod modal;
 pub mod modes;
@@ -54,10 +54,10 @@ pub mod optimize;
 pub mod pipeline;
 pub mod planner;
 pub mod pupil;
-pub mod retrieval;
+mod retrieval;
 pub mod scene;
 pub mod source;
-pub mod statics;
+mod statics;
 mod statistics;
 pub mod telescope;
 

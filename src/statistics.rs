@@ -5,7 +5,8 @@ pub const NORMAL_MEDIAN_DEVIATION: f64 = 0.6745;
 
 /// Median: the middle value, or the mean of the two middle ones; NaN of none.
 pub fn median(values: &[f64]) -> f64 {
-    let sorted = sorted(values);
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
     let (below, above) = (sorted.len().saturating_sub(1) / 2, sorted.len() / 2);
     match (sorted.get(below), sorted.get(above)) {
         (Some(a), Some(b)) => (a + b) / 2.0,
@@ -15,14 +16,16 @@ pub fn median(values: &[f64]) -> f64 {
 
 /// Upper median: the middle value, or the larger of the two middle ones, so always one of the values; NaN of none.
 pub fn upper_median(values: &[f64]) -> f64 {
-    let sorted = sorted(values);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+    upper_median_in_place(&mut values.to_vec())
 }
 
-fn sorted(values: &[f64]) -> Vec<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted
+/// [`upper_median`] without allocation: reorders `values`.
+pub fn upper_median_in_place(values: &mut [f64]) -> f64 {
+    if values.is_empty() {
+        return f64::NAN;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

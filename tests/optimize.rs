@@ -4,8 +4,8 @@
 mod problems;
 
 use cophase::optimize::{
-    ArgminBfgs, CancelFlag, Metric, Outcome, Progress, QuasiNewton, RESOLUTION_F32, Scaling, Settings, StopReason,
-    argmin_bfgs, minimize,
+    ArgminBfgs, CancelFlag, Metric, Objective, Outcome, Progress, QuasiNewton, RESOLUTION_F32, Scaling, Settings,
+    StopReason, minimize,
 };
 use cophase::{Error, Result};
 use ndarray::Array2;
@@ -19,6 +19,18 @@ use std::time::Instant;
 /// χ² of the 256 noisy pixels at the right minimum: 256 ± 23, and weights from the data add some; a wrong minimum has
 /// thousands.
 const GOOD_CHI2: f64 = 400.0;
+
+/// The reference with both tolerances equal to `tolerance`, from the identity as the inverse Hessian.
+fn argmin_bfgs(problem: &mut Objective, start: &[f64], tolerance: f64, max_evaluations: usize) -> Result<Outcome> {
+    let reference = ArgminBfgs {
+        gradient_tolerance: tolerance,
+        cost_tolerance: tolerance,
+        initial_scale: 1.0,
+        max_evaluations,
+        cancel: None,
+    };
+    reference.minimize(problem, start)
+}
 
 fn whitened(h: &Array2<f64>) -> Arc<Metric> {
     Arc::new(Metric::from_gauss_newton(h, 1e-12).unwrap())
@@ -277,7 +289,7 @@ fn null_directions_are_never_moved() {
     let (q, seen, null) = blind(n);
     let h = seen.dot(&q.gauss_newton()).dot(&seen);
     let metric = whitened(&(0.5 * (&h + &h.t())));
-    assert_eq!((metric.rank(), metric.dimension(), metric.null_directions().nrows()), (n - 2, n, 2));
+    assert_eq!((metric.rank(), metric.dimension()), (n - 2, n));
     let project = |x: &[f64]| seen.dot(&ndarray::ArrayView1::from(x)).to_vec();
     let start: Vec<f64> = (0..n).map(|i| 30.0 + 7.0 * i as f64).collect();
     let mut problem = |x: &[f64]| {

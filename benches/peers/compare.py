@@ -106,15 +106,15 @@ def evaluations(entries: list[Contender], images: Images, rounds: int) -> list[d
     random = np.random.default_rng(1)
     modes = entries[0].telescope.modes
     points_nm = 40 * random.standard_normal((4, max(entry.batch for entry in entries), modes))
-    judge = entries[0].model
-    judge.load(images.electrons[0], images.weights[0])
-    value, gradient = judge.evaluate(points_nm[0, 0])
+    reference = entries[0].model
+    reference.load(images.electrons[0], images.weights[0])
+    value, gradient = reference.evaluate(points_nm[0, 0])
     calls = {}
     for entry in entries:
         entry.load(images)
         at = [points[0] if entry.batch == 1 else points[: entry.batch] for points in points_nm]
         # The flux is a parameter of this one, which the others fit on the way.
-        more = (judge.flux_e,) if isinstance(entry.model, solvephase_model.Model) else ()
+        more = (reference.flux_e,) if isinstance(entry.model, solvephase_model.Model) else ()
         agree(entry, value, gradient, entry.model.evaluate(at[0], *more))
         turns = iter(range(1 << 62))
         calls[entry] = lambda entry=entry, at=at, turns=turns: entry.model.evaluate(at[next(turns) % len(at)])

@@ -21,7 +21,7 @@
 
 enum { SLOTS = 4, KEPT = 200, PRINT_S = 5 }; /* frames that may wait; images behind the running estimate; its period */
 
-/* One thread writes, one reads, and each changes its own counter only: nobody needs a lock. */
+/* One thread writes, one reads, and each changes its own counter only: no lock is needed. */
 static struct {
     struct { double arrived_s; float *pixels; } slots[SLOTS];
     atomic_size_t written, read;
@@ -108,7 +108,7 @@ static void *estimator(void *unused)
         frame.data = queue.slots[next % SLOTS].pixels;
         check(cophase_session_fit(session, &frame, &options, coefficients_nm, modes, &report, sizeof report));
         pushed = cophase_sequence_push(sequence, session);
-        if (pushed == COPHASE_BUSY) /* it is being read: nobody waits, and the next image will do as well */
+        if (pushed == COPHASE_BUSY) /* it is being read: do not wait, push the next image instead */
             skipped++;
         else
             check(pushed);

@@ -92,7 +92,7 @@ pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<()> {
     if inputs.iter().any(same) {
         return Err(Error::file(output, "is read by this command and cannot be its output: give another name"));
     }
-    // Whatever it will hold, it appears as a FITS file does: by a rename within its directory.
+    // A file of any content appears as a FITS file does: by a rename within its directory.
     FitsWriter::create(output).map(drop)
 }
 

@@ -33,12 +33,7 @@ impl Drift {
         frame_s: f64,
     ) -> Result<Option<Self>> {
         let Some(pistons) = truth.piston_drift_nm() else { return Ok(None) };
-        let illuminated: Vec<((usize, usize), usize)> = pupil
-            .owner
-            .indexed_iter()
-            .filter(|(_, owner)| **owner >= 0)
-            .map(|(at, &owner)| (at, owner as usize))
-            .collect();
+        let illuminated: Vec<((usize, usize), usize)> = pupil.owned_samples().collect();
         let xs_m: Vec<f64> = illuminated.iter().map(|((_, x), _)| pupil.grid.coordinate_m(*x)).collect();
         let ys_m: Vec<f64> = illuminated.iter().map(|((y, _), _)| pupil.grid.coordinate_m(*y)).collect();
         let (mut pistons_nm, mut ncpa_nm) = (footprint.zeros(), footprint.zeros());

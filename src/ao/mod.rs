@@ -26,17 +26,18 @@ mod valid_map;
 mod work;
 
 pub use aligned::AlignedBuffer;
-pub use atmosphere::{Atmosphere, LARGEST_OUTER_SCALE};
+pub use atmosphere::Atmosphere;
 pub use camera::{ScienceCamera, View, strehl_on_axis};
-pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stability, segment_mask};
+pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stability};
 pub(crate) use control::{Svd, svd};
 pub use divergence::Divergence;
 pub use file::write;
 pub use footprint::{Footprint, LANES};
 pub use profile::{Profile, Stage};
 pub use run::{Progress, Recorder, Shot, Summary};
-pub use schedule::Schedule;
-pub use sensor::{GuideStar, Lenslets, MAS_PER_NM_M, Sensor};
+#[cfg(test)]
+pub(crate) use schedule::Schedule;
+pub use sensor::{GuideStar, Lenslets, Sensor};
 pub use simulator::{Frame, Simulator};
 pub use stepper::Stepper;
 pub use surface::Surface;

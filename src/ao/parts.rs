@@ -77,9 +77,9 @@ pub(super) fn apply_reflectivity(pupil: &Pupil, truth: &Truth) -> Pupil {
 /// Map of the segment errors, nm: each sample takes the error of the segment that owns it.
 pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, footprint: &Footprint) -> AlignedBuffer {
     let mut map = footprint.zeros();
-    for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
+    for ((y, x), owner) in pupil.owned_samples() {
         let (x_m, y_m) = (pupil.grid.coordinate_m(x), pupil.grid.coordinate_m(y));
-        map[y * footprint.stride() + x] = truth.segment_nm(&telescope.pupil, owner as usize, x_m, y_m) as f32;
+        map[y * footprint.stride() + x] = truth.segment_nm(&telescope.pupil, owner, x_m, y_m) as f32;
     }
     map
 }

@@ -22,13 +22,13 @@ pub const COPHASE_METHOD_MAP: i32 = 2;
 
 /// Knowledge of the adaptive optics that a MAP estimate assumed (estimate.ao_knowledge): only the mirror's pitch and ordinary
 /// seeing.
-pub const COPHASE_KNOWS_NOTHING: i32 = 1;
+pub const COPHASE_AO_KNOWLEDGE_NOTHING: i32 = 1;
 /// Knowledge: the power spectrum of the residual wavefront, from the scene's turbulence and control.
-pub const COPHASE_KNOWS_SPECTRUM: i32 = 2;
+pub const COPHASE_AO_KNOWLEDGE_SPECTRUM: i32 = 2;
 /// Knowledge: also the closed loop's response to the segments.
-pub const COPHASE_KNOWS_LOOP: i32 = 3;
+pub const COPHASE_AO_KNOWLEDGE_LOOP: i32 = 3;
 /// Knowledge: also the slopes of the wavefront sensor during each exposure.
-pub const COPHASE_KNOWS_TELEMETRY: i32 = 4;
+pub const COPHASE_AO_KNOWLEDGE_TELEMETRY: i32 = 4;
 
 /// Array of an estimate: coefficients, nm; modes.
 pub const COPHASE_ARRAY_COEFFICIENTS_NM: i32 = 1;
@@ -86,8 +86,8 @@ pub struct cophase_estimate_info {
     pub iterations: i32,
     /// 1 if the last iteration of a MAP estimate changed next to nothing, else 0; 1 in a modal one.
     pub has_settled: i32,
-    /// COPHASE_KNOWS_ number of a MAP estimate; 0 in a modal one.
-    pub knows: i32,
+    /// COPHASE_AO_KNOWLEDGE_ number of a MAP estimate; 0 in a modal one.
+    pub ao_knowledge: i32,
     /// Precision of the imaging chain: COPHASE_F64 or COPHASE_F32.
     pub precision: i32,
     /// Evaluations of objective and gradient, all images together.
@@ -173,11 +173,11 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
         is_sequence: estimate.is_sequence.into(),
         iterations: map.map_or(0, |map| map.iterations.len() as i32),
         has_settled: map.is_none_or(|map| map.has_settled).into(),
-        knows: map.map_or(0, |map| match map.knows {
-            AoKnowledge::Nothing => COPHASE_KNOWS_NOTHING,
-            AoKnowledge::Spectrum => COPHASE_KNOWS_SPECTRUM,
-            AoKnowledge::Loop => COPHASE_KNOWS_LOOP,
-            AoKnowledge::Telemetry => COPHASE_KNOWS_TELEMETRY,
+        ao_knowledge: map.map_or(0, |map| match map.ao_knowledge {
+            AoKnowledge::Nothing => COPHASE_AO_KNOWLEDGE_NOTHING,
+            AoKnowledge::Spectrum => COPHASE_AO_KNOWLEDGE_SPECTRUM,
+            AoKnowledge::Loop => COPHASE_AO_KNOWLEDGE_LOOP,
+            AoKnowledge::Telemetry => COPHASE_AO_KNOWLEDGE_TELEMETRY,
         }),
         precision: super::session::precision_number(precision),
         evaluations: estimate.evaluations() as u64,

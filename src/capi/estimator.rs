@@ -148,7 +148,7 @@ pub unsafe extern "C" fn cophase_estimator_destroy(estimator: *mut cophase_estim
     unsafe { give_back(estimator, |estimator| &estimator.inside) }
 }
 
-/// The control of an estimator, whatever call is running on it.
+/// The control of an estimator, during any call on it.
 unsafe fn control<'a>(estimator: *const cophase_estimator) -> Result<&'a Control> {
     let estimator = unsafe { estimator.as_ref() }.ok_or_else(|| null("estimator"))?;
     if estimator.inside.is_alive() { Ok(&estimator.control) } else { Err(given_back()) }

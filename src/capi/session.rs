@@ -20,7 +20,7 @@ use std::time::Duration;
 
 /// Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
 /// COPHASE_POLICY_REALTIME: no model selection, no outlier rejection, no restarts. The same frame gives the same bits,
-/// whatever else is in the call.
+/// with any other frames in the call.
 ///
 /// One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.
 #[allow(non_camel_case_types)] // a name of the header

@@ -10,13 +10,13 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 /// Element type of a buffer.
-pub trait Element: ocl::OclPrm + Default {}
+pub(crate) trait Element: ocl::OclPrm + Default {}
 impl Element for f32 {}
 impl Element for f64 {}
 impl Element for i32 {}
 
 /// Array of numbers in the memory of a device.
-pub struct Buffer<T: Element> {
+pub(crate) struct Buffer<T: Element> {
     context: Arc<Context>,
     mem: OpenClObject<core::Mem>,
     len: usize,
@@ -55,16 +55,6 @@ impl<T: Element> Buffer<T> {
         Ok(Buffer { context: context.clone(), mem, len, marker: PhantomData })
     }
 
-    /// Number of elements.
-    pub fn len(&self) -> usize {
-        self.len
-    }
-
-    /// Always false: a request for 0 elements makes a buffer of one.
-    pub fn is_empty(&self) -> bool {
-        self.len == 0
-    }
-
     /// The OpenCL object, for a kernel's argument.
     pub(super) fn mem(&self) -> &core::Mem {
         &self.mem
@@ -77,16 +67,23 @@ impl<T: Element> Buffer<T> {
         Ok(())
     }
 
+    /// Checks a copy of `count` elements from `offset` on, and counts its command; `false` where there is nothing to copy.
+    fn begin_copy(&self, offset: usize, count: usize) -> Result<bool> {
+        self.check(offset, count)?;
+        if count > 0 {
+            self.context.fault.count_command()?;
+        }
+        Ok(count > 0)
+    }
+
     /// Copies `values` to the elements from `offset` on, and waits for the copy.
     ///
     /// # Errors
     /// [`Error::Device`] where the device failed, [`Error::Internal`] where the values do not fit.
     pub fn write(&mut self, offset: usize, values: &[T]) -> Result<()> {
-        self.check(offset, values.len())?;
-        if values.is_empty() {
+        if !self.begin_copy(offset, values.len())? {
             return Ok(());
         }
-        self.context.fault.count_command()?;
         let queue = &*self.context.queue;
         // SAFETY: the range was checked, and a blocking write has read `values` when it returns.
         unsafe {
@@ -100,11 +97,9 @@ impl<T: Element> Buffer<T> {
     /// # Errors
     /// As for [`Buffer::write`].
     pub fn read(&self, offset: usize, values: &mut [T]) -> Result<()> {
-        self.check(offset, values.len())?;
-        if values.is_empty() {
+        if !self.begin_copy(offset, values.len())? {
             return Ok(());
         }
-        self.context.fault.count_command()?;
         let queue = &*self.context.queue;
         // SAFETY: the range was checked, and a blocking read has filled `values` when it returns.
         unsafe {

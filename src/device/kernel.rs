@@ -11,7 +11,7 @@ use ocl::core::{self, ArgVal, Event, KernelArgInfo, KernelArgInfoResult, KernelI
 use std::sync::{Arc, PoisonError};
 
 /// One kernel with its arguments. Arguments stay bound from launch to launch.
-pub struct Kernel {
+pub(crate) struct Kernel {
     context: Arc<Context>,
     kernel: OpenClObject<core::Kernel>,
     name: &'static str,
@@ -45,7 +45,8 @@ impl Kernel {
     }
 
     /// The names of the arguments, in order.
-    pub fn arguments(&self) -> &[String] {
+    #[cfg(test)]
+    pub(super) fn arguments(&self) -> &[String] {
         &self.arguments
     }
 

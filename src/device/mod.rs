@@ -39,14 +39,14 @@ pub use precision::Precision;
 #[cfg(not(feature = "opencl"))]
 pub use absent::{Device, devices};
 #[cfg(feature = "opencl")]
-pub use buffer::{Buffer, Element};
+pub(crate) use buffer::Buffer;
 #[cfg(feature = "opencl")]
 pub use discover::devices;
 #[cfg(feature = "opencl")]
-pub use kernel::Kernel;
+pub(crate) use kernel::Kernel;
 #[cfg(feature = "opencl")]
 pub(crate) use reals::Reals;
 #[cfg(feature = "opencl")]
 pub use session::{Device, StageTime};
 #[cfg(feature = "opencl")]
-pub use table::{Build, Entry, Family, FftPlan, TABLE};
+pub(crate) use table::{Build, FftPlan};

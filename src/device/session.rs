@@ -13,7 +13,7 @@ use ocl::core::{
     self, CommandQueueProperties, ContextProperties, Event, ProfilingInfo, ProfilingInfoResult, ProgramBuildInfo,
 };
 use std::ffi::CString;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -76,8 +76,9 @@ impl Device {
     }
 
     /// Bytes allocated in buffers.
-    pub fn allocated_bytes(&self) -> u64 {
-        self.context.allocated.load(Ordering::Relaxed)
+    #[cfg(test)]
+    pub(crate) fn allocated_bytes(&self) -> u64 {
+        self.context.allocated.load(std::sync::atomic::Ordering::Relaxed)
     }
 
     /// Waits until all enqueued commands are complete.
@@ -92,7 +93,7 @@ impl Device {
     ///
     /// # Errors
     /// [`Error::Device`], with the size, where the device cannot allocate it.
-    pub fn buffer<T: Element>(&self, len: usize) -> Result<Buffer<T>> {
+    pub(crate) fn buffer<T: Element>(&self, len: usize) -> Result<Buffer<T>> {
         Buffer::new(&self.context, len)
     }
 
@@ -100,7 +101,7 @@ impl Device {
     ///
     /// # Errors
     /// As for [`Device::buffer`].
-    pub fn upload<T: Element>(&self, values: &[T]) -> Result<Buffer<T>> {
+    pub(crate) fn upload<T: Element>(&self, values: &[T]) -> Result<Buffer<T>> {
         let mut buffer = self.buffer(values.len())?;
         buffer.write(0, values)?;
         Ok(buffer)
@@ -111,7 +112,7 @@ impl Device {
     /// # Errors
     /// [`Error::Device`] where the device lacks the precision or the compilation fails, with an excerpt of the compiler's
     /// log.
-    pub fn kernel(&self, name: &'static str, build: Build) -> Result<Kernel> {
+    pub(crate) fn kernel(&self, name: &'static str, build: Build) -> Result<Kernel> {
         if !self.info().supports(build.precision) {
             return Err(Error::Device(format!(
                 "{} ({}) computes in f32 only: precision {} is not available on it",

@@ -8,7 +8,7 @@ const COMMON: &str = include_str!("../../kernels/common.cl");
 
 /// One kernel function.
 #[derive(Debug)]
-pub struct Entry {
+pub(crate) struct Entry {
     /// The `__kernel` function.
     pub name: &'static str,
     /// Work-group size on a device that runs work-items in lockstep (a GPU). A CPU uses groups of one: its kernels are
@@ -18,7 +18,7 @@ pub struct Entry {
 
 /// One file of `kernels/`.
 #[derive(Debug)]
-pub struct Family {
+pub(crate) struct Family {
     /// Name of the file in `kernels/`.
     pub file: &'static str,
     /// Its text.
@@ -29,7 +29,7 @@ pub struct Family {
 
 /// The table, in the order in which the files are compiled, as one program: `focus.cl` calls functions of the files before
 /// it.
-pub const TABLE: &[Family] = &[
+pub(crate) const TABLE: &[Family] = &[
     Family {
         file: "field.cl",
         source: include_str!("../../kernels/field.cl"),
@@ -91,7 +91,7 @@ pub const TABLE: &[Family] = &[
 
 /// Compile-time parameters of a program. Each is a preprocessor definition documented in `common.cl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Build {
+pub(crate) struct Build {
     /// Number type.
     pub precision: Precision,
     /// Numbers in one vector: 1, 4, 8 or 16.
@@ -102,7 +102,7 @@ pub struct Build {
 
 /// Factorisation of an FFT into two passes of `a` and `b` points, see `fft.cl`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct FftPlan {
+pub(crate) struct FftPlan {
     /// Points of the small transforms of the first pass.
     pub a: usize,
     /// Points of the small transforms of the second pass.

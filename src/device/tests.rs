@@ -3,6 +3,7 @@
 //!
 //! `scripts/check-kernels` checks the kernels for data races and out-of-bounds accesses.
 
+use super::table::TABLE;
 use super::*;
 
 /// The devices to test on; empty where there are none and OpenCL is not required.

@@ -4,13 +4,14 @@
 //!
 //! `U[v][u] = Σ_yx E[y][x] · exp(−2πi·step·((x − (n−1)/2)(u − m/2) + (y − (n−1)/2)(v − m/2)))`
 //!
-//! and its adjoint has the opposite sign in the exponent. [`definition`] computes that sum term by term: the reference
-//! implementation, against which the two fast ones, [`MatrixTransform`] and [`FftTransform`], are tested.
+//! and its adjoint has the opposite sign in the exponent. `definition` computes that sum term by term: the reference
+//! implementation, against which the two fast ones, `matrix` and `fft`, are tested.
 //!
 //! **Layout.** Complex arrays are *row-planar*: each row is its real parts followed by its imaginary parts
 //! (`[row][re, im][col]`). One real matrix product then serves both parts, along either axis, without a transposition.
 
-pub mod definition;
+#[cfg(test)]
+mod definition;
 mod fft;
 mod hartley;
 mod matrix;
@@ -20,11 +21,9 @@ mod sampling;
 mod transform;
 mod workspace;
 
-pub use fft::FftTransform;
 pub use hartley::HartleyTransform;
-pub use matrix::MatrixTransform;
+pub use product::Factors;
 pub(crate) use product::panel_len;
-pub use product::{Factors, Product};
 pub use real::Real;
 pub use sampling::{Sampling, fast_side};
 pub use transform::Transform;

@@ -2,7 +2,7 @@
 //! thread allocates; a real-time call must not.
 //!
 //! Register-blocked: `MR` rows by `NV` vectors of the product stay in registers while the depth runs through. The
-//! columns of the right factor are packed panel by panel, so that they are read in order whatever the stride. The last
+//! columns of the right factor are packed panel by panel, so that they are read in order at any stride. The last
 //! panel overlaps its neighbour rather than being padded: the columns computed twice are bitwise the same, because
 //! each entry is one chain of fused multiply-adds along the depth, at any vector width.
 //!

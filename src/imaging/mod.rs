@@ -8,8 +8,8 @@
 //! Each stage has a file with its forward step and its adjoint. [`Chain`] composes them and selects device and precision.
 //! The f64 CPU chain is the reference, against which all others are tested.
 
-pub mod chain;
-pub mod cpu;
+mod chain;
+mod cpu;
 mod detector;
 mod field;
 pub mod gpu;
@@ -20,6 +20,7 @@ mod segment_blocks;
 mod smooth;
 mod work;
 
+pub use crate::fourier::{Real, Sampling, Transform};
 pub use chain::{Chain, Choice, Fallback, Precision};
 pub use cpu::{CpuChain, FlatWavefront, Scratch};
 pub use detector::{Evaluation, Exposure, LoadedImage, Photometry};

@@ -22,6 +22,7 @@ mod standard;
 mod value;
 mod write;
 
+pub use crate::atomic::write as write_atomically;
 pub use images::{Images, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use value::Card;

@@ -50,8 +50,8 @@ impl ClosedLoopResponse {
         let settings: Vec<_> = UNDISTURBED_LOOP.into_iter().chain(aberrations).collect();
         let simulator = Simulator::new(&scene.with(&settings)?)?;
         let stride = simulator.footprint().stride();
-        let owner = simulator.pupil().owner.indexed_iter().filter(|(_, owner)| **owner >= 0);
-        let owned = owner.map(|((y, x), &owner)| (owner as u32, (y * stride + x) as u32)).collect();
+        let owned = simulator.pupil().owned_samples();
+        let owned = owned.map(|((y, x), owner)| (owner as u32, (y * stride + x) as u32)).collect();
         let influence = simulator.influence().evaluate(&samples.xs_m, &samples.ys_m)?;
         let segments = simulator.pupil().segments.len();
         Ok(Self { simulator, owned, influence, segments })

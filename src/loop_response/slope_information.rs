@@ -27,6 +27,7 @@ pub struct SlopeInformation {
     /// Right side: the information times the estimated modes, nm⁻¹.
     pub right_side: Array1<f64>,
     /// Error of the sensor model in each slope, RMS, mas.
+    #[allow(dead_code, reason = "a diagnostic, which only the test of this file reads")]
     pub model_error_mas: f64,
 }
 

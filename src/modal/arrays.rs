@@ -30,11 +30,11 @@ pub struct Arrays {
 }
 
 impl ModalFitter {
-    /// A fitter for the pupil in `arrays` and whatever else `arrays` holds; the rest is the scene's. The scene's own pupil,
+    /// A fitter for the pupil in `arrays` and the other arrays that it holds; the rest is the scene's. The scene's own pupil,
     /// and its files for which there is an array, are ignored: [`Scene::for_arrays`] reads a scene without checking
     /// them.
     ///
-    /// The pupil is used on its own samples, whatever `pupil.samples` and `pupil.model` say, and `pupil.grid_m` is needed
+    /// The pupil is used on its own samples, not by `pupil.samples` and `pupil.model`, and `pupil.grid_m` is needed
     /// only where lengths matter (`modes.ncpa = "kl"`).
     ///
     /// * **Segment modes** are those of `modes.segment` for the labelled segments. Without labels there are none, because

@@ -24,7 +24,7 @@ pub struct ModalFitter {
     pub(super) scene: Scene,
     pub(super) recipe: Recipe,
     pub(super) model: Model,
-    /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it whatever chain fits.
+    /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it for every chain that fits.
     pub(super) reference: CpuChain<f64>,
     pub(super) metrics: Metrics,
     /// Shares of the pistons in their mean over the pupil, computed once because that takes as long as some fits.

@@ -28,7 +28,7 @@ pub(super) const NUMBER: usize = size_of::<f64>();
 pub(super) const KEPT_MATRICES: usize = 26;
 /// Square matrices of one eigen-decomposition or inverse, its input and its result included.
 pub(super) const WORKING_MATRICES: usize = 7;
-/// Most matrices that are decomposed at the same time, whatever the number of threads: their memory goes as modes squared.
+/// Most matrices that are decomposed at the same time, for any number of threads: their memory goes as modes squared.
 pub(super) const MATRICES_AT_ONCE: usize = 4;
 
 /// Memory of an estimate, bytes: upper bounds.
@@ -145,7 +145,7 @@ mod tests {
         assert_eq!(MEMORY.least_bytes(), 1920);
         assert_eq!(MEMORY.tiles(0), Tiles { derivative_bytes: 160, images: 1 });
         for limit in [1920, 2017, 5000, 100_000] {
-            // Whatever the number of images: what each adds is not part of the limit.
+            // For any number of images: what each adds is not part of the limit.
             for images in [1, 7, 4096] {
                 let most = MEMORY.most_bytes(images, limit);
                 assert!(most <= limit + images * MEMORY.kept_image, "{most} of {limit}");

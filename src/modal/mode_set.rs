@@ -132,7 +132,7 @@ impl ModeSet {
 pub(super) struct SceneBasis(OnceLock<Option<SmoothBasis>>);
 
 impl SceneBasis {
-    /// An empty basis, whatever the scene names.
+    /// An empty basis, also for a scene that names modes.
     pub(super) fn none() -> Self {
         Self(OnceLock::from(None))
     }

@@ -175,12 +175,10 @@ impl Model {
 /// Coordinates of each entry on its segment, in units of the segment's RMS.
 fn slopes(weights: &SegmentWeights, points: &[(f64, f64)], pupil: &Pupil) -> (Vec<f64>, Vec<f64>) {
     let mut moments = vec![[0.0; 3]; pupil.segments.len()];
-    for (((y, x), &owner), &a) in
-        pupil.owner.indexed_iter().zip(&pupil.amplitude).filter(|((_, owner), _)| **owner >= 0)
-    {
-        let centre = pupil.segments[owner as usize];
+    for ((y, x), owner) in pupil.owned_samples() {
+        let (a, centre) = (pupil.amplitude[[y, x]], pupil.segments[owner]);
         let (x, y) = (pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m);
-        let [weight, xx, yy] = &mut moments[owner as usize];
+        let [weight, xx, yy] = &mut moments[owner];
         (*weight, *xx, *yy) = (*weight + a, *xx + a * x * x, *yy + a * y * y);
     }
     let mut slopes = (Vec::new(), Vec::new());

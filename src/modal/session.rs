@@ -36,7 +36,7 @@ use std::time::Instant;
 ///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free
 /// memory, take no lock and format no text, except for an error message. A fit depends on its own image alone: it is that of
-/// [`ModalFitter::estimate`] to the last bit, whatever the number of images and threads.
+/// [`ModalFitter::estimate`] to the last bit, for any number of images and threads.
 pub struct Session {
     shared: Shared,
     frames: Vec<FrameBuffer>,

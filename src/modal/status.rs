@@ -11,7 +11,35 @@ use crate::optimize::StopReason;
 use crate::scene::Combine;
 use ndarray::{Array2, Axis};
 
-/// Status of one image.
+/// Whether an image was fitted, and how well.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ImageStatus {
+    /// Fitted, and the model explains it.
+    Ok,
+    /// Fitted, but the residual is larger than the noise.
+    Misfit,
+    /// The residual is so large that the fit is probably in a wrong minimum.
+    WrongMinimum,
+    /// The optimiser stopped before it converged.
+    NotConverged,
+    /// The image could not be used.
+    Unusable,
+}
+
+impl ImageStatus {
+    /// The word in files and JSON.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Ok => "ok",
+            Self::Misfit => "misfit",
+            Self::WrongMinimum => "wrong-minimum",
+            Self::NotConverged => "not-converged",
+            Self::Unusable => "unusable",
+        }
+    }
+}
+
+/// Status of one fit, with its reason: [`Status::kind`] without it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Status {
     /// Fitted, and the model explains it.
@@ -34,15 +62,20 @@ impl Status {
         matches!(self, Status::Ok | Status::Misfit | Status::WrongMinimum)
     }
 
-    /// One word for tables.
-    pub fn word(&self) -> &'static str {
+    /// The status without its reason.
+    pub fn kind(&self) -> ImageStatus {
         match self {
-            Status::Ok => "ok",
-            Status::Misfit => "misfit",
-            Status::WrongMinimum => "wrong-minimum",
-            Status::NotConverged(_) => "not-converged",
-            Status::Unusable(_) => "unusable",
+            Status::Ok => ImageStatus::Ok,
+            Status::Misfit => ImageStatus::Misfit,
+            Status::WrongMinimum => ImageStatus::WrongMinimum,
+            Status::NotConverged(_) => ImageStatus::NotConverged,
+            Status::Unusable(_) => ImageStatus::Unusable,
         }
+    }
+
+    /// The word in files and JSON.
+    pub fn word(&self) -> &'static str {
+        self.kind().word()
     }
 }
 
@@ -177,7 +210,7 @@ pub(super) struct Selection {
 impl Selection {
     /// Selects among images with these reports and coefficients (`[image, mode]`, in the order of the reports).
     ///
-    /// Of up to seven images that converged, those with the best kind of status are used, whatever the combination. From eight
+    /// Of up to seven images that converged, those with the best kind of status are used in every combination. From eight
     /// on, all that converged are used; a clipped mean leaves out outliers of χ² and of the coefficients.
     pub(super) fn new(reports: &[&ImageReport], coefficients_nm: &Array2<f64>, how: Combine) -> Self {
         let converged: Vec<usize> = (0..reports.len()).filter(|&i| reports[i].status.has_converged()).collect();

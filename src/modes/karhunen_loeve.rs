@@ -48,8 +48,6 @@ pub struct KarhunenLoeve {
     pub basis: SmoothBasis,
     /// Variance of each mode in turbulence, nm².
     pub variances_nm2: Vec<f64>,
-    /// Number of truncated combinations of influence functions, which barely change the wavefront in the pupil.
-    pub truncated: usize,
 }
 
 /// The first `count` Karhunen-Loève modes of `influence` over `pupil` under `turbulence`.
@@ -113,7 +111,7 @@ fn modes(
     values -= &mean.view().insert_axis(Axis(1));
     let weighted = &values * &weights;
 
-    let (orthonormal, truncated) = geometric_modes(&weighted.dot(&values.t()))?;
+    let orthonormal = geometric_modes(&weighted.dot(&values.t()))?;
     let available = orthonormal.ncols();
     let count = match count_wanted {
         ModeCount::Exactly(count) => count,
@@ -144,7 +142,7 @@ fn modes(
     }
     let kept = strongest.iter().zip(raw.names()).filter(|(_, name)| !lost(name));
     let variances_nm2 = kept.map(|(&mode, _)| variances[mode]).collect();
-    Ok(KarhunenLoeve { basis: modes.basis, variances_nm2, truncated })
+    Ok(KarhunenLoeve { basis: modes.basis, variances_nm2 })
 }
 
 /// Makes the largest component of a mode positive: the sign of an eigenvector is arbitrary.
@@ -155,8 +153,8 @@ fn fix_sign(mut mode: ArrayViewMut1<f64>) {
     }
 }
 
-/// Columns that combine the influence functions into functions orthonormal over the pupil, and the number truncated.
-fn geometric_modes(covariance: &Array2<f64>) -> Result<(Array2<f64>, usize)> {
+/// Columns that combine the influence functions into functions orthonormal over the pupil.
+fn geometric_modes(covariance: &Array2<f64>) -> Result<Array2<f64>> {
     let (eigenvalues, vectors) = symmetric_eigen(covariance)?;
     let largest = eigenvalues.last().copied().unwrap_or(0.0);
     let smallest = largest * SMALLEST_RMS.powi(2);
@@ -165,7 +163,7 @@ fn geometric_modes(covariance: &Array2<f64>) -> Result<(Array2<f64>, usize)> {
     for (mut column, &i) in combination.columns_mut().into_iter().zip(&kept) {
         column /= eigenvalues[i].sqrt();
     }
-    Ok((combination, eigenvalues.len() - kept.len()))
+    Ok(combination)
 }
 
 /// The pupil on a grid that suits the mirror: the pupil itself, or its amplitude averaged over the cells of another grid.

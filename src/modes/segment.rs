@@ -59,8 +59,8 @@ impl SegmentModes {
         }
         let names = self.names(segments);
         let mut maps: Vec<SparseMap> = vec![Vec::new(); segments * self.per_segment()];
-        for ((row, column), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
-            let (segment, at) = (owner as usize, (row * n + column) as u32);
+        for ((row, column), segment) in pupil.owned_samples() {
+            let at = (row * n + column) as u32;
             maps[segment].push((at, 1.0));
             if self == SegmentModes::PistonTipTilt {
                 maps[segments + segment].push((at, pupil.grid.coordinate_m(column)));

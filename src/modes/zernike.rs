@@ -13,7 +13,7 @@ pub const LARGEST_NOLL: usize = 1891;
 /// Noll (1976), "Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66, 207.
 ///
 /// # Errors
-/// [`Error::Value`] for an index outside 1..=[`LARGEST_NOLL`].
+/// [`Error::Value`] for an index outside 1..=`LARGEST_NOLL`.
 pub fn noll_orders(noll: usize) -> Result<(usize, isize)> {
     if !(1..=LARGEST_NOLL).contains(&noll) {
         return Err(Error::Value(format!("Noll index {noll} is out of range: 1 to {LARGEST_NOLL} are accepted")));
@@ -55,7 +55,7 @@ impl Zernikes {
     /// The polynomials of the Noll indices `nolls` (from 1, any order) over a disc of radius `radius_m`.
     ///
     /// # Errors
-    /// [`Error::Value`] for an index outside 1..=[`LARGEST_NOLL`] or a radius that is not positive and finite.
+    /// [`Error::Value`] for an index outside 1..=`LARGEST_NOLL` or a radius that is not positive and finite.
     pub fn new(nolls: impl IntoIterator<Item = usize>, radius_m: f64) -> Result<Self> {
         if !(radius_m.is_finite() && radius_m > 0.0) {
             return Err(Error::Value(format!("a Zernike radius of {radius_m} m is impossible: it must be positive")));

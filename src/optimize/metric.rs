@@ -22,14 +22,12 @@ pub struct Metric {
     whitening: Option<Array2<f64>>,
     /// Whether the Hessian is about 2·I in these coordinates.
     whitened: bool,
-    /// Unit vectors, `[nullity, dimension]`.
-    null_directions: Array2<f64>,
 }
 
 impl Metric {
     /// The caller's own coordinates, of unknown curvature.
     pub fn identity(dimension: usize) -> Self {
-        Metric { dimension, whitening: None, whitened: false, null_directions: Array2::zeros((0, dimension)) }
+        Metric { dimension, whitening: None, whitened: false }
     }
 
     /// The caller's own coordinates, which the caller has whitened: the Hessian is about 2·I in them.
@@ -69,8 +67,7 @@ impl Metric {
         // Largest eigenvalue first: z[0] is the best determined direction.
         let whitening =
             Array2::from_shape_fn((n, n - nullity), |(i, k)| vectors[(i, n - 1 - k)] / values[n - 1 - k].sqrt());
-        let null_directions = Array2::from_shape_fn((nullity, n), |(k, i)| vectors[(i, k)]);
-        Ok(Metric { dimension: n, whitening: Some(whitening), whitened: true, null_directions })
+        Ok(Metric { dimension: n, whitening: Some(whitening), whitened: true })
     }
 
     /// Length of x.
@@ -93,11 +90,6 @@ impl Metric {
     /// Length of z: the number of directions determined by the data.
     pub fn rank(&self) -> usize {
         self.whitening.as_ref().map_or(self.dimension, |w| w.ncols())
-    }
-
-    /// The null directions: unit vectors, `[nullity, dimension]`, smallest eigenvalue first.
-    pub fn null_directions(&self) -> ArrayView2<'_, f64> {
-        self.null_directions.view()
     }
 
     /// `V Λ^(−1/2)`, `[dimension, rank]`, whose product with its transpose is the pseudo-inverse of the matrix;
@@ -212,7 +204,7 @@ mod tests {
         let n = 4;
         let h = Array2::from_shape_fn((n, n), |(i, j)| 1.0 / (i + j + 1) as f64);
         let metric = Metric::from_gauss_newton(&h, 1e-12).unwrap();
-        assert_eq!((metric.rank(), metric.null_directions().nrows()), (n, 0));
+        assert_eq!(metric.rank(), n);
         let mut columns = Vec::new();
         for k in 0..metric.rank() {
             let z: Vec<f64> = (0..metric.rank()).map(|i| f64::from(u8::from(i == k))).collect();

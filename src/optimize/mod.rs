@@ -22,5 +22,5 @@ pub use minimize::minimize;
 pub use outcome::{Outcome, StopReason};
 pub use problem::{CancelFlag, Objective};
 pub use quasi_newton::{Progress, QuasiNewton};
-pub use reference::{ArgminBfgs, argmin_bfgs};
+pub use reference::ArgminBfgs;
 pub use settings::{RESOLUTION_F32, RESOLUTION_F64, Scaling, Settings};

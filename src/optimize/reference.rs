@@ -25,21 +25,6 @@ pub struct ArgminBfgs {
     pub cancel: Option<CancelFlag>,
 }
 
-/// [`ArgminBfgs::minimize`] with both tolerances equal to `tolerance` and the identity as the initial inverse Hessian.
-///
-/// # Errors
-/// Those of [`ArgminBfgs::minimize`].
-pub fn argmin_bfgs(problem: &mut Objective, start: &[f64], tolerance: f64, max_evaluations: usize) -> Result<Outcome> {
-    ArgminBfgs {
-        gradient_tolerance: tolerance,
-        cost_tolerance: tolerance,
-        initial_scale: 1.0,
-        max_evaluations,
-        cancel: None,
-    }
-    .minimize(problem, start)
-}
-
 impl ArgminBfgs {
     /// Minimises `problem`, which returns the objective and its gradient at a point, from `start`. A failed line search
     /// and a value that is not finite end the run with a [`StopReason`] and the best point found.

@@ -2,9 +2,10 @@
 
 use super::budget::ErrorTerm;
 use super::images::TruthMaps;
-use super::outcome::{ImageOutcome, ImageStatus};
+use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use crate::loop_response::Corrections;
+use crate::modal::ImageStatus;
 use crate::modal::{self, FittedImage};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
@@ -137,7 +138,7 @@ pub struct Comparison {
 #[derive(Debug, Clone)]
 pub struct MapSummary {
     /// What was assumed of the adaptive optics.
-    pub knows: AoKnowledge,
+    pub ao_knowledge: AoKnowledge,
     /// All iterations; the last one is the estimate.
     pub iterations: Vec<Iteration>,
     /// Whether they ended because the last one changed less than the tolerance.

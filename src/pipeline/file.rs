@@ -55,7 +55,7 @@ fn cards(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
         file.card("PRIMARY", "COMBINE", Combine::word(combine), "how images were combined")?;
     }
     if let Some(map) = &estimate.map {
-        file.card("PRIMARY", "KNOWS", map.knows.word(), "what it assumes of the adaptive optics")?;
+        file.card("PRIMARY", "AO_KNOWL", map.ao_knowledge.word(), "what it assumes of the adaptive optics")?;
     }
     file.card("PRIMARY", "CHI2", estimate.reduced_chi2, "median reduced chi-square")
 }

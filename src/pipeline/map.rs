@@ -5,10 +5,11 @@ use super::budget::ErrorTerm;
 use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
 use super::images::Images;
-use super::outcome::{ImageOutcome, ImageStatus};
+use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::sequence::{self, SequenceResult};
 use super::warnings;
+use crate::modal::ImageStatus;
 use crate::modes::Group;
 use crate::retrieval::OPTICS_SEARCH_CHI2;
 use crate::scene::{AoKnowledge, Scene};
@@ -24,7 +25,7 @@ const EXPLAINED: f64 = 6.0;
 pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Images) -> Result<Estimate> {
     let count = images.len();
     // A level below telemetry uses no slopes, and does not check those of a file.
-    let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|knows| knows >= AoKnowledge::Telemetry);
+    let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
     let slopes_mas = images.slopes_mas.as_ref().filter(|_| uses_telemetry);
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != count) {
         return Err(Error::Shape(format!(
@@ -80,7 +81,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         truth: None,
         fitter: None,
         map: Some(MapSummary {
-            knows: found.knows,
+            ao_knowledge: found.ao_knowledge,
             iterations: found.iterations,
             has_settled,
             retrieval_seconds: found.retrieval_seconds,
@@ -158,7 +159,7 @@ fn optics(given: &Scene, found: &SequenceResult) -> Vec<OpticalParameter> {
 /// Terms of an iteration's error bars: the part that the images average out, and the errors that all of them share.
 fn error_budget(last: &Iteration) -> Vec<ErrorTerm> {
     let terms = last.error_budget.terms.iter().filter(|term| term.phasing_nm > 0.0 || term.ncpa_nm > 0.0);
-    let term = |term: &statics::ErrorTerm| ErrorTerm {
+    let term = |term: &statics::BudgetTerm| ErrorTerm {
         name: term.source.name().into(),
         phasing_nm: term.phasing_nm,
         ncpa_nm: term.ncpa_nm,

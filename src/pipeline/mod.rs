@@ -24,10 +24,13 @@ mod report;
 mod sequence;
 mod warnings;
 
+pub use crate::loop_response::{CorrectableErrors, Corrections};
+pub use crate::modal::ImageStatus;
+pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use budget::ErrorTerm;
 pub use control::{Control, Progress, Stage};
 pub use estimate::{Basis, Comparison, Estimate, Figure, MapSummary, OpticalParameter};
 pub use estimator::Estimator;
 pub use images::{Images, TruthMaps};
-pub use outcome::{ImageOutcome, ImageStatus};
+pub use outcome::ImageOutcome;
 pub use policy::Policy;

@@ -4,7 +4,7 @@ use super::budget::ErrorTerm;
 use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
 use super::images::Images;
-use super::outcome::{ImageOutcome, ImageStatus};
+use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings;
 use crate::Result;
@@ -67,7 +67,7 @@ pub(super) fn estimate(
         combine: Some(found.combine),
         reduced_chi2: found.reduced_chi2(),
         is_sequence: found.is_sequence(),
-        status: ImageStatus::from_modal(found.status()),
+        status: found.status().kind(),
         model: selected(&recipes, fitter.recipe().exact_zernikes),
         optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
         warnings: warnings::modal_warnings(&fitter, &diversity, &found),

@@ -1,34 +1,6 @@
 //! Outcome of each image of an estimate.
 
-use crate::modal::{ImageReport, Status};
-
-/// Whether an image was fitted, and how well.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum ImageStatus {
-    /// Fitted, and the model explains it.
-    Ok,
-    /// Fitted, but the residual is larger than the noise.
-    Misfit,
-    /// The residual is so large that the fit is probably in a wrong minimum.
-    WrongMinimum,
-    /// The optimiser stopped before it converged.
-    NotConverged,
-    /// The image could not be used.
-    Unusable,
-}
-
-impl ImageStatus {
-    /// The word in files and JSON.
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Ok => "ok",
-            Self::Misfit => "misfit",
-            Self::WrongMinimum => "wrong-minimum",
-            Self::NotConverged => "not-converged",
-            Self::Unusable => "unusable",
-        }
-    }
-}
+use crate::modal::{ImageReport, ImageStatus};
 
 /// Outcome of one image.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,22 +30,10 @@ pub struct ImageOutcome {
     pub rejected_pixels: usize,
 }
 
-impl ImageStatus {
-    pub(super) fn from_modal(status: &Status) -> Self {
-        match status {
-            Status::Ok => Self::Ok,
-            Status::Misfit => Self::Misfit,
-            Status::WrongMinimum => Self::WrongMinimum,
-            Status::NotConverged(_) => Self::NotConverged,
-            Status::Unusable(_) => Self::Unusable,
-        }
-    }
-}
-
 impl ImageOutcome {
     pub(super) fn from_modal(report: &ImageReport, is_used: bool, is_clipped: bool) -> Self {
         Self {
-            status: ImageStatus::from_modal(&report.status),
+            status: report.status.kind(),
             message: report.sentence(),
             is_used,
             is_clipped,

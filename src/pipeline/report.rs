@@ -54,7 +54,7 @@ fn modes(estimate: &Estimate) -> String {
         None => own,
         Some(map) => {
             let iterations = counted(map.iterations.len(), "iteration");
-            format!("{own}, {iterations}, AO knowledge \"{}\"", map.knows.word())
+            format!("{own}, {iterations}, AO knowledge \"{}\"", map.ao_knowledge.word())
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Wavefronts and static errors of a sequence behind adaptive optics: maximum a posteriori (MAP) retrieval of each
 //! exposure's wavefront, and the static errors that all exposures share, in turn until nothing changes.
 
-use super::control::Control;
+use super::control::{Control, Stage};
 use super::images::Images;
 use crate::ao::Lenslets;
 use crate::grid::Grid;
@@ -11,7 +11,9 @@ use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
 use crate::scene::{AoKnowledge, Scene, SegmentModes};
-use crate::statics::{Iteration, SequenceRetrieval, StaticsSettings, check_diversity, estimate_static_errors};
+use crate::statics::{
+    Iteration, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity, estimate_static_errors,
+};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView3};
@@ -25,7 +27,7 @@ pub(super) struct SequenceResult {
     /// Outlier pixels that were rejected from each image.
     pub(super) rejected_pixels: Vec<usize>,
     /// What was assumed of the adaptive optics.
-    pub(super) knows: AoKnowledge,
+    pub(super) ao_knowledge: AoKnowledge,
     /// Optical parameters that the images show to differ from the scene's.
     pub(super) optics: RetrievedOptics,
     /// Scene of the static errors and of corrections: with the optical parameters that were found, unless the sensor's
@@ -85,8 +87,8 @@ fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) 
 }
 
 /// Prior power spectral density of the dynamic wavefront.
-fn prior(scene: &Scene, knows: AoKnowledge) -> Result<RadialPsd> {
-    if knows > AoKnowledge::Nothing {
+fn prior(scene: &Scene, ao_knowledge: AoKnowledge) -> Result<RadialPsd> {
+    if ao_knowledge > AoKnowledge::Nothing {
         return RadialPsd::ao_residual(scene, StaticAberrationRms::default());
     }
     // Ordinary seeing, r0 = 16 cm at 500 nm, above the cut-off of the mirror's pitch; below it the value at the cut-off.
@@ -125,19 +127,19 @@ pub(super) fn estimate(
             scene.modes.segment.word()
         )));
     }
-    let knows = ao_knowledge(scene, slopes_mas.is_some())?;
-    let settings = StaticsSettings { ao_knowledge: knows, ..StaticsSettings::default() };
+    let ao_knowledge = ao_knowledge(scene, slopes_mas.is_some())?;
+    let settings = StaticsSettings { ao_knowledge, ..StaticsSettings::default() };
     if let Some(&coarsest) = settings.families.first() {
         check_diversity(coarsest, scene, &Telescope::new(scene)?)?;
     }
-    let used_slopes_mas = slopes_mas.filter(|_| knows >= AoKnowledge::Telemetry);
+    let used_slopes_mas = slopes_mas.filter(|_| ao_knowledge >= AoKnowledge::Telemetry);
     let own_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(scene, &Telescope::new(scene)?, mas));
     // Slopes of another number of subapertures may belong to the pupil that the search finds.
     let own_sensor = match own_sensor {
         Err(Error::Shape(_)) if scene.pupil.extent_m().is_some() => own_sensor,
         other => Ok(other?),
     };
-    let prior = prior(scene, knows)?;
+    let prior = prior(scene, ao_knowledge)?;
     let cleaned = reject_outliers(scene, &images.images_e, &images.bad, images.read_noise_e);
     let images_e = cleaned.as_ref().map_or(&images.images_e, |cleaned: &CleanedImages| &cleaned.images_e);
     let cube = Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
@@ -148,8 +150,12 @@ pub(super) fn estimate(
     // The optics that were found are used for the static errors only where the slopes belong to their subapertures.
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
-    let retriever = Retriever::with_telescope(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
-    let watch = |done: usize| control.advance_to(done);
+    let retriever = Retriever::new(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
+    let watch = |progress| match progress {
+        SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images.len()),
+        SequenceProgress::Retrieved(done) => control.advance_to(done),
+        SequenceProgress::Separating => control.enter(Stage::Separating, 0),
+    };
     let mut source = SequenceRetrieval::new(&retriever, &prior, cube, slopes_mas.cloned(), cancel, &watch)?;
     let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;
     let (device, device_failure) = retriever.device();
@@ -158,7 +164,7 @@ pub(super) fn estimate(
         reports: std::mem::take(&mut source.reports),
         retrieval_seconds: source.seconds,
         rejected_pixels: cleaned.map_or_else(|| vec![0; images.len()], |cleaned| cleaned.rejected_pixels),
-        knows,
+        ao_knowledge,
         optics,
         pupil: Telescope::new(&static_scene)?.pupil,
         scene: static_scene,

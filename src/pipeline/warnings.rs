@@ -188,11 +188,11 @@ pub(super) fn map_warnings(
             found.iterations.len()
         ));
     }
-    if found.knows < AoKnowledge::Loop {
+    if found.ao_knowledge < AoKnowledge::Loop {
         sentences.push(format!(
             "with estimate.ao_knowledge = \"{}\" the loop's response to the pistons counts as NCPA: their error bars include {:.0} \
              nm for it",
-            found.knows.word(),
+            found.ao_knowledge.word(),
             last.error_budget.term_nm(ErrorSource::UnknownLoopResponse)[1]
         ));
     }

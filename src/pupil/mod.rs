@@ -9,6 +9,7 @@ mod polygon;
 mod sampled;
 mod weights;
 
+pub use crate::grid::Grid;
 pub use aperture::{Aperture, HexagonalParameters};
 pub use band_limit::BandLimit;
 pub use maps::FinePupil;

@@ -25,3 +25,10 @@ pub struct Pupil {
     /// The segments, ring by ring, counter-clockwise from +x.
     pub segments: Vec<Segment>,
 }
+
+impl Pupil {
+    /// The samples that have an owner, row by row: place `(y, x)` and segment.
+    pub(crate) fn owned_samples(&self) -> impl Iterator<Item = ((usize, usize), usize)> + '_ {
+        self.owner.indexed_iter().filter(|(_, owner)| **owner >= 0).map(|(at, &owner)| (at, owner as usize))
+    }
+}

@@ -27,6 +27,7 @@ impl<T: Polynomial> Engine<T> {
         Ok(Self { workspace: Workspace::new(model), on_device, batch: Mutex::new(None) })
     }
 
+    #[cfg(test)]
     pub(super) fn model(&self) -> &MapModel<T> {
         &self.workspace.model
     }

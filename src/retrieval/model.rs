@@ -102,6 +102,7 @@ impl<T: Polynomial> MapModel<T> {
     }
 
     /// Draws a wavefront of power spectral density `psd`, nm at each illuminated sample.
+    #[cfg(test)]
     pub(super) fn draw_nm(&self, psd: &RadialPsd, seed: u64) -> Vec<f64> {
         self.preconditioner.draw(psd, 1.0, seed).into_iter().map(|nm| nm.widen()).collect()
     }

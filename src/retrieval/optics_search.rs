@@ -168,7 +168,7 @@ impl OpticsSearch<'_> {
     fn evaluate(&self, optics: &TrialOptics, segment_amplitude_rms: f64) -> Result<OpticsMerit> {
         // Compiling kernels for six images of optics that are used once does not pay.
         let settings = RetrievalSettings { segment_amplitude_rms, device: Choice::Cpu, ..self.settings.clone() };
-        let retriever = Retriever::with_telescope(&optics.scene, optics.telescope()?, self.prior, settings)?;
+        let retriever = Retriever::new(&optics.scene, optics.telescope()?, self.prior, settings)?;
         let cube = Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e };
         let wavefronts = retriever.retrieve(cube, None, self.cancel, &|_| {})?;
         let unusable = || Error::Image("no image can be used".into());
@@ -279,7 +279,7 @@ mod tests {
         let (settings, made, read) =
             (RetrievalSettings::default(), scene().with(made).unwrap(), scene().with(read).unwrap());
         let telescope = TrialOptics { scene: made.clone(), amplitudes: amplitudes.to_vec() }.telescope().unwrap();
-        let retriever = Retriever::with_telescope(&made, telescope, &prior(), settings.clone()).unwrap();
+        let retriever = Retriever::new(&made, telescope, &prior(), settings.clone()).unwrap();
         let images_e = draw(&retriever, &prior(), 3, true).images_e;
         let bad = images_e.mapv(|_| false);
         let images = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };

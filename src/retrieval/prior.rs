@@ -2,7 +2,6 @@
 //!
 //! Densities are in nm²·m² against cycles/m, so that `∫ S(f) 2πf df` is the variance in nm² on any grid.
 
-use crate::metrics::Psd;
 use crate::modes::VonKarman;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
@@ -96,26 +95,6 @@ impl RadialPsd {
         Self::new(step_per_m, (0..ENTRIES).map(density).collect())
     }
 
-    /// A PSD from the average periodogram of wavefronts over the pupil (see [`crate::metrics::PsdAverage`]).
-    ///
-    /// `floor` is added, and should be a small fraction of a predicted PSD: a prior of variance 0 is no prior.
-    ///
-    /// # Errors
-    /// As [`RadialPsd::new`].
-    pub fn from_psd(psd: &Psd, floor: &Self) -> Result<Self> {
-        let rings = psd.rings();
-        let step_per_m = psd.step_per_m();
-        let mut density: Vec<f64> = rings.density_nm2_m2.clone();
-        // The mean was taken out of each wavefront, so ring 0 is replaced by the next one.
-        if density.len() > 1 {
-            density[0] = density[1];
-        }
-        for (k, value) in density.iter_mut().enumerate() {
-            *value += floor.density_nm2_m2_at(step_per_m * k as f64);
-        }
-        Self::new(step_per_m, density)
-    }
-
     /// Density at a frequency, nm²·m².
     pub fn density_nm2_m2_at(&self, f_per_m: f64) -> f64 {
         let place = f_per_m.abs() / self.step_per_m;
@@ -128,15 +107,8 @@ impl RadialPsd {
         (low + share * (high - low)).exp()
     }
 
-    /// This PSD times a factor.
-    ///
-    /// # Errors
-    /// As [`RadialPsd::new`].
-    pub fn scaled(&self, factor: f64) -> Result<Self> {
-        Self::new(self.step_per_m, self.density_nm2_m2.iter().map(|s| s * factor).collect())
-    }
-
     /// Integrates the variance between two frequencies, nm²: `∫ S(f) 2πf df`.
+    #[cfg(test)]
     pub fn variance_nm2(&self, from_per_m: f64, to_per_m: f64) -> f64 {
         // The midpoint rule, ten points an entry: a straight line in log S is then exact to 1e-3.
         let points = (((to_per_m - from_per_m) / self.step_per_m * 10.0).ceil() as usize).max(1);

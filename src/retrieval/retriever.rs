@@ -12,7 +12,7 @@
 
 use super::device_batch::RetrievalTask;
 use super::engine::Engine;
-use super::illuminated_samples::{IlluminatedSamples, modal_wavefront_nm};
+use super::illuminated_samples::IlluminatedSamples;
 use super::information_probe::TypicalExposure;
 use super::model::MapModel;
 use super::prior::RadialPsd;
@@ -47,25 +47,13 @@ enum AnyEngine {
 }
 
 impl Retriever {
-    /// For images of `scene` whose dynamic wavefront has the power spectral density `prior`. Samples and pixels are as many as
-    /// the segments need, unless `estimate.samples` and `image.crop_pixels` give them.
+    /// For images of `scene` and `telescope`, which can differ from the scene's in the amplitudes of its segments, whose
+    /// dynamic wavefront has the power spectral density `prior`. Samples and pixels are as many as the segments need, unless
+    /// `estimate.samples` and `image.crop_pixels` give them.
     ///
     /// # Errors
-    /// Those of [`Model::new`]; [`Error::Value`] for a setting out of range.
-    pub fn new(scene: &Scene, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
-        Self::with_telescope(scene, Telescope::new(scene)?, prior, settings)
-    }
-
-    /// As [`Retriever::new`], for a telescope that differs from the scene's in the amplitudes of its segments.
-    ///
-    /// # Errors
-    /// As [`Retriever::new`].
-    pub fn with_telescope(
-        scene: &Scene,
-        telescope: Telescope,
-        prior: &RadialPsd,
-        settings: RetrievalSettings,
-    ) -> Result<Self> {
+    /// Those of [`Model::with_telescope`]; [`Error::Value`] for a setting out of range.
+    pub fn new(scene: &Scene, telescope: Telescope, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
         settings.check()?;
         // The free phase includes the NCPA modes; tip and tilt can exceed any power spectrum.
         let scene = scene.with(&[
@@ -104,11 +92,6 @@ impl Retriever {
         Ok(Self { read_noise_e, model, recipe, settings, points_m, pitch_m, highest_frequency_per_m, engine })
     }
 
-    /// Model of the images: the segments' modes, then tip and tilt.
-    pub fn model(&self) -> &Model {
-        &self.model
-    }
-
     /// Highest spatial frequency that the images resolve, 1/m; beyond it a retrieved wavefront is the prior's.
     pub fn highest_frequency_per_m(&self) -> f64 {
         self.highest_frequency_per_m
@@ -123,11 +106,6 @@ impl Retriever {
         }
     }
 
-    /// Settings.
-    pub fn settings(&self) -> &RetrievalSettings {
-        &self.settings
-    }
-
     /// Illuminated samples of the wavefronts.
     ///
     /// # Errors
@@ -135,30 +113,6 @@ impl Retriever {
     pub fn illuminated_samples(&self) -> Result<IlluminatedSamples> {
         let samples = self.model.optics.sampling().samples;
         IlluminatedSamples::new(samples, self.pitch_m, &self.model.optics.parts().weights)
-    }
-
-    /// Positions of the illuminated samples, (x, y), m.
-    pub fn points_m(&self) -> &[(f64, f64)] {
-        &self.points_m
-    }
-
-    /// Pupil amplitude of each illuminated sample: the sum of the segments' weights, which are band-limited, so from a little
-    /// below 0 to a little above 1.
-    pub fn amplitude(&self) -> Vec<f64> {
-        self.model.optics.parts().weights.rows().map(|(.., weights)| weights.iter().sum()).collect()
-    }
-
-    /// Evaluates the wavefront of coefficients of [`Retriever::model`], nm at each illuminated sample; missing ones are 0.
-    pub fn modal_wavefront_nm(&self, coefficients_nm: &[f64]) -> Vec<f64> {
-        modal_wavefront_nm(&self.model.optics, coefficients_nm)
-    }
-
-    /// Draws a wavefront of power spectral density `psd`, nm at each illuminated sample, for simulations.
-    pub fn draw_nm(&self, psd: &RadialPsd, seed: u64) -> Vec<f64> {
-        match &self.engine {
-            AnyEngine::Single(engine) => engine.model().draw_nm(psd, seed),
-            AnyEngine::Double(engine) => engine.model().draw_nm(psd, seed),
-        }
     }
 
     /// Retrieves the wavefront of every image of `cube` (`[image, y, x]`, electrons) about the static wavefront `about`.
@@ -210,6 +164,39 @@ impl Retriever {
         match about.segments_nm.iter().chain(&about.smooth_nm).find(|nm| !nm.is_finite()) {
             Some(nm) => Err(Error::Value(format!("a static wavefront of {nm} nm was given: finite values are needed"))),
             None => Ok(()),
+        }
+    }
+}
+
+/// What the tests ask of a retriever.
+#[cfg(test)]
+impl Retriever {
+    /// Model of the images: the segments' modes, then tip and tilt.
+    pub(crate) fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Positions of the illuminated samples, (x, y), m.
+    pub(crate) fn points_m(&self) -> &[(f64, f64)] {
+        &self.points_m
+    }
+
+    /// Pupil amplitude of each illuminated sample: the sum of the segments' weights, which are band-limited, so from a little
+    /// below 0 to a little above 1.
+    pub(crate) fn amplitude(&self) -> Vec<f64> {
+        self.model.optics.parts().weights.rows().map(|(.., weights)| weights.iter().sum()).collect()
+    }
+
+    /// Evaluates the wavefront of coefficients of [`Retriever::model`], nm at each illuminated sample; missing ones are 0.
+    pub(crate) fn modal_wavefront_nm(&self, coefficients_nm: &[f64]) -> Vec<f64> {
+        super::illuminated_samples::modal_wavefront_nm(&self.model.optics, coefficients_nm)
+    }
+
+    /// Draws a wavefront of power spectral density `psd`, nm at each illuminated sample.
+    pub(crate) fn draw_nm(&self, psd: &RadialPsd, seed: u64) -> Vec<f64> {
+        match &self.engine {
+            AnyEngine::Single(engine) => engine.model().draw_nm(psd, seed),
+            AnyEngine::Double(engine) => engine.model().draw_nm(psd, seed),
         }
     }
 }

@@ -20,6 +20,11 @@ pub(crate) fn scene() -> Scene {
     Scene::preset("keck-onsky").unwrap().with(&settings).unwrap()
 }
 
+/// Retriever for the telescope of `scene`.
+fn open(scene: &Scene, prior: &RadialPsd, settings: RetrievalSettings) -> crate::Result<Retriever> {
+    Retriever::new(scene, crate::telescope::Telescope::new(scene)?, prior, settings)
+}
+
 /// Frames of wavefronts drawn from the prior with pistons of 60 nm, and those wavefronts.
 pub(crate) struct Drawn {
     pub(crate) images_e: Array3<f64>,
@@ -81,7 +86,7 @@ pub(crate) fn prior() -> RadialPsd {
 fn wavefronts_drawn_are_retrieved_from_their_images() {
     let (scene, prior) = (scene(), prior());
     let settings = RetrievalSettings { piston_rms_nm: 60.0, ..RetrievalSettings::default() };
-    let retriever = Retriever::new(&scene, &prior, settings).unwrap();
+    let retriever = open(&scene, &prior, settings).unwrap();
     let mut retrieved = 0;
     for noise in [false, true] {
         let drawn = draw(&retriever, &prior, 3, noise);
@@ -133,7 +138,7 @@ fn coarse_rms_nm(retriever: &Retriever, wavefront_nm: &[f64]) -> f64 {
 fn results_do_not_depend_on_threads_and_batches() {
     let (scene, prior) = (scene(), prior());
     let settings = RetrievalSettings { max_evaluations: 12, ..RetrievalSettings::default() };
-    let retriever = Retriever::new(&scene, &prior, settings).unwrap();
+    let retriever = open(&scene, &prior, settings).unwrap();
     let drawn = draw(&retriever, &prior, 3, true);
     let bad = drawn.images_e.mapv(|_| false);
     let on = |threads: usize| {
@@ -153,7 +158,7 @@ fn results_do_not_depend_on_threads_and_batches() {
 #[test]
 fn the_retrieval_starts_at_the_static_wavefront() {
     let (scene, prior) = (scene(), prior());
-    let retriever = Retriever::new(&scene, &prior, RetrievalSettings::default()).unwrap();
+    let retriever = open(&scene, &prior, RetrievalSettings::default()).unwrap();
     let drawn = draw(&retriever, &prior, 1, true);
     let bad = drawn.images_e.mapv(|_| false);
     let truth_nm = &drawn.wavefronts_nm[0];
@@ -183,7 +188,7 @@ fn the_retrieval_starts_at_the_static_wavefront() {
 fn images_without_a_star_are_unusable_and_the_others_retrieved() {
     let (scene, prior) = (scene(), prior());
     let settings = RetrievalSettings { max_evaluations: 3, precision: Precision::F64, ..RetrievalSettings::default() };
-    let retriever = Retriever::new(&scene, &prior, settings).unwrap();
+    let retriever = open(&scene, &prior, settings).unwrap();
     let mut drawn = draw(&retriever, &prior, 2, true);
     drawn.images_e.slice_mut(s![0, .., ..]).fill(5.0);
     let bad = drawn.images_e.mapv(|_| false);
@@ -199,28 +204,41 @@ fn images_without_a_star_are_unusable_and_the_others_retrieved() {
 #[test]
 fn the_psd_of_drawn_wavefronts_is_the_priors() {
     let (scene, prior) = (scene(), prior());
-    let retriever = Retriever::new(&scene, &prior, RetrievalSettings::default()).unwrap();
-    let model = retriever.model();
-    let samples = model.optics.sampling().samples;
-    let grid = crate::grid::Grid::new(samples, model.width_ratio() * model.telescope.pupil.grid.width_m()).unwrap();
-    let lit: Vec<usize> = model.optics.parts().weights.illuminated.iter().map(|&place| place as usize).collect();
-    let map = |values: &[f64]| {
-        let mut map = ndarray::Array2::zeros((samples, samples));
-        lit.iter().zip(values).for_each(|(place, &value)| map[[place / samples, place % samples]] = value);
-        map
-    };
+    let retriever = open(&scene, &prior, RetrievalSettings::default()).unwrap();
     let amplitude: Vec<f64> = retriever.amplitude().iter().map(|amplitude| amplitude.clamp(0.0, 1.0)).collect();
-    let mut average = crate::metrics::PsdAverage::with_weights(grid, map(&amplitude).view(), 1).unwrap();
-    (0..100).for_each(|seed| average.add(map(&retriever.draw_nm(&prior, seed)).view()).unwrap());
-    let floor = prior.scaled(1e-6).unwrap();
-    let measured = RadialPsd::from_psd(&average.mean().unwrap(), &floor).unwrap();
+    let area = amplitude.iter().sum::<f64>();
+    // √a·(W − W̄), with W̄ the mean over the pupil (weight a).
+    let windowed = |seed| -> Vec<f64> {
+        let wavefront_nm = retriever.draw_nm(&prior, seed);
+        let mean = wavefront_nm.iter().zip(&amplitude).map(|(nm, a)| nm * a).sum::<f64>() / area;
+        wavefront_nm.iter().zip(&amplitude).map(|(nm, a)| a.sqrt() * (nm - mean)).collect()
+    };
+    let windowed: Vec<Vec<f64>> = (0..100).map(windowed).collect();
+    // Periodogram pitch²/Σa·|Σ √a·(W − W̄)·exp(−2πi·f·x)|², averaged over the wavefronts and over half a turn.
+    let (pitch_m, directions) = (retriever.points_m()[1].0 - retriever.points_m()[0].0, 12);
+    let density = |f_per_m: f64| {
+        let mut power = 0.0;
+        for direction in 0..directions {
+            let (sin, cos) = (std::f64::consts::PI * f64::from(direction) / f64::from(directions)).sin_cos();
+            let phasor = |&(x, y): &(f64, f64)| (std::f64::consts::TAU * f_per_m * (cos * x + sin * y)).sin_cos();
+            let phasors: Vec<(f64, f64)> = retriever.points_m().iter().map(phasor).collect();
+            for values in &windowed {
+                let sum = values.iter().zip(&phasors).fold((0.0, 0.0), |(a, b), (v, (s, c))| (a + v * s, b + v * c));
+                power += sum.0 * sum.0 + sum.1 * sum.1;
+            }
+        }
+        pitch_m * pitch_m / area * power / (windowed.len() as f64 * f64::from(directions))
+    };
     for f_per_m in [0.6, 0.9, 1.2, 1.8, 2.4] {
-        let (found, drawn) = (measured.density_nm2_m2_at(f_per_m), prior.density_nm2_m2_at(f_per_m));
-        // A hundred wavefronts on rings of ten frequencies and more: 3 %. The pupil's edge smears the PSD over a cycle of
+        let (found, drawn) = (density(f_per_m), prior.density_nm2_m2_at(f_per_m));
+        // A hundred wavefronts in ten directions and more: 3 %. The pupil's edge smears the PSD over a cycle of
         // its width, 0.2 cycles/m, over which it changes by up to a third.
         assert!((found / drawn - 1.0).abs() < 0.25, "{f_per_m}: {found} {drawn}");
     }
-    let [found, drawn] = [&measured, &prior].map(|psd| psd.variance_nm2(0.3, 4.0));
+    let step = 0.1;
+    let rings = (0..37).map(|i| 0.3 + (f64::from(i) + 0.5) * step);
+    let found: f64 = rings.map(|f| density(f) * std::f64::consts::TAU * f * step).sum();
+    let drawn = prior.variance_nm2(0.3, 4.0);
     assert!((found / drawn - 1.0).abs() < 0.15, "{found} {drawn}");
 }
 
@@ -236,7 +254,7 @@ fn a_device_batch_agrees_with_the_cpu() {
         max_evaluations: 60,
         ..RetrievalSettings::default()
     };
-    let on = |device, precision| Retriever::new(&scene, &prior, settings(device, precision)).unwrap();
+    let on = |device, precision| open(&scene, &prior, settings(device, precision)).unwrap();
     let reference = on(Choice::Cpu, Precision::F64);
     let mut drawn = draw(&reference, &prior, 7, true);
     drawn.images_e.slice_mut(s![1, .., ..]).fill(5.0);
@@ -278,5 +296,5 @@ fn a_device_batch_agrees_with_the_cpu() {
         }
     }
     let nowhere = settings(Choice::OpenClAt(99, 0), Precision::F32);
-    assert!(matches!(Retriever::new(&scene, &prior, nowhere).err(), Some(crate::Error::Device(_))));
+    assert!(matches!(open(&scene, &prior, nowhere).err(), Some(crate::Error::Device(_))));
 }

@@ -6,7 +6,7 @@ use crate::pupil::Pupil;
 use crate::scene::{NollRange as Span, Scene};
 use crate::telescope::{MapOnGrid, Telescope};
 use crate::{Error, Result};
-use ndarray::{Array2, Array3};
+use ndarray::Array2;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -165,12 +165,7 @@ impl Truth {
                 "a pupil of {given} segments was given for a truth of {wanted}; the same number is needed"
             )));
         }
-        let illuminated: Vec<((usize, usize), usize)> = pupil
-            .owner
-            .indexed_iter()
-            .filter(|(_, owner)| **owner >= 0)
-            .map(|(at, &owner)| (at, owner as usize))
-            .collect();
+        let illuminated: Vec<((usize, usize), usize)> = pupil.owned_samples().collect();
         let at = |((y, x), _): &((usize, usize), usize)| (pupil.grid.coordinate_m(*x), pupil.grid.coordinate_m(*y));
         let (xs, ys): (Vec<f64>, Vec<f64>) = illuminated.iter().map(at).unzip();
         let outside = Array2::from_elem(pupil.owner.dim(), f64::NAN);
@@ -181,11 +176,6 @@ impl Truth {
             ncpa_nm[at] = ncpa;
         }
         Ok([phasing_nm, ncpa_nm])
-    }
-
-    /// Both maps as a cube, phasing first.
-    pub fn maps_nm(&self) -> Array3<f64> {
-        ndarray::stack![ndarray::Axis(0), self.phasing_nm, self.ncpa_nm]
     }
 }
 
@@ -207,10 +197,8 @@ impl Ncpa {
 fn segment_radius_rms(telescope: &Telescope) -> f64 {
     let pupil = &telescope.pupil;
     let (mut weight, mut square) = (0.0, 0.0);
-    for (((y, x), &owner), &a) in
-        pupil.owner.indexed_iter().zip(&pupil.amplitude).filter(|((_, owner), _)| **owner >= 0)
-    {
-        let centre = pupil.segments[owner as usize];
+    for ((y, x), owner) in pupil.owned_samples() {
+        let (a, centre) = (pupil.amplitude[[y, x]], pupil.segments[owner]);
         let (x, y) = (pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m);
         (weight, square) = (weight + a, square + a * (x * x + y * y) / 2.0);
     }

@@ -31,7 +31,7 @@ impl ErrorSource {
 
 /// Term of an error budget: RMS over the pupil, piston, tip and tilt removed.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ErrorTerm {
+pub struct BudgetTerm {
     /// Source of the error.
     pub source: ErrorSource,
     /// Expected error of the phasing, nm.
@@ -46,7 +46,7 @@ pub struct ErrorBudget {
     /// Expected RMS error over the pupil, phasing and NCPA, piston, tip and tilt removed, nm.
     pub total_nm: [f64; 2],
     /// One term for each of [`ErrorSource::ALL`]; for either group the squares add up to the total's, to rounding.
-    pub terms: Vec<ErrorTerm>,
+    pub terms: Vec<BudgetTerm>,
 }
 
 impl ErrorBudget {
@@ -57,9 +57,9 @@ impl ErrorBudget {
         diversity_nm: f64,
         loop_response_nm: f64,
     ) -> Self {
-        let ncpa = |source, ncpa_nm| ErrorTerm { source, phasing_nm: 0.0, ncpa_nm };
+        let ncpa = |source, ncpa_nm| BudgetTerm { source, phasing_nm: 0.0, ncpa_nm };
         let terms = vec![
-            ErrorTerm { source: ErrorSource::NoiseAndTurbulence, phasing_nm, ncpa_nm },
+            BudgetTerm { source: ErrorSource::NoiseAndTurbulence, phasing_nm, ncpa_nm },
             ncpa(ErrorSource::DiversityError, diversity_nm),
             ncpa(ErrorSource::UnknownLoopResponse, loop_response_nm),
             ncpa(ErrorSource::NcpaBeyondModes, 0.0),
@@ -96,7 +96,7 @@ mod tests {
         let mut budget = ErrorBudget::new([3.0, 13.0], [3.0, 5.0], 12.0, 0.0);
         budget.add_beyond_modes(84.0);
         assert_eq!(budget.terms.iter().map(|term| term.source).collect::<Vec<_>>(), ErrorSource::ALL);
-        let sum = |of: fn(&ErrorTerm) -> f64| budget.terms.iter().map(|term| of(term).powi(2)).sum::<f64>().sqrt();
+        let sum = |of: fn(&BudgetTerm) -> f64| budget.terms.iter().map(|term| of(term).powi(2)).sum::<f64>().sqrt();
         assert_eq!((sum(|term| term.phasing_nm), sum(|term| term.ncpa_nm)), (3.0, 85.0));
         assert_eq!((budget.total_nm, budget.averaged_nm()), ([3.0, 85.0], [3.0, 5.0]));
     }

@@ -69,6 +69,7 @@ impl<'a> MeanCovariance<'a> {
     }
 
     /// Computes C·v for two vectors at once, the real and the imaginary part of one.
+    #[cfg(test)]
     pub fn times(&self, vectors: &[Complex64]) -> Vec<Complex64> {
         let mut product = vec![Complex64::default(); vectors.len()];
         self.times_into(vectors, &mut product, &mut self.residual.double.buffers());

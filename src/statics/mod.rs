@@ -28,19 +28,15 @@ mod static_errors;
 mod static_modes;
 mod wavefront_source;
 
-pub use covariance::ResidualCovariance;
-pub use error_budget::{ErrorBudget, ErrorSource, ErrorTerm};
+pub use error_budget::{BudgetTerm, ErrorBudget, ErrorSource};
 pub use iterate::estimate_static_errors;
 pub use iteration::Iteration;
-pub use least_squares::StaticModel;
-pub use mean_covariance::MeanCovariance;
-pub use ncpa_basis::{NcpaBasis, NcpaFamily};
+pub use ncpa_basis::NcpaFamily;
 pub use segment_tilts::SegmentTilts;
-pub use sequence_retrieval::SequenceRetrieval;
+pub use sequence_retrieval::{SequenceProgress, SequenceRetrieval};
 pub use settings::StaticsSettings;
 pub use static_errors::StaticErrors;
 pub(crate) use static_modes::check_diversity;
-pub use wavefront_source::{RetrievedSequence, WavefrontSource};
 
 #[cfg(test)]
 mod tests;

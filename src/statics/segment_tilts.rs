@@ -74,7 +74,7 @@ fn columns(samples: &IlluminatedSamples) -> Array2<f64> {
 mod tests {
     use super::*;
     use crate::retrieval::tests::scene;
-    use crate::statics::ResidualCovariance;
+    use crate::statics::covariance::ResidualCovariance;
     use crate::telescope::Telescope;
     use ndarray::Array1;
     use rand_distr::{Distribution, StandardNormal};

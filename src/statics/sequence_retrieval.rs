@@ -9,6 +9,15 @@ use crate::retrieval::{
 use crate::{Error, Result};
 use ndarray::Array2;
 
+/// Progress of an iteration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SequenceProgress {
+    /// Number of images whose wavefronts are retrieved: 0 where an iteration begins.
+    Retrieved(usize),
+    /// All are retrieved; their static errors are separated.
+    Separating,
+}
+
 /// Retrieval of a sequence of images.
 pub struct SequenceRetrieval<'a> {
     retriever: &'a Retriever,
@@ -17,7 +26,7 @@ pub struct SequenceRetrieval<'a> {
     cube: Cube<'a>,
     slopes_mas: Option<Array2<f64>>,
     cancel: Option<&'a CancelFlag>,
-    watch: &'a (dyn Fn(usize) + Sync),
+    watch: &'a (dyn Fn(SequenceProgress) + Sync),
     /// Report of each image's last retrieval.
     pub reports: Vec<RetrievalReport>,
     /// Seconds in retrievals.
@@ -35,7 +44,7 @@ impl<'a> SequenceRetrieval<'a> {
         cube: Cube<'a>,
         slopes_mas: Option<Array2<f64>>,
         cancel: Option<&'a CancelFlag>,
-        watch: &'a (dyn Fn(usize) + Sync),
+        watch: &'a (dyn Fn(SequenceProgress) + Sync),
     ) -> Result<Self> {
         let count = cube.images_e.dim().0;
         if let Some(slopes_mas) = slopes_mas.as_ref().filter(|slopes_mas| slopes_mas.nrows() != count) {
@@ -63,12 +72,15 @@ impl WavefrontSource for SequenceRetrieval<'_> {
     }
 
     fn retrieve(&mut self, about: Option<&StaticWavefront>) -> Result<Option<RetrievedSequence>> {
+        (self.watch)(SequenceProgress::Retrieved(0));
         let started = std::time::Instant::now();
+        let watch = |done: usize| (self.watch)(SequenceProgress::Retrieved(done));
         let RetrievedWavefronts { wavefront_nm, reports, .. } =
-            self.retriever.retrieve(self.cube, about, self.cancel, self.watch)?;
+            self.retriever.retrieve(self.cube, about, self.cancel, &watch)?;
         self.seconds += started.elapsed().as_secs_f64();
         let reduced_chi2 = reports.iter().map(|report| report.reduced_chi2).collect();
         self.reports = reports;
+        (self.watch)(SequenceProgress::Separating);
         Ok(Some(RetrievedSequence { wavefront_nm, reduced_chi2, slopes_mas: self.slopes_mas.clone() }))
     }
 }
@@ -78,6 +90,7 @@ mod tests {
     use super::*;
     use crate::retrieval::{RetrievalSettings, StaticAberrationRms};
     use crate::scene::Scene;
+    use crate::telescope::Telescope;
     use ndarray::Array3;
 
     #[test]
@@ -92,7 +105,7 @@ mod tests {
         let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
         let prior = RadialPsd::ao_residual(&scene, StaticAberrationRms::default()).unwrap();
         let settings = RetrievalSettings { piston_rms_nm: 0.0, ..RetrievalSettings::default() };
-        let retriever = Retriever::new(&scene, &prior, settings).unwrap();
+        let retriever = Retriever::new(&scene, Telescope::new(&scene).unwrap(), &prior, settings).unwrap();
         let (images_e, bad) = (Array3::zeros((2, 240, 240)), Array3::from_elem((2, 240, 240), false));
         let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
         let source = SequenceRetrieval::new(&retriever, &prior, cube, None, None, &|_| {}).unwrap();

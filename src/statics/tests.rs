@@ -1,7 +1,8 @@
 //! Static errors from the known wavefronts of an AO simulation, as of a perfect retrieval, against the truth.
 
 use super::error_budget::ErrorSource;
-use super::{Iteration, RetrievedSequence, StaticsSettings, WavefrontSource, estimate_static_errors};
+use super::wavefront_source::{RetrievedSequence, WavefrontSource};
+use super::{Iteration, StaticsSettings, estimate_static_errors};
 use crate::Result;
 use crate::ao::{Frame, Progress, Recorder, Schedule, Shot, Simulator};
 use crate::metrics::residual_nm;
@@ -154,13 +155,13 @@ fn errors_decrease_with_the_knowledge_of_the_ao() {
     let slopes_mas = Array2::from_shape_fn((count, slopes), |(i, k)| f64::from(run.shots[i].mean_slopes_mas[k]));
     // A frozen exposure is one frame.
     assert_eq!(run.shots[3].mean_slopes_mas, run.shots[3].slopes_mas);
-    let find = |knows: AoKnowledge| -> Iteration {
+    let find = |ao_knowledge: AoKnowledge| -> Iteration {
         let sequence = RetrievedSequence {
             wavefront_nm: wavefront_nm.clone(),
             reduced_chi2: vec![1.0; count],
             slopes_mas: Some(slopes_mas.clone()),
         };
-        let settings = StaticsSettings { ao_knowledge: knows, ..StaticsSettings::default() };
+        let settings = StaticsSettings { ao_knowledge, ..StaticsSettings::default() };
         let mut known = KnownWavefronts(run.samples.clone(), Some(sequence));
         estimate_static_errors(simulator.scene(), &mut known, &settings, None).unwrap().pop().unwrap()
     };

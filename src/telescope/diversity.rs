@@ -26,11 +26,6 @@ impl MapOnGrid {
         Ok(Self { values: values.mapv(|v| if v.is_finite() { v } else { 0.0 }), width_m })
     }
 
-    /// Samples along a side.
-    pub fn samples(&self) -> usize {
-        self.values.nrows()
-    }
-
     /// Bilinear interpolation at (x, y), m; beyond the outermost samples the value of the nearest one.
     pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
         let n = self.values.nrows();

@@ -8,6 +8,7 @@ mod band;
 mod diversity;
 mod model;
 
-pub use band::{band, wavelengths_needed, wavelengths_to};
+pub use band::band;
+pub(crate) use band::{wavelengths_needed, wavelengths_to};
 pub use diversity::{Diversity, MapOnGrid};
 pub use model::Telescope;

@@ -204,7 +204,7 @@ static void reports(const cophase_estimate *estimate, const cophase_estimate_inf
     CHECK(info->images == IMAGES && info->used >= 2 && info->iterations >= 2 && info->has_settled == 1);
     CHECK(info->method == COPHASE_METHOD_MAP && info->policy == COPHASE_POLICY_FULL);
     CHECK(info->precision == COPHASE_F32 || info->precision == COPHASE_F64);
-    CHECK(info->knows == COPHASE_KNOWS_TELEMETRY && info->seconds > 0.0 && info->evaluations > IMAGES);
+    CHECK(info->ao_knowledge == COPHASE_AO_KNOWLEDGE_TELEMETRY && info->seconds > 0.0 && info->evaluations > IMAGES);
     CHECK(info->modes > 10 && info->segment_modes == 7 && info->phasing_sigma_nm > 0.0 && info->ncpa_sigma_nm > 0.0);
     CHECK(info->images_to_halve > (double)IMAGES && info->map_width_m > 0.0);
     REFUSED(COPHASE_BAD_SHAPE, "count is 3", cophase_estimate_images(estimate, images, sizeof images[0], 3));
@@ -389,7 +389,7 @@ static void modal(const struct sky *s, const char *scene)
     free(text);
     CHECK(cophase_estimator_estimate(estimator, &frame, NULL, NULL, &estimate) == COPHASE_OK);
     CHECK(cophase_estimate_get_info(estimate, &info, sizeof info) == COPHASE_OK);
-    CHECK(info.method == COPHASE_METHOD_MODAL && info.policy == COPHASE_POLICY_REALTIME && info.knows == 0);
+    CHECK(info.method == COPHASE_METHOD_MODAL && info.policy == COPHASE_POLICY_REALTIME && info.ao_knowledge == 0);
     CHECK(info.images == 1 && info.used == 1 && info.iterations == 0 && isnan(info.images_to_halve));
     CHECK(text_has(estimate, COPHASE_TEXT_POLICY, 0, "realtime"));
     each_nm = doubles(info.modes), all_nm = doubles(info.modes);

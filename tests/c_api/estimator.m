@@ -72,7 +72,7 @@ assert(numel(masked.warnings), masked.info.warnings);
 
 % ---- results
 
-assert({e.method, e.policy, e.info.knows, e.info.precision}, {'map', 'full', 'telemetry', 'f32'});
+assert({e.method, e.policy, e.info.ao_knowledge, e.info.precision}, {'map', 'full', 'telemetry', 'f32'});
 assert(e.info.images, count);
 assert(e.info.used, sum([e.images.is_used]));
 assert(e.info.has_settled && e.info.iterations >= 2);
@@ -126,6 +126,6 @@ must_fail('BAD_ARGUMENT', 'deleted', @() e.report());
 tiny = fileread(fullfile(fileparts(mfilename('fullpath')), 'tiny.toml'));
 m = cophase.Model(tiny);
 e = cophase.Estimator(tiny, 'policy', 'realtime').estimate(round(2e6 * m.psf(30 * cos(1:m.modes)) + 30));
-assert({e.method, e.policy, e.info.knows}, {'modal', 'realtime', ''});
+assert({e.method, e.policy, e.info.ao_knowledge}, {'modal', 'realtime', ''});
 assert(e.image_coefficients_nm, e.coefficients_nm, 1e-9);
 must_fail('BAD_VALUE', 'full-phase', @() e.correct());

@@ -88,7 +88,7 @@ def modal():
     scene = Path(__file__).with_name("tiny.toml").read_text("utf-8")
     frame = stars(cophase.Model(scene))[0][0]
     estimate = cophase.Estimator(scene, policy="realtime", threads=1).estimate(frame)
-    assert (estimate.method, estimate.policy, estimate.info.knows) == ("modal", "realtime", None), estimate.info
+    assert (estimate.method, estimate.policy, estimate.info.ao_knowledge) == ("modal", "realtime", None), estimate.info
     assert np.allclose(estimate.image_coefficients_nm[0], estimate.coefficients_nm, rtol=0, atol=1e-9)
     failure(estimate.correct, cophase.BadValueError)
     assert estimate.images.policy[0] == "realtime" and np.isnan(estimate.info.images_to_halve)
@@ -121,7 +121,7 @@ def results(found, truth):
     info = found.info
     assert all(name in cophase.Estimate.__doc__ for name in vars(info))
     assert all(name in cophase.Estimate.__doc__ for name in found.images.dtype.names)
-    assert (found.method, found.policy, info.knows, info.precision) == ("map", "full", "telemetry", "f32"), info
+    assert (found.method, found.policy, info.ao_knowledge, info.precision) == ("map", "full", "telemetry", "f32"), info
     assert info.has_settled is True and info.images == COUNT and info.used == found.images.is_used.sum()
     assert list(found.images.status) == COUNT * ["OK"] and "reduced" in found.images[0].message
     assert info.modes == len(found.mode_names) == found.coefficients_nm.size and info.segment_modes == 7

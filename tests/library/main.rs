@@ -7,7 +7,6 @@ mod fits;
 mod full_phase;
 mod fuzz;
 mod golden;
-mod metrics;
 mod modal;
 mod modes;
 mod night;

@@ -1,7 +1,7 @@
 //! Mode bases through the public interface: on a segmented pupil, with the deformable mirror of Keck.
 
-use cophase::grid::Grid;
 use cophase::modes::*;
+use cophase::pupil::Grid;
 use cophase::pupil::{Pupil, Segment};
 use ndarray::{Array1, Array2, Array3, Axis};
 
@@ -124,7 +124,7 @@ fn a_mode_is_the_same_function_on_every_grid() {
     let basis = keck_kl(&pupil, 10).basis;
     let maps = basis.sampled(&pupil).unwrap();
     assert!(maps.groups().iter().all(|&group| group == Group::Ncpa));
-    let fine = pupil.grid.refined(3);
+    let fine = Grid::new(3 * pupil.grid.samples(), pupil.grid.width_m()).unwrap();
     // Sample (20, 33) of the coarse grid is the centre of a 3×3 cell: sample (61, 100) of the fine one.
     let (x, y) = (fine.coordinate_m(100), fine.coordinate_m(61));
     let value = basis.evaluate(&[x], &[y]).unwrap();

@@ -1,7 +1,7 @@
 //! Pupils: exact geometry, maps from files, and the weights of the segments.
 
 use cophase::Error;
-use cophase::grid::Grid;
+use cophase::pupil::Grid;
 use cophase::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, SegmentWeights};
 use ndarray::Array2;
 use num_complex::Complex64;
@@ -373,7 +373,7 @@ fn shadows_are_band_limited_like_segments() {
     let grid = grid(60, 3.0);
     let limit = BandLimit::new(24.0, 60).unwrap();
     let geometric = SegmentWeights::band_limited(&aperture, &grid, &limit).unwrap();
-    let fine = aperture.pupil(&grid.refined(8)).unwrap();
+    let fine = aperture.pupil(&Grid::new(8 * grid.samples(), grid.width_m()).unwrap()).unwrap();
     let fine = FinePupil::new(fine.grid, fine.amplitude, None).unwrap();
     let maps = SegmentWeights::band_limited_maps(&fine, &grid, &limit).unwrap();
     let worst = (geometric.map(0, 60) - maps.map(0, 60)).iter().fold(0f64, |worst, d| worst.max(d.abs()));

@@ -1,7 +1,7 @@
 //! Pupils given as maps, and least squares over a pupil.
 
 use cophase::Error;
-use cophase::grid::Grid;
+use cophase::pupil::Grid;
 use cophase::pupil::{Aperture, Pupil};
 use ndarray::{Array2, array};
 

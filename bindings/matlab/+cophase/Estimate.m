@@ -10,7 +10,7 @@ classdef Estimate < cophase.Handle
     %      status                         the worst of an image that counts for the whole
     %      is_sequence                    whether error bars are from the scatter between images
     %      iterations, has_settled        of a MAP estimate
-    %      knows                          of the adaptive optics: 'nothing', 'spectrum', 'loop', 'telemetry'
+    %      ao_knowledge                   of the adaptive optics: 'nothing', 'spectrum', 'loop', 'telemetry'
     %      precision, evaluations         'f64' or 'f32'; evaluations of objective and gradient
     %      phasing_rms_nm, ncpa_rms_nm, wavefront_rms_nm        RMS over the pupil, piston, tip and tilt removed
     %      phasing_sigma_nm, ncpa_sigma_nm, wavefront_sigma_nm  their expected errors

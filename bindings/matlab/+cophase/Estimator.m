@@ -10,7 +10,7 @@ classdef Estimator < cophase.Handle
     %                   'realtime': one fit with the largest basis, no retries, as a cophase.Session does; 'full'
     %      'threads'    number of threads, -1 for one per processor, which does not change results; -1
     %      'directory'  directory of the files that the scene names; the working directory
-    %   The beginning of a name is enough, whatever its case.
+    %   The beginning of a name is enough, in upper or lower case.
     %
     %   Failures raise cophase:<STATUS>, such as cophase:BAD_SCENE, with one sentence.
     %
@@ -48,7 +48,7 @@ classdef Estimator < cophase.Handle
             %      'flat'          rows x columns, about 1; none
             %      'gain_e'        electrons per raw unit; 1
             %      'saturation'    raw value from which on a pixel is saturated, and bad; none
-            %   The beginning of a name is enough, whatever its case.
+            %   The beginning of a name is enough, in upper or lower case.
             %
             %   Ctrl-C stops it within a second or two, with cophase:INTERRUPTED (not in MATLAB for Windows).
             %

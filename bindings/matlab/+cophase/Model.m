@@ -16,7 +16,7 @@ classdef Model < cophase.Handle
     %   m = cophase.Model.from_arrays(pupil, modes, Name, Value, ...) needs no scene.
     %
     %   Maps are (y, x): rows are y, columns are x. Coefficients and wavefronts are nm of optical path difference. The
-    %   beginning of an option's name is enough, whatever its case: 'diversity'. Failures raise cophase:<STATUS>, such
+    %   beginning of an option's name is enough, in upper or lower case: 'diversity'. Failures raise cophase:<STATUS>, such
     %   as cophase:BAD_SCENE, with one sentence.
     %
     %   Example:

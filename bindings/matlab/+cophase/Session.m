@@ -11,7 +11,7 @@ classdef Session < cophase.Handle
     %      'max_evaluations'    largest number of evaluations for one image; the scene's
     %      'step_tolerance_nm'  a fit stops where neither a coefficient nor the RMS of the wavefront would change by
     %                           more than this; the scene's
-    %   The beginning of a name is enough, whatever its case.
+    %   The beginning of a name is enough, in upper or lower case.
     %
     %   Methods:
     %      fit             coefficients of images, and a report on each

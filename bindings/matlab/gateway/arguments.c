@@ -159,7 +159,7 @@ const double *doubles(const mxArray *value, size_t rows, size_t cols, const char
     return (const double *)mxGetData(value);
 }
 
-/* Whether a name of `length` letters begins with `beginning`, whatever the case. */
+/* Whether a name of `length` letters begins with `beginning`, in upper or lower case. */
 static int begins(const char *name, const char *beginning)
 {
     for (; *beginning != '\0'; name++, beginning++)

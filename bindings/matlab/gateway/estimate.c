@@ -110,8 +110,9 @@ static cophase_estimate *estimate_of(const mxArray *value)
 
 static const constant_name METHODS[] = {{"modal", COPHASE_METHOD_MODAL}, {"map", COPHASE_METHOD_MAP}, {NULL, 0}};
 static const constant_name LEVELS[] = {
-    {"nothing", COPHASE_KNOWS_NOTHING},     {"spectrum", COPHASE_KNOWS_SPECTRUM}, {"loop", COPHASE_KNOWS_LOOP},
-    {"telemetry", COPHASE_KNOWS_TELEMETRY}, {NULL, 0},
+    {"nothing", COPHASE_AO_KNOWLEDGE_NOTHING}, {"spectrum", COPHASE_AO_KNOWLEDGE_SPECTRUM},
+    {"loop", COPHASE_AO_KNOWLEDGE_LOOP},       {"telemetry", COPHASE_AO_KNOWLEDGE_TELEMETRY},
+    {NULL, 0},
 };
 #define T cophase_estimate_info
 static const field INFO[] = {
@@ -119,7 +120,7 @@ static const field INFO[] = {
     FIELD(T, segment_modes, IS_SIZE), FIELD(T, samples, IS_SIZE), FIELD(T, error_terms, IS_SIZE),
     FIELD(T, warnings, IS_SIZE), NAMED_FIELD(T, method, METHODS), NAMED_FIELD(T, policy, POLICIES),
     FIELD(T, status, IS_STATUS), FIELD(T, is_sequence, IS_LOGICAL), FIELD(T, iterations, IS_INT),
-    FIELD(T, has_settled, IS_LOGICAL), NAMED_FIELD(T, knows, LEVELS), NAMED_FIELD(T, precision, PRECISIONS),
+    FIELD(T, has_settled, IS_LOGICAL), NAMED_FIELD(T, ao_knowledge, LEVELS), NAMED_FIELD(T, precision, PRECISIONS),
     FIELD(T, evaluations, IS_COUNT), FIELD(T, phasing_rms_nm, IS_DOUBLE), FIELD(T, phasing_sigma_nm, IS_DOUBLE),
     FIELD(T, ncpa_rms_nm, IS_DOUBLE), FIELD(T, ncpa_sigma_nm, IS_DOUBLE), FIELD(T, wavefront_rms_nm, IS_DOUBLE),
     FIELD(T, wavefront_sigma_nm, IS_DOUBLE), FIELD(T, reduced_chi2, IS_DOUBLE), FIELD(T, images_to_halve, IS_DOUBLE),

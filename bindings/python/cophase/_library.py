@@ -129,7 +129,7 @@ def constants(prefix: str) -> dict[int, str]:
 _WORDS: dict[str, dict[int, str]] = {
     "method": constants("COPHASE_METHOD_"),
     "policy": constants("COPHASE_POLICY_"),
-    "knows": constants("COPHASE_KNOWS_"),
+    "ao_knowledge": constants("COPHASE_AO_KNOWLEDGE_"),
     "precision": {lib.COPHASE_F32: "f32", lib.COPHASE_F64: "f64"},
 }
 

@@ -59,7 +59,7 @@ class Estimate(Handle):
         ``modes``, ``segment_modes`` (they come first), ``samples``, ``error_terms``, ``warnings``; ``method``
         (``"modal"`` or ``"map"``), ``policy``, ``status`` (the worst of an image that counts for the whole),
         ``is_sequence`` (error bars are from the scatter between images); of a MAP estimate ``iterations``,
-        ``has_settled``, ``knows`` (of the adaptive optics: ``"nothing"``, ``"spectrum"``, ``"loop"``,
+        ``has_settled``, ``ao_knowledge`` (of the adaptive optics: ``"nothing"``, ``"spectrum"``, ``"loop"``,
         ``"telemetry"``); ``precision``; ``evaluations``; ``phasing_rms_nm``, ``ncpa_rms_nm``, ``wavefront_rms_nm``
         (both together) and their expected errors ``phasing_sigma_nm``, ``ncpa_sigma_nm``, ``wavefront_sigma_nm`` (RMS
         over the pupil, piston, tip and tilt removed); ``reduced_chi2`` (median of the images used);

@@ -53,8 +53,8 @@ class Session(Handle):
 
     It follows the policy ``"realtime"``: no model selection, no outlier rejection, no restarts;
     :class:`cophase.Estimator` is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except
-    :meth:`cancel`; other Python threads run during a call. The same frame gives the same bits, whatever else is in the
-    call, in every language.
+    :meth:`cancel`; other Python threads run during a call. The same frame gives the same bits, with any other frames
+    in the call, in every language.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ for _ in range(10):
 # %% [markdown]
 # ## The estimate
 #
-# The estimate uses the slopes, if they are given, and the loop that the scene describes. `estimate.knows = "spectrum"` in the
+# The estimate uses the slopes, if they are given, and the loop that the scene describes. `estimate.ao_knowledge = "spectrum"` in the
 # scene makes it use neither; the error bars are larger then.
 
 # %%

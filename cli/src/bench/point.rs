@@ -58,7 +58,7 @@ pub struct Point {
     pub evaluations: f64,
     /// Root of the mean square error over the images: segments, nm.
     pub phasing_nm: f64,
-    /// Likewise of the NCPA.
+    /// The same of the NCPA.
     pub ncpa_nm: f64,
     /// The Cramér-Rao bound of the first image: segments and NCPA, nm.
     pub bound_nm: [f64; 2],

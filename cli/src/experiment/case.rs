@@ -90,7 +90,7 @@ pub struct Trial {
 pub struct Bound {
     /// Root of the mean square residual of the segment errors, nm.
     pub phasing_nm: f64,
-    /// Likewise of the NCPA.
+    /// The same of the NCPA.
     pub ncpa_nm: f64,
     /// `[mode, mode]`, nm².
     pub covariance_nm2: Array2<f64>,

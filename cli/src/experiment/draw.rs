@@ -1,4 +1,4 @@
-//! Draws of the artificial source: an image and the truth behind it, on whatever grid one asks.
+//! Draws of the artificial source: an image and the truth behind it, on any grid.
 
 use super::Progress;
 use cophase::pupil::Pupil;

@@ -4,6 +4,7 @@
 
 mod case;
 mod draw;
+pub mod metrics;
 mod progress;
 pub mod statistics;
 mod table;

@@ -18,7 +18,7 @@ impl<'a> Progress<'a> {
         Self { watch, cancel, done: AtomicUsize::new(0), total: AtomicUsize::new(0) }
     }
 
-    /// What stops the experiment, for whatever looks at it by itself.
+    /// Flag that stops the experiment, for code that reads it by itself.
     pub fn cancel(&self) -> Option<&'a CancelFlag> {
         self.cancel
     }

@@ -101,7 +101,7 @@ impl Table {
     /// # Errors
     /// [`cophase::Error::File`] where it cannot be written.
     pub fn write_csv(&self, path: &Path) -> Result<()> {
-        cophase::atomic::write(path, self.csv().as_bytes())
+        cophase::io::write_atomically(path, self.csv().as_bytes())
     }
 }
 

@@ -1,4 +1,4 @@
-//! Mode coefficients with their error bars, and what is left of them where the truth is known.
+//! Mode coefficients with their error bars, and their residuals where the truth is known.
 
 use super::axis::{Axis, usable};
 use super::canvas::{Canvas, Pen, Rect};
@@ -203,7 +203,7 @@ impl<'a> Group<'a> {
         }
     }
 
-    /// At the right of the panel's name, from the right and as far as there is room: the RMS of what is left, then what
+    /// At the right of the panel's name, from the right and as far as there is room: the RMS of the residuals, then what
     /// diamonds, bars and error bars are. (A panel too narrow for all has a wider neighbour that says it.)
     fn legend(&self, canvas: &mut Canvas, plot: Rect) {
         let y = plot.y - 13.0;

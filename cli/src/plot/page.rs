@@ -20,7 +20,7 @@ pub(super) fn draw(path: &Path, size: (u32, u32), paint: impl FnOnce(&mut Canvas
             return Err(Error::file(path, format!("a picture with {given} is unknown: name it .png or .svg")));
         }
     };
-    cophase::atomic::write(path, &bytes)
+    cophase::io::write_atomically(path, &bytes)
 }
 
 fn to_png((w, h): (u32, u32), paint: impl FnOnce(&mut Canvas)) -> Result<Vec<u8>> {

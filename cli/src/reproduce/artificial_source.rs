@@ -55,7 +55,7 @@ impl WayResult {
         finite(self.trials.iter().map(|trial| trial.phasing_nm))
     }
 
-    /// NCPA residuals likewise.
+    /// The same of the NCPA residuals.
     pub fn ncpa_nm(&self) -> Vec<f64> {
         finite(self.trials.iter().map(|trial| trial.ncpa_nm))
     }

@@ -49,7 +49,7 @@ pub struct DiversityPoint {
     pub ncpa_sd_nm: f64,
     /// Root of the mean square of their Cramér-Rao bounds, phasing, nm; NaN for the paper's way, which stays far from it.
     pub phasing_bound_nm: f64,
-    /// Likewise of the NCPA.
+    /// The same of the NCPA.
     pub ncpa_bound_nm: f64,
     /// Median χ² per degree of freedom.
     pub reduced_chi2: f64,

@@ -40,7 +40,7 @@ pub struct LoopRun {
     pub residual_rms_nm: f64,
     /// Strehl ratio at the images' wavelength, without NCPA and defocus.
     pub strehl: f64,
-    /// Frames for each second of wall-clock time, with whatever else was running.
+    /// Frames for each second of wall-clock time, on a machine that may have other work.
     pub frames_per_s: f64,
 }
 
@@ -50,7 +50,7 @@ pub struct Sequence {
     pub images_e: Array3<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
-    /// Non-common path aberrations likewise.
+    /// The same of non-common path aberrations.
     pub ncpa_nm: Array2<f64>,
     /// How the loop did; none without a loop.
     pub run: Option<LoopRun>,
@@ -247,7 +247,7 @@ impl Reader {
         })
     }
 
-    /// What is left of the truth of `sequence`, phasing and NCPA, nm, for an estimate with these maps.
+    /// Residuals against the truth of `sequence`, phasing and NCPA, nm, for an estimate with these maps.
     ///
     /// # Errors
     /// As [`residual_nm`].

@@ -1,4 +1,4 @@
-//! The paper's Table 2: what is left of phasing errors and NCPA behind each kind of loop, in the paper's words, in its
+//! The paper's Table 2: residual phasing errors and NCPA behind each kind of loop, in the paper's words, in its
 //! way here, and in ours.
 
 use super::on_sky::{LoopRun, Reader, Reading, each_sequence};
@@ -52,7 +52,7 @@ pub fn on_sky(rows: &[&'static Row], conditions: &Conditions, seeds: usize, prog
     progress.check()?;
     let scenes = rows.iter().map(|row| row.reading_scene(conditions)).collect::<Result<Vec<_>>>()?;
     progress.expect(Way::BOTH.len() * seeds * scenes.iter().map(|scene| scene.image.count).sum::<usize>());
-    // One pair of readers behind the loop, whatever the loop; one for the source inside.
+    // One pair of readers behind every loop; one for the source inside.
     let pair = |behind_a_loop: bool| -> Result<Vec<Reader>> {
         let first = rows.iter().zip(&scenes).find(|(row, _)| row.has_loop() == behind_a_loop);
         let ways = first.into_iter().flat_map(|(_, scene)| Way::BOTH.map(|way| Reader::new(way, scene)));

@@ -39,11 +39,11 @@ pub struct SamplesPoint {
     pub seeds: usize,
     /// Root of the mean square residual of the segment errors, nm.
     pub phasing_nm: f64,
-    /// Likewise of the NCPA.
+    /// The same of the NCPA.
     pub ncpa_nm: f64,
     /// The Cramér-Rao bound of the first draw for this model and crop, phasing, nm.
     pub phasing_bound_nm: f64,
-    /// Likewise of the NCPA.
+    /// The same of the NCPA.
     pub ncpa_bound_nm: f64,
     /// Median χ² per degree of freedom.
     pub reduced_chi2: f64,

@@ -21,14 +21,14 @@ Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or
 that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
 the read noise, unless --set image.read_noise_e says otherwise.
 
-Eight images or more are judged by one another: their error bars are from the scatter between them, and the clipped \
+The error bars of eight images or more are from the scatter between them, and the clipped \
 mean (the default; --set estimate.combine=mean or median) leaves outliers out.
 
 --json prints: images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, \
 phasing_residual_nm and ncpa_residual_nm (where the truth is known), reduced_chi2, evaluations (of the objective, all \
 images together), device, precision, status (the worst of the images': ok, misfit, wrong-minimum, not-converged, \
-unusable), warnings (sentences), policy, model (the basis that was selected), method, and with full-phase knows and \
-iterations; null where a key does not apply.";
+unusable), warnings (sentences), policy, model (the basis that was selected), method, and with full-phase ao_knowledge \
+and iterations; null where a key does not apply.";
 
 /// Estimate segment phasing and NCPA from defocused images of a star
 #[derive(clap::Args)]
@@ -66,6 +66,8 @@ pub struct Arguments {
     method: Option<String>,
     /// What full-phase assumes of the adaptive optics: nothing, its spectrum, the loop, its telemetry [default: the most there is]
     #[arg(long, value_parser = ["nothing", "spectrum", "loop", "telemetry"])]
+    ao_knowledge: Option<String>,
+    #[arg(long, hide = true, num_args = 0..=1, default_missing_value = "", value_parser = renamed_to_ao_knowledge)]
     knows: Option<String>,
     /// Also write corrections, with full-phase: what to add to segments, mirror and reference slopes
     #[arg(long, value_name = "FILE")]
@@ -78,9 +80,14 @@ pub struct Arguments {
     /// Exit with status 3 where the estimate carries a warning, or a status other than ok; the output is written all the same
     #[arg(long)]
     strict: bool,
-    /// Also say which combinations of modes the images hardly see
+    /// Also say which combinations of modes the images determine poorly
     #[arg(short, long)]
     verbose: bool,
+}
+
+/// Refuses the old name of `--ao-knowledge`.
+fn renamed_to_ao_knowledge(_: &str) -> std::result::Result<String, &'static str> {
+    Err("the option's name is now --ao-knowledge")
 }
 
 fn device(word: &str) -> Result<String> {
@@ -95,7 +102,7 @@ impl Arguments {
             ("estimate.precision", &self.precision),
             ("estimate.optimizer", &self.optimizer),
             ("estimate.method", &self.method),
-            ("estimate.ao_knowledge", &self.knows),
+            ("estimate.ao_knowledge", &self.ao_knowledge),
         ];
         options.into_iter().filter_map(|(key, value)| Some((key, value.as_deref()?))).collect()
     }
@@ -216,7 +223,7 @@ struct Summary<'a> {
     policy: &'static str,
     model: &'a str,
     method: &'static str,
-    knows: Option<&'static str>,
+    ao_knowledge: Option<&'static str>,
     iterations: Option<usize>,
 }
 
@@ -245,7 +252,7 @@ impl<'a> Summary<'a> {
             policy: estimate.policy.name(),
             model: &estimate.model,
             method: estimate.method().word(),
-            knows: map.map(|map| map.knows.word()),
+            ao_knowledge: map.map(|map| map.ao_knowledge.word()),
             iterations: map.map(|map| map.iterations.len()),
         }
     }

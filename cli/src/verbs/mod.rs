@@ -64,7 +64,7 @@ enum Verb {
 /// Runs the verb.
 ///
 /// # Errors
-/// Whatever stops it.
+/// Those of the verb.
 pub fn run(cli: Cli) -> Result<ExitCode> {
     interrupt::prepare_process();
     let terminal = Terminal::new(cli.quiet);

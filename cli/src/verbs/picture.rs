@@ -52,7 +52,7 @@ fn subtitle(estimate: &Estimate) -> Vec<String> {
         Some(map) => format!(
             ", {}, AO knowledge \"{}\", {}",
             estimate.method().word(),
-            map.knows.word(),
+            map.ao_knowledge.word(),
             counted(map.iterations.len(), "iteration")
         ),
     };

@@ -2,6 +2,7 @@
 
 mod hard_cases;
 mod leak;
+mod metrics;
 mod night_table;
 mod paper;
 mod plot;

@@ -67,7 +67,7 @@ fn image_estimate_compare() {
         "policy",
         "model",
         "method",
-        "knows",
+        "ao_knowledge",
         "iterations",
         "phasing_residual_nm",
         "ncpa_residual_nm",

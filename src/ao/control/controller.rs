@@ -67,12 +67,6 @@ impl Controller {
     pub fn commands_nm(&self) -> &[f32] {
         &self.queue[self.now]
     }
-
-    /// Resets the controller to a flat mirror and an empty queue.
-    pub fn reset(&mut self) {
-        self.queue.iter_mut().for_each(|commands| commands.fill(0.0));
-        self.now = 0;
-    }
 }
 
 #[cfg(test)]
@@ -247,8 +241,6 @@ mod tests {
         controller.step(&back).unwrap();
         let (before, after) = (pushed.iter(), controller.commands_nm().iter());
         assert!(before.zip(after).filter(|(before, _)| before.abs() == limit as f32).all(|(b, a)| a * b < 0.0));
-        controller.reset();
-        assert!(controller.commands_nm().iter().all(|&command| command == 0.0));
     }
 
     #[test]

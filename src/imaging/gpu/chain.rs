@@ -49,7 +49,7 @@ impl GpuChain {
     ///
     /// # Errors
     /// As for [`GpuChain::new`].
-    pub fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
+    pub(crate) fn with_build(device: &Device, build: Build, layout: &GpuLayout, capacity: usize) -> Result<Self> {
         Self::with_memory(device, build, layout, capacity, usable_memory_bytes(device.info()))
     }
 
@@ -57,7 +57,7 @@ impl GpuChain {
     ///
     /// # Errors
     /// As for [`GpuChain::new`]; [`Error::Device`], with the bytes needed and available, where the memory does not suffice.
-    pub fn with_memory(
+    pub(crate) fn with_memory(
         device: &Device,
         build: Build,
         layout: &GpuLayout,

@@ -1,5 +1,5 @@
 //! Engines: run the fits of a batch of images, on CPU threads or on a device. A fit depends on its own image alone, so
-//! that every engine of one precision, whatever its number of threads or images, finds the same.
+//! that every engine of one precision finds the same, for any number of threads or images.
 
 mod cpu;
 mod device;

@@ -22,7 +22,7 @@ pub(in crate::modal) type Prepare<'a> =
 /// What all fits of a call share.
 pub(in crate::modal) struct FitTask<'a> {
     pub(in crate::modal) model: &'a Model,
-    /// Reference chain (f64, CPU): metric, weights and χ² come from it whatever chain fits.
+    /// Reference chain (f64, CPU): metric, weights and χ² come from it for every chain that fits.
     pub(in crate::modal) reference: &'a CpuChain<f64>,
     pub(in crate::modal) metrics: &'a Metrics,
     pub(in crate::modal) recipe: &'a Recipe,

@@ -1,5 +1,6 @@
 //! Statistics of the border of a frame: background level and scatter.
 
+use crate::statistics::upper_median_in_place;
 use ndarray::{ArrayView2, s};
 
 /// Pixels of the border that are used: their median is accurate to 2 % of their scatter. The border has a quarter of a frame's
@@ -41,11 +42,7 @@ impl Statistics {
     }
 }
 
-/// The middle value, the upper of two; 0 of none. Reorders `values`.
+/// The upper median; 0 of none. Reorders `values`.
 fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    if values.is_empty() { 0.0 } else { upper_median_in_place(values) }
 }

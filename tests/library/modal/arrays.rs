@@ -1,10 +1,10 @@
 //! Telescopes, modes and diversities that a caller gives as arrays.
 
 use super::{scene, source};
-use cophase::grid::Grid;
 use cophase::imaging::{Chain, Precision};
 use cophase::io::{Column, FitsWriter, Pixel};
 use cophase::modal::{Arrays, ModalEstimate, ModalFitter, Status};
+use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::{Diversity, Telescope};
 use ndarray::{Array2, Array3, ArrayView1, Axis, stack};

@@ -233,8 +233,8 @@ fn scene_of_file(folder: &std::path::Path, file: &str, grid_m: f64, segment: &st
 
 #[test]
 fn a_telescope_from_fine_maps_is_read_back() {
-    use cophase::grid::Grid;
     use cophase::io::{FitsWriter, Pixel};
+    use cophase::pupil::Grid;
     use cophase::pupil::{Aperture, HexagonalParameters};
     let folder = tempfile::tempdir().unwrap();
     let hexagons = HexagonalParameters {

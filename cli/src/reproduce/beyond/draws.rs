@@ -120,7 +120,7 @@ impl Behind {
     /// The full-phase estimate of the first `count` images.
     fn full_phase(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Estimate> {
         let images_e = self.images_e.slice(s![..count, .., ..]).to_owned();
-        let heard = reader.estimate.ao_knowledge.is_none_or(|knows| knows >= AoKnowledge::Telemetry);
+        let heard = reader.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
         let slopes_mas = heard.then(|| self.slopes_mas.slice(s![..count, ..]).to_owned());
         let images = Images { slopes_mas, ..Images::new(images_e) };
         let control = Control::with_flag(progress.cancel().cloned().unwrap_or_default(), |_| {});

@@ -5,8 +5,8 @@
 //! where it shows nothing, with what the mirror makes of it; estimates are held against what the mirror makes of it, and how
 //! much of the map that leaves is told beside.
 
-use cophase::grid::Grid;
 use cophase::io::{FitsWriter, Pixel, read_map};
+use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
@@ -20,7 +20,7 @@ const PREFIX: &str = "NCPA";
 /// Samples of the held map: 24 to a pitch of the mirror, so that what lies between them is a straight line to 1e-3.
 const HELD_SAMPLES: usize = 480;
 
-/// Weight that keeps actuators which the map hardly shows from flying off, of the strongest one's. A tenth of it holds 0.5 to
+/// Weight that keeps actuators that the map determines poorly from large commands, of the strongest one's. A tenth of it holds 0.5 to
 /// 2 nm more of Keck's maps, and goes on half as far again where they show nothing.
 const RIDGE: f64 = 1e-2;
 

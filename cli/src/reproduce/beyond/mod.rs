@@ -168,13 +168,13 @@ mod tests {
     #[test]
     fn rows_that_read_the_same_images_share_them() {
         let named = |name: &str| BeyondRow::named(name).unwrap();
-        let rows = ["75 images", "128 nm", "200 images", "NCPA in two steps", "knows loop", "10 images"].map(named);
+        let rows = ["75 images", "128 nm", "200 images", "NCPA in two steps", "known loop", "10 images"].map(named);
         let groups = groups(&rows, &Conditions::default(), 2).unwrap();
         let names: Vec<Vec<&str>> =
             groups.iter().map(|group| group.members.iter().map(|(row, _)| &*row.name).collect()).collect();
         assert_eq!(
             names,
-            [vec!["75 images", "200 images", "knows loop", "10 images"], vec!["128 nm"], vec!["NCPA in two steps"]]
+            [vec!["75 images", "200 images", "known loop", "10 images"], vec!["128 nm"], vec!["NCPA in two steps"]]
         );
         assert_eq!((groups[0].longest.image.count, groups[0].members[3].1.image.count), (200, 10));
     }

@@ -32,7 +32,7 @@ pub struct LayerRow {
     pub wind_dir_deg: f64,
     /// RMS over the pupil of each draw, piston removed, nm.
     pub rms_nm: Vec<f64>,
-    /// Likewise without tip and tilt.
+    /// The same without tip and tilt.
     pub level_nm: Vec<f64>,
 }
 

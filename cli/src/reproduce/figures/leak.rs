@@ -1,4 +1,4 @@
-//! Section 4: the loop closed on the segments' steps alone. Whatever the mirror then shows has leaked into it, and
+//! Section 4: the loop closed on the segments' steps alone. All that the mirror then shows has leaked into it, and
 //! stands in the way of every estimate.
 
 use super::setup;
@@ -74,7 +74,7 @@ pub struct LeakDraw {
     pub input_nm: f64,
     /// The mirror's surface, nm.
     pub mirror_nm: f64,
-    /// What is left behind the mirror, nm.
+    /// Residual behind the mirror, nm.
     pub residual_nm: f64,
     /// Frames until the mirror was at rest; `None` where it never was.
     pub frames: Option<u64>,

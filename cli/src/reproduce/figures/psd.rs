@@ -1,10 +1,10 @@
 //! Section 4.5: power spectra of the residual wavefront before and after the segments are corrected.
 
 use super::corrected::{Amplitude, Bench, STATES, State, watch};
+use crate::experiment::metrics::{Psd, PsdAverage, control_half_width_per_m};
 use crate::plot::{CaptionedMap, CurvePicture, MapScale, MapsPicture, Marker, Series, SeriesStyle, Stroke};
 use crate::reproduce::statistics::mean;
 use crate::reproduce::{Cell, Conditions, Progress, Report, Table};
-use cophase::metrics::{Psd, PsdAverage, control_half_width_per_m};
 use cophase::{Error, Result};
 use ndarray::{Array2, ArrayView2, s};
 use std::path::Path;

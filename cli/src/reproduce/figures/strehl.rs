@@ -2,11 +2,11 @@
 
 use super::corrected::{Bench, STATES, State, watch};
 use super::setup;
+use crate::experiment::metrics::{Marechal, centre, strehl_by_energy, strehl_by_otf};
 use crate::plot::{CaptionedMap, MapScale, MapsPicture};
 use crate::reproduce::statistics::{mean, standard_deviation};
 use crate::reproduce::{Cell, Conditions, Progress, Report, Table};
 use cophase::ao::{ScienceCamera, Simulator, View};
-use cophase::metrics::{Marechal, centre, strehl_by_energy, strehl_by_otf};
 use cophase::pupil::Pupil;
 use cophase::{Error, Result};
 use ndarray::{Array2, s};

@@ -61,7 +61,7 @@ const fn often(case: HardCase) -> HardCase {
 
 /// What a detector reads beside the star, electrons a pixel: 0.1 and 1 % of a peak of 250,000 electrons.
 const BACKGROUNDS: [Settings; 2] = [&[("image.background_e", "250")], &[("image.background_e", "2500")]];
-/// Strong pistons behind a defocus that hardly spreads them: where fits end in wrong minima.
+/// Strong pistons behind a defocus too small to spread their light: where fits end in wrong minima.
 const WEAK_DEFOCUS: [Settings; 2] = [
     &[("aberrations.segment_piston_rms_nm", "500"), ("image.diversity_focus_waves_rms", "0.5")],
     &[("aberrations.segment_piston_rms_nm", "500"), ("image.diversity_focus_waves_rms", "0.25")],

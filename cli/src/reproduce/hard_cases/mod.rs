@@ -19,7 +19,7 @@ use cophase::scene::Scene;
 use cophase::{Error, modal};
 use ndarray::Axis;
 use rayon::prelude::*;
-use verdict::Judge;
+use verdict::Comparison;
 
 /// The verdicts on all cases.
 #[derive(Debug, Clone)]
@@ -48,15 +48,15 @@ fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &ModalFitter, progre
     let made = base.with(case.made)?;
     let read = made.with(case.read)?;
     let fits_optics = !read.estimate.fit_optics.is_empty();
-    let judge =
-        if fits_optics { None } else { Some(like.variant(&read, Recipe::from_scene(&read)).and_then(Judge::new)) };
+    let comparison =
+        if fits_optics { None } else { Some(like.variant(&read, Recipe::from_scene(&read)).and_then(Comparison::new)) };
     let verdict = |number: usize| -> Result<Verdict> {
         progress.check()?;
         let scene = made.with_override("aberrations.seed", &(1 + number).to_string())?;
         let image = spoil::made(&scene, case.spoil)?;
-        let verdict = match &judge {
-            None => judged_with_optics(&read, &image, progress),
-            Some(Ok(judge)) => judged(judge, &image, number, progress),
+        let verdict = match &comparison {
+            None => compared_with_optics(&read, &image, progress),
+            Some(Ok(comparison)) => compared(comparison, &image, number, progress),
             Some(Err(error)) => Ok(Verdict::refused(error)),
         };
         progress.add(1);
@@ -68,19 +68,19 @@ fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &ModalFitter, progre
 /// Draws of a case that are read in single precision too.
 const IN_SINGLE: usize = 8;
 
-fn judged(judge: &Judge, image: &spoil::Made, number: usize, progress: &Progress) -> Result<Verdict> {
-    let optics = &judge.estimator.model().optics;
+fn compared(comparison: &Comparison, image: &spoil::Made, number: usize, progress: &Progress) -> Result<Verdict> {
+    let optics = &comparison.estimator.model().optics;
     let mut double = Chain::cpu(optics.clone(), Precision::F64);
-    let read = |chain: &mut Chain| read(&judge.estimator, chain, image, progress);
+    let read = |chain: &mut Chain| read(&comparison.estimator, chain, image, progress);
     let found = match read(&mut double) {
         Ok(found) => found,
         Err(error @ Error::Interrupted(_)) => return Err(error),
         Err(error) => return Ok(Verdict::refused(&error)),
     };
-    let mut verdict = judge.verdict(&found, image)?;
+    let mut verdict = comparison.verdict(&found, image)?;
     let off_nm = |chain: &mut Chain| {
         let other = read(chain).ok().filter(|other| other.images[0].status == found.images[0].status)?;
-        Some(judge.apart_nm(&other.combined.coefficients_nm, &found.combined.coefficients_nm))
+        Some(comparison.apart_nm(&other.combined.coefficients_nm, &found.combined.coefficients_nm))
     };
     if number < IN_SINGLE {
         verdict.f32_nm = off_nm(&mut Chain::cpu(optics.clone(), Precision::F32)).unwrap_or(f64::NAN);
@@ -93,14 +93,14 @@ fn judged(judge: &Judge, image: &spoil::Made, number: usize, progress: &Progress
     Ok(verdict)
 }
 
-/// As [`judged`], by an estimator whose optics are those that this image shows; in double precision alone.
-fn judged_with_optics(scene: &Scene, image: &spoil::Made, progress: &Progress) -> Result<Verdict> {
+/// As [`compared`], by an estimator whose optics are those that this image shows; in double precision alone.
+fn compared_with_optics(scene: &Scene, image: &spoil::Made, progress: &Progress) -> Result<Verdict> {
     let (image_e, bad) = spoil::marked(&image.image_e);
     let (image_e, bad) = (image_e.insert_axis(Axis(0)), bad.insert_axis(Axis(0)));
     let cube = Cube { images_e: image_e.view(), bad: bad.view(), read_noise_e: None };
     let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
     match modal::select_default(scene, cube, &mut open, progress.cancel(), &mut |_, _| {}) {
-        Ok((estimator, found)) => Judge::new(estimator)?.verdict(&found, image),
+        Ok((estimator, found)) => Comparison::new(estimator)?.verdict(&found, image),
         Err(error @ Error::Interrupted(_)) => Err(error),
         Err(error) => Ok(Verdict::refused(&error)),
     }

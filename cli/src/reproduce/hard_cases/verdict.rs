@@ -10,7 +10,7 @@ use ndarray::{Array1, Array2, s};
 /// Residuals up to so many times what the error bars make one expect are right: of a hundred modes their RMS scatters by
 /// 7 %, of a few (a focus that dominates) it stays within this in all but one of three hundred.
 const SIGMAS: f64 = 3.0;
-/// Residuals up to this are right whatever the error bars say, nm: λ/2000, where the sampling of the model shows.
+/// Residuals up to this are right with any error bars, nm: λ/2000, where the sampling of the model shows.
 const ALWAYS_RIGHT_NM: f64 = 1.0;
 
 /// What became of one image.
@@ -31,9 +31,9 @@ pub struct Verdict {
     pub reduced_chi2: f64,
     /// Evaluations of objective and gradient.
     pub evaluations: usize,
-    /// Largest difference of a coefficient in single precision, nm; NaN where nobody tried, or where the status differs.
+    /// Largest difference of a coefficient in single precision, nm; NaN where it was not tried, or where the status differs.
     pub f32_nm: f64,
-    /// Likewise on an OpenCL device, in double precision.
+    /// The same on an OpenCL device, in double precision.
     pub opencl_nm: f64,
 }
 
@@ -63,7 +63,7 @@ impl Verdict {
         !self.is_right() && !self.is_flagged() && !self.is_right_given_diversity()
     }
 
-    /// Of an image from which nobody makes an estimate: the sentence says why.
+    /// Of an image that the estimator refuses, with its sentence.
     pub(super) fn refused(error: &Error) -> Self {
         Self {
             word: "refused",
@@ -79,8 +79,8 @@ impl Verdict {
     }
 }
 
-/// An estimator, and what its maps weigh.
-pub(super) struct Judge {
+/// An estimator, and the inner products with which its maps are compared with the truth.
+pub(super) struct Comparison {
     pub(super) estimator: ModalFitter,
     grams: [MapGram; 2],
     /// The diversity in the modes, where they hold it.
@@ -89,7 +89,7 @@ pub(super) struct Judge {
     has_no_sign: bool,
 }
 
-impl Judge {
+impl Comparison {
     pub(super) fn new(estimator: ModalFitter) -> Result<Self> {
         let model = estimator.model();
         let (pupil, maps, n) = (&model.telescope.pupil, model.basis.maps(), model.segment_modes);
@@ -171,7 +171,7 @@ impl Judge {
         for (near, off) in near_nm[..model.segment_modes].iter_mut().zip(&off) {
             *near -= wavelength_nm * ((off - mean_nm) / wavelength_nm).round();
         }
-        // Each of them has moved the mean, which is nobody's.
+        // Each of them has moved the mean, which no image determines.
         let off_nm: f64 = near_nm.iter().zip(piston_nm).map(|(near, truth)| near - truth).sum();
         let count = model.segment_modes.max(1) as f64;
         near_nm[..model.segment_modes].iter_mut().for_each(|near| *near -= off_nm / count);

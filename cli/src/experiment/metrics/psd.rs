@@ -1,6 +1,6 @@
 //! Two-dimensional power spectral density: variance within a band, ratio of two spectra, radial average.
 
-use crate::{Error, Result};
+use cophase::{Error, Result};
 use ndarray::{Array2, Zip};
 
 /// Power spectral density of a wavefront, from [`PsdAverage`](super::PsdAverage).
@@ -76,20 +76,6 @@ impl Psd {
         let rows = self.density_nm2_m2.outer_iter().zip(&shares);
         let sum: f64 = rows.map(|(row, share)| share * row.iter().zip(&shares).map(|(d, s)| d * s).sum::<f64>()).sum();
         Ok(sum * self.step_per_m.powi(2))
-    }
-
-    /// Fraction of the variance within the box: [`Psd::variance_within_nm2`] over [`Psd::variance_nm2`].
-    ///
-    /// # Errors
-    /// Those of [`Psd::variance_within_nm2`]; [`Error::Value`] for a spectrum of flat wavefronts.
-    pub fn fraction_within(&self, half_width_per_m: f64) -> Result<f64> {
-        let within = self.variance_within_nm2(half_width_per_m)?;
-        match self.variance_nm2() {
-            variance if variance > 0.0 => Ok(within / variance),
-            variance => Err(Error::Value(format!(
-                "a spectrum of {variance} nm^2 has no fraction within a box; a variance above 0 is needed"
-            ))),
-        }
     }
 
     /// Ratio of this density to that of `other`, `[fy, fx]`. NaN at frequency 0, which both lack (the mean is removed),

@@ -6,7 +6,7 @@
 //! box: light scattered out of it is not counted, and makes the ratio too high by its fraction.
 
 use super::centre::Interpolant;
-use crate::{Error, Result};
+use cophase::{Error, Result};
 use ndarray::ArrayView2;
 use std::f64::consts::PI;
 

@@ -5,7 +5,7 @@
 //! by a phase on its transform, without blur, as in Poyneer 2003 (Appl. Opt. 42, 5807).
 
 use super::fft2;
-use crate::{Error, Result};
+use cophase::{Error, Result};
 use ndarray::{Array2, ArrayView2, Zip};
 use num_complex::Complex64;
 use std::f64::consts::PI;

@@ -19,9 +19,8 @@
 
 use super::fft2::Fft2;
 use super::psd::Psd;
-use crate::grid::Grid;
-use crate::pupil::Pupil;
-use crate::{Error, Result};
+use cophase::pupil::{Grid, Pupil};
+use cophase::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 use num_complex::Complex64;
 use rustfft::FftDirection;

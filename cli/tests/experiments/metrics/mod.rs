@@ -3,8 +3,7 @@
 mod psd;
 mod strehl;
 
-use cophase::grid::Grid;
-use cophase::pupil::Pupil;
+use cophase::pupil::{Grid, Pupil};
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
 use ndarray::Array2;

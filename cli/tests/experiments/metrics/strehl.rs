@@ -1,9 +1,9 @@
 //! Strehl ratios of simulated PSFs.
 
 use super::{keck, map};
-use cophase::fourier::{Sampling, Transform};
-use cophase::metrics::{Marechal, centre, strehl_by_energy, strehl_by_marechal, strehl_by_otf};
+use cophase::imaging::{Sampling, Transform};
 use cophase::pupil::Pupil;
+use cophase_cli::experiment::metrics::{Marechal, centre, strehl_by_energy, strehl_by_marechal, strehl_by_otf};
 use ndarray::{Array2, Axis, Zip};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
