@@ -2,6 +2,7 @@
 
 mod files;
 mod interrupt;
+mod outputs;
 mod panics;
 mod terminal;
 mod verbs;

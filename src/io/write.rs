@@ -1,9 +1,12 @@
 //! FITS writer: a file is composed in memory and appears at its path complete, or not at all.
 
 use std::ffi::{CString, c_char, c_int, c_void};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use fitsio::sys;
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use ndarray::{ArrayRef, Dimension};
 
 use super::cfitsio::Handle;
@@ -84,13 +87,18 @@ pub struct FitsWriter {
 }
 
 impl FitsWriter {
-    /// Starts a file that will be written to `path`. An existing file will be replaced.
+    /// Starts a file that will be written to `path`, as a gzip stream where its extension is `gz`. An existing file will be
+    /// replaced, unless it is read-only.
     ///
     /// # Errors
     /// [`Error::File`] where the directory is missing or cannot be written, or `path` is not a plain file: checked
     /// here, before hours of computation.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
+        if has_extension(&path, "fz") {
+            let reason = "tile compression (.fz) is not written: .fits, or .fits.gz for a compressed file, is accepted";
+            return Err(Error::file(&path, reason));
+        }
         let target = Target::new(&path)?;
         // Created and removed immediately: only `finish` leaves a file.
         drop(target.temporary()?);
@@ -224,6 +232,8 @@ impl FitsWriter {
     pub fn finish(self) -> Result<()> {
         let Self { path, handle, names } = self;
         let bytes = handle.into_bytes(names.len()).map_err(|reason| Error::file(&path, reason))?;
+        let bytes =
+            if has_extension(&path, "gz") { packed(&bytes).map_err(|error| Error::file(&path, error))? } else { bytes };
         Target::new(&path)?.write(&bytes)
     }
 
@@ -264,6 +274,18 @@ impl FitsWriter {
         }
         Ok(upper)
     }
+}
+
+/// Whether `path` ends with `.extension`, in capitals or not.
+fn has_extension(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|own| own.eq_ignore_ascii_case(extension))
+}
+
+/// `bytes` as a gzip stream.
+fn packed(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes)?;
+    encoder.finish()
 }
 
 /// Pixels in their storage type.

@@ -16,6 +16,7 @@
 mod adaptive;
 mod edit;
 mod faults;
+mod file;
 mod fit;
 mod lists;
 mod purpose;
@@ -155,9 +156,6 @@ const PRESET_NAMES: [&str; PRESETS.len()] = {
     names
 };
 
-/// Longest scene file that is read, bytes: a thousand times a preset. A wrong file is refused before it is read.
-const LONGEST_FILE_BYTES: u64 = 2 << 20;
-
 impl Scene {
     /// Parses and validates a scene. Relative file names in it refer to `directory`.
     ///
@@ -176,21 +174,17 @@ impl Scene {
         Self::parse("scene", text, directory, Purpose::Arrays)
     }
 
-    /// Reads a scene from a file. Relative file names in it refer to the file's directory.
+    /// Reads a scene from a regular file or a pipe of at most 1 MiB. Relative file names in it refer to the file's
+    /// directory; those of a pipe to the working directory.
     ///
     /// # Errors
     /// [`Error::File`] for a file that cannot be read as text, and those of [`Scene::from_text`].
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let size = std::fs::metadata(path).map_err(|error| Error::file(path, error))?.len();
-        if size > LONGEST_FILE_BYTES {
-            let reason = format!("{size} bytes are too many for a scene; at most {LONGEST_FILE_BYTES} are accepted");
-            return Err(Error::file(path, reason));
-        }
-        let bytes = std::fs::read(path).map_err(|error| Error::file(path, error))?;
-        let text = std::str::from_utf8(&bytes)
-            .map_err(|error| Error::file(path, format_args!("not a text in UTF-8 (byte {})", error.valid_up_to())))?;
-        Self::parse(&path.display().to_string(), text, path.parent().unwrap_or(Path::new("")), Purpose::Whole)
+        let (text, kind) = file::read_text(path)?;
+        let is_stream = !kind.is_file() || path == Path::new("/dev/stdin");
+        let directory = path.parent().filter(|_| !is_stream).unwrap_or(Path::new(""));
+        Self::parse(&path.display().to_string(), &text, directory, Purpose::Whole)
     }
 
     /// Preset scene. File names that are added to it are relative to the working directory.

@@ -2,6 +2,7 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
 use cophase::scene::Scene;
 use cophase::source;
@@ -24,7 +25,7 @@ table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimat
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
     scene: PathBuf,
-    /// FITS file to write; one that is there is replaced
+    /// FITS file to write; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -52,10 +53,12 @@ struct Made {
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
-    files::check_output(&arguments.output, &[&arguments.scene])?;
+    let output = ("-o", arguments.output.as_path());
+    outputs::check(&[output], &[("the scene", &arguments.scene)])?;
     let seed = arguments.seed.map(|seed| seed.to_string());
     let options: Vec<(&str, &str)> = seed.iter().map(|seed| ("aberrations.seed", seed.as_str())).collect();
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
+    files::spare_files_of(&scene, &[output])?;
     if scene.wavefront_sensor.is_some() {
         let name = scene.name();
         terminal.warn(&format!("{name}: its turbulence and AO loop are left out, 'image' makes an artificial source"));

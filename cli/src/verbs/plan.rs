@@ -2,6 +2,7 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
 use cophase::planner::{self, Choice, Omission, Plan, Price};
 use cophase::scene::Scene;
@@ -45,10 +46,10 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
     let name = arguments.scene.as_path();
-    if let Some(output) = &arguments.output {
-        files::check_output(output, &[name])?;
-    }
+    let output = arguments.output.as_deref().map(|output| ("-o", output));
+    outputs::check(output.as_slice(), &[("the scene", name)])?;
     let scene = arguments.settings.apply(&files::scene(name)?, &[])?;
+    files::spare_files_of(&scene, output.as_slice())?;
     let Some(budget_nm) = arguments.budget_nm.or(scene.estimate.budget_nm) else {
         return Err(Error::Value(
             "no budget was given: --budget-nm or estimate.budget_nm of the scene is needed".into(),
