@@ -1,6 +1,6 @@
 //! Arrays that a caller hands in: five element types, any strides.
 
-use super::pointer::place;
+use super::pointer::source;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, Axis};
 use std::ffi::c_void;
@@ -70,7 +70,7 @@ impl<'a> Input<'a> {
     /// The array that the argument `name` describes. The caller's promise: memory at every element, for as long as the
     /// call lasts.
     pub(super) unsafe fn new(array: *const cophase_input, name: &'a str) -> Result<Self> {
-        let array = unsafe { *place(array.cast_mut(), name)? };
+        let array = unsafe { *source(array, name)? };
         Self::checked(&array, name)
     }
 

@@ -162,7 +162,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] with the line, the key, its value and what is accepted.
     pub fn from_text(text: &str, directory: &Path) -> Result<Self> {
-        Self::parse("scene", text, directory, Purpose::Whole)
+        Self::parse("scene", text, directory, Purpose::Whole, &[])
     }
 
     /// As [`Scene::from_text`], for a telescope whose pupil and modes are given as arrays: the keys of the pupil and of
@@ -171,7 +171,7 @@ impl Scene {
     /// # Errors
     /// As [`Scene::from_text`].
     pub fn for_arrays(text: &str, directory: &Path) -> Result<Self> {
-        Self::parse("scene", text, directory, Purpose::Arrays)
+        Self::parse("scene", text, directory, Purpose::Arrays, &[])
     }
 
     /// Reads a scene from a regular file or a pipe of at most 1 MiB. Relative file names in it refer to the file's
@@ -184,7 +184,7 @@ impl Scene {
         let (text, kind) = file::read_text(path)?;
         let is_stream = !kind.is_file() || path == Path::new("/dev/stdin");
         let directory = path.parent().filter(|_| !is_stream).unwrap_or(Path::new(""));
-        Self::parse(&path.display().to_string(), &text, directory, Purpose::Whole)
+        Self::parse(&path.display().to_string(), &text, directory, Purpose::Whole, &[])
     }
 
     /// Preset scene. File names that are added to it are relative to the working directory.
@@ -192,7 +192,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] for a name that is not in [`Scene::preset_names`].
     pub fn preset(name: &str) -> Result<Self> {
-        Self::parse(name, Self::preset_text(name)?, Path::new(""), Purpose::Whole)
+        Self::parse(name, Self::preset_text(name)?, Path::new(""), Purpose::Whole, &[])
     }
 
     /// Text of a preset.
@@ -249,8 +249,8 @@ impl Scene {
         self.content.purpose
     }
 
-    fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose) -> Result<Self> {
-        let source = Source { name, text, purpose };
+    fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose, settings: &[(&str, &str)]) -> Result<Self> {
+        let source = Source { name, text, purpose, settings };
         let document = Document::parse(text).map_err(|error| {
             let message = error.message().lines().collect::<Vec<_>>().join("; ");
             Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))

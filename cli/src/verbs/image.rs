@@ -4,10 +4,11 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::terminal::Terminal;
+use cophase::Result;
+use cophase::machine;
 use cophase::scene::Scene;
 use cophase::source;
 use cophase::telescope::Telescope;
-use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -101,20 +102,15 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
     })
 }
 
-/// Refuses a sequence that the memory cannot hold, where the allocator knows that it cannot.
+/// Refuses a sequence that the memory cannot hold.
 pub fn check_memory(scene: &Scene) -> Result<()> {
     /// The image in double precision, and three copies in single while the file is put together.
-    const BYTES_PER_PIXEL: usize = 8 + 3 * 4;
+    const BYTES_PER_PIXEL: u64 = 8 + 3 * 4;
     let (count, (rows, columns)) = (scene.image.count, scene.image.frame_shape());
-    let bytes = count.saturating_mul(rows * columns).saturating_mul(BYTES_PER_PIXEL);
-    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
-        let gib = bytes as f64 / (1u64 << 30) as f64;
-        let images = crate::terminal::counted(count, "image");
-        Error::Value(format!(
-            "{images} of {columns}x{rows} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
-             image.count or image.pixels"
-        ))
-    })
+    let bytes = (count as u64).saturating_mul((rows * columns) as u64).saturating_mul(BYTES_PER_PIXEL);
+    let images = crate::terminal::counted(count, "image");
+    let what = format!("{}: {images} of {columns}x{rows} pixels", scene.name());
+    machine::check_memory(what, bytes, "lower image.count or image.pixels")
 }
 
 /// [`make`] for the demonstration.

@@ -101,12 +101,14 @@ fn table(name: &Path, plan: &Plan) -> String {
         let kept = if *modelled { "modelled" } else { "left out" };
         text += &format!("\n{what}: {kept}; {without_nm:.3} nm without, {with_nm:.3} with it; {because}.");
     }
-    let (work, time) =
-        (plan.reference.megaflops / plan.chosen.megaflops, plan.reference.estimate_us / plan.chosen.estimate_us);
-    text + &format!(
-        "\n\n* is in the plan. It takes {work:.1} times fewer operations than the scene's own model in f64, and {time:.1} times less \
-         time here.\n"
-    )
+    let work = relation(plan.reference.megaflops, plan.chosen.megaflops, "as many operations");
+    let time = relation(plan.reference.estimate_us, plan.chosen.estimate_us, "as much time here");
+    text + &format!("\n\n* is in the plan. It takes {work} as the scene's own model in f64, and {time}.\n")
+}
+
+/// How much of something the plan takes, as a multiple of what the reference takes: a plan may take more of it.
+fn relation(reference: f64, plan: f64, what: &str) -> String {
+    format!("{:.2} times {what}", plan / reference)
 }
 
 fn line(name: &str, price: &Price) -> String {

@@ -5,9 +5,11 @@ mod bench;
 #[cfg(debug_assertions)]
 mod faults;
 mod frames;
+mod memory;
 mod odd_images;
 mod outputs;
 mod same_answer;
+mod sentences;
 mod simulate;
 mod verbs;
 mod words;
