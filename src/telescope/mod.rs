@@ -7,7 +7,9 @@
 mod band;
 mod diversity;
 mod model;
+mod places;
 
 pub use band::{band, wavelengths_needed, wavelengths_to};
 pub use diversity::{Diversity, MapOnGrid};
 pub use model::Telescope;
+pub use places::SegmentPlace;
