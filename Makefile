@@ -11,8 +11,10 @@ PREFIX ?= /usr/local
 override PREFIX := $(abspath $(PREFIX))
 LIBDIR ?= $(PREFIX)/lib
 INCLUDEDIR ?= $(PREFIX)/include
+DATADIR ?= $(PREFIX)/share
 override LIBDIR := $(abspath $(LIBDIR))
 override INCLUDEDIR := $(abspath $(INCLUDEDIR))
+override DATADIR := $(abspath $(DATADIR))
 # With link-time optimisation; `make check-lto` proves it. `PROFILE=dev` compiles faster, for trying things out.
 PROFILE ?= release-lto
 CARGO ?= cargo
@@ -62,6 +64,8 @@ $(BUILD):
 	mkdir -p $@
 
 HEADERS := include/cophase.h include/cophase_simulator.h
+# Every key of a scene, as `cophase scene --reference` prints it.
+REFERENCE := include/scene-reference.txt
 
 # The functions of the headers: without comments, names before a parenthesis.
 $(BUILD)/symbols: $(HEADERS) Makefile | $(BUILD)
@@ -91,8 +95,9 @@ FILL := sed -e 's|@VERSION@|$(VERSION)|g' -e 's|@PREFIX@|$(PREFIX)|g' -e 's|@SON
 	-e 's|@LINK_LIBRARIES@|$(addprefix -l,$(NATIVE_LIBRARIES))|g' -e 's|@CMAKE_LIBRARIES@|$(NATIVE_LIBRARIES)|g'
 
 install: $(BUILT)
-	$(INSTALL) -d $(addprefix $(DESTDIR),$(INCLUDEDIR) $(LIBDIR) $(PKGCONFIGDIR) $(CMAKEDIR))
+	$(INSTALL) -d $(addprefix $(DESTDIR),$(INCLUDEDIR) $(LIBDIR) $(PKGCONFIGDIR) $(CMAKEDIR) $(DATADIR)/cophase)
 	$(INSTALL) -m 644 $(HEADERS) $(DESTDIR)$(INCLUDEDIR)
+	$(INSTALL) -m 644 $(REFERENCE) $(DESTDIR)$(DATADIR)/cophase
 	$(INSTALL) -m 755 $(BUILD)/$(SHARED) $(DESTDIR)$(LIBDIR)
 	$(INSTALL) -m 644 $(BUILD)/libcophase.a $(DESTDIR)$(LIBDIR)
 	ln -sf $(SHARED) $(DESTDIR)$(LIBDIR)/$(SONAME)
@@ -105,6 +110,8 @@ uninstall:
 	rm -f $(addprefix $(DESTDIR)$(LIBDIR)/,$(SHARED) $(SONAME) libcophase.so libcophase.a)
 	rm -f $(addprefix $(DESTDIR)$(INCLUDEDIR)/,$(notdir $(HEADERS))) $(addprefix $(DESTDIR)$(PKGCONFIGDIR)/,$(PC_FILES))
 	rm -rf $(DESTDIR)$(CMAKEDIR)
+	rm -f $(DESTDIR)$(DATADIR)/cophase/$(notdir $(REFERENCE))
+	-rmdir $(DESTDIR)$(DATADIR)/cophase 2>/dev/null
 
 check-lto: $(BUILT)
 	scripts/check-lto $(BUILD)/$(SHARED)

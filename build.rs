@@ -14,11 +14,13 @@ fn main() {
 fn opencl_loader() {
     println!("cargo:rerun-if-changed=src/device/loader.c");
     println!("cargo:rerun-if-changed=src/device/loader_table.h");
+    println!("cargo:rerun-if-changed=src/device/probe.c");
     let unix = std::env::var("CARGO_CFG_TARGET_FAMILY").is_ok_and(|family| family.split(',').any(|f| f == "unix"));
     let macos = std::env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "macos");
     if unix && !macos {
         cc::Build::new()
             .file("src/device/loader.c")
+            .file("src/device/probe.c")
             .flag_if_supported("-fvisibility=hidden")
             .warnings(true)
             .extra_warnings(true)

@@ -2,12 +2,13 @@
 
 use crate::{Error, Result, fault};
 use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// Writes `bytes` to `path`: the whole file appears by a rename, or what was there stays. A symbolic link is followed.
 ///
 /// # Errors
-/// [`Error::File`] for a directory, a device or a pipe, or with the operating system's reason.
+/// [`Error::File`] for a directory, a device, a pipe or a read-only file, or with the operating system's reason.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     Target::new(path)?.write(bytes)
 }
@@ -23,13 +24,22 @@ impl Target {
     /// Target at `path`.
     ///
     /// # Errors
-    /// [`Error::File`] for a directory, a device or a pipe.
+    /// [`Error::File`] for a directory, a device, a pipe or a read-only file.
     pub(crate) fn new(path: &Path) -> Result<Self> {
         let real = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
         match std::fs::metadata(&real) {
             Ok(metadata) if metadata.is_dir() => Err(Error::file(path, "is a directory; a file name is needed")),
             Ok(metadata) if !metadata.is_file() => {
                 Err(Error::file(path, "is a device or a pipe; a regular file is needed"))
+            }
+            // A rename needs no permission to write the file that it replaces; the user's protection counts all the same.
+            Ok(metadata) if metadata.permissions().readonly() => {
+                let mode = metadata.permissions().mode() & 0o7777;
+                let reason = format!(
+                    "exists and is read-only (mode {mode:04o}), and is not replaced: give another name, or make it writable \
+                     with chmod u+w"
+                );
+                Err(Error::file(path, reason))
             }
             _ => Ok(Self { path: path.to_path_buf(), real }),
         }
@@ -44,7 +54,6 @@ impl Target {
     /// # Errors
     /// [`Error::File`] if the directory does not exist or cannot be written.
     pub(crate) fn temporary(&self) -> Result<tempfile::NamedTempFile> {
-        use std::os::unix::fs::PermissionsExt;
         let mut builder = tempfile::Builder::new();
         // The permissions of any new file, before the umask.
         builder.prefix(".cophase-").suffix(".tmp").permissions(std::fs::Permissions::from_mode(0o666));

@@ -47,6 +47,7 @@ pub mod imaging;
 pub mod io;
 mod linear_algebra;
 mod loop_response;
+pub mod machine;
 pub mod metrics;
 pub mod modal;
 pub mod modes;

@@ -1,6 +1,7 @@
-//! Scenes as the command line names them, and files that will be written.
+//! Scenes as the command line names them.
 
-use cophase::io::{FitsReader, FitsWriter};
+use crate::outputs::{self, Flagged};
+use cophase::io::FitsReader;
 use cophase::scene::{Aperture, Scene, split_setting};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -23,10 +24,24 @@ pub fn seed() -> impl clap::builder::TypedValueParser<Value = u64> {
 }
 
 impl Settings {
-    /// `scene` with these settings, and after them those of other options.
+    /// `scene` with these settings, and after them those of other options. The files that it names must be there.
     pub fn apply(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
+        let scene = self.changed(scene, options)?;
+        check_files_of(&scene, |_| true)?;
+        anchored(scene)
+    }
+
+    /// As [`Settings::apply`], for the scene of a FITS file. Its files may be left on another machine: those that are not
+    /// needed are not missed, unless these settings name them.
+    pub fn apply_to_embedded(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
+        let scene = self.changed(scene, options)?;
+        check_files_of(&scene, |key| self.names(key))?;
+        anchored(scene)
+    }
+
+    fn changed(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let named = self.settings.iter().map(|(key, value)| (key.as_str(), value.as_str()));
-        anchored(scene.with(&named.chain(options.iter().copied()).collect::<Vec<_>>())?)
+        scene.with(&named.chain(options.iter().copied()).collect::<Vec<_>>())
     }
 
     /// Whether `key` is set.
@@ -35,8 +50,11 @@ impl Settings {
     }
 }
 
-/// The scene in the file `name`, or the preset of that name where there is no such file.
+/// The scene in the file `name` (`-` for standard input), or the preset of that name where there is no such file.
 pub fn scene(name: &Path) -> Result<Scene> {
+    if name == Path::new("-") {
+        return Scene::from_file("/dev/stdin");
+    }
     let presets = Scene::preset_names();
     match name.to_str().filter(|name| presets.contains(name) && !Path::new(name).exists()) {
         Some(preset) => Scene::preset(preset),
@@ -61,8 +79,8 @@ pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
         .map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
 }
 
-/// `scene` with the full names of its files, so that its text means the same wherever it is kept.
-fn anchored(scene: Scene) -> Result<Scene> {
+/// The files that `scene` names: key and path.
+fn files_of(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
     let pupil = match &scene.pupil.aperture {
         Aperture::File(file) => Some(file),
         _ => None,
@@ -72,37 +90,43 @@ fn anchored(scene: Scene) -> Result<Scene> {
         ("modes.file", scene.modes.file.as_ref()),
         ("image.diversity_file", scene.image.diversity_file.as_ref()),
         ("aberrations.ncpa_file", scene.aberrations.as_ref().and_then(|aberrations| aberrations.ncpa_file.as_ref())),
+        ("mirror.actuator_file", scene.mirror.actuator_file.as_ref()),
+        (
+            "wavefront_sensor.subaperture_file",
+            scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),
+        ),
     ];
+    files.into_iter().filter_map(|(key, file)| Some((key, scene.resolve(file?)))).collect()
+}
+
+/// Refuses a scene that names a file which does not exist, whether or not the verb reads it: a misspelt name would have
+/// no effect. A map of NCPA is missed by the simulators, which read it, and not by an estimate.
+fn check_files_of(scene: &Scene, is_checked: impl Fn(&str) -> bool) -> Result<()> {
+    let missing = |(key, path): &(&str, PathBuf)| *key != "aberrations.ncpa_file" && is_checked(key) && !path.exists();
+    match files_of(scene).into_iter().find(missing) {
+        Some((key, path)) => Err(Error::file(path, format_args!("there is no such file; {key} of the scene names it"))),
+        None => Ok(()),
+    }
+}
+
+/// Refuses an output that is a file of the scene.
+pub fn spare_files_of(scene: &Scene, outputs: &[Flagged]) -> Result<()> {
+    let files = files_of(scene);
+    let inputs: Vec<Flagged> = files.iter().map(|(key, path)| (*key, path.as_path())).collect();
+    outputs.iter().try_for_each(|&output| outputs::spare(output, &inputs))
+}
+
+/// `scene` with the full names of its files, so that its text means the same wherever it is kept.
+fn anchored(scene: Scene) -> Result<Scene> {
     let mut full = Vec::new();
-    for (key, file) in files {
-        if let Some(file) = file {
-            let path = std::path::absolute(scene.resolve(file)).map_err(|error| Error::file(file, error))?;
-            full.push((key, toml_edit::Value::from(path.display().to_string()).to_string()));
-        }
+    for (key, file) in files_of(&scene) {
+        let path = std::path::absolute(&file).map_err(|error| Error::file(&file, error))?;
+        full.push((key, toml_edit::Value::from(path.display().to_string()).to_string()));
     }
     if full.is_empty() {
         return Ok(scene);
     }
     scene.with(&full.iter().map(|(key, path)| (*key, path.as_str())).collect::<Vec<_>>())
-}
-
-/// Says now, before the work, what would stop `output` from being written after it; `inputs` must survive.
-pub fn check_output(output: &Path, inputs: &[&Path]) -> Result<()> {
-    let same = |input: &&Path| matches!((input.canonicalize(), output.canonicalize()), (Ok(a), Ok(b)) if a == b);
-    if inputs.iter().any(same) {
-        return Err(Error::file(output, "is read by this command and cannot be its output: give another name"));
-    }
-    // A file of any content appears as a FITS file does: by a rename within its directory.
-    FitsWriter::create(output).map(drop)
-}
-
-/// [`check_output`] for a picture.
-pub fn check_picture(output: &Path, inputs: &[&Path]) -> Result<()> {
-    let extension = output.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    if !["png", "svg"].contains(&extension.to_ascii_lowercase().as_str()) {
-        return Err(Error::file(output, "a picture is named .png or .svg"));
-    }
-    check_output(output, inputs)
 }
 
 /// An error about the contents of `path`, with its name before it.

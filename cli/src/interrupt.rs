@@ -15,6 +15,20 @@ pub fn prepare_process() {
     unsafe {
         libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
     }
+    share_arenas();
+}
+
+/// One heap for all threads where the address space is limited (`ulimit -v`): glibc reserves 64 MiB of it for each thread,
+/// of which most stay unused, and what is needed is refused then.
+fn share_arenas() {
+    #[cfg(target_env = "gnu")]
+    // SAFETY: plain calls before any thread starts; `limit` is a live local.
+    unsafe {
+        let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+        if libc::getrlimit(libc::RLIMIT_AS, &mut limit) == 0 && limit.rlim_cur != libc::RLIM_INFINITY {
+            libc::mallopt(libc::M_ARENA_MAX, 1);
+        }
+    }
 }
 
 /// Knows whether the user wants to stop.

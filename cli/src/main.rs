@@ -1,7 +1,9 @@
 //! The program `cophase`: parses the command line, runs a verb, says in one line why it failed.
 
+mod allocator;
 mod files;
 mod interrupt;
+mod outputs;
 mod panics;
 mod terminal;
 mod verbs;
@@ -10,6 +12,9 @@ use clap::Parser;
 use cophase::Error;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
+
+#[global_allocator]
+static ALLOCATOR: allocator::Allocator = allocator::Allocator;
 
 fn main() -> ExitCode {
     let cli = verbs::Cli::parse();

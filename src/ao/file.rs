@@ -29,7 +29,6 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
         return Err(Error::Image(format!("0 images to write: the run ended before its first image{reason}")));
     }
     let mut file = FitsWriter::create(path)?;
-    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
     let (rows, columns) = scene.image.frame_shape();
     let mut images = Array3::<f32>::zeros((shots.len(), rows, columns));
     for (mut out, shot) in images.axis_iter_mut(Axis(0)).zip(shots) {

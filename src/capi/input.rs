@@ -1,6 +1,6 @@
 //! Arrays that a caller hands in: five element types, any strides.
 
-use super::pointer::place;
+use super::pointer::source;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, Axis};
 use std::ffi::c_void;
@@ -45,6 +45,25 @@ pub struct cophase_input {
     pub col_stride: isize,
 }
 
+/// Input array in C order, without padding: what cophase_input has for `float frames[count][rows][cols]`.
+///
+/// cophase_input frames = cophase_input_from_array(data, COPHASE_F32, 1, rows, cols);
+///
+/// Nothing is checked here: the call that takes the array does.
+#[unsafe(no_mangle)]
+pub extern "C" fn cophase_input_from_array(
+    data: *const c_void,
+    element: i32,
+    count: usize,
+    rows: usize,
+    cols: usize,
+) -> cophase_input {
+    // More elements than memory has are refused by the call, whatever the strides.
+    let stride = |extent: usize| isize::try_from(extent).unwrap_or(isize::MAX);
+    let (count_stride, row_stride) = (stride(rows.saturating_mul(cols)), stride(cols));
+    cophase_input { data, element, count, rows, cols, count_stride, row_stride, col_stride: 1 }
+}
+
 /// Element type.
 trait Element: Copy {
     fn widen(self) -> f64;
@@ -70,7 +89,7 @@ impl<'a> Input<'a> {
     /// The array that the argument `name` describes. The caller's promise: memory at every element, for as long as the
     /// call lasts.
     pub(super) unsafe fn new(array: *const cophase_input, name: &'a str) -> Result<Self> {
-        let array = unsafe { *place(array.cast_mut(), name)? };
+        let array = unsafe { *source(array, name)? };
         Self::checked(&array, name)
     }
 
@@ -230,6 +249,20 @@ mod tests {
         assert_eq!((columns[[1, 2, 3]], columns[[0, 1, 2]]), (23.0, 7.0));
         let repeated = read(array(&plain, COPHASE_F64, 0, [0, 4, 1]));
         assert_eq!(repeated.index_axis(ndarray::Axis(0), 1), c_order.index_axis(ndarray::Axis(0), 0));
+    }
+
+    #[test]
+    fn an_array_in_c_order_needs_no_strides() {
+        let plain: Vec<f32> = (0..24).map(|v| v as f32).collect();
+        let input = cophase_input_from_array(plain.as_ptr().cast(), COPHASE_F32, 2, 3, 4);
+        let read = unsafe { Input::new(&input, "frames") }.unwrap().cube().unwrap();
+        assert_eq!(read.dim(), (2, 3, 4));
+        assert!(read.iter().zip(0..).all(|(value, wanted)| *value == f64::from(wanted)));
+        for extents in [[usize::MAX; 3], [1, 0, 4]] {
+            let input =
+                cophase_input_from_array(plain.as_ptr().cast(), COPHASE_F32, extents[0], extents[1], extents[2]);
+            assert!(unsafe { Input::new(&input, "frames") }.is_err(), "{extents:?}");
+        }
     }
 
     #[test]

@@ -7,6 +7,7 @@ use crate::device::{DeviceInfo, devices};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use std::ffi::{CString, c_char};
+use std::path::Path;
 use std::sync::OnceLock;
 
 /// The presets as C strings, made once.
@@ -26,6 +27,36 @@ pub unsafe extern "C" fn cophase_scene_preset(name: *const c_char, scene_text: *
         let found = place.and_then(|place| texts.get(place));
         let found = found.ok_or_else(|| Error::Internal(format!("the scene '{name}' has a text and no place")))?;
         unsafe { put(scene_text, "scene_text", found.as_ptr()) }
+    })
+}
+
+/// A scene with another value for one key; its comments stay.
+///
+/// scene_text: scene as TOML, UTF-8, as cophase_scene_preset gives one.
+/// key: section and name, such as "image.peak_snr".
+/// value: value in TOML, such as "50" or "[4, 18]"; words and file names may do without quotes. An empty value removes the
+///   key, which then has its default.
+/// text: receives at most `capacity` bytes of the new scene, the terminating zero included, as with snprintf; may be NULL
+///   if capacity is 0. It must not overlap scene_text.
+/// length: receives the length of the whole text in bytes, without the zero: a text is whole if it is less than capacity.
+///
+/// COPHASE_BAD_SCENE for a key that does not exist or a value that it does not accept, with what is accepted.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_scene_set(
+    scene_text: *const c_char,
+    key: *const c_char,
+    value: *const c_char,
+    text: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> cophase_status {
+    fence(|| {
+        let (scene_text, key, value) =
+            unsafe { (self::text(scene_text, "scene_text")?, self::text(key, "key")?, self::text(value, "value")?) };
+        // A scene for a caller's arrays is not complete without them.
+        let scene = Scene::from_text(scene_text, Path::new(""))
+            .or_else(|error| Scene::for_arrays(scene_text, Path::new("")).map_err(|_| error))?;
+        unsafe { put_text(text, capacity, length, scene.with_override(key, value)?.text()) }
     })
 }
 

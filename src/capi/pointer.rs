@@ -4,11 +4,23 @@
 use crate::{Error, Result};
 use std::ffi::{CStr, c_char};
 
-/// `pointer`, if a `T` may be there; `name` is the argument's.
+/// `pointer`, if a `T` may be written there; `name` is the argument's.
 pub(super) fn place<T>(pointer: *mut T, name: &str) -> Result<*mut T> {
     if pointer.is_null() {
         return Err(Error::Argument(format!("{name} is NULL: the address of memory for it is accepted")));
     }
+    aligned(pointer, name)
+}
+
+/// `pointer`, if a `T` may be read there.
+pub(super) fn source<T>(pointer: *const T, name: &str) -> Result<*const T> {
+    if pointer.is_null() {
+        return Err(Error::Argument(format!("{name} is NULL: the address of an input is accepted")));
+    }
+    aligned(pointer.cast_mut(), name).map(<*mut T>::cast_const)
+}
+
+fn aligned<T>(pointer: *mut T, name: &str) -> Result<*mut T> {
     if !pointer.is_aligned() {
         let bytes = align_of::<T>();
         return Err(Error::Argument(format!("{name} is {pointer:p}: an address that {bytes} divides is accepted")));
@@ -66,9 +78,9 @@ pub(super) unsafe fn put_text(out: *mut c_char, capacity: usize, length: *mut us
 
 /// `count` numbers to read.
 pub(super) unsafe fn numbers<'a>(pointer: *const f64, count: usize, name: &str) -> Result<&'a [f64]> {
-    let place = place(pointer.cast_mut(), name)?;
+    let source = source(pointer, name)?;
     check_count(count, name)?;
-    Ok(unsafe { std::slice::from_raw_parts(place, count) })
+    Ok(unsafe { std::slice::from_raw_parts(source, count) })
 }
 
 /// `count` numbers to write.

@@ -1,6 +1,6 @@
 //! Structs that grow: fields are only appended, and the caller says how large the struct is that it was compiled with.
 
-use super::pointer::place;
+use super::pointer::{place, source};
 use crate::{Error, Result};
 
 /// Options, in which zero means the default in every field but the first.
@@ -26,7 +26,7 @@ pub(super) unsafe fn read<T: Options>(options: *const T, name: &str) -> Result<T
     if options.is_null() {
         return Ok(read);
     }
-    let place = place(options.cast_mut(), name)?.cast::<u8>();
+    let place = source(options, name)?.cast::<u8>();
     let size = unsafe { place.cast::<usize>().read() };
     if !is_possible(size) {
         return Err(Error::Argument(format!("{name}->struct_size is {size}: the sizeof of the struct is accepted")));

@@ -21,7 +21,7 @@ impl Device {
     /// # Errors
     /// [`Error::Device`] always.
     pub fn open(_: &DeviceInfo, _: bool) -> Result<Self> {
-        Err(Error::Device(advice(&[]).unwrap_or_default().to_string()))
+        Err(Error::Device(advice(&[]).unwrap_or_default()))
     }
 
     /// Description of the device.

@@ -74,7 +74,7 @@ fn pick(choice: Choice, mut present: Vec<DeviceInfo>) -> Option<DeviceInfo> {
 
 fn no_such_device(choice: Choice, addresses: &[String]) -> Error {
     if addresses.is_empty() {
-        return Error::Device(advice(&[]).unwrap_or_default().to_string());
+        return Error::Device(advice(&[]).unwrap_or_default());
     }
     let wanted = match choice {
         Choice::OpenClAt(platform, device) => format!("opencl:{platform}:{device}"),

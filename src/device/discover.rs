@@ -6,6 +6,7 @@ use ocl::core::{self, ClDeviceIdPtr, PlatformInfo};
 use ocl::ffi;
 
 use super::info::{DeviceInfo, DeviceKind};
+use super::probe;
 use crate::{Error, Result};
 
 /// Status of an ICD loader, and of our replacement for it (`loader.c`), where no platform is installed.
@@ -22,7 +23,7 @@ fn lock_discovery() -> MutexGuard<'static, ()> {
 /// Every OpenCL device of this machine, platform by platform; empty where OpenCL is absent.
 ///
 /// # Errors
-/// [`Error::Device`] where OpenCL is present but its calls fail.
+/// [`Error::Device`] where OpenCL is present but its calls fail, or where a driver aborts or hangs when it is loaded.
 pub fn devices() -> Result<Vec<DeviceInfo>> {
     let _lock = lock_discovery();
     let mut found = Vec::new();
@@ -54,6 +55,9 @@ pub(super) fn resolve(info: &DeviceInfo) -> Result<(core::PlatformId, core::Devi
 
 /// All platforms. `ocl` waits ten seconds and then fails or panics where there is none, so the count is queried first.
 fn platforms() -> Result<Vec<core::PlatformId>> {
+    if let Some(refusal) = probe::refusal() {
+        return Err(Error::Device(refusal.into()));
+    }
     let mut count = 0;
     // SAFETY: with 0 entries and a null pointer the call only writes the count.
     let status = unsafe { ffi::clGetPlatformIDs(0, std::ptr::null_mut(), &mut count) };

@@ -84,15 +84,26 @@ impl std::fmt::Display for DeviceInfo {
     }
 }
 
-/// What to install where `present` is empty, in one sentence; `None` otherwise.
-pub fn advice(present: &[DeviceInfo]) -> Option<&'static str> {
+/// What to install where `present` is empty, or why the drivers that are installed give no device, in one sentence; `None`
+/// where there is a device.
+pub fn advice(present: &[DeviceInfo]) -> Option<String> {
+    /// What needs no device.
+    const WITHOUT: &str = "the CPU chain needs nothing";
     if !present.is_empty() {
         return None;
     }
-    Some(if cfg!(feature = "opencl") {
-        "no OpenCL device was found: install the driver of your GPU with its OpenCL part, or PoCL for the processor \
-         (Debian and Ubuntu: apt install pocl-opencl-icd; conda: pocl); the CPU chain needs nothing"
-    } else {
-        "this cophase was built without OpenCL: build it with the feature `opencl`, or use the CPU chain"
+    #[cfg(not(feature = "opencl"))]
+    return Some(
+        "this cophase was built without OpenCL: build it with the feature `opencl`, or use the CPU chain".into(),
+    );
+    #[cfg(feature = "opencl")]
+    Some(match super::drivers::why_no_device() {
+        Some(reasons) => {
+            format!("no OpenCL device was found, although a driver is installed: {reasons}; {WITHOUT}")
+        }
+        None => format!(
+            "no OpenCL device was found: install the driver of your GPU with its OpenCL part, or PoCL for the processor \
+             (Debian and Ubuntu: apt install pocl-opencl-icd; conda: pocl); {WITHOUT}"
+        ),
     })
 }

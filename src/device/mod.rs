@@ -2,7 +2,7 @@
 //!
 //! The absence of OpenCL is not an error: `build.rs` links a replacement for libOpenCL that opens the real library at run
 //! time. A machine without OpenCL, or a build without the feature `opencl`, has zero devices, and [`advice`] says what to
-//! install. The names of the crate `ocl` are used in this module only.
+//! install. The drivers are loaded into this process only after a child process has listed their devices (`probe`). The names of the crate `ocl` are used in this module only.
 
 #[cfg(not(feature = "opencl"))]
 mod absent;
@@ -14,6 +14,8 @@ mod context;
 #[cfg(feature = "opencl")]
 mod discover;
 #[cfg(feature = "opencl")]
+mod drivers;
+#[cfg(feature = "opencl")]
 mod fault;
 mod info;
 #[cfg(feature = "opencl")]
@@ -22,6 +24,8 @@ mod kernel;
 mod object;
 mod peak;
 mod precision;
+#[cfg(feature = "opencl")]
+mod probe;
 #[cfg(feature = "opencl")]
 mod reals;
 #[cfg(feature = "opencl")]

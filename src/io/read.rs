@@ -11,6 +11,7 @@ use super::cfitsio::{CfitsioResult, Handle};
 use super::layout::{self, Hdu, HduKind, Layout};
 use super::standard;
 use super::value::{Card, checked_keyword};
+use crate::machine;
 use crate::{Error, Result};
 
 /// Largest unpacked size of a `.gz` file, bytes: a small file can unpack to a thousand times its size.
@@ -223,7 +224,13 @@ impl FitsReader {
         }
         let integers = hdu.bitpix > 0;
         self.move_to(index)?;
-        let pixels = shape.iter().product();
+        let pixels: usize = shape.iter().product();
+        // As f64, and once more where a part is copied or masked.
+        machine::check_memory(
+            format_args!("{}: the image {what} of shape {shape:?}", self.path.display()),
+            9 * pixels as u64,
+            "give a smaller image",
+        )?;
         let data = self.handle.image(shape.len(), pixels, integers).map_err(|reason| self.refuse(reason))?;
         ndarray::ArrayD::from_shape_vec(shape, data).map_err(|error| Error::Internal(error.to_string()))
     }

@@ -1,10 +1,13 @@
 //! FITS writer: a file is composed in memory and appears at its path complete, or not at all.
 
 use std::ffi::{CString, c_char, c_int, c_void};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use fitsio::sys;
-use ndarray::{ArrayRef, Dimension};
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use ndarray::{Array2, ArrayRef, Dimension};
 
 use super::cfitsio::Handle;
 use super::value::{Card, checked_keyword};
@@ -75,7 +78,8 @@ impl Column {
 /// A FITS file being composed in memory. [`FitsWriter::finish`] writes a temporary file and renames it to the path; if the
 /// writer is dropped before, no file is written.
 ///
-/// The primary HDU has no data, only the header cards of the file; images and tables are named extensions.
+/// The primary HDU has no data, only the header cards of the file, among them ORIGIN and DATE; images and tables are named
+/// extensions. Each HDU has its DATASUM and CHECKSUM.
 pub struct FitsWriter {
     path: PathBuf,
     handle: Handle,
@@ -84,13 +88,18 @@ pub struct FitsWriter {
 }
 
 impl FitsWriter {
-    /// Starts a file that will be written to `path`. An existing file will be replaced.
+    /// Starts a file that will be written to `path`, as a gzip stream where its extension is `gz`. An existing file will be
+    /// replaced, unless it is read-only.
     ///
     /// # Errors
     /// [`Error::File`] where the directory is missing or cannot be written, or `path` is not a plain file: checked
     /// here, before hours of computation.
     pub fn create(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
+        if has_extension(&path, "fz") {
+            let reason = "tile compression (.fz) is not written: .fits, or .fits.gz for a compressed file, is accepted";
+            return Err(Error::file(&path, reason));
+        }
         let target = Target::new(&path)?;
         // Created and removed immediately: only `finish` leaves a file.
         drop(target.temporary()?);
@@ -98,7 +107,31 @@ impl FitsWriter {
         // SAFETY: no axes, so none are read.
         let made = handle.call(|file, status| unsafe { sys::ffcrimll(file, 8, 0, std::ptr::null_mut(), status) });
         made.map_err(|reason| Error::file(&path, reason))?;
-        Ok(Self { path, handle, names: vec!["PRIMARY".into()] })
+        let mut file = Self { path, handle, names: vec!["PRIMARY".into()] };
+        file.card("PRIMARY", "ORIGIN", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
+        // SAFETY: the call writes a card into the current HDU.
+        file.call(|file, status| unsafe { sys::ffpdat(file, status) })?;
+        Ok(file)
+    }
+
+    /// Adds a map `[y, x]` over a square grid of side `grid_m`, the optical axis at its centre: the card `GRID_M`, and the
+    /// coordinates of its samples in m as cards of the world coordinate system.
+    ///
+    /// # Errors
+    /// As [`FitsWriter::image`].
+    pub fn map(&mut self, name: &str, map: &Array2<f64>, unit: &str, grid_m: f64) -> Result<()> {
+        self.image(name, map, Pixel::F64, unit)?;
+        self.card(name, "GRID_M", grid_m, "side of the map, m")?;
+        for (axis, samples, letter) in [(1, map.ncols(), "X"), (2, map.nrows(), "Y")] {
+            // The axis lies between the two central samples, which FITS counts from 1.
+            let centre = (samples as f64 + 1.0) / 2.0;
+            self.card(name, &format!("CTYPE{axis}"), letter, "position in the pupil")?;
+            self.card(name, &format!("CUNIT{axis}"), "m", "")?;
+            self.card(name, &format!("CRPIX{axis}"), centre, "sample of the optical axis")?;
+            self.card(name, &format!("CRVAL{axis}"), 0.0, "")?;
+            self.card(name, &format!("CDELT{axis}"), grid_m / samples as f64, "distance of samples, m")?;
+        }
+        Ok(())
     }
 
     /// Adds an image: `array[.., y, x]`, x fastest in the file, in `unit` (empty for none).
@@ -222,8 +255,16 @@ impl FitsWriter {
     /// [`Error::File`] where that fails, for instance on a full disk: no new file is left then, and a previous file at the
     /// path is unchanged.
     pub fn finish(self) -> Result<()> {
-        let Self { path, handle, names } = self;
+        let Self { path, mut handle, names } = self;
+        for index in 0..names.len() {
+            handle.move_to(index).map_err(|reason| Error::file(&path, reason))?;
+            // SAFETY: the call reads the current HDU, and writes its cards DATASUM and CHECKSUM.
+            let summed = handle.call(|file, status| unsafe { sys::ffpcks(file, status) });
+            summed.map_err(|reason| Error::file(&path, reason))?;
+        }
         let bytes = handle.into_bytes(names.len()).map_err(|reason| Error::file(&path, reason))?;
+        let bytes =
+            if has_extension(&path, "gz") { packed(&bytes).map_err(|error| Error::file(&path, error))? } else { bytes };
         Target::new(&path)?.write(&bytes)
     }
 
@@ -264,6 +305,18 @@ impl FitsWriter {
         }
         Ok(upper)
     }
+}
+
+/// Whether `path` ends with `.extension`, in capitals or not.
+fn has_extension(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|own| own.eq_ignore_ascii_case(extension))
+}
+
+/// `bytes` as a gzip stream.
+fn packed(bytes: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes)?;
+    encoder.finish()
 }
 
 /// Pixels in their storage type.

@@ -12,7 +12,7 @@ use crate::modes::{Samples, SmoothBasis};
 use crate::pupil::Segment;
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
-use crate::telescope::Telescope;
+use crate::telescope::{SegmentPlace, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 use std::path::Path;
@@ -32,6 +32,8 @@ pub struct CorrectableErrors<'a> {
 /// Corrections.
 #[derive(Debug, Clone)]
 pub struct Corrections {
+    /// Place of each segment.
+    pub places: Vec<SegmentPlace>,
     /// Increment of each segment's piston, nm; 0 where its estimate is below its error bar.
     pub pistons_nm: Vec<f64>,
     /// Estimate of each piston and its error bar, nm, both without the plane through all pistons.
@@ -82,6 +84,7 @@ impl Corrections {
         ncpa_nm.iter_mut().take(2).for_each(|nm| *nm = 0.0);
         let corrected_modes = ncpa_nm.iter().filter(|nm| **nm != 0.0).count();
         let mut corrections = Self {
+            places: SegmentPlace::all(scene, &telescope.pupil.segments),
             pistons_nm,
             estimate_nm,
             corrected_modes,
@@ -106,16 +109,13 @@ impl Corrections {
     /// [`Error::File`] where the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut file = FitsWriter::create(path)?;
-        file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
         file.card("PRIMARY", "NCPAMODE", self.corrected_modes as i64, "NCPA modes corrected")?;
         file.card("PRIMARY", "NLIMITED", self.limited as i64, "commands cut at the limit")?;
         let column = |i: usize| self.estimate_nm.iter().map(|pair| pair[i]).collect::<Vec<f64>>();
-        let segments = [
-            Column::i64("SEGMENT", (0..self.pistons_nm.len() as i64).collect()),
-            Column::f64("ADD_NM", "nm", self.pistons_nm.clone()),
-            Column::f64("ESTIMATE_NM", "nm", column(0)),
-            Column::f64("SIGMA_NM", "nm", column(1)),
-        ];
+        let mut segments = SegmentPlace::columns(&self.places);
+        segments.push(Column::f64("ADD_NM", "nm", self.pistons_nm.clone()));
+        segments.push(Column::f64("ESTIMATE_NM", "nm", column(0)));
+        segments.push(Column::f64("SIGMA_NM", "nm", column(1)));
         file.table("SEGMENTS", &segments)?;
         if !self.actuators_nm.is_empty() {
             let actuators = [

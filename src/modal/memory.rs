@@ -17,6 +17,7 @@
 //! the rest leaves. Tiles change the sums over pixels by their rounding, and no bit of the fits. A device holds its share of
 //! `images` in its own memory.
 
+use crate::machine;
 use crate::scene::{NcpaBasis, NollRange, Scene};
 use crate::{Error, Result};
 
@@ -115,7 +116,11 @@ pub(super) fn check_maps(scene: &Scene) -> Result<()> {
     // The maps, and the values at the illuminated samples from which they are computed.
     let bytes = 2 * NUMBER * (own + exact) * scene.pupil.samples.pow(2);
     let limit = limit_bytes(scene);
-    if bytes <= limit { Ok(()) } else { Err(refusal("the maps of this scene's modes", bytes, limit)) }
+    let what = "the maps of this scene's modes";
+    if bytes > limit {
+        return Err(refusal(what, bytes, limit));
+    }
+    machine::check_memory(what, bytes as u64, "take fewer pupil.samples or modes.ncpa_count")
 }
 
 fn refusal(what: &str, wanted: usize, limit: usize) -> Error {

@@ -128,7 +128,7 @@ impl Model {
             modes: set.kinds,
             weights,
         })?;
-        let model = Self {
+        Self {
             mean_squares: set.basis.mean_squares(&telescope.pupil.amplitude)?.into(),
             telescope,
             optics: Arc::new(optics),
@@ -138,9 +138,8 @@ impl Model {
             dropped: set.dropped,
             limit_bytes: memory::limit_bytes(scene),
             grid_width_m: grid.width_m(),
-        };
-        model.check_memory()?;
-        Ok(model)
+        }
+        .within_memory()
     }
 
     /// Width of the model's grid over that of the scene's.

@@ -4,6 +4,11 @@ use super::gauss_newton::bytes_of_row;
 use super::memory::{BASE_BYTES, KEPT_MATRICES, MATRICES_AT_ONCE, Memory, NUMBER, Tiles, WORKING_MATRICES};
 use super::model::Model;
 use crate::Result;
+use crate::machine;
+
+/// What lowers the memory of a fit.
+const ADVICE: &str = "take fewer pupil.samples, modes.ncpa_count, image.crop_pixels or images, or fewer threads \
+                      (RAYON_NUM_THREADS)";
 
 impl Model {
     /// Memory of an estimate with this model on `threads` threads.
@@ -38,9 +43,30 @@ impl Model {
         self.memory(rayon::current_num_threads()).tiles(self.limit_bytes)
     }
 
+    /// This model, with tiles that stay within the scene's `estimate.memory_gb` and within the memory that the machine has
+    /// left.
+    ///
     /// # Errors
-    /// [`Error::Scene`] where not even the smallest tiles stay under the limit.
-    pub(super) fn check_memory(&self) -> Result<()> {
-        self.memory(rayon::current_num_threads()).check(self.limit_bytes)
+    /// [`Error::Scene`] where not even the smallest tiles stay within the scene's limit, [`Error::Value`] where they do not
+    /// within the machine's.
+    pub(super) fn within_memory(mut self) -> Result<Self> {
+        let memory = self.memory(rayon::current_num_threads());
+        memory.check(self.limit_bytes)?;
+        // The model itself is there already.
+        let needed = memory.least_bytes().saturating_sub(memory.model);
+        machine::check_memory("a fit of this scene", needed as u64, ADVICE)?;
+        if let Some(available) = machine::available() {
+            self.limit_bytes = self.limit_bytes.min(memory.model.saturating_add(available.bytes as usize));
+        }
+        Ok(self)
+    }
+
+    /// Refuses more images than the machine's memory can keep.
+    ///
+    /// # Errors
+    /// [`Error::Value`].
+    pub(crate) fn check_images(&self, images: usize) -> Result<()> {
+        let kept = self.memory(1).kept_image.saturating_mul(images);
+        machine::check_memory(format_args!("a fit of {images} images of this scene"), kept as u64, ADVICE)
     }
 }

@@ -169,20 +169,38 @@ impl Comparison {
     /// # Errors
     /// [`Error::Shape`] or [`Error::Value`] where a map is not one of this pupil.
     pub fn new(pupil: &Pupil, phasing_nm: &Array2<f64>, ncpa_nm: &Array2<f64>, truth: &TruthMaps) -> Result<Self> {
-        let wanted = pupil.amplitude.dim();
-        let maps = [phasing_nm, ncpa_nm, &truth.phasing_nm, &truth.ncpa_nm];
-        if let Some(odd) = maps.into_iter().find(|map| map.dim() != wanted) {
-            let ((rows, columns), samples) = (odd.dim(), wanted.0);
-            return Err(Error::Shape(format!(
-                "a map has {columns}x{rows} samples where the estimate's pupil has {samples}x{samples}: they cannot be \
-                 compared"
-            )));
-        }
+        let maps = [
+            ("the estimate's phasing", phasing_nm),
+            ("the estimate's NCPA", ncpa_nm),
+            ("the true phasing", &truth.phasing_nm),
+            ("the true NCPA", &truth.ncpa_nm),
+        ];
+        maps.into_iter().try_for_each(|(name, map)| check_on_pupil(pupil, name, map))?;
         let (phasing_nm, phasing) = detrended(pupil, (phasing_nm - &truth.phasing_nm).view())?;
         let (ncpa_nm, ncpa) = detrended(pupil, (ncpa_nm - &truth.ncpa_nm).view())?;
         let wavefront = pupil.rms((&phasing_nm + &ncpa_nm).view())?;
         Ok(Self { phasing_nm, ncpa_nm, rms_nm: [phasing, ncpa, wavefront] })
     }
+}
+
+/// Refuses a map of another grid or of another pupil than `pupil`.
+fn check_on_pupil(pupil: &Pupil, name: &str, map: &Array2<f64>) -> Result<()> {
+    let (rows, columns) = map.dim();
+    let samples = pupil.grid.samples();
+    if (rows, columns) != (samples, samples) {
+        return Err(Error::Shape(format!(
+            "{name} has {columns}x{rows} samples where the estimate's pupil has {samples}x{samples}: they cannot be compared"
+        )));
+    }
+    let illuminated = || pupil.amplitude.iter().zip(map).filter(|(amplitude, _)| **amplitude > 0.0);
+    let (all, missing) = (illuminated().count(), illuminated().filter(|(_, nm)| !nm.is_finite()).count());
+    if missing > 0 {
+        return Err(Error::Value(format!(
+            "{name} has no value at {missing} of the {all} samples of the estimate's pupil: maps of the same pupil on the same \
+             grid can be compared"
+        )));
+    }
+    Ok(())
 }
 
 impl OpticalParameter {

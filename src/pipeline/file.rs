@@ -4,8 +4,10 @@ use super::estimate::{Estimate, MapSummary, OpticalParameter};
 use super::{ErrorTerm, ImageOutcome};
 use crate::Result;
 use crate::io::{Column, FitsWriter, Pixel};
+use crate::modes::SegmentModes;
 use crate::scene::Combine;
 use crate::statics::Iteration;
+use crate::telescope::SegmentPlace;
 use std::path::Path;
 
 impl Estimate {
@@ -23,6 +25,7 @@ fn write(path: &Path, estimate: &Estimate) -> Result<()> {
     cards(&mut file, estimate)?;
     maps(&mut file, estimate)?;
     modes(&mut file, estimate)?;
+    segments(&mut file, estimate)?;
     images(&mut file, estimate)?;
     error_budget(&mut file, &estimate.error_budget)?;
     optics(&mut file, &estimate.optics)?;
@@ -40,7 +43,6 @@ fn write(path: &Path, estimate: &Estimate) -> Result<()> {
 }
 
 fn cards(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
-    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
     file.card("PRIMARY", "METHOD", estimate.method().word(), "estimator")?;
     file.card("PRIMARY", "POLICY", estimate.policy.name(), "policy of the estimate")?;
     file.card("PRIMARY", "DEVICE", estimate.device.as_str(), "where the fit ran")?;
@@ -73,8 +75,7 @@ fn maps(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
         ("TRUTH_NCPA", truth.map(|truth| &truth.ncpa_nm)),
     ];
     for (name, map) in maps.into_iter().filter_map(|(name, map)| Some((name, map?))) {
-        file.image(name, map, Pixel::F64, "nm")?;
-        file.card(name, "GRID_M", grid_m, "side of the map, m")?;
+        file.map(name, map, "nm", grid_m)?;
     }
     Ok(())
 }
@@ -87,6 +88,24 @@ fn modes(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
         Column::f64("SIGMA_NM", "nm", estimate.sigma_nm()),
     ];
     file.table("MODES", &columns)
+}
+
+/// The segments with their place in the mirror, so that a piston is sent to the segment that it belongs to whatever the
+/// numbers of an observatory are.
+fn segments(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
+    let places = SegmentPlace::all(&estimate.scene, &estimate.pupil.segments);
+    if places.is_empty() {
+        return Ok(());
+    }
+    let (sigma_nm, names) = (estimate.sigma_nm(), SegmentModes::Piston.names(places.len()));
+    let mode = |name: &String| estimate.basis.names.iter().position(|known| known == name);
+    let piston = |values: &[f64]| -> Vec<f64> {
+        names.iter().map(|name| mode(name).map_or(f64::NAN, |mode| values[mode])).collect()
+    };
+    let mut columns = SegmentPlace::columns(&places);
+    columns.push(Column::f64("PISTON_NM", "nm", piston(&estimate.coefficients_nm)));
+    columns.push(Column::f64("SIGMA_NM", "nm", piston(&sigma_nm)));
+    file.table("SEGMENTS", &columns)
 }
 
 fn images(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {

@@ -29,6 +29,7 @@ pub(super) fn estimate(
     control.enter(Stage::Preparing, 0);
     let mut open = |estimator: &modal::ModalFitter| {
         control.check("the model was built, no image was fitted")?;
+        estimator.model().check_images(count)?;
         control.enter(Stage::Fitting, count);
         let optics = estimator.model().optics.clone();
         // No more images than this are fitted at once.

@@ -1,5 +1,6 @@
 //! Changed copies of a scene: other values for some keys, with the comments kept.
 
+use super::table::SETTING;
 use super::{Scene, SectionKeys, directory_of_keys, unknown_key, unknown_section};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
@@ -22,7 +23,8 @@ impl Scene {
             let (section, name) = known_key(&sections, key)?;
             set(&mut document, section, name, value.trim())?;
         }
-        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose())
+        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), settings)
+            .map_err(|error| after_settings(error, settings))
     }
 
     /// This scene without `key`, which then has its default.
@@ -39,7 +41,7 @@ impl Scene {
         if let Some(table) = document.get_mut(section).and_then(toml_edit::Item::as_table_like_mut) {
             table.remove(name);
         }
-        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose())
+        Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), &[])
     }
 
     /// As [`Scene::with`], for one key.
@@ -48,6 +50,21 @@ impl Scene {
     /// As [`Scene::with`].
     pub fn with_override(&self, key: &str, value: &str) -> Result<Self> {
         self.with(&[(key, value)])
+    }
+}
+
+/// `error` of a scene with these settings; where it is about another key, which the scene's own text sets, the settings are
+/// named before it: without them the scene was valid.
+fn after_settings(error: Error, settings: &[(&str, &str)]) -> Error {
+    /// More would hide the reason.
+    const MOST: usize = 3;
+    match error {
+        Error::Scene(sentence) if !settings.is_empty() && !sentence.contains(SETTING) => {
+            let keys: Vec<&str> = settings.iter().map(|(key, _)| *key).take(MOST).collect();
+            let more = if settings.len() > MOST { ", …" } else { "" };
+            Error::Scene(format!("setting {}{more}: {sentence}", keys.join(", ")))
+        }
+        other => other,
     }
 }
 

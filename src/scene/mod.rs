@@ -16,6 +16,7 @@
 mod adaptive;
 mod edit;
 mod faults;
+mod file;
 mod fit;
 mod lists;
 mod purpose;
@@ -155,16 +156,13 @@ const PRESET_NAMES: [&str; PRESETS.len()] = {
     names
 };
 
-/// Longest scene file that is read, bytes: a thousand times a preset. A wrong file is refused before it is read.
-const LONGEST_FILE_BYTES: u64 = 2 << 20;
-
 impl Scene {
     /// Parses and validates a scene. Relative file names in it refer to `directory`.
     ///
     /// # Errors
     /// [`Error::Scene`] with the line, the key, its value and what is accepted.
     pub fn from_text(text: &str, directory: &Path) -> Result<Self> {
-        Self::parse("scene", text, directory, Purpose::Whole)
+        Self::parse("scene", text, directory, Purpose::Whole, &[])
     }
 
     /// As [`Scene::from_text`], for a telescope whose pupil and modes are given as arrays: the keys of the pupil and of
@@ -173,24 +171,20 @@ impl Scene {
     /// # Errors
     /// As [`Scene::from_text`].
     pub fn for_arrays(text: &str, directory: &Path) -> Result<Self> {
-        Self::parse("scene", text, directory, Purpose::Arrays)
+        Self::parse("scene", text, directory, Purpose::Arrays, &[])
     }
 
-    /// Reads a scene from a file. Relative file names in it refer to the file's directory.
+    /// Reads a scene from a regular file or a pipe of at most 1 MiB. Relative file names in it refer to the file's
+    /// directory; those of a pipe to the working directory.
     ///
     /// # Errors
     /// [`Error::File`] for a file that cannot be read as text, and those of [`Scene::from_text`].
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let size = std::fs::metadata(path).map_err(|error| Error::file(path, error))?.len();
-        if size > LONGEST_FILE_BYTES {
-            let reason = format!("{size} bytes are too many for a scene; at most {LONGEST_FILE_BYTES} are accepted");
-            return Err(Error::file(path, reason));
-        }
-        let bytes = std::fs::read(path).map_err(|error| Error::file(path, error))?;
-        let text = std::str::from_utf8(&bytes)
-            .map_err(|error| Error::file(path, format_args!("not a text in UTF-8 (byte {})", error.valid_up_to())))?;
-        Self::parse(&path.display().to_string(), text, path.parent().unwrap_or(Path::new("")), Purpose::Whole)
+        let (text, kind) = file::read_text(path)?;
+        let is_stream = !kind.is_file() || path == Path::new("/dev/stdin");
+        let directory = path.parent().filter(|_| !is_stream).unwrap_or(Path::new(""));
+        Self::parse(&path.display().to_string(), &text, directory, Purpose::Whole, &[])
     }
 
     /// Preset scene. File names that are added to it are relative to the working directory.
@@ -198,7 +192,7 @@ impl Scene {
     /// # Errors
     /// [`Error::Scene`] for a name that is not in [`Scene::preset_names`].
     pub fn preset(name: &str) -> Result<Self> {
-        Self::parse(name, Self::preset_text(name)?, Path::new(""), Purpose::Whole)
+        Self::parse(name, Self::preset_text(name)?, Path::new(""), Purpose::Whole, &[])
     }
 
     /// Text of a preset.
@@ -255,8 +249,8 @@ impl Scene {
         self.content.purpose
     }
 
-    fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose) -> Result<Self> {
-        let source = Source { name, text, purpose };
+    fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose, settings: &[(&str, &str)]) -> Result<Self> {
+        let source = Source { name, text, purpose, settings };
         let document = Document::parse(text).map_err(|error| {
             let message = error.message().lines().collect::<Vec<_>>().join("; ");
             Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))

@@ -108,6 +108,8 @@ pub(super) struct Source<'a> {
     pub name: &'a str,
     pub text: &'a str,
     pub purpose: Purpose,
+    /// Keys that were set by a caller and not by the text, as `section.key`, with their values.
+    pub settings: &'a [(&'a str, &'a str)],
 }
 
 impl Source<'_> {
@@ -122,6 +124,9 @@ impl Source<'_> {
         }
     }
 }
+
+/// Between the name of a scene and a key that a caller has set, in messages.
+pub(super) const SETTING: &str = ", setting ";
 
 /// Reader of the keys of one section.
 pub(super) struct Reader<'a> {
@@ -141,8 +146,13 @@ impl<'a> Reader<'a> {
         self.table().is_some_and(|table| table.contains_key(key))
     }
 
-    /// Position of a key for a message, `scene.toml line 12`; that of its section if the scene does not name the key.
+    /// Position of a key for a message: `scene.toml line 12`, or `scene.toml, setting image.pixels` for a key that a caller
+    /// has set; that of its section if the scene does not name the key.
     pub(super) fn at(&self, key: &str) -> String {
+        let is_this = |name: &str| name.split_once('.') == Some((self.section, key));
+        if self.source.settings.iter().any(|(name, _)| is_this(name)) {
+            return format!("{}{SETTING}{}.{key}", self.source.name, self.section);
+        }
         let key_span =
             self.table().and_then(|table| table.get_key_value(key)).and_then(|(key, item)| key.span().or(item.span()));
         self.source.at(key_span.or_else(|| self.item.and_then(Item::span)))
@@ -233,7 +243,7 @@ mod tests {
 
     #[test]
     fn lines_are_counted_from_one() {
-        let source = Source { name: "s", text: "a\nb\nc", purpose: Purpose::Whole };
+        let source = Source { name: "s", text: "a\nb\nc", purpose: Purpose::Whole, settings: &[] };
         assert_eq!(source.at(Some(0..1)), "s line 1");
         assert_eq!(source.at(Some(4..5)), "s line 3");
         assert_eq!(source.at(Some(400..405)), "s line 3");

@@ -14,7 +14,6 @@ use std::path::Path;
 /// [`Error::File`] if the file cannot be written.
 pub fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
     let mut file = FitsWriter::create(path)?;
-    file.card("PRIMARY", "CREATOR", concat!("cophase ", env!("CARGO_PKG_VERSION")), "program and version")?;
     file.image("IMAGES", &made.images_e, Pixel::F32, "electron")?;
     image_cards(&mut file, scene, made.flux_e)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
@@ -56,11 +55,8 @@ pub(crate) fn seed_card(file: &mut FitsWriter, key: &str, seed: u64, comment: &s
 
 /// Writes the truth: both maps, and the table of segments.
 pub(crate) fn truth(file: &mut FitsWriter, scene: &Scene, truth: &Truth) -> Result<()> {
-    file.image("TRUTH_PHASING", &truth.phasing_nm, Pixel::F64, "nm")?;
-    file.image("TRUTH_NCPA", &truth.ncpa_nm, Pixel::F64, "nm")?;
-    for name in ["TRUTH_PHASING", "TRUTH_NCPA"] {
-        file.card(name, "GRID_M", grid_m(scene)?, "side of the map, m")?;
-    }
+    file.map("TRUTH_PHASING", &truth.phasing_nm, "nm", grid_m(scene)?)?;
+    file.map("TRUTH_NCPA", &truth.ncpa_nm, "nm", grid_m(scene)?)?;
     let tilt = |axis: usize| truth.tip_tilt_nm.iter().map(|tilts| tilts[axis]).collect();
     let table = [
         Column::i64("SEGMENT", (0..truth.piston_nm.len() as i64).collect()),

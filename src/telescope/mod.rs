@@ -7,8 +7,10 @@
 mod band;
 mod diversity;
 mod model;
+mod places;
 
 pub use band::band;
 pub(crate) use band::{wavelengths_needed, wavelengths_to};
 pub use diversity::{Diversity, MapOnGrid};
 pub use model::Telescope;
+pub use places::SegmentPlace;

@@ -23,6 +23,12 @@ static void null_models(const struct setting *s, const char *scene)
     NULL_IS_REFUSED("scene_text", cophase_scene_preset("keck-onsky", NULL));
     REFUSED(COPHASE_BAD_SCENE, "keck-onsky", cophase_scene_preset("keck-onsy", &name));
 
+    NULL_IS_REFUSED("scene_text", cophase_scene_set(NULL, "image.pixels", "32", text, sizeof text, &size));
+    NULL_IS_REFUSED("key", cophase_scene_set(scene, NULL, "32", text, sizeof text, &size));
+    NULL_IS_REFUSED("value", cophase_scene_set(scene, "image.pixels", NULL, text, sizeof text, &size));
+    NULL_IS_REFUSED("text", cophase_scene_set(scene, "image.pixels", "32", NULL, 1, &size));
+    NULL_IS_REFUSED("length", cophase_scene_set(scene, "image.pixels", "32", text, sizeof text, NULL));
+
     NULL_IS_REFUSED("scene_text", cophase_model_create(NULL, NULL, NULL, &model));
     NULL_IS_REFUSED("model", cophase_model_create(scene, NULL, NULL, NULL));
     NULL_IS_REFUSED("pupil", cophase_model_create(scene, NULL, &arrays, &model));

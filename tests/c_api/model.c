@@ -25,6 +25,29 @@ static void devices(void)
     CHECK(cophase_device_list(NULL, 0, &other) == COPHASE_OK && other == length);
 }
 
+/* A preset with another value for one key, and frames without strides. */
+static void settings(void)
+{
+    static char text[65536];
+    const char *preset = NULL;
+    cophase_input frames;
+    double pixels[6] = {1, 2, 3, 4, 5, 6};
+    size_t length = 7, other = 7;
+
+    CHECK(cophase_scene_preset("keck-artificial", &preset) == COPHASE_OK);
+    CHECK(cophase_scene_set(preset, "image.peak_snr", "50", NULL, 0, &length) == COPHASE_OK);
+    CHECK(length < sizeof text);
+    CHECK(cophase_scene_set(preset, "image.peak_snr", "50", text, sizeof text, &other) == COPHASE_OK);
+    CHECK(other == length && ends_at(text, length) && strstr(text, "peak_snr = 50") != NULL);
+    text[0] = 'x';
+    REFUSED(COPHASE_BAD_SCENE, "image.pixels = 241", cophase_scene_set(preset, "image.pixels", "241", text, 9, &other));
+    REFUSED(COPHASE_BAD_SCENE, "did you mean 'pixels'", cophase_scene_set(preset, "image.pixel", "32", text, 9, &other));
+    CHECK(text[0] == 'x' && other == length);
+    frames = cophase_input_from_array(pixels, COPHASE_F64, 1, 2, 3);
+    CHECK(frames.data == pixels && frames.count == 1 && frames.rows == 2 && frames.cols == 3);
+    CHECK(frames.count_stride == 6 && frames.row_stride == 3 && frames.col_stride == 1);
+}
+
 /* A scene with `more` behind it, which the sentence on `key` gives to the estimator. */
 static void only_for_an_estimator(const char *scene, const char *more, const char *key, cophase_model **model)
 {
@@ -228,6 +251,7 @@ int main(int argc, char **argv)
         return 2;
     scene = read_file(argv[1], &size);
     devices();
+    settings();
     refused_scenes(scene);
     arrays(scene);
     CHECK(cophase_model_create(scene, NULL, NULL, &model) == COPHASE_OK);

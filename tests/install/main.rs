@@ -81,6 +81,7 @@ fn what_is_installed_is_taken_away_again() {
         &shared,
         "lib/pkgconfig/cophase-static.pc",
         "lib/pkgconfig/cophase.pc",
+        "share/cophase/scene-reference.txt",
     ];
     files.sort();
     assert_eq!(tree.files(), files);

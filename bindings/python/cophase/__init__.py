@@ -24,7 +24,7 @@ Simulated exposures behind adaptive optics:
 >>> simulator.info.residual_rms_nm, simulator.image_e.shape
 """
 
-from ._library import devices, preset, version
+from ._library import devices, preset, scene_set, version
 from .errors import (
     BadArgumentError,
     BadFileError,
@@ -71,6 +71,7 @@ __all__ = [
     "Simulator",
     "devices",
     "preset",
+    "scene_set",
     "version",
 ]
 __version__ = version()

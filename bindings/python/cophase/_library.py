@@ -106,6 +106,36 @@ def preset(name: str) -> str:
     return words(result("const char *", lib.cophase_scene_preset, text("name", name)))
 
 
+def scene_set(scene_text: str, **settings: Any) -> str:
+    """The scene with other values, its comments kept: ``scene_set(preset("keck-artificial"), image__peak_snr=50)``.
+
+    The name of a setting is section and key with two underscores between. A value is a number, a bool, a list, a text
+    (words and file names need no quotes), or ``None`` for the key's default.
+    """
+    for name, value in settings.items():
+        section, _, key = name.partition("__")
+        scene_text = library_text(
+            lib.cophase_scene_set,
+            text("scene_text", scene_text),
+            text(name, f"{section}.{key}"),
+            text(name, _toml(value)),
+        )
+    return scene_text
+
+
+def _toml(value: Any) -> str:
+    """A value as the library reads it."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_toml(item) for item in value)}]"
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    return str(value)
+
+
 def devices() -> dict[str, str]:
     """Devices of this machine: a description of each, by the name that :class:`cophase.Session` takes.
 

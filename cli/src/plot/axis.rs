@@ -4,6 +4,8 @@
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Scale {
     Linear,
+    /// Linear, for values that are integers: ticks at integers only.
+    Integer,
     Log,
     /// asinh((v − low)/knee): linear below `knee`, logarithmic above.
     Asinh {
@@ -77,6 +79,13 @@ impl Axis {
         Self { low: low - margin, high: high + margin, scale }
     }
 
+    /// This linear axis for values that are integers.
+    pub fn of_integers(self) -> Self {
+        let holds_two = self.high.floor() - self.low.ceil() >= 1.0;
+        let scale = if self.scale == Scale::Linear && holds_two { Scale::Integer } else { self.scale };
+        Self { scale, ..self }
+    }
+
     pub fn low(&self) -> f64 {
         self.low
     }
@@ -88,7 +97,7 @@ impl Axis {
     /// Where `v` lies: 0 at `low`, 1 at `high`, held between.
     pub fn fraction(&self, v: f64) -> f64 {
         let part = match self.scale {
-            Scale::Linear => (v - self.low) / (self.high - self.low),
+            Scale::Linear | Scale::Integer => (v - self.low) / (self.high - self.low),
             Scale::Log if v <= 0.0 => 0.0,
             Scale::Log => (v / self.low).ln() / (self.high / self.low).ln(),
             Scale::Asinh { knee } => ((v - self.low) / knee).max(0.0).asinh() / ((self.high - self.low) / knee).asinh(),
@@ -106,6 +115,8 @@ impl Axis {
                 .into_iter()
                 .find(|ticks| ticks.len() > 1)
                 .unwrap_or_default(),
+            // A step of at least 1 from the list of `linear_ticks` is an integer.
+            Scale::Integer => linear_ticks(self.low, self.high, count.min(((self.high - self.low) as usize).max(1))),
             Scale::Log => log_ticks(self.low, self.high, count),
             Scale::Asinh { .. } => self.asinh_ticks(count),
         }
@@ -251,6 +262,16 @@ mod tests {
         assert_eq!(labels(&Axis::exact(0.0, 1.0, Scale::Linear).ticks(5)), ["0", "0.2", "0.4", "0.6", "0.8", "1.0"]);
         assert_eq!(labels(&Axis::exact(0.0, 4e5, Scale::Linear).ticks(4)), ["0", "1×10⁵", "2×10⁵", "3×10⁵", "4×10⁵"]);
         assert_eq!(labels(&Axis::exact(0.0, 2e-4, Scale::Linear).ticks(2)), ["0", "1×10⁻⁴", "2×10⁻⁴"]);
+    }
+
+    #[test]
+    fn axes_of_integers_have_integer_ticks() {
+        let axis = |low, high| Axis::exact(low, high, Scale::Linear).of_integers();
+        assert_eq!(labels(&axis(0.96, 2.04).ticks(6)), ["1", "2"]);
+        assert_eq!(labels(&axis(-0.5, 3.5).ticks(9)), ["0", "1", "2", "3"]);
+        assert_eq!(labels(&axis(0.0, 40.0).ticks(4)), ["0", "10", "20", "30", "40"]);
+        // No two integers: as any other axis.
+        assert!(axis(0.6, 1.4).ticks(4).len() > 1);
     }
 
     #[test]

@@ -142,6 +142,8 @@ impl CurvePicture {
         // An error bar that reaches zero on a logarithmic axis is cut at the axis, not followed to −∞.
         let y = points().flat_map(|&(_, y, e)| [y, y + e, if self.y_log && y - e <= y / 10.0 { y } else { y - e }]);
         let x = Axis::around(points().map(|&(x, ..)| x).chain(marked_x), self.x_log);
+        // Numbers of images, of modes, of iterations.
+        let x = if points().all(|(x, ..)| x.fract() == 0.0) { x.of_integers() } else { x };
         let y = Axis::around(y.chain(marked_y), self.y_log);
         let (top, left) = (heading_height(0), 130.0);
         let (w, h) = (f64::from(PAGE.0) - left - MARGIN, f64::from(PAGE.1) - top - 84.0);

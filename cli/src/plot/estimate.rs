@@ -25,6 +25,22 @@ pub struct MapTriple {
     pub sigma: Option<Array2<f64>>,
     /// Width of the maps, m.
     pub width_m: f64,
+    /// The RMS that is written above each map, where the caller has a definition of its own.
+    pub rms: MapRms,
+}
+
+/// RMS of the maps of a [`MapTriple`], nm, as the caller defines them (over the pupil's weight, tip and tilt removed, as in
+/// the report); `None` is the RMS over the finite samples, about their mean.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct MapRms {
+    /// Of the estimate.
+    pub estimate_nm: Option<f64>,
+    /// Of the truth.
+    pub truth_nm: Option<f64>,
+    /// Of the residual.
+    pub residual_nm: Option<f64>,
+    /// Of 1σ.
+    pub sigma_nm: Option<f64>,
 }
 
 /// An image, the model's, and their difference in units of its noise; pixels that were not used are NaN.
@@ -135,22 +151,26 @@ impl MapTriple {
             extent: Extent::Metres(self.width_m),
             unit: "nm",
         };
-        let rms_of = |map: &Array2<f64>| rms_text(rms(map.view()), "nm");
+        let rms_of = |map: &Array2<f64>, given: Option<f64>| rms_text(given.unwrap_or_else(|| rms(map.view())), "nm");
         let shared: Vec<_> =
             [Some(&self.estimate), self.truth.as_ref()].into_iter().flatten().map(|map| map.view()).collect();
         let shade = Shade::diverging(&shared, 0.0);
 
         // Alone, it needs no word to tell it from the truth.
         let estimate = if self.truth.is_some() { "estimate" } else { "" };
-        let mut panels = vec![panel(estimate, self.estimate.view(), shade.clone(), rms_of(&self.estimate))];
+        let mut panels =
+            vec![panel(estimate, self.estimate.view(), shade.clone(), rms_of(&self.estimate, self.rms.estimate_nm))];
         if let Some(truth) = &self.truth {
-            panels.push(panel("truth", truth.view(), shade, rms_of(truth)));
+            panels.push(panel("truth", truth.view(), shade, rms_of(truth, self.rms.truth_nm)));
         }
-        let predicted = self.sigma.as_ref().map(|sigma| root_mean_square(sigma.iter().copied()));
+        let rms_of_sigma = |sigma: &Array2<f64>| root_mean_square(sigma.iter().copied());
+        let predicted = self.sigma.as_ref().map(|sigma| self.rms.sigma_nm.unwrap_or_else(|| rms_of_sigma(sigma)));
         if let Some(residual) = self.residual.as_ref().or(difference) {
             let figure = match predicted {
-                Some(sigma) => format!("{} (1σ: {})", rms_of(residual), super::axis::figure(sigma)),
-                None => rms_of(residual),
+                Some(sigma) => {
+                    format!("{} (1σ: {})", rms_of(residual, self.rms.residual_nm), super::axis::figure(sigma))
+                }
+                None => rms_of(residual, self.rms.residual_nm),
             };
             panels.push(panel("residual", residual.view(), Shade::diverging(&[residual.view()], 0.0), figure));
         } else if let (Some(sigma), Some(predicted)) = (&self.sigma, predicted) {

@@ -22,7 +22,7 @@ mod panel;
 
 pub use bars::{ModalBars, ModeGroup};
 pub use curve::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
-pub use estimate::{EstimatePicture, ImageTriple, MapTriple};
+pub use estimate::{EstimatePicture, ImageTriple, MapRms, MapTriple};
 pub use maps::{CaptionedMap, MapScale, MapsPicture};
 
 /// Refuses a map that is not a positive number of metres wide.

@@ -82,7 +82,7 @@ impl MapPanel<'_> {
                 let height = width * rows / cols;
                 (axis(-width / 2.0, width / 2.0), axis(-height / 2.0, height / 2.0))
             }
-            Extent::Pixels => (axis(-0.5, cols - 0.5), axis(-0.5, rows - 0.5)),
+            Extent::Pixels => (axis(-0.5, cols - 0.5).of_integers(), axis(-0.5, rows - 0.5).of_integers()),
         };
         Frame { plot, x, y }
     }

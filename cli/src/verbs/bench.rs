@@ -2,6 +2,7 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
 use cophase::device::{Choice, Precision};
 use cophase::scene::{Optimizer, Scene};
@@ -133,9 +134,13 @@ impl Serialize for Value<'_> {
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
-    arguments.csv.iter().try_for_each(|csv| files::check_output(csv, &[&arguments.scene]))?;
-    arguments.picture.iter().try_for_each(|picture| files::check_picture(picture, &[&arguments.scene]))?;
+    let picture = arguments.picture.as_deref().map(|picture| ("--picture", picture));
+    let csv = arguments.csv.as_deref().map(|csv| ("--csv", csv));
+    picture.map_or(Ok(()), outputs::check_picture)?;
+    let written: Vec<_> = csv.into_iter().chain(picture).collect();
+    outputs::check(&written, &[("the scene", &arguments.scene)])?;
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &[])?;
+    files::spare_files_of(&scene, &written)?;
     let Bench { points, left_out } = measure(arguments, &scene, terminal, &interrupt)?;
     for reason in &left_out {
         terminal.warn(&format!("left out: {reason}"));

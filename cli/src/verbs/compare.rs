@@ -48,6 +48,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         let other = if arguments.truth.is_none() { ": name a file that does with --truth" } else { "" };
         Error::file(truth_path, format_args!("holds no truth (images TRUTH_PHASING and TRUTH_NCPA){other}"))
     })?;
+    check_widths((path, "PHASING"), (truth_path, "TRUTH_PHASING"))?;
     let pupil = Telescope::new(&scene)?.pupil;
     let residual = Comparison::new(&pupil, &phasing_nm, &ncpa_nm, &truth)
         .map_err(|error| Error::file(path, format_args!("compared with {}: {error}", truth_path.display())))?;
@@ -61,4 +62,22 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let head = format!("{:<12}{:>16}\n", "", "residual [nm]");
     let rows = row("phasing", phasing) + &row("NCPA", ncpa) + &row("wavefront", wavefront);
     terminal.show(&(head + &rows + "\nRMS over the pupil, tip and tilt removed.\n"))
+}
+
+/// Refuses maps whose cards GRID_M differ: with the same number of samples they would be compared at other places of the
+/// mirror.
+fn check_widths(estimate: (&Path, &str), truth: (&Path, &str)) -> Result<()> {
+    let width_m = |(path, hdu): (&Path, &str)| -> Result<Option<f64>> {
+        Ok(FitsReader::open(path)?.card(Some(hdu), "GRID_M")?.and_then(|card| card.number()))
+    };
+    match (width_m(estimate)?, width_m(truth)?) {
+        (Some(own), Some(other)) if (own - other).abs() > 1e-6 * own => Err(Error::file(
+            truth.0,
+            format_args!(
+                "its maps are {other} m wide (GRID_M), and those of {} are {own} m: maps of one grid can be compared",
+                estimate.0.display()
+            ),
+        )),
+        _ => Ok(()),
+    }
 }

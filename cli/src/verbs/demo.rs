@@ -1,8 +1,8 @@
 //! `cophase demo`: the main job on a scene of our own, from nothing to a picture.
 
 use super::{estimate, image};
-use crate::files;
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
 use cophase::pipeline::Images;
 use cophase::scene::Scene;
@@ -35,12 +35,11 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
     let folder = &arguments.output;
+    outputs::refuse_dash(("-o", folder))?;
     std::fs::create_dir_all(folder)
         .map_err(|error| Error::file(folder, format_args!("the folder cannot be made: {error}")))?;
     let [images, output, picture] = ["images.fits", "est.fits", "est.png"].map(|name| folder.join(name));
-    files::check_output(&images, &[])?;
-    files::check_output(&output, &[])?;
-    files::check_picture(&picture, &[])?;
+    outputs::check(&[("images", &images), ("estimate", &output), ("picture", &picture)], &[])?;
     let scene = Scene::preset("keck-artificial")?.with_override("aberrations.seed", &arguments.seed.to_string())?;
     image::make_file(&scene, &images, terminal, &interrupt)?;
     let found = estimate::estimated(&images, &scene, &Images::read(&images, None)?, terminal, &interrupt)?;

@@ -61,7 +61,7 @@ fn list() -> (Vec<Listed>, Option<String>) {
         units: info.compute_units as usize,
         f64: info.f64,
     }));
-    (listed, device::advice(&present).map(String::from))
+    (listed, device::advice(&present))
 }
 
 /// What Linux calls the processor; its architecture elsewhere.

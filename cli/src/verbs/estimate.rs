@@ -3,6 +3,7 @@
 use super::picture;
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
+use crate::outputs::{self, Flagged};
 use crate::terminal::Terminal;
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::scene::{DeviceChoice, Method, Scene};
@@ -34,9 +35,9 @@ and iterations; null where a key does not apply.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// FITS file with one image or a cube of them
+    /// FITS file with one image or a cube of them; - for standard input
     images: PathBuf,
-    /// FITS file to write: maps, modes, error bars; one that is there is replaced
+    /// FITS file to write: maps, modes, error bars; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Scene: a TOML file, or the name of a preset [default: the scene in the image file]
@@ -107,47 +108,52 @@ impl Arguments {
         options.into_iter().filter_map(|(key, value)| Some((key, value.as_deref()?))).collect()
     }
 
+    fn outputs(&self) -> Vec<Flagged<'_>> {
+        let also = [("--commands", &self.commands), ("--plot", &self.plot)];
+        let also = also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?)));
+        [("-o", self.output.as_path())].into_iter().chain(also).collect()
+    }
+
     fn check_outputs(&self) -> Result<()> {
-        let mut inputs: Vec<&Path> = vec![&self.images];
-        inputs.extend([&self.scene, &self.mask].into_iter().flatten().map(PathBuf::as_path));
-        files::check_output(&self.output, &inputs)?;
-        if let Some(commands) = &self.commands {
-            files::check_output(commands, &inputs)?;
-        }
         if let Some(plot) = &self.plot {
-            files::check_picture(plot, &inputs)?;
+            outputs::check_picture(("--plot", plot))?;
         }
-        Ok(())
+        let mut inputs: Vec<Flagged> = vec![("the images", &self.images)];
+        let also = [("--scene", &self.scene), ("--mask", &self.mask)];
+        inputs.extend(also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?))));
+        outputs::check(&self.outputs(), &inputs)
     }
 
     fn scene(&self) -> Result<Scene> {
-        let scene = match &self.scene {
-            Some(name) => files::scene(name)?,
-            None => files::embedded_scene(&self.images)?.ok_or_else(|| {
-                let reason =
-                    "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
-                Error::file(&self.images, reason)
-            })?,
-        };
         let budget = self.budget_nm.map(|nm| nm.to_string());
         let mut options = self.options();
         options.extend(budget.as_deref().map(|nm| ("estimate.budget_nm", nm)));
-        self.settings.apply(&scene, &options)
+        if let Some(name) = &self.scene {
+            return self.settings.apply(&files::scene(name)?, &options);
+        }
+        let scene = files::embedded_scene(&self.images)?.ok_or_else(|| {
+            let reason =
+                "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
+            Error::file(&self.images, reason)
+        })?;
+        self.settings.apply_to_embedded(&scene, &options)
     }
 }
 
 /// Exit status under --strict of an estimate with a warning.
 const DOUBTFUL_STATUS: u8 = 3;
 
-pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<ExitCode> {
+pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     arguments.check_outputs()?;
+    let _copy = outputs::copy_standard_input(&mut arguments.images, &interrupt)?;
     let mut images = Images::read(&arguments.images, arguments.mask.as_deref())?;
     if arguments.settings.names("image.read_noise_e") {
         // What the command line says goes before what the file says.
         images.read_noise_e = None;
     }
     let scene = arguments.scene()?;
+    files::spare_files_of(&scene, &arguments.outputs())?;
     if arguments.commands.is_some() && scene.estimate.method != Method::FullPhase {
         let reason = "corrections come from the full-phase estimate: --method full-phase is needed";
         return Err(Error::file(arguments.commands.as_deref().unwrap_or(&arguments.output), reason));

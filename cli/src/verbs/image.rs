@@ -2,11 +2,13 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
+use cophase::Result;
+use cophase::machine;
 use cophase::scene::Scene;
 use cophase::source;
 use cophase::telescope::Telescope;
-use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -24,7 +26,7 @@ table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimat
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
     scene: PathBuf,
-    /// FITS file to write; one that is there is replaced
+    /// FITS file to write; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -52,10 +54,12 @@ struct Made {
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
-    files::check_output(&arguments.output, &[&arguments.scene])?;
+    let output = ("-o", arguments.output.as_path());
+    outputs::check(&[output], &[("the scene", &arguments.scene)])?;
     let seed = arguments.seed.map(|seed| seed.to_string());
     let options: Vec<(&str, &str)> = seed.iter().map(|seed| ("aberrations.seed", seed.as_str())).collect();
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
+    files::spare_files_of(&scene, &[output])?;
     if scene.wavefront_sensor.is_some() {
         let name = scene.name();
         terminal.warn(&format!("{name}: its turbulence and AO loop are left out, 'image' makes an artificial source"));
@@ -98,20 +102,15 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
     })
 }
 
-/// Refuses a sequence that the memory cannot hold, where the allocator knows that it cannot.
+/// Refuses a sequence that the memory cannot hold.
 pub fn check_memory(scene: &Scene) -> Result<()> {
     /// The image in double precision, and three copies in single while the file is put together.
-    const BYTES_PER_PIXEL: usize = 8 + 3 * 4;
+    const BYTES_PER_PIXEL: u64 = 8 + 3 * 4;
     let (count, (rows, columns)) = (scene.image.count, scene.image.frame_shape());
-    let bytes = count.saturating_mul(rows * columns).saturating_mul(BYTES_PER_PIXEL);
-    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| {
-        let gib = bytes as f64 / (1u64 << 30) as f64;
-        let images = crate::terminal::counted(count, "image");
-        Error::Value(format!(
-            "{images} of {columns}x{rows} pixels need {gib:.0} GiB of memory, which are not to be had: lower \
-             image.count or image.pixels"
-        ))
-    })
+    let bytes = (count as u64).saturating_mul((rows * columns) as u64).saturating_mul(BYTES_PER_PIXEL);
+    let images = crate::terminal::counted(count, "image");
+    let what = format!("{}: {images} of {columns}x{rows} pixels", scene.name());
+    machine::check_memory(what, bytes, "lower image.count or image.pixels")
 }
 
 /// [`make`] for the demonstration.

@@ -72,7 +72,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Scene(arguments) => scene::run(&arguments, &terminal),
         Verb::Image(arguments) => image::run(&arguments, &terminal),
         Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
-        Verb::Estimate(arguments) => return estimate::run(&arguments, &terminal),
+        Verb::Estimate(arguments) => return estimate::run(arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),

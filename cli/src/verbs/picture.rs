@@ -4,8 +4,8 @@ use crate::terminal::counted;
 use cophase::Result;
 use cophase::modal::Model;
 use cophase::modes::Group;
-use cophase::pipeline::{Comparison, Estimate, Figure, TruthMaps};
-use cophase_cli::plot::{EstimatePicture, ImageTriple, MapTriple, ModalBars, ModeGroup};
+use cophase::pipeline::{Comparison, Estimate, Figure, ImageStatus, TruthMaps};
+use cophase_cli::plot::{EstimatePicture, ImageTriple, MapRms, MapTriple, ModalBars, ModeGroup};
 use ndarray::Array2;
 
 /// The picture of `estimate`, made from the file `name`.
@@ -21,17 +21,25 @@ pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
                 truth,
                 residual,
                 width_m: estimate.pupil.grid.width_m(),
+                rms: MapRms::default(),
             }
         };
+    let [phasing_rms, ncpa_rms] = rms(estimate)?;
     Ok(EstimatePicture {
         title: format!("Phasing and NCPA from {name}"),
         subtitle: subtitle(estimate),
-        phasing: triple(&estimate.phasing_nm, &estimate.phasing_sigma_nm, &|truth, residual| {
-            [truth.phasing_nm.clone(), residual.phasing_nm.clone()]
-        }),
-        ncpa: triple(&estimate.ncpa_nm, &estimate.ncpa_sigma_nm, &|truth, residual| {
-            [truth.ncpa_nm.clone(), residual.ncpa_nm.clone()]
-        }),
+        phasing: MapTriple {
+            rms: phasing_rms,
+            ..triple(&estimate.phasing_nm, &estimate.phasing_sigma_nm, &|truth, residual| {
+                [truth.phasing_nm.clone(), residual.phasing_nm.clone()]
+            })
+        },
+        ncpa: MapTriple {
+            rms: ncpa_rms,
+            ..triple(&estimate.ncpa_nm, &estimate.ncpa_sigma_nm, &|truth, residual| {
+                [truth.ncpa_nm.clone(), residual.ncpa_nm.clone()]
+            })
+        },
         bars: bars(estimate)?,
         image: estimate.compared.as_ref().map(|compared| ImageTriple {
             data: compared.data_e.clone(),
@@ -39,6 +47,35 @@ pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
             residual_in_sigma: compared.residual_sigma.clone(),
         }),
     })
+}
+
+/// The figures above the maps of phasing and NCPA: those of the report, over the pupil's weight, tip and tilt removed.
+fn rms(estimate: &Estimate) -> Result<[MapRms; 2]> {
+    let truth = estimate.truth.as_ref();
+    let of_truth = |map: &Array2<f64>| {
+        let pupil = &estimate.pupil;
+        pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view())
+    };
+    let figures = |part: usize, figure: Figure, truth_nm: Option<f64>| MapRms {
+        estimate_nm: Some(figure.rms_nm),
+        truth_nm,
+        residual_nm: truth.map(|(_, residual)| residual.rms_nm[part]),
+        sigma_nm: Some(figure.sigma_nm),
+    };
+    let phasing_nm = truth.map(|(truth, _)| of_truth(&truth.phasing_nm)).transpose()?;
+    let ncpa_nm = truth.map(|(truth, _)| of_truth(&truth.ncpa_nm)).transpose()?;
+    Ok([figures(0, estimate.phasing, phasing_nm), figures(1, estimate.ncpa, ncpa_nm)])
+}
+
+/// A line for an estimate that is not sound: its status, and the first of its warnings.
+fn doubt(estimate: &Estimate) -> Option<String> {
+    let status = (estimate.status != ImageStatus::Ok).then(|| format!("status {}", estimate.status.word()));
+    let first = estimate.warnings.first().map(|first| match estimate.warnings.len() {
+        1 => first.clone(),
+        count => format!("{count} warnings, the first: {first}"),
+    });
+    let parts: Vec<String> = status.into_iter().chain(first).collect();
+    (!parts.is_empty()).then(|| format!("Warning: {}", parts.join("; ")))
 }
 
 fn subtitle(estimate: &Estimate) -> Vec<String> {
@@ -67,7 +104,8 @@ fn subtitle(estimate: &Estimate) -> Vec<String> {
         estimate.precision.word()
     );
     let (phasing, ncpa) = (part(0, "phasing", estimate.phasing), part(1, "NCPA", estimate.ncpa));
-    vec![format!("{phasing}, {ncpa}, tip and tilt removed"), how]
+    let figures = format!("{phasing}, {ncpa}, tip and tilt removed");
+    [figures, how].into_iter().chain(doubt(estimate)).collect()
 }
 
 fn bars(estimate: &Estimate) -> Result<ModalBars> {

@@ -2,6 +2,7 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
 use cophase::planner::{self, Choice, Omission, Plan, Price};
 use cophase::scene::Scene;
@@ -45,10 +46,10 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
     let name = arguments.scene.as_path();
-    if let Some(output) = &arguments.output {
-        files::check_output(output, &[name])?;
-    }
+    let output = arguments.output.as_deref().map(|output| ("-o", output));
+    outputs::check(output.as_slice(), &[("the scene", name)])?;
     let scene = arguments.settings.apply(&files::scene(name)?, &[])?;
+    files::spare_files_of(&scene, output.as_slice())?;
     let Some(budget_nm) = arguments.budget_nm.or(scene.estimate.budget_nm) else {
         return Err(Error::Value(
             "no budget was given: --budget-nm or estimate.budget_nm of the scene is needed".into(),
@@ -100,12 +101,14 @@ fn table(name: &Path, plan: &Plan) -> String {
         let kept = if *modelled { "modelled" } else { "left out" };
         text += &format!("\n{what}: {kept}; {without_nm:.3} nm without, {with_nm:.3} with it; {because}.");
     }
-    let (work, time) =
-        (plan.reference.megaflops / plan.chosen.megaflops, plan.reference.estimate_us / plan.chosen.estimate_us);
-    text + &format!(
-        "\n\n* is in the plan. It takes {work:.1} times fewer operations than the scene's own model in f64, and {time:.1} times less \
-         time here.\n"
-    )
+    let work = relation(plan.reference.megaflops, plan.chosen.megaflops, "as many operations");
+    let time = relation(plan.reference.estimate_us, plan.chosen.estimate_us, "as much time here");
+    text + &format!("\n\n* is in the plan. It takes {work} as the scene's own model in f64, and {time}.\n")
+}
+
+/// How much of something the plan takes, as a multiple of what the reference takes: a plan may take more of it.
+fn relation(reference: f64, plan: f64, what: &str) -> String {
+    format!("{:.2} times {what}", plan / reference)
 }
 
 fn line(name: &str, price: &Price) -> String {

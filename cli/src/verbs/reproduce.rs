@@ -1,6 +1,7 @@
 //! `cophase reproduce`: the paper's results beside ours.
 
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
 use cophase::{Error, Result};
 use cophase_cli::reproduce::{Options, Segments, Target};
@@ -82,6 +83,7 @@ struct Written {
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
+    outputs::refuse_dash(("-o", &arguments.output))?;
     let options = Options {
         seeds: arguments.seeds.map(|seeds| seeds as usize),
         directory: arguments.output.clone(),

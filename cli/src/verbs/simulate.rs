@@ -2,6 +2,7 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
@@ -23,7 +24,7 @@ nothing else.";
 pub struct Arguments {
     /// Scene: a TOML file, or the name of a preset (see 'cophase scene')
     scene: PathBuf,
-    /// FITS file to write; one that is there is replaced
+    /// FITS file to write; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -55,11 +56,13 @@ struct Made {
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
-    files::check_output(&arguments.output, &[&arguments.scene])?;
+    let output = ("-o", arguments.output.as_path());
+    outputs::check(&[output], &[("the scene", &arguments.scene)])?;
     let seed = arguments.seed.map(|seed| seed.to_string());
     let options: Vec<(&str, &str)> =
         seed.iter().flat_map(|seed| ["aberrations.seed", "turbulence.seed"].map(|key| (key, seed.as_str()))).collect();
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
+    files::spare_files_of(&scene, &[output])?;
     super::image::check_memory(&scene)?;
     let (simulator, shots, summary) = simulate(&scene, terminal, &interrupt)?;
     ao::write(&arguments.output, &simulator, &shots, &summary)?;

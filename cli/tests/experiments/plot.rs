@@ -2,8 +2,8 @@
 
 use cophase::Error;
 use cophase_cli::plot::{
-    CaptionedMap, CurvePicture, EstimatePicture, ImageTriple, MapScale, MapTriple, MapsPicture, Marker, ModalBars,
-    ModeGroup, Series, SeriesStyle, Stroke,
+    CaptionedMap, CurvePicture, EstimatePicture, ImageTriple, MapRms, MapScale, MapTriple, MapsPicture, Marker,
+    ModalBars, ModeGroup, Series, SeriesStyle, Stroke,
 };
 use ndarray::{Array2, s};
 use std::path::{Path, PathBuf};
@@ -76,6 +76,7 @@ fn triple(estimate: Array2<f64>, truth: Option<Array2<f64>>, sigma_nm: f64) -> M
         residual: truth.as_ref().map(|truth| &estimate - truth),
         truth,
         width_m: WIDTH_M,
+        rms: MapRms::default(),
         estimate,
     }
 }
@@ -251,7 +252,7 @@ fn plus_is_red_minus_is_blue_zero_is_white_and_y_points_up() {
 fn estimate_and_truth_share_one_scale() {
     let constant = |v: f64| Array2::from_elem((4, 4), v);
     let (estimate, truth) = (constant(100.0), Some(constant(40.0)));
-    let map = MapTriple { estimate, truth, residual: None, sigma: None, width_m: 1.0 };
+    let map = MapTriple { estimate, truth, residual: None, sigma: None, width_m: 1.0, rms: MapRms::default() };
     let (title, subtitle, bars) = ("Shared".into(), vec![], ModalBars::default());
     let picture = EstimatePicture { title, subtitle, phasing: map.clone(), ncpa: map, bars, image: None };
     let path = folder().join("shared.png");
@@ -306,6 +307,7 @@ fn no_data_stops_a_picture() {
             residual: None,
             sigma: Some(values.clone()),
             width_m: 11.0,
+            rms: MapRms::default(),
             estimate: values.clone(),
         };
         let image = ImageTriple { data: values.clone(), model: values.clone(), residual_in_sigma: values.clone() };

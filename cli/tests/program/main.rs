@@ -2,11 +2,15 @@
 
 mod bad_input;
 mod bench;
+mod drivers;
 #[cfg(debug_assertions)]
 mod faults;
 mod frames;
+mod memory;
 mod odd_images;
+mod outputs;
 mod same_answer;
+mod sentences;
 mod simulate;
 mod verbs;
 mod words;

@@ -15,7 +15,7 @@ impl GpuChain {
     /// # Errors
     /// [`Error::Device`] always.
     pub fn new(_: &Device, _: Precision, _: &GpuLayout, _: usize) -> Result<Self> {
-        Err(Error::Device(crate::device::advice(&[]).unwrap_or_default().to_string()))
+        Err(Error::Device(crate::device::advice(&[]).unwrap_or_default()))
     }
 
     /// Number of coefficients of the model.

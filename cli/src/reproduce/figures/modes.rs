@@ -1,7 +1,7 @@
 //! Section 4.3: what a sequence of images behind the masked, inpainted, pseudo-open loop tells, mode by mode.
 
 use super::setup;
-use crate::plot::{EstimatePicture, MapTriple, ModalBars, ModeGroup};
+use crate::plot::{EstimatePicture, MapRms, MapTriple, ModalBars, ModeGroup};
 use crate::reproduce::on_sky::{Reader, Sequence};
 use crate::reproduce::statistics::{mean, rms, standard_deviation};
 use crate::reproduce::{Cell, Conditions, Progress, Report, Table, Way};
@@ -127,6 +127,7 @@ fn picture(
             residual: Some(pupil.remove_piston_tip_tilt((estimate - truth).view())?),
             sigma: None,
             width_m: pupil.grid.width_m(),
+            rms: MapRms::default(),
         })
     };
     let group = |group: &Group| if *group == Group::Segment { ModeGroup::Segment } else { ModeGroup::Ncpa };

@@ -1,0 +1,117 @@
+//! Outputs that would destroy something are refused before the work; compressed outputs; images from standard input.
+
+use crate::{Desk, Done};
+use std::os::unix::fs::PermissionsExt;
+use std::process::Stdio;
+
+#[test]
+fn two_outputs_of_one_name_are_refused_with_both_flags() {
+    let desk = Desk::with_images(&[]);
+    std::os::unix::fs::symlink(desk.path("link.png"), desk.path("twin.png")).unwrap();
+    for (flags, words) in [
+        (["-o", "est.fits", "--commands", "est.fits"], ["-o", "--commands"]),
+        (["-o", "est.fits", "--commands", "./est.fits"], ["-o", "--commands"]),
+        (["-o", "est.png", "--plot", "est.png"], ["-o", "--plot"]),
+        (["--commands", "a.png", "--plot", "./a.png"], ["--commands", "--plot"]),
+    ] {
+        let also: &[&str] = if flags.contains(&"-o") { &[] } else { &["-o", "est.fits"] };
+        let arguments = [&["estimate", "images.fits", "--method", "full-phase"], also, &flags].concat();
+        desk.refuses(&arguments, &words);
+    }
+    desk.refuses(&["bench", "--csv", "b.png", "--picture", "b.png"], &["b.png", "--csv", "--picture"]);
+}
+
+#[test]
+fn an_output_that_is_an_input_is_refused() {
+    let desk = Desk::with_images(&[]);
+    let estimate = ["estimate", "images.fits", "-o", "est.fits"];
+    desk.refuses(&[&estimate[..], &["--plot", "./images.fits"]].concat(), &[".png or .svg"]);
+    desk.refuses(&["estimate", "images.fits", "-o", "images.fits"], &["images.fits", "-o", "the images"]);
+    desk.refuses(
+        &["estimate", "images.fits", "--scene", "scene.toml", "-o", "scene.toml"],
+        &["scene.toml", "read by this command", "--scene"],
+    );
+    desk.refuses(&["plan", "scene.toml", "--budget-nm", "5", "-o", "scene.toml"], &["read by this command"]);
+    desk.refuses(&["bench", "scene.toml", "--csv", "scene.toml"], &["read by this command", "--csv"]);
+    // A file that the scene names is read, too.
+    desk.refuses(
+        &[
+            "image",
+            "scene.toml",
+            "-o",
+            "images.fits",
+            "--set",
+            "image.diversity_file=images.fits",
+            "--set",
+            "image.diversity_focus_waves_rms=",
+        ],
+        &["images.fits", "read by this command", "image.diversity_file"],
+    );
+}
+
+#[test]
+fn a_name_ending_in_gz_is_a_gzip_file() {
+    let desk = Desk::with_scene();
+    desk.succeeds(&["image", "scene.toml", "-o", "images.fits.gz"]);
+    desk.succeeds(&["estimate", "images.fits.gz", "-o", "est.fits.GZ"]);
+    for name in ["images.fits.gz", "est.fits.GZ"] {
+        assert_eq!(std::fs::read(desk.path(name)).unwrap()[..2], [0x1f, 0x8b], "{name}");
+    }
+    desk.json(&["compare", "est.fits.GZ", "--truth", "images.fits.gz", "--json"]);
+    desk.refuses(&["image", "scene.toml", "-o", "images.fits.fz"], &["images.fits.fz", ".fits.gz"]);
+}
+
+#[test]
+fn a_read_only_file_is_not_replaced() {
+    let desk = Desk::with_images(&[]);
+    for name in ["est.fits", "est.png", "plan.toml"] {
+        std::fs::write(desk.path(name), "precious").unwrap();
+        std::fs::set_permissions(desk.path(name), std::fs::Permissions::from_mode(0o444)).unwrap();
+    }
+    desk.refuses(&["estimate", "images.fits", "-o", "est.fits"], &["est.fits", "read-only", "0444"]);
+    desk.refuses(&["estimate", "images.fits", "-o", "new.fits", "--plot", "est.png"], &["est.png", "read-only"]);
+    desk.refuses(&["plan", "scene.toml", "--budget-nm", "5", "-o", "plan.toml"], &["plan.toml", "read-only"]);
+    for name in ["est.fits", "est.png", "plan.toml"] {
+        assert_eq!(std::fs::read_to_string(desk.path(name)).unwrap(), "precious");
+    }
+}
+
+#[test]
+fn outputs_are_files_and_not_standard_output() {
+    let desk = Desk::with_images(&[]);
+    for arguments in [
+        &["estimate", "images.fits", "-o", "-"][..],
+        &["image", "scene.toml", "-o", "-"],
+        &["simulate", "scene.toml", "-o", "-"],
+        &["plan", "scene.toml", "--budget-nm", "5", "-o", "-"],
+        &["demo", "-o", "-"],
+        &["reproduce", "table", "-o", "-"],
+        &["bench", "--csv", "-"],
+    ] {
+        desk.refuses(arguments, &["standard output", "./-"]);
+    }
+}
+
+#[test]
+fn images_and_scenes_are_read_from_standard_input() {
+    let desk = Desk::with_images(&[]);
+    let piped = |input: &str, arguments: &[&str]| {
+        let input = std::fs::File::open(desk.path(input)).unwrap();
+        // Through a pipe, which cannot be rewound.
+        let mut cat = std::process::Command::new("cat").stdin(input).stdout(Stdio::piped()).spawn().unwrap();
+        let output = desk.command(arguments).stdin(cat.stdout.take().unwrap()).output().unwrap();
+        cat.wait().unwrap();
+        Done::from(output)
+    };
+    let done = piped("images.fits", &["estimate", "-", "-o", "est.fits", "--plot", "est.svg"]);
+    assert_eq!(done.status, 0, "{}", done.err);
+    desk.json(&["compare", "est.fits", "--truth", "images.fits", "--json"]);
+    assert_eq!(piped("scene.toml", &["image", "-", "-o", "again.fits"]).status, 0);
+    assert_eq!(piped("scene.toml", &["image", "/dev/stdin", "-o", "again.fits"]).status, 0);
+    let files = desk.files();
+    std::fs::write(desk.path("empty"), "").unwrap();
+    piped("empty", &["estimate", "-", "-o", "new.fits"]).failed(&["estimate", "-"], &["standard input", "empty"]);
+    piped("scene.toml", &["estimate", "-", "-o", "new.fits"]).failed(&["estimate", "-"], &["standard-input", "FITS"]);
+    std::fs::remove_file(desk.path("empty")).unwrap();
+    assert_eq!(desk.files(), files);
+}

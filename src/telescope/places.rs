@@ -1,0 +1,65 @@
+//! Place of each segment in the mirror.
+
+use crate::io::Column;
+use crate::pupil::Segment;
+use crate::scene::{Aperture, Scene};
+
+/// Place of a segment: what identifies it on another numbering than ours.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SegmentPlace {
+    /// Number, from 0: ring by ring from the innermost, within a ring counter-clockwise from +x.
+    pub number: usize,
+    /// Ring, 0 for a central segment; `None` for a pupil from a file.
+    pub ring: Option<usize>,
+    /// Centre along columns, m.
+    pub x_m: f64,
+    /// Centre along rows, m.
+    pub y_m: f64,
+}
+
+impl SegmentPlace {
+    /// Places of `segments`, which are those of `scene`.
+    pub fn all(scene: &Scene, segments: &[Segment]) -> Vec<Self> {
+        let is_hexagonal = !matches!(scene.pupil.aperture, Aperture::File(_));
+        let place = |(number, segment): (usize, &Segment)| {
+            // Ring k ≥ 1 has 6·k segments and begins after 3·k·(k − 1), and after the central one.
+            let central = usize::from(scene.pupil.central_segment);
+            let ring = if number < central { 0 } else { (1..).find(|k| number - central < 3 * k * (k + 1)).unwrap_or(0) };
+            Self { number, ring: is_hexagonal.then_some(ring), x_m: segment.x_m, y_m: segment.y_m }
+        };
+        segments.iter().enumerate().map(place).collect()
+    }
+
+    /// Columns `SEGMENT`, `RING` (−1 where it has none), `X_M` and `Y_M` of a table.
+    pub fn columns(places: &[Self]) -> Vec<Column> {
+        vec![
+            Column::i64("SEGMENT", places.iter().map(|place| place.number as i64).collect()),
+            Column::i64("RING", places.iter().map(|place| place.ring.map_or(-1, |ring| ring as i64)).collect()),
+            Column::f64("X_M", "m", places.iter().map(|place| place.x_m).collect()),
+            Column::f64("Y_M", "m", places.iter().map(|place| place.y_m).collect()),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::telescope::Telescope;
+
+    #[test]
+    fn rings_are_those_of_the_geometry() {
+        for (preset, central) in [("keck", "false"), ("hexagonal", "true")] {
+            let scene = Scene::preset("keck-artificial").unwrap();
+            let scene = scene.with(&[("pupil.aperture", preset), ("pupil.central_segment", central), ("pupil.rotation_deg", "7"), ("pupil.central_obscuration_m", "0"), ("pupil.grid_m", "")]).unwrap();
+            let segments = Telescope::new(&scene).unwrap().pupil.segments;
+            let places = SegmentPlace::all(&scene, &segments);
+            let pitch = 3f64.sqrt() * scene.pupil.segment_side_m + scene.pupil.segment_gap_m;
+            for place in &places {
+                // The centres of ring k lie between √3/2·k and k pitches from the axis.
+                let (ring, radius) = (place.ring.unwrap() as f64, place.x_m.hypot(place.y_m) / pitch);
+                assert!(radius <= ring + 1e-9 && radius >= 0.75f64.sqrt() * ring - 1e-9, "{place:?}");
+            }
+            assert_eq!(places.last().unwrap().ring, Some(scene.pupil.rings));
+        }
+    }
+}
