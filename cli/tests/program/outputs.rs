@@ -33,6 +33,10 @@ fn an_output_that_is_an_input_is_refused() {
     );
     desk.refuses(&["plan", "scene.toml", "--budget-nm", "5", "-o", "scene.toml"], &["read by this command"]);
     desk.refuses(&["bench", "scene.toml", "--csv", "scene.toml"], &["read by this command", "--csv"]);
+    desk.refuses(&["estimate", "images.fits[IMAGES]", "-o", "images.fits"], &["images.fits", "read by this command"]);
+    desk.succeeds(&["estimate", "images.fits[IMAGES]", "-o", "est.fits"]);
+    desk.succeeds(&["estimate", "images.fits[1]", "-o", "est.fits"]);
+    desk.refuses(&["estimate", "images.fits[TRUTH]", "-o", "other.fits"], &["images.fits[TRUTH]", "no image"]);
     // A file that the scene names is read, too.
     desk.refuses(
         &[
