@@ -149,6 +149,25 @@ size_t cophase_last_error(char *text,
 cophase_status cophase_scene_preset(const char *name,
                                     const char **scene_text);
 
+/* A scene with another value for one key; its comments stay.
+ *
+ * scene_text: scene as TOML, UTF-8, as cophase_scene_preset gives one.
+ * key: section and name, such as "image.peak_snr".
+ * value: value in TOML, such as "50" or "[4, 18]"; words and file names may do without quotes. An empty value removes the
+ *   key, which then has its default.
+ * text: receives at most `capacity` bytes of the new scene, the terminating zero included, as with snprintf; may be NULL
+ *   if capacity is 0. It must not overlap scene_text.
+ * length: receives the length of the whole text in bytes, without the zero: a text is whole if it is less than capacity.
+ *
+ * COPHASE_BAD_SCENE for a key that does not exist or a value that it does not accept, with what is accepted.
+ */
+cophase_status cophase_scene_set(const char *scene_text,
+                                 const char *key,
+                                 const char *value,
+                                 char *text,
+                                 size_t capacity,
+                                 size_t *length);
+
 /* Devices of this machine, one a line: the text for `device` in cophase_session_options or estimate.device in a scene, a
  * tab, and a description. The first line is always the CPU.
  *
@@ -240,6 +259,18 @@ typedef struct {
   /* Elements from one column to the next. */
   ptrdiff_t col_stride;
 } cophase_input;
+
+/* Input array in C order, without padding: what cophase_input has for `float frames[count][rows][cols]`.
+ *
+ * cophase_input frames = cophase_input_from_array(data, COPHASE_F32, 1, rows, cols);
+ *
+ * Nothing is checked here: the call that takes the array does.
+ */
+cophase_input cophase_input_from_array(const void *data,
+                                       int32_t element,
+                                       size_t count,
+                                       size_t rows,
+                                       size_t cols);
 
 /* Calibration of a camera: electrons = (raw - dark) * gain / flat. Zero in every field but struct_size: frames are
  * electrons.

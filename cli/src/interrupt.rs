@@ -10,24 +10,40 @@ pub const EXIT_STATUS: u8 = 130;
 
 /// A write beyond `ulimit -f` then fails with a reason, as on a full disk, instead of killing the process and leaving
 /// its temporary file behind.
-pub fn prepare_process() {
+///
+/// # Errors
+/// [`Error::Value`] where the address space is limited (`ulimit -v`) and the threads do not fit into it.
+pub fn prepare_process() -> Result<()> {
     // SAFETY: a plain system call before any thread starts; it installs no handler.
     unsafe {
         libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
     }
-    share_arenas();
+    if is_address_space_limited() {
+        share_arenas();
+        // Started later, where a thread that does not start is a panic.
+        rayon::ThreadPoolBuilder::new().build_global().map_err(|error| {
+            Error::Value(format!(
+                "the threads do not start within the memory that ulimit -v leaves ({error}): raise it, or set RAYON_NUM_THREADS \
+                 to fewer"
+            ))
+        })?;
+    }
+    Ok(())
 }
 
-/// One heap for all threads where the address space is limited (`ulimit -v`): glibc reserves 64 MiB of it for each thread,
-/// of which most stay unused, and what is needed is refused then.
+fn is_address_space_limited() -> bool {
+    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+    // SAFETY: the call writes into a live local.
+    unsafe { libc::getrlimit(libc::RLIMIT_AS, &mut limit) == 0 && limit.rlim_cur != libc::RLIM_INFINITY }
+}
+
+/// One heap for all threads where the address space is limited: glibc reserves 64 MiB of it for each thread, of which most
+/// stay unused, and what is needed is refused then.
 fn share_arenas() {
     #[cfg(target_env = "gnu")]
-    // SAFETY: plain calls before any thread starts; `limit` is a live local.
+    // SAFETY: a plain call before any thread starts.
     unsafe {
-        let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-        if libc::getrlimit(libc::RLIMIT_AS, &mut limit) == 0 && limit.rlim_cur != libc::RLIM_INFINITY {
-            libc::mallopt(libc::M_ARENA_MAX, 1);
-        }
+        libc::mallopt(libc::M_ARENA_MAX, 1);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Files that a command writes, checked before its work; images from standard input.
 
 use crate::interrupt::Interrupt;
-use cophase::io::FitsWriter;
+use cophase::io::{FitsWriter, file_of};
 use cophase::{Error, Result};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -51,7 +51,9 @@ pub fn check_picture((_, picture): Flagged) -> Result<()> {
 /// # Errors
 /// [`Error::File`] with both names.
 pub fn spare((flag, output): Flagged, inputs: &[Flagged]) -> Result<()> {
-    let Some((input, _)) = inputs.iter().find(|(_, input)| same_file(input, output)) else { return Ok(()) };
+    // An input may have an HDU in brackets behind its name.
+    let is_output = |input: &Path| same_file(&file_of(input), output);
+    let Some((input, _)) = inputs.iter().find(|(_, input)| is_output(input)) else { return Ok(()) };
     let reason = format!("is read by this command ({input}) and cannot be its output ({flag}): give another name");
     Err(Error::file(output, reason))
 }

@@ -26,7 +26,7 @@ pub struct Images {
     pub repaired: Option<String>,
 }
 
-/// Reads the images of `path`: HDU `IMAGES` if it exists, else the primary HDU, else the first image extension.
+/// Reads the images of `path`: the HDU in brackets behind its name if there is one, else HDU `IMAGES` if it exists, else the primary HDU, else the first image extension.
 ///
 /// 2-D or a cube (image index slowest), any BITPIX, scaled or not. An image HDU `BADPIX`, 2-D for all images or a cube,
 /// marks pixels as bad where it is not zero; so does the file `mask` (its HDU `BADPIX`, else its first image).
@@ -57,6 +57,9 @@ pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images
 
 /// The HDU that holds the images.
 fn image_hdu(file: &FitsReader) -> Result<usize> {
+    if let Some(index) = file.selected_image()? {
+        return Ok(index);
+    }
     if file.has("IMAGES") {
         // An estimate file has a table of this name, which is an error: its maps are not images.
         return file.find("IMAGES", HduKind::Image);

@@ -14,6 +14,7 @@
 
 mod card;
 mod cfitsio;
+mod extension;
 mod images;
 mod layout;
 mod read;
@@ -23,6 +24,7 @@ mod value;
 mod write;
 
 pub use crate::atomic::write as write_atomically;
+pub use extension::file_of;
 pub use images::{Images, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use value::Card;

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use ndarray::{Array2, Array3};
 
 use super::cfitsio::{CfitsioResult, Handle};
+use super::extension;
 use super::layout::{self, Hdu, HduKind, Layout};
 use super::standard;
 use super::value::{Card, checked_keyword};
@@ -32,15 +33,33 @@ pub struct FitsReader {
     path: PathBuf,
     handle: Handle,
     layout: Layout,
+    /// Index of the HDU that the path names in brackets.
+    selected: Option<usize>,
 }
 
 impl FitsReader {
-    /// Opens `path`, a plain file name without special syntax.
+    /// Opens `path`: a file name, or where there is no such file a name with an HDU in brackets, `night.fits[SCI]` or
+    /// `night.fits[2]` (0 for the primary HDU), which takes the place of the first image. Other syntax has no meaning.
     ///
     /// # Errors
-    /// [`Error::File`] for a file that is missing, empty, truncated, or not FITS, with the byte and the reason.
+    /// [`Error::File`] for a file that is missing, empty, truncated, or not FITS, with the byte and the reason; for an HDU
+    /// that it does not have.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
+        let (file, hdu) = extension::split(path);
+        let mut reader = Self::open_file(&file)?;
+        if let Some(hdu) = hdu {
+            let found = extension::find(&reader.layout, &hdu);
+            let count = reader.layout.hdus.len();
+            reader.selected = Some(found.ok_or_else(|| {
+                reader.refuse(format!("has no HDU `{hdu}`: {}, numbers 0 to {}", reader.listed(), count - 1))
+            })?);
+            reader.path = path.to_path_buf();
+        }
+        Ok(reader)
+    }
+
+    fn open_file(path: &Path) -> Result<Self> {
         let refused = |reason: String| Error::file(path, reason);
         let mut file = open_plain(path)?;
         let mut magic = [0; 2];
@@ -62,7 +81,7 @@ impl FitsReader {
             Some(plain) => Handle::open(plain)?,
             None => Handle::from_bytes(&standard::standard_file(&layout, source)?)?,
         };
-        Ok(Self { path: path.to_path_buf(), handle, layout })
+        Ok(Self { path: path.to_path_buf(), handle, layout, selected: None })
     }
 
     /// Path of the file, as given.
@@ -170,8 +189,24 @@ impl FitsReader {
         Ok(Card::parse(&value))
     }
 
-    /// Index of the first image with data whose name is not in `besides`.
+    /// Index of the image that the path names in brackets; `None` where it names none.
+    ///
+    /// # Errors
+    /// [`Error::File`] for an HDU that is no image with data.
+    pub(super) fn selected_image(&self) -> Result<Option<usize>> {
+        let Some(index) = self.selected else { return Ok(None) };
+        let hdu = &self.layout.hdus[index];
+        if hdu.kind != HduKind::Image || hdu.axes.is_empty() {
+            return Err(self.refuse(format!("{} is no image with data: {}", hdu.described(), self.listed())));
+        }
+        Ok(Some(index))
+    }
+
+    /// Index of the image that the path names, else of the first image with data whose name is not in `besides`.
     pub(super) fn first_image(&self, besides: &[&str]) -> Result<usize> {
+        if let Some(index) = self.selected_image()? {
+            return Ok(index);
+        }
         let holds =
             |hdu: &Hdu| hdu.kind == HduKind::Image && !hdu.axes.is_empty() && !besides.contains(&hdu.name.as_str());
         self.layout.hdus.iter().position(holds).ok_or_else(|| self.refuse(format!("holds no image: {}", self.listed())))

@@ -9,20 +9,23 @@ use crate::modal::PreparedFrame;
 use crate::optimize::Progress;
 
 impl<T: Polynomial> Workspace<T> {
-    /// Retrieves the wavefront of one image on this thread, about the wavefront `about`.
+    /// Retrieves the wavefront of one image on this thread, about the wavefront `about`. `check_cancel` is called before each
+    /// evaluation: an image of a large telescope takes seconds.
     ///
     /// # Errors
-    /// Broken promises of this module's.
+    /// Those of `check_cancel`; broken promises of this module's.
     pub(super) fn retrieve(
         &self,
         mut prepared: PreparedFrame,
         about: Option<&StaticWavefront>,
+        check_cancel: impl Fn() -> Result<()>,
     ) -> Result<RetrievedImage> {
         let model = &self.model;
         let (mut optimisation, mut buffers) = (self.take_optimisation()?, self.take_buffers());
         optimisation.begin(model, &mut prepared, about)?;
         model.chain.set(&mut buffers.loaded, &prepared.exposure)?;
         loop {
+            check_cancel()?;
             optimisation.place(model, &mut buffers.preconditioner);
             let ThreadBuffers { preconditioner, scratch, turns_bar, loaded, evaluation } = &mut buffers;
             optimisation.set_amplitudes(scratch);

@@ -55,9 +55,10 @@ impl<T: Polynomial> Engine<T> {
         let done = AtomicUsize::new(0);
         let images: Vec<_> = wavefronts.images_mut().enumerate().collect();
         images.into_par_iter().try_for_each(|(image, out)| {
-            task.check_cancel(|| done.load(Ordering::Relaxed))?;
+            let check_cancel = || task.check_cancel(|| done.load(Ordering::Relaxed));
+            check_cancel()?;
             let result = match (task.prepare)(image)? {
-                Ok(prepared) => Ok(self.workspace.retrieve(prepared, task.about)?),
+                Ok(prepared) => Ok(self.workspace.retrieve(prepared, task.about, check_cancel)?),
                 Err(refusal) => Err(refusal),
             };
             out.store(result);

@@ -53,8 +53,8 @@ impl Scene {
     }
 }
 
-/// `error` of a scene with these settings; where it is about another key, which the scene's own text sets, the settings are
-/// named before it: without them the scene was valid.
+/// `error` of a scene with these settings; where it is about another key, which the scene's own text sets, it names the
+/// settings, too: without them the scene was valid.
 fn after_settings(error: Error, settings: &[(&str, &str)]) -> Error {
     /// More would hide the reason.
     const MOST: usize = 3;
@@ -62,7 +62,7 @@ fn after_settings(error: Error, settings: &[(&str, &str)]) -> Error {
         Error::Scene(sentence) if !settings.is_empty() && !sentence.contains(SETTING) => {
             let keys: Vec<&str> = settings.iter().map(|(key, _)| *key).take(MOST).collect();
             let more = if settings.len() > MOST { ", …" } else { "" };
-            Error::Scene(format!("setting {}{more}: {sentence}", keys.join(", ")))
+            Error::Scene(format!("{sentence} (after setting {}{more})", keys.join(", ")))
         }
         other => other,
     }

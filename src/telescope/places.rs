@@ -24,7 +24,8 @@ impl SegmentPlace {
         let place = |(number, segment): (usize, &Segment)| {
             // Ring k ≥ 1 has 6·k segments and begins after 3·k·(k − 1), and after the central one.
             let central = usize::from(scene.pupil.central_segment);
-            let ring = if number < central { 0 } else { (1..).find(|k| number - central < 3 * k * (k + 1)).unwrap_or(0) };
+            let ring =
+                if number < central { 0 } else { (1..).find(|k| number - central < 3 * k * (k + 1)).unwrap_or(0) };
             Self { number, ring: is_hexagonal.then_some(ring), x_m: segment.x_m, y_m: segment.y_m }
         };
         segments.iter().enumerate().map(place).collect()
@@ -50,7 +51,15 @@ mod tests {
     fn rings_are_those_of_the_geometry() {
         for (preset, central) in [("keck", "false"), ("hexagonal", "true")] {
             let scene = Scene::preset("keck-artificial").unwrap();
-            let scene = scene.with(&[("pupil.aperture", preset), ("pupil.central_segment", central), ("pupil.rotation_deg", "7"), ("pupil.central_obscuration_m", "0"), ("pupil.grid_m", "")]).unwrap();
+            let scene = scene
+                .with(&[
+                    ("pupil.aperture", preset),
+                    ("pupil.central_segment", central),
+                    ("pupil.rotation_deg", "7"),
+                    ("pupil.central_obscuration_m", "0"),
+                    ("pupil.grid_m", ""),
+                ])
+                .unwrap();
             let segments = Telescope::new(&scene).unwrap().pupil.segments;
             let places = SegmentPlace::all(&scene, &segments);
             let pitch = 3f64.sqrt() * scene.pupil.segment_side_m + scene.pupil.segment_gap_m;

@@ -25,8 +25,8 @@ def misuse():
     assert failure(lambda: cophase.preset("keck-onsy")).status == "BAD_SCENE"
     assert "[wavefront_sensor]" in cophase.preset("keck-onsky")
     scene = cophase.preset("keck-artificial")
-    changed = cophase.scene_set(scene, image__peak_snr=50, modes__exact_zernikes=[4, 18], estimate__device="cpu")
-    assert "peak_snr = 50" in changed and "[4, 18]" in changed and 'device = "cpu"' in changed
+    changed = cophase.scene_set(scene, image__peak_snr=37, modes__exact_zernikes=[4, 18], estimate__device="cpu")
+    assert "= 37" in changed and "[4, 18]" in changed and '= "cpu"' in changed
     assert cophase.scene_set(changed, image__peak_snr=None) != changed
     assert "image.pixels = 241" in str(failure(lambda: cophase.scene_set(scene, image__pixels=241)))
     # The last failure is a thread's own.

@@ -738,3 +738,54 @@ fn real_keck_files_are_read() {
         assert!(map.iter().all(|value| value.is_finite()) && map.iter().any(|&value| value != 0.0));
     }
 }
+
+#[test]
+fn an_hdu_in_brackets_is_read() {
+    let folder = folder();
+    let path = folder.path().join("many.fits");
+    let mut file = FitsWriter::create(&path).unwrap();
+    for (name, value) in [("SCI", 1.0), ("ERR", 2.0), ("IMAGES", 3.0)] {
+        file.image(name, &Array2::from_elem((4, 6), value), Pixel::F32, "electron").unwrap();
+    }
+    file.table("LIST", &[Column::i64("N", vec![1])]).unwrap();
+    file.finish().unwrap();
+    let with = |hdu: &str| folder.path().join(format!("many.fits[{hdu}]"));
+    for (hdu, value) in [("SCI", 1.0), ("err", 2.0), ("1", 1.0), ("2", 2.0), ("3", 3.0)] {
+        assert_eq!(read_images(with(hdu), None).unwrap().data[[0, 0, 0]], value, "{hdu}");
+        assert_eq!(read_map(with(hdu), None).unwrap()[[0, 0]], value, "{hdu}");
+    }
+    assert_eq!(read_images(&path, None).unwrap().data[[0, 0, 0]], 3.0);
+    for (hdu, words) in [("DQ", "`SCI`"), ("5", "0 to 4"), ("LIST", "no image"), ("0", "no image")] {
+        let sentence = read_images(with(hdu), None).unwrap_err().to_string();
+        assert!(sentence.contains(words), "{hdu}: {sentence}");
+    }
+    // A file of that very name is itself.
+    fs::copy(&path, with("SCI")).unwrap();
+    assert_eq!(read_images(with("SCI"), None).unwrap().data[[0, 0, 0]], 3.0);
+}
+
+#[test]
+fn files_have_origin_date_checksums_and_coordinates() {
+    let folder = folder();
+    let path = folder.path().join("map.fits.gz");
+    let mut file = FitsWriter::create(&path).unwrap();
+    file.map("MAP", &Array2::from_elem((4, 4), 1.5), "nm", 8.0).unwrap();
+    file.text("LINES", "one\ntwo").unwrap();
+    file.finish().unwrap();
+    assert_eq!(fs::read(&path).unwrap()[..2], [0x1f, 0x8b]);
+    let mut reader = FitsReader::open(&path).unwrap();
+    let origin = reader.card(None, "ORIGIN").unwrap().unwrap();
+    assert_eq!(origin.text(), Some(concat!("cophase ", env!("CARGO_PKG_VERSION"))));
+    let date = reader.card(None, "DATE").unwrap().unwrap();
+    assert!(date.text().is_some_and(|date| date.len() == 19 && date.as_bytes()[10] == b'T'), "{date}");
+    for hdu in [None, Some("MAP"), Some("LINES")] {
+        for key in ["DATASUM", "CHECKSUM"] {
+            assert!(reader.card(hdu, key).unwrap().is_some(), "{hdu:?} {key}");
+        }
+    }
+    let mut number = |key: &str| reader.card(Some("MAP"), key).unwrap().and_then(|card| card.number());
+    assert_eq!(number("GRID_M"), Some(8.0));
+    // The axis lies between samples 2 and 3, which are 2 m apart.
+    assert_eq!((number("CRPIX1"), number("CDELT1"), number("CRVAL1")), (Some(2.5), Some(2.0), Some(0.0)));
+    assert_eq!((number("CRPIX2"), number("CDELT2"), number("CRVAL2")), (Some(2.5), Some(2.0), Some(0.0)));
+}

@@ -18,7 +18,8 @@ const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o paper.fits --optimizer bfgs
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
 
-Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension. Pixels \
+Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU \
+whose name or number follows the file's in brackets: 'night.fits[SCI]'. Pixels \
 that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
 the read noise, unless --set image.read_noise_e says otherwise.
 
@@ -35,7 +36,7 @@ and iterations; null where a key does not apply.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// FITS file with one image or a cube of them; - for standard input
+    /// FITS file with one image or a cube of them, FILE or FILE[HDU]; - for standard input
     images: PathBuf,
     /// FITS file to write: maps, modes, error bars; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]

@@ -66,7 +66,7 @@ enum Verb {
 /// # Errors
 /// Those of the verb.
 pub fn run(cli: Cli) -> Result<ExitCode> {
-    interrupt::prepare_process();
+    interrupt::prepare_process()?;
     let terminal = Terminal::new(cli.quiet);
     match cli.verb {
         Verb::Scene(arguments) => scene::run(&arguments, &terminal),

@@ -1,6 +1,7 @@
 //! Outputs that would destroy something are refused before the work; compressed outputs; images from standard input.
 
 use crate::{Desk, Done};
+use cophase::io::FitsReader;
 use std::os::unix::fs::PermissionsExt;
 use std::process::Stdio;
 
@@ -33,6 +34,10 @@ fn an_output_that_is_an_input_is_refused() {
     );
     desk.refuses(&["plan", "scene.toml", "--budget-nm", "5", "-o", "scene.toml"], &["read by this command"]);
     desk.refuses(&["bench", "scene.toml", "--csv", "scene.toml"], &["read by this command", "--csv"]);
+    desk.refuses(&["estimate", "images.fits[IMAGES]", "-o", "images.fits"], &["images.fits", "read by this command"]);
+    desk.succeeds(&["estimate", "images.fits[IMAGES]", "-o", "est.fits"]);
+    desk.succeeds(&["estimate", "images.fits[1]", "-o", "est.fits"]);
+    desk.refuses(&["estimate", "images.fits[TRUTH]", "-o", "other.fits"], &["images.fits[TRUTH]", "no image"]);
     // A file that the scene names is read, too.
     desk.refuses(
         &[
@@ -114,4 +119,22 @@ fn images_and_scenes_are_read_from_standard_input() {
     piped("scene.toml", &["estimate", "-", "-o", "new.fits"]).failed(&["estimate", "-"], &["standard-input", "FITS"]);
     std::fs::remove_file(desk.path("empty")).unwrap();
     assert_eq!(desk.files(), files);
+}
+
+/// A piston is sent to a segment by its place, whatever the numbers of an observatory are.
+#[test]
+fn an_estimate_says_where_each_segment_is() {
+    let desk = Desk::with_images(&[]);
+    desk.succeeds(&["estimate", "images.fits", "-o", "est.fits"]);
+    let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
+    assert_eq!(file.i64_column("SEGMENTS", "SEGMENT").unwrap(), [0, 1, 2, 3, 4, 5, 6]);
+    assert_eq!(file.i64_column("SEGMENTS", "RING").unwrap(), [0, 1, 1, 1, 1, 1, 1]);
+    let [x_m, y_m] = ["X_M", "Y_M"].map(|axis| file.f64_column("SEGMENTS", axis).unwrap());
+    let pitch_m = 3f64.sqrt() * 0.9 + 0.003;
+    assert_eq!((x_m[0], y_m[0]), (0.0, 0.0));
+    // Counter-clockwise from +x: the first of the ring at 30 degrees, the second on +y.
+    assert!((x_m[1] - pitch_m * 0.75f64.sqrt()).abs() < 1e-9 && (y_m[1] - pitch_m / 2.0).abs() < 1e-9);
+    assert!(x_m[2].abs() < 1e-9 && (y_m[2] - pitch_m).abs() < 1e-9);
+    let pistons_nm = file.f64_column("SEGMENTS", "PISTON_NM").unwrap();
+    assert_eq!(pistons_nm[..], file.f64_column("MODES", "ESTIMATE_NM").unwrap()[..7]);
 }

@@ -1,0 +1,48 @@
+//! Names of files with an HDU in brackets, as cfitsio and ds9 take them: `night.fits[2]`, `night.fits[SCI]`.
+
+use super::layout::Layout;
+use std::path::{Path, PathBuf};
+
+/// File and HDU of a name. A file whose own name ends so has priority.
+pub(super) fn split(path: &Path) -> (PathBuf, Option<String>) {
+    let whole = || (path.to_path_buf(), None);
+    if path.exists() {
+        return whole();
+    }
+    let inside = |text: &str| {
+        let (file, rest) = text.rsplit_once('[')?;
+        let hdu = rest.strip_suffix(']').filter(|hdu| !hdu.trim().is_empty() && !file.is_empty())?;
+        Some((PathBuf::from(file), Some(hdu.trim().to_string())))
+    };
+    path.to_str().and_then(inside).unwrap_or_else(whole)
+}
+
+/// The file of a name, without an HDU in brackets.
+pub fn file_of(path: impl AsRef<Path>) -> PathBuf {
+    split(path.as_ref()).0
+}
+
+/// Index of the HDU that the text in brackets names: its name, else its number, 0 for the primary one.
+pub(super) fn find(layout: &Layout, hdu: &str) -> Option<usize> {
+    let named = layout.hdus.iter().position(|known| known.name.eq_ignore_ascii_case(hdu));
+    named.or_else(|| hdu.parse().ok().filter(|&number: &usize| number < layout.hdus.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_split_where_no_file_has_it() {
+        let split = |name: &str| split(Path::new(name));
+        assert_eq!(split("no-such/a.fits[SCI]"), ("no-such/a.fits".into(), Some("SCI".into())));
+        assert_eq!(split("no-such/a[1].fits[ 2 ]"), ("no-such/a[1].fits".into(), Some("2".into())));
+        for whole in ["no-such/a.fits", "no-such/a.fits[]", "[2]", "no-such/a[1].fits"] {
+            assert_eq!(split(whole), (whole.into(), None));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let odd = folder.path().join("a.fits[1]");
+        std::fs::write(&odd, "").unwrap();
+        assert_eq!(super::split(&odd), (odd.clone(), None));
+    }
+}
