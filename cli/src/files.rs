@@ -1,6 +1,6 @@
 //! Scenes as the command line names them, and files that will be written.
 
-use cophase::io::{FitsReader, FitsWriter};
+use cophase::io::FitsWriter;
 use cophase::scene::{Aperture, Scene, split_setting};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -29,9 +29,9 @@ impl Settings {
         anchored(scene.with(&named.chain(options.iter().copied()).collect::<Vec<_>>())?)
     }
 
-    /// Whether `key` is set.
-    pub fn names(&self, key: &str) -> bool {
-        self.settings.iter().any(|(named, _)| named == key)
+    /// The keys that are set.
+    pub fn keys(&self) -> impl Iterator<Item = &str> {
+        self.settings.iter().map(|(key, _)| key.as_str())
     }
 }
 
@@ -46,19 +46,6 @@ pub fn scene(name: &Path) -> Result<Scene> {
         }
         None => Scene::from_file(name),
     }
-}
-
-/// The scene that a FITS file carries in its table `SCENE`, if it has one.
-pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
-    let mut file = FitsReader::open(path)?;
-    if !file.names().iter().any(|name| name == "SCENE") {
-        return Ok(None);
-    }
-    let text = file.text_column("SCENE", "LINE")?.join("\n") + "\n";
-    let directory = path.parent().unwrap_or(Path::new(""));
-    Scene::from_text(&text, directory)
-        .map(Some)
-        .map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
 }
 
 /// `scene` with the full names of its files, so that its text means the same wherever it is kept.

@@ -14,6 +14,7 @@
 
 mod card;
 mod cfitsio;
+mod header;
 mod images;
 mod layout;
 mod read;
@@ -22,6 +23,7 @@ mod standard;
 mod value;
 mod write;
 
+pub use header::{HeaderFact, PixelUnit, Quantity};
 pub use images::{Images, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use value::Card;
