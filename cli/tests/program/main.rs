@@ -5,6 +5,7 @@ mod bench;
 #[cfg(debug_assertions)]
 mod faults;
 mod frames;
+mod headers;
 mod odd_images;
 mod same_answer;
 mod simulate;
