@@ -57,7 +57,7 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
             comparison.decide(key, format!("table SCENE has {key} = {file_value}"), value, &file_value)?;
         }
     }
-    comparison.compare_facts()?;
+    comparison.compare_facts(scene)?;
     let gain = comparison.gain()?;
     if !comparison.contradictions.is_empty() && images.trust == Trust::Neither {
         return Err(Error::Image(format!(
@@ -95,15 +95,20 @@ impl Comparison<'_> {
         self.images.overrides.iter().any(|known| known == key) || instrument::is_fitted(&self.scene, key)
     }
 
-    /// Compares the cards with the keys.
-    fn compare_facts(&mut self) -> Result<()> {
+    /// Compares the cards with the keys. `given` is the scene before any comparison.
+    fn compare_facts(&mut self, given: &Scene) -> Result<()> {
         let wavelength_nm = self.scene.image.wavelength_nm;
         self.compare(Quantity::WavelengthNm, "image.wavelength_nm", wavelength_nm, |nm| nm)?;
         // The pixel on the sky is λ/grid_m over the sampling, so the sampling is as much larger as the pixel is smaller.
-        if let Some(pixel_mas) = source::pixel_mas(&self.scene) {
+        // A pixel that agrees with the scene as given contradicts it no more where another card contradicts its wavelength; the
+        // file's wavelength, where it is trusted, needs the sampling that goes with it.
+        let agrees = |mas: f64| self.facts(Quantity::PixelMas).iter().any(|fact| agrees(fact, mas));
+        let is_settled = self.images.trust != Trust::File && source::pixel_mas(given).is_some_and(agrees);
+        if let Some(pixel_mas) = source::pixel_mas(&self.scene).filter(|_| !is_settled) {
             let sampling = self.scene.image.samples_per_lambda_over_d;
             let key = "image.samples_per_lambda_over_d";
-            self.compare(Quantity::PixelMas, key, pixel_mas, |mas| sampling * pixel_mas / mas)?;
+            let sampling_of = |mas: f64| if mas == pixel_mas { sampling } else { sampling * (pixel_mas / mas) };
+            self.compare(Quantity::PixelMas, key, pixel_mas, sampling_of)?;
         }
         if let Some(read_noise_e) = self.scene.image.read_noise_e.filter(|_| self.images.read_noise_e.is_none()) {
             self.compare(Quantity::ReadNoiseE, "image.read_noise_e", read_noise_e, |e| e)?;
@@ -127,10 +132,9 @@ impl Comparison<'_> {
     /// quantity. Where there are several cards (such as a central and an effective wavelength), one that agrees is enough.
     fn compare(&mut self, quantity: Quantity, key: &str, value: f64, to_key: impl Fn(f64) -> f64) -> Result<()> {
         let facts = self.facts(quantity);
-        let agrees = |fact: &&HeaderFact| {
-            fact.values.iter().any(|stated| (stated - value).abs() <= fact.tolerance * stated.abs().max(value.abs()))
+        let Some(first) = facts.first().filter(|_| !facts.iter().any(|fact| agrees(fact, value))) else {
+            return Ok(());
         };
-        let Some(first) = facts.first().filter(|_| !facts.iter().any(agrees)) else { return Ok(()) };
         let distance = |stated: f64| (stated / value).ln().abs();
         let nearest = first.values.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
         let Some(stated) = nearest else { return Ok(()) };
@@ -212,4 +216,9 @@ impl Comparison<'_> {
         }
         Ok(found.map(|(gain, _)| gain))
     }
+}
+
+/// Whether one of the values that a card may mean is `value`, to the last digit of the card.
+fn agrees(fact: &HeaderFact, value: f64) -> bool {
+    fact.values.iter().any(|stated| (stated - value).abs() <= fact.tolerance * stated.abs().max(value.abs()))
 }

@@ -56,7 +56,7 @@ classdef Session < cophase.Handle
             %   pixels. The optical axis is on row rows/2 + 1 and column columns/2 + 1.
             %
             %   [c, report] = s.fit(frames) also returns a struct for each image, with the fields
-            %      status         'OK'; 'MISFIT' if the residual is larger than the noise; 'WRONG_MINIMUM';
+            %      status         'OK'; 'MISFIT' if the residual differs from the noise; 'WRONG_MINIMUM';
             %                     'NOT_CONVERGED'; 'UNUSABLE', with coefficients of NaN; 'DEADLINE', the best so far
             %      bad_pixels     pixels that took no part
             %      evaluations    of objective and gradient

@@ -42,7 +42,7 @@ class Fit:
 
     @property
     def status(self) -> NDArray[np.str_]:
-        """Status of each image: ``OK``, ``MISFIT`` (fitted, but the residual is larger than the noise),
+        """Status of each image: ``OK``, ``MISFIT`` (fitted, but the residual is larger or smaller than the noise),
         ``WRONG_MINIMUM``, ``NOT_CONVERGED``, ``DEADLINE`` (the best so far) or ``UNUSABLE``."""
         status = self.reports["status"]
         return np.array([named("status", int(number)) for number in status.flat], np.str_).reshape(status.shape)

@@ -149,6 +149,12 @@ fn the_scene_in_a_file_of_cophase_is_compared_with_the_scene() {
     assert!(!refused.err.contains("PIXSCALE") && !refused.err.contains("WAVELEN"), "{}", refused.err);
     let (json, _) = desk.estimate("images.fits", &["--trust", "file"]);
     assert_eq!(number(&json, "phasing_rms_nm"), number(&desk.json(&CLEAN), "phasing_rms_nm"));
+    // Nor does a card of another wavelength make one of the pixel scale, which is the scene's.
+    std::fs::write(desk.path("scene.toml"), SMALL).unwrap();
+    let pixel = FitsReader::open(desk.path("images.fits")).unwrap().card(Some("IMAGES"), "PIXSCALE").unwrap().unwrap();
+    desk.write_images("other.fits", 1.0, "electron", &[("WAVELEN", 1640.0.into()), ("PIXSCALE", pixel)]);
+    let refused = desk.run(&["estimate", "other.fits", "-o", "est.fits", "--scene", "scene.toml"]);
+    assert!(refused.err.contains("WAVELEN") && !refused.err.contains("PIXSCALE"), "{}", refused.err);
     // What only a simulation or only an estimate reads may differ, and so may a key that is fitted.
     let scene = SMALL
         .replace("seed = 1", "seed = 2")
@@ -181,17 +187,17 @@ fn a_read_noise_of_zero_is_zero() {
 
 #[test]
 fn small_faults_are_flagged() {
-    let desk = Desk::with_images(&["pupil.samples=128", "image.peak_snr=300"]);
+    let desk = Desk::with_images(&["pupil.samples=128", "image.peak_snr=500"]);
     let (json, err) = desk.estimates_well("images.fits", &[]);
     assert_eq!((&json["status"], err.as_str()), (&"ok".into(), ""), "{json}");
-    // A companion of 1 % six pixels away.
+    // A companion of 0.5 % six pixels away: six error bars of the phasing.
     desk.edit_images("images.fits", "companion.fits", |images| {
         let star = images.clone();
         for ((i, y, x), value) in images.indexed_iter_mut() {
-            *value += if x < 6 { 0.0 } else { 0.01 * star[[i, y, x - 6]] };
+            *value += if x < 6 { 0.0 } else { 0.005 * star[[i, y, x - 6]] };
         }
     });
-    // A detector whose response falls by 2 % up to the brightest pixel.
+    // A detector whose response falls by 2 % up to the brightest pixel: five error bars.
     desk.edit_images("images.fits", "curved.fits", |images| {
         let most = images.iter().fold(0.0f64, |most, &e| most.max(e));
         images.mapv_inplace(|e| e * (1.0 - 0.02 * e / most));
