@@ -1,7 +1,6 @@
 //! Scenes as the command line names them.
 
 use crate::outputs::{self, Flagged};
-use cophase::io::FitsReader;
 use cophase::scene::{Aperture, Scene, split_setting};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -35,7 +34,7 @@ impl Settings {
     /// needed are not missed, unless these settings name them.
     pub fn apply_to_embedded(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let scene = self.changed(scene, options)?;
-        check_files_of(&scene, |key| self.names(key))?;
+        check_files_of(&scene, |key| self.keys().any(|named| named == key))?;
         anchored(scene)
     }
 
@@ -44,9 +43,9 @@ impl Settings {
         scene.with(&named.chain(options.iter().copied()).collect::<Vec<_>>())
     }
 
-    /// Whether `key` is set.
-    pub fn names(&self, key: &str) -> bool {
-        self.settings.iter().any(|(named, _)| named == key)
+    /// The keys that are set.
+    pub fn keys(&self) -> impl Iterator<Item = &str> {
+        self.settings.iter().map(|(key, _)| key.as_str())
     }
 }
 
@@ -64,19 +63,6 @@ pub fn scene(name: &Path) -> Result<Scene> {
         }
         None => Scene::from_file(name),
     }
-}
-
-/// The scene that a FITS file carries in its table `SCENE`, if it has one.
-pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
-    let mut file = FitsReader::open(path)?;
-    if !file.names().iter().any(|name| name == "SCENE") {
-        return Ok(None);
-    }
-    let text = file.text_column("SCENE", "LINE")?.join("\n") + "\n";
-    let directory = path.parent().unwrap_or(Path::new(""));
-    Scene::from_text(&text, directory)
-        .map(Some)
-        .map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
 }
 
 /// The files that `scene` names: key and path.

@@ -82,6 +82,7 @@ impl Session {
             deadline_s,
             read_noise_e,
             start_nm: if begins { start_nm.as_ptr() } else { ptr::null() },
+            has_read_noise: i64::from(begins),
         };
         // SAFETY: `honest` has seen that every element of `array` lies in `memory`, or that it must be refused unread.
         unsafe {

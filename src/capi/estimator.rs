@@ -1,6 +1,6 @@
 //! Estimators: the full pipeline, from the images of one scene to one estimate.
 
-use super::calibration::{calibration, cophase_calibration, read_noise_e};
+use super::calibration::{calibration, cophase_calibration, has_gain, read_noise_e};
 use super::estimate_handle::{EstimateState, cophase_estimate};
 use super::handle::{Handle, fence, give_back, given_back, null};
 use super::input::{Input, cophase_input};
@@ -72,10 +72,12 @@ unsafe impl Options for cophase_estimator_options {}
 pub struct cophase_estimate_options {
     /// sizeof(cophase_estimate_options).
     pub struct_size: usize,
-    /// Calibration of the frames; NULL: frames are electrons.
+    /// Calibration of the frames; NULL: frames are electrons, or counts where the scene has image.gain_e_per_adu.
     pub calibration: *const cophase_calibration,
-    /// Read noise of a pixel, electrons RMS; 0 for the scene's.
+    /// Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1.
     pub read_noise_e: f64,
+    /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's.
+    pub has_read_noise: i64,
 }
 
 unsafe impl Options for cophase_estimate_options {}
@@ -213,9 +215,14 @@ pub unsafe extern "C" fn cophase_estimator_estimate(
         let out = place(estimate, "estimate")?;
         let options = unsafe { sized::read(options, "options") }?;
         let shape = working.estimator.scene().image.frame_shape();
-        let calibration = unsafe { calibration(options.calibration, shape) }?;
+        let has_gain = unsafe { has_gain(options.calibration) }?;
+        // Where the caller gives no gain, the estimate converts with the scene's.
+        let calibration = unsafe { calibration(options.calibration, shape, None) }?;
         let mut images = taken(&unsafe { Input::new(frames, "frames") }?, &calibration)?;
-        images.read_noise_e = read_noise_e(options.read_noise_e)?;
+        if has_gain {
+            images = images.in_electrons();
+        }
+        images.read_noise_e = read_noise_e(options.read_noise_e, options.has_read_noise)?;
         if !slopes_mas.is_null() {
             let slopes = unsafe { Input::new(slopes_mas, "slopes_mas") }?;
             let [.., slope_count] = slopes.shape();

@@ -70,10 +70,12 @@ pub struct cophase_fit_options {
     pub struct_size: usize,
     /// Time for the whole call, s; images that are not done by then have COPHASE_IMAGE_DEADLINE. 0 for no limit.
     pub deadline_s: f64,
-    /// Read noise of a pixel, electrons RMS; 0 for the scene's.
+    /// Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1.
     pub read_noise_e: f64,
     /// Starts of the fits, nm: count x modes in C order. NULL for a flat wavefront.
     pub start_nm: *const f64,
+    /// 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's.
+    pub has_read_noise: i64,
 }
 
 unsafe impl Options for cophase_fit_options {}
@@ -136,7 +138,7 @@ unsafe fn fit_options<'a>(options: &cophase_fit_options, count: usize, modes: us
     Ok(FitOptions {
         // A deadline beyond what a clock can hold is none.
         deadline: (deadline_s > 0.0).then(|| Duration::try_from_secs_f64(deadline_s).ok()).flatten(),
-        read_noise_e: read_noise_e(options.read_noise_e)?,
+        read_noise_e: read_noise_e(options.read_noise_e, options.has_read_noise)?,
         start_nm,
     })
 }
@@ -202,8 +204,9 @@ pub unsafe extern "C" fn cophase_session_create(
         let options = unsafe { session_options(&sized::read(options, "options")?) }?;
         let estimator = unsafe { estimator(model) }?;
         let [x, y] = estimator.model().preparation.frame;
+        let gain = estimator.scene().image.gain_e_per_adu.unwrap_or(1.0);
         let session = Session::new(estimator, &options)?;
-        let calibration = Calibration::new((y, x), CameraMaps::default(), 1.0, f64::INFINITY)?;
+        let calibration = Calibration::new((y, x), CameraMaps::default(), gain, f64::INFINITY)?;
         let cancel = session.cancel_flag();
         let inside = Handle::new(Working { session, calibration });
         unsafe { out.write(Box::into_raw(Box::new(cophase_session { inside, cancel }))) };
@@ -217,8 +220,8 @@ pub unsafe extern "C" fn cophase_session_destroy(session: *mut cophase_session) 
     unsafe { give_back(session, |session| &session.inside) }
 }
 
-/// Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, as before the first
-/// call.
+/// Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, or counts where the
+/// scene has image.gain_e_per_adu, as before the first call.
 ///
 /// COPHASE_BAD_VALUE for bad pixels if the model reduces the sampling of frames, which would smear them: such a camera
 /// needs estimate.sampling = "native" in its scene.
@@ -229,7 +232,8 @@ pub unsafe extern "C" fn cophase_session_calibrate(
 ) -> cophase_status {
     unsafe {
         change(session, |working| {
-            let made = self::calibration(calibration, working.calibration.shape())?;
+            let scene_gain = working.session.estimator().scene().image.gain_e_per_adu;
+            let made = self::calibration(calibration, working.calibration.shape(), scene_gain)?;
             let preparation = &working.session.estimator().model().preparation;
             if made.bad_pixels() > 0 && preparation.reduced != preparation.frame {
                 return Err(Error::Value(format!(
@@ -304,7 +308,7 @@ pub unsafe extern "C" fn cophase_session_fit(
 /// pixels of each image, with the flux and background that minimize it and the weights that a fit begins with. [RT]
 ///
 /// frames: as in cophase_session_fit; NULL for those of the last evaluation, if no fit came since.
-/// options: only read_noise_e is used, and only with frames; NULL for the defaults.
+/// options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the defaults.
 /// coefficients_nm: count x modes numbers in C order. count: number of frames.
 /// objectives: receives count numbers. gradients: receives count x modes numbers, per nm.
 ///
@@ -335,7 +339,7 @@ pub unsafe extern "C" fn cophase_session_evaluate(
             if !frames.is_null() {
                 let frames = Input::new(frames, "frames")?;
                 let options: cophase_fit_options = sized::read(options, "options")?;
-                let read_noise_e = read_noise_e(options.read_noise_e)?;
+                let read_noise_e = read_noise_e(options.read_noise_e, options.has_read_noise)?;
                 let [given, rows, cols] = frames.shape();
                 if given != count {
                     frames.must_be([count, rows, cols])?;

@@ -34,7 +34,7 @@ pub const COPHASE_PANIC: i32 = 11;
 
 /// Image status: fitted, and the model explains the image.
 pub const COPHASE_IMAGE_OK: i32 = 100;
-/// Image status: fitted, but the residual is larger than the noise.
+/// Image status: fitted, but the residual is larger or smaller than the noise.
 pub const COPHASE_IMAGE_MISFIT: i32 = 101;
 /// Image status: the residual is so large that the fit is probably in a wrong minimum.
 pub const COPHASE_IMAGE_WRONG_MINIMUM: i32 = 102;

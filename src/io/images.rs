@@ -4,12 +4,13 @@ use std::path::Path;
 
 use ndarray::{Array3, ArrayView2, Axis, Zip};
 
+use super::header::{self, HeaderFact, PixelUnit};
 use super::layout::HduKind;
 use super::read::FitsReader;
 use super::value::Card;
 use crate::{Error, Result};
 
-/// Images as they were read, in the units of the file (electrons, if not stated otherwise).
+/// Images as they were read, in the unit of the file.
 #[derive(Debug, Clone)]
 pub struct Images {
     /// `[image, y, x]`. Pixels that are not finite are kept as read; `BLANK` pixels are NaN.
@@ -18,6 +19,10 @@ pub struct Images {
     pub bad: Array3<bool>,
     /// Card `RON_E` of the image HDU, else of the primary HDU: read noise per pixel, electrons RMS.
     pub read_noise_e: Option<f64>,
+    /// Card `BUNIT` of the image HDU: unit of the pixels.
+    pub unit: PixelUnit,
+    /// What the cards of the image HDU, else of the primary HDU, state of the instrument.
+    pub facts: Vec<HeaderFact>,
     /// Number of pixels that are not finite.
     pub non_finite: usize,
     /// Name of the HDU of the images.
@@ -51,8 +56,9 @@ pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images
         repaired = [repaired, mask_repairs].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
     }
     let read_noise_e = read_noise(&mut file, index)?;
+    let (unit, facts) = (header::unit(&mut file, index)?, header::facts(&mut file, index)?);
     let hdu_name = file.name_of(index).to_string();
-    Ok(Images { data, bad, read_noise_e, non_finite, hdu_name, repaired })
+    Ok(Images { data, bad, read_noise_e, unit, facts, non_finite, hdu_name, repaired })
 }
 
 /// The HDU that holds the images.

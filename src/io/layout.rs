@@ -48,9 +48,14 @@ pub(super) struct Hdu {
 impl Hdu {
     /// The value of the first card `key`, with the quotes of a string.
     pub fn value(&self, key: &str) -> Option<&str> {
+        self.value_and_comment(key).map(|(value, _)| value)
+    }
+
+    /// The value of the first card `key`, with the quotes of a string, and its comment.
+    pub fn value_and_comment(&self, key: &str) -> Option<(&str, &str)> {
         let cards = self.header.as_chunks::<CARD>().0;
         let found = cards.iter().find(|found| card::keyword(found) == key.as_bytes())?;
-        card::value_and_comment(found).map(|(value, _)| value)
+        card::value_and_comment(found)
     }
 
     /// Columns of a table, in order.

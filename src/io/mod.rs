@@ -15,6 +15,7 @@
 mod card;
 mod cfitsio;
 mod extension;
+mod header;
 mod images;
 mod layout;
 mod read;
@@ -25,6 +26,7 @@ mod write;
 
 pub use crate::atomic::write as write_atomically;
 pub use extension::file_of;
+pub use header::{HeaderFact, PixelUnit, Quantity};
 pub use images::{Images, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use value::Card;

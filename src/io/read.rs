@@ -202,6 +202,12 @@ impl FitsReader {
         Ok(Some(index))
     }
 
+    /// The value of a card as written, and its comment; empty where it is absent.
+    pub(super) fn written_at(&self, index: usize, key: &str) -> (String, String) {
+        let found = self.layout.hdus[index].value_and_comment(key);
+        found.map(|(value, comment)| (value.to_string(), comment.to_string())).unwrap_or_default()
+    }
+
     /// Index of the image that the path names, else of the first image with data whose name is not in `besides`.
     pub(super) fn first_image(&self, besides: &[&str]) -> Result<usize> {
         if let Some(index) = self.selected_image()? {

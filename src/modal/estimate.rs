@@ -118,7 +118,7 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<FittedCube> {
-        let read_noise_e = cube.read_noise_e.unwrap_or(self.scene.image.read_noise_e);
+        let read_noise_e = cube.read_noise_e.or(self.scene.image.read_noise_e);
         let preparation = self.model.preparation;
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();

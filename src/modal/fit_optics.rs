@@ -211,7 +211,7 @@ impl Search<'_> {
         let perturbed = self.perturbed_models(&scene, &estimator, values, &scene_basis)?;
         let mut equations = NormalEquations::new(self.optics.len(), estimator.model.optics.modes());
         for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {
-            if minimum.reason.has_converged() && minimum.reduced_chi2.is_finite() {
+            if minimum.reason.has_converged() && minimum.reduced_chi2().is_finite() {
                 equations.add(&estimator, image, minimum, &self.derivatives(&perturbed, minimum))?;
             }
         }

@@ -234,7 +234,7 @@ impl ModalFitter {
     /// [`Error::Value`] where no mode changes the image.
     pub fn bound(&self, coefficients_nm: ArrayView1<f64>, flux_e: f64, background_e: f64) -> Result<Array2<f64>> {
         let native_pixels = self.model.preparation.native_pixels();
-        let floor = (self.scene.image.read_noise_e.powi(2) + background_e) * native_pixels;
+        let floor = (self.scene.image.read_noise_e.unwrap_or(0.0).powi(2) + background_e) * native_pixels;
         let psf = self.reference.psf(coefficients_nm);
         let weight: Vec<f64> = psf.iter().map(|h| 1.0 / (flux_e * h + floor)).collect();
         let photometry = match (self.recipe.fit_flux, self.recipe.fit_background) {

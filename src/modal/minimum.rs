@@ -1,5 +1,6 @@
 //! Minimum: result of the fit of one image.
 
+use super::chi2::ReducedChi2;
 use crate::optimize::StopReason;
 
 /// The minimum of one image.
@@ -11,10 +12,15 @@ pub(super) struct Minimum {
     pub(super) evaluations: usize,
     pub(super) reason: StopReason,
     /// χ² per degree of freedom under the variances of the fitted model.
-    pub(super) reduced_chi2: f64,
+    pub(super) chi2: ReducedChi2,
 }
 
 impl Minimum {
+    /// χ² per degree of freedom under the variances of the fitted model.
+    pub(super) fn reduced_chi2(&self) -> f64 {
+        self.chi2.value
+    }
+
     /// An empty minimum of `modes` coefficients, to be written by a fit.
     pub(super) fn empty(modes: usize) -> Self {
         Self {
@@ -23,7 +29,7 @@ impl Minimum {
             background_e: f64::NAN,
             evaluations: 0,
             reason: StopReason::Unfinished,
-            reduced_chi2: f64::NAN,
+            chi2: ReducedChi2::NONE,
         }
     }
 }

@@ -14,6 +14,7 @@ mod accumulator;
 mod arrays;
 mod band;
 mod calibration;
+mod chi2;
 mod combine;
 mod cube;
 mod device;

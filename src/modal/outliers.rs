@@ -93,7 +93,7 @@ impl OutlierFinder {
             return None;
         }
         let data_e = Zip::from(&known).and(frame.data_e).map_collect(|&known, &e| if known { 0.0 } else { e });
-        let floor_e2 = frame.read_noise_e.max(MIN_NOISE_E).powi(2);
+        let floor_e2 = frame.read_noise_e.unwrap_or(0.0).max(MIN_NOISE_E).powi(2);
         let mut high = self.forward(&(&data_e * &self.window));
         Zip::from(&mut high).and(&self.free).for_each(|value, &free| *value *= if free { 1.0 } else { 0.0 });
         let high_e = self.inverse(high);
@@ -228,7 +228,7 @@ mod tests {
     }
 
     fn clean(scene: &Scene, data_e: &Array2<f64>, bad: &Array2<bool>) -> Option<CleanedFrame> {
-        let frame = Frame { data_e: data_e.view(), bad: bad.view(), read_noise_e: NOISE_E };
+        let frame = Frame { data_e: data_e.view(), bad: bad.view(), read_noise_e: Some(NOISE_E) };
         OutlierFinder::new(scene).unwrap().clean(frame)
     }
 

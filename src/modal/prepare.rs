@@ -23,9 +23,14 @@ pub struct Frame<'a> {
     pub data_e: ArrayView2<'a, f64>,
     /// Bad pixels, `[y, x]`; pixels that are not finite count as bad whether marked or not.
     pub bad: ArrayView2<'a, bool>,
-    /// Read noise of a pixel, RMS electrons.
-    pub read_noise_e: f64,
+    /// Read noise of a pixel, RMS electrons; `None` for the scatter of the frame's border.
+    pub read_noise_e: Option<f64>,
 }
+
+/// Smallest variance of a native pixel without the star's photons, e²: that of rounding to whole electrons, which every count
+/// of electrons has. It keeps the weight of a pixel finite where neither light nor read noise is expected, and is below a
+/// hundredth of the photon noise of ten electrons.
+const MIN_VARIANCE_E2: f64 = 1.0 / 12.0;
 
 /// Preparation of frames for one model.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,6 +52,9 @@ pub struct PreparedFrame {
     pub exposure: Exposure,
     /// Variance of each pixel without the star's photons (read noise and background), e²; infinite for a bad pixel.
     pub floor_variance_e2: Vec<f64>,
+    /// Part of that variance which is stated: 1, but less where [`MIN_VARIANCE_E2`] exceeds the stated read noise, and 0 where
+    /// the scatter of the border takes its place. χ² is expected to be 1 with the whole of it, and less with a part.
+    pub stated_share: f64,
     /// Level of the frame's border, e⁻ per model pixel: a first guess of the background.
     pub level_e: f64,
     /// Position of the star: whole model pixels by which the frame was moved onto the axis, along x and y.
@@ -96,6 +104,7 @@ impl Preparation {
         PreparedFrame {
             exposure: Exposure { data_e: zeros(), weight: zeros(), photometry },
             floor_variance_e2: zeros(),
+            stated_share: 1.0,
             level_e: 0.0,
             shift_pixels: [0, 0],
             bad_pixels: 0,
@@ -192,10 +201,14 @@ impl Preparer {
         let (data, bad) = if clean.is_some() { (frame.data_e, frame.bad) } else { (self.data.view(), self.bad.view()) };
         let level = self.statistics.level_of_border(data, bad);
         refuse_unusable(&self.extents[..self.plan.frame[1]], level)?;
-        // Without a stated read noise the scatter of the border is used; 1 e⁻ keeps weights finite on synthetic frames.
-        let read_noise_e = match frame.read_noise_e {
-            stated if stated > 0.0 => stated,
-            _ => self.statistics.scatter_about(level).max(1.0),
+        let (variance_e2, stated_share) = match frame.read_noise_e {
+            Some(stated) => {
+                let variance_e2 = stated.powi(2).max(MIN_VARIANCE_E2);
+                (variance_e2, stated.powi(2) / variance_e2)
+            }
+            // The scatter of the border includes the star's light there, so it is an upper limit; 1 e⁻ keeps weights finite
+            // on synthetic frames.
+            None => (self.statistics.scatter_about(level).max(1.0).powi(2), 0.0),
         };
         let sampled = match &mut self.reduction {
             Some(reduction) => {
@@ -211,12 +224,13 @@ impl Preparer {
         prepared.level_e = level * area;
         prepared.shift_pixels = if recipe.recentre { off_axis(&sampled, prepared.level_e) } else { [0, 0] };
         // A sum over some native pixels: their read variances add, and their photons are in the data.
-        let floor = read_noise_e.powi(2) * area;
+        let floor = variance_e2 * area;
+        prepared.stated_share = stated_share;
         prepared.bad_pixels = crop(&sampled, self.plan.pixels, floor, prepared);
         if prepared.bad_pixels == prepared.floor_variance_e2.len() {
             return Err(Refusal::NoGoodPixel);
         }
-        weigh(prepared, recipe);
+        weigh(prepared, recipe, area);
         Ok(())
     }
 
@@ -332,13 +346,14 @@ fn crop(frame: &SampledFrame, size: usize, floor: f64, prepared: &mut PreparedFr
     bad_pixels
 }
 
-/// Sets the first weights of cropped data, and the treatment of flux and background.
-fn weigh(prepared: &mut PreparedFrame, recipe: &Recipe) {
+/// Sets the first weights of cropped data, and the treatment of flux and background. A pixel has `area` native pixels.
+fn weigh(prepared: &mut PreparedFrame, recipe: &Recipe, area: f64) {
     let PreparedFrame { exposure: Exposure { data_e, weight, photometry }, floor_variance_e2: floor, .. } = prepared;
     match recipe.weighting {
         Weighting::Noise => {
             for ((weight, d), floor) in weight.iter_mut().zip(data_e.iter()).zip(floor.iter()) {
-                *weight = 1.0 / (d.max(0.0) + floor);
+                // The datum is a poor estimate of its variance where few photons are expected: at least that of one electron.
+                *weight = 1.0 / (d.max(0.0) + floor.max(area));
             }
         }
         Weighting::None => {

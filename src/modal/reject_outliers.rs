@@ -60,7 +60,7 @@ impl ModalFitter {
 
 impl CleanedFrame {
     /// The cleaned frame, with this read noise.
-    pub(super) fn frame(&self, read_noise_e: f64) -> Frame<'_> {
+    pub(super) fn frame(&self, read_noise_e: Option<f64>) -> Frame<'_> {
         Frame { data_e: self.data_e.view(), bad: self.bad.view(), read_noise_e }
     }
 }
@@ -92,7 +92,7 @@ pub fn reject_outliers(
     read_noise_e: Option<f64>,
 ) -> Option<CleanedImages> {
     let finder = OutlierFinder::new(scene)?;
-    let read_noise_e = read_noise_e.unwrap_or(scene.image.read_noise_e);
+    let read_noise_e = read_noise_e.or(scene.image.read_noise_e);
     let find = |image: usize| -> Option<(Array2<f64>, usize)> {
         let (data_e, bad) = (images_e.index_axis(Axis(0), image), bad.index_axis(Axis(0), image));
         finder.clean(Frame { data_e, bad, read_noise_e }).map(|found| (found.data_e, found.rejected))

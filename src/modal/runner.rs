@@ -3,11 +3,12 @@
 //! converged. A runner neither evaluates nor allocates: the lock-step batch on a device and the loop over images on a CPU thread
 //! use the same one.
 
+use super::chi2::ReducedChi2;
 use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::PreparedFrame;
 use super::recipe::Recipe;
-use super::residual::{photometry, reduced_chi2, reweigh};
+use super::residual::{photometry, reweigh};
 use crate::Result;
 use crate::imaging::{Evaluation, Precision};
 use crate::optimize::{
@@ -64,7 +65,7 @@ pub(super) struct Runner {
     weighted_at: Vec<f64>,
     flux_e: f64,
     background_e: f64,
-    reduced_chi2: f64,
+    chi2: ReducedChi2,
 }
 
 impl Runner {
@@ -85,7 +86,7 @@ impl Runner {
             weighted_at: zeros,
             flux_e: f64::NAN,
             background_e: f64::NAN,
-            reduced_chi2: f64::NAN,
+            chi2: ReducedChi2::NONE,
         })
     }
 
@@ -103,7 +104,7 @@ impl Runner {
         self.solver.set_deadline(deadline);
         self.reweightings = 0;
         self.set_tolerances()?;
-        (self.flux_e, self.background_e, self.reduced_chi2) = (f64::NAN, f64::NAN, f64::NAN);
+        (self.flux_e, self.background_e, self.chi2) = (f64::NAN, f64::NAN, ReducedChi2::NONE);
         Ok(())
     }
 
@@ -137,8 +138,8 @@ impl Runner {
     pub(super) fn settle(&mut self, psf: &[f64], image: &PreparedFrame) {
         let photometry = photometry(&image.exposure, psf);
         (self.flux_e, self.background_e) = photometry;
-        self.reduced_chi2 =
-            reduced_chi2(psf, photometry, &image.exposure, &image.floor_variance_e2, self.weighted_at.len());
+        let noise = (image.floor_variance_e2.as_slice(), image.stated_share);
+        self.chi2 = ReducedChi2::new(psf, photometry, &image.exposure, noise, self.weighted_at.len());
     }
 
     fn set_tolerances(&mut self) -> Result<()> {
@@ -163,7 +164,7 @@ impl Runner {
         self.solver.write_solution(&mut minimum.coefficients_nm);
         (minimum.flux_e, minimum.background_e) = (self.flux_e, self.background_e);
         (minimum.evaluations, minimum.reason) = (outcome.evaluations, outcome.reason);
-        minimum.reduced_chi2 = self.reduced_chi2;
+        minimum.chi2 = self.chi2;
     }
 
     /// Whether new weights could move the minimum by more than the step tolerance.

@@ -277,14 +277,13 @@ impl Session {
         }
     }
 
-    fn read_noise_e(&self, given: Option<f64>) -> Result<f64> {
-        let read_noise_e = given.unwrap_or(self.shared.estimator.scene.image.read_noise_e);
-        if !(read_noise_e >= 0.0 && read_noise_e.is_finite()) {
+    fn read_noise_e(&self, given: Option<f64>) -> Result<Option<f64>> {
+        if let Some(read_noise_e) = given.filter(|read_noise_e| !(*read_noise_e >= 0.0 && read_noise_e.is_finite())) {
             return Err(Error::Value(format!(
                 "a read noise of {read_noise_e} electrons was given, where a finite number of 0 or more is needed"
             )));
         }
-        Ok(read_noise_e)
+        Ok(given.or(self.shared.estimator.scene.image.read_noise_e))
     }
 }
 
@@ -335,7 +334,7 @@ impl Shared {
 fn prepare<'a>(
     frames: &'a [FrameBuffer],
     recipe: &'a Recipe,
-    read_noise_e: f64,
+    read_noise_e: Option<f64>,
 ) -> impl Fn(usize, &mut Preparer, &mut PreparedFrame) -> std::result::Result<(), Refusal> + Sync + 'a {
     move |index, preparer, prepared| {
         let FrameBuffer { data_e, bad } = &frames[index];

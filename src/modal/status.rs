@@ -1,5 +1,6 @@
 //! Status of each image: from its own residual, and in a sequence also from those of the others.
 
+use super::chi2::ReducedChi2;
 use super::engine::{FitState, ImageFit};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
@@ -44,8 +45,10 @@ impl ImageStatus {
 pub enum Status {
     /// Fitted, and the model explains it.
     Ok,
-    /// Fitted, but the residual is larger than the noise: the modes do not span the wavefront, or the model is wrong.
-    /// Error bars are scaled up by √χ²; those of a sequence are from the scatter between its images.
+    /// Fitted, but the residual is larger than the noise (the modes do not span the wavefront, or the model is wrong), or smaller
+    /// (the image is not in electrons, was smoothed or averaged, or its stated noise is too large): χ² is outside
+    /// [`ImageReport::explained_chi2`]. Where it is larger, error bars are scaled up by √χ²; those of a sequence are from the
+    /// scatter between its images.
     Misfit,
     /// The residual is so large that the fit is probably in a wrong minimum. Among eight images or more it must also be an
     /// outlier: turbulence that the modes do not span leaves the same residual in every image.
@@ -79,12 +82,29 @@ impl Status {
     }
 }
 
-/// Reduced χ² above which a fit is called a misfit. Its expectation is 1 with a scatter of √(2/9000) = 0.015; an
-/// unmodelled error of one standard deviation in every pixel makes it 2.
-const MISFIT: f64 = 2.0;
+/// Standard deviations of χ² from its expectation at which a fit is called a misfit. With 9,000 pixels one is 0.015. A right
+/// model is beyond five in one of three million images.
+const SIGNIFICANT: f64 = 5.0;
+/// Relative error of the band-limited model, RMS: a bound of what χ² shows on nominal scenes of `keck-artificial`, whose excess
+/// over 1 is 0.04 at a peak S/N of 500 and 0.20 at 1,000 (4e-4 of the signal).
+const MODEL_ERROR: f64 = 5e-4;
+/// Smallest and largest excess of χ² over its expectation that is put down to the model. The smallest covers coarser models (64
+/// samples across seven segments: 0.08 at a peak S/N of 100). Beyond the largest, the model is no longer good enough for the
+/// light. In between, error bars scaled by √χ² are within 15 % of those of the noise.
+const MODEL_EXCESS: [f64; 2] = [0.1, 0.3];
+/// Least fraction of the expectation that is accepted. It matters only for a handful of photons, whose χ² scatters by more than
+/// its expectation; an image that was normalised to a sum of 1 has 1e-9 of it or less.
+const LEAST_FRACTION: f64 = 0.01;
 /// Reduced χ² above which a wrong minimum is suspected: a basis that misses part of the NCPA gives 17 at a peak SNR of
 /// 500, wrong minima 900 to 5,000.
 const WRONG_MINIMUM: f64 = 300.0;
+
+/// The interval in which the model explains a χ².
+fn explained(chi2: &ReducedChi2) -> [f64; 2] {
+    let least = (chi2.least - SIGNIFICANT * chi2.scatter).max(LEAST_FRACTION * chi2.least);
+    let excess = (MODEL_ERROR.powi(2) * chi2.square_snr).clamp(MODEL_EXCESS[0], MODEL_EXCESS[1]);
+    [least, 1.0 + excess + SIGNIFICANT * chi2.scatter]
+}
 
 /// The report on one image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -95,6 +115,8 @@ pub struct ImageReport {
     pub evaluations: usize,
     /// χ² per degree of freedom.
     pub reduced_chi2: f64,
+    /// Smallest and largest χ² per degree of freedom that noise explains.
+    pub explained_chi2: [f64; 2],
     /// Electrons of the star.
     pub flux_e: f64,
     /// Electrons per native pixel.
@@ -108,14 +130,24 @@ pub struct ImageReport {
 }
 
 impl ImageReport {
+    /// Whether χ² is smaller than noise explains.
+    pub fn is_too_small(&self) -> bool {
+        self.reduced_chi2 < self.explained_chi2[0]
+    }
+
     /// The status and its reason, as a sentence.
     pub fn sentence(&self) -> String {
         let chi2 = self.reduced_chi2;
         match self.status {
             Status::Ok => format!("the model explains the image: reduced chi-square {chi2:.3}"),
-            Status::Misfit => format!(
-                "the residual is larger than the noise: reduced chi-square {chi2:.3}, where up to {MISFIT} is explained"
-            ),
+            Status::Misfit => {
+                let [least, most] = self.explained_chi2;
+                let than = if chi2 < least { "smaller" } else { "larger" };
+                format!(
+                    "the residual is {than} than the noise: reduced chi-square {}, where {least:.3} to {most:.3} is explained",
+                    significant(chi2)
+                )
+            }
             Status::WrongMinimum => format!(
                 "the fit is probably in a wrong minimum: reduced chi-square {chi2:.0}, where up to {WRONG_MINIMUM} is \
                  plausible"
@@ -126,6 +158,11 @@ impl ImageReport {
             Status::Unusable(refusal) => refusal.to_string(),
         }
     }
+}
+
+/// Three decimals, or an exponent where they would all be 0.
+fn significant(chi2: f64) -> String {
+    if chi2 < 1e-3 { format!("{chi2:.0e}") } else { format!("{chi2:.3}") }
 }
 
 impl ModalFitter {
@@ -168,17 +205,18 @@ pub(super) fn assess_together(reports: &mut [ImageReport]) {
 
 /// Assesses one minimum by itself. `tilts` are the slopes of each mode.
 pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, minimum: &Minimum) -> ImageReport {
-    let reduced_chi2 = minimum.reduced_chi2;
+    let (reduced_chi2, explained_chi2) = (minimum.reduced_chi2(), explained(&minimum.chi2));
     let status = match minimum.reason {
         reason if !reason.has_converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
         _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
-        _ if reduced_chi2 > MISFIT => Status::Misfit,
+        _ if reduced_chi2 < explained_chi2[0] || reduced_chi2 > explained_chi2[1] => Status::Misfit,
         _ => Status::Ok,
     };
     ImageReport {
         status,
         evaluations: minimum.evaluations,
         reduced_chi2,
+        explained_chi2,
         flux_e: minimum.flux_e,
         background_e: minimum.background_e / model.preparation.native_pixels(),
         tip_tilt_nm: tilts.tip_tilt_nm(&minimum.coefficients_nm, prepared.shift_pixels),
@@ -193,6 +231,7 @@ pub(super) fn unfitted_report(status: Status) -> ImageReport {
         status,
         evaluations: 0,
         reduced_chi2: f64::NAN,
+        explained_chi2: [f64::NAN; 2],
         flux_e: f64::NAN,
         background_e: f64::NAN,
         tip_tilt_nm: [f64::NAN; 2],

@@ -1,10 +1,11 @@
 //! Estimator: a scene, a policy, and the estimate of images by them.
 
+use super::consistency::reconcile;
 use super::control::{Control, Stage};
 use super::estimate::Estimate;
 use super::images::Images;
 use super::policy::Policy;
-use super::{map, modal};
+use super::{map, modal, warnings};
 use crate::modal::BasisCache;
 use crate::planner;
 use crate::scene::{Method, Scene};
@@ -12,6 +13,9 @@ use crate::{Error, Result};
 
 /// Estimates the static wavefront behind images of one scene.
 pub struct Estimator {
+    /// The scene as given.
+    given: Scene,
+    /// The scene with the choices of its plan.
     scene: Scene,
     policy: Policy,
     control: Control,
@@ -36,16 +40,8 @@ impl Estimator {
     /// Those of [`planner::plan`]; [`Error::Scene`] for a key that the policy does not honour; [`Error::Interrupted`].
     pub fn with_policy(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
         policy.check(scene)?;
-        let (scene, shortfall) = match scene.estimate.budget_nm {
-            Some(budget_nm) => {
-                control.enter(Stage::Planning, 0);
-                let plan = acknowledged(&control, planner::plan(scene, budget_nm, Some(control.flag())))?;
-                let shortfall = plan.shortfall();
-                (plan.scene, shortfall)
-            }
-            None => (scene.clone(), None),
-        };
-        Ok(Self { scene, policy, control, cache: BasisCache::default(), shortfall })
+        let (given, (scene, shortfall)) = (scene.clone(), planned(scene, &control)?);
+        Ok(Self { given, scene, policy, control, cache: BasisCache::default(), shortfall })
     }
 
     /// The scene, with the choices of its plan where it named a budget.
@@ -67,20 +63,31 @@ impl Estimator {
     /// are in [`Estimate::warnings`].
     ///
     /// # Errors
-    /// Those of building the telescope and its modes; [`Error::Shape`] for images of another size than the scene says,
+    /// [`Error::Image`] for a file that contradicts the scene where [`Images::trust`] does not decide, and for images in counts
+    /// without a gain. Those of building the telescope and its modes; [`Error::Shape`] for images of another size than the scene says,
     /// or telemetry of another number; [`Error::Image`] where no image can be used (two in a MAP estimate);
     /// [`Error::Device`] where the device that the scene names does not exist or fails; [`Error::Interrupted`] after
     /// [`Control::cancel`].
     pub fn estimate(&self, images: &Images) -> Result<Estimate> {
         images.check()?;
         self.control.reset_progress();
-        let found = match self.scene.estimate.method {
-            Method::Modal => modal::estimate(&self.scene, &self.policy, &self.control, &self.cache, images),
-            Method::FullPhase => map::estimate(&self.scene, &self.policy, &self.control, images),
+        let consistent = reconcile(images, &self.given)?;
+        let (of_file, cache_of_file);
+        let (scene, shortfall, cache) = if consistent.is_changed {
+            (of_file, cache_of_file) = (planned(&consistent.scene, &self.control)?, BasisCache::default());
+            (&of_file.0, &of_file.1, &cache_of_file)
+        } else {
+            (&self.scene, &self.shortfall, &self.cache)
+        };
+        let found = match scene.estimate.method {
+            Method::Modal => modal::estimate(scene, &self.policy, &self.control, cache, &consistent.images),
+            Method::FullPhase => map::estimate(scene, &self.policy, &self.control, &consistent.images),
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
-        estimate.warnings.splice(0..0, self.shortfall.iter().chain(&images.notes).cloned());
+        let general = shortfall.iter().chain(&images.notes).cloned().chain(warnings::scene_warning(scene));
+        estimate.warnings.splice(0..0, general);
+        estimate.remarks.splice(0..0, consistent.remarks);
         if let Some(truth) = &images.truth {
             match estimate.compare(truth) {
                 Ok(residual) => estimate.truth = Some((truth.clone(), residual)),
@@ -90,6 +97,15 @@ impl Estimator {
         }
         Ok(estimate)
     }
+}
+
+/// `scene` with the choices of its plan, and why the plan does not meet its budget.
+fn planned(scene: &Scene, control: &Control) -> Result<(Scene, Option<String>)> {
+    let Some(budget_nm) = scene.estimate.budget_nm else { return Ok((scene.clone(), None)) };
+    control.enter(Stage::Planning, 0);
+    let plan = acknowledged(control, planner::plan(scene, budget_nm, Some(control.flag())))?;
+    let shortfall = plan.shortfall();
+    Ok((plan.scene, shortfall))
 }
 
 /// Lowers the cancel flag after a call that it has ended.

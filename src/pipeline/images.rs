@@ -1,6 +1,6 @@
 //! Images of an estimate, with bad pixels, read noise, telemetry and truth.
 
-use crate::io::{self, FitsReader};
+use crate::io::{self, FitsReader, HeaderFact, PixelUnit};
 use crate::scene::Scene;
 use crate::source;
 use crate::{Error, Result};
@@ -10,19 +10,41 @@ use std::path::Path;
 /// Images to estimate from.
 #[derive(Debug, Clone)]
 pub struct Images {
-    /// Electrons, `[image, y, x]`.
+    /// Electrons, `[image, y, x]`; an estimate converts images in another [`Images::unit`] to electrons.
     pub images_e: Array3<f64>,
     /// Bad pixels, `[image, y, x]`: they are ignored. Pixels that are not finite are bad, too.
     pub bad: Array3<bool>,
-    /// Read noise of a pixel, RMS electrons; `None` for the scene's.
+    /// Read noise of a pixel, RMS electrons; `None` for the scene's, else the file's, else the scatter of each image's border.
     pub read_noise_e: Option<f64>,
     /// Slopes of the wavefront sensor, mean over each exposure, `[image, slope]`, mas: along x for every subaperture, then
     /// along y. A MAP estimate uses them; `None` without telemetry.
     pub slopes_mas: Option<Array2<f64>>,
     /// Aberrations that simulated images were made with.
     pub truth: Option<TruthMaps>,
+    /// Unit of the pixels: those of an array without a unit are electrons, unless the scene has `image.gain_e_per_adu`.
+    pub unit: PixelUnit,
+    /// What the cards of the file state of the instrument. An estimate compares it with the scene.
+    pub facts: Vec<HeaderFact>,
+    /// Scene in the file, as cophase writes it. An estimate compares what it says of the instrument with its own scene.
+    pub scene: Option<Scene>,
+    /// Which of the two holds where the file contradicts the scene.
+    pub trust: Trust,
+    /// Keys whose value in the scene holds whatever the file says, such as `image.wavelength_nm`.
+    pub overrides: Vec<String>,
     /// Sentences on what was repaired or masked when the images were read; they join the warnings of an estimate.
     pub notes: Vec<String>,
+}
+
+/// Which of two values holds where an image file contradicts the scene.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Trust {
+    /// Neither: a contradiction is an error.
+    #[default]
+    Neither,
+    /// The scene's.
+    Scene,
+    /// The file's: it replaces the value of the key.
+    File,
 }
 
 /// Aberrations behind simulated images: maps `[y, x]`, nm, NaN outside the pupil.
@@ -35,13 +57,14 @@ pub struct TruthMaps {
 }
 
 impl Images {
-    /// Images in electrons, `[image, y, x]`, whose finite pixels are all good.
+    /// Images `[image, y, x]` whose finite pixels are all good: electrons, or counts where the scene of the estimate has
+    /// `image.gain_e_per_adu`.
     pub fn new(images_e: Array3<f64>) -> Self {
         let bad = Array3::from_elem(images_e.dim(), false);
         Self::with_bad(images_e, bad)
     }
 
-    /// Images in electrons with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite are bad, too, and the
+    /// [`Images::new`] with a mask of bad pixels, both `[image, y, x]`. Pixels that are not finite are bad, too, and the
     /// notes have their number.
     pub fn with_bad(images_e: Array3<f64>, mut bad: Array3<bool>) -> Self {
         let non_finite = images_e.iter().filter(|electrons| !electrons.is_finite()).count();
@@ -53,11 +76,29 @@ impl Images {
         if bad.dim() == images_e.dim() {
             bad.zip_mut_with(&images_e, |bad, electrons| *bad |= !electrons.is_finite());
         }
-        Self { images_e, bad, read_noise_e: None, slopes_mas: None, truth: None, notes }
+        Self {
+            images_e,
+            bad,
+            read_noise_e: None,
+            slopes_mas: None,
+            truth: None,
+            unit: PixelUnit::Unstated,
+            facts: Vec::new(),
+            scene: None,
+            trust: Trust::Neither,
+            overrides: Vec::new(),
+            notes,
+        }
     }
 
-    /// Reads a FITS file: images, `BADPIX` or the file `mask`, the card `RON_E`, the telemetry (`SLOPES_MEAN`, else
-    /// `SLOPES`) and the truth (`TRUTH_PHASING`, `TRUTH_NCPA`), each where the file has it.
+    /// These images, which are in electrons whatever gain a scene has.
+    pub fn in_electrons(self) -> Self {
+        Self { unit: PixelUnit::Electrons, ..self }
+    }
+
+    /// Reads a FITS file: images with their unit, `BADPIX` or the file `mask`, what the cards state of the instrument, the
+    /// scene (`SCENE`), the telemetry (`SLOPES_MEAN`, else `SLOPES`) and the truth (`TRUTH_PHASING`, `TRUTH_NCPA`), each where
+    /// the file has it.
     ///
     /// # Errors
     /// Those of [`io::read_images`].
@@ -66,7 +107,9 @@ impl Images {
         let read = io::read_images(path, mask)?;
         let mut images = Self::with_bad(read.data, read.bad);
         images.notes.splice(0..0, read.repaired);
-        images.read_noise_e = read.read_noise_e;
+        (images.unit, images.facts) = (read.unit, read.facts);
+        // A scene of another version, with other keys, cannot be compared.
+        images.scene = embedded_scene(path).ok().flatten();
         (images.slopes_mas, images.truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
         Ok(images)
     }
@@ -78,7 +121,7 @@ impl Images {
     pub fn simulated(scene: &Scene) -> Result<Self> {
         let made = source::simulate(scene)?;
         let truth = TruthMaps { phasing_nm: made.truth.phasing_nm, ncpa_nm: made.truth.ncpa_nm };
-        Ok(Self { truth: Some(truth), ..Self::new(made.images_e) })
+        Ok(Self { truth: Some(truth), ..Self::new(made.images_e).in_electrons() })
     }
 
     /// Number of images.
@@ -121,6 +164,22 @@ impl TruthMaps {
 
 fn has(file: &FitsReader, name: &str) -> bool {
     file.names().iter().any(|known| known == name)
+}
+
+/// The scene that a FITS file carries in its table `SCENE`, if it has one; its relative file names refer to the file's folder.
+///
+/// # Errors
+/// [`Error::File`] for a file that cannot be read, or a table that is not a valid scene.
+pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
+    let mut file = FitsReader::open(path)?;
+    if !has(&file, "SCENE") {
+        return Ok(None);
+    }
+    let text = file.text_column("SCENE", "LINE")?.join("\n") + "\n";
+    let directory = path.parent().unwrap_or(Path::new(""));
+    Scene::from_text(&text, directory)
+        .map(Some)
+        .map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
 }
 
 /// Telemetry of a file, if it has any.

@@ -2,9 +2,9 @@
 //! share.
 
 use super::budget::ErrorTerm;
+use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
-use super::images::Images;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::sequence::{self, SequenceResult};
@@ -22,11 +22,11 @@ use std::time::Instant;
 /// 1.6 in frozen exposures, 4.2 in exposures of 10 ms; square pixels modelled as points make it 8.
 const EXPLAINED: f64 = 6.0;
 
-pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Images) -> Result<Estimate> {
+pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Electrons) -> Result<Estimate> {
     let count = images.len();
     // A level below telemetry uses no slopes, and does not check those of a file.
     let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
-    let slopes_mas = images.slopes_mas.as_ref().filter(|_| uses_telemetry);
+    let slopes_mas = images.slopes_mas.filter(|_| uses_telemetry);
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != count) {
         return Err(Error::Shape(format!(
             "the telemetry holds {} sets of slopes for {count} images: one each is needed",

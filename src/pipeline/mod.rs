@@ -11,11 +11,13 @@
 //! static errors from the turbulence. Both end in the same type.
 
 mod budget;
+mod consistency;
 mod control;
 mod estimate;
 mod estimator;
 mod file;
 mod images;
+mod instrument;
 mod map;
 mod modal;
 mod outcome;
@@ -31,6 +33,6 @@ pub use budget::ErrorTerm;
 pub use control::{Control, Progress, Stage};
 pub use estimate::{Basis, Comparison, Estimate, Figure, MapSummary, OpticalParameter};
 pub use estimator::Estimator;
-pub use images::{Images, TruthMaps};
+pub use images::{Images, Trust, TruthMaps, embedded_scene};
 pub use outcome::ImageOutcome;
 pub use policy::Policy;

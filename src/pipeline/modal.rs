@@ -1,9 +1,9 @@
 //! Modal estimate: static modes fitted to each image, and the images combined.
 
 use super::budget::ErrorTerm;
+use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
-use super::images::Images;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings;
@@ -22,7 +22,7 @@ pub(super) fn estimate(
     policy: &Policy,
     control: &Control,
     cache: &BasisCache,
-    images: &Images,
+    images: &Electrons,
 ) -> Result<Estimate> {
     let started = Instant::now();
     let count = images.len();

@@ -1,8 +1,8 @@
 //! Wavefronts and static errors of a sequence behind adaptive optics: maximum a posteriori (MAP) retrieval of each
 //! exposure's wavefront, and the static errors that all exposures share, in turn until nothing changes.
 
+use super::consistency::Electrons;
 use super::control::{Control, Stage};
-use super::images::Images;
 use crate::ao::Lenslets;
 use crate::grid::Grid;
 use crate::modal::{CleanedImages, Cube, reject_outliers};
@@ -117,7 +117,7 @@ const FEW_IMAGES_RESOLUTION: f64 = 1.25;
 /// [`Error::Image`] where fewer than two images can be used; [`Error::Interrupted`].
 pub(super) fn estimate(
     scene: &Scene,
-    images: &Images,
+    images: &Electrons,
     slopes_mas: Option<&Array2<f64>>,
     control: &Control,
 ) -> Result<SequenceResult> {
@@ -140,8 +140,8 @@ pub(super) fn estimate(
         other => Ok(other?),
     };
     let prior = prior(scene, ao_knowledge)?;
-    let cleaned = reject_outliers(scene, &images.images_e, &images.bad, images.read_noise_e);
-    let images_e = cleaned.as_ref().map_or(&images.images_e, |cleaned: &CleanedImages| &cleaned.images_e);
+    let cleaned = reject_outliers(scene, &images.images_e, images.bad, images.read_noise_e);
+    let images_e = cleaned.as_ref().map_or(images.images_e.as_ref(), |cleaned: &CleanedImages| &cleaned.images_e);
     let cube = Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
     let retrieval = retrieval_settings(scene, cube.images_e);
     let cancel = Some(control.flag());

@@ -6,6 +6,11 @@ use crate::modal::{self, DiversityProjection, ImageReport, Model, Session, Statu
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 
+/// What a χ² that is too small means.
+const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
+    (image.gain_e_per_adu), was it smoothed, averaged or normalised, or is the read noise too large? The error bars are those of \
+    the stated noise";
+
 /// Images named one by one in a warning; the others are counted.
 const NAMED_IMAGES: usize = 3;
 /// Modes named one by one in a warning; the others are counted.
@@ -18,6 +23,17 @@ pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -
             "The NCPA depend on the scene's diversity: an error of 1 % of it changes them by {:.1} nm \
              (estimate.diversity_error includes such an error in the error bars).",
             0.01 * diversity.rms_nm
+        )
+    })
+}
+
+/// Warning on a key that describes the instrument and that only simulations model.
+pub(super) fn scene_warning(scene: &Scene) -> Option<String> {
+    let fill = scene.image.pixel_fill;
+    (fill > 0.0).then(|| {
+        format!(
+            "image.pixel_fill = {fill} is modelled by simulations only: the estimate takes the pixels for points, and squares \
+             blur the image"
         )
     })
 }
@@ -63,7 +79,8 @@ impl Session {
     /// images are in their reports.
     pub fn warnings(&self) -> Vec<String> {
         let device = self.device_failure().map(str::to_owned);
-        device.into_iter().chain(model_warning(self.estimator().model())).collect()
+        let estimator = self.estimator();
+        device.into_iter().chain(scene_warning(estimator.scene())).chain(model_warning(estimator.model())).collect()
     }
 }
 
@@ -101,8 +118,12 @@ fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
         return None;
     }
     let chi2 = found.reduced_chi2();
+    let too_small = found.images.iter().filter(|image| image.is_too_small()).count();
+    if too_small > misfits / 2 {
+        return Some(format!("in the typical image (median reduced χ² {}) {TOO_SMALL}", shown(chi2)));
+    }
     Some(format!(
-        "the residual is {:.1} times the noise in the typical image (median reduced χ² {chi2:.1}): a wavefront that \
+        "the residual is {:.2} times the noise in the typical image (median reduced χ² {chi2:.2}): a wavefront that \
          changes from image to image and that the modes do not span, as behind adaptive optics, or a scene that differs \
          from the instrument; error bars are from the scatter between images, and do not include what all images share",
         chi2.sqrt()
@@ -111,11 +132,17 @@ fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
 
 fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
     let chi2 = image.reduced_chi2;
+    let [least, most] = image.explained_chi2;
     match &image.status {
         Status::Ok => None,
+        Status::Misfit if image.is_too_small() => {
+            Some(format!("reduced χ² is {}, where noise explains {least:.2} or more: {TOO_SMALL}", shown(chi2)))
+        }
         Status::Misfit => Some(format!(
-            "the residual is {:.1} times the noise (reduced χ² {chi2:.1}): the modes do not span what is there, or the \
-             scene differs from the instrument; error bars are scaled up by as much",
+            "the residual is {:.2} times the noise (reduced χ² {chi2:.2}, where noise explains up to {most:.2}): the modes do \
+             not span the wavefront, the scene differs from the instrument (plate scale, bandwidth, pixels that are squares, \
+             gain or read noise), or the image has what the model does not (a companion, a non-linear detector); error bars are \
+             scaled up by as much",
             chi2.sqrt()
         )),
         Status::WrongMinimum => Some(format!(
@@ -128,6 +155,11 @@ fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {
         Status::NotConverged(reason) => Some(format!("left out, the fit did not converge ({reason})")),
         Status::Unusable(reason) => Some(format!("left out, {reason}")),
     }
+}
+
+/// A χ² with two decimals, or an exponent where they would be 0.
+fn shown(chi2: f64) -> String {
+    if chi2 < 0.01 { format!("{chi2:.0e}") } else { format!("{chi2:.2}") }
 }
 
 fn listed(names: &[String]) -> String {

@@ -34,7 +34,7 @@ pub struct Retriever {
     model: Model,
     recipe: Recipe,
     settings: RetrievalSettings,
-    read_noise_e: f64,
+    read_noise_e: Option<f64>,
     points_m: Vec<(f64, f64)>,
     pitch_m: f64,
     highest_frequency_per_m: f64,
@@ -77,7 +77,8 @@ impl Retriever {
         let typical = TypicalExposure {
             flux_e: flux_e(&scene.image, flat.iter().copied().fold(0.0, f64::max) / area),
             background_e: scene.image.background_e * area,
-            pixel_variance_e2: (scene.image.read_noise_e.powi(2) + scene.image.background_e).max(1.0) * area,
+            pixel_variance_e2: (scene.image.read_noise_e.unwrap_or(0.0).powi(2) + scene.image.background_e).max(1.0)
+                * area,
         };
         let engine = match settings.precision {
             Precision::F32 => {
@@ -131,7 +132,7 @@ impl Retriever {
         if let Some(about) = about {
             self.check_static_wavefront(about)?;
         }
-        let read_noise_e = cube.read_noise_e.unwrap_or(self.read_noise_e);
+        let read_noise_e = cube.read_noise_e.or(self.read_noise_e);
         let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
         let prepare = |image: usize| match self.model.preparation.prepare(frames[image], &self.recipe) {

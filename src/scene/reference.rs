@@ -21,9 +21,9 @@ const UNITS: [(&str, &str); 11] = [
 /// First lines of the reference.
 const HEADER: &str = "\
 A scene is a TOML file with the sections below. Only effects that a scene names are modelled.
-Each key has its unit, its meaning, the accepted values, and the default where a scene does not name it.
-\"Simulation only\": read by the simulators (and by the model selection of estimate.budget_nm, which simulates images);
-\"estimate only\": read by estimates, ignored by the simulators. Other keys are read by both.
+Each key has its unit, its meaning, the accepted values, the default where a scene does not name it, and who reads it.
+\"Simulations\" are the simulators, and the model selection of estimate.budget_nm, which simulates images; estimates ignore the
+key, and warn where it describes the instrument (image.pixel_fill). \"Estimates\": the simulators ignore the key.
 ";
 
 /// Reference of these sections and their keys, as text: unit, meaning, accepted values, default.
@@ -35,10 +35,21 @@ pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
         for key in section.keys {
             let unit = unit_of(key.name).map(|unit| format!(" ({unit})")).unwrap_or_default();
             let _ = writeln!(text, "  {}{unit}:{}", key.name, key.about);
-            let _ = writeln!(text, "      accepted: {}; default: {}", key.accepted, key.default);
+            let readers = readers(section.about, key.about);
+            let _ = writeln!(text, "      accepted: {}; default: {}; read by: {readers}", key.accepted, key.default);
         }
     }
     text
+}
+
+/// Who reads a key: what its text says, else what its section's says.
+fn readers(section: &str, key: &str) -> &'static str {
+    let said = [key, section].into_iter().find_map(|about| {
+        let about = about.to_lowercase();
+        let only = [("simulation only.", "simulations"), ("estimate only.", "estimates"), ("read by ", "both")];
+        only.into_iter().find(|(words, _)| about.contains(words)).map(|(_, readers)| readers)
+    });
+    said.unwrap_or("both")
 }
 
 /// Unit in the name of a key.
@@ -49,6 +60,14 @@ fn unit_of(key: &str) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn readers_follow_from_the_texts() {
+        assert_eq!(readers(" Camera.", " Width."), "both");
+        assert_eq!(readers(" Faults. Simulation only.", " RMS."), "simulations");
+        assert_eq!(readers(" Camera.", " Whether it is mirrored. Estimate only."), "estimates");
+        assert_eq!(readers(" Control. Simulation only.", " Gain. Read by simulations and estimates."), "both");
+    }
 
     #[test]
     fn units_follow_from_the_names() {

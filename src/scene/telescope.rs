@@ -182,15 +182,19 @@ section! {
         peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
         /// Electrons of the star in an image. Simulation only.
         flux_e: Option<f64>, above(0.0, 1e18), unset("given by peak_snr");
-        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for point sampling. Simulation only.
+        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for point sampling. An estimate takes the
+        /// pixels for points, and warns. Simulation only.
         pixel_fill: f64, between(0.0, 1.0), default(0.0);
-        /// Read noise of a pixel, RMS.
-        read_noise_e: f64, between(0.0, 1e9), default(0.0);
+        /// Read noise of a pixel, RMS; 0 for none. An image file that says otherwise is refused.
+        read_noise_e: Option<f64>, between(0.0, 1e9), unset("given by the image file; else the scatter of the image's border, and none in a simulation");
+        /// Gain: electrons per count of images in counts (ADU). An image file that is in electrons is not converted.
+        /// Estimate only.
+        gain_e_per_adu: Option<f64>, above(0.0, 1e9), unset("given by the image file; images without a unit are in electrons");
         /// Background of a pixel. Read by simulations and full-phase estimates; modal estimates fit it.
         background_e: f64, between(0.0, 1e12), default(0.0);
         /// Whether the images have photon noise. Simulation only.
         photon_noise: bool, ANY, default(true);
-        /// Number of images in a simulated sequence.
+        /// Number of images in a simulated sequence. Simulation only.
         count: usize, between(1.0, 1e6), default(1usize);
         /// Time from the start of one image to the start of the next; 0 for no pause between exposures. AO simulation
         /// only.
@@ -203,6 +207,11 @@ section! {
 }
 
 impl ImageScene {
+    /// Read noise of a pixel of simulated images, RMS electrons: none where the scene does not name it.
+    pub fn simulated_read_noise_e(&self) -> f64 {
+        self.read_noise_e.unwrap_or(0.0)
+    }
+
     /// Rows and columns of a detector frame.
     pub fn frame_shape(&self) -> (usize, usize) {
         (self.rows.unwrap_or(self.pixels), self.columns.unwrap_or(self.pixels))

@@ -137,7 +137,7 @@ pub fn flux_e(image: &ImageScene, peak: f64) -> f64 {
     image.flux_e.unwrap_or_else(|| {
         let snr = image.peak_snr.unwrap_or(500.0);
         let photons = if image.photon_noise { 1.0 } else { 0.0 };
-        let floor = image.read_noise_e.powi(2) + photons * image.background_e;
+        let floor = image.simulated_read_noise_e().powi(2) + photons * image.background_e;
         let peak_e = 0.5 * (snr * snr * photons + snr * (snr * snr * photons + 4.0 * floor).sqrt());
         peak_e / peak
     })
@@ -149,5 +149,5 @@ pub fn expose(image: &ImageScene, h: f64, flux_e: f64, rng: &mut impl Rng) -> f6
     // `Poisson` needs a positive mean; for a mean of 0 the signal is 0.
     let photons = if image.photon_noise { Poisson::new(mean).map_or(0.0, |poisson| poisson.sample(rng)) } else { mean };
     let noise: f64 = StandardNormal.sample(rng);
-    photons + image.read_noise_e * noise
+    photons + image.simulated_read_noise_e() * noise
 }

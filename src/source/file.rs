@@ -25,21 +25,29 @@ pub fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
 
 /// Side of the scene's grid, m.
 fn grid_m(scene: &Scene) -> Result<f64> {
-    let grid_m = scene.pupil.grid_m.or(scene.pupil.extent_m());
-    grid_m.ok_or_else(|| Error::Internal("a valid scene does not determine the width of its grid".into()))
+    scene.pupil.grid_m.or(scene.pupil.extent_m()).ok_or_else(no_grid)
+}
+
+fn no_grid() -> Error {
+    Error::Internal("a valid scene does not determine the width of its grid".into())
+}
+
+/// Pixel on the sky, mas: λ/grid_m over the sampling; `None` where arrays of a caller replace the scene's pupil.
+pub(crate) fn pixel_mas(scene: &Scene) -> Option<f64> {
+    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
+    let (grid_m, image) = (grid_m(scene).ok()?, &scene.image);
+    Some(image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * radian_mas)
 }
 
 /// Writes the cards of the HDU `IMAGES`: noise, flux, sampling, exposure.
 pub(crate) fn image_cards(file: &mut FitsWriter, scene: &Scene, flux_e: f64) -> Result<()> {
     let image = &scene.image;
-    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
-    let pixel_mas = image.wavelength_nm * 1e-9 / grid_m(scene)? / image.samples_per_lambda_over_d * radian_mas;
     for (key, value, comment) in [
-        ("RON_E", image.read_noise_e, "read noise of a pixel, electrons RMS"),
+        ("RON_E", image.simulated_read_noise_e(), "read noise of a pixel, electrons RMS"),
         ("FLUX_E", flux_e, "electrons of the star in an image"),
         ("BACKGR_E", image.background_e, "background of a pixel, electrons"),
         ("WAVELEN", image.wavelength_nm, "wavelength, nm"),
-        ("PIXSCALE", pixel_mas, "pixel on the sky, mas"),
+        ("PIXSCALE", pixel_mas(scene).ok_or_else(no_grid)?, "pixel on the sky, mas"),
         ("EXPTIME", image.exposure_s, "exposure, s"),
     ] {
         file.card("IMAGES", key, value, comment)?;

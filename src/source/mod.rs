@@ -12,6 +12,7 @@ mod random;
 mod truth;
 
 pub use camera::{Camera, expose, flux_e};
+pub(crate) use file::pixel_mas;
 pub use file::write;
 pub use images::{SourceImages, simulate};
 pub(crate) use pixels::DetectorPixels;

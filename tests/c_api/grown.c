@@ -172,7 +172,8 @@ static void fit_options(void)
     const size_t known = sizeof(cophase_fit_options);
     /* The guard in place of a pointer or of a noise would not go unseen. */
     const size_t sizes[] = {sizeof(size_t), offsetof(cophase_fit_options, read_noise_e),
-                            offsetof(cophase_fit_options, start_nm), known, known + GROWN_BYTES};
+                            offsetof(cophase_fit_options, start_nm), offsetof(cophase_fit_options, has_read_noise),
+                            known, known + GROWN_BYTES};
     cophase_session *session = session_for(FRAMES);
     cophase_input frames = input(frames_e, COPHASE_F32, FRAMES, rows, cols);
     double *untouched = (double *)guarded(FRAMES * modes * sizeof *untouched);

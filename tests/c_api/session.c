@@ -204,7 +204,18 @@ static void other_ways(const struct setting *s)
     /* Noise that is said to be larger makes the residual small. */
     fit.read_noise_e = 1000.0;
     CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
-    CHECK(warm.reduced_chi2 < 0.1);
+    CHECK(warm.reduced_chi2 < 0.1 && warm.status == COPHASE_IMAGE_MISFIT);
+    /* 0 is the scene's read noise, unless the caller says that it is none. */
+    fit.read_noise_e = 0.0;
+    CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
+    CHECK(warm.status == COPHASE_IMAGE_OK);
+    fit.has_read_noise = 1;
+    CHECK(cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, &warm, sizeof warm) == COPHASE_OK);
+    CHECK(warm.reduced_chi2 > 1.1 && warm.status == COPHASE_IMAGE_MISFIT);
+    fit.has_read_noise = 2;
+    REFUSED(COPHASE_BAD_VALUE, "has_read_noise is 2",
+            cophase_session_fit(s->session, &frames, &fit, found_nm, s->modes, NULL, 0));
+    fit.has_read_noise = 0;
 
     options.precision = COPHASE_F32, options.threads = -1, options.device = "cpu";
     CHECK(cophase_session_create(s->model, &options, &session) == COPHASE_OK);

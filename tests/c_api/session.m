@@ -193,6 +193,8 @@ function starts(s, frames, c)
     assert(max(abs(again(:) - c(:))) < 0.5);
     [~, report] = s.fit(frames(:, :, 1), 'read_noise_e', 1000);
     assert(report.reduced_chi2 < 0.1);
+    [~, report] = s.fit(frames(:, :, 1), 'read_noise_e', 0);
+    assert(strcmp(report.status, 'MISFIT'));
 end
 
 % electrons = (raw - dark) * gain / flat; powers of two, so that nothing is rounded on the way.

@@ -199,6 +199,7 @@ def ways(model, session, frames, c):
     failure(lambda: session.fit(frames, start_nm=1j * c), TypeError)
     failure(lambda: session.fit(frames, start_nm=c + math.nan), cophase.BadValueError)
     assert session.fit(frames[0], read_noise_e=1000).reports.reduced_chi2 < 0.1
+    assert session.fit(frames[0], read_noise_e=0).status == "MISFIT"
     failure(lambda: session.fit(frames, read_noise_e=-1), cophase.BadValueError)
     assert "deadline_s is 0" in str(failure(lambda: session.fit(frames, deadline_s=0.0), ValueError))
     failure(lambda: session.fit(frames, deadline_s=-1), cophase.BadValueError)

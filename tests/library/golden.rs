@@ -36,7 +36,7 @@ fn image(name: &str) -> Array2<f64> {
 fn exposure(estimator: &ModalFitter, name: &str) -> Exposure {
     let data = image(name);
     let bad = data.mapv(|_| false);
-    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 120.0 };
+    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: Some(120.0) };
     estimator.model().preparation.prepare(frame, estimator.recipe()).unwrap().exposure
 }
 

@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod consistency;
 mod fits;
 mod full_phase;
 mod fuzz;

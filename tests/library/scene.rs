@@ -408,7 +408,7 @@ fn the_parser_does_not_panic_on_random_texts() {
                 // An accepted scene can be changed, and has the new value.
                 let again =
                     scene.with(&[("image.read_noise_e", "7")]).unwrap_or_else(|error| panic!("{error}\n{text}"));
-                assert_eq!(again.image.read_noise_e, 7.0);
+                assert_eq!(again.image.read_noise_e, Some(7.0));
             }
             Err(error) => {
                 refused += 1;

@@ -42,11 +42,11 @@ classdef Estimator < cophase.Handle
             %                      0; none
             %      'slopes_mas'    telemetry of a MAP estimate, slopes x images: slopes of the wavefront sensor, mean
             %                      over each exposure, along x for every subaperture, then along y; none
-            %      'read_noise_e'  read noise of a pixel, electrons RMS; the scene's
+            %      'read_noise_e'  read noise of a pixel, electrons RMS, 0 for none; the scene's
             %   and the calibration, electrons = (raw - dark) * gain / flat; without it frames are electrons:
             %      'dark'          rows x columns, raw units; none
             %      'flat'          rows x columns, about 1; none
-            %      'gain_e'        electrons per raw unit; 1
+            %      'gain_e'        electrons per raw unit; image.gain_e_per_adu of the scene, or 1
             %      'saturation'    raw value from which on a pixel is saturated, and bad; none
             %   The beginning of a name is enough, in upper or lower case.
             %

@@ -100,7 +100,8 @@ classdef Model < cophase.Handle
             %      'samples_per_lambda_over_d'  pixels per lambda over the width of the pupil array; 2
             %      'diversity_focus_waves_rms'  focus of the images, waves RMS; 1.5
             %      'diversity_nm'               n x n map of the diversity instead of a focus, nm
-            %      'read_noise_e'               read noise of a pixel, electrons RMS; 0
+            %      'read_noise_e'               read noise of a pixel, electrons RMS, 0 for none; the scatter
+            %                                   of the frame's border
             %
             %   The segments:
             %      'segments'                   n x n indices 0, 1, ... of the segments; negative outside all segments

@@ -56,7 +56,7 @@ classdef Session < cophase.Handle
             %   pixels. The optical axis is on row rows/2 + 1 and column columns/2 + 1.
             %
             %   [c, report] = s.fit(frames) also returns a struct for each image, with the fields
-            %      status         'OK'; 'MISFIT' if the residual is larger than the noise; 'WRONG_MINIMUM';
+            %      status         'OK'; 'MISFIT' if the residual differs from the noise; 'WRONG_MINIMUM';
             %                     'NOT_CONVERGED'; 'UNUSABLE', with coefficients of NaN; 'DEADLINE', the best so far
             %      bad_pixels     pixels that took no part
             %      evaluations    of objective and gradient
@@ -67,7 +67,7 @@ classdef Session < cophase.Handle
             %
             %   [...] = s.fit(frames, Name, Value, ...) chooses:
             %      'deadline_s'    time for the whole call, s; none
-            %      'read_noise_e'  read noise of a pixel, electrons RMS; the scene's
+            %      'read_noise_e'  read noise of a pixel, electrons RMS, 0 for none; the scene's
             %      'start_nm'      starts of the fits, m.modes x count; zeros
             %
             %   Ctrl-C stops it, with cophase:INTERRUPTED, and the session can be used again. In MATLAB for Windows it
@@ -94,7 +94,7 @@ classdef Session < cophase.Handle
             %      'dark'        rows x columns, raw units; none
             %      'flat'        rows x columns, about 1; none
             %      'bad'         rows x columns, logical or numeric: bad pixels, which take no part, are not 0; none
-            %      'gain_e'      electrons per raw unit; 1
+            %      'gain_e'      electrons per raw unit; image.gain_e_per_adu of the scene, or 1
             %      'saturation'  raw value from which on a pixel is saturated, and bad; none
             %
             %   s.calibrate() without options: frames are electrons, as before the first call.

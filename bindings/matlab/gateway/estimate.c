@@ -98,7 +98,7 @@ static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in
     job.options.struct_size = sizeof job.options;
     job.options.calibration = &job.calibration;
     if (given[READ_NOISE_E] != NULL)
-        job.options.read_noise_e = chosen(given[READ_NOISE_E], "read_noise_e");
+        job.options.read_noise_e = number(given[READ_NOISE_E], "read_noise_e"), job.options.has_read_noise = 1;
     interruptible(cancel, job.estimator, work, &job);
     out[0] = handle_new(ESTIMATE, job.estimate, 0);
 }

@@ -78,7 +78,7 @@ static cophase_fit_options fit_options(int inputs, const mxArray **in, size_t mo
     if (given[DEADLINE_S] != NULL)
         chosen_options.deadline_s = chosen(given[DEADLINE_S], "deadline_s");
     if (given[READ_NOISE_E] != NULL)
-        chosen_options.read_noise_e = chosen(given[READ_NOISE_E], "read_noise_e");
+        chosen_options.read_noise_e = number(given[READ_NOISE_E], "read_noise_e"), chosen_options.has_read_noise = 1;
     if (given[START_NM] != NULL)
         chosen_options.start_nm = doubles(given[START_NM], modes, count, "start_nm");
     return chosen_options;

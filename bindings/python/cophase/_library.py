@@ -181,13 +181,18 @@ def struct(kind: str, call: Any, *inputs: Any) -> SimpleNamespace:
 
 
 def options(kind: str, **fields: Any) -> Any:
-    """A struct of options. Fields that are ``None`` have the library's defaults, for which C has 0; so 0 is refused."""
+    """A struct of options. Fields that are ``None`` have the library's defaults, for which C has 0; so 0 is refused.
+
+    A read noise of 0 electrons is no default: C has a field of its own that says so.
+    """
     out = ffi.new(f"{kind} *")
     out.struct_size = ffi.sizeof(kind)
     for name, value in fields.items():
         if value is None:
             continue
-        if isinstance(value, (int, float)) and value == 0:
+        if name == "read_noise_e":
+            out.has_read_noise = 1
+        elif isinstance(value, (int, float)) and value == 0:
             raise ValueError(f"{name} is 0: another number is accepted, or None for the default")
         try:
             setattr(out, name, value)

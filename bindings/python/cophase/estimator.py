@@ -122,13 +122,13 @@ class Estimator(Handle):
             Telemetry of a MAP estimate: slopes of the wavefront sensor, mean over each exposure, mas, along x for every
             subaperture, then along y.
         read_noise_e : float, optional
-            Read noise of a pixel, electrons RMS; the scene's by default.
+            Read noise of a pixel, electrons RMS, 0 for none; the scene's by default.
         dark : (rows, cols) array, optional
             Signal without light, raw units.
         flat : (rows, cols) array, optional
             Relative response, about 1.
         gain_e : float, optional
-            Electrons per raw unit; 1 by default.
+            Electrons per raw unit; ``image.gain_e_per_adu`` of the scene by default, or 1.
         saturation : float, optional
             Raw value from which on a pixel is saturated, and bad.
 

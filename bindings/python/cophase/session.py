@@ -42,7 +42,7 @@ class Fit:
 
     @property
     def status(self) -> NDArray[np.str_]:
-        """Status of each image: ``OK``, ``MISFIT`` (fitted, but the residual is larger than the noise),
+        """Status of each image: ``OK``, ``MISFIT`` (fitted, but the residual is larger or smaller than the noise),
         ``WRONG_MINIMUM``, ``NOT_CONVERGED``, ``DEADLINE`` (the best so far) or ``UNUSABLE``."""
         status = self.reports["status"]
         return np.array([named("status", int(number)) for number in status.flat], np.str_).reshape(status.shape)
@@ -147,7 +147,7 @@ class Session(Handle):
         bad : (rows, cols) array, optional
             Bad pixels, which take no part, are not 0.
         gain_e : float, optional
-            Electrons per raw unit; 1 by default.
+            Electrons per raw unit; ``image.gain_e_per_adu`` of the scene by default, or 1.
         saturation : float, optional
             Raw value from which on a pixel is saturated, and bad.
 
@@ -182,7 +182,7 @@ class Session(Handle):
         deadline_s : float, optional
             Time for the whole call, s; images that are not done by then have the status ``DEADLINE``.
         read_noise_e : float, optional
-            Read noise of a pixel, electrons RMS; the scene's by default.
+            Read noise of a pixel, electrons RMS, 0 for none; the scene's by default.
         start_nm : (modes,) or (images, modes) array, optional
             Starts of the fits, nm; a flat wavefront by default.
 
@@ -251,7 +251,7 @@ class Session(Handle):
         frames : (rows, cols) or (images, rows, cols) array, optional
             As for :meth:`fit`; those of the last evaluation by default, if no fit came since.
         read_noise_e : float, optional
-            Read noise of a pixel, electrons RMS, with frames only; the scene's by default.
+            Read noise of a pixel, electrons RMS, 0 for none, with frames only; the scene's by default.
 
         Returns
         -------

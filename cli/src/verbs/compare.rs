@@ -1,6 +1,5 @@
 //! `cophase compare`: an estimate against the truth.
 
-use crate::files;
 use crate::terminal::Terminal;
 use cophase::io::FitsReader;
 use cophase::pipeline::{Comparison, TruthMaps};
@@ -41,7 +40,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let path = &arguments.estimate;
     let mut file = FitsReader::open(path)?;
     let (phasing_nm, ncpa_nm) = (file.map(Some("PHASING"))?, file.map(Some("NCPA"))?);
-    let scene = files::embedded_scene(path)?
+    let scene = cophase::pipeline::embedded_scene(path)?
         .ok_or_else(|| Error::file(path, "holds no scene (table SCENE), which says how the pupil is weighted"))?;
     let truth_path: &Path = arguments.truth.as_deref().unwrap_or(path);
     let truth = TruthMaps::read(truth_path)?.ok_or_else(|| {

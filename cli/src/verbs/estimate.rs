@@ -5,7 +5,7 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
 use crate::terminal::Terminal;
-use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
+use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy, Trust, embedded_scene};
 use cophase::scene::{DeviceChoice, Method, Scene};
 use cophase::{Error, Result};
 use serde::Serialize;
@@ -18,10 +18,18 @@ const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o paper.fits --optimizer bfgs
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
 
-Images: FITS, in electrons, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU \
-whose name or number follows the file's in brackets: 'night.fits[SCI]'. Pixels \
-that are not finite are masked, and those that an image HDU BADPIX (not zero = bad) or --mask names. The card RON_E is \
-the read noise, unless --set image.read_noise_e says otherwise.
+Images: FITS, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU whose name or \
+number follows the file's in brackets: 'night.fits[SCI]'. Pixels that are not finite are masked, and those that an image HDU \
+BADPIX (not zero = bad) or --mask names.
+
+Units: electrons, or counts (card BUNIT 'adu', 'DN', 'count'), which are converted with the electrons per count of \
+--gain, image.gain_e_per_adu of the scene, or the card EGAIN or GAIN. Counts without a gain are refused.
+
+Cards: the file must not contradict the scene. Wavelength (WAVELEN, WAVELENG, CENWAVE, EFFWAVE, ...), pixel scale \
+(PIXSCALE, PIXELSCL, SECPIX, CDELT1 of the sky), read noise (RON_E, RON, RDNOISE, READNOIS), gain, exposure (EXPTIME, \
+ITIME, ...; where the scene names it) and the scene in a file of cophase are compared with the keys; --trust scene or \
+--trust file decides, and a key of --set or --gain holds whatever the file says. Where the scene has no read noise, the \
+card's is used, else the scatter of the image's border.
 
 The error bars of eight images or more are from the scatter between them, and the clipped \
 mean (the default; --set estimate.combine=mean or median) leaves outliers out.
@@ -47,6 +55,12 @@ pub struct Arguments {
     /// FITS file that marks bad pixels: not zero = bad
     #[arg(long, value_name = "FILE")]
     mask: Option<PathBuf>,
+    /// Electrons per count of images in counts (image.gain_e_per_adu) [default: the scene's, else the card EGAIN or GAIN]
+    #[arg(long, value_name = "E_PER_ADU")]
+    gain: Option<f64>,
+    /// What holds where the file contradicts the scene [default: neither, it is an error]
+    #[arg(long, value_parser = ["scene", "file"])]
+    trust: Option<String>,
     /// Also draw the result
     #[arg(long, value_name = "FILE.png|svg")]
     plot: Option<PathBuf>,
@@ -125,14 +139,28 @@ impl Arguments {
         outputs::check(&self.outputs(), &inputs)
     }
 
+    fn images(&self) -> Result<Images> {
+        let mut images = Images::read(&self.images, self.mask.as_deref())?;
+        images.trust = match self.trust.as_deref() {
+            Some("scene") => Trust::Scene,
+            Some("file") => Trust::File,
+            _ => Trust::Neither,
+        };
+        // What the command line says goes before what the file says.
+        let keys = self.settings.keys().chain(self.gain.map(|_| GAIN));
+        images.overrides = keys.map(str::to_owned).collect();
+        Ok(images)
+    }
+
     fn scene(&self) -> Result<Scene> {
-        let budget = self.budget_nm.map(|nm| nm.to_string());
+        let [budget, gain] = [self.budget_nm, self.gain].map(|number| number.map(|number| number.to_string()));
         let mut options = self.options();
         options.extend(budget.as_deref().map(|nm| ("estimate.budget_nm", nm)));
+        options.extend(gain.as_deref().map(|gain| (GAIN, gain)));
         if let Some(name) = &self.scene {
             return self.settings.apply(&files::scene(name)?, &options);
         }
-        let scene = files::embedded_scene(&self.images)?.ok_or_else(|| {
+        let scene = embedded_scene(&self.images)?.ok_or_else(|| {
             let reason =
                 "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
             Error::file(&self.images, reason)
@@ -141,6 +169,9 @@ impl Arguments {
     }
 }
 
+/// Key of --gain.
+const GAIN: &str = "image.gain_e_per_adu";
+
 /// Exit status under --strict of an estimate with a warning.
 const DOUBTFUL_STATUS: u8 = 3;
 
@@ -148,11 +179,7 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     arguments.check_outputs()?;
     let _copy = outputs::copy_standard_input(&mut arguments.images, &interrupt)?;
-    let mut images = Images::read(&arguments.images, arguments.mask.as_deref())?;
-    if arguments.settings.names("image.read_noise_e") {
-        // What the command line says goes before what the file says.
-        images.read_noise_e = None;
-    }
+    let images = arguments.images()?;
     let scene = arguments.scene()?;
     files::spare_files_of(&scene, &arguments.outputs())?;
     if arguments.commands.is_some() && scene.estimate.method != Method::FullPhase {

@@ -7,6 +7,7 @@ mod drivers;
 mod faults;
 mod frames;
 mod memory;
+mod headers;
 mod odd_images;
 mod outputs;
 mod same_answer;

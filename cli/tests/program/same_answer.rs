@@ -75,7 +75,8 @@ impl Case {
     fn write(&self, desk: &Desk) {
         std::fs::write(desk.path("scene.toml"), &self.scene).unwrap();
         let mut file = FitsWriter::create(desk.path("images.fits")).unwrap();
-        file.image("IMAGES", &self.images_e, Pixel::F64, "electron").unwrap();
+        let unit = if self.scene.contains("gain_e_per_adu") { "adu" } else { "electron" };
+        file.image("IMAGES", &self.images_e, Pixel::F64, unit).unwrap();
         if let Some(slopes_mas) = &self.slopes_mas {
             file.image("SLOPES_MEAN", slopes_mas, Pixel::F64, "mas").unwrap();
         }
@@ -204,6 +205,15 @@ fn in_octave(desk: &Desk) -> Option<Command> {
 fn a_plain_image() {
     let found = Case::of_source(&[]).is_the_same_everywhere();
     assert!(found.is_sound(), "{}", found.report());
+}
+
+#[test]
+fn counts_with_a_gain_and_no_read_noise_in_the_scene() {
+    let assumed = [("image.gain_e_per_adu", "3.3"), ("image.read_noise_e", "")];
+    let mut case = Case::of_source_seen_as(&[], &assumed);
+    case.images_e /= 3.3;
+    let found = case.is_the_same_everywhere();
+    assert!(found.remarks[0].contains("3.3 per count"), "{:?}", found.remarks);
 }
 
 #[test]

@@ -4,8 +4,9 @@ use super::device::prepare_all;
 use super::task::{FitState, FitTask, ImageFit, Prepare, Watch, stop_if_cancelled};
 use crate::Result;
 use crate::imaging::{Chain, Exposure};
+use crate::modal::chi2::ReducedChi2;
 use crate::modal::minimum::Minimum;
-use crate::modal::residual::{photometry, reduced_chi2};
+use crate::modal::residual::photometry;
 use crate::optimize::ArgminBfgs;
 use ndarray::{Array1, ArrayView1};
 
@@ -28,7 +29,12 @@ pub(super) fn fit(
         let exposures: Vec<Exposure> = images.iter().map(|image| image.prepared.exposure.clone()).collect();
         chain.load(&exposures)?;
         for (place, (image, exposure)) in images.iter_mut().zip(&exposures).enumerate() {
-            image.minimum = minimum(chain, task, (place, exposure), &image.prepared.floor_variance_e2)?;
+            image.minimum = minimum(
+                chain,
+                task,
+                (place, exposure),
+                (&image.prepared.floor_variance_e2, image.prepared.stated_share),
+            )?;
             stop_if_cancelled(image.minimum.reason, done, count)?;
             image.state = FitState::Fitted;
             done += 1;
@@ -42,7 +48,7 @@ fn minimum(
     chain: &mut Chain,
     task: &FitTask,
     (place, exposure): (usize, &Exposure),
-    floor_e2: &[f64],
+    noise: (&[f64], f64),
 ) -> Result<Minimum> {
     let (nm, modes) = (task.model.optics.parts().wavelength_nm / std::f64::consts::TAU, task.model.optics.modes());
     let solver = ArgminBfgs {
@@ -62,6 +68,6 @@ fn minimum(
     let coefficients_nm: Vec<f64> = outcome.x.iter().map(|x| x * nm).collect();
     let psf = task.reference.psf(ArrayView1::from(&coefficients_nm));
     let (flux_e, background_e) = photometry(exposure, &psf);
-    let reduced_chi2 = reduced_chi2(&psf, (flux_e, background_e), exposure, floor_e2, modes);
-    Ok(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, reduced_chi2 })
+    let chi2 = ReducedChi2::new(&psf, (flux_e, background_e), exposure, noise, modes);
+    Ok(Minimum { coefficients_nm, flux_e, background_e, evaluations, reason, chi2 })
 }

@@ -92,7 +92,8 @@ impl ImageFit {
             return false;
         }
         let evaluations = self.minimum.evaluations + other.minimum.evaluations;
-        let is_better = other.minimum.reduced_chi2 < self.minimum.reduced_chi2 || self.minimum.reduced_chi2.is_nan();
+        let is_better =
+            other.minimum.reduced_chi2() < self.minimum.reduced_chi2() || self.minimum.reduced_chi2().is_nan();
         if is_better {
             *self = other;
         }

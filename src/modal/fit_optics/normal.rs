@@ -95,7 +95,7 @@ impl NormalEquations {
             self.right_side[i] += weighted.dot(&residual);
         }
         self.moves_nm += &moves;
-        self.chi2.push(minimum.reduced_chi2);
+        self.chi2.push(minimum.reduced_chi2());
         self.images += 1;
         Ok(())
     }

@@ -14,7 +14,7 @@ fn plan(frame_pixels: usize, reduced_pixels: usize, pixels: usize) -> Preparatio
 
 fn prepare(plan: &Preparation, data: &Array2<f64>) -> Result<PreparedFrame> {
     let bad = data.mapv(|_| false);
-    plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 }, &recipe())
+    plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: Some(3.0) }, &recipe())
 }
 
 /// A star on the axis with a background of noise.
@@ -72,7 +72,7 @@ fn a_flip_mirrors_about_the_axis() {
     let plain = star(32, (20.0, 13.0));
     let plan = Preparation { flip: [true, false], ..plan(32, 32, 32) };
     let bad = plain.mapv(|_| false);
-    let frame = Frame { data_e: plain.view(), bad: bad.view(), read_noise_e: 3.0 };
+    let frame = Frame { data_e: plain.view(), bad: bad.view(), read_noise_e: Some(3.0) };
     let still = Recipe { recentre: false, ..recipe() };
     let flipped = plan.prepare(frame, &still).unwrap();
     // Pixel 20 is 4 to the right of the axis on pixel 16; mirrored, it is on pixel 12.
@@ -87,7 +87,7 @@ fn bad_pixels_weigh_nothing_and_the_floor_follows_the_reduction() {
     data[[30, 30]] = f64::NAN;
     let mut bad = data.mapv(|_| false);
     bad[[31, 34]] = true;
-    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 };
+    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: Some(3.0) };
     let prepared = plan(64, 64, 64).prepare(frame, &recipe()).unwrap();
     assert_eq!(prepared.bad_pixels, 2);
     for pixel in [30 * 64 + 30, 31 * 64 + 34] {
@@ -129,7 +129,7 @@ fn frames_that_are_not_square_keep_their_axis_through_the_flip_the_reduction_and
     };
     let of = |plan: Preparation, data: &Array2<f64>| {
         let bad = data.mapv(|_| false);
-        plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 }, &recipe()).unwrap()
+        plan.prepare(Frame { data_e: data.view(), bad: bad.view(), read_noise_e: Some(3.0) }, &recipe()).unwrap()
     };
     let plain = Preparation { frame: [width, height], reduced: [width, height], pixels: 24, flip: [false; 2] };
     let brightest = |prepared: &PreparedFrame| {
@@ -162,7 +162,7 @@ fn a_part_without_a_good_pixel_is_refused() {
     let data = star(64, (32.0, 32.0));
     // All that is fitted is bad, and the star's halo around it is not.
     let bad = Array2::from_shape_fn((64, 64), |(v, u)| (20..44).contains(&v) && (20..44).contains(&u));
-    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: 3.0 };
+    let frame = Frame { data_e: data.view(), bad: bad.view(), read_noise_e: Some(3.0) };
     let still = Recipe { recentre: false, ..recipe() };
     let outcome = plan(64, 64, 16).prepare(frame, &still);
     assert!(outcome.unwrap_err().to_string().contains("no good pixel"));

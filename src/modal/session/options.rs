@@ -36,7 +36,8 @@ impl Default for SessionOptions {
 pub struct FitOptions<'a> {
     /// Wall-clock time for the whole call; `None` is without limit. It is honoured within one evaluation.
     pub deadline: Option<Duration>,
-    /// Read noise of a pixel, RMS electrons; `None` for the scene's. 0 for the scatter of the frame's border.
+    /// Read noise of a pixel, RMS electrons; `None` for the scene's; where that has none, the scatter of
+    /// the frame's border.
     pub read_noise_e: Option<f64>,
     /// Where each fit starts, `[image, mode]`, nm; `None` is the flat wavefront.
     pub start_nm: Option<ArrayView2<'a, f64>>,

@@ -159,7 +159,7 @@ fn evaluations_are_those_of_the_chain() {
     let frame = |image_e| cophase::modal::Frame {
         data_e: image_e,
         bad: ndarray::ArrayView2::from_shape((132, 132), &[false; 132 * 132]).unwrap(),
-        read_noise_e: 60.0,
+        read_noise_e: Some(60.0),
     };
     let plan = estimator.model().preparation;
     let exposures: Vec<_> = images_e

@@ -1,0 +1,260 @@
+//! Facts of the instrument in the header of an image file: unit, gain, read noise, wavelength, pixel scale, exposure.
+//!
+//! Observatories name the same quantity by different keywords and write it in different units. A unit is taken from the value
+//! or from the comment of a card (`2.17 um`, `[nm]`, `pixel on the sky, mas`); where neither has one, the value is read in
+//! every unit that makes it plausible.
+
+use super::read::FitsReader;
+use super::value::Card;
+use crate::Result;
+
+/// Quantity that a card states.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    /// Electrons per count.
+    GainEPerAdu,
+    /// Read noise of a pixel, electrons RMS.
+    ReadNoiseE,
+    /// Wavelength, nm.
+    WavelengthNm,
+    /// Pixel on the sky, mas.
+    PixelMas,
+    /// Exposure, s.
+    ExposureS,
+    /// Background of a pixel, electrons.
+    BackgroundE,
+}
+
+/// Fact that a card states.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeaderFact {
+    /// What it is.
+    pub quantity: Quantity,
+    /// Keyword of the card.
+    pub keyword: &'static str,
+    /// Value as the card has it.
+    pub written: String,
+    /// The value in the unit of the quantity, once for each unit that the card may be in.
+    pub values: Vec<f64>,
+    /// Relative uncertainty of the value: one unit of its last digit.
+    pub tolerance: f64,
+}
+
+/// Unit of the pixels of an image file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub enum PixelUnit {
+    /// Electrons, or photons that were detected.
+    Electrons,
+    /// Counts (ADU, DN): electrons over the gain.
+    Counts,
+    /// The file does not say.
+    #[default]
+    Unstated,
+    /// Another unit, as written.
+    Other(String),
+}
+
+/// Units of a quantity: word, factor to the unit of the quantity, plausible values in the word's unit.
+type Units = &'static [(&'static [&'static str], f64, [f64; 2])];
+
+/// From 100 nm to 100 µm, as a scene accepts.
+const WAVELENGTHS: Units = &[
+    (&["nm", "nanometer", "nanometers"], 1.0, [100.0, 1e5]),
+    (&["um", "micron", "microns", "micrometer", "micrometers", "mum"], 1e3, [0.1, 100.0]),
+    (&["angstrom", "angstroms", "ang"], 0.1, [1e3, 1e6]),
+    (&["m", "meter", "meters", "metre"], 1e9, [1e-7, 1e-4]),
+];
+/// From 0.01 mas to 60 arcsec.
+const PIXELS: Units = &[
+    (&["mas", "milliarcsec"], 1.0, [0.1, 6e4]),
+    (&["arcsec", "arcseconds", "arcsecond", "asec"], 1e3, [1e-5, 60.0]),
+    (&["deg", "degree", "degrees"], 3.6e6, [1e-9, 1e-3]),
+];
+const SECONDS: Units = &[(&["s", "sec", "seconds"], 1.0, [0.0, 1e7]), (&["ms", "msec"], 1e-3, [0.0, 1e9])];
+const ELECTRONS: Units = &[(&["e", "electron", "electrons"], 1.0, [0.0, 1e12])];
+
+/// Keywords of each quantity, those that are preferred first, their units, and whether the first unit is that of a bare number.
+const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
+    (Quantity::GainEPerAdu, &["EGAIN", "GAIN"], ELECTRONS, true),
+    (Quantity::ReadNoiseE, &["RON_E", "RON", "RDNOISE", "READNOIS", "ENOISE"], ELECTRONS, true),
+    (
+        Quantity::WavelengthNm,
+        &["WAVELEN", "WAVELENG", "WAVELNTH", "WAVELTH", "CENWAVE", "CENTWAVE", "EFFWAVE", "LAMBDA"],
+        WAVELENGTHS,
+        false,
+    ),
+    (Quantity::PixelMas, &["PIXSCALE", "PIXSCAL", "PIXSCAL1", "PIXELSCL", "SECPIX", "SECPIX1"], PIXELS, false),
+    (Quantity::ExposureS, &["EXPTIME", "EXPOSURE", "ITIME", "TEXP"], SECONDS, true),
+    (Quantity::BackgroundE, &["BACKGR_E"], ELECTRONS, true),
+];
+
+/// Smallest relative uncertainty of a value: that of six digits, and of a single-precision number.
+const LEAST_TOLERANCE: f64 = 1e-6;
+/// Relative uncertainty of a pixel scale from the world coordinates of a file, which describe the sky and not the optics.
+const COORDINATES_TOLERANCE: f64 = 0.02;
+
+/// Facts in the HDU at `index`, else in the primary HDU: for each quantity all its cards, in the order of preference.
+pub(super) fn facts(file: &mut FitsReader, index: usize) -> Result<Vec<HeaderFact>> {
+    let mut facts = Vec::new();
+    for (quantity, keywords, units, is_bare) in KEYWORDS {
+        for keyword in keywords {
+            if let Some((card, written, comment)) = card(file, index, keyword)? {
+                facts.extend(fact(quantity, keyword, &card, (&written, &comment), (units, is_bare)));
+            }
+        }
+    }
+    if !facts.iter().any(|fact| fact.quantity == Quantity::PixelMas) {
+        facts.extend(coordinates(file, index)?);
+    }
+    Ok(facts)
+}
+
+/// Unit of the pixels: card `BUNIT` of the HDU at `index`, and only there, because it describes the array of its HDU.
+pub(super) fn unit(file: &mut FitsReader, index: usize) -> Result<PixelUnit> {
+    Ok(file.card_at(index, "BUNIT")?.map_or(PixelUnit::Unstated, |card| pixel_unit(&plain(&card))))
+}
+
+/// A card of the HDU at `index`, else of the primary HDU, with its value as written and its comment.
+fn card(file: &mut FitsReader, index: usize, keyword: &str) -> Result<Option<(Card, String, String)>> {
+    for hdu in [index, 0] {
+        if let Some(card) = file.card_at(hdu, keyword)? {
+            let (written, comment) = file.written_at(hdu, keyword);
+            return Ok(Some((card, written, comment)));
+        }
+    }
+    Ok(None)
+}
+
+/// Text of a card without quotes.
+fn plain(card: &Card) -> String {
+    card.text().map_or_else(|| card.to_string(), |text| text.trim().to_string())
+}
+
+fn fact(
+    quantity: Quantity,
+    keyword: &'static str,
+    card: &Card,
+    (written, comment): (&str, &str),
+    (units, is_bare): (Units, bool),
+) -> Option<HeaderFact> {
+    let text = match card {
+        Card::Text(text) => text.trim(),
+        Card::Integer(_) | Card::Real(_) => written,
+        Card::Logical(_) => return None,
+    };
+    let end = text.find(|c: char| !(c.is_ascii_digit() || "+-.eEdD".contains(c))).unwrap_or(text.len());
+    // The `e` of a unit such as `e-/ADU` belongs to no number.
+    let digits = text[..end].trim_end_matches(|c: char| !(c.is_ascii_digit() || c == '.'));
+    let value: f64 = digits.replace(['d', 'D'], "e").parse().ok().filter(|value: &f64| value.is_finite())?;
+    let named = unit_in(&text[digits.len()..], units, true).or_else(|| unit_in(comment, units, false));
+    let values: Vec<f64> = match named {
+        Some((_, factor, _)) => vec![value * factor],
+        None if is_bare => vec![value],
+        None => {
+            let plausible = units.iter().filter(|(.., [least, most])| (*least..=*most).contains(&value));
+            plausible.map(|(_, factor, _)| value * factor).collect()
+        }
+    };
+    let accepted = !values.is_empty() && values.iter().all(|value| *value >= 0.0);
+    let tolerance = (last_digit(digits) / value.abs()).clamp(LEAST_TOLERANCE, 0.1);
+    accepted.then(|| HeaderFact { quantity, keyword, written: text.to_string(), values, tolerance })
+}
+
+/// The unit that `text` names. In a comment, units of one letter do not count.
+fn unit_in(text: &str, units: Units, is_value: bool) -> Option<(&'static [&'static str], f64, [f64; 2])> {
+    let words = text.split(|c: char| !(c.is_alphabetic() || c == 'µ')).filter(|word| !word.is_empty());
+    let found = words.filter(|word| is_value || word.chars().count() > 1).find_map(|word| {
+        let word = word.replace(['µ', 'μ'], "u").to_ascii_lowercase();
+        units.iter().find(|(names, ..)| names.contains(&word.as_str()))
+    });
+    found.copied()
+}
+
+/// One unit of the last digit of a number.
+fn last_digit(digits: &str) -> f64 {
+    let (mantissa, exponent) = digits.split_once(['e', 'E', 'd', 'D']).unwrap_or((digits, "0"));
+    let decimals = mantissa.split_once('.').map_or(0, |(_, decimals)| decimals.len() as i32);
+    10f64.powi(exponent.parse().unwrap_or(0) - decimals)
+}
+
+/// Pixel scale of celestial coordinates: `CDELT1` (degrees) where `CTYPE1` names an axis of the sky. Files without coordinates
+/// have CDELT1 = 1.
+fn coordinates(file: &mut FitsReader, index: usize) -> Result<Option<HeaderFact>> {
+    let is_sky = |card: Card| card.text().is_some_and(|text| ["RA--", "DEC-"].iter().any(|sky| text.starts_with(sky)));
+    if !file.card_at(index, "CTYPE1")?.is_some_and(is_sky) {
+        return Ok(None);
+    }
+    let Some((card, written, _)) = card(file, index, "CDELT1")? else { return Ok(None) };
+    let degrees = card.number().map(f64::abs).filter(|degrees| *degrees > 0.0 && *degrees < 1e-3);
+    Ok(degrees.map(|degrees| HeaderFact {
+        quantity: Quantity::PixelMas,
+        keyword: "CDELT1",
+        written,
+        values: vec![degrees * 3.6e6],
+        tolerance: COORDINATES_TOLERANCE,
+    }))
+}
+
+/// The unit of pixels that `BUNIT` names.
+fn pixel_unit(text: &str) -> PixelUnit {
+    let word = text.trim().to_ascii_lowercase();
+    match word.as_str() {
+        "electron" | "electrons" | "e" | "e-" | "[e-]" | "photon" | "photons" | "photoelectron" | "photoelectrons"
+        | "photo-electrons" => PixelUnit::Electrons,
+        "adu" | "adus" | "dn" | "dns" | "count" | "counts" | "ct" | "cts" | "counts/pixel" | "adu/pixel" => {
+            PixelUnit::Counts
+        }
+        "" | "none" | "unknown" | "n/a" => PixelUnit::Unstated,
+        _ => PixelUnit::Other(text.trim().to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(quantity: Quantity, written: &str, comment: &str) -> Option<HeaderFact> {
+        let (_, keywords, units, is_bare) = KEYWORDS.into_iter().find(|row| row.0 == quantity)?;
+        let card = Card::parse(written).unwrap_or_else(|| written.into());
+        fact(quantity, keywords[0], &card, (written, comment), (units, is_bare))
+    }
+
+    #[test]
+    fn wavelengths_are_read_in_every_plausible_unit() {
+        let nm = |written: &str, comment: &str| {
+            let fact = read(Quantity::WavelengthNm, written, comment);
+            fact.map(|fact| fact.values.iter().map(|nm| (nm * 1e3).round() / 1e3).collect::<Vec<_>>())
+        };
+        assert_eq!(nm("2168.6", "wavelength, nm"), Some(vec![2168.6]));
+        assert_eq!(nm("2168.6", ""), Some(vec![2168.6, 216.86]));
+        assert_eq!(nm("2.1686", "effective wavelength"), Some(vec![2168.6]));
+        assert_eq!(nm("21686", "[Angstrom]"), Some(vec![2168.6]));
+        assert_eq!(nm("2.1686E-06", ""), Some(vec![2168.6]));
+        assert_eq!(nm("2.1686 um", ""), Some(vec![2168.6]));
+        for odd in ["0", "-5", "H", "1e30"] {
+            assert_eq!(nm(odd, ""), None, "{odd}");
+        }
+    }
+
+    #[test]
+    fn a_value_is_as_exact_as_its_last_digit() {
+        let tolerance = |written: &str| read(Quantity::PixelMas, written, "mas").unwrap().tolerance;
+        assert!((tolerance("9.95") - 0.01 / 9.95).abs() < 1e-12);
+        assert!((tolerance("1.0E+01") - 0.1).abs() < 1e-12);
+        assert_eq!(tolerance("9.9420000001"), 1e-6);
+        let gain = read(Quantity::GainEPerAdu, "4.0 e-/ADU", "").unwrap();
+        assert_eq!((gain.values, gain.written.as_str()), (vec![4.0], "4.0 e-/ADU"));
+    }
+
+    #[test]
+    fn units_of_pixels_are_read_as_they_are_written() {
+        for counts in ["adu", "ADU", "DN", "count", "Counts", " counts "] {
+            assert_eq!(pixel_unit(counts), PixelUnit::Counts, "{counts}");
+        }
+        for electrons in ["electron", "Electrons", "e-", "photon", "PHOTONS"] {
+            assert_eq!(pixel_unit(electrons), PixelUnit::Electrons, "{electrons}");
+        }
+        assert_eq!(pixel_unit(""), PixelUnit::Unstated);
+        assert_eq!(pixel_unit("electron/s"), PixelUnit::Other("electron/s".into()));
+    }
+}

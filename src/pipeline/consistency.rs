@@ -1,0 +1,224 @@
+//! Consistency of an image file with the scene: its cards and its own scene are compared with the keys, and the pixels are
+//! converted to electrons.
+//!
+//! A contradiction is an error, unless [`Images::trust`] says which of the two holds.
+
+use super::images::{Images, Trust};
+use super::instrument;
+use crate::io::{HeaderFact, PixelUnit, Quantity};
+use crate::scene::{Method, Scene};
+use crate::{Error, Result, source};
+use ndarray::{Array2, Array3};
+use std::borrow::Cow;
+
+/// Key of the gain.
+const GAIN: &str = "image.gain_e_per_adu";
+
+/// Images in electrons, as the methods of an estimate take them.
+pub(super) struct Electrons<'a> {
+    /// `[image, y, x]`.
+    pub(super) images_e: Cow<'a, Array3<f64>>,
+    /// `[image, y, x]`.
+    pub(super) bad: &'a Array3<bool>,
+    /// Read noise of a pixel; `None` for the scene's.
+    pub(super) read_noise_e: Option<f64>,
+    /// Telemetry of a MAP estimate.
+    pub(super) slopes_mas: Option<&'a Array2<f64>>,
+}
+
+impl Electrons<'_> {
+    pub(super) fn len(&self) -> usize {
+        self.images_e.dim().0
+    }
+}
+
+/// Images that agree with a scene.
+pub(super) struct Consistent<'a> {
+    /// The images.
+    pub(super) images: Electrons<'a>,
+    /// The scene, with those values of the file that are trusted.
+    pub(super) scene: Scene,
+    /// Whether the scene has values of the file.
+    pub(super) is_changed: bool,
+    /// Sentences on what was converted and which of two values holds.
+    pub(super) remarks: Vec<String>,
+}
+
+/// Compares `images` with `scene`, and converts them to electrons.
+///
+/// # Errors
+/// [`Error::Image`] for a file that contradicts the scene, and for pixels that are not in electrons and have no gain;
+/// [`Error::Scene`] for a value of the file that the scene does not accept.
+pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consistent<'a>> {
+    let mut comparison =
+        Comparison { images, scene: scene.clone(), is_changed: false, contradictions: Vec::new(), remarks: Vec::new() };
+    if let Some(of_file) = &images.scene {
+        for (key, file_value, value) in instrument::differences(of_file, &comparison.scene.clone()) {
+            comparison.decide(key, format!("table SCENE has {key} = {file_value}"), value, &file_value)?;
+        }
+    }
+    comparison.compare_facts(scene)?;
+    let gain = comparison.gain()?;
+    if !comparison.contradictions.is_empty() && images.trust == Trust::Neither {
+        return Err(Error::Image(format!(
+            "the file contradicts the scene: {}; remove the contradiction, or say which of the two holds (estimate --trust \
+             scene or --trust file)",
+            comparison.contradictions.join("; ")
+        )));
+    }
+    let read_noise_e = images.read_noise_e.or_else(|| comparison.read_noise_e());
+    let images_e = match gain {
+        Some(gain) => Cow::Owned(&images.images_e * gain),
+        None => Cow::Borrowed(&images.images_e),
+    };
+    let electrons = Electrons { images_e, bad: &images.bad, read_noise_e, slopes_mas: images.slopes_mas.as_ref() };
+    let Comparison { scene, is_changed, remarks, .. } = comparison;
+    Ok(Consistent { images: electrons, scene, is_changed, remarks })
+}
+
+struct Comparison<'a> {
+    images: &'a Images,
+    /// The scene, with the values of the file that were found to differ unless the scene is trusted: a card that follows from
+    /// them is no further contradiction.
+    scene: Scene,
+    is_changed: bool,
+    contradictions: Vec<String>,
+    remarks: Vec<String>,
+}
+
+impl Comparison<'_> {
+    fn facts(&self, quantity: Quantity) -> Vec<&HeaderFact> {
+        self.images.facts.iter().filter(|fact| fact.quantity == quantity).collect()
+    }
+
+    fn is_decided(&self, key: &str) -> bool {
+        self.images.overrides.iter().any(|known| known == key) || instrument::is_fitted(&self.scene, key)
+    }
+
+    /// Compares the cards with the keys. `given` is the scene before any comparison.
+    fn compare_facts(&mut self, given: &Scene) -> Result<()> {
+        let wavelength_nm = self.scene.image.wavelength_nm;
+        self.compare(Quantity::WavelengthNm, "image.wavelength_nm", wavelength_nm, |nm| nm)?;
+        // The pixel on the sky is λ/grid_m over the sampling, so the sampling is as much larger as the pixel is smaller.
+        // A pixel that agrees with the scene as given contradicts it no more where another card contradicts its wavelength; the
+        // file's wavelength, where it is trusted, needs the sampling that goes with it.
+        let agrees = |mas: f64| self.facts(Quantity::PixelMas).iter().any(|fact| agrees(fact, mas));
+        let is_settled = self.images.trust != Trust::File && source::pixel_mas(given).is_some_and(agrees);
+        if let Some(pixel_mas) = source::pixel_mas(&self.scene).filter(|_| !is_settled) {
+            let sampling = self.scene.image.samples_per_lambda_over_d;
+            let key = "image.samples_per_lambda_over_d";
+            let sampling_of = |mas: f64| if mas == pixel_mas { sampling } else { sampling * (pixel_mas / mas) };
+            self.compare(Quantity::PixelMas, key, pixel_mas, sampling_of)?;
+        }
+        if let Some(read_noise_e) = self.scene.image.read_noise_e.filter(|_| self.images.read_noise_e.is_none()) {
+            self.compare(Quantity::ReadNoiseE, "image.read_noise_e", read_noise_e, |e| e)?;
+        }
+        if self.scene.names("image.exposure_s") {
+            let exposure_s = self.scene.image.exposure_s;
+            self.compare(Quantity::ExposureS, "image.exposure_s", exposure_s, |s| s)?;
+        }
+        // A modal estimate fits the background.
+        if self.scene.estimate.method == Method::FullPhase && self.scene.names("image.background_e") {
+            let background_e = self.scene.image.background_e;
+            self.compare(Quantity::BackgroundE, "image.background_e", background_e, |e| e)?;
+        }
+        if let Some(gain) = self.scene.image.gain_e_per_adu {
+            self.compare(Quantity::GainEPerAdu, GAIN, gain, |gain| gain)?;
+        }
+        Ok(())
+    }
+
+    /// Compares the cards of a quantity with `value`, which `key` of the scene gives; `to_key` is the value of the key for a
+    /// quantity. Where there are several cards (such as a central and an effective wavelength), one that agrees is enough.
+    fn compare(&mut self, quantity: Quantity, key: &str, value: f64, to_key: impl Fn(f64) -> f64) -> Result<()> {
+        let facts = self.facts(quantity);
+        let Some(first) = facts.first().filter(|_| !facts.iter().any(|fact| agrees(fact, value))) else {
+            return Ok(());
+        };
+        let distance = |stated: f64| (stated / value).ln().abs();
+        let nearest = first.values.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
+        let Some(stated) = nearest else { return Ok(()) };
+        let card = format!("card {} = {}", first.keyword, first.written);
+        let shown =
+            if quantity == Quantity::PixelMas { format!(" ({stated:.3} mas, not {value:.3})") } else { String::new() };
+        let before = to_key(value).to_string();
+        self.decide(key, card + &shown, before, &to_key(stated).to_string())
+    }
+
+    /// Decides between the file's value of `key` and the scene's.
+    fn decide(&mut self, key: &str, source: String, value: String, file_value: &str) -> Result<()> {
+        if self.is_decided(key) {
+            return Ok(());
+        }
+        self.contradictions.push(format!("{source} where the scene has {key} = {value}"));
+        match self.images.trust {
+            Trust::Scene => self.remarks.push(format!("The scene's {key} = {value} holds; {source} was not used.")),
+            Trust::File => {
+                self.scene = self.scene.with(&[(key, file_value)])?;
+                self.is_changed = true;
+                self.remarks.push(format!("{key} = {file_value} is the file's ({source}); the scene has {value}."));
+            }
+            // Some values fit only together with others of the file: the contradiction is reported, whatever follows.
+            Trust::Neither => {
+                if let Ok(scene) = self.scene.with(&[(key, file_value)]) {
+                    self.scene = scene;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Read noise of the file, where the scene has none.
+    fn read_noise_e(&self) -> Option<f64> {
+        let is_open = self.scene.image.read_noise_e.is_none() && !self.is_decided("image.read_noise_e");
+        self.facts(Quantity::ReadNoiseE).first().filter(|_| is_open).and_then(|fact| fact.values.first().copied())
+    }
+
+    /// Electrons per count where the pixels are to be converted; `None` where they are electrons.
+    fn gain(&mut self) -> Result<Option<f64>> {
+        let (named, trust) = (self.scene.image.gain_e_per_adu, self.images.trust);
+        let stated = self.facts(Quantity::GainEPerAdu).first().and_then(|fact| {
+            let gain = fact.values.first().copied().filter(|gain| *gain > 0.0)?;
+            Some((gain, format!("card {} = {}", fact.keyword, fact.written)))
+        });
+        let key = |gain: f64| (gain, GAIN.to_string());
+        let is_forced = named.is_some() && self.images.overrides.iter().any(|known| known == GAIN);
+        let found = match (&self.images.unit, named) {
+            (_, Some(gain)) if is_forced => Some(key(gain)),
+            (PixelUnit::Electrons, _) => None,
+            (PixelUnit::Counts, Some(gain)) | (PixelUnit::Unstated | PixelUnit::Other(_), Some(gain)) => Some(key(gain)),
+            (PixelUnit::Counts, None) => Some(stated.ok_or_else(|| {
+                Error::Image(format!(
+                    "the images are in counts, and nothing gives the electrons per count: {GAIN} in the scene (estimate \
+                     --gain), or a card GAIN or EGAIN is needed"
+                ))
+            })?),
+            (PixelUnit::Unstated, None) => match (stated, trust) {
+                (Some((gain, card)), Trust::Neither) if gain != 1.0 => {
+                    return Err(Error::Image(format!(
+                        "{card} and no card BUNIT says whether the images are in counts or in electrons: {GAIN} in the \
+                         scene (estimate --gain) is needed, {gain} for counts and 1 for electrons"
+                    )));
+                }
+                (stated, Trust::File) => stated.filter(|(gain, _)| *gain != 1.0),
+                _ => None,
+            },
+            (PixelUnit::Other(_), None) if trust == Trust::Scene => None,
+            (PixelUnit::Other(unit), None) => {
+                return Err(Error::Image(format!(
+                    "the images are in `{unit}` (card BUNIT): electrons, or counts (adu, DN) with a gain are accepted; {GAIN} \
+                     in the scene (estimate --gain) is the number of electrons per unit"
+                )));
+            }
+        };
+        if let Some((gain, source)) = &found {
+            self.remarks.push(format!("The images were converted to electrons: {gain} per count ({source})."));
+        }
+        Ok(found.map(|(gain, _)| gain))
+    }
+}
+
+/// Whether one of the values that a card may mean is `value`, to the last digit of the card.
+fn agrees(fact: &HeaderFact, value: f64) -> bool {
+    fact.values.iter().any(|stated| (stated - value).abs() <= fact.tolerance * stated.abs().max(value.abs()))
+}
