@@ -46,7 +46,11 @@ fn a_seed_decides_everything_and_another_one_changes_it() {
     let desk = desk();
     let make = |name: &str, seed: &str| {
         desk.succeeds(&["simulate", "loop.toml", "-o", name, "--seed", seed]);
-        std::fs::read(desk.path(name)).unwrap()
+        // The cards with the time of writing differ.
+        let dated: [&[u8]; 3] = [b"DATE ", b"CHECKSUM", b"DATASUM "];
+        let bytes = std::fs::read(desk.path(name)).unwrap();
+        let cards = bytes.chunks(80).filter(|card| !dated.iter().any(|key| card.starts_with(key)));
+        cards.flatten().copied().collect::<Vec<u8>>()
     };
     let first = make("a.fits", "4");
     assert!(first == make("b.fits", "4"), "the same seed, the same bytes");
