@@ -80,7 +80,7 @@ pub struct ModalEstimate {
     pub clipped_images: Vec<usize>,
     /// Mean or median over the images that were used.
     pub combined: CombinedModes,
-    /// The part of the covariance that further images would average out, nm²; the rest is [`ModalFitter::shared_errors`].
+    /// The part of the covariance that further images would average out, nm², with the prior; the rest is [`ModalFitter::shared_errors`].
     pub averaged_covariance_nm2: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
@@ -124,12 +124,6 @@ impl ModalEstimate {
     /// Median reduced χ² of the images that were used.
     pub fn reduced_chi2(&self) -> f64 {
         median(&self.used_images.iter().map(|&image| self.images[image].reduced_chi2).collect::<Vec<_>>())
-    }
-
-    /// Median reduced χ² of all images that were fitted.
-    pub(super) fn typical_chi2(&self) -> f64 {
-        let fitted = self.images.iter().map(|image| image.reduced_chi2).filter(|chi2| !chi2.is_nan());
-        median(&fitted.collect::<Vec<_>>())
     }
 
     /// Whether eight images or more converged: then they are assessed as a sequence, and error bars are from the scatter
@@ -191,9 +185,10 @@ pub(super) fn combine(
     } else {
         few_images(estimator, prepared, &minima, &reports, &used, &used_nm)?
     };
-    let averaged_covariance_nm2 = &single.scatter_nm2 * shrinkage_of_variance(how, used.len());
-    let covariance_nm2 = estimator.with_shared(averaged_covariance_nm2.clone());
-    let combined = CombinedModes { coefficients_nm, covariance_nm2 };
+    let covariance_nm2 = &single.scatter_nm2 * shrinkage_of_variance(how, used.len());
+    let averaged = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+    let averaged_covariance_nm2 = averaged.covariance_nm2.clone();
+    let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
     let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
@@ -249,10 +244,12 @@ pub(super) fn subset(
     } else {
         estimate.single.scatter_nm2.clone()
     };
-    let combined = CombinedModes {
+    let averaged = CombinedModes {
         coefficients_nm: centre(pistons, &used_nm, how),
-        covariance_nm2: estimator.with_shared(single_nm2 * shrinkage_of_variance(how, used.len())),
+        covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()),
     };
+    let averaged = with_prior(model, averaged)?;
+    let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
     let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
     let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
@@ -267,6 +264,15 @@ fn nothing_fitted(reports: &[&ImageReport]) -> Error {
         None => "there is none".into(),
     };
     Error::Image(format!("no image could be fitted: {reason}"))
+}
+
+/// `likelihood` with the prior of the model's modes. Covariance and coefficients are of pistons about their mean, and so is the
+/// result, which is moved along columns of that covariance.
+fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<CombinedModes> {
+    match &model.prior {
+        Some(prior) => prior.posterior(&likelihood),
+        None => Ok(likelihood),
+    }
 }
 
 /// Mean or median of images, pistons about their mean.

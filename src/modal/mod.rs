@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Scene ─ Recipe ─ Model ┐
-//!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ ModalEstimate
+//!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ prior ─ ModalEstimate
 //! frames ────────────────┘
 //! ```
 //!
@@ -35,12 +35,13 @@ mod outliers;
 mod pistons;
 mod plan;
 mod prepare;
+mod prior;
 mod recipe;
 mod reject_outliers;
 mod residual;
 mod restart;
 mod runner;
-mod select;
+mod scene_fit;
 mod sequence;
 mod session;
 mod spread;
@@ -64,6 +65,6 @@ pub use prepare::{Frame, Preparation, PreparedFrame, Refusal};
 pub use recipe::Recipe;
 pub use reject_outliers::{CleanedImages, reject_outliers};
 pub(crate) use residual::photometry;
-pub use select::{BasisCache, OpenChain, select, select_default};
+pub use scene_fit::{BasisCache, OpenChain, estimate_scene, estimate_with};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 pub use status::{ImageReport, Status};

@@ -180,7 +180,7 @@ fn our_default_is_at_least_as_close_to_the_truth() {
         let images = io::read_images(file(name), None).unwrap();
         let cube = Cube { images_e: images.data.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
         let mut open = |ours: &ModalFitter| Ok(Chain::cpu(ours.model().optics.clone(), Precision::F64));
-        let (ours, estimate) = cophase::modal::select_default(&scene, cube, &mut open, None, &mut |_, _| {}).unwrap();
+        let (ours, estimate) = cophase::modal::estimate_scene(&scene, cube, &mut open, None, &mut |_, _| {}).unwrap();
         let pupil = &ours.model().telescope.pupil;
         let theirs = vector(name, "EST_LM_WEIGHTED");
         let residuals =

@@ -3,7 +3,7 @@
 use super::scene;
 use cophase::Error;
 use cophase::imaging::{Chain, Precision};
-use cophase::modal::{Cube, ModalEstimate, ModalFitter, Recipe, Status, select_default};
+use cophase::modal::{Cube, ModalEstimate, ModalFitter, Recipe, Status, estimate_scene};
 use cophase::scene::{Combine, Scene};
 use cophase::source;
 use ndarray::{Array1, Array3, Axis, s};
@@ -235,7 +235,7 @@ fn a_few_images_choose_the_basis_of_a_long_sequence() {
             chains += 1;
             Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64))
         };
-        let (estimator, found) = select_default(&scene, cube, &mut open, None, &mut |_, all| watched = all).unwrap();
+        let (estimator, found) = estimate_scene(&scene, cube, &mut open, None, &mut |_, all| watched = all).unwrap();
         assert_eq!((chains, watched, found.images.len(), found.used()), (opened, 14, 14, 14));
         assert_eq!(estimator.model().basis.len(), 7 + highest - 1);
         assert!(found.reduced_chi2() < 1.3, "{}", found.reduced_chi2());
