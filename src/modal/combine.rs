@@ -1,6 +1,7 @@
 //! Combination of the minima of single images into one estimate: mean or median, error bars, maps.
 
 use super::fitter::ModalFitter;
+use super::mean_residual::{EXPLAINED, mean_residual_chi2};
 use super::minimum::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
@@ -80,6 +81,10 @@ pub struct ModalEstimate {
     pub clipped_images: Vec<usize>,
     /// Mean or median over the images that were used.
     pub combined: CombinedModes,
+    /// Reduced χ² of the mean residual of the images that were used, which shows errors of the model that are too small to
+    /// be seen in one image; that of one image is its own. Where the typical image misfits it is 1: error bars of a wavefront
+    /// that changes are from the scatter.
+    pub mean_residual_chi2: f64,
     /// The part of the covariance that further images would average out, nm², with the prior; the rest is [`ModalFitter::shared_errors`].
     pub averaged_covariance_nm2: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
@@ -113,6 +118,8 @@ struct SingleImage {
     noise_nm2: Array2<f64>,
     /// From the scatter of the images.
     scatter_nm2: Array2<f64>,
+    /// From an error of the model that the images share, and that does not average out.
+    shared_nm2: Array2<f64>,
 }
 
 impl ModalEstimate {
@@ -178,14 +185,19 @@ pub(super) fn combine(
     let Some(&first) = used.first() else { return Err(nothing_fitted(&fitted_reports)) };
     let used_nm = fitted_nm.select(Axis(0), &used);
     let coefficients_nm = centre(pistons, &used_nm, how);
-    let (single, fisher) = if is_sequence(&fitted_reports) {
+    let (mut single, fisher) = if is_sequence(&fitted_reports) {
         let (noise_nm2, fisher) = noise_at(estimator, &prepared[first], &minima[first], &coefficients_nm)?;
         let scatter_nm2 = pistons.centred(&scatter(&used_nm, how, &noise_nm2));
-        (SingleImage { noise_nm2, scatter_nm2 }, fisher)
+        (SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher)
     } else {
         few_images(estimator, prepared, &minima, &reports, &used, &used_nm)?
     };
-    let covariance_nm2 = &single.scatter_nm2 * shrinkage_of_variance(how, used.len());
+    let mean_residual_chi2 = mean_residual_chi2(estimator, prepared, &minima, &reports, &used);
+    let shrinkage = shrinkage_of_variance(how, used.len());
+    if used.len() > 1 && mean_residual_chi2 > EXPLAINED {
+        single.shared_nm2 = &single.noise_nm2 * ((mean_residual_chi2 - 1.0) * shrinkage);
+    }
+    let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
     let averaged = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
     let averaged_covariance_nm2 = averaged.covariance_nm2.clone();
     let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
@@ -198,6 +210,7 @@ pub(super) fn combine(
         ncpa_nm,
         phasing_sigma_nm,
         ncpa_sigma_nm,
+        mean_residual_chi2,
         compared: fitted_image(estimator, &minima[first], &prepared[first]),
         used_images: images_of(&used),
         clipped_images: images_of(&clipped),
@@ -246,7 +259,7 @@ pub(super) fn subset(
     };
     let averaged = CombinedModes {
         coefficients_nm: centre(pistons, &used_nm, how),
-        covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()),
+        covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()) + &estimate.single.shared_nm2,
     };
     let averaged = with_prior(model, averaged)?;
     let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
@@ -326,7 +339,7 @@ fn few_images(
     }
     let scatter_nm2 = covariance_with_scatter(noise_nm2.clone(), used_nm);
     let fisher = fisher.ok_or_else(|| Error::Internal("no image is used".into()))?;
-    Ok((SingleImage { noise_nm2, scatter_nm2 }, fisher))
+    Ok((SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher))
 }
 
 /// Covariance of one of a few images, `noise_nm2` from its noise: from four images on it is scaled up to their scatter where

@@ -25,6 +25,7 @@ mod fit_optics;
 mod fitted_optic;
 mod fitter;
 mod gauss_newton;
+mod mean_residual;
 mod memory;
 mod metrics;
 mod minimum;

@@ -208,10 +208,11 @@ mod tests {
                 squares += (Array1::from(found.coefficients_nm) - &truth).mapv(|e| e * e).sum();
                 bars += found.covariance_nm2.diag().sum();
             }
-            // 400 draws of 25 numbers: 1 %; where the level is 0 its posterior is above it, and error bars are too large.
+            // 400 draws of 25 numbers: 1 %, and 2 % of the prior of the level. Where the level is 0 its posterior is above it:
+            // the modes have error bars of half their noise, and errors of a quarter.
             let pull = (squares / bars).sqrt();
             assert!(
-                if level == 0.0 { (0.7..1.0).contains(&pull) } else { (0.95..1.05).contains(&pull) },
+                if level == 0.0 { (0.4..0.7).contains(&pull) } else { (0.95..1.06).contains(&pull) },
                 "{level}: {pull}"
             );
         }

@@ -61,10 +61,14 @@ pub(super) fn reduced_chi2(
         }
     }
     let (sum, good) = (sums.iter().sum::<f64>(), good.iter().sum::<f64>() as usize);
-    let nuisances = match exposure.photometry {
+    sum / good.saturating_sub(modes + nuisances(exposure)).max(1) as f64
+}
+
+/// Number of photometric parameters that are fitted to an exposure.
+pub(super) fn nuisances(exposure: &Exposure) -> usize {
+    match exposure.photometry {
         Photometry::Fixed { .. } => 0,
         Photometry::FitFlux { .. } => 1,
         Photometry::FitBoth => 2,
-    };
-    sum / good.saturating_sub(modes + nuisances).max(1) as f64
+    }
 }
