@@ -193,7 +193,7 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate or a session: its policy, "full" or "realtime". */
 #define COPHASE_TEXT_POLICY 5
 
-/* Text of an estimate: the modes that model selection added to the scene's. */
+/* Text of an estimate: the modes that were added to the scene's. */
 #define COPHASE_TEXT_MODEL 6
 
 /* Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics that were fitted. */
@@ -208,12 +208,12 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate: name of term `index` of the error budget. */
 #define COPHASE_TEXT_ERROR_TERM_NAME 10
 
-/* Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
+/* Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
  * the scene asks for it.
  */
 #define COPHASE_POLICY_FULL 0
 
-/* Policy: one fit with the largest basis, no retries; what a session does. */
+/* Policy: one fit of the scene's modes, no retries; what a session does. */
 #define COPHASE_POLICY_REALTIME 1
 
 /* ------------------------------- Frames, calibration, image reports ------------------------------- */
@@ -721,7 +721,7 @@ cophase_status cophase_estimate_correct(cophase_estimate *estimate,
 /* ------------------------------------------- Session ------------------------------------------- */
 
 /* Session: fits of single images with a model, in memory that is allocated when it is created. It follows the policy
- * COPHASE_POLICY_REALTIME: no model selection, no outlier rejection, no restarts. The same frame gives the same bits,
+ * COPHASE_POLICY_REALTIME: no modes with a prior, no outlier rejection, no restarts. The same frame gives the same bits,
  * with any other frames in the call.
  *
  * One call at a time (COPHASE_BUSY otherwise), except cophase_session_cancel, which any thread may call at any time.

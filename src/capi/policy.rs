@@ -2,10 +2,10 @@
 
 use crate::pipeline::Policy;
 
-/// Policy: what the program and every other interface do: model selection, outlier rejection, restarts, optics fitted where
+/// Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
 /// the scene asks for it.
 pub const COPHASE_POLICY_FULL: i32 = 0;
-/// Policy: one fit with the largest basis, no retries; what a session does.
+/// Policy: one fit of the scene's modes, no retries; what a session does.
 pub const COPHASE_POLICY_REALTIME: i32 = 1;
 
 /// The number of a policy.

@@ -12,7 +12,7 @@ pub const COPHASE_TEXT_REMARKS: i32 = 3;
 pub const COPHASE_TEXT_DEVICE: i32 = 4;
 /// Text of an estimate or a session: its policy, "full" or "realtime".
 pub const COPHASE_TEXT_POLICY: i32 = 5;
-/// Text of an estimate: the modes that model selection added to the scene's.
+/// Text of an estimate: the modes that were added to the scene's.
 pub const COPHASE_TEXT_MODEL: i32 = 6;
 /// Text of an estimate: the scene that was used (TOML), with the choices of a plan and the optics that were fitted.
 pub const COPHASE_TEXT_SCENE: i32 = 7;

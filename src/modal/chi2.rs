@@ -57,17 +57,21 @@ impl ReducedChi2 {
             }
         }
         let [squares, good, photons, kurtosis, square_snr] = sums.map(|lanes| lanes.iter().sum::<f64>());
-        let nuisances = match exposure.photometry {
-            Photometry::Fixed { .. } => 0,
-            Photometry::FitFlux { .. } => 1,
-            Photometry::FitBoth => 2,
-        };
-        let freedom = (good as usize).saturating_sub(modes + nuisances).max(1) as f64;
+        let freedom = (good as usize).saturating_sub(modes + nuisances(exposure)).max(1) as f64;
         Self {
             value: squares / freedom,
             least: stated_share + (1.0 - stated_share) * photons / good.max(1.0),
             scatter: (2.0 * freedom + kurtosis).sqrt() / freedom,
             square_snr: square_snr / freedom,
         }
+    }
+}
+
+/// Number of photometric parameters that are fitted to an exposure.
+pub(super) fn nuisances(exposure: &Exposure) -> usize {
+    match exposure.photometry {
+        Photometry::Fixed { .. } => 0,
+        Photometry::FitFlux { .. } => 1,
+        Photometry::FitBoth => 2,
     }
 }

@@ -1,6 +1,7 @@
 //! Combination of the minima of single images into one estimate: mean or median, error bars, maps.
 
 use super::fitter::ModalFitter;
+use super::mean_residual::{EXPLAINED, mean_residual_chi2};
 use super::minimum::Minimum;
 use super::model::Model;
 use super::pistons::Pistons;
@@ -80,7 +81,11 @@ pub struct ModalEstimate {
     pub clipped_images: Vec<usize>,
     /// Mean or median over the images that were used.
     pub combined: CombinedModes,
-    /// The part of the covariance that further images would average out, nm²; the rest is [`ModalFitter::shared_errors`].
+    /// Reduced χ² of the mean residual of the images that were used, which shows errors of the model that are too small to
+    /// be seen in one image; that of one image is its own. Where the typical image misfits it is 1: error bars of a wavefront
+    /// that changes are from the scatter.
+    pub mean_residual_chi2: f64,
+    /// The part of the covariance that further images would average out, nm², with the prior; the rest is [`ModalFitter::shared_errors`].
     pub averaged_covariance_nm2: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
@@ -113,6 +118,8 @@ struct SingleImage {
     noise_nm2: Array2<f64>,
     /// From the scatter of the images.
     scatter_nm2: Array2<f64>,
+    /// From an error of the model that the images share, and that does not average out.
+    shared_nm2: Array2<f64>,
 }
 
 impl ModalEstimate {
@@ -124,12 +131,6 @@ impl ModalEstimate {
     /// Median reduced χ² of the images that were used.
     pub fn reduced_chi2(&self) -> f64 {
         median(&self.used_images.iter().map(|&image| self.images[image].reduced_chi2).collect::<Vec<_>>())
-    }
-
-    /// Median reduced χ² of all images that were fitted.
-    pub(super) fn typical_chi2(&self) -> f64 {
-        let fitted = self.images.iter().map(|image| image.reduced_chi2).filter(|chi2| !chi2.is_nan());
-        median(&fitted.collect::<Vec<_>>())
     }
 
     /// Whether eight images or more converged: then they are assessed as a sequence, and error bars are from the scatter
@@ -184,16 +185,22 @@ pub(super) fn combine(
     let Some(&first) = used.first() else { return Err(nothing_fitted(&fitted_reports)) };
     let used_nm = fitted_nm.select(Axis(0), &used);
     let coefficients_nm = centre(pistons, &used_nm, how);
-    let (single, fisher) = if is_sequence(&fitted_reports) {
+    let (mut single, fisher) = if is_sequence(&fitted_reports) {
         let (noise_nm2, fisher) = noise_at(estimator, &prepared[first], &minima[first], &coefficients_nm)?;
         let scatter_nm2 = pistons.centred(&scatter(&used_nm, how, &noise_nm2));
-        (SingleImage { noise_nm2, scatter_nm2 }, fisher)
+        (SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher)
     } else {
         few_images(estimator, prepared, &minima, &reports, &used, &used_nm)?
     };
-    let averaged_covariance_nm2 = &single.scatter_nm2 * shrinkage_of_variance(how, used.len());
-    let covariance_nm2 = estimator.with_shared(averaged_covariance_nm2.clone());
-    let combined = CombinedModes { coefficients_nm, covariance_nm2 };
+    let mean_residual_chi2 = mean_residual_chi2(estimator, prepared, &minima, &reports, &used);
+    let shrinkage = shrinkage_of_variance(how, used.len());
+    if used.len() > 1 && mean_residual_chi2 > EXPLAINED {
+        single.shared_nm2 = &single.noise_nm2 * ((mean_residual_chi2 - 1.0) * shrinkage);
+    }
+    let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
+    let averaged = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+    let averaged_covariance_nm2 = averaged.covariance_nm2.clone();
+    let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
     let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
@@ -203,6 +210,7 @@ pub(super) fn combine(
         ncpa_nm,
         phasing_sigma_nm,
         ncpa_sigma_nm,
+        mean_residual_chi2,
         compared: fitted_image(estimator, &minima[first], &prepared[first]),
         used_images: images_of(&used),
         clipped_images: images_of(&clipped),
@@ -249,10 +257,12 @@ pub(super) fn subset(
     } else {
         estimate.single.scatter_nm2.clone()
     };
-    let combined = CombinedModes {
+    let averaged = CombinedModes {
         coefficients_nm: centre(pistons, &used_nm, how),
-        covariance_nm2: estimator.with_shared(single_nm2 * shrinkage_of_variance(how, used.len())),
+        covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()) + &estimate.single.shared_nm2,
     };
+    let averaged = with_prior(model, averaged)?;
+    let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
     let images_of = |places: &[usize]| places.iter().map(|&place| images[place]).collect::<Vec<_>>();
     let [phasing_nm, ncpa_nm] = maps(model, &combined);
     let [phasing_sigma_nm, ncpa_sigma_nm] = sigma_maps(model, &combined);
@@ -267,6 +277,15 @@ fn nothing_fitted(reports: &[&ImageReport]) -> Error {
         None => "there is none".into(),
     };
     Error::Image(format!("no image could be fitted: {reason}"))
+}
+
+/// `likelihood` with the prior of the model's modes. Covariance and coefficients are of pistons about their mean, and so is the
+/// result, which is moved along columns of that covariance.
+fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<CombinedModes> {
+    match &model.prior {
+        Some(prior) => prior.posterior(&likelihood),
+        None => Ok(likelihood),
+    }
 }
 
 /// Mean or median of images, pistons about their mean.
@@ -320,7 +339,7 @@ fn few_images(
     }
     let scatter_nm2 = covariance_with_scatter(noise_nm2.clone(), used_nm);
     let fisher = fisher.ok_or_else(|| Error::Internal("no image is used".into()))?;
-    Ok((SingleImage { noise_nm2, scatter_nm2 }, fisher))
+    Ok((SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher))
 }
 
 /// Covariance of one of a few images, `noise_nm2` from its noise: from four images on it is scaled up to their scatter where

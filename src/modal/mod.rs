@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Scene ─ Recipe ─ Model ┐
-//!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ ModalEstimate
+//!                        ├ prepare ─ fit (lock-step over the batch) ─ Fisher ─ combine ─ prior ─ ModalEstimate
 //! frames ────────────────┘
 //! ```
 //!
@@ -26,6 +26,7 @@ mod fit_optics;
 mod fitted_optic;
 mod fitter;
 mod gauss_newton;
+mod mean_residual;
 mod memory;
 mod metrics;
 mod minimum;
@@ -36,12 +37,13 @@ mod outliers;
 mod pistons;
 mod plan;
 mod prepare;
+mod prior;
 mod recipe;
 mod reject_outliers;
 mod residual;
 mod restart;
 mod runner;
-mod select;
+mod scene_fit;
 mod sequence;
 mod session;
 mod spread;
@@ -66,6 +68,6 @@ pub use prepare::{Frame, Preparation, PreparedFrame, Refusal};
 pub use recipe::Recipe;
 pub(crate) use reject_outliers::{CleanedImages, reject_outliers};
 pub(crate) use residual::photometry;
-pub use select::{BasisCache, OpenChain, select, select_default};
+pub use scene_fit::{BasisCache, OpenChain, estimate_scene, estimate_with};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 pub use status::{ImageReport, ImageStatus, Status};

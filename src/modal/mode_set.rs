@@ -1,5 +1,6 @@
 //! Mode set: the modes of the scene, and the Zernikes that a recipe adds to them exactly.
 
+use super::prior::Prior;
 use super::recipe::Recipe;
 use crate::grid::Grid;
 use crate::imaging::Mode;
@@ -14,6 +15,9 @@ use std::sync::OnceLock;
 
 /// A mode is dropped where those before it span all but this fraction of it.
 const SMALLEST_REMAINDER: f64 = 1e-3;
+/// The same for a Zernike with a prior: what is dropped is an error of the coefficients of those that span it, of 1 % of its
+/// own at most.
+const SMALLEST_PRIOR_REMAINDER: f64 = 0.01;
 
 /// The smooth modes: functions, or maps on the scene's grid.
 pub(super) enum Smooth {
@@ -56,6 +60,8 @@ pub(super) struct ModeSet {
     pub(super) smooth: Smooth,
     /// Names of modes that were dropped because the others span them.
     pub(super) dropped: Vec<String>,
+    /// Prior of the last modes.
+    pub(super) prior: Option<Prior>,
 }
 
 /// NCPA modes, their maps on the scene's grid, and the names of those that were dropped.
@@ -63,6 +69,9 @@ struct NcpaModes {
     smooth: Smooth,
     sampled: Option<Basis>,
     dropped: Vec<String>,
+    /// Zernikes with a prior on the circle around the pupil: their maps, and how many of the modes, the last, are what they
+    /// add to the others.
+    with_prior: Option<(Basis, usize)>,
 }
 
 impl NcpaModes {
@@ -70,15 +79,33 @@ impl NcpaModes {
         if let NcpaBasis::File(file) = &scene.modes.ncpa {
             return Self::from_maps(from_file(&scene.resolve(file), &telescope.pupil)?, recipe, &telescope.pupil);
         }
-        let (smooth, dropped) = functions(scene, recipe, telescope, own)?;
-        let sampled = smooth.as_ref().map(|basis| basis.sampled(&telescope.pupil)).transpose()?;
-        Ok(Self { smooth: Smooth::Functions(smooth), sampled, dropped })
+        let pupil = &telescope.pupil;
+        let (mut smooth, dropped) = functions(scene, recipe, telescope, own)?;
+        let mut with_prior = None;
+        if let (NollRange::Span { first, last }, Some(before)) = (recipe.prior_zernikes, &smooth) {
+            let zernikes = modes::circle_zernikes(first, last, pupil)?;
+            let joined = modes::join_exact(before, &zernikes, pupil, SMALLEST_PRIOR_REMAINDER)?.basis;
+            with_prior = Some((zernikes.sampled(pupil)?, joined.len().saturating_sub(before.len())));
+            smooth = Some(joined);
+        }
+        let sampled = smooth.as_ref().map(|basis| basis.sampled(pupil)).transpose()?;
+        Ok(Self { smooth: Smooth::Functions(smooth), sampled, dropped, with_prior })
     }
 
     /// Modes given by their maps, unchanged, followed by what the exact Zernikes add to the NCPA among them.
     fn from_maps(given: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
-        let (basis, dropped) = with_exact(given, recipe.exact_zernikes, pupil)?;
-        Ok(Self { smooth: Smooth::Maps(basis.maps()), sampled: Some(basis), dropped })
+        let (mut basis, mut dropped) = (given, Vec::new());
+        if let NollRange::Span { first, last } = recipe.exact_zernikes {
+            let zernikes = modes::zernike_basis(first, last, pupil)?.sampled(pupil)?;
+            (basis, dropped) = with_remainders(basis, &zernikes, SMALLEST_REMAINDER, pupil)?;
+        }
+        let mut with_prior = None;
+        if let NollRange::Span { first, last } = recipe.prior_zernikes {
+            let (zernikes, before) = (modes::circle_zernikes(first, last, pupil)?.sampled(pupil)?, basis.len());
+            (basis, _) = with_remainders(basis, &zernikes, SMALLEST_PRIOR_REMAINDER, pupil)?;
+            with_prior = Some((zernikes, basis.len() - before));
+        }
+        Ok(Self { smooth: Smooth::Maps(basis.maps()), sampled: Some(basis), dropped, with_prior })
     }
 }
 
@@ -91,15 +118,15 @@ impl ModeSet {
         telescope: &Telescope,
         own: &SceneBasis,
     ) -> Result<Self> {
-        Self::assemble(segment, NcpaModes::from_scene(scene, recipe, telescope, own)?, &telescope.pupil)
+        Self::assemble(segment, NcpaModes::from_scene(scene, recipe, telescope, own)?, recipe, &telescope.pupil)
     }
 
     /// NCPA modes that the caller gives on the grid of `pupil`, behind those of the segments.
     pub(super) fn from_maps(segment: SegmentModes, ncpa: Basis, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
-        Self::assemble(segment, NcpaModes::from_maps(ncpa, recipe, pupil)?, pupil)
+        Self::assemble(segment, NcpaModes::from_maps(ncpa, recipe, pupil)?, recipe, pupil)
     }
 
-    fn assemble(segment: SegmentModes, ncpa: NcpaModes, pupil: &Pupil) -> Result<Self> {
+    fn assemble(segment: SegmentModes, ncpa: NcpaModes, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
         let segment = match segment {
             SegmentModes::None => None,
             SegmentModes::Piston => Some(modes::SegmentModes::Piston),
@@ -111,14 +138,20 @@ impl ModeSet {
         for motion in 0..segment.map_or(0, modes::SegmentModes::per_segment) {
             kinds.extend((0..segments).map(|s| [Mode::Piston(s), Mode::Tip(s), Mode::Tilt(s)][motion]));
         }
-        let NcpaModes { smooth, sampled, dropped } = ncpa;
+        let NcpaModes { smooth, sampled, dropped, with_prior } = ncpa;
         kinds.extend((0..sampled.as_ref().map_or(0, Basis::len)).map(Mode::Smooth));
         let basis = match (segment_basis, sampled) {
             (Some(segments), Some(ncpa)) => segments.followed_by(&ncpa)?,
             (Some(only), None) | (None, Some(only)) => only,
             (None, None) => return Err(Error::Scene("the scene leaves no mode to estimate".into())),
         };
-        Ok(Self { basis, kinds, smooth, dropped })
+        let prior = match (with_prior, recipe.prior_zernikes) {
+            (Some((zernikes, count)), NollRange::Span { first, .. }) => {
+                Prior::new(&basis, count, (&zernikes, first), pupil)?
+            }
+            _ => None,
+        };
+        Ok(Self { basis, kinds, smooth, dropped, prior })
     }
 
     /// Whether the smooth modes are given on the scene's grid only.
@@ -166,8 +199,10 @@ fn functions(
     let own = own.get_or_build(scene, telescope)?;
     let exact = match recipe.exact_zernikes {
         NollRange::Span { first, last } => match &scene.modes.ncpa {
-            // A Zernike basis that reaches as far has the exact Zernikes.
-            NcpaBasis::Zernike if last <= count + 1 => None,
+            // Together they are a longer basis of the same kind.
+            NcpaBasis::Zernike if first <= count + 2 => {
+                return Ok((Some(modes::zernike_basis(2, last.max(count + 1), pupil)?), Vec::new()));
+            }
             _ => Some(modes::zernike_basis(first, last, pupil)?),
         },
         NollRange::None => None,
@@ -206,11 +241,9 @@ pub(super) fn on_grid(names: Vec<String>, groups: Vec<Group>, maps: Array3<f64>,
     Basis::from_cube(names, groups, maps)
 }
 
-/// `given`, followed by what the exact Zernikes add to its NCPA modes; and the names of those that add nothing.
-fn with_exact(given: Basis, exact: NollRange, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
-    let NollRange::Span { first, last } = exact else { return Ok((given, Vec::new())) };
-    let zernikes = modes::zernike_basis(first, last, pupil)?.sampled(pupil)?;
-    let (added, dropped) = remainders(&given, &zernikes, pupil);
+/// `given`, followed by what `zernikes` add to its NCPA modes; and the names of those of which less than `smallest` is left.
+fn with_remainders(given: Basis, zernikes: &Basis, smallest: f64, pupil: &Pupil) -> Result<(Basis, Vec<String>)> {
+    let (added, dropped) = remainders(&given, zernikes, smallest, pupil);
     if added.is_empty() {
         return Ok((given, dropped));
     }
@@ -222,7 +255,7 @@ fn with_exact(given: Basis, exact: NollRange, pupil: &Pupil) -> Result<(Basis, V
 
 /// What each extra mode adds to the NCPA modes of `given` (and to the extras before it), at unit RMS over the pupil;
 /// and the names of those that add nothing.
-fn remainders(given: &Basis, extra: &Basis, pupil: &Pupil) -> (Vec<(String, Array2<f64>)>, Vec<String>) {
+fn remainders(given: &Basis, extra: &Basis, smallest: f64, pupil: &Pupil) -> (Vec<(String, Array2<f64>)>, Vec<String>) {
     let root: Array1<f64> = pupil.amplitude.iter().map(|a| (a / pupil.weight_sum()).sqrt()).collect();
     let flat = |basis: &Basis, keep: &dyn Fn(usize) -> bool| -> Vec<Array1<f64>> {
         let maps = basis.maps();
@@ -252,7 +285,7 @@ fn remainders(given: &Basis, extra: &Basis, pupil: &Pupil) -> (Vec<(String, Arra
         let length = mode.dot(&mode).sqrt();
         let rest = project(mode, &directions);
         let norm = rest.dot(&rest).sqrt();
-        if norm <= SMALLEST_REMAINDER * length {
+        if norm <= smallest * length {
             dropped.push(name.clone());
             continue;
         }

@@ -3,6 +3,7 @@
 use super::mode_set::{ModeSet, SceneBasis};
 use super::plan::{PixelPlan, band_limited_weights};
 use super::prepare::Preparation;
+use super::prior::Prior;
 use super::recipe::Recipe;
 use super::{band, memory};
 use crate::fourier::Sampling;
@@ -31,6 +32,8 @@ pub struct Model {
     pub segment_modes: usize,
     /// Names of modes that were left out because the others span them.
     pub dropped: Vec<String>,
+    /// Prior of the last modes.
+    pub(super) prior: Option<Prior>,
     /// Limit of an estimate's memory, bytes.
     pub(super) limit_bytes: usize,
     /// Side of the grid on which the model runs, m.
@@ -136,6 +139,7 @@ impl Model {
             segment_modes: set.basis.groups().iter().filter(|group| **group == Group::Segment).count(),
             basis: set.basis,
             dropped: set.dropped,
+            prior: set.prior,
             limit_bytes: memory::limit_bytes(scene),
             grid_width_m: grid.width_m(),
         }

@@ -2,11 +2,12 @@
 
 use crate::scene::{Combine, NollRange, Optimizer, PupilModel, Sampling, Scene, Weighting};
 
-/// Tip, tilt and focus, which every optical system has.
-const NARROW: NollRange = NollRange::Span { first: 2, last: 4 };
 /// All Zernikes to radial order 5: with 66 Karhunen-Loève modes they span the low-order NCPA, of which a mirror of small
 /// coupling spans only 75 to 95 %.
-const WIDE: NollRange = NollRange::Span { first: 2, last: 21 };
+const EXACT: NollRange = NollRange::Span { first: 2, last: 21 };
+/// Radial orders 6 to 8, which NCPA of polished optics reach with a few per cent of their variance. Of higher orders 66
+/// Karhunen-Loève modes span as much as the images of a monolithic mirror show.
+const WITH_PRIOR: NollRange = NollRange::Span { first: 22, last: 45 };
 
 /// The choices of one fit. [`Recipe::from_scene`] fills in what the scene leaves open.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +30,8 @@ pub struct Recipe {
     pub pupil_model: PupilModel,
     /// Zernikes that are always estimated exactly.
     pub exact_zernikes: NollRange,
+    /// Zernikes that are fitted too and carry a prior in the combination of the images.
+    pub prior_zernikes: NollRange,
     /// Most evaluations for one image.
     pub max_evaluations: usize,
     /// The fit stops where neither a coefficient nor the RMS of the wavefront would move by more than this.
@@ -75,7 +78,8 @@ impl Recipe {
                 None if ours => PupilModel::BandLimited,
                 _ => PupilModel::Hard,
             },
-            exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(WIDE) } else { NollRange::None },
+            exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(EXACT) } else { NollRange::None },
+            prior_zernikes: NollRange::None,
             // BFGS needs 130 to 400; ours about 15.
             max_evaluations: estimate.max_evaluations.unwrap_or(if optimizer == Optimizer::Bfgs { 2000 } else { 200 }),
             // The paper's objective is used where the modes do not span the wavefront: this tolerance ends within 0.03 nm of the
@@ -93,13 +97,17 @@ impl Recipe {
         }
     }
 
-    /// Basis ladder: the recipes to fit in turn, the smallest basis first. Where the scene leaves the exact Zernikes open, tip, tilt
-    /// and focus, then those to Noll 21; otherwise the one recipe of the scene.
-    pub fn ladder(scene: &Scene) -> Vec<Self> {
+    /// [`Recipe::from_scene`] with a prior on further Zernikes, those of radial orders 6 to 8, where the scene leaves the exact
+    /// Zernikes open: a χ² does not show modes that are small in one image and large in the mean of forty, and error bars
+    /// without them would be too small.
+    pub fn with_prior(scene: &Scene) -> Self {
         let own = Self::from_scene(scene);
-        if own.optimizer != Optimizer::GaussNewton || scene.modes.exact_zernikes.is_some() {
-            return vec![own];
-        }
-        [NARROW, WIDE].map(|exact_zernikes| Self { exact_zernikes, ..own.clone() }).to_vec()
+        let prior_zernikes = if Self::has_open_basis(scene) { WITH_PRIOR } else { NollRange::None };
+        Self { prior_zernikes, ..own }
+    }
+
+    /// Whether `scene` leaves the exact Zernikes open.
+    pub(crate) fn has_open_basis(scene: &Scene) -> bool {
+        scene.estimate.optimizer == Optimizer::GaussNewton && scene.modes.exact_zernikes.is_none()
     }
 }

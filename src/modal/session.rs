@@ -30,8 +30,8 @@ use std::time::Instant;
 /// A workspace for fits with one model: frames are written into it ([`Session::frame_mut`]), fitted, and their results
 /// read. It is one thread's at a time.
 ///
-/// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit with the largest basis, no model selection,
-/// no outlier rejection, no restarts. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
+/// It follows [`Policy::realtime`](crate::pipeline::Policy::realtime): one fit of the scene's modes, no modes with a
+/// prior, no outlier rejection, no restarts. Device and precision are the scene's (`estimate.device`, `estimate.precision`) where
 /// [`SessionOptions`] leave them open.
 ///
 /// On the CPU with one thread, [`Session::fit`], [`Session::load`] and [`Session::evaluate`] neither allocate nor free

@@ -17,7 +17,7 @@ use ndarray::{Array2, Axis};
 pub enum ImageStatus {
     /// Fitted, and the model explains it.
     Ok,
-    /// Fitted, but the residual is larger than the noise.
+    /// Fitted, but the residual is larger than the noise, or smaller.
     Misfit,
     /// The residual is so large that the fit is probably in a wrong minimum.
     WrongMinimum,

@@ -7,7 +7,7 @@ use ndarray::{Array1, Array2};
 ///
 /// # Errors
 /// [`Error::Value`] for a matrix that is not finite; [`Error::Internal`] where the iteration does not converge.
-pub(super) fn symmetric_eigen(matrix: &Array2<f64>) -> Result<(Array1<f64>, Array2<f64>)> {
+pub(crate) fn symmetric_eigen(matrix: &Array2<f64>) -> Result<(Array1<f64>, Array2<f64>)> {
     if matrix.iter().any(|value| !value.is_finite()) {
         return Err(Error::Value(
             "a matrix has an entry that is not finite: its eigenvalues cannot be computed".into(),

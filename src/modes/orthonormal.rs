@@ -74,6 +74,15 @@ pub fn zernike_basis(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothB
     Ok(all.basis.selected(&(first - 2..=last - 2).collect::<Vec<_>>()))
 }
 
+/// The Zernike polynomials of Noll indices `first` to `last` on the circle around `pupil`, of unit RMS over the circle.
+///
+/// # Errors
+/// Those of [`Samples::from_pupil`]; [`Error::Value`] for an index out of range.
+pub fn circle_zernikes(first: usize, last: usize, pupil: &Pupil) -> Result<SmoothBasis> {
+    let radius_m = Samples::from_pupil(pupil)?.radius_m().max(pupil.grid.pitch_m());
+    Ok(SmoothBasis::zernike(Zernikes::new(first..=last, radius_m)?))
+}
+
 /// The modes of `exact` first, then those of `other` with the span of `exact` projected out; all orthonormal over
 /// `pupil`, names kept. Modes of `other` of which less than `smallest` (a fraction of their RMS; 1e-3 is a good
 /// choice) remains are dropped and reported.

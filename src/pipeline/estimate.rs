@@ -59,7 +59,7 @@ pub struct Estimate {
     pub is_sequence: bool,
     /// Worst status of the images that the estimate depends on.
     pub status: ImageStatus,
-    /// Description of the modes that model selection added to the scene's.
+    /// Description of the modes that were added to the scene's.
     pub model: String,
     /// Optical parameters that were fitted, or found to differ from the scene's.
     pub optics: Vec<OpticalParameter>,

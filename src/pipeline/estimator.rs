@@ -44,6 +44,16 @@ impl Estimator {
         Ok(Self { given, scene, policy, control, cache: BasisCache::default(), shortfall })
     }
 
+    /// An estimator of another scene with this one's policy and control. It shares the Karhunen-Loève basis, which takes most
+    /// of the time of building a model, where telescope, mirror, turbulence and modes are the same.
+    ///
+    /// # Errors
+    /// As [`Estimator::with_policy`].
+    pub fn variant(&self, scene: &Scene) -> Result<Self> {
+        let cache = self.cache.for_scene(&self.scene, scene);
+        Ok(Self { cache, ..Self::with_policy(scene, self.policy, self.control.clone())? })
+    }
+
     /// The scene, with the choices of its plan where it named a budget.
     pub fn scene(&self) -> &Scene {
         &self.scene

@@ -43,8 +43,9 @@ pub(super) fn estimate(
         }
     };
     let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-    let recipes = policy.recipes(scene);
-    let (fitter, found) = modal::select(scene, &recipes, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
+    let recipe = policy.recipe(scene);
+    let (fitter, found) =
+        modal::estimate_with(scene, recipe, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
     control.check("the images were fitted, nothing was written")?;
     let model_seconds = started.elapsed().as_secs_f64() - found.seconds;
     let model = fitter.model();
@@ -69,7 +70,7 @@ pub(super) fn estimate(
         reduced_chi2: found.reduced_chi2(),
         is_sequence: found.is_sequence(),
         status: found.status().kind(),
-        model: selected(&recipes, fitter.recipe().exact_zernikes),
+        model: added_modes(fitter.recipe()),
         optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
         warnings: warnings::modal_warnings(&fitter, &diversity, &found),
         remarks: warnings::diversity_remark(&diversity, fitter.scene()).into_iter().collect(),
@@ -101,12 +102,15 @@ impl From<&FittedOptic> for OpticalParameter {
     }
 }
 
-/// Description of the basis that was selected.
-fn selected(recipes: &[modal::Recipe], exact: NollRange) -> String {
-    match exact {
-        NollRange::None => "the scene's modes".into(),
-        NollRange::Span { first, last } if recipes.len() > 1 => format!("Zernikes {first} to {last} added (by χ²)"),
+/// Description of the modes that were added to those of the scene.
+fn added_modes(recipe: &modal::Recipe) -> String {
+    let exact = match recipe.exact_zernikes {
+        NollRange::None => return "the scene's modes".into(),
         NollRange::Span { first, last } => format!("Zernikes {first} to {last} added"),
+    };
+    match recipe.prior_zernikes {
+        NollRange::None => exact,
+        NollRange::Span { first, last } => format!("{exact}, {first} to {last} with a prior"),
     }
 }
 

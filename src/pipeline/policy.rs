@@ -8,10 +8,9 @@ use crate::{Error, Result};
 /// [`Session`](crate::modal::Session), which has a deadline and may not allocate, follows [`Policy::realtime`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Policy {
-    /// Whether the smallest basis that explains the images is selected: the scene's modes with tip, tilt and focus first,
-    /// with Zernikes to Noll 21 where χ² is too large. Otherwise the largest is fitted at once. Without effect where the
-    /// scene names `modes.exact_zernikes`.
-    pub select_basis: bool,
+    /// Whether the Zernikes of Noll indices 22 to 45 are fitted too, with a prior whose level follows from the images, so that
+    /// the error bars include them. Without effect where the scene names `modes.exact_zernikes`.
+    pub prior_modes: bool,
     /// Whether outlier pixels (cosmic rays, hot and dead pixels) are sought in images that the model does not explain,
     /// and rejected.
     pub reject_outliers: bool,
@@ -25,14 +24,14 @@ pub struct Policy {
 
 impl Default for Policy {
     fn default() -> Self {
-        Self { select_basis: true, reject_outliers: true, restart: true, fit_optics: true }
+        Self { prior_modes: true, reject_outliers: true, restart: true, fit_optics: true }
     }
 }
 
 impl Policy {
     /// No retries: the time of a fit is bounded by its own evaluations.
     pub const fn realtime() -> Self {
-        Self { select_basis: false, reject_outliers: false, restart: false, fit_optics: false }
+        Self { prior_modes: false, reject_outliers: false, restart: false, fit_optics: false }
     }
 
     /// The word in reports and files: `full`, `realtime`, or `custom`.
@@ -44,16 +43,14 @@ impl Policy {
         }
     }
 
-    /// The recipes to fit in turn, the smallest basis first.
-    pub(super) fn recipes(&self, scene: &Scene) -> Vec<Recipe> {
-        let mut recipes = if self.select_basis { Recipe::ladder(scene) } else { vec![Recipe::from_scene(scene)] };
-        for recipe in &mut recipes {
-            recipe.reject_outliers &= self.reject_outliers;
-            if !self.restart {
-                recipe.restarts = 0;
-            }
+    /// The recipe of the fits.
+    pub(super) fn recipe(&self, scene: &Scene) -> Recipe {
+        let mut recipe = if self.prior_modes { Recipe::with_prior(scene) } else { Recipe::from_scene(scene) };
+        recipe.reject_outliers &= self.reject_outliers;
+        if !self.restart {
+            recipe.restarts = 0;
         }
-        recipes
+        recipe
     }
 
     /// # Errors
@@ -79,18 +76,21 @@ impl Session {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::NollRange;
 
     #[test]
-    fn a_policy_sets_the_recipes() {
+    fn a_policy_sets_the_recipe() {
         let scene = Scene::preset("keck-artificial").unwrap();
         let (full, realtime) = (Policy::default(), Policy::realtime());
         assert_eq!((full.name(), realtime.name()), ("full", "realtime"));
         assert_eq!(Policy { restart: false, ..full }.name(), "custom");
-        let (ladder, one) = (full.recipes(&scene), realtime.recipes(&scene));
-        assert_eq!((ladder.len(), one.len()), (2, 1));
-        assert!(ladder.iter().all(|recipe| recipe.restarts == 3 && recipe.reject_outliers));
-        assert!(one[0].restarts == 0 && !one[0].reject_outliers);
-        assert_eq!(one[0].exact_zernikes, ladder[1].exact_zernikes);
+        let (whole, quick) = (full.recipe(&scene), realtime.recipe(&scene));
+        assert!(whole.restarts == 3 && whole.reject_outliers && whole.prior_zernikes != NollRange::None);
+        assert!(quick.restarts == 0 && !quick.reject_outliers && quick.prior_zernikes == NollRange::None);
+        assert_eq!(quick.exact_zernikes, whole.exact_zernikes);
+        // Modes that the scene names are all that are fitted.
+        let named = scene.with(&[("modes.exact_zernikes", "[2, 21]")]).unwrap();
+        assert_eq!(full.recipe(&named), Recipe { prior_zernikes: NollRange::None, ..whole });
         let optics = scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap();
         full.check(&optics).unwrap();
         assert!(realtime.check(&optics).unwrap_err().to_string().contains("\"realtime\""));

@@ -57,6 +57,7 @@ pub(super) fn modal_warnings(
         ));
     }
     sentences.extend(image_warnings(found));
+    sentences.extend(mean_residual_warning(found));
     sentences.extend(model_warning(model));
     for direction in found.degeneracy.null.iter().filter(|direction| !direction.is_global_piston()) {
         let what = &direction.description;
@@ -128,6 +129,23 @@ fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
          from the instrument; error bars are from the scatter between images, and do not include what all images share",
         chi2.sqrt()
     ))
+}
+
+/// Mean residual of several images, as χ², above which a warning says that the model is wrong: as for one image.
+const MEAN_RESIDUAL_MISFIT: f64 = 2.0;
+
+/// Warning on an error of the model that only the mean of the images shows.
+fn mean_residual_warning(found: &modal::ModalEstimate) -> Option<String> {
+    let chi2 = found.mean_residual_chi2;
+    (found.used() > 1 && chi2 > MEAN_RESIDUAL_MISFIT).then(|| {
+        format!(
+            "the mean residual of the {} images is {:.1} times its noise (reduced χ² {chi2:.1}), which single images do not \
+             show: the modes do not span what is there, or the scene differs from the instrument; error bars are scaled up by \
+             as much",
+            found.used(),
+            chi2.sqrt()
+        )
+    })
 }
 
 fn image_warning(image: &ImageReport, is_used: bool) -> Option<String> {

@@ -30,7 +30,7 @@ const CROP_WORK: f64 = 0.95;
 /// for 1 nm, for a fifth more error.
 const TOLERANCES: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 
-/// The exact Zernikes that are tried where the scene leaves them open, in the order of [`Recipe::ladder`].
+/// The exact Zernikes that are tried where the scene leaves them open, the smallest basis first.
 const EXACT: [&str; 2] = ["[2, 4]", "[2, 21]"];
 
 /// A candidate with its fitter, whose basis other candidates share.
@@ -93,7 +93,7 @@ impl<'a> Search<'a> {
     fn reference(&mut self) -> Result<Candidate> {
         let scene = self.given.with_override("estimate.precision", "f64")?;
         let first = ModalFitter::new(&scene, false)?;
-        if Recipe::ladder(&scene).len() == 1 {
+        if !Recipe::has_open_basis(&scene) {
             return self.candidate(&first, &scene);
         }
         let mut tried = Vec::new();

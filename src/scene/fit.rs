@@ -24,7 +24,7 @@ section! {
         file: Option<PathBuf>, ANY, unset("the basis given by ncpa");
         /// First and last Noll index of Zernike polynomials that are estimated in addition to any basis; none by
         /// default for ncpa = "none".
-        exact_zernikes: Option<NollRange>, between(2.0, 1000.0), unset("[2, 4]; [2, 21] if the residuals of the images require it");
+        exact_zernikes: Option<NollRange>, between(2.0, 1000.0), unset("[2, 21], and 22 to 45 with a prior");
     }
 }
 

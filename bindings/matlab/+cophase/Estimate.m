@@ -33,7 +33,7 @@ classdef Estimate < cophase.Handle
         info                  % sizes, status and figures, a struct; see help cophase.Estimate
         policy                % 'full' or 'realtime'
         method                % 'modal' or 'map'
-        model                 % modes that model selection added to the scene's
+        model                 % modes that were added to the scene's
         device                % device that the estimate ran on
         scene                 % scene that was used (TOML), with the choices of a plan and the optics that were fitted
         warnings              % what to know before using the numbers, a cell of sentences

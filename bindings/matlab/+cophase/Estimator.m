@@ -6,8 +6,8 @@ classdef Estimator < cophase.Handle
     %   some seconds. The results are those of `cophase estimate`, to the bit.
     %
     %   estimator = cophase.Estimator(scene_text, Name, Value, ...) chooses:
-    %      'policy'     'full': model selection, outlier rejection, restarts, optics fitted if the scene asks for it;
-    %                   'realtime': one fit with the largest basis, no retries, as a cophase.Session does; 'full'
+    %      'policy'     'full': modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it;
+    %                   'realtime': one fit of the scene's modes, no retries, as a cophase.Session does; 'full'
     %      'threads'    number of threads, -1 for one per processor, which does not change results; -1
     %      'directory'  directory of the files that the scene names; the working directory
     %   The beginning of a name is enough, in upper or lower case.

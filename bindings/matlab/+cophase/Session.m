@@ -1,6 +1,6 @@
 classdef Session < cophase.Handle
     %SESSION  Fits of single images with a model, in memory that is allocated when the session is created.
-    %   s = cophase.Session(model) follows the policy 'realtime': no model selection, no outlier rejection, no restarts;
+    %   s = cophase.Session(model) follows the policy 'realtime': no modes with a prior, no outlier rejection, no restarts;
     %   cophase.Estimator is the full pipeline. The model may be deleted afterwards.
     %
     %   s = cophase.Session(model, Name, Value, ...) chooses:

@@ -68,7 +68,7 @@ class Estimate(Handle):
     policy, method, device : str
         Policy, method and device of the estimate.
     model : str
-        Modes that model selection added to the scene's.
+        Modes that were added to the scene's.
     scene : str
         Scene that was used (TOML), with the choices of a plan and the optics that were fitted.
     warnings, remarks : list of str

@@ -49,8 +49,8 @@ class Estimator(Handle):
     scene : str
         Scene as TOML text. With ``estimate.budget_nm`` the model is planned here, which takes some seconds.
     policy : {"full", "realtime"}
-        ``"full"``: model selection, outlier rejection, restarts, optics fitted if the scene asks for it.
-        ``"realtime"``: one fit with the largest basis, no retries, as a :class:`cophase.Session` does.
+        ``"full"``: modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it.
+        ``"realtime"``: one fit of the scene's modes, no retries, as a :class:`cophase.Session` does.
     threads : int, optional
         Number of threads; one per processor by default. Results do not depend on it.
     directory : path, optional

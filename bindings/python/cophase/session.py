@@ -51,7 +51,7 @@ class Fit:
 class Session(Handle):
     """Fits of single images with a model, in memory that is allocated when the session is created.
 
-    It follows the policy ``"realtime"``: no model selection, no outlier rejection, no restarts;
+    It follows the policy ``"realtime"``: no modes with a prior, no outlier rejection, no restarts;
     :class:`cophase.Estimator` is the full pipeline. One call at a time (:class:`cophase.BusyError` otherwise), except
     :meth:`cancel`; other Python threads run during a call. The same frame gives the same bits, with any other frames
     in the call, in every language.

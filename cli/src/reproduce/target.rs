@@ -3,8 +3,8 @@
 use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
-    HardCase, Options, Progress, Report, artificial_source, beyond, beyond_rows, diversity, hard_cases, image_numbers,
-    on_sky, samples,
+    HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows, diversity, hard_cases,
+    image_numbers, on_sky, pulls, samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
@@ -36,11 +36,13 @@ pub enum Target {
     Beyond,
     /// What goes wrong, and whether the answer says so.
     HardCases,
+    /// Residual over error bar against brightness and number of images.
+    Pulls,
 }
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 12] = [
+    pub const ALL: [Target; 13] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -53,6 +55,7 @@ impl Target {
         Target::Psd,
         Target::Beyond,
         Target::HardCases,
+        Target::Pulls,
     ];
 
     /// The figures of section 4 that are neither the table's nor that of the number of images.
@@ -73,6 +76,7 @@ impl Target {
             Target::Psd => "psd",
             Target::Beyond => "beyond",
             Target::HardCases => "hard-cases",
+            Target::Pulls => "pulls",
         }
     }
 
@@ -95,6 +99,9 @@ impl Target {
                 "full-phase estimates behind a loop, beside the paper's way; draws that are there are kept"
             }
             Target::HardCases => "hard cases: is the answer right, and where it is not, does it say so?",
+            Target::Pulls => {
+                "residual over error bar against brightness and number of images: are the error bars right?"
+            }
         }
     }
 
@@ -103,7 +110,7 @@ impl Target {
     /// 3, which scatter by some 10 %, for six minutes.
     pub fn default_seeds(self) -> usize {
         match self {
-            Target::ArtificialSource => 24,
+            Target::ArtificialSource | Target::Pulls => 24,
             Target::Samples | Target::HardCases => 8,
             Target::Diversity => 6,
             Target::Table | Target::Images => 3,
@@ -163,6 +170,7 @@ impl Target {
             Target::HardCases => {
                 hard_cases(&HardCase::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
             }
+            Target::Pulls => pulls(&PullRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory),
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
                 let table = beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?;

@@ -8,7 +8,7 @@ mod sequence;
 mod session;
 
 use cophase::imaging::{Chain, Precision};
-use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, select_default};
+use cophase::modal::{Cube, ModalEstimate, ModalFitter, Refusal, Status, estimate_scene};
 use cophase::scene::Scene;
 use cophase::source::{self, SourceImages};
 use ndarray::{Array2, Array3, Axis, s};
@@ -35,7 +35,7 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
 fn estimate(scene: &Scene, images_e: &Array3<f64>, bad: &Array3<bool>) -> (ModalFitter, ModalEstimate) {
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
     let mut open = |estimator: &ModalFitter| Ok(Chain::cpu(estimator.model().optics.clone(), Precision::F64));
-    select_default(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()
+    estimate_scene(scene, cube, &mut open, None, &mut |_, _| {}).unwrap()
 }
 
 /// Residuals of phasing and NCPA, nm.

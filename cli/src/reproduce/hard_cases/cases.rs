@@ -23,7 +23,7 @@ pub struct HardCase {
 }
 
 /// The scene of all cases, beside the preset `keck-artificial`: two pixels per λ/D, which is all that an image holds.
-pub(super) const BASE: Settings = &[("image.samples_per_lambda_over_d", "2"), ("image.pixels", "240")];
+pub(in crate::reproduce) const BASE: Settings = &[("image.samples_per_lambda_over_d", "2"), ("image.pixels", "240")];
 
 const fn case(group: &'static str, name: &'static str, made: Settings, spoil: Spoil, read: Settings) -> HardCase {
     HardCase { group, name, made, spoil, read, times: 1 }

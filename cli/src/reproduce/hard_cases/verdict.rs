@@ -1,11 +1,11 @@
 //! Is an estimate right, and does it say so where it is not?
 
 use super::spoil::Made;
-use cophase::metrics::{MapGram, residual_nm};
-use cophase::modal::{DiversityProjection, ModalEstimate, ModalFitter, Status};
+use cophase::metrics::residual_nm;
+use cophase::modal::ModalFitter;
 use cophase::modes::Group;
-use cophase::{Error, Result};
-use ndarray::{Array1, Array2, s};
+use cophase::{Error, Estimate, Result};
+use ndarray::{Array1, Array2};
 
 /// Residuals up to so many times what the error bars make one expect are right: of a hundred modes their RMS scatters by
 /// 7 %, of a few (a focus that dominates) it stays within this in all but one of three hundred.
@@ -13,10 +13,13 @@ const SIGMAS: f64 = 3.0;
 /// Residuals up to this are right with any error bars, nm: λ/2000, where the sampling of the model shows.
 const ALWAYS_RIGHT_NM: f64 = 1.0;
 
+/// Word of an estimate without a warning.
+const OK: &str = "ok";
+
 /// What became of one image.
 #[derive(Debug, Clone)]
 pub struct Verdict {
-    /// One word: the status of the image, `blind` where a direction is reported as unseen, or `refused`.
+    /// One word: the status of the image, `warned` where it is ok and the estimate has a warning, or `refused`.
     pub word: &'static str,
     /// The sentence of a refusal.
     pub sentence: Option<String>,
@@ -55,7 +58,7 @@ impl Verdict {
 
     /// Whether something says that it may not be.
     pub fn is_flagged(&self) -> bool {
-        self.word != Status::Ok.word()
+        self.word != OK
     }
 
     /// What must not be: wrong, said to be right, and by more than what the estimate says beside it that it cannot know.
@@ -77,104 +80,88 @@ impl Verdict {
             opencl_nm: f64::NAN,
         }
     }
-}
-
-/// An estimator, and the inner products with which its maps are compared with the truth.
-pub(super) struct Comparison {
-    pub(super) estimator: ModalFitter,
-    grams: [MapGram; 2],
-    /// The diversity in the modes, where they hold it.
-    diversity: Option<DiversityProjection>,
-    /// Whether there is none to speak of.
-    has_no_sign: bool,
-}
-
-impl Comparison {
-    pub(super) fn new(estimator: ModalFitter) -> Result<Self> {
-        let model = estimator.model();
-        let (pupil, maps, n) = (&model.telescope.pupil, model.basis.maps(), model.segment_modes);
-        let grams =
-            [MapGram::new(pupil, maps.slice(s![..n, .., ..]))?, MapGram::new(pupil, maps.slice(s![n.., .., ..]))?];
-        let diversity = estimator.diversity_projection()?;
-        let has_no_sign = diversity.is_too_small(estimator.scene().image.wavelength_nm);
-        Ok(Self { estimator, grams, diversity: Some(diversity).filter(DiversityProjection::is_spanned), has_no_sign })
-    }
 
     /// Of one image's estimate, against what is behind it.
-    pub(super) fn verdict(&self, found: &ModalEstimate, made: &Made) -> Result<Verdict> {
-        let report = &found.images[0];
-        let hidden = self.estimator.fitted_optics().iter().any(|optic| !optic.is_identifiable());
-        let unseen =
-            self.has_no_sign || hidden || found.degeneracy.null.iter().any(|direction| !direction.is_global_piston());
-        let word = if report.status == Status::Ok && unseen { "blind" } else { report.status.word() };
-        let n = self.estimator.model().segment_modes;
-        let covariance = &found.combined.covariance_nm2;
-        let parts = [covariance.slice(s![..n, ..n]), covariance.slice(s![n.., n..])];
-        let [phasing, ncpa] = [0, 1].map(|i| self.grams[i].expected_rms_nm(parts[i]));
-        let errors_nm = self.errors_nm(&found.combined.coefficients_nm, made);
+    pub(super) fn new(found: &Estimate, made: &Made) -> Result<Self> {
+        let fitter = fitter(found)?;
+        let image = &found.images[0];
+        let word = if image.status.word() == OK && !found.warnings.is_empty() { "warned" } else { image.status.word() };
+        let errors_nm = errors_nm(fitter, &found.coefficients_nm, made);
         let [phasing_nm, ncpa_nm, ncpa_but_diversity_nm] = errors_nm.unwrap_or([f64::INFINITY; 3]);
-        Ok(Verdict {
+        Ok(Self {
             word,
             sentence: None,
             error_nm: [phasing_nm, ncpa_nm],
             ncpa_but_diversity_nm,
-            sigma_nm: [phasing?, ncpa?],
-            reduced_chi2: report.reduced_chi2,
-            evaluations: report.evaluations,
+            sigma_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
+            reduced_chi2: image.reduced_chi2,
+            evaluations: image.evaluations,
             f32_nm: f64::NAN,
             opencl_nm: f64::NAN,
         })
     }
+}
 
-    /// Residuals of phasing, of NCPA, and of NCPA less the best multiple of the diversity, nm.
-    fn errors_nm(&self, coefficients_nm: &[f64], made: &Made) -> Result<[f64; 3]> {
-        let model = self.estimator.model();
-        let pupil = &model.telescope.pupil;
-        if made.truth.piston_nm.len() != pupil.segments.len() {
-            return Err(Error::Shape("the truth is another telescope's".into()));
-        }
-        let [phasing_nm, ncpa_nm] = made.truth.maps_on(pupil)?;
-        let near_nm = self.nearest(coefficients_nm, &made.truth.piston_nm);
-        let phasing = residual_nm(pupil, model.map_nm(&near_nm, Group::Segment).view(), phasing_nm.view())?;
-        let found_nm = model.map_nm(&near_nm, Group::Ncpa);
-        let ncpa = residual_nm(pupil, found_nm.view(), ncpa_nm.view())?;
-        let Some(diversity) = &self.diversity else { return Ok([phasing, ncpa, f64::NAN]) };
-        let diversity_nm = model.map_nm(&diversity.coefficients_nm.to_vec(), Group::Ncpa);
-        let flat = |map: Array2<f64>| -> Result<Array2<f64>> {
-            Ok(pupil.remove_piston_tip_tilt(map.view())?.mapv(|v| if v.is_nan() { 0.0 } else { v }))
-        };
-        let (error, along) = (flat(&found_nm - &ncpa_nm)?, flat(diversity_nm.clone())?);
-        let weighted = &along * &pupil.amplitude;
-        let share = (&error * &weighted).sum() / (&along * &weighted).sum();
-        let rest = residual_nm(pupil, (found_nm - diversity_nm * share).view(), ncpa_nm.view())?;
-        Ok([phasing, ncpa, rest])
-    }
+fn fitter(found: &Estimate) -> Result<&ModalFitter> {
+    found.fitter.as_deref().ok_or_else(|| Error::Internal("a modal estimate has no fitter".into()))
+}
 
-    /// Largest difference of two estimates of an image, nm.
-    pub(super) fn apart_nm(&self, one_nm: &[f64], other_nm: &[f64]) -> f64 {
-        let near_nm = self.nearest(one_nm, &other_nm[..self.estimator.model().segment_modes]);
-        near_nm.iter().zip(other_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+/// Residuals of phasing, of NCPA, and of NCPA less the best multiple of the diversity, nm; the last is NaN where the modes
+/// do not span the diversity.
+fn errors_nm(fitter: &ModalFitter, coefficients_nm: &[f64], made: &Made) -> Result<[f64; 3]> {
+    let model = fitter.model();
+    let pupil = &model.telescope.pupil;
+    if made.truth.piston_nm.len() != pupil.segments.len() {
+        return Err(Error::Shape("the truth is another telescope's".into()));
     }
+    let [phasing_nm, ncpa_nm] = made.truth.maps_on(pupil)?;
+    let near_nm = nearest(fitter, coefficients_nm, &made.truth.piston_nm);
+    let phasing = residual_nm(pupil, model.map_nm(&near_nm, Group::Segment).view(), phasing_nm.view())?;
+    let found_nm = model.map_nm(&near_nm, Group::Ncpa);
+    let ncpa = residual_nm(pupil, found_nm.view(), ncpa_nm.view())?;
+    let diversity = fitter.diversity_projection()?;
+    if !diversity.is_spanned() {
+        return Ok([phasing, ncpa, f64::NAN]);
+    }
+    let diversity_nm = model.map_nm(&diversity.coefficients_nm.to_vec(), Group::Ncpa);
+    let flat = |map: Array2<f64>| -> Result<Array2<f64>> {
+        Ok(pupil.remove_piston_tip_tilt(map.view())?.mapv(|v| if v.is_nan() { 0.0 } else { v }))
+    };
+    let (error, along) = (flat(&found_nm - &ncpa_nm)?, flat(diversity_nm.clone())?);
+    let weighted = &along * &pupil.amplitude;
+    let share = (&error * &weighted).sum() / (&along * &weighted).sum();
+    let rest = residual_nm(pupil, (found_nm - diversity_nm * share).view(), ncpa_nm.view())?;
+    Ok([phasing, ncpa, rest])
+}
 
-    /// The coefficients with each piston moved by the whole wavelengths that no monochromatic image can tell.
-    fn nearest(&self, coefficients_nm: &[f64], piston_nm: &[f64]) -> Vec<f64> {
-        let model = self.estimator.model();
-        let wavelength_nm = model.optics.parts().wavelength_nm;
-        let off: Array1<f64> = coefficients_nm.iter().zip(piston_nm).map(|(found, truth)| found - truth).collect();
-        // The mean over segments goes round with them: about the direction in which most of them point.
-        let (sine, cosine) = off.iter().fold((0.0, 0.0), |(sine, cosine), nm| {
-            let (s, c) = (std::f64::consts::TAU * nm / wavelength_nm).sin_cos();
-            (sine + s, cosine + c)
-        });
-        let mean_nm = sine.atan2(cosine) * wavelength_nm / std::f64::consts::TAU;
-        let mut near_nm = coefficients_nm.to_vec();
-        for (near, off) in near_nm[..model.segment_modes].iter_mut().zip(&off) {
-            *near -= wavelength_nm * ((off - mean_nm) / wavelength_nm).round();
-        }
-        // Each of them has moved the mean, which no image determines.
-        let off_nm: f64 = near_nm.iter().zip(piston_nm).map(|(near, truth)| near - truth).sum();
-        let count = model.segment_modes.max(1) as f64;
-        near_nm[..model.segment_modes].iter_mut().for_each(|near| *near -= off_nm / count);
-        near_nm
+/// Largest difference of two estimates of an image, nm; NaN where their modes differ.
+pub(super) fn apart_nm(one: &Estimate, other: &Estimate) -> f64 {
+    let Ok(fitter) = fitter(one) else { return f64::NAN };
+    if one.coefficients_nm.len() != other.coefficients_nm.len() {
+        return f64::NAN;
     }
+    let near_nm = nearest(fitter, &one.coefficients_nm, &other.coefficients_nm[..fitter.model().segment_modes]);
+    near_nm.iter().zip(&other.coefficients_nm).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+/// The coefficients with each piston moved by the whole wavelengths that no monochromatic image can tell.
+fn nearest(fitter: &ModalFitter, coefficients_nm: &[f64], piston_nm: &[f64]) -> Vec<f64> {
+    let model = fitter.model();
+    let wavelength_nm = model.optics.parts().wavelength_nm;
+    let off: Array1<f64> = coefficients_nm.iter().zip(piston_nm).map(|(found, truth)| found - truth).collect();
+    // The mean over segments goes round with them: about the direction in which most of them point.
+    let (sine, cosine) = off.iter().fold((0.0, 0.0), |(sine, cosine), nm| {
+        let (s, c) = (std::f64::consts::TAU * nm / wavelength_nm).sin_cos();
+        (sine + s, cosine + c)
+    });
+    let mean_nm = sine.atan2(cosine) * wavelength_nm / std::f64::consts::TAU;
+    let mut near_nm = coefficients_nm.to_vec();
+    for (near, off) in near_nm[..model.segment_modes].iter_mut().zip(&off) {
+        *near -= wavelength_nm * ((off - mean_nm) / wavelength_nm).round();
+    }
+    // Each of them has moved the mean, which no image determines.
+    let off_nm: f64 = near_nm.iter().zip(piston_nm).map(|(near, truth)| near - truth).sum();
+    let count = model.segment_modes.max(1) as f64;
+    near_nm[..model.segment_modes].iter_mut().for_each(|near| *near -= off_nm / count);
+    near_nm
 }
