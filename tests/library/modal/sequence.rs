@@ -173,9 +173,11 @@ fn subsets_are_combined_without_another_fit() {
 
 #[test]
 fn noise_alone_gives_a_sequence_the_error_bars_of_its_fisher_matrix() {
-    let scene = scene(&[("image.count", "12")]);
+    // A star so faint that the sampling of the pupil is below the noise of twelve images.
+    let scene = scene(&[("image.count", "12"), ("image.peak_snr", "50")]);
     let made = source::simulate(&scene).unwrap();
     let (estimator, found) = fit(Recipe::from_scene(&scene), &made.images_e);
+    assert!(found.mean_residual_chi2 < 1.1, "{}", found.mean_residual_chi2);
     assert!(found.images.iter().all(|image| image.status == Status::Ok) && found.clipped_images.is_empty());
     let bound = estimator.bound(Array1::from(found.combined.coefficients_nm.clone()).view(), made.flux_e, 0.0).unwrap();
     for (sigma, bound) in found.combined.sigma_nm().into_iter().zip(bound.diag()) {
@@ -245,6 +247,24 @@ fn modes_that_one_image_does_not_show_are_within_the_error_bars_of_forty() {
             assert!(residual < 1.8 * promised, "to Noll {last}: {residual} of {promised} nm");
         }
     }
+}
+
+#[test]
+fn error_bars_of_many_bright_images_include_an_error_of_the_model() {
+    // The sampling of the pupil: reduced χ² 1.5 in one image, and an error that does not average out.
+    let scene = scene(&[("image.count", "12")]);
+    let made = source::simulate(&scene).unwrap();
+    let (fitter, found) = fit_scene(&scene, &made.images_e);
+    let noise = fitter.bound(Array1::from(found.combined.coefficients_nm.clone()).view(), made.flux_e, 0.0).unwrap();
+    assert!(found.reduced_chi2() < 2.0 && found.mean_residual_chi2 > 2.0, "{}", found.mean_residual_chi2);
+    let promised = super::promised(&fitter, &found);
+    for (residual, promised) in super::residuals(&fitter, &found, &made).into_iter().zip(promised) {
+        println!("residual {residual:.3} nm, promised {promised:.3} nm");
+        // As for one image with this χ²: three times the scatter of the RMS of seven numbers above.
+        assert!(residual < 1.8 * promised, "{residual} of {promised} nm");
+    }
+    // Without it they would be half as long.
+    assert!(found.combined.covariance_nm2.diag().sum() > 4.0 * noise.diag().sum() / 12.0);
 }
 
 #[test]
