@@ -110,7 +110,7 @@ uint32_t cophase_abi_version(void);
 /* Image status: fitted, and the model explains the image. */
 #define COPHASE_IMAGE_OK 100
 
-/* Image status: fitted, but the residual is larger than the noise. */
+/* Image status: fitted, but the residual is larger or smaller than the noise. */
 #define COPHASE_IMAGE_MISFIT 101
 
 /* Image status: the residual is so large that the fit is probably in a wrong minimum. */
@@ -273,7 +273,7 @@ cophase_input cophase_input_from_array(const void *data,
                                        size_t cols);
 
 /* Calibration of a camera: electrons = (raw - dark) * gain / flat. Zero in every field but struct_size: frames are
- * electrons.
+ * electrons, or counts where the scene has image.gain_e_per_adu.
  */
 typedef struct {
   /* sizeof(cophase_calibration). */
@@ -284,7 +284,7 @@ typedef struct {
   cophase_input flat;
   /* 1 x rows x cols: bad pixels, which take no part, are not 0. Data NULL: none. */
   cophase_input bad;
-  /* Electrons per raw unit; 0 means 1. */
+  /* Electrons per raw unit; 0 means image.gain_e_per_adu of the scene, or 1 where it has none. */
   double gain_e;
   /* Raw value from which on a pixel is saturated, and bad; 0 means none. */
   double saturation;
@@ -458,10 +458,12 @@ typedef struct {
 typedef struct {
   /* sizeof(cophase_estimate_options). */
   size_t struct_size;
-  /* Calibration of the frames; NULL: frames are electrons. */
+  /* Calibration of the frames; NULL: frames are electrons, or counts where the scene has image.gain_e_per_adu. */
   const cophase_calibration *calibration;
-  /* Read noise of a pixel, electrons RMS; 0 for the scene's. */
+  /* Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1. */
   double read_noise_e;
+  /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's. */
+  int64_t has_read_noise;
 } cophase_estimate_options;
 
 /* Makes an estimator of a scene.
@@ -758,10 +760,12 @@ typedef struct {
   size_t struct_size;
   /* Time for the whole call, s; images that are not done by then have COPHASE_IMAGE_DEADLINE. 0 for no limit. */
   double deadline_s;
-  /* Read noise of a pixel, electrons RMS; 0 for the scene's. */
+  /* Read noise of a pixel, electrons RMS; 0 for the scene's, unless has_read_noise is 1. */
   double read_noise_e;
   /* Starts of the fits, nm: count x modes in C order. NULL for a flat wavefront. */
   const double *start_nm;
+  /* 1: read_noise_e holds even if it is 0 (no read noise). 0: a read_noise_e of 0 means the scene's. */
+  int64_t has_read_noise;
 } cophase_fit_options;
 
 /* Creates a session of a model, which need not outlive this call.
@@ -778,8 +782,8 @@ cophase_status cophase_session_create(const cophase_model *model,
 /* Frees a session; NULL is fine. */
 void cophase_session_destroy(cophase_session *session);
 
-/* Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, as before the first
- * call.
+/* Sets the calibration of the frames of later calls; the maps are copied. NULL: frames are electrons, or counts where the
+ * scene has image.gain_e_per_adu, as before the first call.
  *
  * COPHASE_BAD_VALUE for bad pixels if the model reduces the sampling of frames, which would smear them: such a camera
  * needs estimate.sampling = "native" in its scene.
@@ -817,7 +821,7 @@ cophase_status cophase_session_fit(cophase_session *session,
  * pixels of each image, with the flux and background that minimize it and the weights that a fit begins with. [RT]
  *
  * frames: as in cophase_session_fit; NULL for those of the last evaluation, if no fit came since.
- * options: only read_noise_e is used, and only with frames; NULL for the defaults.
+ * options: only read_noise_e and has_read_noise are used, and only with frames; NULL for the defaults.
  * coefficients_nm: count x modes numbers in C order. count: number of frames.
  * objectives: receives count numbers. gradients: receives count x modes numbers, per nm.
  *
