@@ -2,6 +2,7 @@
 
 use super::control::{Control, Stage};
 use super::estimate::Estimate;
+use super::image_changes::{CHANGING, image_changes};
 use super::images::Images;
 use super::policy::Policy;
 use super::{map, modal};
@@ -74,12 +75,14 @@ impl Estimator {
     pub fn estimate(&self, images: &Images) -> Result<Estimate> {
         images.check()?;
         self.control.reset_progress();
-        let found = match self.scene.estimate.method {
-            Method::Modal => modal::estimate(&self.scene, &self.policy, &self.control, &self.cache, images),
-            Method::FullPhase => map::estimate(&self.scene, &self.policy, &self.control, images),
+        let (scene, chosen) = resolved(&self.scene, images)?;
+        let found = match scene.estimate.method {
+            Method::FullPhase => map::estimate(&scene, &self.policy, &self.control, images),
+            Method::Modal | Method::Auto => modal::estimate(&scene, &self.policy, &self.control, &self.cache, images),
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
+        estimate.remarks.extend(chosen);
         estimate.warnings.splice(0..0, self.shortfall.iter().chain(&images.notes).cloned());
         if let Some(truth) = &images.truth {
             match estimate.compare(truth) {
@@ -90,6 +93,38 @@ impl Estimator {
         }
         Ok(estimate)
     }
+}
+
+/// The scene with the method that `estimate.method = "auto"` chooses for these images, and a sentence on it.
+///
+/// A MAP estimate needs two images or more that differ by more than noise, and a scene that says what changes them: an AO loop or
+/// turbulence.
+fn resolved(scene: &Scene, images: &Images) -> Result<(Scene, Option<String>)> {
+    if scene.estimate.method != Method::Auto {
+        return Ok((scene.clone(), None));
+    }
+    let varies = scene.control.is_some() || scene.wavefront_sensor.is_some() || !scene.turbulence.fractions.is_empty();
+    let changes = image_changes(scene, images);
+    let (method, because) = match changes {
+        None => ("modal", "there are fewer than two images with enough signal to compare".into()),
+        Some(chi2) if chi2 < CHANGING => (
+            "modal",
+            format!("the images do not change from one to the next (reduced χ² of their differences {chi2:.1})"),
+        ),
+        Some(chi2) if !varies => (
+            "modal",
+            format!(
+                "the images change from one to the next (reduced χ² of their differences {chi2:.1}), but the scene has neither \
+                 an AO loop nor turbulence"
+            ),
+        ),
+        Some(chi2) => (
+            "full-phase",
+            format!("the images change from one to the next (reduced χ² of their differences {chi2:.1})"),
+        ),
+    };
+    let sentence = format!("estimate.method = \"auto\" chose \"{method}\": {because}.");
+    Ok((scene.with_override("estimate.method", method)?, Some(sentence)))
 }
 
 /// Lowers the cancel flag after a call that it has ended.

@@ -18,6 +18,8 @@ pub struct SequenceRetrieval<'a> {
     slopes_mas: Option<Array2<f64>>,
     cancel: Option<&'a CancelFlag>,
     watch: &'a (dyn Fn(usize) + Sync),
+    /// Wavefronts about no static wavefront, until an iteration takes them.
+    first: Option<RetrievedWavefronts>,
     /// Report of each image's last retrieval.
     pub reports: Vec<RetrievalReport>,
     /// Seconds in retrievals.
@@ -45,7 +47,45 @@ impl<'a> SequenceRetrieval<'a> {
             )));
         }
         let samples = retriever.illuminated_samples()?;
-        Ok(Self { retriever, prior, samples, cube, slopes_mas, cancel, watch, reports: Vec::new(), seconds: 0.0 })
+        Ok(Self {
+            retriever,
+            prior,
+            samples,
+            cube,
+            slopes_mas,
+            cancel,
+            watch,
+            first: None,
+            reports: Vec::new(),
+            seconds: 0.0,
+        })
+    }
+
+    /// Retrieves the wavefronts of the first iteration, which do not depend on the slopes, `[image, sample]`, nm; NaN for
+    /// unusable images.
+    ///
+    /// # Errors
+    /// Those of [`Retriever::retrieve`].
+    pub fn first_wavefronts_nm(&mut self) -> Result<&Array2<f64>> {
+        let first = match self.first.take() {
+            Some(first) => first,
+            None => self.timed(None)?,
+        };
+        Ok(&self.first.insert(first).wavefront_nm)
+    }
+
+    /// Divides all slopes by `gain`.
+    pub fn divide_slopes(&mut self, gain: f64) {
+        if let Some(slopes_mas) = &mut self.slopes_mas {
+            slopes_mas.mapv_inplace(|mas| mas / gain);
+        }
+    }
+
+    fn timed(&mut self, about: Option<&StaticWavefront>) -> Result<RetrievedWavefronts> {
+        let started = std::time::Instant::now();
+        let wavefronts = self.retriever.retrieve(self.cube, about, self.cancel, self.watch)?;
+        self.seconds += started.elapsed().as_secs_f64();
+        Ok(wavefronts)
     }
 }
 
@@ -63,10 +103,8 @@ impl WavefrontSource for SequenceRetrieval<'_> {
     }
 
     fn retrieve(&mut self, about: Option<&StaticWavefront>) -> Result<Option<RetrievedSequence>> {
-        let started = std::time::Instant::now();
-        let RetrievedWavefronts { wavefront_nm, reports, .. } =
-            self.retriever.retrieve(self.cube, about, self.cancel, self.watch)?;
-        self.seconds += started.elapsed().as_secs_f64();
+        let first = self.first.take().filter(|_| about.is_none());
+        let RetrievedWavefronts { wavefront_nm, reports, .. } = first.map_or_else(|| self.timed(about), Ok)?;
         let reduced_chi2 = reports.iter().map(|report| report.reduced_chi2).collect();
         self.reports = reports;
         Ok(Some(RetrievedSequence { wavefront_nm, reduced_chi2, slopes_mas: self.slopes_mas.clone() }))

@@ -6,6 +6,7 @@ mod bench;
 mod faults;
 mod frames;
 mod odd_images;
+mod orientation;
 mod same_answer;
 mod simulate;
 mod verbs;
