@@ -10,10 +10,12 @@ use ndarray::{Array2, ArrayView2, Axis, s};
 
 /// Gains that are accepted: a sensor's calibration errs by some tens of percent, other units by factors.
 pub const ACCEPTED_GAIN: std::ops::RangeInclusive<f64> = 0.5..=2.0;
-/// Gains without a warning.
-pub const USUAL_GAIN: std::ops::RangeInclusive<f64> = 0.8..=1.25;
+/// Gains without a warning: spots that turbulence blurs during an exposure of 10 ms reduce a quad cell's gain to 0.88.
+pub const USUAL_GAIN: std::ops::RangeInclusive<f64> = 0.7..=1.4;
 /// Difference of correlations beyond which one order of the slopes is better than another.
 const BETTER: f64 = 0.15;
+/// Advantage of a simpler cause over another that explains as much.
+const SIMPLER: f64 = 0.05;
 /// Slopes to one independent number: residuals of neighbouring subapertures are correlated.
 const SLOPES_PER_NUMBER: f64 = 4.0;
 /// Significance of a correlation, standard deviations.
@@ -106,8 +108,12 @@ impl SlopeRegression {
             .collect();
         let mut best = (None, correlation);
         for &(order, value) in &orders {
-            let (size, opposite) =
-                if order == SlopeOrder::Expected { (value, true) } else { (value.abs(), value < 0.0) };
+            // One axis negated is the other one negated and all signs opposite: the simpler name goes first.
+            let (size, opposite) = match order {
+                SlopeOrder::Expected => (value, true),
+                _ if value < 0.0 => (-value - SIMPLER, true),
+                _ => (value, false),
+            };
             if size > best.1.max(correlation + BETTER) {
                 best = (Some(TelemetryFault::Order(order, opposite)), size);
             }
@@ -214,8 +220,8 @@ fn other_times(matches: &Array2<f64>, predicted: &Array2<f64>, measured: &Array2
     taken.sort_unstable();
     taken.dedup();
     if taken.len() == images {
-        // A named order of time explains as much, up to rounding.
-        found.push((TelemetryFault::OtherTime, correlation(&pairs) - 1e-6));
+        // A named order of time may explain as much.
+        found.push((TelemetryFault::OtherTime, correlation(&pairs) - SIMPLER));
     }
     found
 }
@@ -268,10 +274,7 @@ mod tests {
                 given[[image, source]] = sign * mas;
             }
             let found = fault(&given);
-            // One axis negated is the other one negated and all signs opposite.
-            let same =
-                order == SlopeOrder::OppositeY && found == Some(TelemetryFault::Order(SlopeOrder::OppositeX, true));
-            assert!(same || found == Some(TelemetryFault::Order(order, false)), "{order:?} {found:?}");
+            assert_eq!(found, Some(TelemetryFault::Order(order, false)), "{order:?}");
         }
         assert_eq!(fault(&right.select(Axis(0), &[4, 3, 2, 1, 0])), Some(TelemetryFault::ReversedTime));
         assert_eq!(fault(&right.select(Axis(0), &[4, 0, 1, 2, 3])), Some(TelemetryFault::ShiftedTime(1)));

@@ -84,7 +84,7 @@ fn second_star(fitted: &FittedImage, native: f64) -> Option<String> {
     (explained > EXPLAINED_BY_COPY * whole).then(|| {
         let (x, y) = (dx as f64 * native, dy as f64 * native);
         format!(
-            "{:.0} % of it is a copy of the star's image with {contrast:.2} of its flux, {:.0} pixels away ({x:.0} along x, {y:.0} \
+            "{:.0} % of it is a copy of the star's image with {contrast:.2} of its flux or more, {:.0} pixels away ({x:.0} along x, {y:.0} \
              along y): a second star; mark its pixels as bad (BADPIX or --mask), or take another star",
             100.0 * explained / whole,
             x.hypot(y)
@@ -118,6 +118,6 @@ mod tests {
         let clipped = cause(|y, x| if one(y, x) > 6000.0 { 6000.0 } else { one(y, x) }).unwrap();
         assert!(clipped.contains("saturated"), "{clipped}");
         let double = cause(|y, x| one(y, x) + 0.2 * spot(y, x, (20.0, 9.0))).unwrap();
-        assert!(double.contains("0.20 of its flux") && double.contains("(-14 along x, 8 along y)"), "{double}");
+        assert!(double.contains("0.20 of its flux or more") && double.contains("(-14 along x, 8 along y)"), "{double}");
     }
 }

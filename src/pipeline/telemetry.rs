@@ -168,11 +168,7 @@ fn cause(scene: &Scene, fault: &TelemetryFault) -> String {
             };
             what + opposite(sign)
         }
-        TelemetryFault::Unit(gain) => {
-            format!(
-                "the slopes have another unit or scale ({gain:.3} times the expected ones; mas on the sky are accepted)"
-            )
-        }
+        TelemetryFault::Unit(_) => "the slopes have another unit or scale, where mas on the sky are accepted".into(),
         TelemetryFault::ReversedTime => "the slopes are in the reverse order of the images".into(),
         TelemetryFault::ShiftedTime(shift) => {
             let (by, way) = (shift.unsigned_abs(), if *shift > 0 { "later" } else { "earlier" });

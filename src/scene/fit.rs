@@ -151,6 +151,11 @@ impl EstimateScene {
             );
             return Err(reader.error("optimizer", sentence));
         }
+        if self.telemetry == Telemetry::Ignore && self.ao_knowledge == Some(AoKnowledge::Telemetry) {
+            let sentence = "estimate.telemetry = \"ignore\" contradicts estimate.ao_knowledge = \"telemetry\"; leave one of \
+                            them out";
+            return Err(reader.error("telemetry", sentence));
+        }
         if !reader.named("precision") {
             self.precision = Precision::F32;
         }

@@ -16,6 +16,14 @@ fn scene(settings: &[(&str, &str)]) -> Scene {
     Scene::from_file(sky()).unwrap().with(&[&own, settings].concat()).unwrap()
 }
 
+/// Settings of modal estimates: the small mirror has fewer modes than the default.
+const MODAL: [(&str, &str); 4] = [
+    ("estimate.method", "modal"),
+    ("estimate.precision", "f64"),
+    ("modes.ncpa", "zernike"),
+    ("modes.ncpa_count", "14"),
+];
+
 fn images(count: usize) -> Images {
     exposures(&mut Stepper::new(&scene(&[])).unwrap(), count)
 }
@@ -37,7 +45,7 @@ fn flipped(images: &Images) -> Images {
 
 #[test]
 fn slopes_that_are_not_those_of_the_images_are_refused_with_the_cause() {
-    let (scene, right) = (scene(&[]), images(5));
+    let (scene, right) = (scene(&[]), images(4));
     let half = right.slopes_mas.as_ref().unwrap().ncols() / 2;
     let x_and_y =
         |slopes: &Array2<f64>| (slopes.slice(s![.., ..half]).to_owned(), slopes.slice(s![.., half..]).to_owned());
@@ -105,9 +113,22 @@ fn telemetry_is_used_at_its_gain_or_ignored_where_the_scene_says_so() {
 }
 
 #[test]
+fn settings_that_contradict_one_another_are_refused() {
+    for (settings, word) in [
+        (vec![("estimate.telemetry", "ignore"), ("estimate.ao_knowledge", "telemetry")], "contradicts"),
+        (vec![("estimate.method", "modal"), ("estimate.telemetry", "use")], "estimate.method is \"modal\""),
+        (vec![("estimate.telemetry", "trust")], "\"check\", \"use\" or \"ignore\""),
+    ] {
+        let own = [("estimate.method", "full-phase")];
+        let refused = Scene::from_file(sky()).unwrap().with(&[&own, &settings[..]].concat()).unwrap_err().to_string();
+        assert!(refused.contains(word), "{refused}");
+    }
+}
+
+#[test]
 fn images_that_change_are_recognised_and_read_by_the_method_for_them() {
     let changing = images(5);
-    let modal = estimate(&scene(&[("estimate.method", "modal"), ("estimate.precision", "f64")]), &changing).unwrap();
+    let modal = estimate(&scene(&MODAL), &changing).unwrap();
     let warnings = modal.warnings.join("\n");
     assert!(
         warnings.contains("the images change from one to the next") && warnings.contains("full-phase"),
@@ -117,7 +138,7 @@ fn images_that_change_are_recognised_and_read_by_the_method_for_them() {
     let auto = estimate(&scene(&[("estimate.method", "auto")]), &changing).unwrap();
     assert_eq!(auto.method(), Method::FullPhase);
     assert!(auto.remarks.iter().any(|remark| remark.contains("chose \"full-phase\"")), "{:?}", auto.remarks);
-    let source = Scene::from_file(sky()).unwrap().with(&[("image.count", "3"), ("estimate.method", "auto")]).unwrap();
+    let source = scene(&[&MODAL[..], &[("image.count", "3"), ("estimate.method", "auto")]].concat());
     let still = estimate(&source, &Images::simulated(&source).unwrap()).unwrap();
     assert_eq!(still.method(), Method::Modal);
     assert!(still.remarks.iter().any(|remark| remark.contains("chose \"modal\"")), "{:?}", still.remarks);
@@ -138,12 +159,7 @@ fn poked(scene: &Scene, segment: usize, nm: f64) -> [Images; 2] {
 
 #[test]
 fn a_poke_shows_the_orientation() {
-    let modal = scene(&[
-        ("estimate.method", "modal"),
-        ("estimate.precision", "f64"),
-        ("image.rows", ""),
-        ("image.pixels", "80"),
-    ]);
+    let modal = scene(&[&MODAL[..], &[("image.rows", ""), ("image.pixels", "80")]].concat());
     let [before, after] = poked(&modal, 1, 150.0);
     let check = |scene: &Scene, before: Option<&Images>, after: &Images, poke| {
         check_orientation(scene, before, after, poke, &Default::default())
