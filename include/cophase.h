@@ -640,6 +640,12 @@ typedef struct {
   double seconds;
   /* Duration of building the model, s, where that is apart. */
   double model_seconds;
+  /* Measured slopes over those of the retrieved wavefronts, about 1 if the telemetry belongs to the images; NaN without
+   * telemetry.
+   */
+  double telemetry_gain;
+  /* Their correlation; NaN without telemetry. */
+  double telemetry_correlation;
 } cophase_estimate_info;
 
 /* Frees an estimate; NULL is fine. */

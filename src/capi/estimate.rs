@@ -116,6 +116,11 @@ pub struct cophase_estimate_info {
     pub seconds: f64,
     /// Duration of building the model, s, where that is apart.
     pub model_seconds: f64,
+    /// Measured slopes over those of the retrieved wavefronts, about 1 if the telemetry belongs to the images; NaN without
+    /// telemetry.
+    pub telemetry_gain: f64,
+    /// Their correlation; NaN without telemetry.
+    pub telemetry_correlation: f64,
 }
 
 /// A call that reads the estimate.
@@ -154,6 +159,7 @@ pub unsafe extern "C" fn cophase_estimate_get_info(
 
 fn summary(estimate: &Estimate) -> cophase_estimate_info {
     let map = estimate.map.as_ref();
+    let telemetry = map.and_then(|map| map.telemetry.as_ref());
     let precision: crate::imaging::Precision = estimate.precision.into();
     cophase_estimate_info {
         images: estimate.images.len(),
@@ -166,7 +172,7 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
         warnings: estimate.warnings.len(),
         method: match estimate.method() {
             Method::Modal => COPHASE_METHOD_MODAL,
-            Method::FullPhase => COPHASE_METHOD_MAP,
+            Method::FullPhase | Method::Auto => COPHASE_METHOD_MAP,
         },
         policy: policy_number(&estimate.policy),
         status: outcome_number(estimate.status),
@@ -192,6 +198,8 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
         map_width_m: estimate.pupil.grid.width_m(),
         seconds: estimate.seconds,
         model_seconds: estimate.model_seconds,
+        telemetry_gain: telemetry.map_or(f64::NAN, |check| check.gain),
+        telemetry_correlation: telemetry.map_or(f64::NAN, |check| check.correlation),
     }
 }
 

@@ -4,8 +4,12 @@ mod closed_loop;
 mod corrections;
 mod sensor_model;
 mod slope_information;
+mod slope_order;
+mod slope_regression;
 
 pub use closed_loop::ClosedLoopResponse;
 pub use corrections::{CorrectableErrors, Corrections};
 pub use sensor_model::SensorModel;
 pub use slope_information::SlopeInformation;
+pub use slope_order::SlopeOrder;
+pub use slope_regression::{ACCEPTED_GAIN, SlopeRegression, TelemetryFault, USUAL_GAIN};

@@ -5,6 +5,7 @@
 //! and retrieval: 2 nm of a mode in an image instead of 20.
 
 use super::slope_information::{SensorResponse, SlopeInformation};
+use super::slope_regression::SlopeRegression;
 use crate::ao::{Footprint, Lenslets, Sensor};
 use crate::grid::Grid;
 use crate::modes::{Samples, SmoothBasis};
@@ -93,6 +94,31 @@ impl SensorModel {
         self.measure(&vec![0.0; segments], ArrayView1::from(ncpa_nm).dot(&self.modes).view())
     }
 
+    /// Compares the slopes measured during each exposure (`[image, slope]`, mas) with those of the images' wavefronts (`[image,
+    /// sample]`, nm), segments and NCPA included.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of slopes or images.
+    pub fn compare_slopes(
+        &mut self,
+        wavefronts_nm: ArrayView2<f64>,
+        slopes_mas: ArrayView2<f64>,
+    ) -> Result<SlopeRegression> {
+        let (images, segments) = (wavefronts_nm.nrows(), self.indices.iter().map(|(_, segment)| segment + 1).max());
+        if slopes_mas.dim() != (images, self.slopes()) {
+            let (given, needed) = (slopes_mas.dim(), (images, self.slopes()));
+            return Err(Error::Shape(format!("slopes of the shape {given:?} were given: {needed:?} is needed")));
+        }
+        let no_pistons_nm = vec![0.0; segments.unwrap_or(0)];
+        let mut predicted_mas = Array2::zeros(slopes_mas.dim());
+        for (mut predicted, wavefront_nm) in predicted_mas.outer_iter_mut().zip(wavefronts_nm.outer_iter()) {
+            let fine_nm = interpolated(&self.interpolation, wavefront_nm);
+            predicted.assign(&self.measure(&no_pistons_nm, fine_nm.view())?);
+        }
+        let lenslets = self.sensor.lenslets();
+        Ok(SlopeRegression::new(predicted_mas.view(), slopes_mas, lenslets.across, &lenslets.subapertures))
+    }
+
     /// Computes the slopes of a wavefront: pistons with sharp edges, and the rest at the samples of the sensor.
     fn measure(&mut self, pistons_nm: &[f64], rest_nm: ArrayView1<f64>) -> Result<Array1<f64>> {
         debug_assert_eq!(self.map_nm.len(), self.footprint.len());
@@ -128,9 +154,7 @@ impl SensorModel {
         let known_nm = ArrayView1::from(ncpa_nm).dot(&self.modes);
         let rest = |image: usize| {
             let smooth_nm = &wavefronts_nm.row(image) - &segments_nm;
-            let interpolate =
-                |corners: &[(u32, f64); 4]| corners.iter().map(|&(s, w)| w * smooth_nm[s as usize]).sum::<f64>();
-            self.interpolation.iter().map(interpolate).collect::<Array1<f64>>() - &known_nm
+            interpolated(&self.interpolation, smooth_nm.view()) - &known_nm
         };
         let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
         // Measured once: small changes of the static errors change the response by less than its scatter over images, and the
@@ -164,6 +188,12 @@ impl SensorModel {
         }
         Ok(response)
     }
+}
+
+/// Interpolates a wavefront from the retrieved samples to those of the sensor.
+fn interpolated(interpolation: &[[(u32, f64); 4]], wavefront_nm: ArrayView1<f64>) -> Array1<f64> {
+    let at = |corners: &[(u32, f64); 4]| corners.iter().map(|&(s, w)| w * wavefront_nm[s as usize]).sum::<f64>();
+    interpolation.iter().map(at).collect()
 }
 
 /// Bilinear interpolation between illuminated samples: the weights of dark ones go to the others, and where all are dark the

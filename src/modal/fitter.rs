@@ -78,8 +78,8 @@ pub(super) fn refuse_fit_optics(scene: &Scene) -> Result<()> {
 pub(super) fn refuse_full_phase(scene: &Scene) -> Result<()> {
     match scene.estimate.method {
         Method::Modal => Ok(()),
-        Method::FullPhase => Err(Error::Scene(
-            "estimate.method = \"full-phase\" retrieves wavefronts of a whole sequence, which a model and its sessions do not \
+        Method::FullPhase | Method::Auto => Err(Error::Scene(
+            "estimate.method = \"full-phase\" (or \"auto\") retrieves wavefronts of a whole sequence, which a model and its sessions do not \
              do: leave it out, or give this scene to the full pipeline ('cophase estimate', pipeline::Estimator, \
              cophase_estimator_create)"
                 .into(),

@@ -5,10 +5,10 @@
 //! χ² of one image to 1 + e raises it to 1 + N·e. It does not average out: error bars are those of the noise, scaled by this χ²
 //! as those of a single image are by its own.
 
+use super::chi2::nuisances;
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::prepare::PreparedFrame;
-use super::chi2::nuisances;
 use super::residual::variance;
 use super::sequence::SEQUENCE;
 use super::status::{ImageReport, Status};

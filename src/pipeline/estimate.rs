@@ -4,6 +4,7 @@ use super::budget::ErrorTerm;
 use super::images::TruthMaps;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
+use super::telemetry::TelemetryCheck;
 use crate::loop_response::Corrections;
 use crate::modal::ImageStatus;
 use crate::modal::{self, FittedImage};
@@ -139,6 +140,8 @@ pub struct Comparison {
 pub struct MapSummary {
     /// What was assumed of the adaptive optics.
     pub ao_knowledge: AoKnowledge,
+    /// Measured slopes against those of the retrieved wavefronts; `None` without telemetry.
+    pub telemetry: Option<TelemetryCheck>,
     /// All iterations; the last one is the estimate.
     pub iterations: Vec<Iteration>,
     /// Whether they ended because the last one changed less than the tolerance.

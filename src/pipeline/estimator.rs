@@ -1,8 +1,9 @@
 //! Estimator: a scene, a policy, and the estimate of images by them.
 
-use super::consistency::reconcile;
+use super::consistency::{Electrons, reconcile};
 use super::control::{Control, Stage};
 use super::estimate::Estimate;
+use super::image_changes::{CHANGING, image_changes};
 use super::images::Images;
 use super::policy::Policy;
 use super::{map, modal, warnings};
@@ -89,15 +90,18 @@ impl Estimator {
         } else {
             (&self.scene, &self.shortfall, &self.cache)
         };
+        let (scene, chosen) = resolved(scene, &consistent.images)?;
         let found = match scene.estimate.method {
-            Method::Modal => modal::estimate(scene, &self.policy, &self.control, cache, &consistent.images),
-            Method::FullPhase => map::estimate(scene, &self.policy, &self.control, &consistent.images),
+            Method::FullPhase => map::estimate(&scene, &self.policy, &self.control, &consistent.images),
+            Method::Modal | Method::Auto => {
+                modal::estimate(&scene, &self.policy, &self.control, cache, &consistent.images)
+            }
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
-        let general = shortfall.iter().chain(&images.notes).cloned().chain(warnings::scene_warning(scene));
+        let general = shortfall.iter().chain(&images.notes).cloned().chain(warnings::scene_warning(&scene));
         estimate.warnings.splice(0..0, general);
-        estimate.remarks.splice(0..0, consistent.remarks);
+        estimate.remarks.splice(0..0, consistent.remarks.into_iter().chain(chosen));
         if let Some(truth) = &images.truth {
             match estimate.compare(truth) {
                 Ok(residual) => estimate.truth = Some((truth.clone(), residual)),
@@ -116,6 +120,38 @@ fn planned(scene: &Scene, control: &Control) -> Result<(Scene, Option<String>)> 
     let plan = acknowledged(control, planner::plan(scene, budget_nm, Some(control.flag())))?;
     let shortfall = plan.shortfall();
     Ok((plan.scene, shortfall))
+}
+
+/// The scene with the method that `estimate.method = "auto"` chooses for these images, and a sentence on it.
+///
+/// A MAP estimate needs two images or more that differ by more than noise, and a scene that says what changes them: an AO loop or
+/// turbulence.
+fn resolved(scene: &Scene, images: &Electrons) -> Result<(Scene, Option<String>)> {
+    if scene.estimate.method != Method::Auto {
+        return Ok((scene.clone(), None));
+    }
+    let varies = scene.control.is_some() || scene.wavefront_sensor.is_some() || !scene.turbulence.fractions.is_empty();
+    let changes = image_changes(scene, images);
+    let (method, because) = match changes {
+        None => ("modal", "there are fewer than two images with enough signal to compare".into()),
+        Some(chi2) if chi2 < CHANGING => (
+            "modal",
+            format!("the images do not change from one to the next (reduced χ² of their differences {chi2:.1})"),
+        ),
+        Some(chi2) if !varies => (
+            "modal",
+            format!(
+                "the images change from one to the next (reduced χ² of their differences {chi2:.1}), but the scene has neither \
+                 an AO loop nor turbulence"
+            ),
+        ),
+        Some(chi2) => (
+            "full-phase",
+            format!("the images change from one to the next (reduced χ² of their differences {chi2:.1})"),
+        ),
+    };
+    let sentence = format!("estimate.method = \"auto\" chose \"{method}\": {because}.");
+    Ok((scene.with_override("estimate.method", method)?, Some(sentence)))
 }
 
 /// Lowers the cancel flag after a call that it has ended.

@@ -58,6 +58,10 @@ fn cards(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     }
     if let Some(map) = &estimate.map {
         file.card("PRIMARY", "AO_KNOWL", map.ao_knowledge.word(), "what it assumes of the adaptive optics")?;
+        if let Some(check) = &map.telemetry {
+            file.card("PRIMARY", "TELGAIN", check.gain, "measured over predicted slopes")?;
+            file.card("PRIMARY", "TELCORR", check.correlation, "correlation of both")?;
+        }
     }
     file.card("PRIMARY", "CHI2", estimate.reduced_chi2, "median reduced chi-square")
 }
@@ -161,6 +165,9 @@ fn iterations(file: &mut FitsWriter, map: &MapSummary) -> Result<()> {
         Column::f64("CHI2", "", reals(&|iteration| iteration.reduced_chi2)),
     ];
     file.table("ITERATIONS", &columns)?;
+    if let Some(check) = &map.telemetry {
+        file.table("TELEMETRY", &[Column::f64("CORRELATION", "", check.image_correlations.clone())])?;
+    }
     if map.segment_reflectivities.is_empty() {
         return Ok(());
     }

@@ -12,8 +12,9 @@ use super::warnings;
 use crate::modal::ImageStatus;
 use crate::modes::Group;
 use crate::retrieval::OPTICS_SEARCH_CHI2;
-use crate::scene::{AoKnowledge, Scene};
+use crate::scene::{AoKnowledge, Scene, Telemetry};
 use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
+use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::time::Instant;
@@ -25,7 +26,8 @@ const EXPLAINED: f64 = 6.0;
 pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Electrons) -> Result<Estimate> {
     let count = images.len();
     // A level below telemetry uses no slopes, and does not check those of a file.
-    let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
+    let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry)
+        && scene.estimate.telemetry != Telemetry::Ignore;
     let slopes_mas = images.slopes_mas.filter(|_| uses_telemetry);
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != count) {
         return Err(Error::Shape(format!(
@@ -44,7 +46,17 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     // After a search for optical parameters the limit is that of the search.
     let explained = if found.optics.warnings().is_empty() { EXPLAINED } else { OPTICS_SEARCH_CHI2 };
     let is_misfit = last.reduced_chi2 > explained;
-    let sentences = warnings::map_warnings(&found, last, has_settled, is_misfit);
+    let mut sentences = warnings::map_warnings(&found, last, has_settled, is_misfit);
+    if slopes_mas.is_some() && found.ao_knowledge < AoKnowledge::Telemetry {
+        sentences.push(
+            "the slopes that come with the images are ignored: the scene has no [wavefront_sensor] and [control]"
+                .into(),
+        );
+    }
+    let mut remarks: Vec<String> = warnings::diversity_remark(&last.diversity, &found.scene).into_iter().collect();
+    if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
+        remarks.extend(warnings::orientation_remark(&found.scene, &Telescope::new(&found.scene)?)?);
+    }
     let outcomes = (0..count).map(|image| outcome(&found, last, image)).collect();
     let pupil = found.pupil.clone();
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
@@ -70,7 +82,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         model: selected(last),
         optics: optics(scene, &found),
         warnings: sentences,
-        remarks: warnings::diversity_remark(&last.diversity, &found.scene).into_iter().collect(),
+        remarks,
         pupil,
         device: found.device,
         precision: scene.estimate.precision,
@@ -82,6 +94,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         fitter: None,
         map: Some(MapSummary {
             ao_knowledge: found.ao_knowledge,
+            telemetry: found.telemetry,
             iterations: found.iterations,
             has_settled,
             retrieval_seconds: found.retrieval_seconds,

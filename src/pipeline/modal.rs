@@ -4,16 +4,18 @@ use super::budget::ErrorTerm;
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
+use super::image_changes::{CHANGING, image_changes};
+use super::misfit;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings;
 use crate::Result;
 use crate::imaging::Chain;
 use crate::metrics::MapGram;
-use crate::modal::{self, BasisCache, Cube, FittedOptic, Model};
+use crate::modal::{self, BasisCache, Cube, FittedOptic, ImageStatus, Model};
 use crate::modes::Group;
 use crate::scene::{NollRange, Scene};
-use ndarray::Array2;
+use ndarray::{Array2, Axis};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -54,6 +56,23 @@ pub(super) fn estimate(
     let sigma_nm = errors.rms_nm(&found.combined.covariance_nm2)?;
     let pupil = model.telescope.pupil.clone();
     let wavefront_nm = &found.phasing_nm + &found.ncpa_nm;
+    let scene_used = fitter.scene();
+    // Only a misfit asks for a cause.
+    let is_explained = found.status().kind() == ImageStatus::Ok;
+    let changes = if is_explained { None } else { image_changes(scene, images) };
+    let cause = match found.used_images.first() {
+        Some(&image) if !is_explained && changes.is_none_or(|chi2| chi2 < CHANGING) => {
+            let native = model.preparation.native_along(0);
+            let frame = (images.images_e.index_axis(Axis(0), image), images.bad.index_axis(Axis(0), image));
+            misfit::likely_cause(&found.compared, frame.0, frame.1, native)
+                .map(|cause| format!("likely cause of the residual of image {}: {cause}", image + 1))
+        }
+        _ => None,
+    };
+    let remarks = [
+        warnings::diversity_remark(&diversity, scene_used),
+        warnings::orientation_remark(scene_used, &model.telescope)?,
+    ];
     let outcomes = found.images.iter().enumerate().map(|(image, report)| {
         let is_in = |list: &[usize]| list.contains(&image);
         ImageOutcome::from_modal(report, is_in(&found.used_images), is_in(&found.clipped_images))
@@ -72,8 +91,8 @@ pub(super) fn estimate(
         status: found.status().kind(),
         model: added_modes(fitter.recipe()),
         optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
-        warnings: warnings::modal_warnings(&fitter, &diversity, &found),
-        remarks: warnings::diversity_remark(&diversity, fitter.scene()).into_iter().collect(),
+        warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
+        remarks: remarks.into_iter().flatten().collect(),
         scene: fitter.scene().clone(),
         pupil,
         precision: scene.estimate.precision,

@@ -2,6 +2,7 @@
 
 use super::estimate::{Estimate, Figure, MapSummary, OpticalParameter};
 use super::images::counted;
+use super::telemetry::TelemetryCheck;
 use crate::scene::Combine;
 use std::fmt::Write;
 
@@ -98,12 +99,21 @@ fn effort(estimate: &Estimate) -> String {
             estimate.model,
         ),
         Some(map) => format!(
-            "{seconds:.1} s, {:.1} of them in {} retrievals, on {device} in {precision}.\n{}",
+            "{seconds:.1} s, {:.1} of them in {} retrievals, on {device} in {precision}.\n{}{}",
             map.retrieval_seconds,
             estimate.images.len() * map.iterations.len(),
+            map.telemetry.as_ref().map(telemetry).unwrap_or_default(),
             more_images(map),
         ),
     }
+}
+
+/// Measured slopes against predicted ones.
+fn telemetry(check: &TelemetryCheck) -> String {
+    let TelemetryCheck { gain, correlation, .. } = check;
+    format!(
+        "Measured slopes are {gain:.2} times those of the retrieved wavefronts, with a correlation of {correlation:.2}.\n"
+    )
 }
 
 fn more_images(map: &MapSummary) -> String {

@@ -3,6 +3,7 @@
 
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
+use super::telemetry::{self, TelemetryCheck};
 use crate::ao::Lenslets;
 use crate::grid::Grid;
 use crate::modal::{CleanedImages, Cube, reject_outliers};
@@ -28,6 +29,8 @@ pub(super) struct SequenceResult {
     pub(super) rejected_pixels: Vec<usize>,
     /// What was assumed of the adaptive optics.
     pub(super) ao_knowledge: AoKnowledge,
+    /// Measured slopes against those of the retrieved wavefronts, where slopes are used.
+    pub(super) telemetry: Option<TelemetryCheck>,
     /// Optical parameters that the images show to differ from the scene's.
     pub(super) optics: RetrievedOptics,
     /// Scene of the static errors and of corrections: with the optical parameters that were found, unless the sensor's
@@ -156,7 +159,18 @@ pub(super) fn estimate(
         SequenceProgress::Retrieved(done) => control.advance_to(done),
         SequenceProgress::Separating => control.enter(Stage::Separating, 0),
     };
-    let mut source = SequenceRetrieval::new(&retriever, &prior, cube, slopes_mas.cloned(), cancel, &watch)?;
+    let mut source = SequenceRetrieval::new(&retriever, &prior, cube, used_slopes_mas.cloned(), cancel, &watch)?;
+    // The first iteration's wavefronts are retrieved without the slopes.
+    let telemetry = match used_slopes_mas {
+        Some(slopes_mas) => {
+            let samples = retriever.illuminated_samples()?;
+            telemetry::check(&static_scene, &samples, source.first_wavefronts_nm()?, slopes_mas)?
+        }
+        None => None,
+    };
+    if let Some(check) = telemetry.as_ref().filter(|check| check.divided_by != 1.0) {
+        source.divide_slopes(check.divided_by);
+    }
     let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;
     let (device, device_failure) = retriever.device();
     Ok(SequenceResult {
@@ -165,6 +179,7 @@ pub(super) fn estimate(
         retrieval_seconds: source.seconds,
         rejected_pixels: cleaned.map_or_else(|| vec![0; images.len()], |cleaned| cleaned.rejected_pixels),
         ao_knowledge,
+        telemetry,
         optics,
         pupil: Telescope::new(&static_scene)?.pupil,
         scene: static_scene,

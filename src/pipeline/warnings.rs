@@ -1,10 +1,13 @@
 //! Warnings on an estimate: one sentence each, which a user should read before using it.
 
+use super::image_changes::CHANGING;
 use super::images::counted;
 use super::sequence::SequenceResult;
+use crate::Result;
 use crate::modal::{self, DiversityProjection, ImageReport, Model, Session, Status};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
+use crate::telescope::{Diversity, Telescope};
 
 /// What a χ² that is too small means.
 const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
@@ -38,11 +41,49 @@ pub(super) fn scene_warning(scene: &Scene) -> Option<String> {
     })
 }
 
+/// Largest RMS difference of a pupil's amplitude, and of the diversity in waves, from their mirror images at which a flipped image
+/// looks the same: below it noise hides the difference.
+const MIRROR_TOLERANCE: f64 = 0.02;
+
+/// Remark on the orientation of the images, where pupil and diversity equal their mirror images: a flipped image is then the
+/// image of the flipped wavefront.
+///
+/// # Errors
+/// Those of reading the diversity.
+pub(super) fn orientation_remark(scene: &Scene, telescope: &Telescope) -> Result<Option<String>> {
+    let pupil = &telescope.pupil;
+    // A focus equals its mirror images.
+    let map = scene.image.diversity_file.as_ref().map(|_| Diversity::new(scene, telescope)).transpose()?;
+    let (grid, last) = (&pupil.grid, pupil.grid.samples() - 1);
+    let waves = |y: usize, x: usize| {
+        let nm = map.as_ref().map_or(0.0, |map| map.at(grid.coordinate_m(x), grid.coordinate_m(y)));
+        nm / scene.image.wavelength_nm
+    };
+    let is_symmetric = |[flip_x, flip_y]: [bool; 2]| {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        for ((y, x), &amplitude) in pupil.amplitude.indexed_iter() {
+            let (v, u) = (if flip_y { last - y } else { y }, if flip_x { last - x } else { x });
+            let other = pupil.amplitude[[v, u]];
+            sum += (amplitude - other).powi(2) + amplitude * other * (waves(y, x) - waves(v, u)).powi(2);
+            weight += amplitude;
+        }
+        sum < MIRROR_TOLERANCE.powi(2) * weight
+    };
+    let flips = [[true, false], [false, true], [true, true]];
+    Ok(flips.into_iter().any(is_symmetric).then(|| {
+        "The orientation cannot be verified from these images: flipped ones would fit as well, with maps that are flipped \
+         ('cophase check-orientation' finds it from a known poke of a segment or an actuator; image.flip_x and image.flip_y set \
+         it)."
+            .into()
+    }))
+}
+
 /// Warnings of a modal estimate.
 pub(super) fn modal_warnings(
     fitter: &modal::ModalFitter,
     diversity: &DiversityProjection,
     found: &modal::ModalEstimate,
+    changes: Option<f64>,
 ) -> Vec<String> {
     let model = fitter.model();
     let mut sentences: Vec<String> = found.device_failure.iter().cloned().collect();
@@ -56,7 +97,7 @@ pub(super) fn modal_warnings(
             optic.value
         ));
     }
-    sentences.extend(image_warnings(found));
+    sentences.extend(image_warnings(found, changes));
     sentences.extend(mean_residual_warning(found));
     sentences.extend(model_warning(model));
     for direction in found.degeneracy.null.iter().filter(|direction| !direction.is_global_piston()) {
@@ -86,11 +127,16 @@ impl Session {
 }
 
 /// Warnings on single images, the worst kind first, and on a sequence as a whole.
-fn image_warnings(found: &modal::ModalEstimate) -> Vec<String> {
-    let mut sentences = Vec::new();
+fn image_warnings(found: &modal::ModalEstimate, changes: Option<f64>) -> Vec<String> {
+    let changing = changing_warning(found, changes);
+    let explains_all = changing.is_some();
     let whole = sequence_warning(found);
+    let mut sentences: Vec<String> = changing.into_iter().collect();
     let count = found.images.len();
     for word in ["unusable", "not-converged", "wrong-minimum", "misfit"] {
+        if explains_all && ["wrong-minimum", "misfit"].contains(&word) {
+            continue;
+        }
         if word == "misfit"
             && let Some(sentence) = &whole
         {
@@ -110,6 +156,23 @@ fn image_warnings(found: &modal::ModalEstimate) -> Vec<String> {
         }
     }
     sentences
+}
+
+/// Warning on images that change from one to the next, most of which the static modes do not explain. `changes` is the reduced
+/// χ² of their differences.
+fn changing_warning(found: &modal::ModalEstimate, changes: Option<f64>) -> Option<String> {
+    let changes = changes.filter(|chi2| *chi2 >= CHANGING)?;
+    let is_misfit = |image: &&ImageReport| matches!(image.status, Status::Misfit | Status::WrongMinimum);
+    if 2 * found.images.iter().filter(is_misfit).count() <= found.images.len() {
+        return None;
+    }
+    Some(format!(
+        "the images change from one to the next by {:.1} times their noise, and static modes leave {:.1} times the noise in the \
+         typical one: a wavefront that changes, as behind adaptive optics; estimate.method = \"full-phase\" (--method full-phase) \
+         reads such images, these maps include what changed and did not average out",
+        changes.sqrt(),
+        found.reduced_chi2().sqrt()
+    ))
 }
 
 /// Warning on a sequence whose typical image misfits.
@@ -207,6 +270,7 @@ pub(super) fn map_warnings(
     sentences.extend(found.device_failure.clone());
     sentences.extend(last.diversity.warning(found.scene.image.wavelength_nm));
     sentences.extend(found.optics.warnings());
+    sentences.extend(found.telemetry.iter().flat_map(|check| check.warnings.clone()));
     if is_misfit {
         sentences.push(format!(
             "the residual of the typical image is {:.1} times the noise (reduced χ² {:.1}): the scene differs from the \

@@ -6,7 +6,7 @@ use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
     AoKnowledge, Combine, DeviceChoice, Method, NcpaBasis, Optic, Optimizer, Precision, Sampling, SegmentModes,
-    Weighting,
+    Telemetry, Weighting,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -95,10 +95,15 @@ section! {
         /// Combination of the images of a sequence; outliers are rejected from 8 images on.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront of each image and
-        /// then the static errors.
+        /// then the static errors, "auto" chooses: "full-phase" where the scene has an AO loop or turbulence and two images
+        /// or more differ by more than noise, flux and shifts explain.
         method: Method, ANY, default(Method::Modal);
         /// Knowledge of the AO system that is used, for method = "full-phase"; each level includes those before it.
         ao_knowledge: Option<AoKnowledge>, ANY, unset("\"telemetry\" if the images have it, else \"loop\" if the scene has a loop, else \"spectrum\"");
+        /// Slopes that come with the images, for method = "full-phase": "check" compares them with the slopes of the
+        /// retrieved wavefronts and refuses slopes of another sign, order, unit or time, "use" divides them by the gain that
+        /// was found, "ignore" leaves them out.
+        telemetry: Telemetry, ANY, default(Telemetry::Check);
         /// Device that computes the estimate.
         device: DeviceChoice, ANY, default(DeviceChoice::Auto);
         /// Precision of the imaging chain; the default is "f32" for method = "full-phase".
@@ -111,13 +116,15 @@ impl Check for EstimateScene {
         match self.method {
             Method::Modal => self.check_modal(reader),
             Method::FullPhase => self.check_full_phase(reader),
+            // Keys of the other method are refused when the images have decided.
+            Method::Auto => Ok(()),
         }
     }
 }
 
 impl EstimateScene {
     fn check_modal(&self, reader: &Reader) -> Result<()> {
-        reader.refuse(&["ao_knowledge"], "where estimate.method is \"modal\"")?;
+        reader.refuse(&["ao_knowledge", "telemetry"], "where estimate.method is \"modal\"")?;
         if self.fit_optics.is_empty() {
             return Ok(());
         }
@@ -143,6 +150,11 @@ impl EstimateScene {
                 self.optimizer.word()
             );
             return Err(reader.error("optimizer", sentence));
+        }
+        if self.telemetry == Telemetry::Ignore && self.ao_knowledge == Some(AoKnowledge::Telemetry) {
+            let sentence = "estimate.telemetry = \"ignore\" contradicts estimate.ao_knowledge = \"telemetry\"; leave one of \
+                            them out";
+            return Err(reader.error("telemetry", sentence));
         }
         if !reader.named("precision") {
             self.precision = Precision::F32;

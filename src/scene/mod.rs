@@ -36,7 +36,8 @@ pub(crate) use purpose::Purpose;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optic,
-    Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Weighting,
+    Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Telemetry,
+    Weighting,
 };
 
 use crate::{Error, Result};

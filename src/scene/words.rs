@@ -260,6 +260,9 @@ words! {
         Modal = "modal",
         /// Maximum a posteriori retrieval of the wavefront of each image, and of the static errors from all images.
         FullPhase = "full-phase",
+        /// `FullPhase` where the scene has an AO loop or turbulence and the images change from one to the next by more than
+        /// their noise; else `Modal`.
+        Auto = "auto",
     }
 }
 
@@ -275,6 +278,19 @@ words! {
         Loop = "loop",
         /// Slopes that the sensor measured during each exposure.
         Telemetry = "telemetry",
+    }
+}
+
+words! {
+    /// Use of telemetry that comes with the images of a full-phase estimate.
+    #[derive(Copy)]
+    Telemetry {
+        /// It is compared with the retrieved wavefronts, and refused where it does not belong to them.
+        Check = "check",
+        /// It is compared, and used all the same, divided by the gain that was found.
+        Use = "use",
+        /// It is not used.
+        Ignore = "ignore",
     }
 }
 

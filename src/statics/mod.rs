@@ -31,6 +31,7 @@ mod wavefront_source;
 pub use error_budget::{BudgetTerm, ErrorBudget, ErrorSource};
 pub use iterate::estimate_static_errors;
 pub use iteration::Iteration;
+pub(crate) use ncpa_basis::NcpaBasis;
 pub use ncpa_basis::NcpaFamily;
 pub use segment_tilts::SegmentTilts;
 pub use sequence_retrieval::{SequenceProgress, SequenceRetrieval};

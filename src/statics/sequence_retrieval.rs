@@ -27,6 +27,8 @@ pub struct SequenceRetrieval<'a> {
     slopes_mas: Option<Array2<f64>>,
     cancel: Option<&'a CancelFlag>,
     watch: &'a (dyn Fn(SequenceProgress) + Sync),
+    /// Wavefronts about no static wavefront, until an iteration takes them.
+    first: Option<RetrievedWavefronts>,
     /// Report of each image's last retrieval.
     pub reports: Vec<RetrievalReport>,
     /// Seconds in retrievals.
@@ -54,7 +56,47 @@ impl<'a> SequenceRetrieval<'a> {
             )));
         }
         let samples = retriever.illuminated_samples()?;
-        Ok(Self { retriever, prior, samples, cube, slopes_mas, cancel, watch, reports: Vec::new(), seconds: 0.0 })
+        Ok(Self {
+            retriever,
+            prior,
+            samples,
+            cube,
+            slopes_mas,
+            cancel,
+            watch,
+            first: None,
+            reports: Vec::new(),
+            seconds: 0.0,
+        })
+    }
+
+    /// Retrieves the wavefronts of the first iteration, which do not depend on the slopes, `[image, sample]`, nm; NaN for
+    /// unusable images.
+    ///
+    /// # Errors
+    /// Those of [`Retriever::retrieve`].
+    pub fn first_wavefronts_nm(&mut self) -> Result<&Array2<f64>> {
+        let first = match self.first.take() {
+            Some(first) => first,
+            None => self.timed(None)?,
+        };
+        Ok(&self.first.insert(first).wavefront_nm)
+    }
+
+    /// Divides all slopes by `gain`.
+    pub fn divide_slopes(&mut self, gain: f64) {
+        if let Some(slopes_mas) = &mut self.slopes_mas {
+            slopes_mas.mapv_inplace(|mas| mas / gain);
+        }
+    }
+
+    fn timed(&mut self, about: Option<&StaticWavefront>) -> Result<RetrievedWavefronts> {
+        (self.watch)(SequenceProgress::Retrieved(0));
+        let started = std::time::Instant::now();
+        let watch = |done: usize| (self.watch)(SequenceProgress::Retrieved(done));
+        let wavefronts = self.retriever.retrieve(self.cube, about, self.cancel, &watch)?;
+        self.seconds += started.elapsed().as_secs_f64();
+        Ok(wavefronts)
     }
 }
 
@@ -72,12 +114,8 @@ impl WavefrontSource for SequenceRetrieval<'_> {
     }
 
     fn retrieve(&mut self, about: Option<&StaticWavefront>) -> Result<Option<RetrievedSequence>> {
-        (self.watch)(SequenceProgress::Retrieved(0));
-        let started = std::time::Instant::now();
-        let watch = |done: usize| (self.watch)(SequenceProgress::Retrieved(done));
-        let RetrievedWavefronts { wavefront_nm, reports, .. } =
-            self.retriever.retrieve(self.cube, about, self.cancel, &watch)?;
-        self.seconds += started.elapsed().as_secs_f64();
+        let first = self.first.take().filter(|_| about.is_none());
+        let RetrievedWavefronts { wavefront_nm, reports, .. } = first.map_or_else(|| self.timed(about), Ok)?;
         let reduced_chi2 = reports.iter().map(|report| report.reduced_chi2).collect();
         self.reports = reports;
         (self.watch)(SequenceProgress::Separating);

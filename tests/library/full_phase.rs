@@ -11,7 +11,7 @@ use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
 use std::path::{Path, PathBuf};
 
 /// A small telescope behind a loop.
-fn sky() -> PathBuf {
+pub fn sky() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/c_api/sky.toml")
 }
 
@@ -20,7 +20,7 @@ fn read(scene: &Scene, images: &Images) -> Result<Estimate, Error> {
 }
 
 /// Exposures behind the loop, with the slopes that were measured meanwhile.
-fn exposures(stepper: &mut Stepper, count: usize) -> Images {
+pub fn exposures(stepper: &mut Stepper, count: usize) -> Images {
     let (mut images_e, mut slopes_mas) = (Vec::new(), Vec::new());
     stepper.step(300).unwrap();
     for _ in 0..count {

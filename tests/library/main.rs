@@ -15,3 +15,4 @@ mod planner;
 mod pupil;
 mod pupil_maps;
 mod scene;
+mod telemetry;

@@ -17,6 +17,8 @@ classdef Estimate < cophase.Handle
     %      reduced_chi2                   median of the images used
     %      images_to_halve                further images that halve both error bars; NaN if unknown
     %      map_width_m, seconds, model_seconds
+    %      telemetry_gain, telemetry_correlation                of the measured slopes with those of the retrieved
+    %                                     wavefronts, about 1 where they belong together; NaN without telemetry
     %
     %   Methods:
     %      report   text, as the program prints it

@@ -124,7 +124,8 @@ static const field INFO[] = {
     FIELD(T, evaluations, IS_COUNT), FIELD(T, phasing_rms_nm, IS_DOUBLE), FIELD(T, phasing_sigma_nm, IS_DOUBLE),
     FIELD(T, ncpa_rms_nm, IS_DOUBLE), FIELD(T, ncpa_sigma_nm, IS_DOUBLE), FIELD(T, wavefront_rms_nm, IS_DOUBLE),
     FIELD(T, wavefront_sigma_nm, IS_DOUBLE), FIELD(T, reduced_chi2, IS_DOUBLE), FIELD(T, images_to_halve, IS_DOUBLE),
-    FIELD(T, map_width_m, IS_DOUBLE), FIELD(T, seconds, IS_DOUBLE), FIELD(T, model_seconds, IS_DOUBLE), END_OF_FIELDS,
+    FIELD(T, map_width_m, IS_DOUBLE), FIELD(T, seconds, IS_DOUBLE), FIELD(T, model_seconds, IS_DOUBLE),
+    FIELD(T, telemetry_gain, IS_DOUBLE), FIELD(T, telemetry_correlation, IS_DOUBLE), END_OF_FIELDS,
 };
 #undef T
 

@@ -64,7 +64,8 @@ class Estimate(Handle):
         (both together) and their expected errors ``phasing_sigma_nm``, ``ncpa_sigma_nm``, ``wavefront_sigma_nm`` (RMS
         over the pupil, piston, tip and tilt removed); ``reduced_chi2`` (median of the images used);
         ``images_to_halve`` (further images that halve both error bars); ``map_width_m``; ``seconds``,
-        ``model_seconds``.
+        ``model_seconds``; ``telemetry_gain`` and ``telemetry_correlation`` of the measured slopes with those of the
+        retrieved wavefronts, about 1 where they belong together (NaN without telemetry).
     policy, method, device : str
         Policy, method and device of the estimate.
     model : str

@@ -37,8 +37,9 @@ mean (the default; --set estimate.combine=mean or median) leaves outliers out.
 --json prints: images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, \
 phasing_residual_nm and ncpa_residual_nm (where the truth is known), reduced_chi2, evaluations (of the objective, all \
 images together), device, precision, status (the worst of the images': ok, misfit, wrong-minimum, not-converged, \
-unusable), warnings (sentences), policy, model (the basis that was selected), method, and with full-phase ao_knowledge \
-and iterations; null where a key does not apply.";
+unusable), warnings (sentences), policy, model (the modes that were added), method, and with full-phase ao_knowledge, \
+iterations, telemetry_gain and telemetry_correlation (of the measured slopes with those of the retrieved wavefronts); null \
+where a key does not apply.";
 
 /// Estimate segment phasing and NCPA from defocused images of a star
 #[derive(clap::Args)]
@@ -77,14 +78,18 @@ pub struct Arguments {
     #[arg(long, value_name = "NM")]
     budget_nm: Option<f64>,
     /// The estimator: static modes, fitted image by image (modal), or the whole wavefront behind each image of a sequence
-    /// behind adaptive optics (full-phase)
-    #[arg(long, value_parser = ["modal", "full-phase"])]
+    /// behind adaptive optics (full-phase); auto: full-phase where the scene has turbulence or a loop and the images change
+    #[arg(long, value_parser = ["modal", "full-phase", "auto"])]
     method: Option<String>,
     /// What full-phase assumes of the adaptive optics: nothing, its spectrum, the loop, its telemetry [default: the most there is]
     #[arg(long, value_parser = ["nothing", "spectrum", "loop", "telemetry"])]
     ao_knowledge: Option<String>,
     #[arg(long, hide = true, num_args = 0..=1, default_missing_value = "", value_parser = renamed_to_ao_knowledge)]
     knows: Option<String>,
+    /// Slopes that come with the images, with full-phase: refused where they do not belong to the images (check), divided by
+    /// the gain that is found and used (use), or left out (ignore) [default: check]
+    #[arg(long, value_parser = ["check", "use", "ignore"])]
+    telemetry: Option<String>,
     /// Also write corrections, with full-phase: what to add to segments, mirror and reference slopes
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
@@ -119,6 +124,7 @@ impl Arguments {
             ("estimate.optimizer", &self.optimizer),
             ("estimate.method", &self.method),
             ("estimate.ao_knowledge", &self.ao_knowledge),
+            ("estimate.telemetry", &self.telemetry),
         ];
         options.into_iter().filter_map(|(key, value)| Some((key, value.as_deref()?))).collect()
     }
@@ -182,7 +188,7 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let images = arguments.images()?;
     let scene = arguments.scene()?;
     files::spare_files_of(&scene, &arguments.outputs())?;
-    if arguments.commands.is_some() && scene.estimate.method != Method::FullPhase {
+    if arguments.commands.is_some() && scene.estimate.method == Method::Modal {
         let reason = "corrections come from the full-phase estimate: --method full-phase is needed";
         return Err(Error::file(arguments.commands.as_deref().unwrap_or(&arguments.output), reason));
     }
@@ -259,12 +265,15 @@ struct Summary<'a> {
     method: &'static str,
     ao_knowledge: Option<&'static str>,
     iterations: Option<usize>,
+    telemetry_gain: Option<f64>,
+    telemetry_correlation: Option<f64>,
 }
 
 impl<'a> Summary<'a> {
     fn new(estimate: &'a Estimate) -> Self {
         let residual_nm = estimate.truth.as_ref().map(|(_, residual)| residual.rms_nm);
         let map = estimate.map.as_ref();
+        let telemetry = map.and_then(|map| map.telemetry.as_ref());
         Self {
             images: estimate.images.len(),
             used: estimate.used(),
@@ -288,6 +297,8 @@ impl<'a> Summary<'a> {
             method: estimate.method().word(),
             ao_knowledge: map.map(|map| map.ao_knowledge.word()),
             iterations: map.map(|map| map.iterations.len()),
+            telemetry_gain: telemetry.map(|check| check.gain),
+            telemetry_correlation: telemetry.map(|check| check.correlation),
         }
     }
 }

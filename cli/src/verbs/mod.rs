@@ -4,6 +4,7 @@
 //! (stopped by Ctrl-C, as shells count it).
 
 mod bench;
+mod check_orientation;
 mod compare;
 mod demo;
 mod devices;
@@ -55,6 +56,7 @@ enum Verb {
     Estimate(estimate::Arguments),
     Plan(plan::Arguments),
     Compare(compare::Arguments),
+    CheckOrientation(check_orientation::Arguments),
     Devices(devices::Arguments),
     Demo(demo::Arguments),
     Reproduce(reproduce::Arguments),
@@ -75,6 +77,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Estimate(arguments) => return estimate::run(arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
+        Verb::CheckOrientation(arguments) => check_orientation::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
         Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),

@@ -6,9 +6,10 @@ mod drivers;
 #[cfg(debug_assertions)]
 mod faults;
 mod frames;
-mod memory;
 mod headers;
+mod memory;
 mod odd_images;
+mod orientation;
 mod outputs;
 mod same_answer;
 mod sentences;

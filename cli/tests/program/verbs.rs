@@ -69,6 +69,8 @@ fn image_estimate_compare() {
         "method",
         "ao_knowledge",
         "iterations",
+        "telemetry_gain",
+        "telemetry_correlation",
         "phasing_residual_nm",
         "ncpa_residual_nm",
     ];
@@ -254,7 +256,7 @@ fn quiet_is_quiet() {
 #[test]
 fn every_verb_helps_with_an_example() {
     let desk = Desk::with_scene();
-    for verb in ["scene", "image", "estimate", "compare", "devices", "demo"] {
+    for verb in ["scene", "image", "estimate", "compare", "check-orientation", "devices", "demo"] {
         let help = desk.succeeds(&[verb, "--help"]).out;
         assert!(help.contains("Example") && help.contains(&format!("  cophase {verb}")), "{verb}: {help}");
         assert!(help.contains("--quiet"), "{verb}");

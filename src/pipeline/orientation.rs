@@ -1,0 +1,373 @@
+//! Orientation of images from a known poke: flips, rotation and sign under which the map of a moved segment or actuator is what the
+//! images show.
+//!
+//! Where pupil and diversity equal their mirror images, a flipped image is the image of the flipped wavefront, and no single
+//! image determines the orientation. A poke at a known place does. With telescope coordinates x and the scene's u = g·x, the images
+//! show `E(g⁻¹u)` of an expected map E, where g is a rotation followed by flips; each g of the pupil's symmetry group is
+//! compared.
+
+use super::control::Control;
+use super::estimate::Estimate;
+use super::estimator::Estimator;
+use super::images::Images;
+use super::policy::Policy;
+use crate::modal::ImageStatus;
+use crate::pupil::Pupil;
+use crate::scene::{Aperture, Scene};
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::{Array2, Array3};
+
+/// Correlation of two expected maps from which a poke does not distinguish them.
+const SAME_MAP: f64 = 0.97;
+/// Least correlation of the difference with the expected map.
+const LEAST_CORRELATION: f64 = 0.5;
+/// Least ratio of the likelihoods of the best orientation and the next one.
+const LEAST_RATIO: f64 = 1000.0;
+/// Amplitudes, found over expected, without a warning: half or twice is a confusion of surface and wavefront.
+const USUAL_AMPLITUDE: std::ops::RangeInclusive<f64> = 0.7..=1.4;
+/// Ratio of χ² from which images that are turned by 90° are explained better.
+const BETTER_TURNED: f64 = 0.5;
+
+/// A known change of the wavefront, nm of wavefront.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Poke {
+    /// Piston of a segment, by its index from 0 on.
+    Segment(usize, f64),
+    /// Command of an actuator, by its index among those of the mirror, from 0 on.
+    Actuator(usize, f64),
+}
+
+/// An orientation of the images, and how well it explains the poke.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OrientationCandidate {
+    /// Whether x, and y, are flipped after the rotation.
+    pub flip: [bool; 2],
+    /// Rotation, counter-clockwise, degrees.
+    pub rotation_deg: f64,
+    /// 1, or −1 where the poke has the opposite sign.
+    pub sign: f64,
+    /// Correlation of the difference between the images' maps with the expected map.
+    pub correlation: f64,
+    /// Amplitude of the poke in the images over the expected one.
+    pub amplitude: f64,
+    /// Logarithm of its likelihood over that of no poke.
+    pub log_likelihood: f64,
+}
+
+/// Orientation of images.
+#[derive(Debug, Clone)]
+pub struct Orientation {
+    /// The likeliest orientation.
+    pub best: OrientationCandidate,
+    /// The next one that the poke distinguishes from it.
+    pub runner_up: OrientationCandidate,
+    /// Orientations that the poke does not distinguish from the best, which is the simplest of them.
+    pub equivalent: Vec<OrientationCandidate>,
+    /// Keys of the scene to set, with their values; empty where the scene's are right.
+    pub settings: Vec<(String, String)>,
+    /// What a user should know.
+    pub warnings: Vec<String>,
+}
+
+/// Finds the orientation of `after`, images behind a poke, against `before`, images without it; without those, the poke must be
+/// larger than the errors of the wavefront.
+///
+/// # Errors
+/// Those of [`Estimator::estimate`]; [`Error::Value`] for a poke of nothing, one that the images do not show, and one that does
+/// not distinguish two orientations.
+pub fn check_orientation(
+    scene: &Scene,
+    before: Option<&Images>,
+    after: &Images,
+    poke: Poke,
+    control: &Control,
+) -> Result<Orientation> {
+    let telescope = Telescope::new(scene)?;
+    let expected = ExpectedMap::new(scene, &telescope, poke)?;
+    let estimator = Estimator::with_policy(scene, Policy::default(), control.clone())?;
+    let estimate = |quarter_turn: bool| -> Result<(Estimate, Option<Estimate>)> {
+        let oriented = |images: &Images| if quarter_turn { turned(images) } else { images.clone() };
+        let before = before.map(|before| estimator.estimate(&oriented(before))).transpose()?;
+        Ok((estimator.estimate(&oriented(after))?, before))
+    };
+    let (rows, columns) = scene.image.frame_shape();
+    let (mut found, mut quarter_turn) = (estimate(false)?, false);
+    if found.0.status != ImageStatus::Ok && rows == columns {
+        let other = estimate(true)?;
+        if other.0.reduced_chi2 < BETTER_TURNED * found.0.reduced_chi2 {
+            (found, quarter_turn) = (other, true);
+        }
+    }
+    let pupil = &telescope.pupil;
+    let difference_nm = match &found.1 {
+        Some(before) => found.0.wavefront_nm() - before.wavefront_nm(),
+        None => found.0.wavefront_nm(),
+    };
+    let difference_nm = pupil.remove_piston_tip_tilt(difference_nm.view())?;
+    let candidates = expected.candidates(pupil, scene, &difference_nm, found.0.basis.names.len())?;
+    let mut orientation = selected(candidates, &expected, pupil, scene, quarter_turn)?;
+    for (name, estimate) in [("after", Some(&found.0)), ("before", found.1.as_ref())] {
+        if let Some(estimate) = estimate.filter(|estimate| estimate.status != ImageStatus::Ok) {
+            orientation.warnings.push(format!(
+                "the images {name} the poke are not explained (reduced χ² {:.1}, {}): their maps, and this answer, are less certain",
+                estimate.reduced_chi2,
+                estimate.status.word()
+            ));
+        }
+    }
+    Ok(orientation)
+}
+
+/// The images turned by −90° about the axis, pixel M/2: the line that wraps around is bad.
+fn turned(images: &Images) -> Images {
+    let (count, rows, columns) = images.images_e.dim();
+    // u' = R(−90°)u: (u', v') = (v, −u), so the new pixel (row v', column u') has the old one of row u', column −v'.
+    let source = |row: usize, column: usize| (row > 0 && column < rows).then(|| (column, columns - row));
+    let shape = (count, columns, rows);
+    let at = |image: usize, row: usize, column: usize| source(row, column).map(|(v, u)| [image, v, u]);
+    Images {
+        images_e: Array3::from_shape_fn(shape, |(i, v, u)| at(i, v, u).map_or(0.0, |at| images.images_e[at])),
+        bad: Array3::from_shape_fn(shape, |(i, v, u)| at(i, v, u).is_none_or(|at| images.bad[at])),
+        slopes_mas: None,
+        truth: None,
+        ..images.clone()
+    }
+}
+
+/// Expected map of a poke.
+struct ExpectedMap {
+    poke: Poke,
+    /// Position of the actuator, and the influence of the mirror; `None` for a segment.
+    influence: Option<crate::modes::InfluenceFunctions>,
+}
+
+impl ExpectedMap {
+    fn new(scene: &Scene, telescope: &Telescope, poke: Poke) -> Result<Self> {
+        let (what, index, nm, count, influence) = match poke {
+            Poke::Segment(index, nm) => ("segment", index, nm, telescope.pupil.segments.len(), None),
+            Poke::Actuator(index, nm) => {
+                let influence = telescope.influence(scene)?;
+                ("actuator", index, nm, influence.len(), Some(influence))
+            }
+        };
+        if index >= count {
+            let last = count.saturating_sub(1);
+            return Err(Error::Value(format!("{what} {index} does not exist: 0 to {last} is accepted")));
+        }
+        if !nm.is_finite() || nm == 0.0 {
+            return Err(Error::Value(format!("a poke of {nm} nm was given: a finite one other than 0 is needed")));
+        }
+        Ok(Self { poke, influence })
+    }
+
+    fn name(&self) -> String {
+        match self.poke {
+            Poke::Segment(index, nm) => format!("the poke of segment {index} by {nm} nm"),
+            Poke::Actuator(index, nm) => format!("the poke of actuator {index} by {nm} nm"),
+        }
+    }
+
+    /// The map `[y, x]` under an orientation, without piston, tip and tilt.
+    fn map_nm(&self, pupil: &Pupil, flip: [bool; 2], rotation_deg: f64) -> Result<Array2<f64>> {
+        let (grid, n) = (&pupil.grid, pupil.grid.samples());
+        let (sin, cos) = rotation_deg.to_radians().sin_cos();
+        // x = R(−θ)·F·u.
+        let place = |y: usize, x: usize| {
+            let (u, v) = (grid.coordinate_m(x), grid.coordinate_m(y));
+            let (u, v) = (if flip[0] { -u } else { u }, if flip[1] { -v } else { v });
+            (cos * u + sin * v, cos * v - sin * u)
+        };
+        let index = |c_m: f64| (c_m / grid.pitch_m() + (n as f64 - 1.0) / 2.0).round();
+        let mut map = Array2::zeros((n, n));
+        let (xs_m, ys_m): (Vec<f64>, Vec<f64>) = (0..n * n).map(|at| place(at / n, at % n)).unzip();
+        match (self.poke, &self.influence) {
+            (Poke::Segment(segment, nm), _) => {
+                for ((value, x_m), y_m) in map.iter_mut().zip(&xs_m).zip(&ys_m) {
+                    let (x, y) = (index(*x_m), index(*y_m));
+                    let inside = (0.0..n as f64).contains(&x) && (0.0..n as f64).contains(&y);
+                    if inside && pupil.owner[[y as usize, x as usize]] == segment as i32 {
+                        *value = nm;
+                    }
+                }
+            }
+            (Poke::Actuator(actuator, nm), Some(influence)) => {
+                let position = influence.positions_m()[actuator];
+                let own = influence.mirror().select(|x, y| (x, y) == position)?;
+                map.iter_mut().zip(own.evaluate(&xs_m, &ys_m)?).for_each(|(value, shape)| *value = nm * shape);
+            }
+            (Poke::Actuator(..), None) => {}
+        }
+        pupil.remove_piston_tip_tilt(map.view())
+    }
+
+    /// All orientations of the pupil's symmetry group with either sign, the likeliest first and among equals the simplest.
+    fn candidates(
+        &self,
+        pupil: &Pupil,
+        scene: &Scene,
+        difference_nm: &Array2<f64>,
+        modes: usize,
+    ) -> Result<Vec<OrientationCandidate>> {
+        let mut found = Vec::new();
+        for &rotation_deg in rotations_deg(scene, pupil) {
+            for flip in [[false, false], [true, false], [false, true], [true, true]] {
+                let map_nm = self.map_nm(pupil, flip, rotation_deg)?;
+                let (correlation, amplitude) = compare(pupil, difference_nm, &map_nm);
+                for sign in [1.0, -1.0] {
+                    let explained = (sign * correlation).clamp(0.0, 1.0 - 1e-9).powi(2);
+                    // Residuals of as many coefficients, of unknown variance.
+                    let log_likelihood = -0.5 * modes as f64 * (1.0 - explained).ln();
+                    let (correlation, amplitude) = (sign * correlation, sign * amplitude);
+                    found.push(OrientationCandidate {
+                        flip,
+                        rotation_deg,
+                        sign,
+                        correlation,
+                        amplitude,
+                        log_likelihood,
+                    });
+                }
+            }
+        }
+        found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+        Ok(found)
+    }
+}
+
+/// Rotations besides flips under which the pupil equals itself; two flips are a rotation by 180°.
+fn rotations_deg(scene: &Scene, pupil: &Pupil) -> &'static [f64] {
+    if !matches!(scene.pupil.aperture, Aperture::File(_)) {
+        return &[0.0, 60.0, -60.0];
+    }
+    let is_square = pupil.amplitude.indexed_iter().all(|((y, x), a)| (a - pupil.amplitude[[x, y]]).abs() < 0.05);
+    if is_square { &[0.0, 90.0] } else { &[0.0] }
+}
+
+/// Correlation of two maps over the pupil, and the amplitude of the second in the first.
+fn compare(pupil: &Pupil, one: &Array2<f64>, other: &Array2<f64>) -> (f64, f64) {
+    let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
+    for ((weight, a), b) in pupil.amplitude.iter().zip(one).zip(other) {
+        if *weight > 0.0 && a.is_finite() && b.is_finite() {
+            (aa, ab, bb) = (aa + weight * a * a, ab + weight * a * b, bb + weight * b * b);
+        }
+    }
+    let norm = (aa * bb).sqrt();
+    if norm > 0.0 { (ab / norm, ab / bb) } else { (0.0, 0.0) }
+}
+
+/// The likeliest orientation, the simplest of those that the poke does not distinguish.
+fn selected(
+    candidates: Vec<OrientationCandidate>,
+    expected: &ExpectedMap,
+    pupil: &Pupil,
+    scene: &Scene,
+    quarter_turn: bool,
+) -> Result<Orientation> {
+    let name = expected.name();
+    let Some(likeliest) = candidates.first().copied() else {
+        return Err(Error::Internal("no orientation was compared".into()));
+    };
+    if likeliest.correlation < LEAST_CORRELATION {
+        return Err(Error::Value(format!(
+            "the images do not show {name}: its largest correlation with their difference is {:.2} in any orientation, where \
+             {LEAST_CORRELATION} or more is needed; give the images before and after, or a larger poke",
+            likeliest.correlation
+        )));
+    }
+    let map = |candidate: &OrientationCandidate| expected.map_nm(pupil, candidate.flip, candidate.rotation_deg);
+    let own = map(&likeliest)?;
+    let (mut equivalent, mut others) = (Vec::new(), Vec::new());
+    for candidate in candidates {
+        let same = likeliest.sign * candidate.sign * compare(pupil, &own, &map(&candidate)?).0 > SAME_MAP;
+        if same { equivalent.push(candidate) } else { others.push(candidate) }
+    }
+    let complexity = |candidate: &OrientationCandidate| {
+        (candidate.rotation_deg.abs() as i64, candidate.flip.iter().filter(|flip| **flip).count())
+    };
+    equivalent.sort_by_key(complexity);
+    let best = equivalent.remove(0);
+    if let Some(other) = equivalent.iter().find(|other| other.rotation_deg == 0.0 && best.rotation_deg == 0.0) {
+        return Err(Error::Value(format!(
+            "{name} does not distinguish {} from {}: it is on a symmetry axis of the pupil, poke one that is not",
+            described(&best),
+            described(other)
+        )));
+    }
+    let Some(runner_up) = others.first().copied() else {
+        return Err(Error::Value(format!("{name} does not distinguish any orientation: poke one off the axis")));
+    };
+    if best.log_likelihood - runner_up.log_likelihood < LEAST_RATIO.ln() {
+        return Err(Error::Value(format!(
+            "{name} does not distinguish {} (correlation {:.2}) from {} ({:.2}): give the images before and after, or a larger poke",
+            described(&best),
+            best.correlation,
+            described(&runner_up),
+            runner_up.correlation
+        )));
+    }
+    let mut warnings = Vec::new();
+    if best.sign > 0.0 && !USUAL_AMPLITUDE.contains(&best.amplitude) {
+        warnings.push(format!(
+            "the poke is {:.2} times the expected one in the images: nm of wavefront are expected, twice those of a mirror's \
+             surface",
+            best.amplitude
+        ));
+    }
+    let turn = |candidate| if quarter_turn { after_quarter_turn(candidate) } else { candidate };
+    let (best, runner_up) = (turn(best), turn(runner_up));
+    let equivalent = equivalent.into_iter().map(turn).collect();
+    let mut settings = Vec::new();
+    let is_reversed_diversity = best.sign < 0.0 && best.flip == [true, true] && best.rotation_deg == 0.0;
+    if is_reversed_diversity && scene.image.diversity_file.is_none() {
+        let waves = -scene.image.diversity_focus_waves_rms;
+        settings.push(("image.diversity_focus_waves_rms".into(), waves.to_string()));
+    } else {
+        let keys = [("image.flip_x", scene.image.flip_x), ("image.flip_y", scene.image.flip_y)];
+        for ((key, now), flip) in keys.into_iter().zip(best.flip) {
+            settings.extend(flip.then(|| (key.to_string(), (!now).to_string())));
+        }
+        if best.rotation_deg != 0.0 {
+            let rotation_deg = scene.pupil.rotation_deg + best.rotation_deg;
+            settings.push(("pupil.rotation_deg".into(), rotation_deg.to_string()));
+        }
+        if best.sign < 0.0 {
+            warnings.push(
+                "the poke has the opposite sign in the images: it lowers the wavefront (a positive one raises it), or else \
+                 image.diversity_focus_waves_rms has the wrong sign and the images are rotated by 180° in addition"
+                    .into(),
+            );
+        }
+    }
+    Ok(Orientation { best, runner_up, equivalent, settings, warnings })
+}
+
+/// The orientation of images that were turned by −90° before: R(90°)·F·R(θ) = F·R(±90° + θ), − for a single flip.
+fn after_quarter_turn(candidate: OrientationCandidate) -> OrientationCandidate {
+    let is_mirrored = candidate.flip[0] != candidate.flip[1];
+    let turn = if is_mirrored { -90.0 } else { 90.0 };
+    OrientationCandidate { rotation_deg: candidate.rotation_deg + turn, ..candidate }
+}
+
+/// An orientation in words.
+fn described(candidate: &OrientationCandidate) -> String {
+    let flips = match candidate.flip {
+        [false, false] => "the scene's orientation",
+        [true, false] => "a flip left to right",
+        [false, true] => "a flip up to down",
+        [true, true] => "a rotation by 180°",
+    };
+    let rotation = match candidate.rotation_deg {
+        0.0 => String::new(),
+        degrees => format!(" after a rotation by {degrees}°"),
+    };
+    let sign = if candidate.sign < 0.0 { " with the opposite sign" } else { "" };
+    format!("{flips}{rotation}{sign}")
+}
+
+impl OrientationCandidate {
+    /// The orientation in words.
+    pub fn description(&self) -> String {
+        described(self)
+    }
+}

@@ -1,0 +1,190 @@
+//! Telemetry that does not belong to the images, images in another orientation, and images that change: each is named.
+
+use crate::full_phase::{exposures, sky};
+use cophase::ao::Stepper;
+use cophase::pipeline::{Estimate, Estimator, Images, Poke, check_orientation};
+use cophase::scene::{AoKnowledge, Method, Scene};
+use cophase::source::{Camera, Truth};
+use cophase::telescope::Telescope;
+use cophase::{Error, Result};
+use ndarray::{Array2, Array3, Axis, concatenate, s};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+fn scene(settings: &[(&str, &str)]) -> Scene {
+    let own = [("estimate.method", "full-phase"), ("estimate.device", "cpu")];
+    Scene::from_file(sky()).unwrap().with(&[&own, settings].concat()).unwrap()
+}
+
+/// Settings of modal estimates: the small mirror has fewer modes than the default.
+const MODAL: [(&str, &str); 4] = [
+    ("estimate.method", "modal"),
+    ("estimate.precision", "f64"),
+    ("modes.ncpa", "zernike"),
+    ("modes.ncpa_count", "14"),
+];
+
+fn images(count: usize) -> Images {
+    exposures(&mut Stepper::new(&scene(&[])).unwrap(), count)
+}
+
+fn estimate(scene: &Scene, images: &Images) -> Result<Estimate> {
+    Estimator::new(scene)?.estimate(images)
+}
+
+fn with_slopes(images: &Images, change: impl Fn(&Array2<f64>) -> Array2<f64>) -> Images {
+    Images { slopes_mas: images.slopes_mas.as_ref().map(change), ..images.clone() }
+}
+
+/// The frame mirrored left to right about its axis, pixel M/2.
+fn flipped(images: &Images) -> Images {
+    let columns = images.images_e.dim().2;
+    let at = |(i, y, x): (usize, usize, usize)| images.images_e[[i, y, (columns - x) % columns]];
+    Images { images_e: Array3::from_shape_fn(images.images_e.dim(), at), ..images.clone() }
+}
+
+#[test]
+fn slopes_that_are_not_those_of_the_images_are_refused_with_the_cause() {
+    let (scene, right) = (scene(&[]), images(4));
+    let half = right.slopes_mas.as_ref().unwrap().ncols() / 2;
+    let x_and_y =
+        |slopes: &Array2<f64>| (slopes.slice(s![.., ..half]).to_owned(), slopes.slice(s![.., half..]).to_owned());
+    let swapped = |slopes: &Array2<f64>| {
+        let (x, y) = x_and_y(slopes);
+        concatenate![Axis(1), y, x]
+    };
+    let interleaved = |slopes: &Array2<f64>| {
+        let (x, y) = x_and_y(slopes);
+        Array2::from_shape_fn(slopes.dim(), |(i, k)| if k % 2 == 0 { x[[i, k / 2]] } else { y[[i, k / 2]] })
+    };
+    type Change<'a> = (&'a dyn Fn(&Array2<f64>) -> Array2<f64>, &'a str);
+    let changes: [Change; 8] = [
+        (&|slopes| -slopes, "the slopes have the opposite sign"),
+        (&swapped, "along y come before those along x"),
+        (&interleaved, "come in turn"),
+        (&|slopes| slopes / 500.0, "another unit or scale"),
+        (&|slopes| slopes * 0.0, "all slopes are 0"),
+        (&|slopes| slopes * 0.0 + 3.0, "every image has the same slopes"),
+        (&|slopes| slopes.slice(s![..;-1, ..]).to_owned(), "in the reverse order of the images"),
+        (
+            &|slopes| Array2::from_shape_fn(slopes.dim(), |(i, k)| ((i * 7919 + k * 104_729) % 997) as f64 - 498.0),
+            "another night",
+        ),
+    ];
+    for (change, cause) in changes {
+        match estimate(&scene, &with_slopes(&right, change)).map(|_| ()) {
+            Err(Error::Value(sentence)) => {
+                assert!(sentence.starts_with("the telemetry does not belong to the images: "), "{sentence}");
+                assert!(sentence.contains(cause) && sentence.contains("--telemetry"), "{cause}: {sentence}");
+            }
+            other => panic!("{cause}: {other:?}"),
+        }
+    }
+    let refused = estimate(&scene, &flipped(&right)).unwrap_err().to_string();
+    assert!(refused.contains("flipped left to right (image.flip_x = true"), "{refused}");
+}
+
+#[test]
+fn telemetry_is_used_at_its_gain_or_ignored_where_the_scene_says_so() {
+    let right = images(4);
+    let found = estimate(&scene(&[]), &right).unwrap();
+    let check = found.map.as_ref().unwrap().telemetry.clone().unwrap();
+    // Retrieved wavefronts have an error of a tenth of the residual.
+    assert!((0.85..1.15).contains(&check.gain) && check.correlation > 0.9, "{check:?}");
+    assert!(check.excludes_flips && check.divided_by == 1.0 && check.image_correlations.len() == 4);
+    assert!(found.report().contains("with a correlation of") && found.warnings.is_empty(), "{}", found.report());
+    assert!(!found.remarks.iter().any(|remark| remark.contains("orientation cannot be verified")));
+    let negated = with_slopes(&right, |slopes| slopes * -40.0);
+    let used = estimate(&scene(&[("estimate.telemetry", "use")]), &negated).unwrap();
+    let gain = used.map.as_ref().unwrap().telemetry.as_ref().unwrap().divided_by;
+    assert!((gain / (-40.0 * check.gain) - 1.0).abs() < 1e-6, "{gain}");
+    assert!(used.warnings.iter().any(|warning| warning.contains("divided by -")), "{:?}", used.warnings);
+    // The same slopes but for the gain, which is within a tenth of 1.
+    let apart = used.compare(&cophase::pipeline::TruthMaps {
+        phasing_nm: found.phasing_nm.clone(),
+        ncpa_nm: found.ncpa_nm.clone(),
+    });
+    let apart_nm = apart.unwrap().rms_nm;
+    assert!(apart_nm[1] < 0.15 * found.ncpa.rms_nm, "{apart_nm:?}");
+    let ignored = estimate(&scene(&[("estimate.telemetry", "ignore")]), &negated).unwrap();
+    let map = ignored.map.as_ref().unwrap();
+    assert!(map.ao_knowledge == AoKnowledge::Loop && map.telemetry.is_none());
+    assert!(ignored.remarks.iter().any(|remark| remark.contains("orientation cannot be verified")));
+}
+
+#[test]
+fn settings_that_contradict_one_another_are_refused() {
+    for (settings, word) in [
+        (vec![("estimate.telemetry", "ignore"), ("estimate.ao_knowledge", "telemetry")], "contradicts"),
+        (vec![("estimate.method", "modal"), ("estimate.telemetry", "use")], "estimate.method is \"modal\""),
+        (vec![("estimate.telemetry", "trust")], "\"check\", \"use\" or \"ignore\""),
+    ] {
+        let own = [("estimate.method", "full-phase")];
+        let refused = Scene::from_file(sky()).unwrap().with(&[&own, &settings[..]].concat()).unwrap_err().to_string();
+        assert!(refused.contains(word), "{refused}");
+    }
+}
+
+#[test]
+fn images_that_change_are_recognised_and_read_by_the_method_for_them() {
+    let changing = images(5);
+    let modal = estimate(&scene(&MODAL), &changing).unwrap();
+    let warnings = modal.warnings.join("\n");
+    assert!(
+        warnings.contains("the images change from one to the next") && warnings.contains("full-phase"),
+        "{warnings}"
+    );
+    assert!(!warnings.contains("scene differs from the instrument"), "{warnings}");
+    let auto = estimate(&scene(&[("estimate.method", "auto")]), &changing).unwrap();
+    assert_eq!(auto.method(), Method::FullPhase);
+    assert!(auto.remarks.iter().any(|remark| remark.contains("chose \"full-phase\"")), "{:?}", auto.remarks);
+    let source = scene(&[&MODAL[..], &[("image.count", "3"), ("estimate.method", "auto")]].concat());
+    let still = estimate(&source, &Images::simulated(&source).unwrap()).unwrap();
+    assert_eq!(still.method(), Method::Modal);
+    assert!(still.remarks.iter().any(|remark| remark.contains("chose \"modal\"")), "{:?}", still.remarks);
+}
+
+/// Images of the same aberrations before and after a poke of a segment by `nm`, without noise.
+fn poked(scene: &Scene, segment: usize, nm: f64) -> [Images; 2] {
+    let telescope = Telescope::new(scene).unwrap();
+    let truth = || Truth::draw(scene, &telescope, &mut ChaCha8Rng::seed_from_u64(3)).unwrap();
+    let image = |truth: &Truth| {
+        let psf = Camera::new(scene, &telescope).unwrap().psf(truth).unwrap();
+        Images::new((psf * 1e7).insert_axis(Axis(0)))
+    };
+    let mut pistons_nm = truth().piston_nm;
+    pistons_nm[segment] += nm;
+    [image(&truth()), image(&truth().with_pistons(&telescope, pistons_nm).unwrap())]
+}
+
+#[test]
+fn a_poke_shows_the_orientation() {
+    let modal = scene(&[&MODAL[..], &[("image.rows", ""), ("image.pixels", "80")]].concat());
+    let [before, after] = poked(&modal, 1, 150.0);
+    let check = |scene: &Scene, before: Option<&Images>, after: &Images, poke| {
+        check_orientation(scene, before, after, poke, &Default::default())
+    };
+    let poke = Poke::Segment(1, 150.0);
+    let found = check(&modal, Some(&before), &after, poke).unwrap();
+    assert_eq!((found.best.flip, found.best.rotation_deg, found.best.sign), ([false; 2], 0.0, 1.0), "{found:?}");
+    assert!(found.settings.is_empty() && (found.best.amplitude - 1.0).abs() < 0.1, "{found:?}");
+    let found = check(&modal, Some(&flipped(&before)), &flipped(&after), poke).unwrap();
+    assert_eq!(found.settings, [("image.flip_x".to_string(), "true".to_string())], "{found:?}");
+    let flips = modal.with_override("image.flip_x", "true").unwrap();
+    assert!(check(&flips, Some(&flipped(&before)), &flipped(&after), poke).unwrap().settings.is_empty());
+    let opposite = check(&modal, Some(&before), &after, Poke::Segment(1, -150.0)).unwrap();
+    assert!(opposite.best.sign < 0.0 && !opposite.warnings.is_empty(), "{opposite:?}");
+    let reversed = modal.with_override("image.diversity_focus_waves_rms", "-1.0").unwrap();
+    let found = check(&reversed, Some(&before), &after, poke).unwrap();
+    assert_eq!(found.settings, [("image.diversity_focus_waves_rms".to_string(), "1".to_string())], "{found:?}");
+    // The central segment is its own mirror image, and so is one on the y axis.
+    for (segment, word) in [(0, "does not distinguish"), (2, "symmetry axis")] {
+        let [before, after] = poked(&modal, segment, 150.0);
+        let refused = check(&modal, Some(&before), &after, Poke::Segment(segment, 150.0)).unwrap_err().to_string();
+        assert!(refused.contains(word), "{refused}");
+    }
+    let refused = check(&modal, Some(&before), &before, poke).unwrap_err().to_string();
+    assert!(refused.contains("do not show the poke of segment 1"), "{refused}");
+    let refused = check(&modal, None, &after, Poke::Segment(7, 100.0)).unwrap_err().to_string();
+    assert!(refused.contains("0 to 6 is accepted"), "{refused}");
+}
