@@ -35,7 +35,7 @@ fn slopes_of_the_opposite_sign_are_refused_used_or_ignored() {
     let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
     assert_eq!(file.card(None, "TELGAIN").unwrap().unwrap().number(), json["telemetry_gain"].as_f64());
     let json = desk.json(&[&estimate[..], &["--json", "--telemetry", "ignore"]].concat());
-    assert!(json["knows"] == "loop" && json["telemetry_gain"].is_null(), "{json}");
+    assert!(json["ao_knowledge"] == "loop" && json["telemetry_gain"].is_null(), "{json}");
     // Slopes of a scene without a sensor.
     let cut = SKY.split("[wavefront_sensor]").next().unwrap().to_string()
         + "[mirror]\nactuators_across = 11\npitch_m = 0.5625\n";
