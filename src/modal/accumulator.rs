@@ -1,6 +1,7 @@
 //! Accumulator: running static estimate of images that are fitted one after the other.
 
-use super::combine::{CombinedModes, centre, covariance_with_scatter, is_sequence};
+use super::combine::{centre, covariance_with_scatter, is_sequence};
+use super::combined_modes::CombinedModes;
 use super::diversity_error::check_reachable;
 use super::fitter::ModalFitter;
 use super::pistons::Pistons;

@@ -1,5 +1,6 @@
 //! Combination of the minima of single images into one estimate: mean or median, error bars, maps.
 
+use super::combined_modes::CombinedModes;
 use super::fitter::ModalFitter;
 use super::mean_residual::{EXPLAINED, mean_residual_chi2};
 use super::minimum::Minimum;
@@ -18,22 +19,6 @@ use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, Axis};
 use rayon::prelude::*;
 use std::slice::from_ref;
-
-/// Modes of the static wavefront.
-#[derive(Debug, Clone)]
-pub struct CombinedModes {
-    /// Every mode, nm; pistons have zero mean over the pupil.
-    pub coefficients_nm: Vec<f64>,
-    /// Its covariance, nm².
-    pub covariance_nm2: Array2<f64>,
-}
-
-impl CombinedModes {
-    /// Standard deviation of each mode, nm.
-    pub fn sigma_nm(&self) -> Vec<f64> {
-        self.covariance_nm2.diag().iter().map(|v| v.max(0.0).sqrt()).collect()
-    }
-}
 
 /// One image beside its fitted model, for pictures: `[y, x]`, electrons at the model's sampling.
 #[derive(Debug, Clone)]

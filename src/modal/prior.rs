@@ -16,7 +16,7 @@
 //! such modes the result is that of the smaller basis, up to a few per cent of the error bars; where they show them it is that
 //! of a fit without a prior. C_bb and Q are diagonalised together, so that each level takes a sum over the modes.
 
-use super::combine::CombinedModes;
+use super::combined_modes::CombinedModes;
 use crate::Result;
 use crate::modes::{Basis, noll_orders};
 use crate::optimize::Metric;
