@@ -135,7 +135,8 @@ mod tests {
         };
         let expected = slopes(&wavefront);
         // The file's wavefront W'(g(x)) = W(x), so W' = W∘g⁻¹.
-        let orientations: [(SlopeOrder, &dyn Fn(f64, f64) -> f64); 4] = [
+        type Field<'a> = &'a dyn Fn(f64, f64) -> f64;
+        let orientations: [(SlopeOrder, Field); 4] = [
             (SlopeOrder::FlippedX, &|u, v| wavefront(-u, v)),
             (SlopeOrder::Rotated180, &|u, v| wavefront(-u, -v)),
             (SlopeOrder::Transposed, &|u, v| wavefront(v, u)),
