@@ -88,6 +88,7 @@ impl std::fmt::Display for DeviceInfo {
 /// where there is a device.
 pub fn advice(present: &[DeviceInfo]) -> Option<String> {
     /// What needs no device.
+    #[cfg(feature = "opencl")]
     const WITHOUT: &str = "the CPU chain needs nothing";
     if !present.is_empty() {
         return None;

@@ -128,7 +128,7 @@ fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
     assert!(matches!(session.fit(1, &FitOptions::default()), Err(Error::Interrupted(_))));
     assert!(session.results().is_empty());
     session.fit(1, &FitOptions::default()).unwrap();
-    assert_eq!(session.results()[0].report.status, Status::Ok);
+    assert!(super::is_near(&session.results()[0].report));
 }
 
 #[test]
