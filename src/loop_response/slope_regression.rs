@@ -140,8 +140,12 @@ impl SlopeRegression {
 
     /// Images whose slopes do not belong to them, although those of the others do.
     pub fn odd_images(&self, slopes: usize) -> Vec<usize> {
-        let noise = SIGNIFICANT / (slopes as f64 / SLOPES_PER_NUMBER).sqrt();
-        let least = (0.5 * self.correlation - noise).max(0.0);
+        let mut sorted = self.image_correlations.clone();
+        sorted.sort_by(f64::total_cmp);
+        let typical = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
+        // Standard deviation of a correlation (Fisher).
+        let sigma = (1.0 - typical * typical) * (SLOPES_PER_NUMBER / slopes as f64).sqrt();
+        let least = (0.5 * typical).min(typical - SIGNIFICANT * sigma);
         (0..self.image_correlations.len()).filter(|&image| self.image_correlations[image] < least).collect()
     }
 

@@ -2,6 +2,7 @@
 
 use super::images::counted;
 use crate::loop_response::{ACCEPTED_GAIN, SensorModel, SlopeOrder, SlopeRegression, TelemetryFault, USUAL_GAIN};
+use crate::modal::DiversityProjection;
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::{Scene, Telemetry};
 use crate::statics::{NcpaBasis, NcpaFamily};
@@ -71,7 +72,19 @@ pub(super) fn check(
         1.0 => "they are used as they are, because estimate.telemetry is \"use\"".to_string(),
         gain => format!("they are divided by {gain:.3}, because estimate.telemetry is \"use\""),
     };
+    let diversity = DiversityProjection::new(scene, &telescope, &basis.modes.sampled(&telescope.pupil)?, 0)?;
     match &found.fault {
+        // Retrieved wavefronts have either sign.
+        Some(TelemetryFault::Order(..) | TelemetryFault::Unrelated)
+            if diversity.is_too_small(scene.image.wavelength_nm) =>
+        {
+            check.divided_by = 1.0;
+            check.warnings.push(format!(
+                "the telemetry cannot be compared with the images, whose diversity does not determine the signs of wavefronts \
+                 (correlation {:.2}); it is used as it is",
+                found.correlation
+            ));
+        }
         Some(fault) if is_forced => {
             let what = mismatch(scene, fault, &found, used.len());
             check.warnings.push(format!("{what}; {divided}"));
@@ -176,7 +189,8 @@ fn cause(scene: &Scene, fault: &TelemetryFault) -> String {
         }
         TelemetryFault::OtherTime => "the slopes are in another order than the images".into(),
         TelemetryFault::Unrelated => {
-            "no order, sign or time of the slopes makes them those of the images, as of another night or another sensor"
+            "no order, sign or time of the slopes makes them those of the images: they are of another night or sensor, or \
+             the scene does not describe the images"
                 .into()
         }
     }

@@ -168,7 +168,7 @@ fn messages_name_the_line_the_key_the_value_and_what_is_accepted() {
         ),
         (
             "[estimate]\nmethod = \"full-fase\"\n[image]\nwavelength_nm = 2000\npixels = 240",
-            "scene line 2: estimate.method = \"full-fase\" is not accepted; \"modal\" or \"full-phase\" is needed",
+            "scene line 2: estimate.method = \"full-fase\" is not accepted; \"modal\", \"full-phase\" or \"auto\" is needed",
         ),
     ];
     for (text, message) in cases {

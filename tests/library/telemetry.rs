@@ -68,7 +68,7 @@ fn slopes_that_are_not_those_of_the_images_are_refused_with_the_cause() {
         (&|slopes| slopes.slice(s![..;-1, ..]).to_owned(), "in the reverse order of the images"),
         (
             &|slopes| Array2::from_shape_fn(slopes.dim(), |(i, k)| ((i * 7919 + k * 104_729) % 997) as f64 - 498.0),
-            "another night",
+            "of another night or sensor",
         ),
     ];
     for (change, cause) in changes {
