@@ -115,8 +115,8 @@ impl Axis {
                 .into_iter()
                 .find(|ticks| ticks.len() > 1)
                 .unwrap_or_default(),
-            // A step of at least 1 from the list of `linear_ticks` is an integer.
-            Scale::Integer => linear_ticks(self.low, self.high, count.min(((self.high - self.low) as usize).max(1))),
+            // A step of at least 1 from the list of `stepped_ticks` is an integer.
+            Scale::Integer => stepped_ticks(self.low, self.high, ((self.high - self.low) / count as f64).max(1.0)),
             Scale::Log => log_ticks(self.low, self.high, count),
             Scale::Asinh { .. } => self.asinh_ticks(count),
         }
@@ -155,7 +155,11 @@ impl Axis {
 }
 
 fn linear_ticks(low: f64, high: f64, count: usize) -> Vec<Tick> {
-    let raw = (high - low) / count as f64;
+    stepped_ticks(low, high, (high - low) / count as f64)
+}
+
+/// Ticks at multiples of 1, 2, 5 or 10 times a power of ten, at least `raw` apart.
+fn stepped_ticks(low: f64, high: f64, raw: f64) -> Vec<Tick> {
     let decade = 10f64.powf(raw.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].map(|digit| digit * decade).into_iter().find(|&s| s >= raw * 0.999);
     let Some(step) = step.filter(|s| s.is_normal()) else { return Vec::new() };
