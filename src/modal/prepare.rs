@@ -52,7 +52,7 @@ pub struct PreparedFrame {
     pub exposure: Exposure,
     /// Variance of each pixel without the star's photons (read noise and background), e²; infinite for a bad pixel.
     pub floor_variance_e2: Vec<f64>,
-    /// Part of that variance which is stated: 1, but less where [`MIN_VARIANCE_E2`] exceeds the stated read noise, and 0 where
+    /// Part of that variance which is stated: 1, but less where `MIN_VARIANCE_E2` exceeds the stated read noise, and 0 where
     /// the scatter of the border takes its place. χ² is expected to be 1 with the whole of it, and less with a part.
     pub stated_share: f64,
     /// Level of the frame's border, e⁻ per model pixel: a first guess of the background.
