@@ -58,7 +58,7 @@ pub extern "C" fn cophase_input_from_array(
     rows: usize,
     cols: usize,
 ) -> cophase_input {
-    // More elements than memory has are refused by the call, whatever the strides.
+    // More elements than memory has are refused by the call, with any strides.
     let stride = |extent: usize| isize::try_from(extent).unwrap_or(isize::MAX);
     let (count_stride, row_stride) = (stride(rows.saturating_mul(cols)), stride(cols));
     cophase_input { data, element, count, rows, cols, count_stride, row_stride, col_stride: 1 }

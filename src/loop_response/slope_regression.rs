@@ -3,7 +3,8 @@
 //!
 //! The wavefronts are retrieved from the images alone, without the telemetry. Means over the images, which hold the NCPA and the
 //! sensor's reference, and the mean x and y slope of each exposure, which is pointing, are taken out of both. A retrieved
-//! wavefront is shrunk by its prior, so measured slopes are 1 times the predicted ones whatever its noise.
+//! wavefront is shrunk by its prior, so the regression of measured on predicted slopes has the gain 1
+//! at any noise.
 
 use super::slope_order::SlopeOrder;
 use ndarray::{Array2, ArrayView2, Axis, s};
@@ -20,7 +21,7 @@ const SIMPLER: f64 = 0.05;
 const SLOPES_PER_NUMBER: f64 = 4.0;
 /// Significance of a correlation, standard deviations.
 const SIGNIFICANT: f64 = 3.0;
-/// Fewest images whose order can be told: of two, each is the negative of the other about their mean.
+/// Fewest images whose order is identifiable: of two, each is the negative of the other about their mean.
 const ORDERED_IMAGES: usize = 3;
 
 /// Likely cause of slopes that do not belong to the images.

@@ -1,8 +1,8 @@
 //! Gaussian prior of the Zernikes beyond the exact ones, with a marginalised level (hierarchical Bayes).
 //!
 //! A model that leaves out modes, because one image does not show them, is biased by them in the mean of many images. So they
-//! are fitted to each image without a prior, and the combined coefficients c with covariance C get the prior once, whatever
-//! the number of images:
+//! are fitted to each image without a prior, and the combined coefficients c with covariance C get the prior once, for any
+//! number of images:
 //!
 //! ```text
 //! b ~ N(0, τ² Q)      the modes with a prior, Q = R D Rᵀ

@@ -56,7 +56,7 @@ impl Recipe {
         Self::with_optimizer(scene, scene.estimate.optimizer)
     }
 
-    /// The paper's objective with our optimiser, whatever optimiser `scene` names; the scene's other keys of the fit are
+    /// The paper's objective with our optimiser, in place of the one that `scene` names; the scene's other keys of the fit are
     /// used.
     pub fn paper_objective(scene: &Scene) -> Self {
         Self::with_optimizer(scene, Optimizer::Paper)

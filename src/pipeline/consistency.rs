@@ -158,7 +158,7 @@ impl Comparison<'_> {
                 self.is_changed = true;
                 self.remarks.push(format!("{key} = {file_value} is the file's ({source}); the scene has {value}."));
             }
-            // Some values fit only together with others of the file: the contradiction is reported, whatever follows.
+            // Some values fit only together with others of the file: the contradiction is reported in any case.
             Trust::Neither => {
                 if let Ok(scene) = self.scene.with(&[(key, file_value)]) {
                     self.scene = scene;

@@ -29,7 +29,7 @@ pub struct Images {
     pub scene: Option<Scene>,
     /// Which of the two holds where the file contradicts the scene.
     pub trust: Trust,
-    /// Keys whose value in the scene holds whatever the file says, such as `image.wavelength_nm`.
+    /// Keys whose value in the scene takes precedence over the file, such as `image.wavelength_nm`.
     pub overrides: Vec<String>,
     /// Sentences on what was repaired or masked when the images were read; they join the warnings of an estimate.
     pub notes: Vec<String>,
@@ -91,7 +91,7 @@ impl Images {
         }
     }
 
-    /// These images, which are in electrons whatever gain a scene has.
+    /// These images, which are in electrons also where the scene has a gain.
     pub fn in_electrons(self) -> Self {
         Self { unit: PixelUnit::Electrons, ..self }
     }

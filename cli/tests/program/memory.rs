@@ -21,7 +21,7 @@ fn a_scene_beyond_the_memory_is_refused_with_its_key() {
     assert_eq!(desk.files(), before);
 }
 
-/// Whatever the limit: an estimate, or one sentence; never a signal. The loader itself needs some 200 MB of addresses in a
+/// At each limit the result is an estimate or one sentence, and never a signal. The loader itself needs some 200 MB of addresses in a
 /// build with debugging information.
 #[test]
 fn an_estimate_that_runs_out_of_memory_says_so() {

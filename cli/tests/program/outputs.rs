@@ -121,7 +121,7 @@ fn images_and_scenes_are_read_from_standard_input() {
     assert_eq!(desk.files(), files);
 }
 
-/// A piston is sent to a segment by its place, whatever the numbers of an observatory are.
+/// A piston is sent to a segment by its place, which does not depend on an observatory's numbering.
 #[test]
 fn an_estimate_says_where_each_segment_is() {
     let desk = Desk::with_images(&[]);

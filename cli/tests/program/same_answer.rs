@@ -227,7 +227,7 @@ fn hot_pixels() {
 
 #[test]
 fn modes_with_a_prior() {
-    // The model adds Zernikes of its own where the scene leaves that open: to Noll 45, whatever is in the images.
+    // The model adds Zernikes of its own where the scene leaves that open: to Noll 45, for any images.
     let open_scene = |last: &str| {
         let case = Case::of_source(&[("aberrations.ncpa_zernikes", last)]);
         let without = |line: &&str| !line.contains("exact_zernikes") && !line.contains("ncpa_count");
