@@ -23,7 +23,7 @@ mod target;
 pub use artificial_source::{ArtificialSource, WayResult, artificial_source};
 pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, HeldMap, beyond, beyond_rows, held_maps};
 pub use diversity::{Diversity, DiversityPoint, diversity};
-pub use hard_cases::{HARD_CASES, HardCase, HardCases, Spoil, Verdict, hard_cases};
+pub use hard_cases::{Draws, HARD_CASES, HardCase, HardCases, Mismatch, Spoil, Verdict, hard_cases};
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};
 pub use on_sky_images::{ImageNumber, ImageNumbers, image_numbers};
 pub use on_sky_table::{OnSky, RowDraw, RowResult, on_sky, reduction_percent};

@@ -48,6 +48,8 @@ pub struct LoopRun {
 pub struct Sequence {
     /// Electrons, `[image, y, x]`; none where the loop was lost before the first.
     pub images_e: Array3<f64>,
+    /// Mean slopes of the sensor over each exposure, `[image, slope]`, mas; none for an image without a loop.
+    pub slopes_mas: Array2<f64>,
     /// Segment errors, `[y, x]`, nm, NaN outside the pupil.
     pub phasing_nm: Array2<f64>,
     /// The same of non-common path aberrations.
@@ -67,8 +69,9 @@ impl Sequence {
         let seed = seed.to_string();
         if !row.has_loop() {
             let made = source::simulate(&scene.with_override("aberrations.seed", &seed)?)?;
+            let slopes_mas = Array2::zeros((made.images_e.len_of(Axis(0)), 0));
             let (phasing_nm, ncpa_nm) = (made.truth.phasing_nm, made.truth.ncpa_nm);
-            return Ok(Self { images_e: made.images_e, phasing_nm, ncpa_nm, run: None });
+            return Ok(Self { images_e: made.images_e, slopes_mas, phasing_nm, ncpa_nm, run: None });
         }
         Self::behind(
             Simulator::new(&scene.with(&[("aberrations.seed", &seed), ("turbulence.seed", &seed)])?)?,
@@ -87,9 +90,11 @@ impl Sequence {
         let summary = simulator.run(&mut shots, watch)?;
         let (rows, columns) = simulator.scene().image.frame_shape();
         let mut images_e = Array3::zeros((shots.len(), rows, columns));
-        for (mut image, shot) in images_e.outer_iter_mut().zip(shots) {
+        for (mut image, shot) in images_e.outer_iter_mut().zip(&shots) {
             image.zip_mut_with(&shot.image_e, |out, &electrons| *out = f64::from(electrons));
         }
+        let slopes = shots.first().map_or(0, |shot| shot.mean_slopes_mas.len());
+        let slopes_mas = Array2::from_shape_fn((shots.len(), slopes), |(i, k)| f64::from(shots[i].mean_slopes_mas[k]));
         let poles = simulator.stability();
         let run = LoopRun {
             controlled: poles.controlled,
@@ -103,7 +108,8 @@ impl Sequence {
             frames_per_s: summary.frames_per_s(),
         };
         let truth = simulator.truth();
-        Ok(Self { images_e, phasing_nm: truth.phasing_nm.clone(), ncpa_nm: truth.ncpa_nm.clone(), run: Some(run) })
+        let (phasing_nm, ncpa_nm) = (truth.phasing_nm.clone(), truth.ncpa_nm.clone());
+        Ok(Self { images_e, slopes_mas, phasing_nm, ncpa_nm, run: Some(run) })
     }
 
     /// Number of images.

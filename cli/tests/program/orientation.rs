@@ -44,22 +44,60 @@ fn slopes_of_the_opposite_sign_are_refused_used_or_ignored() {
     assert!(done.err.contains("the slopes that come with the images are ignored"), "{}", done.err);
 }
 
-#[test]
-fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
-    let desk = Desk::with_scene();
+/// Writes two images of the scene in `desk`: as it is, and with segment 1 moved by `poke_nm`; pixel (row, column) of each is
+/// that of `source(row, column)` of the telescope's.
+fn write_poke(desk: &Desk, poke_nm: f64, source: impl Fn(usize, usize, usize) -> (usize, usize)) {
     let scene = Scene::from_file(desk.path("scene.toml")).unwrap();
     let telescope = Telescope::new(&scene).unwrap();
     let truth = || Truth::draw(&scene, &telescope, &mut ChaCha8Rng::seed_from_u64(3)).unwrap();
     let mut pistons_nm = truth().piston_nm;
-    pistons_nm[1] += 150.0;
+    pistons_nm[1] += poke_nm;
     for (name, truth) in [("old.fits", truth()), ("new.fits", truth().with_pistons(&telescope, pistons_nm).unwrap())] {
         let psf = Camera::new(&scene, &telescope).unwrap().psf(&truth).unwrap();
-        let n = psf.ncols();
-        let flipped = Array2::from_shape_fn(psf.dim(), |(y, x)| 1e6 * psf[[y, (n - x) % n]]);
+        let seen = Array2::from_shape_fn(psf.dim(), |(y, x)| 1e6 * psf[source(psf.ncols(), y, x)]);
         let mut file = FitsWriter::create(desk.path(name)).unwrap();
-        file.image("IMAGES", &flipped, Pixel::F64, "electron").unwrap();
+        file.image("IMAGES", &seen, Pixel::F64, "electron").unwrap();
         file.finish().unwrap();
     }
+}
+
+#[test]
+fn the_keys_that_a_poke_gives_undo_a_quarter_turn() {
+    let desk = Desk::with_scene();
+    let is_right = "The scene has the orientation of the images.";
+    write_poke(&desk, 150.0, |n, y, x| (x, (n - y) % n));
+    let check = [
+        "check-orientation",
+        "new.fits",
+        "--before",
+        "old.fits",
+        "--poke-nm",
+        "150",
+        "--scene",
+        "scene.toml",
+        "--segment",
+        "1",
+    ];
+    let json = desk.json(&[&check[..], &["--json"]].concat());
+    let settings = json["settings"].as_object().unwrap();
+    assert!(settings.contains_key("pupil.rotation_deg"), "{json}");
+    let set = settings.iter().flat_map(|(key, value)| ["--set".into(), format!("{key}={}", value.as_str().unwrap())]);
+    let set: Vec<String> = set.collect();
+    let again: Vec<&str> = check.iter().copied().chain(set.iter().map(String::as_str)).collect();
+    let done = desk.succeeds(&again);
+    assert!(done.out.contains(is_right), "{}", done.out);
+    // One image suffices where the poke is larger than what else is there.
+    write_poke(&desk, 400.0, |n, y, x| (y, (n - x) % n));
+    let alone =
+        ["check-orientation", "new.fits", "--poke-nm", "400", "--scene", "scene.toml", "--segment", "1", "--json"];
+    let json = desk.json(&alone);
+    assert_eq!(json["settings"], serde_json::json!({"image.flip_x": "true"}), "{json}");
+}
+
+#[test]
+fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
+    let desk = Desk::with_scene();
+    write_poke(&desk, 150.0, |n, y, x| (y, (n - x) % n));
     let check = ["check-orientation", "new.fits", "--before", "old.fits", "--poke-nm", "150", "--scene", "scene.toml"];
     let json = desk.json(&[&check[..], &["--segment", "1", "--json"]].concat());
     assert_eq!((&json["flip_x"], &json["flip_y"], &json["sign"]), (&true.into(), &false.into(), &1.0.into()), "{json}");

@@ -3,7 +3,7 @@
 use super::rows::BeyondRow;
 use crate::reproduce::on_sky::{Reader, Sequence};
 use crate::reproduce::{Conditions, Progress, Way};
-use cophase::ao::{self, Shot, Simulator};
+use cophase::ao::Simulator;
 use cophase::metrics::residual_nm;
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::pupil::Pupil;
@@ -11,7 +11,7 @@ use cophase::scene::{AoKnowledge, Scene};
 use cophase::source::{Truth, stream};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
-use ndarray::{Array2, Array3, Axis, s};
+use ndarray::{Array2, s};
 
 /// Columns of the file of draws.
 pub(super) const HEAD: &str = "row,seed,images,used,passes,phasing_nm,ncpa_nm,phasing_sigma_nm,ncpa_sigma_nm,chi2,\
@@ -74,12 +74,9 @@ impl BeyondDraw {
     }
 }
 
-/// Images behind a loop, what its sensor saw meanwhile, and the truth.
+/// Images behind a loop, and the pupil of their truth.
 pub(super) struct Behind {
-    images_e: Array3<f64>,
-    slopes_mas: Array2<f64>,
-    phasing_nm: Array2<f64>,
-    ncpa_nm: Array2<f64>,
+    sequence: Sequence,
     /// The pupil on which the truth is.
     pupil: Pupil,
     /// Residuals of the paper's way on the first so many images, by the scene that read them: rows share them.
@@ -88,25 +85,14 @@ pub(super) struct Behind {
 
 impl Behind {
     /// The images that `simulator` is set to take.
-    pub(super) fn of(mut simulator: Simulator, progress: &Progress) -> Result<Self> {
-        let mut shots: Vec<Shot> = Vec::new();
-        let watch = &mut ao::Progress { watch: None, cancel: progress.cancel().map(|flag| &**flag) };
-        simulator.run(&mut shots, watch)?;
-        let (rows, columns) = simulator.scene().image.frame_shape();
-        let mut images_e = Array3::zeros((shots.len(), rows, columns));
-        for (mut image, shot) in images_e.outer_iter_mut().zip(&shots) {
-            image.zip_mut_with(&shot.image_e, |out, &electrons| *out = f64::from(electrons));
-        }
-        let slopes = shots.first().map_or(0, |shot| shot.mean_slopes_mas.len());
-        let slopes_mas = Array2::from_shape_fn((shots.len(), slopes), |(i, k)| f64::from(shots[i].mean_slopes_mas[k]));
-        let (truth, pupil) = (simulator.truth(), simulator.telescope().pupil.clone());
-        let (phasing_nm, ncpa_nm) = (truth.phasing_nm.clone(), truth.ncpa_nm.clone());
-        Ok(Self { images_e, slopes_mas, phasing_nm, ncpa_nm, pupil, paper_nm: Vec::new() })
+    pub(super) fn of(simulator: Simulator, progress: &Progress) -> Result<Self> {
+        let pupil = simulator.telescope().pupil.clone();
+        Ok(Self { sequence: Sequence::behind(simulator, progress)?, pupil, paper_nm: Vec::new() })
     }
 
     /// These, estimates of whose NCPA are held against `ncpa_nm`, if any, in place of all that they show.
     pub(super) fn held_against(mut self, ncpa_nm: Option<Array2<f64>>) -> Self {
-        self.ncpa_nm = ncpa_nm.unwrap_or(self.ncpa_nm);
+        self.sequence.ncpa_nm = ncpa_nm.unwrap_or(self.sequence.ncpa_nm);
         self
     }
 
@@ -114,14 +100,15 @@ impl Behind {
     fn residuals_nm(&self, phasing_nm: &Array2<f64>, ncpa_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let on = |map: &Array2<f64>| map.mapv(|nm| if nm.is_finite() { nm } else { 0.0 });
         let residual = |map, truth| residual_nm(&self.pupil, on(map).view(), on(truth).view());
-        Ok([residual(phasing_nm, &self.phasing_nm)?, residual(ncpa_nm, &self.ncpa_nm)?])
+        let truth = &self.sequence;
+        Ok([residual(phasing_nm, &truth.phasing_nm)?, residual(ncpa_nm, &truth.ncpa_nm)?])
     }
 
     /// The full-phase estimate of the first `count` images.
     fn full_phase(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Estimate> {
-        let images_e = self.images_e.slice(s![..count, .., ..]).to_owned();
+        let images_e = self.sequence.images_e.slice(s![..count, .., ..]).to_owned();
         let heard = reader.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry);
-        let slopes_mas = heard.then(|| self.slopes_mas.slice(s![..count, ..]).to_owned());
+        let slopes_mas = heard.then(|| self.sequence.slopes_mas.slice(s![..count, ..]).to_owned());
         let images = Images { slopes_mas, ..Images::new(images_e) };
         let control = Control::with_flag(progress.cancel().cloned().unwrap_or_default(), |_| {});
         Estimator::with_policy(reader, Policy::default(), control)?.estimate(&images)
@@ -129,10 +116,12 @@ impl Behind {
 
     /// Phasing and NCPA in the paper's way; none where nothing can be fitted.
     fn paper_maps(&self, reader: &Scene, count: usize, progress: &Progress) -> Result<Option<[Array2<f64>; 2]>> {
+        let all = &self.sequence;
         let sequence = Sequence {
-            images_e: self.images_e.slice(s![..count, .., ..]).to_owned(),
-            phasing_nm: self.phasing_nm.clone(),
-            ncpa_nm: self.ncpa_nm.clone(),
+            images_e: all.images_e.slice(s![..count, .., ..]).to_owned(),
+            slopes_mas: all.slopes_mas.slice(s![..count, ..]).to_owned(),
+            phasing_nm: all.phasing_nm.clone(),
+            ncpa_nm: all.ncpa_nm.clone(),
             run: None,
         };
         let fitted = Reader::new(Way::Paper, reader)?.fit(&sequence, &Progress::new(&|_, _| {}, progress.cancel()))?;
@@ -171,7 +160,7 @@ impl BeyondRow {
         seed: usize,
         progress: &Progress,
     ) -> Result<BeyondDraw> {
-        let (reader, count) = (self.reader(made)?, made.image.count.min(behind.images_e.len_of(Axis(0))));
+        let (reader, count) = (self.reader(made)?, made.image.count.min(behind.sequence.images()));
         let found = behind.full_phase(&reader, count, progress)?;
         let paper_nm = behind.paper_nm(&modal(&reader)?, count, progress)?;
         self.held(behind, &found, count, seed, paper_nm)

@@ -1,9 +1,37 @@
 //! What makes an image hard: the case list.
 
 use super::spoil::Spoil;
+use super::telemetry::Mismatch;
 use cophase::{Error, Result};
+use ndarray::Axis;
 
-type Settings = &'static [(&'static str, &'static str)];
+/// Keys of a scene, or cards of a file, with their values.
+pub(super) type Settings = &'static [(&'static str, &'static str)];
+
+/// How often a case is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Draws {
+    /// As often as was asked for.
+    AsAsked,
+    /// Five times as often: its share of right answers is wanted to a few per cent.
+    FiveTimes,
+    /// A quarter as often, and at least once: a sequence takes long.
+    Quarter,
+    /// Once.
+    Once,
+}
+
+impl Draws {
+    /// Their number where `seeds` were asked for.
+    pub fn number(self, seeds: usize) -> usize {
+        match self {
+            Draws::AsAsked => seeds,
+            Draws::FiveTimes => 5 * seeds,
+            Draws::Quarter => (seeds / 4).max(1),
+            Draws::Once => 1,
+        }
+    }
+}
 
 /// One hard case: what makes the images, what then goes wrong with them, and who reads them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,17 +44,19 @@ pub struct HardCase {
     pub made: Settings,
     /// What goes wrong between the telescope and the file.
     pub spoil: Spoil,
+    /// Cards of the FITS file from which the images are read; without any they are an array.
+    pub cards: Settings,
     /// Beside `made`, what is different in the scene that reads them.
     pub read: Settings,
-    /// Draws of this case for each that was asked for.
-    pub times: usize,
+    /// How often it is drawn.
+    pub draws: Draws,
 }
 
 /// The scene of all cases, beside the preset `keck-artificial`: two pixels per λ/D, which is all that an image holds.
 pub(in crate::reproduce) const BASE: Settings = &[("image.samples_per_lambda_over_d", "2"), ("image.pixels", "240")];
 
 const fn case(group: &'static str, name: &'static str, made: Settings, spoil: Spoil, read: Settings) -> HardCase {
-    HardCase { group, name, made, spoil, read, times: 1 }
+    HardCase { group, name, made, spoil, cards: &[], read, draws: Draws::AsAsked }
 }
 
 /// A strong aberration, or a star that is hard to see, read by a scene that knows all but the truth.
@@ -54,9 +84,26 @@ const fn degenerate(name: &'static str, made: Settings, read: Settings) -> HardC
     case("degenerate", name, made, Spoil::None, read)
 }
 
-/// A case whose share of right answers is wanted to a few per cent.
 const fn often(case: HardCase) -> HardCase {
-    HardCase { times: 5, ..case }
+    HardCase { draws: Draws::FiveTimes, ..case }
+}
+
+/// Many images of one wavefront.
+const fn sequence(name: &'static str, made: Settings) -> HardCase {
+    HardCase { draws: Draws::Quarter, ..case("sequence", name, made, Spoil::None, &[]) }
+}
+
+const fn file(name: &'static str, spoil: Spoil, cards: Settings) -> HardCase {
+    HardCase { cards, ..case("file", name, &[], spoil, &[]) }
+}
+
+/// A companion of `share` of the star's flux, `pixels` away along x and y.
+const fn companion(name: &'static str, share: f64, pixels: [f64; 2]) -> HardCase {
+    data(name, Spoil::Companion { share, pixels })
+}
+
+const fn telemetry(name: &'static str, mismatch: Mismatch) -> HardCase {
+    HardCase { draws: Draws::Once, ..case("telemetry", name, &[], Spoil::Telemetry(mismatch), &[]) }
 }
 
 /// What a detector reads beside the star, electrons a pixel: 0.1 and 1 % of a peak of 250,000 electrons.
@@ -84,7 +131,7 @@ const ONE_TRY: Settings = &[("estimate.restarts", "0")];
 const DOUBLED: Settings = &[("modes.ncpa", "zernike"), ("modes.ncpa_count", "20"), ("modes.exact_zernikes", "[2, 21]")];
 
 /// All of them.
-pub static HARD_CASES: [HardCase; 74] = [
+pub static HARD_CASES: [HardCase; 106] = [
     case("nominal", "64 nm pistons, 73 nm NCPA", &[], Spoil::None, &[]),
     strong("pistons 128 nm", &[("aberrations.segment_piston_rms_nm", "128")]),
     strong("pistons 250 nm", &[("aberrations.segment_piston_rms_nm", "250")]),
@@ -116,7 +163,10 @@ pub static HARD_CASES: [HardCase; 74] = [
         &[("aberrations.segment_piston_rms_nm", "1e6"), ("aberrations.ncpa_rms_nm", "1e6")],
     ),
     star("peak S/N 5", &[("image.peak_snr", "5")]),
+    star("peak S/N 10", &[("image.peak_snr", "10")]),
     star("peak S/N 20", &[("image.peak_snr", "20")]),
+    star("peak S/N 40", &[("image.peak_snr", "40")]),
+    star("peak S/N 60", &[("image.peak_snr", "60")]),
     star("peak S/N 100", &[("image.peak_snr", "100")]),
     star("peak S/N 5000", &[("image.peak_snr", "5000")]),
     star("1 electron", &[("image.peak_snr", ""), ("image.flux_e", "1")]),
@@ -125,6 +175,16 @@ pub static HARD_CASES: [HardCase; 74] = [
         &[("image.peak_snr", ""), ("image.flux_e", "1e9"), ("image.read_noise_e", "0")],
     ),
     star("1e13 electrons", &[("image.peak_snr", ""), ("image.flux_e", "1e13")]),
+    sequence("40 images, peak S/N 5", &[("image.count", "40"), ("image.peak_snr", "5")]),
+    sequence("40 images, peak S/N 20", &[("image.count", "40"), ("image.peak_snr", "20")]),
+    sequence("40 images, peak S/N 60", &[("image.count", "40"), ("image.peak_snr", "60")]),
+    sequence("200 images, peak S/N 5", &[("image.count", "200"), ("image.peak_snr", "5")]),
+    sequence("200 images, peak S/N 20", &[("image.count", "200"), ("image.peak_snr", "20")]),
+    sequence("200 images, peak S/N 60", &[("image.count", "200"), ("image.peak_snr", "60")]),
+    sequence(
+        "40 images, peak S/N 20, NCPA to Noll 45",
+        &[("image.count", "40"), ("image.peak_snr", "20"), ("aberrations.ncpa_zernikes", "[4, 45]")],
+    ),
     diversity("no defocus", &[("image.diversity_focus_waves_rms", "0")]),
     diversity("defocus 0.05 waves", &[("image.diversity_focus_waves_rms", "0.05")]),
     diversity("defocus 0.25 waves", &[("image.diversity_focus_waves_rms", "0.25")]),
@@ -164,6 +224,8 @@ pub static HARD_CASES: [HardCase; 74] = [
     case("model wrong", "image rotated by a degree", &[], Spoil::Rotated(1.0), &[]),
     model("pupil rotated by a degree", TURNED[0], TURNED[1]),
     model("pupil rotated by a degree, fitted", TURNED[0], TURNED[2]),
+    case("orientation", "image flipped left to right", &[], Spoil::Flipped(Axis(1)), &[]),
+    case("orientation", "image flipped up to down", &[], Spoil::Flipped(Axis(0)), &[]),
     data("image off by 3 pixels", Spoil::Moved(3.0, -2.0)),
     data("image off by half a pixel", Spoil::Moved(0.5, 0.5)),
     data("hot pixel", Spoil::Hot),
@@ -172,9 +234,17 @@ pub static HARD_CASES: [HardCase; 74] = [
     data("saturated at half the peak", Spoil::Saturated),
     data("cosmic rays", Spoil::Cosmic),
     data("lower half of the frame missing", Spoil::Truncated),
-    data("double star", Spoil::Double),
+    companion("double star", 0.33, [4.0, 3.0]),
+    companion("companion of 1 %, 3 λ/D away", 0.01, [4.8, 3.6]),
+    companion("companion of 1 %, 10 λ/D away", 0.01, [16.0, 12.0]),
+    companion("companion of 0.3 %, 3 λ/D away", 0.003, [4.8, 3.6]),
+    companion("companion of 0.3 %, 10 λ/D away", 0.003, [16.0, 12.0]),
+    data("response 2 % low at the peak", Spoil::NonLinear(0.02)),
+    data("response 0.5 % low at the peak", Spoil::NonLinear(0.005)),
     data("flat frame", Spoil::Flat),
     data("counts that wrapped at 65536", Spoil::Wrapped),
+    data("counts read as electrons", Spoil::Counts(20.0)),
+    data("normalised to a sum of 1", Spoil::Normalised),
     case(
         "data wrong",
         "another telescope",
@@ -182,6 +252,18 @@ pub static HARD_CASES: [HardCase; 74] = [
         Spoil::None,
         &[("pupil.rings", "3"), ("pupil.segment_side_m", "0.9")],
     ),
+    file("counts without a gain", Spoil::Counts(20.0), &[("BUNIT", "adu")]),
+    file("counts with EGAIN = 20", Spoil::Counts(20.0), &[("BUNIT", "adu"), ("EGAIN", "20")]),
+    file("WAVELEN = 1640", Spoil::None, &[("BUNIT", "electron"), ("WAVELEN", "1640")]),
+    file("WAVELEN = 2168.6", Spoil::None, &[("BUNIT", "electron"), ("WAVELEN", "2168.6")]),
+    telemetry("slopes as they were measured", Mismatch::None),
+    telemetry("slopes of the opposite sign", Mismatch::OppositeSign),
+    telemetry("slopes along y before those along x", Mismatch::YBeforeX),
+    telemetry("slopes that are all 0", Mismatch::Zero),
+    telemetry("slopes in another unit", Mismatch::OtherUnit),
+    telemetry("slopes in the reverse order of the images", Mismatch::ReversedTime),
+    telemetry("slopes of the image before", Mismatch::ShiftedTime),
+    telemetry("images flipped, slopes not", Mismatch::FlippedImages),
     degenerate("Zernikes twice", &[], DOUBLED),
     degenerate("more modes than pixels", &[], &[("image.crop_pixels", "8")]),
     degenerate("pupil of 16 samples", &[], &[("estimate.samples", "16")]),
@@ -222,6 +304,12 @@ mod tests {
         assert_eq!(HardCase::named(&[]).unwrap(), HARD_CASES);
         let error = HardCase::named(&["nothing".into()]).unwrap_err().to_string();
         assert!(error.contains("'nothing'") && error.contains("peak S/N 5"), "{error}");
+    }
+
+    #[test]
+    fn a_case_is_drawn_at_least_once() {
+        let numbers = |seeds| [Draws::AsAsked, Draws::FiveTimes, Draws::Quarter, Draws::Once].map(|d| d.number(seeds));
+        assert_eq!((numbers(8), numbers(1)), ([8, 40, 2, 1], [1, 5, 1, 1]));
     }
 
     #[test]

@@ -1,20 +1,22 @@
-//! Hard cases: strong aberrations, faint stars, models and data that are wrong. Of each draw: is the answer right, and
-//! where it is not, does the status say so?
+//! Hard cases: strong aberrations, faint stars, models, files, telemetry and data that are wrong. Of each draw: is the answer
+//! right, and where it is not, does the status say so?
 
 mod cases;
+mod file;
 mod report;
 mod spoil;
+mod telemetry;
 mod verdict;
 
 pub(super) use cases::BASE;
-pub use cases::{HARD_CASES, HardCase};
+pub use cases::{Draws, HARD_CASES, HardCase};
 pub use spoil::Spoil;
+pub use telemetry::Mismatch;
 pub use verdict::Verdict;
 
 use super::Progress;
-use cophase::Result;
 use cophase::scene::Scene;
-use cophase::{Error, Estimate, Estimator, Images};
+use cophase::{Estimate, Estimator, Images, Result};
 use rayon::prelude::*;
 use verdict::apart_nm;
 
@@ -25,15 +27,15 @@ pub struct HardCases {
     pub cases: Vec<(HardCase, Vec<Verdict>)>,
 }
 
-/// Tries `cases`, each on the draws 1 to `seeds` times its own number, by the pipeline of `cophase estimate`.
+/// Tries `cases`, each on as many draws from 1 on as its [`Draws`] make of `seeds`, by the pipeline of `cophase estimate`.
 ///
-/// Every draw is read in double precision on the CPU; the first eight of a case also in single precision, and the first
-/// on an OpenCL device where there is one.
+/// Every draw is read in double precision on the CPU; of a case of single images the first eight also in single precision, and
+/// the first on an OpenCL device where there is one. Telemetry is read in the precision of its method.
 ///
 /// # Errors
 /// Those of making images, and [`Error::Interrupted`]. An estimator that refuses is no error but a verdict.
 pub fn hard_cases(cases: &[HardCase], seeds: usize, progress: &Progress) -> Result<HardCases> {
-    progress.expect(cases.iter().map(|case| case.times * seeds).sum());
+    progress.expect(cases.iter().map(|case| case.draws.number(seeds)).sum());
     let base = Scene::preset("keck-artificial")?.with(BASE)?;
     // Its Karhunen-Loève basis, which takes the most time, is that of nearly all cases.
     let like = Estimator::new(&base)?;
@@ -46,12 +48,17 @@ fn tried(case: &HardCase, seeds: usize, base: &Scene, like: &Estimator, progress
     let readers = Readers::new(&made.with(case.read)?, like)?;
     let verdict = |number: usize| -> Result<Verdict> {
         progress.check()?;
-        let scene = made.with_override("aberrations.seed", &(1 + number).to_string())?;
-        let verdict = readers.verdict(&spoil::made(&scene, case.spoil)?, number)?;
+        let seed = 1 + number;
+        let verdict = if let Spoil::Telemetry(mismatch) = case.spoil {
+            telemetry::verdict(mismatch, seed, progress)?
+        } else {
+            let scene = made.with_override("aberrations.seed", &seed.to_string())?;
+            readers.verdict(&spoil::made(&scene, case.spoil)?, case, number)?
+        };
         progress.add(1);
         Ok(verdict)
     };
-    (0..case.times * seeds).into_par_iter().map(verdict).collect()
+    (0..case.draws.number(seeds)).into_par_iter().map(verdict).collect()
 }
 
 /// Draws of a case that are read in single precision too.
@@ -60,8 +67,8 @@ const IN_SINGLE: usize = 8;
 /// The estimators of one case.
 struct Readers {
     double: Estimator,
-    /// In single precision, and on a device in double precision; `None` where optical parameters are fitted, which takes
-    /// too long to be repeated.
+    /// In single precision, and on a device in double precision; `None` for sequences and where optical parameters are fitted,
+    /// which take too long to be repeated.
     others: Option<[Estimator; 2]>,
 }
 
@@ -71,28 +78,28 @@ impl Readers {
             like.variant(&scene.with(&[("estimate.device", device), ("estimate.precision", precision)])?)
         };
         let double = reader("cpu", "f64")?;
-        let repeats = scene.estimate.fit_optics.is_empty();
+        let repeats = scene.estimate.fit_optics.is_empty() && scene.image.count == 1;
         let others = repeats.then(|| Ok([reader("cpu", "f32")?, reader("opencl", "f64")?])).transpose()?;
         Ok(Self { double, others })
     }
 
-    fn verdict(&self, made: &spoil::Made, number: usize) -> Result<Verdict> {
-        let images = Images::new(made.image_e.clone().insert_axis(ndarray::Axis(0)));
-        let found = match self.double.estimate(&images) {
-            Ok(found) => found,
-            Err(error @ Error::Interrupted(_)) => return Err(error),
-            Err(error) => return Ok(Verdict::refused(&error)),
+    fn verdict(&self, made: &spoil::Made, case: &HardCase, number: usize) -> Result<Verdict> {
+        let images = match case.cards {
+            [] => Images::new(made.images_e.clone()),
+            cards => file::read_back(&made.images_e, cards)?,
         };
-        let mut verdict = Verdict::new(&found, made)?;
-        let Some([single, device]) = &self.others else { return Ok(verdict) };
-        let off_nm = |reader: &Estimator| reader.estimate(&images).ok().and_then(|other| off_nm(&other, &found));
-        if number < IN_SINGLE {
-            verdict.f32_nm = off_nm(single).unwrap_or(f64::NAN);
-        }
-        if number == 0 {
-            verdict.opencl_nm = off_nm(device).unwrap_or(f64::NAN);
-        }
-        Ok(verdict)
+        Verdict::of(self.double.estimate(&images), |found| {
+            let mut verdict = Verdict::new(found, made)?;
+            let Some([single, device]) = &self.others else { return Ok(verdict) };
+            let off_nm = |reader: &Estimator| reader.estimate(&images).ok().and_then(|other| off_nm(&other, found));
+            if number < IN_SINGLE {
+                verdict.f32_nm = off_nm(single).unwrap_or(f64::NAN);
+            }
+            if number == 0 {
+                verdict.opencl_nm = off_nm(device).unwrap_or(f64::NAN);
+            }
+            Ok(verdict)
+        })
     }
 }
 

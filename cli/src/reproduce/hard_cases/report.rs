@@ -16,7 +16,12 @@ type Test = fn(&Verdict) -> bool;
 impl HardCases {
     /// Draws that are wrong and do not say so.
     pub fn wrong_and_unflagged(&self) -> usize {
-        self.cases.iter().flat_map(|(_, verdicts)| verdicts).filter(|verdict| verdict.is_wrong_and_unflagged()).count()
+        self.count(Verdict::is_wrong_and_unflagged)
+    }
+
+    /// Draws of some kind, of all cases.
+    fn count(&self, test: Test) -> usize {
+        self.cases.iter().flat_map(|(_, verdicts)| verdicts).filter(|verdict| test(verdict)).count()
     }
 
     /// One line a case: how many draws are right and how many flagged, medians of the residuals, their error bars, χ²
@@ -28,6 +33,7 @@ impl HardCases {
             "tried",
             "right",
             "given_defocus",
+            "given_orientation",
             "flagged",
             "wrong_unflagged",
             "status",
@@ -50,7 +56,7 @@ impl HardCases {
     pub fn picture(&self) -> CurvePicture {
         let all: Vec<&Verdict> = self.cases.iter().flat_map(|(_, verdicts)| verdicts).collect();
         // Kinds of few draws over those of many; each has its colour, and those set apart are diamonds.
-        let kinds: [(&str, Test, usize, Marker); 5] = [
+        let kinds: [(&str, Test, usize, Marker); 6] = [
             ("right, and said to be", |v| v.is_right() && !v.is_flagged(), 0, Marker::Disc),
             ("right, but flagged", |v| v.is_right() && v.is_flagged(), 1, Marker::Disc),
             ("wrong, and flagged", |v| !v.is_right() && v.is_flagged(), 3, Marker::Disc),
@@ -58,6 +64,12 @@ impl HardCases {
                 "right for the defocus of the scene",
                 |v| v.is_right_given_diversity() && !v.is_flagged(),
                 2,
+                Marker::Diamond,
+            ),
+            (
+                "right for the orientation of the scene",
+                |v| v.is_right_given_orientation() && !v.is_flagged(),
+                5,
                 Marker::Diamond,
             ),
             ("wrong and unflagged", |v| v.is_wrong_and_unflagged(), 4, Marker::Disc),
@@ -90,16 +102,15 @@ impl HardCases {
         let files = ["hard-cases.csv", "hard-cases.png"].map(|name| directory.join(name));
         self.table().write_csv(&files[0])?;
         self.picture().draw(&files[1])?;
-        let tried: usize = self.cases.iter().map(|(_, verdicts)| verdicts.len()).sum();
-        let mut text =
-            "Hard cases: one image of a star each; right: residuals within 3 error bars or 1 nm\n".to_string();
+        let tried = self.count(|_| true);
+        let mut text = "Hard cases: images of a star; right: residuals within 3 error bars or 1 nm\n".to_string();
         text += &self.table().text();
-        let verdicts = self.cases.iter().flat_map(|(_, verdicts)| verdicts);
-        let given = verdicts.filter(|verdict| verdict.is_right_given_diversity() && !verdict.is_flagged()).count();
         text += &format!(
-            "{} of {tried} draws are wrong and unflagged; {given} more are wrong by an error of the defocus alone, which the \
-             estimate says it cannot know\n",
-            self.wrong_and_unflagged()
+            "{} of {tried} draws are wrong and unflagged; {} more are wrong by an error of the defocus alone, and {} by a flip of \
+             the images alone, which the estimate says it cannot know\n",
+            self.wrong_and_unflagged(),
+            self.count(|verdict| verdict.is_right_given_diversity() && !verdict.is_flagged()),
+            self.count(|verdict| verdict.is_right_given_orientation() && !verdict.is_flagged())
         );
         for (case, verdicts) in &self.cases {
             if let Some(sentence) = verdicts.iter().find_map(|verdict| verdict.sentence.as_ref()) {
@@ -122,6 +133,7 @@ fn line(case: &HardCase, verdicts: &[Verdict]) -> Vec<Cell> {
         verdicts.len().into(),
         count(Verdict::is_right),
         count(Verdict::is_right_given_diversity),
+        count(Verdict::is_right_given_orientation),
         count(Verdict::is_flagged),
         count(Verdict::is_wrong_and_unflagged),
         Cell::Text(words(verdicts)),

@@ -1,10 +1,11 @@
 //! What goes wrong between the telescope and the file.
 
+use super::telemetry::Mismatch;
 use cophase::Result;
 use cophase::scene::Scene;
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
 use cophase::telescope::Telescope;
-use ndarray::{Array2, Axis, Zip, s};
+use ndarray::{Array, Array2, Array3, ArrayViewMut2, Axis, RemoveAxis, Zip, s};
 use num_complex::Complex64;
 use rand::RngExt;
 use rustfft::FftPlanner;
@@ -32,22 +33,39 @@ pub enum Spoil {
     Cosmic,
     /// The rows from the middle on read nothing.
     Truncated,
-    /// A companion of a third of the flux, 2.5 λ/D away.
-    Double,
+    /// A companion has this share of the star's flux, so many pixels away along x and y.
+    Companion {
+        /// Its flux over the star's.
+        share: f64,
+        /// Where it is, along x and y.
+        pixels: [f64; 2],
+    },
+    /// The image is flipped along this axis.
+    Flipped(Axis),
     /// No star: its light is spread evenly.
     Flat,
     /// Counts beyond 65,535 begin again at 0; the peak stands at 1.5 times as much.
     Wrapped,
+    /// The detector responds less the more light there is: by this share at the peak.
+    NonLinear(f64),
+    /// The pixels are counts of so many electrons each.
+    Counts(f64),
+    /// The pixels are divided by their sum.
+    Normalised,
+    /// A short sequence behind adaptive optics, with a scene of its own, comes with these slopes.
+    Telemetry(Mismatch),
 }
 
-/// An image with what is behind it.
+/// Images with what is behind them.
 pub(super) struct Made {
-    /// Electrons, `[y, x]`.
-    pub(super) image_e: Array2<f64>,
+    /// Electrons, `[image, y, x]`.
+    pub(super) images_e: Array3<f64>,
     pub(super) truth: Truth,
+    /// Axis along which the images are flipped.
+    pub(super) flip: Option<Axis>,
 }
 
-/// Makes the image of `scene` and spoils it. One seed is one image.
+/// Makes the images of `scene` and spoils them. One seed is one image, or one sequence.
 pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
     let telescope = Telescope::new(scene)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
@@ -62,10 +80,11 @@ pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
     match spoil {
         Spoil::Rotated(degrees) => psf = rotated(psf, degrees.to_radians()),
         Spoil::Moved(x, y) => psf = sheared(sheared(psf, Axis(1), |_| x), Axis(0), |_| y),
-        Spoil::Double => {
-            let companion = sheared(sheared(psf.clone(), Axis(1), |_| 4.0), Axis(0), |_| 3.0);
-            psf = (psf + companion * 0.33) / 1.33;
+        Spoil::Companion { share, pixels: [x, y] } => {
+            let companion = sheared(sheared(psf.clone(), Axis(1), |_| x), Axis(0), |_| y);
+            psf = (psf + companion * share) / (1.0 + share);
         }
+        Spoil::Flipped(axis) => psf = flipped(&psf, axis),
         Spoil::Flat => {
             let mean = psf.mean().unwrap_or_default();
             psf.fill(mean);
@@ -74,15 +93,27 @@ pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
     }
     let peak = psf.iter().copied().fold(0.0, f64::max);
     let flux_e = flux_e(&scene.image, peak);
-    let mut rng = stream(seed, 1);
-    // Interpolation leaves rounding, and of a sharp edge a trace, below 0.
-    let mut image_e = psf.mapv(|h| expose(&scene.image, h.max(0.0), flux_e, &mut rng));
-    detector(&mut image_e, spoil, &mut rng);
-    Ok(Made { image_e, truth })
+    let (rows, columns) = psf.dim();
+    let mut images_e = Array3::zeros((scene.image.count, rows, columns));
+    for (number, mut image_e) in images_e.outer_iter_mut().enumerate() {
+        let mut rng = stream(seed, 1 + number as u64);
+        // Interpolation leaves rounding, and of a sharp edge a trace, below 0.
+        image_e.zip_mut_with(&psf, |e, h| *e = expose(&scene.image, h.max(0.0), flux_e, &mut rng));
+        detector(image_e, spoil, &mut rng);
+    }
+    let flip = if let Spoil::Flipped(axis) = spoil { Some(axis) } else { None };
+    Ok(Made { images_e, truth, flip })
 }
 
-/// What the detector does to a frame.
-fn detector(image_e: &mut Array2<f64>, spoil: Spoil, rng: &mut impl RngExt) {
+/// The frames flipped along `axis` about the optical axis, which is on pixel N/2: the first line has no counterpart.
+pub(super) fn flipped<D: RemoveAxis>(frames: &Array<f64, D>, axis: Axis) -> Array<f64, D> {
+    let n = frames.len_of(axis);
+    let sources: Vec<usize> = (0..n).map(|at| (n - at) % n).collect();
+    frames.select(axis, &sources)
+}
+
+/// What the detector, and the program that writes its file, do to a frame.
+fn detector(mut image_e: ArrayViewMut2<f64>, spoil: Spoil, rng: &mut impl RngExt) {
     let (peak, (rows, columns)) = (image_e.iter().copied().fold(0.0, f64::max), image_e.dim());
     // Near the axis there is light.
     let mut near = || [rows, columns].map(|n| (n / 2).saturating_sub(12) + rng.random_range(0..24));
@@ -99,6 +130,12 @@ fn detector(image_e: &mut Array2<f64>, spoil: Spoil, rng: &mut impl RngExt) {
         Spoil::Saturated => image_e.mapv_inplace(|e| e.min(0.5 * peak)),
         Spoil::Truncated => image_e.slice_mut(s![rows / 2.., ..]).fill(0.0),
         Spoil::Wrapped => image_e.mapv_inplace(|e| (1.5 * 65_536.0 * e / peak).rem_euclid(65_536.0)),
+        Spoil::NonLinear(share) => image_e.mapv_inplace(|e| e * (1.0 - share * e / peak)),
+        Spoil::Counts(electrons) => image_e.mapv_inplace(|e| e / electrons),
+        Spoil::Normalised => {
+            let sum = image_e.sum();
+            image_e.mapv_inplace(|e| e / sum);
+        }
         _ => {}
     }
 }
@@ -149,6 +186,8 @@ mod tests {
         let far = |a: Array2<f64>, b: Array2<f64>| (a - b).iter().fold(0.0, |m: f64, d| m.max(d.abs()));
         let moved = sheared(sheared(spot(-1.0, 2.0), Axis(1), |_| 2.5), Axis(0), |_| -0.25);
         assert!(far(moved, spot(1.5, 1.75)) < 1e-6);
+        assert!(far(flipped(&spot(-1.0, 2.0), Axis(1)), spot(1.0, 2.0)) < 1e-12);
+        assert!(far(flipped(&spot(-1.0, 2.0), Axis(0)), spot(-1.0, -2.0)) < 1e-12);
         // A quarter of a turn takes x to y; the shears of so large an angle stay within the grid for a spot near its middle.
         let turned = rotated(spot(3.0, 0.0), 0.5);
         assert!(far(turned, spot(3.0 * 0.5f64.cos(), 3.0 * 0.5f64.sin())) < 1e-5);
@@ -165,10 +204,13 @@ mod tests {
             Spoil::Cosmic,
             Spoil::Truncated,
             Spoil::Wrapped,
+            Spoil::NonLinear(0.02),
+            Spoil::Counts(20.0),
+            Spoil::Normalised,
         ];
         for fault in faults {
             let mut frame = clean.clone();
-            detector(&mut frame, fault, &mut stream(3, 1));
+            detector(frame.view_mut(), fault, &mut stream(3, 1));
             assert_ne!(frame, clean, "{fault:?}");
             assert_eq!(frame.iter().any(|e| !e.is_finite()), fault == Spoil::NotANumber, "{fault:?}");
         }

@@ -4,8 +4,10 @@ use super::spoil::Made;
 use cophase::metrics::residual_nm;
 use cophase::modal::ModalFitter;
 use cophase::modes::Group;
+use cophase::pupil::Pupil;
+use cophase::source::Truth;
 use cophase::{Error, Estimate, Result};
-use ndarray::{Array1, Array2};
+use ndarray::{Array1, Array2, Axis};
 
 /// Residuals up to so many times what the error bars make one expect are right: of a hundred modes their RMS scatters by
 /// 7 %, of a few (a focus that dominates) it stays within this in all but one of three hundred.
@@ -15,11 +17,13 @@ const ALWAYS_RIGHT_NM: f64 = 1.0;
 
 /// Word of an estimate without a warning.
 const OK: &str = "ok";
+/// Part of the remark of an estimate whose images may be flipped.
+const MAY_BE_FLIPPED: &str = "orientation cannot be verified";
 
-/// What became of one image.
+/// What became of one image, or of one sequence.
 #[derive(Debug, Clone)]
 pub struct Verdict {
-    /// One word: the status of the image, `warned` where it is ok and the estimate has a warning, or `refused`.
+    /// One word: the status of the estimate, `warned` where it is ok and the estimate has a warning, or `refused`.
     pub word: &'static str,
     /// The sentence of a refusal.
     pub sentence: Option<String>,
@@ -28,11 +32,14 @@ pub struct Verdict {
     /// Residual of the NCPA without what an error of the diversity's amplitude would make of it, nm, where the estimator says
     /// that its modes take that for their own; NaN where they do not.
     pub ncpa_but_diversity_nm: f64,
+    /// Residuals against the truth flipped as the images are, where they are and the estimator says that it cannot verify the
+    /// orientation; NaN elsewhere.
+    pub flipped_nm: [f64; 2],
     /// What the error bars make one expect of them, nm.
     pub sigma_nm: [f64; 2],
-    /// Reduced χ².
+    /// Reduced χ²; the median of a sequence.
     pub reduced_chi2: f64,
-    /// Evaluations of objective and gradient.
+    /// Evaluations of objective and gradient, all images together.
     pub evaluations: usize,
     /// Largest difference of a coefficient in single precision, nm; NaN where it was not tried, or where the status differs.
     pub f32_nm: f64,
@@ -41,6 +48,20 @@ pub struct Verdict {
 }
 
 impl Verdict {
+    /// Of images that the estimator refuses.
+    const REFUSED: Self = Self {
+        word: "refused",
+        sentence: None,
+        error_nm: [f64::NAN; 2],
+        ncpa_but_diversity_nm: f64::NAN,
+        flipped_nm: [f64::NAN; 2],
+        sigma_nm: [f64::NAN; 2],
+        reduced_chi2: f64::NAN,
+        evaluations: 0,
+        f32_nm: f64::NAN,
+        opencl_nm: f64::NAN,
+    };
+
     /// Whether the answer is right within its error bars.
     pub fn is_right(&self) -> bool {
         self.within(0, self.error_nm[0]) && self.within(1, self.error_nm[1])
@@ -50,6 +71,11 @@ impl Verdict {
     /// scene.
     pub fn is_right_given_diversity(&self) -> bool {
         !self.is_right() && self.within(0, self.error_nm[0]) && self.within(1, self.ncpa_but_diversity_nm)
+    }
+
+    /// Whether the maps are right but for the flip of the images, which the estimator says it cannot know.
+    pub fn is_right_given_orientation(&self) -> bool {
+        !self.is_right() && self.within(0, self.flipped_nm[0]) && self.within(1, self.flipped_nm[1])
     }
 
     fn within(&self, part: usize, error_nm: f64) -> bool {
@@ -63,42 +89,78 @@ impl Verdict {
 
     /// What must not be: wrong, said to be right, and by more than what the estimate says beside it that it cannot know.
     pub fn is_wrong_and_unflagged(&self) -> bool {
-        !self.is_right() && !self.is_flagged() && !self.is_right_given_diversity()
+        !self.is_right() && !self.is_flagged() && !self.is_right_given_diversity() && !self.is_right_given_orientation()
     }
 
-    /// Of an image that the estimator refuses, with its sentence.
-    pub(super) fn refused(error: &Error) -> Self {
-        Self {
-            word: "refused",
-            sentence: Some(error.to_string()),
-            error_nm: [f64::NAN; 2],
-            ncpa_but_diversity_nm: f64::NAN,
-            sigma_nm: [f64::NAN; 2],
-            reduced_chi2: f64::NAN,
-            evaluations: 0,
-            f32_nm: f64::NAN,
-            opencl_nm: f64::NAN,
+    /// Of what an estimator answers: `assess` makes the verdict on an estimate; a refusal is one by itself.
+    pub(super) fn of(answer: Result<Estimate>, assess: impl FnOnce(&Estimate) -> Result<Self>) -> Result<Self> {
+        match answer {
+            Ok(found) => assess(&found),
+            Err(error @ Error::Interrupted(_)) => Err(error),
+            Err(error) => Ok(Self { sentence: Some(error.to_string()), ..Self::REFUSED }),
         }
     }
 
-    /// Of one image's estimate, against what is behind it.
+    /// Status, error bars and χ² of an estimate, without its residuals.
+    fn own_figures(found: &Estimate) -> Self {
+        let status = found.status.word();
+        Self {
+            word: if status == OK && !found.warnings.is_empty() { "warned" } else { status },
+            sigma_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
+            reduced_chi2: found.reduced_chi2,
+            evaluations: found.evaluations(),
+            ..Self::REFUSED
+        }
+    }
+
+    /// Of a modal estimate, against what is behind the images.
     pub(super) fn new(found: &Estimate, made: &Made) -> Result<Self> {
         let fitter = fitter(found)?;
-        let image = &found.images[0];
-        let word = if image.status.word() == OK && !found.warnings.is_empty() { "warned" } else { image.status.word() };
-        let errors_nm = errors_nm(fitter, &found.coefficients_nm, made);
-        let [phasing_nm, ncpa_nm, ncpa_but_diversity_nm] = errors_nm.unwrap_or([f64::INFINITY; 3]);
-        Ok(Self {
-            word,
-            sentence: None,
-            error_nm: [phasing_nm, ncpa_nm],
-            ncpa_but_diversity_nm,
-            sigma_nm: [found.phasing.sigma_nm, found.ncpa.sigma_nm],
-            reduced_chi2: image.reduced_chi2,
-            evaluations: image.evaluations,
-            f32_nm: f64::NAN,
-            opencl_nm: f64::NAN,
-        })
+        // What cannot be compared, because it is of another telescope, is not right.
+        let against = |flip: Option<Axis>| {
+            let behind = Behind::new(&made.truth, &fitter.model().telescope.pupil, flip);
+            behind.and_then(|behind| errors_nm(fitter, &found.coefficients_nm, &behind)).unwrap_or([f64::INFINITY; 3])
+        };
+        let [phasing_nm, ncpa_nm, ncpa_but_diversity_nm] = against(None);
+        let mut verdict = Self { error_nm: [phasing_nm, ncpa_nm], ncpa_but_diversity_nm, ..Self::own_figures(found) };
+        if made.flip.is_some() && found.remarks.iter().any(|remark| remark.contains(MAY_BE_FLIPPED)) {
+            let [phasing_nm, ncpa_nm, _] = against(made.flip);
+            verdict.flipped_nm = [phasing_nm, ncpa_nm];
+        }
+        Ok(verdict)
+    }
+
+    /// Of an estimate whose images came with their truth, by its maps: a MAP estimate has no fitter.
+    pub(super) fn by_maps(found: &Estimate) -> Self {
+        let error_nm = found.truth.as_ref().map_or([f64::INFINITY; 2], |(_, apart)| [apart.rms_nm[0], apart.rms_nm[1]]);
+        Self { error_nm, ..Self::own_figures(found) }
+    }
+}
+
+/// What is behind images, on the grid of an estimate.
+struct Behind {
+    piston_nm: Vec<f64>,
+    /// `[y, x]`, NaN outside the pupil.
+    phasing_nm: Array2<f64>,
+    /// The same.
+    ncpa_nm: Array2<f64>,
+}
+
+impl Behind {
+    /// `truth`, flipped along an axis. A pupil that looks the same when flipped has a grid that is symmetric about its middle.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a truth of another telescope.
+    fn new(truth: &Truth, pupil: &Pupil, flip: Option<Axis>) -> Result<Self> {
+        let (mut piston_nm, [mut phasing_nm, mut ncpa_nm]) = (truth.piston_nm.clone(), truth.maps_on(pupil)?);
+        if let Some(axis) = flip {
+            phasing_nm.invert_axis(axis);
+            ncpa_nm.invert_axis(axis);
+            for (&owner, &nm) in pupil.owner.iter().zip(&phasing_nm).filter(|(owner, _)| **owner >= 0) {
+                piston_nm[owner as usize] = nm;
+            }
+        }
+        Ok(Self { piston_nm, phasing_nm, ncpa_nm })
     }
 }
 
@@ -108,14 +170,11 @@ fn fitter(found: &Estimate) -> Result<&ModalFitter> {
 
 /// Residuals of phasing, of NCPA, and of NCPA less the best multiple of the diversity, nm; the last is NaN where the modes
 /// do not span the diversity.
-fn errors_nm(fitter: &ModalFitter, coefficients_nm: &[f64], made: &Made) -> Result<[f64; 3]> {
+fn errors_nm(fitter: &ModalFitter, coefficients_nm: &[f64], behind: &Behind) -> Result<[f64; 3]> {
     let model = fitter.model();
     let pupil = &model.telescope.pupil;
-    if made.truth.piston_nm.len() != pupil.segments.len() {
-        return Err(Error::Shape("the truth is another telescope's".into()));
-    }
-    let [phasing_nm, ncpa_nm] = made.truth.maps_on(pupil)?;
-    let near_nm = nearest(fitter, coefficients_nm, &made.truth.piston_nm);
+    let Behind { piston_nm, phasing_nm, ncpa_nm } = behind;
+    let near_nm = nearest(fitter, coefficients_nm, piston_nm);
     let phasing = residual_nm(pupil, model.map_nm(&near_nm, Group::Segment).view(), phasing_nm.view())?;
     let found_nm = model.map_nm(&near_nm, Group::Ncpa);
     let ncpa = residual_nm(pupil, found_nm.view(), ncpa_nm.view())?;
@@ -127,7 +186,7 @@ fn errors_nm(fitter: &ModalFitter, coefficients_nm: &[f64], made: &Made) -> Resu
     let flat = |map: Array2<f64>| -> Result<Array2<f64>> {
         Ok(pupil.remove_piston_tip_tilt(map.view())?.mapv(|v| if v.is_nan() { 0.0 } else { v }))
     };
-    let (error, along) = (flat(&found_nm - &ncpa_nm)?, flat(diversity_nm.clone())?);
+    let (error, along) = (flat(&found_nm - ncpa_nm)?, flat(diversity_nm.clone())?);
     let weighted = &along * &pupil.amplitude;
     let share = (&error * &weighted).sum() / (&along * &weighted).sum();
     let rest = residual_nm(pupil, (found_nm - diversity_nm * share).view(), ncpa_nm.view())?;
