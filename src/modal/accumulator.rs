@@ -4,7 +4,7 @@ use super::combine::{centre, covariance_with_scatter, is_sequence};
 use super::combined_modes::CombinedModes;
 use super::diversity_error::check_reachable;
 use super::fitter::ModalFitter;
-use super::pistons::Pistons;
+use super::global_motions::GlobalMotions;
 use super::sequence::{scatter, shrinkage_of_variance};
 use super::session::Session;
 use super::status::{ImageReport, Selection, assess_together};
@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// are assessed one by one, eight and more as a sequence. Outliers are left out as the scene says.
 pub struct Accumulator {
     estimator: Arc<ModalFitter>,
-    pistons: Pistons,
+    motions: GlobalMotions,
     /// Inner products of the modes over the pupil, piston removed: the mean square of a map is cᵀ·G·c.
     gram: Array2<f64>,
     /// Ring buffer, `[place, mode]`, nm.
@@ -71,8 +71,8 @@ impl Accumulator {
         memory.resize(capacity * modes, 0.0);
         let coefficients_nm = Array2::from_shape_vec((capacity, modes), memory)
             .map_err(|error| Error::Internal(format!("the ring of images: {error}")))?;
-        let (pistons, gram) = (Pistons::new(model)?, model.basis.visible_gram(&model.telescope.pupil.amplitude)?);
-        Ok(Self { pistons, gram, coefficients_nm, reports, pushed: 0, estimator })
+        let (motions, gram) = (GlobalMotions::new(model)?, model.basis.visible_gram(&model.telescope.pupil.amplitude)?);
+        Ok(Self { motions, gram, coefficients_nm, reports, pushed: 0, estimator })
     }
 
     /// Adds all images of the session's last fit; they replace the oldest ones. Allocates nothing.
@@ -187,7 +187,7 @@ impl Accumulator {
             }));
         }
         let used_nm = rows.select(Axis(0), &selected.used);
-        let coefficients_nm = centre(&self.pistons, &used_nm, how);
+        let coefficients_nm = centre(&self.motions, &used_nm, how);
         let median_of_used = |value: fn(&ImageReport) -> f64| {
             median(&selected.used.iter().map(|&place| value(reports[place])).collect::<Vec<_>>())
         };
@@ -197,7 +197,7 @@ impl Accumulator {
             median_of_used(|report| report.background_e).max(0.0),
         )?;
         let single_nm2 = if is_sequence(&reports) {
-            self.pistons.centred(&scatter(&used_nm, how, &noise_nm2))
+            self.motions.removed_from(&scatter(&used_nm, how, &noise_nm2))
         } else {
             let chi2 = selected.used.iter().map(|&place| reports[place].reduced_chi2.max(1.0)).sum::<f64>();
             covariance_with_scatter(noise_nm2 * (chi2 / selected.used.len() as f64), &used_nm)

@@ -2,10 +2,10 @@
 
 use super::combined_modes::CombinedModes;
 use super::fitter::ModalFitter;
+use super::global_motions::GlobalMotions;
 use super::mean_residual::{EXPLAINED, mean_residual_chi2};
 use super::minimum::Minimum;
 use super::model::Model;
-use super::pistons::Pistons;
 use super::prepare::{PreparedFrame, Refusal};
 use super::residual::variance;
 use super::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
@@ -67,7 +67,7 @@ pub struct ModalEstimate {
     /// Mean or median over the images that were used.
     pub combined: CombinedModes,
     /// Reduced χ² of the mean residual of the images that were used, which shows errors of the model that are too small to
-    /// be seen in one image; that of one image is its own. Where the typical image misfits it is 1: error bars of a wavefront
+    /// be seen in one image; that of one image is its own. Where the median of χ² is above 2 it is 1: error bars of a wavefront
     /// that changes are from the scatter.
     pub mean_residual_chi2: f64,
     /// The part of the covariance that further images would average out, nm², with the prior; the rest is [`ModalFitter::shared_errors`].
@@ -151,8 +151,8 @@ pub(super) fn combine(
     mut minima: Vec<Minimum>,
 ) -> Result<ModalEstimate> {
     let model = &estimator.model;
-    let pistons = &estimator.pistons;
-    minima.iter_mut().for_each(|minimum| pistons.centre(&mut minimum.coefficients_nm));
+    let motions = &estimator.motions;
+    minima.iter_mut().for_each(|minimum| motions.remove(&mut minimum.coefficients_nm));
     let reports = assess_all(estimator, prepared, &minima);
     // Reports of images that were not fitted first; those of fitted images then take their places.
     let reason =
@@ -169,18 +169,20 @@ pub(super) fn combine(
     let Selection { used, clipped } = Selection::new(&fitted_reports, &fitted_nm, how);
     let Some(&first) = used.first() else { return Err(nothing_fitted(&fitted_reports)) };
     let used_nm = fitted_nm.select(Axis(0), &used);
-    let coefficients_nm = centre(pistons, &used_nm, how);
+    let coefficients_nm = centre(motions, &used_nm, how);
     let (mut single, fisher) = if is_sequence(&fitted_reports) {
         let (noise_nm2, fisher) = noise_at(estimator, &prepared[first], &minima[first], &coefficients_nm)?;
-        let scatter_nm2 = pistons.centred(&scatter(&used_nm, how, &noise_nm2));
+        let scatter_nm2 = motions.removed_from(&scatter(&used_nm, how, &noise_nm2));
         (SingleImage { shared_nm2: Array2::zeros(noise_nm2.dim()), noise_nm2, scatter_nm2 }, fisher)
     } else {
         few_images(estimator, prepared, &minima, &reports, &used, &used_nm)?
     };
     let mean_residual_chi2 = mean_residual_chi2(estimator, prepared, &minima, &reports, &used);
     let shrinkage = shrinkage_of_variance(how, used.len());
-    if used.len() > 1 && mean_residual_chi2 > EXPLAINED {
-        single.shared_nm2 = &single.noise_nm2 * ((mean_residual_chi2 - 1.0) * shrinkage);
+    // The noise of a few images is scaled by their own χ² already.
+    let scaled = if is_sequence(&fitted_reports) { 1.0 } else { scale_of_noise(&reports, &used) };
+    if used.len() > 1 && mean_residual_chi2 > EXPLAINED.max(scaled) {
+        single.shared_nm2 = &single.noise_nm2 * ((mean_residual_chi2 / scaled - 1.0) * shrinkage);
     }
     let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
     let averaged = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
@@ -235,15 +237,15 @@ pub(super) fn subset(
     if used.is_empty() {
         return Err(nothing_fitted(&reports));
     }
-    let pistons = &estimator.pistons;
+    let motions = &estimator.motions;
     let used_nm = coefficients_nm.select(Axis(0), &used);
     let single_nm2 = if is_sequence(&reports) {
-        pistons.centred(&scatter(&used_nm, how, &estimate.single.noise_nm2))
+        motions.removed_from(&scatter(&used_nm, how, &estimate.single.noise_nm2))
     } else {
         estimate.single.scatter_nm2.clone()
     };
     let averaged = CombinedModes {
-        coefficients_nm: centre(pistons, &used_nm, how),
+        coefficients_nm: centre(motions, &used_nm, how),
         covariance_nm2: single_nm2 * shrinkage_of_variance(how, used.len()) + &estimate.single.shared_nm2,
     };
     let averaged = with_prior(model, averaged)?;
@@ -274,9 +276,9 @@ fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<CombinedModes>
 }
 
 /// Mean or median of images, pistons about their mean.
-pub(super) fn centre(pistons: &Pistons, used_nm: &Array2<f64>, how: Combine) -> Vec<f64> {
+pub(super) fn centre(motions: &GlobalMotions, used_nm: &Array2<f64>, how: Combine) -> Vec<f64> {
     let mut coefficients_nm = location(used_nm, how).to_vec();
-    pistons.centre(&mut coefficients_nm);
+    motions.remove(&mut coefficients_nm);
     coefficients_nm
 }
 
@@ -293,6 +295,11 @@ fn noise_at(
     let variance_e2 = variance(&psf, &minimum, &prepared.floor_variance_e2);
     let spread = Spread::new(estimator, &[0], from_ref(prepared), from_ref(&minimum), from_ref(&variance_e2))?;
     Ok((spread.covariance(0).clone(), spread.fisher(0).clone()))
+}
+
+/// Mean factor by which [`few_images`] scales the noise of the images `used`.
+fn scale_of_noise(reports: &[ImageReport], used: &[usize]) -> f64 {
+    used.iter().map(|&image| reports[image].reduced_chi2.max(1.0)).sum::<f64>() / used.len() as f64
 }
 
 /// Covariance of one of a few images, and the Fisher matrix of the first: the mean over the used images of the covariance from

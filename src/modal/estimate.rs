@@ -103,7 +103,7 @@ impl ModalFitter {
         for ((&image, mut minimum), report) in
             indices.iter().zip(minima.iter().cloned()).zip(status::assess_all(self, &prepared, &minima))
         {
-            self.pistons.centre(&mut minimum.coefficients_nm);
+            self.motions.remove(&mut minimum.coefficients_nm);
             coefficients_nm.row_mut(image).assign(&ArrayView1::from(&minimum.coefficients_nm));
             reports[image] = report;
         }

@@ -4,14 +4,15 @@ use super::diversity_error::{self, DiversityProjection, SharedError};
 use super::engine::{self, FitTask, ImageFit, Watch};
 use super::fisher;
 use super::fitted_optic::FittedOptic;
+use super::global_motions::GlobalMotions;
 use super::metrics::Metrics;
 use super::mode_set::SceneBasis;
 use super::model::Model;
-use super::pistons::Pistons;
 use super::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use super::recipe::Recipe;
 use super::tilts::Tilts;
 use crate::imaging::{Chain, CpuChain};
+use crate::modes::Direction;
 use crate::optimize::CancelFlag;
 use crate::scene::{Method, PupilScene, Scene};
 use crate::{Error, Result};
@@ -27,8 +28,8 @@ pub struct ModalFitter {
     /// Reference chain (f64, CPU): metric, weights, χ² and error bars come from it for every chain that fits.
     pub(super) reference: CpuChain<f64>,
     pub(super) metrics: Metrics,
-    /// Shares of the pistons in their mean over the pupil, computed once because that takes as long as some fits.
-    pub(super) pistons: Pistons,
+    /// Motions of the whole mirror, computed once because that takes as long as some fits.
+    pub(super) motions: GlobalMotions,
     pub(super) tilts: Tilts,
     /// Errors that all images share.
     pub(super) shared: Vec<SharedError>,
@@ -147,11 +148,11 @@ impl ModalFitter {
     pub(super) fn from_model(scene: &Scene, recipe: Recipe, model: Model) -> Result<Self> {
         let reference = CpuChain::new(model.optics.clone());
         let metrics = Metrics::new(&recipe, model.tiles().derivative_bytes);
-        let (pistons, tilts) = (Pistons::new(&model)?, Tilts::new(&model)?);
+        let (motions, tilts) = (GlobalMotions::new(&model)?, Tilts::new(&model)?);
         let shared = diversity_error::shared_error(&model, scene)?.into_iter().collect();
         let (scene, scene_basis) = (scene.clone(), Arc::default());
         let fitted_optics = Vec::new();
-        Ok(Self { scene, recipe, model, reference, metrics, pistons, tilts, shared, scene_basis, fitted_optics })
+        Ok(Self { scene, recipe, model, reference, metrics, motions, tilts, shared, scene_basis, fitted_optics })
     }
 
     /// The model of the images.
@@ -192,6 +193,12 @@ impl ModalFitter {
             preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
         };
         engine::fit(chain, task, &prepare, fits, watch)
+    }
+
+    /// Whether `direction` is a motion of the whole mirror, which is 0 by convention: its piston, and where segments have tips
+    /// and tilts and the NCPA span them, its tip and tilt, which are then among the NCPA.
+    pub fn is_global_motion(&self, direction: &Direction) -> bool {
+        self.motions.contain(direction)
     }
 
     /// Errors that all images share, so that no number of images averages them out.
@@ -251,6 +258,6 @@ impl ModalFitter {
             photometry,
             self.model.tiles().derivative_bytes,
         );
-        Ok(self.pistons.centred(&sensitivity.covariance()?))
+        Ok(self.motions.removed_from(&sensitivity.covariance()?))
     }
 }

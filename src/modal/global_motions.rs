@@ -1,51 +1,138 @@
-//! Pistons about their mean over the pupil: removes the global piston, on which no image depends.
+//! Motions of the whole mirror, which the segment modes have and the images do not determine, and which are 0 by convention.
+//!
+//! Piston changes no image. Tip and tilt, which segments with tips and tilts make together, are also modes of the NCPA where those
+//! span them: what a fit divides among the two is moved to the NCPA. Where the NCPA do not span them, the images determine them.
 
+use super::diversity_error::{ModeProjector, Projection};
 use super::model::Model;
+use crate::modes::Direction;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView1, ArrayView2, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayViewMut1, Axis, s};
 
-/// Shares of a model's pistons in their mean over the pupil.
-pub(super) struct Pistons {
-    /// Each piston's share; empty where pistons are not estimated.
-    shares: Vec<f64>,
+/// Share of tip or tilt (RMS) outside the modes of the NCPA up to which they span it. The basis is exact to rounding.
+const MAX_RESIDUAL_SHARE: f64 = 1e-3;
+/// Share of a direction (of its coefficients) outside the motions up to which it is one of them. Null directions are known to
+/// 1e-6 and sampled on two grids.
+const MAX_OTHER_SHARE: f64 = 0.01;
+
+/// Motions of the whole mirror.
+pub(super) struct GlobalMotions {
+    /// What of each motion is in coefficients, `[motion, mode]`.
+    amounts: Array2<f64>,
+    /// Coefficients of each motion, `[motion, mode]`.
+    motions: Array2<f64>,
 }
 
-impl Pistons {
+/// A motion while it is made orthogonal to those before it: its map and its coefficients.
+struct Motion {
+    map: Array2<f64>,
+    coefficients: Array1<f64>,
+}
+
+impl GlobalMotions {
     /// # Errors
     /// [`Error::Value`] for pistons of segments without area.
     pub(super) fn new(model: &Model) -> Result<Self> {
-        let pistons = model.basis.names().iter().take(model.segment_modes).take_while(|name| name.ends_with("-piston"));
-        let count = pistons.count();
-        let pupil = &model.telescope.pupil;
-        let areas = model.basis.along(&pupil.amplitude)?[..count].to_vec();
+        let (basis, pupil) = (&model.basis, &model.telescope.pupil);
+        let names = basis.names().iter().take(model.segment_modes);
+        let pistons = names.take_while(|name| name.ends_with("-piston")).count();
+        let none = || Array2::zeros((0, basis.len()));
+        if pistons == 0 {
+            return Ok(Self { amounts: none(), motions: none() });
+        }
+        let areas = basis.along(&pupil.amplitude)?[..pistons].to_vec();
         let total: f64 = areas.iter().sum();
-        if count > 0 && total <= 0.0 {
+        if total <= 0.0 {
             return Err(Error::Value("the segments of the pistons have no illuminated area".into()));
         }
-        Ok(Self { shares: areas.iter().map(|area| area / total).collect() })
+        let weight = ndarray::Zip::from(&pupil.amplitude)
+            .and(&pupil.owner)
+            .map_collect(|a, owner| if *owner < 0 { 0.0 } else { a / total });
+        let coefficients = Array1::from_shape_fn(basis.len(), |mode| f64::from(u8::from(mode < pistons)));
+        let mut found = vec![Motion { map: Array2::ones(weight.dim()), coefficients }];
+        if model.optics.parts().slopes.is_some() && model.segment_modes < basis.len() {
+            // On a segment, a coordinate is its mean times the piston and its RMS about it times the tip or the tilt.
+            let along_axis = |axis: usize| -> Result<Motion> {
+                let coordinate = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
+                let map = Array2::from_shape_fn(weight.dim(), coordinate);
+                let mut coefficients = Array1::from(basis.along(&(&map * &weight))?);
+                let is_its = |mode: usize| [0, axis + 1].contains(&(mode / pistons)) && areas[mode % pistons] > 0.0;
+                coefficients.indexed_iter_mut().for_each(|(mode, c)| {
+                    *c = if is_its(mode) { *c * total / areas[mode % pistons] } else { 0.0 };
+                });
+                Ok(Motion { map, coefficients })
+            };
+            let tip = along_axis(0)?.orthogonal_to(&found, &weight);
+            found.push(tip);
+            let tilt = along_axis(1)?.orthogonal_to(&found, &weight);
+            found.push(tilt);
+            let projector = ModeProjector::new(pupil, basis, model.segment_modes)?;
+            let mut is_spanned = true;
+            for motion in &mut found[1..] {
+                let Projection { coefficients_nm, mean_square_nm2 } = projector.project(basis, &motion.map)?;
+                is_spanned &= 1.0 - mean_square_nm2 < MAX_RESIDUAL_SHARE.powi(2);
+                motion.coefficients -= &coefficients_nm;
+            }
+            if !is_spanned {
+                found.truncate(1);
+            }
+        }
+        let (mut amounts, mut motions) = (none(), none());
+        for motion in &found {
+            let mut amount = Array1::from(basis.along(&(&motion.map * &weight))?);
+            amount.slice_mut(s![model.segment_modes..]).fill(0.0);
+            let pushed = amounts.push(Axis(0), amount.view()).and(motions.push(Axis(0), motion.coefficients.view()));
+            pushed.map_err(|error| Error::Internal(format!("the motions of the mirror: {error}")))?;
+        }
+        Ok(Self { amounts, motions })
     }
 
-    /// Brings the pistons to zero mean over the pupil.
-    pub(super) fn centre(&self, coefficients_nm: &mut [f64]) {
-        let mean: f64 = self.shares.iter().zip(coefficients_nm.iter()).map(|(share, nm)| share * nm).sum();
-        coefficients_nm[..self.shares.len()].iter_mut().for_each(|nm| *nm -= mean);
+    /// Removes the motions from coefficients. Allocates nothing.
+    pub(super) fn remove(&self, coefficients_nm: &mut [f64]) {
+        let mut coefficients_nm = ArrayViewMut1::from(coefficients_nm);
+        // The motions are orthogonal, so that one after the other removes them all.
+        for (amount, motion) in self.amounts.outer_iter().zip(self.motions.outer_iter()) {
+            let nm = amount.dot(&coefficients_nm);
+            coefficients_nm.scaled_add(-nm, &motion);
+        }
     }
 
-    /// The covariance of coefficients that were brought to zero mean.
-    pub(super) fn centred(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
-        // P C Pᵀ with P = I − 1·shareᵀ on the pistons: every piston loses the pistons' mean.
-        let count = self.shares.len();
-        let mut covariance_nm2 = covariance_nm2.clone();
-        let mean = |lines: ArrayView2<f64>| ArrayView1::from(&self.shares).dot(&lines);
-        let of_rows = mean(covariance_nm2.slice(s![..count, ..]));
-        covariance_nm2.slice_mut(s![..count, ..]).outer_iter_mut().for_each(|mut row| row -= &of_rows);
-        let of_columns = mean(covariance_nm2.slice(s![.., ..count]).t());
-        covariance_nm2
-            .slice_mut(s![.., ..count])
-            .columns_mut()
-            .into_iter()
-            .for_each(|mut column| column -= &of_columns);
+    /// The covariance of coefficients from which the motions were removed.
+    pub(super) fn removed_from(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
+        // P C Pᵀ with P = 1 − Mᵀ A.
+        let rows = covariance_nm2 - self.motions.t().dot(&self.amounts.dot(covariance_nm2));
+        let both = &rows - rows.dot(&self.amounts.t()).dot(&self.motions);
         // Symmetric to the last bit, which an eigen-decomposition may need.
-        (&covariance_nm2 + &covariance_nm2.t()) * 0.5
+        (&both + &both.t()) * 0.5
+    }
+
+    /// Whether a direction is a combination of these motions.
+    pub(super) fn contain(&self, direction: &Direction) -> bool {
+        let mut rest = Array1::from(direction.coefficients.clone());
+        let mut units: Vec<Array1<f64>> = Vec::new();
+        for motion in self.motions.outer_iter() {
+            let mut unit = motion.to_owned();
+            units.iter().for_each(|before| unit.scaled_add(-before.dot(&motion), before));
+            unit /= unit.dot(&unit).sqrt();
+            let share = unit.dot(&rest);
+            rest.scaled_add(-share, &unit);
+            units.push(unit);
+        }
+        rest.dot(&rest) <= MAX_OTHER_SHARE.powi(2) * ArrayView1::from(&direction.coefficients).mapv(|c| c * c).sum()
+    }
+}
+
+impl Motion {
+    /// This motion without what it has of others, which are orthogonal to each other and of unit mean square, and at unit
+    /// mean square.
+    fn orthogonal_to(mut self, others: &[Motion], weight: &Array2<f64>) -> Self {
+        let product = |a: &Array2<f64>, b: &Array2<f64>| (a * b * weight).sum();
+        for other in others {
+            let share = product(&self.map, &other.map);
+            self.map.scaled_add(-share, &other.map);
+            self.coefficients.scaled_add(-share, &other.coefficients);
+        }
+        let rms = product(&self.map, &self.map).sqrt();
+        Self { map: self.map / rms, coefficients: self.coefficients / rms }
     }
 }

@@ -11,16 +11,20 @@ use super::minimum::Minimum;
 use super::prepare::PreparedFrame;
 use super::residual::variance;
 use super::sequence::SEQUENCE;
-use super::status::{ImageReport, Status};
+use super::status::ImageReport;
 use crate::scene::Weighting;
+use crate::statistics::median;
 use ndarray::ArrayView1;
 use rayon::prelude::*;
 
 /// Reduced χ² of the mean residual up to which error bars are those of noise and scatter. Over 9,000 pixels its scatter is
 /// 0.015, over a few hundred 0.1; what is below changes an error bar by 5 % at most.
 pub(super) const EXPLAINED: f64 = 1.1;
+/// Median reduced χ² of the images from which on they are those of a wavefront that changes, or of a wrong scene: no error that
+/// all images share, and the error bars are those of their scatter.
+const CHANGING: f64 = 2.0;
 
-/// Reduced χ² of the mean residual of the images `used`; that of one image is its own. 1 where the typical image misfits, or
+/// Reduced χ² of the mean residual of the images `used`; that of one image is its own. 1 where the median χ² is above 2, or
 /// without a noise model.
 pub(super) fn mean_residual_chi2(
     estimator: &ModalFitter,
@@ -29,10 +33,10 @@ pub(super) fn mean_residual_chi2(
     reports: &[ImageReport],
     used: &[usize],
 ) -> f64 {
-    let explained = used.iter().filter(|&&place| reports[place].status == Status::Ok).count();
+    let typical = median(&used.iter().map(|&place| reports[place].reduced_chi2).collect::<Vec<_>>());
     match used {
         [one] => reports[*one].reduced_chi2,
-        _ if 2 * explained > used.len() && estimator.recipe.weighting == Weighting::Noise => {
+        _ if typical < CHANGING && estimator.recipe.weighting == Weighting::Noise => {
             chi2(estimator, prepared, minima, used)
         }
         _ => 1.0,

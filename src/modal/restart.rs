@@ -1,15 +1,17 @@
 //! Restarts of fits that ended in a wrong minimum.
 //!
-//! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does not, χ² is hundreds of times
-//! what the noise explains, or the fit has used up its evaluations. It is then restarted from a perturbed start, and the better
-//! fit is kept.
+//! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does not, χ² is larger than the noise
+//! explains, or the fit has used up its evaluations. It is then restarted from a perturbed start, and the better fit is kept. A
+//! model that is wrong leaves a large χ² too: a misfit whose restart ends at the same χ² is not restarted again, and one that most
+//! images of a sequence share is not restarted at all.
 
 use super::engine::{FitTask, ImageFit};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
 use super::outliers::CleanedFrame;
 use super::prepare::Frame;
-use super::status::Status;
+use super::sequence::SEQUENCE;
+use super::status::{ImageReport, Status};
 use crate::Result;
 use crate::imaging::Chain;
 use crate::optimize::StopReason;
@@ -24,6 +26,9 @@ const START_SHARE: f64 = 0.5;
 const SEGMENT_WAVES: f64 = 0.05;
 /// See [`SEGMENT_WAVES`].
 const NCPA_WAVES: f64 = 0.02;
+/// Two fits of an image whose χ² differ by no more than this share ended in one minimum: fits stop where χ² would change by less,
+/// and distinct minima differ by a few per cent or more.
+const SAME_MINIMUM: f64 = 1e-3;
 
 impl ModalFitter {
     /// Restarts those of `fits` that ended in a wrong minimum, and keeps the better fit. Outlier pixels that were rejected
@@ -38,9 +43,13 @@ impl ModalFitter {
         (frames, cleaned): (&'a [Frame<'a>], &'a [Option<CleanedFrame>]),
         fits: &mut [ImageFit],
     ) -> Result<()> {
+        let mut is_settled = vec![false; fits.len()];
         for attempt in 1..=self.recipe.restarts {
             let reports = self.reports(fits);
-            let needs_restart = |&image: &usize| fits[image].is_fitted() && needs_restart(&reports[image].status);
+            let misfits = can_restart_misfits(&reports);
+            let needs_restart = |&image: &usize| {
+                fits[image].is_fitted() && !is_settled[image] && needs_restart(&reports[image], misfits)
+            };
             let failed: Vec<usize> = (0..fits.len()).filter(needs_restart).collect();
             if failed.is_empty() {
                 break;
@@ -60,6 +69,8 @@ impl ModalFitter {
             self.fit_frames(chain, task, &failed_frames, &mut again, &mut |_, _| {})?;
             for (image, mut again) in failed.into_iter().zip(again) {
                 again.prepared.rejected_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.rejected);
+                let [before, after] = [&fits[image], &again].map(|fit| fit.minimum.reduced_chi2());
+                is_settled[image] = (after - before).abs() <= SAME_MINIMUM * before;
                 fits[image].improve(again);
             }
         }
@@ -80,11 +91,18 @@ impl ModalFitter {
     }
 }
 
+/// Whether misfits may be restarted: unless most of a sequence misfit, which is the model's or the turbulence's doing.
+fn can_restart_misfits(reports: &[ImageReport]) -> bool {
+    let misfits = reports.iter().filter(|report| report.status == Status::Misfit).count();
+    reports.len() < SEQUENCE || 2 * misfits < reports.len()
+}
+
 /// Whether a fit probably ended in a wrong minimum, so that another start could lead to a better one.
-fn needs_restart(status: &Status) -> bool {
-    match status {
+fn needs_restart(report: &ImageReport, misfits: bool) -> bool {
+    match report.status {
         Status::WrongMinimum => true,
-        Status::NotConverged(reason) => *reason == StopReason::EvaluationLimit,
-        Status::Ok | Status::Misfit | Status::Unusable(_) => false,
+        Status::Misfit => misfits && !report.is_too_small(),
+        Status::NotConverged(reason) => reason == StopReason::EvaluationLimit,
+        Status::Ok | Status::Unusable(_) => false,
     }
 }

@@ -9,7 +9,7 @@ pub use options::{FitOptions, ImageResult, SessionOptions};
 
 use super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
 use super::fitter::ModalFitter;
-use super::pistons::Pistons;
+use super::global_motions::GlobalMotions;
 use super::prepare::{Frame, PreparedFrame, Preparer, Refusal, Ringing};
 use super::recipe::Recipe;
 use super::residual::variance;
@@ -55,7 +55,7 @@ struct Shared {
     /// Recipe of the fitter, with the session's own limits.
     recipe: Recipe,
     tilts: Tilts,
-    pistons: Pistons,
+    motions: GlobalMotions,
     cancel: CancelFlag,
 }
 
@@ -87,8 +87,8 @@ impl Session {
         recipe.max_evaluations = options.max_evaluations.unwrap_or(recipe.max_evaluations);
         recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
         estimator.metrics.make_all(&estimator.reference)?;
-        let (tilts, pistons) = (Tilts::new(&estimator.model)?, Pistons::new(&estimator.model)?);
-        let shared = Shared { estimator, recipe, tilts, pistons, cancel: CancelFlag::default() };
+        let (tilts, motions) = (Tilts::new(&estimator.model)?, GlobalMotions::new(&estimator.model)?);
+        let shared = Shared { estimator, recipe, tilts, motions, cancel: CancelFlag::default() };
         let optics = shared.estimator.model.optics.clone();
         let scene = &shared.estimator.scene.estimate;
         let precision = options.precision.unwrap_or(scene.precision.into());
@@ -319,7 +319,7 @@ impl Shared {
     fn report(&self, fit: &mut ImageFit, result: &mut ImageResult) {
         match fit.state {
             FitState::Fitted => {
-                self.pistons.centre(&mut fit.minimum.coefficients_nm);
+                self.motions.remove(&mut fit.minimum.coefficients_nm);
                 result.report = assess(&self.estimator.model, &self.tilts, &fit.prepared, &fit.minimum);
                 result.coefficients_nm.copy_from_slice(&fit.minimum.coefficients_nm);
             }

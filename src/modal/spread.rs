@@ -56,7 +56,7 @@ impl Spread {
                 heads.push(image);
             }
         }
-        let pistons = &estimator.pistons;
+        let motions = &estimator.motions;
         // Images that are worked on at once share the memory.
         let threads = MATRICES_AT_ONCE.min(heads.len()).max(1);
         let compute = |&head: &usize| {
@@ -69,7 +69,7 @@ impl Spread {
             let noise = (exposure.weight.as_slice(), variance_e2);
             let (reference, tile_bytes) = (&estimator.reference, estimator.model.tiles().derivative_bytes / threads);
             let sensitivity = Sensitivity::at(reference, at, minimum.flux_e, noise, exposure.photometry, tile_bytes);
-            let covariance = pistons.centred(&sensitivity.covariance()?);
+            let covariance = motions.removed_from(&sensitivity.covariance()?);
             Ok((sensitivity.fisher, covariance))
         };
         let mut matrices = Vec::with_capacity(heads.len());

@@ -42,13 +42,6 @@ pub struct Direction {
     pub description: String,
 }
 
-impl Direction {
-    /// Whether this is global piston, which no image determines.
-    pub fn is_global_piston(&self) -> bool {
-        self.description.ends_with("(global piston)")
-    }
-}
-
 impl Degeneracy {
     /// Analyses a symmetric positive semi-definite `[modes, modes]` matrix: products of modes over the pupil, or a Fisher
     /// matrix. Directions with singular values below `weak_below` are listed as weak.

@@ -1,8 +1,14 @@
 //! Likely cause of a misfit, from the structure of an image and of its residual: saturated pixels, a second star, another plate
 //! scale.
 
-use crate::modal::FittedImage;
-use ndarray::{Array2, ArrayView2};
+use super::consistency::Electrons;
+use super::control::Control;
+use super::policy::Policy;
+use crate::imaging::Chain;
+use crate::modal::{self, BasisCache, Cube, FittedImage, ModalEstimate, ModalFitter};
+use crate::scene::Scene;
+use crate::{Error, Result};
+use ndarray::{Array2, ArrayView2, Axis};
 
 /// Part of the largest value from which a pixel counts as being at the top.
 const TOP: f64 = 0.995;
@@ -15,9 +21,80 @@ const EXPLAINED_BY_COPY: f64 = 0.4;
 /// Products in the search for a copy; larger images are searched on every second pixel, or third.
 const MAX_PRODUCTS: usize = 20_000_000;
 
-/// A cause that the image shows, as a sentence's end; `None` where it shows none. `frame_e` is the detector frame, `native` the
-/// number of its pixels along a side of a model pixel.
-pub(super) fn likely_cause(
+/// Largest part of χ² beyond 1 that may be left where another plate scale is the cause.
+const LEFT_BY_PLATE_SCALE: f64 = 0.3;
+/// Largest side of a frame for which another plate scale is tried, pixels: it is fitted without reducing the image, some ten times.
+const MAX_TRIED_PIXELS: usize = 512;
+
+/// An image that the model does not explain.
+pub(super) struct Case<'a> {
+    pub(super) scene: &'a Scene,
+    pub(super) policy: &'a Policy,
+    pub(super) control: &'a Control,
+    pub(super) cache: &'a BasisCache,
+    pub(super) images: &'a Electrons<'a>,
+    /// Its number, from 0.
+    pub(super) image: usize,
+    /// Detector pixels along a side of a model pixel.
+    pub(super) native: f64,
+}
+
+impl Case<'_> {
+    /// The cause that the image shows, as a sentence; `None` where it shows none.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub(super) fn likely_cause(&self, found: &ModalEstimate) -> Result<Option<String>> {
+        let frame_e = self.images.images_e.index_axis(Axis(0), self.image);
+        let bad = self.images.bad.index_axis(Axis(0), self.image);
+        let cause = match shown_by_residual(&found.compared, frame_e, bad, self.native) {
+            Some(cause) => Some(cause),
+            None => self.plate_scale(found.images[self.image].reduced_chi2)?,
+        };
+        Ok(cause.map(|cause| format!("likely cause of the residual of image {}: {cause}", self.image + 1)))
+    }
+
+    /// Another plate scale with which the model explains the image.
+    fn plate_scale(&self, reduced_chi2: f64) -> Result<Option<String>> {
+        let only = self.image..self.image + 1;
+        let images_e = self.images.images_e.slice(ndarray::s![only.clone(), .., ..]);
+        let bad = self.images.bad.slice(ndarray::s![only, .., ..]);
+        let (_, rows, columns) = images_e.dim();
+        let is_tried = self.policy.fit_optics && self.scene.estimate.fit_optics.is_empty() && reduced_chi2 > 1.0;
+        if !is_tried || rows.max(columns) > MAX_TRIED_PIXELS {
+            return Ok(None);
+        }
+        let scene = self.scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")])?;
+        let cube = Cube { images_e, bad, read_noise_e: self.images.read_noise_e };
+        let mut open = |fitter: &ModalFitter| {
+            Chain::open(fitter.model().optics.clone(), scene.estimate.device.into(), scene.estimate.precision.into(), 1)
+        };
+        let (flag, recipe) = (Some(self.control.flag()), self.policy.recipe(&scene));
+        let (fitter, found) =
+            match modal::estimate_with(&scene, recipe, self.cache, cube, &mut open, flag, &mut |_, _| {}) {
+                Ok(found) => found,
+                Err(error @ Error::Interrupted(_)) => return Err(error),
+                // A trial that fails names no cause.
+                Err(_) => return Ok(None),
+            };
+        let [optic] = fitter.fitted_optics() else { return Ok(None) };
+        let left = (found.reduced_chi2() - 1.0).max(0.0) / (reduced_chi2 - 1.0);
+        Ok((optic.is_identifiable() && left < LEFT_BY_PLATE_SCALE).then(|| {
+            format!(
+                "the plate scale: with {} = {:.4} in place of {} its reduced χ² is {:.2} in place of {reduced_chi2:.2}; \
+                 estimate.fit_optics = [\"plate-scale\"] fits it",
+                optic.key(),
+                optic.value,
+                optic.scene,
+                found.reduced_chi2()
+            )
+        }))
+    }
+}
+
+/// A cause that an image and its residual show, as a sentence's end. `frame_e` is the detector frame, `native` the number of its
+/// pixels along a side of a model pixel.
+fn shown_by_residual(
     fitted: &FittedImage,
     frame_e: ArrayView2<f64>,
     bad: ArrayView2<bool>,
@@ -107,7 +184,7 @@ mod tests {
         let residual_sigma =
             Array2::from_shape_fn((32, 32), |at| (data_e[at] - model_e[at]) / (model_e[at] + 100.0).sqrt());
         let fitted = FittedImage { data_e: data_e.clone(), model_e, residual_sigma };
-        likely_cause(&fitted, data_e.view(), Array2::from_elem((32, 32), false).view(), 2.0)
+        shown_by_residual(&fitted, data_e.view(), Array2::from_elem((32, 32), false).view(), 2.0)
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::metrics::MapGram;
 use crate::modal::{self, BasisCache, Cube, FittedOptic, ImageStatus, Model};
 use crate::modes::Group;
 use crate::scene::{NollRange, Scene};
-use ndarray::{Array2, Axis};
+use ndarray::Array2;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -62,10 +62,9 @@ pub(super) fn estimate(
     let changes = if is_explained { None } else { image_changes(scene, images) };
     let cause = match found.used_images.first() {
         Some(&image) if !is_explained && changes.is_none_or(|chi2| chi2 < CHANGING) => {
-            let native = model.preparation.native_along(0);
-            let frame = (images.images_e.index_axis(Axis(0), image), images.bad.index_axis(Axis(0), image));
-            misfit::likely_cause(&found.compared, frame.0, frame.1, native)
-                .map(|cause| format!("likely cause of the residual of image {}: {cause}", image + 1))
+            control.check("the images were fitted, the cause of a residual was not sought")?;
+            misfit::Case { scene, policy, control, cache, images, image, native: model.preparation.native_along(0) }
+                .likely_cause(&found)?
         }
         _ => None,
     };

@@ -100,7 +100,7 @@ pub(super) fn modal_warnings(
     sentences.extend(image_warnings(found, changes));
     sentences.extend(mean_residual_warning(found));
     sentences.extend(model_warning(model));
-    for direction in found.degeneracy.null.iter().filter(|direction| !direction.is_global_piston()) {
+    for direction in found.degeneracy.null.iter().filter(|direction| !fitter.is_global_motion(direction)) {
         let what = &direction.description;
         sentences
             .push(format!("the images do not depend on this combination of modes, and 0 is reported for it: {what}"));

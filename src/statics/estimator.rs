@@ -41,6 +41,8 @@ pub(super) struct StaticsEstimator<'a> {
     pub(super) samples: IlluminatedSamples,
     loop_response: Option<SampledLoopResponse>,
     sample_error_nm: f64,
+    /// Model of the last iteration.
+    model: Option<StaticModel>,
 }
 
 impl<'a> StaticsEstimator<'a> {
@@ -58,6 +60,7 @@ impl<'a> StaticsEstimator<'a> {
             samples,
             loop_response,
             sample_error_nm: settings.sample_error_nm,
+            model: None,
         })
     }
 
@@ -87,9 +90,11 @@ impl<'a> StaticsEstimator<'a> {
             None => self.samples.pistons.clone(),
         };
         let groups = (&modes.groups[..], slopes_mas.is_some());
-        let model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance)?;
+        let start = self.model.take();
+        let model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance, start.as_ref())?;
+        let model = self.model.insert(model);
         let mut loop_response = self.loop_response.as_mut();
-        let mut errors = estimate_with_loop(&model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
+        let mut errors = estimate_with_loop(model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
         let Some(slopes_mas) = slopes_mas else { return Ok(errors) };
         let wavefronts_nm = &images.residuals_nm + &images.mean_nm;
         let mut sensor = SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?;
@@ -100,7 +105,7 @@ impl<'a> StaticsEstimator<'a> {
             // Hyperparameters without slopes are no start for those with slopes.
             let initial = (comparison > 0).then_some(&errors);
             let next =
-                estimate_with_loop(&model, &images.mean_nm, loop_response.as_deref_mut(), Some(&slopes), initial)?;
+                estimate_with_loop(model, &images.mean_nm, loop_response.as_deref_mut(), Some(&slopes), initial)?;
             let change_nm2: f64 = next.ncpa_nm.iter().zip(before).map(|(now, then)| (now - then).powi(2)).sum();
             errors = next;
             if change_nm2.sqrt() < SLOPE_TOLERANCE_NM {

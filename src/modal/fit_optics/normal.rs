@@ -135,7 +135,7 @@ impl NormalEquations {
                 (step[optic], sigma[optic]) = (solution[place], covariance[[place, place]].sqrt());
             }
             let moves_nm = self.moves_nm.select(Axis(1), &kept) / self.images as f64;
-            shared_nm2 = estimator.pistons.centred(&moves_nm.dot(&covariance).dot(&moves_nm.t()));
+            shared_nm2 = estimator.motions.removed_from(&moves_nm.dot(&covariance).dot(&moves_nm.t()));
         }
         Ok(Iteration { reduced_chi2, step, sigma, identifiable_share: shares, shared_nm2 })
     }

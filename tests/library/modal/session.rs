@@ -37,7 +37,9 @@ fn batch(estimator: &ModalFitter, images_e: &Array3<f64>) -> ModalEstimate {
 #[test]
 fn a_session_is_the_estimator_bit_by_bit_whatever_the_count_and_the_threads() {
     for weighting in ["noise", "none"] {
-        let scene = scene(&[("image.count", "5"), ("estimate.weighting", weighting)]);
+        // A session does not restart a misfit.
+        let settings = [("image.count", "5"), ("estimate.weighting", weighting), ("estimate.restarts", "0")];
+        let scene = scene(&settings);
         let mut images_e = source::simulate(&scene).unwrap().images_e;
         images_e.index_axis_mut(Axis(0), 2).fill(4.0);
         let estimator = estimator(&scene);
@@ -120,7 +122,7 @@ fn a_deadline_stops_the_call_with_the_best_so_far() {
 
 #[test]
 fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
-    let scene = scene(&[]);
+    let scene = scene(&[super::EXPLAINED_SNR]);
     let images_e = source::simulate(&scene).unwrap().images_e;
     let mut session = session(&estimator(&scene), SessionOptions::default());
     fill(&mut session, &images_e);
@@ -128,7 +130,7 @@ fn a_cancelled_fit_leaves_nothing_and_the_next_goes_on() {
     assert!(matches!(session.fit(1, &FitOptions::default()), Err(Error::Interrupted(_))));
     assert!(session.results().is_empty());
     session.fit(1, &FitOptions::default()).unwrap();
-    assert!(super::is_near(&session.results()[0].report));
+    assert_eq!(session.results()[0].report.status, Status::Ok);
 }
 
 #[test]

@@ -1,0 +1,129 @@
+//! Map that a poke makes under an orientation, and its comparison with a difference of maps.
+
+use super::{OrientationCandidate, Poke};
+use crate::pupil::Pupil;
+use crate::scene::{Aperture, Scene};
+use crate::telescope::Telescope;
+use crate::{Error, Result};
+use ndarray::Array2;
+
+/// Expected map of a poke.
+pub(super) struct ExpectedMap {
+    poke: Poke,
+    /// Position of the actuator, and the influence of the mirror; `None` for a segment.
+    influence: Option<crate::modes::InfluenceFunctions>,
+}
+
+impl ExpectedMap {
+    pub(super) fn new(scene: &Scene, telescope: &Telescope, poke: Poke) -> Result<Self> {
+        let (what, index, nm, count, influence) = match poke {
+            Poke::Segment(index, nm) => ("segment", index, nm, telescope.pupil.segments.len(), None),
+            Poke::Actuator(index, nm) => {
+                let influence = telescope.influence(scene)?;
+                ("actuator", index, nm, influence.len(), Some(influence))
+            }
+        };
+        if index >= count {
+            let last = count.saturating_sub(1);
+            return Err(Error::Value(format!("{what} {index} does not exist: 0 to {last} is accepted")));
+        }
+        if !nm.is_finite() || nm == 0.0 {
+            return Err(Error::Value(format!("a poke of {nm} nm was given: a finite one other than 0 is needed")));
+        }
+        Ok(Self { poke, influence })
+    }
+
+    pub(super) fn name(&self) -> String {
+        match self.poke {
+            Poke::Segment(index, nm) => format!("the poke of segment {index} by {nm} nm"),
+            Poke::Actuator(index, nm) => format!("the poke of actuator {index} by {nm} nm"),
+        }
+    }
+
+    /// The map `[y, x]` under an orientation, without piston, tip and tilt.
+    pub(super) fn map_nm(&self, pupil: &Pupil, flip: [bool; 2], rotation_deg: f64) -> Result<Array2<f64>> {
+        let (grid, n) = (&pupil.grid, pupil.grid.samples());
+        let (sin, cos) = rotation_deg.to_radians().sin_cos();
+        // x = R(−θ)·F·u.
+        let place = |y: usize, x: usize| {
+            let (u, v) = (grid.coordinate_m(x), grid.coordinate_m(y));
+            let (u, v) = (if flip[0] { -u } else { u }, if flip[1] { -v } else { v });
+            (cos * u + sin * v, cos * v - sin * u)
+        };
+        let index = |c_m: f64| (c_m / grid.pitch_m() + (n as f64 - 1.0) / 2.0).round();
+        let mut map = Array2::zeros((n, n));
+        let (xs_m, ys_m): (Vec<f64>, Vec<f64>) = (0..n * n).map(|at| place(at / n, at % n)).unzip();
+        match (self.poke, &self.influence) {
+            (Poke::Segment(segment, nm), _) => {
+                for ((value, x_m), y_m) in map.iter_mut().zip(&xs_m).zip(&ys_m) {
+                    let (x, y) = (index(*x_m), index(*y_m));
+                    let inside = (0.0..n as f64).contains(&x) && (0.0..n as f64).contains(&y);
+                    if inside && pupil.owner[[y as usize, x as usize]] == segment as i32 {
+                        *value = nm;
+                    }
+                }
+            }
+            (Poke::Actuator(actuator, nm), Some(influence)) => {
+                let position = influence.positions_m()[actuator];
+                let own = influence.mirror().select(|x, y| (x, y) == position)?;
+                map.iter_mut().zip(own.evaluate(&xs_m, &ys_m)?).for_each(|(value, shape)| *value = nm * shape);
+            }
+            (Poke::Actuator(..), None) => {}
+        }
+        pupil.remove_piston_tip_tilt(map.view())
+    }
+
+    /// All orientations of the pupil's symmetry group with either sign, the likeliest first and among equals the simplest.
+    pub(super) fn candidates(
+        &self,
+        pupil: &Pupil,
+        scene: &Scene,
+        difference_nm: &Array2<f64>,
+        modes: usize,
+    ) -> Result<Vec<OrientationCandidate>> {
+        let mut found = Vec::new();
+        for &rotation_deg in rotations_deg(scene, pupil) {
+            for flip in [[false, false], [true, false], [false, true], [true, true]] {
+                let map_nm = self.map_nm(pupil, flip, rotation_deg)?;
+                let (correlation, amplitude) = compare(pupil, difference_nm, &map_nm);
+                for sign in [1.0, -1.0] {
+                    let explained = (sign * correlation).clamp(0.0, 1.0 - 1e-9).powi(2);
+                    // Residuals of as many coefficients, of unknown variance.
+                    let log_likelihood = -0.5 * modes as f64 * (1.0 - explained).ln();
+                    let (correlation, amplitude) = (sign * correlation, sign * amplitude);
+                    found.push(OrientationCandidate {
+                        flip,
+                        rotation_deg,
+                        sign,
+                        correlation,
+                        amplitude,
+                        log_likelihood,
+                    });
+                }
+            }
+        }
+        found.sort_by(|a, b| b.log_likelihood.total_cmp(&a.log_likelihood));
+        Ok(found)
+    }
+}
+
+/// Rotations besides flips under which the pupil equals itself; two flips are a rotation by 180°.
+fn rotations_deg(scene: &Scene, pupil: &Pupil) -> &'static [f64] {
+    if !matches!(scene.pupil.aperture, Aperture::File(_)) {
+        return &[0.0, 60.0, -60.0];
+    }
+    let is_square = pupil.amplitude.indexed_iter().all(|((y, x), a)| (a - pupil.amplitude[[x, y]]).abs() < 0.05);
+    if is_square { &[0.0, 90.0] } else { &[0.0] }
+}
+
+/// Correlation of two maps over the pupil, and the amplitude of the second in the first.
+pub(super) fn compare(pupil: &Pupil, one: &Array2<f64>, other: &Array2<f64>) -> (f64, f64) {
+    let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
+    for ((weight, a), b) in pupil.amplitude.iter().zip(one).zip(other) {
+        if *weight > 0.0 && a.is_finite() && b.is_finite() {
+            (aa, ab, bb) = (aa + weight * a * a, ab + weight * a * b, bb + weight * b * b);
+        }
+    }
+    let norm = (aa * bb).sqrt();
+    if norm > 0.0 { (ab / norm, ab / bb) } else { (0.0, 0.0) }
+}
