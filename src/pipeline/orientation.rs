@@ -6,9 +6,11 @@
 //! show `E(g⁻¹u)` of an expected map E, where g is a rotation followed by flips; each g of the pupil's symmetry group is
 //! compared.
 
-mod expected_map;
+mod candidates;
 #[cfg(test)]
 mod tests;
+
+pub use candidates::{OrientationCandidate, Poke};
 
 use super::control::Control;
 use super::estimate::Estimate;
@@ -20,7 +22,7 @@ use crate::pupil::Pupil;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use expected_map::{ExpectedMap, compare};
+use candidates::{ExpectedMap, compare, described};
 use ndarray::Array3;
 
 /// Correlation of two expected maps from which a poke does not distinguish them.
@@ -33,32 +35,6 @@ const LEAST_RATIO: f64 = 1000.0;
 const USUAL_AMPLITUDE: std::ops::RangeInclusive<f64> = 0.7..=1.4;
 /// Ratio of χ² from which images that are turned by 90° are explained better.
 const BETTER_TURNED: f64 = 0.5;
-
-/// A known change of the wavefront, nm of wavefront.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Poke {
-    /// Piston of a segment, by its index from 0 on.
-    Segment(usize, f64),
-    /// Command of an actuator, by its index among those of the mirror, from 0 on.
-    Actuator(usize, f64),
-}
-
-/// An orientation of the images, and how well it explains the poke.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct OrientationCandidate {
-    /// Whether x, and y, are flipped after the rotation.
-    pub flip: [bool; 2],
-    /// Rotation, counter-clockwise, degrees.
-    pub rotation_deg: f64,
-    /// 1, or −1 where the poke has the opposite sign.
-    pub sign: f64,
-    /// Correlation of the difference between the images' maps with the expected map.
-    pub correlation: f64,
-    /// Amplitude of the poke in the images over the expected one.
-    pub amplitude: f64,
-    /// Logarithm of its likelihood over that of no poke.
-    pub log_likelihood: f64,
-}
 
 /// Orientation of images.
 #[derive(Debug, Clone)]
@@ -231,27 +207,4 @@ fn after_quarter_turn(candidate: OrientationCandidate) -> OrientationCandidate {
     let is_mirrored = candidate.flip[0] != candidate.flip[1];
     let turn = if is_mirrored { -90.0 } else { 90.0 };
     OrientationCandidate { rotation_deg: candidate.rotation_deg + turn, ..candidate }
-}
-
-/// An orientation in words.
-fn described(candidate: &OrientationCandidate) -> String {
-    let flips = match candidate.flip {
-        [false, false] => "the scene's orientation",
-        [true, false] => "a flip left to right",
-        [false, true] => "a flip up to down",
-        [true, true] => "a rotation by 180°",
-    };
-    let rotation = match candidate.rotation_deg {
-        0.0 => String::new(),
-        degrees => format!(" after a rotation by {degrees}°"),
-    };
-    let sign = if candidate.sign < 0.0 { " with the opposite sign" } else { "" };
-    format!("{flips}{rotation}{sign}")
-}
-
-impl OrientationCandidate {
-    /// The orientation in words.
-    pub fn description(&self) -> String {
-        described(self)
-    }
 }

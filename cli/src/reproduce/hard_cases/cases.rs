@@ -1,7 +1,6 @@
 //! What makes an image hard: the case list.
 
-use super::spoil::Spoil;
-use super::telemetry::Mismatch;
+use super::spoil::{Mismatch, Spoil};
 use cophase::{Error, Result};
 use ndarray::Axis;
 

@@ -10,8 +10,7 @@ mod verdict;
 
 pub(super) use cases::BASE;
 pub use cases::{Draws, HARD_CASES, HardCase};
-pub use spoil::Spoil;
-pub use telemetry::Mismatch;
+pub use spoil::{Mismatch, Spoil};
 pub use verdict::Verdict;
 
 use super::Progress;

@@ -1,6 +1,5 @@
 //! What goes wrong between the telescope and the file.
 
-use super::telemetry::Mismatch;
 use cophase::Result;
 use cophase::scene::Scene;
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
@@ -9,6 +8,27 @@ use ndarray::{Array, Array2, Array3, ArrayViewMut2, Axis, RemoveAxis, Zip, s};
 use num_complex::Complex64;
 use rand::RngExt;
 use rustfft::FftPlanner;
+
+/// How the slopes that come with a sequence differ from those that were measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mismatch {
+    /// Not at all.
+    None,
+    /// All have the opposite sign.
+    OppositeSign,
+    /// Those along y come before those along x.
+    YBeforeX,
+    /// All are 0.
+    Zero,
+    /// They are in arcseconds in place of mas.
+    OtherUnit,
+    /// The first image has the slopes of the last one.
+    ReversedTime,
+    /// Each image has the slopes of the one before it.
+    ShiftedTime,
+    /// The slopes are right, and the images are flipped left to right.
+    FlippedImages,
+}
 
 /// What goes wrong with an image, or with the truth behind it.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,8 +1,8 @@
 //! Slopes that do not belong to the images: a short sequence behind adaptive optics, read with its telemetry.
 
-use super::Verdict;
 use super::cases::Settings;
-use super::spoil::flipped;
+use super::spoil::{Mismatch, flipped};
+use super::verdict::Verdict;
 use crate::reproduce::Progress;
 use crate::reproduce::on_sky::Sequence;
 use cophase::Result;
@@ -11,27 +11,6 @@ use cophase::pipeline::TruthMaps;
 use cophase::scene::Scene;
 use cophase::{Estimator, Images};
 use ndarray::{Array2, Axis, concatenate, s};
-
-/// How the slopes that come with a sequence differ from those that were measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Mismatch {
-    /// Not at all.
-    None,
-    /// All have the opposite sign.
-    OppositeSign,
-    /// Those along y come before those along x.
-    YBeforeX,
-    /// All are 0.
-    Zero,
-    /// They are in arcseconds in place of mas.
-    OtherUnit,
-    /// The first image has the slopes of the last one.
-    ReversedTime,
-    /// Each image has the slopes of the one before it.
-    ShiftedTime,
-    /// The slopes are right, and the images are flipped left to right.
-    FlippedImages,
-}
 
 /// Beside the preset `keck-onsky`: seven segments behind a small sensor, so that five exposures are made and read in seconds.
 const SMALL: Settings = &[
@@ -109,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn slopes_are_changed_as_said() {
+    fn slopes_are_changed_as_they_are_described() {
         let right = array![[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0], [9.0, 10.0, 11.0, 12.0]];
         let rows = |order: [usize; 3]| right.select(Axis(0), &order);
         for (mismatch, wanted) in [

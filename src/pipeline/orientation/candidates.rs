@@ -1,11 +1,36 @@
-//! Map that a poke makes under an orientation, and its comparison with a difference of maps.
+//! Orientations of images, the map of a poke under each, and its comparison with a difference of maps.
 
-use super::{OrientationCandidate, Poke};
 use crate::pupil::Pupil;
 use crate::scene::{Aperture, Scene};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array2;
+
+/// A known change of the wavefront, nm of wavefront.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Poke {
+    /// Piston of a segment, by its index from 0 on.
+    Segment(usize, f64),
+    /// Command of an actuator, by its index among those of the mirror, from 0 on.
+    Actuator(usize, f64),
+}
+
+/// An orientation of the images, and how well it explains the poke.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OrientationCandidate {
+    /// Whether x, and y, are flipped after the rotation.
+    pub flip: [bool; 2],
+    /// Rotation, counter-clockwise, degrees.
+    pub rotation_deg: f64,
+    /// 1, or −1 where the poke has the opposite sign.
+    pub sign: f64,
+    /// Correlation of the difference between the images' maps with the expected map.
+    pub correlation: f64,
+    /// Amplitude of the poke in the images over the expected one.
+    pub amplitude: f64,
+    /// Logarithm of its likelihood over that of no poke.
+    pub log_likelihood: f64,
+}
 
 /// Expected map of a poke.
 pub(super) struct ExpectedMap {
@@ -126,4 +151,27 @@ pub(super) fn compare(pupil: &Pupil, one: &Array2<f64>, other: &Array2<f64>) -> 
     }
     let norm = (aa * bb).sqrt();
     if norm > 0.0 { (ab / norm, ab / bb) } else { (0.0, 0.0) }
+}
+
+/// An orientation in words.
+pub(super) fn described(candidate: &OrientationCandidate) -> String {
+    let flips = match candidate.flip {
+        [false, false] => "the scene's orientation",
+        [true, false] => "a flip left to right",
+        [false, true] => "a flip up to down",
+        [true, true] => "a rotation by 180°",
+    };
+    let rotation = match candidate.rotation_deg {
+        0.0 => String::new(),
+        degrees => format!(" after a rotation by {degrees}°"),
+    };
+    let sign = if candidate.sign < 0.0 { " with the opposite sign" } else { "" };
+    format!("{flips}{rotation}{sign}")
+}
+
+impl OrientationCandidate {
+    /// The orientation in words.
+    pub fn description(&self) -> String {
+        described(self)
+    }
 }
