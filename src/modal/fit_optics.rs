@@ -93,6 +93,40 @@ pub(super) fn estimator(
     native: bool,
     cancel: Option<&CancelFlag>,
 ) -> Result<ModalFitter> {
+    with_search(scene, recipe, cube, native, cancel, |search, own| Ok(search.run(&own, search.iterate(&own)?)?.0))
+}
+
+/// Least part of χ² beyond 1 that a first step of the parameters must be expected to remove for them to be its likely cause: a
+/// plate scale that is 1 % off removes most of it, one that is 5 % off, far from linear, a tenth.
+const WORTH_FITTING: f64 = 0.05;
+
+/// As [`estimator`], with the median reduced χ² of the fitted images; `None` where a first step shows that the parameters do not
+/// explain the residual.
+///
+/// # Errors
+/// As [`estimator`].
+pub(crate) fn explaining_fit(
+    scene: &Scene,
+    recipe: &Recipe,
+    cube: Cube,
+    cancel: Option<&CancelFlag>,
+) -> Result<Option<(ModalFitter, f64)>> {
+    with_search(scene, recipe, cube, false, cancel, |search, own| {
+        let first = search.iterate(&own)?;
+        let is_worth_it = first.expected_drop > WORTH_FITTING * (first.reduced_chi2 - 1.0);
+        is_worth_it.then(|| search.run(&own, first)).transpose()
+    })
+}
+
+/// Runs `search` on the parameters that `scene` names, whose values it is given.
+fn with_search<T>(
+    scene: &Scene,
+    recipe: &Recipe,
+    cube: Cube,
+    native: bool,
+    cancel: Option<&CancelFlag>,
+    search: impl FnOnce(&Search, Vec<f64>) -> Result<T>,
+) -> Result<T> {
     let optics = scene.estimate.fit_optics.clone();
     let numbers: Vec<(f64, f64)> = optics.iter().map(|&optic| value_and_step(scene, optic)).collect::<Result<_>>()?;
     let (own, steps): (Vec<f64>, Vec<f64>) = numbers.into_iter().unzip();
@@ -109,8 +143,7 @@ pub(super) fn estimator(
     let at: Vec<usize> = (0..fitted).map(|i| (2 * i + 1) * count / (2 * fitted)).collect();
     let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
-    let search = Search { scene: fixed, optics, steps, recipe, native, scene_basis: Arc::default(), cube, cancel };
-    search.run(own)
+    search(&Search { scene: fixed, optics, steps, recipe, native, scene_basis: Arc::default(), cube, cancel }, own)
 }
 
 /// The search, with what all iterations share.
@@ -127,8 +160,9 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn run(&self, own: Vec<f64>) -> Result<ModalFitter> {
-        let (mut values, mut iteration) = (own.clone(), self.iterate(&own)?);
+    /// Iterates from `own` and its iteration, and returns the fitter with the median reduced χ².
+    fn run(&self, own: &[f64], first: Iteration) -> Result<(ModalFitter, f64)> {
+        let (mut values, mut iteration) = (own.to_vec(), first);
         for number in 1..=MAX_ITERATIONS {
             let mut step = iteration.step.clone();
             let longest = step.iter().zip(&self.steps).map(|(step, unit)| (step / unit).abs()).fold(0.0, f64::max);
@@ -177,13 +211,13 @@ impl Search<'_> {
         estimator.fitted_optics = each
             .map(|(((&optic, scene), value), (&sigma, &identifiable_share))| FittedOptic {
                 optic,
-                scene,
+                scene: *scene,
                 value,
                 sigma,
                 identifiable_share,
             })
             .collect();
-        Ok(estimator)
+        Ok((estimator, iteration.reduced_chi2))
     }
 
     fn describe(&self, values: &[f64]) -> String {

@@ -61,6 +61,7 @@ pub use diversity_error::{DiversityProjection, SharedError};
 pub(crate) use diversity_error::{ModeProjector, check_reachable};
 pub use engine::Watch;
 pub use estimate::ImageFits;
+pub(crate) use fit_optics::explaining_fit;
 pub use fitted_optic::FittedOptic;
 pub use fitter::ModalFitter;
 pub use memory::{Memory, Tiles};

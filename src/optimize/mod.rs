@@ -20,6 +20,7 @@ mod settings;
 pub use metric::Metric;
 pub use minimize::minimize;
 pub use outcome::{Outcome, StopReason};
+pub(crate) use problem::is_cancelled;
 pub use problem::{CancelFlag, Objective};
 pub use quasi_newton::{Progress, QuasiNewton};
 pub use reference::ArgminBfgs;

@@ -12,7 +12,7 @@ pub type Objective<'a> = dyn FnMut(&[f64]) -> Result<(f64, Vec<f64>)> + 'a;
 pub type CancelFlag = Arc<AtomicBool>;
 
 /// Whether there is a flag and it is set.
-pub(super) fn is_cancelled(flag: Option<&CancelFlag>) -> bool {
+pub(crate) fn is_cancelled(flag: Option<&CancelFlag>) -> bool {
     flag.is_some_and(|flag| flag.load(Ordering::Relaxed))
 }
 

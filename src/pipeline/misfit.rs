@@ -4,8 +4,7 @@
 use super::consistency::Electrons;
 use super::control::Control;
 use super::policy::Policy;
-use crate::imaging::Chain;
-use crate::modal::{self, BasisCache, Cube, FittedImage, ModalEstimate, ModalFitter};
+use crate::modal::{self, Cube, FittedImage, ModalEstimate};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
@@ -31,7 +30,6 @@ pub(super) struct Case<'a> {
     pub(super) scene: &'a Scene,
     pub(super) policy: &'a Policy,
     pub(super) control: &'a Control,
-    pub(super) cache: &'a BasisCache,
     pub(super) images: &'a Electrons<'a>,
     /// Its number, from 0.
     pub(super) image: usize,
@@ -66,27 +64,22 @@ impl Case<'_> {
         }
         let scene = self.scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")])?;
         let cube = Cube { images_e, bad, read_noise_e: self.images.read_noise_e };
-        let mut open = |fitter: &ModalFitter| {
-            Chain::open(fitter.model().optics.clone(), scene.estimate.device.into(), scene.estimate.precision.into(), 1)
+        let fitted = modal::explaining_fit(&scene, &self.policy.recipe(&scene), cube, Some(self.control.flag()));
+        let (fitter, fitted_chi2) = match fitted {
+            Ok(Some(found)) => found,
+            Err(error @ Error::Interrupted(_)) => return Err(error),
+            // A trial that fails names no cause.
+            Ok(None) | Err(_) => return Ok(None),
         };
-        let (flag, recipe) = (Some(self.control.flag()), self.policy.recipe(&scene));
-        let (fitter, found) =
-            match modal::estimate_with(&scene, recipe, self.cache, cube, &mut open, flag, &mut |_, _| {}) {
-                Ok(found) => found,
-                Err(error @ Error::Interrupted(_)) => return Err(error),
-                // A trial that fails names no cause.
-                Err(_) => return Ok(None),
-            };
         let [optic] = fitter.fitted_optics() else { return Ok(None) };
-        let left = (found.reduced_chi2() - 1.0).max(0.0) / (reduced_chi2 - 1.0);
+        let left = (fitted_chi2 - 1.0).max(0.0) / (reduced_chi2 - 1.0);
         Ok((optic.is_identifiable() && left < LEFT_BY_PLATE_SCALE).then(|| {
             format!(
-                "the plate scale: with {} = {:.4} in place of {} its reduced χ² is {:.2} in place of {reduced_chi2:.2}; \
+                "the plate scale: with {} = {:.4} in place of {} its reduced χ² is {fitted_chi2:.2} in place of {reduced_chi2:.2}; \
                  estimate.fit_optics = [\"plate-scale\"] fits it",
                 optic.key(),
                 optic.value,
-                optic.scene,
-                found.reduced_chi2()
+                optic.scene
             )
         }))
     }

@@ -11,6 +11,7 @@ use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
 use crate::Result;
 use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
+use crate::optimize::CancelFlag;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use crate::telescope::Telescope;
@@ -41,12 +42,16 @@ pub(super) struct StaticsEstimator<'a> {
     pub(super) samples: IlluminatedSamples,
     loop_response: Option<SampledLoopResponse>,
     sample_error_nm: f64,
-    /// Model of the last iteration.
-    model: Option<StaticModel>,
+    cancel: Option<&'a CancelFlag>,
 }
 
 impl<'a> StaticsEstimator<'a> {
-    pub(super) fn new(scene: &'a Scene, all_samples: &IlluminatedSamples, settings: &StaticsSettings) -> Result<Self> {
+    pub(super) fn new(
+        scene: &'a Scene,
+        all_samples: &IlluminatedSamples,
+        settings: &StaticsSettings,
+        cancel: Option<&'a CancelFlag>,
+    ) -> Result<Self> {
         let kept = all_samples.select_bright(MIN_AMPLITUDE);
         let is_known = settings.ao_knowledge >= AoKnowledge::Loop;
         let loop_response = is_known.then(|| SampledLoopResponse::new(scene, all_samples, &kept)).transpose()?;
@@ -60,7 +65,7 @@ impl<'a> StaticsEstimator<'a> {
             samples,
             loop_response,
             sample_error_nm: settings.sample_error_nm,
-            model: None,
+            cancel,
         })
     }
 
@@ -71,8 +76,11 @@ impl<'a> StaticsEstimator<'a> {
     }
 
     /// Covariance of the mean of `images` wavefronts of the covariance `residual`.
-    pub(super) fn mean_covariance<'r>(&self, residual: &'r ResidualCovariance, images: usize) -> MeanCovariance<'r> {
-        MeanCovariance::new(residual, images, self.sample_error_nm, &self.samples)
+    pub(super) fn mean_covariance<'r>(&self, residual: &'r ResidualCovariance, images: usize) -> MeanCovariance<'r>
+    where
+        'a: 'r,
+    {
+        MeanCovariance::new(residual, images, self.sample_error_nm, &self.samples).stopped_by(self.cancel)
     }
 
     /// Estimates the static errors of the selected images' wavefronts, of covariance `residual`, and of the slopes measured during
@@ -90,11 +98,9 @@ impl<'a> StaticsEstimator<'a> {
             None => self.samples.pistons.clone(),
         };
         let groups = (&modes.groups[..], slopes_mas.is_some());
-        let start = self.model.take();
-        let model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance, start.as_ref())?;
-        let model = self.model.insert(model);
+        let model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance)?;
         let mut loop_response = self.loop_response.as_mut();
-        let mut errors = estimate_with_loop(model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
+        let mut errors = estimate_with_loop(&model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
         let Some(slopes_mas) = slopes_mas else { return Ok(errors) };
         let wavefronts_nm = &images.residuals_nm + &images.mean_nm;
         let mut sensor = SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?;
@@ -105,7 +111,7 @@ impl<'a> StaticsEstimator<'a> {
             // Hyperparameters without slopes are no start for those with slopes.
             let initial = (comparison > 0).then_some(&errors);
             let next =
-                estimate_with_loop(model, &images.mean_nm, loop_response.as_deref_mut(), Some(&slopes), initial)?;
+                estimate_with_loop(&model, &images.mean_nm, loop_response.as_deref_mut(), Some(&slopes), initial)?;
             let change_nm2: f64 = next.ncpa_nm.iter().zip(before).map(|(now, then)| (now - then).powi(2)).sum();
             errors = next;
             if change_nm2.sqrt() < SLOPE_TOLERANCE_NM {

@@ -11,12 +11,11 @@ use super::segment_tilts::SegmentTilts;
 use super::settings::StaticsSettings;
 use super::static_modes::StaticModes;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
-use crate::optimize::CancelFlag;
+use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::StaticWavefront;
 use crate::scene::{AoKnowledge, Scene};
 use crate::{Error, Result};
 use ndarray::Axis;
-use std::sync::atomic::Ordering;
 
 /// Prior RMS of a mode of either of a basis's two highest groups beyond which the NCPA extend beyond the basis, nm: noise and
 /// turbulence leave 0.1 to 0.3.
@@ -33,11 +32,11 @@ pub fn estimate_static_errors(
     settings: &StaticsSettings,
     cancel: Option<&CancelFlag>,
 ) -> Result<Vec<Iteration>> {
-    let mut estimate = IterativeEstimate::new(scene, source, settings)?;
+    let mut estimate = IterativeEstimate::new(scene, source, settings, cancel)?;
     let (mut about, mut sequence) = (None, None);
     while estimate.iterations.len() < settings.max_iterations {
         let count = estimate.iterations.len();
-        if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        if is_cancelled(cancel) {
             return Err(Error::Interrupted(format!("{count} iterations were made")));
         }
         match source.retrieve(about.as_ref())? {
@@ -72,8 +71,13 @@ struct IterativeEstimate<'a> {
 }
 
 impl<'a> IterativeEstimate<'a> {
-    fn new(scene: &'a Scene, source: &dyn WavefrontSource, settings: &'a StaticsSettings) -> Result<Self> {
-        let estimator = StaticsEstimator::new(scene, source.samples(), settings)?;
+    fn new(
+        scene: &'a Scene,
+        source: &dyn WavefrontSource,
+        settings: &'a StaticsSettings,
+        cancel: Option<&'a CancelFlag>,
+    ) -> Result<Self> {
+        let estimator = StaticsEstimator::new(scene, source.samples(), settings, cancel)?;
         let mut finer = settings.families.iter();
         let Some(&coarsest) = finer.next() else {
             return Err(Error::Value("no family of NCPA modes was given: at least 1 is needed".into()));

@@ -34,8 +34,7 @@ pub struct StaticModel {
 
 impl StaticModel {
     /// The model of responses `pistons` and `ncpa`, both `[mode, sample]`, on samples whose mean wavefront has `covariance`;
-    /// `groups` as in [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path. A model of a
-    /// similar covariance is where the solution starts.
+    /// `groups` as in [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path.
     ///
     /// # Errors
     /// [`Error::Shape`] for responses or groups of different sizes; those of [`MeanCovariance::solve`].
@@ -44,7 +43,6 @@ impl StaticModel {
         ncpa: ArrayView2<f64>,
         (groups, has_telemetry): (&[usize], bool),
         covariance: &MeanCovariance,
-        start: Option<&StaticModel>,
     ) -> Result<Self> {
         let (segments, samples) = pistons.dim();
         let modes = ncpa.nrows();
@@ -59,7 +57,7 @@ impl StaticModel {
         let offset = Array2::ones((1, samples));
         let columns = concatenate(Axis(0), &[pistons, ncpa, offset.view()])
             .map_err(|error| Error::Internal(format!("columns of uneven length: {error}")))?;
-        let weighted = covariance.solve(columns.view(), start.map(|start| &start.weighted))?;
+        let weighted = covariance.solve(columns.view())?;
         let half = weighted.dot(&columns.t());
         let information = (&half + &half.t()) / 2.0;
         let (static_columns, offset) = (0..segments + modes, segments + modes);

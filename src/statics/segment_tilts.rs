@@ -32,7 +32,7 @@ impl SegmentTilts {
         samples: &IlluminatedSamples,
     ) -> Result<Self> {
         let columns = columns(samples);
-        let solved = covariance.solve(columns.view(), None)?;
+        let solved = covariance.solve(columns.view())?;
         let half = solved.dot(&columns.t());
         let mut information = (&half + &half.t()) / 2.0;
         // Regularises segments with next to no illuminated sample.

@@ -58,6 +58,9 @@ delete(f); % its estimates stay usable
 f = cophase.Estimator(scene, 'threads', 1);
 raw = f.estimate(frames / 2 + 8, 'slopes', slopes_mas, 'dark', 8 * ones(72, 80), 'gain', 2);
 assert(raw.coefficients_nm, e.coefficients_nm);
+% As modal estimates, which read masks in the same way, take less time.
+delete(f);
+f = cophase.Estimator(without);
 mask = false(72, 80);
 mask(31, 42:43) = true;
 unknown = frames;

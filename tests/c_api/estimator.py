@@ -93,8 +93,9 @@ def modal():
     assert estimate.images.policy[0] == "realtime" and np.isnan(estimate.info.images_to_halve)
 
 
-def the_same(estimator, frames, slopes_mas, first):
-    """Other types, orders and raw values: the same bits. Bad pixels marked in three ways, too."""
+def the_same(estimator, modal, frames, slopes_mas, first):
+    """Other types, orders and raw values: the same bits. Bad pixels marked in three ways, too: of modal estimates, as
+    which they are read in the same way and take less time."""
     again = estimator.estimate(
         np.asfortranarray(frames / 2 + 8),
         slopes_mas=np.asfortranarray(slopes_mas.astype(">f8")),
@@ -109,9 +110,9 @@ def the_same(estimator, frames, slopes_mas, first):
         {"frames": frames, "mask": mask},
         {"frames": frames, "mask": np.broadcast_to(mask, frames.shape)},
     ]
-    masked = [estimator.estimate(**arguments) for arguments in unknown]
+    masked = [modal.estimate(**arguments) for arguments in unknown]
     assert all(np.array_equal(estimate.coefficients_nm, masked[0].coefficients_nm) for estimate in masked)
-    assert not np.array_equal(masked[0].coefficients_nm, first.coefficients_nm)
+    assert not np.array_equal(masked[0].coefficients_nm, modal.estimate(frames).coefficients_nm)
     warned = [any("not finite" in sentence for sentence in estimate.warnings) for estimate in masked]
     assert warned == [True, False, True], [estimate.warnings for estimate in masked]
 
@@ -164,7 +165,7 @@ def main(scene, dump):
     found = estimator.estimate(frames, slopes_mas=slopes_mas)
     results(found, truth)
     moves = files(found, dump)
-    the_same(cophase.Estimator(scene + MAP, threads=1), frames, slopes_mas, found)
+    the_same(cophase.Estimator(scene + MAP, threads=1), cophase.Estimator(scene), frames, slopes_mas, found)
     modal()
     estimator.close()
     failure(lambda: estimator.progress, cophase.BadArgumentError)

@@ -147,6 +147,18 @@ pub(super) fn fitted(text: &str, em: f64, room: f64) -> String {
     cut(fits)
 }
 
+/// `text` in lines no wider than `room`, broken between words.
+pub(super) fn lines(text: &str, em: f64, room: f64) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if width(&format!("{line} {word}"), em) <= room => *line += &format!(" {word}"),
+            _ => lines.push(word.to_string()),
+        }
+    }
+    lines
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,6 +172,15 @@ mod tests {
         assert!(short.starts_with("Ph") && short.ends_with('…'), "{short}");
         assert!(width(&short, 20.0) <= full / 2.0);
         assert_eq!(fitted("Phasing", 20.0, 1e4), "Phasing");
+    }
+
+    #[test]
+    fn sentences_are_broken_between_words() {
+        let (text, room) = ("one two three four five six seven", 100.0);
+        let broken = lines(text, 20.0, room);
+        assert!(broken.len() > 1 && broken.iter().all(|line| width(line, 20.0) <= room), "{broken:?}");
+        assert_eq!(broken.join(" "), text);
+        assert_eq!(lines("Phasing", 20.0, 1.0), ["Phasing"]);
     }
 
     #[test]

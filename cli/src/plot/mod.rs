@@ -3,6 +3,7 @@
 //! * [`EstimatePicture`]: the maps, coefficients and image of an estimate, beside the truth where that is known.
 //! * [`CurvePicture`]: series with error bars on linear or logarithmic axes.
 //! * [`MapsPicture`]: a grid of captioned maps.
+//! * [`NumberingPicture`]: a pupil with the numbers of its segments.
 //!
 //! Maps are `[row = y, col = x]` with row 0 at the bottom, so that the telescope's y axis points up. Values that are not
 //! finite are drawn as nothing, and never stop a picture. A file appears whole or not at all.
@@ -17,6 +18,7 @@ mod estimate;
 mod font;
 mod frame;
 mod maps;
+mod numbering;
 mod page;
 mod panel;
 
@@ -24,6 +26,7 @@ pub use bars::{ModalBars, ModeGroup};
 pub use curve::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 pub use estimate::{EstimatePicture, ImageTriple, MapRms, MapTriple};
 pub use maps::{CaptionedMap, MapScale, MapsPicture};
+pub use numbering::{Lattice, NumberingPicture};
 
 /// Refuses a map that is not a positive number of metres wide.
 fn check_width(width_m: f64, name: &str) -> cophase::Result<()> {

@@ -10,6 +10,7 @@ mod demo;
 mod devices;
 mod estimate;
 mod image;
+mod numbering;
 mod picture;
 mod plan;
 mod reproduce;

@@ -1,32 +1,74 @@
-//! `cophase scene`: the documented scenes.
+//! `cophase scene`: the documented scenes, and the numbering of a scene's segments.
 
+use super::numbering;
+use crate::files::{self, Settings};
+use crate::interrupt::Interrupt;
+use crate::outputs;
 use crate::terminal::Terminal;
-use cophase::Result;
 use cophase::scene::{self, Scene};
+use cophase::{Error, Result};
+use std::path::{Path, PathBuf};
 
 const EXAMPLES: &str = "Examples:
   cophase scene                                 the names of the presets
   cophase scene keck-artificial > scene.toml    one of them, to edit
-  cophase scene --reference                     every key, with its default";
+  cophase scene --reference                     every key, with its default
+  cophase scene scene.toml --plot pupil.png     which segment has which number
 
-/// Print a documented scene, or list those that come with the program
+The picture shows the pupil as the maps of an estimate do: x to the right, y up, in metres. The numbers are those of the \
+table SEGMENTS, of modes such as segment-07-piston and of 'check-orientation --segment'; actuators and subapertures are \
+those of the AO loop.";
+
+/// Print a documented scene or draw its numbering, or list the scenes that come with the program
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// Preset to print; without it, the presets are listed
-    name: Option<String>,
+    /// Preset to print, or a TOML file; without it, the presets are listed
+    name: Option<PathBuf>,
     /// Print every key that a scene may have
     #[arg(long, conflicts_with = "name")]
     reference: bool,
+    /// Draw the pupil with the number of each segment, the actuators and the subapertures (.png or .svg)
+    #[arg(long, value_name = "FILE", requires = "name")]
+    plot: Option<PathBuf>,
+    #[command(flatten)]
+    settings: Settings,
 }
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
-    if arguments.reference {
-        return terminal.print(&scene::reference());
+    if let Some(name) = &arguments.name {
+        return print_scene(name, arguments, terminal);
     }
-    match &arguments.name {
-        Some(name) => terminal.print(Scene::preset_text(name)?),
-        None => terminal.print(&listing()?),
+    if arguments.settings.keys().next().is_some() {
+        return Err(Error::Value("--set changes a scene: the name of a preset or a file is needed".into()));
+    }
+    if arguments.reference { terminal.print(&scene::reference()) } else { terminal.print(&listing()?) }
+}
+
+/// Prints the scene `name` after it was drawn, if that is asked for.
+fn print_scene(name: &Path, arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    let output = arguments.plot.as_deref().map(|plot| ("--plot", plot));
+    outputs::check(output.as_slice(), &[("the scene", name)])?;
+    output.map_or(Ok(()), outputs::check_picture)?;
+    let scene = arguments.settings.apply(&named(name)?, &[])?;
+    if let Some(output) = output {
+        let interrupt = Interrupt::catch()?;
+        files::spare_files_of(&scene, &[output])?;
+        let wait = terminal.wait("Drawing the pupil", 1);
+        let picture = numbering::picture(&scene, terminal)?;
+        interrupt.check("nothing was written")?;
+        picture.draw(output.1)?;
+        drop(wait);
+    }
+    terminal.print(scene.text())
+}
+
+/// The scene in the file `name`, or the preset; a misspelt preset gets a suggestion.
+fn named(name: &Path) -> Result<Scene> {
+    let is_word = |word: &&str| !name.exists() && *word != "-" && !word.contains(['.', '/']);
+    match name.to_str().filter(is_word) {
+        Some(preset) => Scene::preset(preset),
+        None => files::scene(name),
     }
 }
 

@@ -4,5 +4,6 @@ mod hard_cases;
 mod leak;
 mod metrics;
 mod night_table;
+mod numbering;
 mod paper;
 mod plot;

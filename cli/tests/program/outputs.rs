@@ -82,6 +82,25 @@ fn a_read_only_file_is_not_replaced() {
 }
 
 #[test]
+fn a_picture_of_the_numbering_destroys_nothing() {
+    let desk = Desk::with_scene();
+    let scene = ["scene", "scene.toml", "--plot"];
+    std::fs::create_dir(desk.path("folder.png")).unwrap();
+    std::fs::copy(desk.path("scene.toml"), desk.path("scene.png")).unwrap();
+    for (name, words) in [
+        ("absent/pupil.png", &["absent/pupil.png", "does not exist"]),
+        ("folder.png", &["folder.png", "is a directory"]),
+        ("pupil.pdf", &["pupil.pdf", ".png or .svg"]),
+        ("-", &["standard output", "./-"]),
+    ] {
+        desk.refuses(&[&scene[..], &[name]].concat(), words);
+    }
+    desk.refuses(&["scene", "scene.png", "--plot", "./scene.png"], &["read by this command", "--plot"]);
+    desk.refuses(&["scene", "--set", "pupil.rings=2"], &["--set"]);
+    assert_eq!(desk.run(&["scene", "--plot", "pupil.png"]).status, 2);
+}
+
+#[test]
 fn outputs_are_files_and_not_standard_output() {
     let desk = Desk::with_images(&[]);
     for arguments in [

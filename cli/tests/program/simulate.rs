@@ -41,6 +41,38 @@ fn a_run_leaves_images_truth_and_telemetry_that_estimate_reads() {
     desk.succeeds(&["compare", "est.fits", "--truth", "sky.fits"]);
 }
 
+/// Places of actuators that a person reads off the picture are those of the telemetry.
+#[test]
+fn the_picture_of_a_loop_shows_the_actuators_and_subapertures_of_its_file() {
+    let desk = desk();
+    desk.succeeds(&["simulate", "loop.toml", "-o", "sky.fits"]);
+    desk.succeeds(&["scene", "loop.toml", "--plot", "pupil.svg"]);
+    let mut file = FitsReader::open(desk.path("sky.fits")).unwrap();
+    let subapertures = file.i64_column("SUBAPERTURES", "PLACE").unwrap().len();
+    let svg = std::fs::read_to_string(desk.path("pupil.svg")).unwrap();
+    assert!(svg.contains(&format!("{subapertures} subapertures in use")));
+    assert_eq!(svg.to_lowercase().matches("fill=\"#0072b2\"").count(), 4 * (subapertures + 1));
+    for (column, key, sign) in [("X_M", "cx=\"", 1.0), ("Y_M", "cy=\"", -1.0)] {
+        let places_m = file.f64_column("ACTUATORS", column).unwrap();
+        assert!(svg.contains(&format!("{} actuators", places_m.len())));
+        // The first circle is in the legend.
+        let value = |rest: &str| rest.split('"').next().unwrap().parse::<f64>().unwrap();
+        let drawn: Vec<f64> = svg.split(key).skip(2).map(value).collect();
+        assert_eq!(drawn.len(), places_m.len());
+        let extent = |values: &[f64]| {
+            let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+            (low, values.iter().copied().fold(f64::NEG_INFINITY, f64::max))
+        };
+        let ((low, high), (low_m, high_m)) = (extent(&drawn), extent(&places_m));
+        // x grows to the right, y upwards, against the rows of the picture.
+        let scale = sign * (high - low) / (high_m - low_m);
+        for (at, place_m) in drawn.iter().zip(&places_m) {
+            let expected = (low + high) / 2.0 + scale * (place_m - (low_m + high_m) / 2.0);
+            assert!((at - expected).abs() <= 1.5, "{column} {place_m} m is at {at} and not at {expected}");
+        }
+    }
+}
+
 #[test]
 fn a_seed_decides_everything_and_another_one_changes_it() {
     let desk = desk();

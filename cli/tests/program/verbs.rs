@@ -235,6 +235,26 @@ fn presets_are_printed_listed_and_usable_by_name() {
 }
 
 #[test]
+fn the_numbering_of_a_scene_is_drawn_beside_its_text() {
+    let desk = Desk::with_scene();
+    let printed = desk.succeeds(&["scene", "scene.toml"]).out;
+    assert_eq!(printed, SMALL);
+    assert_eq!(desk.succeeds(&["scene", "scene.toml", "--plot", "pupil.png"]).out, printed);
+    let png = std::fs::read(desk.path("pupil.png")).unwrap();
+    assert!(png.starts_with(b"\x89PNG"));
+    let side = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
+    assert_eq!(side(16), 1152);
+    assert!((1250..1500).contains(&side(20)), "{}", side(20));
+    let turned = ["--set", "pupil.rotation_deg=10", "--set", "image.flip_x=true", "--plot", "turned.svg"];
+    desk.succeeds(&[&["scene", "scene.toml"], &turned[..]].concat());
+    let svg = std::fs::read_to_string(desk.path("turned.svg")).unwrap();
+    for words in ["7 segments of scene.toml", "7 segments, 0 to 6", "pupil.rotation_deg = 10", "image.flip_x is set"] {
+        assert!(svg.contains(words), "{words}");
+    }
+    assert!(!svg.contains("<circle"), "the scene names no mirror");
+}
+
+#[test]
 fn devices_are_listed() {
     let desk = Desk::with_scene();
     let list = desk.json(&["devices", "--json"]);

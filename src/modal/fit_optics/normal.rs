@@ -18,6 +18,8 @@ const MIN_IDENTIFIABLE_SHARE: f64 = 1e-5;
 pub(super) struct Iteration {
     /// Median reduced χ² of the images.
     pub(super) reduced_chi2: f64,
+    /// By how much the step would lower it if the images depended linearly on the parameters.
+    pub(super) expected_drop: f64,
     /// Step of each parameter.
     pub(super) step: Vec<f64>,
     /// Error bar of each parameter.
@@ -31,6 +33,8 @@ pub(super) struct Iteration {
 /// Normal equations, summed over the images.
 pub(super) struct NormalEquations {
     images: usize,
+    /// Pixels with a weight, of all images.
+    pixels: usize,
     chi2: Vec<f64>,
     /// S.
     reduced: Array2<f64>,
@@ -46,6 +50,7 @@ impl NormalEquations {
     pub(super) fn new(optics: usize, modes: usize) -> Self {
         Self {
             images: 0,
+            pixels: 0,
             chi2: Vec::new(),
             reduced: Array2::zeros((optics, optics)),
             full: Array1::zeros(optics),
@@ -97,6 +102,7 @@ impl NormalEquations {
         self.moves_nm += &moves;
         self.chi2.push(minimum.reduced_chi2());
         self.images += 1;
+        self.pixels += weight.iter().filter(|weight| **weight > 0.0).count();
         Ok(())
     }
 
@@ -137,7 +143,9 @@ impl NormalEquations {
             let moves_nm = self.moves_nm.select(Axis(1), &kept) / self.images as f64;
             shared_nm2 = estimator.motions.removed_from(&moves_nm.dot(&covariance).dot(&moves_nm.t()));
         }
-        Ok(Iteration { reduced_chi2, step, sigma, identifiable_share: shares, shared_nm2 })
+        let drop = self.right_side.iter().zip(&step).map(|(right, step)| right * step).sum::<f64>();
+        let expected_drop = drop / self.pixels.max(1) as f64;
+        Ok(Iteration { reduced_chi2, expected_drop, step, sigma, identifiable_share: shares, shared_nm2 })
     }
 }
 

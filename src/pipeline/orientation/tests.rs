@@ -4,7 +4,7 @@ use super::*;
 use ndarray::Array2;
 
 fn scene(rotation_deg: &str) -> Scene {
-    let settings = [("pupil.samples", "96"), ("pupil.rotation_deg", rotation_deg)];
+    let settings = [("pupil.grid_m", "11.5"), ("pupil.samples", "96"), ("pupil.rotation_deg", rotation_deg)];
     Scene::preset("keck-artificial").unwrap().with(&settings).unwrap()
 }
 

@@ -1,0 +1,170 @@
+//! Segments, actuators and subapertures of a scene as a picture.
+
+use crate::terminal::{Terminal, counted};
+use cophase::ao::Lenslets;
+use cophase::modes::{InfluenceFunctions, Mirror};
+use cophase::pupil::{Grid, Pupil};
+use cophase::scene::{Aperture, Scene};
+use cophase::telescope::Telescope;
+use cophase::{Error, Result, machine};
+use cophase_cli::plot::{Lattice, NumberingPicture};
+
+/// Samples along a side on which hexagons are drawn: about the pixels of the picture.
+const SAMPLES: usize = 1200;
+
+/// The picture of `scene`. What cannot be drawn is left out with a warning.
+pub fn picture(scene: &Scene, terminal: &Terminal) -> Result<NumberingPicture> {
+    let telescope = Telescope::new(scene)?;
+    let samples = if is_from_file(scene) { telescope.truth_samples() } else { SAMPLES };
+    let width_m = telescope.pupil.grid.width_m();
+    let pupil = telescope.pupil_on(Grid::new(samples, width_m)?)?;
+    let lenslets = lenslets(scene, &telescope, terminal)?;
+    let actuators = if has_mirror(scene) { Some(actuators(scene, &telescope, lenslets.as_ref())?) } else { None };
+    let count = pupil.segments.len();
+    let segments = counted(count, "segment");
+    let title = match scene.name() {
+        "/dev/stdin" => segments.clone(),
+        name => format!("{segments} of {name}"),
+    };
+    Ok(NumberingPicture {
+        title,
+        notes: notes(scene, actuators.is_some() || lenslets.is_some()),
+        segments: if count == 1 { format!("{segments}, number 0") } else { format!("{segments}, 0 to {}", count - 1) },
+        numbers_m: number_places(scene, &pupil),
+        amplitude: pupil.amplitude,
+        owner: pupil.owner,
+        width_m,
+        actuators: actuators.map(|influence| Lattice {
+            name: counted(influence.len(), "actuator"),
+            centres_m: influence.positions_m(),
+            pitch_m: influence.mirror().pitch_m(),
+        }),
+        subapertures: lenslets.map(|lenslets| Lattice {
+            name: format!("{} in use", counted(lenslets.subapertures.len(), "subaperture")),
+            centres_m: lenslets.subapertures.iter().map(|&place| centre_m(&lenslets, place)).collect(),
+            pitch_m: lenslets.pitch_m,
+        }),
+    })
+}
+
+fn is_from_file(scene: &Scene) -> bool {
+    matches!(scene.pupil.aperture, Aperture::File(_))
+}
+
+/// Whether the scene has a mirror of its own, and not only the default of every scene.
+fn has_mirror(scene: &Scene) -> bool {
+    let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file"];
+    scene.control.is_some() || keys.iter().any(|key| scene.names(key))
+}
+
+/// The lenslets of the scene's wavefront sensor, if it has one, as the AO loop has them.
+fn lenslets(scene: &Scene, telescope: &Telescope, terminal: &Terminal) -> Result<Option<Lenslets>> {
+    /// An amplitude in double precision, and a segment.
+    const BYTES_PER_SAMPLE: u64 = 8 + 4;
+    let Some(sensor) = &scene.wavefront_sensor else { return Ok(None) };
+    let samples = sensor.lenslets_across * sensor.samples_per_lenslet;
+    let what = format!("{}: a pupil of {samples}x{samples} samples", scene.name());
+    let bytes = (samples * samples) as u64 * BYTES_PER_SAMPLE;
+    machine::check_memory(what, bytes, "lower wavefront_sensor.samples_per_lenslet")?;
+    match telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?) {
+        Ok(pupil) => Lenslets::new(sensor, &pupil, scene.directory()).map(Some),
+        Err(Error::Value(reason)) => {
+            terminal.warn(&format!("{}: subapertures are not drawn: {reason}", scene.name()));
+            Ok(None)
+        }
+        Err(other) => Err(other),
+    }
+}
+
+/// Centre (x, y) of the lenslet `row·across + column`, m.
+fn centre_m(lenslets: &Lenslets, place: usize) -> (f64, f64) {
+    let coordinate_m = |i: usize| (i as f64 - (lenslets.across as f64 - 1.0) / 2.0) * lenslets.pitch_m;
+    (coordinate_m(place % lenslets.across), coordinate_m(place / lenslets.across))
+}
+
+/// Actuators in use, as in the tables ACTUATORS: those of the mirror's map, or those at a corner of a subaperture in use;
+/// without a sensor those near the pupil.
+fn actuators(scene: &Scene, telescope: &Telescope, lenslets: Option<&Lenslets>) -> Result<InfluenceFunctions> {
+    let part = &scene.mirror;
+    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
+    if let Some(file) = &part.actuator_file {
+        let path = scene.resolve(file);
+        let map = std::fs::read_to_string(&path).map_err(|error| Error::file(&path, error))?;
+        return mirror.from_map(&map).map_err(|error| Error::file(&path, error));
+    }
+    let Some(lenslets) = lenslets else { return telescope.influence(scene) };
+    // The rule of the library's AO loop, which it keeps to itself; a test compares the two.
+    let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
+    mirror.select(|x_m, y_m| {
+        let is_corner = |&place: &usize| {
+            let (u, v) = centre_m(lenslets, place);
+            (u - x_m).abs() <= reach_m && (v - y_m).abs() <= reach_m
+        };
+        lenslets.subapertures.iter().any(is_corner)
+    })
+}
+
+/// Where the numbers stand, m: at the centre of each segment, or within it where a segment from a file does not contain its
+/// centre, as a ring.
+fn number_places(scene: &Scene, pupil: &Pupil) -> Vec<(f64, f64)> {
+    let grid = &pupil.grid;
+    let last = grid.samples() as f64 - 1.0;
+    let index = |c_m: f64| (c_m / grid.pitch_m() + last / 2.0).round().clamp(0.0, last) as usize;
+    let place = |(number, segment): (usize, &cophase::pupil::Segment)| {
+        let centre = (segment.x_m, segment.y_m);
+        let is_inside = pupil.owner[[index(centre.1), index(centre.0)]] == number as i32;
+        if is_from_file(scene) && !is_inside { middle_of_longest_row(pupil, number) } else { centre }
+    };
+    pupil.segments.iter().enumerate().map(place).collect()
+}
+
+/// Middle of the longest row of samples in a segment, m.
+fn middle_of_longest_row(pupil: &Pupil, number: usize) -> (f64, f64) {
+    let (mut longest, mut middle_m) = (0, (0.0, 0.0));
+    for (y, row) in pupil.owner.outer_iter().enumerate() {
+        let (row, mut x) = (row.to_vec(), 0);
+        for run in row.chunk_by(|a, b| a == b) {
+            if run[0] == number as i32 && run.len() > longest {
+                longest = run.len();
+                middle_m = (pupil.grid.coordinate_m(x + longest / 2), pupil.grid.coordinate_m(y));
+            }
+            x += run.len();
+        }
+    }
+    middle_m
+}
+
+/// What a reader should know before a number is sent to a mirror.
+fn notes(scene: &Scene, has_lattice: bool) -> Vec<String> {
+    let counted = match is_from_file(scene) {
+        true => "Segments are counted from 0, as the file of the pupil labels them.",
+        false => "Segments are counted from 0, ring by ring from the innermost, counter-clockwise from +x.",
+    };
+    let table = "Numbers and coordinates are those of the table SEGMENTS of an estimate, and of its maps: x to the right \
+                 (columns), y up (rows).";
+    let mut notes = vec![counted.to_string(), table.to_string()];
+    if has_lattice {
+        let order = "Actuators and subapertures in use are counted row by row from the smallest y, along +x.";
+        notes.push(order.to_string());
+    }
+    let flips = [("image.flip_x", scene.image.flip_x), ("image.flip_y", scene.image.flip_y)];
+    for (key, _) in flips.into_iter().filter(|(_, is_set)| *is_set) {
+        notes.push(format!(
+            "{key} is set: images are flipped when they are read. The pupil is drawn as the telescope has it."
+        ));
+    }
+    let rotation_deg = scene.pupil.rotation_deg;
+    if rotation_deg != 0.0 {
+        notes.push(format!(
+            "pupil.rotation_deg = {rotation_deg}: segments, numbers and spider are turned counter-clockwise, actuators and \
+             subapertures are not."
+        ));
+    }
+    if scene.wavefront_sensor.as_ref().is_some_and(|sensor| sensor.shift_subapertures.iter().any(|shift| *shift != 0.0))
+    {
+        notes.push(
+            "wavefront_sensor.shift_subapertures is set: subapertures are drawn where they were calibrated.".into(),
+        );
+    }
+    notes
+}
