@@ -60,7 +60,7 @@ raw = f.estimate(frames / 2 + 8, 'slopes', slopes_mas, 'dark', 8 * ones(72, 80),
 assert(raw.coefficients_nm, e.coefficients_nm);
 % As modal estimates, which read masks in the same way, take less time.
 delete(f);
-f = cophase.Estimator(without);
+f = cophase.Estimator([without, sprintf('\n[modes]\nncpa_count = 20\n')]);
 mask = false(72, 80);
 mask(31, 42:43) = true;
 unknown = frames;

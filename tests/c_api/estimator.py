@@ -20,6 +20,7 @@ from support import failure, stars
 
 COUNT, SETTLED, BETWEEN = 4, 300, 60
 MAP = '\n[estimate]\nmethod = "full-phase"\n'
+MODAL = "\n[modes]\nncpa_count = 20\n"
 
 
 def sky(scene):
@@ -165,7 +166,7 @@ def main(scene, dump):
     found = estimator.estimate(frames, slopes_mas=slopes_mas)
     results(found, truth)
     moves = files(found, dump)
-    the_same(cophase.Estimator(scene + MAP, threads=1), cophase.Estimator(scene), frames, slopes_mas, found)
+    the_same(cophase.Estimator(scene + MAP, threads=1), cophase.Estimator(scene + MODAL), frames, slopes_mas, found)
     modal()
     estimator.close()
     failure(lambda: estimator.progress, cophase.BadArgumentError)

@@ -8,6 +8,7 @@ use cophase::scene::{Aperture, Scene};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result, machine};
 use cophase_cli::plot::{Lattice, NumberingPicture};
+use ndarray::Array2;
 
 /// Samples along a side on which hexagons are drawn: about the pixels of the picture.
 const SAMPLES: usize = 1200;
@@ -113,25 +114,32 @@ fn number_places(scene: &Scene, pupil: &Pupil) -> Vec<(f64, f64)> {
     let place = |(number, segment): (usize, &cophase::pupil::Segment)| {
         let centre = (segment.x_m, segment.y_m);
         let is_inside = pupil.owner[[index(centre.1), index(centre.0)]] == number as i32;
-        if is_from_file(scene) && !is_inside { middle_of_longest_row(pupil, number) } else { centre }
+        if is_from_file(scene) && !is_inside { innermost_place(pupil, number) } else { centre }
     };
     pupil.segments.iter().enumerate().map(place).collect()
 }
 
-/// Middle of the longest row of samples in a segment, m.
-fn middle_of_longest_row(pupil: &Pupil, number: usize) -> (f64, f64) {
-    let (mut longest, mut middle_m) = (0, (0.0, 0.0));
-    for (y, row) in pupil.owner.outer_iter().enumerate() {
-        let (row, mut x) = (row.to_vec(), 0);
-        for run in row.chunk_by(|a, b| a == b) {
-            if run[0] == number as i32 && run.len() > longest {
-                longest = run.len();
-                middle_m = (pupil.grid.coordinate_m(x + longest / 2), pupil.grid.coordinate_m(y));
-            }
-            x += run.len();
+/// The place in a segment that is farthest from its edge, counted in samples along rows and columns, m.
+fn innermost_place(pupil: &Pupil, number: usize) -> (f64, f64) {
+    let (n, grid) = (pupil.grid.samples(), &pupil.grid);
+    let is_own = |y: usize, x: usize| pupil.owner[[y, x]] == number as i32;
+    // Distance to the nearest sample of another segment: over the neighbours below and on the left, then over the others.
+    let mut depth = Array2::<u32>::zeros((n, n));
+    for (y, x) in (0..n).flat_map(|y| (0..n).map(move |x| (y, x))).filter(|&(y, x)| is_own(y, x)) {
+        let below = if y > 0 { depth[[y - 1, x]] } else { 0 };
+        let left = if x > 0 { depth[[y, x - 1]] } else { 0 };
+        depth[[y, x]] = 1 + below.min(left);
+    }
+    let (mut deepest, mut place) = (0, (0, 0));
+    for (y, x) in (0..n).rev().flat_map(|y| (0..n).rev().map(move |x| (y, x))).filter(|&(y, x)| is_own(y, x)) {
+        let above = if y + 1 < n { depth[[y + 1, x]] } else { 0 };
+        let right = if x + 1 < n { depth[[y, x + 1]] } else { 0 };
+        depth[[y, x]] = depth[[y, x]].min(1 + above.min(right));
+        if depth[[y, x]] > deepest {
+            (deepest, place) = (depth[[y, x]], (y, x));
         }
     }
-    middle_m
+    (grid.coordinate_m(place.1), grid.coordinate_m(place.0))
 }
 
 /// What a reader should know before a number is sent to a mirror.
@@ -167,4 +175,28 @@ fn notes(scene: &Scene, has_lattice: bool) -> Vec<String> {
         );
     }
     notes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_number_of_a_ring_is_in_the_middle_of_its_width() {
+        let grid = Grid::new(80, 8.0).unwrap();
+        let radius_m = |y: usize, x: usize| grid.coordinate_m(x).hypot(grid.coordinate_m(y));
+        let label = |(y, x)| match radius_m(y, x) {
+            r if r < 1.0 => 0,
+            r if r > 2.0 && r < 4.0 => 1,
+            _ => -1,
+        };
+        let labels = Array2::from_shape_fn((80, 80), label);
+        let amplitude = labels.mapv(|label| if label >= 0 { 1.0 } else { 0.0 });
+        let pupil = Pupil::from_maps(grid, amplitude, Some(labels)).unwrap();
+        let (x_m, y_m) = innermost_place(&pupil, 1);
+        // Half a metre from either edge: half of the width of the ring.
+        assert!((2.5..3.5).contains(&x_m.hypot(y_m)), "{x_m} {y_m}");
+        let (x_m, y_m) = innermost_place(&pupil, 0);
+        assert!(x_m.hypot(y_m) < 0.2, "{x_m} {y_m}");
+    }
 }

@@ -212,6 +212,22 @@ fn small_faults_are_flagged() {
 }
 
 #[test]
+fn another_plate_scale_is_named_as_the_cause_of_a_misfit() {
+    let desk = Desk::with_images(&["image.samples_per_lambda_over_d=2", "image.peak_snr=300"]);
+    // Two per cent off, and the file's scene says so: --set decides.
+    let read = |scale: &str| {
+        let set = format!("image.samples_per_lambda_over_d={scale}");
+        desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--json", "--set", &set]).err
+    };
+    let err = read("2.04");
+    let cause = "likely cause of the residual of image 1: the plate scale: with image.samples_per_lambda_over_d = ";
+    let found = err.split(cause).nth(1).unwrap_or_else(|| panic!("{err}"));
+    let scale: f64 = found.split_whitespace().next().unwrap().parse().unwrap();
+    assert!((scale - 2.0).abs() < 0.002 && found.contains("in place of 2.04"), "{err}");
+    assert_eq!(read("2"), "");
+}
+
+#[test]
 fn a_key_that_only_simulations_model_is_named() {
     let desk = Desk::with_images(&["image.pixel_fill=1"]);
     let done = desk.run(&["estimate", "images.fits", "-o", "est.fits", "--json", "--strict"]);
