@@ -6,27 +6,43 @@ use super::sensor::{Lenslets, Sensor};
 use super::surface::Surface;
 use super::valid_map;
 use crate::modes::{InfluenceFunctions, Mirror};
-use crate::pupil::Pupil;
+use crate::pupil::{Grid, Pupil};
 use crate::scene::Scene;
 use crate::source::Truth;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array2;
+use std::path::Path;
 
 /// Stroke with which the interaction matrix is measured, nm: a thirtieth of the sensor's wavelength, so that the
 /// response is linear to 1 %. Its second order cancels between push and pull.
 const POKE_NM: f32 = 20.0;
+
+/// Actuators of the scene's mirror that are in use, in the order of the tables ACTUATORS: those of its map, or those at a corner of
+/// a subaperture in use; without a wavefront sensor those near the pupil.
+///
+/// # Errors
+/// [`Error::File`] for a map of actuators that cannot be read; those of building the pupil and the lenslets.
+pub fn actuators_in_use(scene: &Scene, telescope: &Telescope) -> Result<InfluenceFunctions> {
+    let Some(sensing) = scene.wavefront_sensor.as_ref().filter(|_| scene.mirror.actuator_file.is_none()) else {
+        return match &scene.mirror.actuator_file {
+            Some(file) => mapped_actuators(scene, file),
+            None => telescope.influence(scene),
+        };
+    };
+    let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
+    actuators(scene, &Lenslets::new(sensing, &telescope.pupil_on(grid)?, scene.directory())?)
+}
 
 /// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a subaperture in use. The
 /// sensor measures an actuator farther out only at the edge of a subaperture, and the noise of its command would be a
 /// hundred times that of the others.
 pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
     let part = &scene.mirror;
-    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
     if let Some(file) = &part.actuator_file {
-        let path = scene.resolve(file);
-        return mirror.from_map(&valid_map::read_text(&path)?).map_err(|error| Error::file(&path, error));
+        return mapped_actuators(scene, file);
     }
+    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
     let middle = (lenslets.across as f64 - 1.0) / 2.0;
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
     // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
@@ -38,6 +54,13 @@ pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceF
         };
         lenslets.subapertures.iter().any(is_near)
     })
+}
+
+/// Actuators of the map in `file`.
+fn mapped_actuators(scene: &Scene, file: &Path) -> Result<InfluenceFunctions> {
+    let (part, path) = (&scene.mirror, scene.resolve(file));
+    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
+    mirror.from_map(&valid_map::read_text(&path)?).map_err(|error| Error::file(&path, error))
 }
 
 /// Measures the interaction matrix, `[slopes, actuators]`, mas per nm: pushes and pulls each actuator in front of a

@@ -1,8 +1,8 @@
 //! Segments, actuators and subapertures of a scene as a picture.
 
 use crate::terminal::{Terminal, counted};
-use cophase::ao::Lenslets;
-use cophase::modes::{InfluenceFunctions, Mirror};
+use cophase::ao::{self, Lenslets};
+use cophase::modes::InfluenceFunctions;
 use cophase::pupil::{Grid, Pupil};
 use cophase::scene::{Aperture, Scene};
 use cophase::telescope::Telescope;
@@ -83,26 +83,10 @@ fn centre_m(lenslets: &Lenslets, place: usize) -> (f64, f64) {
     (coordinate_m(place % lenslets.across), coordinate_m(place / lenslets.across))
 }
 
-/// Actuators in use, as in the tables ACTUATORS: those of the mirror's map, or those at a corner of a subaperture in use;
-/// without a sensor those near the pupil.
+/// Actuators in use, as in the tables ACTUATORS; those near the pupil where the subapertures cannot be drawn.
 fn actuators(scene: &Scene, telescope: &Telescope, lenslets: Option<&Lenslets>) -> Result<InfluenceFunctions> {
-    let part = &scene.mirror;
-    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
-    if let Some(file) = &part.actuator_file {
-        let path = scene.resolve(file);
-        let map = std::fs::read_to_string(&path).map_err(|error| Error::file(&path, error))?;
-        return mirror.from_map(&map).map_err(|error| Error::file(&path, error));
-    }
-    let Some(lenslets) = lenslets else { return telescope.influence(scene) };
-    // The rule of the library's AO loop, which it keeps to itself; a test compares the two.
-    let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
-    mirror.select(|x_m, y_m| {
-        let is_corner = |&place: &usize| {
-            let (u, v) = centre_m(lenslets, place);
-            (u - x_m).abs() <= reach_m && (v - y_m).abs() <= reach_m
-        };
-        lenslets.subapertures.iter().any(is_corner)
-    })
+    let is_known = lenslets.is_some() || scene.wavefront_sensor.is_none() || scene.mirror.actuator_file.is_some();
+    if is_known { ao::actuators_in_use(scene, telescope) } else { telescope.influence(scene) }
 }
 
 /// Where the numbers stand, m: at the centre of each segment, or within it where a segment from a file does not contain its

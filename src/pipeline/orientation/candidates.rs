@@ -1,5 +1,6 @@
 //! Orientations of images, the map of a poke under each, and its comparison with a difference of maps.
 
+use crate::ao::actuators_in_use;
 use crate::pupil::Pupil;
 use crate::scene::{Aperture, Scene};
 use crate::telescope::Telescope;
@@ -11,7 +12,7 @@ use ndarray::Array2;
 pub enum Poke {
     /// Piston of a segment, by its index from 0 on.
     Segment(usize, f64),
-    /// Command of an actuator, by its index among those of the mirror, from 0 on.
+    /// Command of an actuator, by its index in the table ACTUATORS, from 0 on.
     Actuator(usize, f64),
 }
 
@@ -44,7 +45,7 @@ impl ExpectedMap {
         let (what, index, nm, count, influence) = match poke {
             Poke::Segment(index, nm) => ("segment", index, nm, telescope.pupil.segments.len(), None),
             Poke::Actuator(index, nm) => {
-                let influence = telescope.influence(scene)?;
+                let influence = actuators_in_use(scene, telescope)?;
                 ("actuator", index, nm, influence.len(), Some(influence))
             }
         };

@@ -16,7 +16,7 @@ fn pokes(telescope: &Telescope, scene: &Scene) -> [Poke; 2] {
         (angle.rem_euclid(30.0) - 15.0).abs() < 6.0 && x_m.hypot(y_m) > 2.5 && x_m.hypot(y_m) < 4.3
     };
     let segment = telescope.pupil.segments.iter().position(|segment| off_axis(segment.x_m, segment.y_m)).unwrap();
-    let influence = telescope.influence(scene).unwrap();
+    let influence = crate::ao::actuators_in_use(scene, telescope).unwrap();
     let actuator = influence.positions_m().iter().position(|&(x_m, y_m)| off_axis(x_m, y_m)).unwrap();
     [Poke::Segment(segment, 120.0), Poke::Actuator(actuator, -120.0)]
 }
