@@ -100,8 +100,8 @@ pub(super) fn estimator(
 /// plate scale that is 1 % off removes most of it, one that is 5 % off, far from linear, a tenth.
 const WORTH_FITTING: f64 = 0.05;
 
-/// As [`estimator`], with the median reduced χ² of the fitted images; `None` where a first step shows that the parameters do not
-/// explain the residual.
+/// As [`estimator`], with the median reduced χ² of the fitted images, whose outlier pixels are not sought again; `None` where a first
+/// step shows that the parameters do not explain the residual.
 ///
 /// # Errors
 /// As [`estimator`].
@@ -111,7 +111,8 @@ pub(crate) fn explaining_fit(
     cube: Cube,
     cancel: Option<&CancelFlag>,
 ) -> Result<Option<(ModalFitter, f64)>> {
-    with_search(scene, recipe, cube, false, cancel, |search, own| {
+    let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
+    with_search(scene, &recipe, cube, false, cancel, |search, own| {
         let first = search.iterate(&own)?;
         let is_worth_it = first.expected_drop > WORTH_FITTING * (first.reduced_chi2 - 1.0);
         is_worth_it.then(|| search.run(&own, first)).transpose()

@@ -14,7 +14,7 @@ use cophase::scene::Scene;
 use cophase::source;
 use cophase::{Error, Result};
 use ndarray::{Array2, Array3, ArrayView2, Axis};
-use std::cell::Cell;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 
 /// Images of turbulence are fitted in single precision until no coefficient moves by more than this, nm: it moves a
@@ -202,8 +202,8 @@ impl Reader {
     /// Those of [`ModalFitter::estimate`]; [`Error::Interrupted`].
     pub fn fit(&self, sequence: &Sequence, progress: &Progress) -> Result<Option<ModalEstimate>> {
         progress.check()?;
-        let done = Cell::new(0);
-        let mut watch = |now: usize, _: usize| progress.add(now.saturating_sub(done.replace(now)));
+        let done = AtomicUsize::new(0);
+        let mut watch = |now: usize, _: usize| progress.add(now.saturating_sub(done.swap(now, Ordering::Relaxed)));
         let found = if sequence.images() == 0 {
             Err(Error::Image("the loop was lost before the first image".into()))
         } else {
@@ -212,8 +212,8 @@ impl Reader {
             let images_e = sequence.images_e.view();
             self.estimator.estimate(&mut chain, images_e, bad.view(), None, progress.cancel(), &mut watch)
         };
-        // Whoever waits was told to expect all images.
-        progress.add(self.estimator.scene().image.count.saturating_sub(done.get()));
+        // The whole expects all images of each part.
+        progress.add(self.estimator.scene().image.count.saturating_sub(done.into_inner()));
         match found {
             Ok(estimate) => Ok(Some(estimate)),
             // A lost loop leaves nothing that can be fitted: that is a result too.

@@ -1,14 +1,13 @@
 //! CPU engine: each thread fits one image after the other.
 
 use super::lane::Lane;
-use super::task::{Engine, FitTask, ImageFit, Prepare, REPORT, Watch, interrupted, stop_if_cancelled};
+use super::task::{Engine, FitTask, ImageFit, Prepare, Watch, stop_if_cancelled};
 use crate::Result;
 use crate::imaging::{CpuChain, LoadedImage, Polynomial, Precision};
 use ndarray::ArrayView2;
 use rayon::prelude::*;
 use std::borrow::Borrow;
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 /// Fits on CPU threads, on a chain that it owns or borrows.
 pub(in crate::modal) struct CpuEngine<T: Polynomial, C: Borrow<CpuChain<T>>> {
@@ -83,24 +82,18 @@ impl<T: Polynomial, C: Borrow<CpuChain<T>> + Send + Sync> Engine for CpuEngine<T
             return self.fit_alone(task, prepare, images, watch);
         }
         let count = images.len();
-        let (mut done, mut part) = (0, rayon::current_num_threads());
-        while done < count {
-            let began = Instant::now();
-            let now = &mut images[done..count.min(done + part)];
-            now.par_iter_mut().enumerate().try_for_each(|(index, image)| {
-                task.check(done, count)?;
-                self.with_lane(task, |lane| lane.fit(self.chain.borrow(), task, prepare, done + index, image))
-            })?;
-            if now.iter().any(|image| image.minimum.reason == crate::optimize::StopReason::Cancelled) {
-                return Err(interrupted(done, count));
-            }
-            done += now.len();
-            watch(done, count);
-            if began.elapsed() < REPORT {
-                part *= 2;
-            }
-        }
-        Ok(())
+        // Under one lock, so that the numbers that are reported grow.
+        let progress = Mutex::new((0, watch));
+        images.par_iter_mut().with_max_len(1).enumerate().try_for_each(|(index, image)| {
+            let done = || progress.lock().unwrap_or_else(PoisonError::into_inner).0;
+            task.check(done(), count)?;
+            self.with_lane(task, |lane| lane.fit(self.chain.borrow(), task, prepare, index, image))?;
+            stop_if_cancelled(image.minimum.reason, done(), count)?;
+            let (done, watch) = &mut *progress.lock().unwrap_or_else(PoisonError::into_inner);
+            *done += 1;
+            watch(*done, count);
+            Ok(())
+        })
     }
 
     fn load(&mut self, task: &FitTask, prepare: &Prepare, images: &mut [ImageFit]) -> Result<()> {

@@ -10,10 +10,10 @@ use crate::optimize::{CancelFlag, StopReason};
 use crate::{Error, Result};
 use ndarray::ArrayView2;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-/// Observer of progress: called with the number of images that are done, and the number of all.
-pub type Watch<'a> = dyn FnMut(usize, usize) + 'a;
+/// Observer of progress: called with the number of images that are done, and the number of all, on a thread of the fit.
+pub type Watch<'a> = dyn FnMut(usize, usize) + Send + 'a;
 
 /// Prepares frame `index` in memory of the engine's.
 pub(in crate::modal) type Prepare<'a> =
@@ -132,9 +132,6 @@ pub(in crate::modal) trait Engine: Send {
         None
     }
 }
-
-/// Approximate time between two reports of progress on the CPU: all threads wait for each other then.
-pub(super) const REPORT: Duration = Duration::from_millis(100);
 
 pub(super) fn stop_if_cancelled(reason: StopReason, done: usize, count: usize) -> Result<()> {
     if reason == StopReason::Cancelled { Err(interrupted(done, count)) } else { Ok(()) }
