@@ -16,6 +16,7 @@
 mod normal;
 
 use super::band;
+use super::basis_cache::BasisCache;
 use super::cube::Cube;
 use super::diversity_error::SharedError;
 use super::fitted_optic::{FittedOptic, key};
@@ -93,14 +94,17 @@ pub(super) fn estimator(
     native: bool,
     cancel: Option<&CancelFlag>,
 ) -> Result<ModalFitter> {
-    with_search(scene, recipe, cube, native, cancel, |search, own| Ok(search.run(&own, search.iterate(&own)?)?.0))
+    let cache = BasisCache::default();
+    with_search(scene, recipe, &cache, cube, native, cancel, |search, own| {
+        Ok(search.run(&own, search.iterate(&own)?)?.0)
+    })
 }
 
-/// Least part of χ² beyond 1 that a first step of the parameters must be expected to remove for them to be its likely cause: a
-/// plate scale that is 1 % off removes most of it, one that is 5 % off, far from linear, a tenth.
-const WORTH_FITTING: f64 = 0.05;
+/// Least part of χ² beyond 1 that a first step of the parameters must be expected to remove for them to be fitted as its likely
+/// cause.
+const WORTH_FITTING: f64 = 0.2;
 
-/// As [`estimator`], with the median reduced χ² of the fitted images, whose outlier pixels are not sought again; `None` where a first
+/// As [`estimator`], with the Karhunen-Loève basis of `cache` and the median reduced χ² of the fitted images, whose outlier pixels are not sought again; `None` where a first
 /// step shows that the parameters do not explain the residual.
 ///
 /// # Errors
@@ -108,11 +112,12 @@ const WORTH_FITTING: f64 = 0.05;
 pub(crate) fn explaining_fit(
     scene: &Scene,
     recipe: &Recipe,
+    cache: &BasisCache,
     cube: Cube,
     cancel: Option<&CancelFlag>,
 ) -> Result<Option<(ModalFitter, f64)>> {
     let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
-    with_search(scene, &recipe, cube, false, cancel, |search, own| {
+    with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
         let first = search.iterate(&own)?;
         let is_worth_it = first.expected_drop > WORTH_FITTING * (first.reduced_chi2 - 1.0);
         is_worth_it.then(|| search.run(&own, first)).transpose()
@@ -123,6 +128,7 @@ pub(crate) fn explaining_fit(
 fn with_search<T>(
     scene: &Scene,
     recipe: &Recipe,
+    cache: &BasisCache,
     cube: Cube,
     native: bool,
     cancel: Option<&CancelFlag>,
@@ -144,7 +150,7 @@ fn with_search<T>(
     let at: Vec<usize> = (0..fitted).map(|i| (2 * i + 1) * count / (2 * fitted)).collect();
     let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
-    search(&Search { scene: fixed, optics, steps, recipe, native, scene_basis: Arc::default(), cube, cancel }, own)
+    search(&Search { scene: fixed, optics, steps, recipe, native, scene_basis: cache.0.clone(), cube, cancel }, own)
 }
 
 /// The search, with what all iterations share.

@@ -13,6 +13,7 @@
 mod accumulator;
 mod arrays;
 mod band;
+mod basis_cache;
 mod calibration;
 mod chi2;
 mod combine;
@@ -53,6 +54,7 @@ mod tilts;
 
 pub use accumulator::{Accumulator, RunningEstimate};
 pub use arrays::Arrays;
+pub use basis_cache::BasisCache;
 pub(crate) use calibration::{Calibration, CameraMaps};
 pub use combine::{Combination, FittedImage, ModalEstimate};
 pub use combined_modes::CombinedModes;
@@ -71,6 +73,6 @@ pub use prepare::{Frame, Preparation, PreparedFrame, Refusal};
 pub use recipe::Recipe;
 pub(crate) use reject_outliers::{CleanedImages, reject_outliers};
 pub(crate) use residual::photometry;
-pub use scene_fit::{BasisCache, OpenChain, estimate_scene, estimate_with};
+pub use scene_fit::{OpenChain, estimate_scene, estimate_with};
 pub use session::{FitOptions, ImageResult, Session, SessionOptions};
 pub use status::{ImageReport, ImageStatus, Status};

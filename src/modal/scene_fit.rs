@@ -1,31 +1,19 @@
 //! Modal estimate of the images of a scene: model, optical parameters where they are fitted, chain, fits.
 
+use super::basis_cache::BasisCache;
 use super::combine::ModalEstimate;
 use super::cube::Cube;
 use super::engine::Watch;
 use super::fit_optics;
-use super::fitter::{ModalFitter, same_basis};
-use super::mode_set::SceneBasis;
+use super::fitter::ModalFitter;
 use super::recipe::Recipe;
 use crate::Result;
 use crate::imaging::Chain;
 use crate::optimize::CancelFlag;
 use crate::scene::{Sampling, Scene};
-use std::sync::Arc;
 
 /// Opens the chain for a fitter's model.
 pub type OpenChain<'a> = dyn FnMut(&ModalFitter) -> Result<Chain> + 'a;
-
-/// Karhunen-Loève basis of a scene, which takes most of the time of building a model: computed once for all models of one scene.
-#[derive(Clone, Default)]
-pub struct BasisCache(Arc<SceneBasis>);
-
-impl BasisCache {
-    /// The cache for the scene `other` of one that was made for `scene`: shared where both have the same basis.
-    pub(crate) fn for_scene(&self, scene: &Scene, other: &Scene) -> Self {
-        if same_basis(scene, other) { self.clone() } else { Self::default() }
-    }
-}
 
 /// [`estimate_with`] the recipe of the scene, as [`Recipe::with_prior`] has it.
 ///

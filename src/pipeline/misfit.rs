@@ -4,7 +4,7 @@
 use super::consistency::Electrons;
 use super::control::Control;
 use super::policy::Policy;
-use crate::modal::{self, Cube, FittedImage, ModalEstimate};
+use crate::modal::{self, BasisCache, Cube, FittedImage, ModalEstimate};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
@@ -30,6 +30,7 @@ pub(super) struct Case<'a> {
     pub(super) scene: &'a Scene,
     pub(super) policy: &'a Policy,
     pub(super) control: &'a Control,
+    pub(super) cache: &'a BasisCache,
     pub(super) images: &'a Electrons<'a>,
     /// Its number, from 0.
     pub(super) image: usize,
@@ -62,9 +63,11 @@ impl Case<'_> {
         if !is_tried || rows.max(columns) > MAX_TRIED_PIXELS {
             return Ok(None);
         }
-        let scene = self.scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")])?;
+        // A scene that fits no optics, as one with the paper's optimiser, is not tried.
+        let Ok(scene) = self.scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]) else { return Ok(None) };
         let cube = Cube { images_e, bad, read_noise_e: self.images.read_noise_e };
-        let fitted = modal::explaining_fit(&scene, &self.policy.recipe(&scene), cube, Some(self.control.flag()));
+        let (recipe, flag) = (self.policy.recipe(&scene), Some(self.control.flag()));
+        let fitted = modal::explaining_fit(&scene, &recipe, self.cache, cube, flag);
         let (fitter, fitted_chi2) = match fitted {
             Ok(Some(found)) => found,
             Err(error @ Error::Interrupted(_)) => return Err(error),

@@ -32,7 +32,7 @@ pub struct HardCases {
 /// the first on an OpenCL device where there is one. Telemetry is read in the precision of its method.
 ///
 /// # Errors
-/// Those of making images, and [`Error::Interrupted`]. An estimator that refuses is no error but a verdict.
+/// Those of making images, and [`cophase::Error::Interrupted`]. An estimator that refuses is no error but a verdict.
 pub fn hard_cases(cases: &[HardCase], seeds: usize, progress: &Progress) -> Result<HardCases> {
     progress.expect(cases.iter().map(|case| case.draws.number(seeds)).sum());
     let base = Scene::preset("keck-artificial")?.with(BASE)?;
