@@ -82,7 +82,7 @@ pub fn counted(count: usize, noun: &str) -> String {
     format!("{count} {noun}{}", if count == 1 { "" } else { "s" })
 }
 
-/// One line on stderr; a failure to write there cannot be told to anybody.
+/// One line on stderr; a failure to write there cannot be reported.
 pub fn complain(message: &str) {
     let line: String = message.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
     let _ = writeln!(std::io::stderr(), "cophase: {}", line.trim_end());

@@ -4,7 +4,7 @@ use crate::modal::{Recipe, Session};
 use crate::scene::Scene;
 use crate::{Error, Result};
 
-/// Choices of an estimate. Every interface follows [`Policy::default`] unless told otherwise; a
+/// Choices of an estimate. Every interface follows [`Policy::default`] unless it is given another; a
 /// [`Session`](crate::modal::Session), which has a deadline and may not allocate, follows [`Policy::realtime`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Policy {

@@ -13,12 +13,12 @@ pub struct Progress<'a> {
 }
 
 impl<'a> Progress<'a> {
-    /// `watch` is told (done, total); `cancel` stops the experiment where it goes up.
+    /// `watch` is called with (done, total); `cancel` stops the experiment where it goes up.
     pub fn new(watch: &'a (dyn Fn(usize, usize) + Sync), cancel: Option<&'a CancelFlag>) -> Self {
         Self { watch, cancel, done: AtomicUsize::new(0), total: AtomicUsize::new(0) }
     }
 
-    /// Flag that stops the experiment, for code that reads it by itself.
+    /// Flag that stops the experiment, for code that polls it.
     pub fn cancel(&self) -> Option<&'a CancelFlag> {
         self.cancel
     }

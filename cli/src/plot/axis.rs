@@ -109,7 +109,7 @@ impl Axis {
     pub fn ticks(&self, count: usize) -> Vec<Tick> {
         let count = count.max(2);
         match self.scale {
-            // A coarse step may leave one tick, which says nothing of the scale: then a finer one.
+            // A coarse step may leave one tick, which does not show the scale: then a finer step.
             Scale::Linear => [count, 2 * count, 4 * count]
                 .map(|count| linear_ticks(self.low, self.high, count))
                 .into_iter()

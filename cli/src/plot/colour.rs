@@ -15,7 +15,7 @@ pub(super) const WHITE: Rgb = Rgb(255, 255, 255);
 /// Where there is no value: outside the pupil, a masked pixel.
 pub(super) const NOTHING: Rgb = Rgb(0xd9, 0xdb, 0xde);
 
-/// Colours of the series, in order: Okabe and Ito's set, told apart by colour-blind readers (Nature Methods 8, 441).
+/// Colours of the series, in order: Okabe and Ito's set, which colour-blind readers distinguish (Nature Methods 8, 441).
 pub(super) const SERIES: [Rgb; 7] = [
     Rgb(0x00, 0x72, 0xb2),
     Rgb(0xd5, 0x5e, 0x00),

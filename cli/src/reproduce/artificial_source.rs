@@ -1,4 +1,4 @@
-//! Section 3 of the paper: what one image of an artificial source tells, the paper's way and ours.
+//! Section 3 of the paper: residuals of one image of an artificial source, by the paper's method and by ours.
 
 use super::statistics::{mean, median, rms, standard_deviation};
 use super::{Bound, Case, Cell, Draw, Progress, Pulls, Report, Table, Trial, Way, draws};

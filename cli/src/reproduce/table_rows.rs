@@ -194,7 +194,7 @@ impl Row {
         }
     }
 
-    /// What reads them. The modes are those of the real mirror, whatever mirror the row has, as in the paper.
+    /// The estimator's scene. Its modes are those of the real mirror for every mirror of a row, as in the paper.
     ///
     /// # Errors
     /// As [`Conditions::star`].

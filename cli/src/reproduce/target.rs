@@ -136,7 +136,7 @@ impl Target {
 
     /// Runs it and writes `<name>.csv` and `<name>.png` (and what else the report names) into the directory.
     ///
-    /// `watch` is told (done, total) in units of fitted images, from any thread.
+    /// `watch` is called with (done, total) in units of fitted images, from any thread.
     ///
     /// # Errors
     /// [`Error::Value`] for no seeds, [`Error::File`] where a file cannot be written, [`Error::Interrupted`] where

@@ -1,9 +1,8 @@
-//! NCPA that were measured on a telescope, and what of them its mirror holds.
+//! NCPA that were measured on a telescope, and their projection on the influence functions of its mirror.
 //!
-//! A measured map ends at the glass of its day, and has detail that no mode of the mirror follows. What the mirror's
-//! influence functions make of it is smooth and goes on where the map has no light. Images are made with the map and,
-//! where it shows nothing, with what the mirror makes of it; estimates are held against what the mirror makes of it, and how
-//! much of the map that leaves is told beside.
+//! A measured map ends at the pupil of its day, and has detail that the mirror does not reproduce. Its projection is smooth and
+//! continues where the map has no light. Images are made with the map and, where it has no value, with the projection; estimates
+//! are compared with the projection, and the RMS of the rest is reported.
 
 use cophase::io::{FitsWriter, Pixel, read_map};
 use cophase::pupil::Grid;
@@ -76,7 +75,7 @@ fn held(path: &Path, scene: &Scene, telescope: &Telescope, directory: &Path) -> 
     let width_m = telescope.pupil.grid.width_m();
     let grid = Grid::new(rows, width_m).map_err(in_file)?;
     let glass = telescope.pupil_on(grid)?.amplitude;
-    // Some were stored with the pupil on its side: glass that the map shows tells.
+    // Some were stored with the pupil rotated by 90 degrees, as the illuminated part of the map shows.
     let shown = |map: &Array2<f64>| map.iter().zip(&glass).filter(|(nm, glass)| shows(**nm, **glass)).count();
     let across = map_nm.t().to_owned();
     let turned = shown(&across) > shown(&map_nm);
@@ -192,7 +191,7 @@ mod tests {
         let grid = Grid::new(HELD_SAMPLES, 11.25).unwrap();
         assert_eq!(smooth.dim(), (HELD_SAMPLES, HELD_SAMPLES));
         assert!(smooth.iter().all(|nm| nm.abs() < 300.0), "it goes on where the map shows nothing, and nowhere far");
-        // The whole has the checks where the map shows something: as told, there.
+        // Where the map has values, the whole map differs from the projection by the RMS that was reported.
         let rest = read_map(&held[1].whole, None).unwrap() - &smooth;
         let shown = rest.iter().filter(|nm| **nm != 0.0);
         let rms_nm = (shown.clone().map(|nm| nm * nm).sum::<f64>() / shown.count() as f64).sqrt();

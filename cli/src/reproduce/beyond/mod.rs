@@ -85,7 +85,7 @@ pub fn beyond(
                         draws.push(draw);
                     }
                     Err(error @ (Error::Interrupted(_) | Error::File { .. })) => return Err(error),
-                    // A row that cannot be made is told, and the others go on.
+                    // A row that cannot be made is reported, and the others go on.
                     Err(error) => failed.push(format!("{}, seed {seed}: {error}", row.name)),
                 }
                 progress.add(1);

@@ -10,7 +10,7 @@ use cophase::{Error, Result};
 use ndarray::Array2;
 use std::path::Path;
 
-/// Shades by which neighbouring segments are told apart under the mask, of 1; blue, for the mask is red.
+/// Shades that distinguish neighbouring segments under the mask, of 1; blue, because the mask is red.
 const SHADES: [f64; 3] = [-0.15, -0.3, -0.45];
 /// Shade of a masked subaperture.
 const MASKED: f64 = 0.8;

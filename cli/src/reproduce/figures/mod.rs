@@ -3,7 +3,7 @@
 //! ```text
 //! setup ─┬─ layers                  what goes in
 //!        ├─ leak                    what the loop makes of the segments alone
-//!        ├─ modes                   what a sequence of images tells
+//!        ├─ modes                   the estimate from a sequence, mode by mode
 //!        └─ corrected ─┬─ strehl    what it is worth when the segments are moved
 //!                      └─ psd
 //! ```

@@ -1,4 +1,4 @@
-//! Section 4.3: what a sequence of images behind the masked, inpainted, pseudo-open loop tells, mode by mode.
+//! Section 4.3: the estimate from a sequence of images behind the masked, inpainted, pseudo-open loop, mode by mode.
 
 use super::setup;
 use crate::plot::{EstimatePicture, MapRms, MapTriple, ModalBars, ModeGroup};

@@ -23,7 +23,7 @@ const PIXELS: usize = 240;
 const IMAGE_EVERY: u64 = 4;
 /// PSFs that are summed by one worker: a fixed number, so that sums do not depend on how many there are.
 const BATCH: usize = 16;
-/// Pixels a side that are drawn, and the darkest that is told from black, in powers of ten of the perfect peak.
+/// Pixels a side that are drawn, and the darkest that differs from black, in powers of ten of the perfect peak.
 const DRAWN: usize = 160;
 const DARKEST: f64 = -4.5;
 

@@ -92,7 +92,7 @@ impl Verdict {
         !self.is_right() && !self.is_flagged() && !self.is_right_given_diversity() && !self.is_right_given_orientation()
     }
 
-    /// Of what an estimator answers: `assess` makes the verdict on an estimate; a refusal is one by itself.
+    /// The verdict on an estimator's result: that of `assess` on an estimate, or a refusal.
     pub(super) fn of(answer: Result<Estimate>, assess: impl FnOnce(&Estimate) -> Result<Self>) -> Result<Self> {
         match answer {
             Ok(found) => assess(&found),
