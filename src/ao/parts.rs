@@ -24,12 +24,10 @@ const POKE_NM: f32 = 20.0;
 /// # Errors
 /// [`Error::File`] for a map of actuators that cannot be read; those of building the pupil and the lenslets.
 pub fn actuators_in_use(scene: &Scene, telescope: &Telescope) -> Result<InfluenceFunctions> {
-    let Some(sensing) = scene.wavefront_sensor.as_ref().filter(|_| scene.mirror.actuator_file.is_none()) else {
-        return match &scene.mirror.actuator_file {
-            Some(file) => mapped_actuators(scene, file),
-            None => telescope.influence(scene),
-        };
-    };
+    if let Some(file) = &scene.mirror.actuator_file {
+        return mapped_actuators(scene, file);
+    }
+    let Some(sensing) = &scene.wavefront_sensor else { return telescope.influence(scene) };
     let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
     actuators(scene, &Lenslets::new(sensing, &telescope.pupil_on(grid)?, scene.directory())?)
 }

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 pub(super) const EXPLAINED: f64 = 1.1;
 /// Median reduced χ² of the images from which on they are those of a wavefront that changes, or of a wrong scene: no error that
 /// all images share, and the error bars are those of their scatter.
-const CHANGING: f64 = 2.0;
+const MAX_TYPICAL_CHI2: f64 = 2.0;
 
 /// Reduced χ² of the mean residual of the images `used`; that of one image is its own. 1 where the median χ² is above 2, or
 /// without a noise model.
@@ -36,7 +36,7 @@ pub(super) fn mean_residual_chi2(
     let typical = median(&used.iter().map(|&place| reports[place].reduced_chi2).collect::<Vec<_>>());
     match used {
         [one] => reports[*one].reduced_chi2,
-        _ if typical < CHANGING && estimator.recipe.weighting == Weighting::Noise => {
+        _ if typical < MAX_TYPICAL_CHI2 && estimator.recipe.weighting == Weighting::Noise => {
             chi2(estimator, prepared, minima, used)
         }
         _ => 1.0,

@@ -26,8 +26,8 @@ const START_SHARE: f64 = 0.5;
 const SEGMENT_WAVES: f64 = 0.05;
 /// See [`SEGMENT_WAVES`].
 const NCPA_WAVES: f64 = 0.02;
-/// Two fits of an image whose χ² differ by no more than this share ended in one minimum: fits stop where χ² would change by less,
-/// and distinct minima differ by a few per cent or more.
+/// Two fits of an image whose χ² differ by no more than this share are taken to have ended in one minimum: a fit stops within 0.001 nm
+/// of it, where χ² differs by far less.
 const SAME_MINIMUM: f64 = 1e-3;
 
 impl ModalFitter {

@@ -20,7 +20,8 @@ const EXPLAINED_BY_COPY: f64 = 0.4;
 /// Products in the search for a copy; larger images are searched on every second pixel, or third.
 const MAX_PRODUCTS: usize = 20_000_000;
 
-/// Largest part of χ² beyond 1 that may be left where another plate scale is the cause.
+/// Largest part of χ² beyond 1 that may be left where another plate scale is the cause: what is left is another fault, and should be
+/// the smaller one by far.
 const LEFT_BY_PLATE_SCALE: f64 = 0.3;
 /// Largest side of a frame for which another plate scale is tried, pixels: it is fitted without reducing the image, some ten times.
 const MAX_TRIED_PIXELS: usize = 512;
