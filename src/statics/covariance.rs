@@ -22,9 +22,7 @@ pub struct ResidualCovariance {
     pub(super) spectrum_nm2: Vec<f64>,
     /// Whether each is of a spatial frequency that images do not resolve.
     pub(super) is_unresolved: Vec<bool>,
-    /// Convolutions in double precision, for products with the covariance.
-    pub(super) double: Convolver<f64>,
-    /// Convolutions in single precision, for the approximate inverse.
+    /// Convolutions of the solver.
     pub(super) single: Convolver<f32>,
 }
 
@@ -67,7 +65,7 @@ impl ResidualCovariance {
             .collect();
         transform(&mut field, n, &*double.forward);
         let spectrum_nm2 = field.iter().map(|value| value.re.max(0.0)).collect();
-        Ok(Self { padded: n, spectrum_nm2, is_unresolved: vec![false; n * n], double, single: Convolver::new(samples) })
+        Ok(Self { padded: n, spectrum_nm2, is_unresolved: vec![false; n * n], single: Convolver::new(samples) })
     }
 
     /// Raises this covariance to no less than the power spectral density `psd` at any frequency.

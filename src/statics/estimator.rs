@@ -98,7 +98,8 @@ impl<'a> StaticsEstimator<'a> {
             None => self.samples.pistons.clone(),
         };
         let groups = (&modes.groups[..], slopes_mas.is_some());
-        let model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance)?;
+        let mean_nm = images.mean_nm.view();
+        let model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, mean_nm, &covariance)?;
         let mut loop_response = self.loop_response.as_mut();
         let mut errors = estimate_with_loop(&model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
         let Some(slopes_mas) = slopes_mas else { return Ok(errors) };

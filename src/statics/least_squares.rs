@@ -2,7 +2,7 @@
 //! hyperparameters by empirical Bayes.
 
 use super::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
-use super::mean_covariance::MeanCovariance;
+use super::mean_covariance::{MeanCovariance, Weighted};
 use super::static_errors::StaticErrors;
 use crate::loop_response::SlopeInformation;
 use crate::{Error, Result};
@@ -24,8 +24,10 @@ pub struct StaticModel {
     ncpa: usize,
     /// Responses to pistons, NCPA and the offset, `[column, sample]`.
     columns: Array2<f64>,
-    /// C⁻¹ times the columns.
-    weighted: Array2<f64>,
+    /// The columns weighted by C⁻¹.
+    weighted: Weighted,
+    /// What the residual of `weighted` adds to its scalar products with the mean wavefront.
+    correction: Array1<f64>,
     information: Array2<f64>,
     /// Column of each unknown: the common-path part has the columns of the NCPA again.
     column_of: Vec<usize>,
@@ -33,8 +35,8 @@ pub struct StaticModel {
 }
 
 impl StaticModel {
-    /// The model of responses `pistons` and `ncpa`, both `[mode, sample]`, on samples whose mean wavefront has `covariance`;
-    /// `groups` as in [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path.
+    /// The model of responses `pistons` and `ncpa`, both `[mode, sample]`, on samples whose mean wavefront, `mean_nm`, has
+    /// `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path.
     ///
     /// # Errors
     /// [`Error::Shape`] for responses or groups of different sizes; those of [`MeanCovariance::solve`].
@@ -42,6 +44,7 @@ impl StaticModel {
         pistons: ArrayView2<f64>,
         ncpa: ArrayView2<f64>,
         (groups, has_telemetry): (&[usize], bool),
+        mean_nm: ArrayView1<f64>,
         covariance: &MeanCovariance,
     ) -> Result<Self> {
         let (segments, samples) = pistons.dim();
@@ -58,17 +61,18 @@ impl StaticModel {
         let columns = concatenate(Axis(0), &[pistons, ncpa, offset.view()])
             .map_err(|error| Error::Internal(format!("columns of uneven length: {error}")))?;
         let weighted = covariance.solve(columns.view())?;
-        let half = weighted.dot(&columns.t());
+        let correction = weighted.correction(covariance.solve(mean_nm.insert_axis(Axis(0)))?.solution.row(0));
+        let half = weighted.products(columns.view(), &weighted);
         let information = (&half + &half.t()) / 2.0;
         let (static_columns, offset) = (0..segments + modes, segments + modes);
         let common_path = if has_telemetry { segments..segments + modes } else { 0..0 };
         let column_of: Vec<usize> = static_columns.chain(common_path).chain([offset]).collect();
         let information = information.select(Axis(0), &column_of).select(Axis(1), &column_of);
         let groups = coefficient_groups(segments, groups, has_telemetry);
-        Ok(Self { segments, ncpa: modes, columns, weighted, information, column_of, groups })
+        Ok(Self { segments, ncpa: modes, columns, weighted, correction, information, column_of, groups })
     }
 
-    /// Estimates the static errors of a mean wavefront, nm at each sample.
+    /// Estimates the static errors of a mean wavefront, nm at each sample: that of the model, or one close to it.
     ///
     /// `slopes` is the information of telemetry on the NCPA. The hyperparameters start at those of `initial`.
     ///
@@ -118,7 +122,8 @@ impl StaticModel {
         slopes: Option<&SlopeInformation>,
     ) -> Result<(Array2<f64>, Array1<f64>)> {
         let mut information = self.information.clone();
-        let mut right_side = self.weighted.dot(&mean_nm).select(Axis(0), &self.column_of);
+        let products = self.weighted.solution.dot(&mean_nm) + &self.correction;
+        let mut right_side = products.select(Axis(0), &self.column_of);
         if let Some(slopes) = slopes {
             let ncpa = self.segments..self.segments + self.ncpa;
             if slopes.right_side.len() != ncpa.len() {

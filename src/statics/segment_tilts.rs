@@ -32,13 +32,13 @@ impl SegmentTilts {
         samples: &IlluminatedSamples,
     ) -> Result<Self> {
         let columns = columns(samples);
-        let solved = covariance.solve(columns.view())?;
-        let half = solved.dot(&columns.t());
+        let weighted = covariance.solve(columns.view())?;
+        let half = weighted.products(columns.view(), &weighted);
         let mut information = (&half + &half.t()) / 2.0;
         // Regularises segments with next to no illuminated sample.
         let faint = 1e-9 * information.diag().iter().copied().fold(0.0, f64::max);
         information.diag_mut().iter_mut().for_each(|value| *value += faint);
-        let b = solved.dot(&residual_nm);
+        let b = weighted.solution.dot(&residual_nm);
         let tilts_nm = SpdInverse::new(&information)?.inverse.dot(&b);
         let wavefront_nm = tilts_nm.dot(&columns);
         let weight: f64 = samples.amplitude.iter().sum();
