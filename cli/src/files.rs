@@ -1,6 +1,7 @@
 //! Scenes as the command line names them.
 
 use crate::outputs::{self, Flagged};
+use cophase::io::file_of;
 use cophase::scene::{Aperture, Scene, split_setting};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -88,7 +89,9 @@ fn files_of(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
 /// Refuses a scene that names a file which does not exist, whether or not the verb reads it: a misspelt name would have
 /// no effect. A map of NCPA is missed by the simulators, which read it, and not by an estimate.
 fn check_files_of(scene: &Scene, is_checked: impl Fn(&str) -> bool) -> Result<()> {
-    let missing = |(key, path): &(&str, PathBuf)| *key != "aberrations.ncpa_file" && is_checked(key) && !path.exists();
+    // A FITS file may have an HDU in brackets behind its name.
+    let is_there = |path: &Path| file_of(path).exists();
+    let missing = |(key, path): &(&str, PathBuf)| *key != "aberrations.ncpa_file" && is_checked(key) && !is_there(path);
     match files_of(scene).into_iter().find(missing) {
         Some((key, path)) => Err(Error::file(path, format_args!("there is no such file; {key} of the scene names it"))),
         None => Ok(()),

@@ -49,7 +49,7 @@ pub fn fits(file: &File, bytes: &[u8]) -> bool {
     if let Ok(images) = &images {
         assert_eq!(images.data.dim(), images.bad.dim());
         // What is read is what is there, but for compression: no header makes more of a file.
-        let packed = bytes.starts_with(&[0x1f, 0x8b]);
+        let packed = bytes.starts_with(&[0x1f, 0x8b]) || bytes.windows(6).any(|key| key == b"ZIMAGE");
         assert!(packed || images.data.len() <= bytes.len(), "{} pixels of {} bytes", images.data.len(), bytes.len());
     }
     if let Ok(mut reader) = FitsReader::open(&file.0) {

@@ -2,7 +2,7 @@
 
 use super::run::{Shot, Summary};
 use super::simulator::Simulator;
-use crate::io::{Column, FitsWriter, Pixel};
+use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
 use crate::source::file;
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, Axis};
@@ -34,7 +34,7 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
     for (mut out, shot) in images.axis_iter_mut(Axis(0)).zip(shots) {
         out.assign(&shot.image_e);
     }
-    file.image("IMAGES", &images, Pixel::F32, "electron")?;
+    file.image("IMAGES", &images, Pixel::F32, ELECTRON)?;
     drop(images);
     file::image_cards(&mut file, scene, summary.flux_e)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);

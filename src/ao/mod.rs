@@ -33,7 +33,7 @@ pub(crate) use control::{Svd, svd};
 pub use divergence::Divergence;
 pub use file::write;
 pub use footprint::{Footprint, LANES};
-pub use parts::actuators_in_use;
+pub use parts::{actuators_in_use, sensor_pupil};
 pub use profile::{Profile, Stage};
 pub use run::{Progress, Recorder, Shot, Summary};
 #[cfg(test)]

@@ -5,9 +5,10 @@ use super::footprint::Footprint;
 use super::sensor::{Lenslets, Sensor};
 use super::surface::Surface;
 use super::valid_map;
+use crate::machine;
 use crate::modes::{InfluenceFunctions, Mirror};
 use crate::pupil::{Grid, Pupil};
-use crate::scene::Scene;
+use crate::scene::{Scene, SensorScene};
 use crate::source::Truth;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -17,6 +18,35 @@ use std::path::Path;
 /// Stroke with which the interaction matrix is measured, nm: a thirtieth of the sensor's wavelength, so that the
 /// response is linear to 1 %. Its second order cancels between push and pull.
 const POKE_NM: f32 = 20.0;
+
+/// Memory of a simulation for each sample of its grid, bytes, without the layers of turbulence: the pupil and its copy (24), the
+/// maps of loop and camera, and the weights of the segments (the field's share in the peak). Measured with Keck's loop at 1,280
+/// samples a side: 150 with one layer, 180 with seven.
+const BYTES_PER_SAMPLE: u64 = 150;
+/// Memory of a layer for each sample: its ring is stored twice where the wind blows along x, and twice as wide across a wind of 45
+/// degrees.
+const BYTES_PER_LAYER_SAMPLE: u64 = 16;
+/// Arrays of slopes × actuators while the interaction matrix is inverted: the matrix, its copies for the mask and for the
+/// decomposition, the singular vectors twice, and the work of the decomposition. Measured with 50 lenslets across: 0.3 GB of 0.46.
+const INTERACTION_COPIES: u64 = 6;
+
+/// Pupil of `scene` on the grid of its sensor, `wavefront_sensor.samples_per_lenslet` samples across each lenslet, for a
+/// simulation of `layers` layers of turbulence.
+///
+/// # Errors
+/// [`Error::Value`] for a grid that is larger than the machine's memory; those of [`Telescope::pupil_on`].
+pub fn sensor_pupil(scene: &Scene, sensing: &SensorScene, telescope: &Telescope, layers: usize) -> Result<Pupil> {
+    let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
+    machine::check_memory(
+        format_args!(
+            "{}: an AO system of {samples}x{samples} samples with {layers} layers of turbulence",
+            scene.name()
+        ),
+        (BYTES_PER_SAMPLE + BYTES_PER_LAYER_SAMPLE * layers as u64) * (samples as u64).pow(2),
+        "set fewer wavefront_sensor.samples_per_lenslet or lenslets_across",
+    )?;
+    telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)
+}
 
 /// Actuators of the scene's mirror that are in use, in the order of the tables ACTUATORS: those of its map, or those at a corner of
 /// a subaperture in use; without a wavefront sensor those near the pupil.
@@ -28,8 +58,7 @@ pub fn actuators_in_use(scene: &Scene, telescope: &Telescope) -> Result<Influenc
         return mapped_actuators(scene, file);
     }
     let Some(sensing) = &scene.wavefront_sensor else { return telescope.influence(scene) };
-    let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
-    actuators(scene, &Lenslets::new(sensing, &telescope.pupil_on(grid)?, scene.directory())?)
+    actuators(scene, &Lenslets::new(sensing, &sensor_pupil(scene, sensing, telescope, 0)?, scene.directory())?)
 }
 
 /// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a subaperture in use. The
@@ -63,8 +92,16 @@ fn mapped_actuators(scene: &Scene, file: &Path) -> Result<InfluenceFunctions> {
 
 /// Measures the interaction matrix, `[slopes, actuators]`, mas per nm: pushes and pulls each actuator in front of a
 /// flat wavefront, without noise.
+///
+/// # Errors
+/// [`Error::Value`] for a matrix whose inversion is larger than the machine's memory.
 pub(super) fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint) -> Result<Array2<f64>> {
     let (slopes, actuators) = (sensor.slopes(), surface.actuators());
+    machine::check_memory(
+        format_args!("the control of {actuators} actuators by {slopes} slopes"),
+        8 * INTERACTION_COPIES * actuators as u64 * (slopes + actuators) as u64,
+        "set fewer mirror.actuators_across or wavefront_sensor.lenslets_across",
+    )?;
     let mut matrix = Array2::zeros((slopes, actuators));
     let mut command = vec![0.0; actuators];
     let mut measured = [vec![0.0; slopes], vec![0.0; slopes]];

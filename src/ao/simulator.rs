@@ -11,12 +11,11 @@ use super::camera::{self, Optics, ScienceCamera, View};
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::drift::Drift;
 use super::footprint::Footprint;
-use super::parts::{actuators, apply_reflectivity, interaction, segments_nm};
+use super::parts::{actuators, apply_reflectivity, interaction, segments_nm, sensor_pupil};
 use super::profile::{Profile, Stage};
 use super::schedule::Schedule;
 use super::sensor::{GuideStar, Lenslets, Sensor};
 use super::surface::Surface;
-use crate::grid::Grid;
 use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
 use crate::pupil::Pupil;
 use crate::scene::{ControlBasis, ControlScene, Scene, SensorMask, SensorScene};
@@ -148,8 +147,7 @@ impl Simulator {
     /// As [`Simulator::new`].
     pub fn with_truth(scene: &Scene, telescope: Telescope, truth: Truth) -> Result<Self> {
         let (sensing, control_scene) = sections(scene)?;
-        let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
-        let pupil = telescope.pupil_on(Grid::new(samples, telescope.pupil.grid.width_m())?)?;
+        let pupil = sensor_pupil(scene, sensing, &telescope, scene.turbulence.fractions.len())?;
         // The subapertures in use are selected with perfectly reflecting segments.
         let illuminated = apply_reflectivity(&pupil, &truth);
         let footprint = Footprint::with_margin(&illuminated, camera::MARGIN_SAMPLES);

@@ -79,7 +79,11 @@ impl Handle {
 
     /// Starts an empty file in memory.
     pub fn create() -> CfitsioResult<Self> {
-        let first = 2880;
+        Self::create_in(2880)
+    }
+
+    /// Starts an empty file in `first` bytes of memory, which are 0; more is not, where the file outgrows them.
+    pub(super) fn create_in(first: usize) -> CfitsioResult<Self> {
         // SAFETY: calloc returns zeroed memory or null.
         let start = unsafe { libc::calloc(first, 1) };
         if start.is_null() {

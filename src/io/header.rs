@@ -1,9 +1,10 @@
-//! Facts of the instrument in the header of an image file: unit, gain, read noise, wavelength, pixel scale, exposure.
+//! Facts of the instrument in the header of an image file: unit, gain, read noise, wavelength, filter, pixel scale, exposure.
 //!
 //! Observatories name the same quantity by different keywords and write it in different units. A unit is taken from the value
 //! or from the comment of a card (`2.17 um`, `[nm]`, `pixel on the sky, mas`); where neither has one, the value is read in
 //! every unit that makes it plausible.
 
+use super::band::Band;
 use super::read::FitsReader;
 use super::value::Card;
 use crate::Result;
@@ -17,6 +18,8 @@ pub enum Quantity {
     ReadNoiseE,
     /// Wavelength, nm.
     WavelengthNm,
+    /// Wavelength of the photometric band that a filter's name states, nm. The tolerance is the width of the band.
+    BandNm,
     /// Pixel on the sky, mas.
     PixelMas,
     /// Exposure, s.
@@ -36,7 +39,7 @@ pub struct HeaderFact {
     pub written: String,
     /// The value in the unit of the quantity, once for each unit that the card may be in.
     pub values: Vec<f64>,
-    /// Relative uncertainty of the value: one unit of its last digit.
+    /// Relative uncertainty of the value: one unit of its last digit, or half the width of a band.
     pub tolerance: f64,
 }
 
@@ -88,6 +91,12 @@ const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
     (Quantity::BackgroundE, &["BACKGR_E"], ELECTRONS, true),
 ];
 
+/// Keywords of the name of a filter; several where the camera has several wheels.
+const FILTERS: [&str; 11] = [
+    "FILTER", "FILTNAME", "FILTNAM", "FILTER1", "FILTER2", "FILTER3", "FILTER01", "FILTER02", "FILT1", "FWINAME",
+    "FWONAME",
+];
+
 /// Smallest relative uncertainty of a value: that of six digits, and of a single-precision number.
 const LEAST_TOLERANCE: f64 = 1e-6;
 /// Relative uncertainty of a pixel scale from the world coordinates of a file, which describe the sky and not the optics.
@@ -101,6 +110,11 @@ pub(super) fn facts(file: &mut FitsReader, index: usize) -> Result<Vec<HeaderFac
             if let Some((card, written, comment)) = card(file, index, keyword)? {
                 facts.extend(fact(quantity, keyword, &card, (&written, &comment), (units, is_bare)));
             }
+        }
+    }
+    for keyword in FILTERS {
+        if let Some((Card::Text(name), ..)) = card(file, index, keyword)? {
+            facts.extend(band_fact(keyword, name.trim()));
         }
     }
     if !facts.iter().any(|fact| fact.quantity == Quantity::PixelMas) {
@@ -158,6 +172,12 @@ fn fact(
     let accepted = !values.is_empty() && values.iter().all(|value| *value >= 0.0);
     let tolerance = (last_digit(digits) / value.abs()).clamp(LEAST_TOLERANCE, 0.1);
     accepted.then(|| HeaderFact { quantity, keyword, written: text.to_string(), values, tolerance })
+}
+
+/// The band that the name of a filter states.
+fn band_fact(keyword: &'static str, name: &str) -> Option<HeaderFact> {
+    let Band { centre_nm, tolerance, .. } = Band::named(name)?;
+    Some(HeaderFact { quantity: Quantity::BandNm, keyword, written: name.into(), values: vec![centre_nm], tolerance })
 }
 
 /// The unit that `text` names. In a comment, units of one letter do not count.

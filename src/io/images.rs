@@ -34,7 +34,8 @@ pub struct Images {
 /// Reads the images of `path`: the HDU in brackets behind its name if there is one, else HDU `IMAGES` if it exists, else the primary HDU, else the first image extension.
 ///
 /// 2-D or a cube (image index slowest), any BITPIX, scaled or not. An image HDU `BADPIX`, 2-D for all images or a cube,
-/// marks pixels as bad where it is not zero; so does the file `mask` (its HDU `BADPIX`, else its first image).
+/// marks pixels as bad where it is not zero; so does the file `mask` (the HDU in
+/// brackets, else its HDU `BADPIX`, else its first image).
 ///
 /// # Errors
 /// [`Error::File`], with the file and the reason: missing, truncated (with the bytes present and needed), not FITS, no
@@ -47,11 +48,17 @@ pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images
     let non_finite = bad.iter().filter(|&&is_bad| is_bad).count();
     let mut repaired = file.repaired();
     if file.has("BADPIX") {
-        mark_bad_pixels(&mut file, &mut bad)?;
+        let badpix = file.find("BADPIX", HduKind::Image)?;
+        mark_bad_pixels(&mut file, badpix, &mut bad)?;
     }
     if let Some(mask) = mask {
         let mut mask = FitsReader::open(mask)?;
-        mark_bad_pixels(&mut mask, &mut bad)?;
+        let marks = match mask.selected_image()? {
+            Some(selected) => selected,
+            None if mask.has("BADPIX") => mask.find("BADPIX", HduKind::Image)?,
+            None => mask.first_image(&[])?,
+        };
+        mark_bad_pixels(&mut mask, marks, &mut bad)?;
         let mask_repairs = mask.repaired().map(|sentence| format!("in the mask {}, {sentence}", mask.path().display()));
         repaired = [repaired, mask_repairs].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
     }
@@ -73,9 +80,8 @@ fn image_hdu(file: &FitsReader) -> Result<usize> {
     file.first_image(&["BADPIX"])
 }
 
-/// Adds the bad pixels marked in `file` to `bad`.
-fn mark_bad_pixels(file: &mut FitsReader, bad: &mut Array3<bool>) -> Result<()> {
-    let index = if file.has("BADPIX") { file.find("BADPIX", HduKind::Image)? } else { file.first_image(&[])? };
+/// Adds the bad pixels marked in the image at `index` of `file` to `bad`.
+fn mark_bad_pixels(file: &mut FitsReader, index: usize, bad: &mut Array3<bool>) -> Result<()> {
     let marks = file.cube_at(index)?;
     let (images, height, width) = bad.dim();
     if marks.dim() == bad.dim() {

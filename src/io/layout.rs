@@ -22,7 +22,7 @@ const MAX_PIXELS: u64 = 1 << 31;
 pub(super) enum HduKind {
     Image,
     Table,
-    /// A binary table with a tile-compressed image.
+    /// A binary table with a tile-compressed image, before it is unpacked, or where it cannot be.
     Compressed,
     Other,
 }
@@ -43,6 +43,8 @@ pub(super) struct Hdu {
     pub data_at: u64,
     /// Bytes of data, without padding.
     pub data_bytes: u64,
+    /// Why a tile-compressed image is not unpacked; empty for other HDUs.
+    pub refusal: String,
 }
 
 impl Hdu {
@@ -180,6 +182,7 @@ fn read_hdu(
         // A file may end within the padding of its last header.
         data_at: if shape.data_bytes == 0 { data_at.min(length) } else { data_at },
         data_bytes: shape.data_bytes,
+        refusal: String::new(),
     };
     hdu.name = hdu.value("EXTNAME").map(card::text).unwrap_or_default().trim().to_uppercase();
     if hdu.name.is_empty() && primary {

@@ -8,10 +8,13 @@
 //!
 //! # Files that are not standard FITS
 //!
+//! Tile-compressed images (`.fz`) are read as the plain ones: `tiles`.
+//!
 //! `layout` reads the headers before cfitsio does and compares every size with the length of the file; `repair` converts
 //! cards to the standard's form in a copy in memory, and one sentence reports the repairs. A file that cannot be repaired
 //! is rejected with the byte and the reason.
 
+mod band;
 mod card;
 mod cfitsio;
 mod extension;
@@ -21,6 +24,7 @@ mod layout;
 mod read;
 mod repair;
 mod standard;
+mod tiles;
 mod value;
 mod write;
 
@@ -30,4 +34,4 @@ pub use header::{HeaderFact, PixelUnit, Quantity};
 pub use images::{Images, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use value::Card;
-pub use write::{Column, FitsWriter, Pixel};
+pub use write::{Column, ELECTRON, FitsWriter, Pixel};

@@ -28,7 +28,7 @@ const TSTRING: i32 = 16;
 /// A FITS file open for reading. The file is never changed.
 ///
 /// Files in standard form are read from disk; packed files, files that need repair and files with a tile-compressed image
-/// are read from a copy in memory, see [`FitsReader::repaired`].
+/// (`.fz`), which is read as the plain one, are read from a copy in memory, see [`FitsReader::repaired`].
 pub struct FitsReader {
     path: PathBuf,
     handle: Handle,
@@ -76,10 +76,10 @@ impl FitsReader {
     /// Reads `source`; where `direct` is given and the file is in standard form, cfitsio opens it from disk.
     fn from_source(path: &Path, source: &mut (impl Read + Seek), direct: Option<&Path>) -> CfitsioResult<Self> {
         let length = source.seek(std::io::SeekFrom::End(0)).map_err(|error| format!("cannot be read: {error}"))?;
-        let layout = layout::scan(source, length)?;
+        let mut layout = layout::scan(source, length)?;
         let handle = match direct.filter(|_| layout.repairs.sentence().is_none() && !layout.holds_compressed()) {
             Some(plain) => Handle::open(plain)?,
-            None => Handle::from_bytes(&standard::standard_file(&layout, source)?)?,
+            None => Handle::from_bytes(&standard::standard_file(&mut layout, source)?)?,
         };
         Ok(Self { path: path.to_path_buf(), handle, layout, selected: None })
     }
@@ -196,6 +196,9 @@ impl FitsReader {
     pub(super) fn selected_image(&self) -> Result<Option<usize>> {
         let Some(index) = self.selected else { return Ok(None) };
         let hdu = &self.layout.hdus[index];
+        if hdu.kind == HduKind::Compressed {
+            return Err(self.refuse(&hdu.refusal));
+        }
         if hdu.kind != HduKind::Image || hdu.axes.is_empty() {
             return Err(self.refuse(format!("{} is no image with data: {}", hdu.described(), self.listed())));
         }
@@ -215,7 +218,14 @@ impl FitsReader {
         }
         let holds =
             |hdu: &Hdu| hdu.kind == HduKind::Image && !hdu.axes.is_empty() && !besides.contains(&hdu.name.as_str());
-        self.layout.hdus.iter().position(holds).ok_or_else(|| self.refuse(format!("holds no image: {}", self.listed())))
+        let hdus = &self.layout.hdus;
+        hdus.iter().position(holds).ok_or_else(|| {
+            let compressed = hdus.iter().find(|hdu| hdu.kind == HduKind::Compressed);
+            compressed.map_or_else(
+                || self.refuse(format!("holds no image: {}", self.listed())),
+                |hdu| self.refuse(&hdu.refusal),
+            )
+        })
     }
 
     /// Index of HDU `name` of kind `kind`.
@@ -225,8 +235,9 @@ impl FitsReader {
             return Ok(index);
         }
         let index = self.find_any(name)?;
-        let (wanted, content) = match (kind, self.layout.hdus[index].kind) {
-            (_, HduKind::Compressed) => ("a plain HDU", "a tile-compressed image (unpack the file with funpack first)"),
+        let hdu = &self.layout.hdus[index];
+        let (wanted, content) = match (kind, hdu.kind) {
+            (_, HduKind::Compressed) => return Err(self.refuse(&hdu.refusal)),
             (HduKind::Image, _) => ("an image", "a table"),
             _ => ("a table", "something else"),
         };

@@ -14,6 +14,13 @@ use super::value::{Card, checked_keyword};
 use crate::atomic::Target;
 use crate::{Error, Result};
 
+/// Unit of electrons in the cards `BUNIT` and `TUNITn` of a file. FITS (4.0, section 4.3) has no unit `electron`, which strict
+/// readers refuse; an electron is a detected photon.
+pub const ELECTRON: &str = "photon";
+
+/// Comment of the cards with that unit.
+const ELECTRON_COMMENT: &str = "detected photons, which are electrons";
+
 /// Storage type of the pixels of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pixel {
@@ -168,7 +175,8 @@ impl FitsWriter {
         })?;
         self.names.push(name.clone());
         self.card(&name, "EXTNAME", name.as_str(), "name of this extension")?;
-        if unit.is_empty() { Ok(()) } else { self.card(&name, "BUNIT", unit, "unit of the pixels") }
+        let comment = if unit == ELECTRON { ELECTRON_COMMENT } else { "unit of the pixels" };
+        if unit.is_empty() { Ok(()) } else { self.card(&name, "BUNIT", unit, comment) }
     }
 
     /// Adds a binary table; all columns have the same length.
@@ -207,9 +215,12 @@ impl FitsWriter {
                 status,
             )
         })?;
-        self.names.push(name);
         for (i, column) in columns.iter().enumerate().filter(|_| rows > 0) {
             self.fill(i as c_int + 1, column)?;
+        }
+        self.names.push(name.clone());
+        for (i, _) in columns.iter().enumerate().filter(|(_, column)| column.unit == ELECTRON) {
+            self.card(&name, &format!("TUNIT{}", i + 1), ELECTRON, ELECTRON_COMMENT)?;
         }
         Ok(())
     }

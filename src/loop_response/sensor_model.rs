@@ -6,8 +6,8 @@
 
 use super::slope_information::{SensorResponse, SlopeInformation};
 use super::slope_regression::SlopeRegression;
-use crate::ao::{Footprint, Lenslets, Sensor};
-use crate::grid::Grid;
+use crate::ao::{Footprint, Lenslets, Sensor, sensor_pupil};
+use crate::machine;
 use crate::modes::{Samples, SmoothBasis};
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
@@ -57,13 +57,19 @@ impl SensorModel {
             let name = scene.name();
             return Err(Error::Scene(format!("{name}: the section [wavefront_sensor] is missing: slopes need it")));
         };
-        let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
-        let pupil = telescope.pupil_on(grid)?;
+        let pupil = sensor_pupil(scene, sensing, telescope, 0)?;
         let footprint = Footprint::new(&pupil);
         let sensor = Sensor::new(sensing, Lenslets::new(sensing, &pupil, scene.directory())?, &pupil, &footprint)?
             .with_shift_and_gain(sensing, &pupil, &footprint)?;
         let fine = Samples::from_pupil(&pupil)?;
-        let n = grid.samples();
+        let n = pupil.grid.samples();
+        let (count, places) = (basis.len(), fine.indices.len());
+        // Values of the modes, and of the functions that they combine.
+        machine::check_memory(
+            format_args!("the wavefront sensor's view of {count} modes at {places} samples"),
+            2 * 8 * (count * places) as u64,
+            "set fewer wavefront_sensor.samples_per_lenslet",
+        )?;
         let index = |&at: &usize| (at / n * footprint.stride() + at % n, pupil.owner[[at / n, at % n]].max(0) as usize);
         Ok(Self {
             indices: fine.indices.iter().map(index).collect(),

@@ -19,13 +19,21 @@ pub(super) struct ReducedChi2 {
     pub(super) least: f64,
     /// Standard deviation.
     pub(super) scatter: f64,
-    /// Mean square of the signal-to-noise ratio of a pixel: a relative error ε of the model raises χ² by ε² times as much.
+    /// Square of the star's signal-to-noise ratio, over all pixels.
     pub(super) square_snr: f64,
+    /// Degrees of freedom.
+    pub(super) freedom: f64,
 }
 
 impl ReducedChi2 {
     /// That of a fit without a result.
-    pub(super) const NONE: Self = Self { value: f64::NAN, least: f64::NAN, scatter: f64::NAN, square_snr: f64::NAN };
+    pub(super) const NONE: Self =
+        Self { value: f64::NAN, least: f64::NAN, scatter: f64::NAN, square_snr: f64::NAN, freedom: f64::NAN };
+
+    /// What a relative error `error` of the star's image adds to it.
+    pub(super) fn excess(&self, error: f64) -> f64 {
+        error.powi(2) * self.square_snr / self.freedom
+    }
 
     /// χ² of `exposure` under the model with this PSF, flux and background.
     ///
@@ -53,7 +61,7 @@ impl ReducedChi2 {
                 good[i] += if floor < f64::INFINITY { 1.0 } else { 0.0 };
                 photons[i] += share;
                 kurtosis[i] += share * weight;
-                square_snr[i] += share * expected.max(0.0);
+                square_snr[i] += (flux_e * h).powi(2) * weight;
             }
         }
         let [squares, good, photons, kurtosis, square_snr] = sums.map(|lanes| lanes.iter().sum::<f64>());
@@ -62,7 +70,8 @@ impl ReducedChi2 {
             value: squares / freedom,
             least: stated_share + (1.0 - stated_share) * photons / good.max(1.0),
             scatter: (2.0 * freedom + kurtosis).sqrt() / freedom,
-            square_snr: square_snr / freedom,
+            square_snr,
+            freedom,
         }
     }
 }

@@ -260,6 +260,7 @@ pub(super) fn subset(
 fn nothing_fitted(reports: &[&ImageReport]) -> Error {
     let reason = match reports.first().map(|report| &report.status) {
         Some(Status::NotConverged(reason)) => reason.to_string(),
+        Some(Status::Unusable(refusal)) => refusal.to_string(),
         Some(other) => other.word().into(),
         None => "there is none".into(),
     };

@@ -17,6 +17,7 @@
 //! the rest leaves. Tiles change the sums over pixels by their rounding, and no bit of the fits. A device holds its share of
 //! `images` in its own memory.
 
+use super::recipe::Recipe;
 use crate::machine;
 use crate::scene::{NcpaBasis, NollRange, Scene};
 use crate::{Error, Result};
@@ -103,18 +104,19 @@ pub(super) fn limit_bytes(scene: &Scene) -> usize {
 ///
 /// # Errors
 /// [`Error::Scene`].
-pub(super) fn check_maps(scene: &Scene) -> Result<()> {
+pub(super) fn check_maps(scene: &Scene, recipe: &Recipe) -> Result<()> {
     let own = match scene.modes.ncpa {
         NcpaBasis::Kl | NcpaBasis::Zernike => scene.modes.ncpa_count,
         // The number of a file's modes is not known yet: they are checked with the rest.
         NcpaBasis::None | NcpaBasis::File(_) => 0,
     };
-    let exact = match scene.modes.exact_zernikes {
-        Some(NollRange::Span { first, last }) => last + 1 - first,
-        Some(NollRange::None) | None => 0,
+    let count = |zernikes: NollRange| match zernikes {
+        NollRange::Span { first, last } => last + 1 - first,
+        NollRange::None => 0,
     };
+    let added = count(recipe.exact_zernikes) + count(recipe.prior_zernikes);
     // The maps, and the values at the illuminated samples from which they are computed.
-    let bytes = 2 * NUMBER * (own + exact) * scene.pupil.samples.pow(2);
+    let bytes = 2 * NUMBER * (own + added) * scene.pupil.samples.pow(2);
     let limit = limit_bytes(scene);
     let what = "the maps of this scene's modes";
     if bytes > limit {
@@ -170,11 +172,11 @@ mod tests {
     #[test]
     fn a_basis_that_memory_cannot_hold_is_refused_before_it_is_made() {
         let scene = Scene::preset("keck-artificial").unwrap();
-        assert!(check_maps(&scene).is_ok());
+        assert!(check_maps(&scene, &Recipe::with_prior(&scene)).is_ok());
         let many = scene
             .with(&[("modes.ncpa_count", "10000"), ("pupil.samples", "2048"), ("aberrations.truth_samples", "2048")])
             .unwrap();
         let sentence = crate::modal::ModalFitter::new(&many, false).err().unwrap().to_string();
-        assert!(sentence.contains("671088640000 bytes") && sentence.contains("allows 8000000000"), "{sentence}");
+        assert!(sentence.contains("672430817280 bytes") && sentence.contains("allows 8000000000"), "{sentence}");
     }
 }

@@ -13,6 +13,8 @@ pub(super) struct Minimum {
     pub(super) reason: StopReason,
     /// χ² per degree of freedom under the variances of the fitted model.
     pub(super) chi2: ReducedChi2,
+    /// Whether χ² is larger than expected, and every restart ended in another minimum: this one is probably wrong, too.
+    pub(super) is_unconfirmed: bool,
 }
 
 impl Minimum {
@@ -30,6 +32,7 @@ impl Minimum {
             evaluations: 0,
             reason: StopReason::Unfinished,
             chi2: ReducedChi2::NONE,
+            is_unconfirmed: false,
         }
     }
 }

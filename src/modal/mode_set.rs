@@ -20,6 +20,7 @@ const SMALLEST_REMAINDER: f64 = 1e-3;
 const SMALLEST_PRIOR_REMAINDER: f64 = 0.01;
 
 /// The smooth modes: functions, or maps on the scene's grid.
+#[derive(Clone)]
 pub(super) enum Smooth {
     Functions(Option<SmoothBasis>),
     Maps(Array3<f64>),
@@ -52,6 +53,7 @@ impl Smooth {
 }
 
 /// The modes of a scene.
+#[derive(Clone)]
 pub(super) struct ModeSet {
     /// Names, groups and maps on the scene's grid.
     pub(super) basis: Basis,

@@ -55,7 +55,7 @@ impl Model {
     /// # Errors
     /// As [`Model::new`].
     pub fn with_telescope(scene: &Scene, recipe: &Recipe, telescope: Telescope) -> Result<Self> {
-        memory::check_maps(scene)?;
+        memory::check_maps(scene, recipe)?;
         let diversity = Diversity::new(scene, &telescope)?;
         let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &telescope, &SceneBasis::default())?;
         Self::assemble(scene, recipe, false, telescope, &diversity, set)
@@ -63,26 +63,22 @@ impl Model {
 
     /// As [`Model::new`], with the scene's own basis, which other recipes of the same scene share.
     pub(super) fn with_scene_basis(scene: &Scene, recipe: &Recipe, native: bool, own: &SceneBasis) -> Result<Self> {
-        memory::check_maps(scene)?;
+        memory::check_maps(scene, recipe)?;
         let telescope = Telescope::new(scene)?;
-        let diversity = Diversity::new(scene, &telescope)?;
         let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &telescope, own)?;
-        Self::assemble(scene, recipe, native, telescope, &diversity, set)
+        Self::with_modes(scene, recipe, native, telescope, set)
     }
 
-    /// The model of `perturbed`, a scene that differs slightly from `scene` in its optical parameters, for the modes of
-    /// `scene`.
-    pub(super) fn with_perturbed_optics(
+    /// As [`Model::new`], for the modes of this scene or of one that differs slightly in its optical parameters.
+    pub(super) fn with_modes(
         scene: &Scene,
-        perturbed: &Scene,
         recipe: &Recipe,
         native: bool,
-        own: &SceneBasis,
+        telescope: Telescope,
+        set: ModeSet,
     ) -> Result<Self> {
-        let set = ModeSet::from_scene(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, own)?;
-        let telescope = Telescope::new(perturbed)?;
-        let diversity = Diversity::new(perturbed, &telescope)?;
-        Self::assemble(perturbed, recipe, native, telescope, &diversity, set)
+        let diversity = Diversity::new(scene, &telescope)?;
+        Self::assemble(scene, recipe, native, telescope, &diversity, set)
     }
 
     /// Assembles the model of these parts; `scene` gives the image and the band limit of the pupil.

@@ -121,8 +121,14 @@ impl Preparation {
         if frame.data_e.dim() != (y, x) || frame.bad.dim() != (y, x) {
             let (rows, columns) = frame.data_e.dim();
             let keys = if x == y { "image.pixels" } else { "image.columns and image.rows" };
+            let [even_columns, even_rows] = [columns, rows].map(|size| size - size % 2);
+            let even = if (even_columns, even_rows) == (columns, rows) {
+                String::new()
+            } else {
+                format!("; frames are even: {even_columns}x{even_rows}, without the last row or column, is accepted")
+            };
             return Err(Error::Shape(format!(
-                "the image has {columns}x{rows} pixels where the scene says {x}x{y} ({keys})"
+                "the image has {columns}x{rows} pixels where the scene says {x}x{y} ({keys}){even}"
             )));
         }
         Ok(())

@@ -2,6 +2,9 @@
 
 use crate::scene::{Combine, NollRange, Optimizer, PupilModel, Sampling, Scene, Weighting};
 
+/// Restarts of a fit that ended in a wrong minimum. Of 8 draws with pistons of 500 nm RMS at a peak S/N of 30 one needs more than
+/// three.
+const RESTARTS: usize = 6;
 /// All Zernikes to radial order 5: with 66 Karhunen-Loève modes they span the low-order NCPA, of which a mirror of small
 /// coupling spans only 75 to 95 %.
 const EXACT: NollRange = NollRange::Span { first: 2, last: 21 };
@@ -89,7 +92,7 @@ impl Recipe {
             } else {
                 1e-3
             }),
-            restarts: estimate.restarts.unwrap_or(if ours { 3 } else { 0 }),
+            restarts: estimate.restarts.unwrap_or(if ours { RESTARTS } else { 0 }),
             // Without weights there is no noise model by which a pixel could be an outlier.
             reject_outliers: estimate.weighting.unwrap_or(if ours { Weighting::Noise } else { Weighting::None })
                 == Weighting::Noise,
@@ -102,12 +105,8 @@ impl Recipe {
     /// without them would be too small.
     pub fn with_prior(scene: &Scene) -> Self {
         let own = Self::from_scene(scene);
-        let prior_zernikes = if Self::has_open_basis(scene) { WITH_PRIOR } else { NollRange::None };
+        let is_open = scene.estimate.optimizer == Optimizer::GaussNewton && scene.modes.exact_zernikes.is_none();
+        let prior_zernikes = if is_open { WITH_PRIOR } else { NollRange::None };
         Self { prior_zernikes, ..own }
-    }
-
-    /// Whether `scene` leaves the exact Zernikes open.
-    pub(crate) fn has_open_basis(scene: &Scene) -> bool {
-        scene.estimate.optimizer == Optimizer::GaussNewton && scene.modes.exact_zernikes.is_none()
     }
 }

@@ -1,9 +1,10 @@
 //! Restarts of fits that ended in a wrong minimum.
 //!
-//! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does not, χ² is larger than the noise
-//! explains, or the fit has used up its evaluations. It is then restarted from a perturbed start, and the better fit is kept. A
+//! From the flat wavefront the fit of nearly every image converges to its minimum. Where it does not, χ² is larger than noise and a
+//! finely sampled model explain (which of a faint star is less than what is accepted of a coarser model), or the fit has used up its
+//! evaluations. It is then restarted from a perturbed start, and the better fit is kept. A
 //! model that is wrong leaves a large χ² too: a misfit whose restart ends at the same χ² is not restarted again, and one that most
-//! images of a sequence share is not restarted at all.
+//! images of a sequence share is not restarted at all. Where no restart ends at the same χ², the best fit is a misfit.
 
 use super::engine::{FitTask, ImageFit};
 use super::fitter::ModalFitter;
@@ -45,14 +46,9 @@ impl ModalFitter {
     ) -> Result<()> {
         let mut is_settled = vec![false; fits.len()];
         for attempt in 1..=self.recipe.restarts {
-            let reports = self.reports(fits);
-            let misfits = can_restart_misfits(&reports);
-            let needs_restart = |&image: &usize| {
-                fits[image].is_fitted() && !is_settled[image] && needs_restart(&reports[image], misfits)
-            };
-            let failed: Vec<usize> = (0..fits.len()).filter(needs_restart).collect();
+            let failed = self.failed(fits, &is_settled);
             if failed.is_empty() {
-                break;
+                return Ok(());
             }
             let without = |&image: &usize| -> Frame<'a> {
                 match &cleaned[image] {
@@ -74,7 +70,21 @@ impl ModalFitter {
                 fits[image].improve(again);
             }
         }
+        if self.recipe.restarts > 0 {
+            for image in self.failed(fits, &is_settled) {
+                fits[image].minimum.is_unconfirmed = true;
+            }
+        }
         Ok(())
+    }
+
+    /// The images whose fits need a restart, and have not ended in the same minimum again.
+    fn failed(&self, fits: &[ImageFit], is_settled: &[bool]) -> Vec<usize> {
+        let reports = self.reports(fits);
+        let misfits = can_restart_misfits(&reports);
+        let is_failed =
+            |&image: &usize| fits[image].is_fitted() && !is_settled[image] && needs_restart(&reports[image], misfits);
+        (0..fits.len()).filter(is_failed).collect()
     }
 
     /// Perturbed start. The perturbation is the same for every image, so that a fit depends on its own image alone.
@@ -93,7 +103,7 @@ impl ModalFitter {
 
 /// Whether misfits may be restarted: unless most of a sequence misfit, which is the model's or the turbulence's doing.
 fn can_restart_misfits(reports: &[ImageReport]) -> bool {
-    let misfits = reports.iter().filter(|report| report.status == Status::Misfit).count();
+    let misfits = reports.iter().filter(|report| report.reduced_chi2 > report.expected_chi2).count();
     reports.len() < SEQUENCE || 2 * misfits < reports.len()
 }
 
@@ -101,8 +111,8 @@ fn can_restart_misfits(reports: &[ImageReport]) -> bool {
 fn needs_restart(report: &ImageReport, misfits: bool) -> bool {
     match report.status {
         Status::WrongMinimum => true,
-        Status::Misfit => misfits && !report.is_too_small(),
+        Status::Ok | Status::Misfit => misfits && report.reduced_chi2 > report.expected_chi2,
         Status::NotConverged(reason) => reason == StopReason::EvaluationLimit,
-        Status::Ok | Status::Unusable(_) => false,
+        Status::Unusable(_) => false,
     }
 }

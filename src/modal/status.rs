@@ -1,6 +1,6 @@
 //! Status of each image: from its own residual, and in a sequence also from those of the others.
 
-use super::chi2::ReducedChi2;
+use super::chi2::{ReducedChi2, nuisances};
 use super::engine::{FitState, ImageFit};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
@@ -99,11 +99,22 @@ const LEAST_FRACTION: f64 = 0.01;
 /// 500, wrong minima 900 to 5,000.
 const WRONG_MINIMUM: f64 = 300.0;
 
+/// Square of a star's signal-to-noise ratio over all pixels, for each parameter of the fit, below which it is not told from noise. In a
+/// linear fit noise reaches 1; of the many images that aberrations make the fit selects the one that is most similar to it, and
+/// reaches 7 to 8 (Keck, 149 parameters). A peak S/N of 5 has 200 there.
+const FAINT: f64 = 12.0;
+
 /// The interval in which the model explains a χ².
 fn explained(chi2: &ReducedChi2) -> [f64; 2] {
     let least = (chi2.least - SIGNIFICANT * chi2.scatter).max(LEAST_FRACTION * chi2.least);
-    let excess = (MODEL_ERROR.powi(2) * chi2.square_snr).clamp(MODEL_EXCESS[0], MODEL_EXCESS[1]);
+    let excess = chi2.excess(MODEL_ERROR).clamp(MODEL_EXCESS[0], MODEL_EXCESS[1]);
     [least, 1.0 + excess + SIGNIFICANT * chi2.scatter]
+}
+
+/// The χ² that noise and the band-limited model explain: above it another minimum is looked for. A minimum with a segment half a
+/// wave off has 1.13 at a peak S/N of 30, nine standard deviations, which a coarse model might have, too.
+fn expected(chi2: &ReducedChi2) -> f64 {
+    1.0 + chi2.excess(MODEL_ERROR) + SIGNIFICANT * chi2.scatter
 }
 
 /// The report on one image.
@@ -117,6 +128,9 @@ pub struct ImageReport {
     pub reduced_chi2: f64,
     /// Smallest and largest χ² per degree of freedom that noise explains.
     pub explained_chi2: [f64; 2],
+    /// Largest χ² per degree of freedom that noise and the error of a finely sampled model explain: above it another minimum is
+    /// looked for.
+    pub(crate) expected_chi2: f64,
     /// Electrons of the star.
     pub flux_e: f64,
     /// Electrons per native pixel.
@@ -205,8 +219,17 @@ pub(super) fn assess_together(reports: &mut [ImageReport]) {
 
 /// Assesses one minimum by itself. `tilts` are the slopes of each mode.
 pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, minimum: &Minimum) -> ImageReport {
-    let (reduced_chi2, explained_chi2) = (minimum.reduced_chi2(), explained(&minimum.chi2));
+    let (reduced_chi2, expected_chi2) = (minimum.reduced_chi2(), expected(&minimum.chi2));
+    let mut explained_chi2 = explained(&minimum.chi2);
+    if minimum.is_unconfirmed {
+        explained_chi2[1] = explained_chi2[1].min(expected_chi2);
+    }
+    let parameters = model.optics.modes() + nuisances(&prepared.exposure);
+    let snr = minimum.chi2.square_snr.sqrt();
+    let least_snr = (FAINT * parameters as f64).sqrt();
     let status = match minimum.reason {
+        _ if minimum.flux_e < 0.0 => Status::Unusable(Refusal::NoStar { flux_e: minimum.flux_e }),
+        _ if snr < least_snr => Status::Unusable(Refusal::FaintStar { snr, least_snr }),
         reason if !reason.has_converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
         _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
         _ if reduced_chi2 < explained_chi2[0] || reduced_chi2 > explained_chi2[1] => Status::Misfit,
@@ -217,6 +240,7 @@ pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, min
         evaluations: minimum.evaluations,
         reduced_chi2,
         explained_chi2,
+        expected_chi2,
         flux_e: minimum.flux_e,
         background_e: minimum.background_e / model.preparation.native_pixels(),
         tip_tilt_nm: tilts.tip_tilt_nm(&minimum.coefficients_nm, prepared.shift_pixels),
@@ -232,6 +256,7 @@ pub(super) fn unfitted_report(status: Status) -> ImageReport {
         evaluations: 0,
         reduced_chi2: f64::NAN,
         explained_chi2: [f64::NAN; 2],
+        expected_chi2: f64::NAN,
         flux_e: f64::NAN,
         background_e: f64::NAN,
         tip_tilt_nm: [f64::NAN; 2],

@@ -99,6 +99,11 @@ impl Comparison<'_> {
     fn compare_facts(&mut self, given: &Scene) -> Result<()> {
         let wavelength_nm = self.scene.image.wavelength_nm;
         self.compare(Quantity::WavelengthNm, "image.wavelength_nm", wavelength_nm, |nm| nm)?;
+        // A file that is trusted may name the wavelength, which is more exact than the centre of its filter's band.
+        if self.images.trust != Trust::File || self.facts(Quantity::WavelengthNm).is_empty() {
+            let wavelength_nm = self.scene.image.wavelength_nm;
+            self.compare(Quantity::BandNm, "image.wavelength_nm", wavelength_nm, |nm| nm)?;
+        }
         // The pixel on the sky is λ/grid_m over the sampling, so the sampling is as much larger as the pixel is smaller.
         // A pixel that agrees with the scene as given contradicts it no more where another card contradicts its wavelength; the
         // file's wavelength, where it is trusted, needs the sampling that goes with it.
@@ -139,8 +144,14 @@ impl Comparison<'_> {
         let nearest = first.values.iter().copied().min_by(|a, b| distance(*a).total_cmp(&distance(*b)));
         let Some(stated) = nearest else { return Ok(()) };
         let card = format!("card {} = {}", first.keyword, first.written);
-        let shown =
-            if quantity == Quantity::PixelMas { format!(" ({stated:.3} mas, not {value:.3})") } else { String::new() };
+        let shown = match quantity {
+            Quantity::PixelMas => format!(" ({stated:.3} mas, not {value:.3})"),
+            Quantity::BandNm => {
+                let least_over_centre = 1.0 - first.tolerance;
+                format!(" ({:.0} to {:.0} nm)", stated * least_over_centre, stated / least_over_centre)
+            }
+            _ => String::new(),
+        };
         let before = to_key(value).to_string();
         self.decide(key, card + &shown, before, &to_key(stated).to_string())
     }

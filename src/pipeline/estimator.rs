@@ -82,6 +82,8 @@ impl Estimator {
     pub fn estimate(&self, images: &Images) -> Result<Estimate> {
         images.check()?;
         self.control.reset_progress();
+        let (images, cut) = images.without_odd_edge(self.given.image.frame_shape());
+        let images = images.as_ref();
         let consistent = reconcile(images, &self.given)?;
         let (of_file, cache_of_file);
         let (scene, shortfall, cache) = if consistent.is_changed {
@@ -101,7 +103,7 @@ impl Estimator {
         let mut estimate = acknowledged(&self.control, found)?;
         let general = shortfall.iter().chain(&images.notes).cloned().chain(warnings::scene_warning(&scene));
         estimate.warnings.splice(0..0, general);
-        estimate.remarks.splice(0..0, consistent.remarks.into_iter().chain(chosen));
+        estimate.remarks.splice(0..0, cut.into_iter().chain(consistent.remarks).chain(chosen));
         if let Some(truth) = &images.truth {
             match estimate.compare(truth) {
                 Ok(residual) => estimate.truth = Some((truth.clone(), residual)),

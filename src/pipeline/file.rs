@@ -3,7 +3,7 @@
 use super::estimate::{Estimate, MapSummary, OpticalParameter};
 use super::{ErrorTerm, ImageOutcome};
 use crate::Result;
-use crate::io::{Column, FitsWriter, Pixel};
+use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
 use crate::modes::SegmentModes;
 use crate::scene::Combine;
 use crate::statics::Iteration;
@@ -120,8 +120,8 @@ fn images(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
         Column::text("STATUS", images.iter().map(|image| image.status.word())),
         Column::i64("EVALUATIONS", integers(&|image| image.evaluations as i64)),
         Column::f64("CHI2", "", reals(&|image| image.reduced_chi2)),
-        Column::f64("FLUX_E", "electron", reals(&|image| image.flux_e)),
-        Column::f64("BACKGROUND_E", "electron", reals(&|image| image.background_e)),
+        Column::f64("FLUX_E", ELECTRON, reals(&|image| image.flux_e)),
+        Column::f64("BACKGROUND_E", ELECTRON, reals(&|image| image.background_e)),
         Column::f64("TIP_NM", "nm", reals(&|image| image.tip_tilt_nm[0])),
         Column::f64("TILT_NM", "nm", reals(&|image| image.tip_tilt_nm[1])),
         Column::i64("BAD_PIXELS", integers(&|image| image.bad_pixels as i64)),

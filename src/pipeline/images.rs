@@ -4,7 +4,8 @@ use crate::io::{self, FitsReader, HeaderFact, PixelUnit};
 use crate::scene::Scene;
 use crate::source;
 use crate::{Error, Result};
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, s};
+use std::borrow::Cow;
 use std::path::Path;
 
 /// Images to estimate from.
@@ -132,6 +133,25 @@ impl Images {
     /// Whether there is no image.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// These images without their last row or column where a frame of the scene, `(rows, columns)`, has one less, and a sentence
+    /// on it.
+    ///
+    /// The frames of a scene are even. The axis is on pixel `[rows/2, columns/2]`, rounded down, which stays the same pixel.
+    pub(super) fn without_odd_edge(&self, (rows, columns): (usize, usize)) -> (Cow<'_, Self>, Option<String>) {
+        let (_, y, x) = self.images_e.dim();
+        let edges = match (y.checked_sub(rows), x.checked_sub(columns)) {
+            (Some(1), Some(0)) => "row was",
+            (Some(0), Some(1)) => "column was",
+            (Some(1), Some(1)) => "row and the last column were",
+            _ => return (Cow::Borrowed(self), None),
+        };
+        let part = s![.., ..rows, ..columns];
+        let (images_e, bad) = (self.images_e.slice(part).to_owned(), self.bad.slice(part).to_owned());
+        let sentence =
+            format!("The last {edges} left out: the images have {x}x{y} pixels, the scene {columns}x{rows}.");
+        (Cow::Owned(Self { images_e, bad, ..self.clone() }), Some(sentence))
     }
 
     /// # Errors

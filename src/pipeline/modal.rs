@@ -63,7 +63,7 @@ pub(super) fn estimate(
     let cause = match found.used_images.first() {
         Some(&image) if !is_explained && changes.is_none_or(|chi2| chi2 < CHANGING) => {
             control.check("the images were fitted, the cause of a residual was not sought")?;
-            misfit::Case { scene, policy, control, cache, images, image, native: model.preparation.native_along(0) }
+            misfit::Case { scene, policy, control, cache, images, image, model, diversity: &diversity }
                 .likely_cause(&found)?
         }
         _ => None,

@@ -104,7 +104,7 @@ pub fn check_orientation(
 fn turned(images: &Images) -> Images {
     let (count, rows, columns) = images.images_e.dim();
     // u' = R(−90°)u: (u', v') = (v, −u), so the new pixel (row v', column u') has the old one of row u', column −v'.
-    let source = |row: usize, column: usize| (row > 0 && column < rows).then(|| (column, columns - row));
+    let source = |row: usize, column: usize| (row > 0 && column < rows).then(|| (column, columns / 2 * 2 - row));
     let shape = (count, columns, rows);
     let at = |image: usize, row: usize, column: usize| source(row, column).map(|(v, u)| [image, v, u]);
     Images {

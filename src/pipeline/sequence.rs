@@ -4,8 +4,7 @@
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::telemetry::{self, TelemetryCheck};
-use crate::ao::Lenslets;
-use crate::grid::Grid;
+use crate::ao::{Lenslets, sensor_pupil};
 use crate::modal::{CleanedImages, Cube, reject_outliers};
 use crate::pupil::Pupil;
 use crate::retrieval::{
@@ -69,8 +68,8 @@ fn ao_knowledge(scene: &Scene, telemetry: bool) -> Result<AoKnowledge> {
 /// Refuses slopes that are not of `scene`'s sensor, before any image is read.
 fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) -> Result<()> {
     let Some(sensing) = &scene.wavefront_sensor else { return Ok(()) };
-    let grid = Grid::new(sensing.lenslets_across * sensing.samples_per_lenslet, telescope.pupil.grid.width_m())?;
-    let subapertures = Lenslets::new(sensing, &telescope.pupil_on(grid)?, scene.directory())?.subapertures.len();
+    let pupil = sensor_pupil(scene, sensing, telescope, 0)?;
+    let subapertures = Lenslets::new(sensing, &pupil, scene.directory())?.subapertures.len();
     if slopes_mas.ncols() != 2 * subapertures {
         return Err(Error::Shape(format!(
             "{} slopes were given for each image: {} are needed, along x and then along y for each of the scene's \
@@ -154,6 +153,7 @@ pub(super) fn estimate(
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
     let retriever = Retriever::new(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
+    retriever.check_images(images.len())?;
     let watch = |progress| match progress {
         SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images.len()),
         SequenceProgress::Retrieved(done) => control.advance_to(done),

@@ -1,8 +1,9 @@
 //! Planner: the cheapest model of a scene whose error stays within a budget, with the cost of each choice in nm and in time.
 //!
 //! A plan is a scene: [`Plan::scene`] is the given scene with the choices written in as keys, so that it can be read, stored, and
-//! given to any estimator. A choice changes how the result is computed, and not which modes are estimated: keys that name modes
-//! stay as they are.
+//! given to any estimator. A choice changes how the result is computed, and not which modes are estimated: `[modes]` stays as
+//! it is. The drawn wavefronts cannot select a basis, because they have only the aberrations that the scene foresees; modes for
+//! others are why an estimate has Zernikes with a prior.
 //!
 //! Wavefronts are drawn from the scene's own `[aberrations]`, imaged without noise by the simulator on its fine pupil, and
 //! estimated by each candidate: the residual is the candidate's own error on this scene. The error from noise is the Cramér-Rao

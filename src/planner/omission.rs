@@ -1,9 +1,9 @@
 //! Effects that the plan does not model, and effects that it models although this scene may not need them, each with its cost.
 
 use super::price::Price;
-use super::trial::Trials;
+use super::trial::{Trials, recipe};
 use crate::Result;
-use crate::modal::{ModalFitter, Recipe};
+use crate::modal::ModalFitter;
 use crate::optimize::CancelFlag;
 use crate::scene::Scene;
 
@@ -38,7 +38,7 @@ pub(super) fn omissions(
         // The images have the filter's width; the plan may model it or not, and the other choice is tried here.
         let modelled = !like.model().optics.has_one_wavelength();
         let other = planned.with_override("estimate.wavelengths", if modelled { "1" } else { "" })?;
-        let model = like.variant(&other, Recipe::from_scene(&other))?;
+        let model = like.variant(&other, recipe(&other))?;
         let other_nm = trials.price(&model, cancel)?.error_nm();
         let [with_nm, without_nm] = if modelled { [own, other_nm] } else { [other_nm, own] };
         let broad = if modelled { like.model() } else { model.model() };
@@ -49,7 +49,7 @@ pub(super) fn omissions(
     }
     let mut alternative = |what, key, value: &str, because: String| -> Result<()> {
         let scene = planned.with_override(key, value)?;
-        let price = trials.price(&like.variant(&scene, Recipe::from_scene(&scene))?, cancel)?;
+        let price = trials.price(&like.variant(&scene, recipe(&scene))?, cancel)?;
         omissions.push(Omission { what, modelled: true, with_nm: own, without_nm: price.error_nm(), because });
         Ok(())
     };

@@ -2,9 +2,9 @@
 
 use super::omission::omissions;
 use super::plan::{Choice, Plan};
-use super::price::Price;
-use super::trial::{DRAWS, Trials};
-use crate::modal::{ModalFitter, Recipe};
+use super::price::{Limit, Price};
+use super::trial::{DRAWS, Trials, recipe};
+use crate::modal::ModalFitter;
 use crate::optimize::CancelFlag;
 use crate::scene::{Crop, NcpaBasis, Optimizer, PupilModel, Scene};
 use crate::{Error, Result};
@@ -29,9 +29,6 @@ const CROP_WORK: f64 = 0.95;
 /// its error is about a third of that step. Twice the budget would save a twentieth of the evaluations of a plan of Keck
 /// for 1 nm, for a fifth more error.
 const TOLERANCES: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
-
-/// The exact Zernikes that are tried where the scene leaves them open, the smallest basis first.
-const EXACT: [&str; 2] = ["[2, 4]", "[2, 21]"];
 
 /// A candidate with its fitter, whose basis other candidates share.
 struct Candidate {
@@ -64,13 +61,13 @@ impl<'a> Search<'a> {
     pub(super) fn run(mut self) -> Result<Plan> {
         let first = self.reference()?;
         let reference = first.price;
-        let limit_nm = self.limit_nm(&first);
-        let mut best = self.sampled(first, limit_nm)?;
-        best = self.fewer_wavelengths(best, limit_nm)?;
-        best = self.cropped(best, limit_nm)?;
-        best = self.single_precision(best, limit_nm)?;
-        best = self.stopped_early(best, limit_nm)?;
-        best = self.fewer_modes(best, limit_nm)?;
+        let limit = Limit::new(self.limit_nm(&first), &reference);
+        let mut best = self.sampled(first, limit)?;
+        best = self.fewer_wavelengths(best, limit)?;
+        best = self.cropped(best, limit)?;
+        best = self.single_precision(best, limit)?;
+        best = self.stopped_early(best, limit)?;
+        self.price_half_the_modes(&best)?;
         let omissions = omissions(self.given, &best.scene, &best.estimator, best.price, &self.trials, self.cancel)?;
         Ok(Plan {
             scene: best.scene,
@@ -89,37 +86,16 @@ impl<'a> Search<'a> {
         (self.budget_nm / HEADROOM).max(noise_nm * (1.0 + MODEL_SHARE))
     }
 
-    /// The scene's own model in double precision, with the exact Zernikes that its wavefronts need.
-    fn reference(&mut self) -> Result<Candidate> {
+    /// The scene's own model in double precision.
+    fn reference(&self) -> Result<Candidate> {
         let scene = self.given.with_override("estimate.precision", "f64")?;
-        let first = ModalFitter::new(&scene, false)?;
-        if !Recipe::has_open_basis(&scene) {
-            return self.candidate(&first, &scene);
-        }
-        let mut tried = Vec::new();
-        for exact in EXACT {
-            tried.push(self.candidate(&first, &scene.with_override("modes.exact_zernikes", exact)?)?);
-        }
-        // The smaller basis where its error is within the limit, or not larger than that of the other.
-        let wide = tried.pop();
-        let narrow = tried.pop();
-        let (Some(narrow), Some(wide)) = (narrow, wide) else {
-            return Err(Error::Internal("no basis was tried".into()));
-        };
-        let narrow_is_enough = narrow.price.error_nm() <= wide.price.error_nm().max(self.limit_nm(&wide));
-        for (candidate, exact, kept) in [(&narrow, EXACT[0], narrow_is_enough), (&wide, EXACT[1], !narrow_is_enough)] {
-            self.choices.push(Choice {
-                key: "modes.exact_zernikes",
-                value: exact.into(),
-                kept,
-                price: candidate.price,
-            });
-        }
-        Ok(if narrow_is_enough { narrow } else { wide })
+        let estimator = ModalFitter::with_recipe(&scene, recipe(&scene), false)?;
+        let price = self.trials.price(&estimator, self.cancel)?;
+        Ok(Candidate { scene, estimator, price })
     }
 
     /// The fewest samples within the limit, by bisection: the error falls with the number of samples.
-    fn sampled(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
+    fn sampled(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
         if from.estimator.recipe().pupil_model != PupilModel::BandLimited || !from.estimator.model().telescope.is_fine()
         {
             // The samples of a map are fixed.
@@ -137,7 +113,7 @@ impl<'a> Search<'a> {
             let middle = (too_few + enough) / 2;
             let scene = from.scene.with_override("estimate.samples", &sizes[middle].to_string())?;
             let candidate = self.candidate(&from.estimator, &scene)?;
-            let fits = candidate.price.error_nm() <= limit_nm;
+            let fits = limit.allows(&candidate.price);
             self.note("estimate.samples", sizes[middle].to_string(), candidate.price);
             if fits {
                 (good, enough) = (Some(candidate), middle);
@@ -152,7 +128,7 @@ impl<'a> Search<'a> {
     }
 
     /// The fewest wavelengths within the limit: the work is proportional to their number.
-    fn fewer_wavelengths(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
+    fn fewer_wavelengths(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
         let own = from.estimator.model().optics.parts().colours.len();
         if own == 1 || self.given.estimate.wavelengths.is_some() {
             return Ok(from);
@@ -161,7 +137,7 @@ impl<'a> Search<'a> {
             let scene = from.scene.with_override("estimate.wavelengths", &count)?;
             let candidate = self.candidate(&from.estimator, &scene)?;
             self.note("estimate.wavelengths", count.clone(), candidate.price);
-            if candidate.price.error_nm() <= limit_nm && candidate.price.megaflops < from.price.megaflops {
+            if limit.allows(&candidate.price) && candidate.price.megaflops < from.price.megaflops {
                 self.keep("estimate.wavelengths", &count);
                 return Ok(candidate);
             }
@@ -170,7 +146,7 @@ impl<'a> Search<'a> {
     }
 
     /// The narrowest crop within the limit.
-    fn cropped(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
+    fn cropped(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
         if !matches!(self.given.image.crop_pixels, Crop::Auto) {
             return Ok(from);
         }
@@ -189,7 +165,7 @@ impl<'a> Search<'a> {
             let scene = best.scene.with_override("image.crop_pixels", &value)?;
             let candidate = self.candidate(&best.estimator, &scene)?;
             self.note("image.crop_pixels", value, candidate.price);
-            if candidate.price.error_nm() > limit_nm {
+            if !limit.allows(&candidate.price) {
                 break;
             }
             if candidate.price.megaflops < CROP_WORK * best.price.megaflops {
@@ -202,18 +178,18 @@ impl<'a> Search<'a> {
         Ok(best)
     }
 
-    fn single_precision(&mut self, from: Candidate, limit_nm: f64) -> Result<Candidate> {
-        self.with_value_if_cheaper(from, "estimate.precision", "\"f32\"", limit_nm)
+    fn single_precision(&mut self, from: Candidate, limit: Limit) -> Result<Candidate> {
+        self.with_value_if_cheaper(from, "estimate.precision", "\"f32\"", limit)
     }
 
     /// The loosest step tolerance within the limit.
-    fn stopped_early(&mut self, mut best: Candidate, limit_nm: f64) -> Result<Candidate> {
+    fn stopped_early(&mut self, mut best: Candidate, limit: Limit) -> Result<Candidate> {
         if self.given.estimate.step_tolerance_nm.is_some() {
             return Ok(best);
         }
         for fraction in TOLERANCES {
             let value = format!("{}", rounded(fraction * self.budget_nm));
-            best = self.with_value_if_cheaper(best, "estimate.step_tolerance_nm", &value, limit_nm)?;
+            best = self.with_value_if_cheaper(best, "estimate.step_tolerance_nm", &value, limit)?;
             if self.choices.last().is_some_and(|choice| choice.kept) {
                 break;
             }
@@ -221,27 +197,17 @@ impl<'a> Search<'a> {
         Ok(best)
     }
 
-    /// Fewer Karhunen-Loève modes where the scene does not say how many.
-    fn fewer_modes(&mut self, mut best: Candidate, limit_nm: f64) -> Result<Candidate> {
-        if best.scene.modes.ncpa != NcpaBasis::Kl {
-            return Ok(best);
+    /// The cost with half of the Karhunen-Loève modes, which is reported and never chosen: the wavefronts that are drawn have
+    /// few of the modes that a telescope may have.
+    fn price_half_the_modes(&mut self, best: &Candidate) -> Result<()> {
+        let modes = &best.scene.modes;
+        if modes.ncpa != NcpaBasis::Kl || modes.ncpa_count < 2 {
+            return Ok(());
         }
-        let named = self.given.names("modes.ncpa_count");
-        let mut count = best.scene.modes.ncpa_count;
-        while count >= 8 {
-            count /= 2;
-            let candidate =
-                self.candidate(&best.estimator, &best.scene.with_override("modes.ncpa_count", &count.to_string())?)?;
-            self.note("modes.ncpa_count", count.to_string(), candidate.price);
-            // A number that the scene names stays; the cost of fewer modes is reported.
-            if named || candidate.price.error_nm() > limit_nm || candidate.price.megaflops >= best.price.megaflops {
-                break;
-            }
-            best = candidate;
-            let kept = best.scene.modes.ncpa_count.to_string();
-            self.keep("modes.ncpa_count", &kept);
-        }
-        Ok(best)
+        let half = (modes.ncpa_count / 2).to_string();
+        let candidate = self.candidate(&best.estimator, &best.scene.with_override("modes.ncpa_count", &half)?)?;
+        self.note("modes.ncpa_count", half, candidate.price);
+        Ok(())
     }
 
     /// `best` with `key` changed, where that is within the limit and less work.
@@ -250,13 +216,13 @@ impl<'a> Search<'a> {
         best: Candidate,
         key: &'static str,
         value: &str,
-        limit_nm: f64,
+        limit: Limit,
     ) -> Result<Candidate> {
         let candidate = self.candidate(&best.estimator, &best.scene.with_override(key, value.trim_matches('"'))?)?;
         self.note(key, value.to_string(), candidate.price);
         // Single precision takes as many operations, each of half the time.
         let cheaper = candidate.price.megaflops < best.price.megaflops || key == "estimate.precision";
-        if candidate.price.error_nm() <= limit_nm && cheaper {
+        if limit.allows(&candidate.price) && cheaper {
             self.keep(key, value);
             return Ok(candidate);
         }
@@ -264,8 +230,7 @@ impl<'a> Search<'a> {
     }
 
     fn candidate(&self, like: &ModalFitter, scene: &Scene) -> Result<Candidate> {
-        // Without restarts: a model that leads to a wrong minimum is not acceptable.
-        let estimator = like.variant(scene, Recipe { restarts: 0, ..Recipe::from_scene(scene) })?;
+        let estimator = like.variant(scene, recipe(scene))?;
         let price = self.trials.price(&estimator, self.cancel)?;
         Ok(Candidate { scene: scene.clone(), estimator, price })
     }

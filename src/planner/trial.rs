@@ -3,7 +3,7 @@
 use super::price::Price;
 use crate::imaging::Chain;
 use crate::metrics::{MapGram, residual_nm};
-use crate::modal::{Cube, ModalFitter};
+use crate::modal::{Cube, ModalFitter, Recipe};
 use crate::modes::Group;
 use crate::optimize::CancelFlag;
 use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
@@ -27,6 +27,13 @@ const STREAM: u64 = 0x70_6c_61_6e;
 const ASSUMED_NM: [&str; 2] = ["60", "70"];
 /// Last Noll index of these NCPA.
 const ASSUMED_LAST_NOLL: usize = 18;
+
+/// The recipe of a candidate: that of an estimate, with the modes that have a prior. Their prior is not applied, so that a
+/// price is an upper bound (by 8 % of the noise of the NCPA of `keck-artificial`) for estimates, and for sessions, which do not
+/// fit them. Without restarts: a model that leads to a wrong minimum is not acceptable.
+pub(super) fn recipe(scene: &Scene) -> Recipe {
+    Recipe { restarts: 0, ..Recipe::with_prior(scene) }
+}
 
 /// The draws of one scene.
 pub(super) struct Trials {
@@ -88,10 +95,12 @@ impl Trials {
                 .fold(0.0, |worst: f64, nm| if nm.is_nan() { nm } else { worst.max(nm) })
         };
         let model_nm = [worst(0), worst(1)].map(|nm| if nm.is_nan() { f64::INFINITY } else { nm });
+        let misfit = found.reports.iter().map(|report| report.reduced_chi2 / (report.expected_chi2 - 1.0));
         let evaluations = found.reports.iter().map(|report| report.evaluations as f64).sum::<f64>() / DRAWS as f64;
         Ok(Price {
             model_nm,
             noise_nm: self.noise_nm(estimator, &found.coefficients_nm)?,
+            misfit: misfit.fold(0.0, f64::max),
             evaluations,
             megaflops: 1e-6 * evaluations * chain.shapes().work(precision, DRAWS).flops,
             estimate_us,
@@ -123,18 +132,20 @@ impl Trials {
 
 /// `scene` with aberrations that its own modes span: nothing is known of others.
 fn with_assumed_aberrations(scene: &Scene) -> Result<Scene> {
-    let last = match scene.modes.ncpa {
-        NcpaBasis::Kl => ASSUMED_LAST_NOLL,
-        NcpaBasis::Zernike => ASSUMED_LAST_NOLL.min(scene.modes.ncpa_count + 1),
-        NcpaBasis::None | NcpaBasis::File(_) => match scene.modes.exact_zernikes {
-            Some(NollRange::Span { last, .. }) => ASSUMED_LAST_NOLL.min(last),
-            _ => 0,
-        },
+    let exact = match recipe(scene).exact_zernikes {
+        NollRange::Span { first, last } => first..=last,
+        NollRange::None => 0..=0,
     };
+    let is_spanned = |noll: &usize| match scene.modes.ncpa {
+        NcpaBasis::Kl => true,
+        NcpaBasis::Zernike => *noll <= scene.modes.ncpa_count + 1 || exact.contains(noll),
+        NcpaBasis::None | NcpaBasis::File(_) => exact.contains(noll),
+    };
+    let last = (4..=ASSUMED_LAST_NOLL).take_while(is_spanned).last();
     let [piston_nm, ncpa_nm] = ASSUMED_NM;
-    let span = format!("[4, {last}]");
+    let span = last.map(|last| format!("[4, {last}]"));
     let mut settings = vec![("aberrations.segment_piston_rms_nm", piston_nm)];
-    if last >= 4 {
+    if let Some(span) = &span {
         settings.extend([("aberrations.ncpa_rms_nm", ncpa_nm), ("aberrations.ncpa_zernikes", span.as_str())]);
     }
     if scene.modes.segment == SegmentModes::None {
@@ -163,4 +174,33 @@ fn check_cancelled(cancel: Option<&CancelFlag>) -> Result<()> {
         return Err(Error::Interrupted("nothing was planned".into()));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn assumed_aberrations_are_spanned_by_the_modes_of_an_estimate() {
+        let preset = Scene::preset("keck-artificial").unwrap();
+        let none = ("aberrations.ncpa_rms_nm", "0");
+        let last_of = |modes: &[(&str, &str)]| {
+            let scene = preset.with(&[&[none, ("modes.ncpa_count", "")], modes].concat()).unwrap();
+            let assumed = with_assumed_aberrations(&scene).unwrap().aberrations.clone().unwrap();
+            match assumed.ncpa_zernikes {
+                NollRange::Span { first: 4, last } if assumed.ncpa_rms_nm > 0.0 => Some(last),
+                _ => None,
+            }
+        };
+        let five = [("modes.ncpa", "zernike"), ("modes.ncpa_count", "5")];
+        let nothing = ("modes.ncpa", "none");
+        assert_eq!(last_of(&[]), Some(18));
+        // Where the scene leaves them open, Zernikes to Noll 21 are estimated beside any basis.
+        assert_eq!(last_of(&five), Some(18));
+        assert_eq!(last_of(&[five[0], five[1], ("modes.exact_zernikes", "[]")]), Some(6));
+        assert_eq!(last_of(&[five[0], five[1], ("modes.exact_zernikes", "[10, 21]")]), Some(6));
+        assert_eq!(last_of(&[("modes.ncpa", ""), ("modes.file", "modes.fits")]), Some(18));
+        assert_eq!(last_of(&[nothing]), None);
+        assert_eq!(last_of(&[nothing, ("modes.exact_zernikes", "[2, 11]")]), Some(11));
+    }
 }

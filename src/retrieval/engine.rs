@@ -6,6 +6,7 @@ use super::results::RetrievedWavefronts;
 use super::workspace::Workspace;
 use crate::Result;
 use crate::imaging::Polynomial;
+use crate::machine;
 use rayon::prelude::*;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -21,9 +22,20 @@ pub(super) struct Engine<T: Polynomial> {
 
 impl<T: Polynomial> Engine<T> {
     /// # Errors
-    /// Those of finding the device.
+    /// Those of finding the device; [`Error::Value`](crate::Error::Value) where the machine has less memory than the
+    /// retrievals take that run at once.
     pub(super) fn new(model: MapModel<T>) -> Result<Self> {
         let on_device = model.segment_samples.is_empty() && model.settings.device.resolve()?.is_some();
+        let at_once = if on_device { model.settings.max_batch } else { rayon::current_num_threads() };
+        let unknowns = model.metric.dimension();
+        // Ten vectors of the optimiser and two for each pair of its memory; start, gradient, gain and prior; three of the
+        // preconditioner's work.
+        let vectors = 10 + 2 * model.settings.memory + 4 + 3;
+        machine::check_memory(
+            format_args!("the retrieval of {at_once} wavefronts of {unknowns} unknowns at once"),
+            (size_of::<f64>() * at_once * unknowns * vectors) as u64,
+            "set fewer estimate.samples, or take fewer threads (RAYON_NUM_THREADS)",
+        )?;
         Ok(Self { workspace: Workspace::new(model), on_device, batch: Mutex::new(None) })
     }
 

@@ -21,6 +21,7 @@ use super::sampling::{highest_frequency_per_m, with_retrieval_sampling};
 use super::settings::RetrievalSettings;
 use super::static_wavefront::StaticWavefront;
 use crate::imaging::{CpuChain, Precision};
+use crate::machine;
 use crate::modal::{Cube, Frame, Model, Recipe};
 use crate::optimize::CancelFlag;
 use crate::scene::Scene;
@@ -28,6 +29,14 @@ use crate::source::flux_e;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array1;
+
+/// Copies of the retrieved wavefronts: those of the last iteration and of this one, the selected images, and their residuals.
+const WAVEFRONT_COPIES: usize = 4;
+/// Copies of the static modes at the illuminated samples: at all and at the bright ones, in columns, times the inverse
+/// covariance, its residuals, and joined.
+const MODE_COPIES: usize = 6;
+/// NCPA modes of a large basis of the static errors: those of Keck's mirror.
+const NCPA_MODES: usize = 349;
 
 /// Retriever of the wavefronts of images of one scene.
 pub struct Retriever {
@@ -91,6 +100,21 @@ impl Retriever {
         let highest_frequency_per_m = highest_frequency_per_m(&scene, &model)?;
         let read_noise_e = scene.image.read_noise_e;
         Ok(Self { read_noise_e, model, recipe, settings, points_m, pitch_m, highest_frequency_per_m, engine })
+    }
+
+    /// Refuses a sequence of `images` images whose wavefronts, and the static modes that are estimated from them, are more than
+    /// the machine's memory can hold.
+    ///
+    /// # Errors
+    /// [`Error::Value`].
+    pub(crate) fn check_images(&self, images: usize) -> Result<()> {
+        let (samples, segments) = (self.points_m.len(), self.model.optics.parts().weights.segments);
+        let rows = WAVEFRONT_COPIES * images + MODE_COPIES * (segments + NCPA_MODES);
+        machine::check_memory(
+            format_args!("the static errors of {segments} segments from {images} wavefronts of {samples} samples"),
+            (size_of::<f64>() * samples).saturating_mul(rows) as u64,
+            "take fewer images, or set fewer estimate.samples",
+        )
     }
 
     /// Highest spatial frequency that the images resolve, 1/m; beyond it a retrieved wavefront is the prior's.

@@ -200,6 +200,14 @@ fn images_without_a_star_are_unusable_and_the_others_retrieved() {
     assert!(matches!(stopped, Err(crate::Error::Interrupted(_))));
 }
 
+#[test]
+fn more_images_than_the_memory_holds_are_refused() {
+    let retriever = open(&scene(), &prior(), RetrievalSettings::default()).unwrap();
+    retriever.check_images(2).unwrap();
+    let sentence = retriever.check_images(1 << 40).unwrap_err().to_string();
+    assert!(sentence.contains("segments from 1099511627776 wavefronts") && sentence.contains("GiB"), "{sentence}");
+}
+
 /// The PSD measured over the pupil from drawn wavefronts is that of the prior.
 #[test]
 fn the_psd_of_drawn_wavefronts_is_the_priors() {

@@ -78,7 +78,7 @@ section! {
         step_tolerance_nm: Option<f64>, above(0.0, 1000.0), unset("given by optimizer");
         /// Largest number of restarts, from a perturbed start, of a fit that ended in a wrong minimum; sessions do not
         /// restart.
-        restarts: Option<usize>, between(0.0, 1000.0), unset("3; 0 with the paper's recipes");
+        restarts: Option<usize>, between(0.0, 1000.0), unset("6; 0 with the paper's recipes");
         /// RMS error, noise included, that is allowed for the phasing and for the NCPA each: the cheapest model within
         /// it is selected.
         budget_nm: Option<f64>, above(0.0, 1e6), unset("the model that the other keys describe");

@@ -163,7 +163,7 @@ section! {
         bandwidth_fraction: f64, between(0.0, 0.5), default(0.0);
         /// Sampling of the image: detector pixels per λ/grid_m.
         samples_per_lambda_over_d: f64, above(0.0, 64.0), default(2.0);
-        /// Number of pixels along a side of the image.
+        /// Number of pixels along a side of the image; images with one more are read without their last row and column.
         pixels: usize, even(8.0, 8192.0), required();
         /// Number of columns of a detector frame, centred in the image; at most pixels. The axis is on column
         /// columns/2.

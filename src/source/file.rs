@@ -2,7 +2,7 @@
 
 use super::images::SourceImages;
 use super::truth::Truth;
-use crate::io::{Column, FitsWriter, Pixel};
+use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use std::path::Path;
@@ -14,7 +14,7 @@ use std::path::Path;
 /// [`Error::File`] if the file cannot be written.
 pub fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
     let mut file = FitsWriter::create(path)?;
-    file.image("IMAGES", &made.images_e, Pixel::F32, "electron")?;
+    file.image("IMAGES", &made.images_e, Pixel::F32, ELECTRON)?;
     image_cards(&mut file, scene, made.flux_e)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
     seed_card(&mut file, "SEED", seed, "seed of aberrations and noise")?;

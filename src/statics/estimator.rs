@@ -98,10 +98,9 @@ impl<'a> StaticsEstimator<'a> {
             None => self.samples.pistons.clone(),
         };
         let groups = (&modes.groups[..], slopes_mas.is_some());
-        let mean_nm = images.mean_nm.view();
-        let model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, mean_nm, &covariance)?;
+        let mut model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance)?;
         let mut loop_response = self.loop_response.as_mut();
-        let mut errors = estimate_with_loop(&model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
+        let mut errors = estimate_with_loop(&mut model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
         let Some(slopes_mas) = slopes_mas else { return Ok(errors) };
         let wavefronts_nm = &images.residuals_nm + &images.mean_nm;
         let mut sensor = SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?;
@@ -112,7 +111,7 @@ impl<'a> StaticsEstimator<'a> {
             // Hyperparameters without slopes are no start for those with slopes.
             let initial = (comparison > 0).then_some(&errors);
             let next =
-                estimate_with_loop(&model, &images.mean_nm, loop_response.as_deref_mut(), Some(&slopes), initial)?;
+                estimate_with_loop(&mut model, &images.mean_nm, loop_response.as_deref_mut(), Some(&slopes), initial)?;
             let change_nm2: f64 = next.ncpa_nm.iter().zip(before).map(|(now, then)| (now - then).powi(2)).sum();
             errors = next;
             if change_nm2.sqrt() < SLOPE_TOLERANCE_NM {
@@ -141,7 +140,7 @@ impl<'a> StaticsEstimator<'a> {
 
 /// Estimates the static errors of a mean wavefront, with the loop's response to them simulated until it is converged.
 fn estimate_with_loop(
-    model: &StaticModel,
+    model: &mut StaticModel,
     mean_nm: &Array1<f64>,
     loop_response: Option<&mut SampledLoopResponse>,
     slopes: Option<&SlopeInformation>,

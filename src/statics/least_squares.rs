@@ -18,25 +18,30 @@ const UNCORRECTED_NM: f64 = 30.0;
 /// Initial prior RMS of a group, nm.
 const INITIAL_RMS_NM: f64 = 30.0;
 
+/// Largest difference of two mean wavefronts, nm RMS, for which one correction of their scalar products serves: it changes them by
+/// as much times the tolerance of the solutions.
+const SAME_MEAN_NM: f64 = 0.3;
+
 /// Linear model of the mean wavefront: response to pistons, NCPA and an offset, weighted by the inverse covariance.
-pub struct StaticModel {
+pub struct StaticModel<'a> {
+    covariance: &'a MeanCovariance<'a>,
     segments: usize,
     ncpa: usize,
     /// Responses to pistons, NCPA and the offset, `[column, sample]`.
     columns: Array2<f64>,
     /// The columns weighted by C⁻¹.
     weighted: Weighted,
-    /// What the residual of `weighted` adds to its scalar products with the mean wavefront.
-    correction: Array1<f64>,
+    /// The last mean wavefront, and what the residual of `weighted` adds to its scalar products.
+    corrected: Option<(Array1<f64>, Array1<f64>)>,
     information: Array2<f64>,
     /// Column of each unknown: the common-path part has the columns of the NCPA again.
     column_of: Vec<usize>,
     groups: Vec<CoefficientGroup>,
 }
 
-impl StaticModel {
-    /// The model of responses `pistons` and `ncpa`, both `[mode, sample]`, on samples whose mean wavefront, `mean_nm`, has
-    /// `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path.
+impl<'a> StaticModel<'a> {
+    /// The model of responses `pistons` and `ncpa`, both `[mode, sample]`, on samples whose mean wavefront has `covariance`;
+    /// `groups` as in [`NcpaBasis`](super::NcpaBasis), and whether telemetry separates NCPA from the common path.
     ///
     /// # Errors
     /// [`Error::Shape`] for responses or groups of different sizes; those of [`MeanCovariance::solve`].
@@ -44,8 +49,7 @@ impl StaticModel {
         pistons: ArrayView2<f64>,
         ncpa: ArrayView2<f64>,
         (groups, has_telemetry): (&[usize], bool),
-        mean_nm: ArrayView1<f64>,
-        covariance: &MeanCovariance,
+        covariance: &'a MeanCovariance,
     ) -> Result<Self> {
         let (segments, samples) = pistons.dim();
         let modes = ncpa.nrows();
@@ -61,7 +65,6 @@ impl StaticModel {
         let columns = concatenate(Axis(0), &[pistons, ncpa, offset.view()])
             .map_err(|error| Error::Internal(format!("columns of uneven length: {error}")))?;
         let weighted = covariance.solve(columns.view())?;
-        let correction = weighted.correction(covariance.solve(mean_nm.insert_axis(Axis(0)))?.solution.row(0));
         let half = weighted.products(columns.view(), &weighted);
         let information = (&half + &half.t()) / 2.0;
         let (static_columns, offset) = (0..segments + modes, segments + modes);
@@ -69,17 +72,27 @@ impl StaticModel {
         let column_of: Vec<usize> = static_columns.chain(common_path).chain([offset]).collect();
         let information = information.select(Axis(0), &column_of).select(Axis(1), &column_of);
         let groups = coefficient_groups(segments, groups, has_telemetry);
-        Ok(Self { segments, ncpa: modes, columns, weighted, correction, information, column_of, groups })
+        Ok(Self {
+            covariance,
+            segments,
+            ncpa: modes,
+            columns,
+            weighted,
+            corrected: None,
+            information,
+            column_of,
+            groups,
+        })
     }
 
-    /// Estimates the static errors of a mean wavefront, nm at each sample: that of the model, or one close to it.
+    /// Estimates the static errors of a mean wavefront, nm at each sample.
     ///
     /// `slopes` is the information of telemetry on the NCPA. The hyperparameters start at those of `initial`.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of samples or of NCPA modes.
+    /// [`Error::Shape`] for another number of samples or of NCPA modes; those of [`MeanCovariance::solve`].
     pub fn estimate(
-        &self,
+        &mut self,
         mean_nm: ArrayView1<f64>,
         slopes: Option<&SlopeInformation>,
         initial: Option<&StaticErrors>,
@@ -117,12 +130,12 @@ impl StaticModel {
 
     /// Normal equations of the mean wavefront and of the slopes: information F, nm⁻², and right side b, nm⁻¹.
     fn normal_equations(
-        &self,
+        &mut self,
         mean_nm: ArrayView1<f64>,
         slopes: Option<&SlopeInformation>,
     ) -> Result<(Array2<f64>, Array1<f64>)> {
         let mut information = self.information.clone();
-        let products = self.weighted.solution.dot(&mean_nm) + &self.correction;
+        let products = self.weighted.solution.dot(&mean_nm) + self.correction(mean_nm)?;
         let mut right_side = products.select(Axis(0), &self.column_of);
         if let Some(slopes) = slopes {
             let ncpa = self.segments..self.segments + self.ncpa;
@@ -136,6 +149,23 @@ impl StaticModel {
             part += &slopes.right_side;
         }
         Ok((information, right_side))
+    }
+
+    /// What the residual of the weighted columns adds to their scalar products with `mean_nm`.
+    fn correction(&mut self, mean_nm: ArrayView1<f64>) -> Result<&Array1<f64>> {
+        let is_same = |other: &Array1<f64>| {
+            let difference = other - &mean_nm;
+            difference.dot(&difference) <= SAME_MEAN_NM * SAME_MEAN_NM * mean_nm.len() as f64
+        };
+        let (_, correction) = match self.corrected.take().filter(|(other, _)| is_same(other)) {
+            Some(corrected) => self.corrected.insert(corrected),
+            None => {
+                let solved = self.covariance.solve(mean_nm.insert_axis(Axis(0)))?;
+                let correction = self.weighted.correction(solved.solution.row(0));
+                self.corrected.insert((mean_nm.to_owned(), correction))
+            }
+        };
+        Ok(correction)
     }
 }
 

@@ -17,6 +17,20 @@ must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.Simulator(3));
 must_fail('BAD_ARGUMENT', 'no command', @() cophase_mex('simulator.stride', 1));
 must_fail('BAD_ARGUMENT', 'deleted', @() cophase_mex('simulator.info', 99));
 assert(~isempty(strfind(cophase.preset('keck-onsky'), '[wavefront_sensor]')));
+artificial = cophase.preset('keck-artificial');
+changed = cophase.scene_set(artificial, 'image.peak_snr', 37.5, 'modes.exact_zernikes', [4, 18], ...
+    'image.photon_noise', false, 'estimate.device', 'cpu', 'estimate.fit_optics', {'plate-scale', 'rotation'});
+for part = {'= 37.5 ', '[4, 18]', '= false', '= "cpu"', '["plate-scale", "rotation"]', 'lambda/D below'}
+    assert(~isempty(strfind([changed ' '], part{1})), 'the scene has no %s', part{1});
+end
+assert(isempty(strfind(cophase.scene_set(changed, 'modes.exact_zernikes', []), 'exact_zernikes')));
+assert(cophase.scene_set(artificial), artificial);
+assert(~isempty(strfind(cophase.scene_set(artificial, 'pupil.grid_m', 11 + 1 / 3), '11.333333333333334')));
+must_fail('BAD_SCENE', 'image.pixels = 241', @() cophase.scene_set(artificial, 'image.pixels', 241));
+must_fail('BAD_SCENE', 'did you mean', @() cophase.scene_set(artificial, 'image.pixel', 32));
+must_fail('BAD_ARGUMENT', 'no value', @() cophase.scene_set(artificial, 'image.pixels'));
+must_fail('BAD_ARGUMENT', 'class double and size [2 2]', @() cophase.scene_set(artificial, 'image.pixels', eye(2)));
+must_fail('BAD_ARGUMENT', 'scene_text', @() cophase.scene_set(3, 'image.pixels', 32));
 
 s = cophase.Simulator(fileread(scene), '.');
 assert(mislocked('cophase_mex'));

@@ -1,7 +1,7 @@
 //! Images against the scene of their estimate: units, contradictions, keys that only simulations model, and how well the noise
 //! explains the residual.
 
-use cophase::io::{Card, FitsWriter, Pixel};
+use cophase::io::{Card, ELECTRON, FitsWriter, Pixel, Quantity};
 use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, Trust};
 use cophase::scene::Scene;
 use ndarray::Array3;
@@ -87,6 +87,96 @@ fn a_file_and_a_scene_that_contradict_each_other_need_a_decision() {
     let open = plain.without("image.read_noise_e").unwrap();
     let of_card = estimate(&open, &write(&[("RON", 60.0.into())]));
     assert_eq!(of_card.covariance_nm2, clean.covariance_nm2);
+}
+
+#[test]
+fn a_filter_whose_band_lacks_the_wavelength_contradicts_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("images.fits");
+    let plain = scene(&[]);
+    let made = Images::simulated(&plain).unwrap().images_e;
+    let write = |cards: &[(&str, Card)]| {
+        let mut file = FitsWriter::create(&path).unwrap();
+        file.image("IMAGES", &made, Pixel::F64, ELECTRON).unwrap();
+        cards.iter().for_each(|(key, card)| file.card("IMAGES", key, card.clone(), "").unwrap());
+        file.finish().unwrap();
+        Images::read(&path, None).unwrap()
+    };
+    let clean = estimate(&plain, &write(&[]));
+    // 2168.6 nm is in K, K' and Ks, and is the wavelength of Br gamma; other names state no band.
+    for name in ["Kp + clear", "Br_gamma", "H2_1-0"] {
+        let found = estimate(&plain, &write(&[("FILTER", name.into())]));
+        assert_eq!(found.coefficients_nm, clean.coefficients_nm, "{name}");
+    }
+    for (key, name) in
+        [("FILTER", "H"), ("FILTNAME", "L'"), ("FWONAME", "J"), ("FILTER1", "PK50_1.5 + H"), ("FILTER", "r'")]
+    {
+        let error = refused(&plain, &write(&[(key, name.into())]));
+        for words in [&format!("card {key} = {name} ("), "image.wavelength_nm = 2168.6", "--trust"] {
+            assert!(error.contains(words), "{error}");
+        }
+    }
+    // One of two wheels that agrees is enough, and the wavelength of a card is no second contradiction.
+    estimate(&plain, &write(&[("FILTER1", "J".into()), ("FILTER2", "K".into())]));
+    let error = refused(&plain, &write(&[("FILTER", "H".into()), ("WAVELEN", 1640.0.into())]));
+    assert!(error.contains("card WAVELEN = 1640") && !error.contains("FILTER"), "{error}");
+    let mut images = write(&[("FILTER", "H".into())]);
+    images.trust = Trust::Scene;
+    let found = estimate(&plain, &images);
+    assert_eq!(found.coefficients_nm, clean.coefficients_nm);
+    assert!(found.remarks[0].contains("card FILTER = H (1390 to 1924 nm) was not used"), "{:?}", found.remarks);
+    images.trust = Trust::File;
+    assert_eq!(estimate(&plain, &images).scene.image.wavelength_nm, 1635.0);
+    (images.trust, images.overrides) = (Trust::Neither, vec!["image.wavelength_nm".into()]);
+    assert_eq!(estimate(&plain, &images).coefficients_nm, clean.coefficients_nm);
+    // A file that states its wavelength, too, is trusted with that.
+    images = write(&[("FILTER", "H".into()), ("WAVELEN", 2168.6.into())]);
+    assert!(refused(&plain, &images).contains("card FILTER = H"));
+    images.trust = Trust::File;
+    assert_eq!(estimate(&plain, &images).coefficients_nm, clean.coefficients_nm);
+}
+
+#[test]
+fn the_filters_of_a_real_frame_contradict_no_scene() {
+    let package = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let frames = ["../shared/data", "../../shared/data"].map(|at| package.join(at).join("20130801_n0004.fits"));
+    let Some(frame) = frames.iter().find(|frame| frame.is_file()) else {
+        println!("skipped: no folder of real frames beside the project");
+        return;
+    };
+    // FILTER = 'PK50_1.5 + FEII', FWINAME = 'PK50_1.5', FWONAME = 'FEII'.
+    let facts = Images::read(frame, None).unwrap().facts;
+    assert!(facts.iter().any(|fact| fact.keyword == "CENWAVE"), "{facts:?}");
+    assert!(facts.iter().all(|fact| fact.quantity != Quantity::BandNm), "{facts:?}");
+}
+
+#[test]
+fn an_image_of_an_odd_size_is_read_without_its_last_row_and_column() {
+    let scene = scene(&[]);
+    let made = Images::simulated(&scene).unwrap();
+    let clean = estimate(&scene, &made);
+    // The axis stays on pixel [48, 48]; values that would ruin the estimate are in the part that is left out.
+    let padded = |rows: usize, columns: usize| {
+        let pixel = |(_, y, x)| made.images_e.get([0, y, x]).copied().unwrap_or(1e9);
+        Images::new(Array3::from_shape_fn((1, rows, columns), pixel)).in_electrons()
+    };
+    for (rows, columns, edges) in
+        [(97, 97, "row and the last column were"), (97, 96, "row was"), (96, 97, "column was")]
+    {
+        let found = estimate(&scene, &padded(rows, columns));
+        assert_eq!(found.coefficients_nm, clean.coefficients_nm, "{rows} rows, {columns} columns");
+        let words = format!("The last {edges} left out: the images have {columns}x{rows} pixels, the scene 96x96.");
+        assert_eq!(found.remarks[0], words);
+        assert!(found.is_sound(), "{:?}", found.warnings);
+    }
+    let error = refused(&scene, &padded(105, 105));
+    for words in
+        ["the image has 105x105 pixels where the scene says 96x96 (image.pixels)", "104x104", "without the last"]
+    {
+        assert!(error.contains(words), "{error}");
+    }
+    let error = refused(&scene, &padded(104, 104));
+    assert!(error.ends_with("104x104 pixels where the scene says 96x96 (image.pixels)"), "{error}");
 }
 
 #[test]

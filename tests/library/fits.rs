@@ -694,16 +694,18 @@ fn a_full_disk_leaves_the_old_file_and_nothing_else() {
         let mut file = FitsWriter::create(Path::new(&folder).join("out.fits")).unwrap();
         file.image("A", &Array2::<f64>::zeros((100, 100)), Pixel::F64, "").unwrap();
         let message = file.finish().unwrap_err().to_string();
-        assert!(message.contains("cannot be written") && message.contains("nothing was left"), "{message}");
+        assert!(message.contains("cannot be written") && message.contains("no partial file is left"), "{message}");
         assert_eq!(message.lines().count(), 1);
         return;
     }
     let folder = folder();
     let old = put(&folder, "out.fits", b"old");
-    let name = "a_full_disk_leaves_the_old_file_and_nothing_else";
+    let name = "fits::a_full_disk_leaves_the_old_file_and_nothing_else";
     let mut child = std::process::Command::new(std::env::current_exe().unwrap());
-    let status = child.args([name, "--exact"]).env(FOLDER, folder.path()).stdout(std::process::Stdio::null()).status();
-    assert!(status.unwrap().success());
+    let done = child.args([name, "--exact"]).env(FOLDER, folder.path()).output().unwrap();
+    // A name that no test has would succeed, too.
+    let said = String::from_utf8_lossy(&done.stdout);
+    assert!(done.status.success() && said.contains("1 passed"), "{said}");
     assert_eq!(fs::read(old).unwrap(), b"old");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
 }
@@ -758,6 +760,15 @@ fn an_hdu_in_brackets_is_read() {
     for (hdu, words) in [("DQ", "`SCI`"), ("5", "0 to 4"), ("LIST", "no image"), ("0", "no image")] {
         let sentence = read_images(with(hdu), None).unwrap_err().to_string();
         assert!(sentence.contains(words), "{hdu}: {sentence}");
+    }
+    // The brackets of a mask go before its HDU BADPIX.
+    let mut mask = FitsWriter::create(folder.path().join("mask.fits")).unwrap();
+    mask.image("BADPIX", &Array2::from_elem((4, 6), 0.0), Pixel::I32, "").unwrap();
+    mask.image("DQ", &Array2::from_elem((4, 6), 1.0), Pixel::I32, "").unwrap();
+    mask.finish().unwrap();
+    for (name, is_bad) in [("mask.fits", false), ("mask.fits[DQ]", true), ("mask.fits[1]", false)] {
+        let marked = read_images(with("SCI"), Some(&folder.path().join(name))).unwrap();
+        assert!(marked.bad.iter().all(|&bad| bad == is_bad), "{name}");
     }
     // A file of that very name is itself.
     fs::copy(&path, with("SCI")).unwrap();

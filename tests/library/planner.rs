@@ -2,12 +2,12 @@
 
 use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
-use cophase::modal::{Cube, ModalFitter};
+use cophase::modal::{Cube, ImageStatus, ModalFitter, Recipe};
 use cophase::modes::Group;
 use cophase::planner::{self, Plan};
-use cophase::scene::{self, Crop, Scene};
+use cophase::scene::{self, Crop, NcpaBasis, NollRange, Scene};
 use cophase::source;
-use cophase::{Error, Result};
+use cophase::{Error, Estimator, Images, Result};
 use std::path::Path;
 
 /// Seven hexagons with a defocus that a coarse model blurs.
@@ -89,7 +89,7 @@ fn a_budget_is_kept_on_other_scenes_at_less_work() {
 
 #[test]
 fn a_plan_is_a_scene_that_says_the_same_on_every_run() {
-    let scene = small(&[("estimate.budget_nm", "2")]);
+    let scene = small(&[("estimate.budget_nm", "2"), ("image.peak_snr", "100")]);
     let (first, second) = (plan(&scene, 2.0).unwrap(), plan(&scene, 2.0).unwrap());
     assert_eq!(first.scene.text(), second.scene.text());
     // The budget is spent: the plan is not planned again.
@@ -106,6 +106,41 @@ fn a_plan_is_a_scene_that_says_the_same_on_every_run() {
         let kept = first.choices.iter().filter(|other| other.key == choice.key && other.kept).count();
         assert!(kept <= 1, "{}", choice.key);
     }
+}
+
+#[test]
+fn a_basis_that_the_scene_leaves_open_stays_open() {
+    // A pitch at which the mirror has more than the 66 modes of the default.
+    let unset = ["modes.ncpa", "modes.ncpa_count", "modes.exact_zernikes"].map(|key| (key, ""));
+    let scene = small(&[&unset[..], &[("mirror.pitch_m", "0.4")]].concat());
+    let plan = plan(&scene, 8.0).unwrap();
+    assert!(plan.choices.iter().any(|choice| choice.kept && choice.key == "estimate.samples"), "{:?}", plan.choices);
+    // An estimate of the plan has all Karhunen-Loève modes, and the Zernikes with a prior.
+    assert_eq!(plan.scene.modes, scene.modes);
+    assert!(plan.scene.modes.ncpa == NcpaBasis::Kl && !plan.scene.names("modes.exact_zernikes"));
+    assert_ne!(Recipe::with_prior(&plan.scene).prior_zernikes, NollRange::None);
+    // Fewer modes have a row, which is not in the plan.
+    let fewer: Vec<_> = plan.choices.iter().filter(|choice| choice.key.starts_with("modes.")).collect();
+    assert!(fewer.len() == 1 && fewer[0].value == "33" && !fewer[0].kept, "{fewer:?}");
+}
+
+/// A model within the budget may still leave more of a bright star than its noise: it is not taken.
+#[test]
+fn estimates_of_a_planned_scene_are_no_misfits() {
+    for peak_snr in ["100", "1000"] {
+        let scene = small(&[("image.peak_snr", peak_snr)]);
+        let plan = plan(&scene, 3.0).unwrap();
+        assert!(plan.chosen.misfit <= plan.reference.misfit.max(0.5), "{:?}", plan.chosen);
+        for seed in ["11", "12", "13"] {
+            let images = Images::simulated(&scene.with_override("aberrations.seed", seed).unwrap()).unwrap();
+            let found = Estimator::new(&plan.scene).unwrap().estimate(&images).unwrap();
+            assert!(found.status == ImageStatus::Ok, "S/N {peak_snr}, seed {seed}: {:?}", found.warnings);
+        }
+    }
+    // Such a model was tried.
+    let plan = plan(&small(&[("image.peak_snr", "1000")]), 3.0).unwrap();
+    let is_refused = |price: &planner::Price| price.error_nm() < 1.5 && price.misfit > 0.5;
+    assert!(plan.choices.iter().any(|choice| is_refused(&choice.price) && !choice.kept), "{:?}", plan.choices);
 }
 
 #[test]
@@ -146,16 +181,18 @@ fn tilted_segments_are_priced_as_they_are() {
 
 #[test]
 fn a_filters_width_is_named_with_its_price() {
-    let priced = |width: &str| {
-        let plan = plan(&small(&[("image.bandwidth_fraction", width)]), 2.0).unwrap();
+    let priced = |width: &str, peak_snr: &str| {
+        let plan = plan(&small(&[("image.bandwidth_fraction", width), ("image.peak_snr", peak_snr)]), 2.0).unwrap();
         let bandwidth = plan.omissions.iter().find(|omission| omission.what.contains("bandwidth")).unwrap().clone();
         (plan.scene.estimate.wavelengths, bandwidth)
     };
     // A narrow filter is not worth a second wavelength; a tenth of the wavelength blurs a spot of 1 wave of defocus by as
-    // much, more than the budget.
-    let (wavelengths, narrow) = priced("0.015");
+    // much, more than the budget. A bright star shows the narrow one, too.
+    let (wavelengths, narrow) = priced("0.015", "60");
     assert!(wavelengths == Some(1) && !narrow.modelled && narrow.without_nm < 2.0, "{wavelengths:?} {narrow:?}");
-    let (wavelengths, broad) = priced("0.1");
+    let (wavelengths, shown) = priced("0.015", "300");
+    assert!(wavelengths > Some(1) && shown.modelled && shown.without_nm < 2.0, "{wavelengths:?} {shown:?}");
+    let (wavelengths, broad) = priced("0.1", "60");
     assert!(wavelengths > Some(1) && broad.modelled && broad.with_nm < 2.0, "{wavelengths:?} {broad:?}");
     assert!(broad.without_nm > 2.0, "{broad:?}");
 }

@@ -5,6 +5,6 @@ function text = preset(name)
     %   Example:
     %       m = cophase.Model(cophase.preset('keck-artificial'));
     %
-    %   See also cophase.Estimator, cophase.Model, cophase.Simulator.
+    %   See also cophase.scene_set, cophase.Estimator, cophase.Model, cophase.Simulator.
     text = cophase_mex('preset', name);
 end

@@ -14,6 +14,28 @@ static void do_preset(int outputs, mxArray **out, int inputs, const mxArray **in
     out[0] = mxCreateString(scene_text);
 }
 
+/* A scene, and a key with its value in TOML. */
+typedef struct scene_change {
+    const char *scene_text, *key, *value;
+} scene_change;
+
+static cophase_status scene_set(const void *object, int32_t what, size_t index, char *text, size_t capacity,
+                                size_t *length)
+{
+    const scene_change *change = (const scene_change *)object;
+
+    return cophase_scene_set(change->scene_text, change->key, change->value, text, capacity, length);
+}
+
+/* (scene_text, 'section.name', value): the scene with it; an empty value removes the key. */
+static void do_scene_set(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const char *scene_text = text(in[0], "scene_text"), *key = text(in[1], "the key"), *value = text(in[2], "the value");
+    const scene_change change = {scene_text == NULL ? "" : scene_text, key == NULL ? "" : key, value == NULL ? "" : value};
+
+    out[0] = long_text(scene_set, &change, 0, 0);
+}
+
 static void do_version(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
     out[0] = mxCreateString(cophase_version());
@@ -57,6 +79,7 @@ static void do_options(int outputs, mxArray **out, int inputs, const mxArray **i
 
 static const command COMMANDS[] = {
     {"preset", 1, 1, do_preset},
+    {"scene_set", 3, 3, do_scene_set},
     {"version", 0, 0, do_version},
     {"devices", 0, 0, do_devices},
     {"options", 1, ANY_NUMBER, do_options},

@@ -25,11 +25,11 @@ BADPIX (not zero = bad) or --mask names.
 Units: electrons, or counts (card BUNIT 'adu', 'DN', 'count'), which are converted with the electrons per count of \
 --gain, image.gain_e_per_adu of the scene, or the card EGAIN or GAIN. Counts without a gain are refused.
 
-Cards: the file must not contradict the scene. Wavelength (WAVELEN, WAVELENG, CENWAVE, EFFWAVE, ...), pixel scale \
-(PIXSCALE, PIXELSCL, SECPIX, CDELT1 of the sky), read noise (RON_E, RON, RDNOISE, READNOIS), gain, exposure (EXPTIME, \
-ITIME, ...; where the scene names it) and the scene in a file of cophase are compared with the keys; --trust scene or \
---trust file decides, and a key of --set or --gain takes precedence over the file. Where the scene has no read noise, the \
-card's is used, else the scatter of the image's border.
+Cards: the file must not contradict the scene. Wavelength (WAVELEN, WAVELENG, CENWAVE, EFFWAVE, ...), broad band (FILTER = 'J', \
+'H', 'Kp + clear', ...), pixel scale (PIXSCALE, PIXELSCL, SECPIX, CDELT1 of the sky), read noise (RON_E, RON, RDNOISE, \
+READNOIS), gain, exposure (EXPTIME, ITIME, ...; where the scene names it) and the scene in a file of cophase are compared \
+with the keys; --trust scene or --trust file decides, and a key of --set or --gain takes precedence over the file. Where the \
+scene has no read noise, the card's is used, else the scatter of the image's border.
 
 The error bars of eight images or more are from the scatter between them, and the clipped \
 mean (the default; --set estimate.combine=mean or median) leaves outliers out.

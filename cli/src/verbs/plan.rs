@@ -17,11 +17,12 @@ const EXAMPLES: &str = "Examples:
 
 Wavefronts are drawn from the scene's [aberrations] (where it has none: 60 nm of pistons and 70 nm of low Zernikes, as far as its modes hold them), imaged \
 without noise on the fine pupil and read by each candidate: its model error is the worst that is left. The noise is the \
-Cramér-Rao bound of the candidate's pixels for the scene's star, over the root of image.count. A choice never changes \
-modes that the scene names.
+Cramér-Rao bound of the candidate's pixels for the scene's star, over the root of image.count. The misfit is the reduced \
+χ² of the model's error alone over what noise explains in one image: a candidate above 0.5 is not taken, because an \
+estimate would restart its fits and might call the images a misfit. A choice never changes which modes are estimated: what fewer of them would cost is a row of the table.
 
 --json prints: budget_nm, met, shortfall, reference, chosen, choices (key, value, kept, price), omissions; a price is \
-phasing_nm and ncpa_nm (the model's error), phasing_noise_nm, ncpa_noise_nm, error_nm (the larger, with noise), \
+phasing_nm and ncpa_nm (the model's error), phasing_noise_nm, ncpa_noise_nm, error_nm (the larger, with noise), misfit, \
 evaluations, megaflops and estimate_us for one image.";
 
 /// Find the cheapest model that keeps the error within a budget
@@ -86,8 +87,8 @@ fn table(name: &Path, plan: &Plan) -> String {
         plan.draws
     );
     text += &format!(
-        "{:<36}{:>17}{:>17}{:>8}{:>13}{:>8}{:>8}\n",
-        "", "model [nm]", "noise [nm]", "error", "evaluations", "Mflop", "µs"
+        "{:<36}{:>17}{:>17}{:>8}{:>8}{:>13}{:>8}{:>8}\n",
+        "", "model [nm]", "noise [nm]", "error", "misfit", "evaluations", "Mflop", "µs"
     );
     text += &format!("{:<36}{:>9}{:>8}{:>9}{:>8}{:>8}\n", "", "phasing", "NCPA", "phasing", "NCPA", "[nm]");
     text += &line("the scene's own model in f64", &plan.reference);
@@ -112,10 +113,10 @@ fn relation(reference: f64, plan: f64, what: &str) -> String {
 }
 
 fn line(name: &str, price: &Price) -> String {
-    let Price { model_nm: [p, n], noise_nm: [pn, nn], evaluations, megaflops, estimate_us } = price;
+    let Price { model_nm: [p, n], noise_nm: [pn, nn], misfit, evaluations, megaflops, estimate_us } = price;
     let error = price.error_nm();
     format!(
-        "{name:<36}{p:>9.3}{n:>8.3}{pn:>9.3}{nn:>8.3}{error:>8.3}{evaluations:>13.1}{megaflops:>8.0}{estimate_us:>8.0}\n"
+        "{name:<36}{p:>9.3}{n:>8.3}{pn:>9.3}{nn:>8.3}{error:>8.3}{misfit:>8.2}{evaluations:>13.1}{megaflops:>8.0}{estimate_us:>8.0}\n"
     )
 }
 
@@ -137,6 +138,7 @@ struct PrintedPrice {
     phasing_noise_nm: f64,
     ncpa_noise_nm: f64,
     error_nm: f64,
+    misfit: f64,
     evaluations: f64,
     megaflops: f64,
     estimate_us: f64,
@@ -188,13 +190,14 @@ impl Printed {
 
 impl PrintedPrice {
     fn of(price: &Price) -> Self {
-        let Price { model_nm, noise_nm, evaluations, megaflops, estimate_us } = *price;
+        let Price { model_nm, noise_nm, misfit, evaluations, megaflops, estimate_us } = *price;
         Self {
             phasing_nm: model_nm[0],
             ncpa_nm: model_nm[1],
             phasing_noise_nm: noise_nm[0],
             ncpa_noise_nm: noise_nm[1],
             error_nm: price.error_nm(),
+            misfit,
             evaluations,
             megaflops,
             estimate_us,

@@ -127,6 +127,15 @@ fn a_wrong_minimum_is_left_by_another_start() {
     assert_eq!(found.wrong_and_unflagged(), 0);
 }
 
+/// A wrong minimum adds less to the χ² of a faint star than a coarse model may, and a fit of noise adds nothing.
+#[test]
+fn faint_stars_are_right_or_flagged() {
+    let names = ["pistons 500 nm, peak S/N 30", "1 electron"];
+    let found = tried(&names, 8).unwrap();
+    assert!(of(&found, names[0]).iter().all(|verdict| verdict.is_right() && !verdict.is_flagged()), "{found:?}");
+    assert!(of(&found, names[1]).iter().all(|verdict| verdict.word == "refused"), "{found:?}");
+}
+
 #[test]
 fn what_is_asked_for_wrongly_or_not_wanted_any_more_is_refused() {
     assert!(matches!(tried(&["no such case"], 1), Err(Error::Value(_))));

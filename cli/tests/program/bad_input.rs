@@ -43,6 +43,12 @@ fn images_that_hold_no_star() {
     // A star darker than its surroundings: pixels of either sign, flux below zero.
     desk.edit_images("images.fits", "dark.fits", |images| images.mapv_inplace(|e| 100.0 - e));
     desk.refuses(&["estimate", "dark.fits", "-o", "est.fits"], &["dark.fits", "flux"]);
+    // Noise, whose flux is positive in half of the images.
+    for seed in 1..=4 {
+        let seed = format!("aberrations.seed={seed}");
+        let desk = Desk::with_images(&["image.peak_snr=", "image.flux_e=1", "image.read_noise_e=20", &seed]);
+        desk.refuses(&ESTIMATE, &["images.fits", "holds no star"]);
+    }
 }
 
 #[test]

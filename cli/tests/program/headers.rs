@@ -107,6 +107,8 @@ fn a_file_that_contradicts_the_scene_is_refused() {
     agree("PIXSCALE", 0.0440.into());
     agree("RDNOISE", 20.0.into());
     agree("CDELT1", 1.0.into());
+    agree("FILTER", "K' + clear".into());
+    agree("FILTER", "Br_gamma".into());
     let contradicts = |card: (&str, Card), words: &[&str]| {
         desk.write_images("other.fits", 1.0, "electron", &[card]);
         desk.refuses_estimate("other.fits", &[], &[words, &["other.fits", "--trust"]].concat());
@@ -116,6 +118,8 @@ fn a_file_that_contradicts_the_scene_is_refused() {
         &["card PIXSCALE = 0.048", "image.samples_per_lambda_over_d = 2", "48.000 mas"],
     );
     contradicts(("READNOIS", 25.0.into()), &["card READNOIS = 25", "image.read_noise_e = 20"]);
+    contradicts(("FILTER", "H".into()), &["card FILTER = H (1390 to 1924 nm)", "image.wavelength_nm = 2000"]);
+    contradicts(("FILTNAME", "Lp + clear".into()), &["card FILTNAME = Lp + clear", "image.wavelength_nm = 2000"]);
     contradicts(("WAVELENG", 1.64.into()), &["card WAVELENG = 1.64", "image.wavelength_nm = 2000"]);
     contradicts(("WAVELEN", 1640.0.into()), &["card WAVELEN = 1640", "image.wavelength_nm = 2000"]);
     let (json, _) = desk.estimate("other.fits", &["--trust", "scene"]);

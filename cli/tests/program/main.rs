@@ -14,6 +14,7 @@ mod outputs;
 mod same_answer;
 mod sentences;
 mod simulate;
+mod units;
 mod verbs;
 mod words;
 

@@ -21,6 +21,34 @@ fn a_scene_beyond_the_memory_is_refused_with_its_key() {
     assert_eq!(desk.files(), before);
 }
 
+#[test]
+fn an_ao_system_beyond_the_memory_is_refused_before_it_is_built() {
+    let desk = Desk::with_scene();
+    let grid = ["wavefront_sensor.lenslets_across=256", "wavefront_sensor.samples_per_lenslet=64"];
+    let mirror = [
+        "wavefront_sensor.lenslets_across=100",
+        "wavefront_sensor.samples_per_lenslet=2",
+        "mirror.actuators_across=101",
+        "mirror.pitch_m=0.1095",
+    ];
+    let words = "an AO system of 16384x16384 samples with 7 layers of turbulence would take 65.5 GiB";
+    for (settings, word) in [(&grid[..], words), (&mirror[..], "slopes would take")] {
+        let mut arguments = vec!["simulate", "keck-onsky", "-o", "new.fits"];
+        arguments.extend(settings.iter().flat_map(|setting| ["--set", setting]));
+        limited(&desk, 4_000_000, &arguments).failed(&arguments, &[word, "ulimit -v", "wavefront_sensor."]);
+    }
+}
+
+#[test]
+fn karhunen_loeve_modes_beyond_the_memory_are_refused() {
+    let desk = Desk::with_images(&[]);
+    let set = ["modes.ncpa=kl", "mirror.pitch_m=0.05", "mirror.actuators_across=100"];
+    let mut arguments = vec!["estimate", "images.fits", "-o", "est.fits"];
+    arguments.extend(set.iter().flat_map(|setting| ["--set", setting]));
+    let words = ["the Karhunen-Loève modes of", "actuators at", "mirror.pitch_m"];
+    limited(&desk, 4_000_000, &arguments).failed(&arguments, &words);
+}
+
 /// At each limit the result is an estimate or one sentence, and never a signal. The loader itself needs some 200 MB of addresses in a
 /// build with debugging information.
 #[test]

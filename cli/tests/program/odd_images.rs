@@ -89,6 +89,29 @@ fn a_scene_that_does_not_fit_the_image_is_called_a_misfit() {
 }
 
 #[test]
+fn a_plate_scale_that_is_five_or_ten_per_cent_wrong_is_named() {
+    let desk = Desk::with_images(&["image.peak_snr=300"]);
+    let read = |name: &str, scale: &str| {
+        let set = format!("image.samples_per_lambda_over_d={scale}");
+        desk.succeeds(&["estimate", name, "-o", "est.fits", "--json", "--set", &set]).err
+    };
+    for wrong in ["1.8", "1.9", "2.1", "2.2"] {
+        let err = read("images.fits", wrong);
+        let sentence = "the plate scale: with image.samples_per_lambda_over_d = ";
+        let found = err.split(sentence).nth(1).unwrap_or_else(|| panic!("{wrong}: {err}"));
+        let scale: f64 = found.split_whitespace().next().unwrap().parse().unwrap();
+        assert!((scale - 2.0).abs() < 0.002 && found.contains(&format!("in place of {wrong}")), "{wrong}: {err}");
+    }
+    // A gradient of the background is a misfit that no plate scale explains.
+    desk.edit_images("images.fits", "gradient.fits", |images| {
+        let most = images.iter().fold(0.0f64, |most, &e| most.max(e));
+        images.indexed_iter_mut().for_each(|((_, _, x), e)| *e += 0.01 * most * (x as f64 / 32.0 - 1.0));
+    });
+    let err = read("gradient.fits", "2");
+    assert!(err.contains("times the noise") && !err.contains("plate scale: with"), "{err}");
+}
+
+#[test]
 fn a_truth_on_another_grid_is_left_out_of_the_table() {
     let desk = Desk::with_images(&[]);
     let done = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--set", "pupil.samples=80"]);

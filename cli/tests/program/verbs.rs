@@ -202,6 +202,30 @@ fn a_scene_names_its_files_relative_to_itself_and_the_images_remember_them() {
     assert_eq!(ncpa_file.canonicalize().unwrap(), desk.path("there/ncpa.fits").canonicalize().unwrap());
 }
 
+#[test]
+fn a_file_of_a_scene_may_name_its_hdu_in_brackets() {
+    let desk = Desk::with_scene();
+    let disc = ndarray::Array2::from_shape_fn((64, 64), |(y, x)| {
+        let [x, y] = [x, y].map(|at| at as f64 - 31.5);
+        f64::from(u8::from(x.hypot(y) < 28.0))
+    });
+    let mut file = cophase::io::FitsWriter::create(desk.path("pupil.fits")).unwrap();
+    file.image("DARK", &(&disc * 0.0), cophase::io::Pixel::F64, "").unwrap();
+    file.image("PUPIL", &disc, cophase::io::Pixel::F64, "").unwrap();
+    file.finish().unwrap();
+    let text = SMALL.replace("segment_piston_rms_nm = 60\n", "");
+    for (hdu, accepted) in [("PUPIL", true), ("2", true), ("SCI", false)] {
+        let keys = format!("file = \"pupil.fits[{hdu}]\"\ngrid_m = 5.0");
+        std::fs::write(desk.path("pupil.toml"), text.replace("aperture = \"hexagonal\"\nrings = 1", &keys)).unwrap();
+        if accepted {
+            desk.succeeds(&["image", "pupil.toml", "-o", "images.fits"]);
+            desk.refuses(&["image", "pupil.toml", "-o", "pupil.fits"], &["pupil.fits", "pupil.file"]);
+        } else {
+            desk.refuses(&["image", "pupil.toml", "-o", "other.fits"], &["has no HDU `SCI`", "`PUPIL`"]);
+        }
+    }
+}
+
 /// The README's first command, on the scene of the paper.
 #[test]
 fn the_demonstration_goes_from_nothing_to_a_picture() {

@@ -28,6 +28,13 @@ pub enum Refusal {
         /// Electrons above the border's level.
         flux_e: f64,
     },
+    /// The star that was fitted is no brighter than what a fit makes of noise.
+    FaintStar {
+        /// Its signal-to-noise ratio over all pixels.
+        snr: f64,
+        /// The least that is accepted.
+        least_snr: f64,
+    },
     /// Pixels are bad in a frame whose sampling is to be reduced.
     BadPixelsWouldRing {
         /// Number of bad pixels.
@@ -48,6 +55,11 @@ impl fmt::Display for Refusal {
             Self::NoStar { flux_e } => {
                 write!(f, "holds no star: its flux above the border's level is {flux_e:.3e}, and must be positive")
             }
+            Self::FaintStar { snr, least_snr } => write!(
+                f,
+                "holds no star that differs from noise: its signal-to-noise ratio over all pixels is {snr:.1}, and at least \
+                 {least_snr:.1} is needed for the modes of this scene"
+            ),
             Self::BadPixelsWouldRing { bad } => write!(
                 f,
                 "has {bad} bad pixels, which would ring where the sampling is reduced: estimate.sampling = \"native\" \

@@ -57,10 +57,10 @@ const VALUES: [&str; 30] = [
 ];
 
 /// Cards that decide what is read.
-const KEYS: [&str; 24] = [
+const KEYS: [&str; 29] = [
     "SIMPLE", "XTENSION", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "NAXIS3", "PCOUNT", "GCOUNT", "GROUPS", "TFIELDS",
     "TFORM1", "TTYPE1", "TSCAL1", "TZERO1", "TNULL1", "THEAP", "TBCOL1", "BSCALE", "BZERO", "BLANK", "EXTNAME",
-    "RON_E", "ZIMAGE",
+    "RON_E", "ZIMAGE", "ZBITPIX", "ZNAXIS1", "ZTILE1", "ZVAL1", "ZCMPTYPE",
 ];
 
 /// One change to a file: bits, its length, a card's value, a card more or less, a block moved.
