@@ -36,7 +36,7 @@ pub(super) struct Limit {
 }
 
 impl Limit {
-    /// An error of `error_nm`, and a χ² that an estimate accepts, or that of the scene's own model, `reference`.
+    /// An error of `error_nm`, and a χ² that noise explains, or that of the scene's own model, `reference`.
     pub(super) fn new(error_nm: f64, reference: &Price) -> Self {
         Self { error_nm, misfit: reference.misfit.max(MISFIT) }
     }

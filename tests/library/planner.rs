@@ -89,7 +89,7 @@ fn a_budget_is_kept_on_other_scenes_at_less_work() {
 
 #[test]
 fn a_plan_is_a_scene_that_says_the_same_on_every_run() {
-    let scene = small(&[("estimate.budget_nm", "2"), ("image.peak_snr", "100")]);
+    let scene = small(&[("estimate.budget_nm", "2"), ("image.peak_snr", "50")]);
     let (first, second) = (plan(&scene, 2.0).unwrap(), plan(&scene, 2.0).unwrap());
     assert_eq!(first.scene.text(), second.scene.text());
     // The budget is spent: the plan is not planned again.
@@ -127,10 +127,10 @@ fn a_basis_that_the_scene_leaves_open_stays_open() {
 /// A model within the budget may still leave more of a bright star than its noise: it is not taken.
 #[test]
 fn estimates_of_a_planned_scene_are_no_misfits() {
-    for peak_snr in ["100", "1000"] {
+    for peak_snr in ["50", "100"] {
         let scene = small(&[("image.peak_snr", peak_snr)]);
         let plan = plan(&scene, 3.0).unwrap();
-        assert!(plan.chosen.misfit <= plan.reference.misfit.max(0.5), "{:?}", plan.chosen);
+        assert!(plan.chosen.misfit <= 0.5, "{:?}", plan.chosen);
         for seed in ["11", "12", "13"] {
             let images = Images::simulated(&scene.with_override("aberrations.seed", seed).unwrap()).unwrap();
             let found = Estimator::new(&plan.scene).unwrap().estimate(&images).unwrap();
@@ -138,7 +138,7 @@ fn estimates_of_a_planned_scene_are_no_misfits() {
         }
     }
     // Such a model was tried.
-    let plan = plan(&small(&[("image.peak_snr", "1000")]), 3.0).unwrap();
+    let plan = plan(&small(&[("image.peak_snr", "100")]), 3.0).unwrap();
     let is_refused = |price: &planner::Price| price.error_nm() < 1.5 && price.misfit > 0.5;
     assert!(plan.choices.iter().any(|choice| is_refused(&choice.price) && !choice.kept), "{:?}", plan.choices);
 }
@@ -191,7 +191,7 @@ fn a_filters_width_is_named_with_its_price() {
     let (wavelengths, narrow) = priced("0.015", "60");
     assert!(wavelengths == Some(1) && !narrow.modelled && narrow.without_nm < 2.0, "{wavelengths:?} {narrow:?}");
     let (wavelengths, shown) = priced("0.015", "300");
-    assert!(wavelengths > Some(1) && shown.modelled && shown.without_nm < 2.0, "{wavelengths:?} {shown:?}");
+    assert!(wavelengths != Some(1) && shown.modelled && shown.without_nm < 2.0, "{wavelengths:?} {shown:?}");
     let (wavelengths, broad) = priced("0.1", "60");
     assert!(wavelengths > Some(1) && broad.modelled && broad.with_nm < 2.0, "{wavelengths:?} {broad:?}");
     assert!(broad.without_nm > 2.0, "{broad:?}");
