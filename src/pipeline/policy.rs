@@ -85,7 +85,7 @@ mod tests {
         assert_eq!((full.name(), realtime.name()), ("full", "realtime"));
         assert_eq!(Policy { restart: false, ..full }.name(), "custom");
         let (whole, quick) = (full.recipe(&scene), realtime.recipe(&scene));
-        assert!(whole.restarts == 3 && whole.reject_outliers && whole.prior_zernikes != NollRange::None);
+        assert!(whole.restarts == 6 && whole.reject_outliers && whole.prior_zernikes != NollRange::None);
         assert!(quick.restarts == 0 && !quick.reject_outliers && quick.prior_zernikes == NollRange::None);
         assert_eq!(quick.exact_zernikes, whole.exact_zernikes);
         // Modes that the scene names are all that are fitted.
