@@ -229,7 +229,10 @@ pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, min
     let least_snr = (FAINT * parameters as f64).sqrt();
     let status = match minimum.reason {
         _ if minimum.flux_e < 0.0 => Status::Unusable(Refusal::NoStar { flux_e: minimum.flux_e }),
-        _ if snr < least_snr => Status::Unusable(Refusal::FaintStar { snr, least_snr }),
+        // Where χ² is too small the noise is not what is stated, and tells nothing.
+        _ if snr < least_snr && reduced_chi2 >= explained_chi2[0] => {
+            Status::Unusable(Refusal::FaintStar { snr, least_snr })
+        }
         reason if !reason.has_converged() && reason != StopReason::NoDescent => Status::NotConverged(reason),
         _ if reduced_chi2 > WRONG_MINIMUM => Status::WrongMinimum,
         _ if reduced_chi2 < explained_chi2[0] || reduced_chi2 > explained_chi2[1] => Status::Misfit,
