@@ -99,9 +99,9 @@ const LEAST_FRACTION: f64 = 0.01;
 /// 500, wrong minima 900 to 5,000.
 const WRONG_MINIMUM: f64 = 300.0;
 
-/// Square of a star's signal-to-noise ratio over all pixels, for each parameter of the fit, below which it is not told from noise. In a
-/// linear fit noise reaches 1; of the many images that aberrations make the fit selects the one that is most similar to it, and
-/// reaches 7 to 8 (Keck, 149 parameters). A peak S/N of 5 has 200 there.
+/// Least square of a star's signal-to-noise ratio over all pixels, per parameter of the fit. In a linear fit pure noise reaches 1; a
+/// nonlinear fit finds the aberrations whose image is most similar to the noise, and reaches 7 to 8 (Keck, 149 parameters). A star of
+/// a peak S/N of 5 has 200 there.
 const FAINT: f64 = 12.0;
 
 /// The interval in which the model explains a χ².

@@ -18,8 +18,9 @@ const EXAMPLES: &str = "Examples:
 Wavefronts are drawn from the scene's [aberrations] (where it has none: 60 nm of pistons and 70 nm of low Zernikes, as far as its modes hold them), imaged \
 without noise on the fine pupil and read by each candidate: its model error is the worst that is left. The noise is the \
 Cramér-Rao bound of the candidate's pixels for the scene's star, over the root of image.count. The misfit is the reduced \
-χ² of the model's error alone over what noise explains in one image: a candidate above 0.5 is not taken, because an \
-estimate would restart its fits and might call the images a misfit. A choice never changes which modes are estimated: what fewer of them would cost is a row of the table.
+χ² of the model's error alone over what noise explains in one image: a candidate above 0.5 is rejected, because an \
+estimate would restart its fits and might report a misfit. A choice never changes which modes are estimated: what fewer \
+of them would cost is a row of the table.
 
 --json prints: budget_nm, met, shortfall, reference, chosen, choices (key, value, kept, price), omissions; a price is \
 phasing_nm and ncpa_nm (the model's error), phasing_noise_nm, ncpa_noise_nm, error_nm (the larger, with noise), misfit, \
