@@ -502,9 +502,10 @@ cophase_status cophase_estimator_progress(const cophase_estimator *estimator,
 /* Estimates the static wavefront behind images. What is wrong with single images is in their reports; what to know of the
  * whole is in COPHASE_TEXT_WARNINGS of the estimate.
  *
- * frames: count x rows x cols as the scene says; images of the same static errors. Bad pixels, which take no part, are
- *   those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column
- *   cols/2.
+ * frames: count x rows x cols as the scene says; images of the same static errors. Of frames with one row or column more the
+ *   last is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part,
+ *   are those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and
+ *   column cols/2, rounded down.
  * slopes_mas: telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure,
  *   along x for every subaperture, then along y; NULL without.
  * options: NULL for the defaults.

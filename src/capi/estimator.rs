@@ -191,9 +191,10 @@ pub unsafe extern "C" fn cophase_estimator_progress(
 /// Estimates the static wavefront behind images. What is wrong with single images is in their reports; what to know of the
 /// whole is in COPHASE_TEXT_WARNINGS of the estimate.
 ///
-/// frames: count x rows x cols as the scene says; images of the same static errors. Bad pixels, which take no part, are
-///   those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and column
-///   cols/2.
+/// frames: count x rows x cols as the scene says; images of the same static errors. Of frames with one row or column more the
+///   last is left out, which COPHASE_TEXT_REMARKS says; the calibration then has it, too. Bad pixels, which take no part,
+///   are those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and
+///   column cols/2, rounded down.
 /// slopes_mas: telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure,
 ///   along x for every subaperture, then along y; NULL without.
 /// options: NULL for the defaults.
@@ -214,11 +215,12 @@ pub unsafe extern "C" fn cophase_estimator_estimate(
     Handle::change(inside, "estimator", |working| {
         let out = place(estimate, "estimate")?;
         let options = unsafe { sized::read(options, "options") }?;
-        let shape = working.estimator.scene().image.frame_shape();
+        let frames = unsafe { Input::new(frames, "frames") }?;
+        let shape = taken_shape(&frames, working.estimator.scene().image.frame_shape());
         let has_gain = unsafe { has_gain(options.calibration) }?;
         // Where the caller gives no gain, the estimate converts with the scene's.
         let calibration = unsafe { calibration(options.calibration, shape, None) }?;
-        let mut images = taken(&unsafe { Input::new(frames, "frames") }?, &calibration)?;
+        let mut images = taken(&frames, &calibration)?;
         if has_gain {
             images = images.in_electrons();
         }
@@ -232,6 +234,13 @@ pub unsafe extern "C" fn cophase_estimator_estimate(
         unsafe { out.write(Box::into_raw(Box::new(cophase_estimate(Handle::new(EstimateState::new(made)))))) };
         Ok(())
     })
+}
+
+/// Rows and columns of a frame and its calibration: those of the scene or, of odd frames, one more, which the estimate leaves out.
+fn taken_shape(frames: &Input, (rows, cols): (usize, usize)) -> (usize, usize) {
+    let [_, given_rows, given_cols] = frames.shape();
+    let is_taken = |given: usize, wanted: usize| given == wanted || given == wanted + 1;
+    if is_taken(given_rows, rows) && is_taken(given_cols, cols) { (given_rows, given_cols) } else { (rows, cols) }
 }
 
 /// A caller's frames as electrons.

@@ -12,7 +12,8 @@ use crate::retrieval::{
 };
 use crate::scene::{AoKnowledge, Scene, SegmentModes};
 use crate::statics::{
-    Iteration, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity, estimate_static_errors,
+    Iteration, MAX_NCPA_MODES, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity,
+    estimate_static_errors,
 };
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -153,7 +154,7 @@ pub(super) fn estimate(
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
     let retriever = Retriever::new(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
-    retriever.check_images(images.len())?;
+    retriever.check_images(images.len(), MAX_NCPA_MODES)?;
     let watch = |progress| match progress {
         SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images.len()),
         SequenceProgress::Retrieved(done) => control.advance_to(done),

@@ -11,8 +11,8 @@ const SLOPES_PER_ZERNIKE: f64 = 2.7;
 /// are in the pupil.
 const SLOPES_PER_MIRROR_MODE: f64 = 1.9;
 
-/// Most modes of a mirror: the cost of each is the same, and images have few pixels for more.
-const MAX_MIRROR_MODES: usize = 400;
+/// Most modes of a mirror, the largest basis of NCPA: the cost of each is the same, and images have few pixels for more.
+pub(crate) const MAX_NCPA_MODES: usize = 400;
 
 /// Family of modes that describe the NCPA.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,7 +51,7 @@ impl NcpaBasis {
             }
             NcpaFamily::Mirror => {
                 let (influence, turbulence) = (telescope.influence(scene)?, Telescope::turbulence(scene)?);
-                let most = (identifiable_modes(scene, SLOPES_PER_MIRROR_MODE) as usize).clamp(1, MAX_MIRROR_MODES);
+                let most = (identifiable_modes(scene, SLOPES_PER_MIRROR_MODE) as usize).clamp(1, MAX_NCPA_MODES);
                 let basis = modes::karhunen_loeve_at_most(&influence, &telescope.pupil, &turbulence, most)?.basis;
                 // Groups as large as the orders of a Zernike basis.
                 let mut groups: Vec<usize> = Vec::new();

@@ -34,8 +34,9 @@ classdef Estimator < cophase.Handle
             %ESTIMATE  Estimates the static wavefront behind images.
             %   e = estimator.estimate(frames) returns a cophase.Estimate. frames holds images of the same static
             %   errors, rows x columns x images, of class single, double, uint16, int32 or uint8, two or more for a MAP
-            %   estimate. Values that are not finite are bad pixels. The optical axis is on row rows/2 + 1 and column
-            %   columns/2 + 1.
+            %   estimate. rows and columns are those of the scene; of frames with one row or column more the last is left
+            %   out. Values that are not finite are bad pixels. The optical axis is on row floor(rows/2) + 1 and column
+            %   floor(columns/2) + 1.
             %
             %   e = estimator.estimate(frames, Name, Value, ...) chooses:
             %      'mask'          rows x columns, or rows x columns x images: bad pixels, which take no part, are not

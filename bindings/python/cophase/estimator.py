@@ -113,8 +113,8 @@ class Estimator(Handle):
         Parameters
         ----------
         frames : (rows, cols) or (images, rows, cols) array
-            Images of the same static errors, two or more for a MAP estimate. Values that are not finite are bad pixels.
-            The optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64, uint16,
+            Images of the same static errors, two or more for a MAP estimate, of the size that the scene says; of those
+            with one row or column more the last is left out. Values that are not finite are bad pixels. The optical axis is on row ``rows // 2`` and column ``cols // 2``. Any strides; float32, float64, uint16,
             int32, uint8 and bool are read in place, other types are copied if NumPy casts them safely.
         mask : (rows, cols) or (images, rows, cols) array, optional
             Bad pixels, which take no part, are not 0: of all images, or of each.

@@ -9,7 +9,7 @@ use cophase::ao::Stepper;
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use cophase::scene::{Precision, Scene};
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, s};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -223,6 +223,19 @@ fn hot_pixels() {
     case.images_e[[0, 60, 52]] += 1e6;
     let found = case.is_the_same_everywhere();
     assert_eq!(found.images[0].rejected_pixels, 2);
+}
+
+#[test]
+fn frames_with_one_row_and_one_column_more() {
+    let mut case = Case::of_source(&[]);
+    let even = case.estimate(Policy::default());
+    let (count, rows, columns) = case.images_e.dim();
+    let mut odd = Array3::from_elem((count, rows + 1, columns + 1), 1e6);
+    odd.slice_mut(s![.., ..rows, ..columns]).assign(&case.images_e);
+    case.images_e = odd;
+    let found = case.is_the_same_everywhere();
+    assert!(found.remarks[0].starts_with("The last row and the last column were left out"), "{:?}", found.remarks);
+    assert_eq!(found.coefficients_nm, even.coefficients_nm);
 }
 
 #[test]
