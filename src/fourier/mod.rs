@@ -15,6 +15,7 @@ mod definition;
 mod fft;
 mod hartley;
 mod matrix;
+mod pixel_response;
 mod product;
 mod real;
 mod sampling;
@@ -22,6 +23,7 @@ mod transform;
 mod workspace;
 
 pub use hartley::HartleyTransform;
+pub use pixel_response::PixelResponse;
 pub use product::Factors;
 pub(crate) use product::panel_len;
 pub use real::Real;

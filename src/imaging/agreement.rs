@@ -6,7 +6,7 @@ use super::gpu::{GpuChain, GpuLayout};
 use super::*;
 use crate::device::tests::test_devices;
 use crate::device::{Build, Device, FftPlan};
-use crate::fourier::Sampling;
+use crate::fourier::{PixelResponse, Sampling};
 use crate::pupil::SegmentWeights;
 use ndarray::Array2;
 use rand::{Rng, RngExt, SeedableRng};
@@ -79,6 +79,7 @@ pub(super) fn case(seed: u64) -> Case {
         sampling,
         wavelength_nm: 1650.0,
         colours: vec![Colour::MONOCHROMATIC],
+        pixel: [PixelResponse::POINT; 2],
         weights: SegmentWeights { segments: segments as usize, illuminated, offsets, segment, weight, energy },
         slopes: tilts.then(|| (uniform(entries, 1.7, random), uniform(entries, 1.7, random))),
         diversity_nm: uniform(count, 1500.0, random),

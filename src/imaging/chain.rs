@@ -43,7 +43,7 @@ impl Chain {
     }
 
     /// A chain on the device of `choice`, with memory for `capacity` images. `auto` selects a GPU if it supports the precision
-    /// and the model (which must have one wavelength and fit its memory), otherwise the CPU; if the GPU fails later, the CPU
+    /// and the model (which must have one wavelength and pixels that are points, and fit its memory), otherwise the CPU; if the GPU fails later, the CPU
     /// replaces it: see [`Fallback`].
     ///
     /// # Errors
@@ -68,14 +68,12 @@ impl Chain {
         free_phase: bool,
     ) -> Result<Self> {
         let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
-        if !optics.has_one_wavelength() {
-            if choice == Choice::Auto {
-                return Ok(Self::cpu(optics, precision));
-            }
-            let count = optics.parts().colours.len();
-            return Err(Error::Device(format!(
-                "a model of {count} wavelengths runs on the CPU only: use device = \"cpu\" or \"auto\", or estimate.wavelengths = 1"
-            )));
+        if let Some(sentence) = optics.only_on_cpu() {
+            return if choice == Choice::Auto {
+                Ok(Self::cpu(optics, precision))
+            } else {
+                Err(Error::Device(sentence))
+            };
         }
         let on_device = || -> Result<Self> {
             let layout = GpuLayout { free_phase, ..layout(&optics) };

@@ -1,5 +1,5 @@
 //! The chain on the CPU: one image per thread at a time, in f64 (the reference) or f32. For a model of several wavelengths,
-//! field and transform are computed for each, and the detector once.
+//! field and transform are computed for each, and pixels and detector once.
 
 mod free;
 
@@ -7,6 +7,7 @@ use super::detector::{Evaluation, Exposure, LoadedImage};
 use super::field::{Field, FieldState};
 use super::optics::Optics;
 use super::phasor::Polynomial;
+use super::pixels::Pixels;
 use crate::fourier::{Sampling, Transform, Workspace};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
@@ -18,6 +19,8 @@ use std::sync::{Arc, Mutex};
 pub struct CpuChain<T: Polynomial> {
     optics: Arc<Optics>,
     colours: Vec<Stages<T>>,
+    /// The area of the pixels, where they are not points.
+    pixels: Option<Pixels<T>>,
     images: Vec<LoadedImage<T>>,
     /// Scratch memory not in use by a thread.
     idle: Mutex<Vec<Scratch<T>>>,
@@ -34,6 +37,8 @@ pub struct Scratch<T: Polynomial> {
     colours: Vec<ColourScratch<T>>,
     pupil_bar: Vec<T>,
     psf: Vec<T>,
+    /// Two images, for pixels that are not points.
+    images: [Vec<T>; 2],
 }
 
 /// Scratch memory of one wavelength.
@@ -61,7 +66,8 @@ impl<T: Polynomial> CpuChain<T> {
     pub fn with_transforms(optics: Arc<Optics>, transform: impl Fn(Sampling) -> Transform<T>) -> Self {
         let stages = |optics: &Optics| Stages { field: Field::new(optics), transform: transform(optics.sampling()) };
         let colours = optics.colours().iter().map(stages).collect();
-        Self { optics, colours, images: Vec::new(), idle: Mutex::new(Vec::new()) }
+        let pixels = Pixels::of(&optics);
+        Self { optics, colours, pixels, images: Vec::new(), idle: Mutex::new(Vec::new()) }
     }
 
     /// The model.
@@ -229,6 +235,9 @@ impl<T: Polynomial> CpuChain<T> {
                     }
                 }
             }
+            if let (Some(pixels), Some(row)) = (&self.pixels, row.as_slice_mut()) {
+                pixels.apply(row, &mut memory.images[0]);
+            }
             self.return_scratch(memory);
         });
         let psf = here.psf.clone();
@@ -249,6 +258,7 @@ impl<T: Polynomial> CpuChain<T> {
             colours: self.colours.iter().map(colour).collect(),
             pupil_bar: vec![T::zero(); 2 * n * n],
             psf: vec![T::zero(); m * m],
+            images: [0, 1].map(|_| vec![T::zero(); if self.pixels.is_some() { m * m } else { 0 }]),
         }
     }
 
@@ -262,6 +272,9 @@ impl<T: Polynomial> CpuChain<T> {
                 0 => LoadedImage::intensity(&colour.focus, &mut memory.psf, pixels),
                 _ => LoadedImage::add_intensity(&colour.focus, &mut memory.psf, pixels),
             }
+        }
+        if let Some(pixels) = &self.pixels {
+            pixels.apply(&mut memory.psf, &mut memory.images[0]);
         }
     }
 
@@ -316,11 +329,21 @@ impl<T: Polynomial> NullaryFnOnce for Backward<'_, T> {
     #[inline(always)]
     fn call(self) {
         let Self { chain, image, memory, evaluation } = self;
+        let m = chain.optics.sampling().pixels;
         image.forward(&memory.psf, evaluation);
         evaluation.gradient.fill(0.0);
+        let [slope, work] = &mut memory.images;
+        if let Some(pixels) = &chain.pixels {
+            image.slope(evaluation, &memory.psf, slope);
+            // The convolution is its own adjoint.
+            pixels.apply(slope, work);
+        }
         for (stages, colour) in chain.colours.iter().zip(&mut memory.colours) {
-            // The objective is that of all wavelengths; each call computes the same value.
-            image.adjoint(evaluation, &memory.psf, &mut colour.focus, chain.optics.sampling().pixels);
+            match chain.pixels {
+                Some(_) => LoadedImage::times_slope(slope, &mut colour.focus, m),
+                // The objective is that of all wavelengths; each call computes the same value.
+                None => image.adjoint(evaluation, &memory.psf, &mut colour.focus, m),
+            }
             stages.transform.adjoint(&colour.focus, &mut memory.pupil_bar, &mut colour.workspace);
             stages.field.adjoint(&memory.pupil_bar, &mut colour.field, &mut evaluation.gradient);
         }

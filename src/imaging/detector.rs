@@ -1,6 +1,6 @@
 //! Detector stage: from the focal field to the objective, and the adjoint.
 //!
-//! `h = |U|²`, `J = Σ w·(S·h + b − d)²`. Flux S and background b are given, or minimise J: they enter linearly, so
+//! `h = |U|²` (with the response of the pixels, where they have an area: see `pixels`), `J = Σ w·(S·h + b − d)²`. Flux S and background b are given, or minimise J: they enter linearly, so
 //! their 2×2 normal equations are solved at each evaluation (variable projection), and by the envelope theorem the gradient
 //! by the other unknowns is that at fixed S and b. The adjoint: `Ū = dJ/dh·U = 2·w·r·S·U`.
 
@@ -205,6 +205,38 @@ impl<T: Polynomial> LoadedImage<T> {
             sums.iter_mut().zip(&lanes).for_each(|(sum, lane)| *sum += lane.widen());
         }
         evaluation.objective = sums.iter().sum();
+    }
+}
+
+/// The adjoint in two steps, for an image whose pixels have an area: their stage is between them.
+impl<T: Polynomial> LoadedImage<T> {
+    /// Writes the objective at the flux and background of `evaluation` into it, and dJ/dh = 2·w·r·S of
+    /// each pixel into `slope`.
+    #[inline(always)]
+    pub(super) fn slope(&self, evaluation: &mut Evaluation, psf: &[T], slope: &mut [T]) {
+        let (flux, background) = (T::narrow(evaluation.flux_e), T::narrow(evaluation.background_e));
+        let twice_flux = flux + flux;
+        let mut sum = 0.0;
+        let pixels = psf.iter().zip(&self.data).zip(&self.weight).zip(slope);
+        for (((&psf, &data), &weight), slope) in pixels {
+            let residual = psf.mul_add(flux, background - data);
+            let weighted = weight * residual;
+            sum += (weighted * residual).widen();
+            *slope = twice_flux * weighted;
+        }
+        evaluation.objective = sum;
+    }
+
+    /// Replaces the focal field by Ū, its product with the slope of each pixel.
+    #[inline(always)]
+    pub(super) fn times_slope(slope: &[T], focus: &mut [T], pixels: usize) {
+        for (row, slope) in focus.chunks_exact_mut(2 * pixels).zip(slope.chunks_exact(pixels)) {
+            let (re, im) = row.split_at_mut(pixels);
+            for u in 0..pixels {
+                re[u] *= slope[u];
+                im[u] *= slope[u];
+            }
+        }
     }
 }
 

@@ -7,6 +7,7 @@
 use super::cpu::CpuChain;
 use super::field::Field;
 use super::optics::{Mode, Optics};
+use super::pixels::Pixels;
 use crate::fourier::{Sampling, Transform};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatMut, MatRef, Par};
@@ -18,6 +19,7 @@ use std::ops::Range;
 pub struct LinearModel<'a> {
     chain: &'a CpuChain<f64>,
     colours: Vec<ColourState<'a>>,
+    pixels: Option<Pixels<f64>>,
     psf: Vec<f64>,
     /// Rows and columns of the pupil that each segment covers.
     boxes: Vec<[Range<usize>; 2]>,
@@ -41,7 +43,12 @@ impl CpuChain<f64> {
         let colours: Vec<ColourState> = self.optics().colours().into_iter().zip(self.fields()).map(colour).collect();
         let mut psf = vec![0.0; self.optics().sampling().pixels.pow(2)];
         colours.iter().for_each(|colour| colour.add_psf(&mut psf));
-        LinearModel { chain: self, colours, psf, boxes: boxes(self.optics()) }
+        let pixels = Pixels::of(self.optics());
+        if let Some(pixels) = &pixels {
+            let mut work = vec![0.0; psf.len()];
+            pixels.apply(&mut psf, &mut work);
+        }
+        LinearModel { chain: self, colours, pixels, psf, boxes: boxes(self.optics()) }
     }
 }
 
@@ -101,16 +108,32 @@ impl LinearModel<'_> {
         let lines: Vec<_> = out.outer_iter_mut().zip(modes).collect();
         lines.into_par_iter().for_each_init(
             || ThreadBuffers::new(self),
-            |buffers, (mut out, &mode)| {
-                out.fill(0.0);
-                self.colours.iter().for_each(|colour| match mode {
-                    Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
-                        self.patch(colour, mode, &self.boxes[s], &rows, buffers, out.view_mut());
-                    }
-                    _ => self.whole(colour, mode, &rows, buffers, out.view_mut()),
-                });
+            |buffers, (mut out, &mode)| match &self.pixels {
+                None => self.derivative(mode, &rows, buffers, out),
+                Some(pixels) => {
+                    let needed = pixels.needed(&rows);
+                    let mut points = std::mem::take(&mut buffers.points);
+                    points.resize(needed.len() * self.pixels(), 0.0);
+                    self.derivative(mode, &needed, buffers, ArrayViewMut1::from(&mut points[..]));
+                    let mut lines = out.exact_chunks_mut(self.pixels()).into_iter();
+                    pixels.apply_to_rows(&mut points, &rows, &mut buffers.line, |line| {
+                        lines.next().into_iter().for_each(|mut out| out.assign(&ArrayView1::from(line)));
+                    });
+                    buffers.points = points;
+                }
             },
         );
+    }
+
+    /// Writes the derivative of the intensity at the centres of some rows of pixels by one coefficient into `out`.
+    fn derivative(&self, mode: Mode, rows: &Range<usize>, buffers: &mut ThreadBuffers, mut out: ArrayViewMut1<f64>) {
+        out.fill(0.0);
+        self.colours.iter().for_each(|colour| match mode {
+            Mode::Piston(s) | Mode::Tip(s) | Mode::Tilt(s) if self.is_small(s) => {
+                self.patch(colour, mode, &self.boxes[s], rows, buffers, out.view_mut());
+            }
+            _ => self.whole(colour, mode, rows, buffers, out.view_mut()),
+        });
     }
 
     /// Whether the box of a segment takes fewer operations than the whole pupil.
@@ -188,6 +211,9 @@ struct ThreadBuffers {
     along_x: Vec<f64>,
     along_y: Vec<f64>,
     whole: Option<FullPupilBuffers>,
+    /// The derivative at the centres of pixels that have an area, and a row of it.
+    points: Vec<f64>,
+    line: Vec<f64>,
 }
 
 /// Memory of a transform of the whole pupil.
@@ -202,7 +228,7 @@ impl ThreadBuffers {
         let (n, m) = (linear.chain.optics().sampling().samples, linear.pixels());
         let tallest = linear.boxes.iter().map(|[ys, _]| ys.len()).max().unwrap_or(0);
         let (along_x, along_y) = (vec![0.0; 2 * tallest * m], vec![0.0; 2 * m * m]);
-        Self { pupil: vec![0.0; 2 * n * n], along_x, along_y, whole: None }
+        Self { pupil: vec![0.0; 2 * n * n], along_x, along_y, whole: None, points: Vec::new(), line: Vec::new() }
     }
 }
 
@@ -244,6 +270,7 @@ fn boxes(optics: &Optics) -> Vec<[Range<usize>; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fourier::PixelResponse;
     use crate::imaging::{Colour, OpticsParts};
     use crate::pupil::SegmentWeights;
     use ndarray::Array2;
@@ -251,7 +278,7 @@ mod tests {
 
     /// Nine segments in a square of 27×27 samples of 30, each of which overlaps its neighbours by one sample, and a smooth mode
     /// over all of them.
-    fn optics(tilts: bool, colours: &[Colour]) -> Arc<Optics> {
+    fn optics(tilts: bool, colours: &[Colour], pixel: [PixelResponse; 2]) -> Arc<Optics> {
         let (n, m, side) = (30, 14, 9);
         let (mut illuminated, mut offsets, mut segment, mut weight) = (Vec::new(), vec![0], Vec::new(), Vec::new());
         for (y, x) in (0..27).flat_map(|y| (0..27).map(move |x| (y, x))) {
@@ -274,6 +301,7 @@ mod tests {
             sampling: Sampling::new(n, m, 1.9).unwrap(),
             wavelength_nm: 2000.0,
             colours: colours.to_vec(),
+            pixel,
             diversity_nm: (0..illuminated.len()).map(|p| 900.0 * (0.02 * p as f64).sin()).collect(),
             basis: Array2::from_shape_fn((1, illuminated.len()), |(_, p)| (0.05 * p as f64).cos()),
             modes: (0..9).flat_map(modes_of).chain([Mode::Smooth(0)]).collect(),
@@ -295,8 +323,16 @@ mod tests {
     fn derivatives_in_tiles_agree_with_those_of_the_whole_image() {
         let three = [(0.95, 0.3), (1.0, 0.4), (1.04, 0.3)].map(|(ratio, share)| Colour { ratio, share });
         let alone = [Colour::MONOCHROMATIC];
-        for (tilts, colours) in [(false, &alone[..]), (true, &alone), (false, &three), (true, &three)] {
-            let chain = CpuChain::<f64>::new(optics(tilts, colours));
+        let points = [PixelResponse::POINT; 2];
+        let squares = [1.0, 0.6].map(|width_pixels| PixelResponse { width_pixels, diffusion_pixels: 0.1 });
+        for (tilts, colours, pixel) in [
+            (false, &alone[..], points),
+            (true, &alone, points),
+            (false, &three, points),
+            (true, &three, points),
+            (true, &three, squares),
+        ] {
+            let chain = CpuChain::<f64>::new(optics(tilts, colours, pixel));
             let modes = chain.optics().modes();
             let at = ndarray::Array1::from_shape_fn(modes, |i| 60.0 * (i as f64 * 1.7).sin());
             let linear = chain.linearise(at.view());

@@ -16,6 +16,7 @@ pub mod gpu;
 mod linear;
 mod optics;
 mod phasor;
+mod pixels;
 mod segment_blocks;
 mod smooth;
 mod work;

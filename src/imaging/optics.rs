@@ -1,6 +1,6 @@
 //! The immutable optical model of one scene, in double precision, from which every chain is constructed.
 
-use crate::fourier::Sampling;
+use crate::fourier::{PixelResponse, Sampling};
 use crate::modes::SeparableBasis;
 use crate::pupil::SegmentWeights;
 use crate::{Error, Result};
@@ -42,6 +42,8 @@ pub struct OpticsParts {
     pub wavelength_nm: f64,
     /// The wavelengths, whose images are added; the fractions sum to 1.
     pub colours: Vec<Colour>,
+    /// Response of a pixel of the model along x and y.
+    pub pixel: [PixelResponse; 2],
     /// Weights of the segments in the illuminated samples.
     pub weights: SegmentWeights,
     /// Coordinates of each entry of `weights` on its segment along x and y, scaled to unit RMS over the segment; required
@@ -191,6 +193,19 @@ impl Optics {
     /// Whether the model is monochromatic.
     pub fn has_one_wavelength(&self) -> bool {
         self.parts.colours == [Colour::MONOCHROMATIC]
+    }
+
+    /// Why this model runs on the CPU only, and what to set, as a sentence; `None` for one that devices can run, too.
+    pub(super) fn only_on_cpu(&self) -> Option<String> {
+        let cure = |subject: String, key: &str| {
+            Some(format!("{subject} runs on the CPU only: use device = \"cpu\" or \"auto\", or {key}"))
+        };
+        if !self.has_one_wavelength() {
+            let count = self.parts.colours.len();
+            return cure(format!("a model of {count} wavelengths"), "estimate.wavelengths = 1");
+        }
+        let is_sampled = self.parts.pixel.iter().all(PixelResponse::is_point);
+        if is_sampled { None } else { cure("a model of pixels with an area".into(), "image.pixel_fill = 0") }
     }
 
     /// The wavelength that this model represents in a polychromatic one; [`Colour::MONOCHROMATIC`] for a complete model.

@@ -14,8 +14,8 @@
 //! | pixels: intensity, sums, residual, source | 30 m² |
 //!
 //! With several wavelengths, all parts but the pixels are counted once per wavelength. Bytes from memory: data and weights,
-//! 2 m² b; the basis, L M b/B, read once per batch; coefficients and gradient, 16 per mode. Padding and repeated computations
-//! of a variant are not counted.
+//! 2 m² b; the basis, L M b/B, read once per batch; coefficients and gradient, 16 per mode. Padding, repeated computations
+//! of a variant, and the area of pixels are not counted.
 
 use super::optics::Optics;
 use crate::device::Precision;

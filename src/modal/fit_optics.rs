@@ -1,5 +1,5 @@
-//! Fit of optical parameters of the scene together with the modes: the plate scale, the rotation of the pupil, the amplitude
-//! of the defocus, the width of the filter.
+//! Fit of optical parameters of the scene together with the modes: the plate scale, the rotation and the shadows of the pupil, the
+//! reflectivities of its segments, the amplitude of the defocus, the width of the filter, the area of a pixel.
 //!
 //! Each image has its own modes a; all images share the optical parameters θ. With J the derivatives of an image's electrons,
 //! orthogonalised to its flux and background, W its weights and r its residual, Gauss-Newton about the images' own minima
@@ -14,12 +14,13 @@
 //! 0 the modes reproduce their effect, and the scene's value stays.
 
 mod normal;
+mod parameter;
 
 use super::band;
 use super::basis_cache::BasisCache;
 use super::cube::Cube;
 use super::diversity_error::SharedError;
-use super::fitted_optic::{FittedOptic, key};
+use super::fitted_optic::FittedOptic;
 use super::fitter::{ModalFitter, same_basis};
 use super::minimum::Minimum;
 use super::mode_set::{ModeSet, SceneBasis};
@@ -32,6 +33,7 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, ArrayView1, Axis};
 use normal::{Iteration, NormalEquations};
+use parameter::{Parameter, starts, telescope, with_numbers};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, OnceLock};
 
@@ -39,48 +41,12 @@ use std::sync::{Arc, OnceLock};
 const MAX_IMAGES: usize = 6;
 /// Most iterations of fits and steps: they reach 12 % of plate scale and six degrees of rotation.
 const MAX_ITERATIONS: usize = 12;
-/// Step of a filter's width.
-const WIDTH_STEP: f64 = 1e-3;
 /// Converged where the last step is less than this fraction of the error bars.
 const TOLERANCE: f64 = 0.1;
 /// Converged where the last step is less than this fraction of the derivatives' step: rounding.
 const ROUNDING: f64 = 1e-4;
 /// Largest step of one iteration, in steps of the derivatives: they hold for about half a pixel at the rim of the spot.
 const MAX_STEP: f64 = 10.0;
-
-/// Value of an optical parameter in `scene`, and the step for its derivative: about a twentieth of a pixel at the rim of a spot.
-///
-/// # Errors
-/// [`Error::Scene`] where the scene has no such parameter.
-fn value_and_step(scene: &Scene, optic: Optic) -> Result<(f64, f64)> {
-    let missing = |what: &str| {
-        Err(Error::Scene(format!(
-            "estimate.fit_optics names \"{}\", which {what} does not have; leave it out",
-            optic.word()
-        )))
-    };
-    match optic {
-        Optic::PlateScale => {
-            let sampling = scene.image.samples_per_lambda_over_d;
-            Ok((sampling, 1e-3 * sampling))
-        }
-        Optic::Rotation if scene.pupil.extent_m().is_none() => missing("a pupil from a file"),
-        Optic::Rotation => Ok((scene.pupil.rotation_deg, 0.05)),
-        Optic::Defocus if scene.image.diversity_file.is_some() => missing("a diversity from a file"),
-        Optic::Defocus => Ok((scene.image.diversity_focus_waves_rms, 5e-3)),
-        // The image depends on the square of the width: its derivative at 0 is 0.
-        Optic::Bandwidth if scene.image.bandwidth_fraction == 0.0 => missing("light of one wavelength"),
-        Optic::Bandwidth => Ok((scene.image.bandwidth_fraction, WIDTH_STEP.min(0.5 * scene.image.bandwidth_fraction))),
-    }
-}
-
-/// `scene` with these values of the optical parameters.
-fn with_optics(scene: &Scene, optics: &[Optic], values: &[f64]) -> Result<Scene> {
-    let texts: Vec<String> = values.iter().map(f64::to_string).collect();
-    let settings: Vec<(&str, &str)> =
-        optics.iter().zip(&texts).map(|(&optic, text)| (key(optic), text.as_str())).collect();
-    scene.with(&settings)
-}
 
 /// Fits the optical parameters that `scene` names to the images of `cube`, and returns the fitter of the scene with them;
 /// `native` as in [`ModalFitter::new`].
@@ -157,8 +123,9 @@ fn with_search<T>(
     search: impl FnOnce(&Search, Vec<f64>) -> Result<T>,
 ) -> Result<T> {
     let optics = scene.estimate.fit_optics.clone();
-    let numbers: Vec<(f64, f64)> = optics.iter().map(|&optic| value_and_step(scene, optic)).collect::<Result<_>>()?;
-    let (own, steps): (Vec<f64>, Vec<f64>) = numbers.into_iter().unzip();
+    let starts = starts(scene, recipe)?;
+    let parameters = starts.iter().map(|start| start.parameter).collect();
+    let (own, steps): (Vec<f64>, Vec<f64>) = starts.iter().map(|start| (start.value, start.step)).unzip();
     let mut fixed = scene.with(&[("estimate.fit_optics", "[]")])?;
     if optics.contains(&Optic::Bandwidth) && scene.estimate.wavelengths.is_none() {
         // The same number for all widths, so that it does not change between iterations.
@@ -173,13 +140,13 @@ fn with_search<T>(
     let (images_e, bad) = (cube.images_e.select(Axis(0), &at), cube.bad.select(Axis(0), &at));
     let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: cube.read_noise_e };
     let (scene_basis, modes) = (cache.0.clone(), OnceLock::new());
-    search(&Search { scene: fixed, optics, steps, recipe, native, scene_basis, modes, cube, cancel }, own)
+    search(&Search { scene: fixed, parameters, steps, recipe, native, scene_basis, modes, cube, cancel }, own)
 }
 
 /// The search, with what all iterations share.
 struct Search<'a> {
     scene: Scene,
-    optics: Vec<Optic>,
+    parameters: Vec<Parameter>,
     /// Steps of the derivatives.
     steps: Vec<f64>,
     recipe: Recipe,
@@ -235,25 +202,48 @@ impl Search<'_> {
                 (None, None) => break,
             }
         }
-        let scene = with_optics(&self.scene, &self.optics, &values)?;
-        let mut estimator = self.fitter(&scene, self.recipe.clone(), self.modes_of(&scene)?)?;
+        let scene = with_numbers(&self.scene, &self.parameters, &values)?;
+        let mut estimator = self.fitter(&scene, &values, self.recipe.clone(), self.modes_of(&scene)?)?;
         estimator.shared.push(SharedError { name: "fitted optics", covariance_nm2: iteration.shared_nm2.clone() });
-        let each =
-            self.optics.iter().zip(own).zip(values).zip(iteration.sigma.iter().zip(&iteration.identifiable_share));
-        estimator.fitted_optics = each
-            .map(|(((&optic, scene), value), (&sigma, &identifiable_share))| FittedOptic {
-                optic,
-                scene: *scene,
-                value,
-                sigma,
-                identifiable_share,
-            })
-            .collect();
+        estimator.fitted_optics = self.fitted(&estimator.model.telescope, own, &values, &iteration);
         Ok((estimator, iteration.reduced_chi2))
     }
 
+    /// The numbers of the scene and the reflectivities that were fitted; `own` are the scene's values.
+    fn fitted(&self, telescope: &Telescope, own: &[f64], values: &[f64], last: &Iteration) -> Vec<FittedOptic> {
+        let mut fitted = Vec::new();
+        for (i, parameter) in self.parameters.iter().enumerate() {
+            if let &Parameter::Number(optic, _) = parameter {
+                let (sigma, identifiable_share) = (last.sigma[i], last.identifiable_share[i]);
+                let (scene, value) = (own[i], values[i]);
+                fitted.push(FittedOptic { optic, segment: None, scene, value, sigma, identifiable_share });
+            }
+        }
+        let is_amplitude = |parameter: &Parameter| matches!(parameter, Parameter::Amplitude(_));
+        let shares = self.parameters.iter().zip(&last.identifiable_share);
+        // Of the last segment, which has no parameter, the least of the others.
+        let shares: Vec<f64> =
+            shares.filter(|(parameter, _)| is_amplitude(parameter)).map(|(_, share)| *share).collect();
+        let least = shares.iter().copied().fold(f64::INFINITY, f64::min);
+        let sigmas = parameter::amplitude_sigmas(telescope, &self.parameters, values, &last.covariance);
+        for (segment, (amplitude, sigma)) in telescope.amplitudes().iter().zip(sigmas).enumerate() {
+            fitted.push(FittedOptic {
+                optic: Optic::Reflectivities,
+                segment: Some(segment),
+                scene: 1.0,
+                value: amplitude * amplitude,
+                sigma: 2.0 * amplitude * sigma,
+                identifiable_share: shares.get(segment).copied().unwrap_or(least),
+            });
+        }
+        fitted
+    }
+
     fn describe(&self, values: &[f64]) -> String {
-        let each = self.optics.iter().zip(values).map(|(&optic, value)| format!("{} = {value}", key(optic)));
+        let each = self.parameters.iter().zip(values).map(|(parameter, value)| match parameter {
+            Parameter::Number(_, key) => format!("{key} = {value}"),
+            Parameter::Amplitude(segment) => format!("amplitude {segment} = {value:.3}"),
+        });
         each.collect::<Vec<_>>().join(", ")
     }
 
@@ -266,7 +256,7 @@ impl Search<'_> {
     fn modes_of(&self, scene: &Scene) -> Result<ModeSet> {
         let (recipe, scene_basis) = (&self.recipe, self.basis_of(scene));
         let make = || ModeSet::from_scene(scene, scene.modes.segment, recipe, &Telescope::new(scene)?, &scene_basis);
-        if self.optics.contains(&Optic::Rotation) {
+        if self.parameters.iter().any(|parameter| matches!(parameter, Parameter::Number(Optic::Rotation, _))) {
             return make();
         }
         if let Some(modes) = self.modes.get() {
@@ -276,9 +266,10 @@ impl Search<'_> {
         Ok(self.modes.get_or_init(|| modes).clone())
     }
 
-    /// Fitter of `scene`, whose modes are `modes`.
-    fn fitter(&self, scene: &Scene, recipe: Recipe, modes: ModeSet) -> Result<ModalFitter> {
-        let model = Model::with_modes(scene, &recipe, self.native, Telescope::new(scene)?, modes)?;
+    /// Fitter of `scene` with these values of the parameters, whose modes are `modes`.
+    fn fitter(&self, scene: &Scene, values: &[f64], recipe: Recipe, modes: ModeSet) -> Result<ModalFitter> {
+        let telescope = telescope(scene, &self.parameters, values)?;
+        let model = Model::with_modes(scene, &recipe, self.native, telescope, modes)?;
         Ok(ModalFitter { scene_basis: self.basis_of(scene), ..ModalFitter::from_model(scene, recipe, model)? })
     }
 
@@ -287,18 +278,23 @@ impl Search<'_> {
         if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(Error::Interrupted("the optical parameters were not fitted yet".into()));
         }
-        let scene = with_optics(&self.scene, &self.optics, values)?;
+        let scene = with_numbers(&self.scene, &self.parameters, values)?;
         // Far from the right parameters restarts do not help.
         let recipe = Recipe { restarts: 0, ..self.recipe.clone() };
         let modes = self.modes_of(&scene)?;
-        let estimator = self.fitter(&scene, recipe, modes.clone())?;
+        let estimator = self.fitter(&scene, values, recipe, modes.clone())?;
         let mut chain = Chain::cpu(estimator.model.optics.clone(), Precision::F64);
         let fitted = estimator.fit_all(&mut chain, self.cube, self.cancel, &mut |_, _| {})?;
         let perturbed = self.perturbed_models(&scene, &estimator, values, &modes)?;
-        let mut equations = NormalEquations::new(self.optics.len(), estimator.model.optics.modes());
+        let mut equations = NormalEquations::new(self.parameters.len(), estimator.model.optics.modes());
         for (image, minimum) in fitted.prepared.iter().zip(&fitted.minima) {
             if minimum.reason.has_converged() && minimum.reduced_chi2().is_finite() {
-                equations.add(&estimator, image, minimum, &self.derivatives(&perturbed, minimum))?;
+                equations.add(
+                    &estimator,
+                    image,
+                    minimum,
+                    &self.derivatives(&estimator, &perturbed, values, minimum),
+                )?;
             }
         }
         equations.solve(&estimator)
@@ -311,36 +307,63 @@ impl Search<'_> {
         estimator: &ModalFitter,
         values: &[f64],
         modes: &ModeSet,
-    ) -> Result<Vec<[CpuChain<f64>; 2]>> {
+    ) -> Result<Vec<Perturbed>> {
         // Models a step apart may select other pixels by themselves: the crop is fixed.
         let plan = estimator.model.preparation;
         let [longest, reduced] = [plan.frame, plan.reduced].map(|side| side[0].max(side[1]));
         let crop = (plan.pixels * longest).div_ceil(reduced).to_string();
-        let model = |optic: usize, side: f64| -> Result<CpuChain<f64>> {
+        let model = |number: usize, side: f64| -> Result<CpuChain<f64>> {
             let mut values = values.to_vec();
-            values[optic] += side * self.steps[optic];
-            let perturbed = with_optics(scene, &self.optics, &values)?.with(&[("image.crop_pixels", &crop)])?;
-            let telescope = Telescope::new(&perturbed)?;
+            values[number] += side * self.steps[number];
+            let perturbed = with_numbers(scene, &self.parameters, &values)?.with(&[("image.crop_pixels", &crop)])?;
+            let telescope = telescope(&perturbed, &self.parameters, &values)?;
             let model = Model::with_modes(&perturbed, &self.recipe, self.native, telescope, modes.clone())?;
             if model.preparation != plan {
                 return Err(Error::Internal("models a step apart have other pixels".into()));
             }
             Ok(CpuChain::new(model.optics))
         };
-        let pair = |optic| {
-            let (below, above) = rayon::join(|| model(optic, -1.0), || model(optic, 1.0));
-            Ok([below?, above?])
+        let pair = |(number, parameter): (usize, &Parameter)| match *parameter {
+            Parameter::Number(..) => {
+                let (below, above) = rayon::join(|| model(number, -1.0), || model(number, 1.0));
+                Ok(Perturbed::Models(Box::new([below?, above?])))
+            }
+            Parameter::Amplitude(segment) => Ok(Perturbed::Amplitude(segment)),
         };
-        (0..values.len()).map(pair).collect()
+        self.parameters.iter().enumerate().map(pair).collect()
     }
 
     /// Derivatives of an image's electrons by the parameters, `[parameter, pixel]`, per unit.
-    fn derivatives(&self, perturbed: &[[CpuChain<f64>; 2]], minimum: &Minimum) -> Vec<Array1<f64>> {
+    fn derivatives(
+        &self,
+        estimator: &ModalFitter,
+        perturbed: &[Perturbed],
+        values: &[f64],
+        minimum: &Minimum,
+    ) -> Vec<Array1<f64>> {
         let at = ArrayView1::from(&minimum.coefficients_nm);
-        let derivative = |([below, above], step): (&[CpuChain<f64>; 2], &f64)| {
-            let change = Array1::from(above.psf(at)) - Array1::from(below.psf(at));
-            change * (minimum.flux_e / (2.0 * step))
+        let (chain, segments) = (&estimator.reference, estimator.model.optics.parts().weights.segments);
+        let mut scratch = chain.scratch();
+        let derivative = |(perturbed, (value, step)): (&Perturbed, (&f64, &f64))| {
+            let [below, above] = match perturbed {
+                Perturbed::Models(chains) => [0, 1].map(|side| Array1::from(chains[side].psf(at))),
+                // The model has the amplitudes `values`: those of the scratch memory are factors.
+                Perturbed::Amplitude(segment) => [-1.0, 1.0].map(|side| {
+                    let factor = |s: usize| if s == *segment { 1.0 + side * step / value } else { 1.0 };
+                    scratch.set_amplitudes((0..segments).map(factor));
+                    Array1::from(chain.psf_in(at, &mut scratch).to_vec())
+                }),
+            };
+            (above - below) * (minimum.flux_e / (2.0 * step))
         };
-        perturbed.iter().zip(&self.steps).map(derivative).collect()
+        perturbed.iter().zip(values.iter().zip(&self.steps)).map(derivative).collect()
     }
+}
+
+/// What a step of a parameter changes.
+enum Perturbed {
+    /// The model: one step below and one step above.
+    Models(Box<[CpuChain<f64>; 2]>),
+    /// The amplitude of a segment.
+    Amplitude(usize),
 }

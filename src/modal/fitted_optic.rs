@@ -7,6 +7,8 @@ use crate::scene::Optic;
 pub struct FittedOptic {
     /// The parameter.
     pub optic: Optic,
+    /// The segment whose reflectivity it is, from 0; `None` for a number of the scene.
+    pub segment: Option<usize>,
     /// Value of the scene, in the unit of [`FittedOptic::key`].
     pub scene: f64,
     /// Fitted value; where it is not identifiable, the scene's, or that of the last iteration in which it was.
@@ -18,23 +20,17 @@ pub struct FittedOptic {
 }
 
 impl FittedOptic {
-    /// The key of the scene.
-    pub fn key(&self) -> &'static str {
-        key(self.optic)
+    /// The key of the scene, or `reflectivity N` of segment N, from 0.
+    pub fn key(&self) -> String {
+        match (self.optic.key(), self.segment) {
+            (_, Some(segment)) => format!("reflectivity {segment}"),
+            (Some(key), None) => key.into(),
+            (None, None) => self.optic.word().into(),
+        }
     }
 
     /// Whether the images distinguish it from the modes.
     pub fn is_identifiable(&self) -> bool {
         self.sigma.is_finite()
-    }
-}
-
-/// Key of the scene.
-pub(super) fn key(optic: Optic) -> &'static str {
-    match optic {
-        Optic::PlateScale => "image.samples_per_lambda_over_d",
-        Optic::Rotation => "pupil.rotation_deg",
-        Optic::Defocus => "image.diversity_focus_waves_rms",
-        Optic::Bandwidth => "image.bandwidth_fraction",
     }
 }

@@ -11,7 +11,7 @@ use crate::imaging::{Mode, Optics, OpticsParts};
 use crate::modes::{Basis, Group};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{PupilModel, Scene};
-use crate::telescope::{Diversity, Telescope};
+use crate::telescope::{Diversity, Telescope, pixel_response};
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
@@ -120,6 +120,7 @@ impl Model {
             sampling,
             wavelength_nm: scene.image.wavelength_nm,
             colours: band::colours(scene, &telescope, diversity)?,
+            pixel: [0, 1].map(|axis| pixel_response(scene).in_pixels_of(pixels.preparation.native_along(axis))),
             slopes,
             diversity_nm: points.iter().map(|&(x, y)| diversity.at(x, y)).collect(),
             basis: set.smooth.at(&points, &weights)?,

@@ -4,6 +4,7 @@ use super::gauss_newton::bytes_of_row;
 use super::memory::{BASE_BYTES, KEPT_MATRICES, MATRICES_AT_ONCE, Memory, NUMBER, Tiles, WORKING_MATRICES};
 use super::model::Model;
 use crate::Result;
+use crate::fourier::PixelResponse;
 use crate::machine;
 
 /// What lowers the memory of a fit.
@@ -25,7 +26,9 @@ impl Model {
         let each = 3 * smooth * illuminated + 9 * maps.max(n * n) + 12 * entries + 24 * illuminated + 2 * n * m;
         let model = smooth * maps + colours * each;
         // Two chains' scratch, one's for the flat wavefront, and that of the derivatives; a frame's preparation.
-        let thread = colours * (21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * illuminated) + 8 * frame;
+        // Pixels with an area: two images of each chain, and the rows of a derivative.
+        let area = if parts.pixel.iter().all(PixelResponse::is_point) { 0 } else { 7 * m * m };
+        let thread = colours * (21 * n * n + 17 * m * m + 10 * k * k + 4 * n * m + 40 * illuminated) + 8 * frame + area;
         let square = modes * modes * NUMBER;
         Memory {
             model: NUMBER * model + BASE_BYTES,

@@ -111,8 +111,10 @@ pub struct Figure {
 /// An optical parameter that was fitted together with the modes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OpticalParameter {
-    /// Key of the scene.
+    /// Key of the scene, or `reflectivity N` of segment N.
     pub key: String,
+    /// The segment whose reflectivity it is, from 0; `None` for a number of the scene.
+    pub segment: Option<usize>,
     /// Value in the scene, in the unit of the key.
     pub scene: f64,
     /// Fitted value.

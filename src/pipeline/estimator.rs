@@ -6,7 +6,7 @@ use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
 use super::images::Images;
 use super::policy::Policy;
-use super::{map, modal, warnings};
+use super::{map, modal};
 use crate::modal::BasisCache;
 use crate::planner;
 use crate::scene::{Method, Scene};
@@ -101,7 +101,7 @@ impl Estimator {
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
-        let general = shortfall.iter().chain(&images.notes).cloned().chain(warnings::scene_warning(&scene));
+        let general = shortfall.iter().chain(&images.notes).cloned();
         estimate.warnings.splice(0..0, general);
         estimate.remarks.splice(0..0, cut.into_iter().chain(consistent.remarks).chain(chosen));
         if let Some(truth) = &images.truth {

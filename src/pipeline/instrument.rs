@@ -1,6 +1,6 @@
 //! Keys of a scene that describe the instrument behind an image: two scenes of one image agree in them.
 
-use crate::scene::{Optic, Scene};
+use crate::scene::Scene;
 
 /// Value of a key.
 #[derive(PartialEq)]
@@ -38,6 +38,8 @@ fn values(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("image.wavelength_nm", Number(image.wavelength_nm)),
         ("image.bandwidth_fraction", Number(image.bandwidth_fraction)),
         ("image.samples_per_lambda_over_d", Number(image.samples_per_lambda_over_d)),
+        ("image.pixel_fill", Number(image.pixel_fill)),
+        ("image.charge_diffusion_pixels", Number(image.charge_diffusion_pixels)),
     ];
     if image.diversity_file.is_none() {
         values.push(("image.diversity_focus_waves_rms", Number(image.diversity_focus_waves_rms)));
@@ -72,12 +74,5 @@ pub(super) fn differences(of_file: &Scene, scene: &Scene) -> Vec<(&'static str, 
 
 /// Whether `estimate.fit_optics` fits `key`, whose value is then a start.
 pub(super) fn is_fitted(scene: &Scene, key: &str) -> bool {
-    scene.estimate.fit_optics.iter().any(|optic| {
-        key == match optic {
-            Optic::PlateScale => "image.samples_per_lambda_over_d",
-            Optic::Rotation => "pupil.rotation_deg",
-            Optic::Defocus => "image.diversity_focus_waves_rms",
-            Optic::Bandwidth => "image.bandwidth_fraction",
-        }
-    })
+    scene.estimate.fit_optics.iter().any(|optic| optic.key() == Some(key))
 }

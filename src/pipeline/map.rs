@@ -149,6 +149,7 @@ fn basis(last: &Iteration) -> Basis {
 fn optics(given: &Scene, found: &SequenceResult) -> Vec<OpticalParameter> {
     let parameter = |key: &str, scene: f64, value: f64| OpticalParameter {
         key: key.into(),
+        segment: None,
         scene,
         value,
         sigma: f64::NAN,

@@ -22,6 +22,7 @@ mod instrument;
 mod map;
 mod misfit;
 mod modal;
+mod model_selection;
 mod orientation;
 mod outcome;
 mod policy;

@@ -6,6 +6,7 @@ use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
 use super::image_changes::{CHANGING, image_changes};
 use super::misfit;
+use super::model_selection;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings;
@@ -46,9 +47,31 @@ pub(super) fn estimate(
     };
     let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
     let recipe = policy.recipe(scene);
-    let (fitter, found) =
-        modal::estimate_with(scene, recipe, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
+    let mut fitted = modal::estimate_with(scene, recipe, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
     control.check("the images were fitted, nothing was written")?;
+    // Only a misfit asks for a cause.
+    let is_explained = fitted.1.status().kind() == ImageStatus::Ok;
+    let changes = if is_explained { None } else { image_changes(scene, images) };
+    let (mut cause, mut selected) = (None, None);
+    if let Some(&image) = fitted.1.used_images.first()
+        && !is_explained
+        && changes.is_none_or(|chi2| chi2 < CHANGING)
+    {
+        control.check("the images were fitted, the cause of a residual was not sought")?;
+        let (model, diversity) = (fitted.0.model(), fitted.0.diversity_projection()?);
+        let case = misfit::Case { scene, policy, control, cache, images, image, model, diversity: &diversity };
+        cause = case.likely_cause(&fitted.1)?;
+        if cause.is_none() && model_selection::may_extend(scene, policy) {
+            let mut one = |scene: &Scene| fit_one(scene, policy, control, cache, cube, image);
+            selected = model_selection::select(scene, control, &fitted, image, &mut one)?;
+        }
+    }
+    if let Some(selected) = &selected {
+        let (scene, flag) = (&selected.scene, Some(control.flag()));
+        fitted = modal::estimate_with(scene, policy.recipe(scene), cache, cube, &mut open, flag, &mut watch)?;
+        control.check("the images were fitted, nothing was written")?;
+    }
+    let (fitter, found) = fitted;
     let model_seconds = started.elapsed().as_secs_f64() - found.seconds;
     let model = fitter.model();
     let diversity = fitter.diversity_projection()?;
@@ -57,18 +80,8 @@ pub(super) fn estimate(
     let pupil = model.telescope.pupil.clone();
     let wavefront_nm = &found.phasing_nm + &found.ncpa_nm;
     let scene_used = fitter.scene();
-    // Only a misfit asks for a cause.
-    let is_explained = found.status().kind() == ImageStatus::Ok;
-    let changes = if is_explained { None } else { image_changes(scene, images) };
-    let cause = match found.used_images.first() {
-        Some(&image) if !is_explained && changes.is_none_or(|chi2| chi2 < CHANGING) => {
-            control.check("the images were fitted, the cause of a residual was not sought")?;
-            misfit::Case { scene, policy, control, cache, images, image, model, diversity: &diversity }
-                .likely_cause(&found)?
-        }
-        _ => None,
-    };
     let remarks = [
+        selected.as_ref().map(|selected| selected.remark.clone()),
         warnings::diversity_remark(&diversity, scene_used),
         warnings::orientation_remark(scene_used, &model.telescope)?,
     ];
@@ -88,7 +101,7 @@ pub(super) fn estimate(
         reduced_chi2: found.reduced_chi2(),
         is_sequence: found.is_sequence(),
         status: found.status().kind(),
-        model: added_modes(fitter.recipe()),
+        model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),
         optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
         warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
         remarks: remarks.into_iter().flatten().collect(),
@@ -115,20 +128,50 @@ pub(super) fn estimate(
 
 impl From<&FittedOptic> for OpticalParameter {
     fn from(optic: &FittedOptic) -> Self {
-        let FittedOptic { scene, value, sigma, identifiable_share, .. } = *optic;
-        Self { key: optic.key().into(), scene, value, sigma, identifiable: identifiable_share }
+        let FittedOptic { segment, scene, value, sigma, identifiable_share, .. } = *optic;
+        Self { key: optic.key(), segment, scene, value, sigma, identifiable: identifiable_share }
     }
 }
 
-/// Description of the modes that were added to those of the scene.
-fn added_modes(recipe: &modal::Recipe) -> String {
+/// Fit of image `image` of `cube` alone by `scene`; `None` where a first step shows that the optical parameters which the scene
+/// fits do not explain it.
+fn fit_one(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    cache: &BasisCache,
+    cube: Cube,
+    image: usize,
+) -> Result<Option<(modal::ModalFitter, modal::ModalEstimate)>> {
+    let only = ndarray::s![image..=image, .., ..];
+    let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };
+    let (recipe, flag) = (policy.recipe(scene), Some(control.flag()));
+    let has_optics = !scene.estimate.fit_optics.is_empty();
+    if has_optics && modal::explaining_fit(scene, &recipe, cache, cube, 1.0, flag)?.is_none() {
+        return Ok(None);
+    }
+    let mut open = |fitter: &modal::ModalFitter| {
+        let optics = fitter.model().optics.clone();
+        Chain::open(optics, scene.estimate.device.into(), scene.estimate.precision.into(), 1)
+    };
+    modal::estimate_with(scene, recipe, cache, cube, &mut open, flag, &mut |_, _| {}).map(Some)
+}
+
+/// Description of the modes that were added to those of the scene, `selected` among them.
+fn added_modes(recipe: &modal::Recipe, selected: Option<&str>) -> String {
     let exact = match recipe.exact_zernikes {
-        NollRange::None => return "the scene's modes".into(),
+        NollRange::None => "the scene's modes".into(),
         NollRange::Span { first, last } => format!("Zernikes {first} to {last} added"),
     };
-    match recipe.prior_zernikes {
-        NollRange::None => exact,
-        NollRange::Span { first, last } => format!("{exact}, {first} to {last} with a prior"),
+    let with_prior = match recipe.prior_zernikes {
+        NollRange::Span { first, last } if recipe.exact_zernikes != NollRange::None => {
+            format!("{exact}, {first} to {last} with a prior")
+        }
+        _ => exact,
+    };
+    match selected {
+        None => with_prior,
+        Some(selected) => format!("{with_prior}; extended by {selected}"),
     }
 }
 

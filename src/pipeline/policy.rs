@@ -15,23 +15,26 @@ pub struct Policy {
     /// and rejected.
     pub reject_outliers: bool,
     /// Whether a fit that ended in a wrong minimum is restarted from a perturbed start, as often as `estimate.restarts`
-    /// says (3 unless named).
+    /// says (6 unless named).
     pub restart: bool,
     /// Whether the optical parameters that `estimate.fit_optics` names may be fitted. Where not, a scene that names some
     /// is an error.
     pub fit_optics: bool,
+    /// Whether the model of the scene is extended where it does not explain the images and an extension does. Not where
+    /// `estimate.model` is "scene".
+    pub select_model: bool,
 }
 
 impl Default for Policy {
     fn default() -> Self {
-        Self { prior_modes: true, reject_outliers: true, restart: true, fit_optics: true }
+        Self { prior_modes: true, reject_outliers: true, restart: true, fit_optics: true, select_model: true }
     }
 }
 
 impl Policy {
     /// No retries: the time of a fit is bounded by its own evaluations.
     pub const fn realtime() -> Self {
-        Self { prior_modes: false, reject_outliers: false, restart: false, fit_optics: false }
+        Self { prior_modes: false, reject_outliers: false, restart: false, fit_optics: false, select_model: false }
     }
 
     /// The word in reports and files: `full`, `realtime`, or `custom`.

@@ -27,7 +27,14 @@ fn summary(estimate: &Estimate) -> String {
     if estimate.error_budget.len() > 1 {
         text += &budget(estimate);
     }
-    estimate.optics.iter().for_each(|parameter| text += &optics(parameter));
+    let (reflectivities, numbers): (Vec<_>, Vec<_>) =
+        estimate.optics.iter().partition(|parameter| parameter.segment.is_some());
+    numbers.into_iter().for_each(|parameter| text += &optics(parameter));
+    if !reflectivities.is_empty() {
+        let squares = reflectivities.iter().map(|parameter| (parameter.value - 1.0).powi(2));
+        let rms = (squares.sum::<f64>() / reflectivities.len() as f64).sqrt();
+        text += &format!("Reflectivities of {} segments differ by {:.1} % RMS.\n", reflectivities.len(), 100.0 * rms);
+    }
     estimate.remarks.iter().for_each(|remark| text += &format!("{remark}\n"));
     text
 }

@@ -30,17 +30,6 @@ pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -
     })
 }
 
-/// Warning on a key that describes the instrument and that only simulations model.
-pub(super) fn scene_warning(scene: &Scene) -> Option<String> {
-    let fill = scene.image.pixel_fill;
-    (fill > 0.0).then(|| {
-        format!(
-            "image.pixel_fill = {fill} is modelled by simulations only: the estimate takes the pixels for points, and squares \
-             blur the image"
-        )
-    })
-}
-
 /// Largest RMS difference of a pupil's amplitude, and of the diversity in waves, from their mirror images at which a flipped image
 /// looks the same: below it noise hides the difference.
 const MIRROR_TOLERANCE: f64 = 0.02;
@@ -122,7 +111,7 @@ impl Session {
     pub fn warnings(&self) -> Vec<String> {
         let device = self.device_failure().map(str::to_owned);
         let estimator = self.estimator();
-        device.into_iter().chain(scene_warning(estimator.scene())).chain(model_warning(estimator.model())).collect()
+        device.into_iter().chain(model_warning(estimator.model())).collect()
     }
 }
 

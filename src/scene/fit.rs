@@ -5,8 +5,8 @@ use super::purpose::Purpose;
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, between, even};
 use super::words::{
-    AoKnowledge, Combine, DeviceChoice, Method, NcpaBasis, Optic, Optimizer, Precision, Sampling, SegmentModes,
-    Telemetry, Weighting,
+    AoKnowledge, Combine, DeviceChoice, Method, ModelChoice, NcpaBasis, Optic, Optimizer, Precision, Sampling,
+    SegmentModes, Telemetry, Weighting,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -90,8 +90,14 @@ section! {
         diversity_error: f64, between(0.0, 1.0), default(0.0);
         /// Optical parameters that are fitted in addition to the modes, to up to six images together: "plate-scale"
         /// (image.samples_per_lambda_over_d), "rotation" (pupil.rotation_deg), "defocus"
-        /// (image.diversity_focus_waves_rms), "bandwidth" (image.bandwidth_fraction).
+        /// (image.diversity_focus_waves_rms), "bandwidth" (image.bandwidth_fraction), "pixel-fill"
+        /// (image.pixel_fill), "obscuration" (pupil.central_obscuration_m), "spiders" (pupil.spider_width_m),
+        /// "reflectivities" (of each segment).
         fit_optics: Vec<Optic>, ANY, default([]);
+        /// Model: "auto" adds tip and tilt of each segment, Zernikes to Noll 91 or 210, reflectivities, a spider or a central
+        /// obscuration where the scene does not explain the images and one of these does; "scene" adds nothing, nor do
+        /// sessions.
+        model: ModelChoice, ANY, default(ModelChoice::Auto);
         /// Combination of the images of a sequence; outliers are rejected from 8 images on.
         combine: Option<Combine>, ANY, unset("clipped-mean; mean with the paper's recipes");
         /// Estimator: "modal" fits static modes to each image, "full-phase" retrieves the wavefront of each image and
@@ -140,8 +146,16 @@ impl EstimateScene {
 
     /// Refuses keys that a full-phase estimate does not use.
     fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
-        let modal =
-            ["weighting", "max_evaluations", "step_tolerance_nm", "restarts", "budget_nm", "fit_optics", "combine"];
+        let modal = [
+            "weighting",
+            "max_evaluations",
+            "step_tolerance_nm",
+            "restarts",
+            "budget_nm",
+            "fit_optics",
+            "model",
+            "combine",
+        ];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(

@@ -35,9 +35,9 @@ pub use lists::NollRange;
 pub(crate) use purpose::Purpose;
 pub use telescope::{AberrationScene, ImageScene, PupilScene};
 pub use words::{
-    AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, NcpaBasis, Optic,
-    Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask, Telemetry,
-    Weighting,
+    AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
+    NcpaBasis, Optic, Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask,
+    Telemetry, Weighting,
 };
 
 use crate::{Error, Result};

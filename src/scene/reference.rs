@@ -23,7 +23,7 @@ const HEADER: &str = "\
 A scene is a TOML file with the sections below. Only effects that a scene names are modelled.
 Each key has its unit, its meaning, the accepted values, the default where a scene does not name it, and who reads it.
 \"Simulations\" are the simulators, and the model selection of estimate.budget_nm, which simulates images; estimates ignore the
-key, and warn where it describes the instrument (image.pixel_fill). \"Estimates\": the simulators ignore the key.
+key. \"Estimates\": the simulators ignore the key.
 ";
 
 /// Reference of these sections and their keys, as text: unit, meaning, accepted values, default.

@@ -154,6 +154,10 @@ impl Check for PupilScene {
     }
 }
 
+/// Least sampling with which the area of a pixel is modelled on the samples of the image: they hold all of its spatial
+/// frequencies from 2 pixels per λ/D on, and all but the last 5 %, which have less than 1 % of the contrast, from 1.9 on.
+const LEAST_SAMPLING_OF_PIXELS: f64 = 1.9;
+
 section! {
     /// Science camera and its images.
     ImageScene = "image" {
@@ -182,9 +186,11 @@ section! {
         peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
         /// Electrons of the star in an image. Simulation only.
         flux_e: Option<f64>, above(0.0, 1e18), unset("given by peak_snr");
-        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for point sampling. An estimate takes the
-        /// pixels for points, and warns. Simulation only.
-        pixel_fill: f64, between(0.0, 1.0), default(0.0);
+        /// Side of a pixel's sensitive square relative to the pixel pitch; 0 for pixels that are points, 1 for pixels without
+        /// gaps, more for pixels that share light.
+        pixel_fill: f64, between(0.0, 1.2), default(0.0);
+        /// Diffusion of charge between pixels: standard deviation of a Gaussian along each axis, in pixels.
+        charge_diffusion_pixels: f64, between(0.0, 1.5), default(0.0);
         /// Read noise of a pixel, RMS; 0 for none. An image file that says otherwise is refused.
         read_noise_e: Option<f64>, between(0.0, 1e9), unset("given by the image file; else the scatter of the image's border, and none in a simulation");
         /// Gain: electrons per count of images in counts (ADU). An image file that is in electrons is not converted.
@@ -233,6 +239,17 @@ impl Check for ImageScene {
             if let Some(value) = value.filter(|&value| value > pixels) {
                 let sentence =
                     format!("image.{key} = {value} is not accepted; at most image.pixels = {pixels} is needed");
+                return Err(reader.error(key, sentence));
+            }
+        }
+        let sampling = self.samples_per_lambda_over_d;
+        for (key, value) in [("pixel_fill", self.pixel_fill), ("charge_diffusion_pixels", self.charge_diffusion_pixels)]
+        {
+            if value > 0.0 && sampling < LEAST_SAMPLING_OF_PIXELS {
+                let sentence = format!(
+                    "image.{key} = {value} is not accepted with image.samples_per_lambda_over_d = {sampling}; a sampling of \
+                     {LEAST_SAMPLING_OF_PIXELS} or more is needed"
+                );
                 return Err(reader.error(key, sentence));
             }
         }

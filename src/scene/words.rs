@@ -66,6 +66,30 @@ words! {
         Defocus = "defocus",
         /// Width of the filter.
         Bandwidth = "bandwidth",
+        /// Side of a pixel's sensitive square.
+        PixelFill = "pixel-fill",
+        /// Diameter of the central obscuration.
+        Obscuration = "obscuration",
+        /// Width of the spider's vanes.
+        Spiders = "spiders",
+        /// Light that each segment reflects.
+        Reflectivities = "reflectivities",
+    }
+}
+
+impl Optic {
+    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene.
+    pub fn key(&self) -> Option<&'static str> {
+        match self {
+            Self::PlateScale => Some("image.samples_per_lambda_over_d"),
+            Self::Rotation => Some("pupil.rotation_deg"),
+            Self::Defocus => Some("image.diversity_focus_waves_rms"),
+            Self::Bandwidth => Some("image.bandwidth_fraction"),
+            Self::PixelFill => Some("image.pixel_fill"),
+            Self::Obscuration => Some("pupil.central_obscuration_m"),
+            Self::Spiders => Some("pupil.spider_width_m"),
+            Self::Reflectivities => None,
+        }
     }
 }
 
@@ -249,6 +273,17 @@ words! {
         F64 = "f64",
         /// Single precision.
         F32 = "f32",
+    }
+}
+
+words! {
+    /// Model of an estimate.
+    #[derive(Copy)]
+    ModelChoice {
+        /// That of the scene, extended where it does not explain the images.
+        Auto = "auto",
+        /// That of the scene.
+        Scene = "scene",
     }
 }
 

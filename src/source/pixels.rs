@@ -1,7 +1,9 @@
 //! Response of a simulated detector's pixels: integration over the pixel's area, and a gain of its own.
 
 use super::random::stream;
+use crate::fourier::PixelResponse;
 use crate::scene::Scene;
+use crate::telescope::pixel_response;
 use ndarray::{Array2, Axis};
 use num_complex::Complex64;
 use rustfft::FftPlanner;
@@ -12,8 +14,7 @@ const RESPONSE_STREAM: u64 = 4 << 32;
 
 /// Pixels of a scene's detector.
 pub(crate) struct DetectorPixels {
-    /// Side of a pixel's sensitive square, in pixel pitches; 0 for point sampling.
-    fill: f64,
+    area: PixelResponse,
     /// RMS of the pixel responses about 1, and the seed of their draw.
     response_rms: f64,
     seed: u64,
@@ -23,13 +24,13 @@ impl DetectorPixels {
     /// Pixels of `scene`.
     pub(crate) fn new(scene: &Scene) -> Self {
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-        Self { fill: scene.image.pixel_fill, response_rms: scene.faults.pixel_response_rms, seed }
+        Self { area: pixel_response(scene), response_rms: scene.faults.pixel_response_rms, seed }
     }
 
-    /// Applies the pixels' area and response to a point-sampled PSF `[y, x]`. With `fill` = 0 and equal responses the
-    /// result is bit-identical to the input.
+    /// Applies the pixels' area and response to a point-sampled PSF `[y, x]`. With pixels that are points and equal responses
+    /// the result is bit-identical to the input.
     pub(crate) fn apply(&self, psf: Array2<f64>) -> Array2<f64> {
-        let mut sampled = if self.fill > 0.0 { integrate_over_pixels(psf, self.fill) } else { psf };
+        let mut sampled = if self.area.is_point() { psf } else { integrate_over_pixels(psf, self.area) };
         if self.response_rms > 0.0 {
             use rand_distr::{Distribution, StandardNormal};
             let mut rng = stream(self.seed, RESPONSE_STREAM);
@@ -42,10 +43,10 @@ impl DetectorPixels {
     }
 }
 
-/// Means over squares of side `fill` about each point. An image sampled with at least two pixels per λ/D has no
-/// frequency beyond half a cycle per pixel, so multiplication of its spectrum by the transfer function of the square,
-/// `sinc·sinc`, is exact except for the faint light that wraps around at the edges.
-fn integrate_over_pixels(psf: Array2<f64>, fill: f64) -> Array2<f64> {
+/// Means over the area of a pixel about each point. An image sampled with at least two pixels per λ/D has no frequency beyond
+/// half a cycle per pixel, so multiplication of its spectrum by the transfer function of the pixel is exact except for the
+/// faint light that wraps around at the edges.
+fn integrate_over_pixels(psf: Array2<f64>, area: PixelResponse) -> Array2<f64> {
     let mut field = psf.mapv(Complex64::from);
     let mut planner = FftPlanner::new();
     for axis in [Axis(1), Axis(0)] {
@@ -54,8 +55,7 @@ fn integrate_over_pixels(psf: Array2<f64>, fill: f64) -> Array2<f64> {
         let transfer: Vec<f64> = (0..n)
             .map(|k| {
                 let cycles = if k <= n / 2 { k as f64 } else { k as f64 - n as f64 } / n as f64;
-                let x = std::f64::consts::PI * cycles * fill;
-                if x == 0.0 { 1.0 } else { x.sin() / x }
+                area.transfer(cycles)
             })
             .collect();
         for mut lane in field.lanes_mut(axis) {
@@ -79,7 +79,8 @@ mod tests {
         // 1 + cos(2πfx) averaged over a width w about x: 1 + sinc(fw)·cos(2πfx); f = 3/24 cycles a pixel, w = 0.8.
         let f = 3.0 / 24.0;
         let wave = |x: usize| (std::f64::consts::TAU * f * x as f64).cos();
-        let sampled = integrate_over_pixels(Array2::from_shape_fn((16, 24), |(_, x)| 1.0 + wave(x)), 0.8);
+        let area = PixelResponse { width_pixels: 0.8, diffusion_pixels: 0.0 };
+        let sampled = integrate_over_pixels(Array2::from_shape_fn((16, 24), |(_, x)| 1.0 + wave(x)), area);
         let share = (std::f64::consts::PI * f * 0.8).sin() / (std::f64::consts::PI * f * 0.8);
         for ((_, x), value) in sampled.indexed_iter() {
             // Rounding of transforms of 24 numbers of order 1.

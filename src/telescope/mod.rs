@@ -1,4 +1,4 @@
-//! Telescope of a scene: pupil on any grid, segment weights, diversity, filter, deformable mirror, turbulence
+//! Telescope of a scene: pupil on any grid, segment weights, diversity, filter, pixels, deformable mirror, turbulence
 //! statistics.
 //!
 //! Simulators and estimators share this module, so that both describe the same telescope; each chooses its own
@@ -7,10 +7,12 @@
 mod band;
 mod diversity;
 mod model;
+mod pixels;
 mod places;
 
 pub use band::band;
 pub(crate) use band::{wavelengths_needed, wavelengths_to};
 pub use diversity::{Diversity, MapOnGrid};
 pub use model::Telescope;
+pub use pixels::pixel_response;
 pub use places::SegmentPlace;

@@ -1,5 +1,5 @@
-//! Images against the scene of their estimate: units, contradictions, keys that only simulations model, and how well the noise
-//! explains the residual.
+//! Images against the scene of their estimate: units, contradictions, the area of pixels, and how well the noise explains the
+//! residual.
 
 use cophase::io::{Card, ELECTRON, FitsWriter, Pixel, Quantity};
 use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, Trust};
@@ -7,7 +7,7 @@ use cophase::scene::Scene;
 use ndarray::Array3;
 
 /// Seven hexagons and eleven Zernikes, 132 pixels, with these settings.
-fn scene(settings: &[(&str, &str)]) -> Scene {
+pub fn scene(settings: &[(&str, &str)]) -> Scene {
     let small = [
         ("pupil.aperture", "hexagonal"),
         ("pupil.rings", "1"),
@@ -180,14 +180,50 @@ fn an_image_of_an_odd_size_is_read_without_its_last_row_and_column() {
 }
 
 #[test]
-fn a_key_that_only_simulations_model_is_a_warning() {
-    let squares = scene(&[("image.pixel_fill", "0.9")]);
-    let found = estimate(&squares, &Images::simulated(&squares).unwrap());
-    assert!(
-        found.warnings[0].contains("image.pixel_fill = 0.9 is modelled by simulations only"),
-        "{:?}",
-        found.warnings
-    );
+fn pixels_with_an_area_are_modelled_as_the_scene_says() {
+    // Pixels without gaps, and charge that diffuses between them.
+    let detector = [("image.pixel_fill", "1"), ("image.charge_diffusion_pixels", "0.3"), ("estimate.device", "auto")];
+    let area = scene(&detector);
+    let images = Images::simulated(&area).unwrap();
+    let error = |scene: &Scene| {
+        let found = estimate(scene, &images);
+        let residual = found.truth.as_ref().unwrap().1.clone();
+        let sigma_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+        println!("residual {:?} nm, error bars {sigma_nm:?} nm, χ² {:.3}", residual.rms_nm, found.reduced_chi2);
+        (residual.rms_nm, sigma_nm, found)
+    };
+    let (known_nm, sigma_nm, known) = error(&area);
+    assert!(known.is_sound() && known.device == "cpu", "{:?}", known.warnings);
+    // A residual of ten modes or more within three error bars.
+    assert!(known_nm[0] < 3.0 * sigma_nm[0] && known_nm[1] < 3.0 * sigma_nm[1]);
+    // Taken for points: wrong, and flagged.
+    let (points_nm, _, points) = error(&scene(&[]));
+    assert!(points_nm[1] > 3.0 * known_nm[1] && points.status == ImageStatus::Misfit, "{:?}", points.warnings);
+}
+
+#[test]
+fn the_area_of_a_pixel_is_fitted() {
+    let images = Images::simulated(&scene(&[("image.pixel_fill", "0.9")])).unwrap();
+    let assumed = scene(&[("image.pixel_fill", "0.6"), ("estimate.fit_optics", "[\"pixel-fill\"]")]);
+    let found = estimate(&assumed, &images);
+    assert!(found.is_sound(), "{:?}", found.warnings);
+    let fitted = &found.optics[0];
+    println!("pixel fill {} ± {}, identifiable share {}", fitted.value, fitted.sigma, fitted.identifiable);
+    assert_eq!(fitted.key, "image.pixel_fill");
+    assert!((fitted.value - 0.9).abs() < 4.0 * fitted.sigma && fitted.sigma < 0.02, "{fitted:?}");
+    let residual = found.truth.as_ref().unwrap().1.clone();
+    assert!(residual.rms_nm[0] < 3.0 * found.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.ncpa.sigma_nm);
+}
+
+#[test]
+fn what_has_no_model_of_the_area_of_pixels_is_refused() {
+    let refused_scene =
+        |settings: &[(&str, &str)]| Scene::preset("keck-artificial").unwrap().with(settings).unwrap_err().to_string();
+    let coarse = refused_scene(&[("image.pixel_fill", "1"), ("image.samples_per_lambda_over_d", "1.5")]);
+    assert!(coarse.contains("image.pixel_fill = 1 is not accepted") && coarse.contains("1.9 or more"), "{coarse}");
+    let points = scene(&[("estimate.fit_optics", "[\"pixel-fill\"]")]);
+    let sentence = refused(&points, &Images::simulated(&points).unwrap());
+    assert!(sentence.contains("a detector whose pixels are points does not have"), "{sentence}");
 }
 
 #[test]

@@ -9,6 +9,7 @@ mod full_phase;
 mod fuzz;
 mod golden;
 mod modal;
+mod model_selection;
 mod modes;
 mod night;
 mod planner;

@@ -22,8 +22,10 @@ pub(super) struct Iteration {
     pub(super) expected_drop: f64,
     /// Step of each parameter.
     pub(super) step: Vec<f64>,
-    /// Error bar of each parameter.
+    /// Error bar of each parameter; infinite where it is not identifiable.
     pub(super) sigma: Vec<f64>,
+    /// Covariance of the parameters; 0 for those that are not identifiable.
+    pub(super) covariance: Array2<f64>,
     /// Identifiable share of each parameter.
     pub(super) identifiable_share: Vec<f64>,
     /// Covariance of the mean modes from the errors of the parameters, nm²: all images share it.
@@ -132,20 +134,31 @@ impl NormalEquations {
         }
         let reduced_chi2 = median(&self.chi2);
         let (mut step, mut sigma) = (vec![0.0; count], vec![f64::INFINITY; count]);
-        let mut shared_nm2 = Array2::zeros([self.moves_nm.nrows(); 2]);
+        let (mut shared_nm2, mut all) = (Array2::zeros([self.moves_nm.nrows(); 2]), Array2::zeros((count, count)));
         if !kept.is_empty() {
             let covariance = inverse * reduced_chi2.max(1.0);
             let right_side = self.right_side.select(Axis(0), &kept);
             let solution = covariance.dot(&right_side) / reduced_chi2.max(1.0);
             for (place, &optic) in kept.iter().enumerate() {
                 (step[optic], sigma[optic]) = (solution[place], covariance[[place, place]].sqrt());
+                for (other_place, &other) in kept.iter().enumerate() {
+                    all[[optic, other]] = covariance[[place, other_place]];
+                }
             }
             let moves_nm = self.moves_nm.select(Axis(1), &kept) / self.images as f64;
             shared_nm2 = estimator.motions.removed_from(&moves_nm.dot(&covariance).dot(&moves_nm.t()));
         }
         let drop = self.right_side.iter().zip(&step).map(|(right, step)| right * step).sum::<f64>();
         let expected_drop = drop / self.pixels.max(1) as f64;
-        Ok(Iteration { reduced_chi2, expected_drop, step, sigma, identifiable_share: shares, shared_nm2 })
+        Ok(Iteration {
+            reduced_chi2,
+            expected_drop,
+            step,
+            sigma,
+            covariance: all,
+            identifiable_share: shares,
+            shared_nm2,
+        })
     }
 }
 

@@ -74,7 +74,7 @@ fn the_error_bars_hold_what_the_optics_do_to_the_modes() {
     let read = |scene: &Scene| estimate(scene, &made.images_e, &bad);
     let (estimator, fitted) = read(&own.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]).unwrap());
     let [optic] = estimator.fitted_optics() else { panic!("one was asked for") };
-    let at = |value: f64| read(&own.with(&[(optic.key(), &value.to_string())]).unwrap()).1.combined;
+    let at = |value: f64| read(&own.with(&[(&optic.key(), &value.to_string())]).unwrap()).1.combined;
     // The modes of two plate scales, which are taken for known, forty error bars either way: the samplings of models that are
     // nearer to each other differ by as much (0.01 nm).
     let known = at(optic.value);

@@ -49,7 +49,7 @@ const LOOP: Settings = &[("estimate.ao_knowledge", "loop")];
 pub(super) const NOMINAL: &str = "75 images";
 
 /// All rows but those of measured maps.
-pub static BEYOND_ROWS: [BeyondRow; 38] = [
+pub static BEYOND_ROWS: [BeyondRow; 39] = [
     same(NOMINAL, "zonal", &[]),
     same("25 images", "zonal", &[("image.count", "25")]),
     same("10 images", "zonal", &[("image.count", "10")]),
@@ -90,7 +90,8 @@ pub static BEYOND_ROWS: [BeyondRow; 38] = [
     same("1.5 % bandwidth, known", "zonal", &[("image.bandwidth_fraction", "0.015")]),
     // What a scene says of a simulated detector, of reflectivities and of a drift, no reader asks.
     same("pixel responses of 2 %", "zonal", &[("faults.pixel_response_rms", "0.02")]),
-    same("pixels that are squares", "zonal", &[("image.pixel_fill", "1.0")]),
+    zonal("pixels that are squares", &[("image.pixel_fill", "1.0")], &[("image.pixel_fill", "0")]),
+    same("pixels that are squares, known", "zonal", &[("image.pixel_fill", "1.0")]),
     zonal("2 % defocus error", &[], &[("image.diversity_focus_waves_rms", "1.53")]),
     zonal(
         "2 % defocus error, known to 2 %",

@@ -113,12 +113,14 @@ const WEAK_DEFOCUS: [Settings; 2] = [
     &[("aberrations.segment_piston_rms_nm", "500"), ("image.diversity_focus_waves_rms", "0.25")],
 ];
 /// Optics that are fitted beside the modes, and how far off the scene is.
-const FITTED: [Settings; 4] = [
+const FITTED: [Settings; 5] = [
     &[("image.samples_per_lambda_over_d", "1.98"), ("estimate.fit_optics", "[\"plate-scale\"]")],
     &[("image.samples_per_lambda_over_d", "2.02"), ("estimate.fit_optics", "[\"plate-scale\"]")],
     &[("image.diversity_focus_waves_rms", "1.575"), ("estimate.fit_optics", "[\"defocus\"]")],
     &[("image.bandwidth_fraction", "0.04"), ("estimate.fit_optics", "[\"bandwidth\"]")],
+    &[("image.pixel_fill", "0.8"), ("estimate.fit_optics", "[\"pixel-fill\"]")],
 ];
+const SQUARES: Settings = &[("image.pixel_fill", "1")];
 const TURNED: [Settings; 3] = [
     &[("pupil.rotation_deg", "1")],
     &[("pupil.rotation_deg", "0")],
@@ -130,7 +132,7 @@ const ONE_TRY: Settings = &[("estimate.restarts", "0")];
 const DOUBLED: Settings = &[("modes.ncpa", "zernike"), ("modes.ncpa_count", "20"), ("modes.exact_zernikes", "[2, 21]")];
 
 /// All of them.
-pub static HARD_CASES: [HardCase; 106] = [
+pub static HARD_CASES: [HardCase; 108] = [
     case("nominal", "64 nm pistons, 73 nm NCPA", &[], Spoil::None, &[]),
     strong("pistons 128 nm", &[("aberrations.segment_piston_rms_nm", "128")]),
     strong("pistons 250 nm", &[("aberrations.segment_piston_rms_nm", "250")]),
@@ -206,7 +208,9 @@ pub static HARD_CASES: [HardCase; 106] = [
     model("background 0.1 %", BACKGROUNDS[0], &[]),
     model("background 1 %", BACKGROUNDS[1], &[]),
     model("pixel responses 2 %", &[("faults.pixel_response_rms", "0.02")], &[]),
-    model("pixels that are squares", &[("image.pixel_fill", "1")], &[]),
+    model("pixels that are squares", SQUARES, &[("image.pixel_fill", "0")]),
+    model("pixels that are squares, known", SQUARES, &[]),
+    model("pixels that are squares, taken for 0.8, fitted", SQUARES, FITTED[4]),
     model("bandwidth 1.5 %", &[("image.bandwidth_fraction", "0.015")], &[("image.bandwidth_fraction", "0")]),
     model("bandwidth 5 %", &[("image.bandwidth_fraction", "0.05")], &[("image.bandwidth_fraction", "0")]),
     model("bandwidth 5 %, known", &[("image.bandwidth_fraction", "0.05")], &[]),

@@ -1,0 +1,327 @@
+//! Model selection: modes, reflectivities and shadows that the scene does not name, where what it names does not explain the images.
+//!
+//! An image decides between models by Schwarz's criterion: with N pixels of known noise and k parameters, −2 ln of the probability
+//! of the image given the model is χ² + k ln N up to terms that do not grow with N, because the image narrows each parameter
+//! by a factor that goes with 1/√N (Laplace's approximation; Schwarz, Annals of Statistics 6, 1978). Where the best model has a
+//! reduced χ² above 1 no model is exact, and all χ² are divided by it.
+//!
+//! Only an image that the scene's model does not explain is tried, so that others pay nothing. An extension is adopted where it
+//! leaves almost nothing of the residual: the wrong modes do not.
+
+use super::control::Control;
+use super::policy::Policy;
+use crate::modal::{ImageStatus, ModalEstimate, ModalFitter};
+use crate::scene::{ModelChoice, NcpaBasis, NollRange, Optic, Optimizer, Scene, SegmentModes};
+use crate::{Error, Result};
+
+/// Largest part of χ² beyond 1 that an adopted extension may leave. Of segment tilts of 30 nm the tilts leave 0.003 %, of NCPA to Noll 200
+/// the Zernikes to 210 leave 0.2 % (Keck, peak S/N of 500). Of a plate scale 1 % off, a filter of 5 %, square pixels, reflectivities, spiders or an
+/// obscuration that the scene does not have tilts leave 97 % or more and Zernikes 96 % or more.
+const MOST_LEFT: f64 = 0.1;
+/// Part of χ² beyond 1 that an extension must remove for a larger one of the same kind, or one of the other kind beside it, to be
+/// tried: of NCPA to Noll 200 the Zernikes to 91 remove 57 %.
+const WORTH_EXTENDING: f64 = 0.3;
+/// Last Noll indices of Zernikes that are added, in turn: radial orders 12 and 19, where three or four periods cross a segment of Keck.
+const LAST_NOLL: [usize; 2] = [91, 210];
+/// Samples of the model with those Zernikes relative to those of the scene's pupil: with 120 samples of Keck white NCPA of these
+/// orders leave a reduced χ² of 1.35 and 2.2 (peak S/N of 500), with these 0.99 and 1.02.
+const FINER: [f64; 2] = [4.0 / 3.0, 5.0 / 3.0];
+
+/// Width of a spider's vanes, m, and diameter of an obscuration relative to the pupil, from which their fits start.
+const SPIDER_M: f64 = 0.01;
+const OBSCURATION: f64 = 0.2;
+
+/// What is added to the model of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Extension {
+    /// Tip and tilt of each segment.
+    SegmentTilts,
+    /// All Zernikes to a Noll index.
+    ZernikesTo(usize),
+    /// An optical parameter that is fitted: the reflectivities, a spider or an obscuration.
+    Fitted(Optic),
+}
+
+/// Optical parameters that are tried. Others that may be wrong are the instrument's, and for the user to change.
+const FITTED: [Optic; 3] = [Optic::Reflectivities, Optic::Spiders, Optic::Obscuration];
+
+impl Extension {
+    /// Keys and values of `scene` with this extension.
+    fn settings(self, scene: &Scene) -> Vec<(&'static str, String)> {
+        match self {
+            Self::SegmentTilts => vec![("modes.segment", "piston-tip-tilt".into())],
+            Self::ZernikesTo(last) => {
+                let finer = FINER[usize::from(last > LAST_NOLL[0])];
+                // Only a pupil that is known on a finer grid can have more samples.
+                let is_fine = scene.pupil.extent_m().is_some() && scene.estimate.samples.is_none();
+                let samples = is_fine.then(|| 2 * (0.5 * finer * scene.pupil.samples as f64).round() as usize);
+                let samples = samples.map(|samples| ("estimate.samples", samples.to_string()));
+                samples.into_iter().chain([("modes.exact_zernikes", format!("[2, {last}]"))]).collect()
+            }
+            Self::Fitted(optic) => {
+                let start = match optic {
+                    Optic::Spiders => Some(SPIDER_M),
+                    Optic::Obscuration => scene.pupil.extent_m().map(|extent_m| OBSCURATION * extent_m),
+                    _ => None,
+                };
+                let key = optic.key().zip(start).map(|(key, start)| (key, start.to_string()));
+                key.into_iter().chain([("estimate.fit_optics", format!("[\"{}\"]", optic.word()))]).collect()
+            }
+        }
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::SegmentTilts => "tip and tilt of each segment".into(),
+            Self::ZernikesTo(last) => format!("Zernikes to Noll {last}"),
+            Self::Fitted(Optic::Obscuration) => "a central obscuration".into(),
+            Self::Fitted(Optic::Spiders) => "a spider".into(),
+            Self::Fitted(optic) => optic.word().into(),
+        }
+    }
+
+    /// Whether `scene` has this, or cannot have it.
+    fn is_in(self, scene: &Scene) -> bool {
+        let has_geometry = scene.pupil.extent_m().is_some();
+        match self {
+            Self::SegmentTilts => scene.modes.segment != SegmentModes::Piston,
+            Self::ZernikesTo(wanted) => {
+                matches!(scene.modes.exact_zernikes, Some(NollRange::Span { last, .. }) if last >= wanted)
+            }
+            Self::Fitted(Optic::Spiders) => !has_geometry || scene.pupil.spider_width_m > 0.0,
+            Self::Fitted(Optic::Obscuration) => !has_geometry || scene.pupil.central_obscuration_m > 0.0,
+            Self::Fitted(_) => scene.modes.segment != SegmentModes::Piston,
+        }
+    }
+}
+
+/// A fit of an image, as far as models are compared by it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Fit {
+    reduced_chi2: f64,
+    parameters: usize,
+    is_explained: bool,
+}
+
+impl Fit {
+    fn of((fitter, found): &(ModalFitter, ModalEstimate), image: usize) -> Self {
+        Self {
+            reduced_chi2: found.images[image].reduced_chi2,
+            parameters: fitter.model().basis.len() + fitter.fitted_optics().len(),
+            is_explained: found.images[image].status.kind() == ImageStatus::Ok,
+        }
+    }
+
+    /// Part of χ² beyond 1 of the fit `from` that is left.
+    fn left_of(&self, from: &Fit) -> f64 {
+        (self.reduced_chi2 - 1.0).max(0.0) / (from.reduced_chi2 - 1.0)
+    }
+
+    /// Schwarz's criterion of the module, for an image of `pixels` pixels and noise variances that are `scale` times as large as stated.
+    fn criterion(&self, pixels: f64, scale: f64) -> f64 {
+        let (chi2, k) = (self.reduced_chi2 * (pixels - self.parameters as f64), self.parameters as f64);
+        chi2 / scale + k * pixels.ln()
+    }
+}
+
+/// A model with extensions, fitted to one image.
+struct Trial {
+    extensions: Vec<Extension>,
+    scene: Scene,
+    fit: Fit,
+}
+
+/// Fits a scene to one image, unless the optical parameters that are to be fitted promise nothing.
+pub(super) type FitOne<'a> = dyn FnMut(&Scene) -> Result<Option<(ModalFitter, ModalEstimate)>> + 'a;
+
+/// A model that explains images which that of the scene does not.
+pub(super) struct Selected {
+    /// The scene with its modes.
+    pub(super) scene: Scene,
+    /// What was added, for reports.
+    pub(super) added: String,
+    /// What it explains, as a sentence.
+    pub(super) remark: String,
+}
+
+/// Whether the model of `scene` may be extended.
+pub(super) fn may_extend(scene: &Scene, policy: &Policy) -> bool {
+    policy.select_model
+        && policy.fit_optics
+        && scene.estimate.model == ModelChoice::Auto
+        && scene.estimate.optimizer == Optimizer::GaussNewton
+        && scene.estimate.fit_optics.is_empty()
+        && !matches!(scene.modes.ncpa, NcpaBasis::File(_) | NcpaBasis::None)
+}
+
+/// Looks for a model that explains an image which the fit `own` of `scene` does not explain. `fit` fits a scene to that image.
+///
+/// # Errors
+/// [`Error::Interrupted`].
+pub(super) fn select(
+    scene: &Scene,
+    control: &Control,
+    own: &(ModalFitter, ModalEstimate),
+    image: usize,
+    fit: &mut FitOne,
+) -> Result<Option<Selected>> {
+    let base = Fit::of(own, image);
+    if base.is_explained || base.reduced_chi2 <= 1.0 {
+        return Ok(None);
+    }
+    let trials = trials(scene, &base, &mut |extended| {
+        control.check("the images were fitted, a model that explains them was not found yet")?;
+        match fit(extended) {
+            Ok(found) => Ok(found.map(|found| Fit::of(&found, 0))),
+            Err(error @ Error::Interrupted(_)) => Err(error),
+            // The telescope may be too small for so many modes.
+            Err(_) => Ok(None),
+        }
+    })?;
+    let pixels = (own.0.model().optics.sampling().pixels as f64).powi(2);
+    Ok(best(&trials, pixels).filter(|trial| trial.fit.left_of(&base) < MOST_LEFT).map(|trial| {
+        let names: Vec<String> = trial.extensions.iter().map(|extension| extension.name()).collect();
+        let added = names.join(" and ");
+        let remark = format!(
+            "The model was extended by {added}: the reduced χ² of image {} is {:.3} in place of {:.1} \
+             (estimate.model = \"scene\" keeps that of the scene).",
+            image + 1,
+            trial.fit.reduced_chi2,
+            base.reduced_chi2
+        );
+        Selected { scene: trial.scene.clone(), added, remark }
+    }))
+}
+
+/// The models that are tried, until one explains the image: each extension alone, then both.
+fn trials(scene: &Scene, base: &Fit, fit: &mut dyn FnMut(&Scene) -> Result<Option<Fit>>) -> Result<Vec<Trial>> {
+    let mut done: Vec<Trial> = Vec::new();
+    let mut attempt = |extensions: &[Extension], done: &mut Vec<Trial>| -> Result<Option<Fit>> {
+        if extensions.iter().any(|extension| extension.is_in(scene)) {
+            return Ok(None);
+        }
+        let settings: Vec<(&str, String)> = extensions.iter().flat_map(|extension| extension.settings(scene)).collect();
+        let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
+        let Ok(extended) = scene.with(&settings) else { return Ok(None) };
+        let Some(found) = fit(&extended)? else { return Ok(None) };
+        done.push(Trial { extensions: extensions.to_vec(), scene: extended, fit: found });
+        Ok(Some(found))
+    };
+    let removes = |fit: &Fit| 1.0 - fit.left_of(base);
+    if attempt(&[Extension::SegmentTilts], &mut done)?.is_some_and(|fit| fit.is_explained) {
+        return Ok(done);
+    }
+    for last in LAST_NOLL {
+        match attempt(&[Extension::ZernikesTo(last)], &mut done)? {
+            Some(fit) if fit.is_explained => return Ok(done),
+            Some(fit) if removes(&fit) < WORTH_EXTENDING => break,
+            _ => {}
+        }
+    }
+    for optic in FITTED {
+        if attempt(&[Extension::Fitted(optic)], &mut done)?.is_some_and(|fit| fit.is_explained) {
+            return Ok(done);
+        }
+    }
+    let most = done.iter().map(|trial| removes(&trial.fit)).fold(0.0, f64::max);
+    if most >= WORTH_EXTENDING {
+        for last in LAST_NOLL {
+            let both = [Extension::SegmentTilts, Extension::ZernikesTo(last)];
+            if attempt(&both, &mut done)?.is_some_and(|fit| fit.is_explained) {
+                break;
+            }
+        }
+    }
+    Ok(done)
+}
+
+/// The trial with the smallest criterion.
+fn best(trials: &[Trial], pixels: f64) -> Option<&Trial> {
+    let scale = trials.iter().map(|trial| trial.fit.reduced_chi2).fold(f64::INFINITY, f64::min).max(1.0);
+    let criterion = |trial: &Trial| trial.fit.criterion(pixels, scale);
+    trials.iter().min_by(|a, b| criterion(a).total_cmp(&criterion(b)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fit(reduced_chi2: f64, parameters: usize) -> Fit {
+        Fit { reduced_chi2, parameters, is_explained: reduced_chi2 < 1.2 }
+    }
+
+    /// Names of the extensions of the trials that were made, for an image with these χ² by extension, and the best of them.
+    fn tried(chi2: impl Fn(&Scene) -> Option<f64>) -> (Vec<String>, Option<String>) {
+        let scene = Scene::preset("keck-artificial").unwrap();
+        let trials = trials(&scene, &fit(100.0, 120), &mut |scene| {
+            let tilts = if scene.modes.segment == SegmentModes::PistonTipTilt { 72 } else { 0 };
+            if !scene.estimate.fit_optics.is_empty() {
+                return Ok(None);
+            }
+            let zernikes = match scene.modes.exact_zernikes {
+                Some(NollRange::Span { last, .. }) => last,
+                _ => 20,
+            };
+            Ok(chi2(scene).map(|chi2| fit(chi2, 100 + zernikes + tilts)))
+        });
+        let trials = trials.unwrap();
+        let name = |trial: &Trial| trial.extensions.iter().map(|e| e.name()).collect::<Vec<_>>().join(" + ");
+        (trials.iter().map(name).collect(), best(&trials, 1e4).map(name))
+    }
+
+    fn last_noll(scene: &Scene) -> usize {
+        match scene.modes.exact_zernikes {
+            Some(NollRange::Span { last, .. }) => last,
+            _ => 21,
+        }
+    }
+
+    #[test]
+    fn larger_models_are_tried_only_where_smaller_ones_promise_something() {
+        let tilted = |scene: &Scene| scene.modes.segment == SegmentModes::PistonTipTilt;
+        let (made, best) = tried(|scene| Some(if tilted(scene) { 1.01 } else { 90.0 }));
+        assert_eq!((made.len(), best.unwrap().as_str()), (1, "tip and tilt of each segment"));
+        let (made, best) = tried(|scene| {
+            Some(if last_noll(scene) >= 200 {
+                1.0
+            } else if last_noll(scene) >= 91 {
+                50.0
+            } else {
+                99.0
+            })
+        });
+        assert_eq!((made.len(), best.unwrap().as_str()), (3, "Zernikes to Noll 210"));
+        // Both are needed.
+        let (made, best) = tried(|scene| match (tilted(scene), last_noll(scene) >= 91) {
+            (true, true) => Some(1.0),
+            (true, false) => Some(40.0),
+            (false, true) => Some(60.0),
+            (false, false) => Some(100.0),
+        });
+        assert_eq!(made.len(), 4);
+        assert_eq!(best.unwrap(), "tip and tilt of each segment + Zernikes to Noll 91");
+        // Neither helps: no third model.
+        let (made, _) = tried(|_| Some(97.0));
+        assert_eq!(made.len(), 2);
+        assert_eq!(tried(|_| None), (Vec::new(), None));
+    }
+
+    #[test]
+    fn parameters_that_gain_nothing_are_not_bought() {
+        let trial = |reduced_chi2, parameters, extension| Trial {
+            extensions: vec![extension],
+            scene: Scene::preset("keck-artificial").unwrap(),
+            fit: fit(reduced_chi2, parameters),
+        };
+        // 119 parameters more at 10,000 pixels must lower χ² by 119 ln N = 1,096: reduced χ² by more than 0.1.
+        let (few, many) = (Extension::ZernikesTo(91), Extension::ZernikesTo(210));
+        let chosen =
+            |chi2: [f64; 2]| best(&[trial(chi2[0], 200, few), trial(chi2[1], 319, many)], 1e4).unwrap().extensions[0];
+        assert_eq!(chosen([1.00, 1.00]), few);
+        assert_eq!(chosen([1.08, 1.00]), few);
+        assert_eq!(chosen([1.20, 1.00]), many);
+        // Where no model is exact, the same ratio decides.
+        assert_eq!(chosen([10.8, 10.0]), few);
+        assert_eq!(chosen([12.0, 10.0]), many);
+    }
+}

@@ -1,0 +1,80 @@
+//! Models that grow where the images ask for it: segment tilts, Zernikes, reflectivities and shadows that the scene does not name.
+
+use crate::consistency::scene;
+use cophase::pipeline::{Control, Estimate, Estimator, ImageStatus, Images, Policy};
+use cophase::scene::Scene;
+
+/// The estimate of an image that was made with `made` beside the scene, by the scene with `read`.
+fn estimate(made: &[(&str, &str)], read: &[(&str, &str)], policy: Policy) -> Estimate {
+    let images = Images::simulated(&scene(made)).unwrap();
+    let scene: Scene = scene(&[made, read].concat());
+    let found = Estimator::with_policy(&scene, policy, Control::default()).unwrap().estimate(&images).unwrap();
+    let residual = &found.truth.as_ref().unwrap().1;
+    println!(
+        "residual {:.2?} nm, error bars {:.2} and {:.2} nm, χ² {:.3}, {}",
+        residual.rms_nm, found.phasing.sigma_nm, found.ncpa.sigma_nm, found.reduced_chi2, found.model
+    );
+    found
+}
+
+/// Whether the residual is within three error bars, or 1 nm.
+fn is_right(found: &Estimate) -> bool {
+    let residual = &found.truth.as_ref().unwrap().1;
+    let sigmas = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+    residual.rms_nm.iter().zip(sigmas).all(|(nm, sigma_nm)| *nm < (3.0 * sigma_nm).max(1.0))
+}
+
+#[test]
+fn modes_that_the_images_ask_for_are_added() {
+    for (made, added) in [
+        (&[("aberrations.segment_tip_tilt_rms_nm", "30")], "tip and tilt of each segment"),
+        (&[("aberrations.ncpa_zernikes", "[4, 60]")], "Zernikes to Noll 91"),
+    ] {
+        let found = estimate(made, &[], Policy::default());
+        assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
+        assert!(found.model.ends_with(&format!("extended by {added}")), "{}", found.model);
+        assert!(
+            found.remarks[0].contains(&format!("extended by {added}: the reduced χ² of image 1")),
+            "{:?}",
+            found.remarks
+        );
+        // The modes of the scene alone do not explain the image.
+        let own = estimate(made, &[("estimate.model", "scene")], Policy::default());
+        assert_eq!((own.status, own.basis.names.len() < found.basis.names.len()), (ImageStatus::Misfit, true));
+        assert!(!is_right(&own), "the test needs an image that the scene's modes do not explain");
+        let realtime = estimate(made, &[], Policy::realtime());
+        assert_eq!(realtime.status, ImageStatus::Misfit);
+    }
+}
+
+#[test]
+fn reflectivities_and_shadows_that_the_images_show_are_fitted() {
+    let reflectivities = [("faults.segment_reflectivity_rms", "0.05")];
+    let found = estimate(&reflectivities, &[], Policy::default());
+    assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
+    assert!(found.model.ends_with("extended by reflectivities"), "{}", found.model);
+    // Seven draws of 5 % RMS.
+    let rms = (found.optics.iter().map(|optic| (optic.value - 1.0).powi(2)).sum::<f64>() / 7.0).sqrt();
+    assert!(found.optics.len() == 7 && (0.01..0.1).contains(&rms), "{:?}", found.optics);
+    assert!(found.report().contains("Reflectivities of 7 segments differ by"), "{}", found.report());
+    for (key, made, absent, added) in [
+        ("pupil.spider_width_m", 0.03, "0", "a spider"),
+        ("pupil.central_obscuration_m", 1.1, "0", "a central obscuration"),
+    ] {
+        let found = estimate(&[(key, &made.to_string())], &[(key, absent)], Policy::default());
+        assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
+        assert!(found.model.ends_with(added), "{}", found.model);
+        let fitted = &found.optics[0];
+        println!("{key}: {} ± {}", fitted.value, fitted.sigma);
+        assert!(fitted.key == key && (fitted.value - made).abs() < 4.0 * fitted.sigma, "{fitted:?}");
+    }
+}
+
+#[test]
+fn what_modes_do_not_explain_stays_a_misfit() {
+    // A filter of 5 % that the scene does not have.
+    let made = [("image.bandwidth_fraction", "0.1")];
+    let found = estimate(&made, &[("image.bandwidth_fraction", "0")], Policy::default());
+    assert_eq!(found.status, ImageStatus::Misfit);
+    assert!(!found.model.contains("extended"), "{}", found.model);
+}
