@@ -94,6 +94,9 @@ impl<T: Polynomial> Pixels<T> {
                 out[x] += term * (line[mirrored(below, m)] + line[mirrored(above, m)]);
             }
         }
+        if inside.is_empty() {
+            return;
+        }
         // Without a mirror the loop over the pixels is vectorised. Products are not fused with sums: where this is not compiled for
         // vectors, that is a function call.
         for (x, out) in inside.clone().zip(&mut out[inside.clone()]) {

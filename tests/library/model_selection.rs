@@ -40,10 +40,10 @@ fn modes_that_the_images_ask_for_are_added() {
         );
         // The modes of the scene alone do not explain the image.
         let own = estimate(made, &[("estimate.model", "scene")], Policy::default());
-        assert_eq!((own.status, own.basis.names.len() < found.basis.names.len()), (ImageStatus::Misfit, true));
+        assert!(!own.is_sound() && own.basis.names.len() < found.basis.names.len(), "{:?}", own.status);
         assert!(!is_right(&own), "the test needs an image that the scene's modes do not explain");
         let realtime = estimate(made, &[], Policy::realtime());
-        assert_eq!(realtime.status, ImageStatus::Misfit);
+        assert_ne!(realtime.status, ImageStatus::Ok);
     }
 }
 

@@ -237,7 +237,7 @@ fn the_reference_names_who_reads_a_key() {
     let desk = Desk::with_images(&["image.pixel_fill=1"]);
     desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--strict"]);
     desk.refuses(
-        &["estimate", "images.fits", "-o", "est.fits", "--set", "image.pixel_fill=0"],
+        &["estimate", "images.fits", "-o", "other.fits", "--scene", "scene.toml"],
         &["image.pixel_fill", "--trust"],
     );
     let reference = desk.succeeds(&["scene", "--reference"]).out;

@@ -82,10 +82,17 @@ fn one_unusable_image_does_not_spoil_the_others() {
 fn a_scene_that_does_not_fit_the_image_is_called_a_misfit() {
     let desk = Desk::with_images(&[]);
     // Three Zernikes for NCPA of seven.
-    let done = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--json", "--set", "modes.ncpa_count=3"]);
+    let few = ["estimate", "images.fits", "-o", "est.fits", "--json", "--set", "modes.ncpa_count=3"];
+    let done = desk.succeeds(&[&few[..], &["--set", "estimate.model=\"scene\""]].concat());
     let json: serde_json::Value = serde_json::from_str(&done.out).unwrap();
     assert_eq!(json["status"], "misfit", "{json}");
     assert!(done.err.contains("times the noise") && done.err.contains("error bars are scaled up"), "{}", done.err);
+    // Unless the scene says so, modes that explain it are added.
+    let done = desk.succeeds(&few);
+    let json: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+    assert!(json["status"] == "ok" && done.err.is_empty(), "{json} {}", done.err);
+    assert!(json["model"].as_str().unwrap().ends_with("extended by Zernikes to Noll 91"), "{json}");
+    assert!(number(&json, "ncpa_residual_nm") < 3.0 * number(&json, "ncpa_sigma_nm"), "{json}");
 }
 
 #[test]
