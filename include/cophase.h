@@ -209,7 +209,7 @@ cophase_status cophase_device_list(char *text,
 #define COPHASE_TEXT_ERROR_TERM_NAME 10
 
 /* Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
- * the scene asks for it, a larger model where the images ask for it (estimate.model).
+ * the scene asks for it, a larger model where the scene does not explain them (estimate.model).
  */
 #define COPHASE_POLICY_FULL 0
 

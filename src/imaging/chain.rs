@@ -43,8 +43,8 @@ impl Chain {
     }
 
     /// A chain on the device of `choice`, with memory for `capacity` images. `auto` selects a GPU if it supports the precision
-    /// and the model (which must have one wavelength and pixels that are points, and fit its memory), otherwise the CPU; if the GPU fails later, the CPU
-    /// replaces it: see [`Fallback`].
+    /// and the model (which must have one wavelength and pixels that are points, and fit its memory), otherwise the CPU; if
+    /// the GPU fails later, the CPU replaces it: see [`Fallback`].
     ///
     /// # Errors
     /// [`crate::Error::Device`] where an OpenCL device is required and there is none, or it cannot run this model.

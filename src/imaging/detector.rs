@@ -1,7 +1,7 @@
 //! Detector stage: from the focal field to the objective, and the adjoint.
 //!
-//! `h = |U|²` (with the response of the pixels, where they have an area: see `pixels`), `J = Σ w·(S·h + b − d)²`. Flux S and background b are given, or minimise J: they enter linearly, so
-//! their 2×2 normal equations are solved at each evaluation (variable projection), and by the envelope theorem the gradient
+//! `h = |U|²` (with the response of the pixels, where they have an area: see `pixels`), `J = Σ w·(S·h + b − d)²`. Flux S and
+//! background b are given, or minimise J: they enter linearly, so their 2×2 normal equations are solved at each evaluation (variable projection), and by the envelope theorem the gradient
 //! by the other unknowns is that at fixed S and b. The adjoint: `Ū = dJ/dh·U = 2·w·r·S·U`.
 
 use super::phasor::Polynomial;

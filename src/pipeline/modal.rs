@@ -133,8 +133,8 @@ impl From<&FittedOptic> for OpticalParameter {
     }
 }
 
-/// Fit of image `image` of `cube` alone by `scene`; `None` where a first step shows that the optical parameters which the scene
-/// fits do not explain it.
+/// Fit of image `image` of `cube` alone by `scene`; `None` where the optical parameters that the scene fits would not lower
+/// χ² enough in a first step.
 fn fit_one(
     scene: &Scene,
     policy: &Policy,
@@ -145,16 +145,20 @@ fn fit_one(
 ) -> Result<Option<(modal::ModalFitter, modal::ModalEstimate)>> {
     let only = ndarray::s![image..=image, .., ..];
     let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };
-    let (recipe, flag) = (policy.recipe(scene), Some(control.flag()));
-    let has_optics = !scene.estimate.fit_optics.is_empty();
-    if has_optics && modal::explaining_fit(scene, &recipe, cache, cube, 1.0, flag)?.is_none() {
-        return Ok(None);
-    }
+    // A model that explains the image does so at its first minimum; restarts of the others would take most of the time.
+    let (recipe, flag) = (modal::Recipe { restarts: 0, ..policy.recipe(scene) }, Some(control.flag()));
     let mut open = |fitter: &modal::ModalFitter| {
         let optics = fitter.model().optics.clone();
         Chain::open(optics, scene.estimate.device.into(), scene.estimate.precision.into(), 1)
     };
-    modal::estimate_with(scene, recipe, cache, cube, &mut open, flag, &mut |_, _| {}).map(Some)
+    if scene.estimate.fit_optics.is_empty() {
+        return modal::estimate_with(scene, recipe, cache, cube, &mut open, flag, &mut |_, _| {}).map(Some);
+    }
+    let Some((fitter, _)) = modal::explaining_fit(scene, &recipe, cache, cube, 1.0, flag)? else { return Ok(None) };
+    let mut chain = open(&fitter)?;
+    let Cube { images_e, bad, read_noise_e } = cube;
+    let found = fitter.estimate(&mut chain, images_e, bad, read_noise_e, flag, &mut |_, _| {})?;
+    Ok(Some((fitter, found)))
 }
 
 /// Description of the modes that were added to those of the scene, `selected` among them.

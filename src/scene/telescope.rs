@@ -155,7 +155,7 @@ impl Check for PupilScene {
 }
 
 /// Least sampling with which the area of a pixel is modelled on the samples of the image: they hold all of its spatial
-/// frequencies from 2 pixels per λ/D on, and all but the last 5 %, which have less than 1 % of the contrast, from 1.9 on.
+/// frequencies from 2 pixels per λ/D on, and all but the last 5 %, where the contrast is 1.4 % or less, from 1.9 on.
 const LEAST_SAMPLING_OF_PIXELS: f64 = 1.9;
 
 section! {

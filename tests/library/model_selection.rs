@@ -1,4 +1,4 @@
-//! Models that grow where the images ask for it: segment tilts, Zernikes, reflectivities and shadows that the scene does not name.
+//! Model selection: segment tilts, Zernikes, reflectivities and shadows that the scene does not name.
 
 use crate::consistency::scene;
 use cophase::pipeline::{Control, Estimate, Estimator, ImageStatus, Images, Policy};
@@ -25,7 +25,7 @@ fn is_right(found: &Estimate) -> bool {
 }
 
 #[test]
-fn modes_that_the_images_ask_for_are_added() {
+fn modes_are_added_where_the_scene_does_not_explain_the_images() {
     for (made, added) in [
         (&[("aberrations.segment_tip_tilt_rms_nm", "30")], "tip and tilt of each segment"),
         (&[("aberrations.ncpa_zernikes", "[4, 60]")], "Zernikes to Noll 91"),

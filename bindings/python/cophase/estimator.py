@@ -49,7 +49,8 @@ class Estimator(Handle):
     scene : str
         Scene as TOML text. With ``estimate.budget_nm`` the model is planned here, which takes some seconds.
     policy : {"full", "realtime"}
-        ``"full"``: modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it.
+        ``"full"``: modes with a prior, outlier rejection, restarts, optics fitted if the scene asks for it, a
+        larger model where the scene does not explain the images (``estimate.model``).
         ``"realtime"``: one fit of the scene's modes, no retries, as a :class:`cophase.Session` does.
     threads : int, optional
         Number of threads; one per processor by default. Results do not depend on it.

@@ -66,7 +66,7 @@ fn starts_of(scene: &Scene, recipe: &Recipe, optic: Optic) -> Result<Vec<Start>>
         // The image depends on the square of the width: its derivative at 0 is 0.
         Optic::Bandwidth if image.bandwidth_fraction == 0.0 => return missing("light of one wavelength"),
         Optic::Bandwidth => (image.bandwidth_fraction, WIDTH_STEP.min(0.5 * image.bandwidth_fraction)),
-        // Likewise.
+        // It depends on the square of the side, too.
         Optic::PixelFill if image.pixel_fill == 0.0 => return missing("a detector whose pixels are points"),
         Optic::PixelFill => (image.pixel_fill, FILL_STEP.min(0.5 * image.pixel_fill)),
         Optic::Reflectivities => return amplitudes(scene, recipe, &missing),
