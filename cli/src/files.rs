@@ -66,8 +66,13 @@ pub fn scene(name: &Path) -> Result<Scene> {
     }
 }
 
+/// The file that each channel may have of its own.
+const DIVERSITY_FILE: &str = "image.diversity_file";
+
 /// The files that `scene` names: key and path.
 fn files_of(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
+    let channels = scene.channels().iter().flat_map(|channel| files_of(&channel.scene));
+    let channels: Vec<_> = channels.filter(|(key, _)| *key == DIVERSITY_FILE).collect();
     let pupil = match &scene.pupil.aperture {
         Aperture::File(file) => Some(file),
         _ => None,
@@ -75,7 +80,7 @@ fn files_of(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
     let files = [
         ("pupil.file", pupil),
         ("modes.file", scene.modes.file.as_ref()),
-        ("image.diversity_file", scene.image.diversity_file.as_ref()),
+        (DIVERSITY_FILE, scene.image.diversity_file.as_ref()),
         ("aberrations.ncpa_file", scene.aberrations.as_ref().and_then(|aberrations| aberrations.ncpa_file.as_ref())),
         ("mirror.actuator_file", scene.mirror.actuator_file.as_ref()),
         (
@@ -83,7 +88,7 @@ fn files_of(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
             scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),
         ),
     ];
-    files.into_iter().filter_map(|(key, file)| Some((key, scene.resolve(file?)))).collect()
+    files.into_iter().filter_map(|(key, file)| Some((key, scene.resolve(file?)))).chain(channels).collect()
 }
 
 /// Refuses a scene that names a file which does not exist, whether or not the verb reads it: a misspelt name would have

@@ -36,10 +36,10 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
     }
     file.image("IMAGES", &images, Pixel::F32, ELECTRON)?;
     drop(images);
-    file::image_cards(&mut file, scene, summary.flux_e)?;
+    file::image_cards(&mut file, "IMAGES", scene, summary.flux_e)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-    file::seed_card(&mut file, "SEED", seed, "seed of the aberrations")?;
-    file::seed_card(&mut file, "SEED_SKY", scene.turbulence.seed, "seed of the turbulence and of the noise")?;
+    file::seed_card(&mut file, "IMAGES", "SEED", seed, "seed of the aberrations")?;
+    file::seed_card(&mut file, "IMAGES", "SEED_SKY", scene.turbulence.seed, "seed of the turbulence and of the noise")?;
     for (key, value, comment) in [
         ("FRAMES", summary.frames as f64, "frames of the loop"),
         ("RATE_HZ", 1.0 / simulator.frame_s(), "frames per second of the loop"),

@@ -146,6 +146,7 @@ impl Simulator {
     /// # Errors
     /// As [`Simulator::new`].
     pub fn with_truth(scene: &Scene, telescope: Telescope, truth: Truth) -> Result<Self> {
+        scene.refuse_channels("AO simulations")?;
         let (sensing, control_scene) = sections(scene)?;
         let pupil = sensor_pupil(scene, sensing, &telescope, scene.turbulence.fractions.len())?;
         // The subapertures in use are selected with perfectly reflecting segments.

@@ -10,9 +10,17 @@ use super::read::FitsReader;
 use super::value::Card;
 use crate::{Error, Result};
 
+/// Card with the name of the channel that images are of.
+pub const CHANNEL: &str = "CHANNEL";
+
+/// Name of the HDU with bad pixels.
+const BADPIX: &str = "BADPIX";
+
 /// Images as they were read, in the unit of the file.
 #[derive(Debug, Clone)]
 pub struct Images {
+    /// Card `CHANNEL`: the channel that they are of.
+    pub channel: Option<String>,
     /// `[image, y, x]`. Pixels that are not finite are kept as read; `BLANK` pixels are NaN.
     pub data: Array3<f64>,
     /// `[image, y, x]`: true for pixels that are not finite or that are marked in `BADPIX` or in the mask file.
@@ -43,29 +51,60 @@ pub struct Images {
 pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images> {
     let mut file = FitsReader::open(path)?;
     let index = image_hdu(&file)?;
+    let marks = if file.has(BADPIX) { Some(file.find(BADPIX, HduKind::Image)?) } else { None };
+    read_hdu(&mut file, index, marks, mask)
+}
+
+/// Reads the images of all channels in `path`: the HDUs `IMAGES` in the order of their `EXTVER`, each with the HDU `BADPIX` of the
+/// same place, or all with the only one; of a file with one HDU `IMAGES` or none, as [`read_images`].
+///
+/// # Errors
+/// As [`read_images`].
+pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<Images>> {
+    let mut file = FitsReader::open(path)?;
+    let found = if file.selected_image()?.is_some() { Vec::new() } else { file.all_images("IMAGES") };
+    if found.len() < 2 {
+        return read_images(file.path(), mask).map(|images| vec![images]);
+    }
+    let marks = file.all_images(BADPIX);
+    if ![0, 1, found.len()].contains(&marks.len()) {
+        let (marks, images) = (marks.len(), found.len());
+        return Err(
+            file.refuse(format!("has {marks} HDUs {BADPIX} and {images} HDUs IMAGES: as many, 1 or 0 are accepted"))
+        );
+    }
+    let marks_of = |place: usize| marks.get(place).or(if marks.len() == 1 { marks.first() } else { None }).copied();
+    found.iter().enumerate().map(|(place, &index)| read_hdu(&mut file, index, marks_of(place), mask)).collect()
+}
+
+/// Reads the images in HDU `index` of `file`, with the bad pixels in its HDU `marks` and in the file `mask`.
+fn read_hdu(file: &mut FitsReader, index: usize, marks: Option<usize>, mask: Option<&Path>) -> Result<Images> {
     let data = file.cube_at(index)?;
     let mut bad = data.mapv(|value| !value.is_finite());
     let non_finite = bad.iter().filter(|&&is_bad| is_bad).count();
     let mut repaired = file.repaired();
-    if file.has("BADPIX") {
-        let badpix = file.find("BADPIX", HduKind::Image)?;
-        mark_bad_pixels(&mut file, badpix, &mut bad)?;
+    if let Some(marks) = marks {
+        mark_bad_pixels(file, marks, &mut bad)?;
     }
     if let Some(mask) = mask {
         let mut mask = FitsReader::open(mask)?;
         let marks = match mask.selected_image()? {
             Some(selected) => selected,
-            None if mask.has("BADPIX") => mask.find("BADPIX", HduKind::Image)?,
+            None if mask.has(BADPIX) => mask.find(BADPIX, HduKind::Image)?,
             None => mask.first_image(&[])?,
         };
         mark_bad_pixels(&mut mask, marks, &mut bad)?;
         let mask_repairs = mask.repaired().map(|sentence| format!("in the mask {}, {sentence}", mask.path().display()));
         repaired = [repaired, mask_repairs].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
     }
-    let read_noise_e = read_noise(&mut file, index)?;
-    let (unit, facts) = (header::unit(&mut file, index)?, header::facts(&mut file, index)?);
+    let read_noise_e = read_noise(file, index)?;
+    let (unit, facts) = (header::unit(file, index)?, header::facts(file, index)?);
+    let channel = match file.card_at(index, CHANNEL)? {
+        Some(Card::Text(name)) => Some(name.trim().to_owned()),
+        other => other.map(|card| card.to_string()),
+    };
     let hdu_name = file.name_of(index).to_string();
-    Ok(Images { data, bad, read_noise_e, unit, facts, non_finite, hdu_name, repaired })
+    Ok(Images { channel, data, bad, read_noise_e, unit, facts, non_finite, hdu_name, repaired })
 }
 
 /// The HDU that holds the images.
@@ -77,7 +116,7 @@ fn image_hdu(file: &FitsReader) -> Result<usize> {
         // An estimate file has a table of this name, which is an error: its maps are not images.
         return file.find("IMAGES", HduKind::Image);
     }
-    file.first_image(&["BADPIX"])
+    file.first_image(&[BADPIX])
 }
 
 /// Adds the bad pixels marked in the image at `index` of `file` to `bad`.

@@ -31,7 +31,7 @@ mod write;
 pub use crate::atomic::write as write_atomically;
 pub use extension::file_of;
 pub use header::{HeaderFact, PixelUnit, Quantity};
-pub use images::{Images, read_images};
+pub use images::{CHANNEL, Images, read_channels, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use value::Card;
 pub use write::{Column, ELECTRON, FitsWriter, Pixel};

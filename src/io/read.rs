@@ -228,6 +228,15 @@ impl FitsReader {
         })
     }
 
+    /// Indices of all HDUs `name` that are images with data, in the order of their EXTVER (1 where there is none).
+    pub(super) fn all_images(&self, name: &str) -> Vec<usize> {
+        let hdus = &self.layout.hdus;
+        let is_one = |hdu: &Hdu| hdu.name == name && hdu.kind == HduKind::Image && !hdu.axes.is_empty();
+        let mut found: Vec<usize> = (0..hdus.len()).filter(|&index| is_one(&hdus[index])).collect();
+        found.sort_by_key(|&index| hdus[index].value("EXTVER").and_then(super::card::integer).unwrap_or(1));
+        found
+    }
+
     /// Index of HDU `name` of kind `kind`.
     pub(super) fn find(&self, name: &str, kind: HduKind) -> Result<usize> {
         let same = |hdu: &Hdu| hdu.name.eq_ignore_ascii_case(name.trim());

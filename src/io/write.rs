@@ -141,7 +141,8 @@ impl FitsWriter {
         Ok(())
     }
 
-    /// Adds an image: `array[.., y, x]`, x fastest in the file, in `unit` (empty for none).
+    /// Adds an image: `array[.., y, x]`, x fastest in the file, in `unit` (empty for none). A name `NAME,2` is the second HDU of
+    /// that name: its EXTVER is 2.
     ///
     /// # Errors
     /// [`Error::Value`] where a value does not fit `pixel`, or the name is in use or not printable ASCII; [`Error::Shape`]
@@ -174,7 +175,11 @@ impl FitsWriter {
             sys::ffppxll(file, code, first.as_mut_ptr(), count as i64, start, status)
         })?;
         self.names.push(name.clone());
-        self.card(&name, "EXTNAME", name.as_str(), "name of this extension")?;
+        let (title, version) = name_and_version(&name);
+        self.card(&name, "EXTNAME", title, "name of this extension")?;
+        if let Some(version) = version {
+            self.card(&name, "EXTVER", version, "number among the extensions of this name")?;
+        }
         let comment = if unit == ELECTRON { ELECTRON_COMMENT } else { "unit of the pixels" };
         if unit.is_empty() { Ok(()) } else { self.card(&name, "BUNIT", unit, comment) }
     }
@@ -316,6 +321,12 @@ impl FitsWriter {
         }
         Ok(upper)
     }
+}
+
+/// Name and version of an HDU, `NAME` or `NAME,version`.
+fn name_and_version(name: &str) -> (&str, Option<i64>) {
+    let parts = name.rsplit_once(',').and_then(|(title, version)| Some((title, version.parse().ok()?)));
+    parts.map_or((name, None), |(title, version)| (title, Some(version)))
 }
 
 /// Whether `path` ends with `.extension`, in capitals or not.

@@ -92,6 +92,8 @@ pub struct ModalEstimate {
     pub device_failure: Option<String>,
     /// Precision of the chain.
     pub precision: &'static str,
+    /// The combined modes without a prior and without the errors that all images share.
+    likelihood: CombinedModes,
     /// Covariances of a single image.
     single: SingleImage,
 }
@@ -108,6 +110,11 @@ struct SingleImage {
 }
 
 impl ModalEstimate {
+    /// The combined modes without a prior and without the errors that all images share.
+    pub(super) fn likelihood(&self) -> &CombinedModes {
+        &self.likelihood
+    }
+
     /// Number of images that were combined.
     pub fn used(&self) -> usize {
         self.used_images.len()
@@ -185,7 +192,8 @@ pub(super) fn combine(
         single.shared_nm2 = &single.noise_nm2 * ((mean_residual_chi2 / scaled - 1.0) * shrinkage);
     }
     let covariance_nm2 = &single.scatter_nm2 * shrinkage + &single.shared_nm2;
-    let averaged = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+    let likelihood = CombinedModes { coefficients_nm, covariance_nm2 };
+    let averaged = with_prior(model, likelihood.clone())?;
     let averaged_covariance_nm2 = averaged.covariance_nm2.clone();
     let combined = CombinedModes { covariance_nm2: estimator.with_shared(averaged.covariance_nm2), ..averaged };
     let images_of = |places: &[usize]| places.iter().map(|&place| indices[place]).collect::<Vec<_>>();
@@ -206,6 +214,7 @@ pub(super) fn combine(
         image_coefficients_nm,
         combined,
         averaged_covariance_nm2,
+        likelihood,
         single,
         seconds: 0.0,
         device: String::new(),
@@ -269,7 +278,7 @@ fn nothing_fitted(reports: &[&ImageReport]) -> Error {
 
 /// `likelihood` with the prior of the model's modes. Covariance and coefficients are of pistons about their mean, and so is the
 /// result, which is moved along columns of that covariance.
-fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<CombinedModes> {
+pub(super) fn with_prior(model: &Model, likelihood: CombinedModes) -> Result<CombinedModes> {
     match &model.prior {
         Some(prior) => prior.posterior(&likelihood),
         None => Ok(likelihood),
@@ -348,12 +357,12 @@ pub(super) fn covariance_with_scatter(mut noise_nm2: Array2<f64>, used_nm: &Arra
 }
 
 /// Maps of phasing and NCPA.
-fn maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
+pub(super) fn maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
     [Group::Segment, Group::Ncpa].map(|group| model.map_nm(&combined.coefficients_nm, group))
 }
 
 /// Error bars of phasing and NCPA.
-fn sigma_maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
+pub(super) fn sigma_maps(model: &Model, combined: &CombinedModes) -> [Array2<f64>; 2] {
     [Group::Segment, Group::Ncpa].map(|group| sigma_map(model, &combined.covariance_nm2, group))
 }
 

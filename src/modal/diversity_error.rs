@@ -22,6 +22,9 @@ const MIN_WAVES: f64 = 0.02;
 /// Eigenvalues of the modes' Gram matrix below this fraction of the largest are rounding.
 const NULL_FLOOR: f64 = 1e-10;
 
+/// Name of the error of the diversity among the [`SharedError`]s.
+pub(super) const NAME: &str = "diversity";
+
 /// An error that all images share.
 #[derive(Debug, Clone)]
 pub struct SharedError {
@@ -182,5 +185,5 @@ pub(super) fn shared_error(model: &Model, scene: &Scene) -> Result<Option<Shared
     }
     let remedy = "modes.exact_zernikes = [2, 4] spans a focus";
     let covariance_nm2 = project_diversity(model, scene)?.covariance_nm2(fraction, remedy)?;
-    Ok(Some(SharedError { name: "diversity", covariance_nm2 }))
+    Ok(Some(SharedError { name: NAME, covariance_nm2 }))
 }

@@ -22,6 +22,9 @@ pub struct ImageFits {
     pub reports: Vec<ImageReport>,
 }
 
+/// Estimate of some images, with the fitter that made it.
+pub(crate) type ModalFit = (ModalFitter, ModalEstimate);
+
 /// Fits of a cube of images.
 pub(super) struct FittedCube {
     /// For each image, why it could not be used.

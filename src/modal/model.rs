@@ -90,6 +90,7 @@ impl Model {
         diversity: &Diversity,
         set: ModeSet,
     ) -> Result<Self> {
+        scene.refuse_channels("a model and its sessions")?;
         let pixels = PixelPlan::new(scene, recipe, native, diversity, &telescope.pupil);
         let band_limited = recipe.pupil_model == PupilModel::BandLimited && telescope.is_fine() && !set.is_from_file();
         if let Some(samples) = scene.estimate.samples.filter(|&samples| !band_limited && samples != scene.pupil.samples)

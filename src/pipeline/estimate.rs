@@ -88,6 +88,8 @@ pub struct Estimate {
     pub fitter: Option<Arc<modal::ModalFitter>>,
     /// Iterations and assumptions of a MAP estimate; `None` in a modal one.
     pub map: Option<MapSummary>,
+    /// Names of the channels whose images it is from, in order; none for a scene with one way of imaging.
+    pub channels: Vec<String>,
 }
 
 /// Names and groups of modes, in order: segments first, then NCPA.

@@ -1,15 +1,16 @@
 //! Estimator: a scene, a policy, and the estimate of images by them.
 
+use super::channels::{ChannelImages, of_channel};
 use super::consistency::{Electrons, reconcile};
 use super::control::{Control, Stage};
 use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
-use super::images::Images;
+use super::images::{Images, TruthMaps};
 use super::policy::Policy;
-use super::{map, modal};
+use super::{channels, map, modal};
 use crate::modal::BasisCache;
 use crate::planner;
-use crate::scene::{Method, Scene};
+use crate::scene::{Channel, Method, Scene};
 use crate::{Error, Result};
 
 /// Estimates the static wavefront behind images of one scene.
@@ -80,6 +81,7 @@ impl Estimator {
     /// [`Error::Device`] where the device that the scene names does not exist or fails; [`Error::Interrupted`] after
     /// [`Control::cancel`].
     pub fn estimate(&self, images: &Images) -> Result<Estimate> {
+        self.given.refuse_channels("the images of one cube")?;
         images.check()?;
         self.control.reset_progress();
         let (images, cut) = images.without_odd_edge(self.given.image.frame_shape());
@@ -104,15 +106,80 @@ impl Estimator {
         let general = shortfall.iter().chain(&images.notes).cloned();
         estimate.warnings.splice(0..0, general);
         estimate.remarks.splice(0..0, cut.into_iter().chain(consistent.remarks).chain(chosen));
-        if let Some(truth) = &images.truth {
-            match estimate.compare(truth) {
-                Ok(residual) => estimate.truth = Some((truth.clone(), residual)),
-                // A truth on another grid cannot be compared; the estimate is valid without it.
-                Err(error) => estimate.warnings.push(format!("the truth of these images is not shown: {error}")),
-            }
-        }
+        compare_with_truth(&mut estimate, images.truth.as_ref());
         Ok(estimate)
     }
+
+    /// As [`Estimator::estimate`], for the images of each channel of the scene: in the order of [`Scene::channels`], or in any order where
+    /// [`Images::channel`] names the channel of each. For a scene without channels it is [`Estimator::estimate`] of the only images.
+    ///
+    /// # Errors
+    /// As [`Estimator::estimate`]; [`Error::Shape`] for images of other channels than the scene has.
+    pub fn estimate_channels(&self, images: &[Images]) -> Result<Estimate> {
+        let channels = self.given.channels();
+        if let ([], [only]) = (channels, images) {
+            return self.estimate(only);
+        }
+        let images = in_order_of(channels, images)?;
+        images.iter().try_for_each(|images| images.check())?;
+        self.control.reset_progress();
+        let pairs = images.iter().zip(channels);
+        let cut: Vec<_> =
+            pairs.map(|(images, channel)| images.without_odd_edge(channel.scene.image.frame_shape())).collect();
+        let (mut ready, mut notes, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
+        for (channel, (images, cut)) in channels.iter().zip(&cut) {
+            let name = &channel.name;
+            let consistent = reconcile(images, &channel.scene).map_err(|error| of_channel(name, error))?;
+            notes.extend(images.notes.iter().map(|note| format!("channel {name}: {note}")));
+            remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| format!("Channel {name}: {remark}")));
+            ready.push(ChannelImages { name, scene: consistent.scene, images: consistent.images });
+        }
+        let found = channels::estimate(&self.given, &self.policy, &self.control, &self.cache, &ready);
+        self.control.enter(Stage::Idle, 0);
+        let mut estimate = acknowledged(&self.control, found)?;
+        estimate.warnings.splice(0..0, notes);
+        estimate.remarks.splice(0..0, remarks);
+        compare_with_truth(&mut estimate, images.first().and_then(|images| images.truth.as_ref()));
+        Ok(estimate)
+    }
+}
+
+/// Adds the truth and the residual against it, or a warning.
+fn compare_with_truth(estimate: &mut Estimate, truth: Option<&TruthMaps>) {
+    let Some(truth) = truth else { return };
+    match estimate.compare(truth) {
+        Ok(residual) => estimate.truth = Some((truth.clone(), residual)),
+        // A truth on another grid cannot be compared; the estimate is valid without it.
+        Err(error) => estimate.warnings.push(format!("the truth of these images is not shown: {error}")),
+    }
+}
+
+/// The images of each channel, in the order of the channels.
+fn in_order_of<'a>(channels: &[Channel], images: &'a [Images]) -> Result<Vec<&'a Images>> {
+    let names = || channels.iter().map(|channel| channel.name.as_str()).collect::<Vec<_>>().join(", ");
+    if images.len() != channels.len() {
+        let (given, wanted) = (images.len(), channels.len().max(1));
+        return Err(Error::Shape(format!(
+            "there are images of {given} channels, where the scene has {wanted} ({})",
+            if channels.is_empty() { "no [[image.channel]]".into() } else { names() }
+        )));
+    }
+    if images.iter().all(|images| images.channel.is_none()) {
+        return Ok(images.iter().collect());
+    }
+    let of = |channel: &Channel| {
+        let found = images.iter().find(|images| images.channel.as_ref() == Some(&channel.name));
+        found.ok_or_else(|| {
+            let given = images.iter().map(|images| images.channel.as_deref().unwrap_or("no name")).collect::<Vec<_>>();
+            Error::Shape(format!(
+                "there are no images of the channel '{}': there are those of {}, and the scene has {}",
+                channel.name,
+                given.join(", "),
+                names()
+            ))
+        })
+    };
+    channels.iter().map(of).collect()
 }
 
 /// `scene` with the choices of its plan, and why the plan does not meet its budget.

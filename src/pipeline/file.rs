@@ -116,6 +116,8 @@ fn images(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     let images = &estimate.images;
     let reals = |value: &dyn Fn(&ImageOutcome) -> f64| images.iter().map(value).collect::<Vec<f64>>();
     let integers = |value: &dyn Fn(&ImageOutcome) -> i64| images.iter().map(value).collect::<Vec<i64>>();
+    let name = |image: &ImageOutcome| estimate.channels.get(image.channel).map_or("", String::as_str);
+    let channel = Column::text("CHANNEL", images.iter().map(name));
     let columns = [
         Column::text("STATUS", images.iter().map(|image| image.status.word())),
         Column::i64("EVALUATIONS", integers(&|image| image.evaluations as i64)),
@@ -128,7 +130,8 @@ fn images(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
         Column::i64("REJECTED_PIXELS", integers(&|image| image.rejected_pixels as i64)),
         Column::i64("USED", integers(&|image| i64::from(image.is_used))),
     ];
-    file.table("IMAGES", &columns)
+    let channel = if estimate.channels.is_empty() { None } else { Some(channel) };
+    file.table("IMAGES", &channel.into_iter().chain(columns).collect::<Vec<_>>())
 }
 
 fn error_budget(file: &mut FitsWriter, terms: &[ErrorTerm]) -> Result<()> {

@@ -2,7 +2,7 @@
 
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit};
 use crate::scene::Scene;
-use crate::source;
+use crate::source::{self, SourceImages};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, s};
 use std::borrow::Cow;
@@ -32,6 +32,8 @@ pub struct Images {
     pub trust: Trust,
     /// Keys whose value in the scene takes precedence over the file, such as `image.wavelength_nm`.
     pub overrides: Vec<String>,
+    /// Name of the channel that they are of, where the file says it.
+    pub channel: Option<String>,
     /// Sentences on what was repaired or masked when the images were read; they join the warnings of an estimate.
     pub notes: Vec<String>,
 }
@@ -88,6 +90,7 @@ impl Images {
             scene: None,
             trust: Trust::Neither,
             overrides: Vec::new(),
+            channel: None,
             notes,
         }
     }
@@ -102,17 +105,42 @@ impl Images {
     /// the file has it.
     ///
     /// # Errors
-    /// Those of [`io::read_images`].
+    /// Those of [`io::read_images`]; [`Error::File`] for a file with the images of several channels: [`Images::read_channels`].
     pub fn read(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Self> {
         let path = path.as_ref();
-        let read = io::read_images(path, mask)?;
-        let mut images = Self::with_bad(read.data, read.bad);
-        images.notes.splice(0..0, read.repaired);
-        (images.unit, images.facts) = (read.unit, read.facts);
+        let mut channels = Self::read_channels(path, mask)?;
+        match (channels.pop(), channels.len()) {
+            (Some(images), 0) => Ok(images),
+            (_, others) => {
+                let reason = format!(
+                    "holds images of {} channels (HDUs IMAGES with EXTVER 1, 2, ...), where one is read: name one as FILE[HDU], or \
+                     use Images::read_channels",
+                    others + 1
+                );
+                Err(Error::file(path, reason))
+            }
+        }
+    }
+
+    /// As [`Images::read`], for each channel that the file has images of, in the order of `EXTVER`, at least one. The channel has its
+    /// own scene where the file's scene has one of this name.
+    ///
+    /// # Errors
+    /// Those of [`io::read_channels`].
+    pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<Self>> {
+        let path = path.as_ref();
         // A scene of another version, with other keys, cannot be compared.
-        images.scene = embedded_scene(path).ok().flatten();
-        (images.slopes_mas, images.truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
-        Ok(images)
+        let scene = embedded_scene(path).ok().flatten();
+        let (slopes_mas, truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
+        let each = io::read_channels(path, mask)?.into_iter().map(|read| {
+            let mut images = Self::with_bad(read.data, read.bad);
+            images.notes.splice(0..0, read.repaired);
+            (images.unit, images.facts, images.channel) = (read.unit, read.facts, read.channel);
+            images.scene = scene.as_ref().and_then(|scene| own_scene(scene, images.channel.as_deref()));
+            (images.slopes_mas, images.truth) = (slopes_mas.clone(), truth.clone());
+            images
+        });
+        Ok(each.collect())
     }
 
     /// Simulated images of an artificial source, with their truth; see [`source::simulate`].
@@ -120,9 +148,17 @@ impl Images {
     /// # Errors
     /// Those of [`source::simulate`].
     pub fn simulated(scene: &Scene) -> Result<Self> {
-        let made = source::simulate(scene)?;
-        let truth = TruthMaps { phasing_nm: made.truth.phasing_nm, ncpa_nm: made.truth.ncpa_nm };
-        Ok(Self { truth: Some(truth), ..Self::new(made.images_e).in_electrons() })
+        source::simulate(scene).map(Self::from)
+    }
+
+    /// As [`Images::simulated`], for each channel of the scene; see [`source::simulate_channels`].
+    ///
+    /// # Errors
+    /// Those of [`source::simulate_channels`].
+    pub fn simulated_channels(scene: &Scene) -> Result<Vec<Self>> {
+        let made = source::simulate_channels(scene)?;
+        let names = scene.channels().iter().map(|channel| Some(channel.name.clone())).chain(std::iter::repeat(None));
+        Ok(made.into_iter().zip(names).map(|(made, channel)| Self { channel, ..Self::from(made) }).collect())
     }
 
     /// Number of images.
@@ -165,6 +201,22 @@ impl Images {
             return Err(Error::Value(format!("read_noise_e is {noise_e}: 0 electrons or more is accepted")));
         }
         Ok(())
+    }
+}
+
+impl From<SourceImages> for Images {
+    fn from(made: SourceImages) -> Self {
+        let truth = TruthMaps { phasing_nm: made.truth.phasing_nm, ncpa_nm: made.truth.ncpa_nm };
+        Self { truth: Some(truth), ..Self::new(made.images_e).in_electrons() }
+    }
+}
+
+/// What `scene` says of the channel `name`; `None` where it has channels and not this one.
+fn own_scene(scene: &Scene, name: Option<&str>) -> Option<Scene> {
+    match (scene.channels(), name) {
+        ([], _) => Some(scene.clone()),
+        (channels, Some(name)) => channels.iter().find(|channel| channel.name == name).map(|own| own.scene.clone()),
+        (_, None) => None,
     }
 }
 

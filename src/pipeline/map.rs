@@ -62,6 +62,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
     Ok(Estimate {
         policy: *policy,
+        channels: Vec::new(),
         basis: basis(last),
         coefficients_nm: last.coefficients_nm(),
         covariance_nm2: last.errors.covariance_nm2.clone(),
@@ -114,6 +115,7 @@ fn outcome(found: &SequenceResult, last: &Iteration, image: usize) -> ImageOutco
     };
     let how = if is_used { "used" } else { "left out, its χ² differs from the others'" };
     ImageOutcome {
+        channel: 0,
         status,
         message: match &report.refusal {
             Some(refusal) => format!("left out, {refusal}"),

@@ -11,6 +11,7 @@
 //! static errors from the turbulence. Both end in the same type.
 
 mod budget;
+mod channels;
 mod consistency;
 mod control;
 mod estimate;

@@ -20,6 +20,19 @@ use ndarray::Array2;
 use std::sync::Arc;
 use std::time::Instant;
 
+/// Fit of the images of one channel.
+pub(super) struct Fitted {
+    /// The fitter, and what it found.
+    pub(super) fit: modal::ModalFit,
+    /// The extension of the scene's model that explains the images, where there is one.
+    pub(super) selected: Option<model_selection::Selected>,
+    /// Likely cause of a misfit, as a sentence.
+    cause: Option<String>,
+    /// Reduced χ² of the differences of the images, where they are not explained.
+    changes: Option<f64>,
+    model_seconds: f64,
+}
+
 pub(super) fn estimate(
     scene: &Scene,
     policy: &Policy,
@@ -27,6 +40,17 @@ pub(super) fn estimate(
     cache: &BasisCache,
     images: &Electrons,
 ) -> Result<Estimate> {
+    fit(scene, policy, control, cache, images)?.into_estimate(policy)
+}
+
+/// Fits the images of one channel by its scene.
+pub(super) fn fit(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    cache: &BasisCache,
+    images: &Electrons,
+) -> Result<Fitted> {
     let started = Instant::now();
     let count = images.len();
     control.enter(Stage::Preparing, 0);
@@ -71,59 +95,67 @@ pub(super) fn estimate(
         fitted = modal::estimate_with(scene, policy.recipe(scene), cache, cube, &mut open, flag, &mut watch)?;
         control.check("the images were fitted, nothing was written")?;
     }
-    let (fitter, found) = fitted;
-    let model_seconds = started.elapsed().as_secs_f64() - found.seconds;
-    let model = fitter.model();
-    let diversity = fitter.diversity_projection()?;
-    let errors = ExpectedErrors::new(model)?;
-    let sigma_nm = errors.rms_nm(&found.combined.covariance_nm2)?;
-    let pupil = model.telescope.pupil.clone();
-    let wavefront_nm = &found.phasing_nm + &found.ncpa_nm;
-    let scene_used = fitter.scene();
-    let remarks = [
-        selected.as_ref().map(|selected| selected.remark.clone()),
-        warnings::diversity_remark(&diversity, scene_used),
-        warnings::orientation_remark(scene_used, &model.telescope)?,
-    ];
-    let outcomes = found.images.iter().enumerate().map(|(image, report)| {
-        let is_in = |list: &[usize]| list.contains(&image);
-        ImageOutcome::from_modal(report, is_in(&found.used_images), is_in(&found.clipped_images))
-    });
-    Ok(Estimate {
-        policy: *policy,
-        basis: Basis { names: model.basis.names().to_vec(), groups: model.basis.groups().to_vec() },
-        phasing: Figure::from_map(&pupil, found.phasing_nm.view(), sigma_nm[0])?,
-        ncpa: Figure::from_map(&pupil, found.ncpa_nm.view(), sigma_nm[1])?,
-        wavefront: Figure::from_map(&pupil, wavefront_nm.view(), sigma_nm[2])?,
-        error_budget: error_budget(&errors, &fitter, &found)?,
-        images: outcomes.collect(),
-        combine: Some(found.combine),
-        reduced_chi2: found.reduced_chi2(),
-        is_sequence: found.is_sequence(),
-        status: found.status().kind(),
-        model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),
-        optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
-        warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
-        remarks: remarks.into_iter().flatten().collect(),
-        scene: fitter.scene().clone(),
-        pupil,
-        precision: scene.estimate.precision,
-        model_seconds,
-        seconds: found.seconds,
-        device: found.device,
-        coefficients_nm: found.combined.coefficients_nm,
-        covariance_nm2: found.combined.covariance_nm2,
-        phasing_nm: found.phasing_nm,
-        ncpa_nm: found.ncpa_nm,
-        phasing_sigma_nm: found.phasing_sigma_nm,
-        ncpa_sigma_nm: found.ncpa_sigma_nm,
-        image_coefficients_nm: found.image_coefficients_nm,
-        compared: Some(found.compared),
-        degeneracy: Some(found.degeneracy),
-        truth: None,
-        fitter: Some(Arc::new(fitter)),
-        map: None,
-    })
+    let model_seconds = started.elapsed().as_secs_f64() - fitted.1.seconds;
+    Ok(Fitted { fit: fitted, selected, cause, changes, model_seconds })
+}
+
+impl Fitted {
+    /// The estimate of this channel alone.
+    pub(super) fn into_estimate(self, policy: &Policy) -> Result<Estimate> {
+        let Self { fit: (fitter, found), selected, cause, changes, model_seconds } = self;
+        let model = fitter.model();
+        let diversity = fitter.diversity_projection()?;
+        let errors = ExpectedErrors::new(model)?;
+        let sigma_nm = errors.rms_nm(&found.combined.covariance_nm2)?;
+        let pupil = model.telescope.pupil.clone();
+        let wavefront_nm = &found.phasing_nm + &found.ncpa_nm;
+        let scene_used = fitter.scene();
+        let remarks = [
+            selected.as_ref().map(|selected| selected.remark.clone()),
+            warnings::diversity_remark(&diversity, scene_used),
+            warnings::orientation_remark(scene_used, &model.telescope)?,
+        ];
+        let outcomes = found.images.iter().enumerate().map(|(image, report)| {
+            let is_in = |list: &[usize]| list.contains(&image);
+            ImageOutcome::from_modal(report, is_in(&found.used_images), is_in(&found.clipped_images))
+        });
+        Ok(Estimate {
+            policy: *policy,
+            basis: Basis { names: model.basis.names().to_vec(), groups: model.basis.groups().to_vec() },
+            phasing: Figure::from_map(&pupil, found.phasing_nm.view(), sigma_nm[0])?,
+            ncpa: Figure::from_map(&pupil, found.ncpa_nm.view(), sigma_nm[1])?,
+            wavefront: Figure::from_map(&pupil, wavefront_nm.view(), sigma_nm[2])?,
+            error_budget: error_budget(&errors, &fitter, &found)?,
+            images: outcomes.collect(),
+            combine: Some(found.combine),
+            reduced_chi2: found.reduced_chi2(),
+            is_sequence: found.is_sequence(),
+            status: found.status().kind(),
+            model: added_modes(fitter.recipe(), selected.as_ref().map(|selected| selected.added.as_str())),
+            optics: fitter.fitted_optics().iter().map(OpticalParameter::from).collect(),
+            warnings: warnings::modal_warnings(&fitter, &diversity, &found, changes).into_iter().chain(cause).collect(),
+            remarks: remarks.into_iter().flatten().collect(),
+            scene: fitter.scene().clone(),
+            pupil,
+            precision: fitter.scene().estimate.precision,
+            model_seconds,
+            seconds: found.seconds,
+            device: found.device,
+            coefficients_nm: found.combined.coefficients_nm,
+            covariance_nm2: found.combined.covariance_nm2,
+            phasing_nm: found.phasing_nm,
+            ncpa_nm: found.ncpa_nm,
+            phasing_sigma_nm: found.phasing_sigma_nm,
+            ncpa_sigma_nm: found.ncpa_sigma_nm,
+            image_coefficients_nm: found.image_coefficients_nm,
+            compared: Some(found.compared),
+            degeneracy: Some(found.degeneracy),
+            truth: None,
+            fitter: Some(Arc::new(fitter)),
+            map: None,
+            channels: Vec::new(),
+        })
+    }
 }
 
 impl From<&FittedOptic> for OpticalParameter {
@@ -180,13 +212,13 @@ fn added_modes(recipe: &modal::Recipe, selected: Option<&str>) -> String {
 }
 
 /// Expected RMS over the pupil of errors of the coefficients, piston, tip and tilt removed as in a residual.
-struct ExpectedErrors {
+pub(super) struct ExpectedErrors {
     gram: MapGram,
     groups: Vec<Group>,
 }
 
 impl ExpectedErrors {
-    fn new(model: &Model) -> Result<Self> {
+    pub(super) fn new(model: &Model) -> Result<Self> {
         let pupil = &model.telescope.pupil;
         let weight = &pupil.amplitude / pupil.weight_sum();
         let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
@@ -195,7 +227,7 @@ impl ExpectedErrors {
     }
 
     /// Expected RMS of the errors of phasing, NCPA and their sum, nm.
-    fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
+    pub(super) fn rms_nm(&self, covariance_nm2: &Array2<f64>) -> Result<[f64; 3]> {
         let rms_nm = |keep: &dyn Fn(Group) -> bool| {
             let inside = |(k, l): (usize, usize)| keep(self.groups[k]) && keep(self.groups[l]);
             let part =

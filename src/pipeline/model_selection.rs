@@ -139,6 +139,8 @@ pub(super) type FitOne<'a> = dyn FnMut(&Scene) -> Result<Option<(ModalFitter, Mo
 pub(super) struct Selected {
     /// The scene with its modes.
     pub(super) scene: Scene,
+    /// Keys and values that extend the scene.
+    pub(super) settings: Vec<(&'static str, String)>,
     /// What was added, for reports.
     pub(super) added: String,
     /// What it explains, as a sentence.
@@ -190,7 +192,8 @@ pub(super) fn select(
             trial.fit.reduced_chi2,
             base.reduced_chi2
         );
-        Selected { scene: trial.scene.clone(), added, remark }
+        let settings = trial.extensions.iter().flat_map(|extension| extension.settings(scene)).collect();
+        Selected { scene: trial.scene.clone(), settings, added, remark }
     }))
 }
 

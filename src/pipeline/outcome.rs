@@ -7,6 +7,8 @@ use crate::modal::{ImageReport, ImageStatus};
 pub struct ImageOutcome {
     /// Whether it was fitted, and how well.
     pub status: ImageStatus,
+    /// The channel that it is of, a place in [`Estimate::channels`](super::Estimate::channels); 0 without channels.
+    pub channel: usize,
     /// Why it has this status, in a sentence.
     pub message: String,
     /// Whether it was combined into the estimate.
@@ -33,6 +35,7 @@ pub struct ImageOutcome {
 impl ImageOutcome {
     pub(super) fn from_modal(report: &ImageReport, is_used: bool, is_clipped: bool) -> Self {
         Self {
+            channel: 0,
             status: report.status.kind(),
             message: report.sentence(),
             is_used,

@@ -43,6 +43,10 @@ fn summary(estimate: &Estimate) -> String {
 fn combination(estimate: &Estimate) -> String {
     let (count, used) = (estimate.images.len(), estimate.used());
     let all = counted(count, "image");
+    if !estimate.channels.is_empty() {
+        let (channels, names) = (counted(estimate.channels.len(), "channel"), estimate.channels.join(", "));
+        return format!("{used} of {all} in {channels} ({names})");
+    }
     let how = match estimate.combine {
         Some(Combine::Median) if count > 1 => "median of ",
         Some(Combine::ClippedMean) if count > 1 && estimate.is_sequence => "clipped mean of ",

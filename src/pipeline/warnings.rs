@@ -14,6 +14,9 @@ const TOO_SMALL: &str = "the noise is smaller than the stated photon and read no
     (image.gain_e_per_adu), was it smoothed, averaged or normalised, or is the read noise too large? The error bars are those of \
     the stated noise";
 
+/// First sentence of the remark on the diversity.
+pub(super) const ON_DIVERSITY: &str = "The NCPA depend on the scene's diversity.";
+
 /// Images named one by one in a warning; the others are counted.
 const NAMED_IMAGES: usize = 3;
 /// Modes named one by one in a warning; the others are counted.
@@ -23,8 +26,8 @@ const NAMED_MODES: usize = 6;
 pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -> Option<String> {
     (diversity.is_spanned() && scene.estimate.diversity_error == 0.0).then(|| {
         format!(
-            "The NCPA depend on the scene's diversity: an error of 1 % of it changes them by {:.1} nm \
-             (estimate.diversity_error includes such an error in the error bars).",
+            "{ON_DIVERSITY} An error of 1 % of it changes them by {:.1} nm (estimate.diversity_error includes such an error in the \
+             error bars).",
             0.01 * diversity.rms_nm
         )
     })

@@ -34,6 +34,7 @@ pub fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Resul
     if !(budget_nm.is_finite() && budget_nm > 0.0) {
         return Err(Error::Value(format!("a budget of {budget_nm} nm is not accepted: a positive number is needed")));
     }
+    scene.refuse_channels("plans")?;
     // The plan has no budget: a scene with one would be planned again.
     let given = scene.without("estimate.budget_nm")?;
     search::Search::new(&given, budget_nm, cancel)?.run()

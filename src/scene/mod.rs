@@ -14,6 +14,7 @@
 //! ```
 
 mod adaptive;
+mod channel;
 mod edit;
 mod faults;
 mod file;
@@ -28,6 +29,7 @@ mod value;
 mod words;
 
 pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
+pub use channel::Channel;
 pub use edit::split_setting;
 pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
@@ -41,6 +43,7 @@ pub use words::{
 };
 
 use crate::{Error, Result};
+use channel::ChannelText;
 use section_keys::SectionKeys;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -63,6 +66,7 @@ struct Content {
     name: String,
     directory: PathBuf,
     purpose: Purpose,
+    channels: Vec<Channel>,
 }
 
 /// Declares the sections of a scene: their structs, their order, and which are optional.
@@ -257,10 +261,26 @@ impl Scene {
             Error::Scene(format!("{}: not TOML: {message}", source.at(error.span())))
         })?;
         refuse_unknown(source, document.as_table())?;
-        let sections = Sections::read(source, document.as_table())?;
+        let channels = Self::parse_channels(source, &document, directory)?;
+        // A scene with channels has the sections of its first one.
+        let sections = match channels.first() {
+            Some(first) => Sections::clone(&first.scene),
+            None => Sections::read(source, document.as_table())?,
+        };
         sections.check_together(source, document.as_table())?;
         let (text, name, directory) = (text.to_string(), name.to_string(), directory.to_path_buf());
-        Ok(Self { content: Arc::new(Content { sections, text, name, directory, purpose }) })
+        Ok(Self { content: Arc::new(Content { sections, text, name, directory, purpose, channels }) })
+    }
+
+    fn parse_channels(source: Source, document: &Document<&str>, directory: &Path) -> Result<Vec<Channel>> {
+        let parsed = channel::texts(source, document)?.into_iter().map(|ChannelText { name, text, settings }| {
+            let own = settings.iter().map(|(key, value)| (key.as_str(), value.as_str()));
+            let settings: Vec<(&str, &str)> = source.settings.iter().copied().chain(own).collect();
+            let title = format!("{}, channel {name}", source.name);
+            let scene = Self::parse(&title, &text, directory, source.purpose, &settings)?;
+            Ok(Channel { name, scene })
+        });
+        parsed.collect()
     }
 }
 
@@ -321,7 +341,9 @@ fn refuse_unknown(source: Source, document: &toml_edit::Table) -> Result<()> {
             let at = place(source, document, name);
             return Err(Error::Scene(format!("{at}: '{name}' is not a section; write [{name}] with its keys below")));
         };
-        if let Some((key, _)) = table.iter().find(|(key, _)| section.keys.iter().all(|known| known.name != *key)) {
+        let is_list = |key: &str| name == "image" && key == channel::LIST;
+        let is_known = |key: &str| is_list(key) || section.keys.iter().any(|known| known.name == key);
+        if let Some((key, _)) = table.iter().find(|(key, _)| !is_known(key)) {
             return Err(reader(section.name).error(key, unknown_key(&sections, section, key)));
         }
     }

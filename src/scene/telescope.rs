@@ -159,7 +159,8 @@ impl Check for PupilScene {
 const LEAST_SAMPLING_OF_PIXELS: f64 = 1.9;
 
 section! {
-    /// Science camera and its images.
+    /// Science camera and its images. Below, a list [[image.channel]] names several ways of imaging one wavefront (two defocuses, two
+    /// filters): each has a name, and keys of this section that it has in place of those here.
     ImageScene = "image" {
         /// Mean wavelength of the filter.
         wavelength_nm: f64, between(100.0, 100_000.0), required();
@@ -209,6 +210,9 @@ section! {
         flip_x: bool, ANY, default(false);
         /// Whether the detector's rows run opposite to +y. Estimate only.
         flip_y: bool, ANY, default(false);
+        /// Whether exposures of all channels with one number are of one wavefront (a beam splitter); otherwise channels share its
+        /// static part only. Read by full-phase estimates.
+        simultaneous: bool, ANY, default(false);
     }
 }
 

@@ -2,25 +2,41 @@
 
 use super::images::SourceImages;
 use super::truth::Truth;
-use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
+use crate::io::{CHANNEL, Column, ELECTRON, FitsWriter, Pixel};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Writes images of an artificial source: `IMAGES` (electrons), `TRUTH_PHASING` and `TRUTH_NCPA` (nm), tables `TRUTH`
-/// and `SCENE`. The write is atomic.
+/// Writes images of an artificial source, those of each channel of the scene in order: `IMAGES` (electrons; of the second channel
+/// with `EXTVER` 2, and so on), `TRUTH_PHASING` and `TRUTH_NCPA` (nm), tables `TRUTH` and `SCENE`. The write is atomic.
 ///
 /// # Errors
-/// [`Error::File`] if the file cannot be written.
-pub fn write(path: &Path, scene: &Scene, made: &SourceImages) -> Result<()> {
-    let mut file = FitsWriter::create(path)?;
-    file.image("IMAGES", &made.images_e, Pixel::F32, ELECTRON)?;
-    image_cards(&mut file, scene, made.flux_e)?;
+/// [`Error::Shape`] for images of another number of channels than the scene has; [`Error::File`] if the file cannot be written.
+pub fn write(path: &Path, scene: &Scene, made: &[SourceImages]) -> Result<()> {
+    let channels = scene.channels();
+    let (Some(first), true) = (made.first(), made.len() == channels.len().max(1)) else {
+        let (given, wanted) = (made.len(), channels.len().max(1));
+        return Err(Error::Shape(format!("there are images of {given} channels, where the scene has {wanted}")));
+    };
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-    seed_card(&mut file, "SEED", seed, "seed of aberrations and noise")?;
-    truth(&mut file, scene, &made.truth)?;
+    let mut file = FitsWriter::create(path)?;
+    for (number, made) in made.iter().enumerate() {
+        let (hdu, own) = (image_hdu(number), channels.get(number).map_or(scene, |channel| &channel.scene));
+        file.image(&hdu, &made.images_e, Pixel::F32, ELECTRON)?;
+        if let Some(channel) = channels.get(number) {
+            file.card(&hdu, CHANNEL, channel.name.as_str(), "name of the channel")?;
+        }
+        image_cards(&mut file, &hdu, own, made.flux_e)?;
+        seed_card(&mut file, &hdu, "SEED", seed, "seed of aberrations and noise")?;
+    }
+    truth(&mut file, scene, &first.truth)?;
     file.text("SCENE", scene.text())?;
     file.finish()
+}
+
+/// Name of the HDU of the images of a channel, by its number from 0, for [`FitsWriter::image`].
+fn image_hdu(number: usize) -> String {
+    if number == 0 { "IMAGES".into() } else { format!("IMAGES,{}", number + 1) }
 }
 
 /// Side of the scene's grid, m.
@@ -39,8 +55,8 @@ pub(crate) fn pixel_mas(scene: &Scene) -> Option<f64> {
     Some(image.wavelength_nm * 1e-9 / grid_m / image.samples_per_lambda_over_d * radian_mas)
 }
 
-/// Writes the cards of the HDU `IMAGES`: noise, flux, sampling, exposure.
-pub(crate) fn image_cards(file: &mut FitsWriter, scene: &Scene, flux_e: f64) -> Result<()> {
+/// Writes the cards of the images in `hdu`: noise, flux, sampling, exposure.
+pub(crate) fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &Scene, flux_e: f64) -> Result<()> {
     let image = &scene.image;
     for (key, value, comment) in [
         ("RON_E", image.simulated_read_noise_e(), "read noise of a pixel, electrons RMS"),
@@ -50,15 +66,15 @@ pub(crate) fn image_cards(file: &mut FitsWriter, scene: &Scene, flux_e: f64) -> 
         ("PIXSCALE", pixel_mas(scene).ok_or_else(no_grid)?, "pixel on the sky, mas"),
         ("EXPTIME", image.exposure_s, "exposure, s"),
     ] {
-        file.card("IMAGES", key, value, comment)?;
+        file.card(hdu, key, value, comment)?;
     }
     Ok(())
 }
 
-/// Writes a seed to the header of `IMAGES`.
-pub(crate) fn seed_card(file: &mut FitsWriter, key: &str, seed: u64, comment: &str) -> Result<()> {
+/// Writes a seed to the header of `hdu`.
+pub(crate) fn seed_card(file: &mut FitsWriter, hdu: &str, key: &str, seed: u64, comment: &str) -> Result<()> {
     // FITS integers are signed.
-    file.card("IMAGES", key, i64::try_from(seed).unwrap_or(i64::MAX), comment)
+    file.card(hdu, key, i64::try_from(seed).unwrap_or(i64::MAX), comment)
 }
 
 /// Writes the truth: both maps, and the table of segments.

@@ -8,6 +8,9 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array3;
 
+/// Random number streams of a channel: more than it has images.
+const CHANNEL_STREAMS: u64 = 1 << 32;
+
 /// Simulated images with their truth.
 pub struct SourceImages {
     /// Electrons, `[image, y, x]`.
@@ -23,8 +26,28 @@ pub struct SourceImages {
 ///
 /// # Errors
 /// Those of building the telescope; [`Error::File`] for a map that cannot be read; [`Error::Scene`] for aberrations
-/// that drift, which needs the time axis of an AO simulation.
+/// that drift, which needs the time axis of an AO simulation, and for channels: [`simulate_channels`].
 pub fn simulate(scene: &Scene) -> Result<SourceImages> {
+    scene.refuse_channels("the images of one camera")?;
+    simulate_channel(scene, 0)
+}
+
+/// As [`simulate`], for each channel of `scene`, in order, or for the only one: the same aberrations, other noise.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_channels(scene: &Scene) -> Result<Vec<SourceImages>> {
+    match scene.channels() {
+        [] => Ok(vec![simulate(scene)?]),
+        channels => {
+            let each = channels.iter().enumerate();
+            each.map(|(number, channel)| simulate_channel(&channel.scene, number as u64)).collect()
+        }
+    }
+}
+
+/// Images of the channel `number`, whose scene this is.
+fn simulate_channel(scene: &Scene, number: u64) -> Result<SourceImages> {
     if scene.faults.drift_nm_per_min > 0.0 {
         return Err(Error::Scene(format!(
             "{}: faults.drift_nm_per_min = {} has no meaning for images of an artificial source; 0 is accepted",
@@ -41,7 +64,7 @@ pub fn simulate(scene: &Scene) -> Result<SourceImages> {
     let (rows, columns) = psf.dim();
     let mut images_e = Array3::zeros((scene.image.count, rows, columns));
     for (image, mut out) in images_e.outer_iter_mut().enumerate() {
-        let mut rng = stream(seed, 1 + image as u64);
+        let mut rng = stream(seed, number * CHANNEL_STREAMS + 1 + image as u64);
         out.zip_mut_with(&psf, |out, &h| *out = expose(&scene.image, h, flux_e, &mut rng));
     }
     Ok(SourceImages { images_e, flux_e, truth })

@@ -17,9 +17,11 @@ const EXAMPLES: &str = "Examples:
   cophase estimate nirc2.fits --scene scene.toml -o est.fits --plot est.png
   cophase estimate images.fits -o paper.fits --optimizer bfgs
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
+  cophase estimate --channel plus=a.fits --channel minus=b.fits --scene pair.toml -o est.fits
 
 Images: FITS, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU whose name or \
-number follows the file's in brackets: 'night.fits[SCI]'. Pixels that are not finite are masked, and those that an image HDU \
+number follows the file's in brackets: 'night.fits[SCI]'. Those of several channels are HDUs IMAGES with EXTVER 1, 2, ... and \
+their names in the card CHANNEL, or a file each (--channel). Pixels that are not finite are masked, and those that an image HDU \
 BADPIX (not zero = bad) or --mask names.
 
 Units: electrons, or counts (card BUNIT 'adu', 'DN', 'count'), which are converted with the electrons per count of \
@@ -34,7 +36,7 @@ scene has no read noise, the card's is used, else the scatter of the image's bor
 The error bars of eight images or more are from the scatter between them, and the clipped \
 mean (the default; --set estimate.combine=mean or median) leaves outliers out.
 
---json prints: images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, \
+--json prints: channels (their names), images, used, clipped, combine, seconds, phasing_rms_nm, ncpa_rms_nm, phasing_sigma_nm, ncpa_sigma_nm, \
 phasing_residual_nm and ncpa_residual_nm (where the truth is known), reduced_chi2, evaluations (of the objective, all \
 images together), device, precision, status (the worst of the images': ok, misfit, wrong-minimum, not-converged, \
 unusable), warnings (sentences), policy, model (the modes that were added), method, and with full-phase ao_knowledge, \
@@ -45,8 +47,12 @@ where a key does not apply.";
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
-    /// FITS file with one image or a cube of them, FILE or FILE[HDU]; - for standard input
-    images: PathBuf,
+    /// FITS file with one image or a cube of them, FILE or FILE[HDU], or with those of several channels; - for standard input
+    #[arg(required_unless_present = "channel", conflicts_with = "channel")]
+    images: Option<PathBuf>,
+    /// FITS file with the images of one channel of the scene ([[image.channel]]); once for each channel
+    #[arg(long, value_name = "NAME=FILE", value_parser = channel)]
+    channel: Vec<(String, PathBuf)>,
     /// FITS file to write: maps, modes, error bars; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
@@ -115,7 +121,26 @@ fn device(word: &str) -> Result<String> {
     word.parse::<DeviceChoice>().map(|_| word.to_string())
 }
 
+/// The name of a channel, and the file with its images.
+fn channel(argument: &str) -> std::result::Result<(String, PathBuf), String> {
+    match argument.split_once('=') {
+        Some((name, file)) if !name.is_empty() && !file.is_empty() => Ok((name.into(), file.into())),
+        _ => Err("a channel and its file are needed, such as plus=a.fits".into()),
+    }
+}
+
 impl Arguments {
+    /// The files with images, and the channels that the command line names for them.
+    fn sources(&self) -> Vec<(Option<&str>, &Path)> {
+        let named = self.channel.iter().map(|(name, file)| (Some(name.as_str()), file.as_path()));
+        self.images.iter().map(|file| (None, file.as_path())).chain(named).collect()
+    }
+
+    /// The file of the first images, after which the result is named.
+    fn first(&self) -> &Path {
+        self.sources().first().map_or(Path::new(""), |(_, file)| *file)
+    }
+
     /// The options that are keys of the scene.
     fn options(&self) -> Vec<(&str, &str)> {
         let options = [
@@ -139,23 +164,37 @@ impl Arguments {
         if let Some(plot) = &self.plot {
             outputs::check_picture(("--plot", plot))?;
         }
-        let mut inputs: Vec<Flagged> = vec![("the images", &self.images)];
+        let sources = self.sources();
+        let mut inputs: Vec<Flagged> = sources.iter().map(|(_, file)| ("the images", *file)).collect();
         let also = [("--scene", &self.scene), ("--mask", &self.mask)];
         inputs.extend(also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?))));
         outputs::check(&self.outputs(), &inputs)
     }
 
-    fn images(&self) -> Result<Images> {
-        let mut images = Images::read(&self.images, self.mask.as_deref())?;
-        images.trust = match self.trust.as_deref() {
+    /// The images of each channel.
+    fn images(&self) -> Result<Vec<Images>> {
+        let mut channels = Vec::new();
+        for (name, file) in self.sources() {
+            match name {
+                None => channels.extend(Images::read_channels(file, self.mask.as_deref())?),
+                Some(name) => {
+                    let images = Images::read(file, self.mask.as_deref())?;
+                    channels.push(Images { channel: Some(name.into()), ..images });
+                }
+            }
+        }
+        let trust = match self.trust.as_deref() {
             Some("scene") => Trust::Scene,
             Some("file") => Trust::File,
             _ => Trust::Neither,
         };
         // What the command line says goes before what the file says.
         let keys = self.settings.keys().chain(self.gain.map(|_| GAIN));
-        images.overrides = keys.map(str::to_owned).collect();
-        Ok(images)
+        let overrides: Vec<String> = keys.map(str::to_owned).collect();
+        for images in &mut channels {
+            (images.trust, images.overrides) = (trust, overrides.clone());
+        }
+        Ok(channels)
     }
 
     fn scene(&self) -> Result<Scene> {
@@ -166,10 +205,10 @@ impl Arguments {
         if let Some(name) = &self.scene {
             return self.settings.apply(&files::scene(name)?, &options);
         }
-        let scene = embedded_scene(&self.images)?.ok_or_else(|| {
+        let scene = embedded_scene(self.first())?.ok_or_else(|| {
             let reason =
                 "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
-            Error::file(&self.images, reason)
+            Error::file(self.first(), reason)
         })?;
         self.settings.apply_to_embedded(&scene, &options)
     }
@@ -184,7 +223,10 @@ const DOUBTFUL_STATUS: u8 = 3;
 pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
     arguments.check_outputs()?;
-    let _copy = outputs::copy_standard_input(&mut arguments.images, &interrupt)?;
+    let _copy = match &mut arguments.images {
+        Some(images) => outputs::copy_standard_input(images, &interrupt)?,
+        None => None,
+    };
     let images = arguments.images()?;
     let scene = arguments.scene()?;
     files::spare_files_of(&scene, &arguments.outputs())?;
@@ -192,12 +234,12 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
         let reason = "corrections come from the full-phase estimate: --method full-phase is needed";
         return Err(Error::file(arguments.commands.as_deref().unwrap_or(&arguments.output), reason));
     }
-    let estimate = estimated(&arguments.images, &scene, &images, terminal, &interrupt)?;
-    write(&arguments.images, &estimate, &arguments.output, arguments.plot.as_deref())?;
+    let estimate = estimated(arguments.first(), &scene, &images, terminal, &interrupt)?;
+    write(arguments.first(), &estimate, &arguments.output, arguments.plot.as_deref())?;
     if let Some(commands) = &arguments.commands {
         estimate.corrections(None)?.write(commands)?;
     }
-    print(&arguments.images, &estimate, arguments.json, terminal)?;
+    print(arguments.first(), &estimate, arguments.json, terminal)?;
     if let Some(degeneracy) = estimate.degeneracy.as_ref().filter(|_| arguments.verbose && !arguments.json) {
         terminal.show(&format!("\n{degeneracy}\n"))?;
     }
@@ -205,11 +247,11 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     Ok(if is_doubtful { ExitCode::from(DOUBTFUL_STATUS) } else { ExitCode::SUCCESS })
 }
 
-/// The estimate of `images`, which are of the file `name`, with a progress bar.
+/// The estimate of `images`, those of each channel, which are of the file `name`, with a progress bar.
 pub fn estimated(
     name: &Path,
     scene: &Scene,
-    images: &Images,
+    images: &[Images],
     terminal: &Terminal,
     interrupt: &Interrupt,
 ) -> Result<Estimate> {
@@ -217,7 +259,7 @@ pub fn estimated(
     let observer = bar.observer();
     let control = Control::with_flag(interrupt.flag().clone(), observer);
     let estimator = Estimator::with_policy(scene, Policy::default(), control)?;
-    estimator.estimate(images).map_err(files::about(name))
+    estimator.estimate_channels(images).map_err(files::about(name))
 }
 
 /// Writes the estimate, and its picture where one is asked for.
@@ -243,6 +285,7 @@ pub fn print(name: &Path, estimate: &Estimate, json: bool, terminal: &Terminal) 
 /// What `estimate --json` prints; scripts rely on these keys.
 #[derive(Serialize)]
 struct Summary<'a> {
+    channels: &'a [String],
     images: usize,
     used: usize,
     clipped: usize,
@@ -275,6 +318,7 @@ impl<'a> Summary<'a> {
         let map = estimate.map.as_ref();
         let telemetry = map.and_then(|map| map.telemetry.as_ref());
         Self {
+            channels: &estimate.channels,
             images: estimate.images.len(),
             used: estimate.used(),
             clipped: estimate.clipped(),

@@ -4,11 +4,11 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::terminal::Terminal;
-use cophase::Result;
 use cophase::machine;
 use cophase::scene::Scene;
 use cophase::source;
 use cophase::telescope::Telescope;
+use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -17,7 +17,7 @@ const EXAMPLES: &str = "Examples:
   cophase image keck-artificial -o images.fits
   cophase image scene.toml -o faint.fits --set image.peak_snr=50 --seed 7
 
-The file holds the images (IMAGES, electrons), what they were made with (TRUTH_PHASING and TRUTH_NCPA, nm; \
+The file holds the images (IMAGES, electrons; those of several channels with EXTVER 1, 2, ... and the card CHANNEL), what they were made with (TRUTH_PHASING and TRUTH_NCPA, nm; \
 table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimate' needs nothing else.";
 
 /// Make images of an artificial source, with their truth
@@ -42,6 +42,7 @@ pub struct Arguments {
 /// What was made.
 #[derive(Serialize)]
 struct Made {
+    channels: Vec<String>,
     images: usize,
     pixels: usize,
     rows: usize,
@@ -68,9 +69,13 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     if arguments.json {
         return terminal.json(&made);
     }
-    let Made { images, rows, columns, flux_e, phasing_rms_nm, ncpa_rms_nm, seconds, .. } = made;
+    let Made { channels, images, rows, columns, flux_e, phasing_rms_nm, ncpa_rms_nm, seconds, .. } = made;
+    let each = match channels.as_slice() {
+        [] => format!("of {columns}x{rows} pixels, {flux_e:.3e} electrons each"),
+        channels => format!("in {} ({})", crate::terminal::counted(channels.len(), "channel"), channels.join(", ")),
+    };
     terminal.show(&format!(
-        "{}: {} of {columns}x{rows} pixels, {flux_e:.3e} electrons each, phasing {phasing_rms_nm:.2} nm and NCPA \
+        "{}: {} {each}, phasing {phasing_rms_nm:.2} nm and NCPA \
          {ncpa_rms_nm:.2} nm RMS, made in {seconds:.1} s\n",
         arguments.output.display(),
         crate::terminal::counted(images, "image"),
@@ -83,21 +88,23 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
     check_memory(scene)?;
     let made = {
         let _wait = terminal.wait(&format!("Making {}", crate::terminal::counted(scene.image.count, "image")), 1);
-        source::simulate(scene)?
+        source::simulate_channels(scene)?
     };
     interrupt.check("the images were made, nothing was written")?;
     source::write(output, scene, &made)?;
     let pupil = Telescope::new(scene)?.pupil;
     let rms = |map: &ndarray::Array2<f64>| pupil.rms(pupil.remove_piston_tip_tilt(map.view())?.view());
+    let Some(first) = made.first() else { return Err(Error::Internal("no images were made".into())) };
     let (rows, columns) = scene.image.frame_shape();
     Ok(Made {
-        images: scene.image.count,
+        channels: scene.channels().iter().map(|channel| channel.name.clone()).collect(),
+        images: made.iter().map(|channel| channel.images_e.dim().0).sum(),
         pixels: scene.image.pixels,
         rows,
         columns,
-        flux_e: made.flux_e,
-        phasing_rms_nm: rms(&made.truth.phasing_nm)?,
-        ncpa_rms_nm: rms(&made.truth.ncpa_nm)?,
+        flux_e: first.flux_e,
+        phasing_rms_nm: rms(&first.truth.phasing_nm)?,
+        ncpa_rms_nm: rms(&first.truth.ncpa_nm)?,
         seconds: started.elapsed().as_secs_f64(),
     })
 }
@@ -106,10 +113,18 @@ fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt
 pub fn check_memory(scene: &Scene) -> Result<()> {
     /// The image in double precision, and three copies in single while the file is put together.
     const BYTES_PER_PIXEL: u64 = 8 + 3 * 4;
-    let (count, (rows, columns)) = (scene.image.count, scene.image.frame_shape());
-    let bytes = (count as u64).saturating_mul((rows * columns) as u64).saturating_mul(BYTES_PER_PIXEL);
-    let images = crate::terminal::counted(count, "image");
-    let what = format!("{}: {images} of {columns}x{rows} pixels", scene.name());
+    let bytes = |scene: &Scene| {
+        let (rows, columns) = scene.image.frame_shape();
+        (scene.image.count as u64).saturating_mul((rows * columns) as u64).saturating_mul(BYTES_PER_PIXEL)
+    };
+    let scenes: Vec<&Scene> = match scene.channels() {
+        [] => vec![scene],
+        channels => channels.iter().map(|channel| &channel.scene).collect(),
+    };
+    let bytes = scenes.into_iter().map(bytes).fold(0, u64::saturating_add);
+    let (images, (rows, columns)) = (crate::terminal::counted(scene.image.count, "image"), scene.image.frame_shape());
+    let each = if scene.channels().is_empty() { "" } else { " in each of its channels" };
+    let what = format!("{}: {images} of {columns}x{rows} pixels{each}", scene.name());
     machine::check_memory(what, bytes, "lower image.count or image.pixels")
 }
 

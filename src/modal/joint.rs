@@ -1,0 +1,291 @@
+//! Joint estimate of the channels of one wavefront, from an estimate of each.
+//!
+//! Near their minima the objectives of the channels are quadratic in the modes, so that the minimum of their sum follows from the
+//! minimum ĉ_i of each and its covariance C_i by generalised least squares:
+//!
+//! ```text
+//! ĉ_i = c + δ p_i + T t_i + noise       c: the modes, common to all channels
+//! Λ_i = C_i⁺ − C_i⁺ T (Tᵀ C_i⁺ T)⁻¹ Tᵀ C_i⁺    T: tip and tilt of all channels but the first, which are each channel's own
+//! N = Σ Λ_i [1 p_i]ᵀ[1 p_i] + diag(0, 1/σ²)     [c δ] = N⁺ Σ [1 p_i]ᵀ Λ_i ĉ_i      covariance N⁺
+//! ```
+//!
+//! δ is the relative error of the amplitude of the diversities d_i, whose coefficients are p_i: an image of c behind (1+δ) d_i is that of
+//! c + δ d_i behind d_i. One mechanism is assumed to make them all. It is known to σ (`estimate.diversity_error`), not at all where
+//! `estimate.fit_optics` names "defocus", and exactly otherwise. Two images with diversities d and −d determine it, one does not.
+//!
+//! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the channels are of one wavefront by one
+//! model: an image that is flipped, or of another wavelength than the scene says, disagrees with the others.
+
+use super::combine::{maps, sigma_maps, with_prior};
+use super::combined_modes::CombinedModes;
+use super::diversity_error::ModeProjector;
+use super::estimate::ModalFit;
+use super::fisher::{null_floor, pseudo_inverse};
+use super::fitted_optic::FittedOptic;
+use super::fitter::ModalFitter;
+use super::model::Model;
+use crate::optimize::Metric;
+use crate::scene::{Optic, Scene};
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, Axis, concatenate, s};
+use std::f64::consts::TAU;
+
+/// Share of tip and tilt (RMS) outside the modes up to which the modes span them. The basis is exact to rounding.
+const MAX_RESIDUAL_SHARE: f64 = 1e-3;
+/// Least share of what the channels say of the amplitude of the diversities that the modes must leave: below, an error of 1 % of the
+/// projections would be taken for it.
+const LEAST_SHARE: f64 = 1e-4;
+
+/// Estimate from several channels.
+pub(crate) struct JointEstimate {
+    /// The modes, with the prior and the errors that all images share.
+    pub(crate) combined: CombinedModes,
+    /// The part of the covariance that further images would average out, nm².
+    pub(crate) averaged_covariance_nm2: Array2<f64>,
+    /// Segment errors and NCPA, `[y, x]`, nm, NaN outside the pupil.
+    pub(crate) maps_nm: [Array2<f64>; 2],
+    /// Their error bars.
+    pub(crate) sigma_maps_nm: [Array2<f64>; 2],
+    /// Amplitude of the diversity of the first channel that has one, where it was fitted.
+    pub(crate) defocus: Option<FittedOptic>,
+    /// Change of the modes for a relative error 1 of the amplitude of all diversities, nm; none where that is unknown or fitted.
+    pub(crate) diversity_effect_nm: Option<Array1<f64>>,
+    /// Scatter of the channels about the estimate over its expectation, and its degrees of freedom.
+    pub(crate) disagreement: (f64, f64),
+}
+
+/// What one channel says of the modes.
+struct Said {
+    coefficients_nm: Array1<f64>,
+    /// Λ, per nm².
+    information: Array2<f64>,
+    /// p, nm.
+    diversity_nm: Array1<f64>,
+}
+
+/// Combines the estimates of the channels of `scene`, which have the same modes.
+///
+/// # Errors
+/// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do not span;
+/// [`Error::Value`] where no mode changes the images.
+pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstimate> {
+    let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
+    let (modes, model) = (first.model.optics.modes(), &first.model);
+    let said = channels.iter().enumerate();
+    let said = said.map(|(number, fit)| said_by(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
+    let is_fitted = scene.estimate.fit_optics.contains(&Optic::Defocus);
+    let sigma = scene.estimate.diversity_error;
+    let is_unknown = is_fitted || sigma > 0.0;
+    if is_unknown {
+        spanned(channels)?;
+    }
+    let normal =
+        |with_amplitude: bool| Normal::new(&said, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
+    let mut found = normal(is_unknown)?;
+    let mut defocus = None;
+    if is_fitted {
+        let share = found.share_of_amplitude(&said);
+        let is_identifiable = share > LEAST_SHARE;
+        if !is_identifiable {
+            found = normal(false)?;
+        }
+        defocus = fitted_defocus(channels, &found, share);
+    }
+    let disagreement = found.disagreement(&said);
+    let diversity_effect_nm = (!found.has_amplitude).then(|| {
+        let each = said.iter().map(|channel| channel.information.dot(&channel.diversity_nm));
+        found.covariance.dot(&each.fold(Array1::zeros(modes), |sum, one| sum + one))
+    });
+    let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
+    first.motions.remove(&mut coefficients_nm);
+    // Channels that disagree by more than their noise are wrong by at least as much.
+    let covariance_nm2 = found.covariance.slice(s![..modes, ..modes]).to_owned() * disagreement.0.max(1.0);
+    let combined = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
+    Ok(JointEstimate {
+        averaged_covariance_nm2: combined.covariance_nm2.clone(),
+        maps_nm: maps(model, &combined),
+        sigma_maps_nm: sigma_maps(model, &combined),
+        combined,
+        defocus,
+        diversity_effect_nm,
+        disagreement,
+    })
+}
+
+/// What the channel `number` says of the modes; its pistons within half a wavelength of the first channel's.
+fn said_by((fitter, found): &ModalFit, number: usize, (first, reference): &ModalFit) -> Result<Said> {
+    let model = &fitter.model;
+    let mut likelihood = found.likelihood().clone();
+    if number > 0 {
+        let reference = &reference.likelihood().coefficients_nm;
+        wrap_pistons(&mut likelihood.coefficients_nm, reference, model);
+        first.motions.remove(&mut likelihood.coefficients_nm);
+    }
+    for shared in fitter.shared_errors().iter().filter(|shared| shared.name != super::diversity_error::NAME) {
+        likelihood.covariance_nm2 += &shared.covariance_nm2;
+    }
+    let floor = null_floor(model.optics.modes(), model.preparation.native_pixels() as usize);
+    let mut information = pseudo_inverse(&likelihood.covariance_nm2, floor)?;
+    if number > 0 {
+        information = without(information, &tip_and_tilt(model)?);
+    }
+    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
+    Ok(Said { coefficients_nm: Array1::from(likelihood.coefficients_nm), information, diversity_nm })
+}
+
+/// Moves pistons by wavelengths, so that they differ least from `reference` up to a piston of all.
+fn wrap_pistons(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Model) {
+    let names = model.basis.names().iter().take(model.segment_modes);
+    let pistons = names.take_while(|name| name.ends_with("-piston")).count();
+    let period_nm = model.optics.parts().wavelength_nm;
+    let differences: Vec<f64> = coefficients_nm[..pistons].iter().zip(reference_nm).map(|(a, b)| a - b).collect();
+    let phase = |function: fn(f64) -> f64| differences.iter().map(|nm| function(TAU * nm / period_nm)).sum::<f64>();
+    let common_nm = phase(f64::sin).atan2(phase(f64::cos)) * period_nm / TAU;
+    for (nm, difference) in coefficients_nm.iter_mut().zip(&differences) {
+        *nm -= period_nm * ((difference - common_nm) / period_nm).round();
+    }
+}
+
+/// Coefficients of tip and tilt of the whole pupil, `[axis, mode]`, those that the modes of the NCPA span.
+fn tip_and_tilt(model: &Model) -> Result<Array2<f64>> {
+    let (pupil, basis) = (&model.telescope.pupil, &model.basis);
+    let mut found = Array2::zeros((0, basis.len()));
+    if model.segment_modes == basis.len() {
+        return Ok(found);
+    }
+    let projector = ModeProjector::new(pupil, basis, model.segment_modes)?;
+    let weight = &pupil.amplitude / pupil.weight_sum();
+    for axis in [0, 1] {
+        let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
+        let map = Array2::from_shape_fn(pupil.amplitude.dim(), along);
+        let map = &map - (&map * &weight).sum();
+        let map = &map / (&map * &map * &weight).sum().sqrt();
+        let projection = projector.project(basis, &map)?;
+        if 1.0 - projection.mean_square_nm2 < MAX_RESIDUAL_SHARE {
+            let pushed = found.push(Axis(0), projection.coefficients_nm.view());
+            pushed.map_err(|error| Error::Internal(format!("tip and tilt: {error}")))?;
+        }
+    }
+    Ok(found)
+}
+
+/// `information` of the modes where amounts of `directions` (rows) are unknown.
+fn without(information: Array2<f64>, directions: &Array2<f64>) -> Array2<f64> {
+    directions.outer_iter().fold(information, |information, direction| {
+        let along = information.dot(&direction);
+        let own = direction.dot(&along);
+        if own <= 0.0 {
+            return information;
+        }
+        let column = along.insert_axis(Axis(1));
+        information - column.dot(&column.t()) / own
+    })
+}
+
+/// # Errors
+/// [`Error::Scene`] where the modes of a channel do not span its diversity.
+fn spanned(channels: &[&ModalFit]) -> Result<()> {
+    for (fitter, _) in channels.iter().copied() {
+        let projection = fitter.diversity_projection()?;
+        if projection.rms_nm > 0.0 && !projection.is_spanned() {
+            return Err(Error::Scene(format!(
+                "{}: the amplitude of the diversities is unknown (estimate.fit_optics with \"defocus\", or estimate.diversity_error), which \
+                 channels determine where the modes span every diversity: raise modes.ncpa_count or leave both out",
+                fitter.scene.name()
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// The amplitude of the first diversity, from the relative error that was found.
+fn fitted_defocus(channels: &[&ModalFit], found: &Normal, share: f64) -> Option<FittedOptic> {
+    let of = |fitter: &ModalFitter| fitter.scene.image.diversity_focus_waves_rms;
+    let scene = channels.iter().map(|(fitter, _)| of(fitter)).find(|waves| *waves != 0.0)?;
+    let (value, sigma) = match found.amplitude() {
+        Some((delta, sigma)) => (scene * (1.0 + delta), scene.abs() * sigma),
+        None => (scene, f64::INFINITY),
+    };
+    Some(FittedOptic { optic: Optic::Defocus, segment: None, scene, value, sigma, identifiable_share: share })
+}
+
+/// Normal equations and their solution.
+struct Normal {
+    /// Modes, and behind them δ where it is unknown.
+    solution: Array1<f64>,
+    covariance: Array2<f64>,
+    /// N.
+    matrix: Array2<f64>,
+    has_amplitude: bool,
+    /// What a prior says of δ.
+    prior: f64,
+}
+
+impl Normal {
+    fn new(said: &[Said], has_amplitude: bool, prior: f64) -> Result<Self> {
+        let modes = said[0].coefficients_nm.len();
+        let size = modes + usize::from(has_amplitude);
+        let (mut matrix, mut right) = (Array2::zeros((size, size)), Array1::zeros(size));
+        for channel in said {
+            let design = design(channel, has_amplitude)?;
+            let weighed = design.dot(&channel.information);
+            matrix += &weighed.dot(&design.t());
+            right += &weighed.dot(&channel.coefficients_nm);
+        }
+        if has_amplitude {
+            matrix[[modes, modes]] += prior;
+        }
+        let covariance = pseudo_inverse(&matrix, null_floor(size, size))?;
+        Ok(Self { solution: covariance.dot(&right), covariance, matrix, has_amplitude, prior })
+    }
+
+    /// δ and its error bar, where it is unknown.
+    fn amplitude(&self) -> Option<(f64, f64)> {
+        let last = self.solution.len() - 1;
+        self.has_amplitude.then(|| (self.solution[last], self.covariance[[last, last]].max(0.0).sqrt()))
+    }
+
+    /// Share of what the channels say of δ that the modes leave.
+    fn share_of_amplitude(&self, said: &[Said]) -> f64 {
+        let all: f64 =
+            said.iter().map(|channel| channel.diversity_nm.dot(&channel.information.dot(&channel.diversity_nm))).sum();
+        let last = self.solution.len() - 1;
+        // In a null direction N⁺ has a variance, too, and the part of N along δ that the modes reproduce is what matters.
+        let modes = self.matrix.slice(s![..last, ..last]).to_owned();
+        let cross = self.matrix.slice(s![..last, last]);
+        let reproduced =
+            pseudo_inverse(&modes, null_floor(last, last)).map_or(all, |inverse| cross.dot(&inverse.dot(&cross)));
+        if all > 0.0 { ((all - reproduced) / all).max(0.0) } else { 0.0 }
+    }
+
+    /// Reduced χ² of the channels about the solution, and its degrees of freedom; (1, 0) where there are none.
+    fn disagreement(&self, said: &[Said]) -> (f64, f64) {
+        let rank = |matrix: &Array2<f64>| -> f64 {
+            let scale = matrix.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });
+            let scaled = matrix * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));
+            Metric::from_gauss_newton(&scaled, null_floor(scale.len(), scale.len()))
+                .map_or(0.0, |metric| metric.rank() as f64)
+        };
+        let (mut chi2, mut freedom) = (0.0, -rank(&self.matrix));
+        for channel in said {
+            let Ok(design) = design(channel, self.has_amplitude) else { continue };
+            let off = &channel.coefficients_nm - &design.t().dot(&self.solution);
+            chi2 += off.dot(&channel.information.dot(&off));
+            freedom += rank(&channel.information);
+        }
+        if let Some((delta, _)) = self.amplitude().filter(|_| self.prior > 0.0) {
+            (chi2, freedom) = (chi2 + delta * delta * self.prior, freedom + 1.0);
+        }
+        if freedom >= 1.0 { (chi2 / freedom, freedom) } else { (1.0, 0.0) }
+    }
+}
+
+/// [1 p]ᵀ of a channel, or 1.
+fn design(channel: &Said, has_amplitude: bool) -> Result<Array2<f64>> {
+    let own = Array2::eye(channel.coefficients_nm.len());
+    if !has_amplitude {
+        return Ok(own);
+    }
+    let last = channel.diversity_nm.view().insert_axis(Axis(0));
+    concatenate(Axis(0), &[own.view(), last]).map_err(|error| Error::Internal(error.to_string()))
+}

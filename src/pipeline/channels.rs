@@ -1,0 +1,218 @@
+//! Estimate from the images of several channels of one wavefront: each channel fitted by its own scene, and the fits combined.
+
+use super::budget::ErrorTerm;
+use super::consistency::Electrons;
+use super::control::{Control, Stage};
+use super::estimate::{Estimate, Figure, OpticalParameter};
+use super::modal::{self, ExpectedErrors, Fitted};
+use super::policy::Policy;
+use crate::modal::{BasisCache, JointEstimate, joint};
+use crate::scene::{Method, Optic, Scene};
+use crate::statistics::median;
+use crate::{Error, Result};
+use ndarray::{Array1, Axis, concatenate};
+
+/// The images of one channel, with the scene that they are read by.
+pub(super) struct ChannelImages<'a> {
+    pub(super) name: &'a str,
+    pub(super) scene: Scene,
+    pub(super) images: Electrons<'a>,
+}
+
+/// `error` of the images of the channel `name`.
+pub(super) fn of_channel(name: &str, error: Error) -> Error {
+    match error {
+        Error::Image(sentence) => Error::Image(format!("channel {name}: {sentence}")),
+        other => other,
+    }
+}
+
+/// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
+/// √(2/n) of n degrees of freedom,
+const DEVIATIONS: f64 = 5.0;
+/// and by what the sampling of the model allows it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000.
+const ALLOWANCE: f64 = 0.3;
+
+/// Estimates the wavefront behind the images of all channels of `scene`.
+///
+/// # Errors
+/// Those of each channel's estimate; [`Error::Scene`] for an estimate that channels do not have.
+pub(super) fn estimate(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    cache: &BasisCache,
+    channels: &[ChannelImages],
+) -> Result<Estimate> {
+    check(scene)?;
+    let fits = fits(policy, control, cache, channels)?;
+    control.enter(Stage::Combining, 0);
+    let found = joint(scene, &fits.iter().map(|fitted| &fitted.fit).collect::<Vec<_>>())?;
+    let names: Vec<String> = channels.iter().map(|channel| channel.name.to_owned()).collect();
+    let each = fits.into_iter().map(|fitted| fitted.into_estimate(policy)).collect::<Result<Vec<_>>>()?;
+    combined(scene, found, names, each)
+}
+
+/// # Errors
+/// [`Error::Scene`] for what is estimated from one channel only.
+fn check(scene: &Scene) -> Result<()> {
+    if scene.estimate.method == Method::FullPhase {
+        return Err(Error::Scene(format!(
+            "{}: estimate.method = \"full-phase\" reads one channel, and the scene has {}: use \"modal\", or a scene of one channel",
+            scene.name(),
+            scene.channels().len()
+        )));
+    }
+    Ok(())
+}
+
+/// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
+fn fits(policy: &Policy, control: &Control, cache: &BasisCache, channels: &[ChannelImages]) -> Result<Vec<Fitted>> {
+    let one = |channel: &ChannelImages, policy: &Policy, extension: &[(&str, &str)]| {
+        let scene = own_scene(&channel.scene)?.with(extension)?;
+        let cache = cache.for_scene(&channels[0].scene, &scene);
+        let fitted = modal::fit(&scene, policy, control, &cache, &channel.images);
+        fitted.map_err(|error| of_channel(channel.name, error))
+    };
+    let scene_only = Policy { select_model: false, ..*policy };
+    let mut found: Vec<Fitted> = Vec::new();
+    let mut extension: Vec<(&'static str, String)> = Vec::new();
+    for channel in channels {
+        let settings: Vec<(&str, &str)> = extension.iter().map(|(key, value)| (*key, value.as_str())).collect();
+        let fitted = one(channel, if settings.is_empty() { policy } else { &scene_only }, &settings)?;
+        if let Some(selected) = fitted.selected.as_ref().filter(|_| !found.is_empty()) {
+            let settings: Vec<_> = selected.settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
+            found = channels[..found.len()]
+                .iter()
+                .map(|before| one(before, &scene_only, &settings))
+                .collect::<Result<_>>()?;
+        }
+        if let Some(selected) = &fitted.selected {
+            extension.clone_from(&selected.settings);
+        }
+        found.push(fitted);
+    }
+    Ok(found)
+}
+
+/// The scene by which one channel is fitted: without the amplitude of its diversity, which only all channels together determine.
+fn own_scene(scene: &Scene) -> Result<Scene> {
+    let others: Vec<Optic> =
+        scene.estimate.fit_optics.iter().copied().filter(|optic| *optic != Optic::Defocus).collect();
+    if others.len() == scene.estimate.fit_optics.len() {
+        return Ok(scene.clone());
+    }
+    let words: Vec<String> = others.iter().map(|optic| format!("\"{}\"", optic.word())).collect();
+    scene.with_override("estimate.fit_optics", &format!("[{}]", words.join(", ")))
+}
+
+/// The estimate of all channels, from the joint one and those of each channel.
+fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<Estimate>) -> Result<Estimate> {
+    let fitters: Vec<_> = each.iter().filter_map(|one| one.fitter.clone()).collect();
+    let Some(fitter) = fitters.first() else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
+    let errors = ExpectedErrors::new(fitter.model())?;
+    let warnings = warnings(&found, &names, &each);
+    let remarks = remarks(&found, &errors, &each)?;
+    let used = each.iter().flat_map(|one| one.images.iter().filter(|image| image.is_used));
+    let reduced_chi2 = median(&used.map(|image| image.reduced_chi2).collect::<Vec<_>>());
+    let views: Vec<_> = each.iter().map(|one| one.image_coefficients_nm.view()).collect();
+    let image_coefficients_nm = concatenate(Axis(0), &views).map_err(|error| Error::Internal(error.to_string()))?;
+    let optics = optics(&found, &names, &each);
+    let sum = |value: fn(&Estimate) -> f64| each.iter().map(value).sum::<f64>();
+    let (seconds, model_seconds) = (sum(|one| one.seconds), sum(|one| one.model_seconds));
+    let status = each.iter().map(|one| one.status).max();
+    let is_sequence = each.iter().any(|one| one.is_sequence);
+    let mut images = Vec::new();
+    for (channel, one) in each.iter().enumerate() {
+        images.extend(one.images.iter().map(|image| super::ImageOutcome { channel, ..image.clone() }));
+    }
+    let Some(first) = each.into_iter().next() else { return Err(Error::Internal("there is no channel".into())) };
+    let JointEstimate { combined, averaged_covariance_nm2, maps_nm, sigma_maps_nm, .. } = found;
+    let sigma_nm = errors.rms_nm(&combined.covariance_nm2)?;
+    let averaged_nm = errors.rms_nm(&averaged_covariance_nm2)?;
+    let ([phasing_nm, ncpa_nm], [phasing_sigma_nm, ncpa_sigma_nm]) = (maps_nm, sigma_maps_nm);
+    let wavefront_nm = &phasing_nm + &ncpa_nm;
+    let name = if is_sequence { "scatter between images" } else { "noise" }.to_owned();
+    Ok(Estimate {
+        // The scene as given, with its channels.
+        scene: scene.clone(),
+        phasing: Figure::from_map(&first.pupil, phasing_nm.view(), sigma_nm[0])?,
+        ncpa: Figure::from_map(&first.pupil, ncpa_nm.view(), sigma_nm[1])?,
+        wavefront: Figure::from_map(&first.pupil, wavefront_nm.view(), sigma_nm[2])?,
+        error_budget: vec![ErrorTerm { name, phasing_nm: averaged_nm[0], ncpa_nm: averaged_nm[1] }],
+        coefficients_nm: combined.coefficients_nm,
+        covariance_nm2: combined.covariance_nm2,
+        phasing_nm,
+        ncpa_nm,
+        phasing_sigma_nm,
+        ncpa_sigma_nm,
+        images,
+        image_coefficients_nm,
+        reduced_chi2,
+        is_sequence,
+        status: status.unwrap_or(first.status),
+        optics,
+        warnings,
+        remarks,
+        seconds,
+        model_seconds,
+        channels: names,
+        ..first
+    })
+}
+
+fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<String> {
+    let mut sentences: Vec<String> = Vec::new();
+    for (name, one) in names.iter().zip(each) {
+        sentences.extend(one.warnings.iter().map(|sentence| format!("channel {name}: {sentence}")));
+    }
+    if let Some(defocus) = found.defocus.filter(|defocus| !defocus.is_identifiable()) {
+        sentences.push(format!(
+            "estimate.fit_optics names \"{}\", and these channels do not determine the amplitude of the diversities: it stays as the \
+             scene says, and the error bars do not include its error; two channels with different diversities determine it",
+            defocus.optic.word()
+        ));
+    }
+    let (chi2, freedom) = found.disagreement;
+    if freedom > 0.0 && chi2 > 1.0 + ALLOWANCE + DEVIATIONS * (2.0 / freedom).sqrt() {
+        sentences.push(format!(
+            "the channels contradict each other: the reduced χ² of their differences is {chi2:.1} ({freedom:.0} degrees of freedom), where \
+             noise gives 1; is one of them flipped, of another wavelength or diversity than the scene says, or of another wavefront? The \
+             error bars are scaled by the root of it"
+        ));
+    }
+    sentences
+}
+
+/// Remarks of the channels, each once; that on the diversity is of all channels together.
+fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
+    let mut sentences: Vec<String> = Vec::new();
+    for sentence in each.iter().flat_map(|one| &one.remarks) {
+        if !sentences.contains(sentence) && !sentence.starts_with(super::warnings::ON_DIVERSITY) {
+            sentences.push(sentence.clone());
+        }
+    }
+    if let Some(effect_nm) = &found.diversity_effect_nm {
+        let column: Array1<f64> = effect_nm * 0.01;
+        let column = column.insert_axis(Axis(1));
+        let nm = errors.rms_nm(&column.dot(&column.t()))?[1];
+        sentences.push(format!(
+            "{} An error of 1 % of all of them changes the NCPA by {nm:.2} nm (estimate.fit_optics = [\"defocus\"] fits their \
+             amplitude where the channels determine it).",
+            super::warnings::ON_DIVERSITY
+        ));
+    }
+    Ok(sentences)
+}
+
+/// Optical parameters of each channel, and the amplitude of the diversities.
+fn optics(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<OpticalParameter> {
+    let of_channels = names.iter().zip(each).flat_map(|(name, one)| {
+        let named = move |optic: &OpticalParameter| OpticalParameter {
+            key: format!("{} (channel {name})", optic.key),
+            ..optic.clone()
+        };
+        one.optics.iter().map(named)
+    });
+    of_channels.chain(found.defocus.as_ref().map(OpticalParameter::from)).collect()
+}

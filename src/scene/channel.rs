@@ -1,0 +1,229 @@
+//! Channels: several ways of imaging one wavefront, `[[image.channel]]`.
+//!
+//! A channel has a scene of its own: the keys that it names in place of those of `[image]`, and no channels. Pixels keep their angle on
+//! the sky: where a channel names another wavelength and not its sampling, the sampling follows the wavelength.
+
+use super::table::{Key, Section, Source};
+use super::value::{FromToml, between};
+use super::{ImageScene, Scene, shown, suggestion};
+use crate::{Error, Result};
+use std::fmt::Display;
+use toml_edit::{Document, DocumentMut, Item, Table, TableLike, Value};
+
+/// Name of the list of channels in `[image]`.
+pub(super) const LIST: &str = "channel";
+/// Key of a channel's name.
+const NAME: &str = "name";
+/// Keys of `[image]` that hold for all channels.
+const SHARED: [&str; 1] = ["simultaneous"];
+/// Most channels of a scene. Through-focus sets have up to some ten.
+const MAX_CHANNELS: usize = 64;
+/// Longest name, in characters: a card of a FITS file holds it.
+const LONGEST_NAME: usize = 40;
+
+/// One way of imaging the wavefront.
+#[derive(Debug, Clone)]
+pub struct Channel {
+    /// Its name; its number from 1 where the scene does not name it.
+    pub name: String,
+    /// The scene of this channel alone.
+    pub scene: Scene,
+}
+
+/// Text of a channel's own scene.
+pub(super) struct ChannelText {
+    pub(super) name: String,
+    pub(super) text: String,
+    /// Keys that the channel sets, as `image.key`, with their values.
+    pub(super) settings: Vec<(String, String)>,
+}
+
+/// The texts of the scenes of the channels in `document`; empty for a scene without channels.
+///
+/// # Errors
+/// [`Error::Scene`] for a list that is not one, a key that a channel does not have, and names that are not unique.
+pub(super) fn texts(source: Source, document: &Document<&str>) -> Result<Vec<ChannelText>> {
+    let Some(item) = document.get("image").and_then(Item::as_table_like).and_then(|image| image.get(LIST)) else {
+        return Ok(Vec::new());
+    };
+    let error = |item: &Item, sentence: &dyn Display| Error::Scene(format!("{}: {sentence}", source.at(item.span())));
+    let Some(tables) = item.as_array_of_tables() else {
+        return Err(error(
+            item,
+            &"image.channel is not a list of channels; write [[image.channel]] with its keys below",
+        ));
+    };
+    if tables.len() > MAX_CHANNELS {
+        let sentence = format!("there are {} channels; at most {MAX_CHANNELS} are accepted", tables.len());
+        return Err(error(item, &sentence));
+    }
+    let keys = ImageScene::keys();
+    let mut found: Vec<ChannelText> = Vec::new();
+    for (number, table) in tables.iter().enumerate() {
+        let at = |sentence: &dyn Display| Error::Scene(format!("{}: {sentence}", source.at(table.span())));
+        let name = name(table, number).map_err(|sentence| at(&sentence))?;
+        if found.iter().any(|other| other.name == name) {
+            return Err(at(&format_args!("two channels are named '{name}'; names that differ are needed")));
+        }
+        if let Some((key, item)) = table.iter().find(|(key, _)| !is_key(&keys, key)) {
+            let sentence = unknown(&keys, key);
+            return Err(Error::Scene(format!("{}: {sentence}", source.at(item.span()))));
+        }
+        found.push(text(source.text, table, name)?);
+    }
+    Ok(found)
+}
+
+/// Name of a channel, or why it is not accepted.
+fn name(table: &Table, number: usize) -> std::result::Result<String, String> {
+    let Some(item) = table.get(NAME) else { return Ok((number + 1).to_string()) };
+    let word = item.as_str().filter(|word| !word.trim().is_empty() && word.chars().count() <= LONGEST_NAME);
+    let is_plain = |word: &&str| word.chars().all(|c| (' '..='~').contains(&c) && c != '=');
+    word.filter(is_plain).map(|word| word.trim().to_owned()).ok_or_else(|| {
+        format!(
+            "image.channel.name = {} is not accepted; printable ASCII of 1 to {LONGEST_NAME} characters without '=' is needed",
+            shown(&item.to_string())
+        )
+    })
+}
+
+fn is_key(keys: &[Key], key: &str) -> bool {
+    key == NAME || (!SHARED.contains(&key) && keys.iter().any(|known| known.name == key))
+}
+
+fn unknown(keys: &[Key], key: &str) -> String {
+    if SHARED.contains(&key) {
+        return format!("'image.channel.{key}' holds for all channels; it belongs in [image]");
+    }
+    let names = keys.iter().map(|key| key.name).filter(|name| !SHARED.contains(name)).chain([NAME]);
+    format!(
+        "unknown key 'image.channel.{}'{}; it has 'name' and the keys of [image]",
+        shown(key),
+        suggestion(key, names)
+    )
+}
+
+/// The scene of one channel: `table` in the place of keys of `[image]`.
+fn text(whole: &str, table: &Table, name: String) -> Result<ChannelText> {
+    let internal = |what: &str| Error::Internal(format!("the text of a scene with channels: {what}"));
+    let mut document: DocumentMut = whole.parse().map_err(|error| internal(&format!("{error}")))?;
+    let image = document.get_mut("image").and_then(Item::as_table_like_mut).ok_or_else(|| internal("no [image]"))?;
+    image.remove(LIST);
+    let mut settings = Vec::new();
+    if let Some(sampling) = followed_sampling(image, table) {
+        settings.push((SAMPLING.to_owned(), sampling.to_string()));
+        image.insert(SAMPLING, Item::Value(Value::from(sampling)));
+    }
+    for (key, value) in table.iter().filter(|(key, _)| *key != NAME) {
+        ALTERNATIVES.iter().filter(|pair| pair.contains(&key)).flatten().for_each(|other| drop(image.remove(other)));
+        let mut value = value.clone();
+        if let Some(value) = value.as_value_mut() {
+            value.decor_mut().clear();
+        }
+        settings.push((format!("image.{key}"), value.to_string()));
+        image.insert(key, value);
+    }
+    Ok(ChannelText { name, text: document.to_string(), settings })
+}
+
+const SAMPLING: &str = "samples_per_lambda_over_d";
+/// Keys of which a scene may name one: a channel that names one of them replaces both.
+const ALTERNATIVES: [[&str; 2]; 2] = [["peak_snr", "flux_e"], ["diversity_focus_waves_rms", "diversity_file"]];
+
+/// Sampling of a channel of another wavelength: that of `[image]` for pixels of the same angle.
+fn followed_sampling(image: &dyn TableLike, channel: &Table) -> Option<f64> {
+    let range = between(f64::MIN_POSITIVE, f64::MAX);
+    let number = |item: Option<&Item>| item?.as_value().and_then(|value| f64::from_toml(value, &range));
+    let (own, shared) = (number(channel.get("wavelength_nm"))?, number(image.get("wavelength_nm"))?);
+    if channel.contains_key(SAMPLING) || own == shared {
+        return None;
+    }
+    let sampling = number(image.get(SAMPLING)).unwrap_or(DEFAULT_SAMPLING);
+    Some(sampling * own / shared)
+}
+
+/// Sampling of a scene that names none; a test holds it against the section's default.
+const DEFAULT_SAMPLING: f64 = 2.0;
+
+impl Scene {
+    /// The channels, in order; none for a scene with one way of imaging.
+    pub fn channels(&self) -> &[Channel] {
+        &self.content.channels
+    }
+
+    /// Refuses a scene with several channels, for `who` (a noun in the plural), who images the wavefront in one way.
+    ///
+    /// # Errors
+    /// [`Error::Scene`].
+    pub(crate) fn refuse_channels(&self, who: &str) -> Result<()> {
+        match self.channels() {
+            [] => Ok(()),
+            channels => Err(Error::Scene(format!(
+                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): name one channel, or give the scene to \
+                 the full pipeline ('cophase estimate', pipeline::Estimator::estimate_channels)",
+                self.name(),
+                channels.len()
+            ))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    const CHANNELS: &str = r#"
+[[image.channel]]
+name = "plus"
+diversity_focus_waves_rms = 1.0
+
+[[image.channel]]
+wavelength_nm = 1084.3
+flux_e = 1e6
+
+[aberrations]"#;
+
+    /// The preset with two channels.
+    fn text() -> String {
+        Scene::preset_text("keck-artificial").unwrap().replacen("[aberrations]", CHANNELS, 1)
+    }
+
+    fn parse(text: &str) -> Result<Scene> {
+        Scene::from_text(text, Path::new(""))
+    }
+
+    #[test]
+    fn a_channel_overrides_keys_of_the_image_and_keeps_the_others() {
+        let base = Scene::preset("keck-artificial").unwrap();
+        let unnamed = base.without("image.samples_per_lambda_over_d").unwrap();
+        assert_eq!(DEFAULT_SAMPLING, unnamed.image.samples_per_lambda_over_d);
+        let scene = parse(&text()).unwrap();
+        let [plus, second] = scene.channels() else { panic!("{:?}", scene.channels().len()) };
+        assert_eq!((plus.name.as_str(), second.name.as_str()), ("plus", "2"));
+        assert_eq!(plus.scene.image, base.with_override("image.diversity_focus_waves_rms", "1.0").unwrap().image);
+        assert_eq!(scene.image, plus.scene.image);
+        assert!(second.scene.channels().is_empty());
+        // The wavelength is 2168.6 nm in the preset: the same angle is half as many pixels per λ/D.
+        let image = &second.scene.image;
+        assert!((image.samples_per_lambda_over_d / base.image.samples_per_lambda_over_d - 0.5).abs() < 1e-12);
+        assert_eq!((image.flux_e, image.peak_snr, image.pixels), (Some(1e6), None, 480));
+    }
+
+    #[test]
+    fn mistakes_are_named() {
+        for (from, to, expected) in [
+            ("name = \"plus\"", "name = \"2\"", "two channels are named '2'"),
+            ("name = \"plus\"", "name = 3", "image.channel.name = 3"),
+            ("name = \"plus\"", "nam = \"plus\"", "unknown key 'image.channel.nam'; did you mean 'name'?"),
+            ("flux_e = 1e6", "simultaneous = true", "it belongs in [image]"),
+            ("flux_e = 1e6", "pixels = 7", "image.pixels = 7"),
+            ("flux_e = 1e6", "name = \"a=b\"", "without '='"),
+        ] {
+            let error = parse(&text().replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains(expected), "{to}: {error}");
+        }
+        let error = parse("[image]\nwavelength_nm = 2000.0\npixels = 64\nchannel = 3\n").unwrap_err().to_string();
+        assert!(error.contains("write [[image.channel]]"), "{error}");
+    }
+}
