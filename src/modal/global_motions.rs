@@ -34,8 +34,7 @@ impl GlobalMotions {
     /// [`Error::Value`] for pistons of segments without area.
     pub(super) fn new(model: &Model) -> Result<Self> {
         let (basis, pupil) = (&model.basis, &model.telescope.pupil);
-        let names = basis.names().iter().take(model.segment_modes);
-        let pistons = names.take_while(|name| name.ends_with("-piston")).count();
+        let pistons = model.pistons();
         let none = || Array2::zeros((0, basis.len()));
         if pistons == 0 {
             return Ok(Self { amounts: none(), motions: none() });
@@ -103,6 +102,13 @@ impl GlobalMotions {
         let rows = covariance_nm2 - self.motions.t().dot(&self.amounts.dot(covariance_nm2));
         let both = &rows - rows.dot(&self.amounts.t()).dot(&self.motions);
         // Symmetric to the last bit, which an eigen-decomposition may need.
+        (&both + &both.t()) * 0.5
+    }
+
+    /// The information on coefficients, per nm², without what it says of the motions: Pᵀ Λ P.
+    pub(super) fn without_information_on(&self, information: &Array2<f64>) -> Array2<f64> {
+        let rows = information - self.amounts.t().dot(&self.motions.dot(information));
+        let both = &rows - rows.dot(&self.motions.t()).dot(&self.amounts);
         (&both + &both.t()) * 0.5
     }
 

@@ -23,6 +23,7 @@ use super::estimate::ModalFit;
 use super::fisher::{null_floor, pseudo_inverse};
 use super::fitted_optic::FittedOptic;
 use super::fitter::ModalFitter;
+use super::integers::{self, ColourChannel, PistonInteger};
 use super::model::Model;
 use crate::optimize::Metric;
 use crate::scene::{Optic, Scene};
@@ -48,6 +49,8 @@ pub(crate) struct JointEstimate {
     pub(crate) sigma_maps_nm: [Array2<f64>; 2],
     /// Amplitude of the diversity of the first channel that has one, where it was fitted.
     pub(crate) defocus: Option<FittedOptic>,
+    /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
+    pub(crate) integers: Vec<PistonInteger>,
     /// Change of the modes for a relative error 1 of the amplitude of all diversities, nm; none where that is unknown or fitted.
     pub(crate) diversity_effect_nm: Option<Array1<f64>>,
     /// Scatter of the channels about the estimate over its expectation, and its degrees of freedom.
@@ -63,6 +66,12 @@ struct Said {
     diversity_nm: Array1<f64>,
 }
 
+impl Said {
+    fn of_colour<'a>((said, &wavelength_nm): (&'a mut Self, &f64)) -> ColourChannel<'a> {
+        ColourChannel { wavelength_nm, coefficients_nm: &mut said.coefficients_nm, information: &said.information }
+    }
+}
+
 /// Combines the estimates of the channels of `scene`, which have the same modes.
 ///
 /// # Errors
@@ -72,12 +81,19 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
     let (modes, model) = (first.model.optics.modes(), &first.model);
     let said = channels.iter().enumerate();
-    let said = said.map(|(number, fit)| said_by(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
+    let mut said = said.map(|(number, fit)| said_by(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
     let is_fitted = scene.estimate.fit_optics.contains(&Optic::Defocus);
     let sigma = scene.estimate.diversity_error;
     let is_unknown = is_fitted || sigma > 0.0;
     if is_unknown {
         spanned(channels)?;
+    }
+    let wavelengths_nm: Vec<f64> = channels.iter().map(|fit| fit.0.model.optics.parts().wavelength_nm).collect();
+    let mut integers = Vec::new();
+    if integers::are_determined(&wavelengths_nm) {
+        let covariance_nm2 = Normal::new(&said, false, 0.0)?.covariance;
+        let mut colours: Vec<ColourChannel> = said.iter_mut().zip(&wavelengths_nm).map(Said::of_colour).collect();
+        integers = integers::resolve(&mut colours, &covariance_nm2, model.pistons(), scene.modes.piston_range_nm);
     }
     let normal =
         |with_amplitude: bool| Normal::new(&said, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
@@ -99,7 +115,8 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
     let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
     first.motions.remove(&mut coefficients_nm);
     // Channels that disagree by more than their noise are wrong by at least as much.
-    let covariance_nm2 = found.covariance.slice(s![..modes, ..modes]).to_owned() * disagreement.0.max(1.0);
+    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..modes, ..modes]).to_owned());
+    let covariance_nm2 = covariance_nm2 * disagreement.0.max(1.0);
     let combined = with_prior(model, CombinedModes { coefficients_nm, covariance_nm2 })?;
     Ok(JointEstimate {
         averaged_covariance_nm2: combined.covariance_nm2.clone(),
@@ -107,6 +124,7 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
         sigma_maps_nm: sigma_maps(model, &combined),
         combined,
         defocus,
+        integers,
         diversity_effect_nm,
         disagreement,
     })
@@ -125,7 +143,9 @@ fn said_by((fitter, found): &ModalFit, number: usize, (first, reference): &Modal
         likelihood.covariance_nm2 += &shared.covariance_nm2;
     }
     let floor = null_floor(model.optics.modes(), model.preparation.native_pixels() as usize);
-    let mut information = pseudo_inverse(&likelihood.covariance_nm2, floor)?;
+    // An inverse in scaled coordinates has other null directions than the covariance, in each channel others.
+    let information = pseudo_inverse(&likelihood.covariance_nm2, floor)?;
+    let mut information = fitter.motions.without_information_on(&information);
     if number > 0 {
         information = without(information, &tip_and_tilt(model)?);
     }
@@ -135,8 +155,7 @@ fn said_by((fitter, found): &ModalFit, number: usize, (first, reference): &Modal
 
 /// Moves pistons by wavelengths, so that they differ least from `reference` up to a piston of all.
 fn wrap_pistons(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Model) {
-    let names = model.basis.names().iter().take(model.segment_modes);
-    let pistons = names.take_while(|name| name.ends_with("-piston")).count();
+    let pistons = model.pistons();
     let period_nm = model.optics.parts().wavelength_nm;
     let differences: Vec<f64> = coefficients_nm[..pistons].iter().zip(reference_nm).map(|(a, b)| a - b).collect();
     let phase = |function: fn(f64) -> f64| differences.iter().map(|nm| function(TAU * nm / period_nm)).sum::<f64>();

@@ -154,6 +154,12 @@ impl Model {
         self.outside_to_nan(self.basis.combined(coefficients_nm, self.modes_of(group)))
     }
 
+    /// Number of segment pistons; they are the first modes.
+    pub(super) fn pistons(&self) -> usize {
+        let names = self.basis.names().iter().take(self.segment_modes);
+        names.take_while(|name| name.ends_with("-piston")).count()
+    }
+
     /// The modes of a group.
     pub fn modes_of(&self, group: Group) -> std::ops::Range<usize> {
         match group {

@@ -4,6 +4,7 @@ use super::budget::ErrorTerm;
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::estimate::{Estimate, Figure, OpticalParameter};
+use super::images::counted;
 use super::modal::{self, ExpectedErrors, Fitted};
 use super::policy::Policy;
 use crate::modal::{BasisCache, JointEstimate, joint};
@@ -27,6 +28,8 @@ pub(super) fn of_channel(name: &str, error: Error) -> Error {
     }
 }
 
+/// Probability from which the whole wavelengths of a piston are not flagged.
+const CERTAIN: f64 = 0.99;
 /// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
 /// √(2/n) of n degrees of freedom,
 const DEVIATIONS: f64 = 5.0;
@@ -127,7 +130,7 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
         images.extend(one.images.iter().map(|image| super::ImageOutcome { channel, ..image.clone() }));
     }
     let Some(first) = each.into_iter().next() else { return Err(Error::Internal("there is no channel".into())) };
-    let JointEstimate { combined, averaged_covariance_nm2, maps_nm, sigma_maps_nm, .. } = found;
+    let JointEstimate { combined, averaged_covariance_nm2, maps_nm, sigma_maps_nm, integers, .. } = found;
     let sigma_nm = errors.rms_nm(&combined.covariance_nm2)?;
     let averaged_nm = errors.rms_nm(&averaged_covariance_nm2)?;
     let ([phasing_nm, ncpa_nm], [phasing_sigma_nm, ncpa_sigma_nm]) = (maps_nm, sigma_maps_nm);
@@ -157,6 +160,7 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
         seconds,
         model_seconds,
         channels: names,
+        integers,
         ..first
     })
 }
@@ -171,6 +175,15 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
             "estimate.fit_optics names \"{}\", and these channels do not determine the amplitude of the diversities: it stays as the \
              scene says, and the error bars do not include its error; two channels with different diversities determine it",
             defocus.optic.word()
+        ));
+    }
+    let doubtful: Vec<usize> = (0..found.integers.len()).filter(|&k| found.integers[k].probability < CERTAIN).collect();
+    if let Some(first) = doubtful.first() {
+        let least = found.integers.iter().map(|integer| integer.probability).fold(1.0, f64::min);
+        sentences.push(format!(
+            "the whole wavelengths of {} are not certain (the least probable has {least:.2}; the first is segment {first}): see \
+             PROBABILITY and RUNNER_UP_NM in the table SEGMENTS; more light, or a smaller modes.piston_range_nm, determines them",
+            counted(doubtful.len(), "segment")
         ));
     }
     let (chi2, freedom) = found.disagreement;

@@ -7,7 +7,7 @@ use super::policy::Policy;
 use super::telemetry::TelemetryCheck;
 use crate::loop_response::Corrections;
 use crate::modal::ImageStatus;
-use crate::modal::{self, FittedImage};
+use crate::modal::{self, FittedImage, PistonInteger};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
@@ -88,6 +88,8 @@ pub struct Estimate {
     pub fitter: Option<Arc<modal::ModalFitter>>,
     /// Iterations and assumptions of a MAP estimate; `None` in a modal one.
     pub map: Option<MapSummary>,
+    /// Whole wavelengths of each segment's piston, in the order of the segments; none where the channels have one wavelength.
+    pub integers: Vec<PistonInteger>,
     /// Names of the channels whose images it is from, in order; none for a scene with one way of imaging.
     pub channels: Vec<String>,
 }

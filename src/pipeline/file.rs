@@ -109,6 +109,12 @@ fn segments(file: &mut FitsWriter, estimate: &Estimate) -> Result<()> {
     let mut columns = SegmentPlace::columns(&places);
     columns.push(Column::f64("PISTON_NM", "nm", piston(&estimate.coefficients_nm)));
     columns.push(Column::f64("SIGMA_NM", "nm", piston(&sigma_nm)));
+    if !estimate.integers.is_empty() {
+        let integers = &estimate.integers;
+        columns.push(Column::i64("INTEGER", integers.iter().map(|found| found.integer).collect()));
+        columns.push(Column::f64("PROBABILITY", "", integers.iter().map(|found| found.probability).collect()));
+        columns.push(Column::f64("RUNNER_UP_NM", "nm", integers.iter().map(|found| found.runner_up_nm).collect()));
+    }
     file.table("SEGMENTS", &columns)
 }
 

@@ -63,6 +63,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     Ok(Estimate {
         policy: *policy,
         channels: Vec::new(),
+        integers: Vec::new(),
         basis: basis(last),
         coefficients_nm: last.coefficients_nm(),
         covariance_nm2: last.errors.covariance_nm2.clone(),

@@ -33,7 +33,7 @@ mod telemetry;
 mod warnings;
 
 pub use crate::loop_response::{CorrectableErrors, Corrections};
-pub use crate::modal::ImageStatus;
+pub use crate::modal::{ImageStatus, PistonInteger};
 pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use budget::ErrorTerm;
 pub use control::{Control, Progress, Stage};

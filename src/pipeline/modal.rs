@@ -154,6 +154,7 @@ impl Fitted {
             fitter: Some(Arc::new(fitter)),
             map: None,
             channels: Vec::new(),
+            integers: Vec::new(),
         })
     }
 }

@@ -35,6 +35,11 @@ fn summary(estimate: &Estimate) -> String {
         let rms = (squares.sum::<f64>() / reflectivities.len() as f64).sqrt();
         text += &format!("Reflectivities of {} segments differ by {:.1} % RMS.\n", reflectivities.len(), 100.0 * rms);
     }
+    if !estimate.integers.is_empty() {
+        let least = estimate.integers.iter().map(|found| found.probability).fold(1.0, f64::min);
+        let _ =
+            writeln!(text, "Whole wavelengths of the pistons: each is right with a probability of {least:.4} or more.");
+    }
     estimate.remarks.iter().for_each(|remark| text += &format!("{remark}\n"));
     text
 }
