@@ -8,20 +8,26 @@
 //! ```
 //!
 //! so that segments are tied to each other by what they share with the NCPA. For each integer of the first channel those of the others
-//! are the nearest. Starting from the best integers of each segment relative to one of them, segments are changed one at a time
-//! until none lowers χ². The probability of an integer, for pistons that are equally probable within a range, is its mean conditional
-//! probability exp(−χ²/2)/Σ over a Gibbs sampler of all segments (Geman & Geman 1984).
+//! are the nearest. Pistons p_s about their mean are taken to be normal with a standard deviation τ that is not known: with a prior 1/τ
+//! its integral is proportional to (Σ p_s²)^(−n/2), n being one less than the number of segments, and
+//!
+//! ```text
+//! −2 ln P(k) = χ²(k) + n ln Σ p_s² + const.,   |p_s| within modes.piston_range_nm
+//! ```
+//!
+//! The probability of an integer is its mean conditional probability over a Gibbs sampler of all segments (Geman & Geman 1984); the
+//! integers that are returned are the most probable that it met.
 
 use ndarray::{Array1, Array2, ArrayView2, s};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha12Rng;
+use std::collections::BTreeMap;
 
 /// Wavelengths that differ by less than this fraction do not determine integers: their synthetic wavelength is above 100 wavelengths.
 const LEAST_DIFFERENCE: f64 = 0.01;
-/// Sweeps over the segments until none changes. Two suffice where the start is right.
-const MAX_SWEEPS: usize = 50;
-/// Sweeps of the sampler, after a tenth of them: probabilities are known to about 1/√400 of their distance from 0 and 1 and better,
-/// because each is a mean of conditional ones.
+/// Sweeps of the sampler over all segments that are left out, while it leaves its start,
+const SKIPPED_SWEEPS: usize = 100;
+/// and that are averaged: a probability is known to some 5 % of its distance from 0 or 1, being a mean of conditional ones.
 const SAMPLED_SWEEPS: usize = 400;
 /// Seed of the sampler: the same images give the same probabilities.
 const SEED: u64 = 1;
@@ -64,21 +70,20 @@ pub(super) fn resolve(
         return Vec::new();
     }
     let mut search = Search::new(channels, covariance_nm2, pistons, range_nm);
-    search.descend();
-    let integers: Vec<i64> = (0..pistons).map(|segment| search.shifts[segment][0]).collect();
-    let chosen = search.shifts.clone();
-    let probabilities = search.sample();
+    search.begin();
+    let (chosen, probabilities) = search.sample();
     for (channel, number) in channels.iter_mut().zip(0..) {
         for (segment, shifts) in chosen.iter().enumerate() {
             channel.coefficients_nm[segment] += shifts[number] as f64 * channel.wavelength_nm;
         }
     }
     let wavelength_nm = channels[0].wavelength_nm;
-    let each = integers.into_iter().zip(probabilities).map(|(integer, found)| {
-        let probability = |of: &dyn Fn(i64) -> bool| found.iter().filter(|(k, _)| of(*k)).map(|(_, p)| *p).sum::<f64>();
-        let others = found.iter().filter(|(k, _)| *k != integer);
-        let runner_up = others.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(f64::NAN, |(k, _)| (k - integer) as f64);
-        PistonInteger { integer, probability: probability(&|k| k == integer), runner_up_nm: runner_up * wavelength_nm }
+    let each = chosen.iter().zip(probabilities).map(|(integers, found)| {
+        let integer = integers[0];
+        let others = found.iter().filter(|(k, _)| **k != integer);
+        let runner_up = others.max_by(|a, b| a.1.total_cmp(b.1)).map_or(f64::NAN, |(k, _)| (k - integer) as f64);
+        let probability = found.get(&integer).copied().unwrap_or(0.0);
+        PistonInteger { integer, probability, runner_up_nm: runner_up * wavelength_nm }
     });
     each.collect()
 }
@@ -130,30 +135,55 @@ impl Search {
         Self { wavelengths_nm, seen_nm, shifts, gradient, curvature, reference, range_nm }
     }
 
-    /// All segments but the reference.
-    fn free_segments(&self) -> Vec<usize> {
-        (0..self.shifts.len()).filter(|segment| *segment != self.reference).collect()
+    /// Piston of a segment by a channel, with its integer.
+    fn piston_nm(&self, channel: usize, segment: usize) -> f64 {
+        self.seen_nm[[channel, segment]] + self.shifts[segment][channel] as f64 * self.wavelengths_nm[channel]
     }
 
-    /// The integers of a segment for which it differs from the reference by up to twice the range, one for each channel.
-    fn candidates(&self, segment: usize) -> Vec<Vec<i64>> {
-        let relative_nm = |channel: usize| {
-            let row = self.seen_nm.row(channel);
-            let of =
-                |segment: usize| row[segment] + self.shifts[segment][channel] as f64 * self.wavelengths_nm[channel];
-            row[segment] - of(self.reference)
+    /// Mean over some segments of the piston by a channel, less that by the first.
+    fn offset_nm(&self, channel: usize, segments: &[usize]) -> f64 {
+        let each = segments.iter().map(|&segment| self.piston_nm(channel, segment) - self.piston_nm(0, segment));
+        each.sum::<f64>() / segments.len().max(1) as f64
+    }
+
+    /// The integers of a segment, one for each channel, for which it is within the range about the mean of `others`.
+    fn candidates(&self, segment: usize, others: &[usize]) -> Vec<Vec<i64>> {
+        let mean_nm = others.iter().map(|&other| self.piston_nm(0, other)).sum::<f64>() / others.len().max(1) as f64;
+        let offsets_nm: Vec<f64> = (0..self.wavelengths_nm.len()).map(|i| self.offset_nm(i, others)).collect();
+        let (seen_nm, first_nm) = (self.seen_nm[[0, segment]], self.wavelengths_nm[0]);
+        let integer = |piston_nm: f64| (piston_nm - seen_nm) / first_nm;
+        let (low, high) =
+            (integer(mean_nm - self.range_nm).ceil() as i64, integer(mean_nm + self.range_nm).floor() as i64);
+        let nearest = |piston_nm: f64, i: usize| {
+            ((piston_nm + offsets_nm[i] - self.seen_nm[[i, segment]]) / self.wavelengths_nm[i]).round() as i64
         };
-        let first_nm = self.wavelengths_nm[0];
-        let (low, high) = (-2.0 * self.range_nm - relative_nm(0), 2.0 * self.range_nm - relative_nm(0));
-        let integers = (low / first_nm).ceil() as i64..=(high / first_nm).floor() as i64;
-        let nearest = |piston_nm: f64, channel: usize| {
-            ((piston_nm - relative_nm(channel)) / self.wavelengths_nm[channel]).round() as i64
-        };
-        let each = integers.map(|k| {
-            let piston_nm = relative_nm(0) + k as f64 * first_nm;
+        let each = (low..=high).map(|k| {
+            let piston_nm = seen_nm + k as f64 * first_nm;
             (0..self.wavelengths_nm.len()).map(|i| if i == 0 { k } else { nearest(piston_nm, i) }).collect()
         });
         each.collect()
+    }
+
+    fn all_but(&self, segment: usize) -> Vec<usize> {
+        (0..self.shifts.len()).filter(|other| *other != segment).collect()
+    }
+
+    /// Sum of the squares of the pistons about their mean, where `segment` has another integer, nm².
+    fn square_nm2(&self, segment: usize, integer: i64) -> f64 {
+        let piston_nm = |other: usize| {
+            let moved = if other == segment { integer - self.shifts[other][0] } else { 0 };
+            self.piston_nm(0, other) + moved as f64 * self.wavelengths_nm[0]
+        };
+        let all: Vec<f64> = (0..self.shifts.len()).map(piston_nm).collect();
+        let mean_nm = all.iter().sum::<f64>() / all.len() as f64;
+        all.iter().map(|nm| (nm - mean_nm).powi(2)).sum()
+    }
+
+    /// Change of −2 ln P where a segment gets these integers.
+    fn rise(&self, segment: usize, integers: &[i64]) -> f64 {
+        let freedom = (self.shifts.len() - 1) as f64;
+        let square_nm2 = self.square_nm2(segment, integers[0]) / self.square_nm2(segment, self.shifts[segment][0]);
+        self.change(segment, integers) + freedom * square_nm2.ln()
     }
 
     /// Change of χ² where a segment gets these integers.
@@ -182,73 +212,55 @@ impl Search {
         self.shifts[segment].copy_from_slice(integers);
     }
 
-    /// Integers of the smallest χ²: of each segment relative to the reference first, then of all together.
-    fn descend(&mut self) {
-        for segment in self.free_segments() {
-            // How far the channels disagree, in the square of their distances from the first.
+    /// Integers of each segment for which the channels agree best about one of them.
+    fn begin(&mut self) {
+        let reference = [self.reference];
+        for segment in self.all_but(self.reference) {
+            let offsets_nm: Vec<f64> = (0..self.wavelengths_nm.len()).map(|i| self.offset_nm(i, &reference)).collect();
             let miss = |integers: &Vec<i64>| -> f64 {
-                let piston_nm = |i: usize| {
-                    self.seen_nm[[i, segment]] - self.seen_nm[[i, self.reference]]
-                        + integers[i] as f64 * self.wavelengths_nm[i]
-                };
+                let piston_nm =
+                    |i: usize| self.seen_nm[[i, segment]] + integers[i] as f64 * self.wavelengths_nm[i] - offsets_nm[i];
                 (1..integers.len()).map(|i| (piston_nm(i) - piston_nm(0)).powi(2)).sum()
             };
-            let best = self.candidates(segment).into_iter().min_by(|a, b| miss(a).total_cmp(&miss(b)));
+            let best = self.candidates(segment, &reference).into_iter().min_by(|a, b| miss(a).total_cmp(&miss(b)));
             if let Some(best) = best {
                 self.set(segment, &best);
             }
         }
-        for _ in 0..MAX_SWEEPS {
-            let mut is_changed = false;
-            for segment in self.free_segments() {
-                let changes = self.candidates(segment).into_iter().map(|one| (self.change(segment, &one), one));
-                if let Some((change, best)) = changes.min_by(|a, b| a.0.total_cmp(&b.0))
-                    && change < 0.0
-                    && best != self.shifts[segment]
-                {
-                    self.set(segment, &best);
-                    is_changed = true;
-                }
-            }
-            if !is_changed {
-                return;
-            }
-        }
     }
 
-    /// Probabilities of the integers of the first channel, for each segment.
-    fn sample(&mut self) -> Vec<Vec<(i64, f64)>> {
-        let (mut rng, burn) = (ChaCha12Rng::seed_from_u64(SEED), SAMPLED_SWEEPS / 10);
-        let candidates: Vec<Vec<Vec<i64>>> = (0..self.shifts.len()).map(|segment| self.candidates(segment)).collect();
-        let mut sums: Vec<Vec<f64>> = candidates.iter().map(|of| vec![0.0; of.len()]).collect();
-        for sweep in 0..burn + SAMPLED_SWEEPS {
-            for segment in self.free_segments() {
-                let changes: Vec<f64> = candidates[segment].iter().map(|one| self.change(segment, one)).collect();
-                let least = changes.iter().copied().fold(f64::INFINITY, f64::min);
-                let weights: Vec<f64> = changes.iter().map(|change| (-0.5 * (change - least)).exp()).collect();
+    /// The most probable integers of each segment, and the probabilities of those of the first channel.
+    fn sample(&mut self) -> (Vec<Vec<i64>>, Vec<BTreeMap<i64, f64>>) {
+        let mut rng = ChaCha12Rng::seed_from_u64(SEED);
+        let mut sums: Vec<BTreeMap<i64, f64>> = vec![BTreeMap::new(); self.shifts.len()];
+        let (mut height, mut lowest, mut best) = (0.0, 0.0, self.shifts.clone());
+        for sweep in 0..SKIPPED_SWEEPS + SAMPLED_SWEEPS {
+            for (segment, sum) in sums.iter_mut().enumerate() {
+                let candidates = self.candidates(segment, &self.all_but(segment));
+                let rises: Vec<f64> = candidates.iter().map(|one| self.rise(segment, one)).collect();
+                let least = rises.iter().copied().fold(f64::INFINITY, f64::min);
+                let weights: Vec<f64> = rises.iter().map(|rise| (-0.5 * (rise - least)).exp()).collect();
                 let total: f64 = weights.iter().sum();
-                if sweep >= burn {
-                    sums[segment].iter_mut().zip(&weights).for_each(|(sum, weight)| *sum += weight / total);
+                if sweep >= SKIPPED_SWEEPS {
+                    for (integers, weight) in candidates.iter().zip(&weights) {
+                        *sum.entry(integers[0]).or_default() += weight / total / SAMPLED_SWEEPS as f64;
+                    }
                 }
                 let mut draw = rng.random::<f64>() * total;
                 let chosen = weights.iter().position(|weight| {
                     draw -= weight;
                     draw <= 0.0
                 });
-                if let Some(chosen) = chosen {
-                    self.set(segment, &candidates[segment][chosen]);
+                let Some(chosen) = chosen else { continue };
+                height += rises[chosen];
+                self.set(segment, &candidates[chosen]);
+                if height < lowest {
+                    lowest = height;
+                    best.clone_from(&self.shifts);
                 }
             }
         }
-        let sweeps = SAMPLED_SWEEPS as f64;
-        let each = candidates.iter().zip(&sums).enumerate().map(|(segment, (candidates, sums))| {
-            if segment == self.reference {
-                // The integers are relative to this segment's.
-                return vec![(0, 1.0)];
-            }
-            candidates.iter().zip(sums).map(|(integers, sum)| (integers[0], sum / sweeps)).collect()
-        });
-        each.collect()
+        (best, sums)
     }
 }
 
@@ -285,10 +297,12 @@ mod tests {
                 ColourChannel { wavelength_nm, coefficients_nm, information: &information }
             });
             let found = resolve(&mut channels, &covariance_nm2, SEGMENTS, range_nm);
-            let reference = found.iter().position(|one| one.runner_up_nm.is_nan()).unwrap();
-            for (segment, integer) in found.iter().enumerate() {
-                let piston_nm = seen[0][segment] - seen[0][reference];
-                let is_right = (piston_nm - (truth[segment] - truth[reference])).abs() < 0.5 * COLOURS_NM[0];
+            // All pistons may be off by one amount: that of most of them.
+            let mut errors_nm: Vec<f64> = seen[0].iter().zip(&truth).map(|(found, truth)| found - truth).collect();
+            let off_nm = crate::statistics::median(&errors_nm);
+            errors_nm.iter_mut().for_each(|nm| *nm -= off_nm);
+            for (error_nm, integer) in errors_nm.iter().zip(&found) {
+                let is_right = error_nm.abs() < 0.5 * COLOURS_NM[0];
                 right += usize::from(is_right);
                 wrong += usize::from(!is_right);
                 certain += usize::from(!is_right && integer.probability > 0.99);
