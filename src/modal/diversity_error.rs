@@ -18,7 +18,7 @@ use ndarray::{Array1, Array2, Axis, s};
 /// Largest share of the diversity (RMS) outside the modes for which they count as spanning it.
 const MAX_RESIDUAL_SHARE: f64 = 0.1;
 /// Diversity below which signs are not known, waves RMS: 0.05 is enough to determine them at a peak S/N of 500.
-const MIN_WAVES: f64 = 0.02;
+pub(crate) const MIN_WAVES: f64 = 0.02;
 /// Eigenvalues of the modes' Gram matrix below this fraction of the largest are rounding.
 const NULL_FLOOR: f64 = 1e-10;
 

@@ -7,7 +7,7 @@ use super::estimate::{Estimate, Figure, OpticalParameter};
 use super::images::counted;
 use super::modal::{self, ExpectedErrors, Fitted};
 use super::policy::Policy;
-use crate::modal::{BasisCache, JointEstimate, joint};
+use crate::modal::{BasisCache, JointEstimate, MIN_WAVES, joint};
 use crate::scene::{Method, Optic, Scene};
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -48,12 +48,33 @@ pub(super) fn estimate(
     channels: &[ChannelImages],
 ) -> Result<Estimate> {
     check(scene)?;
-    let fits = fits(policy, control, cache, channels)?;
+    let (channels, left_out) = with_diversity(channels);
+    let fits = fits(policy, control, cache, &channels)?;
     control.enter(Stage::Combining, 0);
     let found = joint(scene, &fits.iter().map(|fitted| &fitted.fit).collect::<Vec<_>>())?;
     let names: Vec<String> = channels.iter().map(|channel| channel.name.to_owned()).collect();
     let each = fits.into_iter().map(|fitted| fitted.into_estimate(policy)).collect::<Result<Vec<_>>>()?;
-    combined(scene, found, names, each)
+    let mut estimate = combined(scene, found, names, each)?;
+    estimate.warnings.splice(0..0, left_out);
+    Ok(estimate)
+}
+
+/// The channels that determine the signs of the wavefront by themselves, and a sentence on each other one; all where none does.
+fn with_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> (Vec<&'b ChannelImages<'a>>, Vec<String>) {
+    let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| {
+        let image = &channel.scene.image;
+        image.diversity_file.is_some() || image.diversity_focus_waves_rms.abs() >= MIN_WAVES
+    });
+    if with.is_empty() {
+        return (channels.iter().collect(), Vec::new());
+    }
+    let sentence = |channel: &&ChannelImages| {
+        format!(
+            "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out",
+            channel.name
+        )
+    };
+    (with, without.iter().map(sentence).collect())
 }
 
 /// # Errors
@@ -70,7 +91,7 @@ fn check(scene: &Scene) -> Result<()> {
 }
 
 /// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
-fn fits(policy: &Policy, control: &Control, cache: &BasisCache, channels: &[ChannelImages]) -> Result<Vec<Fitted>> {
+fn fits(policy: &Policy, control: &Control, cache: &BasisCache, channels: &[&ChannelImages]) -> Result<Vec<Fitted>> {
     let one = |channel: &ChannelImages, policy: &Policy, extension: &[(&str, &str)]| {
         let scene = own_scene(&channel.scene)?.with(extension)?;
         let cache = cache.for_scene(&channels[0].scene, &scene);
@@ -80,7 +101,7 @@ fn fits(policy: &Policy, control: &Control, cache: &BasisCache, channels: &[Chan
     let scene_only = Policy { select_model: false, ..*policy };
     let mut found: Vec<Fitted> = Vec::new();
     let mut extension: Vec<(&'static str, String)> = Vec::new();
-    for channel in channels {
+    for &channel in channels {
         let settings: Vec<(&str, &str)> = extension.iter().map(|(key, value)| (*key, value.as_str())).collect();
         let fitted = one(channel, if settings.is_empty() { policy } else { &scene_only }, &settings)?;
         if let Some(selected) = fitted.selected.as_ref().filter(|_| !found.is_empty()) {

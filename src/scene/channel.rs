@@ -16,6 +16,8 @@ pub(super) const LIST: &str = "channel";
 const NAME: &str = "name";
 /// Keys of `[image]` that hold for all channels.
 const SHARED: [&str; 1] = ["simultaneous"];
+/// What a setting of a channel's key begins with, as in `image.channel.plus.peak_snr`.
+pub(super) const PREFIX: &str = "image.channel.";
 /// Most channels of a scene. Through-focus sets have up to some ten.
 const MAX_CHANNELS: usize = 64;
 /// Longest name, in characters: a card of a FITS file holds it.
@@ -126,6 +128,34 @@ fn text(whole: &str, table: &Table, name: String) -> Result<ChannelText> {
     Ok(ChannelText { name, text: document.to_string(), settings })
 }
 
+/// Sets a key of a channel in the text of a scene: `NAME.key`.
+///
+/// # Errors
+/// [`Error::Scene`] for a channel that the scene does not have, or a key that channels do not have.
+pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Value) -> Result<()> {
+    let Some((name, key)) = name_and_key.rsplit_once('.') else {
+        return Err(Error::Scene(format!(
+            "setting '{PREFIX}{}' names no key; {PREFIX}NAME.key is needed, such as {PREFIX}plus.peak_snr",
+            shown(name_and_key)
+        )));
+    };
+    let keys = ImageScene::keys();
+    if key == NAME || !is_key(&keys, key) {
+        return Err(Error::Scene(format!("setting '{PREFIX}{}': {}", shown(name_and_key), unknown(&keys, key))));
+    }
+    let tables = document.get_mut("image").and_then(|image| image.get_mut(LIST)).and_then(Item::as_array_of_tables_mut);
+    let of_name = |(number, table): &(usize, &mut Table)| self::name(table, *number).is_ok_and(|own| own == name);
+    match tables.and_then(|tables| tables.iter_mut().enumerate().find(of_name)) {
+        Some((_, table)) => {
+            table.insert(key, Item::Value(value));
+            Ok(())
+        }
+        None => {
+            Err(Error::Scene(format!("setting '{PREFIX}{}': the scene has no channel '{name}'", shown(name_and_key))))
+        }
+    }
+}
+
 const SAMPLING: &str = "samples_per_lambda_over_d";
 /// Keys of which a scene may name one: a channel that names one of them replaces both.
 const ALTERNATIVES: [[&str; 2]; 2] = [["peak_snr", "flux_e"], ["diversity_focus_waves_rms", "diversity_file"]];
@@ -208,6 +238,21 @@ flux_e = 1e6
         let image = &second.scene.image;
         assert!((image.samples_per_lambda_over_d / base.image.samples_per_lambda_over_d - 0.5).abs() < 1e-12);
         assert_eq!((image.flux_e, image.peak_snr, image.pixels), (Some(1e6), None, 480));
+    }
+
+    #[test]
+    fn a_setting_reaches_the_key_of_a_channel() {
+        let scene = parse(&text()).unwrap().with_override("image.channel.plus.peak_snr", "50").unwrap();
+        assert_eq!(scene.channels()[0].scene.image.peak_snr, Some(50.0));
+        assert_eq!(scene.channels()[1].scene.image.flux_e, Some(1e6));
+        for (key, expected) in [
+            ("image.channel.blue.peak_snr", "no channel 'blue'"),
+            ("image.channel.plus.peak_snt", "did you mean 'peak_snr'?"),
+            ("image.channel.plus", "names no key"),
+        ] {
+            let error = scene.with_override(key, "50").unwrap_err().to_string();
+            assert!(error.contains(expected), "{key}: {error}");
+        }
     }
 
     #[test]

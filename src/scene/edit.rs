@@ -1,7 +1,7 @@
 //! Changed copies of a scene: other values for some keys, with the comments kept.
 
 use super::table::SETTING;
-use super::{Scene, SectionKeys, directory_of_keys, unknown_key, unknown_section};
+use super::{Scene, SectionKeys, channel, directory_of_keys, unknown_key, unknown_section};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
@@ -9,7 +9,7 @@ impl Scene {
     /// This scene with other values: pairs of `section.key` and a value in TOML syntax; words and file names may omit
     /// the quotes. An empty value removes the key. All pairs are set before the validation, so `[("image.peak_snr",
     /// ""), ("image.flux_e", "1e6")]` replaces one key by the other. [`Scene::text`] has the new values and keeps its
-    /// comments.
+    /// comments. `image.channel.NAME.key` is a key of the channel NAME.
     ///
     /// # Errors
     /// [`Error::Scene`] for a key that does not exist, or a value that the scene does not accept.
@@ -20,6 +20,10 @@ impl Scene {
             .map_err(|error| Error::Internal(format!("the text of a valid scene is not TOML: {error}")))?;
         let sections = directory_of_keys();
         for &(key, value) in settings {
+            if let Some(key) = key.strip_prefix(channel::PREFIX) {
+                channel::set(&mut document, key, word_or_value(value.trim()))?;
+                continue;
+            }
             let (section, name) = known_key(&sections, key)?;
             set(&mut document, section, name, value.trim())?;
         }

@@ -142,8 +142,10 @@ impl<S: Section + Check> Entry for Option<S> {
 }
 
 /// Preset scenes: name and text.
-const PRESETS: [(&str, &str); 2] = [
+const PRESETS: [(&str, &str); 4] = [
     ("keck-artificial", include_str!("presets/keck-artificial.toml")),
+    ("keck-pair", include_str!("presets/keck-pair.toml")),
+    ("keck-two-colour", include_str!("presets/keck-two-colour.toml")),
     ("keck-onsky", include_str!("presets/keck-onsky.toml")),
 ];
 
@@ -206,7 +208,7 @@ impl Scene {
     /// As [`Scene::preset`].
     pub fn preset_text(name: &str) -> Result<&'static str> {
         PRESETS.iter().find(|(known, _)| *known == name).map(|(_, text)| *text).ok_or_else(|| {
-            let known = Self::preset_names().join(" and ");
+            let known = Self::preset_names().join(", ");
             Error::Scene(format!(
                 "there is no preset '{}'; {known} are accepted{}",
                 shown(name),

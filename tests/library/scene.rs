@@ -288,7 +288,7 @@ fn settings_with_unknown_keys_are_refused() {
     let error = Scene::preset("keck-onski").unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no preset 'keck-onski'; keck-artificial and keck-onsky are accepted; did you mean 'keck-onsky'?"
+        "there is no preset 'keck-onski'; keck-artificial, keck-pair, keck-two-colour, keck-onsky are accepted; did you mean 'keck-onsky'?"
     );
 }
 

@@ -3,8 +3,8 @@
 use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
-    HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows, diversity, hard_cases,
-    image_numbers, on_sky, pulls, samples,
+    ChannelRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows, channels,
+    diversity, hard_cases, image_numbers, on_sky, pulls, samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
@@ -38,11 +38,13 @@ pub enum Target {
     HardCases,
     /// Residual over error bar against brightness and number of images.
     Pulls,
+    /// Several images of one wavefront: pairs and colours.
+    Channels,
 }
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 13] = [
+    pub const ALL: [Target; 14] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -56,6 +58,7 @@ impl Target {
         Target::Beyond,
         Target::HardCases,
         Target::Pulls,
+        Target::Channels,
     ];
 
     /// The figures of section 4 that are neither the table's nor that of the number of images.
@@ -77,6 +80,7 @@ impl Target {
             Target::Beyond => "beyond",
             Target::HardCases => "hard-cases",
             Target::Pulls => "pulls",
+            Target::Channels => "channels",
         }
     }
 
@@ -102,6 +106,7 @@ impl Target {
             Target::Pulls => {
                 "residual over error bar against brightness and number of images: are the error bars right?"
             }
+            Target::Channels => "pairs of defocused images, two colours: residuals, error bars, whole wavelengths",
         }
     }
 
@@ -110,7 +115,7 @@ impl Target {
     /// 3, which scatter by some 10 %, for six minutes.
     pub fn default_seeds(self) -> usize {
         match self {
-            Target::ArtificialSource | Target::Pulls => 24,
+            Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
             Target::Samples | Target::HardCases => 8,
             Target::Diversity => 6,
             Target::Table | Target::Images => 3,
@@ -171,6 +176,9 @@ impl Target {
                 hard_cases(&HardCase::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
             }
             Target::Pulls => pulls(&PullRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory),
+            Target::Channels => {
+                channels(&ChannelRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
+            }
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
                 let table = beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?;

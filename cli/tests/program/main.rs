@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod bench;
+mod channels;
 mod drivers;
 #[cfg(debug_assertions)]
 mod faults;

@@ -1,0 +1,61 @@
+//! Scenes with channels: images with several HDUs, a file for each channel, what is refused.
+
+use crate::Desk;
+use cophase::io::{ELECTRON, FitsReader, FitsWriter, Pixel, read_channels};
+
+const PAIR: &str = "
+[[image.channel]]
+name = \"plus\"
+diversity_focus_waves_rms = 1.0
+
+[[image.channel]]
+name = \"minus\"
+diversity_focus_waves_rms = -1.0
+
+[aberrations]";
+
+/// A desk with the scene `scene.toml` of a pair, and its images `pair.fits`.
+fn desk() -> Desk {
+    let desk = Desk::with_scene();
+    let text = std::fs::read_to_string(desk.path("scene.toml")).unwrap().replacen("[aberrations]", PAIR, 1);
+    std::fs::write(desk.path("scene.toml"), text).unwrap();
+    let made = desk.json(&["image", "scene.toml", "-o", "pair.fits", "--json"]);
+    assert_eq!((made["images"].as_u64(), made["channels"][1].as_str()), (Some(2), Some("minus")));
+    desk
+}
+
+#[test]
+fn one_file_and_a_file_for_each_channel_give_one_answer() {
+    let desk = desk();
+    let of_one = desk.json(&["estimate", "pair.fits", "-o", "est.fits", "--json"]);
+    assert_eq!((of_one["images"].as_u64(), of_one["status"].as_str()), (Some(2), Some("ok")), "{of_one}");
+    let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
+    assert_eq!(file.text_column("IMAGES", "CHANNEL").unwrap(), ["plus", "minus"]);
+    for (images, name) in read_channels(desk.path("pair.fits"), None).unwrap().into_iter().zip(["a.fits", "b.fits"]) {
+        let mut file = FitsWriter::create(desk.path(name)).unwrap();
+        file.image("IMAGES", &images.data, Pixel::F32, ELECTRON).unwrap();
+        file.finish().unwrap();
+    }
+    // The truth is in the file with both, and so are its residuals.
+    let keys = ["phasing_rms_nm", "ncpa_rms_nm", "phasing_sigma_nm", "ncpa_sigma_nm", "reduced_chi2"];
+    for channels in [["plus=a.fits", "minus=b.fits"], ["minus=b.fits", "plus=a.fits"]] {
+        let each = channels.iter().flat_map(|channel| ["--channel", channel]);
+        let arguments: Vec<&str> = ["estimate"].into_iter().chain(each).collect();
+        let found = desk.json(&[&arguments[..], &["--scene", "scene.toml", "-o", "both.fits", "--json"]].concat());
+        assert!(keys.iter().all(|key| found[key] == of_one[key]), "{found} {of_one}");
+    }
+}
+
+#[test]
+fn channels_that_do_not_belong_to_the_scene_are_refused() {
+    let desk = desk();
+    let estimate = |more: &[&'static str]| [&["estimate", "-o", "est.fits", "--scene", "scene.toml"], more].concat();
+    desk.refuses(&estimate(&["pair.fits[IMAGES]"]), &["images of 1 channels", "plus, minus"]);
+    let both = ["--channel", "plus=pair.fits[1]", "--channel", "blue=pair.fits[2]"];
+    desk.refuses(&estimate(&both), &["no images of the channel 'minus'", "those of plus, blue"]);
+    desk.refuses(&["simulate", "scene.toml", "-o", "sky.fits"], &["one channel"]);
+    desk.refuses(&["plan", "scene.toml", "--budget-nm", "5"], &["plans have one channel"]);
+    let usage = desk.run(&["estimate", "--channel", "plus", "-o", "est.fits"]);
+    assert_eq!(usage.status, 2, "{}", usage.err);
+    assert!(usage.err.contains("such as plus=a.fits"), "{}", usage.err);
+}

@@ -1,0 +1,128 @@
+//! Channels: several images of one wavefront, fitted together.
+
+use crate::consistency::scene;
+use cophase::modal::Model;
+use cophase::pipeline::{Estimate, Estimator, Images};
+use cophase::scene::Scene;
+use std::path::Path;
+
+const PAIR: &str =
+    "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\nname = \"minus\"\ndiversity_focus_waves_rms = -0.8\n";
+const COLOURS: &str = "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
+
+/// The small scene with `channels` and `settings`.
+fn with_channels(channels: &str, settings: &[(&str, &str)]) -> Scene {
+    let text = scene(settings).text().replacen("[aberrations]", &format!("{channels}\n[aberrations]"), 1);
+    Scene::from_text(&text, Path::new("")).unwrap()
+}
+
+fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
+    let found = Estimator::new(scene).unwrap().estimate_channels(images).unwrap();
+    let residual = &found.truth.as_ref().unwrap().1;
+    println!(
+        "residual {:.3?} nm, error bars {:.3} and {:.3} nm, χ² {:.3}, {:?}",
+        residual.rms_nm, found.phasing.sigma_nm, found.ncpa.sigma_nm, found.reduced_chi2, found.warnings
+    );
+    found
+}
+
+/// Whether the residuals are within three error bars: those of 7 pistons and some ten Zernikes exceed them once in 1,000 draws.
+fn is_right(found: &Estimate) -> bool {
+    let residual = &found.truth.as_ref().unwrap().1;
+    residual.rms_nm[0] < 3.0 * found.phasing.sigma_nm && residual.rms_nm[1] < 3.0 * found.ncpa.sigma_nm
+}
+
+#[test]
+fn a_pair_is_better_than_either_image_and_needs_no_order() {
+    let scene = with_channels(PAIR, &[]);
+    let images = Images::simulated_channels(&scene).unwrap();
+    // The noise differs, the wavefront does not.
+    assert_ne!(images[0].images_e, images[1].images_e);
+    assert_eq!(images[0].truth, images[1].truth);
+    let both = estimate(&scene, &images);
+    assert!(both.is_sound() && is_right(&both));
+    assert_eq!((both.channels.as_slice(), both.images.len()), (&["plus".to_string(), "minus".into()][..], 2));
+    assert_eq!(both.images.iter().map(|image| image.channel).collect::<Vec<_>>(), [0, 1]);
+    // Two images of one brightness: error bars are smaller by √2 where both determine a mode as well, and by more where they differ.
+    for (images, channel) in images.iter().zip(scene.channels()) {
+        let one = Estimator::new(&channel.scene).unwrap().estimate(images).unwrap();
+        assert!(
+            both.phasing.sigma_nm < 0.8 * one.phasing.sigma_nm,
+            "{} {}",
+            both.phasing.sigma_nm,
+            one.phasing.sigma_nm
+        );
+        assert!(both.ncpa.sigma_nm < 0.8 * one.ncpa.sigma_nm, "{} {}", both.ncpa.sigma_nm, one.ncpa.sigma_nm);
+    }
+    let [plus, minus] = images.try_into().unwrap();
+    let swapped = Estimator::new(&scene).unwrap().estimate_channels(&[minus, plus]).unwrap();
+    assert_eq!(swapped.coefficients_nm, both.coefficients_nm);
+}
+
+#[test]
+fn a_pair_determines_the_amplitude_of_its_defocus_and_one_image_does_not() {
+    let made = with_channels(PAIR, &[("image.diversity_focus_waves_rms", "0.84")]);
+    let made = Scene::from_text(&made.text().replace("= -0.8\n", "= -0.84\n"), Path::new("")).unwrap();
+    let images: Vec<Images> = Images::simulated_channels(&made).unwrap();
+    // 5 % of 0.8 waves are 85 nm, which each channel has as NCPA of its own sign.
+    let wrong = estimate(&with_channels(PAIR, &[]), &images);
+    assert!(wrong.warnings.iter().any(|warning| warning.contains("the channels contradict each other")));
+    let fitted = estimate(&with_channels(PAIR, &[("estimate.fit_optics", "[\"defocus\"]")]), &images);
+    assert!(fitted.is_sound() && is_right(&fitted), "{:?}", fitted.warnings);
+    let [defocus] = fitted.optics.as_slice() else { panic!("{:?}", fitted.optics) };
+    assert!((defocus.value - 0.84).abs() < 4.0 * defocus.sigma.max(1e-5), "{defocus:?}");
+    // Two images behind one defocus say no more of it than one.
+    let same = with_channels("[[image.channel]]\n[[image.channel]]\n", &[("estimate.fit_optics", "[\"defocus\"]")]);
+    let found = estimate(&same, &Images::simulated_channels(&same).unwrap());
+    assert!(found.optics[0].sigma.is_infinite() && is_right(&found), "{:?}", found.optics);
+    assert!(
+        found.warnings.iter().any(|warning| warning.contains("do not determine the amplitude")),
+        "{:?}",
+        found.warnings
+    );
+}
+
+#[test]
+fn a_channel_that_is_flipped_contradicts_the_other() {
+    let scene = with_channels(PAIR, &[]);
+    let mut images = Images::simulated_channels(&scene).unwrap();
+    // About the axis, which is on column 48 of 96.
+    let flipped = images[1].images_e.slice(ndarray::s![.., .., 1..;-1]).to_owned();
+    images[1].images_e.slice_mut(ndarray::s![.., .., 1..]).assign(&flipped);
+    let found = estimate(&scene, &images);
+    assert!(found.warnings.iter().any(|warning| warning.contains("the channels contradict each other")));
+}
+
+#[test]
+fn two_colours_find_the_whole_wavelengths_of_pistons() {
+    let scene = with_channels(COLOURS, &[("aberrations.segment_piston_rms_nm", "3000")]);
+    let images = Images::simulated_channels(&scene).unwrap();
+    let found = estimate(&scene, &images);
+    assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
+    assert_eq!(found.integers.len(), 7);
+    // Pistons of 3,000 nm RMS are more than a wavelength apart.
+    let first = found.integers[0].integer;
+    assert!(found.integers.iter().any(|one| one.integer != first), "{:?}", found.integers);
+    assert!(found.integers.iter().all(|found| found.probability > 0.99), "{:?}", found.integers);
+}
+
+#[test]
+fn images_of_other_channels_than_the_scenes_are_refused() {
+    let scene = with_channels(PAIR, &[]);
+    let images = Images::simulated_channels(&scene).unwrap();
+    let estimator = Estimator::new(&scene).unwrap();
+    let one = estimator.estimate(&images[0]).unwrap_err().to_string();
+    assert!(one.contains("the scene has 2 ([[image.channel]])"), "{one}");
+    let few = estimator.estimate_channels(&images[..1]).unwrap_err().to_string();
+    assert!(few.contains("images of 1 channels, where the scene has 2 (plus, minus)"), "{few}");
+    let mut other = images.clone();
+    other[1].channel = Some("blue".into());
+    let unknown = estimator.estimate_channels(&other).unwrap_err().to_string();
+    assert!(unknown.contains("no images of the channel 'minus'"), "{unknown}");
+    let model =
+        Model::new(&scene, &cophase::modal::Recipe::from_scene(&scene), false).map(drop).unwrap_err().to_string();
+    assert!(model.contains("a model and its sessions have one channel"), "{model}");
+    let map = with_channels(PAIR, &[("estimate.method", "full-phase")]);
+    let map = Estimator::new(&map).unwrap().estimate_channels(&images).map(drop).unwrap_err().to_string();
+    assert!(map.contains("\"full-phase\" reads one channel"), "{map}");
+}
