@@ -43,6 +43,13 @@ pub struct PistonInteger {
     pub runner_up_nm: f64,
 }
 
+impl PistonInteger {
+    /// This integer, found after `before` was added already.
+    pub(super) fn following(self, before: &Self) -> Self {
+        Self { integer: self.integer + before.integer, ..self }
+    }
+}
+
 /// One channel, for the search.
 pub(super) struct ColourChannel<'a> {
     pub(super) wavelength_nm: f64,

@@ -66,10 +66,25 @@ struct Said {
     diversity_nm: Array1<f64>,
 }
 
-impl Said {
-    fn of_colour<'a>((said, &wavelength_nm): (&'a mut Self, &f64)) -> ColourChannel<'a> {
-        ColourChannel { wavelength_nm, coefficients_nm: &mut said.coefficients_nm, information: &said.information }
-    }
+/// Resolves the whole wavelengths of the pistons, where the variances of the channels are `scale` times those of their noise.
+fn resolve(
+    scene: &Scene,
+    said: &mut [Said],
+    wavelengths_nm: &[f64],
+    pistons: usize,
+    scale: f64,
+) -> Result<Vec<PistonInteger>> {
+    let covariance_nm2 = Normal::new(said, false, 0.0)?.covariance * scale;
+    let information: Vec<Array2<f64>> = said.iter().map(|channel| &channel.information / scale).collect();
+    let each = said.iter_mut().zip(wavelengths_nm).zip(&information);
+    let mut colours: Vec<ColourChannel> = each
+        .map(|((said, &wavelength_nm), information)| ColourChannel {
+            wavelength_nm,
+            coefficients_nm: &mut said.coefficients_nm,
+            information,
+        })
+        .collect();
+    Ok(integers::resolve(&mut colours, &covariance_nm2, pistons, scene.modes.piston_range_nm))
 }
 
 /// Combines the estimates of the channels of `scene`, which have the same modes.
@@ -91,9 +106,13 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
     let wavelengths_nm: Vec<f64> = channels.iter().map(|fit| fit.0.model.optics.parts().wavelength_nm).collect();
     let mut integers = Vec::new();
     if integers::are_determined(&wavelengths_nm) {
-        let covariance_nm2 = Normal::new(&said, false, 0.0)?.covariance;
-        let mut colours: Vec<ColourChannel> = said.iter_mut().zip(&wavelengths_nm).map(Said::of_colour).collect();
-        integers = integers::resolve(&mut colours, &covariance_nm2, model.pistons(), scene.modes.piston_range_nm);
+        integers = resolve(scene, &mut said, &wavelengths_nm, model.pistons(), 1.0)?;
+        let (chi2, _) = Normal::new(&said, false, 0.0)?.disagreement(&said);
+        if chi2 > 1.0 {
+            // The channels are less precise than their noise, and integers less certain.
+            let again = resolve(scene, &mut said, &wavelengths_nm, model.pistons(), chi2)?;
+            integers = again.into_iter().zip(integers).map(|(new, old)| new.following(&old)).collect();
+        }
     }
     let normal =
         |with_amplitude: bool| Normal::new(&said, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });

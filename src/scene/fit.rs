@@ -22,8 +22,8 @@ section! {
         ncpa_count: usize, between(1.0, 10_000.0), default(66usize);
         /// FITS modes in place of a basis: image BASIS [mode, y, x] and table MODES (name, group).
         file: Option<PathBuf>, ANY, unset("the basis given by ncpa");
-        /// Largest piston of a segment for which channels of several wavelengths find the whole wavelengths. Estimate only.
-        piston_range_nm: f64, above(0.0, 1e6), default(20_000.0);
+        /// Largest piston of a segment, about their mean, for which channels of several wavelengths find the whole wavelengths. Estimate only.
+        piston_range_nm: f64, above(0.0, 1e6), default(40_000.0);
         /// First and last Noll index of Zernike polynomials that are estimated in addition to any basis; none by
         /// default for ncpa = "none".
         exact_zernikes: Option<NollRange>, between(2.0, 1000.0), unset("[2, 21], and 22 to 45 with a prior");
