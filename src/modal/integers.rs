@@ -303,7 +303,7 @@ mod tests {
             let mut channels = [(one, COLOURS_NM[0]), (two, COLOURS_NM[1])].map(|(coefficients_nm, wavelength_nm)| {
                 ColourChannel { wavelength_nm, coefficients_nm, information: &information }
             });
-            let found = resolve(&mut channels, &covariance_nm2, SEGMENTS, range_nm);
+            let found = resolve(&mut channels, &covariance_nm2, SEGMENTS, 2.0 * range_nm);
             // All pistons may be off by one amount: that of most of them.
             let mut errors_nm: Vec<f64> = seen[0].iter().zip(&truth).map(|(found, truth)| found - truth).collect();
             let off_nm = crate::statistics::median(&errors_nm);

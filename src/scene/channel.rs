@@ -3,9 +3,9 @@
 //! A channel has a scene of its own: the keys that it names in place of those of `[image]`, and no channels. Pixels keep their angle on
 //! the sky: where a channel names another wavelength and not its sampling, the sampling follows the wavelength.
 
-use super::table::{Key, Section, Source};
+use super::table::{Key, Section, Source, shown, suggestion};
+use super::telescope::ImageScene;
 use super::value::{FromToml, between};
-use super::{ImageScene, Scene, shown, suggestion};
 use crate::{Error, Result};
 use std::fmt::Display;
 use toml_edit::{Document, DocumentMut, Item, Table, TableLike, Value};
@@ -22,15 +22,6 @@ pub(super) const PREFIX: &str = "image.channel.";
 const MAX_CHANNELS: usize = 64;
 /// Longest name, in characters: a card of a FITS file holds it.
 const LONGEST_NAME: usize = 40;
-
-/// One way of imaging the wavefront.
-#[derive(Debug, Clone)]
-pub struct Channel {
-    /// Its name; its number from 1 where the scene does not name it.
-    pub name: String,
-    /// The scene of this channel alone.
-    pub scene: Scene,
-}
 
 /// Text of a channel's own scene.
 pub(super) struct ChannelText {
@@ -175,32 +166,10 @@ fn followed_sampling(image: &dyn TableLike, channel: &Table) -> Option<f64> {
 /// Sampling of a scene that names none; a test holds it against the section's default.
 const DEFAULT_SAMPLING: f64 = 2.0;
 
-impl Scene {
-    /// The channels, in order; none for a scene with one way of imaging.
-    pub fn channels(&self) -> &[Channel] {
-        &self.content.channels
-    }
-
-    /// Refuses a scene with several channels, for `who` (a noun in the plural), who images the wavefront in one way.
-    ///
-    /// # Errors
-    /// [`Error::Scene`].
-    pub(crate) fn refuse_channels(&self, who: &str) -> Result<()> {
-        match self.channels() {
-            [] => Ok(()),
-            channels => Err(Error::Scene(format!(
-                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): name one channel, or give the scene to \
-                 the full pipeline ('cophase estimate', pipeline::Estimator::estimate_channels)",
-                self.name(),
-                channels.len()
-            ))),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Scene;
     use std::path::Path;
 
     const CHANNELS: &str = r#"

@@ -29,7 +29,6 @@ mod value;
 mod words;
 
 pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
-pub use channel::Channel;
 pub use edit::split_setting;
 pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
@@ -48,7 +47,7 @@ use section_keys::SectionKeys;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use table::{Check, Reader, Section, Source, nearest};
+use table::{Check, Reader, Section, Source, nearest, shown, suggestion};
 use toml_edit::{Document, Item};
 
 /// Validated, immutable scene. It dereferences to its [`Sections`]. [`Scene::with`] makes a changed copy. Cloning is
@@ -56,6 +55,15 @@ use toml_edit::{Document, Item};
 #[derive(Debug, Clone)]
 pub struct Scene {
     content: Arc<Content>,
+}
+
+/// One way of imaging the wavefront.
+#[derive(Debug, Clone)]
+pub struct Channel {
+    /// Its name; its number from 1 where the scene does not name it.
+    pub name: String,
+    /// The scene of this channel alone.
+    pub scene: Scene,
 }
 
 #[derive(Debug)]
@@ -256,6 +264,27 @@ impl Scene {
         self.content.purpose
     }
 
+    /// The channels, in order; none for a scene with one way of imaging.
+    pub fn channels(&self) -> &[Channel] {
+        &self.content.channels
+    }
+
+    /// Refuses a scene with several channels, for `who` (a noun in the plural), who images the wavefront in one way.
+    ///
+    /// # Errors
+    /// [`Error::Scene`].
+    pub(crate) fn refuse_channels(&self, who: &str) -> Result<()> {
+        match self.channels() {
+            [] => Ok(()),
+            channels => Err(Error::Scene(format!(
+                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): name one channel, or give the scene to \
+                 the full pipeline ('cophase estimate', pipeline::Estimator::estimate_channels)",
+                self.name(),
+                channels.len()
+            ))),
+        }
+    }
+
     fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose, settings: &[(&str, &str)]) -> Result<Self> {
         let source = Source { name, text, purpose, settings };
         let document = Document::parse(text).map_err(|error| {
@@ -384,16 +413,6 @@ fn unknown_key(sections: &[SectionKeys], section: &SectionKeys, key: &str) -> St
         Some(_) => unknown + &suggestion(key, names()),
         None => format!("{unknown}; [{}] has {}", section.name, names().collect::<Vec<_>>().join(", ")),
     }
-}
-
-/// `; did you mean 'x'?`, or nothing.
-fn suggestion<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) -> String {
-    nearest(word, known).map(|name| format!("; did you mean '{name}'?")).unwrap_or_default()
-}
-
-/// Key for a message: TOML allows any text of any length as a quoted key, so it is shortened to printable characters.
-fn shown(key: &str) -> String {
-    key.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect()
 }
 
 /// Reference of every section and key of a scene, as text: unit, meaning, accepted values, default.

@@ -227,6 +227,16 @@ pub(super) fn nearest<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) 
     (similar || 3 * distance <= name.chars().count()).then_some(name)
 }
 
+/// `; did you mean 'x'?`, or nothing.
+pub(super) fn suggestion<'k>(word: &str, known: impl IntoIterator<Item = &'k str>) -> String {
+    nearest(word, known).map(|name| format!("; did you mean '{name}'?")).unwrap_or_default()
+}
+
+/// Key for a message: TOML allows any text of any length as a quoted key, so it is shortened to printable characters.
+pub(super) fn shown(key: &str) -> String {
+    key.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
