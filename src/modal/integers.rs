@@ -279,7 +279,7 @@ mod tests {
     const COLOURS_NM: [f64; 2] = [2168.6, 1640.0];
     const SEGMENTS: usize = 12;
 
-    /// Draws of pistons within ±`range_nm` seen with `sigma_nm`: right integers, wrong ones, and wrong ones with a probability above 0.99.
+    /// Draws of pistons within ±`range_nm`, sought within twice that, seen with `sigma_nm`: right integers, wrong ones, and wrong ones with a probability above 0.99.
     fn draws(range_nm: f64, sigma_nm: f64, count: u64) -> (usize, usize, usize) {
         let (mut right, mut wrong, mut certain) = (0, 0, 0);
         for seed in 1..=count {
@@ -322,8 +322,8 @@ mod tests {
     fn precise_pistons_have_their_integers_far_beyond_the_synthetic_wavelength() {
         // Within ±30 µm of each other, 4·1640 and 3·2168.6 nm are the closest, 54 nm apart: 11 standard deviations of 3·√2 nm.
         assert_eq!(draws(15_000.0, 3.0, 20), (20 * SEGMENTS, 0, 0));
-        // Within ±6 µm nothing is closer than 530 nm, and 40 nm are precise enough.
-        assert_eq!(draws(3_000.0, 40.0, 20), (20 * SEGMENTS, 0, 0));
+        // Within ±3 µm about the mean nothing is closer than 529 nm: its half is 4.7 standard deviations of 40·√2 nm.
+        assert_eq!(draws(1_500.0, 40.0, 20), (20 * SEGMENTS, 0, 0));
     }
 
     #[test]
