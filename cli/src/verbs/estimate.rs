@@ -17,7 +17,7 @@ const EXAMPLES: &str = "Examples:
   cophase estimate nirc2.fits --scene scene.toml -o est.fits --plot est.png
   cophase estimate images.fits -o paper.fits --optimizer bfgs
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
-  cophase estimate --channel plus=a.fits --channel minus=b.fits --scene pair.toml -o est.fits
+  cophase estimate --channel K=k.fit --channel H=h.fit --scene s.toml -o e.fits
 
 Images: FITS, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU whose name or \
 number follows the file's in brackets: 'night.fits[SCI]'. Those of several channels are HDUs IMAGES with EXTVER 1, 2, ... and \

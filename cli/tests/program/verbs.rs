@@ -52,6 +52,7 @@ fn image_estimate_compare() {
         "images",
         "used",
         "clipped",
+        "channels",
         "combine",
         "seconds",
         "phasing_rms_nm",
