@@ -26,6 +26,16 @@ Each key has its unit, its meaning, the accepted values, the default where a sce
 key. \"Estimates\": the simulators ignore the key.
 ";
 
+/// The section with a list of channels, and the reference of that list.
+const CHANNELS_BELOW: &str = "image";
+const CHANNELS: &str = "
+[[image.channel]] One way of imaging the wavefront; as many as there are channels.
+  name: Name of the channel.
+      accepted: 1 to 40 printable ASCII characters without '='; default: its number, from 1; read by: both
+  Any key of [image] but simultaneous: in place of the one there. Pixels keep their angle on the sky where a channel names another
+  wavelength_nm and not its samples_per_lambda_over_d.
+";
+
 /// Reference of these sections and their keys, as text: unit, meaning, accepted values, default.
 pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
     let mut text = String::from(HEADER);
@@ -37,6 +47,9 @@ pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
             let _ = writeln!(text, "  {}{unit}:{}", key.name, key.about);
             let readers = readers(section.about, key.about);
             let _ = writeln!(text, "      accepted: {}; default: {}; read by: {readers}", key.accepted, key.default);
+        }
+        if section.name == CHANNELS_BELOW {
+            text.push_str(CHANNELS);
         }
     }
     text

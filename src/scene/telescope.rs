@@ -159,8 +159,7 @@ impl Check for PupilScene {
 const LEAST_SAMPLING_OF_PIXELS: f64 = 1.9;
 
 section! {
-    /// Science camera and its images. Below, a list [[image.channel]] names several ways of imaging one wavefront (two defocuses, two
-    /// filters): each has a name, and keys of this section that it has in place of those here.
+    /// Science camera and its images.
     ImageScene = "image" {
         /// Mean wavelength of the filter.
         wavelength_nm: f64, between(100.0, 100_000.0), required();

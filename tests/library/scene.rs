@@ -51,7 +51,7 @@ fn refused_setting(preset: &str, settings: Settings) -> String {
 
 #[test]
 fn the_presets_have_the_expected_values() {
-    assert_eq!(Scene::preset_names(), ["keck-artificial", "keck-onsky"]);
+    assert_eq!(Scene::preset_names(), ["keck-artificial", "keck-pair", "keck-two-colour", "keck-onsky"]);
     let scene = Scene::preset("keck-artificial").unwrap();
     assert_eq!(scene.pupil.aperture, Aperture::Keck);
     assert_eq!(scene.pupil.grid_m, Some(10.95));
