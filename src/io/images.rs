@@ -49,10 +49,14 @@ pub struct Images {
 /// [`Error::File`], with the file and the reason: missing, truncated (with the bytes present and needed), not FITS, no
 /// image, neither 2-D nor 3-D, a mask of another shape, a read noise that is not a number.
 pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images> {
-    let mut file = FitsReader::open(path)?;
-    let index = image_hdu(&file)?;
+    read_only(&mut FitsReader::open(path)?, mask)
+}
+
+/// As [`read_images`], of an open file.
+fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<Images> {
+    let index = image_hdu(file)?;
     let marks = if file.has(BADPIX) { Some(file.find(BADPIX, HduKind::Image)?) } else { None };
-    read_hdu(&mut file, index, marks, mask)
+    read_hdu(file, index, marks, mask)
 }
 
 /// Reads the images of all channels in `path`: the HDUs `IMAGES` in the order of their `EXTVER`, each with the HDU `BADPIX` of the
@@ -64,7 +68,7 @@ pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<
     let mut file = FitsReader::open(path)?;
     let found = if file.selected_image()?.is_some() { Vec::new() } else { file.all_images("IMAGES") };
     if found.len() < 2 {
-        return read_images(file.path(), mask).map(|images| vec![images]);
+        return read_only(&mut file, mask).map(|images| vec![images]);
     }
     let marks = file.all_images(BADPIX);
     if ![0, 1, found.len()].contains(&marks.len()) {
@@ -73,7 +77,7 @@ pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<
             file.refuse(format!("has {marks} HDUs {BADPIX} and {images} HDUs IMAGES: as many, 1 or 0 are accepted"))
         );
     }
-    let marks_of = |place: usize| marks.get(place).or(if marks.len() == 1 { marks.first() } else { None }).copied();
+    let marks_of = |place: usize| marks.get(if marks.len() == 1 { 0 } else { place }).copied();
     found.iter().enumerate().map(|(place, &index)| read_hdu(&mut file, index, marks_of(place), mask)).collect()
 }
 

@@ -4,7 +4,7 @@ use super::gauss_newton::{NuisanceShares, Nuisances, products, rows_of_tile, tim
 use crate::Result;
 use crate::imaging::{CpuChain, Photometry};
 use crate::optimize::Metric;
-use ndarray::{Array2, ArrayView1, Axis};
+use ndarray::{Array1, Array2, ArrayView1, Axis};
 
 /// Eigenvalues below this fraction of the largest are null directions (global piston: exactly null up to rounding,
 /// about 1e-15; the weakest real direction of 36 pistons and 66 modes has 1e-3).
@@ -78,10 +78,19 @@ impl Sensitivity {
 /// # Errors
 /// [`crate::Error::Value`] where no direction changes the image.
 pub(super) fn pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Result<Array2<f64>> {
-    // Scaled to a unit diagonal, so that "null" does not depend on the units of a mode.
-    let scale = fisher.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });
-    let scaled = fisher * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));
-    let metric = Metric::from_gauss_newton(&scaled, floor)?;
+    let (metric, scale) = scaled_metric(fisher, floor)?;
     let root = metric.whitening().map(|whitening| &whitening * &scale.insert_axis(Axis(1))).unwrap_or_default();
     Ok(times_transposed(root.view(), root.view()))
+}
+
+/// Number of directions of `information` whose eigenvalue is above `floor`, as [`pseudo_inverse`] has it; 0 where none is.
+pub(super) fn rank(information: &Array2<f64>, floor: f64) -> usize {
+    scaled_metric(information, floor).map_or(0, |(metric, _)| metric.rank())
+}
+
+/// Metric of a matrix that is scaled to a unit diagonal, so that "null" does not depend on the units of a mode, and the scale.
+fn scaled_metric(matrix: &Array2<f64>, floor: f64) -> Result<(Metric, Array1<f64>)> {
+    let scale = matrix.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });
+    let scaled = matrix * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));
+    Ok((Metric::from_gauss_newton(&scaled, floor)?, scale))
 }

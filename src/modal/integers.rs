@@ -73,7 +73,8 @@ pub(super) fn resolve(
     pistons: usize,
     range_nm: f64,
 ) -> Vec<PistonInteger> {
-    if pistons == 0 {
+    // Of one piston nothing is seen.
+    if pistons < 2 {
         return Vec::new();
     }
     let mut search = Search::new(channels, covariance_nm2, pistons, range_nm);
@@ -93,6 +94,24 @@ pub(super) fn resolve(
         PistonInteger { integer, probability, runner_up_nm: runner_up * wavelength_nm }
     });
     each.collect()
+}
+
+/// Prior of the piston of one segment, given those of the n others.
+struct PistonPrior {
+    /// n.
+    count: f64,
+    mean_nm: f64,
+    /// Sum of the squares of the others about their mean.
+    square_nm2: f64,
+}
+
+impl PistonPrior {
+    /// n ln Σ p² of all n + 1 pistons about their mean, which is the sum of the others plus n/(n + 1) times the square of the
+    /// distance of this one from their mean.
+    fn cost(&self, piston_nm: f64) -> f64 {
+        let share = self.count / (self.count + 1.0);
+        self.count * (self.square_nm2 + share * (piston_nm - self.mean_nm).powi(2)).ln()
+    }
 }
 
 /// Integers of all segments, and the derivatives of χ² there.
@@ -171,26 +190,15 @@ impl Search {
         each.collect()
     }
 
+    fn prior(&self, others: &[usize]) -> PistonPrior {
+        let count = others.len() as f64;
+        let mean_nm = others.iter().map(|&other| self.piston_nm(0, other)).sum::<f64>() / count;
+        let square_nm2 = others.iter().map(|&other| (self.piston_nm(0, other) - mean_nm).powi(2)).sum();
+        PistonPrior { count, mean_nm, square_nm2 }
+    }
+
     fn all_but(&self, segment: usize) -> Vec<usize> {
         (0..self.shifts.len()).filter(|other| *other != segment).collect()
-    }
-
-    /// Sum of the squares of the pistons about their mean, where `segment` has another integer, nm².
-    fn square_nm2(&self, segment: usize, integer: i64) -> f64 {
-        let piston_nm = |other: usize| {
-            let moved = if other == segment { integer - self.shifts[other][0] } else { 0 };
-            self.piston_nm(0, other) + moved as f64 * self.wavelengths_nm[0]
-        };
-        let all: Vec<f64> = (0..self.shifts.len()).map(piston_nm).collect();
-        let mean_nm = all.iter().sum::<f64>() / all.len() as f64;
-        all.iter().map(|nm| (nm - mean_nm).powi(2)).sum()
-    }
-
-    /// Change of −2 ln P where a segment gets these integers.
-    fn rise(&self, segment: usize, integers: &[i64]) -> f64 {
-        let freedom = (self.shifts.len() - 1) as f64;
-        let square_nm2 = self.square_nm2(segment, integers[0]) / self.square_nm2(segment, self.shifts[segment][0]);
-        self.change(segment, integers) + freedom * square_nm2.ln()
     }
 
     /// Change of χ² where a segment gets these integers.
@@ -240,11 +248,15 @@ impl Search {
     fn sample(&mut self) -> (Vec<Vec<i64>>, Vec<BTreeMap<i64, f64>>) {
         let mut rng = ChaCha12Rng::seed_from_u64(SEED);
         let mut sums: Vec<BTreeMap<i64, f64>> = vec![BTreeMap::new(); self.shifts.len()];
-        let (mut height, mut lowest, mut best) = (0.0, 0.0, self.shifts.clone());
+        let (mut cost, mut lowest, mut best) = (0.0, 0.0, self.shifts.clone());
         for sweep in 0..SKIPPED_SWEEPS + SAMPLED_SWEEPS {
             for (segment, sum) in sums.iter_mut().enumerate() {
-                let candidates = self.candidates(segment, &self.all_but(segment));
-                let rises: Vec<f64> = candidates.iter().map(|one| self.rise(segment, one)).collect();
+                let others = self.all_but(segment);
+                let (candidates, prior) = (self.candidates(segment, &others), self.prior(&others));
+                let now = prior.cost(self.piston_nm(0, segment));
+                let moved_nm = |k: i64| self.seen_nm[[0, segment]] + k as f64 * self.wavelengths_nm[0];
+                let rise = |one: &Vec<i64>| self.change(segment, one) + prior.cost(moved_nm(one[0])) - now;
+                let rises: Vec<f64> = candidates.iter().map(rise).collect();
                 let least = rises.iter().copied().fold(f64::INFINITY, f64::min);
                 let weights: Vec<f64> = rises.iter().map(|rise| (-0.5 * (rise - least)).exp()).collect();
                 let total: f64 = weights.iter().sum();
@@ -259,10 +271,10 @@ impl Search {
                     draw <= 0.0
                 });
                 let Some(chosen) = chosen else { continue };
-                height += rises[chosen];
+                cost += rises[chosen];
                 self.set(segment, &candidates[chosen]);
-                if height < lowest {
-                    lowest = height;
+                if cost < lowest {
+                    lowest = cost;
                     best.clone_from(&self.shifts);
                 }
             }

@@ -6,7 +6,7 @@
 //! ```text
 //! ĉ_i = c + δ p_i + T t_i + noise       c: the modes, common to all channels
 //! Λ_i = C_i⁺ − C_i⁺ T (Tᵀ C_i⁺ T)⁻¹ Tᵀ C_i⁺    T: tip and tilt of all channels but the first, which are each channel's own
-//! N = Σ Λ_i [1 p_i]ᵀ[1 p_i] + diag(0, 1/σ²)     [c δ] = N⁺ Σ [1 p_i]ᵀ Λ_i ĉ_i      covariance N⁺
+//! N = Σ [1 p_i]ᵀ Λ_i [1 p_i] + diag(0, 1/σ²)    [c δ] = N⁺ Σ [1 p_i]ᵀ Λ_i ĉ_i      covariance N⁺
 //! ```
 //!
 //! δ is the relative error of the amplitude of the diversities d_i, whose coefficients are p_i: an image of c behind (1+δ) d_i is that of
@@ -20,12 +20,12 @@ use super::combine::{maps, sigma_maps, with_prior};
 use super::combined_modes::CombinedModes;
 use super::diversity_error::ModeProjector;
 use super::estimate::ModalFit;
-use super::fisher::{null_floor, pseudo_inverse};
+use super::fisher::{self, null_floor, pseudo_inverse};
 use super::fitted_optic::FittedOptic;
 use super::fitter::ModalFitter;
 use super::integers::{self, ColourChannel, PistonInteger};
 use super::model::Model;
-use crate::optimize::Metric;
+use super::tilts;
 use crate::scene::{Optic, Scene};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate, s};
@@ -33,7 +33,7 @@ use std::f64::consts::TAU;
 
 /// Share of tip and tilt (RMS) outside the modes up to which the modes span them. The basis is exact to rounding.
 const MAX_RESIDUAL_SHARE: f64 = 1e-3;
-/// Least share of what the channels say of the amplitude of the diversities that the modes must leave: below, an error of 1 % of the
+/// Least share of the information on the amplitude of the diversities that the modes must leave: below, an error of 1 % of the
 /// projections would be taken for it.
 const LEAST_SHARE: f64 = 1e-4;
 
@@ -57,8 +57,8 @@ pub(crate) struct JointEstimate {
     pub(crate) disagreement: (f64, f64),
 }
 
-/// What one channel says of the modes.
-struct Said {
+/// Normal likelihood of the modes, from one channel.
+struct Likelihood {
     coefficients_nm: Array1<f64>,
     /// Λ, per nm².
     information: Array2<f64>,
@@ -69,18 +69,18 @@ struct Said {
 /// Resolves the whole wavelengths of the pistons, where the variances of the channels are `scale` times those of their noise.
 fn resolve(
     scene: &Scene,
-    said: &mut [Said],
+    likelihoods: &mut [Likelihood],
     wavelengths_nm: &[f64],
     pistons: usize,
     scale: f64,
 ) -> Result<Vec<PistonInteger>> {
-    let covariance_nm2 = Normal::new(said, false, 0.0)?.covariance * scale;
-    let information: Vec<Array2<f64>> = said.iter().map(|channel| &channel.information / scale).collect();
-    let each = said.iter_mut().zip(wavelengths_nm).zip(&information);
+    let covariance_nm2 = Normal::new(likelihoods, false, 0.0)?.covariance * scale;
+    let information: Vec<Array2<f64>> = likelihoods.iter().map(|channel| &channel.information / scale).collect();
+    let each = likelihoods.iter_mut().zip(wavelengths_nm).zip(&information);
     let mut colours: Vec<ColourChannel> = each
-        .map(|((said, &wavelength_nm), information)| ColourChannel {
+        .map(|((likelihood, &wavelength_nm), information)| ColourChannel {
             wavelength_nm,
-            coefficients_nm: &mut said.coefficients_nm,
+            coefficients_nm: &mut likelihood.coefficients_nm,
             information,
         })
         .collect();
@@ -95,40 +95,50 @@ fn resolve(
 pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstimate> {
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
     let (modes, model) = (first.model.optics.modes(), &first.model);
-    let said = channels.iter().enumerate();
-    let mut said = said.map(|(number, fit)| said_by(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
+    if let Some((other, _)) = channels.iter().find(|(fitter, _)| fitter.model.basis.names() != model.basis.names()) {
+        return Err(Error::Scene(format!(
+            "{} has {} modes, and {} has {}: channels of one wavefront need one telescope and the same modes",
+            other.scene.name(),
+            other.model.basis.len(),
+            first.scene.name(),
+            modes
+        )));
+    }
+    let likelihoods = channels.iter().enumerate();
+    let mut likelihoods =
+        likelihoods.map(|(number, fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
     let is_fitted = scene.estimate.fit_optics.contains(&Optic::Defocus);
     let sigma = scene.estimate.diversity_error;
     let is_unknown = is_fitted || sigma > 0.0;
     if is_unknown {
-        spanned(channels)?;
+        check_spanned(channels)?;
     }
     let wavelengths_nm: Vec<f64> = channels.iter().map(|fit| fit.0.model.optics.parts().wavelength_nm).collect();
     let mut integers = Vec::new();
     if integers::are_determined(&wavelengths_nm) {
-        integers = resolve(scene, &mut said, &wavelengths_nm, model.pistons(), 1.0)?;
-        let (chi2, _) = Normal::new(&said, false, 0.0)?.disagreement(&said);
+        integers = resolve(scene, &mut likelihoods, &wavelengths_nm, model.pistons(), 1.0)?;
+        let (chi2, _) = Normal::new(&likelihoods, false, 0.0)?.disagreement(&likelihoods);
         if chi2 > 1.0 {
             // The channels are less precise than their noise, and integers less certain.
-            let again = resolve(scene, &mut said, &wavelengths_nm, model.pistons(), chi2)?;
+            let again = resolve(scene, &mut likelihoods, &wavelengths_nm, model.pistons(), chi2)?;
             integers = again.into_iter().zip(integers).map(|(new, old)| new.following(&old)).collect();
         }
     }
     let normal =
-        |with_amplitude: bool| Normal::new(&said, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
+        |with_amplitude: bool| Normal::new(&likelihoods, with_amplitude, if is_fitted { 0.0 } else { sigma.powi(-2) });
     let mut found = normal(is_unknown)?;
     let mut defocus = None;
     if is_fitted {
-        let share = found.share_of_amplitude(&said);
+        let share = found.share_of_amplitude(&likelihoods);
         let is_identifiable = share > LEAST_SHARE;
         if !is_identifiable {
             found = normal(false)?;
         }
         defocus = fitted_defocus(channels, &found, share);
     }
-    let disagreement = found.disagreement(&said);
+    let disagreement = found.disagreement(&likelihoods);
     let diversity_effect_nm = (!found.has_amplitude).then(|| {
-        let each = said.iter().map(|channel| channel.information.dot(&channel.diversity_nm));
+        let each = likelihoods.iter().map(|channel| channel.information.dot(&channel.diversity_nm));
         found.covariance.dot(&each.fold(Array1::zeros(modes), |sum, one| sum + one))
     });
     let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
@@ -149,8 +159,8 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
     })
 }
 
-/// What the channel `number` says of the modes; its pistons within half a wavelength of the first channel's.
-fn said_by((fitter, found): &ModalFit, number: usize, (first, reference): &ModalFit) -> Result<Said> {
+/// Likelihood of the channel `number`; its pistons within half a wavelength of the first channel's.
+fn likelihood_of((fitter, found): &ModalFit, number: usize, (first, reference): &ModalFit) -> Result<Likelihood> {
     let model = &fitter.model;
     let mut likelihood = found.likelihood().clone();
     if number > 0 {
@@ -161,15 +171,15 @@ fn said_by((fitter, found): &ModalFit, number: usize, (first, reference): &Modal
     for shared in fitter.shared_errors().iter().filter(|shared| shared.name != super::diversity_error::NAME) {
         likelihood.covariance_nm2 += &shared.covariance_nm2;
     }
-    let floor = null_floor(model.optics.modes(), model.preparation.native_pixels() as usize);
+    let modes = model.optics.modes();
     // An inverse in scaled coordinates has other null directions than the covariance, in each channel others.
-    let information = pseudo_inverse(&likelihood.covariance_nm2, floor)?;
+    let information = pseudo_inverse(&likelihood.covariance_nm2, null_floor(modes, modes))?;
     let mut information = fitter.motions.without_information_on(&information);
     if number > 0 {
-        information = without(information, &tip_and_tilt(model)?);
+        information = without(information, &spanned_tip_and_tilt(model)?);
     }
     let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
-    Ok(Said { coefficients_nm: Array1::from(likelihood.coefficients_nm), information, diversity_nm })
+    Ok(Likelihood { coefficients_nm: Array1::from(likelihood.coefficients_nm), information, diversity_nm })
 }
 
 /// Moves pistons by wavelengths, so that they differ least from `reference` up to a piston of all.
@@ -185,21 +195,16 @@ fn wrap_pistons(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Model
 }
 
 /// Coefficients of tip and tilt of the whole pupil, `[axis, mode]`, those that the modes of the NCPA span.
-fn tip_and_tilt(model: &Model) -> Result<Array2<f64>> {
+fn spanned_tip_and_tilt(model: &Model) -> Result<Array2<f64>> {
     let (pupil, basis) = (&model.telescope.pupil, &model.basis);
     let mut found = Array2::zeros((0, basis.len()));
     if model.segment_modes == basis.len() {
         return Ok(found);
     }
     let projector = ModeProjector::new(pupil, basis, model.segment_modes)?;
-    let weight = &pupil.amplitude / pupil.weight_sum();
-    for axis in [0, 1] {
-        let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
-        let map = Array2::from_shape_fn(pupil.amplitude.dim(), along);
-        let map = &map - (&map * &weight).sum();
-        let map = &map / (&map * &map * &weight).sum().sqrt();
+    for (map, _) in tilts::tip_and_tilt(pupil) {
         let projection = projector.project(basis, &map)?;
-        if 1.0 - projection.mean_square_nm2 < MAX_RESIDUAL_SHARE {
+        if 1.0 - projection.mean_square_nm2 < MAX_RESIDUAL_SHARE.powi(2) {
             let pushed = found.push(Axis(0), projection.coefficients_nm.view());
             pushed.map_err(|error| Error::Internal(format!("tip and tilt: {error}")))?;
         }
@@ -220,9 +225,11 @@ fn without(information: Array2<f64>, directions: &Array2<f64>) -> Array2<f64> {
     })
 }
 
+/// Refuses an unknown amplitude of diversities that are not combinations of the modes.
+///
 /// # Errors
 /// [`Error::Scene`] where the modes of a channel do not span its diversity.
-fn spanned(channels: &[&ModalFit]) -> Result<()> {
+fn check_spanned(channels: &[&ModalFit]) -> Result<()> {
     for (fitter, _) in channels.iter().copied() {
         let projection = fitter.diversity_projection()?;
         if projection.rms_nm > 0.0 && !projection.is_spanned() {
@@ -255,16 +262,16 @@ struct Normal {
     /// N.
     matrix: Array2<f64>,
     has_amplitude: bool,
-    /// What a prior says of δ.
+    /// Inverse variance of the prior of δ; 0 for none.
     prior: f64,
 }
 
 impl Normal {
-    fn new(said: &[Said], has_amplitude: bool, prior: f64) -> Result<Self> {
-        let modes = said[0].coefficients_nm.len();
+    fn new(likelihoods: &[Likelihood], has_amplitude: bool, prior: f64) -> Result<Self> {
+        let modes = likelihoods[0].coefficients_nm.len();
         let size = modes + usize::from(has_amplitude);
         let (mut matrix, mut right) = (Array2::zeros((size, size)), Array1::zeros(size));
-        for channel in said {
+        for channel in likelihoods {
             let design = design(channel, has_amplitude)?;
             let weighed = design.dot(&channel.information);
             matrix += &weighed.dot(&design.t());
@@ -283,10 +290,12 @@ impl Normal {
         self.has_amplitude.then(|| (self.solution[last], self.covariance[[last, last]].max(0.0).sqrt()))
     }
 
-    /// Share of what the channels say of δ that the modes leave.
-    fn share_of_amplitude(&self, said: &[Said]) -> f64 {
-        let all: f64 =
-            said.iter().map(|channel| channel.diversity_nm.dot(&channel.information.dot(&channel.diversity_nm))).sum();
+    /// Share of the information on δ that the modes leave.
+    fn share_of_amplitude(&self, likelihoods: &[Likelihood]) -> f64 {
+        let all: f64 = likelihoods
+            .iter()
+            .map(|channel| channel.diversity_nm.dot(&channel.information.dot(&channel.diversity_nm)))
+            .sum();
         let last = self.solution.len() - 1;
         // In a null direction N⁺ has a variance, too, and the part of N along δ that the modes reproduce is what matters.
         let modes = self.matrix.slice(s![..last, ..last]).to_owned();
@@ -297,15 +306,10 @@ impl Normal {
     }
 
     /// Reduced χ² of the channels about the solution, and its degrees of freedom; (1, 0) where there are none.
-    fn disagreement(&self, said: &[Said]) -> (f64, f64) {
-        let rank = |matrix: &Array2<f64>| -> f64 {
-            let scale = matrix.diag().mapv(|f| if f > 0.0 { f.sqrt().recip() } else { 0.0 });
-            let scaled = matrix * &scale.view().insert_axis(Axis(1)) * scale.view().insert_axis(Axis(0));
-            Metric::from_gauss_newton(&scaled, null_floor(scale.len(), scale.len()))
-                .map_or(0.0, |metric| metric.rank() as f64)
-        };
+    fn disagreement(&self, likelihoods: &[Likelihood]) -> (f64, f64) {
+        let rank = |matrix: &Array2<f64>| fisher::rank(matrix, null_floor(matrix.nrows(), matrix.nrows())) as f64;
         let (mut chi2, mut freedom) = (0.0, -rank(&self.matrix));
-        for channel in said {
+        for channel in likelihoods {
             let Ok(design) = design(channel, self.has_amplitude) else { continue };
             let off = &channel.coefficients_nm - &design.t().dot(&self.solution);
             chi2 += off.dot(&channel.information.dot(&off));
@@ -319,7 +323,7 @@ impl Normal {
 }
 
 /// [1 p]ᵀ of a channel, or 1.
-fn design(channel: &Said, has_amplitude: bool) -> Result<Array2<f64>> {
+fn design(channel: &Likelihood, has_amplitude: bool) -> Result<Array2<f64>> {
     let own = Array2::eye(channel.coefficients_nm.len());
     if !has_amplitude {
         return Ok(own);

@@ -2,7 +2,20 @@
 
 use super::model::Model;
 use crate::Result;
+use crate::pupil::Pupil;
 use ndarray::Array2;
+
+/// x and y about their mean, at unit RMS over the pupil; and that RMS, m.
+pub(super) fn tip_and_tilt(pupil: &Pupil) -> [(Array2<f64>, f64); 2] {
+    let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / pupil.weight_sum();
+    [0, 1].map(|axis| {
+        let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
+        let map = Array2::from_shape_fn(pupil.amplitude.dim(), along);
+        let centred = &map - mean(&map);
+        let rms_m = mean(&(&centred * &centred)).sqrt();
+        (centred / rms_m, rms_m)
+    })
+}
 
 /// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.
 pub(super) struct Tilts {
@@ -20,15 +33,7 @@ impl Tilts {
     pub(super) fn new(model: &Model) -> Result<Self> {
         let pupil = &model.telescope.pupil;
         let total = pupil.weight_sum();
-        let mean = |map: &Array2<f64>| (map * &pupil.amplitude).sum() / total;
-        // x and y about their mean, at unit RMS over the pupil; and that RMS, m.
-        let axes = [0, 1].map(|axis| {
-            let along = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
-            let map = Array2::from_shape_fn(pupil.amplitude.dim(), along);
-            let centred = &map - mean(&map);
-            let rms_m = mean(&(&centred * &centred)).sqrt();
-            (centred / rms_m, rms_m)
-        });
+        let axes = tip_and_tilt(pupil);
         let [along_x, along_y] = [0, 1].map(|i| model.basis.along(&(&axes[i].0 * &pupil.amplitude / total)));
         let modes = along_x?.into_iter().zip(along_y?).map(|(x, y)| [x, y]).collect();
         // One pixel is λ over the width of the model's grid, divided by the pixels per λ/D.

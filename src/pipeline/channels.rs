@@ -33,7 +33,8 @@ const CERTAIN: f64 = 0.99;
 /// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
 /// √(2/n) of n degrees of freedom,
 const DEVIATIONS: f64 = 5.0;
-/// and by what the sampling of the model allows it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000.
+/// and by what the sampling of the model adds to it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000. A flipped image gives
+/// 1,000 and more at S/N 500.
 const ALLOWANCE: f64 = 0.3;
 
 /// Estimates the wavefront behind the images of all channels of `scene`.
@@ -77,6 +78,8 @@ fn with_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> (Vec<&'b Channel
     (with, without.iter().map(sentence).collect())
 }
 
+/// Refuses a scene whose method reads one channel.
+///
 /// # Errors
 /// [`Error::Scene`] for what is estimated from one channel only.
 fn check(scene: &Scene) -> Result<()> {
@@ -136,7 +139,7 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
     let Some(fitter) = fitters.first() else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
     let errors = ExpectedErrors::new(fitter.model())?;
     let warnings = warnings(&found, &names, &each);
-    let remarks = remarks(&found, &errors, &each)?;
+    let remarks = remarks(scene, &found, &errors, &each)?;
     let used = each.iter().flat_map(|one| one.images.iter().filter(|image| image.is_used));
     let reduced_chi2 = median(&used.map(|image| image.reduced_chi2).collect::<Vec<_>>());
     let views: Vec<_> = each.iter().map(|one| one.image_coefficients_nm.view()).collect();
@@ -151,12 +154,15 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
         images.extend(one.images.iter().map(|image| super::ImageOutcome { channel, ..image.clone() }));
     }
     let Some(first) = each.into_iter().next() else { return Err(Error::Internal("there is no channel".into())) };
+    let found_defocus = found.defocus.is_some();
     let JointEstimate { combined, averaged_covariance_nm2, maps_nm, sigma_maps_nm, integers, .. } = found;
     let sigma_nm = errors.rms_nm(&combined.covariance_nm2)?;
     let averaged_nm = errors.rms_nm(&averaged_covariance_nm2)?;
     let ([phasing_nm, ncpa_nm], [phasing_sigma_nm, ncpa_sigma_nm]) = (maps_nm, sigma_maps_nm);
     let wavefront_nm = &phasing_nm + &ncpa_nm;
-    let name = if is_sequence { "scatter between images" } else { "noise" }.to_owned();
+    let name = if is_sequence { "scatter between images" } else { "noise" };
+    let is_unknown = scene.estimate.diversity_error > 0.0 || found_defocus;
+    let name = format!("{name}{}", if is_unknown { ", amplitude of the diversities" } else { "" });
     Ok(Estimate {
         // The scene as given, with its channels.
         scene: scene.clone(),
@@ -219,12 +225,15 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
 }
 
 /// Remarks of the channels, each once; that on the diversity is of all channels together.
-fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
+fn remarks(scene: &Scene, found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
     let mut sentences: Vec<String> = Vec::new();
     for sentence in each.iter().flat_map(|one| &one.remarks) {
         if !sentences.contains(sentence) && !sentence.starts_with(super::warnings::ON_DIVERSITY) {
             sentences.push(sentence.clone());
         }
+    }
+    if scene.estimate.method == Method::Auto {
+        sentences.push("estimate.method = \"auto\" chose \"modal\": the scene has several channels.".into());
     }
     if let Some(effect_nm) = &found.diversity_effect_nm {
         let column: Array1<f64> = effect_nm * 0.01;

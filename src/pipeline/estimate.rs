@@ -22,7 +22,7 @@ use std::sync::Arc;
 /// [`Estimate::basis`]: segments first, then NCPA.
 #[derive(Debug, Clone)]
 pub struct Estimate {
-    /// The scene that was used: with the choices of a plan and the optical parameters that were fitted.
+    /// The scene that was used: with the choices of a plan and the optical parameters that were fitted; one with channels as it was given.
     pub scene: Scene,
     /// The policy that was followed.
     pub policy: Policy,

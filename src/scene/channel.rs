@@ -107,8 +107,11 @@ fn text(whole: &str, table: &Table, name: String) -> Result<ChannelText> {
         settings.push((SAMPLING.to_owned(), sampling.to_string()));
         image.insert(SAMPLING, Item::Value(Value::from(sampling)));
     }
+    // A channel that names both alternatives has both, which is refused.
+    for pair in ALTERNATIVES.iter().filter(|pair| pair.iter().any(|key| table.contains_key(key))) {
+        pair.iter().for_each(|key| drop(image.remove(key)));
+    }
     for (key, value) in table.iter().filter(|(key, _)| *key != NAME) {
-        ALTERNATIVES.iter().filter(|pair| pair.contains(&key)).flatten().for_each(|other| drop(image.remove(other)));
         let mut value = value.clone();
         if let Some(value) = value.as_value_mut() {
             value.decor_mut().clear();
@@ -119,11 +122,11 @@ fn text(whole: &str, table: &Table, name: String) -> Result<ChannelText> {
     Ok(ChannelText { name, text: document.to_string(), settings })
 }
 
-/// Sets a key of a channel in the text of a scene: `NAME.key`.
+/// Sets a key of a channel in the text of a scene, `NAME.key`, or removes it where there is no value.
 ///
 /// # Errors
 /// [`Error::Scene`] for a channel that the scene does not have, or a key that channels do not have.
-pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Value) -> Result<()> {
+pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<Value>) -> Result<()> {
     let Some((name, key)) = name_and_key.rsplit_once('.') else {
         return Err(Error::Scene(format!(
             "setting '{PREFIX}{}' names no key; {PREFIX}NAME.key is needed, such as {PREFIX}plus.peak_snr",
@@ -138,7 +141,10 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Value) 
     let of_name = |(number, table): &(usize, &mut Table)| self::name(table, *number).is_ok_and(|own| own == name);
     match tables.and_then(|tables| tables.iter_mut().enumerate().find(of_name)) {
         Some((_, table)) => {
-            table.insert(key, Item::Value(value));
+            match value {
+                Some(value) => drop(table.insert(key, Item::Value(value))),
+                None => drop(table.remove(key)),
+            }
             Ok(())
         }
         None => {
@@ -214,6 +220,8 @@ flux_e = 1e6
         let scene = parse(&text()).unwrap().with_override("image.channel.plus.peak_snr", "50").unwrap();
         assert_eq!(scene.channels()[0].scene.image.peak_snr, Some(50.0));
         assert_eq!(scene.channels()[1].scene.image.flux_e, Some(1e6));
+        let without = scene.with_override("image.channel.2.flux_e", "").unwrap();
+        assert_eq!(without.channels()[1].scene.image.peak_snr, Some(500.0));
         for (key, expected) in [
             ("image.channel.blue.peak_snr", "no channel 'blue'"),
             ("image.channel.plus.peak_snt", "did you mean 'peak_snr'?"),
@@ -232,6 +240,7 @@ flux_e = 1e6
             ("name = \"plus\"", "nam = \"plus\"", "unknown key 'image.channel.nam'; did you mean 'name'?"),
             ("flux_e = 1e6", "simultaneous = true", "it belongs in [image]"),
             ("flux_e = 1e6", "pixels = 7", "image.pixels = 7"),
+            ("flux_e = 1e6", "flux_e = 1e6\npeak_snr = 50", "both given"),
             ("flux_e = 1e6", "name = \"a=b\"", "without '='"),
         ] {
             let error = parse(&text().replace(from, to)).unwrap_err().to_string();

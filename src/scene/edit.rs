@@ -21,7 +21,8 @@ impl Scene {
         let sections = directory_of_keys();
         for &(key, value) in settings {
             if let Some(key) = key.strip_prefix(channel::PREFIX) {
-                channel::set(&mut document, key, word_or_value(value.trim()))?;
+                let value = Some(value.trim()).filter(|value| !value.is_empty());
+                channel::set(&mut document, key, value.map(word_or_value))?;
                 continue;
             }
             let (section, name) = known_key(&sections, key)?;

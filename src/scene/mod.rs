@@ -15,6 +15,7 @@
 
 mod adaptive;
 mod channel;
+mod channel_scenes;
 mod edit;
 mod faults;
 mod file;
@@ -42,7 +43,6 @@ pub use words::{
 };
 
 use crate::{Error, Result};
-use channel::ChannelText;
 use section_keys::SectionKeys;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
@@ -264,27 +264,6 @@ impl Scene {
         self.content.purpose
     }
 
-    /// The channels, in order; none for a scene with one way of imaging.
-    pub fn channels(&self) -> &[Channel] {
-        &self.content.channels
-    }
-
-    /// Refuses a scene with several channels, for `who` (a noun in the plural), who images the wavefront in one way.
-    ///
-    /// # Errors
-    /// [`Error::Scene`].
-    pub(crate) fn refuse_channels(&self, who: &str) -> Result<()> {
-        match self.channels() {
-            [] => Ok(()),
-            channels => Err(Error::Scene(format!(
-                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): name one channel, or give the scene to \
-                 the full pipeline ('cophase estimate', pipeline::Estimator::estimate_channels)",
-                self.name(),
-                channels.len()
-            ))),
-        }
-    }
-
     fn parse(name: &str, text: &str, directory: &Path, purpose: Purpose, settings: &[(&str, &str)]) -> Result<Self> {
         let source = Source { name, text, purpose, settings };
         let document = Document::parse(text).map_err(|error| {
@@ -301,17 +280,6 @@ impl Scene {
         sections.check_together(source, document.as_table())?;
         let (text, name, directory) = (text.to_string(), name.to_string(), directory.to_path_buf());
         Ok(Self { content: Arc::new(Content { sections, text, name, directory, purpose, channels }) })
-    }
-
-    fn parse_channels(source: Source, document: &Document<&str>, directory: &Path) -> Result<Vec<Channel>> {
-        let parsed = channel::texts(source, document)?.into_iter().map(|ChannelText { name, text, settings }| {
-            let own = settings.iter().map(|(key, value)| (key.as_str(), value.as_str()));
-            let settings: Vec<(&str, &str)> = source.settings.iter().copied().chain(own).collect();
-            let title = format!("{}, channel {name}", source.name);
-            let scene = Self::parse(&title, &text, directory, source.purpose, &settings)?;
-            Ok(Channel { name, scene })
-        });
-        parsed.collect()
     }
 }
 

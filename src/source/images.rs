@@ -8,7 +8,7 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array3;
 
-/// Random number streams of a channel: more than it has images.
+/// Random number streams from one channel to the next: more than it has images. Those of the images begin at 1 above a multiple of it.
 const CHANNEL_STREAMS: u64 = 1 << 32;
 
 /// Simulated images with their truth.

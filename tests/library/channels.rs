@@ -1,6 +1,6 @@
 //! Channels: several images of one wavefront, fitted together.
 
-use crate::consistency::scene;
+use crate::consistency::{scene, shown};
 use cophase::modal::Model;
 use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::scene::Scene;
@@ -17,13 +17,7 @@ fn with_channels(channels: &str, settings: &[(&str, &str)]) -> Scene {
 }
 
 fn estimate(scene: &Scene, images: &[Images]) -> Estimate {
-    let found = Estimator::new(scene).unwrap().estimate_channels(images).unwrap();
-    let residual = &found.truth.as_ref().unwrap().1;
-    println!(
-        "residual {:.3?} nm, error bars {:.3} and {:.3} nm, χ² {:.3}, {:?}",
-        residual.rms_nm, found.phasing.sigma_nm, found.ncpa.sigma_nm, found.reduced_chi2, found.warnings
-    );
-    found
+    shown(Estimator::new(scene).unwrap().estimate_channels(images).unwrap())
 }
 
 /// Whether the residuals are within three error bars: those of 7 pistons and some ten Zernikes exceed them once in 1,000 draws.

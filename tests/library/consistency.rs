@@ -26,6 +26,16 @@ pub fn scene(settings: &[(&str, &str)]) -> Scene {
     Scene::preset("keck-artificial").unwrap().with(&small).unwrap().with(settings).unwrap()
 }
 
+/// `found`, with what a failing test needs of it on the output.
+pub fn shown(found: Estimate) -> Estimate {
+    let residual = &found.truth.as_ref().unwrap().1;
+    println!(
+        "residual {:.3?} nm, error bars {:.3} and {:.3} nm, χ² {:.3}, {}, {:?}",
+        residual.rms_nm, found.phasing.sigma_nm, found.ncpa.sigma_nm, found.reduced_chi2, found.model, found.warnings
+    );
+    found
+}
+
 fn estimate(scene: &Scene, images: &Images) -> Estimate {
     Estimator::new(scene).unwrap().estimate(images).unwrap()
 }

@@ -1,6 +1,6 @@
 //! Model selection: segment tilts, Zernikes, reflectivities and shadows that the scene does not name.
 
-use crate::consistency::scene;
+use crate::consistency::{scene, shown};
 use cophase::pipeline::{Control, Estimate, Estimator, ImageStatus, Images, Policy};
 use cophase::scene::Scene;
 
@@ -9,12 +9,7 @@ fn estimate(made: &[(&str, &str)], read: &[(&str, &str)], policy: Policy) -> Est
     let images = Images::simulated(&scene(made)).unwrap();
     let scene: Scene = scene(&[made, read].concat());
     let found = Estimator::with_policy(&scene, policy, Control::default()).unwrap().estimate(&images).unwrap();
-    let residual = &found.truth.as_ref().unwrap().1;
-    println!(
-        "residual {:.2?} nm, error bars {:.2} and {:.2} nm, χ² {:.3}, {}",
-        residual.rms_nm, found.phasing.sigma_nm, found.ncpa.sigma_nm, found.reduced_chi2, found.model
-    );
-    found
+    shown(found)
 }
 
 /// Whether the residual is within three error bars, or 1 nm.

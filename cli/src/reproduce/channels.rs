@@ -1,6 +1,7 @@
 //! Channels: pairs of defocused images and pairs of colours, residual against error bar, whole wavelengths against their probability.
 
-use super::statistics::{median, rms};
+use super::pulls::pull_cells;
+use super::statistics::median;
 use super::{Cell, Progress, Report, Table};
 use crate::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use cophase::pipeline::Estimate;
@@ -171,15 +172,9 @@ impl ChannelTable {
             "seconds",
         ]);
         for (row, draws) in &self.0 {
-            let right: Vec<&ChannelDraw> = draws.iter().filter(|draw| draw.is_right()).collect();
-            let of =
-                |value: &dyn Fn(&ChannelDraw) -> f64| rms(&right.iter().map(|draw| value(draw)).collect::<Vec<_>>());
             let mut cells: Vec<Cell> = vec![row.name.into(), draws.len().into()];
-            for part in 0..2 {
-                cells.push(Cell::Number(of(&|draw| draw.residual_nm[part]), 4));
-                cells.push(Cell::Number(of(&|draw| draw.sigma_nm[part]), 4));
-                cells.push(Cell::Number(of(&|draw| draw.residual_nm[part] / draw.sigma_nm[part]), 3));
-            }
+            let right = draws.iter().filter(|draw| draw.is_right());
+            cells.extend(pull_cells(right.map(|draw| (draw.residual_nm, draw.sigma_nm))));
             let count = |is_counted: &dyn Fn(f64, bool) -> bool| -> usize {
                 draws.iter().flat_map(|draw| &draw.integers).filter(|(p, is_right)| is_counted(*p, *is_right)).count()
             };
@@ -194,7 +189,7 @@ impl ChannelTable {
         table
     }
 
-    /// Share of right integers against the probability that was claimed, of draws whose images are explained.
+    /// Share of right integers against the probability that was claimed.
     pub fn picture(&self) -> CurvePicture {
         const EDGES: [f64; 8] = [0.0, 0.3, 0.5, 0.7, 0.9, 0.97, 0.99, 1.0 + f64::EPSILON];
         let all = self.0.iter().flat_map(|(_, draws)| draws).flat_map(|draw| &draw.integers);

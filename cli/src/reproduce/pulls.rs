@@ -119,6 +119,18 @@ fn pull(draws: &[PullDraw], part: usize) -> f64 {
     rms(&draws.iter().map(|draw| draw.residual_nm[part] / draw.sigma_nm[part]).collect::<Vec<_>>())
 }
 
+/// RMS over the draws of residual, error bar and their ratio, of phasing and of NCPA, from the residuals and error bars of each.
+pub(super) fn pull_cells(draws: impl Iterator<Item = ([f64; 2], [f64; 2])>) -> Vec<Cell> {
+    let (residuals_nm, sigmas_nm): (Vec<_>, Vec<_>) = draws.unzip();
+    let part = |part: usize| {
+        let of = |values: &[[f64; 2]]| values.iter().map(|both| both[part]).collect::<Vec<_>>();
+        let (residual_nm, sigma_nm) = (of(&residuals_nm), of(&sigmas_nm));
+        let ratio: Vec<f64> = residual_nm.iter().zip(&sigma_nm).map(|(residual, sigma)| residual / sigma).collect();
+        [Cell::Number(rms(&residual_nm), 4), Cell::Number(rms(&sigma_nm), 4), Cell::Number(rms(&ratio), 3)]
+    };
+    [0, 1].into_iter().flat_map(part).collect()
+}
+
 impl PullTable {
     /// One line a row.
     pub fn table(&self) -> Table {
@@ -140,11 +152,7 @@ impl PullTable {
             let of = |f: &dyn Fn(&PullDraw) -> f64| rms(&draws.iter().map(f).collect::<Vec<_>>());
             let mut cells: Vec<Cell> = [row.last_noll, row.images, row.peak_snr].map(Cell::from).into();
             cells.push(draws.len().into());
-            for part in 0..2 {
-                cells.push(Cell::Number(of(&|draw| draw.residual_nm[part]), 4));
-                cells.push(Cell::Number(of(&|draw| draw.sigma_nm[part]), 4));
-                cells.push(Cell::Number(pull(draws, part), 3));
-            }
+            cells.extend(pull_cells(draws.iter().map(|draw| (draw.residual_nm, draw.sigma_nm))));
             cells.push(draws.iter().filter(|draw| draw.is_flagged).count().into());
             cells.push(Cell::Number(of(&|draw| draw.seconds), 2));
             table.push(cells);

@@ -1,0 +1,43 @@
+//! Scenes of the channels of a scene.
+
+use super::channel::{self, ChannelText};
+use super::table::Source;
+use super::{Channel, Scene};
+use crate::{Error, Result};
+use std::path::Path;
+use toml_edit::Document;
+
+impl Scene {
+    /// The channels, in order; none for a scene with one way of imaging.
+    pub fn channels(&self) -> &[Channel] {
+        &self.content.channels
+    }
+
+    /// Refuses a scene with several channels, for `who` (a noun in the plural), who images the wavefront in one way.
+    ///
+    /// # Errors
+    /// [`Error::Scene`].
+    pub(crate) fn refuse_channels(&self, who: &str) -> Result<()> {
+        match self.channels() {
+            [] => Ok(()),
+            channels => Err(Error::Scene(format!(
+                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): name one channel, or give the scene to \
+                 the full pipeline ('cophase estimate', pipeline::Estimator::estimate_channels)",
+                self.name(),
+                channels.len()
+            ))),
+        }
+    }
+
+    /// The scenes of the channels in the text of a scene; none where it lists no channels.
+    pub(super) fn parse_channels(source: Source, document: &Document<&str>, directory: &Path) -> Result<Vec<Channel>> {
+        let parsed = channel::texts(source, document)?.into_iter().map(|ChannelText { name, text, settings }| {
+            let own = settings.iter().map(|(key, value)| (key.as_str(), value.as_str()));
+            let settings: Vec<(&str, &str)> = source.settings.iter().copied().chain(own).collect();
+            let title = format!("{}, channel {name}", source.name);
+            let scene = Self::parse(&title, &text, directory, source.purpose, &settings)?;
+            Ok(Channel { name, scene })
+        });
+        parsed.collect()
+    }
+}
