@@ -37,8 +37,7 @@ fn summary(estimate: &Estimate) -> String {
     }
     if !estimate.integers.is_empty() {
         let least = estimate.integers.iter().map(|found| found.probability).fold(1.0, f64::min);
-        let _ =
-            writeln!(text, "Whole wavelengths of the pistons: the least certain has a probability of {least:.4}.");
+        let _ = writeln!(text, "Whole wavelengths of the pistons: the least certain has a probability of {least:.4}.");
     }
     estimate.remarks.iter().for_each(|remark| text += &format!("{remark}\n"));
     text
