@@ -57,6 +57,18 @@ impl Error {
         Error::File { path: path.as_ref().to_path_buf(), reason: reason.to_string() }
     }
 
+    /// This error, of the images of the channel `name`.
+    pub(crate) fn of_channel(self, name: &str) -> Self {
+        let about = |sentence: String| format!("channel {name}: {sentence}");
+        match self {
+            Error::Image(sentence) => Error::Image(about(sentence)),
+            Error::Shape(sentence) => Error::Shape(about(sentence)),
+            Error::Value(sentence) => Error::Value(about(sentence)),
+            Error::Argument(sentence) => Error::Argument(about(sentence)),
+            other => other,
+        }
+    }
+
     /// Status number of this kind of error; it does not change between versions. 0 is success.
     pub fn status(&self) -> i32 {
         match self {

@@ -52,6 +52,9 @@ pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_M: i32 = 9;
 /// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
 /// then along y; slopes. It keeps the mirror where the corrections put it.
 pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
+/// Array: whole wavelengths of the first channel that were added to the piston of each segment, their probability, and the piston of
+/// the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
+pub const COPHASE_ARRAY_PISTON_INTEGERS: i32 = 11;
 
 /// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed.
 #[allow(non_camel_case_types)] // a name of the header
@@ -121,6 +124,10 @@ pub struct cophase_estimate_info {
     pub telemetry_gain: f64,
     /// Their correlation; NaN without telemetry.
     pub telemetry_correlation: f64,
+    /// Number of channels; 0 for a scene without ([[image.channel]]).
+    pub channels: usize,
+    /// Number of segments whose whole wavelengths were determined, rows of COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength.
+    pub integers: usize,
 }
 
 /// A call that reads the estimate.
@@ -200,6 +207,8 @@ fn summary(estimate: &Estimate) -> cophase_estimate_info {
         model_seconds: estimate.model_seconds,
         telemetry_gain: telemetry.map_or(f64::NAN, |check| check.gain),
         telemetry_correlation: telemetry.map_or(f64::NAN, |check| check.correlation),
+        channels: estimate.channels.len(),
+        integers: estimate.integers.len(),
     }
 }
 
@@ -291,6 +300,10 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
             let terms = &estimate.error_budget;
             (vec![terms.len(), 2], terms.iter().flat_map(|term| [term.phasing_nm, term.ncpa_nm]).collect())
         }
+        COPHASE_ARRAY_PISTON_INTEGERS => {
+            let each = estimate.integers.iter().flat_map(|one| [one.integer as f64, one.probability, one.runner_up_nm]);
+            (vec![estimate.integers.len(), 3], each.collect())
+        }
         other => {
             return Err(Error::Value(format!("what is {other}: a COPHASE_ARRAY_ number of estimates is accepted")));
         }
@@ -299,7 +312,7 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
 
 /// Writes a text of an estimate.
 ///
-/// what: a COPHASE_TEXT_ number. index: which image, mode or term; ignored for the other texts. text, capacity, length: as
+/// what: a COPHASE_TEXT_ number. index: which image, mode, term or channel; ignored for the other texts. text, capacity, length: as
 /// in cophase_device_list.
 ///
 /// COPHASE_BAD_VALUE for an index out of range.
@@ -325,6 +338,7 @@ pub unsafe extern "C" fn cophase_estimate_text(
                 COPHASE_TEXT_SCENE => estimate.scene.text().into(),
                 COPHASE_TEXT_IMAGE_MESSAGE => at(&estimate.images, index, "images")?.message.clone(),
                 COPHASE_TEXT_MODE_NAME => at(&estimate.basis.names, index, "modes")?.clone(),
+                COPHASE_TEXT_CHANNEL_NAME => at(&estimate.channels, index, "channels")?.clone(),
                 COPHASE_TEXT_ERROR_TERM_NAME => at(&estimate.error_budget, index, "terms")?.name.clone(),
                 other => {
                     let known = "a COPHASE_TEXT_ number of estimates is accepted";

@@ -5,13 +5,13 @@ use super::estimate_handle::{EstimateState, cophase_estimate};
 use super::handle::{Handle, fence, give_back, given_back, null};
 use super::input::{Input, cophase_input};
 use super::model::scene;
-use super::pointer::{place, put_if_wanted};
+use super::pointer::{place, put_if_wanted, source, text};
 use super::policy::{COPHASE_POLICY_FULL, COPHASE_POLICY_REALTIME};
 use super::sized::{self, Options};
 use super::status::{COPHASE_OK, cophase_status};
 use crate::modal::Calibration;
-use crate::pipeline::{Control, Estimator, Images, Policy};
-use crate::scene::Scene;
+use crate::pipeline::{Control, Estimate, Estimator, Images, Policy};
+use crate::scene::{Channel, Scene};
 use crate::{Error, Result};
 use ndarray::Array3;
 use rayon::ThreadPool;
@@ -214,26 +214,108 @@ pub unsafe extern "C" fn cophase_estimator_estimate(
     let inside = unsafe { estimator.as_ref() }.map(|estimator| &estimator.inside);
     Handle::change(inside, "estimator", |working| {
         let out = place(estimate, "estimate")?;
-        let options = unsafe { sized::read(options, "options") }?;
-        let frames = unsafe { Input::new(frames, "frames") }?;
-        let shape = taken_shape(&frames, working.estimator.scene().image.frame_shape());
-        let has_gain = unsafe { has_gain(options.calibration) }?;
-        // Where the caller gives no gain, the estimate converts with the scene's.
-        let calibration = unsafe { calibration(options.calibration, shape, None) }?;
-        let mut images = taken(&frames, &calibration)?;
-        if has_gain {
-            images = images.in_electrons();
-        }
-        images.read_noise_e = read_noise_e(options.read_noise_e, options.has_read_noise)?;
+        let mut images = unsafe { images(frames, options, working.estimator.scene()) }?;
         if !slopes_mas.is_null() {
             let slopes = unsafe { Input::new(slopes_mas, "slopes_mas") }?;
             let [.., slope_count] = slopes.shape();
             images.slopes_mas = Some(slopes.must_be([1, images.len(), slope_count])?.map()?);
         }
         let made = on_threads(working.pool.as_ref(), || working.estimator.estimate(&images))?;
-        unsafe { out.write(Box::into_raw(Box::new(cophase_estimate(Handle::new(EstimateState::new(made)))))) };
+        unsafe { out.write(handle_of(made)) };
         Ok(())
     })
+}
+
+/// Images of one channel of a scene ([[image.channel]]). The layout of this struct is permanent.
+#[allow(non_camel_case_types)] // a name of the header
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct cophase_channel_images {
+    /// Name of the channel, UTF-8; NULL for all: they are in the order of the scene.
+    pub channel: *const c_char,
+    /// Its images, count x rows x cols as the channel says.
+    pub frames: *const cophase_input,
+    /// Its options; NULL for the defaults.
+    pub options: *const cophase_estimate_options,
+}
+
+/// Estimates the static wavefront behind the images of several channels: defocuses, wavelengths.
+///
+/// channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1, without a name,
+///   for a scene without channels, for which this is cophase_estimator_estimate.
+/// estimate: receives the handle.
+///
+/// COPHASE_BAD_SHAPE for images of other channels than the scene has; else as cophase_estimator_estimate.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn cophase_estimator_estimate_channels(
+    estimator: *mut cophase_estimator,
+    channels: *const cophase_channel_images,
+    count: usize,
+    estimate: *mut *mut cophase_estimate,
+) -> cophase_status {
+    let inside = unsafe { estimator.as_ref() }.map(|estimator| &estimator.inside);
+    Handle::change(inside, "estimator", |working| {
+        let out = place(estimate, "estimate")?;
+        let first = source(channels, "channels")?;
+        let scene = working.estimator.scene();
+        let known = scene.channels();
+        if count != known.len().max(1) {
+            let wanted = known.len().max(1);
+            return Err(Error::Shape(format!(
+                "count is {count}: {wanted} is accepted, the number of channels of the scene"
+            )));
+        }
+        let each = (0..count).map(|index| unsafe { images_of_channel(&*first.add(index), index, scene) });
+        let each = each.collect::<Result<Vec<_>>>()?;
+        let made = on_threads(working.pool.as_ref(), || working.estimator.estimate_channels(&each))?;
+        unsafe { out.write(handle_of(made)) };
+        Ok(())
+    })
+}
+
+fn handle_of(estimate: Estimate) -> *mut cophase_estimate {
+    Box::into_raw(Box::new(cophase_estimate(Handle::new(EstimateState::new(estimate)))))
+}
+
+/// A caller's images of a channel of `scene`: of that with their name or, without one, the channel `index`.
+unsafe fn images_of_channel(given: &cophase_channel_images, index: usize, scene: &Scene) -> Result<Images> {
+    let known = scene.channels();
+    let (name, own) = if given.channel.is_null() {
+        (None, known.get(index))
+    } else {
+        let name = unsafe { text(given.channel, "channels->channel") }?;
+        let own = known.iter().find(|channel| channel.name == name).ok_or_else(|| no_channel(name, known))?;
+        (Some(name), Some(own))
+    };
+    let images = unsafe { images(given.frames, given.options, own.map_or(scene, |channel| &channel.scene)) };
+    let images = images.map_err(|error| error.of_channel(name.unwrap_or(&index.to_string())))?;
+    Ok(Images { channel: name.map(str::to_owned), ..images })
+}
+
+/// Refuses a name that no channel has.
+fn no_channel(name: &str, known: &[Channel]) -> Error {
+    let names: Vec<&str> = known.iter().map(|channel| channel.name.as_str()).collect();
+    let accepted =
+        if names.is_empty() { "NULL, because it has no [[image.channel]],".into() } else { names.join(", ") };
+    Error::Shape(format!("the channel '{name:.60}' is not in the scene: {accepted} is accepted"))
+}
+
+/// A caller's images of `scene`, without telemetry.
+unsafe fn images(
+    frames: *const cophase_input,
+    options: *const cophase_estimate_options,
+    scene: &Scene,
+) -> Result<Images> {
+    let options = unsafe { sized::read(options, "options") }?;
+    let frames = unsafe { Input::new(frames, "frames") }?;
+    let shape = taken_shape(&frames, scene.image.frame_shape());
+    let has_gain = unsafe { has_gain(options.calibration) }?;
+    // Where the caller gives no gain, the estimate converts with the scene's.
+    let calibration = unsafe { calibration(options.calibration, shape, None) }?;
+    let images = taken(&frames, &calibration)?;
+    let images = if has_gain { images.in_electrons() } else { images };
+    let read_noise_e = read_noise_e(options.read_noise_e, options.has_read_noise)?;
+    Ok(Images { read_noise_e, ..images })
 }
 
 /// Rows and columns of a frame and its calibration: those of the scene or, of odd frames, one more, which the estimate leaves out.

@@ -40,6 +40,8 @@ pub struct cophase_image_report {
     pub tilt_nm: f64,
     /// Duration of the fit, s; NaN in an estimate, which fits images together.
     pub seconds: f64,
+    /// Number of its channel in the scene, from 0; 0 for a scene without channels, and in a session.
+    pub channel: i64,
 }
 
 impl cophase_image_report {
@@ -60,6 +62,7 @@ impl cophase_image_report {
             tip_nm,
             tilt_nm,
             seconds: result.seconds,
+            channel: 0,
         }
     }
 
@@ -79,6 +82,7 @@ impl cophase_image_report {
             tip_nm,
             tilt_nm,
             seconds: f64::NAN,
+            channel: image.channel as i64,
         }
     }
 }

@@ -22,6 +22,8 @@ pub const COPHASE_TEXT_IMAGE_MESSAGE: i32 = 8;
 pub const COPHASE_TEXT_MODE_NAME: i32 = 9;
 /// Text of an estimate: name of term `index` of the error budget.
 pub const COPHASE_TEXT_ERROR_TERM_NAME: i32 = 10;
+/// Text of an estimate: name of channel `index`.
+pub const COPHASE_TEXT_CHANNEL_NAME: i32 = 11;
 
 /// Element `index`.
 ///

@@ -8,6 +8,7 @@ use super::minimum::Minimum;
 use super::model::Model;
 use super::prepare::{PreparedFrame, Refusal};
 use super::residual::variance;
+use super::restart::is_same_minimum;
 use super::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
 use super::spread::Spread;
 use super::status::{ImageReport, Selection, Status, assess_all, unfitted_report};
@@ -123,6 +124,14 @@ impl ModalEstimate {
     /// Median reduced χ² of the images that were used.
     pub fn reduced_chi2(&self) -> f64 {
         median(&self.used_images.iter().map(|&image| self.images[image].reduced_chi2).collect::<Vec<_>>())
+    }
+
+    /// Whether this estimate explains the images better than another one of them: by χ², or by its status where they ended in the
+    /// same minimum.
+    pub(crate) fn is_better_than(&self, other: &Self) -> bool {
+        let [own, others] = [self, other].map(Self::reduced_chi2);
+        let is_same = is_same_minimum(own, others);
+        if is_same { self.status().kind() < other.status().kind() } else { own < others || others.is_nan() }
     }
 
     /// Whether eight images or more converged: then they are assessed as a sequence, and error bars are from the scatter

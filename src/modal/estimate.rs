@@ -71,9 +71,33 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<ModalEstimate> {
+        self.estimate_cube(chain, Cube { images_e, bad, read_noise_e }, None, cancel, watch)
+    }
+
+    /// As [`ModalFitter::estimate`], each image fitted from `start_nm` and not restarted.
+    ///
+    /// # Errors
+    /// As [`ModalFitter::estimate`].
+    pub(crate) fn estimate_from(
+        &self,
+        chain: &mut Chain,
+        cube: Cube,
+        start_nm: &[f64],
+        cancel: Option<&CancelFlag>,
+    ) -> Result<ModalEstimate> {
+        self.estimate_cube(chain, cube, Some(start_nm), cancel, &mut |_, _| {})
+    }
+
+    fn estimate_cube(
+        &self,
+        chain: &mut Chain,
+        cube: Cube,
+        start_nm: Option<&[f64]>,
+        cancel: Option<&CancelFlag>,
+        watch: &mut Watch,
+    ) -> Result<ModalEstimate> {
         let started = std::time::Instant::now();
-        let cube = Cube { images_e, bad, read_noise_e };
-        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, cancel, watch)?;
+        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, start_nm, cancel, watch)?;
         let mut estimate = combine::combine(self, refused, &indices, &prepared, minima)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();
@@ -97,7 +121,7 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<ImageFits> {
-        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, cancel, watch)?;
+        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, None, cancel, watch)?;
         let mut coefficients_nm = Array2::from_elem((refused.len(), self.model.optics.modes()), f64::NAN);
         let mut reports: Vec<ImageReport> = refused
             .into_iter()
@@ -113,11 +137,13 @@ impl ModalFitter {
         Ok(ImageFits { coefficients_nm, reports })
     }
 
-    /// Prepares and fits every image: outlier pixels rejected, fits in a wrong minimum restarted, as the recipe says.
+    /// Prepares and fits every image: outlier pixels rejected and, where `start_nm` says nothing else, from the flat wavefront, fits in
+    /// a wrong minimum restarted, as the recipe says.
     pub(super) fn fit_all(
         &self,
         chain: &mut Chain,
         cube: Cube,
+        start_nm: Option<&[f64]>,
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<FittedCube> {
@@ -127,7 +153,11 @@ impl ModalFitter {
         let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
         frames.iter().try_for_each(|frame| preparation.check(*frame))?;
         let task = self.task(cancel);
-        let mut fits = vec![ImageFit::new(&preparation, self.model.optics.modes()); frames.len()];
+        let mut fit = ImageFit::new(&preparation, self.model.optics.modes());
+        if let Some(start_nm) = start_nm {
+            fit.start_nm.copy_from_slice(start_nm);
+        }
+        let mut fits = vec![fit; frames.len()];
         self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
         if !fits.iter().any(ImageFit::is_fitted) {
             let refused = fits.iter().find_map(|fit| match fit.state {
@@ -137,7 +167,9 @@ impl ModalFitter {
             return Err(Error::Image(refused.unwrap_or_else(|| "there is no image to estimate from".into())));
         }
         let cleaned = self.reject_outliers(chain, &task, &frames, &mut fits)?;
-        self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
+        if start_nm.is_none() {
+            self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
+        }
         Ok(FittedCube::from_fits(fits))
     }
 

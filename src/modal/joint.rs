@@ -55,6 +55,8 @@ pub(crate) struct JointEstimate {
     pub(crate) diversity_effect_nm: Option<Array1<f64>>,
     /// Scatter of the channels about the estimate over its expectation, and its degrees of freedom.
     pub(crate) disagreement: (f64, f64),
+    /// Modes by each channel, with the whole wavelengths of its pistons, nm.
+    pub(crate) channels_nm: Vec<Vec<f64>>,
 }
 
 /// Normal likelihood of the modes, from one channel.
@@ -156,6 +158,7 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
         integers,
         diversity_effect_nm,
         disagreement,
+        channels_nm: likelihoods.iter().map(|channel| channel.coefficients_nm.to_vec()).collect(),
     })
 }
 

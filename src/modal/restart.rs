@@ -8,7 +8,6 @@
 
 use super::engine::{FitTask, ImageFit};
 use super::fitter::ModalFitter;
-use super::minimum::Minimum;
 use super::outliers::CleanedFrame;
 use super::prepare::Frame;
 use super::sequence::SEQUENCE;
@@ -58,7 +57,7 @@ impl ModalFitter {
             };
             let failed_frames: Vec<Frame> = failed.iter().map(without).collect();
             let from = |&image: &usize| {
-                let start_nm = self.perturbed_start(&fits[image].minimum, attempt);
+                let start_nm = self.perturbed_start(&fits[image].minimum.coefficients_nm, attempt);
                 ImageFit { start_nm, ..ImageFit::new(&self.model.preparation, self.model.optics.modes()) }
             };
             let mut again: Vec<ImageFit> = failed.iter().map(from).collect();
@@ -66,7 +65,7 @@ impl ModalFitter {
             for (image, mut again) in failed.into_iter().zip(again) {
                 again.prepared.rejected_pixels = cleaned[image].as_ref().map_or(0, |cleaned| cleaned.rejected);
                 let [before, after] = [&fits[image], &again].map(|fit| fit.minimum.reduced_chi2());
-                is_settled[image] = (after - before).abs() <= SAME_MINIMUM * before;
+                is_settled[image] = is_same_minimum(after, before);
                 fits[image].improve(again);
             }
         }
@@ -87,8 +86,9 @@ impl ModalFitter {
         (0..fits.len()).filter(is_failed).collect()
     }
 
-    /// Perturbed start. The perturbation is the same for every image, so that a fit depends on its own image alone.
-    fn perturbed_start(&self, minimum: &Minimum, attempt: usize) -> Vec<f64> {
+    /// Perturbed start after a fit that ended at `coefficients_nm`. The perturbation is the same for every image, so that a fit depends on
+    /// its own image alone.
+    pub(crate) fn perturbed_start(&self, coefficients_nm: &[f64], attempt: usize) -> Vec<f64> {
         let mut rng = ChaCha12Rng::seed_from_u64(attempt as u64);
         let wavelength_nm = self.model.optics.parts().wavelength_nm;
         let perturbed = |(mode, &nm): (usize, &f64)| {
@@ -97,8 +97,13 @@ impl ModalFitter {
             let kept = if nm.is_finite() { START_SHARE * nm } else { 0.0 };
             kept + waves * wavelength_nm * normal
         };
-        minimum.coefficients_nm.iter().enumerate().map(perturbed).collect()
+        coefficients_nm.iter().enumerate().map(perturbed).collect()
     }
+}
+
+/// Whether two fits of an image with these χ² ended in one minimum.
+pub(super) fn is_same_minimum(one: f64, other: f64) -> bool {
+    (one - other).abs() <= SAME_MINIMUM * other
 }
 
 /// Whether misfits may be restarted: unless most of a sequence misfit, which is the model's or the turbulence's doing.

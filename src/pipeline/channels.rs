@@ -5,7 +5,8 @@ use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::estimate::{Estimate, Figure, OpticalParameter};
 use super::images::counted;
-use super::modal::{self, ExpectedErrors, Fitted};
+use super::modal::ExpectedErrors;
+use super::modal_task::{Fitted, ModalTask};
 use super::policy::Policy;
 use crate::modal::{BasisCache, JointEstimate, MIN_WAVES, joint};
 use crate::scene::{Method, Optic, Scene};
@@ -20,14 +21,6 @@ pub(super) struct ChannelImages<'a> {
     pub(super) images: Electrons<'a>,
 }
 
-/// `error` of the images of the channel `name`.
-pub(super) fn of_channel(name: &str, error: Error) -> Error {
-    match error {
-        Error::Image(sentence) => Error::Image(format!("channel {name}: {sentence}")),
-        other => other,
-    }
-}
-
 /// Probability from which the whole wavelengths of a piston are not flagged.
 const CERTAIN: f64 = 0.99;
 /// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
@@ -36,6 +29,8 @@ const DEVIATIONS: f64 = 5.0;
 /// and by what the sampling of the model adds to it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000. A flipped image gives
 /// 1,000 and more at S/N 500.
 const ALLOWANCE: f64 = 0.3;
+/// How often channels that contradict each other, or do not explain their images, are fitted again.
+const ROUNDS: usize = 6;
 
 /// Estimates the wavefront behind the images of all channels of `scene`.
 ///
@@ -50,9 +45,7 @@ pub(super) fn estimate(
 ) -> Result<Estimate> {
     check(scene)?;
     let (channels, left_out) = with_diversity(channels);
-    let fits = fits(policy, control, cache, &channels)?;
-    control.enter(Stage::Combining, 0);
-    let found = joint(scene, &fits.iter().map(|fitted| &fitted.fit).collect::<Vec<_>>())?;
+    let (fits, found) = Channels::new(scene, policy, control, cache, &channels)?.fit_with_extensions()?;
     let names: Vec<String> = channels.iter().map(|channel| channel.name.to_owned()).collect();
     let each = fits.into_iter().map(|fitted| fitted.into_estimate(policy)).collect::<Result<Vec<_>>>()?;
     let mut estimate = combined(scene, found, names, each)?;
@@ -93,33 +86,118 @@ fn check(scene: &Scene) -> Result<()> {
     Ok(())
 }
 
-/// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
-fn fits(policy: &Policy, control: &Control, cache: &BasisCache, channels: &[&ChannelImages]) -> Result<Vec<Fitted>> {
-    let one = |channel: &ChannelImages, policy: &Policy, extension: &[(&str, &str)]| {
-        let scene = own_scene(&channel.scene)?.with(extension)?;
-        let cache = cache.for_scene(&channels[0].scene, &scene);
-        let fitted = modal::fit(&scene, policy, control, &cache, &channel.images);
-        fitted.map_err(|error| of_channel(channel.name, error))
-    };
-    let scene_only = Policy { select_model: false, ..*policy };
-    let mut found: Vec<Fitted> = Vec::new();
-    let mut extension: Vec<(&'static str, String)> = Vec::new();
-    for &channel in channels {
-        let settings: Vec<(&str, &str)> = extension.iter().map(|(key, value)| (*key, value.as_str())).collect();
-        let fitted = one(channel, if settings.is_empty() { policy } else { &scene_only }, &settings)?;
-        if let Some(selected) = fitted.selected.as_ref().filter(|_| !found.is_empty()) {
-            let settings: Vec<_> = selected.settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
-            found = channels[..found.len()]
-                .iter()
-                .map(|before| one(before, &scene_only, &settings))
-                .collect::<Result<_>>()?;
-        }
-        if let Some(selected) = &fitted.selected {
-            extension.clone_from(&selected.settings);
-        }
-        found.push(fitted);
+/// The channels of a scene, and how they are fitted.
+struct Channels<'a> {
+    scene: &'a Scene,
+    channels: &'a [&'a ChannelImages<'a>],
+    /// Scene and Karhunen-Loève basis by which each is fitted.
+    scenes: Vec<(Scene, BasisCache)>,
+    policy: Policy,
+    control: &'a Control,
+}
+
+impl<'a> Channels<'a> {
+    fn new(
+        scene: &'a Scene,
+        policy: &Policy,
+        control: &'a Control,
+        cache: &BasisCache,
+        channels: &'a [&'a ChannelImages<'a>],
+    ) -> Result<Self> {
+        let scenes = channels.iter().map(|channel| {
+            let own = own_scene(&channel.scene)?;
+            let cache = cache.for_scene(&channels[0].scene, &own);
+            Ok((own, cache))
+        });
+        Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control })
     }
-    Ok(found)
+
+    /// These channels by scenes with `settings`, which no channel extends.
+    fn extended(&self, settings: &[(&'static str, String)]) -> Result<Self> {
+        let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
+        let scenes = self.scenes.iter().map(|(own, cache)| {
+            let extended = own.with(&settings)?;
+            let cache = cache.for_scene(own, &extended);
+            Ok((extended, cache))
+        });
+        let policy = Policy { select_model: false, ..self.policy };
+        Ok(Self { scenes: scenes.collect::<Result<_>>()?, policy, ..*self })
+    }
+
+    fn task(&self, channel: usize) -> ModalTask<'_> {
+        let (scene, cache) = &self.scenes[channel];
+        let images = &self.channels[channel].images;
+        ModalTask { scene, policy: &self.policy, control: self.control, cache, images }
+    }
+
+    /// Result of the channel `channel`, whose error names it.
+    fn named<T>(&self, channel: usize, result: Result<T>) -> Result<T> {
+        result.map_err(|error| error.of_channel(self.channels[channel].name))
+    }
+
+    /// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
+    fn fit_with_extensions(&self) -> Result<(Vec<Fitted>, JointEstimate)> {
+        let (mut fits, joint) = self.fit()?;
+        let Some(chosen) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
+        let Some(selected) = fits.swap_remove(chosen).selected else { return self.fit() };
+        let extended = self.extended(&selected.settings)?;
+        let (mut fits, joint) = extended.fit()?;
+        extended.explain(&mut fits)?;
+        fits[chosen].selected = Some(selected);
+        Ok((fits, joint))
+    }
+
+    /// Looks for the causes of residuals, until one channel has a larger model that explains it; its number.
+    fn explain(&self, fits: &mut [Fitted]) -> Result<Option<usize>> {
+        for (channel, fitted) in fits.iter_mut().enumerate() {
+            self.named(channel, self.task(channel).explain(fitted))?;
+            if fitted.selected.is_some() {
+                return Ok(Some(channel));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Fits each channel, and again from the results of the others while they contradict each other or do not explain their images.
+    fn fit(&self) -> Result<(Vec<Fitted>, JointEstimate)> {
+        let each = (0..self.channels.len()).map(|channel| self.named(channel, self.task(channel).fit()));
+        let mut fits = each.collect::<Result<Vec<_>>>()?;
+        let mut joint = self.combine(&fits)?;
+        for round in 1..=ROUNDS {
+            let is_wrong = contradict(&joint);
+            if !is_wrong && fits.iter().all(Fitted::is_explained) {
+                break;
+            }
+            if self.improve(&mut fits, &joint, round)? {
+                joint = self.combine(&fits)?;
+            } else if !is_wrong {
+                break;
+            }
+        }
+        Ok((fits, joint))
+    }
+
+    fn combine(&self, fits: &[Fitted]) -> Result<JointEstimate> {
+        self.control.enter(Stage::Combining, 0);
+        joint(self.scene, &fits.iter().map(|fitted| &fitted.fit).collect::<Vec<_>>())
+    }
+
+    /// Fits each channel from the joint result, from that of each other channel and from a perturbed start; whether a better minimum
+    /// was found.
+    fn improve(&self, fits: &mut [Fitted], joint: &JointEstimate, round: usize) -> Result<bool> {
+        let mut is_better = false;
+        for (channel, fitted) in fits.iter_mut().enumerate() {
+            let (fitter, found) = &fitted.fit;
+            let attempt = fitter.recipe().restarts + round;
+            let perturbed_nm = fitter.perturbed_start(&found.combined.coefficients_nm, attempt);
+            let others_nm = joint.channels_nm.iter().enumerate().filter(|(other, _)| *other != channel);
+            let starts_nm = others_nm.map(|(_, nm)| nm).chain([&joint.combined.coefficients_nm, &perturbed_nm]);
+            for start_nm in starts_nm {
+                is_better |= self.named(channel, self.task(channel).improve(fitted, start_nm))?;
+            }
+        }
+        Ok(is_better)
+    }
 }
 
 /// The scene by which one channel is fitted: without the amplitude of its diversity, which only all channels together determine.
@@ -192,6 +270,12 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
     })
 }
 
+/// Whether the channels differ by more than their noise.
+fn contradict(found: &JointEstimate) -> bool {
+    let (chi2, freedom) = found.disagreement;
+    freedom > 0.0 && chi2 > 1.0 + ALLOWANCE + DEVIATIONS * (2.0 / freedom).sqrt()
+}
+
 fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<String> {
     let mut sentences: Vec<String> = Vec::new();
     for (name, one) in names.iter().zip(each) {
@@ -213,8 +297,8 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
             counted(doubtful.len(), "segment")
         ));
     }
-    let (chi2, freedom) = found.disagreement;
-    if freedom > 0.0 && chi2 > 1.0 + ALLOWANCE + DEVIATIONS * (2.0 / freedom).sqrt() {
+    if contradict(found) {
+        let (chi2, freedom) = found.disagreement;
         sentences.push(format!(
             "the channels contradict each other: the reduced χ² of their differences is {chi2:.1} ({freedom:.0} degrees of freedom), where \
              noise gives 1; is one of them flipped, of another wavelength or diversity than the scene says, or of another wavefront? The \

@@ -1,11 +1,12 @@
 //! Estimator: a scene, a policy, and the estimate of images by them.
 
-use super::channels::{ChannelImages, of_channel};
+use super::channels::ChannelImages;
 use super::consistency::{Electrons, reconcile};
 use super::control::{Control, Stage};
 use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, TruthMaps};
+use super::modal_task::ModalTask;
 use super::policy::Policy;
 use super::{channels, map, modal};
 use crate::modal::BasisCache;
@@ -98,7 +99,8 @@ impl Estimator {
         let found = match scene.estimate.method {
             Method::FullPhase => map::estimate(&scene, &self.policy, &self.control, &consistent.images),
             Method::Modal | Method::Auto => {
-                modal::estimate(&scene, &self.policy, &self.control, cache, &consistent.images)
+                let (policy, control) = (&self.policy, &self.control);
+                modal::estimate(&ModalTask { scene: &scene, policy, control, cache, images: &consistent.images })
             }
         };
         self.control.enter(Stage::Idle, 0);
@@ -129,7 +131,7 @@ impl Estimator {
         let (mut ready, mut notes, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
         for (channel, (images, cut)) in channels.iter().zip(&cut) {
             let name = &channel.name;
-            let consistent = reconcile(images, &channel.scene).map_err(|error| of_channel(name, error))?;
+            let consistent = reconcile(images, &channel.scene).map_err(|error| error.of_channel(name))?;
             notes.extend(images.notes.iter().map(|note| format!("channel {name}: {note}")));
             remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| format!("Channel {name}: {remark}")));
             ready.push(ChannelImages { name, scene: consistent.scene, images: consistent.images });

@@ -1,12 +1,9 @@
 //! Likely cause of a misfit, from the structure of an image and of its residual: saturated pixels, a second star, another plate
 //! scale.
 
-use super::consistency::Electrons;
-use super::control::Control;
-use super::policy::Policy;
-use crate::modal::{self, BasisCache, Cube, DiversityProjection, FittedImage, ModalEstimate, Model};
+use super::modal_task::ModalTask;
+use crate::modal::{self, Cube, DiversityProjection, FittedImage, ModalEstimate, Model};
 use crate::modes::Group;
-use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
 
@@ -33,11 +30,7 @@ const MAX_TRIED_PIXELS: usize = 512;
 
 /// An image that the model does not explain.
 pub(super) struct Case<'a> {
-    pub(super) scene: &'a Scene,
-    pub(super) policy: &'a Policy,
-    pub(super) control: &'a Control,
-    pub(super) cache: &'a BasisCache,
-    pub(super) images: &'a Electrons<'a>,
+    pub(super) task: ModalTask<'a>,
     /// Its number, from 0.
     pub(super) image: usize,
     pub(super) model: &'a Model,
@@ -51,8 +44,8 @@ impl Case<'_> {
     /// # Errors
     /// [`Error::Interrupted`].
     pub(super) fn likely_cause(&self, found: &ModalEstimate) -> Result<Option<String>> {
-        let frame_e = self.images.images_e.index_axis(Axis(0), self.image);
-        let bad = self.images.bad.index_axis(Axis(0), self.image);
+        let frame_e = self.task.images.images_e.index_axis(Axis(0), self.image);
+        let bad = self.task.images.bad.index_axis(Axis(0), self.image);
         // Detector pixels along a side of a model pixel.
         let native = self.model.preparation.native_along(0);
         let cause = match shown_by_residual(&found.compared, frame_e, bad, native) {
@@ -65,21 +58,21 @@ impl Case<'_> {
     /// Another plate scale with which the model explains the image.
     fn plate_scale(&self, found: &ModalEstimate) -> Result<Option<String>> {
         let only = self.image..self.image + 1;
-        let images_e = self.images.images_e.slice(ndarray::s![only.clone(), .., ..]);
-        let bad = self.images.bad.slice(ndarray::s![only, .., ..]);
+        let images_e = self.task.images.images_e.slice(ndarray::s![only.clone(), .., ..]);
+        let bad = self.task.images.bad.slice(ndarray::s![only, .., ..]);
         let (_, rows, columns) = images_e.dim();
-        let is_tried = self.policy.fit_optics
-            && self.scene.estimate.fit_optics.is_empty()
+        let is_tried = self.task.policy.fit_optics
+            && self.task.scene.estimate.fit_optics.is_empty()
             && found.images[self.image].reduced_chi2 > 1.0;
         if !is_tried || rows.max(columns) > MAX_TRIED_PIXELS {
             return Ok(None);
         }
         // A scene that fits no optics, as one with the paper's optimiser, is not tried.
-        let Ok(scene) = self.scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]) else { return Ok(None) };
-        let cube = Cube { images_e, bad, read_noise_e: self.images.read_noise_e };
-        let (recipe, flag) = (self.policy.recipe(&scene), Some(self.control.flag()));
+        let Ok(scene) = self.task.scene.with(&[("estimate.fit_optics", "[\"plate-scale\"]")]) else { return Ok(None) };
+        let cube = Cube { images_e, bad, read_noise_e: self.task.images.read_noise_e };
+        let (recipe, flag) = (self.task.policy.recipe(&scene), Some(self.task.control.flag()));
         let factor = 1.0 + self.fitted_diversity(found).clamp(-LARGEST_CHANGE, LARGEST_CHANGE);
-        let fitted = modal::explaining_fit(&scene, &recipe, self.cache, cube, factor, flag);
+        let fitted = modal::explaining_fit(&scene, &recipe, self.task.cache, cube, factor, flag);
         let (fitter, [own_chi2, fitted_chi2]) = match fitted {
             Ok(Some(found)) => found,
             Err(error @ Error::Interrupted(_)) => return Err(error),

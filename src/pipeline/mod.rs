@@ -23,6 +23,7 @@ mod instrument;
 mod map;
 mod misfit;
 mod modal;
+mod modal_task;
 mod model_selection;
 mod orientation;
 mod outcome;

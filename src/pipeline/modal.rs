@@ -1,102 +1,27 @@
 //! Modal estimate: static modes fitted to each image, and the images combined.
 
 use super::budget::ErrorTerm;
-use super::consistency::Electrons;
-use super::control::{Control, Stage};
 use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
-use super::image_changes::{CHANGING, image_changes};
-use super::misfit;
-use super::model_selection;
+use super::modal_task::{Fitted, ModalTask};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::warnings;
 use crate::Result;
-use crate::imaging::Chain;
 use crate::metrics::MapGram;
-use crate::modal::{self, BasisCache, Cube, FittedOptic, ImageStatus, Model};
+use crate::modal::{self, FittedOptic, Model};
 use crate::modes::Group;
-use crate::scene::{NollRange, Scene};
+use crate::scene::NollRange;
 use ndarray::Array2;
 use std::sync::Arc;
-use std::time::Instant;
 
-/// Fit of the images of one channel.
-pub(super) struct Fitted {
-    /// The fitter, and what it found.
-    pub(super) fit: modal::ModalFit,
-    /// The extension of the scene's model that explains the images, where there is one.
-    pub(super) selected: Option<model_selection::Selected>,
-    /// Likely cause of a misfit, as a sentence.
-    cause: Option<String>,
-    /// Reduced χ² of the differences of the images, where they are not explained.
-    changes: Option<f64>,
-    model_seconds: f64,
-}
-
-pub(super) fn estimate(
-    scene: &Scene,
-    policy: &Policy,
-    control: &Control,
-    cache: &BasisCache,
-    images: &Electrons,
-) -> Result<Estimate> {
-    fit(scene, policy, control, cache, images)?.into_estimate(policy)
-}
-
-/// Fits the images of one channel by its scene.
-pub(super) fn fit(
-    scene: &Scene,
-    policy: &Policy,
-    control: &Control,
-    cache: &BasisCache,
-    images: &Electrons,
-) -> Result<Fitted> {
-    let started = Instant::now();
-    let count = images.len();
-    control.enter(Stage::Preparing, 0);
-    let mut open = |estimator: &modal::ModalFitter| {
-        control.check("the model was built, no image was fitted")?;
-        estimator.model().check_images(count)?;
-        control.enter(Stage::Fitting, count);
-        let optics = estimator.model().optics.clone();
-        // No more images than this are fitted at once.
-        let capacity = count.min(estimator.model().tiles().images);
-        Chain::open(optics, scene.estimate.device.into(), scene.estimate.precision.into(), capacity)
-    };
-    let mut watch = |done: usize, all: usize| {
-        control.advance_to(done);
-        if done == all {
-            control.enter(Stage::Combining, 0);
-        }
-    };
-    let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-    let recipe = policy.recipe(scene);
-    let mut fitted = modal::estimate_with(scene, recipe, cache, cube, &mut open, Some(control.flag()), &mut watch)?;
-    control.check("the images were fitted, nothing was written")?;
-    // Only a misfit asks for a cause.
-    let is_explained = fitted.1.status().kind() == ImageStatus::Ok;
-    let changes = if is_explained { None } else { image_changes(scene, images) };
-    let (mut cause, mut selected) = (None, None);
-    if let Some(&image) = fitted.1.used_images.first()
-        && !is_explained
-        && changes.is_none_or(|chi2| chi2 < CHANGING)
-    {
-        control.check("the images were fitted, the cause of a residual was not sought")?;
-        let (model, diversity) = (fitted.0.model(), fitted.0.diversity_projection()?);
-        let case = misfit::Case { scene, policy, control, cache, images, image, model, diversity: &diversity };
-        cause = case.likely_cause(&fitted.1)?;
-        if cause.is_none() && model_selection::may_extend(scene, policy) {
-            let mut one = |scene: &Scene| fit_one(scene, policy, control, cache, cube, image);
-            selected = model_selection::select(scene, control, &fitted, image, &mut one)?;
-        }
-    }
-    if let Some(selected) = &selected {
-        let (scene, flag) = (&selected.scene, Some(control.flag()));
-        fitted = modal::estimate_with(scene, policy.recipe(scene), cache, cube, &mut open, flag, &mut watch)?;
-        control.check("the images were fitted, nothing was written")?;
-    }
-    let model_seconds = started.elapsed().as_secs_f64() - fitted.1.seconds;
-    Ok(Fitted { fit: fitted, selected, cause, changes, model_seconds })
+/// Estimates the static wavefront behind the images of one channel.
+///
+/// # Errors
+/// Those of the fits, and [`crate::Error::Interrupted`].
+pub(super) fn estimate(task: &ModalTask) -> Result<Estimate> {
+    let mut fitted = task.fit()?;
+    task.explain(&mut fitted)?;
+    fitted.into_estimate(task.policy)
 }
 
 impl Fitted {
@@ -164,34 +89,6 @@ impl From<&FittedOptic> for OpticalParameter {
         let FittedOptic { segment, scene, value, sigma, identifiable_share, .. } = *optic;
         Self { key: optic.key(), segment, scene, value, sigma, identifiable: identifiable_share }
     }
-}
-
-/// Fit of image `image` of `cube` alone by `scene`; `None` where the optical parameters that the scene fits would not lower
-/// χ² enough in a first step.
-fn fit_one(
-    scene: &Scene,
-    policy: &Policy,
-    control: &Control,
-    cache: &BasisCache,
-    cube: Cube,
-    image: usize,
-) -> Result<Option<(modal::ModalFitter, modal::ModalEstimate)>> {
-    let only = ndarray::s![image..=image, .., ..];
-    let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };
-    // A model that explains the image does so at its first minimum; restarts of the others would take most of the time.
-    let (recipe, flag) = (modal::Recipe { restarts: 0, ..policy.recipe(scene) }, Some(control.flag()));
-    let mut open = |fitter: &modal::ModalFitter| {
-        let optics = fitter.model().optics.clone();
-        Chain::open(optics, scene.estimate.device.into(), scene.estimate.precision.into(), 1)
-    };
-    if scene.estimate.fit_optics.is_empty() {
-        return modal::estimate_with(scene, recipe, cache, cube, &mut open, flag, &mut |_, _| {}).map(Some);
-    }
-    let Some((fitter, _)) = modal::explaining_fit(scene, &recipe, cache, cube, 1.0, flag)? else { return Ok(None) };
-    let mut chain = open(&fitter)?;
-    let Cube { images_e, bad, read_noise_e } = cube;
-    let found = fitter.estimate(&mut chain, images_e, bad, read_noise_e, flag, &mut |_, _| {})?;
-    Ok(Some((fitter, found)))
 }
 
 /// Description of the modes that were added to those of the scene, `selected` among them.

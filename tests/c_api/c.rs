@@ -101,7 +101,8 @@ fn passes(source: &str, arguments: &[&str]) {
 #[test]
 fn pipeline() {
     let directory = tempfile::tempdir().unwrap();
-    prints_what_rust_finds(command(&compile("-std=c99", &here().join("pipeline.c"), directory.path())));
+    let program = compile("-std=c99", &here().join("pipeline.c"), directory.path());
+    prints_what_rust_finds(|| Some(command(&program)));
 }
 
 #[test]

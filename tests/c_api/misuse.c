@@ -112,6 +112,7 @@ static void estimators(const struct setting *s, const char *scene)
     cophase_image_report report;
     double number = UNTOUCHED;
     char text[16];
+    cophase_channel_images channel;
     size_t size = 7;
 
     NULL_IS_REFUSED("scene_text", cophase_estimator_create(NULL, NULL, NULL, &estimator));
@@ -128,6 +129,16 @@ static void estimators(const struct setting *s, const char *scene)
     CHECK(cophase_estimator_progress(estimator, NULL, NULL, NULL) == COPHASE_OK);
     NULL_IS_REFUSED("frames", cophase_estimator_estimate(estimator, NULL, NULL, NULL, &estimate));
     NULL_IS_REFUSED("estimate", cophase_estimator_estimate(estimator, &frame, NULL, NULL, NULL));
+    memset(&channel, 0, sizeof channel);
+    NULL_IS_REFUSED("estimator", cophase_estimator_estimate_channels(NULL, &channel, 1, &estimate));
+    NULL_IS_REFUSED("channels", cophase_estimator_estimate_channels(estimator, NULL, 1, &estimate));
+    NULL_IS_REFUSED("frames", cophase_estimator_estimate_channels(estimator, &channel, 1, &estimate));
+    REFUSED(COPHASE_BAD_SHAPE, "count is 2: 1 is accepted",
+            cophase_estimator_estimate_channels(estimator, &channel, 2, &estimate));
+    channel.frames = &frame, channel.channel = "H";
+    REFUSED(COPHASE_BAD_SHAPE, "the channel 'H' is not in the scene",
+            cophase_estimator_estimate_channels(estimator, &channel, 1, &estimate));
+    NULL_IS_REFUSED("estimate", cophase_estimator_estimate_channels(estimator, &channel, 1, NULL));
     cophase_estimator_destroy(estimator);
     cophase_estimator_destroy(NULL);
 

@@ -60,10 +60,11 @@ fn map_estimates_have_the_bits_of_rust() {
 #[test]
 fn pipeline() {
     let scratch = tempfile::tempdir().unwrap();
-    if let Some(mut command) = octave("pipeline.m", scratch.path()) {
+    prints_what_rust_finds(|| {
+        let mut command = octave("pipeline.m", scratch.path())?;
         command.env("COPHASE_LIBRARIES", libraries()).env("COPHASE_SCRATCH", scratch.path());
-        prints_what_rust_finds(command);
-    }
+        Some(command)
+    });
 }
 
 #[test]

@@ -1,17 +1,20 @@
 /* The whole pipeline on a file of raw doubles, printed for a comparison with the program and with Rust:
  *
- *   pipeline SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
+ *   pipeline SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES | CHANNEL,CHANNEL]
  *
  * FRAMES.raw holds COUNT x ROWS x COLS native doubles in C order, electrons, NaN for a bad pixel; SLOPES.raw COUNT x SLOPES,
- * mas. Files that the scene names are looked for in the working directory. Prints lines of
+ * mas. For several channels it holds the COUNT images of each, one after the other. Files that the scene names are looked for
+ * in the working directory. Prints lines of
  *
  *   coefficient NAME VALUE SIGMA         (nm)
- *   image INDEX STATUS CHI2 REJECTED
+ *   image INDEX STATUS CHI2 REJECTED CHANNEL
+ *   channel NAME
+ *   integer NUMBER PROBABILITY RUNNER_UP (nm)
  *   warning SENTENCE
  *   policy NAME
  *   device TEXT
  *
- * VALUE, SIGMA and CHI2 are the bits of doubles, 16 hexadecimal digits: the same in every language.
+ * VALUE, SIGMA, CHI2, PROBABILITY and RUNNER_UP are the bits of doubles, 16 hexadecimal digits: the same in every language.
  */
 #include "support.h"
 #include <inttypes.h>
@@ -51,7 +54,7 @@ static void print(const cophase_estimate *estimate)
 {
     cophase_estimate_info info;
     cophase_image_report *images;
-    double *coefficients_nm, *sigma_nm;
+    double *coefficients_nm, *sigma_nm, *integers;
     char *text, *line;
     size_t i;
 
@@ -67,8 +70,19 @@ static void print(const cophase_estimate *estimate)
         free(text);
     }
     for (i = 0; i < info.images; i++)
-        printf("image %d %s %016" PRIx64 " %d\n", (int)i, cophase_status_name(images[i].status),
-               bits(images[i].reduced_chi2), (int)images[i].rejected_pixels);
+        printf("image %d %s %016" PRIx64 " %d %d\n", (int)i, cophase_status_name(images[i].status),
+               bits(images[i].reduced_chi2), (int)images[i].rejected_pixels, (int)images[i].channel);
+    for (i = 0; i < info.channels; i++) {
+        printf("channel %s\n", text = text_of(estimate, COPHASE_TEXT_CHANNEL_NAME, i));
+        free(text);
+    }
+    integers = (double *)memory(3 * info.integers + 1, sizeof *integers);
+    if (info.integers > 0)
+        must(cophase_estimate_array(estimate, COPHASE_ARRAY_PISTON_INTEGERS, integers, 3 * info.integers));
+    for (i = 0; i < info.integers; i++)
+        printf("integer %d %016" PRIx64 " %016" PRIx64 "\n", (int)integers[3 * i], bits(integers[3 * i + 1]),
+               bits(integers[3 * i + 2]));
+    free(integers);
     text = text_of(estimate, COPHASE_TEXT_WARNINGS, 0);
     for (line = strtok(text, "\n"); line != NULL; line = strtok(NULL, "\n"))
         printf("warning %s\n", line);
@@ -79,6 +93,26 @@ static void print(const cophase_estimate *estimate)
     free(text), free(images), free(sigma_nm), free(coefficients_nm);
 }
 
+/* Estimate from `frames` of the first of the channels that `names` lists, which those of the others follow. */
+static cophase_estimate *of_channels(cophase_estimator *estimator, cophase_input frames, char *names)
+{
+    cophase_input each[4];
+    cophase_channel_images channels[4];
+    cophase_estimate *estimate = NULL;
+    size_t count = 0;
+    char *name;
+
+    for (name = strtok(names, ","); name != NULL && count < 4; name = strtok(NULL, ","), count++) {
+        each[count] = frames;
+        each[count].data = (const double *)frames.data + count * frames.count * frames.rows * frames.cols;
+        channels[count].channel = name;
+        channels[count].frames = &each[count];
+        channels[count].options = NULL;
+    }
+    must(cophase_estimator_estimate_channels(estimator, channels, count, &estimate));
+    return estimate;
+}
+
 int main(int argc, char **argv)
 {
     cophase_estimator *estimator = NULL;
@@ -87,12 +121,12 @@ int main(int argc, char **argv)
     size_t size, count, rows, cols;
     char *scene, *frame_bytes, *slope_bytes = NULL;
 
-    if (argc != 6 && argc != 8)
+    if (argc < 6 || argc > 8)
         return 2;
     count = strtoul(argv[3], NULL, 10), rows = strtoul(argv[4], NULL, 10), cols = strtoul(argv[5], NULL, 10);
     scene = read_file(argv[1], &size);
     frame_bytes = read_file(argv[2], &size);
-    if (size != count * rows * cols * sizeof(double))
+    if (size % (count * rows * cols * sizeof(double)) != 0)
         return 2;
     frames = slopes = input(frame_bytes, COPHASE_F64, count, rows, cols);
     if (argc == 8) {
@@ -102,7 +136,10 @@ int main(int argc, char **argv)
             return 2;
     }
     must(cophase_estimator_create(scene, NULL, NULL, &estimator));
-    must(cophase_estimator_estimate(estimator, &frames, argc == 8 ? &slopes : NULL, NULL, &estimate));
+    if (argc == 7)
+        estimate = of_channels(estimator, frames, argv[6]);
+    else
+        must(cophase_estimator_estimate(estimator, &frames, argc == 8 ? &slopes : NULL, NULL, &estimate));
     cophase_estimator_destroy(estimator);
     print(estimate);
     cophase_estimate_destroy(estimate);

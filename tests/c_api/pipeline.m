@@ -1,6 +1,6 @@
 % The whole pipeline through the MATLAB package, under Octave, on a file of raw doubles, printed as by pipeline.c:
 %
-%   octave-cli pipeline.m SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
+%   octave-cli pipeline.m SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES | CHANNEL,CHANNEL]
 %
 % The library is that of the directory COPHASE_LIBRARIES, or else of target/release; the gateway is built in the
 % directory COPHASE_SCRATCH, or else in a new one.
@@ -29,9 +29,12 @@ build(libraries, scratch);
 arguments = argv();
 extents = str2double(arguments(3:5));
 % Rows in the file are columns in memory.
-frames = permute(reshape(doubles_of(arguments{2}), extents(3), extents(2), extents(1)), [2 1 3]);
+frames = permute(reshape(doubles_of(arguments{2}), extents(3), extents(2), []), [2 1 3]);
 options = {};
-if numel(arguments) > 5
+if numel(arguments) == 6
+    names = strsplit(arguments{6}, ',');
+    frames = cell2struct(mat2cell(frames, extents(2), extents(3), repmat(extents(1), 1, numel(names)))(:), names(:));
+elseif numel(arguments) > 5
     options = {'slopes_mas', reshape(doubles_of(arguments{6}), str2double(arguments{7}), extents(1))};
 end
 e = cophase.Estimator(fileread(arguments{1})).estimate(frames, options{:});
@@ -39,8 +42,12 @@ for k = 1:numel(e.mode_names)
     printf('coefficient %s %s %s\n', e.mode_names{k}, num2hex(e.coefficients_nm(k)), num2hex(e.sigma_nm(k)));
 end
 for k = 1:numel(e.images)
-    printf('image %d %s %s %d\n', k - 1, e.images(k).status, num2hex(e.images(k).reduced_chi2), ...
-        e.images(k).rejected_pixels);
+    printf('image %d %s %s %d %d\n', k - 1, e.images(k).status, num2hex(e.images(k).reduced_chi2), ...
+        e.images(k).rejected_pixels, e.images(k).channel - 1);
+end
+cellfun(@(name) printf('channel %s\n', name), e.channels);
+for k = 1:rows(e.integers)
+    printf('integer %d %s %s\n', e.integers(k, 1), num2hex(e.integers(k, 2)), num2hex(e.integers(k, 3)));
 end
 cellfun(@(sentence) printf('warning %s\n', sentence), e.warnings);
 printf('policy %s\ndevice %s\n', e.policy, e.device);

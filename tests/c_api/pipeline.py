@@ -1,6 +1,6 @@
 """The whole pipeline through the Python package on a file of raw doubles, printed as by pipeline.c, see there:
 
-python3 pipeline.py SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES]
+python3 pipeline.py SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES | CHANNEL,CHANNEL]
 """
 
 import struct
@@ -14,16 +14,23 @@ def bits(value):
     return struct.pack(">d", value).hex()
 
 
-def main(scene, frames, count, rows, cols, slopes=None, slope_count=0):
+def main(scene, frames, count, rows, cols, slopes=None, slope_count=None):
     with open(scene, encoding="utf-8") as file:
         estimator = cophase.Estimator(file.read())
-    frames_e = np.fromfile(frames).reshape(int(count), int(rows), int(cols))
-    slopes_mas = None if slopes is None else np.fromfile(slopes).reshape(int(count), int(slope_count))
-    estimate = estimator.estimate(frames_e, slopes_mas=slopes_mas)
+    frames_e = np.fromfile(frames).reshape(-1, int(count), int(rows), int(cols))
+    if slopes is not None and slope_count is None:
+        estimate = estimator.estimate_channels(dict(zip(slopes.split(","), frames_e)))
+    else:
+        slopes_mas = None if slopes is None else np.fromfile(slopes).reshape(int(count), int(slope_count))
+        estimate = estimator.estimate(frames_e[0], slopes_mas=slopes_mas)
     for name, nm, sigma_nm in zip(estimate.mode_names, estimate.coefficients_nm, estimate.sigma_nm):
         print("coefficient", name, bits(nm), bits(sigma_nm))
     for index, image in enumerate(estimate.images):
-        print("image", index, image.status, bits(image.reduced_chi2), image.rejected_pixels)
+        print("image", index, image.status, bits(image.reduced_chi2), image.rejected_pixels, image.channel)
+    for name in estimate.channels:
+        print("channel", name)
+    for integer, probability, runner_up_nm in estimate.integers:
+        print("integer", int(integer), bits(probability), bits(runner_up_nm))
     for sentence in estimate.warnings:
         print("warning", sentence)
     print("policy", estimate.policy)

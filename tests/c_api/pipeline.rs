@@ -4,7 +4,7 @@
 use super::here;
 use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::scene::Scene;
-use ndarray::Array3;
+use ndarray::{Array3, Axis, concatenate};
 use std::path::Path;
 use std::process::Command;
 
@@ -24,8 +24,14 @@ fn expected(estimate: &Estimate) -> Vec<String> {
         coefficients.map(|((name, nm), sigma)| format!("coefficient {name} {} {}", bits(*nm), bits(*sigma))).collect();
     for (index, image) in estimate.images.iter().enumerate() {
         let status = image.status.word().to_uppercase().replace('-', "_");
-        lines.push(format!("image {index} {status} {} {}", bits(image.reduced_chi2), image.rejected_pixels));
+        let (chi2, rejected, channel) = (bits(image.reduced_chi2), image.rejected_pixels, image.channel);
+        lines.push(format!("image {index} {status} {chi2} {rejected} {channel}"));
     }
+    lines.extend(estimate.channels.iter().map(|name| format!("channel {name}")));
+    let integers = estimate.integers.iter();
+    lines.extend(
+        integers.map(|one| format!("integer {} {} {}", one.integer, bits(one.probability), bits(one.runner_up_nm))),
+    );
     lines.extend(estimate.warnings.iter().map(|warning| format!("warning {warning}")));
     lines.extend([format!("policy {}", estimate.policy.name()), format!("device {}", estimate.device)]);
     lines
@@ -35,29 +41,76 @@ fn bits(value: f64) -> String {
     format!("{:016x}", value.to_bits())
 }
 
-/// Runs a program on images of `tiny.toml` with outliers, and compares what it prints with the estimate of Rust.
-pub(super) fn prints_what_rust_finds(mut command: Command) {
-    let directory = tempfile::tempdir().unwrap();
+/// The scene in two colours.
+const COLOURS: &str = "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
+
+/// Runs a program on images of `tiny.toml` with outliers, and on images of two colours, and compares what it prints with the estimates
+/// of Rust.
+pub(super) fn prints_what_rust_finds(command: impl Fn() -> Option<Command>) {
+    if let Some(command) = command() {
+        images_of_one_channel(command);
+    }
+    if let Some(command) = command() {
+        images_of_two_channels(command);
+    }
+}
+
+fn images_of_two_channels(command: Command) {
+    let settings = [("image.peak_snr", "300"), ("aberrations.segment_piston_rms_nm", "1000")];
+    let scene = Scene::from_file(here().join("tiny.toml")).unwrap().with(&settings).unwrap();
+    let scene = Scene::from_text(&format!("{}\n{COLOURS}", scene.text()), Path::new("")).unwrap();
+    let mut images = Images::simulated_channels(&scene).unwrap();
+    // In another order than the scene's: they are named.
+    images.reverse();
+    let images: Vec<Images> =
+        images.into_iter().map(|one| Images { channel: one.channel, ..Images::new(one.images_e) }).collect();
+    let cube = concatenate(Axis(0), &images.iter().map(|one| one.images_e.view()).collect::<Vec<_>>()).unwrap();
+    let found = Estimator::new(&scene).unwrap().estimate_channels(&images).unwrap();
+    assert_eq!(
+        (found.channels.as_slice(), found.integers.len()),
+        (&["K".to_string(), "H".into()][..], found.segment_modes())
+    );
+    compare(command, &scene, (&cube, 1), Some("H,K"), &found);
+}
+
+fn images_of_one_channel(command: Command) {
     let settings = [("image.count", "3"), ("image.peak_snr", "300"), ("aberrations.segment_piston_rms_nm", "50")];
     let scene = Scene::from_file(here().join("tiny.toml")).unwrap().with(&settings).unwrap();
     let images = images(&scene);
-    let [toml, raw] = ["scene.toml", "frames.raw"].map(|name| directory.path().join(name));
-    std::fs::write(&toml, scene.text()).unwrap();
-    std::fs::write(&raw, images.images_e.iter().flat_map(|e| e.to_ne_bytes()).collect::<Vec<u8>>()).unwrap();
-    let (count, rows, cols) = images.images_e.dim();
-    let output =
-        command.arg(&toml).arg(&raw).args([count, rows, cols].map(|extent| extent.to_string())).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{command:?}: {}\n{said}", output.status);
-    let printed = String::from_utf8(output.stdout).unwrap();
     let found =
         Estimator::new(&Scene::from_text(scene.text(), Path::new("")).unwrap()).unwrap().estimate(&images).unwrap();
     assert_eq!(found.images[1].rejected_pixels, 1, "the hot pixel");
     assert!(found.warnings.iter().any(|warning| warning.starts_with("1 pixel is not finite")), "{:?}", found.warnings);
+    compare(command, &scene, (&images.images_e, 3), None, &found);
+}
+
+/// Runs a program on a cube with `count` images of each of `channels`, and compares what it prints with an estimate.
+fn compare(
+    mut command: Command,
+    scene: &Scene,
+    (cube, count): (&Array3<f64>, usize),
+    channels: Option<&str>,
+    found: &Estimate,
+) {
+    let directory = tempfile::tempdir().unwrap();
+    let [toml, raw] = ["scene.toml", "frames.raw"].map(|name| directory.path().join(name));
+    std::fs::write(&toml, scene.text()).unwrap();
+    std::fs::write(&raw, cube.iter().flat_map(|e| e.to_ne_bytes()).collect::<Vec<u8>>()).unwrap();
+    let (_, rows, cols) = cube.dim();
+    let output = command
+        .arg(&toml)
+        .arg(&raw)
+        .args([count, rows, cols].map(|extent| extent.to_string()))
+        .args(channels)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}: {}\n{said}", output.status);
+    let printed = String::from_utf8(output.stdout).unwrap();
     if std::env::var_os("COPHASE_C_RUNNER").is_none_or(|runner| runner.is_empty()) {
-        assert_eq!(printed.lines().collect::<Vec<_>>(), expected(&found));
+        assert_eq!(printed.lines().collect::<Vec<_>>(), expected(found));
     } else {
         // valgrind's processor rounds otherwise: see `fits::same`.
-        assert_eq!(printed.lines().count(), expected(&found).len());
+        assert_eq!(printed.lines().count(), expected(found).len());
     }
 }

@@ -58,9 +58,7 @@ fn map_estimates_have_the_bits_of_rust() {
 
 #[test]
 fn pipeline() {
-    if let Some(command) = with_package("pipeline.py") {
-        prints_what_rust_finds(command);
-    }
+    prints_what_rust_finds(|| with_package("pipeline.py"));
 }
 
 #[test]

@@ -19,6 +19,7 @@ classdef Estimate < cophase.Handle
     %      map_width_m, seconds, model_seconds
     %      telemetry_gain, telemetry_correlation                of the measured slopes with those of the retrieved
     %                                     wavefronts, about 1 where they belong together; NaN without telemetry
+    %      channels, integers             numbers of channels and of segments in integers
     %
     %   Methods:
     %      report   text, as the program prints it
@@ -50,7 +51,10 @@ classdef Estimate < cophase.Handle
         phasing_sigma_nm      % standard deviation of each sample of phasing_nm, nm
         ncpa_sigma_nm         % standard deviation of each sample of ncpa_nm, nm
         images                % report on each image, a struct array: status ('OK', 'MISFIT', 'WRONG_MINIMUM',
-                              % 'NOT_CONVERGED', 'UNUSABLE'), message, is_used, reduced_chi2, flux_e, ...
+                              % 'NOT_CONVERGED', 'UNUSABLE'), message, is_used, reduced_chi2, flux_e, ..., channel (from 1)
+        channels              % names of the channels, a cell column of text; empty for a scene without
+        integers              % segments x 3, for channels of several wavelengths: whole wavelengths of the first channel that were
+                              % added to the piston, their probability, piston of the next most probable number relative to this, nm
         error_budget          % terms x 3, a cell: name, contributions to the error bars of phasing and NCPA, nm RMS
     end
 
@@ -59,7 +63,12 @@ classdef Estimate < cophase.Handle
             if nargin < 2
                 error('cophase:BAD_ARGUMENT', 'frames is missing: use the method estimate of a cophase.Estimator');
             end
-            self.create('estimate.create', cophase.Handle.number(estimator), frames, varargin{:});
+            if iscell(frames) || isstruct(frames)
+                [names, frames, chosen] = cophase.Estimate.of_channels(frames, varargin);
+                self.create('estimate.create_channels', cophase.Handle.number(estimator), names, frames, chosen);
+            else
+                self.create('estimate.create', cophase.Handle.number(estimator), frames, varargin{:});
+            end
             info = cophase_mex('estimate.info', self.id);
             self.info = info;
             self.method = info.method;
@@ -86,8 +95,11 @@ classdef Estimate < cophase.Handle
             images = cophase_mex('estimate.images', self.id, info.images);
             for k = 1:info.images
                 images(k).message = self.text('IMAGE_MESSAGE', k);
+                images(k).channel = images(k).channel + 1;
             end
             self.images = images;
+            self.channels = arrayfun(@(k) self.text('CHANNEL_NAME', k), (1:info.channels)', 'UniformOutput', false);
+            self.integers = reshape(self.array('PISTON_INTEGERS', 3 * info.integers), 3, [])';
             terms = arrayfun(@(k) self.text('ERROR_TERM_NAME', k), (1:info.error_terms)', 'UniformOutput', false);
             budget_nm = reshape(self.array('ERROR_BUDGET_NM', 2 * info.error_terms), 2, [])';
             self.error_budget = [terms, num2cell(budget_nm)];
@@ -143,6 +155,34 @@ classdef Estimate < cophase.Handle
                 'actuators_m', reshape(self.array('CORRECTION_ACTUATORS_M', 2 * found.actuators), 2, []), ...
                 'slopes_mas', self.array('CORRECTION_SLOPES_MAS', found.slopes), ...
                 'corrected_modes', found.corrected_modes, 'limited', found.limited);
+        end
+    end
+
+    methods (Static, Access = private)
+        function [names, frames, chosen] = of_channels(given, pairs)
+            % Name, frames and options of each channel, in cells. Options that are structs have a field for each channel.
+            if isstruct(given)
+                names = fieldnames(given);
+                frames = struct2cell(given);
+            else
+                names = cell(numel(given), 1);
+                frames = given(:);
+            end
+            chosen = repmat({pairs}, numel(frames), 1);
+            for p = 2:2:numel(pairs)
+                if isstruct(pairs{p})
+                    odd = setdiff(fieldnames(pairs{p}), names(~cellfun(@isempty, names)));
+                    if ~isempty(odd)
+                        error('cophase:BAD_VALUE', '%s has the channel %s, which frames has not', pairs{p - 1}, odd{1});
+                    end
+                    for k = 1:numel(frames)
+                        chosen{k}{p} = [];
+                        if isfield(pairs{p}, names{k})
+                            chosen{k}{p} = pairs{p}.(names{k});
+                        end
+                    end
+                end
+            end
         end
     end
 

@@ -51,6 +51,11 @@ classdef Estimator < cophase.Handle
             %      'saturation'    raw value from which on a pixel is saturated, and bad; none
             %   The beginning of a name is enough, in upper or lower case.
             %
+            %   Images of several channels ([[image.channel]] in the scene) are a struct with a field for each, named like the
+            %   channel, or a cell in the order of the scene. An option is then that of all, or a struct with the fields of
+            %   those channels that have one:
+            %      e = estimator.estimate(struct('plus', plus_e, 'minus', minus_e), 'gain_e', struct('plus', 4, 'minus', 5));
+            %
             %   Ctrl-C stops it within a second or two, with cophase:INTERRUPTED (not in MATLAB for Windows).
             %
             %   Example:

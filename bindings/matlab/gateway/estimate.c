@@ -24,11 +24,19 @@ static void do_create_estimator(int outputs, mxArray **out, int inputs, const mx
     out[0] = handle_new(ESTIMATOR, estimator, 0);
 }
 
-typedef struct job {
-    cophase_estimator *estimator;
-    cophase_input frames, slopes_mas;
+/* Images of one channel. */
+typedef struct channel {
+    cophase_input frames;
     cophase_calibration calibration;
     cophase_estimate_options options;
+} channel;
+
+typedef struct job {
+    cophase_estimator *estimator;
+    channel only;
+    cophase_input slopes_mas;
+    cophase_channel_images *channels; /* NULL for the only one */
+    size_t count;
     cophase_estimate *estimate;
 } job;
 
@@ -36,8 +44,10 @@ static cophase_status work(void *argument)
 {
     job *job = (struct job *)argument;
 
-    return cophase_estimator_estimate(job->estimator, &job->frames, job->slopes_mas.data == NULL ? NULL : &job->slopes_mas,
-                                      &job->options, &job->estimate);
+    if (job->channels != NULL)
+        return cophase_estimator_estimate_channels(job->estimator, job->channels, job->count, &job->estimate);
+    return cophase_estimator_estimate(job->estimator, &job->only.frames, job->slopes_mas.data == NULL ? NULL : &job->slopes_mas,
+                                      &job->only.options, &job->estimate);
 }
 
 static cophase_status cancel(const void *estimator)
@@ -78,27 +88,65 @@ static const char *const ESTIMATE_OPTIONS[] = {"slopes_mas", "mask",   "read_noi
                                                "flat",       "gain_e", "saturation",   NULL};
 enum { SLOPES_MAS, MASK, READ_NOISE_E, DARK, FLAT, GAIN_E, SATURATION, ESTIMATE_OPTION_COUNT };
 
+/* Frames with the options that were given for them. */
+static void fill(channel *channel, const mxArray *frames, const mxArray **given)
+{
+    channel->frames = input(frames, "frames");
+    if (given[MASK] != NULL && mxGetNumberOfDimensions(given[MASK]) > 2) {
+        channel->frames = input(masked(frames, given[MASK]), "frames");
+        given[MASK] = NULL;
+    }
+    channel->calibration = calibration_of(given[DARK], given[FLAT], given[MASK], given[GAIN_E], given[SATURATION]);
+    channel->options.struct_size = sizeof channel->options;
+    channel->options.calibration = &channel->calibration;
+    if (given[READ_NOISE_E] != NULL)
+        channel->options.read_noise_e = number(given[READ_NOISE_E], "read_noise_e"), channel->options.has_read_noise = 1;
+}
+
 /* (estimator, frames, 'slopes_mas', slopes_mas, ...): a new estimate. */
 static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
 {
-    const mxArray *given[ESTIMATE_OPTION_COUNT], *frames = in[1];
+    const mxArray *given[ESTIMATE_OPTION_COUNT];
     job job;
 
     memset(&job, 0, sizeof job);
     job.estimator = (cophase_estimator *)handle_of(in[0], ESTIMATOR)->object;
     options(inputs - 2, in + 2, ESTIMATE_OPTIONS, given);
-    job.frames = input(frames, "frames");
-    if (given[MASK] != NULL && mxGetNumberOfDimensions(given[MASK]) > 2) {
-        job.frames = input(masked(frames, given[MASK]), "frames");
-        given[MASK] = NULL;
-    }
+    fill(&job.only, in[1], given);
     if (given[SLOPES_MAS] != NULL)
         job.slopes_mas = slopes_of(given[SLOPES_MAS]);
-    job.calibration = calibration_of(given[DARK], given[FLAT], given[MASK], given[GAIN_E], given[SATURATION]);
-    job.options.struct_size = sizeof job.options;
-    job.options.calibration = &job.calibration;
-    if (given[READ_NOISE_E] != NULL)
-        job.options.read_noise_e = number(given[READ_NOISE_E], "read_noise_e"), job.options.has_read_noise = 1;
+    interruptible(cancel, job.estimator, work, &job);
+    out[0] = handle_new(ESTIMATE, job.estimate, 0);
+}
+
+/* (estimator, names, frames, options): a new estimate from several channels. Cells with an element for each channel: its name or
+ * [], its frames, a cell of its NAME, VALUE, ... */
+static void do_create_channels(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const size_t count = mxGetNumberOfElements(in[2]);
+    channel *each = (channel *)mxCalloc(count + 1, sizeof *each);
+    job job;
+    size_t i, k;
+
+    memset(&job, 0, sizeof job);
+    job.estimator = (cophase_estimator *)handle_of(in[0], ESTIMATOR)->object;
+    job.count = count;
+    job.channels = (cophase_channel_images *)mxCalloc(count + 1, sizeof *job.channels);
+    for (i = 0; i < count; i++) {
+        const mxArray *pairs = mxGetCell(in[3], i), *given[ESTIMATE_OPTION_COUNT];
+        const size_t length = mxGetNumberOfElements(pairs);
+        const mxArray **list = (const mxArray **)mxCalloc(length + 1, sizeof *list);
+
+        for (k = 0; k < length; k++)
+            list[k] = mxGetCell(pairs, k);
+        options((int)length, list, ESTIMATE_OPTIONS, given);
+        if (given[SLOPES_MAS] != NULL)
+            fail(COPHASE_BAD_ARGUMENT, "slopes_mas is telemetry of a MAP estimate, which reads one channel: leave it out");
+        fill(&each[i], mxGetCell(in[2], i), given);
+        job.channels[i].channel = text(mxGetCell(in[1], i), "the name of a channel");
+        job.channels[i].frames = &each[i].frames;
+        job.channels[i].options = &each[i].options;
+    }
     interruptible(cancel, job.estimator, work, &job);
     out[0] = handle_new(ESTIMATE, job.estimate, 0);
 }
@@ -125,7 +173,8 @@ static const field INFO[] = {
     FIELD(T, ncpa_rms_nm, IS_DOUBLE), FIELD(T, ncpa_sigma_nm, IS_DOUBLE), FIELD(T, wavefront_rms_nm, IS_DOUBLE),
     FIELD(T, wavefront_sigma_nm, IS_DOUBLE), FIELD(T, reduced_chi2, IS_DOUBLE), FIELD(T, images_to_halve, IS_DOUBLE),
     FIELD(T, map_width_m, IS_DOUBLE), FIELD(T, seconds, IS_DOUBLE), FIELD(T, model_seconds, IS_DOUBLE),
-    FIELD(T, telemetry_gain, IS_DOUBLE), FIELD(T, telemetry_correlation, IS_DOUBLE), END_OF_FIELDS,
+    FIELD(T, telemetry_gain, IS_DOUBLE), FIELD(T, telemetry_correlation, IS_DOUBLE), FIELD(T, channels, IS_SIZE),
+    FIELD(T, integers, IS_SIZE), END_OF_FIELDS,
 };
 #undef T
 
@@ -152,7 +201,7 @@ static void do_images(int outputs, mxArray **out, int inputs, const mxArray **in
 static const constant_name ARRAYS[] = {
     ARRAY(COEFFICIENTS_NM), ARRAY(SIGMA_NM), ARRAY(COVARIANCE_NM2), ARRAY(IMAGE_COEFFICIENTS_NM), ARRAY(MAPS_NM),
     ARRAY(ERROR_BUDGET_NM), ARRAY(CORRECTION_PISTONS_NM), ARRAY(CORRECTION_ACTUATORS_NM), ARRAY(CORRECTION_ACTUATORS_M),
-    ARRAY(CORRECTION_SLOPES_MAS), {NULL, 0},
+    ARRAY(CORRECTION_SLOPES_MAS), ARRAY(PISTON_INTEGERS), {NULL, 0},
 };
 
 /* (estimate, 'MAPS_NM', count): a column. */
@@ -175,7 +224,7 @@ static cophase_status estimate_text(const void *object, int32_t what, size_t ind
 #define TEXT(name) {#name, COPHASE_TEXT_##name}
 static const constant_name TEXTS[] = {
     TEXT(REPORT), TEXT(WARNINGS), TEXT(REMARKS), TEXT(DEVICE), TEXT(POLICY), TEXT(MODEL), TEXT(SCENE), TEXT(IMAGE_MESSAGE),
-    TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), {NULL, 0},
+    TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), TEXT(CHANNEL_NAME), {NULL, 0},
 };
 
 /* (estimate, 'MODE_NAME', index): a text; index from 1. */
@@ -214,6 +263,7 @@ static void do_correct(int outputs, mxArray **out, int inputs, const mxArray **i
 const command ESTIMATE_COMMANDS[] = {
     {"estimator.create", 1, ANY_NUMBER, do_create_estimator},
     {"estimate.create", 2, ANY_NUMBER, do_create},
+    {"estimate.create_channels", 4, 4, do_create_channels},
     {"estimate.info", 1, 1, do_info},
     {"estimate.images", 2, 2, do_images},
     {"estimate.array", 3, 3, do_array},

@@ -112,7 +112,7 @@ const field IMAGE_REPORT[] = {
     FIELD(T, bad_pixels, IS_INT), FIELD(T, rejected_pixels, IS_INT), NAMED_FIELD(T, policy, POLICIES),
     FIELD(T, evaluations, IS_COUNT), FIELD(T, reduced_chi2, IS_DOUBLE), FIELD(T, flux_e, IS_DOUBLE),
     FIELD(T, background_e, IS_DOUBLE), FIELD(T, tip_nm, IS_DOUBLE), FIELD(T, tilt_nm, IS_DOUBLE),
-    FIELD(T, seconds, IS_DOUBLE), END_OF_FIELDS,
+    FIELD(T, seconds, IS_DOUBLE), FIELD(T, channel, IS_COUNT), END_OF_FIELDS,
 };
 #undef T
 

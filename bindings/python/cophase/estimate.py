@@ -65,7 +65,8 @@ class Estimate(Handle):
         over the pupil, piston, tip and tilt removed); ``reduced_chi2`` (median of the images used);
         ``images_to_halve`` (further images that halve both error bars); ``map_width_m``; ``seconds``,
         ``model_seconds``; ``telemetry_gain`` and ``telemetry_correlation`` of the measured slopes with those of the
-        retrieved wavefronts, about 1 where they belong together (NaN without telemetry).
+        retrieved wavefronts, about 1 where they belong together (NaN without telemetry); ``channels``, ``integers`` (their
+        numbers).
     policy, method, device : str
         Policy, method and device of the estimate.
     model : str
@@ -92,7 +93,12 @@ class Estimate(Handle):
         Report on each image: ``status`` (``"OK"``, ``"MISFIT"``, ``"WRONG_MINIMUM"``, ``"NOT_CONVERGED"`` or
         ``"UNUSABLE"``), ``message`` (the reason, a sentence), ``is_used``, ``is_clipped``, ``bad_pixels``,
         ``rejected_pixels``, ``policy``, ``evaluations``, ``reduced_chi2`` (1 where the model is right), ``flux_e``,
-        ``background_e``, ``tip_nm``, ``tilt_nm``, ``seconds``. Read as ``images.flux_e`` or ``images[0].message``.
+        ``background_e``, ``tip_nm``, ``tilt_nm``, ``seconds``, ``channel`` (its index in ``channels``). Read as ``images.flux_e`` or ``images[0].message``.
+    channels : list of str
+        Names of the channels; empty for a scene without.
+    integers : (segments, 3) array
+        For channels of several wavelengths: whole wavelengths of the first channel that were added to the piston of each segment,
+        their probability, and the piston of the second most probable number relative to this one, nm; else empty.
     error_budget : list of (str, float, float)
         Terms of the error budget: name, and contribution to the error bars of phasing and NCPA, nm RMS over the pupil.
         Their squares add up to the squares of ``info.phasing_sigma_nm`` and ``info.ncpa_sigma_nm``.
@@ -118,6 +124,8 @@ class Estimate(Handle):
         maps_nm = self._array("MAPS_NM", 4, samples, samples)
         self.phasing_nm, self.ncpa_nm, self.phasing_sigma_nm, self.ncpa_sigma_nm = maps_nm
         self.images = self._images()
+        self.channels = [self._text("CHANNEL_NAME", channel) for channel in range(info.channels)]
+        self.integers = self._array("PISTON_INTEGERS", info.integers, 3)
         budget_nm = self._array("ERROR_BUDGET_NM", info.error_terms, 2).tolist()
         self.error_budget = [(self._text("ERROR_TERM_NAME", k), *term) for k, term in enumerate(budget_nm)]
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from ._arrays import calibration, images, input_view
+from ._arrays import Inputs, calibration, images, input_view
 from ._handle import Handle
 from ._interrupt import interruptible
 from ._library import check, constants, ffi, lib, options, path_text, text
@@ -17,6 +18,29 @@ from .estimate import Estimate
 
 _POLICIES = {name: number for number, name in constants("COPHASE_POLICY_").items()}
 _STAGES = constants("COPHASE_STAGE_")
+
+
+class _Options:
+    """Options of the images of one channel, with the arrays that they point to."""
+
+    def __init__(self, camera: Inputs, read_noise_e: float | None) -> None:
+        self._camera = camera
+        self.pointer = options("cophase_estimate_options", calibration=camera.pointer, read_noise_e=read_noise_e)
+
+
+def _images(
+    frames: ArrayLike, mask: ArrayLike | None, read_noise_e: float | None, gain_e: float | None, **calibrations: Any
+) -> tuple[NDArray[Any], _Options]:
+    """Frames as the library reads them, and the options of an estimate from them."""
+    pixels = images("frames", frames)
+    if mask is not None:
+        mask = images("mask", mask)
+        if mask.ndim == 3:
+            # C has one map of bad pixels for all images; in single images, values that are not finite are bad.
+            if mask.shape != pixels.shape:
+                raise BadShapeError(f"mask has the shape {mask.shape}: {pixels.shape}, that of frames, is accepted")
+            pixels, mask = np.where(mask != 0, np.nan, pixels), None
+    return pixels, _Options(calibration(bad=mask, gain_e=gain_e, **calibrations), read_noise_e)
 
 
 class Progress(NamedTuple):
@@ -146,28 +170,76 @@ class Estimator(Handle):
         Interrupted
             After :meth:`cancel`.
         """
-        pixels = images("frames", frames)
-        if mask is not None:
-            mask = images("mask", mask)
-            if mask.ndim == 3:
-                # C has one map of bad pixels for all images; in single images, values that are not finite are bad.
-                if mask.shape != pixels.shape:
-                    raise BadShapeError(f"mask has the shape {mask.shape}: {pixels.shape}, that of frames, is accepted")
-                pixels, mask = np.where(mask != 0, np.nan, pixels), None
+        pixels, chosen = _images(frames, mask, read_noise_e, dark=dark, flat=flat, gain_e=gain_e, saturation=saturation)
         slopes = None
         if slopes_mas is not None:
             slopes = images("slopes_mas", slopes_mas)
             if slopes.ndim != 2:
                 raise BadShapeError(f"slopes_mas has the shape {slopes.shape}: [image, slope] is accepted")
-        camera = calibration(dark, flat, mask, gain_e, saturation)
-        chosen = options("cophase_estimate_options", calibration=camera.pointer, read_noise_e=read_noise_e)
         frame_view, slope_view = input_view(pixels), ffi.NULL if slopes is None else input_view(slopes)
+        return self._estimate(lib.cophase_estimator_estimate, frame_view, slope_view, chosen.pointer)
+
+    def estimate_channels(
+        self,
+        frames: Mapping[str, ArrayLike] | Sequence[ArrayLike],
+        *,
+        mask: Any = None,
+        read_noise_e: Any = None,
+        dark: Any = None,
+        flat: Any = None,
+        gain_e: Any = None,
+        saturation: Any = None,
+    ) -> Estimate:
+        """Estimates the static wavefront behind images of several channels: defocuses, wavelengths (``[[image.channel]]``).
+
+        Parameters
+        ----------
+        frames : mapping or sequence of arrays
+            Images of each channel, by its name; or a list in the order of the scene. Each as for :meth:`estimate`.
+        mask, read_noise_e, dark, flat, gain_e, saturation : optional
+            As for :meth:`estimate`, for all channels; or a mapping by the names of those that have one (by their positions
+            where frames is a list).
+
+        Raises
+        ------
+        BadShapeError
+            For images of other channels than the scene has; else as :meth:`estimate`.
+
+        Examples
+        --------
+        >>> estimator = cophase.Estimator(cophase.preset("keck-pair"))
+        >>> estimate = estimator.estimate_channels({"plus": plus_e, "minus": minus_e})
+        """
+        given = {
+            "mask": mask, "read_noise_e": read_noise_e, "dark": dark, "flat": flat, "gain_e": gain_e, "saturation": saturation,
+        }  # fmt: skip
+        is_named = isinstance(frames, Mapping)
+        keys: list[Any] = list(frames) if is_named else list(range(len(frames)))
+        for name, value in given.items():
+            if isinstance(value, Mapping) and not set(value) <= set(keys):
+                odd = sorted(set(value) - set(keys), key=str)
+                raise ValueError(f"{name} has the channels {odd}: {keys}, those of frames, are accepted")
+        channels, kept = ffi.new("cophase_channel_images[]", len(keys)), []
+        for channel, key in zip(channels, keys):
+            own = {name: value.get(key) if isinstance(value, Mapping) else value for name, value in given.items()}
+            pixels, chosen = _images(frames[key], **own)
+            view = input_view(pixels)
+            channel.frames, channel.options = view, chosen.pointer
+            kept += [pixels, chosen, view]
+            if is_named:
+                kept.append(ffi.new("char[]", text("the name of a channel", key)))
+                channel.channel = kept[-1]
+        return self._estimate(lib.cophase_estimator_estimate_channels, channels, len(keys), kept=kept)
+
+    def _estimate(self, function: Any, *inputs: Any, kept: Any = None) -> Estimate:
+        """The estimate that a function of the library makes; ``kept`` lives as long as the call."""
         out = ffi.new("cophase_estimate **")
 
         def call() -> None:
-            check(lib.cophase_estimator_estimate(self._handle, frame_view, slope_view, chosen, out))
+            check(function(self._handle, *inputs, out))
 
         interruptible(call, self.cancel)
+        del kept
         return Estimate(ffi.gc(out[0], lib.cophase_estimate_destroy))
 
     @property

@@ -21,7 +21,7 @@ pub struct ChannelRow {
 }
 
 /// The cases. Pistons are normal with the RMS of uniform ones within ±15 and ±3 µm.
-pub const CHANNEL_ROWS: [ChannelRow; 5] = [
+pub const CHANNEL_ROWS: [ChannelRow; 6] = [
     ChannelRow {
         name: "pair, half the photons each",
         preset: "keck-pair",
@@ -53,6 +53,12 @@ pub const CHANNEL_ROWS: [ChannelRow; 5] = [
         name: "two colours, pistons 1732 nm, S/N 30",
         preset: "keck-two-colour",
         made: &[("aberrations.segment_piston_rms_nm", "1732"), ("image.peak_snr", "30")],
+        read: &[],
+    },
+    ChannelRow {
+        name: "two colours, pistons 1732 nm, S/N 10",
+        preset: "keck-two-colour",
+        made: &[("aberrations.segment_piston_rms_nm", "1732"), ("image.peak_snr", "10")],
         read: &[],
     },
 ];

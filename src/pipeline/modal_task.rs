@@ -1,0 +1,169 @@
+//! Modal fits of the images of one channel: by its scene, from another start, and by larger models where the scene's does not explain
+//! them.
+
+use super::consistency::Electrons;
+use super::control::{Control, Stage};
+use super::image_changes::{CHANGING, image_changes};
+use super::misfit;
+use super::model_selection::{self, Selected};
+use super::policy::Policy;
+use crate::Result;
+use crate::imaging::Chain;
+use crate::modal::{self, BasisCache, Cube, ImageStatus, ModalFit, ModalFitter, Recipe};
+use crate::scene::Scene;
+use std::time::Instant;
+
+/// What is fitted, and how.
+#[derive(Clone, Copy)]
+pub(super) struct ModalTask<'a> {
+    pub(super) scene: &'a Scene,
+    pub(super) policy: &'a Policy,
+    pub(super) control: &'a Control,
+    pub(super) cache: &'a BasisCache,
+    pub(super) images: &'a Electrons<'a>,
+}
+
+/// Fit of the images of one channel.
+pub(super) struct Fitted {
+    /// The fitter, and what it found.
+    pub(super) fit: ModalFit,
+    /// The extension of the scene's model that explains the images, where there is one.
+    pub(super) selected: Option<Selected>,
+    /// Likely cause of a misfit, as a sentence.
+    pub(super) cause: Option<String>,
+    /// Reduced χ² of the differences of the images, where they are not explained.
+    pub(super) changes: Option<f64>,
+    pub(super) model_seconds: f64,
+}
+
+impl Fitted {
+    /// Whether the model explains every image.
+    pub(super) fn is_explained(&self) -> bool {
+        self.fit.1.status().kind() == ImageStatus::Ok
+    }
+}
+
+impl ModalTask<'_> {
+    /// Fits the images by the model of the scene.
+    ///
+    /// # Errors
+    /// Those of [`modal::estimate_with`].
+    pub(super) fn fit(&self) -> Result<Fitted> {
+        let started = Instant::now();
+        self.control.enter(Stage::Preparing, 0);
+        let fit = self.fit_by(self.scene)?;
+        let model_seconds = started.elapsed().as_secs_f64() - fit.1.seconds;
+        Ok(Fitted { fit, selected: None, cause: None, changes: None, model_seconds })
+    }
+
+    /// Fits the images again from `start_nm`, and keeps the fit that explains them better; whether that is the new one.
+    ///
+    /// # Errors
+    /// Those of [`ModalFitter::estimate`].
+    pub(super) fn improve(&self, fitted: &mut Fitted, start_nm: &[f64]) -> Result<bool> {
+        let (fitter, before) = &fitted.fit;
+        let mut chain = self.open(fitter)?;
+        let again = fitter.estimate_from(&mut chain, self.cube(), start_nm, Some(self.control.flag()))?;
+        self.check()?;
+        let is_better = again.is_better_than(before);
+        if is_better {
+            fitted.fit.1 = again;
+        }
+        Ok(is_better)
+    }
+
+    /// Looks for the cause of a residual that the model does not explain, and for a larger model that explains it.
+    ///
+    /// # Errors
+    /// Those of the fits, and [`crate::Error::Interrupted`].
+    pub(super) fn explain(&self, fitted: &mut Fitted) -> Result<()> {
+        // Only a misfit asks for a cause.
+        if fitted.is_explained() {
+            return Ok(());
+        }
+        let started = Instant::now();
+        fitted.changes = image_changes(self.scene, self.images);
+        let found = &fitted.fit;
+        let Some(&image) = found.1.used_images.first().filter(|_| fitted.changes.is_none_or(|chi2| chi2 < CHANGING))
+        else {
+            return Ok(());
+        };
+        self.control.check("the images were fitted, the cause of a residual was not sought")?;
+        let diversity = found.0.diversity_projection()?;
+        let case = misfit::Case { task: *self, image, model: found.0.model(), diversity: &diversity };
+        fitted.cause = case.likely_cause(&found.1)?;
+        if fitted.cause.is_none() && model_selection::may_extend(self.scene, self.policy) {
+            let mut one = |scene: &Scene| self.fit_one(scene, image);
+            fitted.selected = model_selection::select(self.scene, self.control, &fitted.fit, image, &mut one)?;
+        }
+        let mut fit_seconds = 0.0;
+        if let Some(selected) = &fitted.selected {
+            fitted.fit = self.fit_by(&selected.scene)?;
+            fit_seconds = fitted.fit.1.seconds;
+        }
+        fitted.model_seconds += started.elapsed().as_secs_f64() - fit_seconds;
+        Ok(())
+    }
+
+    fn cube(&self) -> Cube<'_> {
+        let images = self.images;
+        Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e }
+    }
+
+    fn check(&self) -> Result<()> {
+        self.control.check("the images were fitted, nothing was written")
+    }
+
+    /// The chain that fits the images by `fitter`.
+    fn open(&self, fitter: &ModalFitter) -> Result<Chain> {
+        let model = fitter.model();
+        let estimate = &self.scene.estimate;
+        // No more images than this are fitted at once.
+        let capacity = self.images.len().min(model.tiles().images);
+        Chain::open(model.optics.clone(), estimate.device.into(), estimate.precision.into(), capacity)
+    }
+
+    /// Fit of all images by `scene`, which is that of the task or an extension of it.
+    fn fit_by(&self, scene: &Scene) -> Result<ModalFit> {
+        let count = self.images.len();
+        let mut open = |fitter: &ModalFitter| {
+            self.control.check("the model was built, no image was fitted")?;
+            fitter.model().check_images(count)?;
+            self.control.enter(Stage::Fitting, count);
+            self.open(fitter)
+        };
+        let mut watch = |done: usize, all: usize| {
+            self.control.advance_to(done);
+            if done == all {
+                self.control.enter(Stage::Combining, 0);
+            }
+        };
+        let (recipe, flag) = (self.policy.recipe(scene), Some(self.control.flag()));
+        let fit = modal::estimate_with(scene, recipe, self.cache, self.cube(), &mut open, flag, &mut watch)?;
+        self.check()?;
+        Ok(fit)
+    }
+
+    /// Fit of image `image` alone by `scene`; `None` where the optical parameters that the scene fits would not lower χ² enough in a
+    /// first step.
+    fn fit_one(&self, scene: &Scene, image: usize) -> Result<Option<ModalFit>> {
+        let cube = self.cube();
+        let only = ndarray::s![image..=image, .., ..];
+        let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };
+        // A model that explains the image does so at its first minimum; restarts of the others would take most of the time.
+        let (recipe, flag) = (Recipe { restarts: 0, ..self.policy.recipe(scene) }, Some(self.control.flag()));
+        let mut open = |fitter: &ModalFitter| {
+            let optics = fitter.model().optics.clone();
+            Chain::open(optics, scene.estimate.device.into(), scene.estimate.precision.into(), 1)
+        };
+        if scene.estimate.fit_optics.is_empty() {
+            return modal::estimate_with(scene, recipe, self.cache, cube, &mut open, flag, &mut |_, _| {}).map(Some);
+        }
+        let explaining = modal::explaining_fit(scene, &recipe, self.cache, cube, 1.0, flag)?;
+        let Some((fitter, _)) = explaining else { return Ok(None) };
+        let mut chain = open(&fitter)?;
+        let Cube { images_e, bad, read_noise_e } = cube;
+        let found = fitter.estimate(&mut chain, images_e, bad, read_noise_e, flag, &mut |_, _| {})?;
+        Ok(Some((fitter, found)))
+    }
+}
