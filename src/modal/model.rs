@@ -8,7 +8,7 @@ use super::recipe::Recipe;
 use super::{band, memory};
 use crate::fourier::Sampling;
 use crate::imaging::{Mode, Optics, OpticsParts};
-use crate::modes::{Basis, Group};
+use crate::modes::{self, Basis, Group};
 use crate::pupil::{Pupil, SegmentWeights};
 use crate::scene::{PupilModel, Scene};
 use crate::telescope::{Diversity, Telescope, pixel_response};
@@ -116,7 +116,8 @@ impl Model {
             .map(|(x, y)| (grid.coordinate_m(x), grid.coordinate_m(y)))
             .collect();
         let slopes = (set.kinds.iter().any(|mode| matches!(mode, Mode::Tip(_))))
-            .then(|| slopes(&weights, &points, &telescope.pupil));
+            .then(|| slopes(&weights, &points, &telescope.pupil))
+            .transpose()?;
         let optics = Optics::new(OpticsParts {
             sampling,
             wavelength_nm: scene.image.wavelength_nm,
@@ -180,21 +181,15 @@ impl Model {
 }
 
 /// Coordinates of each entry on its segment, in units of the segment's RMS.
-fn slopes(weights: &SegmentWeights, points: &[(f64, f64)], pupil: &Pupil) -> (Vec<f64>, Vec<f64>) {
-    let mut moments = vec![[0.0; 3]; pupil.segments.len()];
-    for ((y, x), owner) in pupil.owned_samples() {
-        let (a, centre) = (pupil.amplitude[[y, x]], pupil.segments[owner]);
-        let (x, y) = (pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m);
-        let [weight, xx, yy] = &mut moments[owner];
-        (*weight, *xx, *yy) = (*weight + a, *xx + a * x * x, *yy + a * y * y);
-    }
+fn slopes(weights: &SegmentWeights, points: &[(f64, f64)], pupil: &Pupil) -> Result<(Vec<f64>, Vec<f64>)> {
+    let frames = modes::tilt_frames(pupil)?;
     let mut slopes = (Vec::new(), Vec::new());
     for ((_, segments, _), &(x, y)) in weights.rows().zip(points) {
         for &segment in segments {
-            let ([weight, xx, yy], centre) = (moments[segment as usize], pupil.segments[segment as usize]);
-            slopes.0.push((x - centre.x_m) / (xx / weight).sqrt());
-            slopes.1.push((y - centre.y_m) / (yy / weight).sqrt());
+            let [tip, tilt] = frames[segment as usize].tilts([x, y]);
+            slopes.0.push(tip);
+            slopes.1.push(tilt);
         }
     }
-    slopes
+    Ok(slopes)
 }

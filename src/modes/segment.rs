@@ -59,36 +59,65 @@ impl SegmentModes {
         }
         let names = self.names(segments);
         let mut maps: Vec<SparseMap> = vec![Vec::new(); segments * self.per_segment()];
+        let frames = if self == SegmentModes::PistonTipTilt { tilt_frames(pupil)? } else { Vec::new() };
         for ((row, column), segment) in pupil.owned_samples() {
             let at = (row * n + column) as u32;
             maps[segment].push((at, 1.0));
-            if self == SegmentModes::PistonTipTilt {
-                maps[segments + segment].push((at, pupil.grid.coordinate_m(column)));
-                maps[2 * segments + segment].push((at, pupil.grid.coordinate_m(row)));
+            if let Some(frame) = frames.get(segment) {
+                let [tip, tilt] = frame.tilts([column, row].map(|index| pupil.grid.coordinate_m(index)));
+                maps[segments + segment].push((at, tip));
+                maps[2 * segments + segment].push((at, tilt));
             }
-        }
-        for (map, name) in maps.iter_mut().zip(&names).skip(segments) {
-            normalise(map, pupil, name)?;
         }
         Basis::from_lists(names, vec![Group::Segment; maps.len()], n, maps)
     }
 }
 
-/// Removes the mean over the mode's segment and scales to unit RMS over it, both weighted by the amplitude.
-fn normalise(map: &mut SparseMap, pupil: &Pupil, name: &str) -> Result<()> {
-    let n = pupil.grid.samples();
-    let amplitude = |at: u32| pupil.amplitude[[at as usize / n, at as usize % n]];
-    let weighted = |map: &SparseMap, power: i32| map.iter().map(|&(at, v)| amplitude(at) * v.powi(power)).sum::<f64>();
-    let light = weighted(map, 0);
-    let mean = weighted(map, 1) / light;
-    map.iter_mut().for_each(|(_, value)| *value -= mean);
-    let rms = (weighted(map, 2) / light).sqrt();
-    // Two samples give half a pitch; rounding of the mean gives 1e-16 of the width of the grid.
-    if !(light > 0.0 && rms > 1e-9 * pupil.grid.width_m()) {
-        return Err(Error::Value(format!(
-            "{name} is not resolved on this grid: the segment needs at least two illuminated samples"
-        )));
+/// Where the tip and the tilt of a segment are 0, and their unit.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct TiltFrame {
+    /// Centroid (weight A), x and y, m. Shadows move it away from the centre.
+    centroid_m: [f64; 2],
+    /// RMS over the segment of the distance from it, along x and along y, m.
+    rms_m: [f64; 2],
+}
+
+impl TiltFrame {
+    /// Tip and tilt of unit RMS over the segment, at a point.
+    pub(crate) fn tilts(&self, point_m: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|axis| (point_m[axis] - self.centroid_m[axis]) / self.rms_m[axis])
     }
-    map.iter_mut().for_each(|(_, value)| *value /= rms);
-    Ok(())
+}
+
+/// The frames of all segments of `pupil`.
+///
+/// # Errors
+/// [`Error::Value`] for a segment with too few samples.
+pub(crate) fn tilt_frames(pupil: &Pupil) -> Result<Vec<TiltFrame>> {
+    // Sums of A, A r and A r² along x and y, about the segment's centre.
+    let mut sums = vec![[[0.0; 3]; 2]; pupil.segments.len()];
+    let centre = |segment: usize| [pupil.segments[segment].x_m, pupil.segments[segment].y_m];
+    for ((row, column), segment) in pupil.owned_samples() {
+        let amplitude = pupil.amplitude[[row, column]];
+        for (axis, index) in [column, row].into_iter().enumerate() {
+            let r = pupil.grid.coordinate_m(index) - centre(segment)[axis];
+            let [weight, first, second] = &mut sums[segment][axis];
+            (*weight, *first, *second) = (*weight + amplitude, *first + amplitude * r, *second + amplitude * r * r);
+        }
+    }
+    let frames = sums.iter().enumerate().map(|(segment, sums)| {
+        let [mean_m, rms_m] = [
+            sums.map(|[weight, first, _]| first / weight),
+            sums.map(|[weight, first, second]| (second / weight - (first / weight).powi(2)).max(0.0).sqrt()),
+        ];
+        // Two samples give half a pitch; rounding of the mean gives 1e-8 of the segment.
+        if !rms_m.iter().all(|rms_m| *rms_m > 1e-6 * pupil.grid.pitch_m()) {
+            return Err(Error::Value(format!(
+                "segment {segment} is not resolved on this grid: its tip and tilt need at least two illuminated samples in each direction"
+            )));
+        }
+        let centroid_m = [0, 1].map(|axis| centre(segment)[axis] + mean_m[axis]);
+        Ok(TiltFrame { centroid_m, rms_m })
+    });
+    frames.collect()
 }

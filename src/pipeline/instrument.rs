@@ -56,7 +56,8 @@ fn values(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("pupil.grid_m", Number(pupil.grid_m.unwrap_or(extent_m))),
     ]);
     if pupil.spider_width_m > 0.0 {
-        values.push(("pupil.spider_angles_deg", Numbers(pupil.spider_angles_deg.clone())));
+        let vanes = pupil.spider_vanes_deg.clone().map(|vanes| ("pupil.spider_vanes_deg", Numbers(vanes)));
+        values.push(vanes.unwrap_or_else(|| ("pupil.spider_angles_deg", Numbers(pupil.spider_angles_deg.clone()))));
     }
     values
 }

@@ -30,6 +30,8 @@ pub struct HexagonalParameters {
     pub spider_width_m: f64,
     /// Directions of the arms, degrees counter-clockwise from +x: each is a line across the pupil through its centre.
     pub spider_angles_deg: Vec<f64>,
+    /// Directions of arms that end at the centre, degrees counter-clockwise from +x.
+    pub spider_vanes_deg: Vec<f64>,
     /// Rotation of segments and spiders about the axis, degrees counter-clockwise.
     pub rotation_deg: f64,
 }
@@ -45,6 +47,7 @@ impl HexagonalParameters {
             obscuration_diameter_m: 0.0,
             spider_width_m: 0.0,
             spider_angles_deg: Vec::new(),
+            spider_vanes_deg: Vec::new(),
             rotation_deg: 0.0,
         }
     }
@@ -71,13 +74,36 @@ impl HexagonalParameters {
                 return value(format!("a {name} of {length} m is impossible: 0 or a positive length is needed"));
             }
         }
-        match self.spider_angles_deg.iter().find(|angle| !angle.is_finite()) {
+        match self.spider_angles_deg.iter().chain(&self.spider_vanes_deg).find(|angle| !angle.is_finite()) {
             Some(angle) => value(format!("a spider at {angle} degrees is impossible: a finite angle is needed")),
             None if !self.rotation_deg.is_finite() => {
                 value(format!("a rotation by {} degrees is impossible: a finite angle is needed", self.rotation_deg))
             }
             None => Ok(()),
         }
+    }
+}
+
+/// An arm of the spider.
+#[derive(Debug, Clone, Copy)]
+struct Arm {
+    /// Unit vector along it, away from the centre.
+    direction: Point,
+    half_width_m: f64,
+    /// Whether it goes on beyond the centre.
+    is_line: bool,
+}
+
+impl Arm {
+    /// The convex pieces of `polygon` beside the arm and, where it ends at the centre, behind it; empty ones among them.
+    fn removed_from(&self, polygon: &Polygon) -> Vec<Polygon> {
+        let Self { direction: [cos, sin], half_width_m, is_line } = *self;
+        let (left, right) = ([-sin, cos], [sin, -cos]);
+        let mut pieces = vec![polygon.clip(left, half_width_m), polygon.clip(right, half_width_m)];
+        if !is_line {
+            pieces.push(polygon.clip(left, -half_width_m).clip(right, -half_width_m).clip([-cos, -sin], 0.0));
+        }
+        pieces
     }
 }
 
@@ -92,11 +118,10 @@ pub(crate) struct SegmentShape {
 impl SegmentShape {
     /// Removes the shadows: the spiders split the outline into convex pieces, and the part of each under the disc is
     /// subtracted.
-    fn new(outline: Polygon, disc: Option<&Polygon>, spiders: &[(Point, f64)]) -> Self {
+    fn new(outline: Polygon, disc: Option<&Polygon>, spiders: &[Arm]) -> Self {
         let mut pieces = vec![outline.clone()];
-        for &(normal, half_width) in spiders {
-            let both_sides = |p: &Polygon| [p.clip(normal, half_width), p.clip([-normal[0], -normal[1]], half_width)];
-            pieces = pieces.iter().flat_map(both_sides).filter(|p| p.area() > 0.0).collect();
+        for arm in spiders {
+            pieces = pieces.iter().flat_map(|p| arm.removed_from(p)).filter(|p| p.area() > 0.0).collect();
         }
         let shadowed = |p: &Polygon| disc.map(|disc| p.intersection(disc)).filter(|p| p.area() > 0.0);
         let subtracted: Vec<_> = pieces.iter().filter_map(shadowed).map(|p| (-1.0, p)).collect();
@@ -237,14 +262,14 @@ fn disc(diameter: f64) -> Option<Polygon> {
     (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, [0.0; 2], diameter / 2.0 * (step / step.sin()).sqrt(), 0.0))
 }
 
-/// Normal and half width of each arm.
-fn spiders(parameters: &HexagonalParameters) -> Vec<(Point, f64)> {
+fn spiders(parameters: &HexagonalParameters) -> Vec<Arm> {
     if parameters.spider_width_m == 0.0 {
         return Vec::new();
     }
-    let normal = |angle: &f64| {
+    let arm = |angle: &f64, is_line| {
         let (sin, cos) = (angle + parameters.rotation_deg).to_radians().sin_cos();
-        ([-sin, cos], parameters.spider_width_m / 2.0)
+        Arm { direction: [cos, sin], half_width_m: parameters.spider_width_m / 2.0, is_line }
     };
-    parameters.spider_angles_deg.iter().map(normal).collect()
+    let lines = parameters.spider_angles_deg.iter().map(|angle| arm(angle, true));
+    lines.chain(parameters.spider_vanes_deg.iter().map(|angle| arm(angle, false))).collect()
 }

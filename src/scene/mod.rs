@@ -150,10 +150,11 @@ impl<S: Section + Check> Entry for Option<S> {
 }
 
 /// Preset scenes: name and text.
-const PRESETS: [(&str, &str); 4] = [
+const PRESETS: [(&str, &str); 5] = [
     ("keck-artificial", include_str!("presets/keck-artificial.toml")),
     ("keck-pair", include_str!("presets/keck-pair.toml")),
     ("keck-two-colour", include_str!("presets/keck-two-colour.toml")),
+    ("jwst-pair", include_str!("presets/jwst-pair.toml")),
     ("keck-onsky", include_str!("presets/keck-onsky.toml")),
 ];
 

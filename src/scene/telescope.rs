@@ -29,6 +29,8 @@ section! {
         spider_width_m: f64, between(0.0, 10.0), default(0.0);
         /// Directions of the spider's lines through the centre, counter-clockwise from +x; each line is two vanes.
         spider_angles_deg: Vec<f64>, between(-360.0, 360.0), default([0.0, 60.0, 120.0]);
+        /// Directions of vanes that end at the centre, counter-clockwise from +x; in place of spider_angles_deg.
+        spider_vanes_deg: Option<Vec<f64>>, between(-360.0, 360.0), unset("the lines of spider_angles_deg");
         /// Rotation of segments and spider about the axis, counter-clockwise; modes, diversity and mirror are not
         /// rotated.
         rotation_deg: f64, between(-360.0, 360.0), default(0.0);
@@ -70,7 +72,7 @@ impl PupilScene {
     fn check_file(&self, file: &std::path::Path, reader: &Reader) -> Result<()> {
         reader.not_both("aperture", "file")?;
         let geometry = ["rings", "segment_side_m", "segment_gap_m", "central_segment", "rotation_deg"];
-        let blocked = ["central_obscuration_m", "spider_width_m", "spider_angles_deg"];
+        let blocked = ["central_obscuration_m", "spider_width_m", "spider_angles_deg", "spider_vanes_deg"];
         reader.refuse(&[geometry.as_slice(), &blocked].concat(), "where the pupil comes from a file")?;
         if self.grid_m.is_none() && reader.source.purpose == Purpose::Whole {
             let file = file.display();
@@ -138,6 +140,10 @@ impl PupilScene {
 
 impl Check for PupilScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
+        reader.not_both("spider_angles_deg", "spider_vanes_deg")?;
+        if self.spider_vanes_deg.is_some() {
+            self.spider_angles_deg.clear();
+        }
         if let Some(file) = &self.file {
             self.check_file(file, reader)?;
             self.aperture = Aperture::File(file.clone());

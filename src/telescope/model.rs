@@ -58,6 +58,7 @@ impl Telescope {
             obscuration_diameter_m: pupil.central_obscuration_m,
             spider_width_m: pupil.spider_width_m,
             spider_angles_deg: if pupil.spider_width_m > 0.0 { pupil.spider_angles_deg.clone() } else { Vec::new() },
+            spider_vanes_deg: pupil.spider_vanes_deg.clone().unwrap_or_default(),
             rotation_deg: pupil.rotation_deg,
         })?;
         let grid = Grid::new(pupil.samples, pupil.grid_m.unwrap_or(aperture.width_m()))?;

@@ -121,3 +121,19 @@ fn images_of_other_channels_than_the_scenes_are_refused() {
     let map = Estimator::new(&map).unwrap().estimate_channels(&images).map(drop).unwrap_err().to_string();
     assert!(map.contains("\"full-phase\" reads one channel"), "{map}");
 }
+
+/// A strut moves the centroids of the segments that it shadows, where their tips and tilts are 0.
+#[test]
+fn tilted_segments_behind_a_strut_are_right() {
+    let scene = with_channels(
+        PAIR,
+        &[
+            ("pupil.spider_width_m", "0.25"),
+            ("pupil.spider_vanes_deg", "[75, 200]"),
+            ("aberrations.segment_tip_tilt_rms_nm", "60"),
+            ("modes.segment", "piston-tip-tilt"),
+        ],
+    );
+    let found = estimate(&scene, &Images::simulated_channels(&scene).unwrap());
+    assert!(found.is_sound() && is_right(&found));
+}

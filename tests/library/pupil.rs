@@ -395,3 +395,27 @@ fn impossible_band_limits_are_refused() {
         assert!(SegmentWeights::band_limited(&Aperture::keck(), &keck_grid(), &bad).is_err(), "{bad:?}");
     }
 }
+
+#[test]
+fn two_opposite_vanes_are_a_line_and_one_shadows_half_of_it() {
+    let with = |angles: &[f64], vanes: &[f64]| {
+        let shadows = HexagonalParameters {
+            spider_width_m: 0.12,
+            spider_angles_deg: angles.to_vec(),
+            spider_vanes_deg: vanes.to_vec(),
+            ..HexagonalParameters::keck()
+        };
+        Aperture::hexagonal(&shadows).unwrap()
+    };
+    let [line, both, one, none] = [with(&[90.0], &[]), with(&[], &[90.0, -90.0]), with(&[], &[90.0]), with(&[], &[])];
+    for segment in 0..36 {
+        let [of_line, of_both] = [&line, &both].map(|aperture| aperture.spectrum_m2(segment, 0.3, -0.2).unwrap());
+        // The pieces are cut along other lines: roundings of their areas.
+        assert!((of_line - of_both).norm() < 1e-13, "{segment}");
+        let half = if one.segments()[segment].y_m > 0.0 { &line } else { &none };
+        let (found, wanted) = (one.segment_areas_m2()[segment], half.segment_areas_m2()[segment]);
+        // A segment on the x axis would be in both halves; the vane along y meets none.
+        assert!((found - wanted).abs() < 1e-13, "{segment}: {found} {wanted}");
+    }
+    assert!(one.segment_areas_m2().iter().sum::<f64>() < none.segment_areas_m2().iter().sum::<f64>() - 0.5);
+}

@@ -51,7 +51,7 @@ fn refused_setting(preset: &str, settings: Settings) -> String {
 
 #[test]
 fn the_presets_have_the_expected_values() {
-    assert_eq!(Scene::preset_names(), ["keck-artificial", "keck-pair", "keck-two-colour", "keck-onsky"]);
+    assert_eq!(Scene::preset_names(), ["keck-artificial", "keck-pair", "keck-two-colour", "jwst-pair", "keck-onsky"]);
     let scene = Scene::preset("keck-artificial").unwrap();
     assert_eq!(scene.pupil.aperture, Aperture::Keck);
     assert_eq!(scene.pupil.grid_m, Some(10.95));
@@ -288,7 +288,7 @@ fn settings_with_unknown_keys_are_refused() {
     let error = Scene::preset("keck-onski").unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no preset 'keck-onski'; keck-artificial, keck-pair, keck-two-colour, keck-onsky are accepted; did you mean 'keck-onsky'?"
+        "there is no preset 'keck-onski'; keck-artificial, keck-pair, keck-two-colour, jwst-pair, keck-onsky are accepted; did you mean 'keck-onsky'?"
     );
 }
 

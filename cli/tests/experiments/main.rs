@@ -1,5 +1,6 @@
 //! The pictures and the experiments, run in this process.
 
+mod channels;
 mod hard_cases;
 mod leak;
 mod metrics;
