@@ -4,6 +4,7 @@ use super::budget::ErrorTerm;
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::estimate::{Estimate, Figure, OpticalParameter};
+use super::explain::explain;
 use super::images::counted;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
@@ -150,7 +151,7 @@ impl<'a> Channels<'a> {
     /// Looks for the causes of residuals, until one channel has a larger model that explains it; its number.
     fn explain(&self, fits: &mut [Fitted]) -> Result<Option<usize>> {
         for (channel, fitted) in fits.iter_mut().enumerate() {
-            self.named(channel, self.task(channel).explain(fitted))?;
+            self.named(channel, explain(&self.task(channel), fitted))?;
             if fitted.selected.is_some() {
                 return Ok(Some(channel));
             }

@@ -2,6 +2,7 @@
 
 use super::budget::ErrorTerm;
 use super::estimate::{Basis, Estimate, Figure, OpticalParameter};
+use super::explain::explain;
 use super::modal_task::{Fitted, ModalTask};
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
@@ -20,7 +21,7 @@ use std::sync::Arc;
 /// Those of the fits, and [`crate::Error::Interrupted`].
 pub(super) fn estimate(task: &ModalTask) -> Result<Estimate> {
     let mut fitted = task.fit()?;
-    task.explain(&mut fitted)?;
+    explain(task, &mut fitted)?;
     fitted.into_estimate(task.policy)
 }
 

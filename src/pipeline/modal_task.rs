@@ -1,11 +1,8 @@
-//! Modal fits of the images of one channel: by its scene, from another start, and by larger models where the scene's does not explain
-//! them.
+//! Modal fits of the images of one channel: by its scene, by an extension of it, and from another start.
 
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
-use super::image_changes::{CHANGING, image_changes};
-use super::misfit;
-use super::model_selection::{self, Selected};
+use super::model_selection::Selected;
 use super::policy::Policy;
 use crate::Result;
 use crate::imaging::Chain;
@@ -72,39 +69,6 @@ impl ModalTask<'_> {
         Ok(is_better)
     }
 
-    /// Looks for the cause of a residual that the model does not explain, and for a larger model that explains it.
-    ///
-    /// # Errors
-    /// Those of the fits, and [`crate::Error::Interrupted`].
-    pub(super) fn explain(&self, fitted: &mut Fitted) -> Result<()> {
-        // Only a misfit asks for a cause.
-        if fitted.is_explained() {
-            return Ok(());
-        }
-        let started = Instant::now();
-        fitted.changes = image_changes(self.scene, self.images);
-        let found = &fitted.fit;
-        let Some(&image) = found.1.used_images.first().filter(|_| fitted.changes.is_none_or(|chi2| chi2 < CHANGING))
-        else {
-            return Ok(());
-        };
-        self.control.check("the images were fitted, the cause of a residual was not sought")?;
-        let diversity = found.0.diversity_projection()?;
-        let case = misfit::Case { task: *self, image, model: found.0.model(), diversity: &diversity };
-        fitted.cause = case.likely_cause(&found.1)?;
-        if fitted.cause.is_none() && model_selection::may_extend(self.scene, self.policy) {
-            let mut one = |scene: &Scene| self.fit_one(scene, image);
-            fitted.selected = model_selection::select(self.scene, self.control, &fitted.fit, image, &mut one)?;
-        }
-        let mut fit_seconds = 0.0;
-        if let Some(selected) = &fitted.selected {
-            fitted.fit = self.fit_by(&selected.scene)?;
-            fit_seconds = fitted.fit.1.seconds;
-        }
-        fitted.model_seconds += started.elapsed().as_secs_f64() - fit_seconds;
-        Ok(())
-    }
-
     fn cube(&self) -> Cube<'_> {
         let images = self.images;
         Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e }
@@ -124,7 +88,7 @@ impl ModalTask<'_> {
     }
 
     /// Fit of all images by `scene`, which is that of the task or an extension of it.
-    fn fit_by(&self, scene: &Scene) -> Result<ModalFit> {
+    pub(super) fn fit_by(&self, scene: &Scene) -> Result<ModalFit> {
         let count = self.images.len();
         let mut open = |fitter: &ModalFitter| {
             self.control.check("the model was built, no image was fitted")?;
@@ -146,7 +110,7 @@ impl ModalTask<'_> {
 
     /// Fit of image `image` alone by `scene`; `None` where the optical parameters that the scene fits would not lower χ² enough in a
     /// first step.
-    fn fit_one(&self, scene: &Scene, image: usize) -> Result<Option<ModalFit>> {
+    pub(super) fn fit_one(&self, scene: &Scene, image: usize) -> Result<Option<ModalFit>> {
         let cube = self.cube();
         let only = ndarray::s![image..=image, .., ..];
         let cube = Cube { images_e: cube.images_e.slice(only), bad: cube.bad.slice(only), ..cube };

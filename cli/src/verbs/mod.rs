@@ -11,6 +11,7 @@ mod devices;
 mod estimate;
 mod image;
 mod numbering;
+mod observe;
 mod picture;
 mod plan;
 mod reproduce;

@@ -1,5 +1,6 @@
-//! `cophase plan`: which model a scene needs for a budget.
+//! `cophase plan`: which model a scene needs for a budget, or which observation.
 
+use super::observe;
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
@@ -14,6 +15,7 @@ const EXAMPLES: &str = "Examples:
   cophase plan keck-artificial --budget-nm 1                    what 1 nm needs, and what it costs
   cophase plan scene.toml --budget-nm 1 -o planned.toml         the scene with the choices written in
   cophase estimate images.fits -o est.fits --budget-nm 1        plan and estimate at once
+  cophase plan keck-artificial --observe --budget-nm 0.2 -o observe.toml
 
 Wavefronts are drawn from the scene's [aberrations] (where it has none: 60 nm of pistons and 70 nm of low Zernikes, as far as its modes hold them), imaged \
 without noise on the fine pupil and read by each candidate: its model error is the worst that is left. The noise is the \
@@ -22,11 +24,13 @@ Cramér-Rao bound of the candidate's pixels for the scene's star, over the root 
 estimate would restart its fits and might report a misfit. A choice never changes which modes are estimated: what fewer \
 of them would cost is a row of the table.
 
+With --observe: one defocused image, a pair on both sides of the focus, or one image of each wavelength is simulated and estimated for each of five defocuses, with the electrons an exposure of the scene's star. The exposures are those for which the error bars reach the budget; a candidate that does not find the scene's wavefront is marked. -o writes the scene of the one with the fewest exposures; --json prints budget_nm, met, observations (channels, exposures of each, electrons, peak_e, phasing_nm, ncpa_nm, piston_range_nm, flaw).
+
 --json prints: budget_nm, met, shortfall, reference, chosen, choices (key, value, kept, price), omissions; a price is \
 phasing_nm and ncpa_nm (the model's error), phasing_noise_nm, ncpa_noise_nm, error_nm (the larger, with noise), misfit, \
 evaluations, megaflops and estimate_us for one image.";
 
-/// Find the cheapest model that keeps the error within a budget
+/// Find the cheapest model, or the shortest observation, that keeps the error within a budget
 #[derive(clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
@@ -38,6 +42,12 @@ pub struct Arguments {
     /// Write the scene with the choices as keys; a file that is there is replaced
     #[arg(short, long, value_name = "FILE.toml")]
     output: Option<PathBuf>,
+    /// Plan the observation: defocuses, wavelengths and exposures of an artificial source
+    #[arg(long)]
+    observe: bool,
+    /// Wavelengths of the filters that may be used, nm [default: those of the scene]
+    #[arg(long, value_name = "NM,NM", value_delimiter = ',', requires = "observe")]
+    wavelengths_nm: Vec<f64>,
     #[command(flatten)]
     settings: Settings,
     /// Print the plan as JSON
@@ -57,6 +67,18 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
             "no budget was given: --budget-nm or estimate.budget_nm of the scene is needed".into(),
         ));
     };
+    if arguments.observe {
+        let found =
+            observe::observe(&scene, &arguments.wavelengths_nm, budget_nm, arguments.json, terminal, &interrupt)?;
+        return match (&arguments.output, found) {
+            (None, _) => Ok(()),
+            (Some(output), Some(observation)) => observation.write(output),
+            (Some(output), None) => Err(Error::Value(format!(
+                "no observation reaches {budget_nm} nm, and {} was not written: a larger --budget-nm, or more light, is needed",
+                output.display()
+            ))),
+        };
+    }
     let plan = planned(&scene, budget_nm, terminal, &interrupt)?;
     if let Some(output) = &arguments.output {
         plan.write(output)?;

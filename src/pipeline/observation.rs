@@ -1,0 +1,280 @@
+//! Plan of an observation of an artificial source: which defocuses, wavelengths and exposures reach an error.
+//!
+//! Each candidate is simulated once, with the star of the scene at the same number of electrons an exposure, and estimated as its images
+//! would be. Its error bars are from the Fisher information of its images, and fall with the root of the number of exposures; errors that
+//! all images share (`estimate.diversity_error`) do not. A candidate whose estimate is flagged, or whose residual is beyond three
+//! error bars, is not recommended: it does not find the wavefront of the scene's `[aberrations]`.
+
+use super::budget::ErrorTerm;
+use super::estimator::Estimator;
+use super::images::Images;
+use super::policy::Policy;
+use crate::optimize::CancelFlag;
+use crate::scene::Scene;
+use crate::{Error, Result, source};
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+/// Defocuses that are tried, waves RMS over the pupil: from 0.5, where errors are twice those at 1, to 3, where the model needs more
+/// samples than the scene's.
+const DEFOCUS_WAVES: [f64; 5] = [0.5, 1.0, 1.5, 2.0, 3.0];
+/// Most exposures of a channel that are proposed.
+const MOST_EXPOSURES: f64 = 10_000.0;
+/// Error bars beyond which a residual is not that of its noise.
+const BEYOND: f64 = 3.0;
+/// Standard deviations by which two sets of whole wavelengths must differ to be told apart for hundreds of segments.
+const DISTINCT: f64 = 6.0;
+
+/// One way to observe.
+#[derive(Debug, Clone)]
+pub struct Observation {
+    /// Wavelength, nm, and defocus, waves RMS, of each channel.
+    pub channels: Vec<(f64, f64)>,
+    /// Exposures of each channel that reach the budget; `None` where no number up to 10,000 does.
+    pub exposures: Option<usize>,
+    /// Electrons of the star in all exposures of all channels; of one exposure each where the budget is not reached.
+    pub electrons: f64,
+    /// Electrons of the brightest pixel of an exposure.
+    pub peak_e: f64,
+    /// Expected errors of phasing and NCPA, nm RMS, of these exposures.
+    pub expected_nm: [f64; 2],
+    /// Pistons about their mean within which whole wavelengths are determined, nm.
+    pub piston_range_nm: f64,
+    /// Why it does not find the wavefront of the scene, where it does not.
+    pub flaw: Option<String>,
+    /// The scene of the observation.
+    pub scene: Scene,
+}
+
+impl Observation {
+    /// Exposures of all channels together.
+    pub fn total_exposures(&self) -> Option<usize> {
+        self.exposures.map(|exposures| exposures * self.channels.len())
+    }
+
+    /// Writes the scene of the observation.
+    ///
+    /// # Errors
+    /// [`Error::File`].
+    pub fn write(&self, path: &Path) -> Result<()> {
+        crate::atomic::write(path, self.scene.text().as_bytes())
+    }
+
+    fn is_recommended(&self) -> bool {
+        self.exposures.is_some() && self.flaw.is_none()
+    }
+}
+
+/// Ways to observe, the recommended one first.
+#[derive(Debug, Clone)]
+pub struct ObservationPlan {
+    /// Error that is allowed to the phasing and to the NCPA, nm RMS.
+    pub budget_nm: f64,
+    /// The candidates: those that reach the budget, by their number of exposures, then the others.
+    pub observations: Vec<Observation>,
+}
+
+impl ObservationPlan {
+    /// The observation that reaches the budget with the fewest exposures.
+    pub fn recommended(&self) -> Option<&Observation> {
+        self.observations.first().filter(|observation| observation.is_recommended())
+    }
+}
+
+/// Plans the observation of an artificial source: of the telescope, star and camera of `scene`, through filters of `wavelengths_nm`
+/// (those of the scene's channels where there are none), so that phasing and NCPA are each known to `budget_nm`. `watch` is called
+/// with the number of candidates that are done, and their number.
+///
+/// # Errors
+/// [`Error::Value`] for a budget or a wavelength that is not positive, [`Error::Scene`] for a scene with an AO loop or with a diversity
+/// from a file, [`Error::Interrupted`] where `cancel` was raised, and those of the estimator.
+pub fn plan_observation(
+    scene: &Scene,
+    wavelengths_nm: &[f64],
+    budget_nm: f64,
+    cancel: Option<&CancelFlag>,
+    watch: &mut dyn FnMut(usize, usize),
+) -> Result<ObservationPlan> {
+    if !(budget_nm.is_finite() && budget_nm > 0.0) {
+        return Err(Error::Value(format!("a budget of {budget_nm} nm is not accepted: a positive number is needed")));
+    }
+    let base = Base::new(scene)?;
+    let given = if wavelengths_nm.is_empty() { &base.wavelengths_nm } else { wavelengths_nm };
+    let candidates = candidates(given);
+    let mut observations = Vec::new();
+    for (done, channels) in candidates.iter().enumerate() {
+        if cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            return Err(Error::Interrupted("no observation was planned".into()));
+        }
+        watch(done, candidates.len());
+        observations.push(base.observation(channels, budget_nm)?);
+    }
+    watch(candidates.len(), candidates.len());
+    let error_nm = |observation: &Observation| observation.expected_nm[0].max(observation.expected_nm[1]);
+    observations.sort_by(|a, b| {
+        let rank = |one: &Observation| (!one.is_recommended(), one.flaw.is_some(), one.total_exposures());
+        rank(a).cmp(&rank(b)).then(error_nm(a).total_cmp(&error_nm(b)))
+    });
+    Ok(ObservationPlan { budget_nm, observations })
+}
+
+/// The sets of channels that are tried: one image, a pair on both sides of the focus, one image of each wavelength.
+fn candidates(wavelengths_nm: &[f64]) -> Vec<Vec<(f64, f64)>> {
+    let first_nm = wavelengths_nm[0];
+    let mut found = Vec::new();
+    for waves in DEFOCUS_WAVES {
+        found.push(vec![(first_nm, waves)]);
+        found.push(vec![(first_nm, waves), (first_nm, -waves)]);
+        if wavelengths_nm.len() > 1 {
+            found.push(wavelengths_nm.iter().map(|&nm| (nm, waves)).collect());
+        }
+    }
+    found
+}
+
+/// What the candidates share.
+struct Base {
+    /// The scene without channels, with the electrons of its star.
+    scene: Scene,
+    wavelengths_nm: Vec<f64>,
+    flux_e: f64,
+}
+
+impl Base {
+    fn new(scene: &Scene) -> Result<Self> {
+        if scene.control.is_some() {
+            return Err(Error::Scene(format!(
+                "{}: an observation behind an AO loop is not planned, because its error bars are from the turbulence: a scene without \
+                 [control] is accepted",
+                scene.name()
+            )));
+        }
+        if scene.image.diversity_file.is_some() {
+            return Err(Error::Scene(format!(
+                "{}: image.diversity_file is not planned: a scene with image.diversity_focus_waves_rms is accepted",
+                scene.name()
+            )));
+        }
+        let channels = scene.channels();
+        let mut wavelengths_nm = vec![scene.image.wavelength_nm];
+        for channel in channels {
+            let nm = channel.scene.image.wavelength_nm;
+            if !wavelengths_nm.contains(&nm) {
+                wavelengths_nm.push(nm);
+            }
+        }
+        let one = channels.first().map_or(scene, |channel| &channel.scene);
+        let one = one.with(&[("image.count", "1"), ("estimate.budget_nm", ""), ("estimate.method", "modal")])?;
+        let flux_e = source::simulate(&one)?.flux_e;
+        let electrons = format!("{flux_e:e}");
+        let scene = one.with(&[("image.peak_snr", ""), ("image.flux_e", &electrons)])?;
+        Ok(Self { scene, wavelengths_nm, flux_e })
+    }
+
+    /// The scene of some channels.
+    fn scene_of(&self, channels: &[(f64, f64)]) -> Result<Scene> {
+        let settings = |(nm, waves): (f64, f64)| {
+            // A pixel keeps its angle on the sky.
+            let sampling = self.scene.image.samples_per_lambda_over_d * nm / self.scene.image.wavelength_nm;
+            [nm, waves, sampling].map(|value| value.to_string())
+        };
+        let [nm, waves, sampling] = settings(channels[0]);
+        let first = self.scene.with(&[
+            ("image.wavelength_nm", &nm),
+            ("image.diversity_focus_waves_rms", &waves),
+            ("image.samples_per_lambda_over_d", &sampling),
+        ])?;
+        if channels.len() == 1 {
+            return Ok(first);
+        }
+        let mut text = first.text().trim_end().to_owned();
+        for (number, &channel) in channels.iter().enumerate() {
+            let [nm, waves, sampling] = settings(channel);
+            text += &format!(
+                "\n\n[[image.channel]]\nname = \"{}\"\nwavelength_nm = {nm}\nsamples_per_lambda_over_d = {sampling}\n\
+                 diversity_focus_waves_rms = {waves}\n",
+                number + 1
+            );
+        }
+        Scene::from_text(&text, first.directory())
+    }
+
+    fn observation(&self, channels: &[(f64, f64)], budget_nm: f64) -> Result<Observation> {
+        let scene = self.scene_of(channels)?;
+        let images = Images::simulated_channels(&scene)?;
+        let peak_e = images.iter().flat_map(|images| &images.images_e).copied().fold(0.0, f64::max);
+        // A larger model is no remedy for a defocus that is too small.
+        let policy = Policy { select_model: false, ..Policy::default() };
+        let found = Estimator::with_policy(&scene, policy, super::Control::default())?.estimate_channels(&images)?;
+        let [averaged, shared] = split(&found.error_budget);
+        let needed = (0..2).map(|part| averaged[part] / (budget_nm * budget_nm - shared[part]).max(0.0));
+        let needed = needed.fold(1.0, f64::max).ceil();
+        let exposures = (needed <= MOST_EXPOSURES).then_some(needed as usize);
+        let count = exposures.unwrap_or(1) as f64;
+        let expected_nm = [0, 1].map(|part: usize| (averaged[part] / count + shared[part]).sqrt());
+        let residual_nm = found.truth.as_ref().map_or([0.0; 3], |(_, residual)| residual.rms_nm);
+        let bars_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+        let flaw = match found.warnings.first() {
+            Some(warning) => Some(warning.clone()),
+            None if !found.is_sound() => Some(format!("the status is {}", found.status.word())),
+            None if (0..2).any(|part| residual_nm[part] > BEYOND * bars_nm[part]) => {
+                Some("the residual is beyond three error bars".into())
+            }
+            None => None,
+        };
+        let scene = scene.with(&[("image.count", &count.to_string())])?;
+        let wavelengths_nm: Vec<f64> = channels.iter().map(|(nm, _)| *nm).collect();
+        Ok(Observation {
+            channels: channels.to_vec(),
+            exposures,
+            electrons: self.flux_e * count * channels.len() as f64,
+            peak_e,
+            expected_nm,
+            piston_range_nm: piston_range_nm(&wavelengths_nm, expected_nm[0]),
+            flaw,
+            scene,
+        })
+    }
+}
+
+/// Squares of the errors of phasing and NCPA that exposures average, and of those that they share, nm².
+fn split(terms: &[ErrorTerm]) -> [[f64; 2]; 2] {
+    let square = |term: &ErrorTerm| [term.phasing_nm.powi(2), term.ncpa_nm.powi(2)];
+    let shared = terms.iter().skip(1).map(square).fold([0.0; 2], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
+    [terms.first().map_or([0.0; 2], square), shared]
+}
+
+/// Largest pistons about their mean whose whole wavelengths are determined by `wavelengths_nm` where each colour knows a piston to about
+/// `sigma_nm`: half a wavelength for one, and else up to where multiples of two of them come closer than six standard deviations of
+/// their difference.
+fn piston_range_nm(wavelengths_nm: &[f64], sigma_nm: f64) -> f64 {
+    let first_nm = wavelengths_nm[0];
+    let Some(other_nm) = wavelengths_nm.iter().copied().find(|nm| *nm != first_nm) else { return first_nm / 2.0 };
+    // The joint error bar is of both colours; the difference of two has twice its standard deviation.
+    let least_nm = DISTINCT * 2.0 * sigma_nm;
+    let miss_nm = |k: f64| (k * first_nm - other_nm * (k * first_nm / other_nm).round()).abs();
+    // Two segments differ by up to twice the range.
+    let ambiguous = (1..1000).map(f64::from).find(|k| miss_nm(*k) < least_nm);
+    ambiguous.map_or(f64::INFINITY, |k| k * first_nm / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_colours_reach_to_where_their_multiples_meet() {
+        assert_eq!(piston_range_nm(&[2000.0, 2000.0], 1.0), 1000.0);
+        // 3·2168.6 and 4·1640 nm differ by 54 nm: seen with 1 nm, not with 5 nm. 31·2168.6 and 41·1640 nm differ by 13.4 nm.
+        assert!((piston_range_nm(&[2168.6, 1640.0], 5.0) - 1.5 * 2168.6).abs() < 1e-9);
+        assert!((piston_range_nm(&[2168.6, 1640.0], 1.2) - 15.5 * 2168.6).abs() < 1e-9);
+    }
+
+    #[test]
+    fn candidates_have_every_wavelength_once() {
+        assert_eq!(candidates(&[2000.0]).len(), 2 * DEFOCUS_WAVES.len());
+        let two = candidates(&[2000.0, 1600.0]);
+        assert_eq!(two.len(), 3 * DEFOCUS_WAVES.len());
+        assert_eq!(two[2], [(2000.0, 0.5), (1600.0, 0.5)]);
+    }
+}
