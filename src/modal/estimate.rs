@@ -5,6 +5,7 @@ use super::cube::Cube;
 use super::engine::{FitState, ImageFit, Watch};
 use super::fitter::ModalFitter;
 use super::minimum::Minimum;
+use super::pistons;
 use super::prepare::{Frame, PreparedFrame, Refusal};
 use super::status::{self, ImageReport, Status};
 use crate::imaging::{Chain, Precision};
@@ -170,7 +171,9 @@ impl ModalFitter {
         if start_nm.is_none() {
             self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
         }
-        Ok(FittedCube::from_fits(fits))
+        let mut fitted = FittedCube::from_fits(fits);
+        pistons::wrap_all(&mut fitted.minima, &self.model);
+        Ok(fitted)
     }
 
     /// Combines some images of `estimate`, which this fitter made, without fitting them again: for a study of the number of

@@ -25,11 +25,10 @@ use super::fitted_optic::FittedOptic;
 use super::fitter::ModalFitter;
 use super::integers::{self, ColourChannel, PistonInteger};
 use super::model::Model;
-use super::tilts;
+use super::{pistons, tilts};
 use crate::scene::{Optic, Scene};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate, s};
-use std::f64::consts::TAU;
 
 /// Share of tip and tilt (RMS) outside the modes up to which the modes span them. The basis is exact to rounding.
 const MAX_RESIDUAL_SHARE: f64 = 1e-3;
@@ -168,7 +167,7 @@ fn likelihood_of((fitter, found): &ModalFit, number: usize, (first, reference): 
     let mut likelihood = found.likelihood().clone();
     if number > 0 {
         let reference = &reference.likelihood().coefficients_nm;
-        wrap_pistons(&mut likelihood.coefficients_nm, reference, model);
+        pistons::wrap(&mut likelihood.coefficients_nm, reference, model);
         first.motions.remove(&mut likelihood.coefficients_nm);
     }
     for shared in fitter.shared_errors().iter().filter(|shared| shared.name != super::diversity_error::NAME) {
@@ -183,18 +182,6 @@ fn likelihood_of((fitter, found): &ModalFit, number: usize, (first, reference): 
     }
     let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
     Ok(Likelihood { coefficients_nm: Array1::from(likelihood.coefficients_nm), information, diversity_nm })
-}
-
-/// Moves pistons by wavelengths, so that they differ least from `reference` up to a piston of all.
-fn wrap_pistons(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Model) {
-    let pistons = model.pistons();
-    let period_nm = model.optics.parts().wavelength_nm;
-    let differences: Vec<f64> = coefficients_nm[..pistons].iter().zip(reference_nm).map(|(a, b)| a - b).collect();
-    let phase = |function: fn(f64) -> f64| differences.iter().map(|nm| function(TAU * nm / period_nm)).sum::<f64>();
-    let common_nm = phase(f64::sin).atan2(phase(f64::cos)) * period_nm / TAU;
-    for (nm, difference) in coefficients_nm.iter_mut().zip(&differences) {
-        *nm -= period_nm * ((difference - common_nm) / period_nm).round();
-    }
 }
 
 /// Coefficients of tip and tilt of the whole pupil, `[axis, mode]`, those that the modes of the NCPA span.

@@ -39,6 +39,7 @@ mod mode_set;
 mod model;
 mod model_memory;
 mod outliers;
+mod pistons;
 mod plan;
 mod prepare;
 mod prior;

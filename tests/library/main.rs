@@ -13,6 +13,7 @@ mod modal;
 mod model_selection;
 mod modes;
 mod night;
+mod observation;
 mod planner;
 mod pupil;
 mod pupil_maps;

@@ -11,6 +11,7 @@ mod channels;
 mod diversity;
 pub mod figures;
 mod hard_cases;
+mod observations;
 mod on_sky;
 mod on_sky_images;
 mod on_sky_table;
@@ -26,6 +27,7 @@ pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, HeldMap, beyond, be
 pub use channels::{CHANNEL_ROWS, ChannelDraw, ChannelRow, ChannelTable, channels};
 pub use diversity::{Diversity, DiversityPoint, diversity};
 pub use hard_cases::{Draws, HARD_CASES, HardCase, HardCases, Mismatch, Spoil, Verdict, hard_cases};
+pub use observations::{Observations, PlannedScene, observations};
 pub use on_sky::{LoopRun, Reader, Reading, Sequence};
 pub use on_sky_images::{ImageNumber, ImageNumbers, image_numbers};
 pub use on_sky_table::{OnSky, RowDraw, RowResult, on_sky, reduction_percent};

@@ -4,7 +4,7 @@ use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
     ChannelRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows, channels,
-    diversity, hard_cases, image_numbers, on_sky, pulls, samples,
+    diversity, hard_cases, image_numbers, observations, on_sky, pulls, samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
@@ -40,11 +40,13 @@ pub enum Target {
     Pulls,
     /// Several images of one wavefront: pairs and colours.
     Channels,
+    /// Observations that were planned.
+    Observations,
 }
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 14] = [
+    pub const ALL: [Target; 15] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -59,6 +61,7 @@ impl Target {
         Target::HardCases,
         Target::Pulls,
         Target::Channels,
+        Target::Observations,
     ];
 
     /// The figures of section 4 that are neither the table's nor that of the number of images.
@@ -81,6 +84,7 @@ impl Target {
             Target::HardCases => "hard-cases",
             Target::Pulls => "pulls",
             Target::Channels => "channels",
+            Target::Observations => "observations",
         }
     }
 
@@ -107,6 +111,7 @@ impl Target {
                 "residual over error bar against brightness and number of images: are the error bars right?"
             }
             Target::Channels => "pairs of defocused images, two colours: residuals, error bars, whole wavelengths",
+            Target::Observations => "observations as planned: expected and measured errors of 20 random scenes",
         }
     }
 
@@ -116,7 +121,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
-            Target::Samples | Target::HardCases => 8,
+            Target::Samples | Target::HardCases | Target::Observations => 8,
             Target::Diversity => 6,
             Target::Table | Target::Images => 3,
             // Half a minute each on two cores; --seeds 10 goes on from there.
@@ -179,6 +184,7 @@ impl Target {
             Target::Channels => {
                 channels(&ChannelRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
             }
+            Target::Observations => observations(seeds, &progress)?.report(&options.directory),
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
                 let table = beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?;

@@ -9,6 +9,7 @@ mod faults;
 mod frames;
 mod headers;
 mod memory;
+mod observe;
 mod odd_images;
 mod orientation;
 mod outputs;
