@@ -8,6 +8,7 @@ use super::explain::explain;
 use super::images::counted;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
+use super::model_selection::Selected;
 use super::policy::Policy;
 use crate::modal::{BasisCache, JointEstimate, MIN_WAVES, joint};
 use crate::scene::{Method, Optic, Scene};
@@ -139,8 +140,7 @@ impl<'a> Channels<'a> {
     /// Fits each channel; all by the same modes, which are those of a scene that was extended where one channel asks for it.
     fn fit_with_extensions(&self) -> Result<(Vec<Fitted>, JointEstimate)> {
         let (mut fits, joint) = self.fit()?;
-        let Some(chosen) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
-        let Some(selected) = fits.swap_remove(chosen).selected else { return self.fit() };
+        let Some((chosen, selected)) = self.explain(&mut fits)? else { return Ok((fits, joint)) };
         let extended = self.extended(&selected.settings)?;
         let (mut fits, joint) = extended.fit()?;
         extended.explain(&mut fits)?;
@@ -148,12 +148,12 @@ impl<'a> Channels<'a> {
         Ok((fits, joint))
     }
 
-    /// Looks for the causes of residuals, until one channel has a larger model that explains it; its number.
-    fn explain(&self, fits: &mut [Fitted]) -> Result<Option<usize>> {
+    /// Looks for the causes of residuals, until one channel has a larger model that explains it: its number, and that model.
+    fn explain(&self, fits: &mut [Fitted]) -> Result<Option<(usize, Selected)>> {
         for (channel, fitted) in fits.iter_mut().enumerate() {
             self.named(channel, explain(&self.task(channel), fitted))?;
-            if fitted.selected.is_some() {
-                return Ok(Some(channel));
+            if let Some(selected) = fitted.selected.take() {
+                return Ok(Some((channel, selected)));
             }
         }
         Ok(None)
@@ -164,7 +164,7 @@ impl<'a> Channels<'a> {
         let each = (0..self.channels.len()).map(|channel| self.named(channel, self.task(channel).fit()));
         let mut fits = each.collect::<Result<Vec<_>>>()?;
         let mut joint = self.combine(&fits)?;
-        for round in 1..=ROUNDS {
+        for round in (1..=ROUNDS).filter(|_| self.policy.restart) {
             let is_wrong = contradict(&joint);
             if !is_wrong && fits.iter().all(Fitted::is_explained) {
                 break;

@@ -62,10 +62,11 @@ impl ModalTask<'_> {
         let mut chain = self.open(fitter)?;
         let again = fitter.estimate_from(&mut chain, self.cube(), start_nm, Some(self.control.flag()))?;
         self.check()?;
-        let is_better = again.is_better_than(before);
+        let (is_better, seconds) = (again.is_better_than(before), before.seconds + again.seconds);
         if is_better {
             fitted.fit.1 = again;
         }
+        fitted.fit.1.seconds = seconds;
         Ok(is_better)
     }
 
