@@ -208,6 +208,9 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate: name of term `index` of the error budget. */
 #define COPHASE_TEXT_ERROR_TERM_NAME 10
 
+/* Text of an estimate: name of channel `index`. */
+#define COPHASE_TEXT_CHANNEL_NAME 11
+
 /* Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
  * the scene asks for it, a larger model where the scene does not explain them (estimate.model).
  */
@@ -318,6 +321,8 @@ typedef struct {
   double tilt_nm;
   /* Duration of the fit, s; NaN in an estimate, which fits images together. */
   double seconds;
+  /* Number of its channel in the scene, from 0; 0 for a scene without channels, and in a session. */
+  int64_t channel;
 } cophase_image_report;
 
 /* -------------------------------------------- Model -------------------------------------------- */
@@ -466,6 +471,16 @@ typedef struct {
   int64_t has_read_noise;
 } cophase_estimate_options;
 
+/* Images of one channel of a scene ([[image.channel]]). The layout of this struct is permanent. */
+typedef struct {
+  /* Name of the channel, UTF-8; NULL for all: they are in the order of the scene. */
+  const char *channel;
+  /* Its images, count x rows x cols as the channel says. */
+  const cophase_input *frames;
+  /* Its options; NULL for the defaults. */
+  const cophase_estimate_options *options;
+} cophase_channel_images;
+
 /* Makes an estimator of a scene.
  *
  * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm the model is planned here, which
@@ -520,6 +535,19 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
                                           const cophase_input *slopes_mas,
                                           const cophase_estimate_options *options,
                                           cophase_estimate **estimate);
+
+/* Estimates the static wavefront behind the images of several channels: defocuses, wavelengths.
+ *
+ * channels: images of each channel of the scene, in any order where they are named. count: number of channels; 1, without a name,
+ *   for a scene without channels, for which this is cophase_estimator_estimate.
+ * estimate: receives the handle.
+ *
+ * COPHASE_BAD_SHAPE for images of other channels than the scene has; else as cophase_estimator_estimate.
+ */
+cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
+                                                   const cophase_channel_images *channels,
+                                                   size_t count,
+                                                   cophase_estimate **estimate);
 
 /* ------------------------------------------ Estimate ------------------------------------------- */
 
@@ -578,6 +606,11 @@ cophase_status cophase_estimator_estimate(cophase_estimator *estimator,
  * then along y; slopes. It keeps the mirror where the corrections put it.
  */
 #define COPHASE_ARRAY_CORRECTION_SLOPES_MAS 10
+
+/* Array: whole wavelengths of the first channel that were added to the piston of each segment, their probability, and the piston of
+ * the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
+ */
+#define COPHASE_ARRAY_PISTON_INTEGERS 11
 
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
 typedef struct {
@@ -647,6 +680,10 @@ typedef struct {
   double telemetry_gain;
   /* Their correlation; NaN without telemetry. */
   double telemetry_correlation;
+  /* Number of channels; 0 for a scene without ([[image.channel]]). */
+  size_t channels;
+  /* Number of segments whose whole wavelengths were determined, rows of COPHASE_ARRAY_PISTON_INTEGERS; 0 for one wavelength. */
+  size_t integers;
 } cophase_estimate_info;
 
 /* Frees an estimate; NULL is fine. */
@@ -681,7 +718,7 @@ cophase_status cophase_estimate_array(const cophase_estimate *estimate,
 
 /* Writes a text of an estimate.
  *
- * what: a COPHASE_TEXT_ number. index: which image, mode or term; ignored for the other texts. text, capacity, length: as
+ * what: a COPHASE_TEXT_ number. index: which image, mode, term or channel; ignored for the other texts. text, capacity, length: as
  * in cophase_device_list.
  *
  * COPHASE_BAD_VALUE for an index out of range.

@@ -6,6 +6,7 @@
 //! error bars, is not recommended: it does not find the wavefront of the scene's `[aberrations]`.
 
 use super::budget::ErrorTerm;
+use super::estimate::Estimate;
 use super::estimator::Estimator;
 use super::images::Images;
 use super::policy::Policy;
@@ -205,36 +206,45 @@ impl Base {
         let peak_e = images.iter().flat_map(|images| &images.images_e).copied().fold(0.0, f64::max);
         // A larger model is no remedy for a defocus that is too small.
         let policy = Policy { select_model: false, ..Policy::default() };
-        let found = Estimator::with_policy(&scene, policy, super::Control::default())?.estimate_channels(&images)?;
-        let [averaged, shared] = split(&found.error_budget);
+        let estimator = Estimator::with_policy(&scene, policy, super::Control::default())?;
+        let (squares, flaw) = match estimator.estimate_channels(&images) {
+            Ok(found) => (split(&found.error_budget), flaw(&found)),
+            // A star whose light fills the frame, for one.
+            Err(Error::Image(sentence)) => ([[f64::INFINITY; 2], [0.0; 2]], Some(sentence)),
+            Err(error) => return Err(error),
+        };
+        let [averaged, shared] = squares;
         let needed = (0..2).map(|part| averaged[part] / (budget_nm * budget_nm - shared[part]).max(0.0));
         let needed = needed.fold(1.0, f64::max).ceil();
         let exposures = (needed <= MOST_EXPOSURES).then_some(needed as usize);
-        let count = exposures.unwrap_or(1) as f64;
-        let expected_nm = [0, 1].map(|part: usize| (averaged[part] / count + shared[part]).sqrt());
-        let residual_nm = found.truth.as_ref().map_or([0.0; 3], |(_, residual)| residual.rms_nm);
-        let bars_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
-        let flaw = match found.warnings.first() {
-            Some(warning) => Some(warning.clone()),
-            None if !found.is_sound() => Some(format!("the status is {}", found.status.word())),
-            None if (0..2).any(|part| residual_nm[part] > BEYOND * bars_nm[part]) => {
-                Some("the residual is beyond three error bars".into())
-            }
-            None => None,
-        };
-        let scene = scene.with(&[("image.count", &count.to_string())])?;
+        let count = exposures.unwrap_or(1);
+        let expected_nm = [0, 1].map(|part: usize| (averaged[part] / count as f64 + shared[part]).sqrt());
         let wavelengths_nm: Vec<f64> = channels.iter().map(|(nm, _)| *nm).collect();
         Ok(Observation {
             channels: channels.to_vec(),
             exposures,
-            electrons: self.flux_e * count * channels.len() as f64,
+            electrons: self.flux_e * (count * channels.len()) as f64,
             peak_e,
             expected_nm,
             piston_range_nm: piston_range_nm(&wavelengths_nm, expected_nm[0]),
             flaw,
-            scene,
+            scene: scene.with(&[("image.count", &count.to_string())])?,
         })
     }
+}
+
+/// Why an estimate of a simulated image is no answer, where it is none.
+fn flaw(found: &Estimate) -> Option<String> {
+    if let Some(warning) = found.warnings.first() {
+        return Some(warning.clone());
+    }
+    if !found.is_sound() {
+        return Some(format!("the status is {}", found.status.word()));
+    }
+    let (_, residual) = found.truth.as_ref()?;
+    let bars_nm = [found.phasing.sigma_nm, found.ncpa.sigma_nm];
+    let is_beyond = (0..2).any(|part| residual.rms_nm[part] > BEYOND * bars_nm[part]);
+    is_beyond.then(|| "the residual is beyond three error bars".into())
 }
 
 /// Squares of the errors of phasing and NCPA that exposures average, and of those that they share, nm².
