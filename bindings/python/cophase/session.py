@@ -33,8 +33,8 @@ class Fit:
         ``status``, a number (:attr:`status` has its name); ``bad_pixels``, those that took no part; ``policy``, a
         number; ``evaluations`` of objective and gradient; ``reduced_chi2``, 1 where the model is right; ``flux_e`` of
         the star, electrons; ``background_e``, electrons per pixel; ``tip_nm`` and ``tilt_nm`` of the fitted wavefront
-        along x and y, nm RMS; ``seconds`` of the fit; ``is_used``, ``is_clipped`` and ``rejected_pixels``, which are 0
-        in a session. Read as ``reports.flux_e``.
+        along x and y, nm RMS; ``seconds`` of the fit; ``is_used``, ``is_clipped``, ``rejected_pixels`` and ``channel``,
+        which are 0 in a session. Read as ``reports.flux_e``.
     """
 
     coefficients_nm: NDArray[np.float64]
