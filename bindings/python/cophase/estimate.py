@@ -97,8 +97,8 @@ class Estimate(Handle):
     channels : list of str
         Names of the channels; empty for a scene without.
     integers : (segments, 3) array
-        For channels of several wavelengths: whole wavelengths of the first channel that were added to the piston of each segment,
-        their probability, and the piston of the second most probable number relative to this one, nm; else empty.
+        For channels of several wavelengths: whole wavelengths of the first channel that were added to the piston of each
+        segment, their probability, and the piston of the second most probable number relative to this one, nm; else empty.
     error_budget : list of (str, float, float)
         Terms of the error budget: name, and contribution to the error bars of phasing and NCPA, nm RMS over the pupil.
         Their squares add up to the squares of ``info.phasing_sigma_nm`` and ``info.ncpa_sigma_nm``.

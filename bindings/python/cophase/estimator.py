@@ -190,15 +190,15 @@ class Estimator(Handle):
         gain_e: Any = None,
         saturation: Any = None,
     ) -> Estimate:
-        """Estimates the static wavefront behind images of several channels: defocuses, wavelengths (``[[image.channel]]``).
+        """Estimates the static wavefront behind images of several channels: defocuses, wavelengths.
 
         Parameters
         ----------
         frames : mapping or sequence of arrays
             Images of each channel, by its name; or a list in the order of the scene. Each as for :meth:`estimate`.
         mask, read_noise_e, dark, flat, gain_e, saturation : optional
-            As for :meth:`estimate`, for all channels; or a mapping by the names of those that have one (by their positions
-            where frames is a list).
+            As for :meth:`estimate`, for all channels; or a mapping by the names of those that have one (by their
+            positions where frames is a list).
 
         Raises
         ------
@@ -211,8 +211,13 @@ class Estimator(Handle):
         >>> estimate = estimator.estimate_channels({"plus": plus_e, "minus": minus_e})
         """
         given = {
-            "mask": mask, "read_noise_e": read_noise_e, "dark": dark, "flat": flat, "gain_e": gain_e, "saturation": saturation,
-        }  # fmt: skip
+            "mask": mask,
+            "read_noise_e": read_noise_e,
+            "dark": dark,
+            "flat": flat,
+            "gain_e": gain_e,
+            "saturation": saturation,
+        }
         is_named = isinstance(frames, Mapping)
         keys: list[Any] = list(frames) if is_named else list(range(len(frames)))
         for name, value in given.items():

@@ -25,9 +25,6 @@ pub fn observe(
     let plan = plan_observation(scene, wavelengths_nm, budget_nm, Some(interrupt.flag()), &mut watch);
     drop(wait);
     let plan = plan?;
-    if plan.recommended().is_none() {
-        terminal.warn(&format!("{}: no observation that was tried reaches {budget_nm} nm", scene.name()));
-    }
     if as_json {
         terminal.json(&Printed::of(&plan))?;
     } else {

@@ -71,7 +71,11 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         let found =
             observe::observe(&scene, &arguments.wavelengths_nm, budget_nm, arguments.json, terminal, &interrupt)?;
         return match (&arguments.output, found) {
-            (None, _) => Ok(()),
+            (None, Some(_)) => Ok(()),
+            (None, None) => {
+                terminal.warn(&format!("{}: no observation that was tried reaches {budget_nm} nm", scene.name()));
+                Ok(())
+            }
             (Some(output), Some(observation)) => observation.write(output),
             (Some(output), None) => Err(Error::Value(format!(
                 "no observation reaches {budget_nm} nm, and {} was not written: a larger --budget-nm, or more light, is needed",

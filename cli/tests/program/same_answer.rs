@@ -100,7 +100,8 @@ fn lines<'a>(
     let bits = |value: f64| format!("{:016x}", value.to_bits());
     let modes = modes.map(|(name, (nm, sigma))| format!("coefficient {name} {} {}", bits(nm), bits(sigma)));
     let images = images.enumerate().map(|(image, (status, chi2, rejected))| {
-        format!("image {image} {} {} {rejected}", status.to_uppercase().replace('-', "_"), bits(chi2))
+        // The scenes here have one channel, number 0.
+        format!("image {image} {} {} {rejected} 0", status.to_uppercase().replace('-', "_"), bits(chi2))
     });
     let warnings = warnings.iter().map(|warning| format!("warning {warning}"));
     modes.chain(images).chain(warnings).chain([format!("policy {policy}"), format!("device {device}")]).collect()
