@@ -8,29 +8,24 @@ use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
 
-/// Plans the observation of `scene`, shows it, and returns the recommended one.
-pub fn observe(
+/// Plans the observation of `scene` with a progress line.
+pub fn planned(
     scene: &Scene,
     wavelengths_nm: &[f64],
     budget_nm: f64,
-    as_json: bool,
     terminal: &Terminal,
     interrupt: &Interrupt,
-) -> Result<Option<Observation>> {
+) -> Result<ObservationPlan> {
     if let Some(odd) = wavelengths_nm.iter().find(|nm| !(nm.is_finite() && **nm > 0.0)) {
         return Err(Error::Value(format!("--wavelengths-nm {odd} is not accepted: positive numbers are needed")));
     }
-    let wait = terminal.wait("Trying observations", 0);
-    let mut watch = |_, _| {};
-    let plan = plan_observation(scene, wavelengths_nm, budget_nm, Some(interrupt.flag()), &mut watch);
-    drop(wait);
-    let plan = plan?;
-    if as_json {
-        terminal.json(&Printed::of(&plan))?;
-    } else {
-        terminal.show(&table(Path::new(scene.name()), &plan))?;
-    }
-    Ok(plan.recommended().cloned())
+    let _wait = terminal.wait("Trying observations", 0);
+    plan_observation(scene, wavelengths_nm, budget_nm, Some(interrupt.flag()), &mut |_, _| {})
+}
+
+/// Prints the plan for people, or as JSON.
+pub fn show(name: &Path, plan: &ObservationPlan, as_json: bool, terminal: &Terminal) -> Result<()> {
+    if as_json { terminal.json(&Printed::of(plan)) } else { terminal.show(&table(name, plan)) }
 }
 
 /// Wavelengths and defocuses of an observation, such as "2168.6 nm ±1.5 waves".

@@ -68,20 +68,21 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         ));
     };
     if arguments.observe {
-        let found =
-            observe::observe(&scene, &arguments.wavelengths_nm, budget_nm, arguments.json, terminal, &interrupt)?;
-        return match (&arguments.output, found) {
-            (None, Some(_)) => Ok(()),
+        let plan = observe::planned(&scene, &arguments.wavelengths_nm, budget_nm, terminal, &interrupt)?;
+        match (&arguments.output, plan.recommended()) {
+            (None, Some(_)) => {}
             (None, None) => {
                 terminal.warn(&format!("{}: no observation that was tried reaches {budget_nm} nm", scene.name()));
-                Ok(())
             }
-            (Some(output), Some(observation)) => observation.write(output),
-            (Some(output), None) => Err(Error::Value(format!(
-                "no observation reaches {budget_nm} nm, and {} was not written: a larger --budget-nm, or more light, is needed",
-                output.display()
-            ))),
-        };
+            (Some(output), Some(observation)) => observation.write(output)?,
+            (Some(output), None) => {
+                return Err(Error::Value(format!(
+                    "no observation reaches {budget_nm} nm, and {} was not written: a larger --budget-nm, or more light, is needed",
+                    output.display()
+                )));
+            }
+        }
+        return observe::show(name, &plan, arguments.json, terminal);
     }
     let plan = planned(&scene, budget_nm, terminal, &interrupt)?;
     if let Some(output) = &arguments.output {
