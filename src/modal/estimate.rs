@@ -72,24 +72,14 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<ModalEstimate> {
-        self.estimate_cube(chain, Cube { images_e, bad, read_noise_e }, None, cancel, watch)
+        self.estimate_from(chain, Cube { images_e, bad, read_noise_e }, None, cancel, watch)
     }
 
-    /// As [`ModalFitter::estimate`], each image fitted from `start_nm` and not restarted.
+    /// As [`ModalFitter::estimate`]; with `start_nm` each image is fitted from there, and not restarted.
     ///
     /// # Errors
     /// As [`ModalFitter::estimate`].
     pub(crate) fn estimate_from(
-        &self,
-        chain: &mut Chain,
-        cube: Cube,
-        start_nm: &[f64],
-        cancel: Option<&CancelFlag>,
-    ) -> Result<ModalEstimate> {
-        self.estimate_cube(chain, cube, Some(start_nm), cancel, &mut |_, _| {})
-    }
-
-    fn estimate_cube(
         &self,
         chain: &mut Chain,
         cube: Cube,
@@ -138,8 +128,8 @@ impl ModalFitter {
         Ok(ImageFits { coefficients_nm, reports })
     }
 
-    /// Prepares and fits every image: outlier pixels rejected and, where `start_nm` says nothing else, from the flat wavefront, fits in
-    /// a wrong minimum restarted, as the recipe says.
+    /// Prepares and fits every image as the recipe says: from `start_nm`, or else from the flat wavefront with restarts of fits in a wrong
+    /// minimum; outlier pixels rejected.
     pub(super) fn fit_all(
         &self,
         chain: &mut Chain,
@@ -158,6 +148,7 @@ impl ModalFitter {
         if let Some(start_nm) = start_nm {
             fit.start_nm.copy_from_slice(start_nm);
         }
+        let start_of_all_nm = fit.start_nm.clone();
         let mut fits = vec![fit; frames.len()];
         self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
         if !fits.iter().any(ImageFit::is_fitted) {
@@ -171,9 +162,10 @@ impl ModalFitter {
         if start_nm.is_none() {
             self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
         }
-        let mut fitted = FittedCube::from_fits(fits);
-        pistons::wrap_all(&mut fitted.minima, &self.model);
-        Ok(fitted)
+        for fit in &mut fits {
+            pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &start_of_all_nm, &self.model);
+        }
+        Ok(FittedCube::from_fits(fits))
     }
 
     /// Combines some images of `estimate`, which this fitter made, without fitting them again: for a study of the number of

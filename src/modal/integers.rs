@@ -28,6 +28,7 @@ pub(super) use search::ColourChannel;
 
 /// Wavelengths that differ by less than this fraction do not determine integers: their synthetic wavelength is above 100 wavelengths.
 const LEAST_DIFFERENCE: f64 = 0.01;
+
 /// The whole wavelengths that were found for the piston of a segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PistonInteger {

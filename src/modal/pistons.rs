@@ -1,30 +1,50 @@
 //! Pistons by whole wavelengths.
 
-use super::minimum::Minimum;
 use super::model::Model;
+use crate::imaging::Mode;
 use std::f64::consts::TAU;
 
-/// Moves pistons by wavelengths, so that they differ least from `reference_nm` up to a piston of all.
-pub(super) fn wrap(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Model) {
-    let pistons = model.pistons();
-    let period_nm = model.optics.parts().wavelength_nm;
-    let differences: Vec<f64> = coefficients_nm[..pistons].iter().zip(reference_nm).map(|(a, b)| a - b).collect();
-    let phase = |function: fn(f64) -> f64| differences.iter().map(|nm| function(TAU * nm / period_nm)).sum::<f64>();
-    let common_nm = phase(f64::sin).atan2(phase(f64::cos)) * period_nm / TAU;
-    for (nm, difference) in coefficients_nm.iter_mut().zip(&differences) {
-        *nm -= period_nm * ((difference - common_nm) / period_nm).round();
+/// [`wrap`] where the light has one wavelength, so that the image does not show whole wavelengths: a step of the optimiser may end one
+/// away from where it started. Allocates nothing.
+pub(super) fn wrap_if_monochromatic(coefficients_nm: &mut [f64], start_nm: &[f64], model: &Model) {
+    if model.optics.parts().colours.len() == 1 {
+        wrap(coefficients_nm, start_nm, model);
     }
 }
 
-/// Moves the pistons of images of one scene by wavelengths: of the first to the smallest, of the others to those nearest to it. In light
-/// of one wavelength the images are the same, and a step of the optimiser may end a wavelength away.
-pub(super) fn wrap_all(minima: &mut [Minimum], model: &Model) {
-    if model.optics.parts().colours.len() > 1 {
-        return;
+/// Moves pistons by wavelengths, so that they differ least from those of `reference_nm` up to a piston of all. Allocates nothing.
+pub(super) fn wrap(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Model) {
+    let parts = model.optics.parts();
+    let pistons = parts.modes.iter().take_while(|mode| matches!(mode, Mode::Piston(_))).count();
+    wrap_pistons(&mut coefficients_nm[..pistons], &reference_nm[..pistons], parts.wavelength_nm);
+}
+
+fn wrap_pistons(pistons_nm: &mut [f64], reference_nm: &[f64], period_nm: f64) {
+    let (mut sines, mut cosines) = (0.0, 0.0);
+    for (nm, reference) in pistons_nm.iter().zip(reference_nm) {
+        let (sin, cos) = (TAU * (nm - reference) / period_nm).sin_cos();
+        (sines, cosines) = (sines + sin, cosines + cos);
     }
-    let mut reference_nm = vec![0.0; model.optics.modes()];
-    for minimum in minima.iter_mut().filter(|minimum| minimum.coefficients_nm.iter().all(|nm| nm.is_finite())) {
-        wrap(&mut minimum.coefficients_nm, &reference_nm, model);
-        reference_nm.copy_from_slice(&minimum.coefficients_nm);
+    let common_nm = f64::atan2(sines, cosines) * period_nm / TAU;
+    for (nm, reference) in pistons_nm.iter_mut().zip(reference_nm) {
+        *nm -= period_nm * ((*nm - reference - common_nm) / period_nm).round();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pistons_go_to_the_wavelength_of_the_reference() {
+        let near = [30.0, -400.0, 700.0, 0.0];
+        let mut found = [30.0 + 2000.0, -400.0, 700.0 - 4000.0, 0.0];
+        wrap_pistons(&mut found, &[0.0; 4], 2000.0);
+        assert_eq!(found, near);
+        let far = near.map(|nm| nm + 10_000.0);
+        wrap_pistons(&mut found, &far, 2000.0);
+        assert_eq!(found, far);
+        wrap_pistons(&mut found, &[10_000.0, 0.0, 0.0, 0.0], 2000.0);
+        assert_eq!(found, [10_030.0, -400.0, 700.0, 0.0]);
     }
 }

@@ -10,6 +10,7 @@ pub use options::{FitOptions, ImageResult, SessionOptions};
 use super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
 use super::fitter::ModalFitter;
 use super::global_motions::GlobalMotions;
+use super::pistons;
 use super::prepare::{Frame, PreparedFrame, Preparer, Refusal, Ringing};
 use super::recipe::Recipe;
 use super::residual::variance;
@@ -319,6 +320,7 @@ impl Shared {
     fn report(&self, fit: &mut ImageFit, result: &mut ImageResult) {
         match fit.state {
             FitState::Fitted => {
+                pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &fit.start_nm, &self.estimator.model);
                 self.motions.remove(&mut fit.minimum.coefficients_nm);
                 result.report = assess(&self.estimator.model, &self.tilts, &fit.prepared, &fit.minimum);
                 result.coefficients_nm.copy_from_slice(&fit.minimum.coefficients_nm);

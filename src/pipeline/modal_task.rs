@@ -60,7 +60,8 @@ impl ModalTask<'_> {
     pub(super) fn improve(&self, fitted: &mut Fitted, start_nm: &[f64]) -> Result<bool> {
         let (fitter, before) = &fitted.fit;
         let mut chain = self.open(fitter)?;
-        let again = fitter.estimate_from(&mut chain, self.cube(), start_nm, Some(self.control.flag()))?;
+        let again =
+            fitter.estimate_from(&mut chain, self.cube(), Some(start_nm), Some(self.control.flag()), &mut |_, _| {})?;
         self.check()?;
         let (is_better, seconds) = (again.is_better_than(before), before.seconds + again.seconds);
         if is_better {

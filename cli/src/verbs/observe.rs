@@ -2,9 +2,9 @@
 
 use crate::interrupt::Interrupt;
 use crate::terminal::{Terminal, counted};
+use cophase::Result;
 use cophase::pipeline::{Observation, ObservationPlan, plan_observation};
 use cophase::scene::Scene;
-use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::Path;
 
@@ -16,11 +16,9 @@ pub fn planned(
     terminal: &Terminal,
     interrupt: &Interrupt,
 ) -> Result<ObservationPlan> {
-    if let Some(odd) = wavelengths_nm.iter().find(|nm| !(nm.is_finite() && **nm > 0.0)) {
-        return Err(Error::Value(format!("--wavelengths-nm {odd} is not accepted: positive numbers are needed")));
-    }
-    let _wait = terminal.wait("Trying observations", 0);
-    plan_observation(scene, wavelengths_nm, budget_nm, Some(interrupt.flag()), &mut |_, _| {})
+    let wait = terminal.wait("Trying observations", 0);
+    let mut watch = |done, all| wait.done_of(done, all);
+    plan_observation(scene, wavelengths_nm, budget_nm, Some(interrupt.flag()), &mut watch)
 }
 
 /// Prints the plan for people, or as JSON.

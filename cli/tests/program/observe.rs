@@ -30,7 +30,7 @@ fn what_cannot_be_reached_or_planned_is_refused() {
     desk.refuses(&["plan", "keck-onsky", "--observe", "--budget-nm", "1"], &["behind an AO loop"]);
     desk.refuses(
         &["plan", "scene.toml", "--observe", "--budget-nm", "1", "--wavelengths-nm", "0"],
-        &["--wavelengths-nm 0"],
+        &["a wavelength of 0 nm"],
     );
     let usage = desk.run(&["plan", "scene.toml", "--budget-nm", "1", "--wavelengths-nm", "1000"]);
     assert_eq!(usage.status, 2, "{}", usage.err);

@@ -99,7 +99,9 @@ impl Lattice {
                 self.gram[[other, row]] = product;
             }
             self.gram[[row; 2]] = own;
-            self.orthogonalise(row);
+            for before in 0..=column {
+                self.products[[row, before]] -= multiple * self.products[[column, before]];
+            }
         }
     }
 
@@ -131,11 +133,11 @@ mod tests {
         assert_eq!(determinant.abs(), 1, "{basis:?} spans all integers");
     }
 
-    /// Every vector of a reduced basis is within the authors' bound of the shortest: 2^(n−1) times in square. Sum of the last two.
+    /// Differences of two integers are short, single integers are long: one vector of the basis at most has a sum.
     #[test]
     fn a_hidden_short_combination_is_found() {
         let size = 12;
-        // (Σ x)² stiff, x² soft but for the sum over all: differences are short, single integers are not.
+        // 1e6 (Σ x)² + Σ x²
         let gram = Array2::from_shape_fn((size, size), |(i, j)| 1e6 + f64::from(u8::from(i == j)));
         let basis = Lattice::new(gram).basis;
         for vector in &basis[..size - 1] {

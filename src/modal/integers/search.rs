@@ -3,7 +3,8 @@
 //! 4·1640 and 3·2168.6 nm differ by 54 nm. A segment that is off by this pair of integers shows it; a group of neighbours shows little of
 //! it, because the NCPA and the tilts of the channels take up what is smooth, and no segment of it can go back alone. Such groups are
 //! short vectors of the lattice of integers in the metric of χ²: a reduced basis of it has them (as in the integer least squares
-//! of satellite navigation, Teunissen 1995, J. Geodesy 70, 65), and the sampler draws multiples of its vectors.
+//! of satellite navigation, Teunissen 1995, J. Geodesy 70, 65). The sampler starts near the minimum of χ² over all integers, which the
+//! basis gives, and draws multiples of its vectors.
 
 use super::lattice::Lattice;
 use ndarray::{Array1, Array2, ArrayView2, s};
@@ -15,7 +16,7 @@ use std::collections::BTreeMap;
 const SKIPPED_SWEEPS: usize = 100;
 /// and that are averaged: a probability is known to some 5 % of its distance from 0 or 1, being a mean of conditional ones.
 const SAMPLED_SWEEPS: usize = 400;
-/// Largest multiple of a joint move that is drawn at once.
+/// Largest multiple of a joint move that is drawn at once; larger ones take several sweeps.
 const MULTIPLES: i64 = 2;
 /// Seed of the sampler: the same images give the same probabilities.
 const SEED: u64 = 1;
