@@ -271,15 +271,17 @@ impl<T: Polynomial> Field<T> {
             return;
         };
         let [c, t, u] = state.pose[segment];
+        let slopes = self.segment_blocks.slopes.as_ref();
+        // The phasor of a segment without slopes is the same at all of its samples.
+        let of_piston = phasor(c);
         for &(block, entry) in &self.segment_blocks.by_segment[segment] {
             for i in 0..BLOCK {
                 let weight = self.segment_blocks.weight[entry][i];
                 if weight == T::zero() {
                     continue;
                 }
-                let slopes = self.segment_blocks.slopes.as_ref();
                 let [x, y] = slopes.map_or([T::zero(); 2], |slopes| slopes[entry].map(|lanes| lanes[i]));
-                let (q_re, q_im) = phasor(t.mul_add(x, u.mul_add(y, c)));
+                let (q_re, q_im) = slopes.map_or(of_piston, |_| phasor(t.mul_add(x, u.mul_add(y, c))));
                 let along = match mode {
                     Mode::Tip(_) => x,
                     Mode::Tilt(_) => y,

@@ -8,7 +8,7 @@ use super::instrument;
 use crate::io::{HeaderFact, PixelUnit, Quantity};
 use crate::scene::{Method, Scene};
 use crate::{Error, Result, source};
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, Axis};
 use std::borrow::Cow;
 
 /// Key of the gain.
@@ -19,7 +19,7 @@ pub(super) struct Electrons<'a> {
     /// `[image, y, x]`.
     pub(super) images_e: Cow<'a, Array3<f64>>,
     /// `[image, y, x]`.
-    pub(super) bad: &'a Array3<bool>,
+    pub(super) bad: Cow<'a, Array3<bool>>,
     /// Read noise of a pixel; `None` for the scene's.
     pub(super) read_noise_e: Option<f64>,
     /// Telemetry of a MAP estimate.
@@ -29,6 +29,20 @@ pub(super) struct Electrons<'a> {
 impl Electrons<'_> {
     pub(super) fn len(&self) -> usize {
         self.images_e.dim().0
+    }
+
+    /// The sum of the images `which`, as one image: bad where one of them is, with the read noise of all, where it is known for one
+    /// (else `scene_read_noise_e`).
+    pub(super) fn sum(&self, which: &[usize], scene_read_noise_e: Option<f64>) -> Electrons<'static> {
+        let images_e = self.images_e.select(Axis(0), which).sum_axis(Axis(0)).insert_axis(Axis(0));
+        let bad = self.bad.select(Axis(0), which).map_axis(Axis(0), |pixel| pixel.iter().any(|bad| *bad));
+        let read_noise_e = self.read_noise_e.or(scene_read_noise_e);
+        Electrons {
+            images_e: Cow::Owned(images_e),
+            bad: Cow::Owned(bad.insert_axis(Axis(0))),
+            read_noise_e: read_noise_e.map(|noise_e| noise_e * (which.len() as f64).sqrt()),
+            slopes_mas: None,
+        }
     }
 }
 
@@ -71,7 +85,8 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
         Some(gain) => Cow::Owned(&images.images_e * gain),
         None => Cow::Borrowed(&images.images_e),
     };
-    let electrons = Electrons { images_e, bad: &images.bad, read_noise_e, slopes_mas: images.slopes_mas.as_ref() };
+    let electrons =
+        Electrons { images_e, bad: Cow::Borrowed(&images.bad), read_noise_e, slopes_mas: images.slopes_mas.as_ref() };
     let Comparison { scene, is_changed, remarks, .. } = comparison;
     Ok(Consistent { images: electrons, scene, is_changed, remarks })
 }

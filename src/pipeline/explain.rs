@@ -3,10 +3,19 @@
 use super::image_changes::{CHANGING, image_changes};
 use super::misfit;
 use super::modal_task::{Fitted, ModalTask};
-use super::model_selection;
+use super::model_selection::{self, Selected};
 use crate::Result;
+use crate::modal::ModalEstimate;
 use crate::scene::Scene;
 use std::time::Instant;
+
+/// Reduced χ² of the mean residual of several images above which the model is wrong, as for one image.
+const MEAN_RESIDUAL_MISFIT: f64 = 2.0;
+
+/// Whether the mean of several images has a residual that the model does not explain.
+pub(super) fn is_mean_misfit(found: &ModalEstimate) -> bool {
+    found.used() > 1 && found.mean_residual_chi2 > MEAN_RESIDUAL_MISFIT
+}
 
 /// Looks for the cause of the residual of `fitted`, and for a larger model that explains the images: they are then fitted by that.
 ///
@@ -14,22 +23,16 @@ use std::time::Instant;
 /// Those of the fits, and [`crate::Error::Interrupted`].
 pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     // Only a misfit asks for a cause.
-    if fitted.is_explained() {
+    let (is_explained, is_mean_misfit) = (fitted.is_explained(), is_mean_misfit(&fitted.fit.1));
+    if is_explained && !is_mean_misfit {
         return Ok(());
     }
     let started = Instant::now();
-    fitted.changes = image_changes(task.scene, task.images);
-    let found = &fitted.fit;
-    let Some(&image) = found.1.used_images.first().filter(|_| fitted.changes.is_none_or(|chi2| chi2 < CHANGING)) else {
-        return Ok(());
-    };
     task.control.check("the images were fitted, the cause of a residual was not sought")?;
-    let diversity = found.0.diversity_projection()?;
-    let case = misfit::Case { task: *task, image, model: found.0.model(), diversity: &diversity };
-    fitted.cause = case.likely_cause(&found.1)?;
-    if fitted.cause.is_none() && model_selection::may_extend(task.scene, task.policy) {
-        let mut one = |scene: &Scene| task.fit_one(scene, image);
-        fitted.selected = model_selection::select(task.scene, task.control, &fitted.fit, image, &mut one)?;
+    if is_explained {
+        fitted.selected = selected_by_sum(task, &fitted.fit.1)?;
+    } else {
+        explain_image(task, fitted)?;
     }
     let mut fit_seconds = 0.0;
     if let Some(selected) = &fitted.selected {
@@ -38,4 +41,37 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     }
     fitted.model_seconds += started.elapsed().as_secs_f64() - fit_seconds;
     Ok(())
+}
+
+/// Looks for the cause of the residual of the first image that is used, or for a model that explains it.
+fn explain_image(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
+    fitted.changes = image_changes(task.scene, task.images);
+    let found = &fitted.fit;
+    let Some(&image) = found.1.used_images.first().filter(|_| fitted.changes.is_none_or(|chi2| chi2 < CHANGING)) else {
+        return Ok(());
+    };
+    let diversity = found.0.diversity_projection()?;
+    let (model, chain) = (found.0.model(), found.0.reference_chain());
+    let case = misfit::Case { task: *task, image, model, chain, diversity: &diversity };
+    fitted.cause = case.likely_cause(&found.1)?;
+    if fitted.cause.is_none() && model_selection::may_extend(task.scene, task.policy) {
+        let mut one = |scene: &Scene| task.fit_one(scene, image);
+        let name = format!("image {}", image + 1);
+        fitted.selected = model_selection::select(task.scene, task.control, (found, image, &name), &mut one)?;
+    }
+    Ok(())
+}
+
+/// Looks for a model that explains the sum of the images, where each by itself is explained: N images together show modes whose
+/// part of χ² is 1/N of what one image would need.
+fn selected_by_sum(task: &ModalTask, found: &ModalEstimate) -> Result<Option<Selected>> {
+    if !model_selection::may_extend(task.scene, task.policy) {
+        return Ok(None);
+    }
+    let images = task.images.sum(&found.used_images, task.scene.image.read_noise_e);
+    let task = ModalTask { images: &images, ..*task };
+    let Some(own) = task.fit_one(task.scene, 0)? else { return Ok(None) };
+    let mut one = |scene: &Scene| task.fit_one(scene, 0);
+    let name = format!("the sum of {} images", found.used_images.len());
+    model_selection::select(task.scene, task.control, (&own, 0, &name), &mut one)
 }

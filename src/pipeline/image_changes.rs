@@ -97,7 +97,12 @@ mod tests {
 
     fn changes(images: &Images) -> Option<f64> {
         let Images { images_e, bad, .. } = images;
-        let electrons = Electrons { images_e: Cow::Borrowed(images_e), bad, read_noise_e: None, slopes_mas: None };
+        let electrons = Electrons {
+            images_e: Cow::Borrowed(images_e),
+            bad: Cow::Borrowed(bad),
+            read_noise_e: None,
+            slopes_mas: None,
+        };
         image_changes(&scene(), &electrons)
     }
 

@@ -11,7 +11,7 @@ use super::sequence::{self, SequenceResult};
 use super::warnings;
 use crate::modal::ImageStatus;
 use crate::modes::Group;
-use crate::retrieval::OPTICS_SEARCH_CHI2;
+use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange};
 use crate::scene::{AoKnowledge, Scene, Telemetry};
 use crate::statics::{self, Iteration, NcpaFamily, StaticsSettings};
 use crate::telescope::Telescope;
@@ -22,6 +22,9 @@ use std::time::Instant;
 /// Largest reduced χ² of images that the model explains except for turbulence finer than its samples: with a bright star 1.4 to
 /// 1.6 in frozen exposures, 4.2 in exposures of 10 ms; square pixels modelled as points make it 8.
 const EXPLAINED: f64 = 6.0;
+/// Least reduced χ² of images in electrons: over thousands of pixels it scatters by 0.02 about 1 or more. Counts of 20 electrons each that
+/// are read as electrons give 0.05 to 0.1.
+const LEAST_EXPLAINED: f64 = 0.8;
 
 pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Electrons) -> Result<Estimate> {
     let count = images.len();
@@ -45,7 +48,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     let has_settled = found.iterations.len() < settings.max_iterations || !last.has_changed(settings.tolerance);
     // After a search for optical parameters the limit is that of the search.
     let explained = if found.optics.warnings().is_empty() { EXPLAINED } else { OPTICS_SEARCH_CHI2 };
-    let is_misfit = last.reduced_chi2 > explained;
+    let is_misfit = !(LEAST_EXPLAINED..=explained).contains(&last.reduced_chi2);
     let mut sentences = warnings::map_warnings(&found, last, has_settled, is_misfit);
     if slopes_mas.is_some() && found.ao_knowledge < AoKnowledge::Telemetry {
         sentences.push(
@@ -82,7 +85,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         is_sequence: true,
         status: if is_misfit { ImageStatus::Misfit } else { ImageStatus::Ok },
         model: selected(last),
-        optics: optics(scene, &found),
+        optics: optics(&found),
         warnings: sentences,
         remarks,
         pupil,
@@ -149,28 +152,16 @@ fn basis(last: &Iteration) -> Basis {
     Basis { names: last.mode_names(), groups }
 }
 
-fn optics(given: &Scene, found: &SequenceResult) -> Vec<OpticalParameter> {
-    let parameter = |key: &str, scene: f64, value: f64| OpticalParameter {
-        key: key.into(),
+fn optics(found: &SequenceResult) -> Vec<OpticalParameter> {
+    let parameter = |change: &OpticsChange| OpticalParameter {
+        key: change.key.into(),
         segment: None,
-        scene,
-        value,
+        scene: change.given,
+        value: change.found,
         sigma: f64::NAN,
         identifiable: f64::NAN,
     };
-    let mut parameters = Vec::new();
-    let (optics, sampling) = (&found.optics, given.image.samples_per_lambda_over_d);
-    if optics.plate_scale != 1.0 {
-        let key = "image.samples_per_lambda_over_d";
-        parameters.push(parameter(key, sampling, sampling * optics.plate_scale));
-    }
-    let pupil = &given.pupil;
-    let others = [
-        ("pupil.central_obscuration_m", pupil.central_obscuration_m, optics.central_obscuration_m),
-        ("pupil.spider_width_m", pupil.spider_width_m, optics.spider_width_m),
-    ];
-    parameters.extend(others.into_iter().filter_map(|(key, scene, value)| Some(parameter(key, scene, value?))));
-    parameters
+    found.optics.changes.iter().map(parameter).collect()
 }
 
 /// Terms of an iteration's error bars: the part that the images average out, and the errors that all of them share.

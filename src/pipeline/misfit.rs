@@ -1,7 +1,9 @@
-//! Likely cause of a misfit, from the structure of an image and of its residual: saturated pixels, a second star, another plate
-//! scale.
+//! Likely cause of a misfit, from the structure of an image and of its residual: saturated pixels, a second star, a non-linear detector,
+//! a blur, another plate scale.
 
 use super::modal_task::ModalTask;
+use super::residual_shape::Residual;
+use crate::imaging::CpuChain;
 use crate::modal::{self, Cube, DiversityProjection, FittedImage, ModalEstimate, Model};
 use crate::modes::Group;
 use crate::{Error, Result};
@@ -11,12 +13,10 @@ use ndarray::{Array2, ArrayView2, Axis};
 const TOP: f64 = 0.995;
 /// Fewest pixels at the top of a saturated image: noise and a peak between pixels make one or two.
 const SATURATED_PIXELS: usize = 4;
-/// Least separation of a second star, model pixels: closer ones look like aberrations.
-const LEAST_SEPARATION: usize = 3;
-/// Part of the residual's χ² that a displaced copy of the model must explain.
-const EXPLAINED_BY_COPY: f64 = 0.4;
-/// Products in the search for a copy; larger images are searched on every second pixel, or third.
-const MAX_PRODUCTS: usize = 20_000_000;
+/// Part of the excess of χ² that a shape of the residual must explain.
+const EXPLAINED_BY_SHAPE: f64 = 0.5;
+/// Most derivatives that are held, 160 MB; shapes of the residual of a larger model are compared with what the modes absorb of them.
+const MAX_DERIVATIVES: usize = 20_000_000;
 
 /// Largest part of χ² beyond 1 that may be left where another plate scale is the cause. A plate scale that is 1 to 10 % wrong leaves
 /// 0.2 % at most (Keck and seven hexagons, peak S/N of 50 to 1,000). Of saturation, companions of 1 and 5 %, a non-linear
@@ -34,6 +34,8 @@ pub(super) struct Case<'a> {
     /// Its number, from 0.
     pub(super) image: usize,
     pub(super) model: &'a Model,
+    /// Reference chain of the model.
+    pub(super) chain: &'a CpuChain<f64>,
     /// Projection of the diversity on the modes of the model.
     pub(super) diversity: &'a DiversityProjection,
 }
@@ -48,11 +50,24 @@ impl Case<'_> {
         let bad = self.task.images.bad.index_axis(Axis(0), self.image);
         // Detector pixels along a side of a model pixel.
         let native = self.model.preparation.native_along(0);
-        let cause = match shown_by_residual(&found.compared, frame_e, bad, native) {
+        let derivatives = || self.derivatives(found);
+        let cause = match shown_by_residual(&found.compared, frame_e, bad, native, &derivatives) {
             Some(cause) => Some(cause),
             None => self.plate_scale(found)?,
         };
         Ok(cause.map(|cause| format!("likely cause of the residual of image {}: {cause}", self.image + 1)))
+    }
+
+    /// Derivatives of the image by the fitted modes, `[mode, pixel]`; none of a model that is too large.
+    fn derivatives(&self, found: &ModalEstimate) -> Array2<f64> {
+        let linear = self.chain.linearise(found.image_coefficients_nm.row(self.image));
+        let (modes, pixels) = (linear.modes(), linear.pixels());
+        if modes * pixels * pixels > MAX_DERIVATIVES {
+            return Array2::zeros((0, pixels * pixels));
+        }
+        let mut derivatives = Array2::zeros((modes, pixels * pixels));
+        linear.derivatives(0..pixels, derivatives.view_mut());
+        derivatives
     }
 
     /// Another plate scale with which the model explains the image.
@@ -119,14 +134,18 @@ impl Case<'_> {
 }
 
 /// A cause that an image and its residual show, as a sentence's end. `frame_e` is the detector frame, `native` the number of its
-/// pixels along a side of a model pixel.
+/// pixels along a side of a model pixel, `derivatives` those of the image by the fitted modes.
 fn shown_by_residual(
     fitted: &FittedImage,
     frame_e: ArrayView2<f64>,
     bad: ArrayView2<bool>,
     native: f64,
+    derivatives: &dyn Fn() -> Array2<f64>,
 ) -> Option<String> {
-    saturation(fitted, frame_e, bad).or_else(|| second_star(fitted, native))
+    saturation(fitted, frame_e, bad).or_else(|| {
+        let shape = Residual::new(fitted, native, derivatives())?.shape();
+        shape.filter(|shape| shape.share > EXPLAINED_BY_SHAPE).map(|shape| shape.sentence)
+    })
 }
 
 /// Several pixels at one largest value, where the model has a peak.
@@ -140,57 +159,6 @@ fn saturation(fitted: &FittedImage, frame_e: ArrayView2<f64>, bad: ArrayView2<bo
         format!(
             "{top} pixels are at the largest value, {largest:.0} e⁻, where one peak is expected: the detector is saturated; mark \
              such pixels as bad (BADPIX or --mask), or expose for a shorter time"
-        )
-    })
-}
-
-/// A copy of the model in the residual.
-fn second_star(fitted: &FittedImage, native: f64) -> Option<String> {
-    let size = fitted.model_e.nrows();
-    let floor = fitted.model_e.iter().copied().fold(f64::MAX, f64::min);
-    let star = fitted.model_e.mapv(|electrons| electrons - floor);
-    let residual = &fitted.data_e - &fitted.model_e;
-    // Inverse variances; 0 for bad pixels and where the residual is 0, which explains nothing.
-    let weight = Array2::from_shape_fn(residual.dim(), |at| {
-        let ratio = fitted.residual_sigma[at] / residual[at];
-        if ratio.is_finite() { ratio * ratio } else { 0.0 }
-    });
-    let reach = (size / 3) as isize;
-    let shifts = (2 * reach + 1).pow(2) as usize;
-    let stride = (1..).find(|stride| (size / stride).pow(2) * shifts <= MAX_PRODUCTS).unwrap_or(1);
-    // Amplitude of a copy at a shift, and the χ² that it explains.
-    let copy = |dy: isize, dx: isize, stride: usize| {
-        let (mut product, mut norm) = (0.0, 0.0);
-        let inside = |at: usize, shift: isize| usize::try_from(at as isize - shift).ok().filter(|at| *at < size);
-        for y in (0..size).step_by(stride) {
-            let Some(v) = inside(y, dy) else { continue };
-            for x in (0..size).step_by(stride) {
-                let Some(u) = inside(x, dx) else { continue };
-                let weighted = weight[[y, x]] * star[[v, u]];
-                if weighted > 0.0 {
-                    product += weighted * residual[[y, x]];
-                    norm += weighted * star[[v, u]];
-                }
-            }
-        }
-        if norm > 0.0 && product > 0.0 { (product / norm, product * product / norm) } else { (0.0, 0.0) }
-    };
-    let is_apart = |dy: isize, dx: isize| dy * dy + dx * dx >= (LEAST_SEPARATION * LEAST_SEPARATION) as isize;
-    let best = |ys: std::ops::RangeInclusive<isize>, xs: std::ops::RangeInclusive<isize>, stride: usize| {
-        let pairs = ys.flat_map(|dy| xs.clone().map(move |dx| (dy, dx))).filter(|&(dy, dx)| is_apart(dy, dx));
-        let found = pairs.map(|(dy, dx)| (copy(dy, dx, stride), dy, dx));
-        found.max_by(|a, b| a.0.1.total_cmp(&b.0.1))
-    };
-    let (_, dy, dx) = best(-reach..=reach, -reach..=reach, stride)?;
-    let ((contrast, explained), dy, dx) = best(dy - 1..=dy + 1, dx - 1..=dx + 1, 1)?;
-    let whole: f64 = fitted.residual_sigma.iter().filter(|sigma| sigma.is_finite()).map(|sigma| sigma * sigma).sum();
-    (explained > EXPLAINED_BY_COPY * whole).then(|| {
-        let (x, y) = (dx as f64 * native, dy as f64 * native);
-        format!(
-            "{:.0} % of it is a copy of the star's image with {contrast:.2} of its flux or more, {:.0} pixels away ({x:.0} along x, {y:.0} \
-             along y): a second star; mark its pixels as bad (BADPIX or --mask), or take another star",
-            100.0 * explained / whole,
-            x.hypot(y)
         )
     })
 }
@@ -210,17 +178,29 @@ mod tests {
         let residual_sigma =
             Array2::from_shape_fn((32, 32), |at| (data_e[at] - model_e[at]) / (model_e[at] + 100.0).sqrt());
         let fitted = FittedImage { data_e: data_e.clone(), model_e, residual_sigma };
-        shown_by_residual(&fitted, data_e.view(), Array2::from_elem((32, 32), false).view(), 2.0)
+        let none = || Array2::zeros((0, 1024));
+        shown_by_residual(&fitted, data_e.view(), Array2::from_elem((32, 32), false).view(), 2.0, &none)
     }
 
     #[test]
-    fn saturation_and_a_second_star_are_named_and_nothing_else() {
+    fn what_the_residual_shows_is_named_and_nothing_else() {
         let one = |y, x| spot(y, x, (16.0, 16.0));
         assert_eq!(cause(one), None);
         assert_eq!(cause(|y, x| 1.1 * one(y, x)), None);
         let clipped = cause(|y, x| if one(y, x) > 6000.0 { 6000.0 } else { one(y, x) }).unwrap();
         assert!(clipped.contains("saturated"), "{clipped}");
         let double = cause(|y, x| one(y, x) + 0.2 * spot(y, x, (20.0, 9.0))).unwrap();
-        assert!(double.contains("0.20 of its flux or more") && double.contains("(-14 along x, 8 along y)"), "{double}");
+        assert!(double.contains("0.200 of its flux") && double.contains("(-14 along x, 8 along y)"), "{double}");
+        let peak = (0..1024).map(|at| one(at / 32, at % 32)).fold(0.0, f64::max);
+        let curved = cause(|y, x| one(y, x) * (1.0 - 0.1 * one(y, x) / peak)).unwrap();
+        assert!(curved.contains("-10.0 % at the brightest pixel: a non-linear detector"), "{curved}");
+        // The mean over nine neighbours.
+        let neighbours = |y: usize, x: usize| {
+            [(y, x - 1), (y, x), (y, x + 1)].map(|(y, x)| [one(y - 1, x), one(y, x), one(y + 1, x)])
+        };
+        let blurred =
+            cause(|y, x| if y > 0 && x > 0 { neighbours(y, x).iter().flatten().sum::<f64>() / 9.0 } else { 0.0 })
+                .unwrap();
+        assert!(blurred.contains("a blur of "), "{blurred}");
     }
 }

@@ -31,6 +31,7 @@ mod orientation;
 mod outcome;
 mod policy;
 mod report;
+mod residual_shape;
 mod sequence;
 mod telemetry;
 mod warnings;

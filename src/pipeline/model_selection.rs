@@ -157,15 +157,15 @@ pub(super) fn may_extend(scene: &Scene, policy: &Policy) -> bool {
         && !matches!(scene.modes.ncpa, NcpaBasis::File(_) | NcpaBasis::None)
 }
 
-/// Looks for a model that explains an image which the fit `own` of `scene` does not explain. `fit` fits a scene to that image.
+/// Looks for a model that explains an image which a fit of `scene` does not explain: the fit, the image's number in it, and the
+/// image's name for reports. `fit` fits a scene to that image.
 ///
 /// # Errors
 /// [`Error::Interrupted`].
 pub(super) fn select(
     scene: &Scene,
     control: &Control,
-    own: &(ModalFitter, ModalEstimate),
-    image: usize,
+    (own, image, name): (&(ModalFitter, ModalEstimate), usize, &str),
     fit: &mut FitOne,
 ) -> Result<Option<Selected>> {
     let base = Fit::of(own, image);
@@ -186,11 +186,9 @@ pub(super) fn select(
         let names: Vec<String> = trial.extensions.iter().map(|extension| extension.name()).collect();
         let added = names.join(" and ");
         let remark = format!(
-            "The model was extended by {added}: the reduced χ² of image {} is {:.3} in place of {:.1} \
+            "The model was extended by {added}: the reduced χ² of {name} is {:.3} in place of {:.1} \
              (estimate.model = \"scene\" keeps that of the scene).",
-            image + 1,
-            trial.fit.reduced_chi2,
-            base.reduced_chi2
+            trial.fit.reduced_chi2, base.reduced_chi2
         );
         let settings = trial.extensions.iter().flat_map(|extension| extension.settings(scene)).collect();
         Selected { scene: trial.scene.clone(), settings, added, remark }

@@ -1,5 +1,6 @@
 //! Warnings on an estimate: one sentence each, which a user should read before using it.
 
+use super::explain::is_mean_misfit;
 use super::image_changes::CHANGING;
 use super::images::counted;
 use super::sequence::SequenceResult;
@@ -186,13 +187,10 @@ fn sequence_warning(found: &modal::ModalEstimate) -> Option<String> {
     ))
 }
 
-/// Mean residual of several images, as χ², above which a warning says that the model is wrong: as for one image.
-const MEAN_RESIDUAL_MISFIT: f64 = 2.0;
-
 /// Warning on an error of the model that only the mean of the images shows.
 fn mean_residual_warning(found: &modal::ModalEstimate) -> Option<String> {
     let chi2 = found.mean_residual_chi2;
-    (found.used() > 1 && chi2 > MEAN_RESIDUAL_MISFIT).then(|| {
+    is_mean_misfit(found).then(|| {
         format!(
             "the mean residual of the {} images is {:.1} times its noise (reduced χ² {chi2:.1}), which single images do not \
              show: the modes do not span what is there, or the scene differs from the instrument; error bars are scaled up by \
@@ -263,7 +261,9 @@ pub(super) fn map_warnings(
     sentences.extend(last.diversity.warning(found.scene.image.wavelength_nm));
     sentences.extend(found.optics.warnings());
     sentences.extend(found.telemetry.iter().flat_map(|check| check.warnings.clone()));
-    if is_misfit {
+    if is_misfit && last.reduced_chi2 < 1.0 {
+        sentences.push(format!("the typical image has a reduced χ² of {}: {TOO_SMALL}", shown(last.reduced_chi2)));
+    } else if is_misfit {
         sentences.push(format!(
             "the residual of the typical image is {:.1} times the noise (reduced χ² {:.1}): the scene differs from the \
              instrument, and the error bars do not include by how much",

@@ -13,6 +13,7 @@ mod illuminated_samples;
 mod information_probe;
 mod model;
 mod optics_estimate;
+mod optics_parameter;
 mod optics_search;
 mod optimisation;
 mod preconditioner;
@@ -26,6 +27,7 @@ mod static_wavefront;
 mod workspace;
 
 pub use illuminated_samples::IlluminatedSamples;
+pub(crate) use optics_estimate::OpticsChange;
 pub use optics_estimate::RetrievedOptics;
 pub(crate) use optics_search::{OPTICS_SEARCH_CHI2, estimate_optics};
 pub use prior::{RadialPsd, StaticAberrationRms};

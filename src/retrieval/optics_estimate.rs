@@ -1,6 +1,8 @@
 //! Optics of the images where they differ from the scene's.
 
+use super::optics_parameter::OpticsParameter;
 use crate::Result;
+use crate::imaging::Choice;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 
@@ -9,15 +11,36 @@ use crate::telescope::Telescope;
 pub struct RetrievedOptics {
     /// The scene, with the estimates in place of its own values.
     pub(crate) scene: Scene,
-    /// Pixels per λ/D over those of the scene that was given; 1 where they were not estimated.
-    pub plate_scale: f64,
-    /// Diameter of the central obscuration, m, where it differs.
-    pub central_obscuration_m: Option<f64>,
-    /// Width of the spider's vanes, m, where it differs.
-    pub spider_width_m: Option<f64>,
+    /// Numbers of the scene that differ.
+    pub(crate) changes: Vec<OpticsChange>,
     /// Reflectivity of each segment over the pupil's mean; empty where they were not estimated.
     pub segment_reflectivities: Vec<f64>,
     telescope: Telescope,
+}
+
+/// A number of the scene that differs in the images.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct OpticsChange {
+    pub(crate) key: &'static str,
+    /// Value in the scene that was given.
+    pub(crate) given: f64,
+    /// Estimated value.
+    pub(crate) found: f64,
+}
+
+impl OpticsChange {
+    fn sentence(&self) -> String {
+        let Self { key, given, found } = self;
+        let what = match *key {
+            "image.samples_per_lambda_over_d" => {
+                format!("pixels {:+.2} % finer than {key}", 100.0 * (found / given - 1.0))
+            }
+            "image.bandwidth_fraction" => format!("a filter of {:.1} %, where {key} is {given}", 100.0 * found),
+            "image.pixel_fill" => format!("pixels whose side is {found:.2} of their pitch, where {key} is {given}"),
+            _ => format!("{key} = {found:.4}, which the scene gives as {given}"),
+        };
+        format!("the images show {what}: the estimate uses that of the images")
+    }
 }
 
 impl RetrievedOptics {
@@ -30,11 +53,13 @@ impl RetrievedOptics {
         if !amplitudes.is_empty() {
             telescope = telescope.with_amplitudes(amplitudes)?;
         }
-        let other = |now: f64, before: f64| (now != before).then_some(now);
+        let [given, found] = [given, &scene].map(|scene| OpticsParameter::all(scene, Choice::Cpu));
+        let change = given.iter().filter_map(|given| {
+            let found = found.iter().find(|found| found.key == given.key)?;
+            (found.own != given.own).then_some(OpticsChange { key: given.key, given: given.own, found: found.own })
+        });
         Ok(Self {
-            plate_scale: scene.image.samples_per_lambda_over_d / given.image.samples_per_lambda_over_d,
-            central_obscuration_m: other(scene.pupil.central_obscuration_m, given.pupil.central_obscuration_m),
-            spider_width_m: other(scene.pupil.spider_width_m, given.pupil.spider_width_m),
+            changes: change.collect(),
             segment_reflectivities: telescope.amplitudes().iter().map(|amplitude| amplitude * amplitude).collect(),
             scene,
             telescope,
@@ -48,25 +73,7 @@ impl RetrievedOptics {
 
     /// Warnings for users, a sentence for each estimate that differs from the scene.
     pub fn warnings(&self) -> Vec<String> {
-        let mut sentences = Vec::new();
-        if self.plate_scale != 1.0 {
-            sentences.push(format!(
-                "the images show pixels {:+.2} % finer than image.samples_per_lambda_over_d: the estimate uses those of the \
-                 images",
-                100.0 * (self.plate_scale - 1.0)
-            ));
-        }
-        let pupil = [
-            (self.central_obscuration_m, "a central obscuration", "pupil.central_obscuration_m"),
-            (self.spider_width_m, "a spider", "pupil.spider_width_m"),
-        ];
-        for (metres, what, key) in pupil {
-            if let Some(metres) = metres {
-                sentences.push(format!(
-                    "the images show {what} of {metres:.4} m, which differs from {key}: the estimate uses that of the images"
-                ));
-            }
-        }
+        let mut sentences: Vec<String> = self.changes.iter().map(OpticsChange::sentence).collect();
         let reflectivities = &self.segment_reflectivities;
         if !reflectivities.is_empty() {
             let square: f64 = reflectivities.iter().map(|value| (value - 1.0).powi(2)).sum();

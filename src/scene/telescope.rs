@@ -227,6 +227,11 @@ impl ImageScene {
         self.read_noise_e.unwrap_or(0.0)
     }
 
+    /// Whether the samples of the image hold the frequencies of the area of a pixel.
+    pub(crate) fn has_samples_of_pixels(&self) -> bool {
+        self.samples_per_lambda_over_d >= LEAST_SAMPLING_OF_PIXELS
+    }
+
     /// Rows and columns of a detector frame.
     pub fn frame_shape(&self) -> (usize, usize) {
         (self.rows.unwrap_or(self.pixels), self.columns.unwrap_or(self.pixels))
@@ -254,7 +259,7 @@ impl Check for ImageScene {
         let sampling = self.samples_per_lambda_over_d;
         for (key, value) in [("pixel_fill", self.pixel_fill), ("charge_diffusion_pixels", self.charge_diffusion_pixels)]
         {
-            if value > 0.0 && sampling < LEAST_SAMPLING_OF_PIXELS {
+            if value > 0.0 && !self.has_samples_of_pixels() {
                 let sentence = format!(
                     "image.{key} = {value} is not accepted with image.samples_per_lambda_over_d = {sampling}; a sampling of \
                      {LEAST_SAMPLING_OF_PIXELS} or more is needed"

@@ -43,6 +43,27 @@ fn modes_are_added_where_the_scene_does_not_explain_the_images() {
 }
 
 #[test]
+fn modes_are_added_where_only_the_sum_of_the_images_shows_them() {
+    // Zernikes of 6 nm beyond those of the scene: their light is below the noise of one image, and thirty times as much in thirty.
+    let made = [
+        ("image.count", "30"),
+        ("image.peak_snr", "100"),
+        ("aberrations.ncpa_zernikes", "[4, 60]"),
+        ("aberrations.ncpa_power_law", "0"),
+        ("aberrations.ncpa_rms_nm", "20"),
+    ];
+    let own = estimate(&made, &[("estimate.model", "scene")], Policy::default());
+    assert!(own.status == ImageStatus::Ok && own.warnings[0].contains("the mean residual of the 30 images"));
+    let found = estimate(&made, &[], Policy::default());
+    assert!(found.is_sound() && is_right(&found), "{:?}", found.warnings);
+    assert!(
+        found.remarks[0].contains("Zernikes to Noll 91: the reduced χ² of the sum of 30 images"),
+        "{:?}",
+        found.remarks
+    );
+}
+
+#[test]
 fn reflectivities_and_shadows_that_the_images_show_are_fitted() {
     let reflectivities = [("faults.segment_reflectivity_rms", "0.05")];
     let found = estimate(&reflectivities, &[], Policy::default());

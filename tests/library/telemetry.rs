@@ -2,7 +2,7 @@
 
 use crate::full_phase::{exposures, sky};
 use cophase::ao::Stepper;
-use cophase::pipeline::{Estimate, Estimator, Images, Poke, check_orientation};
+use cophase::pipeline::{Estimate, Estimator, ImageStatus, Images, Poke, check_orientation};
 use cophase::scene::{AoKnowledge, Method, Scene};
 use cophase::source::{Camera, Truth};
 use cophase::telescope::Telescope;
@@ -110,6 +110,20 @@ fn telemetry_is_used_at_its_gain_or_ignored_where_the_scene_says_so() {
     let map = ignored.map.as_ref().unwrap();
     assert!(map.ao_knowledge == AoKnowledge::Loop && map.telemetry.is_none());
     assert!(ignored.remarks.iter().any(|remark| remark.contains("orientation cannot be verified")));
+}
+
+#[test]
+fn noise_that_is_smaller_than_stated_is_flagged() {
+    // Counts of 20 electrons each, without their unit.
+    let right = images(3);
+    let counts = Images { images_e: &right.images_e / 20.0, slopes_mas: None, ..right };
+    let found = estimate(&scene(&[]), &counts).unwrap();
+    assert_eq!(found.status, ImageStatus::Misfit);
+    assert!(
+        found.reduced_chi2 < 0.5 && found.warnings[0].contains("is the image in electrons"),
+        "{:?}",
+        found.warnings
+    );
 }
 
 #[test]

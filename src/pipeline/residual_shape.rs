@@ -1,0 +1,212 @@
+//! Shape of the residual of an image: the part of its χ² that a copy of the star, the square of the signal or a blur explain.
+//!
+//! Each is a linear model of the residual, r = Σ cₖ·vₖ, fitted by least squares under the noise of the pixels. At the minimum of a fit
+//! the residual is orthogonal to the derivatives of the image by the fitted modes, which have absorbed a part of the cause: so the
+//! vₖ are replaced by their parts orthogonal to these derivatives. The share that a shape explains is its decrease of χ² over the
+//! excess of χ² beyond the degrees of freedom.
+
+use crate::linear_algebra::SpdInverse;
+use crate::modal::FittedImage;
+use ndarray::{Array1, Array2, Axis, concatenate};
+
+/// Least separation of a second star, model pixels: closer ones look like aberrations.
+const LEAST_SEPARATION: usize = 3;
+/// Products in the search for a copy; larger images are searched on every second pixel, or third.
+const MAX_PRODUCTS: usize = 20_000_000;
+/// Copies that are fitted without what the modes absorb of them: those that explain most with it.
+const CANDIDATES: usize = 24;
+/// Regularisation of the products of derivatives, whose squares are 1: nearly degenerate modes have eigenvalues of 1e-3.
+const RIDGE: f64 = 1e-9;
+
+/// A shape of the residual: its share of the excess of χ², and the sentence's end that names it.
+pub(super) struct Shape {
+    pub(super) share: f64,
+    pub(super) sentence: String,
+}
+
+/// The residual of an image, with what explains it.
+pub(super) struct Residual {
+    /// Model of the star, without its background.
+    star_e: Array2<f64>,
+    residual_e: Array2<f64>,
+    /// Inverse variances; 0 for bad pixels and where the residual is 0, which explains nothing.
+    weight: Array2<f64>,
+    /// Derivatives of the image by the fitted parameters, of unit length under the weights, `[parameter, pixel]`.
+    derivatives: Array2<f64>,
+    /// Inverse of their weighted products.
+    inverse: Array2<f64>,
+    /// χ² less the degrees of freedom.
+    excess: f64,
+    /// Detector pixels along a side of a model pixel.
+    native: f64,
+}
+
+impl Residual {
+    /// The residual of `fitted`, whose model has these `derivatives` by its modes, `[mode, pixel]`, in any unit; the flux and the background
+    /// are added to them. `None` where χ² has no excess.
+    pub(super) fn new(fitted: &FittedImage, native: f64, derivatives: Array2<f64>) -> Option<Self> {
+        let excess = fitted.residual_sigma.iter().filter(|sigma| sigma.is_finite()).map(|sigma| sigma * sigma - 1.0);
+        let excess = excess.sum::<f64>() + derivatives.nrows() as f64;
+        if excess <= 0.0 {
+            return None;
+        }
+        let floor = fitted.model_e.iter().copied().fold(f64::MAX, f64::min);
+        let star_e = fitted.model_e.mapv(|electrons| electrons - floor);
+        let residual_e = (&fitted.data_e - &fitted.model_e).mapv(|e| if e.is_finite() { e } else { 0.0 });
+        let weight = Array2::from_shape_fn(residual_e.dim(), |at| {
+            let ratio = fitted.residual_sigma[at] / residual_e[at];
+            if ratio.is_finite() { ratio * ratio } else { 0.0 }
+        });
+        let (ones, flat) =
+            (Array2::ones((1, star_e.len())), |map: &Array2<f64>| Array1::from_iter(map.iter().copied()));
+        let star = flat(&star_e).insert_axis(Axis(0));
+        let mut derivatives = concatenate(Axis(0), &[derivatives.view(), star.view(), ones.view()]).ok()?;
+        let roots = flat(&weight).mapv(f64::sqrt);
+        derivatives.outer_iter_mut().for_each(|mut row| {
+            let length = row.iter().zip(&roots).map(|(value, root)| (value * root).powi(2)).sum::<f64>().sqrt();
+            row.mapv_inplace(|value| if length > 0.0 { value / length } else { 0.0 });
+        });
+        let weighted = &derivatives * &roots;
+        let mut products = weighted.dot(&weighted.t());
+        products.diag_mut().mapv_inplace(|square| square + RIDGE);
+        let inverse = SpdInverse::new(&products).ok()?.inverse;
+        Some(Self { star_e, residual_e, weight, derivatives, inverse, excess, native })
+    }
+
+    /// Part of `column` that is orthogonal to the derivatives.
+    fn without_modes(&self, column: &Array2<f64>) -> Array2<f64> {
+        let weighted = Array1::from_iter(column.iter().zip(&self.weight).map(|(value, weight)| value * weight));
+        let projection = self.inverse.dot(&self.derivatives.dot(&weighted)).dot(&self.derivatives);
+        let mut rest = column.clone();
+        rest.iter_mut().zip(&projection).for_each(|(value, along)| *value -= along);
+        rest
+    }
+
+    /// The shape that explains most of the excess.
+    pub(super) fn shape(&self) -> Option<Shape> {
+        let shapes = [self.copy_of_star(), self.square_of_signal(), self.blur()];
+        shapes.into_iter().flatten().max_by(|a, b| a.share.total_cmp(&b.share))
+    }
+
+    /// Coefficients of `columns` by least squares, and the share that they explain; `None` where they are linearly dependent.
+    fn fit<const N: usize>(&self, columns: [Array2<f64>; N]) -> Option<([f64; N], f64)> {
+        let columns = columns.map(|column| self.without_modes(&column));
+        let product = |a: &Array2<f64>, b: &Array2<f64>| {
+            a.iter().zip(b).zip(&self.weight).map(|((a, b), weight)| weight * a * b).sum::<f64>()
+        };
+        // Columns of unit length, so that their units do not matter.
+        let lengths = columns.each_ref().map(|column| product(column, column).sqrt());
+        let normal =
+            Array2::from_shape_fn((N, N), |(i, j)| product(&columns[i], &columns[j]) / (lengths[i] * lengths[j]));
+        let right = Array1::from_shape_fn(N, |k| product(&columns[k], &self.residual_e) / lengths[k]);
+        let solution = SpdInverse::new(&normal).ok()?.inverse.dot(&right);
+        let share = (solution.dot(&right) - N as f64) / self.excess;
+        Some((std::array::from_fn(|k| solution[k] / lengths[k]), share))
+    }
+
+    /// The square of the signal: a non-linear detector.
+    fn square_of_signal(&self) -> Option<Shape> {
+        let peak_e = self.star_e.iter().copied().fold(0.0, f64::max);
+        let (coefficients, share) = self.fit([self.star_e.mapv(|electrons| (electrons / peak_e).powi(2))])?;
+        let percent = 100.0 * coefficients[0] / peak_e;
+        Some(Shape {
+            share,
+            sentence: format!(
+                "{:.0} % of it follows the square of the signal, {percent:+.1} % at the brightest pixel: a non-linear detector; \
+                 correct the images for it, or expose for a shorter time",
+                100.0 * share
+            ),
+        })
+    }
+
+    /// Second derivatives of the image: a blur that the model lacks.
+    fn blur(&self) -> Option<Shape> {
+        let (rows, columns) = self.star_e.dim();
+        let second = |dy: usize, dx: usize| {
+            Array2::from_shape_fn((rows, columns), |(y, x)| {
+                let inside = (dy..rows - dy).contains(&y) && (dx..columns - dx).contains(&x);
+                let at = |y: usize, x: usize| self.star_e[[y, x]];
+                if inside { at(y + dy, x + dx) - 2.0 * at(y, x) + at(y - dy, x - dx) } else { 0.0 }
+            })
+        };
+        let (coefficients, share) = self.fit([second(0, 1), second(1, 0)])?;
+        // A blur of variance s² along an axis adds half of it times the second derivative.
+        let variance = coefficients.iter().sum::<f64>();
+        (variance > 0.0).then(|| Shape {
+            share,
+            sentence: format!(
+                "{:.0} % of it is a blur of {:.2} pixels RMS that the model lacks: the area of the pixels (image.pixel_fill), diffusion \
+                 of charge (image.charge_diffusion_pixels), a filter (image.bandwidth_fraction), or motion of the image",
+                100.0 * share,
+                variance.sqrt() * self.native
+            ),
+        })
+    }
+
+    /// A copy of the star elsewhere: a second star.
+    fn copy_of_star(&self) -> Option<Shape> {
+        let size = self.star_e.nrows();
+        let reach = (size / 3) as isize;
+        let shifts = (2 * reach + 1).pow(2) as usize;
+        let stride = (1..).find(|stride| (size / stride).pow(2) * shifts <= MAX_PRODUCTS).unwrap_or(1);
+        let is_apart = |dy: isize, dx: isize| dy * dy + dx * dx >= (LEAST_SEPARATION * LEAST_SEPARATION) as isize;
+        let pairs = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dy, dx)));
+        let mut places: Vec<_> = pairs.filter(|&(dy, dx)| is_apart(dy, dx)).collect();
+        let best_first = |places: &mut Vec<(isize, isize)>, stride: usize| {
+            let mut ranked: Vec<_> =
+                places.iter().map(|&(dy, dx)| (self.explained_by_copy(dy, dx, stride), dy, dx)).collect();
+            ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+            ranked.truncate(CANDIDATES);
+            *places = ranked.into_iter().map(|(_, dy, dx)| (dy, dx)).collect();
+        };
+        best_first(&mut places, stride);
+        if stride > 1 {
+            let around = |(dy, dx): (isize, isize)| (-1..=1).flat_map(move |v| (-1..=1).map(move |u| (dy + v, dx + u)));
+            places = places.into_iter().flat_map(around).filter(|&(dy, dx)| is_apart(dy, dx)).collect();
+            places.sort_unstable();
+            places.dedup();
+            best_first(&mut places, 1);
+        }
+        let fitted = places.into_iter().filter_map(|(dy, dx)| {
+            let ([contrast], share) = self.fit([self.star_at(dy, dx)])?;
+            (contrast > 0.0).then_some((share, contrast, dy, dx))
+        });
+        let (share, contrast, dy, dx) = fitted.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (x, y) = (dx as f64 * self.native, dy as f64 * self.native);
+        Some(Shape {
+            share,
+            sentence: format!(
+                "{:.0} % of it is a copy of the star's image with {contrast:.3} of its flux, {:.0} pixels away ({x:.0} along x, \
+                 {y:.0} along y): a second star; mark its pixels as bad (BADPIX or --mask), or take another star",
+                100.0 * share,
+                x.hypot(y)
+            ),
+        })
+    }
+
+    /// The star displaced by whole pixels.
+    fn star_at(&self, dy: isize, dx: isize) -> Array2<f64> {
+        let before = |at: usize, shift: isize| usize::try_from(at as isize - shift).ok();
+        Array2::from_shape_fn(self.star_e.dim(), |(y, x)| {
+            let place = before(y, dy).zip(before(x, dx));
+            place.and_then(|(v, u)| self.star_e.get([v, u])).copied().unwrap_or(0.0)
+        })
+    }
+
+    /// Decrease of χ² by a copy of positive flux at a shift, on every `stride`-th pixel, with what the modes absorb of it.
+    fn explained_by_copy(&self, dy: isize, dx: isize, stride: usize) -> f64 {
+        let size = self.star_e.nrows();
+        let (mut product, mut norm) = (0.0, 0.0);
+        let inside = |at: usize, shift: isize| usize::try_from(at as isize - shift).ok().filter(|at| *at < size);
+        for y in (0..size).step_by(stride) {
+            let Some(v) = inside(y, dy) else { continue };
+            for x in (0..size).step_by(stride) {
+                let Some(u) = inside(x, dx) else { continue };
+                let weighted = self.weight[[y, x]] * self.star_e[[v, u]];
+                product += weighted * self.residual_e[[y, x]];
+                norm += weighted * self.star_e[[v, u]];
+            }
+        }
+        if norm > 0.0 && product > 0.0 { product * product / norm } else { 0.0 }
+    }
+}
