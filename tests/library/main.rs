@@ -18,4 +18,5 @@ mod planner;
 mod pupil;
 mod pupil_maps;
 mod scene;
+mod scene_files;
 mod telemetry;
