@@ -15,6 +15,7 @@ mod modes;
 mod night;
 mod observation;
 mod planner;
+mod progress;
 mod pupil;
 mod pupil_maps;
 mod scene;

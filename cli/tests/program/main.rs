@@ -8,6 +8,7 @@ mod drivers;
 mod faults;
 mod frames;
 mod headers;
+mod interrupt;
 mod memory;
 mod observe;
 mod odd_images;
