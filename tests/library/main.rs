@@ -14,6 +14,7 @@ mod model_selection;
 mod modes;
 mod night;
 mod observation;
+mod orientation;
 mod planner;
 mod progress;
 mod pupil;
