@@ -1,6 +1,7 @@
 //! Tests of the library through its public API, in one program: linking is most of what a test program costs.
 
 #[path = "../common/mod.rs"]
+mod checksums;
 mod common;
 
 mod channels;
