@@ -1,10 +1,10 @@
 //! Tests of the library through its public API, in one program: linking is most of what a test program costs.
 
 #[path = "../common/mod.rs"]
-mod checksums;
 mod common;
 
 mod channels;
+mod checksums;
 mod consistency;
 mod fits;
 mod full_phase;
