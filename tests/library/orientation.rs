@@ -34,13 +34,9 @@ fn a_pupil_without_symmetry_determines_the_orientation() {
     let (n, images) = (96, Images::simulated(&scene).unwrap());
     let right = estimate(&scene, &images);
     assert!(right.is_sound() && remarks(&right) == 0, "{:?} {:?}", right.warnings, right.remarks);
-    let flips: [(&str, &dyn Fn(usize, usize) -> (usize, usize)); 3] = [
-        ("left to right", &|y, x| (y, (n - x) % n)),
-        ("up to down", &|y, x| ((n - y) % n, x)),
-        ("both", &|y, x| ((n - y) % n, (n - x) % n)),
-    ];
-    for (name, source) in flips {
-        let found = estimate(&scene, &moved(&images, source));
+    for (name, flip_x, flip_y) in [("left to right", true, false), ("up to down", false, true), ("both", true, true)] {
+        let mirrored = |at: usize, flip: bool| if flip { (n - at) % n } else { at };
+        let found = estimate(&scene, &moved(&images, |y, x| (mirrored(y, flip_y), mirrored(x, flip_x))));
         assert!(
             matches!(found.status, ImageStatus::Misfit | ImageStatus::WrongMinimum),
             "{name}: {:?}, χ² {}",

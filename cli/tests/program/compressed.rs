@@ -17,7 +17,7 @@ struct Bits {
 impl Bits {
     fn put(&mut self, value: u64, count: u32) {
         for bit in (0..count).rev() {
-            if self.held % 8 == 0 {
+            if self.held.is_multiple_of(8) {
                 self.bytes.push(0);
             }
             let last = self.bytes.len() - 1;
