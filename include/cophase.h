@@ -490,6 +490,7 @@ typedef struct {
  * estimator: receives the handle.
  *
  * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does not honour.
+ * COPHASE_BAD_FILE for a file that the scene names and that does not exist.
  */
 cophase_status cophase_estimator_create(const char *scene_text,
                                         const char *directory,

@@ -115,6 +115,7 @@ fn pool(threads: i32) -> Result<Option<ThreadPool>> {
 /// estimator: receives the handle.
 ///
 /// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for keys that the policy does not honour.
+/// COPHASE_BAD_FILE for a file that the scene names and that does not exist.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimator_create(
     scene_text: *const c_char,

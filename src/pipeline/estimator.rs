@@ -8,6 +8,7 @@ use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, TruthMaps};
 use super::modal_task::ModalTask;
 use super::policy::Policy;
+use super::scene_files::check_for_estimate;
 use super::{channels, map, modal};
 use crate::modal::BasisCache;
 use crate::planner;
@@ -32,7 +33,7 @@ impl Estimator {
     /// takes some seconds.
     ///
     /// # Errors
-    /// Those of [`planner::plan`].
+    /// [`Error::File`] for a file that the scene names and that does not exist; those of [`planner::plan`].
     pub fn new(scene: &Scene) -> Result<Self> {
         Self::with_policy(scene, Policy::default(), Control::default())
     }
@@ -40,9 +41,10 @@ impl Estimator {
     /// An estimator with a policy and a control of the caller's.
     ///
     /// # Errors
-    /// Those of [`planner::plan`]; [`Error::Scene`] for a key that the policy does not honour; [`Error::Interrupted`].
+    /// As [`Estimator::new`]; [`Error::Scene`] for a key that the policy does not honour; [`Error::Interrupted`].
     pub fn with_policy(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
         policy.check(scene)?;
+        check_for_estimate(scene)?;
         let (given, (scene, shortfall)) = (scene.clone(), planned(scene, &control)?);
         Ok(Self { given, scene, policy, control, cache: BasisCache::default(), shortfall })
     }

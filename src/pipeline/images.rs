@@ -249,9 +249,7 @@ pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
     }
     let text = file.text_column("SCENE", "LINE")?.join("\n") + "\n";
     let directory = path.parent().unwrap_or(Path::new(""));
-    Scene::from_text(&text, directory)
-        .map(Some)
-        .map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
+    Scene::embedded(&text, directory).map(Some).map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
 }
 
 /// Telemetry of a file, if it has any.

@@ -91,7 +91,7 @@ pub(super) fn check(
         }
         Some(fault) => {
             return Err(Error::Value(format!(
-                "{}; give the slopes as the scene has them, or set estimate.telemetry (--telemetry) to \"ignore\", or to \
+                "{}; give the slopes as the scene has them, or set estimate.telemetry of the scene to \"ignore\", or to \
                  \"use\", which divides them by the gain",
                 mismatch(scene, fault, &found, used.len())
             )));

@@ -43,7 +43,7 @@ impl Check for ModesScene {
         if self.ncpa == NcpaBasis::None {
             let exact = self.exact_zernikes.get_or_insert(NollRange::None);
             let nothing_left = self.segment == SegmentModes::None && *exact == NollRange::None;
-            if nothing_left && reader.source.purpose == Purpose::Whole {
+            if nothing_left && reader.source.purpose != Purpose::Arrays {
                 let sentence = "modes.segment and modes.ncpa are both \"none\": no mode is left to estimate; name a basis for one of them";
                 return Err(reader.error("ncpa", sentence));
             }

@@ -190,6 +190,14 @@ impl Scene {
         Self::parse("scene", text, directory, Purpose::Arrays, &[])
     }
 
+    /// As [`Scene::from_text`], for the scene in an image file: the files that it names may be missing where nothing reads them.
+    ///
+    /// # Errors
+    /// As [`Scene::from_text`].
+    pub(crate) fn embedded(text: &str, directory: &Path) -> Result<Self> {
+        Self::parse("scene", text, directory, Purpose::Embedded, &[])
+    }
+
     /// Reads a scene from a regular file or a pipe of at most 1 MiB. Relative file names in it refer to the file's
     /// directory; those of a pipe to the working directory.
     ///

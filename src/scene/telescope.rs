@@ -74,7 +74,7 @@ impl PupilScene {
         let geometry = ["rings", "segment_side_m", "segment_gap_m", "central_segment", "rotation_deg"];
         let blocked = ["central_obscuration_m", "spider_width_m", "spider_angles_deg", "spider_vanes_deg"];
         reader.refuse(&[geometry.as_slice(), &blocked].concat(), "where the pupil comes from a file")?;
-        if self.grid_m.is_none() && reader.source.purpose == Purpose::Whole {
+        if self.grid_m.is_none() && reader.source.purpose != Purpose::Arrays {
             let file = file.display();
             return Err(reader.error(
                 "file",
@@ -153,7 +153,7 @@ impl Check for PupilScene {
                 self.central_segment = self.aperture == Aperture::Hexagonal;
             }
         }
-        if let Some(extent_m) = self.extent_m().filter(|_| reader.source.purpose == Purpose::Whole) {
+        if let Some(extent_m) = self.extent_m().filter(|_| reader.source.purpose != Purpose::Arrays) {
             self.check_geometry(extent_m, reader)?;
         }
         self.check_band(reader)

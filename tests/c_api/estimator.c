@@ -119,6 +119,7 @@ static void refusals(const struct sky *s, cophase_estimator *estimator)
     int32_t stage = 7;
     uint64_t done = 7, total = 7;
     double *spoilt;
+    size_t k;
 
     frames.rows--;
     ESTIMATE_REFUSED(COPHASE_BAD_SHAPE, "frames is 4 x 71 x 80", &frames, &slopes, NULL);
@@ -134,6 +135,10 @@ static void refusals(const struct sky *s, cophase_estimator *estimator)
     spoilt[s->slope_count + 2] = NAN;
     slopes.data = spoilt;
     ESTIMATE_REFUSED(COPHASE_BAD_VALUE, "slope 3 of image 2 is NaN", &frames, &slopes, NULL);
+    /* Slopes of the opposite sign: the sentence names the key of the scene, and no option of the program. */
+    for (k = 0; k < IMAGES * s->slope_count; k++)
+        spoilt[k] = -s->slopes[k];
+    ESTIMATE_REFUSED(COPHASE_BAD_VALUE, "set estimate.telemetry of the scene", &frames, &slopes, NULL);
     free(spoilt);
     slopes = slopes_of(s);
     options.read_noise_e = -1.0;

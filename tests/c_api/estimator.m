@@ -38,12 +38,15 @@ must_fail('BAD_VALUE', '''full'' or ''realtime'' is accepted', @() cophase.Estim
 must_fail('BAD_VALUE', 'threads is 0', @() cophase.Estimator(scene, 'threads', 0));
 must_fail('BAD_VALUE', 'threads is 1.5', @() cophase.Estimator(scene, 'threads', 1.5));
 must_fail('BAD_VALUE', 'threads is -2', @() cophase.Estimator(scene, 'threads', -2));
+missing = cophase.scene_set(without, 'mirror.actuator_file', 'none.txt');
+must_fail('BAD_FILE', 'mirror.actuator_file', @() cophase.Estimator(missing));
 f = cophase.Estimator(scene, 'policy', 'full', 'directory', '.');
 must_fail('BAD_SHAPE', 'slopes were given for each image', @() f.estimate(frames, 'slopes_mas', slopes_mas(2:end, :)));
 must_fail('BAD_SHAPE', 'slopes_mas is 1 x 3 x', @() f.estimate(frames, 'slopes_mas', slopes_mas(:, 2:end)));
 must_fail('BAD_SHAPE', 'frames is 4 x 71 x 80', @() f.estimate(frames(2:end, :, :)));
 must_fail('BAD_SHAPE', 'bad is 1 x 71 x 80', @() f.estimate(frames, 'mask', false(71, 80)));
 must_fail('BAD_SHAPE', 'mask has', @() f.estimate(frames, 'mask', false(72, 80, 3)));
+must_fail('BAD_VALUE', 'set estimate.telemetry of the scene', @() f.estimate(frames, 'slopes_mas', -slopes_mas));
 must_fail('BAD_VALUE', 'is NaN mas', @() f.estimate(frames, 'slopes_mas', NaN * slopes_mas));
 must_fail('BAD_VALUE', 'read_noise_e is -1', @() f.estimate(frames, 'read_noise_e', -1));
 must_fail('BAD_ARGUMENT', 'is no option here', @() f.estimate(frames, 'slope', slopes_mas, 'nose', 1));

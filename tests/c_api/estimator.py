@@ -42,6 +42,9 @@ def refusals(scene, estimator, frames, slopes_mas):
     failure(lambda: cophase.Estimator(scene, threads=-2), cophase.BadValueError)
     bad = failure(lambda: estimator.estimate(frames, slopes_mas=slopes_mas[:, 1:]), cophase.BadShapeError)
     assert f"{slopes_mas.shape[1] - 1} slopes" in str(bad), bad
+    bad = failure(lambda: estimator.estimate(frames, slopes_mas=-slopes_mas), cophase.BadValueError)
+    assert "the slopes have the opposite sign" in str(bad) and "set estimate.telemetry of the scene" in str(bad), bad
+    assert "--" not in str(bad), bad
     wrong = [
         ({"slopes_mas": slopes_mas[1:]}, cophase.BadShapeError),
         ({"slopes_mas": slopes_mas[None]}, cophase.BadShapeError),

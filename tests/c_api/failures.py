@@ -41,6 +41,9 @@ def one_of_each(scene, model, session, frame):
     assert error.status == "BAD_SCENE" and "apertur" in str(error)
     absent = scene.replace('aperture = "hexagonal"', 'file = "no such.fits"').replace("rings    = 1", "")
     assert "no such.fits" in str(failure(lambda: cophase.Model(absent, "/no such folder"), cophase.BadFileError))
+    missing = cophase.scene_set(scene, mirror__actuator_file="none.txt")
+    bad = failure(lambda: cophase.Estimator(missing), cophase.BadFileError)
+    assert "none.txt" in str(bad) and "mirror.actuator_file" in str(bad), bad
     failure(lambda: session.fit(frame[1:]), cophase.BadShapeError)
     failure(lambda: session.evaluate(np.zeros(model.modes)), cophase.BadValueError)
     failure(lambda: session.evaluate(np.zeros(model.modes), 0 * frame), cophase.BadImageError)

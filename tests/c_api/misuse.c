@@ -101,6 +101,22 @@ static void null_sequences(const struct setting *s)
     free(values);
 }
 
+/* A file that the scene names and that does not exist, although nothing reads it. */
+static void missing_file(const char *scene)
+{
+    cophase_estimator *estimator = NULL;
+    size_t length = 0;
+    char *changed;
+
+    CHECK(cophase_scene_set(scene, "mirror.actuator_file", "none.txt", NULL, 0, &length) == COPHASE_OK);
+    changed = (char *)memory(length + 1, 1);
+    CHECK(cophase_scene_set(scene, "mirror.actuator_file", "none.txt", changed, length + 1, &length) == COPHASE_OK);
+    REFUSED(COPHASE_BAD_FILE, "none.txt", cophase_estimator_create(changed, NULL, NULL, &estimator));
+    REFUSED(COPHASE_BAD_FILE, "mirror.actuator_file", cophase_estimator_create(changed, "/nowhere", NULL, &estimator));
+    CHECK(estimator == NULL);
+    free(changed);
+}
+
 /* NULL, and options out of range, where an estimator or its estimate is asked. */
 static void estimators(const struct setting *s, const char *scene)
 {
@@ -125,6 +141,7 @@ static void estimators(const struct setting *s, const char *scene)
     NULL_IS_REFUSED("estimator", cophase_estimator_progress(NULL, NULL, NULL, NULL));
     NULL_IS_REFUSED("estimator", cophase_estimator_estimate(NULL, &frame, NULL, NULL, &estimate));
     CHECK(estimator == NULL);
+    missing_file(scene);
     CHECK(cophase_estimator_create(scene, NULL, NULL, &estimator) == COPHASE_OK);
     CHECK(cophase_estimator_progress(estimator, NULL, NULL, NULL) == COPHASE_OK);
     NULL_IS_REFUSED("frames", cophase_estimator_estimate(estimator, NULL, NULL, NULL, &estimate));

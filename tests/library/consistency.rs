@@ -259,6 +259,57 @@ fn nominal_images_are_explained_and_small_faults_are_not() {
     }
 }
 
+/// The noise of one image is scaled by its χ².
+#[test]
+fn the_error_bars_of_a_misfit_are_scaled_by_its_residual() {
+    // The modes of the scene alone, so that both estimates have the same.
+    let scene = scene(&[("image.peak_snr", "500"), ("estimate.model", "scene")]);
+    let images = Images::simulated(&scene).unwrap();
+    let star = &images.images_e;
+    let companion = Array3::from_shape_fn(star.dim(), |(i, y, x)| {
+        star[[i, y, x]] + if x < 6 { 0.0 } else { 0.02 * star[[i, y, x - 6]] }
+    });
+    let (right, misfit) = (estimate(&scene, &images), estimate(&scene, &Images::new(companion)));
+    assert_eq!((right.status, misfit.status), (ImageStatus::Ok, ImageStatus::Misfit));
+    let expected = (misfit.reduced_chi2 / right.reduced_chi2.max(1.0)).sqrt();
+    // Not scaled, or scaled by χ² itself, would be far from this.
+    assert!(expected > 1.5, "χ² {} and {}", misfit.reduced_chi2, right.reduced_chi2);
+    let pairs = misfit.sigma_nm().into_iter().zip(right.sigma_nm());
+    let ratios: Vec<f64> = pairs.map(|(misfit, right)| misfit / right / expected).collect();
+    println!("error bars over those that are expected: {ratios:.3?}");
+    // The Fisher matrix is that of another wavefront, which differs by what the companion of 2 % makes of it.
+    assert!(ratios.iter().all(|ratio| (0.9..1.1).contains(ratio)), "{ratios:?}");
+    assert!((misfit.phasing.sigma_nm / right.phasing.sigma_nm / expected - 1.0).abs() < 0.1);
+    assert!((misfit.ncpa.sigma_nm / right.ncpa.sigma_nm / expected - 1.0).abs() < 0.1);
+}
+
+/// A MAP estimate does not fit the background, and a modal one does.
+#[test]
+fn a_background_that_contradicts_the_scene_is_refused_by_map_estimates() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("images.fits");
+    let plain = scene(&[("image.background_e", "100")]);
+    let made = Images::simulated(&plain).unwrap().images_e;
+    let write = |background_e: f64| {
+        let mut file = FitsWriter::create(&path).unwrap();
+        file.image("IMAGES", &made, Pixel::F64, ELECTRON).unwrap();
+        file.card("IMAGES", "BACKGR_E", background_e, "").unwrap();
+        file.finish().unwrap();
+        Images::read(&path, None).unwrap()
+    };
+    let map = plain.with_override("estimate.method", "full-phase").unwrap();
+    let mut images = write(40.0);
+    let error = refused(&map, &images);
+    for words in ["card BACKGR_E = 40", "image.background_e = 100", "--trust"] {
+        assert!(error.contains(words), "{error}");
+    }
+    assert!(estimate(&plain, &images).remarks.iter().all(|remark| !remark.contains("background")));
+    // Not so one that is decided, or that agrees: then one image is too few.
+    images.trust = Trust::Scene;
+    assert!(!refused(&map, &images).contains("BACKGR_E"));
+    assert!(!refused(&map, &write(100.0)).contains("BACKGR_E"));
+}
+
 #[test]
 fn a_stated_read_noise_of_zero_is_none() {
     // Photon noise alone, from a thousand electrons in a pixel to hundredths.

@@ -4,6 +4,7 @@
 mod common;
 
 mod channels;
+mod checksums;
 mod consistency;
 mod fits;
 mod full_phase;
@@ -14,8 +15,11 @@ mod model_selection;
 mod modes;
 mod night;
 mod observation;
+mod orientation;
 mod planner;
+mod progress;
 mod pupil;
 mod pupil_maps;
 mod scene;
+mod scene_files;
 mod telemetry;

@@ -43,6 +43,13 @@ fn flipped(images: &Images) -> Images {
     Images { images_e: Array3::from_shape_fn(images.images_e.dim(), at), ..images.clone() }
 }
 
+/// The frame mirrored up to down about its axis.
+fn flipped_up_down(images: &Images) -> Images {
+    let rows = images.images_e.dim().1;
+    let at = |(i, y, x): (usize, usize, usize)| images.images_e[[i, (rows - y) % rows, x]];
+    Images { images_e: Array3::from_shape_fn(images.images_e.dim(), at), ..images.clone() }
+}
+
 #[test]
 fn slopes_that_are_not_those_of_the_images_are_refused_with_the_cause() {
     let (scene, right) = (scene(&[]), images(4));
@@ -75,13 +82,21 @@ fn slopes_that_are_not_those_of_the_images_are_refused_with_the_cause() {
         match estimate(&scene, &with_slopes(&right, change)).map(|_| ()) {
             Err(Error::Value(sentence)) => {
                 assert!(sentence.starts_with("the telemetry does not belong to the images: "), "{sentence}");
-                assert!(sentence.contains(cause) && sentence.contains("--telemetry"), "{cause}: {sentence}");
+                assert!(
+                    sentence.contains(cause) && sentence.contains("set estimate.telemetry of the scene"),
+                    "{cause}: {sentence}"
+                );
             }
             other => panic!("{cause}: {other:?}"),
         }
     }
-    let refused = estimate(&scene, &flipped(&right)).unwrap_err().to_string();
-    assert!(refused.contains("flipped left to right (image.flip_x = true"), "{refused}");
+    for (images, cause) in [
+        (flipped(&right), "flipped left to right (image.flip_x = true"),
+        (flipped_up_down(&right), "flipped up to down (image.flip_y = true"),
+    ] {
+        let refused = estimate(&scene, &images).unwrap_err().to_string();
+        assert!(refused.contains(cause), "{refused}");
+    }
 }
 
 #[test]

@@ -8,3 +8,5 @@ mod night_table;
 mod numbering;
 mod paper;
 mod plot;
+mod pulls;
+mod ticks;

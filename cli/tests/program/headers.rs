@@ -24,6 +24,16 @@ impl Desk {
         (serde_json::from_str(&done.out).unwrap(), done)
     }
 
+    /// Adds a companion to the images, six pixels away.
+    fn add_companion(&self, name: &str, contrast: f64) {
+        self.edit_images("images.fits", name, |images| {
+            let star = images.clone();
+            for ((i, y, x), value) in images.indexed_iter_mut() {
+                *value += if x < 6 { 0.0 } else { contrast * star[[i, y, x - 6]] };
+            }
+        });
+    }
+
     fn refuses_estimate(&self, images: &str, options: &[&str], words: &[&str]) {
         let fixed = ["estimate", images, "-o", "est2.fits", "--scene", "scene.toml"];
         self.refuses(&fixed.into_iter().chain(options.iter().copied()).collect::<Vec<_>>(), words);
@@ -194,24 +204,49 @@ fn small_faults_are_flagged() {
     let desk = Desk::with_images(&["pupil.samples=128", "image.peak_snr=500"]);
     let (json, err) = desk.estimates_well("images.fits", &[]);
     assert_eq!((&json["status"], err.as_str()), (&"ok".into(), ""), "{json}");
-    // A companion of 0.5 % six pixels away: six error bars of the phasing.
-    desk.edit_images("images.fits", "companion.fits", |images| {
-        let star = images.clone();
-        for ((i, y, x), value) in images.indexed_iter_mut() {
-            *value += if x < 6 { 0.0 } else { 0.005 * star[[i, y, x - 6]] };
-        }
-    });
+    // Six error bars of the phasing.
+    desk.add_companion("companion.fits", 0.005);
     // A detector whose response falls by 2 % up to the brightest pixel: five error bars.
     desk.edit_images("images.fits", "curved.fits", |images| {
         let most = images.iter().fold(0.0f64, |most, &e| most.max(e));
         images.mapv_inplace(|e| e * (1.0 - 0.02 * e / most));
     });
-    for name in ["companion.fits", "curved.fits"] {
+    for (name, cause) in
+        [("companion.fits", ": a second star"), ("curved.fits", "a non-linear detector; correct the images")]
+    {
         let done = desk.succeeds(&["estimate", name, "-o", "est.fits", "--json"]);
         let json: Value = serde_json::from_str(&done.out).unwrap();
         let chi2 = number(&json, "reduced_chi2");
         assert!(json["status"] == "misfit" && chi2 < 2.0, "{name}: {json}");
-        assert!(done.err.contains("a companion, a non-linear detector"), "{}", done.err);
+        let named = done.err.lines().find(|line| line.contains("likely cause of the residual of image 1: "));
+        assert!(named.is_some_and(|line| line.contains(cause)), "{}", done.err);
+    }
+}
+
+#[test]
+fn a_warning_sets_the_exit_status_where_it_is_asked_for() {
+    // Without the search for larger models, which takes its time.
+    let desk = Desk::with_images(&["estimate.model=scene"]);
+    desk.add_companion("companion.fits", 0.03);
+    let estimate = |images: &str, options: &[&str]| {
+        let _ = std::fs::remove_file(desk.path("est.fits"));
+        let done = desk.run(&[&["estimate", images, "-o", "est.fits", "--json"], options].concat());
+        let json: Value = serde_json::from_str(&done.out).unwrap_or_else(|error| panic!("{error}: {}", done.err));
+        // The output is written in any case.
+        assert!(FitsReader::open(desk.path("est.fits")).is_ok(), "{images} {options:?}");
+        let warnings = json["warnings"].as_array().unwrap().len();
+        (done.status, warnings, done.err)
+    };
+    assert_eq!(estimate("images.fits", &["--strict"]), (0, 0, String::new()));
+    let (status, warnings, err) = estimate("companion.fits", &["--strict"]);
+    assert!(status == 3 && warnings > 0 && err.contains("warning: "), "{status} {warnings} {err}");
+    assert_eq!(estimate("companion.fits", &[]), (0, warnings, err));
+    // A fit that is not given the evaluations that it needs, some tens.
+    let stopped = ["--set", "estimate.max_evaluations=1", "--set", "estimate.restarts=0"];
+    for (strict, expected) in [(&[][..], 0), (&["--strict"], 3)] {
+        let (status, warnings, err) = estimate("images.fits", &[&stopped[..], strict].concat());
+        assert!(status == expected && warnings > 0, "{status} {warnings} {err}");
+        assert!(err.contains("these maps are no estimate"), "{err}");
     }
 }
 

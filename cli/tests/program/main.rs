@@ -3,11 +3,13 @@
 mod bad_input;
 mod bench;
 mod channels;
+mod compressed;
 mod drivers;
 #[cfg(debug_assertions)]
 mod faults;
 mod frames;
 mod headers;
+mod interrupt;
 mod memory;
 mod observe;
 mod odd_images;

@@ -119,6 +119,54 @@ fn a_plate_scale_that_is_five_or_ten_per_cent_wrong_is_named() {
 }
 
 #[test]
+fn a_saturated_detector_and_a_second_star_are_named() {
+    let desk = Desk::with_images(&["image.peak_snr=300"]);
+    let read = |name: &str| {
+        let done = desk.succeeds(&["estimate", name, "-o", "est.fits", "--json"]);
+        let json: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+        assert!(json["status"] == "misfit" || json["status"] == "wrong-minimum", "{name}: {json}");
+        done.err
+    };
+    desk.edit_images("images.fits", "saturated.fits", |images| {
+        let most = images.iter().fold(0.0f64, |most, &e| most.max(e));
+        images.mapv_inplace(|e| e.min(0.5 * most));
+    });
+    let err = read("saturated.fits");
+    assert!(err.contains("likely cause") && err.contains("the detector is saturated"), "{err}");
+    // A star of a third of the flux, 9 pixels along x and 4 along y away.
+    desk.edit_images("images.fits", "double.fits", |images| {
+        let star = images.clone();
+        let moved = 0.33 * &star.slice(s![.., ..60, ..55]);
+        images.slice_mut(s![.., 4.., 9..]).zip_mut_with(&moved, |e, more| *e += more);
+    });
+    let err = read("double.fits");
+    assert!(err.contains("likely cause") && err.contains("a second star"), "{err}");
+    assert!(err.contains("(9 along x, 4 along y)") || err.contains("(-9 along x, -4 along y)"), "{err}");
+}
+
+/// Five exposures behind adaptive optics, in a file.
+#[test]
+fn images_that_change_are_recognised_and_read_by_the_method_for_them() {
+    let desk = Desk::with_scene();
+    std::fs::write(desk.path("sky.toml"), include_str!("../../../tests/c_api/sky.toml")).unwrap();
+    desk.succeeds(&["simulate", "sky.toml", "-o", "sky.fits", "--set", "image.count=5"]);
+    let estimate = |options: &[&str]| {
+        let fixed = ["estimate", "sky.fits", "-o", "est.fits", "--device", "cpu"];
+        desk.succeeds(&[&fixed, options].concat())
+    };
+    // The small mirror has fewer modes than a modal estimate fits by default.
+    let modal = ["--method", "modal", "--set", "modes.ncpa=zernike", "--set", "modes.ncpa_count=14"];
+    let err = estimate(&modal).err;
+    assert!(err.contains("the images change from one to the next") && err.contains("--method full-phase"), "{err}");
+    assert!(!err.contains("scene differs from the instrument"), "{err}");
+    let done = estimate(&["--method", "auto"]);
+    assert!(done.out.contains("chose \"full-phase\": the images change"), "{}", done.out);
+    assert!(!done.err.contains("the images change"), "{}", done.err);
+    let method = FitsReader::open(desk.path("est.fits")).unwrap().card(None, "METHOD").unwrap().unwrap();
+    assert_eq!(method.text(), Some("full-phase"));
+}
+
+#[test]
 fn a_truth_on_another_grid_is_left_out_of_the_table() {
     let desk = Desk::with_images(&[]);
     let done = desk.succeeds(&["estimate", "images.fits", "-o", "est.fits", "--set", "pupil.samples=80"]);

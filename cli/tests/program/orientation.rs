@@ -1,6 +1,6 @@
 //! Telemetry that does not belong to the images, and the orientation of images from a poke.
 
-use crate::Desk;
+use crate::{Desk, SMALL};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::scene::Scene;
 use cophase::source::{Camera, Truth};
@@ -28,7 +28,7 @@ fn slopes_of_the_opposite_sign_are_refused_used_or_ignored() {
     desk.succeeds(&["simulate", "sky.toml", "-o", "sky.fits"]);
     with_slopes(&desk, "sky.fits", "negated.fits", |mas| -mas);
     let estimate = ["estimate", "negated.fits", "-o", "est.fits", "--method", "full-phase", "--device", "cpu"];
-    desk.refuses(&estimate, &["the slopes have the opposite sign", "--telemetry", "correlation of -0.9"]);
+    desk.refuses(&estimate, &["the slopes have the opposite sign", "estimate.telemetry", "correlation of -0.9"]);
     let json = desk.json(&[&estimate[..], &["--json", "--telemetry", "use"]].concat());
     assert!((-1.15..-0.85).contains(&json["telemetry_gain"].as_f64().unwrap()), "{json}");
     assert!(json["telemetry_correlation"].as_f64().unwrap() < -0.9, "{json}");
@@ -44,8 +44,21 @@ fn slopes_of_the_opposite_sign_are_refused_used_or_ignored() {
     assert!(done.err.contains("the slopes that come with the images are ignored"), "{}", done.err);
 }
 
-/// Writes two images of the scene in `desk`: as it is, and with segment 1 moved by `poke_nm`; pixel (row, column) of each is
-/// that of `source(row, column)` of the telescope's.
+/// Writes the image of `truth` as `name`: pixel (row, column) is that of `source(pixels, row, column)` of the telescope's.
+fn write_image(
+    desk: &Desk,
+    name: &str,
+    (scene, telescope, truth): (&Scene, &Telescope, &Truth),
+    source: &impl Fn(usize, usize, usize) -> (usize, usize),
+) {
+    let psf = Camera::new(scene, telescope).unwrap().psf(truth).unwrap();
+    let seen = Array2::from_shape_fn(psf.dim(), |(y, x)| 1e6 * psf[source(psf.ncols(), y, x)]);
+    let mut file = FitsWriter::create(desk.path(name)).unwrap();
+    file.image("IMAGES", &seen, Pixel::F64, "electron").unwrap();
+    file.finish().unwrap();
+}
+
+/// Writes two images of the scene in `desk`: as it is, and with segment 1 moved by `poke_nm`, as [`write_image`].
 fn write_poke(desk: &Desk, poke_nm: f64, source: impl Fn(usize, usize, usize) -> (usize, usize)) {
     let scene = Scene::from_file(desk.path("scene.toml")).unwrap();
     let telescope = Telescope::new(&scene).unwrap();
@@ -53,12 +66,40 @@ fn write_poke(desk: &Desk, poke_nm: f64, source: impl Fn(usize, usize, usize) ->
     let mut pistons_nm = truth().piston_nm;
     pistons_nm[1] += poke_nm;
     for (name, truth) in [("old.fits", truth()), ("new.fits", truth().with_pistons(&telescope, pistons_nm).unwrap())] {
-        let psf = Camera::new(&scene, &telescope).unwrap().psf(&truth).unwrap();
-        let seen = Array2::from_shape_fn(psf.dim(), |(y, x)| 1e6 * psf[source(psf.ncols(), y, x)]);
-        let mut file = FitsWriter::create(desk.path(name)).unwrap();
-        file.image("IMAGES", &seen, Pixel::F64, "electron").unwrap();
-        file.finish().unwrap();
+        write_image(desk, name, (&scene, &telescope, &truth), &source);
     }
+}
+
+/// As [`write_poke`], for the actuator at `place_m` of the scene's mirror: NCPA of astigmatism alone, and with its influence. Gives
+/// the number of the actuator.
+fn write_actuator_poke(
+    desk: &Desk,
+    place_m: [f64; 2],
+    poke_nm: f64,
+    source: impl Fn(usize, usize, usize) -> (usize, usize),
+) -> usize {
+    let scene = Scene::from_file(desk.path("scene.toml")).unwrap();
+    let telescope = Telescope::new(&scene).unwrap();
+    let square_m2 = |x_m: f64, y_m: f64| (x_m - place_m[0]).powi(2) + (y_m - place_m[1]).powi(2);
+    let positions = telescope.influence(&scene).unwrap().positions_m();
+    let actuator = positions.iter().position(|&(x_m, y_m)| square_m2(x_m, y_m) < 1e-12).unwrap();
+    // A Gaussian that is the coupling at a distance of one pitch.
+    let (mirror, grid) = (&scene.mirror, &telescope.pupil.grid);
+    let influence = |x_m: f64, y_m: f64| mirror.coupling.powf(square_m2(x_m, y_m) / mirror.pitch_m.powi(2));
+    for (name, nm) in [("old.fits", 0.0), ("new.fits", poke_nm)] {
+        let ncpa_nm = Array2::from_shape_fn([grid.samples(); 2], |(y, x)| {
+            let [x_m, y_m] = [x, y].map(|at| grid.coordinate_m(at));
+            10.0 * (x_m * x_m - y_m * y_m) + nm * influence(x_m, y_m)
+        });
+        let mut file = FitsWriter::create(desk.path("ncpa.fits")).unwrap();
+        file.image("NCPA", &ncpa_nm, Pixel::F64, "nm").unwrap();
+        file.finish().unwrap();
+        let drawn = [("aberrations.ncpa_rms_nm", ""), ("aberrations.ncpa_zernikes", "")];
+        let scene = scene.with(&[&drawn[..], &[("aberrations.ncpa_file", "ncpa.fits")]].concat()).unwrap();
+        let truth = Truth::draw(&scene, &telescope, &mut ChaCha8Rng::seed_from_u64(3)).unwrap();
+        write_image(desk, name, (&scene, &telescope, &truth), &source);
+    }
+    actuator
 }
 
 #[test]
@@ -114,4 +155,25 @@ fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
     let done = desk.succeeds(&["estimate", "new.fits", "--scene", "scene.toml", "-o", "est.fits"]);
     assert_eq!(done.out.matches("The orientation cannot be verified").count(), 1, "{}", done.out);
     assert!(!done.err.contains("orientation"), "{}", done.err);
+}
+
+#[test]
+fn a_poked_actuator_shows_a_flip_and_the_key_to_set() {
+    let desk = Desk::with_scene();
+    // An actuator off the axes of the pupil, which are 30 degrees apart.
+    let mirror = "[mirror]\nactuators_across = 5\npitch_m = 1.1\ncoupling = 0.15\n";
+    // The shape of an actuator is finer than the modes: without larger models, which take their time.
+    let modes = "[estimate]\nmodel = \"scene\"\n";
+    std::fs::write(desk.path("scene.toml"), SMALL.to_string() + mirror + modes).unwrap();
+    let actuator = write_actuator_poke(&desk, [1.1, 1.1], 120.0, |n, y, x| ((n - y) % n, x)).to_string();
+    let check = ["check-orientation", "new.fits", "--before", "old.fits", "--poke-nm", "120", "--scene", "scene.toml"];
+    let json = desk.json(&[&check[..], &["--actuator", &actuator, "--json"]].concat());
+    assert_eq!((&json["flip_x"], &json["flip_y"], &json["sign"]), (&false.into(), &true.into(), &1.0.into()), "{json}");
+    assert_eq!(json["settings"], serde_json::json!({"image.flip_y": "true"}), "{json}");
+    let set = ["--actuator", &actuator, "--set", "image.flip_y=true"];
+    let done = desk.succeeds(&[&check[..], &set].concat());
+    assert!(done.out.contains("The scene has the orientation of the images."), "{}", done.out);
+    desk.refuses(&[&check[..], &["--actuator", "99"]].concat(), &["actuator 99", "0 to "]);
+    // A poke of nothing else than one of the two.
+    assert_eq!(desk.run(&[&check[..], &["--actuator", &actuator, "--segment", "1"]].concat()).status, 2);
 }

@@ -4,7 +4,6 @@ use crate::{Desk, Done, SMALL, number, text_column};
 use cophase::io::{FitsReader, read_images, read_map};
 use cophase::scene::Scene;
 use serde_json::Value;
-use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
@@ -320,33 +319,6 @@ fn a_reader_that_leaves_early_is_no_failure() {
     let output = desk.command(&["scene", "--reference"]).stdout(writer).stderr(Stdio::piped()).output().unwrap();
     let done = Done::from(output);
     assert_eq!((done.status, done.err.as_str()), (0, ""));
-}
-
-/// The program waits for its scene from a pipe: by then it catches signals, and nothing depends on how fast it is.
-#[test]
-fn ctrl_c_stops_and_leaves_nothing() {
-    let desk = Desk::with_images(&[]);
-    let before = desk.files();
-    let pipe = desk.path("pipe.toml");
-    let name = std::ffi::CString::new(pipe.to_str().unwrap()).unwrap();
-    // SAFETY: a plain system call on a NUL-terminated name.
-    assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
-    let arguments = ["estimate", "images.fits", "-o", "est.fits", "--scene", "pipe.toml"];
-    let child = desk.command(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    // Opens once the program has it open for reading.
-    let mut scene = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
-    // SAFETY: a plain system call; the child is not yet waited for, so the number is its own.
-    assert_eq!(unsafe { libc::kill(child.id() as i32, libc::SIGINT) }, 0);
-    // The handler's thread takes its turn well within this, and the model takes another 10 ms.
-    std::thread::sleep(std::time::Duration::from_millis(300));
-    scene.write_all(SMALL.as_bytes()).unwrap();
-    drop(scene);
-    let done = Done::from(child.wait_with_output().unwrap());
-    assert_eq!((done.status, done.out.as_str()), (130, ""), "{}", done.err);
-    assert_eq!(done.err.lines().count(), 1, "{}", done.err);
-    assert!(done.err.starts_with("cophase: stopped: "), "{}", done.err);
-    std::fs::remove_file(pipe).unwrap();
-    assert_eq!(desk.files(), before);
 }
 
 #[test]
