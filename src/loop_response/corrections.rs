@@ -1,7 +1,8 @@
-//! Corrections from an estimate: increments of the segments' pistons, of the mirror's commands and of the sensor's reference slopes.
+//! Corrections from an estimate: increments of the segments' pistons, tips and tilts, of the mirror's commands and of the sensor's
+//! reference slopes.
 //!
 //! A mode whose estimate is below its error bar is left unchanged, so that corrections do not add noise. The plane through the
-//! pistons, of which images hold little information, and tip and tilt, which are pointing, are left unchanged too. Segments and
+//! segments, of which images hold little information, and tip and tilt, which are pointing, are left unchanged too. Segments and
 //! subapertures are in this program's order, wavefronts in nm; a positive command raises the wavefront.
 
 use super::sensor_model::SensorModel;
@@ -21,9 +22,12 @@ use std::path::Path;
 pub struct CorrectableErrors<'a> {
     /// Piston of each segment, nm.
     pub pistons_nm: &'a [f64],
+    /// Tip of each segment, then tilt of each, nm RMS over the segment; empty where they were not estimated. With them the segments have
+    /// no common tip and tilt.
+    pub tilts_nm: &'a [f64],
     /// Coefficients of the NCPA in `ncpa_basis`, tip and tilt first, nm.
     pub ncpa_nm: &'a [f64],
-    /// Covariance of both in turn, nm².
+    /// Covariance of all three in turn, nm².
     pub covariance_nm2: &'a Array2<f64>,
     /// Basis of the NCPA.
     pub ncpa_basis: &'a SmoothBasis,
@@ -36,8 +40,12 @@ pub struct Corrections {
     pub places: Vec<SegmentPlace>,
     /// Increment of each segment's piston, nm; 0 where its estimate is below its error bar.
     pub pistons_nm: Vec<f64>,
-    /// Estimate of each piston and its error bar, nm, both without the plane through all pistons.
+    /// Estimate of each piston and its error bar, nm, both without the plane through all segments.
     pub estimate_nm: Vec<[f64; 2]>,
+    /// Increments of the tip of each segment, then of the tilt of each, nm RMS over the segment; empty where they were not estimated.
+    pub tilts_nm: Vec<f64>,
+    /// Estimate of each tip, then of each tilt, and its error bar, nm RMS over the segment.
+    pub tilt_estimate_nm: Vec<[f64; 2]>,
     /// Number of corrected NCPA modes.
     pub corrected_modes: usize,
     /// Increments of the mirror's commands, nm, with the position of each actuator, m; empty without a loop in the scene.
@@ -62,7 +70,7 @@ impl Corrections {
         if let Some(limit_nm) = limit_nm.filter(|limit_nm| !(limit_nm.is_finite() && *limit_nm > 0.0)) {
             return Err(Error::Value(format!("a limit of {limit_nm} nm was given: a positive one is needed")));
         }
-        let segments = errors.pistons_nm.len();
+        let (segments, tilts) = (errors.pistons_nm.len(), errors.tilts_nm.len());
         let telescope = Telescope::new(scene)?;
         let sigma = |mode: usize| errors.covariance_nm2[[mode, mode]].max(0.0).sqrt();
         let mut limited = 0;
@@ -70,15 +78,20 @@ impl Corrections {
             limited += usize::from(command_nm.abs() > limit_nm);
             command_nm.clamp(-limit_nm, limit_nm)
         };
-        let flat = without_plane(&telescope.pupil.segments);
+        // With tilts the segments have no common plane, and one through the pistons alone is a shape of the whole mirror.
+        let flat = if tilts > 0 { Array2::eye(segments) } else { without_plane(&telescope.pupil.segments) };
         let pistons_nm = flat.dot(&ArrayView1::from(errors.pistons_nm));
         let covariance_nm2 = flat.dot(&errors.covariance_nm2.slice(s![..segments, ..segments])).dot(&flat);
         let estimate_nm: Vec<[f64; 2]> =
             pistons_nm.iter().zip(covariance_nm2.diag()).map(|(&nm, nm2)| [nm, nm2.max(0.0).sqrt()]).collect();
-        let piston_limit_nm = limit_nm.unwrap_or(scene.image.wavelength_nm / 4.0);
-        let piston = |[nm, sigma_nm]: &[f64; 2]| if nm.abs() > *sigma_nm { clip(-nm, piston_limit_nm) } else { 0.0 };
-        let pistons_nm = estimate_nm.iter().map(piston).collect();
-        let significant = |(mode, &nm): (usize, &f64)| if nm.abs() > sigma(segments + mode) { nm } else { 0.0 };
+        let tilt = |(mode, &nm): (usize, &f64)| [nm, sigma(segments + mode)];
+        let tilt_estimate_nm: Vec<[f64; 2]> = errors.tilts_nm.iter().enumerate().map(tilt).collect();
+        let segment_limit_nm = limit_nm.unwrap_or(scene.image.wavelength_nm / 4.0);
+        let mut command =
+            |[nm, sigma_nm]: &[f64; 2]| if nm.abs() > *sigma_nm { clip(-nm, segment_limit_nm) } else { 0.0 };
+        let [pistons_nm, tilts_nm] =
+            [&estimate_nm, &tilt_estimate_nm].map(|estimates| estimates.iter().map(&mut command).collect());
+        let significant = |(mode, &nm): (usize, &f64)| if nm.abs() > sigma(segments + tilts + mode) { nm } else { 0.0 };
         let mut ncpa_nm: Vec<f64> = errors.ncpa_nm.iter().enumerate().map(significant).collect();
         // Tip and tilt are pointing.
         ncpa_nm.iter_mut().take(2).for_each(|nm| *nm = 0.0);
@@ -87,13 +100,15 @@ impl Corrections {
             places: SegmentPlace::all(scene, &telescope.pupil.segments),
             pistons_nm,
             estimate_nm,
+            tilts_nm,
+            tilt_estimate_nm,
             corrected_modes,
             actuators_nm: Vec::new(),
             slopes_mas: Vec::new(),
             limited: 0,
         };
         if scene.control.is_some() && scene.wavefront_sensor.is_some() {
-            let offsets = LoopOffsets::new(scene, &telescope, errors.ncpa_basis, &ncpa_nm, segments)?;
+            let offsets = LoopOffsets::new(scene, &telescope, errors.ncpa_basis, &ncpa_nm)?;
             let stroke_nm = limit_nm.or(scene.mirror.stroke_limit_nm).unwrap_or(f64::INFINITY);
             corrections.actuators_nm =
                 offsets.commands_nm.into_iter().map(|(at, nm)| (at, clip(nm, stroke_nm))).collect();
@@ -111,11 +126,18 @@ impl Corrections {
         let mut file = FitsWriter::create(path)?;
         file.card("PRIMARY", "NCPAMODE", self.corrected_modes as i64, "NCPA modes corrected")?;
         file.card("PRIMARY", "NLIMITED", self.limited as i64, "commands cut at the limit")?;
-        let column = |i: usize| self.estimate_nm.iter().map(|pair| pair[i]).collect::<Vec<f64>>();
+        let column = |of: &[[f64; 2]], i: usize| of.iter().map(|pair| pair[i]).collect::<Vec<f64>>();
         let mut segments = SegmentPlace::columns(&self.places);
         segments.push(Column::f64("ADD_NM", "nm", self.pistons_nm.clone()));
-        segments.push(Column::f64("ESTIMATE_NM", "nm", column(0)));
-        segments.push(Column::f64("SIGMA_NM", "nm", column(1)));
+        segments.push(Column::f64("ESTIMATE_NM", "nm", column(&self.estimate_nm, 0)));
+        segments.push(Column::f64("SIGMA_NM", "nm", column(&self.estimate_nm, 1)));
+        let count = self.pistons_nm.len();
+        let tilts = self.tilts_nm.chunks(count).zip(self.tilt_estimate_nm.chunks(count));
+        for ((add_nm, estimate_nm), name) in tilts.zip(["TIP", "TILT"]) {
+            segments.push(Column::f64(&format!("ADD_{name}_NM"), "nm", add_nm.to_vec()));
+            segments.push(Column::f64(&format!("{name}_NM"), "nm", column(estimate_nm, 0)));
+            segments.push(Column::f64(&format!("{name}_SIGMA_NM"), "nm", column(estimate_nm, 1)));
+        }
         file.table("SEGMENTS", &segments)?;
         if !self.actuators_nm.is_empty() {
             let actuators = [
@@ -160,13 +182,7 @@ struct LoopOffsets {
 
 impl LoopOffsets {
     /// Fits the commands to NCPA `ncpa_nm` of `basis`, least squares over the pupil.
-    fn new(
-        scene: &Scene,
-        telescope: &Telescope,
-        basis: &SmoothBasis,
-        ncpa_nm: &[f64],
-        segments: usize,
-    ) -> Result<Self> {
+    fn new(scene: &Scene, telescope: &Telescope, basis: &SmoothBasis, ncpa_nm: &[f64]) -> Result<Self> {
         let samples = Samples::from_pupil(&telescope.pupil)?;
         let simulator = Simulator::new(scene)?;
         let influence = simulator.influence();
@@ -182,7 +198,7 @@ impl LoopOffsets {
         let illuminated = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
         let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
         let mut sensor = SensorModel::new(scene, telescope, &illuminated, basis)?;
-        let slopes_mas = sensor.slopes_mas(segments, &opposite_nm)?.to_vec();
+        let slopes_mas = sensor.slopes_mas(&opposite_nm)?.to_vec();
         Ok(Self { commands_nm: positions.zip(commands_nm).collect(), slopes_mas })
     }
 }

@@ -37,7 +37,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     }
     control.enter(Stage::Retrieving, count);
     let started = Instant::now();
-    let found = sequence::estimate(scene, images, slopes_mas, control)?;
+    let found = sequence::estimate(scene, policy, images, slopes_mas, control)?;
     let seconds = started.elapsed().as_secs_f64();
     control.check("the images were read, nothing was written")?;
     let Some(last) = found.iterations.last() else { return Err(Error::Internal("no iteration was made".into())) };
@@ -54,6 +54,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         );
     }
     let mut remarks: Vec<String> = warnings::diversity_remark(&last.diversity, &found.scene).into_iter().collect();
+    remarks.extend(warnings::segment_tilts_remark(last));
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
         remarks.extend(warnings::orientation_remark(&found.scene, &Telescope::new(&found.scene)?)?);
     }
@@ -134,17 +135,18 @@ fn outcome(found: &SequenceResult, last: &Iteration, image: usize) -> ImageOutco
     }
 }
 
-/// Description of the NCPA basis that was selected.
+/// Description of the modes that were selected.
 fn selected(last: &Iteration) -> String {
     let modes = last.ncpa_names.len();
-    match last.family {
+    let ncpa = match last.family {
         NcpaFamily::Zernike { highest_order } => format!("{modes} Zernike modes to radial order {highest_order}"),
         NcpaFamily::Mirror => format!("{modes} modes of the deformable mirror"),
-    }
+    };
+    if last.segment_tilts.is_some() && last.has_tilts() { ncpa + ", tip and tilt of each segment" } else { ncpa }
 }
 
 fn basis(last: &Iteration) -> Basis {
-    let (segments, ncpa) = (last.errors.pistons_nm.len(), last.ncpa_names.len());
+    let (segments, ncpa) = (last.errors.segment_modes(), last.ncpa_names.len());
     let groups = [vec![Group::Segment; segments], vec![Group::Ncpa; ncpa]].concat();
     Basis { names: last.mode_names(), groups }
 }

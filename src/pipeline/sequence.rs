@@ -3,6 +3,7 @@
 
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
+use super::policy::Policy;
 use super::telemetry::{self, TelemetryCheck};
 use crate::ao::{Lenslets, sensor_pupil};
 use crate::modal::{CleanedImages, Cube, reject_outliers};
@@ -10,9 +11,9 @@ use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
-use crate::scene::{AoKnowledge, Scene, SegmentModes};
+use crate::scene::{AoKnowledge, ModelChoice, Scene, SegmentModes};
 use crate::statics::{
-    Iteration, MAX_NCPA_MODES, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity,
+    Iteration, MAX_NCPA_MODES, SequenceProgress, SequenceRetrieval, StaticsSettings, TiltSelection, check_diversity,
     estimate_static_errors,
 };
 use crate::telescope::Telescope;
@@ -89,6 +90,30 @@ fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) 
     }
 }
 
+/// Whether tips and tilts of the segments of `scene` are estimated.
+///
+/// # Errors
+/// [`Error::Scene`] for a scene without pistons.
+fn tilt_selection(scene: &Scene, policy: &Policy) -> Result<TiltSelection> {
+    match scene.modes.segment {
+        SegmentModes::PistonTipTilt => Ok(TiltSelection::Always),
+        SegmentModes::Piston if policy.select_model && scene.estimate.model == ModelChoice::Auto => {
+            Ok(TiltSelection::WhereSignificant)
+        }
+        SegmentModes::Piston => Ok(TiltSelection::Never),
+        SegmentModes::None => Err(Error::Scene(
+            "modes.segment = \"none\" is not accepted with estimate.method = \"full-phase\": \"piston\" or \"piston-tip-tilt\" \
+             is needed"
+                .into(),
+        )),
+    }
+}
+
+/// `scene` with these segment modes.
+fn with_segment_modes(scene: &Scene, modes: SegmentModes) -> Result<Scene> {
+    if scene.modes.segment == modes { Ok(scene.clone()) } else { scene.with(&[("modes.segment", modes.word())]) }
+}
+
 /// Prior power spectral density of the dynamic wavefront.
 fn prior(scene: &Scene, ao_knowledge: AoKnowledge) -> Result<RadialPsd> {
     if ao_knowledge > AoKnowledge::Nothing {
@@ -120,18 +145,14 @@ const FEW_IMAGES_RESOLUTION: f64 = 1.25;
 /// [`Error::Image`] where fewer than two images can be used; [`Error::Interrupted`].
 pub(super) fn estimate(
     scene: &Scene,
+    policy: &Policy,
     images: &Electrons,
     slopes_mas: Option<&Array2<f64>>,
     control: &Control,
 ) -> Result<SequenceResult> {
-    if scene.modes.segment != SegmentModes::Piston {
-        return Err(Error::Scene(format!(
-            "modes.segment = \"{}\" is not accepted with estimate.method = \"full-phase\": \"piston\" is needed",
-            scene.modes.segment.word()
-        )));
-    }
+    let tilts = tilt_selection(scene, policy)?;
     let ao_knowledge = ao_knowledge(scene, slopes_mas.is_some())?;
-    let settings = StaticsSettings { ao_knowledge, ..StaticsSettings::default() };
+    let settings = StaticsSettings { ao_knowledge, tilts, ..StaticsSettings::default() };
     if let Some(&coarsest) = settings.families.first() {
         check_diversity(coarsest, scene, &Telescope::new(scene)?)?;
     }
@@ -143,6 +164,8 @@ pub(super) fn estimate(
         other => Ok(other?),
     };
     let prior = prior(scene, ao_knowledge)?;
+    // A retrieved wavefront holds the segments' tilts, so the retrieval's model needs pistons alone.
+    let scene = &with_segment_modes(scene, SegmentModes::Piston)?;
     let cleaned = reject_outliers(scene, &images.images_e, images.bad, images.read_noise_e);
     let images_e = cleaned.as_ref().map_or(images.images_e.as_ref(), |cleaned: &CleanedImages| &cleaned.images_e);
     let cube = Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
@@ -154,7 +177,8 @@ pub(super) fn estimate(
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
     let retriever = Retriever::new(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
-    retriever.check_images(images.len(), MAX_NCPA_MODES)?;
+    let modes_per_segment = if tilts == TiltSelection::Never { 1 } else { 3 };
+    retriever.check_images(images.len(), modes_per_segment, MAX_NCPA_MODES)?;
     let watch = |progress| match progress {
         SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images.len()),
         SequenceProgress::Retrieved(done) => control.advance_to(done),
@@ -174,6 +198,10 @@ pub(super) fn estimate(
     }
     let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;
     let (device, device_failure) = retriever.device();
+    let static_scene = match iterations.last() {
+        Some(last) if last.has_tilts() => with_segment_modes(&static_scene, SegmentModes::PistonTipTilt)?,
+        _ => static_scene,
+    };
     Ok(SequenceResult {
         iterations,
         reports: std::mem::take(&mut source.reports),

@@ -6,16 +6,18 @@ use super::image_selection::SelectedImages;
 use super::least_squares::StaticModel;
 use super::mean_covariance::MeanCovariance;
 use super::ncpa_basis::NcpaFamily;
+use super::segment_tilts::SegmentTilts;
 use super::settings::StaticsSettings;
 use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
-use crate::Result;
 use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
+use crate::modes::{SegmentModes, TiltFrame, tilt_frames};
 use crate::optimize::CancelFlag;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use crate::telescope::Telescope;
-use ndarray::{Array1, Array2, ArrayView1, Axis};
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate};
 
 /// Amplitude below which a sample is left out: images hold little information on its phase.
 const MIN_AMPLITUDE: f64 = 0.5;
@@ -23,7 +25,7 @@ const MIN_AMPLITUDE: f64 = 0.5;
 /// Most simulations of the closed loop in an estimate: its nonlinear part is a tenth of the linear one, and each reduces the
 /// remaining error by that factor.
 const MAX_LOOP_SIMULATIONS: usize = 8;
-/// Change of the pistons below which the loop response is converged, nm.
+/// Change of the segment modes below which the loop response is converged, nm.
 const LOOP_TOLERANCE_NM: f64 = 0.05;
 
 /// Most comparisons of wavefronts with slopes in an estimate: a quad cell is nonlinear, and each removes nine tenths of the
@@ -40,6 +42,12 @@ pub(super) struct StaticsEstimator<'a> {
     /// Indices of the samples that are used.
     pub(super) kept: Vec<usize>,
     pub(super) samples: IlluminatedSamples,
+    /// Where the tip and the tilt of each segment are 0; none where a segment is too small for tilts.
+    frames: Option<Vec<TiltFrame>>,
+    /// Modes of the segments that are estimated.
+    segment_modes: SegmentModes,
+    /// Their wavefronts without the loop's response, at the samples that are used, `[mode, sample]`.
+    segments_at_kept: Array2<f64>,
     loop_response: Option<SampledLoopResponse>,
     sample_error_nm: f64,
     cancel: Option<&'a CancelFlag>,
@@ -56,11 +64,13 @@ impl<'a> StaticsEstimator<'a> {
         let is_known = settings.ao_knowledge >= AoKnowledge::Loop;
         let loop_response = is_known.then(|| SampledLoopResponse::new(scene, all_samples, &kept)).transpose()?;
         let (telescope, samples) = (Telescope::new(scene)?, all_samples.subset(&kept));
-        let all_samples = all_samples.clone();
         Ok(Self {
+            frames: tilt_frames(&telescope.pupil).ok(),
+            segment_modes: SegmentModes::Piston,
+            segments_at_kept: samples.pistons.clone(),
+            all_samples: all_samples.clone(),
             scene,
             telescope,
-            all_samples,
             kept,
             samples,
             loop_response,
@@ -69,10 +79,45 @@ impl<'a> StaticsEstimator<'a> {
         })
     }
 
+    /// Whether tips and tilts of the segments are estimated.
+    pub(super) fn has_tilts(&self) -> bool {
+        self.segment_modes == SegmentModes::PistonTipTilt
+    }
+
+    /// Adds tips and tilts of the segments to the modes that are estimated, with the loop's response to them.
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] for a segment that is too small for tilts; those of the loop.
+    pub(super) fn add_tilts(&mut self) -> Result<()> {
+        let tilts = self.samples.tilts(&tilt_frames(&self.telescope.pupil)?);
+        self.segments_at_kept = joined(self.samples.pistons.view(), tilts.view())?;
+        self.segment_modes = SegmentModes::PistonTipTilt;
+        self.loop_response.as_mut().map_or(Ok(()), |response| response.extend_to(self.segments_at_kept.nrows()))
+    }
+
+    /// Seeks tilts of single segments in the residual of the mean of `images` wavefronts, nm at each sample; `None` where a segment is
+    /// too small for tilts.
+    pub(super) fn tilts_in_residual(
+        &self,
+        residual_nm: ArrayView1<f64>,
+        residual: &ResidualCovariance,
+        images: usize,
+    ) -> Result<Option<SegmentTilts>> {
+        let Some(frames) = &self.frames else { return Ok(None) };
+        let (tilts, covariance) = (self.samples.tilts(frames), self.mean_covariance(residual, images));
+        SegmentTilts::estimate(residual_nm, tilts.view(), &covariance, &self.samples).map(Some)
+    }
+
     /// The static modes with NCPA of `family`.
     pub(super) fn static_modes(&self, family: NcpaFamily) -> Result<StaticModes> {
         let samples = (&self.all_samples, &self.kept[..]);
-        StaticModes::new(family, self.scene, &self.telescope, samples, self.loop_response.is_some())
+        StaticModes::new(
+            (self.segment_modes, family),
+            self.scene,
+            &self.telescope,
+            samples,
+            self.loop_response.is_some(),
+        )
     }
 
     /// Covariance of the mean of `images` wavefronts of the covariance `residual`.
@@ -93,21 +138,23 @@ impl<'a> StaticsEstimator<'a> {
         slopes_mas: Option<Array2<f64>>,
     ) -> Result<StaticErrors> {
         let covariance = self.mean_covariance(residual, images.used.len());
-        let pistons = match &self.loop_response {
-            Some(response) => &self.samples.pistons + &response.linear,
-            None => self.samples.pistons.clone(),
+        let columns = match &self.loop_response {
+            Some(response) => &self.segments_at_kept + &response.linear,
+            None => self.segments_at_kept.clone(),
         };
+        let segments = (columns.view(), self.samples.pistons.nrows());
         let groups = (&modes.groups[..], slopes_mas.is_some());
-        let mut model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance)?;
+        let mut model = StaticModel::new(segments, modes.at_kept.view(), groups, &covariance)?;
         let mut loop_response = self.loop_response.as_mut();
         let mut errors = estimate_with_loop(&mut model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
-        let Some(slopes_mas) = slopes_mas else { return Ok(errors) };
+        let Some(slopes_mas) = slopes_mas else { return Ok(modes.without_motions(errors)) };
         let wavefronts_nm = &images.residuals_nm + &images.mean_nm;
         let mut sensor = SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?;
         for comparison in 0..MAX_SLOPE_COMPARISONS {
-            let (pistons, before) = (&errors.pistons_nm, &errors.ncpa_nm);
+            let (segments_nm, before) = (errors.segments_nm(), &errors.ncpa_nm);
+            let segments = self.segments_at_kept.view();
             let slopes =
-                sensor.ncpa_information(&self.samples, wavefronts_nm.view(), slopes_mas.view(), pistons, before)?;
+                sensor.ncpa_information(segments, wavefronts_nm.view(), slopes_mas.view(), &segments_nm, before)?;
             // Hyperparameters without slopes are no start for those with slopes.
             let initial = (comparison > 0).then_some(&errors);
             let next =
@@ -118,23 +165,28 @@ impl<'a> StaticsEstimator<'a> {
                 break;
             }
         }
-        Ok(errors)
+        Ok(modes.without_motions(errors))
     }
 
-    /// The static wavefront of `coefficients_nm` (pistons and NCPA) and of the common-path part of `errors`.
+    /// The static wavefront of `coefficients_nm` (segment modes and NCPA) and of the common-path part of `errors`.
     pub(super) fn static_wavefront(
         &mut self,
         modes: &StaticModes,
         coefficients_nm: &Array1<f64>,
         errors: &StaticErrors,
     ) -> Result<StaticWavefront> {
-        let (pistons, ncpa) = coefficients_nm.view().split_at(Axis(0), errors.pistons_nm.len());
-        let segments_nm = pistons.to_vec();
+        let (segments_nm, ncpa) = coefficients_nm.view().split_at(Axis(0), errors.segment_modes());
+        let (pistons_nm, tilts_nm) = segments_nm.split_at(Axis(0), errors.pistons_nm.len());
         let mut smooth_nm = (&ncpa + &ArrayView1::from(&errors.common_path_nm)).dot(&modes.at_all);
-        if let Some(response) = &mut self.loop_response {
-            smooth_nm += &response.closed_loop.response_nm(&segments_nm)?;
+        if let Some(frames) = self.frames.as_ref().filter(|_| !tilts_nm.is_empty()) {
+            // The retrieval's model has pistons, so that it may fit reflectivities and costs no more: tilts are a wavefront at its
+            // samples, the one that the linear model has.
+            smooth_nm += &tilts_nm.dot(&self.all_samples.tilts(frames));
         }
-        Ok(StaticWavefront { segments_nm, smooth_nm: smooth_nm.to_vec() })
+        if let Some(response) = &mut self.loop_response {
+            smooth_nm += &response.closed_loop.response_nm(&segments_nm.to_vec())?;
+        }
+        Ok(StaticWavefront { segments_nm: pistons_nm.to_vec(), smooth_nm: smooth_nm.to_vec() })
     }
 }
 
@@ -149,10 +201,10 @@ fn estimate_with_loop(
     let mut errors = model.estimate(mean_nm.view(), slopes, initial)?;
     let Some(response) = loop_response else { return Ok(errors) };
     for _ in 0..MAX_LOOP_SIMULATIONS {
-        let pistons_nm = Array1::from(errors.pistons_nm.clone());
-        let nonlinear_nm = response.at_kept_nm(&errors.pistons_nm)? - pistons_nm.dot(&response.linear);
+        let before_nm = Array1::from(errors.segments_nm());
+        let nonlinear_nm = response.at_kept_nm(&errors.segments_nm())? - before_nm.dot(&response.linear);
         errors = model.estimate((mean_nm - &nonlinear_nm).view(), slopes, Some(&errors))?;
-        let change = errors.pistons_nm.iter().zip(&pistons_nm).map(|(now, then)| (now - then).abs());
+        let change = errors.segments_nm().into_iter().zip(&before_nm).map(|(now, then)| (now - then).abs());
         if change.fold(0.0, f64::max) < LOOP_TOLERANCE_NM {
             break;
         }
@@ -160,21 +212,37 @@ fn estimate_with_loop(
     Ok(errors)
 }
 
+/// Wavefronts of two sets of modes, `[mode, sample]`, one set after the other.
+fn joined(first: ArrayView2<f64>, second: ArrayView2<f64>) -> Result<Array2<f64>> {
+    concatenate(Axis(0), &[first, second]).map_err(|error| Error::Internal(format!("modes of uneven length: {error}")))
+}
+
 /// Closed-loop response, and its linear part at the samples that are used.
 struct SampledLoopResponse {
     closed_loop: ClosedLoopResponse,
     kept: Vec<usize>,
+    /// Responses to the segment modes that are estimated, `[mode, sample]`.
     linear: Array2<f64>,
 }
 
 impl SampledLoopResponse {
+    /// The response to the pistons.
     fn new(scene: &Scene, samples: &IlluminatedSamples, kept: &[usize]) -> Result<Self> {
-        let mut closed_loop = ClosedLoopResponse::new(scene, samples)?;
-        let linear = closed_loop.linear_response()?.select(Axis(1), kept);
-        Ok(Self { closed_loop, kept: kept.to_vec(), linear })
+        let closed_loop = ClosedLoopResponse::new(scene, samples)?;
+        let linear = Array2::zeros((0, kept.len()));
+        let mut response = Self { closed_loop, kept: kept.to_vec(), linear };
+        response.extend_to(samples.pistons.nrows())?;
+        Ok(response)
     }
 
-    fn at_kept_nm(&mut self, pistons_nm: &[f64]) -> Result<Array1<f64>> {
-        Ok(self.closed_loop.response_nm(pistons_nm)?.select(Axis(0), &self.kept))
+    /// Measures the responses to the segment modes that are missing of the first `modes`.
+    fn extend_to(&mut self, modes: usize) -> Result<()> {
+        let more = self.closed_loop.linear_response(self.linear.nrows()..modes)?.select(Axis(1), &self.kept);
+        self.linear = joined(self.linear.view(), more.view())?;
+        Ok(())
+    }
+
+    fn at_kept_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
+        Ok(self.closed_loop.response_nm(segments_nm)?.select(Axis(0), &self.kept))
     }
 }

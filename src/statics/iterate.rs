@@ -8,14 +8,14 @@ use super::image_selection::SelectedImages;
 use super::iteration::Iteration;
 use super::ncpa_basis::NcpaFamily;
 use super::segment_tilts::SegmentTilts;
-use super::settings::StaticsSettings;
+use super::settings::{StaticsSettings, TiltSelection};
 use super::static_modes::StaticModes;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::StaticWavefront;
 use crate::scene::{AoKnowledge, Scene};
 use crate::{Error, Result};
-use ndarray::Axis;
+use ndarray::{Array1, Axis};
 
 /// Prior RMS of a mode of either of a basis's two highest groups beyond which the NCPA extend beyond the basis, nm: noise and
 /// turbulence leave 0.1 to 0.3.
@@ -47,6 +47,10 @@ pub fn estimate_static_errors(
         }
         let Some(sequence) = &sequence else { return Err(Error::Internal("a source without wavefronts".into())) };
         about = Some(estimate.iterate(sequence, source)?);
+        if estimate.adopt_segment_tilts()? {
+            // With tilts the same wavefronts give another estimate.
+            about = Some(estimate.iterate(sequence, source)?);
+        }
         let is_settled = estimate.is_settled();
         if !estimate.take_finer_basis()? && is_settled {
             break;
@@ -63,7 +67,11 @@ struct IterativeEstimate<'a> {
     finer: std::slice::Iter<'a, NcpaFamily>,
     modes: StaticModes,
     acceleration: AndersonAcceleration,
+    /// Coefficients about which the last wavefronts were retrieved; `None` in the first iteration.
+    input: Option<Array1<f64>>,
     iterations: Vec<Iteration>,
+    /// Tilts in the last residual in which they were sought.
+    segment_tilts: Option<SegmentTilts>,
     /// Covariance of the last wavefronts.
     residual: Option<ResidualCovariance>,
     /// RMS of NCPA beyond the modes, nm.
@@ -77,7 +85,10 @@ impl<'a> IterativeEstimate<'a> {
         settings: &'a StaticsSettings,
         cancel: Option<&'a CancelFlag>,
     ) -> Result<Self> {
-        let estimator = StaticsEstimator::new(scene, source.samples(), settings, cancel)?;
+        let mut estimator = StaticsEstimator::new(scene, source.samples(), settings, cancel)?;
+        if settings.tilts == TiltSelection::Always {
+            estimator.add_tilts()?;
+        }
         let mut finer = settings.families.iter();
         let Some(&coarsest) = finer.next() else {
             return Err(Error::Value("no family of NCPA modes was given: at least 1 is needed".into()));
@@ -88,7 +99,9 @@ impl<'a> IterativeEstimate<'a> {
             estimator,
             finer,
             acceleration: AndersonAcceleration::default(),
+            input: None,
             iterations: Vec::new(),
+            segment_tilts: None,
             residual: None,
             beyond_modes_nm: 0.0,
         })
@@ -105,17 +118,17 @@ impl<'a> IterativeEstimate<'a> {
         let slopes_mas = sequence.slopes_mas.as_ref().filter(|_| self.has_telemetry());
         let slopes_mas = slopes_mas.map(|slopes_mas| slopes_mas.select(Axis(0), &images.used));
         let errors = self.estimator.estimate(&self.modes, &images, &residual, slopes_mas)?;
-        let input = self.acceleration.input().cloned();
+        self.input = self.acceleration.input().cloned();
         self.acceleration.record(errors.coefficients_nm());
-        // Pistons are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
+        // Segments are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
         // their mean they scatter by a·S, and after all iterations by a·S/a² = S/a, where the estimate assumes S. NCPA are weighted
         // by their own scatter, which grows to 1/a² of itself.
-        let segments = self.estimator.samples.pistons.nrows();
-        let pistons = self.acceleration.recovered_fraction(0..segments).sqrt();
-        let ncpa = self.acceleration.recovered_fraction(segments..usize::MAX);
-        let errors = errors.with_recovered_fractions([pistons, ncpa]);
+        let segment_modes = errors.segment_modes();
+        let segments = self.acceleration.recovered_fraction(0..segment_modes).sqrt();
+        let ncpa = self.acceleration.recovered_fraction(segment_modes..usize::MAX);
+        let errors = errors.with_recovered_fractions([segments, ncpa]);
         let pupil = &self.estimator.telescope.pupil;
-        let iteration = self.modes.iteration(errors, pupil, input, &images, residual.rms_nm())?;
+        let iteration = self.modes.iteration(errors, pupil, self.input.clone(), &images, residual.rms_nm())?;
         let next = self.acceleration.next_input();
         let about = self.estimator.static_wavefront(&self.modes, &next, &iteration.errors)?;
         self.iterations.push(iteration);
@@ -142,6 +155,42 @@ impl<'a> IterativeEstimate<'a> {
         self.iterations.last().is_some_and(is_small)
     }
 
+    /// Seeks tilts of single segments in the residual of the first iteration, in which pistons and NCPA have not yet come to terms with
+    /// them, and of a settled one, unless they are estimated; returns whether the last iteration is to be made again with them.
+    fn adopt_segment_tilts(&mut self) -> Result<bool> {
+        let may_adopt = self.settings.tilts == TiltSelection::WhereSignificant;
+        let is_last = self.is_settled() || self.iterations.len() == self.settings.max_iterations;
+        if self.estimator.has_tilts() || !(is_last || may_adopt && self.iterations.len() == 1) {
+            return Ok(false);
+        }
+        self.segment_tilts = self.find_segment_tilts()?;
+        if !may_adopt || !self.segment_tilts.as_ref().is_some_and(SegmentTilts::is_significant) {
+            return Ok(false);
+        }
+        let family = self.modes.family;
+        self.estimator.add_tilts()?;
+        self.modes = self.estimator.static_modes(family)?;
+        self.iterations.pop();
+        let segments = self.estimator.samples.pistons.nrows();
+        let with_tilts = |input: Array1<f64>| {
+            let (pistons_nm, ncpa_nm) = input.view().split_at(Axis(0), segments);
+            pistons_nm
+                .iter()
+                .copied()
+                .chain(std::iter::repeat_n(0.0, 2 * segments))
+                .chain(ncpa_nm.iter().copied())
+                .collect()
+        };
+        self.acceleration = AndersonAcceleration::from_input(self.input.take().map(with_tilts));
+        Ok(true)
+    }
+
+    /// Tilts of single segments in the residual of the last iteration.
+    fn find_segment_tilts(&self) -> Result<Option<SegmentTilts>> {
+        let (Some(last), Some(residual)) = (self.iterations.last(), &self.residual) else { return Ok(None) };
+        self.estimator.tilts_in_residual(last.errors.residual_nm.view(), residual, last.used_images.len())
+    }
+
     /// Takes the next basis of the ladder where the NCPA extend beyond the current one; returns whether it did.
     fn take_finer_basis(&mut self) -> Result<bool> {
         let Some(last) = self.iterations.last() else { return Ok(false) };
@@ -165,10 +214,8 @@ impl<'a> IterativeEstimate<'a> {
 
     /// Returns the iterations, with the segment tilts and the NCPA beyond the modes in the last.
     fn finish(mut self) -> Result<Vec<Iteration>> {
-        if let (Some(last), Some(residual)) = (self.iterations.last_mut(), &self.residual) {
-            let covariance = self.estimator.mean_covariance(residual, last.used_images.len());
-            let residual_nm = last.errors.residual_nm.view();
-            last.segment_tilts = Some(SegmentTilts::estimate(residual_nm, &covariance, &self.estimator.samples)?);
+        if let Some(last) = self.iterations.last_mut() {
+            last.segment_tilts = self.segment_tilts;
             last.add_beyond_modes(self.beyond_modes_nm);
         }
         Ok(self.iterations)

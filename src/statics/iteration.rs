@@ -42,16 +42,23 @@ pub struct Iteration {
     pub residual_rms_nm: f64,
     /// Diversity in the NCPA's modes.
     pub diversity: DiversityProjection,
-    /// Tilts of single segments in the mean wavefront's residual; of the last iteration only.
+    /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of the last iteration only, and where
+    /// it was made for tilts that are estimated since, from then on. `None` where the scene has tilts.
     pub segment_tilts: Option<SegmentTilts>,
 }
 
 impl Iteration {
-    /// Names of the static modes: pistons, then NCPA.
+    /// Names of the static modes: pistons, where they are estimated tips and tilts, then NCPA.
     pub fn mode_names(&self) -> Vec<String> {
-        let mut names = SegmentModes::Piston.names(self.errors.pistons_nm.len());
+        let segments = if self.has_tilts() { SegmentModes::PistonTipTilt } else { SegmentModes::Piston };
+        let mut names = segments.names(self.errors.pistons_nm.len());
         names.extend_from_slice(&self.ncpa_names);
         names
+    }
+
+    /// Whether tips and tilts of the segments are estimated.
+    pub fn has_tilts(&self) -> bool {
+        !self.errors.tilts_nm.is_empty()
     }
 
     /// Coefficients of the static modes, nm.
@@ -89,6 +96,7 @@ impl Iteration {
         let basis = NcpaBasis::new(self.family, scene, &Telescope::new(scene)?)?;
         let errors = CorrectableErrors {
             pistons_nm: &self.errors.pistons_nm,
+            tilts_nm: &self.errors.tilts_nm,
             ncpa_nm: &self.errors.ncpa_nm,
             covariance_nm2: &self.errors.covariance_nm2,
             ncpa_basis: &basis.modes,
