@@ -24,6 +24,8 @@ pub struct cophase_correction_report {
     pub corrected_modes: usize,
     /// Commands that were cut at the limit.
     pub limited: usize,
+    /// Number of tips and tilts of segments, two of each; 0 where the estimate has none.
+    pub tilts: usize,
 }
 
 /// Computes what to add to segments, mirror and reference slopes to correct the estimated errors; a MAP estimate only. A
@@ -65,6 +67,7 @@ pub unsafe extern "C" fn cophase_estimate_correct(
                     slopes: corrections.slopes_mas.len(),
                     corrected_modes: corrections.corrected_modes,
                     limited: corrections.limited,
+                    tilts: corrections.tilts_nm.len(),
                 },
             );
             found.corrections = Some(corrections);

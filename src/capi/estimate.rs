@@ -55,6 +55,9 @@ pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
 /// Array: whole wavelengths of the first channel that were added to the piston of each segment, their probability, and the piston of
 /// the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
 pub const COPHASE_ARRAY_PISTON_INTEGERS: i32 = 11;
+/// Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt of each, nm of wavefront RMS over the
+/// segment; tilts. Without elements where the estimate has no tilts of segments.
+pub const COPHASE_ARRAY_CORRECTION_TILTS_NM: i32 = 12;
 
 /// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed.
 #[allow(non_camel_case_types)] // a name of the header
@@ -269,13 +272,15 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
     let EstimateState { estimate, corrections } = found;
     let list = |values: Vec<f64>| (vec![values.len()], values);
     let matrix = |matrix: &ndarray::Array2<f64>| (matrix.shape().to_vec(), matrix.iter().copied().collect());
-    if (COPHASE_ARRAY_CORRECTION_PISTONS_NM..=COPHASE_ARRAY_CORRECTION_SLOPES_MAS).contains(&what) {
+    let is_correction = (COPHASE_ARRAY_CORRECTION_PISTONS_NM..=COPHASE_ARRAY_CORRECTION_SLOPES_MAS).contains(&what);
+    if is_correction || what == COPHASE_ARRAY_CORRECTION_TILTS_NM {
         let corrections = corrections
             .as_ref()
             .ok_or_else(|| Error::Value("there are no corrections yet: call cophase_estimate_correct first".into()))?;
         let actuators = &corrections.actuators_nm;
         return Ok(match what {
             COPHASE_ARRAY_CORRECTION_PISTONS_NM => list(corrections.pistons_nm.clone()),
+            COPHASE_ARRAY_CORRECTION_TILTS_NM => list(corrections.tilts_nm.clone()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_NM => list(actuators.iter().map(|(_, nm)| *nm).collect()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_M => {
                 (vec![actuators.len(), 2], actuators.iter().flat_map(|(place_m, _)| *place_m).collect())

@@ -41,8 +41,7 @@ pub struct Posterior {
 }
 
 impl Posterior {
-    /// Widens the prior of the first coefficients, those of the groups `corrected` (prior RMS and number of each), for the errors of a
-    /// previous correction by an estimate like this one.
+    /// Widens the prior of the first `count` coefficients for the errors of a previous correction by an estimate like this one.
     ///
     /// With `F` the information on these coefficients with all others marginalised, an estimate with a prior of `uncorrected_nm`
     /// leaves errors of covariance `E = (F + 1/uncorrected²)⁻¹`, so the prior becomes `prior_rms² + E`. The errors lie along the
@@ -52,18 +51,20 @@ impl Posterior {
     ///
     /// # Errors
     /// Where the equations cannot be solved.
-    pub(super) fn with_previous_correction(mut self, corrected: &[(f64, usize)], uncorrected_nm: f64) -> Result<Self> {
-        let prior_rms_nm: Array1<f64> =
-            corrected.iter().flat_map(|&(rms_nm, count)| std::iter::repeat_n(rms_nm, count)).collect();
-        let count = prior_rms_nm.len();
+    pub(super) fn with_previous_correction(
+        mut self,
+        count: usize,
+        prior_rms_nm: f64,
+        uncorrected_nm: f64,
+    ) -> Result<Self> {
         let own = s![..count, ..count];
         let precision = SpdInverse::new(&self.covariance_nm2.slice(own).to_owned())?.inverse;
         let mut information = precision.clone();
-        information.diag_mut().zip_mut_with(&prior_rms_nm, |value, rms_nm| *value -= rms_nm.powi(-2));
+        information.diag_mut().iter_mut().for_each(|value| *value -= prior_rms_nm.powi(-2));
         let mut before = information.clone();
         before.diag_mut().iter_mut().for_each(|value| *value += uncorrected_nm.powi(-2));
         let mut prior_nm2 = SpdInverse::new(&before)?.inverse;
-        prior_nm2.diag_mut().zip_mut_with(&prior_rms_nm, |nm2, rms_nm| *nm2 += rms_nm * rms_nm);
+        prior_nm2.diag_mut().iter_mut().for_each(|nm2| *nm2 += prior_rms_nm * prior_rms_nm);
         let covariance_nm2 = SpdInverse::new(&(&SpdInverse::new(&prior_nm2)?.inverse + &information))?.inverse;
         let data_nm = precision.dot(&self.coefficients_nm.slice(s![..count]));
         let change_nm = covariance_nm2.dot(&data_nm) - self.coefficients_nm.slice(s![..count]);
@@ -177,7 +178,7 @@ mod tests {
         let information = ndarray::array![[2.0, 0.5], [0.5, 1.0]];
         let b = ndarray::array![3.0, -1.0];
         let at = |nm2: [f64; 2]| posterior(&information, &b, &[0..1, 1..2].map(group), &nm2).unwrap();
-        let found = at([0.3, 7.0]).with_previous_correction(&[(0.3f64.sqrt(), 1)], 30.0).unwrap();
+        let found = at([0.3, 7.0]).with_previous_correction(1, 0.3f64.sqrt(), 30.0).unwrap();
         // Information on the first with the second marginalised.
         let marginal = 2.0 - 0.5 * 0.5 / (1.0 + 1.0 / 7.0);
         let expected = at([0.3 + 1.0 / (marginal + 1.0 / 900.0), 7.0]);
@@ -185,7 +186,7 @@ mod tests {
         assert!((&found.coefficients_nm - &expected.coefficients_nm).iter().all(|nm| nm.abs() < 1e-12), "{found:?}");
         assert!((&found.covariance_nm2 - &expected.covariance_nm2).iter().all(|nm2| nm2.abs() < 1e-12), "{found:?}");
         // A prior far above the errors is unchanged: 1/(1 + 1/f·λ) of the data, to the square of that.
-        let (strong, wider) = (at([1e6, 7.0]), at([1e6, 7.0]).with_previous_correction(&[(1e3, 1)], 30.0).unwrap());
+        let (strong, wider) = (at([1e6, 7.0]), at([1e6, 7.0]).with_previous_correction(1, 1e3, 30.0).unwrap());
         assert!((&strong.coefficients_nm - &wider.coefficients_nm).iter().all(|nm| nm.abs() < 1e-9));
     }
 
@@ -205,7 +206,7 @@ mod tests {
             let measured_nm = Array1::from_shape_fn(count, |k| left_nm[k] + error_nm(k) * normal());
             let plain =
                 maximise_marginal_likelihood(&information, &information.dot(&measured_nm), &[group(0..count)]).unwrap();
-            let wider = plain.clone().with_previous_correction(&[(plain.prior_rms_nm[0], count)], 1e3).unwrap();
+            let wider = plain.clone().with_previous_correction(count, plain.prior_rms_nm[0], 1e3).unwrap();
             for (pull, found) in pulls.iter_mut().zip([plain, wider]) {
                 let off_nm = &found.coefficients_nm - &left_nm;
                 *pull += off_nm.dot(&off_nm) / found.covariance_nm2.diag().sum() / f64::from(draws);

@@ -4,6 +4,7 @@
 use super::covariance::ResidualCovariance;
 use super::image_selection::SelectedImages;
 use super::least_squares::StaticModel;
+use super::loop_compensation::uncompensated_rms_nm;
 use super::mean_covariance::MeanCovariance;
 use super::ncpa_basis::NcpaFamily;
 use super::segment_tilts::SegmentTilts;
@@ -17,7 +18,7 @@ use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
 /// Amplitude below which a sample is left out: images hold little information on its phase.
 const MIN_AMPLITUDE: f64 = 0.5;
@@ -108,6 +109,23 @@ impl<'a> StaticsEstimator<'a> {
         SegmentTilts::estimate(residual_nm, tilts.view(), &covariance, &self.samples).map(Some)
     }
 
+    /// Wavefronts of the segment modes with the loop's response to them, at the samples that are used, `[mode, sample]`.
+    fn segment_columns(&self) -> Array2<f64> {
+        match &self.loop_response {
+            Some(response) => &self.segments_at_kept + &response.linear,
+            None => self.segments_at_kept.clone(),
+        }
+    }
+
+    /// Expected error of the segments that the loop leaves in the wavefront, nm RMS; `None` where segments have no tilts, or the loop is not
+    /// known.
+    pub(super) fn uncompensated_nm(&self, errors: &StaticErrors) -> Option<f64> {
+        let modes = errors.segment_modes();
+        let covariance_nm2 = errors.covariance_nm2.slice(s![..modes, ..modes]);
+        let is_known = self.has_tilts() && self.loop_response.is_some();
+        is_known.then(|| uncompensated_rms_nm(self.segment_columns().view(), covariance_nm2, &self.samples))
+    }
+
     /// The static modes with NCPA of `family`.
     pub(super) fn static_modes(&self, family: NcpaFamily) -> Result<StaticModes> {
         let samples = (&self.all_samples, &self.kept[..]);
@@ -138,10 +156,7 @@ impl<'a> StaticsEstimator<'a> {
         slopes_mas: Option<Array2<f64>>,
     ) -> Result<StaticErrors> {
         let covariance = self.mean_covariance(residual, images.used.len());
-        let columns = match &self.loop_response {
-            Some(response) => &self.segments_at_kept + &response.linear,
-            None => self.segments_at_kept.clone(),
-        };
+        let columns = self.segment_columns();
         let segments = (columns.view(), self.samples.pistons.nrows());
         let groups = (&modes.groups[..], slopes_mas.is_some());
         let mut model = StaticModel::new(segments, modes.at_kept.view(), groups, &covariance)?;
@@ -228,11 +243,9 @@ struct SampledLoopResponse {
 impl SampledLoopResponse {
     /// The response to the pistons.
     fn new(scene: &Scene, samples: &IlluminatedSamples, kept: &[usize]) -> Result<Self> {
-        let closed_loop = ClosedLoopResponse::new(scene, samples)?;
-        let linear = Array2::zeros((0, kept.len()));
-        let mut response = Self { closed_loop, kept: kept.to_vec(), linear };
-        response.extend_to(samples.pistons.nrows())?;
-        Ok(response)
+        let mut closed_loop = ClosedLoopResponse::new(scene, samples)?;
+        let linear = closed_loop.linear_response(0..samples.pistons.nrows())?.select(Axis(1), kept);
+        Ok(Self { closed_loop, kept: kept.to_vec(), linear })
     }
 
     /// Measures the responses to the segment modes that are missing of the first `modes`.

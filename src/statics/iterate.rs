@@ -117,7 +117,9 @@ impl<'a> IterativeEstimate<'a> {
         let residual = self.residual_covariance(&images, source)?;
         let slopes_mas = sequence.slopes_mas.as_ref().filter(|_| self.has_telemetry());
         let slopes_mas = slopes_mas.map(|slopes_mas| slopes_mas.select(Axis(0), &images.used));
+        let dbg = std::time::Instant::now();
         let errors = self.estimator.estimate(&self.modes, &images, &residual, slopes_mas)?;
+        eprintln!("DBG estimate {:.2} s prior {:.2?}", dbg.elapsed().as_secs_f64(), &errors.prior_rms_nm[..8]);
         self.input = self.acceleration.input().cloned();
         self.acceleration.record(errors.coefficients_nm());
         // Segments are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
@@ -128,7 +130,10 @@ impl<'a> IterativeEstimate<'a> {
         let ncpa = self.acceleration.recovered_fraction(segment_modes..usize::MAX);
         let errors = errors.with_recovered_fractions([segments, ncpa]);
         let pupil = &self.estimator.telescope.pupil;
-        let iteration = self.modes.iteration(errors, pupil, self.input.clone(), &images, residual.rms_nm())?;
+        let uncompensated_nm = self.estimator.uncompensated_nm(&errors);
+        eprintln!("DBG uncompensated {uncompensated_nm:?}");
+        let iteration =
+            self.modes.iteration((errors, uncompensated_nm), pupil, self.input.clone(), &images, residual.rms_nm())?;
         let next = self.acceleration.next_input();
         let about = self.estimator.static_wavefront(&self.modes, &next, &iteration.errors)?;
         self.iterations.push(iteration);
@@ -163,7 +168,14 @@ impl<'a> IterativeEstimate<'a> {
         if self.estimator.has_tilts() || !(is_last || may_adopt && self.iterations.len() == 1) {
             return Ok(false);
         }
+        let dbg = std::time::Instant::now();
         self.segment_tilts = self.find_segment_tilts()?;
+        eprintln!(
+            "DBG iteration {} tilts {:?} {:.2} s",
+            self.iterations.len(),
+            self.segment_tilts,
+            dbg.elapsed().as_secs_f64()
+        );
         if !may_adopt || !self.segment_tilts.as_ref().is_some_and(SegmentTilts::is_significant) {
             return Ok(false);
         }

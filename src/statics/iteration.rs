@@ -110,10 +110,10 @@ impl Iteration {
         self.ncpa_sigma_nm.mapv_inplace(|nm| nm.hypot(rms_nm));
     }
 
-    /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the averaged part of their error bars: errors
-    /// common to all iterations do not show how much further ones will change.
+    /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the part of their error bars that iterations change:
+    /// errors common to all iterations do not show how much further ones will change.
     pub(crate) fn has_changed(&self, tolerance: f64) -> bool {
-        let averaged_nm = self.error_budget.averaged_nm();
-        (0..2).any(|i| self.change_nm[i] >= tolerance * averaged_nm[i])
+        let iterated_nm = self.error_budget.iterated_nm();
+        (0..2).any(|i| self.change_nm[i] >= tolerance * iterated_nm[i])
     }
 }

@@ -11,7 +11,7 @@ use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 /// Prior RMS of unidentifiable coefficients (the mean wavefront, tip and tilt), nm: more than a model's whole range.
 const FLAT_PRIOR_NM: f64 = 1e4;
 
-/// Prior RMS of segment modes before any correction, nm, for the error of nearly degenerate directions (their mean and the
+/// Prior RMS of pistons before any correction, nm, for the error of nearly degenerate directions (their mean and the
 /// plane through them) after an estimate like this one was corrected.
 const UNCORRECTED_NM: f64 = 30.0;
 
@@ -111,11 +111,11 @@ impl<'a> StaticModel<'a> {
             group.variance_nm2 = nm * nm;
         }
         let posterior = maximise_marginal_likelihood(&information, &right_side, &groups)?;
-        let of_segments = groups.iter().take_while(|group| group.columns.end <= self.segment_modes);
-        let corrected: Vec<(f64, usize)> =
-            posterior.prior_rms_nm.iter().copied().zip(of_segments.map(|group| group.columns.len())).collect();
+        // Tilts keep the prior that the data give them: a shape of many segments whose facets look smooth to the mirror is determined
+        // by that prior, and one of 30 nm would be left with 19 nm of phasing in place of TODO.
+        let pistons_nm = posterior.prior_rms_nm[0];
         let Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, prior_rms_nm } =
-            posterior.with_previous_correction(&corrected, UNCORRECTED_NM)?;
+            posterior.with_previous_correction(self.segments, pistons_nm, UNCORRECTED_NM)?;
         let (ncpa, last) = (self.segment_modes + self.ncpa, coefficients_nm.len() - 1);
         let mut common_path_nm = coefficients_nm.slice(s![ncpa..last]).to_vec();
         common_path_nm.resize(self.ncpa, 0.0);

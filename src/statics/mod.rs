@@ -20,6 +20,7 @@ mod image_selection;
 mod iterate;
 mod iteration;
 mod least_squares;
+mod loop_compensation;
 mod mean_covariance;
 mod ncpa_basis;
 mod segment_tilts;

@@ -100,11 +100,12 @@ impl StaticModes {
         }
     }
 
-    /// The iteration with these static errors: maps, error bars and error budget. `input` are the coefficients about which the
+    /// The iteration with these static errors: maps, error bars and error budget. `uncompensated_nm` is the expected error of the
+    /// segments that the loop leaves in the wavefront, where that is less than all; `input` are the coefficients about which the
     /// wavefronts were retrieved.
     pub(super) fn iteration(
         &self,
-        mut errors: StaticErrors,
+        (mut errors, uncompensated_nm): (StaticErrors, Option<f64>),
         pupil: &Pupil,
         input: Option<Array1<f64>>,
         images: &SelectedImages,
@@ -113,7 +114,7 @@ impl StaticModes {
         let coefficients = errors.coefficients_nm();
         let ranges = [0..self.segments, self.segments..coefficients.len()];
         let [phasing_nm, ncpa_nm] = [0, 1].map(|i| self.map(&coefficients, ranges[i].clone(), pupil));
-        let error_budget = self.add_common_errors(&mut errors, &coefficients)?;
+        let error_budget = self.add_common_errors(&mut errors, &coefficients, uncompensated_nm)?;
         let sigma_nm = |i: usize| {
             let part_nm2 = errors.covariance_nm2.slice(s![ranges[i].clone(), ranges[i].clone()]);
             self.sigma(part_nm2, ranges[i].clone(), pupil)
@@ -148,8 +149,14 @@ impl StaticModes {
 
     /// Adds to the covariance of the NCPA the errors that all images have in common, of the diversity and of an unknown loop
     /// response; returns the error budget.
-    fn add_common_errors(&self, errors: &mut StaticErrors, coefficients: &Array1<f64>) -> Result<ErrorBudget> {
-        let averaged_nm = self.expected_rms_nm(&errors.covariance_nm2)?;
+    fn add_common_errors(
+        &self,
+        errors: &mut StaticErrors,
+        coefficients: &Array1<f64>,
+        uncompensated_nm: Option<f64>,
+    ) -> Result<ErrorBudget> {
+        let [phasing_nm, ncpa_nm] = self.expected_rms_nm(&errors.covariance_nm2)?;
+        let averaged_nm = [uncompensated_nm.map_or(phasing_nm, |nm| nm.min(phasing_nm)), ncpa_nm];
         let response_nm = self.unknown_response_nm(coefficients)?;
         let column = response_nm.view().insert_axis(Axis(1));
         let response_nm2 = column.dot(&column.t());
