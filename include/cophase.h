@@ -612,6 +612,11 @@ cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
  */
 #define COPHASE_ARRAY_PISTON_INTEGERS 11
 
+/* Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt of each, nm of wavefront RMS over the
+ * segment; tilts. Without elements where the estimate has no tilts of segments.
+ */
+#define COPHASE_ARRAY_CORRECTION_TILTS_NM 12
+
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
 typedef struct {
   /* Number of images. */
@@ -745,6 +750,8 @@ typedef struct {
   size_t corrected_modes;
   /* Commands that were cut at the limit. */
   size_t limited;
+  /* Number of tips and tilts of segments, two of each; 0 where the estimate has none. */
+  size_t tilts;
 } cophase_correction_report;
 
 /* Computes what to add to segments, mirror and reference slopes to correct the estimated errors; a MAP estimate only. A

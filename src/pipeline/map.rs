@@ -54,7 +54,7 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
         );
     }
     let mut remarks: Vec<String> = warnings::diversity_remark(&last.diversity, &found.scene).into_iter().collect();
-    remarks.extend(warnings::segment_tilts_remark(last));
+    remarks.extend(warnings::segment_tilts_remarks(last));
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
         remarks.extend(warnings::orientation_remark(&found.scene, &Telescope::new(&found.scene)?)?);
     }

@@ -34,27 +34,28 @@ pub fn estimate_static_errors(
 ) -> Result<Vec<Iteration>> {
     let mut estimate = IterativeEstimate::new(scene, source, settings, cancel)?;
     let (mut about, mut sequence) = (None, None);
-    while estimate.iterations.len() < settings.max_iterations {
+    while estimate.iterations.len() < estimate.max_iterations {
         let count = estimate.iterations.len();
         if is_cancelled(cancel) {
             return Err(Error::Interrupted(format!("{count} iterations were made")));
         }
-        match source.retrieve(about.as_ref())? {
-            Some(new) => sequence = Some(new),
-            // The same wavefronts would give the same estimate.
-            None if count > 0 => break,
-            None => {}
-        }
+        let new = source.retrieve(about.as_ref())?;
+        // The same wavefronts would give the same estimate.
+        let is_new = new.is_some() || count == 0;
+        sequence = new.or(sequence);
         let Some(sequence) = &sequence else { return Err(Error::Internal("a source without wavefronts".into())) };
-        about = Some(estimate.iterate(sequence, source)?);
-        if estimate.adopt_segment_tilts()? {
-            // With tilts the same wavefronts give another estimate.
+        if is_new {
             about = Some(estimate.iterate(sequence, source)?);
+            if estimate.goes_on()? {
+                continue;
+            }
         }
-        let is_settled = estimate.is_settled();
-        if !estimate.take_finer_basis()? && is_settled {
+        if !estimate.adopt_segment_tilts()? {
             break;
         }
+        // With tilts they give another one.
+        about = Some(estimate.iterate(sequence, source)?);
+        estimate.goes_on()?;
     }
     estimate.finish()
 }
@@ -62,6 +63,7 @@ pub fn estimate_static_errors(
 /// State of the iterations.
 struct IterativeEstimate<'a> {
     settings: &'a StaticsSettings,
+    max_iterations: usize,
     estimator: StaticsEstimator<'a>,
     /// Families of the basis ladder that are finer than the current one.
     finer: std::slice::Iter<'a, NcpaFamily>,
@@ -95,6 +97,7 @@ impl<'a> IterativeEstimate<'a> {
         };
         Ok(Self {
             settings,
+            max_iterations: settings.max_iterations,
             modes: estimator.static_modes(coarsest)?,
             estimator,
             finer,
@@ -117,9 +120,7 @@ impl<'a> IterativeEstimate<'a> {
         let residual = self.residual_covariance(&images, source)?;
         let slopes_mas = sequence.slopes_mas.as_ref().filter(|_| self.has_telemetry());
         let slopes_mas = slopes_mas.map(|slopes_mas| slopes_mas.select(Axis(0), &images.used));
-        let dbg = std::time::Instant::now();
         let errors = self.estimator.estimate(&self.modes, &images, &residual, slopes_mas)?;
-        eprintln!("DBG estimate {:.2} s prior {:.2?}", dbg.elapsed().as_secs_f64(), &errors.prior_rms_nm[..8]);
         self.input = self.acceleration.input().cloned();
         self.acceleration.record(errors.coefficients_nm());
         // Segments are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
@@ -131,7 +132,6 @@ impl<'a> IterativeEstimate<'a> {
         let errors = errors.with_recovered_fractions([segments, ncpa]);
         let pupil = &self.estimator.telescope.pupil;
         let uncompensated_nm = self.estimator.uncompensated_nm(&errors);
-        eprintln!("DBG uncompensated {uncompensated_nm:?}");
         let iteration =
             self.modes.iteration((errors, uncompensated_nm), pupil, self.input.clone(), &images, residual.rms_nm())?;
         let next = self.acceleration.next_input();
@@ -160,29 +160,29 @@ impl<'a> IterativeEstimate<'a> {
         self.iterations.last().is_some_and(is_small)
     }
 
-    /// Seeks tilts of single segments in the residual of the first iteration, in which pistons and NCPA have not yet come to terms with
-    /// them, and of a settled one, unless they are estimated; returns whether the last iteration is to be made again with them.
+    /// Whether further iterations are to be made: the last one has changed much, or another basis is taken.
+    fn goes_on(&mut self) -> Result<bool> {
+        let is_unsettled = !self.is_settled() && self.iterations.len() < self.max_iterations;
+        Ok(self.take_finer_basis()? || is_unsettled)
+    }
+
+    /// Seeks tilts of single segments in the residual of the last iteration, where they are not estimated; returns whether it is to be
+    /// made again with them. They are sought at the end alone: only then is the residual that of turbulence where there are none, and
+    /// a sequence without them loses no time.
     fn adopt_segment_tilts(&mut self) -> Result<bool> {
-        let may_adopt = self.settings.tilts == TiltSelection::WhereSignificant;
-        let is_last = self.is_settled() || self.iterations.len() == self.settings.max_iterations;
-        if self.estimator.has_tilts() || !(is_last || may_adopt && self.iterations.len() == 1) {
+        if self.estimator.has_tilts() {
             return Ok(false);
         }
-        let dbg = std::time::Instant::now();
         self.segment_tilts = self.find_segment_tilts()?;
-        eprintln!(
-            "DBG iteration {} tilts {:?} {:.2} s",
-            self.iterations.len(),
-            self.segment_tilts,
-            dbg.elapsed().as_secs_f64()
-        );
-        if !may_adopt || !self.segment_tilts.as_ref().is_some_and(SegmentTilts::is_significant) {
+        let is_significant = self.segment_tilts.as_ref().is_some_and(SegmentTilts::is_significant);
+        if self.settings.tilts != TiltSelection::WhereSignificant || !is_significant {
             return Ok(false);
         }
         let family = self.modes.family;
         self.estimator.add_tilts()?;
         self.modes = self.estimator.static_modes(family)?;
         self.iterations.pop();
+        self.max_iterations = self.iterations.len() + self.settings.max_iterations;
         let segments = self.estimator.samples.pistons.nrows();
         let with_tilts = |input: Array1<f64>| {
             let (pistons_nm, ncpa_nm) = input.view().split_at(Axis(0), segments);
@@ -226,6 +226,9 @@ impl<'a> IterativeEstimate<'a> {
 
     /// Returns the iterations, with the segment tilts and the NCPA beyond the modes in the last.
     fn finish(mut self) -> Result<Vec<Iteration>> {
+        if self.segment_tilts.is_none() && !self.estimator.has_tilts() {
+            self.segment_tilts = self.find_segment_tilts()?;
+        }
         if let Some(last) = self.iterations.last_mut() {
             last.segment_tilts = self.segment_tilts;
             last.add_beyond_modes(self.beyond_modes_nm);
