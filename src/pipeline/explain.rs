@@ -29,10 +29,12 @@ pub(super) fn explain(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     }
     let started = Instant::now();
     task.control.check("the images were fitted, the cause of a residual was not sought")?;
-    if is_explained {
-        fitted.selected = selected_by_sum(task, &fitted.fit.1)?;
-    } else {
+    if !is_explained {
         explain_image(task, fitted)?;
+    }
+    let is_static = fitted.changes.is_none_or(|chi2| chi2 < CHANGING);
+    if is_mean_misfit && is_static && fitted.selected.is_none() && fitted.cause.is_none() {
+        fitted.selected = selected_by_sum(task, &fitted.fit.1)?;
     }
     let mut fit_seconds = 0.0;
     if let Some(selected) = &fitted.selected {
@@ -62,8 +64,7 @@ fn explain_image(task: &ModalTask, fitted: &mut Fitted) -> Result<()> {
     Ok(())
 }
 
-/// Looks for a model that explains the sum of the images, where each by itself is explained: N images together show modes whose
-/// part of χ² is 1/N of what one image would need.
+/// Looks for a model that explains the sum of the images, in which modes are N times as significant as in one of N images.
 fn selected_by_sum(task: &ModalTask, found: &ModalEstimate) -> Result<Option<Selected>> {
     if !model_selection::may_extend(task.scene, task.policy) {
         return Ok(None);
