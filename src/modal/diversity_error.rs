@@ -10,7 +10,7 @@ use super::model::Model;
 use crate::modes::Basis;
 use crate::optimize::Metric;
 use crate::pupil::Pupil;
-use crate::scene::Scene;
+use crate::scene::{ImageScene, Scene};
 use crate::telescope::{Diversity, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, s};
@@ -18,7 +18,13 @@ use ndarray::{Array1, Array2, Axis, s};
 /// Largest share of the diversity (RMS) outside the modes for which they count as spanning it.
 const MAX_RESIDUAL_SHARE: f64 = 0.1;
 /// Diversity below which signs are not known, waves RMS: 0.05 is enough to determine them at a peak S/N of 500.
-pub(crate) const MIN_WAVES: f64 = 0.02;
+const MIN_WAVES: f64 = 0.02;
+
+/// Whether an image determines the signs of even aberrations: it is defocused, or its diversity is a map.
+pub(crate) fn has_diversity(image: &ImageScene) -> bool {
+    image.diversity_file.is_some() || image.diversity_focus_waves_rms.abs() >= MIN_WAVES
+}
+
 /// Eigenvalues of the modes' Gram matrix below this fraction of the largest are rounding.
 const NULL_FLOOR: f64 = 1e-10;
 

@@ -63,7 +63,7 @@ pub use combine::{Combination, FittedImage, ModalEstimate};
 pub use combined_modes::CombinedModes;
 pub use cube::Cube;
 pub use diversity_error::{DiversityProjection, SharedError};
-pub(crate) use diversity_error::{MIN_WAVES, ModeProjector, check_reachable};
+pub(crate) use diversity_error::{ModeProjector, check_reachable, has_diversity};
 pub use engine::Watch;
 pub use estimate::ImageFits;
 pub(crate) use estimate::ModalFit;

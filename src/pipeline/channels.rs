@@ -10,7 +10,7 @@ use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::Selected;
 use super::policy::Policy;
-use crate::modal::{BasisCache, JointEstimate, MIN_WAVES, joint};
+use crate::modal::{BasisCache, JointEstimate, has_diversity, joint};
 use crate::scene::{Method, Optic, Scene};
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -57,10 +57,7 @@ pub(super) fn estimate(
 
 /// The channels that determine the signs of the wavefront by themselves, and a sentence on each other one; all where none does.
 fn with_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> (Vec<&'b ChannelImages<'a>>, Vec<String>) {
-    let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| {
-        let image = &channel.scene.image;
-        image.diversity_file.is_some() || image.diversity_focus_waves_rms.abs() >= MIN_WAVES
-    });
+    let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
     if with.is_empty() {
         return (channels.iter().collect(), Vec::new());
     }

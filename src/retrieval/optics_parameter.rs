@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::imaging::Choice;
+use crate::modal::has_diversity;
 use crate::scene::Scene;
 use std::ops::RangeInclusive;
 
@@ -70,10 +71,14 @@ impl OpticsParameter {
         ]
     }
 
-    /// The width of the filter and the area of the pixels, where the scene's model can have them.
+    /// The width of the filter and the area of the pixels, where the scene's model can have them; none in focus, where a retrieval ends in
+    /// one of many minima and objectives do not compare.
     fn camera(scene: &Scene) -> Vec<Self> {
         let image = &scene.image;
         let mut all = Vec::new();
+        if !has_diversity(image) {
+            return all;
+        }
         if scene.estimate.wavelengths.is_none() {
             all.push(Self {
                 key: "image.bandwidth_fraction",
