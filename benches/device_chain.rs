@@ -128,7 +128,7 @@ fn processor_seconds() -> f64 {
 
 #[cfg(feature = "opencl")]
 mod scene {
-    use cophase::imaging::gpu::{GpuLayout, GpuMode};
+    use cophase::imaging::gpu::{GpuColour, GpuLayout, GpuMode};
     use std::collections::BTreeMap;
     use std::f64::consts::PI;
 
@@ -154,10 +154,13 @@ mod scene {
         let mut layout = GpuLayout {
             samples,
             pixels,
-            samples_per_lambda_over_d: 2.0,
-            wavelength_nm: 1650.0,
-            intensity_scale: 1e-8,
-            diversity_turns: illuminated.iter().map(|&i| 1e-4 * ((i % samples) as f64 - 60.0).powi(2)).collect(),
+            colours: vec![GpuColour {
+                samples_per_lambda_over_d: 2.0,
+                wavelength_nm: 1650.0,
+                intensity_scale: 1e-8,
+                diversity_turns: illuminated.iter().map(|&i| 1e-4 * ((i % samples) as f64 - 60.0).powi(2)).collect(),
+            }],
+            pixel_terms: None,
             smooth: (0..66)
                 .map(|j| {
                     illuminated
@@ -174,6 +177,7 @@ mod scene {
             segment_slopes: None,
             modes: (0..36).map(GpuMode::Segment).chain((0..66).map(GpuMode::Smooth)).collect(),
             free_phase: false,
+            free_wavelength_nm: 1650.0,
         };
         for list in lists.values() {
             layout.segment_index.extend(list.iter().map(|e| e.0));

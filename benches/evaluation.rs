@@ -2,8 +2,8 @@
 //!
 //! The paper's case (36 segment pistons and 66 Karhunen-Loève modes, 120×120 pupil samples with grey edges, 240×240
 //! pixels) and our default model of the same scene (band-limited pupil, tip, tilt and focus more, cropped image), on
-//! every chain that is here, one image at a time and 200 together. Throughput counts images. Coefficients differ from
-//! image to image, so that nothing can be reused.
+//! every chain that is here, one image at a time and 200 together; the default model with three wavelengths and with pixels that
+//! have an area, too. Throughput counts images. Coefficients differ from image to image, so that nothing can be reused.
 
 use cophase::device::{self, Choice, Precision};
 use cophase::imaging::{Chain, Exposure};
@@ -15,7 +15,7 @@ use ndarray::Array2;
 
 const BATCHES: [usize; 2] = [1, 200];
 
-fn scenes() -> [(&'static str, Scene); 2] {
+fn scenes() -> [(&'static str, Scene); 4] {
     let preset = Scene::preset("keck-artificial").expect("the preset is built in");
     let plain = [
         ("pupil.model", "hard"),
@@ -26,7 +26,15 @@ fn scenes() -> [(&'static str, Scene); 2] {
     ];
     let paper = preset.with(&plain).expect("the keys exist");
     let ours = preset.with(&[("modes.exact_zernikes", "[2, 4]")]).expect("the key exists");
-    [("paper 102 modes 120/240", paper), ("default 105 modes", ours)]
+    let with = |keys: &[(&str, &str)]| ours.with(keys).expect("the keys exist");
+    let colours = with(&[("image.bandwidth_fraction", "0.015"), ("estimate.wavelengths", "3")]);
+    let area = with(&[("image.pixel_fill", "1")]);
+    [
+        ("paper 102 modes 120/240", paper),
+        ("default 105 modes", ours),
+        ("default, three wavelengths", colours),
+        ("default, pixels with an area", area),
+    ]
 }
 
 /// The chains that are here, CPU first.

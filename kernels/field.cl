@@ -104,13 +104,14 @@ __kernel void smooth_phase(__global const real *basis, __global const real *dive
     }
 }
 
-/* psi += free [image][illuminated sample], turns, at index `sample_place` of the image's psi: global (any, images, 1). */
+/* psi += scale free [image][illuminated sample], turns, at index `sample_place` of the image's psi: global (any, images, 1). The
+   scale is the wavelength of the free phase over this one. */
 __kernel void add_free_phase(__global real *psi, __global const real *free, __global const int *sample_place, const int first,
-                       const int samples, const int blocks) {
+                             const int samples, const int blocks, const real scale) {
     const size_t image = get_global_id(1);
     __global real *t = psi + image * blocks * 4 * VEC;
     __global const real *f = free + (first + image) * samples;
-    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) t[sample_place[p]] += f[p];
+    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) t[sample_place[p]] = MAD(scale, f[p], t[sample_place[p]]);
 }
 
 /* Phasor, field and folded field of one block of one image; `pose` is the image's [segment][re q, im q, t, u]. With

@@ -12,6 +12,20 @@
  * process the arrays of one image; focus.cl calls them too.
  */
 
+/* The field of both sides of a row. */
+inline void field_of_sides(__global const real *f, const int span, vec re[2], vec im[2]) {
+    vec cr = GET(f, 0), ci = GET(f, span), sr = GET(f, 2 * span), si = GET(f, 3 * span);
+    re[0] = cr + si, im[0] = ci - sr;
+    re[1] = cr - si, im[1] = ci + sr;
+}
+
+/* C' and S' of the source of both sides, in place of the field. */
+inline void store_source(__global real *f, const int span, const vec re[2], const vec im[2]) {
+    AT(f, 0) = re[0] + re[1];
+    AT(f, span) = im[0] + im[1];
+    AT(f, 2 * span) = im[1] - im[0];
+    AT(f, 3 * span) = re[0] - re[1];
+}
 
 /* Sums of w h, w h^2, w h d over the rows `row` to `end`. */
 inline void strip_sums(__global const real *focal, __global const real *data, __global const real *weight, int row,
@@ -21,11 +35,11 @@ inline void strip_sums(__global const real *focal, __global const real *data, __
         __global const real *f = focal + (size_t)row * 4 * span;
         __global const real *d = data + (size_t)row * 2 * span, *w = weight + (size_t)row * 2 * span;
         for (int u = lane * VEC; u < span; u += lanes * VEC) {
-            vec cr = GET(f, u), ci = GET(f, span + u), sr = GET(f, 2 * span + u), si = GET(f, 3 * span + u);
+            vec re[2], im[2];
+            field_of_sides(f + u, span, re, im);
 #pragma unroll
             for (int side = 0; side < 2; side++) {
-                vec re = side ? cr - si : cr + si, im = side ? ci + sr : ci - sr;
-                vec h = MAD(re, re, im * im);
+                vec h = MAD(re[side], re[side], im[side] * im[side]);
                 vec weighted = GET(w, side * span + u) * h;
                 wh += weighted;
                 whh = MAD(weighted, h, whh);
@@ -73,12 +87,10 @@ inline real strip_residuals(__global real *focal, __global const real *data, __g
         __global real *f = focal + (size_t)row * 4 * span;
         __global const real *d = data + (size_t)row * 2 * span, *w = weight + (size_t)row * 2 * span;
         for (int u = lane * VEC; u < span; u += lanes * VEC) {
-            vec cr = GET(f, u), ci = GET(f, span + u), sr = GET(f, 2 * span + u), si = GET(f, 3 * span + u);
             vec re[2], im[2];
+            field_of_sides(f + u, span, re, im);
 #pragma unroll
             for (int side = 0; side < 2; side++) {
-                re[side] = side ? cr - si : cr + si;
-                im[side] = side ? ci + sr : ci - sr;
                 vec h = MAD(re[side], re[side], im[side] * im[side]);
                 vec r = MAD(flux, h, background - GET(d, side * span + u));
                 vec wr = GET(w, side * span + u) * r;
@@ -86,10 +98,7 @@ inline real strip_residuals(__global real *focal, __global const real *data, __g
                 re[side] *= twice_flux * wr;
                 im[side] *= twice_flux * wr;
             }
-            AT(f, u) = re[0] + re[1];
-            AT(f, span + u) = im[0] + im[1];
-            AT(f, 2 * span + u) = im[1] - im[0];
-            AT(f, 3 * span + u) = re[0] - re[1];
+            store_source(f + u, span, re, im);
         }
     }
     return sum_lanes(sum);

@@ -150,20 +150,25 @@ __kernel void project_modes(__global const real *basis, __global const real *psi
     }
 }
 
-/* D (in psi) -> free [image][illuminated sample], per turn: global (any, images, 1). */
+/* D (in psi) -> free [image][illuminated sample], per turn: global (any, images, 1). Wavelengths after the first add to it. */
 __kernel void free_phase_gradient(__global const real *psi, __global real *free, __global const int *sample_place,
-                                  const int first, const int samples, const int blocks, const real twice_turn) {
+                                  const int first, const int samples, const int blocks, const real twice_turn,
+                                  const int is_first) {
     const size_t image = get_global_id(1);
     __global const real *d = psi + image * blocks * 4 * VEC;
     __global real *f = free + (first + image) * samples;
-    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) f[p] = twice_turn * d[sample_place[p]];
+    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) {
+        const real value = twice_turn * d[sample_place[p]];
+        f[p] = is_first ? value : f[p] + value;
+    }
 }
 
-/* -> result [image][objective, flux, background, poses of each segment..., smooth modes...]: global (any, images, 1). */
+/* -> result [image][objective, flux, background, poses of each segment..., smooth modes...]: global (any, images, 1). The
+   derivatives of wavelengths after the first are added. */
 __kernel void collect(__global const real *mode_partial, __global const real *segment_sum,
                       __global const real *objective, __global const real *photometry, __global real *result,
                       const int first, const int pose_outputs, const int smooth, const int padded_modes, const int chunks,
-                      const int partials, const real twice_wavenumber) {
+                      const int partials, const real twice_wavenumber, const int is_first) {
     const int image = get_global_id(1), outputs = 3 + pose_outputs + smooth;
     for (int output = get_global_id(0); output < outputs; output += get_global_size(0)) {
         wide value = 0;
@@ -178,6 +183,7 @@ __kernel void collect(__global const real *mode_partial, __global const real *se
             for (int c = 0; c < chunks; c++) value += mode_partial[((size_t)image * chunks + c) * padded_modes + mode];
             value *= twice_wavenumber;
         }
-        result[(size_t)(first + image) * outputs + output] = value;
+        const size_t at = (size_t)(first + image) * outputs + output;
+        result[at] = is_first || output < 3 ? value : value + result[at];
     }
 }

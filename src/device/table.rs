@@ -59,6 +59,18 @@ pub(crate) const TABLE: &[Family] = &[
         ],
     },
     Family {
+        file: "intensity.cl",
+        source: include_str!("../../kernels/intensity.cl"),
+        entries: &[
+            Entry { name: "add_intensity", gpu_local: [32, 1, 1] },
+            Entry { name: "convolve_rows", gpu_local: [32, 1, 1] },
+            Entry { name: "convolve_columns", gpu_local: [32, 1, 1] },
+            Entry { name: "intensity_sums", gpu_local: [32, 1, 1] },
+            Entry { name: "intensity_residuals", gpu_local: [32, 1, 1] },
+            Entry { name: "scale_field", gpu_local: [32, 1, 1] },
+        ],
+    },
+    Family {
         file: "project.cl",
         source: include_str!("../../kernels/project.cl"),
         entries: &[

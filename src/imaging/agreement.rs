@@ -45,6 +45,18 @@ fn sampling(seed: u64, random: &mut impl Rng) -> (Sampling, Option<FftPlan>) {
     (Sampling::new(samples, pixels, 1.0 + 2.0 * random.random::<f64>()).unwrap(), None)
 }
 
+/// Wavelengths and pixels: of six cases in turn, one has three wavelengths, one has pixels with an area, and one has both.
+fn camera(seed: u64) -> (Vec<Colour>, [PixelResponse; 2]) {
+    let colours = [(0.9, 0.3), (1.02, 0.5), (1.15, 0.2)].map(|(ratio, share)| Colour { ratio, share });
+    let pixel = [(0.8, 0.3), (1.0, 0.0)]
+        .map(|(width_pixels, diffusion_pixels)| PixelResponse { width_pixels, diffusion_pixels });
+    let (has_colours, has_area) = (matches!(seed % 6, 1 | 5), matches!(seed % 6, 2 | 5));
+    (
+        if has_colours { colours.to_vec() } else { vec![Colour::MONOCHROMATIC] },
+        if has_area { pixel } else { [PixelResponse::POINT; 2] },
+    )
+}
+
 pub(super) fn case(seed: u64) -> Case {
     let random = &mut ChaCha8Rng::seed_from_u64(seed);
     let (sampling, fft) = sampling(seed, random);
@@ -74,12 +86,13 @@ pub(super) fn case(seed: u64) -> Case {
     }
     modes.extend((0..smooth).rev().map(Mode::Smooth));
     let energy = weight.iter().map(|w| w * w).sum();
+    let (colours, pixel) = camera(seed);
     let parts = OpticsParts {
         products: None,
         sampling,
         wavelength_nm: 1650.0,
-        colours: vec![Colour::MONOCHROMATIC],
-        pixel: [PixelResponse::POINT; 2],
+        colours,
+        pixel,
         weights: SegmentWeights { segments: segments as usize, illuminated, offsets, segment, weight, energy },
         slopes: tilts.then(|| (uniform(entries, 1.7, random), uniform(entries, 1.7, random))),
         diversity_nm: uniform(count, 1500.0, random),
@@ -199,7 +212,15 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
             let device = Device::open(info, false).unwrap();
             for build in builds(info, case.fft) {
                 let layout = GpuLayout { free_phase: true, ..layout(&case.optics) };
-                let chain = GpuChain::with_build(&device, build, &layout, case.exposures.len()).unwrap();
+                let mut chain = GpuChain::with_build(&device, build, &layout, case.exposures.len()).unwrap();
+                let own = case.coefficients_nm.row(0);
+                let (psf, wanted) = (chain.psf(&own.to_vec()).unwrap(), reference.psf(own));
+                let peak = wanted.iter().copied().fold(0.0, f64::max);
+                let difference = psf.iter().zip(&wanted).map(|(h, wanted)| (h - wanted).abs()).fold(0.0, f64::max);
+                assert!(
+                    difference < allowed(build.precision) * peak,
+                    "case {seed}, PSF of {build:?}: {difference:e} of {peak:e}"
+                );
                 let name = info.address();
                 let (optics, precision) = (case.optics.clone(), build.precision);
                 check(&format!("{build:?}"), &mut Chain::Device { chain: Box::new(chain), optics, precision, name });

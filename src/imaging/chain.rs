@@ -2,8 +2,9 @@
 
 use super::cpu::CpuChain;
 use super::detector::{Evaluation, Exposure, Photometry};
-use super::gpu::{GpuChain, GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
+use super::gpu::{GpuChain, GpuColour, GpuEvaluation, GpuLayout, GpuMode, GpuPhotometry};
 use super::optics::{Mode, Optics};
+use super::pixels::pixel_terms;
 use super::work::Shapes;
 use crate::device::Device;
 use crate::{Error, Result};
@@ -43,8 +44,7 @@ impl Chain {
     }
 
     /// A chain on the device of `choice`, with memory for `capacity` images. `auto` selects a GPU if it supports the precision
-    /// and the model (which must have one wavelength and pixels that are points, and fit its memory), otherwise the CPU; if
-    /// the GPU fails later, the CPU replaces it: see [`Fallback`].
+    /// and has memory for the model, otherwise the CPU; if the GPU fails later, the CPU replaces it: see [`Fallback`].
     ///
     /// # Errors
     /// [`crate::Error::Device`] where an OpenCL device is required and there is none, or it cannot run this model.
@@ -68,13 +68,6 @@ impl Chain {
         free_phase: bool,
     ) -> Result<Self> {
         let Some(info) = choice.resolve()? else { return Ok(Self::cpu(optics, precision)) };
-        if let Some(sentence) = optics.only_on_cpu() {
-            return if choice == Choice::Auto {
-                Ok(Self::cpu(optics, precision))
-            } else {
-                Err(Error::Device(sentence))
-            };
-        }
         let on_device = || -> Result<Self> {
             let layout = GpuLayout { free_phase, ..layout(&optics) };
             let device = Device::open(&info, false)?;
@@ -325,14 +318,18 @@ pub(super) fn layout(optics: &Optics) -> GpuLayout {
         Mode::Tilt(segment) => GpuMode::Tilt(segment),
         Mode::Smooth(row) => GpuMode::Smooth(row),
     };
+    let colour = |optics: &Optics| GpuColour {
+        samples_per_lambda_over_d: optics.sampling().pixels_per_lambda_over_d,
+        wavelength_nm: optics.parts().wavelength_nm,
+        intensity_scale: optics.intensity_scale(),
+        diversity_turns: optics.diversity_turns(),
+    };
     GpuLayout {
         samples: parts.sampling.samples,
         pixels: parts.sampling.pixels,
-        samples_per_lambda_over_d: parts.sampling.pixels_per_lambda_over_d,
-        wavelength_nm: parts.wavelength_nm,
-        intensity_scale: optics.intensity_scale(),
+        colours: optics.colours().iter().map(colour).collect(),
+        pixel_terms: pixel_terms(optics),
         illuminated: indices(&parts.weights.illuminated),
-        diversity_turns: optics.diversity_turns(),
         smooth: parts.basis.outer_iter().map(|row| row.to_vec()).collect(),
         segments: parts.weights.segments,
         segment_start: indices(&parts.weights.offsets),
@@ -341,5 +338,6 @@ pub(super) fn layout(optics: &Optics) -> GpuLayout {
         segment_slopes: parts.slopes.clone(),
         modes: parts.modes.iter().map(mode).collect(),
         free_phase: false,
+        free_wavelength_nm: parts.wavelength_nm,
     }
 }

@@ -195,19 +195,6 @@ impl Optics {
         self.parts.colours == [Colour::MONOCHROMATIC]
     }
 
-    /// Why this model runs on the CPU only, and what to set, as a sentence; `None` for one that devices can run, too.
-    pub(super) fn only_on_cpu(&self) -> Option<String> {
-        let cure = |subject: String, key: &str| {
-            Some(format!("{subject} runs on the CPU only: use device = \"cpu\" or \"auto\", or {key}"))
-        };
-        if !self.has_one_wavelength() {
-            let count = self.parts.colours.len();
-            return cure(format!("a model of {count} wavelengths"), "estimate.wavelengths = 1");
-        }
-        let is_sampled = self.parts.pixel.iter().all(PixelResponse::is_point);
-        if is_sampled { None } else { cure("a model of pixels with an area".into(), "image.pixel_fill = 0") }
-    }
-
     /// The wavelength that this model represents in a polychromatic one; [`Colour::MONOCHROMATIC`] for a complete model.
     pub(super) fn colour(&self) -> Colour {
         self.colour

@@ -34,15 +34,8 @@ pub(super) struct Pixels<T> {
 impl<T: Polynomial> Pixels<T> {
     /// The stage of `optics`; `None` where its pixels are points.
     pub(super) fn of(optics: &Optics) -> Option<Self> {
-        let parts = optics.parts();
-        if parts.pixel.iter().all(PixelResponse::is_point) {
-            return None;
-        }
-        // The frequencies of the shortest wavelength reach farthest.
-        let shortest = parts.colours.iter().map(|colour| colour.ratio).fold(f64::INFINITY, f64::min);
-        let cut_off = 1.0 / (parts.sampling.pixels_per_lambda_over_d * shortest);
-        let [along_x, along_y] = parts.pixel.map(|response| terms(response, cut_off).map(T::narrow));
-        Some(Self { along_x, along_y, pixels: parts.sampling.pixels })
+        let [along_x, along_y] = convolution(optics)?.map(|terms| terms.map(T::narrow));
+        Some(Self { along_x, along_y, pixels: optics.sampling().pixels })
     }
 
     /// Replaces an image (`[y][x]`) by its convolution; `work` is as large.
@@ -136,6 +129,23 @@ impl<T: Polynomial> Pixels<T> {
 fn mirrored(at: isize, m: usize) -> usize {
     let at = at.rem_euclid(2 * m as isize) as usize;
     if at < m { at } else { 2 * m - 1 - at }
+}
+
+/// Terms of the convolution along x and along y; `None` where pixels are points.
+fn convolution(optics: &Optics) -> Option<[Terms<f64>; 2]> {
+    let parts = optics.parts();
+    if parts.pixel.iter().all(PixelResponse::is_point) {
+        return None;
+    }
+    // The frequencies of the shortest wavelength reach farthest.
+    let shortest = parts.colours.iter().map(|colour| colour.ratio).fold(f64::INFINITY, f64::min);
+    let cut_off = 1.0 / (parts.sampling.pixels_per_lambda_over_d * shortest);
+    Some(parts.pixel.map(|response| terms(response, cut_off)))
+}
+
+/// The same as lists, for a device.
+pub(super) fn pixel_terms(optics: &Optics) -> Option<[Vec<f64>; 2]> {
+    convolution(optics).map(|axes| axes.map(|terms| terms.to_vec()))
 }
 
 /// Terms of the convolution whose transfer function a₀ + 2 Σ aₖ cos(2πkf) is that of `response`: least squares over the

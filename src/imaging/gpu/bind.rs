@@ -1,22 +1,20 @@
 //! The kernels of the chain, with the arguments bound that do not change between launches.
 
 use super::fold::{Blocks, FoldedShape, MODES_AT_ONCE, TALL};
-use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffers};
+use super::memory::{BatchBuffers, ColourBuffers, Counts, ModelBuffers, Partition, ScratchBuffers};
 use crate::Result;
 use crate::device::{Build, Device, Kernel, Reals};
 
-/// The kernels, with the arguments bound that do not change between launches.
-pub(super) struct Kernels {
+/// The kernels of one wavelength, with the arguments bound that do not change between launches.
+pub(super) struct ColourKernels {
     pub(super) smooth_phase: Kernel,
     pub(super) add_free_phase: Kernel,
     pub(super) free_phase_gradient: Kernel,
     pub(super) pupil_field: Kernel,
     pub(super) forward_columns: Kernel,
     pub(super) forward_rows: Kernel,
-    pub(super) photometry_sums: Kernel,
-    pub(super) photometry_solve: Kernel,
-    pub(super) residuals: Kernel,
-    pub(super) focus: Kernel,
+    pub(super) add_intensity: Kernel,
+    pub(super) scale_field: Kernel,
     pub(super) adjoint_rows: Kernel,
     pub(super) adjoint_columns: Kernel,
     pub(super) pupil_gradient: Kernel,
@@ -25,7 +23,18 @@ pub(super) struct Kernels {
     pub(super) collect: Kernel,
 }
 
+/// The kernels from the field, or from the stored intensity, to its residuals.
+pub(super) struct PixelKernels {
+    pub(super) sums: Kernel,
+    pub(super) photometry_solve: Kernel,
+    pub(super) residuals: Kernel,
+    /// The convolution with the response of the pixels, along rows and then along columns.
+    pub(super) convolve: [Kernel; 2],
+    pub(super) focus: Kernel,
+}
+
 /// The buffers and sizes that arguments are bound to.
+#[derive(Clone, Copy)]
 pub(super) struct Bindings<'a> {
     pub(super) device: &'a Device,
     pub(super) build: Build,
@@ -34,6 +43,7 @@ pub(super) struct Bindings<'a> {
     pub(super) counts: &'a Counts,
     pub(super) blocks: &'a Blocks,
     pub(super) model: &'a ModelBuffers,
+    pub(super) colour: &'a ColourBuffers,
     pub(super) batch: &'a BatchBuffers,
     pub(super) scratch: &'a ScratchBuffers,
 }
@@ -46,9 +56,9 @@ impl Bindings<'_> {
     /// A kernel over blocks of the pupil, with the arguments that those have in common.
     fn pupil(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
-        self.scratch.phasor.bind(&mut k, "phasor")?;
-        self.scratch.sample_field.bind(&mut k, "sample_field")?;
-        self.scratch.psi.bind(&mut k, "psi")?;
+        self.colour.phasor.bind(&mut k, "phasor")?;
+        self.colour.sample_field.bind(&mut k, "sample_field")?;
+        self.colour.psi.bind(&mut k, "psi")?;
         self.scratch.field.bind(&mut k, "field")?;
         k.buffer("place", &self.model.place)?.int("blocks", self.counts.blocks)?;
         k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
@@ -57,22 +67,25 @@ impl Bindings<'_> {
 
     fn smooth_phase(&self) -> Result<Kernel> {
         let mut k = self.kernel("smooth_phase")?;
-        self.model.diversity.bind(&mut k, "diversity")?;
-        self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
-        self.scratch.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
+        self.colour.diversity.bind(&mut k, "diversity")?;
+        self.colour.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
+        self.colour.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
         self.basis(&mut k)?;
         Ok(k)
     }
 
-    /// The kernels of the free phase: its addition to the phase, and the gradient by it.
-    fn free(&self, name: &'static str) -> Result<Kernel> {
+    /// The kernels of the free phase: its addition to the phase, and the gradient by it. `scale` is the wavelength of the free phase over
+    /// this one.
+    fn free(&self, name: &'static str, scale: f64) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
-        self.scratch.psi.bind(&mut k, "psi")?;
+        self.colour.psi.bind(&mut k, "psi")?;
         self.batch.free.bind(&mut k, "free")?;
         k.buffer("sample_place", &self.model.sample_place)?;
         k.int("samples", self.counts.free)?.int("blocks", self.counts.blocks)?;
         if name == "free_phase_gradient" {
-            k.real("twice_turn", 2.0 * std::f64::consts::TAU)?;
+            k.real("twice_turn", 2.0 * std::f64::consts::TAU * scale)?;
+        } else {
+            k.real("scale", scale)?;
         }
         Ok(k)
     }
@@ -89,7 +102,7 @@ impl Bindings<'_> {
         self.model.entry_weight.bind(k, "entry_weight")?;
         self.model.entry_x.bind(k, "entry_x")?;
         self.model.entry_y.bind(k, "entry_y")?;
-        self.batch.pose.bind(k, "pose")?.int("segments", self.counts.segments)?.int("poses", self.counts.poses)?;
+        self.colour.pose.bind(k, "pose")?.int("segments", self.counts.segments)?.int("poses", self.counts.poses)?;
         Ok(())
     }
 
@@ -102,8 +115,8 @@ impl Bindings<'_> {
     fn columns(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
         let (table, outputs) = match name {
-            "forward_columns" => (&self.model.y_to_v, self.shape.pairs),
-            _ => (&self.model.v_to_y, self.shape.rows),
+            "forward_columns" => (&self.colour.y_to_v, self.shape.pairs),
+            _ => (&self.colour.v_to_y, self.shape.rows),
         };
         self.scratch.field.bind(&mut k, "field")?;
         self.scratch.wave.bind(&mut k, "wave")?;
@@ -116,31 +129,59 @@ impl Bindings<'_> {
     fn rows(&self, name: &'static str) -> Result<Kernel> {
         let (shape, mut k) = (self.shape, self.kernel(name)?);
         if name == "forward_rows" {
-            self.model.x_to_u.bind(&mut k, "table")?.int("inputs", shape.rows)?;
+            self.colour.x_to_u.bind(&mut k, "table")?.int("inputs", shape.rows)?;
             k.int("in_width", shape.width)?.int("span", shape.span)?;
         } else {
-            self.model.u_to_x.bind(&mut k, "table")?.int("inputs", shape.pairs)?;
+            self.colour.u_to_x.bind(&mut k, "table")?.int("inputs", shape.pairs)?;
             k.int("in_width", shape.span)?.int("width", shape.width)?;
         }
         self.scratch.wave.bind(&mut k, "wave")?;
-        self.scratch.focal.bind(&mut k, "focal")?;
+        self.colour.focal.bind(&mut k, "focal")?;
         k.int("pairs", shape.pairs)?.int("pairs_per_item", self.partition.pairs_per_item)?;
         Ok(k)
     }
 
     /// A kernel over pixels, with the arguments that those have in common.
     fn pixels(&self, name: &'static str) -> Result<Kernel> {
-        let mut k = self.kernel(name)?;
-        self.scratch.focal.bind(&mut k, "focal")?;
+        let mut k = self.strips(name)?;
+        if self.counts.stored_pixels == 0 {
+            self.colour.focal.bind(&mut k, "focal")?;
+        } else {
+            self.scratch.intensity.bind(&mut k, "intensity")?;
+        }
         self.batch.data.bind(&mut k, "data")?;
         self.batch.weight.bind(&mut k, "weight")?.buffer("slot", &self.batch.slot)?;
+        Ok(k)
+    }
+
+    /// A kernel over strips of pixels.
+    fn strips(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.kernel(name)?;
         k.int("pairs", self.shape.pairs)?.int("pairs_per_strip", self.partition.pairs_per_strip)?;
         k.int("span", self.shape.span)?;
         Ok(k)
     }
 
-    fn photometry_sums(&self) -> Result<Kernel> {
-        let mut k = self.pixels("photometry_sums")?;
+    /// The kernels between the field of a wavelength and the stored intensity.
+    fn intensity(&self, name: &'static str) -> Result<Kernel> {
+        let mut k = self.strips(name)?;
+        self.colour.focal.bind(&mut k, "focal")?;
+        self.scratch.intensity.bind(&mut k, "intensity")?;
+        Ok(k)
+    }
+
+    /// One axis of the convolution: along rows from the intensity, along columns back into it.
+    fn convolve(&self, name: &'static str, from: &Reals, into: &Reals) -> Result<Kernel> {
+        let mut k = self.strips(name)?;
+        from.bind(&mut k, "in")?;
+        into.bind(&mut k, "out")?;
+        self.model.terms.bind(&mut k, "terms")?.int("reach", self.counts.terms.saturating_sub(1))?;
+        Ok(k)
+    }
+
+    fn sums(&self) -> Result<Kernel> {
+        let stored = self.counts.stored_pixels > 0;
+        let mut k = self.pixels(if stored { "intensity_sums" } else { "photometry_sums" })?;
         self.scratch.sums.bind(&mut k, "sums")?;
         Ok(k)
     }
@@ -154,7 +195,8 @@ impl Bindings<'_> {
     }
 
     fn residuals(&self) -> Result<Kernel> {
-        let mut k = self.pixels("residuals")?;
+        let stored = self.counts.stored_pixels > 0;
+        let mut k = self.pixels(if stored { "intensity_residuals" } else { "residuals" })?;
         self.scratch.objective.bind(&mut k, "objective")?;
         self.scratch.photometry.bind(&mut k, "photometry")?;
         Ok(k)
@@ -162,29 +204,29 @@ impl Bindings<'_> {
 
     /// The kernel that joins those from the field to the projection on segments.
     fn focus(&self) -> Result<Kernel> {
-        let (model, scratch, batch, shape) = (self.model, self.scratch, self.batch, self.shape);
+        let (model, colour, scratch, batch, shape) = (self.model, self.colour, self.scratch, self.batch, self.shape);
         let mut k = self.kernel(if shape.fft.is_some() { "focus_fft" } else { "focus" })?;
         let transform: &[(&str, &Reals)] = if shape.fft.is_some() {
-            &[("twiddle", &model.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
+            &[("twiddle", &colour.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
         } else {
             &[
-                ("y_to_v", &model.y_to_v),
-                ("x_to_u", &model.x_to_u),
-                ("u_to_x", &model.u_to_x),
-                ("v_to_y", &model.v_to_y),
+                ("y_to_v", &colour.y_to_v),
+                ("x_to_u", &colour.x_to_u),
+                ("u_to_x", &colour.u_to_x),
+                ("v_to_y", &colour.v_to_y),
             ]
         };
         for &(argument, reals) in transform {
             reals.bind(&mut k, argument)?;
         }
         for (argument, reals) in [
-            ("psi", &scratch.psi),
-            ("phasor", &scratch.phasor),
-            ("sample_field", &scratch.sample_field),
+            ("psi", &colour.psi),
+            ("phasor", &colour.phasor),
+            ("sample_field", &colour.sample_field),
             ("segment_sum", &scratch.segment_sum),
             ("field", &scratch.field),
             ("wave", &scratch.wave),
-            ("focal", &scratch.focal),
+            ("focal", &colour.focal),
             ("sums", &scratch.sums),
             ("objective", &scratch.objective),
             ("photometry", &scratch.photometry),
@@ -221,7 +263,7 @@ impl Bindings<'_> {
 
     fn project_segments(&self) -> Result<Kernel> {
         let (model, mut k) = (self.model, self.kernel("project_segments")?);
-        self.scratch.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
+        self.colour.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
         self.poses(&mut k)?;
         k.buffer("segment_start", &model.segment_start)?.buffer("segment_entry", &model.segment_entry)?;
         k.buffer("entry_place", &model.entry_place)?;
@@ -232,7 +274,7 @@ impl Bindings<'_> {
     fn project_modes(&self) -> Result<Kernel> {
         let mut k = self.kernel("project_modes")?;
         self.basis(&mut k)?;
-        self.scratch.psi.bind(&mut k, "psi")?;
+        self.colour.psi.bind(&mut k, "psi")?;
         self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
         k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
         k.int("blocks_per_chunk", self.partition.blocks_per_chunk)?;
@@ -252,25 +294,39 @@ impl Bindings<'_> {
         Ok(k)
     }
 
-    /// All kernels; `twice_wavenumber` is 2·2π/λ.
-    pub(super) fn kernels(&self, twice_wavenumber: f64) -> Result<Kernels> {
-        Ok(Kernels {
+    /// The kernels of pixels.
+    pub(super) fn pixel_kernels(&self) -> Result<PixelKernels> {
+        let (intensity, convolved) = (&self.scratch.intensity, &self.scratch.convolved);
+        Ok(PixelKernels {
+            sums: self.sums()?,
+            photometry_solve: self.photometry_solve()?,
+            residuals: self.residuals()?,
+            convolve: [
+                self.convolve("convolve_rows", intensity, convolved)?,
+                self.convolve("convolve_columns", convolved, intensity)?,
+            ],
+            focus: self.focus()?,
+        })
+    }
+
+    /// The kernels of the wavelength λ = `wavelength_nm`, with a free phase at `free_wavelength_nm`.
+    pub(super) fn colour_kernels(&self, wavelength_nm: f64, free_wavelength_nm: f64) -> Result<ColourKernels> {
+        let scale = free_wavelength_nm / wavelength_nm;
+        Ok(ColourKernels {
             smooth_phase: self.smooth_phase()?,
-            add_free_phase: self.free("add_free_phase")?,
-            free_phase_gradient: self.free("free_phase_gradient")?,
+            add_free_phase: self.free("add_free_phase", scale)?,
+            free_phase_gradient: self.free("free_phase_gradient", scale)?,
             pupil_field: self.pupil_field()?,
             forward_columns: self.columns("forward_columns")?,
             forward_rows: self.rows("forward_rows")?,
-            photometry_sums: self.photometry_sums()?,
-            photometry_solve: self.photometry_solve()?,
-            residuals: self.residuals()?,
-            focus: self.focus()?,
+            add_intensity: self.intensity("add_intensity")?,
+            scale_field: self.intensity("scale_field")?,
             adjoint_rows: self.rows("adjoint_rows")?,
             adjoint_columns: self.columns("adjoint_columns")?,
             pupil_gradient: self.pupil_gradient()?,
             project_modes: self.project_modes()?,
             project_segments: self.project_segments()?,
-            collect: self.collect(twice_wavenumber)?,
+            collect: self.collect(2.0 * std::f64::consts::TAU / wavelength_nm)?,
         })
     }
 }

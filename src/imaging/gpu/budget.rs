@@ -30,25 +30,30 @@ impl MemoryBudget {
             .chain([&blocks.segment_start, &blocks.segment_entry, &blocks.sample_place])
             .map(|list| list.len().max(1))
             .sum::<usize>();
-        let arrays = [&blocks.basis, &blocks.diversity, &blocks.entry_weight, &blocks.entry_x, &blocks.entry_y]
+        let arrays = [&blocks.basis, &blocks.entry_weight, &blocks.entry_x, &blocks.entry_y]
             .map(|array| array.len().max(1))
             .iter()
             .sum::<usize>();
-        let tables = shape.table_sizes().map(|size| size.max(1)).iter().sum::<usize>();
+        let (colours, quadrants) = (counts.colours, counts.blocks * 4 * shape.vector);
+        let tables = shape.table_sizes().map(|size| size.max(1)).iter().sum::<usize>() + quadrants;
         let partials = counts.strips * partition.lanes;
-        let pupil = shape.side_rows().max(shape.rows) * 8 * shape.width + counts.blocks * 16 * shape.vector;
-        let focus = shape.pairs * 8 * shape.width + shape.pixels() * 2 + shape.fft_scratch().iter().sum::<usize>();
+        let convolved = if counts.terms > 0 { counts.stored_pixels } else { 0 };
+        let fields = shape.side_rows().max(shape.rows) * 8 * shape.width + shape.pairs * 8 * shape.width;
+        let focus = shape.fft_scratch().iter().sum::<usize>() + counts.stored_pixels + convolved;
         let modes = counts.chunks * counts.mode_groups * MODES_AT_ONCE;
         // A buffer of length 0 is allocated with length 1.
-        let empty = [shape.fft_scratch()[0], shape.fft_scratch()[1], counts.smooth, modes, counts.free];
-        let empty = empty.iter().filter(|numbers| **numbers == 0).count();
+        let shared =
+            [shape.fft_scratch()[0], shape.fft_scratch()[1], modes, counts.free, counts.stored_pixels, convolved];
+        let empty = shared.iter().filter(|numbers| **numbers == 0).count();
+        let empty = empty + if counts.smooth == 0 { colours } else { 0 };
         Self {
-            model: (arrays + tables + empty) * real + lists * int,
+            model: (arrays + colours * tables + (2 * counts.terms).max(1) + empty) * real + lists * int,
             image: (2 * shape.pixels() + 4) * real + int,
-            active: (counts.smooth + 4 * counts.segments + counts.free + counts.outputs) * real + int + int / GROUP,
-            tile_image: (counts.blocks * 4 * shape.vector + 4 * partials + 2 + counts.segments * counts.poses + modes)
-                * real,
-            in_work: (pupil + focus) * real,
+            active: (colours * (counts.smooth + 4 * counts.segments) + counts.free + counts.outputs) * real
+                + int
+                + int / GROUP,
+            tile_image: (colours * quadrants + 4 * partials + 2 + counts.segments * counts.poses + modes) * real,
+            in_work: (fields + focus + colours * (4 * quadrants + shape.pixels() * 2)) * real,
         }
     }
 
@@ -75,9 +80,11 @@ impl MemoryBudget {
         info: &DeviceInfo,
         memory_bytes: u64,
     ) -> Result<Partition> {
-        let with = |tile: usize| match partition.workers {
-            Some(_) => Partition { tile, ..partition },
-            None => Partition { tile, focal_tile: tile, group_items: tile / GROUP, ..partition },
+        let with = |tile: usize| match (partition.workers, partition.group_items) {
+            (Some(_), _) => Partition { tile, ..partition },
+            // A CPU on which the intensity is stored.
+            (None, 1) => Partition { tile, focal_tile: tile, ..partition },
+            (None, _) => Partition { tile, focal_tile: tile, group_items: tile / GROUP, ..partition },
         };
         let (least, wanted) = (self.bytes(capacity, &with(GROUP)), self.bytes(capacity, &partition));
         if least > memory_bytes {

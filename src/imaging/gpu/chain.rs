@@ -8,8 +8,8 @@ use super::budget::usable_memory_bytes;
 use super::evaluation::{GpuEvaluation, GpuPhotometry};
 use super::fold::FoldedShape;
 use super::image::FoldedImage;
-use super::layout::{GpuLayout, GpuMode};
-use super::stages::Stages;
+use super::layout::{GpuColour, GpuLayout, GpuMode};
+use super::stages::{ColourInputs, Focal, Stages};
 use crate::device::{Build, Device, Precision};
 use crate::{Error, Result};
 
@@ -68,8 +68,8 @@ impl GpuChain {
         if capacity == 0 {
             return Err(Error::Value("a chain for 0 images is impossible: 1 or more is needed".into()));
         }
-        let shape = FoldedShape::new(layout, build);
-        let stages = Stages::new(device, build, layout, shape, capacity, memory_bytes)?;
+        let shape = FoldedShape::new(layout, &layout.colours[0], build);
+        let stages = Stages::new(device, build, layout, capacity, memory_bytes)?;
         Ok(Self {
             device: device.clone(),
             build,
@@ -233,12 +233,11 @@ impl GpuChain {
         if let Some(image) = active.iter().find(|i| **i >= self.photometry.len()) {
             return Err(Error::Shape(format!("image {image} is not among the {} loaded", self.photometry.len())));
         }
-        let (turns, poses) = self.inputs(active.len(), coefficients)?;
+        let inputs = self.inputs(active.len(), coefficients)?;
         let fitted = active.iter().any(|&i| !matches!(self.photometry[i], GpuPhotometry::Known { .. }));
-        let results = self.stages.evaluate(active, &turns, &poses, (free, slopes), fitted)?;
+        let results = self.stages.evaluate(active, &inputs, (free, slopes), fitted)?;
 
-        let (poses, smooth) = (self.layout.poses(), self.layout.smooth.len());
-        let outputs = 3 + self.layout.segments * poses + smooth;
+        let (poses, outputs) = (self.layout.poses(), self.layout.outputs());
         let mut evaluation = GpuEvaluation {
             objective: Vec::with_capacity(active.len()),
             gradient: Vec::with_capacity(active.len() * self.modes()),
@@ -278,10 +277,15 @@ impl GpuChain {
         let mut psfs = Vec::with_capacity(images * m * m);
         for first in (0..images).step_by(self.stages.focal_tile()) {
             let count = (images - first).min(self.stages.focal_tile());
-            let (turns, poses) = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
-            let focal = self.stages.focal(count, &turns, &poses)?;
-            for image in focal.chunks_exact(self.shape.pixels() * 2).take(count) {
-                psfs.extend(self.unfold(image));
+            let inputs = self.inputs(count, &coefficients[first * modes..(first + count) * modes])?;
+            let pixels = self.shape.pixels();
+            match self.stages.focal(count, &inputs)? {
+                Focal::Field(fields) => {
+                    fields.chunks_exact(2 * pixels).for_each(|field| psfs.extend(self.unfold(field)));
+                }
+                Focal::Intensity(images) => images.chunks_exact(pixels).for_each(|image| {
+                    psfs.extend((0..m * m).map(|i| image[self.shape.pixel(m, i / m, i % m)]));
+                }),
             }
         }
         Ok(psfs)
@@ -300,10 +304,9 @@ impl GpuChain {
         })
     }
 
-    /// Smooth coefficients in turns, `[image][smooth mode]`, and the poses of the segments, `[image][segment]`: re and im of
-    /// the phasor of the piston times the root of the intensity scale (so that |U|² is the PSF), then tip and tilt, turns.
-    fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<(Vec<f64>, Vec<f64>)> {
-        let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
+    /// The inputs of each wavelength.
+    fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<Vec<ColourInputs>> {
+        let modes = self.modes();
         if coefficients.len() != images * modes {
             return Err(Error::Shape(format!(
                 "{} coefficients are not those of {images} images of {modes} modes",
@@ -318,12 +321,19 @@ impl GpuChain {
                 coefficients[k]
             )));
         }
-        let amplitude = self.layout.intensity_scale.sqrt();
+        Ok(self.layout.colours.iter().map(|colour| self.colour_inputs(colour, images, coefficients)).collect())
+    }
+
+    /// Smooth coefficients in turns, and the poses of the segments: re and im of the phasor of the piston times the root of the
+    /// intensity scale (so that |U|² is the PSF), then tip and tilt, turns.
+    fn colour_inputs(&self, colour: &GpuColour, images: usize, coefficients: &[f64]) -> ColourInputs {
+        let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
+        let amplitude = colour.intensity_scale.sqrt();
         let mut turns = vec![0.0; images * smooth];
         let mut poses = vec![[0.0; 3]; images * segments];
         for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
             for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
-                let amount = coefficient / self.layout.wavelength_nm;
+                let amount = coefficient / colour.wavelength_nm;
                 match *mode {
                     GpuMode::Segment(s) => poses[image * segments + s][0] += amount,
                     GpuMode::Tip(s) => poses[image * segments + s][1] += amount,
@@ -336,7 +346,7 @@ impl GpuChain {
             let (sine, cosine) = (TAU * (piston - piston.round())).sin_cos();
             [amplitude * cosine, amplitude * sine, tip, tilt]
         };
-        Ok((turns, poses.into_iter().flat_map(pose).collect()))
+        ColourInputs { turns, poses: poses.into_iter().flat_map(pose).collect() }
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
-use super::layout::GpuLayout;
+use super::layout::{GpuColour, GpuLayout};
 use crate::device::{Build, FftPlan};
 
 /// Output rows per work-item in the products along columns; `TALL` of `common.cl`.
@@ -33,7 +33,8 @@ pub(super) struct FoldedShape {
 }
 
 impl FoldedShape {
-    pub fn new(layout: &GpuLayout, build: Build) -> Self {
+    /// The sizes of `layout` for its wavelength `colour`; only the step depends on it.
+    pub fn new(layout: &GpuLayout, colour: &GpuColour, build: Build) -> Self {
         let vector = build.vector;
         let (rows, pairs) = (layout.samples / 2, layout.pixels / 2);
         Self {
@@ -42,17 +43,21 @@ impl FoldedShape {
             width: rows.next_multiple_of(vector),
             pairs,
             span: pairs.next_multiple_of(vector),
-            step: 1.0 / (layout.samples as f64 * layout.samples_per_lambda_over_d),
+            step: 1.0 / (layout.samples as f64 * colour.samples_per_lambda_over_d),
             fft: build.fft,
         }
     }
 
-    /// The FFT for `layout`, where there is one: the image has as many pixels as the padded pupil has samples, and its rows
-    /// are whole vectors.
+    /// The FFT for `layout`, where there is one: the image is the squared modulus of one field, it has as many pixels as the padded
+    /// pupil has samples, and its rows are whole vectors.
     pub fn fft(layout: &GpuLayout, vector: usize) -> Option<FftPlan> {
-        let (points, exact) = (layout.pixels, layout.samples as f64 * layout.samples_per_lambda_over_d);
+        let [colour] = layout.colours.as_slice() else { return None };
+        let (points, exact) = (layout.pixels, layout.samples as f64 * colour.samples_per_lambda_over_d);
         // 1e-9 of a sample over the whole grid is below the rounding of f64.
-        let whole = vector > 1 && points.is_multiple_of(vector) && (exact - points as f64).abs() < 1e-9;
+        let whole = layout.is_one_field()
+            && vector > 1
+            && points.is_multiple_of(vector)
+            && (exact - points as f64).abs() < 1e-9;
         FftPlan::new(points, layout.samples / 2).filter(|_| whole)
     }
 
@@ -176,8 +181,8 @@ pub(super) struct Blocks {
     pub place: Vec<i32>,
     /// Extent of each vector of columns: rows from the axis to the outermost illuminated sample.
     pub extent: Vec<i32>,
-    /// Diversity modulo one turn, `[quadrant][block][VEC]`.
-    pub diversity: Vec<f64>,
+    /// The illuminated samples, in the order of the layout.
+    samples: Vec<FoldedSample>,
     /// Basis, with the strides below.
     pub basis: Vec<f64>,
     /// Strides of blocks, modes and quadrants in the basis.
@@ -241,6 +246,7 @@ impl Blocks {
         }
         blocks.fill_modes(layout, shape, &folded);
         blocks.fill_segments(layout, vector, &folded);
+        blocks.samples = folded;
         blocks
     }
 
@@ -255,24 +261,32 @@ impl Blocks {
     }
 
     fn fill_modes(&mut self, layout: &GpuLayout, shape: &FoldedShape, folded: &[FoldedSample]) {
-        let (count, vector, n) = (self.count(), shape.vector, layout.samples);
-        // The image axis is at pixel m/2; a tilt of half a pixel moves it to the centre of the array. The FFT needs no shift.
-        let half = if shape.fft.is_some() { 0.0 } else { 0.5 };
-        let tilt = |flat: usize| half * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
+        let (count, vector) = (self.count(), shape.vector);
         let modes = layout.smooth.len().next_multiple_of(MODES_AT_ONCE);
         // A CPU reads the modes of one block in order; neighbouring work-items of a GPU read neighbouring blocks.
         [self.block_stride, self.mode_stride, self.quadrant_stride] =
             if vector == 1 { [1, 4 * count, count] } else { [modes * 4 * vector, 4 * vector, vector] };
-        self.diversity = vec![0.0; 4 * count * vector];
         self.basis = vec![0.0; modes * 4 * count * vector];
         for (p, sample) in folded.iter().enumerate() {
-            let turns = layout.diversity_turns[p] + tilt(layout.illuminated[p]);
-            self.diversity[(sample.quadrant * count + sample.block) * vector + sample.lane] = turns - turns.round();
             let place = sample.block * self.block_stride + sample.quadrant * self.quadrant_stride + sample.lane;
             for (j, mode) in layout.smooth.iter().enumerate() {
                 self.basis[place + j * self.mode_stride] = mode[p];
             }
         }
+    }
+
+    /// Diversity of a wavelength modulo one turn, `[quadrant][block][VEC]`; `shape` is that of the wavelength.
+    pub fn diversity(&self, layout: &GpuLayout, colour: &GpuColour, shape: &FoldedShape) -> Vec<f64> {
+        let (count, vector, n) = (self.count(), shape.vector, layout.samples);
+        // The image axis is at pixel m/2; a tilt of half a pixel moves it to the centre of the array. The FFT needs no shift.
+        let half = if shape.fft.is_some() { 0.0 } else { 0.5 };
+        let tilt = |flat: usize| half * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
+        let mut diversity = vec![0.0; 4 * count * vector];
+        for ((sample, turns), &flat) in self.samples.iter().zip(&colour.diversity_turns).zip(&layout.illuminated) {
+            let turns = turns + tilt(flat);
+            diversity[(sample.quadrant * count + sample.block) * vector + sample.lane] = turns - turns.round();
+        }
+        diversity
     }
 
     fn fill_segments(&mut self, layout: &GpuLayout, vector: usize, folded: &[FoldedSample]) {
@@ -317,6 +331,7 @@ impl Blocks {
 }
 
 /// Position of an illuminated sample in the folded pupil.
+#[derive(Debug)]
 struct FoldedSample {
     row: usize,
     /// Vector of columns.

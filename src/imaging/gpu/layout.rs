@@ -15,28 +15,38 @@ pub enum GpuMode {
     Smooth(usize),
 }
 
+/// One wavelength of the model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GpuColour {
+    /// Pixels per λ/(width of the pupil grid), q.
+    pub samples_per_lambda_over_d: f64,
+    /// Wavelength λ, nm.
+    pub wavelength_nm: f64,
+    /// PSF per squared modulus of the focal field: with several wavelengths, times this one's share of the light.
+    pub intensity_scale: f64,
+    /// Diversity at each illuminated sample, turns.
+    pub diversity_turns: Vec<f64>,
+}
+
 /// The forward model as plain arrays: illuminated pupil samples, their weights and modes, and the sampling of the image. `n` is [`samples`](Self::samples), `m` is [`pixels`](Self::pixels).
 ///
 /// The field at illuminated sample p is `E_p = exp(2πi ψ_p) Σ_s w_ps exp(2πi (c_s + t_s x_ps + u_s y_ps)/λ)` with
 /// `ψ_p = diversity_p + Σ_j B_jp y_j/λ`; the
 /// focal field is `U[v][u] = Σ E[y][x] exp(−2πi step ((x−(n−1)/2)(u−m/2) + (y−(n−1)/2)(v−m/2)))`, `step = 1/(n q)`, and
-/// the image is `intensity_scale |U|²`.
+/// the image is `intensity_scale |U|²`, summed over the wavelengths, and where pixels have an area convolved with their response.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GpuLayout {
     /// Pupil samples along a side, n; even.
     pub samples: usize,
     /// Image pixels along a side, m; even.
     pub pixels: usize,
-    /// Pixels per λ/(width of the pupil grid), q.
-    pub samples_per_lambda_over_d: f64,
-    /// Wavelength, nm.
-    pub wavelength_nm: f64,
-    /// PSF per squared modulus of the focal field.
-    pub intensity_scale: f64,
+    /// The wavelengths; at least one.
+    pub colours: Vec<GpuColour>,
+    /// Response of a pixel along x and along y, as terms of a symmetric convolution: of the pixel itself, and of those at a distance
+    /// of 1, 2, … on both sides. Beyond the border the image is continued by its mirror image. `None` for pixels that are points.
+    pub pixel_terms: Option<[Vec<f64>; 2]>,
     /// Flat indices `y*n + x` of the illuminated samples, each once.
     pub illuminated: Vec<usize>,
-    /// Diversity at each illuminated sample, turns.
-    pub diversity_turns: Vec<f64>,
     /// Smooth modes `[mode][illuminated sample]`, nm of wavefront per nm of coefficient.
     pub smooth: Vec<Vec<f64>>,
     /// Number of segments: at least 1 (a monolithic mirror is one segment).
@@ -52,8 +62,11 @@ pub struct GpuLayout {
     pub segment_slopes: Option<(Vec<f64>, Vec<f64>)>,
     /// Effect of each coefficient.
     pub modes: Vec<GpuMode>,
-    /// Whether there is a free phase, one number per illuminated sample, which adds to ψ_p.
+    /// Whether there is a free phase, one number per illuminated sample, which adds to ψ_p: turns at the wavelength
+    /// [`free_wavelength_nm`](Self::free_wavelength_nm).
     pub free_phase: bool,
+    /// Wavelength of the free phase, nm.
+    pub free_wavelength_nm: f64,
 }
 
 impl GpuLayout {
@@ -71,15 +84,22 @@ impl GpuLayout {
         };
         even("pupil samples", self.samples)?;
         even("image pixels", self.pixels)?;
-        for (what, value) in [
-            ("samples_per_lambda_over_d", self.samples_per_lambda_over_d),
-            ("wavelength_nm", self.wavelength_nm),
-            ("intensity_scale", self.intensity_scale),
-        ] {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(Error::Value(format!("{what} is {value}: a positive number is needed")));
+        if self.colours.is_empty() {
+            return Err(Error::Shape("a model of 0 wavelengths has no image: at least one is needed".into()));
+        }
+        for colour in &self.colours {
+            for (what, value) in [
+                ("samples_per_lambda_over_d", colour.samples_per_lambda_over_d),
+                ("wavelength_nm", colour.wavelength_nm),
+                ("intensity_scale", colour.intensity_scale),
+                ("free_wavelength_nm", self.free_wavelength_nm),
+            ] {
+                if !(value.is_finite() && value > 0.0) {
+                    return Err(Error::Value(format!("{what} is {value}: a positive number is needed")));
+                }
             }
         }
+        self.check_pixel_terms()?;
         let illuminated = self.illuminated.len();
         let expect = |what: &str, found: usize, wanted: usize| {
             if found == wanted {
@@ -89,7 +109,9 @@ impl GpuLayout {
                 "{what} has {found} entries for {illuminated} illuminated samples: {wanted} are needed"
             )))
         };
-        expect("diversity_turns", self.diversity_turns.len(), illuminated)?;
+        for colour in &self.colours {
+            expect("diversity_turns", colour.diversity_turns.len(), illuminated)?;
+        }
         expect("segment_start", self.segment_start.len(), illuminated + 1)?;
         for (j, mode) in self.smooth.iter().enumerate() {
             expect(&format!("smooth mode {j}"), mode.len(), illuminated)?;
@@ -97,6 +119,20 @@ impl GpuLayout {
         self.check_samples()?;
         self.check_segments()?;
         self.check_modes()
+    }
+
+    fn check_pixel_terms(&self) -> Result<()> {
+        let Some([x, y]) = &self.pixel_terms else { return Ok(()) };
+        if x.is_empty() || x.len() != y.len() {
+            let (x, y) = (x.len(), y.len());
+            return Err(Error::Shape(format!(
+                "pixel_terms has {x} terms along x and {y} along y: as many are needed, and at least one"
+            )));
+        }
+        match x.iter().chain(y).find(|term| !term.is_finite()) {
+            Some(term) => Err(Error::Value(format!("a term of pixel_terms is {term}: finite numbers are needed"))),
+            None => Ok(()),
+        }
     }
 
     fn check_samples(&self) -> Result<()> {
@@ -118,7 +154,8 @@ impl GpuLayout {
         if seen.iter().all(|illuminated| !illuminated) {
             return Err(Error::Shape("no sample of the pupil is illuminated: at least one is needed".into()));
         }
-        match self.diversity_turns.iter().chain(self.smooth.iter().flatten()).find(|v| !v.is_finite()) {
+        let diversities = self.colours.iter().flat_map(|colour| &colour.diversity_turns);
+        match diversities.chain(self.smooth.iter().flatten()).find(|v| !v.is_finite()) {
             Some(value) => {
                 Err(Error::Value(format!("a mode or the diversity holds {value}: finite numbers are needed")))
             }
@@ -161,6 +198,19 @@ impl GpuLayout {
             Some(slope) => Err(Error::Value(format!("a segment slope is {slope}: finite numbers are needed"))),
             None => Ok(()),
         }
+    }
+
+    /// Whether the image is the squared modulus of one field: the kernels then need not store it.
+    #[cfg(feature = "opencl")]
+    pub(super) fn is_one_field(&self) -> bool {
+        self.colours.len() == 1 && self.pixel_terms.is_none()
+    }
+
+    /// Numbers that result from an evaluation: objective, flux, background, and a derivative for each pose of each segment and each
+    /// smooth mode.
+    #[cfg(feature = "opencl")]
+    pub(super) fn outputs(&self) -> usize {
+        3 + self.segments * self.poses() + self.smooth.len()
     }
 
     /// Degrees of freedom of a segment: 1 for piston, 3 for piston, tip and tilt.

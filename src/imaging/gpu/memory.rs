@@ -1,7 +1,7 @@
 //! Buffers of the chain on the device, their sizes, and the sizes of the launches.
 
 use super::fold::{Blocks, FoldedShape, GROUP, MODES_AT_ONCE};
-use super::layout::GpuLayout;
+use super::layout::{GpuColour, GpuLayout};
 use crate::Result;
 use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 
@@ -25,7 +25,7 @@ pub(super) struct Partition {
     pub tile: usize,
     /// Images whose fields fit in memory at once; a multiple of `GROUP`.
     pub focal_tile: usize,
-    /// Work-items of `focus`; `None` on a GPU, which does not use it.
+    /// Work-items of `focus`; `None` where it is not used: on a GPU, and where the intensity is stored.
     pub workers: Option<usize>,
     /// Number of images from which `focus` uses every core.
     pub focus_from: usize,
@@ -51,16 +51,17 @@ impl Partition {
     fn new(
         info: &DeviceInfo,
         build: Build,
+        layout: &GpuLayout,
         shape: &FoldedShape,
         blocks: usize,
-        outputs: usize,
         capacity: usize,
     ) -> Self {
-        let number = build.precision.bytes();
-        let phase = blocks * 4 * shape.vector * number;
-        let rest =
-            (shape.rows * 8 * shape.width + blocks * 16 * shape.vector + shape.pairs * 8 * (shape.width + shape.span))
-                * number;
+        let (number, colours) = (build.precision.bytes(), layout.colours.len());
+        let phase = colours * blocks * 4 * shape.vector * number;
+        let rest = (shape.rows * 8 * shape.width
+            + shape.pairs * 8 * shape.width
+            + colours * (blocks * 16 * shape.vector + shape.pairs * 8 * shape.span))
+            * number;
         let fits = |budget: usize, bytes: usize| (budget / bytes / GROUP * GROUP).clamp(GROUP, padded(capacity));
         if build.is_scalar() {
             let tile = fits(TILE_BYTES_GPU, phase + rest);
@@ -72,7 +73,7 @@ impl Partition {
                 column_items: usize::MAX,
                 pairs_per_item: 1,
                 block_items: blocks,
-                output_items: outputs,
+                output_items: layout.outputs(),
                 group_items: tile / GROUP,
                 pairs_per_strip: 4,
                 lanes: 32,
@@ -80,10 +81,11 @@ impl Partition {
             }
         } else {
             let cores = info.compute_units.max(1) as usize;
+            let in_work = padded(WORKERS_PER_CORE * cores);
             Partition {
-                tile: fits(TILE_BYTES_PER_CORE * cores, phase),
-                focal_tile: padded(WORKERS_PER_CORE * cores),
-                workers: Some(WORKERS_PER_CORE * cores),
+                tile: if layout.is_one_field() { fits(TILE_BYTES_PER_CORE * cores, phase) } else { in_work },
+                focal_tile: in_work,
+                workers: layout.is_one_field().then_some(WORKERS_PER_CORE * cores),
                 focus_from: 2 * cores,
                 column_items: 1,
                 pairs_per_item: 16,
@@ -107,6 +109,11 @@ pub(super) struct Counts {
     /// Degrees of freedom of a segment.
     pub poses: usize,
     pub smooth: usize,
+    pub colours: usize,
+    /// Pixels whose intensity is stored, in the padded layout; 0 where the image is the squared modulus of one field.
+    pub stored_pixels: usize,
+    /// Terms of the convolution with the response of the pixels, along one axis; 0 for pixels that are points.
+    pub terms: usize,
     /// Groups of `MODES_AT_ONCE` smooth modes.
     pub mode_groups: usize,
     /// Strips of pixels per image.
@@ -131,30 +138,31 @@ impl Counts {
     ) -> (Self, Partition) {
         let (smooth, segments) = (layout.smooth.len(), layout.segments);
         let poses = layout.poses();
-        let outputs = 3 + segments * poses + smooth;
-        let partition = Partition::new(info, build, shape, blocks.count(), outputs, capacity);
+        let partition = Partition::new(info, build, layout, shape, blocks.count(), capacity);
         let counts = Self {
             capacity,
             blocks: blocks.count(),
             segments,
             poses,
             smooth,
+            colours: layout.colours.len(),
+            stored_pixels: if layout.is_one_field() { 0 } else { shape.pixels() },
+            terms: layout.pixel_terms.as_ref().map_or(0, |[x, _]| x.len()),
             mode_groups: smooth.div_ceil(MODES_AT_ONCE),
             strips: shape
                 .fft
                 .map_or(shape.pairs.div_ceil(partition.pairs_per_strip), |fft| fft.points() / shape.vector),
             chunks: blocks.count().div_ceil(partition.blocks_per_chunk),
             free: if layout.free_phase { layout.illuminated.len() } else { 0 },
-            outputs,
+            outputs: layout.outputs(),
         };
         (counts, partition)
     }
 }
 
-/// Buffers of the model, constant after construction: the pupil, the basis, the tables of the transform.
+/// Buffers of the model that all wavelengths share, constant after construction: the pupil, the basis, the response of the pixels.
 pub(super) struct ModelBuffers {
     pub basis: Reals,
-    pub diversity: Reals,
     pub entry_weight: Reals,
     pub entry_x: Reals,
     pub entry_y: Reals,
@@ -166,21 +174,15 @@ pub(super) struct ModelBuffers {
     pub segment_start: Buffer<i32>,
     pub segment_entry: Buffer<i32>,
     pub sample_place: Buffer<i32>,
-    pub y_to_v: Reals,
-    pub x_to_u: Reals,
-    pub u_to_x: Reals,
-    pub v_to_y: Reals,
-    /// Twiddle factors of the FFT; empty without one.
-    pub twiddle: Reals,
+    /// `[along u, along v][term]`.
+    pub terms: Reals,
 }
 
 impl ModelBuffers {
-    pub fn new(device: &Device, precision: Precision, shape: &FoldedShape, blocks: &Blocks) -> Result<Self> {
+    pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, blocks: &Blocks) -> Result<Self> {
         let upload = |values: &[f64]| Reals::upload(device, precision, values);
-        let [y_to_v, x_to_u, u_to_x, v_to_y] = if shape.fft.is_some() { Default::default() } else { shape.tables() };
         Ok(Self {
             basis: upload(&blocks.basis)?,
-            diversity: upload(&blocks.diversity)?,
             entry_weight: upload(&blocks.entry_weight)?,
             entry_x: upload(&blocks.entry_x)?,
             entry_y: upload(&blocks.entry_y)?,
@@ -192,16 +194,62 @@ impl ModelBuffers {
             segment_start: device.upload(&blocks.segment_start)?,
             segment_entry: device.upload(&blocks.segment_entry)?,
             sample_place: device.upload(&blocks.sample_place)?,
+            terms: upload(&layout.pixel_terms.iter().flatten().flatten().copied().collect::<Vec<_>>())?,
+        })
+    }
+}
+
+/// Buffers of one wavelength: its diversity and tables, constant after construction; its coefficients; its fields, which are kept from
+/// the forward model to the adjoint.
+pub(super) struct ColourBuffers {
+    pub diversity: Reals,
+    pub y_to_v: Reals,
+    pub x_to_u: Reals,
+    pub u_to_x: Reals,
+    pub v_to_y: Reals,
+    /// Twiddle factors of the FFT; empty without one.
+    pub twiddle: Reals,
+    pub coefficients: Reals,
+    /// `[image][segment][re q, im q, tip, tilt]`.
+    pub pose: Reals,
+    /// Smooth phase, then the gradient by it: for one tile. The next three are for the images processed at a time.
+    pub psi: Reals,
+    pub focal: Reals,
+    pub phasor: Reals,
+    pub sample_field: Reals,
+}
+
+impl ColourBuffers {
+    /// `shape` is that of the wavelength.
+    pub fn new(
+        device: &Device,
+        precision: Precision,
+        (layout, colour): (&GpuLayout, &GpuColour),
+        (shape, blocks): (&FoldedShape, &Blocks),
+        (counts, partition): (&Counts, &Partition),
+    ) -> Result<Self> {
+        let upload = |values: &[f64]| Reals::upload(device, precision, values);
+        let zeros = |len: usize| Reals::zeros(device, precision, len);
+        let [y_to_v, x_to_u, u_to_x, v_to_y] = if shape.fft.is_some() { Default::default() } else { shape.tables() };
+        let active = padded(counts.capacity);
+        Ok(Self {
+            diversity: upload(&blocks.diversity(layout, colour, shape))?,
             y_to_v: upload(&y_to_v)?,
             x_to_u: upload(&x_to_u)?,
             u_to_x: upload(&u_to_x)?,
             v_to_y: upload(&v_to_y)?,
             twiddle: upload(&shape.twiddles())?,
+            coefficients: zeros(active * counts.smooth)?,
+            pose: zeros(active * counts.segments * 4)?,
+            psi: zeros(partition.tile * counts.blocks * 4 * shape.vector)?,
+            focal: zeros(partition.focal_tile * shape.pixels() * 2)?,
+            phasor: zeros(partition.focal_tile * counts.blocks * 8 * shape.vector)?,
+            sample_field: zeros(partition.focal_tile * counts.blocks * 8 * shape.vector)?,
         })
     }
 }
 
-/// Buffers of the batch: images, uploaded once; coefficients and results, transferred with every call.
+/// Buffers of the batch: images, uploaded once; the free phase and results, transferred with every call.
 pub(super) struct BatchBuffers {
     pub data: Reals,
     pub weight: Reals,
@@ -213,9 +261,6 @@ pub(super) struct BatchBuffers {
     pub slot: Buffer<i32>,
     /// Number of images of each tile that `focus` has started.
     pub next: Buffer<i32>,
-    pub coefficients: Reals,
-    /// `[image][segment][re q, im q, tip, tilt]`.
-    pub pose: Reals,
     /// `[image][illuminated sample]`: the free phase, turns, and after an evaluation the gradient by it.
     pub free: Reals,
     pub result: Reals,
@@ -232,27 +277,23 @@ impl BatchBuffers {
             known: zeros(slots * 4)?,
             slot: device.buffer(active)?,
             next: device.buffer(active / GROUP)?,
-            coefficients: zeros(active * counts.smooth)?,
-            pose: zeros(active * counts.segments * 4)?,
             free: zeros(active * counts.free)?,
             result: zeros(active * counts.outputs)?,
         })
     }
 }
 
-/// Buffers between the stages: `psi`, and `sums` to `mode_partial`, for one tile; the others for the images processed at a
-/// time.
+/// Buffers between the stages that all wavelengths use in turn: `sums` to `mode_partial` for one tile, the others for the images
+/// processed at a time.
 pub(super) struct ScratchBuffers {
-    /// Smooth phase, then the gradient by it.
-    pub psi: Reals,
     pub field: Reals,
     pub wave: Reals,
     /// One line of vectors in the FFT, and its input samples on both sides of the axis.
     pub line: Reals,
     pub side: Reals,
-    pub focal: Reals,
-    pub phasor: Reals,
-    pub sample_field: Reals,
+    /// The stored intensity, and its convolution along one axis; empty where it is not stored.
+    pub intensity: Reals,
+    pub convolved: Reals,
     pub sums: Reals,
     pub objective: Reals,
     pub photometry: Reals,
@@ -275,12 +316,10 @@ impl ScratchBuffers {
             // Zero where the pupil has no block: no kernel writes there.
             field: in_work(shape.side_rows().max(shape.rows) * 8 * shape.width)?,
             wave: in_work(shape.pairs * 8 * shape.width)?,
-            focal: in_work(shape.pixels() * 2)?,
             line: in_work(shape.fft_scratch()[0])?,
             side: in_work(shape.fft_scratch()[1])?,
-            phasor: in_work(counts.blocks * 8 * shape.vector)?,
-            sample_field: in_work(counts.blocks * 8 * shape.vector)?,
-            psi: zeros(counts.blocks * 4 * shape.vector)?,
+            intensity: in_work(counts.stored_pixels)?,
+            convolved: in_work(if counts.terms > 0 { counts.stored_pixels } else { 0 })?,
             sums: zeros(partials * 3)?,
             objective: zeros(partials)?,
             photometry: zeros(2)?,

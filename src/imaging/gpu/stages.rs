@@ -1,13 +1,13 @@
 //! The sequence in which the kernels of the chain run, and their launch sizes.
 
-use super::bind::{Bindings, Kernels};
+use super::bind::{Bindings, ColourKernels, PixelKernels};
 use super::budget::MemoryBudget;
 use super::fold::{Blocks, FoldedShape, GROUP, TALL, row_chunks};
 use super::image::FoldedImage;
-use super::layout::GpuLayout;
-use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffers, padded};
+use super::layout::{GpuColour, GpuLayout};
+use super::memory::{BatchBuffers, ColourBuffers, Counts, ModelBuffers, Partition, ScratchBuffers, padded};
 use crate::Result;
-use crate::device::{Build, Device};
+use crate::device::{Build, Device, Reals};
 
 /// The stages of the chain with their kernels and buffers.
 pub(super) struct Stages {
@@ -19,7 +19,30 @@ pub(super) struct Stages {
     scratch: ScratchBuffers,
     /// Owns the buffers that the kernels are bound to.
     _model: ModelBuffers,
-    kernels: Kernels,
+    colours: Vec<Colour>,
+    pixel_kernels: PixelKernels,
+}
+
+/// One wavelength.
+struct Colour {
+    buffers: ColourBuffers,
+    kernels: ColourKernels,
+}
+
+/// Coefficients of a batch at one wavelength.
+pub(super) struct ColourInputs {
+    /// Smooth coefficients, turns, `[image][smooth mode]`.
+    pub turns: Vec<f64>,
+    /// Poses of the segments, `[image][segment][re q, im q, tip, tilt]`.
+    pub poses: Vec<f64>,
+}
+
+/// Images in focus, folded.
+pub(super) enum Focal {
+    /// Focal fields.
+    Field(Vec<f64>),
+    /// PSFs.
+    Intensity(Vec<f64>),
 }
 
 /// Step of the free phase.
@@ -32,22 +55,21 @@ enum FreePhaseStep {
 }
 
 impl Stages {
-    pub fn new(
-        device: &Device,
-        build: Build,
-        layout: &GpuLayout,
-        shape: FoldedShape,
-        capacity: usize,
-        memory_bytes: u64,
-    ) -> Result<Self> {
+    pub fn new(device: &Device, build: Build, layout: &GpuLayout, capacity: usize, memory_bytes: u64) -> Result<Self> {
+        let shape = FoldedShape::new(layout, &layout.colours[0], build);
         let blocks = &Blocks::new(layout, &shape);
         let (counts, partition) = Counts::new(device.info(), build, layout, &shape, blocks, capacity);
         let budget = MemoryBudget::new(build, &shape, blocks, &counts, &partition);
         let partition = budget.fit(partition, capacity, device.info(), memory_bytes)?;
-        let model = ModelBuffers::new(device, build.precision, &shape, blocks)?;
+        let model = ModelBuffers::new(device, build.precision, layout, blocks)?;
         let batch = BatchBuffers::new(device, build.precision, &shape, &counts)?;
         let scratch = ScratchBuffers::new(device, build.precision, &shape, &counts, &partition)?;
-        let parts = Bindings {
+        let buffers = |colour| {
+            let shape = FoldedShape::new(layout, colour, build);
+            ColourBuffers::new(device, build.precision, (layout, colour), (&shape, blocks), (&counts, &partition))
+        };
+        let buffers = layout.colours.iter().map(buffers).collect::<Result<Vec<_>>>()?;
+        let first = Bindings {
             device,
             build,
             shape: &shape,
@@ -55,10 +77,17 @@ impl Stages {
             counts: &counts,
             blocks,
             model: &model,
+            colour: &buffers[0],
             batch: &batch,
             scratch: &scratch,
         };
-        let kernels = parts.kernels(2.0 * std::f64::consts::TAU / layout.wavelength_nm)?;
+        let pixel_kernels = first.pixel_kernels()?;
+        let kernels = |(buffers, colour): (&ColourBuffers, &GpuColour)| {
+            let bindings = Bindings { colour: buffers, ..first };
+            bindings.colour_kernels(colour.wavelength_nm, layout.free_wavelength_nm)
+        };
+        let kernels = buffers.iter().zip(&layout.colours).map(kernels).collect::<Result<Vec<_>>>()?;
+        let colours = buffers.into_iter().zip(kernels).map(|(buffers, kernels)| Colour { buffers, kernels }).collect();
         Ok(Self {
             bytes: budget.bytes(capacity, &partition),
             shape,
@@ -67,7 +96,8 @@ impl Stages {
             batch,
             scratch,
             _model: model,
-            kernels,
+            colours,
+            pixel_kernels,
         })
     }
 
@@ -95,23 +125,27 @@ impl Stages {
         batch.known.write(slot * 4, &image.known)
     }
 
+    /// Whether the intensity is stored: see `intensity.cl`.
+    fn stores_intensity(&self) -> bool {
+        self.counts.stored_pixels > 0
+    }
+
     /// `[image][objective, flux, background, segments..., smooth modes...]` for the images in the slots `active`. Without
     /// `fitted`, all photometry is known. `free` is the free phase of a model that has one; the gradient by it is written
     /// into `slopes`.
     pub fn evaluate(
         &mut self,
         active: &[usize],
-        turns: &[f64],
-        poses: &[f64],
+        inputs: &[ColourInputs],
         (free, slopes): (&[f64], &mut [f64]),
         fitted: bool,
     ) -> Result<Vec<f64>> {
-        let Counts { capacity, smooth, segments, outputs, free: free_samples, .. } = self.counts;
+        let Counts { capacity, outputs, free: free_samples, .. } = self.counts;
         let mut results = vec![0.0; active.len() * outputs];
         // A batch larger than the capacity (an image may be active more than once) is processed in several rounds.
         for (round, active) in active.chunks(capacity).enumerate() {
             let (from, count) = (round * capacity, active.len());
-            self.write_inputs(count, &turns[from * smooth..], &poses[from * segments * 4..])?;
+            self.write_inputs(from, count, inputs)?;
             let own = from * free_samples..(from + count) * free_samples;
             self.batch.free.write(0, &free[own.clone()])?;
             let slots: Vec<i32> = active.iter().map(|&slot| slot as i32).collect();
@@ -125,20 +159,14 @@ impl Stages {
             self.batch.next.write(0, &vec![0; count.div_ceil(tile)])?;
             for (tile_index, first) in (0..count).step_by(tile).enumerate() {
                 let images = tile.min(count - first);
-                self.smooth_phase(first, images)?;
-                self.free_phase(first, images, FreePhaseStep::Add)?;
                 match workers {
-                    Some(workers) => self.focus(tile_index, first, images, workers)?,
-                    None => {
-                        self.pupil_field(first, images)?;
-                        self.transform(images)?;
-                        self.pixels(first, images, fitted)?;
-                        self.transform_adjoint(images)?;
-                        self.pupil_gradient(first, images)?;
+                    Some(workers) => {
+                        self.phase(0, first, images)?;
+                        self.focus(tile_index, first, images, workers)?;
+                        self.project(0, first, images)?;
                     }
+                    None => self.tile(first, images, fitted)?,
                 }
-                self.project_modes(first, images)?;
-                self.free_phase(first, images, FreePhaseStep::Gradient)?;
             }
             self.batch.result.read(0, &mut results[from * outputs..(from + count) * outputs])?;
             self.batch.free.read(0, &mut slopes[own])?;
@@ -146,54 +174,127 @@ impl Stages {
         Ok(results)
     }
 
-    /// The focal fields of at most a tile of images, folded.
-    pub fn focal(&mut self, count: usize, turns: &[f64], poses: &[f64]) -> Result<Vec<f64>> {
-        self.write_inputs(count, turns, poses)?;
-        self.smooth_phase(0, count)?;
-        self.pupil_field(0, count)?;
-        self.transform(count)?;
-        let mut focal = vec![0.0; count * self.shape.pixels() * 2];
-        self.scratch.focal.read(0, &mut focal)?;
-        Ok(focal)
+    /// One tile, stage by stage.
+    fn tile(&mut self, first: usize, images: usize, fitted: bool) -> Result<()> {
+        for colour in 0..self.colours.len() {
+            self.phase(colour, first, images)?;
+            self.field(colour, first, images)?;
+        }
+        self.convolve(images)?;
+        self.pixels(first, images, fitted)?;
+        self.convolve(images)?;
+        for colour in 0..self.colours.len() {
+            self.field_adjoint(colour, first, images)?;
+            self.project(colour, first, images)?;
+        }
+        Ok(())
     }
 
-    fn write_inputs(&mut self, images: usize, turns: &[f64], poses: &[f64]) -> Result<()> {
-        self.batch.coefficients.write(0, &turns[..images * self.counts.smooth])?;
-        self.batch.pose.write(0, &poses[..images * self.counts.segments * 4])
+    /// The PSFs of at most a tile of images at the first of `inputs`: the focal field, folded, or the intensity where it is stored.
+    pub fn focal(&mut self, count: usize, inputs: &[ColourInputs]) -> Result<Focal> {
+        self.write_inputs(0, count, inputs)?;
+        for colour in 0..self.colours.len() {
+            self.smooth_phase(colour, 0, count)?;
+            self.field(colour, 0, count)?;
+        }
+        self.convolve(count)?;
+        let read = |reals: &Reals, numbers: usize| {
+            let mut values = vec![0.0; count * numbers];
+            reals.read(0, &mut values).map(|()| values)
+        };
+        let pixels = self.shape.pixels();
+        Ok(if self.stores_intensity() {
+            Focal::Intensity(read(&self.scratch.intensity, pixels)?)
+        } else {
+            Focal::Field(read(&self.colours[0].buffers.focal, 2 * pixels)?)
+        })
+    }
+
+    /// Uploads the inputs of `count` images from image `from` on.
+    fn write_inputs(&mut self, from: usize, count: usize, inputs: &[ColourInputs]) -> Result<()> {
+        let Counts { smooth, segments, .. } = self.counts;
+        for (Colour { buffers, .. }, ColourInputs { turns, poses }) in self.colours.iter_mut().zip(inputs) {
+            buffers.coefficients.write(0, &turns[from * smooth..(from + count) * smooth])?;
+            buffers.pose.write(0, &poses[from * segments * 4..(from + count) * segments * 4])?;
+        }
+        Ok(())
+    }
+
+    /// Phase of a wavelength.
+    fn phase(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        self.smooth_phase(colour, first, images)?;
+        self.free_phase(colour, first, images, FreePhaseStep::Add)
+    }
+
+    /// From the phase of a wavelength to its focal field, whose intensity is added where it is stored.
+    fn field(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        self.pupil_field(colour, first, images)?;
+        self.transform(colour, images)?;
+        if self.stores_intensity() {
+            let strips = [self.partition.lanes, self.counts.strips, images];
+            self.colours[colour].kernels.add_intensity.int("is_first", usize::from(colour == 0))?.launch(strips)?;
+        }
+        Ok(())
+    }
+
+    /// From the source of the adjoint to the gradient by the phase of a wavelength.
+    fn field_adjoint(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        if self.stores_intensity() {
+            let strips = [self.partition.lanes, self.counts.strips, images];
+            self.colours[colour].kernels.scale_field.launch(strips)?;
+        }
+        self.transform_adjoint(colour, images)?;
+        self.pupil_gradient(colour, first, images)
+    }
+
+    /// From the gradient by the phase of a wavelength to that by the modes and by the free phase.
+    fn project(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        self.project_modes(colour, first, images)?;
+        self.free_phase(colour, first, images, FreePhaseStep::Gradient)
+    }
+
+    /// The response of the pixels, on what is stored: the intensity, or the source of the adjoint.
+    fn convolve(&mut self, images: usize) -> Result<()> {
+        if self.counts.terms == 0 {
+            return Ok(());
+        }
+        let strips = [self.partition.lanes, self.counts.strips, images];
+        self.pixel_kernels.convolve.iter_mut().try_for_each(|kernel| kernel.launch(strips))
     }
 
     // Kernels that process GROUP images together are launched for whole groups. Beyond `images` they process leftovers of an
     // earlier tile (or zeros), and their results are not read.
 
-    fn smooth_phase(&mut self, first: usize, images: usize) -> Result<()> {
-        let (images, k) = (padded(images), &mut self.kernels.smooth_phase);
+    fn smooth_phase(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        let (images, k) = (padded(images), &mut self.colours[colour].kernels.smooth_phase);
         k.int("first", first)?.int("images", images)?;
         k.launch([self.counts.blocks, self.partition.group_items.min(images / GROUP), 1])
     }
 
-    fn free_phase(&mut self, first: usize, images: usize, step: FreePhaseStep) -> Result<()> {
-        let k = match step {
-            FreePhaseStep::Add => &mut self.kernels.add_free_phase,
-            FreePhaseStep::Gradient => &mut self.kernels.free_phase_gradient,
-        };
+    fn free_phase(&mut self, colour: usize, first: usize, images: usize, step: FreePhaseStep) -> Result<()> {
         if self.counts.free == 0 {
             return Ok(());
         }
+        let kernels = &mut self.colours[colour].kernels;
+        let k = match step {
+            FreePhaseStep::Add => &mut kernels.add_free_phase,
+            FreePhaseStep::Gradient => kernels.free_phase_gradient.int("is_first", usize::from(colour == 0))?,
+        };
         // As many work-items as for the blocks: the work per sample is small.
         k.int("first", first)?.launch([self.partition.block_items, images, 1])
     }
 
-    fn pupil_field(&mut self, first: usize, images: usize) -> Result<()> {
-        self.kernels.pupil_field.int("first", first)?.launch([self.counts.blocks, images, 1])
+    fn pupil_field(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        self.colours[colour].kernels.pupil_field.int("first", first)?.launch([self.counts.blocks, images, 1])
     }
 
     fn focus(&mut self, tile: usize, first: usize, images: usize, workers: usize) -> Result<()> {
-        let k = &mut self.kernels.focus;
+        let k = &mut self.pixel_kernels.focus;
         k.int("tile", tile)?.int("first", first)?.int("images", images)?.launch([workers, 1, 1])
     }
 
-    fn transform(&mut self, images: usize) -> Result<()> {
-        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.kernels);
+    fn transform(&mut self, colour: usize, images: usize) -> Result<()> {
+        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colours[colour].kernels);
         let groups = shape.pairs.div_ceil(TALL);
         k.forward_columns.launch([2 * shape.width / shape.vector, groups.min(partition.column_items), images])?;
         let chunks = row_chunks(shape.span / shape.vector);
@@ -201,34 +302,38 @@ impl Stages {
     }
 
     fn pixels(&mut self, first: usize, images: usize, fitted: bool) -> Result<()> {
-        let (partition, k) = (&self.partition, &mut self.kernels);
+        let (partition, k) = (&self.partition, &mut self.pixel_kernels);
         let strips = [partition.lanes, self.counts.strips, images];
         if fitted {
-            k.photometry_sums.int("first", first)?.launch(strips)?;
+            k.sums.int("first", first)?.launch(strips)?;
         }
         k.photometry_solve.int("first", first)?.int("images", images)?.launch([images, 1, 1])?;
         k.residuals.int("first", first)?.launch(strips)
     }
 
-    fn transform_adjoint(&mut self, images: usize) -> Result<()> {
-        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.kernels);
+    fn transform_adjoint(&mut self, colour: usize, images: usize) -> Result<()> {
+        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colours[colour].kernels);
         let chunks = row_chunks(shape.width / shape.vector);
         k.adjoint_rows.launch([chunks, shape.pairs.div_ceil(partition.pairs_per_item), images])?;
         let groups = shape.rows.div_ceil(TALL);
         k.adjoint_columns.launch([2 * shape.width / shape.vector, groups.min(partition.column_items), images])
     }
 
-    fn pupil_gradient(&mut self, first: usize, images: usize) -> Result<()> {
-        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.kernels);
+    fn pupil_gradient(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.colours[colour].kernels);
         k.pupil_gradient.launch([partition.block_items, images, 1])?;
         k.project_segments.int("first", first)?.launch([counts.segments, images, 1])
     }
 
-    fn project_modes(&mut self, first: usize, images: usize) -> Result<()> {
-        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.kernels);
+    fn project_modes(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
+        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.colours[colour].kernels);
         let groups = images.div_ceil(GROUP);
         k.project_modes.int("images", groups * GROUP)?;
         k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(partition.group_items)])?;
-        k.collect.int("first", first)?.launch([partition.output_items, images, 1])
+        k.collect.int("first", first)?.int("is_first", usize::from(colour == 0))?.launch([
+            partition.output_items,
+            images,
+            1,
+        ])
     }
 }

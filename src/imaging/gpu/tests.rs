@@ -150,7 +150,7 @@ fn a_faint_star_on_a_bright_background_does_not_lose_accuracy() {
 
 #[test]
 fn results_do_not_depend_on_the_batch() {
-    [scene(), tilted_scene(), free_scene()].iter().for_each(compare_with_single_images);
+    [scene(), tilted_scene(), free_scene(), camera_scene()].iter().for_each(compare_with_single_images);
 }
 
 fn compare_with_single_images(layout: &GpuLayout) {
@@ -200,10 +200,9 @@ fn allocated_memory_agrees_with_the_formula_and_limits_the_tiles() {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         let mut random = ChaCha8Rng::seed_from_u64(6);
-        let plain = [scene(), tilted_scene(), free_scene()];
-        for (layout, fft) in
-            [(&plain[0], None), (&plain[1], None), (&plain[2], None), (&whole, FftPlan::new(64, 9)), (&whole, None)]
-        {
+        let plain = [scene(), tilted_scene(), free_scene(), camera_scene()];
+        let plain = plain.iter().map(|layout| (layout, None));
+        for (layout, fft) in plain.chain([(&whole, FftPlan::new(64, 9)), (&whole, None)]) {
             let own = |build: &Build| *build == Build::for_device(&info, build.precision);
             for build in builds(&device).into_iter().filter(|b| own(b) || (b.vector == 1 && fft.is_none())) {
                 let build = Build { fft, ..build };
@@ -254,11 +253,13 @@ fn invalid_input_is_named() {
     let new = |layout: &GpuLayout| GpuChain::new(&device, Precision::F32, layout, 2).map(|_| ());
     assert!(new(&layout).is_ok());
     type Change = fn(&mut GpuLayout);
-    let broken: [(&str, Change); 9] = [
+    let broken: [(&str, Change); 11] = [
         ("17", |l| l.samples = 17),
         ("0 image pixels", |l| l.pixels = 0),
-        ("wavelength_nm", |l| l.wavelength_nm = f64::NAN),
-        ("diversity_turns", |l| l.diversity_turns.truncate(3)),
+        ("wavelength_nm", |l| l.colours[0].wavelength_nm = f64::NAN),
+        ("diversity_turns", |l| l.colours[0].diversity_turns.truncate(3)),
+        ("0 wavelengths", |l| l.colours.clear()),
+        ("pixel_terms", |l| l.pixel_terms = Some([vec![1.0, 0.0], vec![1.0]])),
         ("twice", |l| l.illuminated[1] = l.illuminated[0]),
         ("outside a pupil", |l| l.illuminated[0] = 18 * 18),
         ("segment 9", |l| l.segment_index[3] = 9),

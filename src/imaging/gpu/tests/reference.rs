@@ -5,7 +5,7 @@ use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::TAU;
 
-use super::super::{GpuLayout, GpuMode, GpuPhotometry};
+use super::super::{GpuColour, GpuLayout, GpuMode, GpuPhotometry};
 
 /// A small asymmetric model that covers the special cases of the packing: extents that are not whole vectors, dark rows and
 /// blocks, overlapping segments with weights of either sign, an unused mode.
@@ -42,11 +42,14 @@ pub(super) fn scene() -> GpuLayout {
     GpuLayout {
         samples: n,
         pixels: 22,
-        samples_per_lambda_over_d: 1.3,
-        wavelength_nm: 1650.0,
-        intensity_scale: 2.5e-5,
+        colours: vec![GpuColour {
+            samples_per_lambda_over_d: 1.3,
+            wavelength_nm: 1650.0,
+            intensity_scale: 2.5e-5,
+            diversity_turns,
+        }],
+        pixel_terms: None,
         illuminated,
-        diversity_turns,
         smooth,
         segments,
         segment_start,
@@ -55,6 +58,7 @@ pub(super) fn scene() -> GpuLayout {
         segment_slopes: None,
         modes,
         free_phase: false,
+        free_wavelength_nm: 1650.0,
     }
 }
 
@@ -73,6 +77,22 @@ pub(super) fn free_scene() -> GpuLayout {
     GpuLayout { free_phase: true, ..scene() }
 }
 
+/// The same with three wavelengths and pixels with an area, for tests without a reference.
+pub(super) fn camera_scene() -> GpuLayout {
+    let mut layout = free_scene();
+    let first = layout.colours[0].clone();
+    layout.colours = [0.9, 1.0, 1.2]
+        .map(|ratio| GpuColour {
+            samples_per_lambda_over_d: ratio * first.samples_per_lambda_over_d,
+            wavelength_nm: ratio * first.wavelength_nm,
+            intensity_scale: first.intensity_scale / 3.0,
+            diversity_turns: first.diversity_turns.iter().map(|turns| turns / ratio).collect(),
+        })
+        .to_vec();
+    layout.pixel_terms = Some([vec![0.8, 0.13, -0.03], vec![0.9, 0.05, 0.0]]);
+    layout
+}
+
 /// A free phase of up to ±0.5 turns for each of `images`; empty where the layout has none.
 pub(super) fn free_phases(layout: &GpuLayout, images: usize, random: &mut impl Rng) -> Vec<f64> {
     let count = if layout.free_phase { images * layout.illuminated.len() } else { 0 };
@@ -81,11 +101,9 @@ pub(super) fn free_phases(layout: &GpuLayout, images: usize, random: &mut impl R
 
 /// The layout with the free phase of one image added to its diversity.
 pub(super) fn with_free(layout: &GpuLayout, free: &[f64]) -> GpuLayout {
-    let free = free.iter().copied().chain(std::iter::repeat(0.0));
-    GpuLayout {
-        diversity_turns: layout.diversity_turns.iter().zip(free).map(|(d, f)| d + f).collect(),
-        ..layout.clone()
-    }
+    let mut with = layout.clone();
+    with.colours[0].diversity_turns.iter_mut().zip(free).for_each(|(turns, free)| *turns += free);
+    with
 }
 
 /// Simulated images of the model, with bad pixels (NaN) and uneven weights.
@@ -123,7 +141,7 @@ pub(super) fn coefficients(layout: &GpuLayout, images: usize, random: &mut impl 
 /// P, a and E = a P at each illuminated sample, and the PSF, by the definition.
 pub(super) fn field_and_psf(layout: &GpuLayout, coefficients: &[f64]) -> (Vec<[Complex64; 3]>, Vec<f64>) {
     let pupil = pupil(layout, coefficients);
-    let psf = focal(layout, &pupil).iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
+    let psf = focal(layout, &pupil).iter().map(|u| layout.colours[0].intensity_scale * u.norm_sqr()).collect();
     (pupil, psf)
 }
 
@@ -133,7 +151,13 @@ pub(super) fn turn(t: f64) -> Complex64 {
 
 /// Amount of `mode`, turns.
 pub(super) fn amount(layout: &GpuLayout, coefficients: &[f64], mode: GpuMode) -> f64 {
-    layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == mode).map(|(_, c)| c / layout.wavelength_nm).sum()
+    layout
+        .modes
+        .iter()
+        .zip(coefficients)
+        .filter(|(m, _)| **m == mode)
+        .map(|(_, c)| c / layout.colours[0].wavelength_nm)
+        .sum()
 }
 
 pub(super) fn slope(layout: &GpuLayout, entry: usize) -> (f64, f64) {
@@ -158,7 +182,8 @@ pub(super) fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64;
     let smooth: Vec<f64> = (0..layout.smooth.len()).map(|j| amount(GpuMode::Smooth(j))).collect();
     (0..layout.illuminated.len())
         .map(|p| {
-            let psi = layout.diversity_turns[p] + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
+            let psi = layout.colours[0].diversity_turns[p]
+                + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
             let a: Complex64 = (layout.segment_start[p]..layout.segment_start[p + 1])
                 .map(|e| phasors[e] * layout.segment_weight[e])
                 .sum();
@@ -173,7 +198,7 @@ pub(super) fn kernel(layout: &GpuLayout, sample: usize, pixel: usize) -> Complex
     let centre = |i: usize| i as f64 - (n as f64 - 1.0) / 2.0;
     let axis = |i: usize| i as f64 - m as f64 / 2.0;
     let turns = centre(sample % n) * axis(pixel % m) + centre(sample / n) * axis(pixel / m);
-    Complex64::from_polar(1.0, -TAU * turns / (n as f64 * layout.samples_per_lambda_over_d))
+    Complex64::from_polar(1.0, -TAU * turns / (n as f64 * layout.colours[0].samples_per_lambda_over_d))
 }
 
 pub(super) fn focal(layout: &GpuLayout, pupil: &[[Complex64; 3]]) -> Vec<Complex64> {
@@ -202,7 +227,8 @@ pub(super) fn reference(
 ) -> ReferenceResult {
     let pupil = pupil(layout, coefficients);
     let u = focal(layout, &pupil);
-    let h: Vec<f64> = u.iter().map(|u| layout.intensity_scale * u.norm_sqr()).collect();
+    let colour = &layout.colours[0];
+    let h: Vec<f64> = u.iter().map(|u| colour.intensity_scale * u.norm_sqr()).collect();
     let good = || (0..h.len()).filter(|&i| w[i] > 0.0);
     let (flux, background) = match photometry {
         GpuPhotometry::Known { flux_e, background_e } => (flux_e, background_e),
@@ -221,14 +247,14 @@ pub(super) fn reference(
         }
     };
     let r: Vec<f64> = (0..h.len()).map(|i| if w[i] > 0.0 { flux * h[i] + background - d[i] } else { 0.0 }).collect();
-    let k = TAU / layout.wavelength_nm;
+    let k = TAU / colour.wavelength_nm;
     // dJ/dE* at each illuminated sample, by the adjoint sum.
     let bar: Vec<Complex64> = layout
         .illuminated
         .iter()
         .map(|&sample| {
             (0..h.len())
-                .map(|i| u[i] * kernel(layout, sample, i).conj() * (2.0 * layout.intensity_scale * flux * w[i] * r[i]))
+                .map(|i| u[i] * kernel(layout, sample, i).conj() * (2.0 * colour.intensity_scale * flux * w[i] * r[i]))
                 .sum()
         })
         .collect();
@@ -244,7 +270,7 @@ pub(super) fn reference(
     };
     let slopes: Vec<f64> = pupil.iter().zip(&bar).map(|(p, bar)| 2.0 * TAU * (p[2].conj() * bar).im).collect();
     let gradient = layout.modes.iter().map(|mode| match *mode {
-        GpuMode::Smooth(j) => layout.smooth[j].iter().zip(&slopes).map(|(b, d)| b * d / layout.wavelength_nm).sum(),
+        GpuMode::Smooth(j) => layout.smooth[j].iter().zip(&slopes).map(|(b, d)| b * d / colour.wavelength_nm).sum(),
         GpuMode::Segment(s) => segment(s, &|_| 1.0),
         GpuMode::Tip(s) => segment(s, &|e| slope(layout, e).0),
         GpuMode::Tilt(s) => segment(s, &|e| slope(layout, e).1),
@@ -255,7 +281,9 @@ pub(super) fn reference(
 
 /// A whole image of the smallest size with an FFT plan.
 pub(super) fn whole_scene() -> GpuLayout {
-    GpuLayout { pixels: 64, samples_per_lambda_over_d: 64.0 / 18.0, free_phase: true, ..scene() }
+    let mut whole = GpuLayout { pixels: 64, free_phase: true, ..scene() };
+    whole.colours[0].samples_per_lambda_over_d = 64.0 / 18.0;
+    whole
 }
 
 #[test]
