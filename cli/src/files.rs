@@ -76,14 +76,30 @@ pub fn spare_files_of(scene: &Scene, outputs: &[Flagged]) -> Result<()> {
 /// `scene` with the full names of its files, so that its text means the same wherever it is kept.
 fn anchored(scene: Scene) -> Result<Scene> {
     let mut full = Vec::new();
-    for (key, file) in scene_files(&scene) {
+    let mut add = |key: String, file: PathBuf| -> Result<()> {
         let path = std::path::absolute(&file).map_err(|error| Error::file(&file, error))?;
         full.push((key, toml_edit::Value::from(path.display().to_string()).to_string()));
+        Ok(())
+    };
+    if scene.channels().is_empty() {
+        for (key, file) in scene_files(&scene) {
+            add(key.to_owned(), file)?;
+        }
+    }
+    // A file of one channel is not that of the others.
+    for (number, channel) in scene.channels().iter().enumerate() {
+        for (key, file) in scene_files(&channel.scene) {
+            match key.strip_prefix("image.") {
+                Some(key) => add(format!("image.channel.{}.{key}", channel.name), file)?,
+                None if number == 0 => add(key.to_owned(), file)?,
+                None => {}
+            }
+        }
     }
     if full.is_empty() {
         return Ok(scene);
     }
-    scene.with(&full.iter().map(|(key, path)| (*key, path.as_str())).collect::<Vec<_>>())
+    scene.with(&full.iter().map(|(key, path)| (key.as_str(), path.as_str())).collect::<Vec<_>>())
 }
 
 /// An error about the contents of `path`, with its name before it.

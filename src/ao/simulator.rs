@@ -20,7 +20,7 @@ use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
 use crate::pupil::Pupil;
 use crate::scene::{ControlBasis, ControlScene, Scene, SensorMask, SensorScene};
 use crate::source::{Truth, stream};
-use crate::telescope::{Diversity, Telescope};
+use crate::telescope::{Diversity, Filter, Telescope};
 use crate::{Error, Result};
 use ndarray::Array2;
 use rand::SeedableRng;
@@ -109,6 +109,7 @@ pub struct Simulator {
     pupil: Pupil,
     influence: InfluenceFunctions,
     diversity: Diversity,
+    filter: Filter,
     truth: Truth,
     mask: Vec<bool>,
     interaction: Array2<f64>,
@@ -205,7 +206,7 @@ impl Simulator {
             sensor,
             light,
         };
-        let diversity = Diversity::new(scene, &telescope)?;
+        let (diversity, filter) = (Diversity::new(scene, &telescope)?, Filter::new(scene)?);
         let residual_nm = correction.footprint.zeros();
         let scene = scene.clone();
         Ok(Self {
@@ -214,6 +215,7 @@ impl Simulator {
             pupil,
             influence,
             diversity,
+            filter,
             truth,
             mask,
             interaction,
@@ -265,6 +267,7 @@ impl Simulator {
             footprint: &self.correction.footprint,
             truth: &self.truth,
             diversity: &self.diversity,
+            filter: &self.filter,
             segments_nm: &self.correction.segments_nm,
         };
         ScienceCamera::new(view, &optics)

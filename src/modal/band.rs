@@ -1,21 +1,32 @@
 //! Wavelengths of a model of a filter with a width.
+//!
+//! The wavelength of the model is the mean of the photons, which `image.wavelength_nm` is for a flat filter: pistons that differ by
+//! it look alike in a band, and one wavelength at the mean has no error of the first order in the filter's width.
 
 use crate::imaging::Colour;
 use crate::scene::{Optimizer, Scene};
-use crate::telescope::{Diversity, Telescope, band, wavelengths_needed};
+use crate::telescope::{Diversity, Filter, Telescope};
 use crate::{Error, Result};
 
 /// Most wavelengths where the scene does not name their number: enough for a band of 30 % behind the paper's defocus.
 const MAX_WAVELENGTHS: usize = 15;
 
-/// The wavelengths of the model of `scene`.
+/// Light of a model.
+pub(super) struct ModelLight {
+    /// Mean wavelength of the photons over `image.wavelength_nm`: the wavelength of the model.
+    pub(super) mean: f64,
+    /// The wavelengths, relative to the mean.
+    pub(super) colours: Vec<Colour>,
+}
+
+/// The light of the model of `scene`.
 ///
 /// # Errors
-/// [`Error::Scene`] for several wavelengths of a filter without width.
-pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> Result<Vec<Colour>> {
-    let width = scene.image.bandwidth_fraction;
+/// [`Error::Scene`] for several wavelengths of a filter without width; those of [`Filter::new`].
+pub(super) fn light(scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> Result<ModelLight> {
+    let filter = Filter::new(scene)?;
     let count = match scene.estimate.wavelengths {
-        Some(count) if count > 1 && width == 0.0 => {
+        Some(count) if count > 1 && filter.is_monochromatic() => {
             return Err(Error::Scene(format!(
                 "estimate.wavelengths = {count} needs a filter with a width, and image.bandwidth_fraction is 0; leave one of \
                  them out"
@@ -24,12 +35,14 @@ pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversit
         Some(count) => count,
         // The paper's recipes have one wavelength.
         None if scene.estimate.optimizer != Optimizer::GaussNewton => 1,
-        None => wavelengths_needed(scene, telescope, diversity).min(MAX_WAVELENGTHS),
+        None => filter.wavelengths_needed(scene, telescope, diversity).min(MAX_WAVELENGTHS),
     };
+    let mean = filter.mean()?;
     if count == 1 {
-        return Ok(vec![Colour::MONOCHROMATIC]);
+        return Ok(ModelLight { mean, colours: vec![Colour::MONOCHROMATIC] });
     }
-    Ok(band(width, count).into_iter().map(|(ratio, share)| Colour { ratio, share }).collect())
+    let wavelengths = filter.wavelengths(count)?.into_iter();
+    Ok(ModelLight { mean, colours: wavelengths.map(|(ratio, share)| Colour { ratio: ratio / mean, share }).collect() })
 }
 
 /// Wavelengths that are enough for a filter half as wide again as that of `scene`.
@@ -38,7 +51,7 @@ pub(super) fn colours(scene: &Scene, telescope: &Telescope, diversity: &Diversit
 /// Those of building the telescope.
 pub(super) fn enough_beyond(scene: &Scene) -> Result<usize> {
     let telescope = Telescope::new(scene)?;
-    let needed = wavelengths_needed(scene, &telescope, &Diversity::new(scene, &telescope)?);
+    let needed = Filter::new(scene)?.wavelengths_needed(scene, &telescope, &Diversity::new(scene, &telescope)?);
     Ok((needed + needed.div_ceil(2)).min(MAX_WAVELENGTHS))
 }
 
@@ -51,7 +64,7 @@ mod tests {
         let with = |settings: &[(&str, &str)]| {
             let scene = Scene::preset("keck-artificial").unwrap().with(settings).unwrap();
             let telescope = Telescope::new(&scene).unwrap();
-            colours(&scene, &telescope, &Diversity::new(&scene, &telescope).unwrap())
+            light(&scene, &telescope, &Diversity::new(&scene, &telescope).unwrap()).map(|light| light.colours)
         };
         assert_eq!(with(&[]).unwrap(), [Colour::MONOCHROMATIC]);
         assert_eq!(with(&[("image.bandwidth_fraction", "0.5")]).unwrap().len(), MAX_WAVELENGTHS);

@@ -108,7 +108,9 @@ impl Model {
             (telescope.pupil.grid, telescope.hard_weights())
         };
         let per_lambda_over_d = pixels.per_lambda_over_d * telescope.pupil.grid.width_m() / grid.width_m();
-        let sampling = Sampling::new(grid.samples(), pixels.preparation.pixels, per_lambda_over_d)?;
+        let light = band::light(scene, &telescope, diversity)?;
+        // A pixel is a fixed angle: it spans fewer λ/D where λ is longer.
+        let sampling = Sampling::new(grid.samples(), pixels.preparation.pixels, per_lambda_over_d * light.mean)?;
         let points: Vec<(f64, f64)> = weights
             .illuminated
             .iter()
@@ -120,8 +122,8 @@ impl Model {
             .transpose()?;
         let optics = Optics::new(OpticsParts {
             sampling,
-            wavelength_nm: scene.image.wavelength_nm,
-            colours: band::colours(scene, &telescope, diversity)?,
+            wavelength_nm: scene.image.wavelength_nm * light.mean,
+            colours: light.colours,
             pixel: [0, 1].map(|axis| pixel_response(scene).in_pixels_of(pixels.preparation.native_along(axis))),
             slopes,
             diversity_nm: points.iter().map(|&(x, y)| diversity.at(x, y)).collect(),

@@ -9,6 +9,7 @@
 
 use super::prepare::Frame;
 use crate::scene::Scene;
+use crate::telescope::Filter;
 use faer::linalg::solvers::Solve;
 use ndarray::{Array2, ArrayViewMut1, Axis, Zip};
 use num_complex::Complex64;
@@ -59,10 +60,10 @@ pub(super) struct OutlierFinder {
 }
 
 impl OutlierFinder {
-    /// A finder for frames of `scene`; `None` where they are sampled too coarsely.
-    pub(super) fn new(scene: &Scene) -> Option<Self> {
+    /// A finder for frames of `scene` through its `filter`; `None` where they are sampled too coarsely.
+    pub(super) fn new(scene: &Scene, filter: &Filter) -> Option<Self> {
         let (rows, columns) = scene.image.frame_shape();
-        let shortest = 1.0 - 0.5 * scene.image.bandwidth_fraction;
+        let [shortest, _] = filter.range();
         let cutoff = MARGIN / (scene.image.samples_per_lambda_over_d * shortest);
         let cycles = |i: usize, n: usize| i.min(n - i) as f64 / n as f64;
         let free = Array2::from_shape_fn((rows, columns), |(y, x)| cycles(y, rows).hypot(cycles(x, columns)) > cutoff);
@@ -229,7 +230,7 @@ mod tests {
 
     fn clean(scene: &Scene, data_e: &Array2<f64>, bad: &Array2<bool>) -> Option<CleanedFrame> {
         let frame = Frame { data_e: data_e.view(), bad: bad.view(), read_noise_e: Some(NOISE_E) };
-        OutlierFinder::new(scene).unwrap().clean(frame)
+        OutlierFinder::new(scene, &Filter::new(scene).unwrap()).unwrap().clean(frame)
     }
 
     #[test]
@@ -285,6 +286,6 @@ mod tests {
         assert!(clean(&scene, &Array2::zeros((8, 8)), &Array2::from_elem((8, 8), false)).is_none());
         // Light of coarser pixels reaches all frequencies.
         let coarse = scene.with(&[("image.samples_per_lambda_over_d", "1.5")]).unwrap();
-        assert!(OutlierFinder::new(&coarse).is_none());
+        assert!(OutlierFinder::new(&coarse, &Filter::new(&coarse).unwrap()).is_none());
     }
 }

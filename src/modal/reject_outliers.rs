@@ -8,6 +8,7 @@ use super::status::Status;
 use crate::Result;
 use crate::imaging::Chain;
 use crate::scene::Scene;
+use crate::telescope::Filter;
 use ndarray::{Array2, Array3, Axis};
 use rayon::prelude::*;
 
@@ -31,9 +32,10 @@ impl ModalFitter {
         let reports = self.reports(fits);
         let unexplained: Vec<usize> =
             (0..fits.len()).filter(|&image| fits[image].is_fitted() && reports[image].status != Status::Ok).collect();
-        let Some(finder) = (!unexplained.is_empty()).then(|| OutlierFinder::new(&self.scene)).flatten() else {
+        if unexplained.is_empty() {
             return Ok(cleaned);
-        };
+        }
+        let Some(finder) = OutlierFinder::new(&self.scene, &Filter::new(&self.scene)?) else { return Ok(cleaned) };
         let find = |&image: &usize| {
             Some((image, for_fit(finder.clean(frames[image])?, &frames[image], self.fits_native_pixels())))
         };
@@ -85,13 +87,16 @@ pub struct CleanedImages {
 }
 
 /// Subtracts the excess of outlier pixels from images of `scene` (`[image, y, x]`); `None` where there are none.
+///
+/// # Errors
+/// Those of reading the filter.
 pub fn reject_outliers(
     scene: &Scene,
     images_e: &Array3<f64>,
     bad: &Array3<bool>,
     read_noise_e: Option<f64>,
-) -> Option<CleanedImages> {
-    let finder = OutlierFinder::new(scene)?;
+) -> Result<Option<CleanedImages>> {
+    let Some(finder) = OutlierFinder::new(scene, &Filter::new(scene)?) else { return Ok(None) };
     let read_noise_e = read_noise_e.or(scene.image.read_noise_e);
     let find = |image: usize| -> Option<(Array2<f64>, usize)> {
         let (data_e, bad) = (images_e.index_axis(Axis(0), image), bad.index_axis(Axis(0), image));
@@ -99,7 +104,7 @@ pub fn reject_outliers(
     };
     let found: Vec<Option<(Array2<f64>, usize)>> = (0..images_e.dim().0).into_par_iter().map(find).collect();
     if found.iter().all(Option::is_none) {
-        return None;
+        return Ok(None);
     }
     let mut cleaned = CleanedImages { images_e: images_e.clone(), rejected_pixels: vec![0; found.len()] };
     for (image, (data_e, rejected)) in found.into_iter().enumerate().filter_map(|(image, found)| Some((image, found?)))
@@ -107,7 +112,7 @@ pub fn reject_outliers(
         cleaned.images_e.index_axis_mut(Axis(0), image).assign(&data_e);
         cleaned.rejected_pixels[image] = rejected;
     }
-    Some(cleaned)
+    Ok(Some(cleaned))
 }
 
 #[cfg(test)]
@@ -120,10 +125,10 @@ mod tests {
         let scene = Scene::preset("keck-artificial").unwrap().with(&settings).unwrap();
         let clean_e = crate::source::simulate(&scene).unwrap().images_e;
         let bad = clean_e.mapv(|_| false);
-        assert!(reject_outliers(&scene, &clean_e, &bad, None).is_none());
+        assert!(reject_outliers(&scene, &clean_e, &bad, None).unwrap().is_none());
         let mut images_e = clean_e.clone();
         images_e[[1, 50, 60]] += 1e6;
-        let found = reject_outliers(&scene, &images_e, &bad, None).unwrap();
+        let found = reject_outliers(&scene, &images_e, &bad, None).unwrap().unwrap();
         assert_eq!(found.rejected_pixels, [0, 1, 0]);
         assert!(found.images_e.index_axis(Axis(0), 2) == clean_e.index_axis(Axis(0), 2));
         // The excess is subtracted up to its own photon noise, 1e3, and a share of the light.

@@ -36,11 +36,14 @@ fn values(scene: &Scene) -> Vec<(&'static str, Value)> {
     let (pupil, image) = (&scene.pupil, &scene.image);
     let mut values = vec![
         ("image.wavelength_nm", Number(image.wavelength_nm)),
-        ("image.bandwidth_fraction", Number(image.bandwidth_fraction)),
         ("image.samples_per_lambda_over_d", Number(image.samples_per_lambda_over_d)),
         ("image.pixel_fill", Number(image.pixel_fill)),
         ("image.charge_diffusion_pixels", Number(image.charge_diffusion_pixels)),
     ];
+    if image.filter_file.is_none() {
+        values.push(("image.bandwidth_fraction", Number(image.bandwidth_fraction)));
+    }
+    values.extend(image.star_temperature_k.map(|kelvin| ("image.star_temperature_k", Number(kelvin))));
     if image.diversity_file.is_none() {
         values.push(("image.diversity_focus_waves_rms", Number(image.diversity_focus_waves_rms)));
     }

@@ -5,13 +5,14 @@ use crate::scene::{Aperture, Purpose, Scene};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// The file that each channel may have of its own.
+/// Files that each channel may have of its own.
 const DIVERSITY_FILE: &str = "image.diversity_file";
+const FILTER_FILE: &str = "image.filter_file";
 
 /// Files that `scene` names: key and path.
 pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
     let channels = scene.channels().iter().flat_map(|channel| scene_files(&channel.scene));
-    let channels: Vec<_> = channels.filter(|(key, _)| *key == DIVERSITY_FILE).collect();
+    let channels: Vec<_> = channels.filter(|(key, _)| [DIVERSITY_FILE, FILTER_FILE].contains(key)).collect();
     let pupil = match &scene.pupil.aperture {
         Aperture::File(file) => Some(file),
         _ => None,
@@ -20,6 +21,7 @@ pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
         ("pupil.file", pupil),
         ("modes.file", scene.modes.file.as_ref()),
         (DIVERSITY_FILE, scene.image.diversity_file.as_ref()),
+        (FILTER_FILE, scene.image.filter_file.as_ref()),
         ("aberrations.ncpa_file", scene.aberrations.as_ref().and_then(|aberrations| aberrations.ncpa_file.as_ref())),
         ("mirror.actuator_file", scene.mirror.actuator_file.as_ref()),
         (

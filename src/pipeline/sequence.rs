@@ -143,7 +143,7 @@ pub(super) fn estimate(
         other => Ok(other?),
     };
     let prior = prior(scene, ao_knowledge)?;
-    let cleaned = reject_outliers(scene, &images.images_e, &images.bad, images.read_noise_e);
+    let cleaned = reject_outliers(scene, &images.images_e, &images.bad, images.read_noise_e)?;
     let images_e = cleaned.as_ref().map_or(images.images_e.as_ref(), |cleaned: &CleanedImages| &cleaned.images_e);
     let cube = Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
     let retrieval = retrieval_settings(scene, cube.images_e);

@@ -6,6 +6,7 @@ use crate::Result;
 use crate::modal::ModalFitter;
 use crate::optimize::CancelFlag;
 use crate::scene::Scene;
+use crate::telescope::Filter;
 
 /// An effect that a model may leave out.
 #[derive(Debug, Clone)]
@@ -33,8 +34,8 @@ pub(super) fn omissions(
 ) -> Result<Vec<Omission>> {
     let mut omissions = Vec::new();
     let own = chosen.error_nm();
-    let width = asked.image.bandwidth_fraction;
-    if width > 0.0 {
+    let filter = Filter::new(asked)?;
+    if !filter.is_monochromatic() {
         // The images have the filter's width; the plan may model it or not, and the other choice is tried here.
         let modelled = !like.model().optics.has_one_wavelength();
         let other = planned.with_override("estimate.wavelengths", if modelled { "1" } else { "" })?;
@@ -44,7 +45,7 @@ pub(super) fn omissions(
         let broad = if modelled { like.model() } else { model.model() };
         let times = broad.optics.parts().colours.len();
         let because =
-            format!("the filter of {} % takes {times} wavelengths, and {times} times the time", 100.0 * width);
+            format!("the filter of {} takes {times} wavelengths, and {times} times the time", percent(asked, &filter));
         omissions.push(Omission { what: "bandwidth of the filter", modelled, with_nm, without_nm, because });
     }
     let mut alternative = |what, key, value: &str, because: String| -> Result<()> {
@@ -63,4 +64,13 @@ pub(super) fn omissions(
         alternative("flux of the star", "estimate.fit_flux", "false", because)?;
     }
     Ok(omissions)
+}
+
+/// Width of the filter of `scene`, for a message: that of a curve is measured and has no round value.
+fn percent(scene: &Scene, filter: &Filter) -> String {
+    if scene.image.filter_file.is_some() {
+        format!("{:.1} %", 100.0 * filter.width())
+    } else {
+        format!("{} %", 100.0 * scene.image.bandwidth_fraction)
+    }
 }

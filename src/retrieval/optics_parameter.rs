@@ -79,7 +79,8 @@ impl OpticsParameter {
         if !has_diversity(image) {
             return all;
         }
-        if scene.estimate.wavelengths.is_none() {
+        // The width of a filter from a file is known.
+        if scene.estimate.wavelengths.is_none() && image.filter_file.is_none() {
             all.push(Self {
                 key: "image.bandwidth_fraction",
                 kind: OpticsKind::Camera,

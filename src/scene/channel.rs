@@ -155,7 +155,8 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
 
 const SAMPLING: &str = "samples_per_lambda_over_d";
 /// Keys of which a scene may name one: a channel that names one of them replaces both.
-const ALTERNATIVES: [[&str; 2]; 2] = [["peak_snr", "flux_e"], ["diversity_focus_waves_rms", "diversity_file"]];
+const ALTERNATIVES: [[&str; 2]; 3] =
+    [["peak_snr", "flux_e"], ["diversity_focus_waves_rms", "diversity_file"], ["bandwidth_fraction", "filter_file"]];
 
 /// Sampling of a channel of another wavelength: that of `[image]` for pixels of the same angle.
 fn followed_sampling(image: &dyn TableLike, channel: &Table) -> Option<f64> {

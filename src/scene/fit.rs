@@ -73,7 +73,7 @@ section! {
         /// grid.
         samples: Option<usize>, even(16.0, 2048.0), unset("pupil.samples");
         /// Number of wavelengths of the model; the time of an evaluation is proportional to it.
-        wavelengths: Option<usize>, between(1.0, 99.0), unset("as image.bandwidth_fraction requires; 1 with the paper's recipes");
+        wavelengths: Option<usize>, between(1.0, 99.0), unset("as the width of the filter requires; 1 with the paper's recipes");
         /// Largest number of evaluations of the objective for one image.
         max_evaluations: Option<usize>, between(1.0, 1e6), unset("given by optimizer");
         /// The fit stops if neither a coefficient nor the RMS of the wavefront would change by more than this.

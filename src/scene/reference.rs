@@ -4,7 +4,7 @@ use super::section_keys::SectionKeys;
 use std::fmt::Write;
 
 /// Suffixes of keys and their units, longer ones first.
-const UNITS: [(&str, &str); 11] = [
+const UNITS: [(&str, &str); 12] = [
     ("_over_d", "pixels per λ/grid_m"),
     ("_waves_rms", "waves RMS"),
     ("_cycles", "cycles per grid_m"),
@@ -13,6 +13,7 @@ const UNITS: [(&str, &str); 11] = [
     ("_rad", "radians"),
     ("_nm", "nm"),
     ("_hz", "Hz"),
+    ("_k", "K"),
     ("_m", "m"),
     ("_s", "s"),
     ("_e", "electrons"),

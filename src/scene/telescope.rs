@@ -167,10 +167,15 @@ const LEAST_SAMPLING_OF_PIXELS: f64 = 1.9;
 section! {
     /// Science camera and its images.
     ImageScene = "image" {
-        /// Mean wavelength of the filter.
+        /// Wavelength of the filter, to which its sampling and the waves of the diversity belong: its middle, or one that filter_file passes.
         wavelength_nm: f64, between(100.0, 100_000.0), required();
         /// Full width of the filter relative to the wavelength; 0 for monochromatic light.
         bandwidth_fraction: f64, between(0.0, 0.5), default(0.0);
+        /// Transmission of the filter, in place of bandwidth_fraction: text table of wavelength in nm, ascending, and relative number
+        /// of detected photons per photon, linear between its rows and 0 outside. Comments begin with #.
+        filter_file: Option<PathBuf>, ANY, unset("bandwidth_fraction");
+        /// Temperature of the star, whose photons are those of a black body over the filter; without effect on monochromatic light.
+        star_temperature_k: Option<f64>, between(100.0, 1e6), unset("as many photons at each wavelength");
         /// Sampling of the image: detector pixels per λ/grid_m.
         samples_per_lambda_over_d: f64, above(0.0, 64.0), default(2.0);
         /// Number of pixels along a side of the image; images with one more are read without their last row and column.
@@ -242,6 +247,13 @@ impl Check for ImageScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("peak_snr", "flux_e")?;
         reader.not_both("diversity_focus_waves_rms", "diversity_file")?;
+        if self.filter_file.is_some() && self.bandwidth_fraction > 0.0 {
+            let sentence = format!(
+                "'image.filter_file' and image.bandwidth_fraction = {} are both given; name only one of them",
+                self.bandwidth_fraction
+            );
+            return Err(reader.error("filter_file", sentence));
+        }
         if self.flux_e.is_none() {
             self.peak_snr.get_or_insert(500.0);
         }

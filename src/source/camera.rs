@@ -8,7 +8,7 @@ use crate::grid::Grid;
 use crate::machine;
 use crate::pupil::SegmentWeights;
 use crate::scene::{ImageScene, Scene};
-use crate::telescope::{Diversity, Telescope, band, wavelengths_needed};
+use crate::telescope::{Diversity, Filter, Telescope};
 use ndarray::{Array2, s};
 use rand::Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
@@ -29,6 +29,7 @@ pub struct Camera<'a> {
     grid: Grid,
     weights: SegmentWeights,
     diversity: Diversity,
+    filter: Filter,
 }
 
 impl<'a> Camera<'a> {
@@ -36,7 +37,7 @@ impl<'a> Camera<'a> {
     /// [`Telescope::truth_samples`]).
     ///
     /// # Errors
-    /// [`crate::Error::Value`] for a coarse pupil map and a finer grid.
+    /// [`crate::Error::Value`] for a coarse pupil map and a finer grid; those of reading the diversity and the filter.
     pub fn new(scene: &'a Scene, telescope: &'a Telescope) -> Result<Self> {
         let own = telescope.pupil.grid;
         let stated = scene.aberrations.as_ref().and_then(|aberrations| aberrations.truth_samples);
@@ -49,7 +50,7 @@ impl<'a> Camera<'a> {
         )?;
         let weights = telescope.area_weights(grid)?;
         let diversity = Diversity::new(scene, telescope)?;
-        Ok(Self { scene, telescope, grid, weights, diversity })
+        Ok(Self { scene, telescope, grid, weights, diversity, filter: Filter::new(scene)? })
     }
 
     /// Computes the noise-free PSF on the detector's frame, `[y, x]`; it sums to 1 over an unbounded detector.
@@ -68,12 +69,13 @@ impl<'a> Camera<'a> {
     fn square_psf(&self, truth: &Truth) -> Result<Array2<f64>> {
         let image = &self.scene.image;
         let opd_nm = self.smooth_opd_nm(truth)?;
-        if image.bandwidth_fraction == 0.0 {
+        if self.filter.is_monochromatic() {
             return self.monochromatic(truth, &opd_nm, image.wavelength_nm);
         }
-        let count = LEAST_WAVELENGTHS.max(2 * wavelengths_needed(self.scene, self.telescope, &self.diversity));
+        let count =
+            LEAST_WAVELENGTHS.max(2 * self.filter.wavelengths_needed(self.scene, self.telescope, &self.diversity));
         let mut sum = Array2::zeros((image.pixels, image.pixels));
-        for (ratio, share) in band(image.bandwidth_fraction, count) {
+        for (ratio, share) in self.filter.wavelengths(count)? {
             sum.scaled_add(share, &self.monochromatic(truth, &opd_nm, image.wavelength_nm * ratio)?);
         }
         Ok(sum)

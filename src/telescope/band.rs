@@ -4,17 +4,6 @@
 //! exactly. At r λ/D from the axis the phase of the field changes by r·Δ turns over a band of width Δ; the mean of
 //! cos(2π·t·r·Δ) over t from −½ to ½ has an error of 1e-3 with K = 2 + 2·r·Δ nodes.
 
-use super::diversity::Diversity;
-use super::model::Telescope;
-use crate::scene::Scene;
-
-/// Number of wavelengths for the spot of `scene`: the error is a thousandth of the effect of the filter's width. 1 for
-/// a monochromatic scene.
-pub fn wavelengths_needed(scene: &Scene, telescope: &Telescope, diversity: &Diversity) -> usize {
-    let (width, spot) = (scene.image.bandwidth_fraction, diversity.spot(&telescope.pupil, scene.image.wavelength_nm));
-    wavelengths_to(spot, width)
-}
-
 /// Number of wavelengths for a filter of `width` (relative to its mean wavelength) and light up to
 /// `reach_lambda_over_d` from the axis.
 pub fn wavelengths_to(reach_lambda_over_d: f64, width: f64) -> usize {
@@ -29,7 +18,7 @@ pub fn band(width: f64, count: usize) -> Vec<(f64, f64)> {
 
 /// Nodes on (−1, 1) and weights of sum 1: zeros of Legendre's polynomial of degree `count` by Newton's method from
 /// Tricomi's starting points (Press et al., Numerical Recipes, section 4.6).
-fn gauss_legendre(count: usize) -> Vec<(f64, f64)> {
+pub(super) fn gauss_legendre(count: usize) -> Vec<(f64, f64)> {
     let n = count as f64;
     (0..count)
         .map(|i| {
@@ -75,17 +64,5 @@ mod tests {
             let whole = std::f64::consts::PI * spot * width;
             assert!((mean - whole.sin() / whole).abs() < 2e-3, "{spot} {width}: {mean} {}", whole.sin() / whole);
         }
-    }
-
-    #[test]
-    fn a_wider_filter_needs_more_wavelengths() {
-        let count = |width: &str| {
-            let scene = Scene::preset("keck-artificial").unwrap().with(&[("image.bandwidth_fraction", width)]).unwrap();
-            let telescope = Telescope::new(&scene).unwrap();
-            wavelengths_needed(&scene, &telescope, &Diversity::new(&scene, &telescope).unwrap())
-        };
-        // A spot between 20 and 25 λ/D: 2 + 0.6 to 0.75, 2 + 2 to 2.5, 2 + 8 to 10, each rounded up.
-        assert_eq!(["0", "0.015", "0.05"].map(count), [1, 3, 5]);
-        assert!((11..=12).contains(&count("0.2")), "{}", count("0.2"));
     }
 }

@@ -6,13 +6,17 @@
 
 mod band;
 mod diversity;
+mod filter;
+mod filter_file;
 mod model;
 mod pixels;
 mod places;
+mod spectrum;
 
 pub use band::band;
-pub(crate) use band::{wavelengths_needed, wavelengths_to};
+pub(crate) use band::wavelengths_to;
 pub use diversity::{Diversity, MapOnGrid};
+pub use filter::Filter;
 pub use model::Telescope;
 pub use pixels::pixel_response;
 pub use places::SegmentPlace;

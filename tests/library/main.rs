@@ -6,6 +6,7 @@ mod common;
 mod channels;
 mod checksums;
 mod consistency;
+mod filter;
 mod fits;
 mod full_phase;
 mod fuzz;

@@ -7,6 +7,7 @@ mod compressed;
 mod drivers;
 #[cfg(debug_assertions)]
 mod faults;
+mod filter;
 mod frames;
 mod headers;
 mod interrupt;

@@ -11,7 +11,7 @@ use crate::Result;
 use crate::ao::footprint::{Footprint, LANES};
 use crate::ao::phase::unit_phasor;
 use crate::machine;
-use crate::telescope::{band, wavelengths_to};
+use crate::telescope::{Filter, wavelengths_to};
 use ndarray::Array2;
 use num_complex::Complex32;
 use pulp::{Arch, NullaryFnOnce};
@@ -48,17 +48,19 @@ impl ScienceCamera {
         let n = optics.footprint.samples();
         // Light scattered by uncorrected turbulence reaches the corners.
         let corner = 0.5 * (view.rows as f64).hypot(view.columns as f64) / view.samples_per_lambda_over_d;
-        let count = wavelengths_to(corner, view.bandwidth_fraction);
+        let filter = if view.spectrum { optics.filter.clone() } else { Filter::top_hat(view.bandwidth_fraction) };
+        let count = wavelengths_to(corner, filter.width());
         // Two maps for each wavelength, and a transform of complex numbers for each column of pixels.
-        let longest = n as f64 * view.samples_per_lambda_over_d * (1.0 + view.bandwidth_fraction);
+        let longest = n as f64 * view.samples_per_lambda_over_d * (1.0 + filter.width());
         let bytes = 8.0 * ((n * n * count) as f64 + view.columns as f64 * longest.max(n as f64));
         machine::check_memory(
             format_args!("a camera of {count} wavelengths on {n}x{n} samples"),
             bytes as u64,
-            "set a smaller image.bandwidth_fraction or fewer wavefront_sensor.samples_per_lenslet",
+            "set a smaller image.bandwidth_fraction (or a narrower image.filter_file) or fewer wavefront_sensor.samples_per_lenslet",
         )?;
         let weights = segment_weights(&view, optics)?;
-        let wavelengths: Vec<MonochromaticField> = band(view.bandwidth_fraction, count)
+        let wavelengths: Vec<MonochromaticField> = filter
+            .wavelengths(count)?
             .into_iter()
             .map(|(ratio, share)| MonochromaticField::new(&view, (view.wavelength_nm * ratio, share), optics, &weights))
             .collect::<Result<_>>()?;

@@ -4,7 +4,7 @@ use crate::ao::footprint::Footprint;
 use crate::pupil::Pupil;
 use crate::scene::ImageScene;
 use crate::source::Truth;
-use crate::telescope::{Diversity, Telescope};
+use crate::telescope::{Diversity, Filter, Telescope};
 
 /// Aberrations, wavelength and detector of an image, in addition to the loop's residual wavefront.
 #[derive(Debug, Clone, Copy)]
@@ -25,6 +25,9 @@ pub struct View {
     pub samples_per_lambda_over_d: f64,
     /// Width of the filter as a fraction of the wavelength; 0 for one wavelength.
     pub bandwidth_fraction: f64,
+    /// Whether the filter curve and the temperature of the star in the scene apply, in place of a flat `bandwidth_fraction`; their
+    /// wavelengths are relative to `wavelength_nm`.
+    pub spectrum: bool,
 }
 
 impl View {
@@ -40,6 +43,7 @@ impl View {
             columns,
             samples_per_lambda_over_d: image.samples_per_lambda_over_d,
             bandwidth_fraction: image.bandwidth_fraction,
+            spectrum: image.filter_file.is_some() || image.star_temperature_k.is_some(),
         }
     }
 }
@@ -56,6 +60,8 @@ pub struct Optics<'a> {
     pub truth: &'a Truth,
     /// Diversity of the scene.
     pub diversity: &'a Diversity,
+    /// Filter and star of the scene.
+    pub filter: &'a Filter,
     /// Segment errors over the footprint, nm, as the residual wavefront contains them.
     pub segments_nm: &'a [f32],
 }

@@ -63,6 +63,7 @@ fn starts_of(scene: &Scene, recipe: &Recipe, optic: Optic) -> Result<Vec<Start>>
         Optic::Spiders => (pupil.spider_width_m, SPIDER_STEP_M.min(0.5 * pupil.spider_width_m)),
         Optic::Defocus if image.diversity_file.is_some() => return missing("a diversity from a file"),
         Optic::Defocus => (image.diversity_focus_waves_rms, 5e-3),
+        Optic::Bandwidth if image.filter_file.is_some() => return missing("a filter from a file"),
         // The image depends on the square of the width: its derivative at 0 is 0.
         Optic::Bandwidth if image.bandwidth_fraction == 0.0 => return missing("light of one wavelength"),
         Optic::Bandwidth => (image.bandwidth_fraction, WIDTH_STEP.min(0.5 * image.bandwidth_fraction)),

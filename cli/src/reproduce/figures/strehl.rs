@@ -132,6 +132,7 @@ impl Seen {
             columns: PIXELS,
             samples_per_lambda_over_d: SAMPLES_PER_LAMBDA_OVER_D,
             bandwidth_fraction: 0.0,
+            spectrum: false,
         };
         let flat = simulator.footprint().zeros();
         let perfect = simulator.camera(View { segments: false, ncpa: false, ..view })?.psf(&flat).mapv(f64::from);
