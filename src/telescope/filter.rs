@@ -94,7 +94,7 @@ impl Filter {
     }
 
     /// Width from the shortest to the longest wavelength. With it the number of wavelengths of a curve follows the rule of the top hat
-    /// ([`wavelengths_to`]): the mean of a polynomial of degree 2K − 1 is exact for both, and the mean of what remains of cos and sin is
+    /// (`wavelengths_to` in `band.rs`): the mean of a polynomial of degree 2K − 1 is exact for both, and the mean of what remains of cos and sin is
     /// at most the largest remainder over that width. A width by the standard deviation is too small: with a core and wings its nodes
     /// are spread over the wings, and for a Gaussian the mean is wrong by up to 1.
     pub fn width(&self) -> f64 {

@@ -28,6 +28,9 @@ fn every_chain_finds_the_estimate_of_the_double_precision_cpu() {
             ("image.background_e", between(0.0, 500.0)),
             ("image.count", IMAGES.to_string()),
             ("estimate.samples", (2 * (24 + 4 * number)).to_string()),
+            // The camera of two of them: a filter with a width, and pixels with an area.
+            ("image.bandwidth_fraction", if number >= 3 { "0.05" } else { "0" }.into()),
+            ("image.pixel_fill", if number == 4 { "0.9" } else { "0" }.into()),
         ];
         let settings: Vec<(&str, &str)> = settings.iter().map(|(key, value)| (*key, value.as_str())).collect();
         let scene = scene(&settings);
