@@ -3,6 +3,7 @@
 use super::combined_modes::CombinedModes;
 use super::fitter::ModalFitter;
 use super::global_motions::GlobalMotions;
+use super::in_focus::NearLikelihood;
 use super::mean_residual::{EXPLAINED, mean_residual_chi2};
 use super::minimum::Minimum;
 use super::model::Model;
@@ -95,6 +96,8 @@ pub struct ModalEstimate {
     pub precision: &'static str,
     /// The combined modes without a prior and without the errors that all images share.
     likelihood: CombinedModes,
+    /// The likelihood of images in focus near the estimate of others, in place of `likelihood`.
+    pub(super) near: Option<NearLikelihood>,
     /// Covariances of a single image.
     single: SingleImage,
 }
@@ -114,6 +117,11 @@ impl ModalEstimate {
     /// The combined modes without a prior and without the errors that all images share.
     pub(super) fn likelihood(&self) -> &CombinedModes {
         &self.likelihood
+    }
+
+    /// Whether this is an estimate from images in focus near that of other images.
+    pub(crate) fn is_near_others(&self) -> bool {
+        self.near.is_some()
     }
 
     /// Number of images that were combined.
@@ -224,6 +232,7 @@ pub(super) fn combine(
         combined,
         averaged_covariance_nm2,
         likelihood,
+        near: None,
         single,
         seconds: 0.0,
         device: String::new(),

@@ -1,9 +1,11 @@
 //! Modal estimate of a cube of images: every image fitted, outlier pixels rejected, wrong minima restarted, images combined.
 
 use super::combine::{self, Combination, ModalEstimate};
+use super::combined_modes::CombinedModes;
 use super::cube::Cube;
 use super::engine::{FitState, ImageFit, Watch};
 use super::fitter::ModalFitter;
+use super::in_focus::NearLikelihood;
 use super::minimum::Minimum;
 use super::pistons;
 use super::prepare::{Frame, PreparedFrame, Refusal};
@@ -13,6 +15,7 @@ use crate::optimize::CancelFlag;
 use crate::scene::Combine;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1, ArrayView3};
+use std::time::Instant;
 
 /// Coefficients and report of each image; see [`ModalFitter::fit_each`].
 #[derive(Debug, Clone)]
@@ -87,8 +90,32 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<ModalEstimate> {
-        let started = std::time::Instant::now();
-        let FittedCube { refused, indices, prepared, minima } = self.fit_all(chain, cube, start_nm, cancel, watch)?;
+        let started = Instant::now();
+        let fitted = self.fit_all(chain, cube, start_nm, cancel, watch)?;
+        self.combined(chain, fitted, started)
+    }
+
+    /// Estimate from images in focus, near the estimate `others` of other images of the same wavefront: see [`NearLikelihood`].
+    ///
+    /// # Errors
+    /// As [`ModalFitter::estimate`].
+    pub(crate) fn estimate_near(
+        &self,
+        chain: &mut Chain,
+        cube: Cube,
+        others: &CombinedModes,
+        cancel: Option<&CancelFlag>,
+    ) -> Result<ModalEstimate> {
+        let started = Instant::now();
+        let mut fitted = self.fit_all(chain, cube, Some(&others.coefficients_nm), cancel, &mut |_, _| {})?;
+        let near = NearLikelihood::new(self, &fitted.prepared, &mut fitted.minima, others)?;
+        let mut estimate = self.combined(chain, fitted, started)?;
+        estimate.near = Some(near);
+        Ok(estimate)
+    }
+
+    fn combined(&self, chain: &Chain, fitted: FittedCube, started: Instant) -> Result<ModalEstimate> {
+        let FittedCube { refused, indices, prepared, minima } = fitted;
         let mut estimate = combine::combine(self, refused, &indices, &prepared, minima)?;
         estimate.seconds = started.elapsed().as_secs_f64();
         estimate.device = chain.device_name();

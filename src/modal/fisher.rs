@@ -83,6 +83,19 @@ pub(super) fn pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Result<Array2<
     Ok(times_transposed(root.view(), root.view()))
 }
 
+/// `information` of the modes where amounts of `directions` (rows) are unknown.
+pub(super) fn without(information: Array2<f64>, directions: &Array2<f64>) -> Array2<f64> {
+    directions.outer_iter().fold(information, |information, direction| {
+        let along = information.dot(&direction);
+        let own = direction.dot(&along);
+        if own <= 0.0 {
+            return information;
+        }
+        let column = along.insert_axis(Axis(1));
+        information - column.dot(&column.t()) / own
+    })
+}
+
 /// Number of directions of `information` whose eigenvalue is above `floor`, as [`pseudo_inverse`] has it; 0 where none is.
 pub(super) fn rank(information: &Array2<f64>, floor: f64) -> usize {
     scaled_metric(information, floor).map_or(0, |(metric, _)| metric.rank())

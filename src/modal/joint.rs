@@ -13,25 +13,24 @@
 //! c + δ d_i behind d_i. One mechanism is assumed to make them all. It is known to σ (`estimate.diversity_error`), not at all where
 //! `estimate.fit_optics` names "defocus", and exactly otherwise. Two images with diversities d and −d determine it, one does not.
 //!
+//! Of a channel in focus ĉ_i is not known, but Λ_i and Λ_i (ĉ_i − c_i) about a point c_i: see `in_focus.rs`.
+//!
 //! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the channels are of one wavefront by one
 //! model: an image that is flipped, or of another wavelength than the scene says, disagrees with the others.
 
 use super::combine::{maps, sigma_maps, with_prior};
 use super::combined_modes::CombinedModes;
-use super::diversity_error::ModeProjector;
 use super::estimate::ModalFit;
-use super::fisher::{self, null_floor, pseudo_inverse};
+use super::fisher::{self, null_floor, pseudo_inverse, without};
 use super::fitted_optic::FittedOptic;
 use super::fitter::ModalFitter;
 use super::integers::{self, ColourChannel, PistonInteger};
-use super::model::Model;
-use super::{pistons, tilts};
+use super::pistons;
+use super::tilts::spanned_tip_and_tilt;
 use crate::scene::{Optic, Scene};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate, s};
 
-/// Share of tip and tilt (RMS) outside the modes up to which the modes span them. The basis is exact to rounding.
-const MAX_RESIDUAL_SHARE: f64 = 1e-3;
 /// Least share of the information on the amplitude of the diversities that the modes must leave: below, an error of 1 % of the
 /// projections would be taken for it.
 const LEAST_SHARE: f64 = 1e-4;
@@ -60,9 +59,12 @@ pub(crate) struct JointEstimate {
 
 /// Normal likelihood of the modes, from one channel.
 struct Likelihood {
+    /// ĉ, nm; of a channel in focus a point near it.
     coefficients_nm: Array1<f64>,
     /// Λ, per nm².
     information: Array2<f64>,
+    /// Λ (ĉ − coefficients), per nm, of a channel in focus; none where that is 0.
+    gradient: Option<Array1<f64>>,
     /// p, nm.
     diversity_nm: Array1<f64>,
 }
@@ -88,7 +90,7 @@ fn resolve(
     Ok(integers::resolve(&mut colours, &covariance_nm2, pistons, scene.modes.piston_range_nm))
 }
 
-/// Combines the estimates of the channels of `scene`, which have the same modes.
+/// Combines the estimates of the channels of `scene`, which have the same modes; those of channels in focus are the last.
 ///
 /// # Errors
 /// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do not span;
@@ -114,14 +116,18 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
     if is_unknown {
         check_spanned(channels)?;
     }
-    let wavelengths_nm: Vec<f64> = channels.iter().map(|fit| fit.0.model.optics.parts().wavelength_nm).collect();
+    // Channels in focus have the whole wavelengths of the others, near whose estimate they are.
+    let defocused = likelihoods.iter().filter(|channel| channel.gradient.is_none()).count();
+    let wavelengths_nm = channels[..defocused].iter().map(|fit| fit.0.model.optics.parts().wavelength_nm);
+    let wavelengths_nm: Vec<f64> = wavelengths_nm.collect();
     let mut integers = Vec::new();
     if integers::are_determined(&wavelengths_nm) {
-        integers = resolve(scene, &mut likelihoods, &wavelengths_nm, model.pistons(), 1.0)?;
-        let (chi2, _) = Normal::new(&likelihoods, false, 0.0)?.disagreement(&likelihoods);
+        let likelihoods = &mut likelihoods[..defocused];
+        integers = resolve(scene, likelihoods, &wavelengths_nm, model.pistons(), 1.0)?;
+        let (chi2, _) = Normal::new(likelihoods, false, 0.0)?.disagreement(likelihoods);
         if chi2 > 1.0 {
             // The channels are less precise than their noise, and integers less certain.
-            let again = resolve(scene, &mut likelihoods, &wavelengths_nm, model.pistons(), chi2)?;
+            let again = resolve(scene, likelihoods, &wavelengths_nm, model.pistons(), chi2)?;
             integers = again.into_iter().zip(integers).map(|(new, old)| new.following(&old)).collect();
         }
     }
@@ -164,6 +170,12 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
 /// Likelihood of the channel `number`; its pistons within half a wavelength of the first channel's.
 fn likelihood_of((fitter, found): &ModalFit, number: usize, (first, reference): &ModalFit) -> Result<Likelihood> {
     let model = &fitter.model;
+    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
+    if let Some(near) = found.near.clone() {
+        let (coefficients_nm, gradient) = (near.coefficients_nm, Some(near.gradient));
+        let information = fitter.motions.without_information_on(&near.information);
+        return Ok(Likelihood { coefficients_nm, information, gradient, diversity_nm });
+    }
     let mut likelihood = found.likelihood().clone();
     if number > 0 {
         let reference = &reference.likelihood().coefficients_nm;
@@ -180,39 +192,8 @@ fn likelihood_of((fitter, found): &ModalFit, number: usize, (first, reference): 
     if number > 0 {
         information = without(information, &spanned_tip_and_tilt(model)?);
     }
-    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
-    Ok(Likelihood { coefficients_nm: Array1::from(likelihood.coefficients_nm), information, diversity_nm })
-}
-
-/// Coefficients of tip and tilt of the whole pupil, `[axis, mode]`, those that the modes of the NCPA span.
-fn spanned_tip_and_tilt(model: &Model) -> Result<Array2<f64>> {
-    let (pupil, basis) = (&model.telescope.pupil, &model.basis);
-    let mut found = Array2::zeros((0, basis.len()));
-    if model.segment_modes == basis.len() {
-        return Ok(found);
-    }
-    let projector = ModeProjector::new(pupil, basis, model.segment_modes)?;
-    for (map, _) in tilts::tip_and_tilt(pupil) {
-        let projection = projector.project(basis, &map)?;
-        if 1.0 - projection.mean_square_nm2 < MAX_RESIDUAL_SHARE.powi(2) {
-            let pushed = found.push(Axis(0), projection.coefficients_nm.view());
-            pushed.map_err(|error| Error::Internal(format!("tip and tilt: {error}")))?;
-        }
-    }
-    Ok(found)
-}
-
-/// `information` of the modes where amounts of `directions` (rows) are unknown.
-fn without(information: Array2<f64>, directions: &Array2<f64>) -> Array2<f64> {
-    directions.outer_iter().fold(information, |information, direction| {
-        let along = information.dot(&direction);
-        let own = direction.dot(&along);
-        if own <= 0.0 {
-            return information;
-        }
-        let column = along.insert_axis(Axis(1));
-        information - column.dot(&column.t()) / own
-    })
+    let coefficients_nm = Array1::from(likelihood.coefficients_nm);
+    Ok(Likelihood { coefficients_nm, information, gradient: None, diversity_nm })
 }
 
 /// Refuses an unknown amplitude of diversities that are not combinations of the modes.
@@ -266,6 +247,9 @@ impl Normal {
             let weighed = design.dot(&channel.information);
             matrix += &weighed.dot(&design.t());
             right += &weighed.dot(&channel.coefficients_nm);
+            if let Some(gradient) = &channel.gradient {
+                right += &design.dot(gradient);
+            }
         }
         if has_amplitude {
             matrix[[modes, modes]] += prior;
@@ -303,6 +287,12 @@ impl Normal {
             let Ok(design) = design(channel, self.has_amplitude) else { continue };
             let off = &channel.coefficients_nm - &design.t().dot(&self.solution);
             chi2 += off.dot(&channel.information.dot(&off));
+            if let Some(gradient) = &channel.gradient {
+                // The square of off + Λ⁺ g.
+                let floor = null_floor(gradient.len(), gradient.len());
+                let Ok(covariance) = pseudo_inverse(&channel.information, floor) else { continue };
+                chi2 += 2.0 * off.dot(gradient) + gradient.dot(&covariance.dot(gradient));
+            }
             freedom += rank(&channel.information);
         }
         if let Some((delta, _)) = self.amplitude().filter(|_| self.prior > 0.0) {

@@ -29,6 +29,19 @@ pub fn estimate_scene(
     estimate_with(scene, Recipe::with_prior(scene), &BasisCache::default(), cube, open, cancel, watch)
 }
 
+/// Whether `cube` is fitted at its native sampling.
+fn is_native(scene: &Scene, cube: Cube) -> bool {
+    scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad)
+}
+
+/// The fitter for `cube` of a scene that fits no optical parameters.
+///
+/// # Errors
+/// Those of [`ModalFitter::new`].
+pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &BasisCache, cube: Cube) -> Result<ModalFitter> {
+    ModalFitter::with_scene_basis(scene, recipe, is_native(scene, cube), cache.0.clone())
+}
+
 /// Estimates the static wavefront behind `cube` by `recipe`, on the chain that `open` opens for the model. Frames with bad
 /// pixels are fitted at their native sampling, because a reduction would smear them. Optical parameters that
 /// `estimate.fit_optics` names are fitted first.
@@ -44,11 +57,10 @@ pub fn estimate_with(
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(ModalFitter, ModalEstimate)> {
-    let native = scene.estimate.sampling == Sampling::Auto && cube.bad.iter().any(|bad| *bad);
     let fitter = if scene.estimate.fit_optics.is_empty() {
-        ModalFitter::with_scene_basis(scene, recipe, native, cache.0.clone())?
+        fitter_for(scene, recipe, cache, cube)?
     } else {
-        fit_optics::estimator(scene, &recipe, cube, native, cancel)?
+        fit_optics::estimator(scene, &recipe, cube, is_native(scene, cube), cancel)?
     };
     let mut chain = open(&fitter)?;
     let estimate = fitter.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, cancel, watch)?;

@@ -1,9 +1,13 @@
 //! Tip and tilt of a fitted wavefront.
 
+use super::diversity_error::ModeProjector;
 use super::model::Model;
-use crate::Result;
 use crate::pupil::Pupil;
-use ndarray::Array2;
+use crate::{Error, Result};
+use ndarray::{Array2, Axis};
+
+/// Share of tip and tilt (RMS) outside the modes up to which the modes span them. The basis is exact to rounding.
+const MAX_RESIDUAL_SHARE: f64 = 1e-3;
 
 /// x and y about their mean, at unit RMS over the pupil; and that RMS, m.
 pub(super) fn tip_and_tilt(pupil: &Pupil) -> [(Array2<f64>, f64); 2] {
@@ -15,6 +19,24 @@ pub(super) fn tip_and_tilt(pupil: &Pupil) -> [(Array2<f64>, f64); 2] {
         let rms_m = mean(&(&centred * &centred)).sqrt();
         (centred / rms_m, rms_m)
     })
+}
+
+/// Coefficients of tip and tilt of the whole pupil, `[axis, mode]`, those that the modes of the NCPA span.
+pub(super) fn spanned_tip_and_tilt(model: &Model) -> Result<Array2<f64>> {
+    let (pupil, basis) = (&model.telescope.pupil, &model.basis);
+    let mut found = Array2::zeros((0, basis.len()));
+    if model.segment_modes == basis.len() {
+        return Ok(found);
+    }
+    let projector = ModeProjector::new(pupil, basis, model.segment_modes)?;
+    for (map, _) in tip_and_tilt(pupil) {
+        let projection = projector.project(basis, &map)?;
+        if 1.0 - projection.mean_square_nm2 < MAX_RESIDUAL_SHARE.powi(2) {
+            let pushed = found.push(Axis(0), projection.coefficients_nm.view());
+            pushed.map_err(|error| Error::Internal(format!("tip and tilt: {error}")))?;
+        }
+    }
+    Ok(found)
 }
 
 /// Slopes over the pupil, by least squares, as nm RMS of tip and tilt.

@@ -10,8 +10,8 @@ use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::Selected;
 use super::policy::Policy;
-use crate::modal::{BasisCache, JointEstimate, has_diversity, joint};
-use crate::scene::{Method, Optic, Scene};
+use crate::modal::{BasisCache, CombinedModes, JointEstimate, has_diversity, joint};
+use crate::scene::{Method, Optic, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Axis, concatenate};
@@ -46,28 +46,43 @@ pub(super) fn estimate(
     channels: &[ChannelImages],
 ) -> Result<Estimate> {
     check(scene)?;
-    let (channels, left_out) = with_diversity(channels);
-    let (fits, found) = Channels::new(scene, policy, control, cache, &channels)?.fit_with_extensions()?;
-    let names: Vec<String> = channels.iter().map(|channel| channel.name.to_owned()).collect();
+    let [with, in_focus] = by_diversity(channels);
+    let defocused = Channels::new(scene, policy, control, cache, &with)?;
+    let (mut fits, mut found) = defocused.fit_with_extensions()?;
+    let (mut used, mut left_out) = (with.clone(), Vec::new());
+    if !in_focus.is_empty() {
+        let others = (!contradict(&found) && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
+        let selected = fits.iter().find_map(|fitted| fitted.selected.as_ref());
+        let own = Channels::new(scene, policy, control, cache, &in_focus)?;
+        let own = own.extended(selected.map_or(&[], |selected| &selected.settings))?;
+        for (number, channel) in in_focus.iter().enumerate() {
+            match own.fit_in_focus(number, others.as_ref())? {
+                Ok(fitted) => {
+                    fits.push(fitted);
+                    used.push(channel);
+                }
+                Err(reason) => left_out.push(format!(
+                    "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: \
+                     {reason}",
+                    channel.name
+                )),
+            }
+        }
+        if used.len() > with.len() {
+            found = defocused.combine(&fits)?;
+        }
+    }
+    let names: Vec<String> = used.iter().map(|channel| channel.name.to_owned()).collect();
     let each = fits.into_iter().map(|fitted| fitted.into_estimate(policy)).collect::<Result<Vec<_>>>()?;
     let mut estimate = combined(scene, found, names, each)?;
     estimate.warnings.splice(0..0, left_out);
     Ok(estimate)
 }
 
-/// The channels that determine the signs of the wavefront by themselves, and a sentence on each other one; all where none does.
-fn with_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> (Vec<&'b ChannelImages<'a>>, Vec<String>) {
+/// The channels that determine the signs of the wavefront by themselves, and those in focus; the first are all where none does.
+fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
     let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
-    if with.is_empty() {
-        return (channels.iter().collect(), Vec::new());
-    }
-    let sentence = |channel: &&ChannelImages| {
-        format!(
-            "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out",
-            channel.name
-        )
-    };
-    (with, without.iter().map(sentence).collect())
+    if with.is_empty() { [without, Vec::new()] } else { [with, without] }
 }
 
 /// Refuses a scene whose method reads one channel.
@@ -143,6 +158,31 @@ impl<'a> Channels<'a> {
         extended.explain(&mut fits)?;
         fits[chosen].selected = Some(selected);
         Ok((fits, joint))
+    }
+
+    /// Fit of a channel in focus near the estimate of the other channels, or the reason why it is of no use.
+    ///
+    /// # Errors
+    /// Those of [`ModalTask::fit_near`].
+    fn fit_in_focus(
+        &self,
+        channel: usize,
+        others: Option<&CombinedModes>,
+    ) -> Result<std::result::Result<Fitted, &'static str>> {
+        let task = self.task(channel);
+        let Some(others) = others else { return Ok(Err("the other channels do not explain their images")) };
+        if !task.scene.estimate.fit_optics.is_empty() {
+            return Ok(Err("optical parameters are fitted to defocused images only"));
+        }
+        if self.policy.recipe(task.scene).weighting != Weighting::Noise {
+            return Ok(Err("without weights by the noise its information is not known"));
+        }
+        let fitted = self.named(channel, task.fit_near(others))?;
+        Ok(if fitted.is_explained() {
+            Ok(fitted)
+        } else {
+            Err("the estimate of the others does not explain its images")
+        })
     }
 
     /// Looks for the causes of residuals, until one channel has a larger model that explains it: its number, and that model.

@@ -6,7 +6,7 @@ use super::model_selection::Selected;
 use super::policy::Policy;
 use crate::Result;
 use crate::imaging::Chain;
-use crate::modal::{self, BasisCache, Cube, ImageStatus, ModalFit, ModalFitter, Recipe};
+use crate::modal::{self, BasisCache, CombinedModes, Cube, ImageStatus, ModalFit, ModalFitter, Recipe};
 use crate::scene::Scene;
 use std::time::Instant;
 
@@ -51,6 +51,20 @@ impl ModalTask<'_> {
         let fit = self.fit_by(self.scene)?;
         let model_seconds = started.elapsed().as_secs_f64() - fit.1.seconds;
         Ok(Fitted { fit, selected: None, cause: None, changes: None, model_seconds })
+    }
+
+    /// Fits images in focus near the estimate `others` of other channels.
+    ///
+    /// # Errors
+    /// Those of [`ModalFitter::estimate_near`].
+    pub(super) fn fit_near(&self, others: &CombinedModes) -> Result<Fitted> {
+        let started = Instant::now();
+        let fitter = modal::fitter_for(self.scene, self.policy.recipe(self.scene), self.cache, self.cube())?;
+        let mut chain = self.open(&fitter)?;
+        let model_seconds = started.elapsed().as_secs_f64();
+        let found = fitter.estimate_near(&mut chain, self.cube(), others, Some(self.control.flag()))?;
+        self.check()?;
+        Ok(Fitted { fit: (fitter, found), selected: None, cause: None, changes: None, model_seconds })
     }
 
     /// Fits the images again from `start_nm`, and keeps the fit that explains them better; whether that is the new one.

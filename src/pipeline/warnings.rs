@@ -80,7 +80,9 @@ pub(super) fn modal_warnings(
 ) -> Vec<String> {
     let model = fitter.model();
     let mut sentences: Vec<String> = found.device_failure.iter().cloned().collect();
-    sentences.extend(diversity.warning(fitter.scene().image.wavelength_nm));
+    // Images in focus by themselves: the images of other channels determine what they do not.
+    let alone = !found.is_near_others();
+    sentences.extend(diversity.warning(fitter.scene().image.wavelength_nm).filter(|_| alone));
     for optic in fitter.fitted_optics().iter().filter(|optic| !optic.is_identifiable()) {
         sentences.push(format!(
             "estimate.fit_optics names \"{}\", which these images do not distinguish from the modes: {} stays {}, and the \
@@ -93,7 +95,8 @@ pub(super) fn modal_warnings(
     sentences.extend(image_warnings(found, changes));
     sentences.extend(mean_residual_warning(found));
     sentences.extend(model_warning(model));
-    for direction in found.degeneracy.null.iter().filter(|direction| !fitter.is_global_motion(direction)) {
+    let unknown = found.degeneracy.null.iter().filter(|direction| alone && !fitter.is_global_motion(direction));
+    for direction in unknown {
         let what = &direction.description;
         sentences
             .push(format!("the images do not depend on this combination of modes, and 0 is reported for it: {what}"));

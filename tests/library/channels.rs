@@ -88,6 +88,47 @@ fn a_channel_that_is_flipped_contradicts_the_other() {
     assert!(found.warnings.iter().any(|warning| warning.contains("the channels contradict each other")));
 }
 
+/// An image in focus adds what it knows to a pair, and error bars stay those of the errors.
+#[test]
+fn a_channel_in_focus_is_fitted_near_the_others() {
+    // The same exposure of each, so that the image in focus has a higher peak.
+    let pair = PAIR.replace("[[image.channel]]\n", "[[image.channel]]\nflux_e = 1e8\n");
+    let set = format!("[[image.channel]]\nname = \"focus\"\nflux_e = 1e8\ndiversity_focus_waves_rms = 0.0\n{pair}");
+    let (mut squares, mut gain) = ([0.0; 2], 0.0);
+    const DRAWS: usize = 24;
+    for seed in 0..DRAWS {
+        let scene = with_channels(&set, &[("aberrations.seed", &(300 + seed).to_string())]);
+        let images = Images::simulated_channels(&scene).unwrap();
+        let all = Estimator::new(&scene).unwrap().estimate_channels(&images).unwrap();
+        assert!(all.is_sound(), "{seed}: {:?}", all.warnings);
+        assert_eq!(all.channels, ["plus", "minus", "focus"]);
+        let pair = with_channels(&pair, &[("aberrations.seed", &(300 + seed).to_string())]);
+        let pair = Estimator::new(&pair).unwrap().estimate_channels(&images[1..]).unwrap();
+        gain += (all.phasing.sigma_nm / pair.phasing.sigma_nm).ln() / DRAWS as f64;
+        let residual = all.truth.as_ref().unwrap().1.rms_nm;
+        for (square, (rms_nm, figure)) in squares.iter_mut().zip(residual.iter().zip([&all.phasing, &all.ncpa])) {
+            *square += (rms_nm / figure.sigma_nm).powi(2) / DRAWS as f64;
+        }
+    }
+    let pulls = squares.map(f64::sqrt);
+    println!("pulls {pulls:?}, error bars of the phasing {:.3} of the pair's", gain.exp());
+    // 24 draws of six pistons: a pull scatters by 1/√(2·144), 0.06.
+    assert!(pulls.iter().all(|pull| (0.8..1.2).contains(pull)), "{pulls:?}");
+    // 0.82 where the third image had as much information on every mode as each of the two, 1 where it had none.
+    assert!((0.8..0.97).contains(&gain.exp()), "{}", gain.exp());
+}
+
+#[test]
+fn a_channel_in_focus_of_another_wavefront_is_named() {
+    let set = format!("{PAIR}[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n");
+    let scene = with_channels(&set, &[]);
+    let mut images = Images::simulated_channels(&scene).unwrap();
+    images[2] = Images::simulated_channels(&with_channels(&set, &[("aberrations.seed", "77")])).unwrap().swap_remove(2);
+    let found = estimate(&scene, &images);
+    let named = |word: &str| found.warnings.iter().any(|warning| warning.contains(word));
+    assert!(named("channel focus: it is in focus") || named("contradict each other"), "{:?}", found.warnings);
+}
+
 #[test]
 fn two_colours_find_the_whole_wavelengths_of_pistons() {
     let scene = with_channels(COLOURS, &[("aberrations.segment_piston_rms_nm", "3000")]);
