@@ -57,47 +57,72 @@ inline real convolved_pixel(__global const real *row, __global const real *terms
     return sum;
 }
 
+#if VEC > 1
+/* Longest row, with `reach` pixels on either side, that convolved_row takes. */
+#define LONGEST 2048
+
+/* A row, along u: unfolded into the order of pixels, so that neighbours are next to each other, and folded again. */
+inline void convolved_row(__global const real *row, __global real *out, __global const real *terms, const int reach,
+                          const int pairs, const int span) {
+    real line[LONGEST], sums[LONGEST];
+    for (int u = 0; u < pairs; u++) {
+        line[reach + pairs + u] = row[u];
+        line[reach + pairs - 1 - u] = row[span + u];
+    }
+    for (int k = 0; k < reach; k++) {
+        const int below = neighbour(0, -pairs - 1 - k, pairs), above = neighbour(0, pairs + k, pairs);
+        line[reach - 1 - k] = row[below < 0 ? span - 1 - below : below];
+        line[reach + 2 * pairs + k] = row[above < 0 ? span - 1 - above : above];
+    }
+    /* The last vector may reach beyond the row, into what is not used. */
+    for (int x = 0; x < 2 * pairs; x += VEC) {
+        const real *here = line + reach + x;
+        vec sum = SPLAT(terms[0]) * JOIN(vload, VEC)(0, here);
+        for (int k = 1; k <= reach; k++)
+            sum = MAD(SPLAT(terms[k]), JOIN(vload, VEC)(0, here - k) + JOIN(vload, VEC)(0, here + k), sum);
+        JOIN(vstore, VEC)(sum, 0, sums + x);
+    }
+    for (int u = 0; u < span; u++) {
+        out[u] = u < pairs ? sums[pairs + u] : REAL(0.0);
+        out[span + u] = u < pairs ? sums[pairs - 1 - u] : REAL(0.0);
+    }
+}
+#endif
+
 /* in -> out, along u. terms [along u, along v][reach + 1]. */
 __kernel void convolve_rows(__global const real *in, __global real *out, __global const real *terms, const int reach,
                             const int pairs, const int pairs_per_strip, const int span) {
-    for (int line = 2 * FIRST_ROW; line < 2 * LAST_ROW; line++) {
-        const size_t start = (get_global_id(2) * pairs * 4 + line / 2 * 2) * span;
-        __global const real *row = in + start;
-        __global real *to = out + start + line % 2 * span;
-        for (int u = LANE; u < span; u += LANES) {
+    const size_t image = get_global_id(2) * pairs * 4 * span;
+    for (int row = FIRST_ROW; row < LAST_ROW; row++) {
+        __global const real *from = in + image + (size_t)row * 2 * span;
+        __global real *to = out + image + (size_t)row * 2 * span;
 #if VEC > 1
-            /* Far from the axis and the border neighbours are next to each other. */
-            if (u >= reach && u + VEC + reach <= pairs) {
-                __global const real *here = row + line % 2 * span + u;
-                vec sum = SPLAT(terms[0]) * GET(here, 0);
-                for (int k = 1; k <= reach; k++)
-                    sum = MAD(SPLAT(terms[k]), JOIN(vload, VEC)(0, here - k) + JOIN(vload, VEC)(0, here + k), sum);
-                AT(to, u) = sum;
-                continue;
-            }
-#endif
-            for (int i = u; i < u + VEC; i++)
-                to[i] = i < pairs ? convolved_pixel(row, terms, reach, line % 2, i, pairs, span) : REAL(0.0);
+        if (2 * (pairs + reach) + VEC <= LONGEST && get_global_size(0) == 1) {
+            convolved_row(from, to, terms, reach, pairs, span);
+            continue;
         }
+#endif
+        for (int i = get_global_id(0); i < 2 * span; i += get_global_size(0))
+            to[i] = i % span < pairs ? convolved_pixel(from, terms, reach, i / span, i % span, pairs, span) : REAL(0.0);
     }
 }
 
 /* in -> out, along v. */
 __kernel void convolve_columns(__global const real *in, __global real *out, __global const real *terms, const int reach,
                                const int pairs, const int pairs_per_strip, const int span) {
-    const size_t start = get_global_id(2) * pairs * 4 * span;
+    const size_t image = get_global_id(2) * pairs * 4 * span;
     __global const real *along_v = terms + reach + 1;
     for (int row = FIRST_ROW; row < LAST_ROW; row++) {
-        for (int u = LANE; u < 2 * span; u += LANES) {
-            vec sum = SPLAT(along_v[0]) * GET(in, start + (size_t)row * 2 * span + u);
-            for (int k = 1; k <= reach; k++) {
-                const int below = neighbour(row % 2, row / 2 - k, pairs), above = neighbour(row % 2, row / 2 + k, pairs);
-                const int first = below < 0 ? -2 * below - 1 : 2 * below, second = above < 0 ? -2 * above - 1 : 2 * above;
-                sum = MAD(SPLAT(along_v[k]),
-                          GET(in, start + (size_t)first * 2 * span + u) + GET(in, start + (size_t)second * 2 * span + u),
-                          sum);
-            }
-            AT(out, start + (size_t)row * 2 * span + u) = sum;
+        __global const real *here = in + image + (size_t)row * 2 * span;
+        __global real *to = out + image + (size_t)row * 2 * span;
+        for (int u = LANE; u < 2 * span; u += LANES) AT(to, u) = SPLAT(along_v[0]) * GET(here, u);
+        for (int k = 1; k <= reach; k++) {
+            const int below = neighbour(row % 2, row / 2 - k, pairs), above = neighbour(row % 2, row / 2 + k, pairs);
+            __global const real *first = in + image + (size_t)(below < 0 ? -2 * below - 1 : 2 * below) * 2 * span;
+            __global const real *second = in + image + (size_t)(above < 0 ? -2 * above - 1 : 2 * above) * 2 * span;
+            const vec term = SPLAT(along_v[k]);
+            for (int u = LANE; u < 2 * span; u += LANES)
+                AT(to, u) = MAD(term, GET(first, u) + GET(second, u), GET(to, u));
         }
     }
 }

@@ -12,6 +12,8 @@ const TILE_BYTES_PER_CORE: usize = 4 << 20;
 const TILE_BYTES_GPU: usize = 256 << 20;
 /// Work-items of `focus` per core: so many that every core has at least one, however they are distributed.
 const WORKERS_PER_CORE: usize = 3;
+/// Images of a tile on a CPU where the intensity is stored, as a multiple of the work-items of `focus`.
+const STORED_TILES: usize = 4;
 
 /// `count` rounded up to whole groups; the results of the surplus images are not read.
 pub(super) fn padded(count: usize) -> usize {
@@ -81,7 +83,8 @@ impl Partition {
             }
         } else {
             let cores = info.compute_units.max(1) as usize;
-            let in_work = padded(WORKERS_PER_CORE * cores);
+            // Each stage is a launch, whose time is that of several images.
+            let in_work = padded(if layout.is_one_field() { 1 } else { STORED_TILES } * WORKERS_PER_CORE * cores);
             Partition {
                 tile: if layout.is_one_field() { fits(TILE_BYTES_PER_CORE * cores, phase) } else { in_work },
                 focal_tile: in_work,
