@@ -93,17 +93,24 @@ impl ClosedLoopResponse {
         Ok(-ArrayView1::from(&commands_nm).dot(&self.influence))
     }
 
-    /// Measures the linear part of [`ClosedLoopResponse::response_nm`], for 1 nm of each piston, `[segment, sample]`.
+    /// Measures the linear part of [`ClosedLoopResponse::response_nm`] about pistons of `about_nm`, for 1 nm of each piston,
+    /// `[segment, sample]`.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
-    pub fn linear_response(&mut self) -> Result<Array2<f64>> {
+    pub fn linear_response(&mut self, about_nm: &[f64]) -> Result<Array2<f64>> {
         let mut responses = Array2::zeros((self.segments, self.influence.ncols()));
-        let mut pistons_nm = vec![0.0; self.segments];
+        let mut pistons_nm = about_nm.to_vec();
+        // Of a mirror at rest behind even segments nothing moves.
+        let offset_nm = about_nm.iter().any(|nm| *nm != 0.0).then(|| self.response_nm(about_nm)).transpose()?;
         for (segment, mut row) in responses.outer_iter_mut().enumerate() {
-            pistons_nm[segment] = POKE_NM;
-            row.assign(&(self.response_nm(&pistons_nm)? / POKE_NM));
-            pistons_nm[segment] = 0.0;
+            pistons_nm[segment] += POKE_NM;
+            row.assign(&self.response_nm(&pistons_nm)?);
+            if let Some(offset_nm) = &offset_nm {
+                row -= offset_nm;
+            }
+            row /= POKE_NM;
+            pistons_nm[segment] = about_nm[segment];
         }
         Ok(responses)
     }

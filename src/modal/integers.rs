@@ -21,7 +21,9 @@
 mod lattice;
 mod search;
 
-use ndarray::Array2;
+use super::fisher::{null_floor, pseudo_inverse, without};
+use crate::Result;
+use ndarray::{Array1, Array2};
 use search::Search;
 
 pub(super) use search::ColourChannel;
@@ -48,7 +50,7 @@ impl PistonInteger {
 }
 
 /// Whether the channels have wavelengths that differ enough to determine integers.
-pub(super) fn are_determined(wavelengths_nm: &[f64]) -> bool {
+pub(crate) fn are_determined(wavelengths_nm: &[f64]) -> bool {
     let extreme = |choose: fn(f64, f64) -> f64| wavelengths_nm.iter().copied().reduce(choose).unwrap_or(1.0);
     extreme(f64::max) / extreme(f64::min) > 1.0 + LEAST_DIFFERENCE
 }
@@ -84,10 +86,51 @@ pub(super) fn resolve(
     each.collect()
 }
 
+/// Estimate of the modes in one wavelength: pistons, then tip and tilt, then the others.
+pub(crate) struct ColourEstimate {
+    pub(crate) wavelength_nm: f64,
+    pub(crate) coefficients_nm: Array1<f64>,
+    pub(crate) covariance_nm2: Array2<f64>,
+}
+
+/// As [`resolve`], of estimates in several wavelengths, each with its own tip and tilt; with the integers, the modes common to all, nm.
+///
+/// # Errors
+/// [`crate::Error::Value`] where no mode is determined.
+pub(crate) fn resolve_estimates(
+    colours: &mut [ColourEstimate],
+    pistons: usize,
+    range_nm: f64,
+) -> Result<(Vec<PistonInteger>, Array1<f64>)> {
+    let modes = colours[0].coefficients_nm.len();
+    let floor = null_floor(modes, modes);
+    // The piston of all segments, tip and tilt.
+    let own = Array2::from_shape_fn((3, modes), |(direction, mode)| match direction {
+        0 => f64::from(u8::from(mode < pistons)),
+        _ => f64::from(u8::from(mode + 1 == pistons + direction)),
+    });
+    let information = |colour: &ColourEstimate| Ok(without(pseudo_inverse(&colour.covariance_nm2, floor)?, &own));
+    let informations = colours.iter().map(information).collect::<Result<Vec<_>>>()?;
+    let sum = informations.iter().fold(Array2::zeros((modes, modes)), |sum, information| sum + information);
+    let covariance_nm2 = pseudo_inverse(&sum, floor)?;
+    let mut channels: Vec<ColourChannel> = colours
+        .iter_mut()
+        .zip(&informations)
+        .map(|(colour, information)| ColourChannel {
+            wavelength_nm: colour.wavelength_nm,
+            coefficients_nm: &mut colour.coefficients_nm,
+            information,
+        })
+        .collect();
+    let integers = resolve(&mut channels, &covariance_nm2, pistons, range_nm);
+    let each = colours.iter().zip(&informations);
+    let along = each.map(|(colour, information)| information.dot(&colour.coefficients_nm));
+    Ok((integers, covariance_nm2.dot(&along.fold(Array1::zeros(modes), |sum, one| sum + one))))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ndarray::Array1;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha12Rng;
     use rand_distr::{Distribution, StandardNormal};

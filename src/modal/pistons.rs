@@ -2,6 +2,8 @@
 
 use super::model::Model;
 use crate::imaging::Mode;
+use crate::statistics::median;
+use ndarray::ArrayView1;
 use std::f64::consts::TAU;
 
 /// [`wrap`] where the light has one wavelength, so that the image does not show whole wavelengths: a step of the optimiser may end one
@@ -17,6 +19,17 @@ pub(super) fn wrap(coefficients_nm: &mut [f64], reference_nm: &[f64], model: &Mo
     let parts = model.optics.parts();
     let pistons = parts.modes.iter().take_while(|mode| matches!(mode, Mode::Piston(_))).count();
     wrap_pistons(&mut coefficients_nm[..pistons], &reference_nm[..pistons], parts.wavelength_nm);
+}
+
+/// The pistons among `coefficients_nm`, moved by wavelengths so that they differ least from those of `reference_nm`, up to a piston
+/// of all, which is left out.
+pub(crate) fn pistons_near(coefficients_nm: ArrayView1<f64>, reference_nm: &[f64], model: &Model) -> Vec<f64> {
+    let mut moved_nm = coefficients_nm.to_vec();
+    wrap(&mut moved_nm, reference_nm, model);
+    moved_nm.truncate(model.pistons());
+    let off_nm = median(&moved_nm.iter().zip(reference_nm).map(|(nm, reference)| nm - reference).collect::<Vec<_>>());
+    moved_nm.iter_mut().for_each(|nm| *nm -= off_nm);
+    moved_nm
 }
 
 fn wrap_pistons(pistons_nm: &mut [f64], reference_nm: &[f64], period_nm: f64) {

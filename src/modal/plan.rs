@@ -16,7 +16,7 @@ const SPARE_SAMPLES: (f64, f64) = (1.0, 4.0);
 /// keeps 3.8 weights a sample where 4 keeps 5.6, and the error is no larger.
 const HALF_TRANSITION: f64 = 8.0;
 /// What the aberrations add to the frequencies of the defocus, cycles.
-const ABERRATION_CYCLES: f64 = 4.0;
+pub(crate) const ABERRATION_CYCLES: f64 = 4.0;
 /// λ/D around the geometric spot that still carry signal worth fitting.
 pub(crate) const SPOT_MARGIN: f64 = 3.0;
 /// Least half-width of the fitted image, λ/D: without defocus the light of single segments still spreads this far.
@@ -31,6 +31,8 @@ pub(super) struct PixelPlan {
     spot: f64,
     /// Samples left free on each side of a band-limited pupil.
     spare_samples: usize,
+    /// [`Recipe::least_pass_cycles`].
+    least_pass_cycles: f64,
 }
 
 impl PixelPlan {
@@ -67,7 +69,7 @@ impl PixelPlan {
         };
         let preparation =
             Preparation { frame, reduced, pixels: pixels.min(longest), flip: [image.flip_x, image.flip_y] };
-        Self { preparation, per_lambda_over_d, spot, spare_samples }
+        Self { preparation, per_lambda_over_d, spot, spare_samples, least_pass_cycles: recipe.least_pass_cycles }
     }
 
     /// Half-width of the fitted image, λ/grid_m.
@@ -94,7 +96,8 @@ pub(super) fn band_limited_weights(
     let samples = samples(scene);
     let stretch = samples as f64 / (samples - 2 * pixels.spare_samples) as f64;
     let grid = Grid::new(samples, own.width_m() * stretch)?;
-    let wanted = (pixels.half_width() + pixels.spot + ABERRATION_CYCLES) * stretch;
+    let needed = pixels.half_width() + pixels.spot + ABERRATION_CYCLES;
+    let wanted = needed.max(pixels.least_pass_cycles) * stretch;
     // The smallest grid that a scene accepts has 16 samples.
     let most = (samples as f64 / 2.0 - HALF_TRANSITION).max(samples as f64 / 4.0);
     let pass = scene.pupil.band_pass_cycles.map_or(wanted.min(most), |pass| pass * stretch);

@@ -31,6 +31,9 @@ pub struct Recipe {
     pub sampling: Sampling,
     /// How the model samples a geometric pupil, or a fine map of one.
     pub pupil_model: PupilModel,
+    /// Least pass band of a band-limited pupil, cycles, as far as its samples carry it: the same for models that are to have the
+    /// same weights; 0 for what the image needs.
+    pub least_pass_cycles: f64,
     /// Zernikes that are always estimated exactly.
     pub exact_zernikes: NollRange,
     /// Zernikes that are fitted too and carry a prior in the combination of the images.
@@ -81,6 +84,7 @@ impl Recipe {
                 None if ours => PupilModel::BandLimited,
                 _ => PupilModel::Hard,
             },
+            least_pass_cycles: 0.0,
             exact_zernikes: if ours { scene.modes.exact_zernikes.unwrap_or(EXACT) } else { NollRange::None },
             prior_zernikes: NollRange::None,
             // BFGS needs 130 to 400; ours about 15.

@@ -6,15 +6,18 @@ use super::control::{Control, Stage};
 use super::estimate::{Estimate, Figure, OpticalParameter};
 use super::explain::explain;
 use super::images::counted;
+use super::map;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::Selected;
 use super::policy::Policy;
-use crate::modal::{BasisCache, CombinedModes, JointEstimate, has_diversity, joint};
-use crate::scene::{Method, Optic, Scene, Weighting};
+use super::sequence::{Sequence, SequenceChannel};
+use crate::modal::{BasisCache, CombinedModes, JointEstimate, PistonInteger, has_diversity, joint};
+use crate::scene::{Optic, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
-use ndarray::{Array1, Axis, concatenate};
+use ndarray::{Array1, Array2, Axis, concatenate};
+use std::borrow::Cow;
 
 /// The images of one channel, with the scene that they are read by.
 pub(super) struct ChannelImages<'a> {
@@ -45,7 +48,6 @@ pub(super) fn estimate(
     cache: &BasisCache,
     channels: &[ChannelImages],
 ) -> Result<Estimate> {
-    check(scene)?;
     let [with, in_focus] = by_diversity(channels);
     let defocused = Channels::new(scene, policy, control, cache, &with)?;
     let (mut fits, mut found) = defocused.fit_with_extensions()?;
@@ -85,19 +87,58 @@ fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelIm
     if with.is_empty() { [without, Vec::new()] } else { [with, without] }
 }
 
-/// Refuses a scene whose method reads one channel.
+/// Estimates the static errors behind sequences of exposures of all channels of `scene`.
 ///
 /// # Errors
-/// [`Error::Scene`] for what is estimated from one channel only.
-fn check(scene: &Scene) -> Result<()> {
-    if scene.estimate.method == Method::FullPhase {
-        return Err(Error::Scene(format!(
-            "{}: estimate.method = \"full-phase\" reads one channel, and the scene has {}: use \"modal\", or a scene of one channel",
-            scene.name(),
-            scene.channels().len()
-        )));
+/// Those of [`map::estimate`].
+pub(super) fn estimate_sequence(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    channels: &[ChannelImages],
+) -> Result<Estimate> {
+    let [with, in_focus] = by_diversity(channels);
+    let sequences: Vec<_> =
+        with.iter().map(|channel| SequenceChannel { scene: &channel.scene, images: &channel.images }).collect();
+    let is_simultaneous = scene.image.simultaneous;
+    let (slopes_mas, ignored) = telemetry(&with, is_simultaneous)?;
+    let sequence =
+        Sequence { channels: &sequences, is_simultaneous, slopes_mas: slopes_mas.as_deref(), policy, control };
+    let found = map::estimate(scene, sequence)?;
+    let left_out = in_focus.iter().map(|channel| {
+        format!(
+            "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: a \
+             full-phase estimate reads defocused images",
+            channel.name
+        )
+    });
+    let warnings = left_out.chain(ignored).chain(found.warnings).collect();
+    let names = with.iter().map(|channel| channel.name.to_owned()).collect();
+    let mut estimate = Estimate { scene: scene.clone(), channels: names, warnings, ..found };
+    estimate.warnings.extend(doubtful_integers(&estimate.integers));
+    Ok(estimate)
+}
+
+/// Slopes of the exposures of all channels, where each channel has its own, and a warning where some have none.
+#[allow(clippy::type_complexity)]
+fn telemetry<'a>(
+    channels: &[&ChannelImages<'a>],
+    is_simultaneous: bool,
+) -> Result<(Option<Cow<'a, Array2<f64>>>, Option<String>)> {
+    let slopes: Vec<&'a Array2<f64>> = channels.iter().filter_map(|channel| channel.images.slopes_mas).collect();
+    match slopes[..] {
+        [] => Ok((None, None)),
+        _ if slopes.len() < channels.len() => {
+            Ok((None, Some("only some channels have slopes of the wavefront sensor, and these are ignored".into())))
+        }
+        [first, ..] if is_simultaneous => Ok((Some(Cow::Borrowed(first)), None)),
+        _ => {
+            let views: Vec<_> = slopes.iter().map(|slopes| slopes.view()).collect();
+            let all = concatenate(Axis(0), &views)
+                .map_err(|_| Error::Shape("the telemetry of the channels has different numbers of slopes".into()))?;
+            Ok((Some(Cow::Owned(all)), None))
+        }
     }
-    Ok(())
 }
 
 /// The channels of a scene, and how they are fitted.
@@ -255,7 +296,7 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
     let Some(fitter) = fitters.first() else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
     let errors = ExpectedErrors::new(fitter.model())?;
     let warnings = warnings(&found, &names, &each);
-    let remarks = remarks(scene, &found, &errors, &each)?;
+    let remarks = remarks(&found, &errors, &each)?;
     let used = each.iter().flat_map(|one| one.images.iter().filter(|image| image.is_used));
     let reduced_chi2 = median(&used.map(|image| image.reduced_chi2).collect::<Vec<_>>());
     let views: Vec<_> = each.iter().map(|one| one.image_coefficients_nm.view()).collect();
@@ -326,15 +367,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
             defocus.optic.word()
         ));
     }
-    let doubtful: Vec<usize> = (0..found.integers.len()).filter(|&k| found.integers[k].probability < CERTAIN).collect();
-    if let Some(first) = doubtful.first() {
-        let least = found.integers.iter().map(|integer| integer.probability).fold(1.0, f64::min);
-        sentences.push(format!(
-            "the whole wavelengths of {} are not certain (the least probable has {least:.2}; the first is segment {first}): see \
-             PROBABILITY and RUNNER_UP_NM in the table SEGMENTS; more light, or a smaller modes.piston_range_nm, determines them",
-            counted(doubtful.len(), "segment")
-        ));
-    }
+    sentences.extend(doubtful_integers(&found.integers));
     if contradict(found) {
         let (chi2, freedom) = found.disagreement;
         sentences.push(format!(
@@ -346,16 +379,25 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
     sentences
 }
 
+/// Warning on whole wavelengths of pistons that are not certain.
+fn doubtful_integers(integers: &[PistonInteger]) -> Option<String> {
+    let doubtful: Vec<usize> = (0..integers.len()).filter(|&k| integers[k].probability < CERTAIN).collect();
+    let first = doubtful.first()?;
+    let least = integers.iter().map(|integer| integer.probability).fold(1.0, f64::min);
+    Some(format!(
+        "the whole wavelengths of {} are not certain (the least probable has {least:.2}; the first is segment {first}): see \
+         PROBABILITY and RUNNER_UP_NM in the table SEGMENTS; more light, or a smaller modes.piston_range_nm, determines them",
+        counted(doubtful.len(), "segment")
+    ))
+}
+
 /// Remarks of the channels, each once; that on the diversity is of all channels together.
-fn remarks(scene: &Scene, found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
+fn remarks(found: &JointEstimate, errors: &ExpectedErrors, each: &[Estimate]) -> Result<Vec<String>> {
     let mut sentences: Vec<String> = Vec::new();
     for sentence in each.iter().flat_map(|one| &one.remarks) {
         if !sentences.contains(sentence) && !sentence.starts_with(super::warnings::ON_DIVERSITY) {
             sentences.push(sentence.clone());
         }
-    }
-    if scene.estimate.method == Method::Auto {
-        sentences.push("estimate.method = \"auto\" chose \"modal\": the scene has several channels.".into());
     }
     if let Some(effect_nm) = &found.diversity_effect_nm {
         let column: Array1<f64> = effect_nm * 0.01;

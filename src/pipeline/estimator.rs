@@ -9,6 +9,7 @@ use super::images::{Images, TruthMaps};
 use super::modal_task::ModalTask;
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
+use super::sequence::{Sequence, SequenceChannel};
 use super::{channels, map, modal};
 use crate::modal::BasisCache;
 use crate::planner;
@@ -99,7 +100,15 @@ impl Estimator {
         };
         let (scene, chosen) = resolved(scene, &consistent.images)?;
         let found = match scene.estimate.method {
-            Method::FullPhase => map::estimate(&scene, &self.policy, &self.control, &consistent.images),
+            Method::FullPhase => {
+                let channels = [SequenceChannel { scene: &scene, images: &consistent.images }];
+                let (policy, control) = (&self.policy, &self.control);
+                let slopes_mas = consistent.images.slopes_mas;
+                map::estimate(
+                    &scene,
+                    Sequence { channels: &channels, is_simultaneous: false, slopes_mas, policy, control },
+                )
+            }
             Method::Modal | Method::Auto => {
                 let (policy, control) = (&self.policy, &self.control);
                 modal::estimate(&ModalTask { scene: &scene, policy, control, cache, images: &consistent.images })
@@ -138,11 +147,16 @@ impl Estimator {
             remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| format!("Channel {name}: {remark}")));
             ready.push(ChannelImages { name, scene: consistent.scene, images: consistent.images });
         }
-        let found = channels::estimate(&self.given, &self.policy, &self.control, &self.cache, &ready);
+        let (scene, chosen) = resolved_for(&self.given, &ready)?;
+        let (policy, control) = (&self.policy, &self.control);
+        let found = match scene.estimate.method {
+            Method::FullPhase => channels::estimate_sequence(&scene, policy, control, &ready),
+            Method::Modal | Method::Auto => channels::estimate(&scene, policy, control, &self.cache, &ready),
+        };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
         estimate.warnings.splice(0..0, notes);
-        estimate.remarks.splice(0..0, remarks);
+        estimate.remarks.splice(0..0, remarks.into_iter().chain(chosen));
         compare_with_truth(&mut estimate, images.first().and_then(|images| images.truth.as_ref()));
         Ok(estimate)
     }
@@ -225,6 +239,25 @@ fn resolved(scene: &Scene, images: &Electrons) -> Result<(Scene, Option<String>)
     };
     let sentence = format!("estimate.method = \"auto\" chose \"{method}\": {because}.");
     Ok((scene.with_override("estimate.method", method)?, Some(sentence)))
+}
+
+/// As [`resolved`], for the images of all channels: those of one suffice that change.
+fn resolved_for(scene: &Scene, channels: &[ChannelImages]) -> Result<(Scene, Option<String>)> {
+    let mut chosen = None;
+    for channel in channels.iter().filter(|_| scene.estimate.method == Method::Auto) {
+        let (own, sentence) = resolved(&channel.scene, &channel.images)?;
+        let is_full_phase = own.estimate.method == Method::FullPhase;
+        if is_full_phase || chosen.is_none() {
+            chosen = Some((own.estimate.method, sentence));
+        }
+        if is_full_phase {
+            break;
+        }
+    }
+    match chosen {
+        None => Ok((scene.clone(), None)),
+        Some((method, sentence)) => Ok((scene.with_override("estimate.method", method.word())?, sentence)),
+    }
 }
 
 /// Lowers the cancel flag after a call that it has ended.

@@ -2,12 +2,10 @@
 //! share.
 
 use super::budget::ErrorTerm;
-use super::consistency::Electrons;
-use super::control::{Control, Stage};
+use super::control::Stage;
 use super::estimate::{Basis, Estimate, Figure, MapSummary, OpticalParameter};
 use super::outcome::ImageOutcome;
-use super::policy::Policy;
-use super::sequence::{self, SequenceResult};
+use super::sequence::{self, Sequence, SequenceResult};
 use super::warnings;
 use crate::modal::ImageStatus;
 use crate::modes::Group;
@@ -26,21 +24,29 @@ const EXPLAINED: f64 = 6.0;
 /// are read as electrons give 0.05 to 0.1.
 const LEAST_EXPLAINED: f64 = 0.8;
 
-pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images: &Electrons) -> Result<Estimate> {
-    let count = images.len();
+/// Estimates the static errors behind the images of `sequence`, whose slopes are used where its scene says so. `scene` is that of the
+/// images, with its channels.
+///
+/// # Errors
+/// Those of [`sequence::estimate`]; [`Error::Shape`] for slopes of another number of exposures.
+pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
+    let count = sequence.images();
+    let exposures = if sequence.is_simultaneous { sequence.channels[0].images.len() } else { count };
     // A level below telemetry uses no slopes, and does not check those of a file.
     let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry)
         && scene.estimate.telemetry != Telemetry::Ignore;
-    let slopes_mas = images.slopes_mas.filter(|_| uses_telemetry);
-    if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != count) {
+    let slopes_mas = sequence.slopes_mas.filter(|_| uses_telemetry);
+    if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != exposures) {
         return Err(Error::Shape(format!(
-            "the telemetry holds {} sets of slopes for {count} images: one each is needed",
+            "the telemetry holds {} sets of slopes for {exposures} images: one each is needed",
             slopes_mas.nrows()
         )));
     }
+    let (policy, control) = (sequence.policy, sequence.control);
     control.enter(Stage::Retrieving, count);
     let started = Instant::now();
-    let found = sequence::estimate(scene, images, slopes_mas, control)?;
+    let sequence = Sequence { slopes_mas, ..sequence };
+    let found = sequence::estimate(&sequence)?;
     let seconds = started.elapsed().as_secs_f64();
     control.check("the images were read, nothing was written")?;
     let Some(last) = found.iterations.last() else { return Err(Error::Internal("no iteration was made".into())) };
@@ -60,13 +66,13 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
         remarks.extend(warnings::orientation_remark(&found.scene, &Telescope::new(&found.scene)?)?);
     }
-    let outcomes = (0..count).map(|image| outcome(&found, last, image)).collect();
+    let outcomes = outcomes(&sequence, &found, last);
     let pupil = found.pupil.clone();
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;
     Ok(Estimate {
         policy: *policy,
         channels: Vec::new(),
-        integers: Vec::new(),
+        integers: found.integers.clone(),
         basis: basis(last),
         coefficients_nm: last.coefficients_nm(),
         covariance_nm2: last.errors.covariance_nm2.clone(),
@@ -109,9 +115,23 @@ pub(super) fn estimate(scene: &Scene, policy: &Policy, control: &Control, images
     })
 }
 
-fn outcome(found: &SequenceResult, last: &Iteration, image: usize) -> ImageOutcome {
+/// Outcomes of the images, channel after channel.
+fn outcomes(sequence: &Sequence, found: &SequenceResult, last: &Iteration) -> Vec<ImageOutcome> {
+    let mut outcomes = Vec::new();
+    for (channel, images) in sequence.channels.iter().map(|channel| channel.images.len()).enumerate() {
+        let before = outcomes.len();
+        let of_image = |image: usize| {
+            let exposure = if sequence.is_simultaneous { image } else { before + image };
+            let is_used = last.used_images.contains(&exposure);
+            ImageOutcome { channel, ..outcome(found, before + image, is_used) }
+        };
+        outcomes.extend((0..images).map(of_image).collect::<Vec<_>>());
+    }
+    outcomes
+}
+
+fn outcome(found: &SequenceResult, image: usize, is_used: bool) -> ImageOutcome {
     let report = &found.reports[image];
-    let is_used = last.used_images.contains(&image);
     let status = match &report.refusal {
         Some(_) => ImageStatus::Unusable,
         None if report.reason.has_converged() => ImageStatus::Ok,

@@ -10,6 +10,7 @@
 //! (`estimate.method = "full-phase"`) retrieves the whole wavefront behind each exposure of a sequence and separates the
 //! static errors from the turbulence. Both end in the same type.
 
+mod absolute_pistons;
 mod budget;
 mod channels;
 mod consistency;

@@ -1,23 +1,46 @@
 //! Wavefronts and static errors of a sequence behind adaptive optics: maximum a posteriori (MAP) retrieval of each
 //! exposure's wavefront, and the static errors that all exposures share, in turn until nothing changes.
 
+use super::absolute_pistons::{AbsolutePistons, Colours};
 use super::consistency::Electrons;
 use super::control::{Control, Stage};
+use super::policy::Policy;
 use super::telemetry::{self, TelemetryCheck};
 use crate::ao::{Lenslets, sensor_pupil};
-use crate::modal::{CleanedImages, Cube, reject_outliers};
+use crate::modal::{CleanedImages, Cube, PistonInteger, are_determined, reject_outliers};
 use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
 use crate::scene::{AoKnowledge, Scene, SegmentModes};
 use crate::statics::{
-    Iteration, MAX_NCPA_MODES, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity,
+    ChannelSequence, Iteration, MAX_NCPA_MODES, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity,
     estimate_static_errors,
 };
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView3};
+use ndarray::Array2;
+
+/// Images of one channel behind adaptive optics.
+pub(super) struct SequenceChannel<'a> {
+    /// By which they are read.
+    pub(super) scene: &'a Scene,
+    pub(super) images: &'a Electrons<'a>,
+}
+
+impl SequenceChannel<'_> {
+    /// The images without outlier pixels, where they have some.
+    fn cleaned(&self) -> Result<Option<CleanedImages>> {
+        let images = self.images;
+        reject_outliers(self.scene, &images.images_e, &images.bad, images.read_noise_e)
+    }
+
+    fn cube<'b>(&'b self, cleaned: &'b Option<CleanedImages>) -> Cube<'b> {
+        let images = self.images;
+        let images_e = cleaned.as_ref().map_or(images.images_e.as_ref(), |cleaned| &cleaned.images_e);
+        Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e }
+    }
+}
 
 /// Result of a sequence.
 pub(super) struct SequenceResult {
@@ -27,6 +50,8 @@ pub(super) struct SequenceResult {
     pub(super) reports: Vec<RetrievalReport>,
     /// Outlier pixels that were rejected from each image.
     pub(super) rejected_pixels: Vec<usize>,
+    /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
+    pub(super) integers: Vec<PistonInteger>,
     /// What was assumed of the adaptive optics.
     pub(super) ao_knowledge: AoKnowledge,
     /// Measured slopes against those of the retrieved wavefronts, where slopes are used.
@@ -113,17 +138,32 @@ const FEW_IMAGES: usize = 40;
 /// Finer resolution over the usual one, in cycles across a segment.
 const FEW_IMAGES_RESOLUTION: f64 = 1.25;
 
+/// A sequence: images of one channel, or of several.
+pub(super) struct Sequence<'a> {
+    pub(super) channels: &'a [SequenceChannel<'a>],
+    /// Whether image i of every channel is of exposure i.
+    pub(super) is_simultaneous: bool,
+    /// Slopes of each exposure, where they are used.
+    pub(super) slopes_mas: Option<&'a Array2<f64>>,
+    pub(super) policy: &'a Policy,
+    pub(super) control: &'a Control,
+}
+
+impl Sequence<'_> {
+    /// Number of images of all channels.
+    pub(super) fn images(&self) -> usize {
+        self.channels.iter().map(|channel| channel.images.len()).sum()
+    }
+}
+
 /// Estimates the static errors behind a sequence.
 ///
 /// # Errors
 /// Those of building the model; [`Error::Shape`] and [`Error::Value`] for frames or slopes that are not the scene's;
 /// [`Error::Image`] where fewer than two images can be used; [`Error::Interrupted`].
-pub(super) fn estimate(
-    scene: &Scene,
-    images: &Electrons,
-    slopes_mas: Option<&Array2<f64>>,
-    control: &Control,
-) -> Result<SequenceResult> {
+pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
+    let (channels, slopes_mas, control) = (sequence.channels, sequence.slopes_mas, sequence.control);
+    let scene = channels[0].scene;
     if scene.modes.segment != SegmentModes::Piston {
         return Err(Error::Scene(format!(
             "modes.segment = \"{}\" is not accepted with estimate.method = \"full-phase\": \"piston\" is needed",
@@ -143,28 +183,44 @@ pub(super) fn estimate(
         other => Ok(other?),
     };
     let prior = prior(scene, ao_knowledge)?;
-    let cleaned = reject_outliers(scene, &images.images_e, &images.bad, images.read_noise_e)?;
-    let images_e = cleaned.as_ref().map_or(images.images_e.as_ref(), |cleaned: &CleanedImages| &cleaned.images_e);
-    let cube = Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-    let retrieval = retrieval_settings(scene, cube.images_e);
+    let cleaned = channels.iter().map(SequenceChannel::cleaned).collect::<Result<Vec<_>>>()?;
+    let cubes: Vec<Cube> = channels.iter().zip(&cleaned).map(|(channel, cleaned)| channel.cube(cleaned)).collect();
+    let retrieval = retrieval_settings(scene, sequence.images());
     let cancel = Some(control.flag());
-    let optics = estimate_optics(scene, &prior, &retrieval, cube, cancel)?;
+    let optics = match &cubes[..] {
+        [only] => estimate_optics(scene, &prior, &retrieval, *only, cancel)?,
+        // Channels could be explained by different optics, of which no wavefront is common to all.
+        _ => RetrievedOptics::of(scene)?,
+    };
     let found_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
     // The optics that were found are used for the static errors only where the slopes belong to their subapertures.
     let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
     own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
-    let retriever = Retriever::new(&optics.scene, optics.telescope().clone(), &prior, retrieval)?;
-    retriever.check_images(images.len(), MAX_NCPA_MODES)?;
+    let scenes: Vec<Scene> = match channels {
+        [_] => vec![optics.scene.clone()],
+        _ => channels.iter().map(|channel| channel.scene.clone()).collect(),
+    };
+    let retrievers = Retriever::of_channels(&scenes, optics.telescope(), &prior, &retrieval)?;
+    retrievers[0].check_images(sequence.images(), MAX_NCPA_MODES)?;
+    let sequences: Vec<_> =
+        retrievers.iter().zip(&cubes).map(|(retriever, &cube)| ChannelSequence { retriever, cube }).collect();
+    let (start, integers) = absolute_pistons(sequence, &sequences, &prior, &settings)?
+        .map(|found| (found.wavefront, found.integers))
+        .unzip();
+    let images = sequence.images();
     let watch = |progress| match progress {
-        SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images.len()),
+        SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images),
         SequenceProgress::Retrieved(done) => control.advance_to(done),
         SequenceProgress::Separating => control.enter(Stage::Separating, 0),
     };
-    let mut source = SequenceRetrieval::new(&retriever, &prior, cube, used_slopes_mas.cloned(), cancel, &watch)?;
+    let slopes_of_exposures = used_slopes_mas.cloned();
+    let mut source =
+        SequenceRetrieval::new(sequences, sequence.is_simultaneous, &prior, slopes_of_exposures, cancel, &watch)?
+            .about(start);
     // The first iteration's wavefronts are retrieved without the slopes.
     let telemetry = match used_slopes_mas {
         Some(slopes_mas) => {
-            let samples = retriever.illuminated_samples()?;
+            let samples = retrievers[0].illuminated_samples()?;
             telemetry::check(&static_scene, &samples, source.first_wavefronts_nm()?, slopes_mas)?
         }
         None => None,
@@ -173,12 +229,17 @@ pub(super) fn estimate(
         source.divide_slopes(check.divided_by);
     }
     let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;
-    let (device, device_failure) = retriever.device();
+    let (device, device_failure) = retrievers[0].device();
+    let rejected = |(channel, cleaned): (&SequenceChannel, &Option<CleanedImages>)| match cleaned {
+        None => vec![0; channel.images.len()],
+        Some(cleaned) => cleaned.rejected_pixels.clone(),
+    };
     Ok(SequenceResult {
         iterations,
         reports: std::mem::take(&mut source.reports),
         retrieval_seconds: source.seconds,
-        rejected_pixels: cleaned.map_or_else(|| vec![0; images.len()], |cleaned| cleaned.rejected_pixels),
+        rejected_pixels: channels.iter().zip(&cleaned).flat_map(rejected).collect(),
+        integers: integers.unwrap_or_default(),
         ao_knowledge,
         telemetry,
         optics,
@@ -189,13 +250,26 @@ pub(super) fn estimate(
     })
 }
 
-/// Settings of the retrieval of the exposures `[image, y, x]` of `scene`.
-fn retrieval_settings(scene: &Scene, images_e: ArrayView3<f64>) -> RetrievalSettings {
+/// Pistons with their whole wavelengths, where the channels have several wavelengths.
+fn absolute_pistons(
+    sequence: &Sequence,
+    sequences: &[ChannelSequence],
+    prior: &RadialPsd,
+    settings: &StaticsSettings,
+) -> Result<Option<AbsolutePistons>> {
+    let Sequence { channels, is_simultaneous, policy, control, .. } = *sequence;
+    let wavelengths_nm: Vec<f64> = channels.iter().map(|channel| channel.scene.image.wavelength_nm).collect();
+    let colours = Colours { channels, sequences, prior, is_simultaneous, settings, policy, control };
+    are_determined(&wavelengths_nm).then(|| colours.absolute_pistons()).transpose()
+}
+
+/// Settings of the retrieval of `images` images of `scene`.
+fn retrieval_settings(scene: &Scene, images: usize) -> RetrievalSettings {
     let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
     // Pistons as separate coefficients are nearly degenerate with wavefronts that have steep edges: each image is retrieved
     // as a wavefront alone.
     let usual = RetrievalSettings { device, precision, piston_rms_nm: 0.0, ..RetrievalSettings::default() };
-    if images_e.dim().0 > FEW_IMAGES {
+    if images > FEW_IMAGES {
         return usual;
     }
     RetrievalSettings { cycles_across_a_segment: usual.cycles_across_a_segment * FEW_IMAGES_RESOLUTION, ..usual }

@@ -66,6 +66,14 @@ impl RetrievedOptics {
         })
     }
 
+    /// The optics of `scene` as they are.
+    ///
+    /// # Errors
+    /// Those of building the telescope.
+    pub(crate) fn of(scene: &Scene) -> Result<Self> {
+        Self::new(scene, scene.clone(), Vec::new())
+    }
+
     /// Telescope with the estimated optics.
     pub(crate) fn telescope(&self) -> &Telescope {
         &self.telescope

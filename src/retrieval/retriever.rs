@@ -17,7 +17,7 @@ use super::information_probe::TypicalExposure;
 use super::model::MapModel;
 use super::prior::RadialPsd;
 use super::results::RetrievedWavefronts;
-use super::sampling::{highest_frequency_per_m, with_retrieval_sampling};
+use super::sampling::{highest_frequency_per_m, with_common_sampling, with_retrieval_sampling};
 use super::settings::RetrievalSettings;
 use super::static_wavefront::StaticWavefront;
 use crate::imaging::{CpuChain, Precision};
@@ -62,16 +62,51 @@ impl Retriever {
     /// Those of [`Model::with_telescope`]; [`Error::Value`] for a setting out of range.
     pub fn new(scene: &Scene, telescope: Telescope, prior: &RadialPsd, settings: RetrievalSettings) -> Result<Self> {
         settings.check()?;
-        // The free phase includes the NCPA modes; tip and tilt can exceed any power spectrum.
-        let scene = scene.with(&[
-            ("modes.file", ""),
-            ("modes.ncpa", "none"),
-            ("modes.exact_zernikes", "[2, 3]"),
-            ("estimate.optimizer", "gauss-newton"),
-        ])?;
-        let scene = with_retrieval_sampling(&scene, &telescope, settings.cycles_across_a_segment)?;
-        let recipe = Recipe::from_scene(&scene);
-        let model = Model::with_telescope(&scene, &recipe, telescope)?;
+        let scene = with_retrieval_sampling(&free_phase(scene)?, &telescope, settings.cycles_across_a_segment)?;
+        Self::by_recipe(&scene, Recipe::from_scene(&scene), telescope, prior, settings)
+    }
+
+    /// One for each of the `scenes` of the channels of one telescope, on the same samples of the pupil.
+    ///
+    /// # Errors
+    /// As [`Retriever::new`]; [`Error::Scene`] for channels that cannot have the same samples.
+    pub fn of_channels(
+        scenes: &[Scene],
+        telescope: &Telescope,
+        prior: &RadialPsd,
+        settings: &RetrievalSettings,
+    ) -> Result<Vec<Self>> {
+        if let [scene] = scenes {
+            return Ok(vec![Self::new(scene, telescope.clone(), prior, settings.clone())?]);
+        }
+        settings.check()?;
+        let scenes = scenes.iter().map(free_phase).collect::<Result<Vec<_>>>()?;
+        let (scenes, least_pass_cycles) = with_common_sampling(&scenes, telescope, settings.cycles_across_a_segment)?;
+        let each = scenes.iter().map(|scene| {
+            let recipe = Recipe { least_pass_cycles, ..Recipe::from_scene(scene) };
+            Self::by_recipe(scene, recipe, telescope.clone(), prior, settings.clone())
+        });
+        let retrievers = each.collect::<Result<Vec<_>>>()?;
+        let different = retrievers.iter().position(|retriever| !retriever.has_samples_of(&retrievers[0]));
+        match different.map(|channel| &scenes[channel]) {
+            None => Ok(retrievers),
+            Some(scene) => Err(Error::Scene(format!(
+                "{}: its wavefronts have other samples of the pupil than those of the first channel, and a full-phase estimate needs the \
+                 same ones: leave estimate.samples, pupil.band_pass_cycles and image.crop_pixels out",
+                scene.name()
+            ))),
+        }
+    }
+
+    /// By a scene with the samples and pixels of a retrieval.
+    fn by_recipe(
+        scene: &Scene,
+        recipe: Recipe,
+        telescope: Telescope,
+        prior: &RadialPsd,
+        settings: RetrievalSettings,
+    ) -> Result<Self> {
+        let model = Model::with_telescope(scene, &recipe, telescope)?;
         let samples = model.optics.sampling().samples;
         let pitch_m = model.width_ratio() * model.telescope.pupil.grid.width_m() / samples as f64;
         let at = |i: usize| (i as f64 - (samples as f64 - 1.0) / 2.0) * pitch_m;
@@ -95,9 +130,19 @@ impl Retriever {
                 AnyEngine::Double(Engine::new(MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?)?)
             }
         };
-        let highest_frequency_per_m = highest_frequency_per_m(&scene, &model)?;
+        let highest_frequency_per_m = highest_frequency_per_m(scene, &model)?;
         let read_noise_e = scene.image.read_noise_e;
         Ok(Self { read_noise_e, model, recipe, settings, points_m, pitch_m, highest_frequency_per_m, engine })
+    }
+
+    /// Whether wavefronts of both are on the same samples, with the same shares of the segments in each.
+    fn has_samples_of(&self, other: &Self) -> bool {
+        let [own, others] = [self, other].map(|retriever| &retriever.model.optics.parts().weights);
+        self.pitch_m == other.pitch_m
+            && own.illuminated == others.illuminated
+            && own.offsets == others.offsets
+            && own.segment == others.segment
+            && own.weight == others.weight
     }
 
     /// Refuses a sequence of `images` images whose wavefronts, and the static modes that are estimated from them (pistons and
@@ -189,6 +234,16 @@ impl Retriever {
             None => Ok(()),
         }
     }
+}
+
+/// `scene` with segment modes, tip and tilt only: the free phase includes the NCPA, and tip and tilt can exceed any power spectrum.
+fn free_phase(scene: &Scene) -> Result<Scene> {
+    scene.with(&[
+        ("modes.file", ""),
+        ("modes.ncpa", "none"),
+        ("modes.exact_zernikes", "[2, 3]"),
+        ("estimate.optimizer", "gauss-newton"),
+    ])
 }
 
 /// What the tests ask of a retriever.

@@ -5,7 +5,7 @@
 
 use crate::Result;
 use crate::fourier::fast_side;
-use crate::modal::{LEAST_HALF_WIDTH, Model, SPOT_MARGIN};
+use crate::modal::{ABERRATION_CYCLES, LEAST_HALF_WIDTH, Model, SPOT_MARGIN};
 use crate::scene::{Crop, PupilModel, Scene};
 use crate::telescope::{Diversity, Telescope};
 
@@ -49,6 +49,26 @@ pub(super) fn with_retrieval_sampling(scene: &Scene, telescope: &Telescope, cycl
         settings.push(("estimate.samples", &samples));
     }
     scene.with(&settings)
+}
+
+/// The `scenes` of the channels of one telescope with the pixels that each needs, and the samples of the pupil that the finest needs;
+/// and the pass band of the pupil that all need, cycles, with which their wavefronts are on the same samples.
+///
+/// # Errors
+/// Those of the diversity.
+pub(super) fn with_common_sampling(scenes: &[Scene], telescope: &Telescope, cycles: f64) -> Result<(Vec<Scene>, f64)> {
+    let each = scenes.iter().map(|scene| with_retrieval_sampling(scene, telescope, cycles));
+    let scenes = each.collect::<Result<Vec<_>>>()?;
+    let (mut samples, mut pass_cycles) = (None, 0.0f64);
+    for scene in &scenes {
+        let Crop::Pixels(pixels) = scene.image.crop_pixels else { continue };
+        let half_width = pixels as f64 / (2.0 * scene.image.samples_per_lambda_over_d);
+        samples = samples.max(scene.estimate.samples);
+        pass_cycles = pass_cycles.max(half_width + spot(scene, telescope)? + ABERRATION_CYCLES);
+    }
+    let Some(samples) = samples.map(|samples| samples.to_string()) else { return Ok((scenes, pass_cycles)) };
+    let scenes = scenes.iter().map(|scene| scene.with(&[("estimate.samples", &samples)]));
+    Ok((scenes.collect::<Result<_>>()?, pass_cycles))
 }
 
 /// Computes the highest spatial frequency that images of `model` resolve, 1/m.

@@ -9,6 +9,7 @@ use super::ncpa_basis::NcpaFamily;
 use super::settings::StaticsSettings;
 use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
+use super::wavefront_source::WavefrontSource;
 use crate::Result;
 use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
 use crate::optimize::CancelFlag;
@@ -48,13 +49,17 @@ pub(super) struct StaticsEstimator<'a> {
 impl<'a> StaticsEstimator<'a> {
     pub(super) fn new(
         scene: &'a Scene,
-        all_samples: &IlluminatedSamples,
+        source: &dyn WavefrontSource,
         settings: &StaticsSettings,
         cancel: Option<&'a CancelFlag>,
     ) -> Result<Self> {
+        let all_samples = source.samples();
         let kept = all_samples.select_bright(MIN_AMPLITUDE);
         let is_known = settings.ao_knowledge >= AoKnowledge::Loop;
-        let loop_response = is_known.then(|| SampledLoopResponse::new(scene, all_samples, &kept)).transpose()?;
+        let even_nm = vec![0.0; all_samples.pistons.nrows()];
+        let about_nm = source.start_pistons_nm().unwrap_or(&even_nm);
+        let loop_response =
+            is_known.then(|| SampledLoopResponse::new(scene, all_samples, &kept, about_nm)).transpose()?;
         let (telescope, samples) = (Telescope::new(scene)?, all_samples.subset(&kept));
         let all_samples = all_samples.clone();
         Ok(Self {
@@ -146,11 +151,11 @@ fn estimate_with_loop(
     slopes: Option<&SlopeInformation>,
     initial: Option<&StaticErrors>,
 ) -> Result<StaticErrors> {
-    let mut errors = model.estimate(mean_nm.view(), slopes, initial)?;
-    let Some(response) = loop_response else { return Ok(errors) };
+    let Some(response) = loop_response else { return model.estimate(mean_nm.view(), slopes, initial) };
+    let mut errors = model.estimate((mean_nm - &response.offset_nm).view(), slopes, initial)?;
     for _ in 0..MAX_LOOP_SIMULATIONS {
         let pistons_nm = Array1::from(errors.pistons_nm.clone());
-        let nonlinear_nm = response.at_kept_nm(&errors.pistons_nm)? - pistons_nm.dot(&response.linear);
+        let nonlinear_nm = response.nonlinear_nm(&errors.pistons_nm)?;
         errors = model.estimate((mean_nm - &nonlinear_nm).view(), slopes, Some(&errors))?;
         let change = errors.pistons_nm.iter().zip(&pistons_nm).map(|(now, then)| (now - then).abs());
         if change.fold(0.0, f64::max) < LOOP_TOLERANCE_NM {
@@ -160,21 +165,31 @@ fn estimate_with_loop(
     Ok(errors)
 }
 
-/// Closed-loop response, and its linear part at the samples that are used.
+/// Closed-loop response at the samples that are used: linear · pistons + offset, and the rest by simulation.
 struct SampledLoopResponse {
     closed_loop: ClosedLoopResponse,
     kept: Vec<usize>,
+    /// For 1 nm of each piston, `[segment, sample]`, about some pistons.
     linear: Array2<f64>,
+    /// What is not linear in those pistons; 0 about even segments.
+    offset_nm: Array1<f64>,
 }
 
 impl SampledLoopResponse {
-    fn new(scene: &Scene, samples: &IlluminatedSamples, kept: &[usize]) -> Result<Self> {
+    fn new(scene: &Scene, samples: &IlluminatedSamples, kept: &[usize], about_nm: &[f64]) -> Result<Self> {
         let mut closed_loop = ClosedLoopResponse::new(scene, samples)?;
-        let linear = closed_loop.linear_response()?.select(Axis(1), kept);
-        Ok(Self { closed_loop, kept: kept.to_vec(), linear })
+        let linear = closed_loop.linear_response(about_nm)?.select(Axis(1), kept);
+        let offset_nm = Array1::zeros(kept.len());
+        let mut response = Self { closed_loop, kept: kept.to_vec(), linear, offset_nm };
+        if about_nm.iter().any(|nm| *nm != 0.0) {
+            response.offset_nm = response.nonlinear_nm(about_nm)?;
+        }
+        Ok(response)
     }
 
-    fn at_kept_nm(&mut self, pistons_nm: &[f64]) -> Result<Array1<f64>> {
-        Ok(self.closed_loop.response_nm(pistons_nm)?.select(Axis(0), &self.kept))
+    /// Response to these pistons less its linear part.
+    fn nonlinear_nm(&mut self, pistons_nm: &[f64]) -> Result<Array1<f64>> {
+        let response_nm = self.closed_loop.response_nm(pistons_nm)?.select(Axis(0), &self.kept);
+        Ok(response_nm - ArrayView1::from(pistons_nm).dot(&self.linear))
     }
 }

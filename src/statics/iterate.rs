@@ -77,7 +77,7 @@ impl<'a> IterativeEstimate<'a> {
         settings: &'a StaticsSettings,
         cancel: Option<&'a CancelFlag>,
     ) -> Result<Self> {
-        let estimator = StaticsEstimator::new(scene, source.samples(), settings, cancel)?;
+        let estimator = StaticsEstimator::new(scene, source, settings, cancel)?;
         let mut finer = settings.families.iter();
         let Some(&coarsest) = finer.next() else {
             return Err(Error::Value("no family of NCPA modes was given: at least 1 is needed".into()));

@@ -1,4 +1,4 @@
-//! Retrieval of a sequence of images, iteration after iteration about the last static wavefront.
+//! Retrieval of a sequence of images, of one channel or of several, iteration after iteration about the last static wavefront.
 
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use crate::modal::Cube;
@@ -7,7 +7,7 @@ use crate::retrieval::{
     IlluminatedSamples, RadialPsd, RetrievalReport, RetrievedWavefronts, Retriever, StaticWavefront,
 };
 use crate::{Error, Result};
-use ndarray::Array2;
+use ndarray::{Array2, Axis, concatenate};
 
 /// Progress of an iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,59 +18,95 @@ pub enum SequenceProgress {
     Separating,
 }
 
-/// Retrieval of a sequence of images.
+/// Images of one channel, and the retriever of their wavefronts.
+#[derive(Clone, Copy)]
+pub struct ChannelSequence<'a> {
+    /// By the scene of the channel.
+    pub retriever: &'a Retriever,
+    /// Its images.
+    pub cube: Cube<'a>,
+}
+
+/// Retrieval of a sequence of images, of one channel or of several.
+///
+/// The wavefront of an exposure is that of its image, or the mean over its images where all channels took it at once.
 pub struct SequenceRetrieval<'a> {
-    retriever: &'a Retriever,
+    channels: Vec<ChannelSequence<'a>>,
+    /// Whether image i of every channel is of exposure i.
+    is_simultaneous: bool,
     prior: &'a RadialPsd,
     samples: IlluminatedSamples,
-    cube: Cube<'a>,
     slopes_mas: Option<Array2<f64>>,
     cancel: Option<&'a CancelFlag>,
     watch: &'a (dyn Fn(SequenceProgress) + Sync),
-    /// Wavefronts about no static wavefront, until an iteration takes them.
-    first: Option<RetrievedWavefronts>,
-    /// Report of each image's last retrieval.
+    /// Static wavefront about which the first wavefronts are retrieved.
+    start: Option<StaticWavefront>,
+    /// Wavefronts of the first iteration, until it takes them.
+    first: Option<Exposures>,
+    /// Report of each image's last retrieval, channel after channel.
     pub reports: Vec<RetrievalReport>,
     /// Seconds in retrievals.
     pub seconds: f64,
 }
 
+/// Wavefronts of the exposures.
+struct Exposures {
+    /// `[exposure, sample]`, nm; NaN where no image can be used.
+    wavefront_nm: Array2<f64>,
+    reduced_chi2: Vec<f64>,
+    /// Of each image, channel after channel.
+    reports: Vec<RetrievalReport>,
+}
+
 impl<'a> SequenceRetrieval<'a> {
-    /// For the images of `cube`, by `retriever` with `prior`, and the slopes that the wavefront sensor measured, if any.
+    /// For the images of `channels`, whose retrievers have the same samples, with the wavefronts' `prior` and the slopes that the
+    /// wavefront sensor measured in each exposure, if any.
     ///
     /// # Errors
-    /// [`Error::Shape`] for telemetry of another number of images.
+    /// [`Error::Shape`] for telemetry of another number of exposures, and for simultaneous channels with different numbers of images.
     pub fn new(
-        retriever: &'a Retriever,
+        channels: Vec<ChannelSequence<'a>>,
+        is_simultaneous: bool,
         prior: &'a RadialPsd,
-        cube: Cube<'a>,
         slopes_mas: Option<Array2<f64>>,
         cancel: Option<&'a CancelFlag>,
         watch: &'a (dyn Fn(SequenceProgress) + Sync),
     ) -> Result<Self> {
-        let count = cube.images_e.dim().0;
-        if let Some(slopes_mas) = slopes_mas.as_ref().filter(|slopes_mas| slopes_mas.nrows() != count) {
-            let rows = slopes_mas.nrows();
+        let Some(first) = channels.first() else { return Err(Error::Internal("a sequence without channels".into())) };
+        let counts: Vec<usize> = channels.iter().map(ChannelSequence::images).collect();
+        if is_simultaneous && counts.iter().any(|&count| count != counts[0]) {
             return Err(Error::Shape(format!(
-                "{rows} sets of slopes were given with {count} images: one each is needed"
+                "the channels have {counts:?} images: as many of each are needed where image.simultaneous is true"
             )));
         }
-        let samples = retriever.illuminated_samples()?;
+        let exposures = if is_simultaneous { counts[0] } else { counts.iter().sum() };
+        if let Some(slopes_mas) = slopes_mas.as_ref().filter(|slopes_mas| slopes_mas.nrows() != exposures) {
+            let rows = slopes_mas.nrows();
+            return Err(Error::Shape(format!(
+                "{rows} sets of slopes were given with {exposures} exposures: one each is needed"
+            )));
+        }
         Ok(Self {
-            retriever,
+            samples: first.retriever.illuminated_samples()?,
+            channels,
+            is_simultaneous,
             prior,
-            samples,
-            cube,
             slopes_mas,
             cancel,
             watch,
+            start: None,
             first: None,
             reports: Vec::new(),
             seconds: 0.0,
         })
     }
 
-    /// Retrieves the wavefronts of the first iteration, which do not depend on the slopes, `[image, sample]`, nm; NaN for
+    /// This sequence, whose first wavefronts are retrieved about `start`.
+    pub fn about(self, start: Option<StaticWavefront>) -> Self {
+        Self { start, ..self }
+    }
+
+    /// Retrieves the wavefronts of the first iteration, which do not depend on the slopes, `[exposure, sample]`, nm; NaN for
     /// unusable images.
     ///
     /// # Errors
@@ -90,13 +126,64 @@ impl<'a> SequenceRetrieval<'a> {
         }
     }
 
-    fn timed(&mut self, about: Option<&StaticWavefront>) -> Result<RetrievedWavefronts> {
+    fn timed(&mut self, about: Option<&StaticWavefront>) -> Result<Exposures> {
         (self.watch)(SequenceProgress::Retrieved(0));
         let started = std::time::Instant::now();
-        let watch = |done: usize| (self.watch)(SequenceProgress::Retrieved(done));
-        let wavefronts = self.retriever.retrieve(self.cube, about, self.cancel, &watch)?;
+        let (mut before, mut retrieved) = (0, Vec::new());
+        for ChannelSequence { retriever, cube } in &self.channels {
+            let watch = |done: usize| (self.watch)(SequenceProgress::Retrieved(before + done));
+            retrieved.push(retriever.retrieve(*cube, about.or(self.start.as_ref()), self.cancel, &watch)?);
+            before += cube.images_e.len_of(Axis(0));
+        }
         self.seconds += started.elapsed().as_secs_f64();
-        Ok(wavefronts)
+        if self.is_simultaneous { Ok(simultaneous(retrieved)) } else { successive(retrieved) }
+    }
+}
+
+impl<'a> ChannelSequence<'a> {
+    pub(crate) fn images(&self) -> usize {
+        self.cube.images_e.dim().0
+    }
+
+    /// The same images, borrowed for less long: array views are invariant in their lifetime.
+    pub(crate) fn reborrow<'b>(self) -> ChannelSequence<'b>
+    where
+        'a: 'b,
+    {
+        let Cube { images_e, bad, read_noise_e } = self.cube;
+        let cube = Cube { images_e: images_e.reborrow(), bad: bad.reborrow(), read_noise_e };
+        ChannelSequence { retriever: self.retriever, cube }
+    }
+}
+
+/// An exposure for each image, channel after channel.
+fn successive(channels: Vec<RetrievedWavefronts>) -> Result<Exposures> {
+    let views: Vec<_> = channels.iter().map(|channel| channel.wavefront_nm.view()).collect();
+    let wavefront_nm = concatenate(Axis(0), &views).map_err(|error| Error::Internal(error.to_string()))?;
+    let reports: Vec<_> = channels.into_iter().flat_map(|channel| channel.reports).collect();
+    let reduced_chi2 = reports.iter().map(|report| report.reduced_chi2).collect();
+    Ok(Exposures { wavefront_nm, reduced_chi2, reports })
+}
+
+/// Means over the usable images of each exposure, one of each channel.
+fn simultaneous(channels: Vec<RetrievedWavefronts>) -> Exposures {
+    let mut wavefront_nm = Array2::zeros(channels[0].wavefront_nm.dim());
+    let mut reduced_chi2 = vec![0.0; wavefront_nm.nrows()];
+    for (exposure, mut mean_nm) in wavefront_nm.outer_iter_mut().enumerate() {
+        let is_usable = |channel: &&RetrievedWavefronts| channel.reports[exposure].refusal.is_none();
+        let usable: Vec<_> = channels.iter().filter(is_usable).collect();
+        // Without any, 0/0 marks the exposure as unusable.
+        let share = 1.0 / usable.len() as f64;
+        for channel in &usable {
+            mean_nm += &channel.wavefront_nm.row(exposure);
+            reduced_chi2[exposure] += share * channel.reports[exposure].reduced_chi2;
+        }
+        mean_nm.mapv_inplace(|nm| nm * share);
+    }
+    Exposures {
+        wavefront_nm,
+        reduced_chi2,
+        reports: channels.into_iter().flat_map(|channel| channel.reports).collect(),
     }
 }
 
@@ -109,14 +196,18 @@ impl WavefrontSource for SequenceRetrieval<'_> {
         Some(self.prior)
     }
 
+    fn start_pistons_nm(&self) -> Option<&[f64]> {
+        self.start.as_ref().map(|start| &start.segments_nm[..])
+    }
+
     fn highest_frequency_per_m(&self) -> f64 {
-        self.retriever.highest_frequency_per_m()
+        let each = self.channels.iter().map(|channel| channel.retriever.highest_frequency_per_m());
+        each.fold(f64::INFINITY, f64::min)
     }
 
     fn retrieve(&mut self, about: Option<&StaticWavefront>) -> Result<Option<RetrievedSequence>> {
         let first = self.first.take().filter(|_| about.is_none());
-        let RetrievedWavefronts { wavefront_nm, reports, .. } = first.map_or_else(|| self.timed(about), Ok)?;
-        let reduced_chi2 = reports.iter().map(|report| report.reduced_chi2).collect();
+        let Exposures { wavefront_nm, reduced_chi2, reports } = first.map_or_else(|| self.timed(about), Ok)?;
         self.reports = reports;
         (self.watch)(SequenceProgress::Separating);
         Ok(Some(RetrievedSequence { wavefront_nm, reduced_chi2, slopes_mas: self.slopes_mas.clone() }))
@@ -146,7 +237,8 @@ mod tests {
         let retriever = Retriever::new(&scene, Telescope::new(&scene).unwrap(), &prior, settings).unwrap();
         let (images_e, bad) = (Array3::zeros((2, 240, 240)), Array3::from_elem((2, 240, 240), false));
         let cube = Cube { images_e: images_e.view(), bad: bad.view(), read_noise_e: None };
-        let source = SequenceRetrieval::new(&retriever, &prior, cube, None, None, &|_| {}).unwrap();
+        let channel = ChannelSequence { retriever: &retriever, cube };
+        let source = SequenceRetrieval::new(vec![channel], false, &prior, None, None, &|_| {}).unwrap();
         let pistons = &source.samples().pistons;
         let pistons_nm: Vec<f64> = (0..pistons.nrows()).map(|s| 50.0 * (2.4 * s as f64).sin()).collect();
         let retrieved = retriever.modal_wavefront_nm(&pistons_nm);
@@ -155,6 +247,6 @@ mod tests {
         // segments cancel to a tenth of their moduli it is magnified by some hundred.
         assert!(retrieved.iter().zip(&modelled).all(|(retrieved, modelled)| (retrieved - modelled).abs() < 1e-10));
         let slopes = Some(Array2::zeros((3, 4)));
-        assert!(SequenceRetrieval::new(&retriever, &prior, cube, slopes, None, &|_| {}).is_err());
+        assert!(SequenceRetrieval::new(vec![channel], false, &prior, slopes, None, &|_| {}).is_err());
     }
 }

@@ -25,6 +25,12 @@ pub trait WavefrontSource {
         None
     }
 
+    /// Pistons of the static wavefront about which the first wavefronts are retrieved, nm, where they are beyond those to which the
+    /// loop responds linearly.
+    fn start_pistons_nm(&self) -> Option<&[f64]> {
+        None
+    }
+
     /// Highest spatial frequency that the wavefronts resolve, 1/m.
     fn highest_frequency_per_m(&self) -> f64 {
         f64::INFINITY
