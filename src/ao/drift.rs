@@ -41,7 +41,7 @@ impl Drift {
             let place = y * footprint.stride() + x;
             (pistons_nm[place], ncpa_nm[place]) = (pistons[owner] as f32, ncpa as f32);
         }
-        let middle = (schedule.start(0) + schedule.frames()) as f64 / 2.0;
+        let middle = (schedule.start() + schedule.frames()) as f64 / 2.0;
         Ok(Some(Self { pistons_nm, ncpa_nm, segments_nm: segments_nm.clone(), frames_per_min: 60.0 / frame_s, middle }))
     }
 

@@ -1,11 +1,11 @@
 //! FITS file of a run: images, truth, telemetry.
 
-use super::run::{Shot, Summary};
+use super::recorder::{Shot, Summary};
 use super::simulator::Simulator;
-use crate::io::{Column, ELECTRON, FitsWriter, Pixel};
+use crate::io::{Column, FitsWriter, Pixel};
 use crate::source::file;
 use crate::{Error, Result};
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3, Axis, stack};
 use std::path::Path;
 
 /// Writes the images and the telemetry of a run of `simulator`. The write is atomic.
@@ -19,6 +19,9 @@ use std::path::Path;
 /// - `SUBAPERTURES`, `ACTUATORS`: tables of those in use.
 /// - `INTERACTION`: interaction matrix, `[slope, actuator]`, mas per nm.
 ///
+/// A scene with channels has `IMAGES`, `SLOPES`, `SLOPES_MEAN`, `COMMANDS` and `SHOTS` for each channel of which there are images, with
+/// `EXTVER` 1, 2, …; the cards of the loop are those of the first `IMAGES`.
+///
 /// # Errors
 /// [`Error::Image`] for a run without any image, [`Error::File`] where the file cannot be written.
 pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Result<()> {
@@ -28,18 +31,18 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
             summary.divergence.map_or(String::new(), |d| format!(": the loop diverged after {:.2} s", d.time_s));
         return Err(Error::Image(format!("0 images to write: the run ended before its first image{reason}")));
     }
+    let of_channel = |number| shots.iter().filter(|shot| shot.channel == number).collect::<Vec<_>>();
+    let channels: Vec<(usize, Vec<&Shot>)> = (0..summary.flux_e.len())
+        .map(|number| (number, of_channel(number)))
+        .filter(|(_, shots)| !shots.is_empty())
+        .collect();
     let mut file = FitsWriter::create(path)?;
-    let (rows, columns) = scene.image.frame_shape();
-    let mut images = Array3::<f32>::zeros((shots.len(), rows, columns));
-    for (mut out, shot) in images.axis_iter_mut(Axis(0)).zip(shots) {
-        out.assign(&shot.image_e);
+    for (number, shots) in &channels {
+        let hdu = file::channel_images(&mut file, scene, *number, &images_e(shots)?, summary.flux_e[*number])?;
+        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        file::seed_card(&mut file, &hdu, "SEED", seed, "seed of the aberrations")?;
+        file::seed_card(&mut file, &hdu, "SEED_SKY", scene.turbulence.seed, "seed of the turbulence and of the noise")?;
     }
-    file.image("IMAGES", &images, Pixel::F32, ELECTRON)?;
-    drop(images);
-    file::image_cards(&mut file, "IMAGES", scene, summary.flux_e)?;
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-    file::seed_card(&mut file, "IMAGES", "SEED", seed, "seed of the aberrations")?;
-    file::seed_card(&mut file, "IMAGES", "SEED_SKY", scene.turbulence.seed, "seed of the turbulence and of the noise")?;
     for (key, value, comment) in [
         ("FRAMES", summary.frames as f64, "frames of the loop"),
         ("RATE_HZ", 1.0 / simulator.frame_s(), "frames per second of the loop"),
@@ -50,26 +53,39 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
         file.card("IMAGES", key, value, comment)?;
     }
     file::truth(&mut file, scene, simulator.truth())?;
-    telemetry(&mut file, simulator, shots)?;
+    channels.iter().try_for_each(|(number, shots)| telemetry(&mut file, *number, shots))?;
+    system(&mut file, simulator)?;
     file.text("SCENE", scene.text())?;
     file.finish()
 }
 
-fn telemetry(file: &mut FitsWriter, simulator: &Simulator, shots: &[Shot]) -> Result<()> {
+/// The images of the shots of a channel, `[image, y, x]`.
+fn images_e(shots: &[&Shot]) -> Result<Array3<f32>> {
+    let images: Vec<_> = shots.iter().map(|shot| shot.image_e.view()).collect();
+    stack(Axis(0), &images).map_err(|error| Error::Internal(format!("images of uneven size: {error}")))
+}
+
+/// Writes the telemetry of the channel `number`.
+fn telemetry(file: &mut FitsWriter, number: usize, shots: &[&Shot]) -> Result<()> {
+    let hdu = |name: &str| file::channel_hdu(name, number);
     let rows = |values: &dyn Fn(&Shot) -> &[f32]| {
         let flat: Vec<f32> = shots.iter().flat_map(|shot| values(shot).iter().copied()).collect();
         Array2::from_shape_vec((shots.len(), flat.len() / shots.len()), flat)
             .map_err(|error| Error::Internal(format!("telemetry of uneven length: {error}")))
     };
-    file.image("SLOPES", &rows(&|shot| &shot.slopes_mas)?, Pixel::F32, "mas")?;
-    file.image("SLOPES_MEAN", &rows(&|shot| &shot.mean_slopes_mas)?, Pixel::F32, "mas")?;
-    file.image("COMMANDS", &rows(&|shot| &shot.commands_nm)?, Pixel::F32, "nm")?;
-    let column = |value: &dyn Fn(&Shot) -> f64| shots.iter().map(value).collect();
-    let shots = [
+    file.image(&hdu("SLOPES"), &rows(&|shot| &shot.slopes_mas)?, Pixel::F32, "mas")?;
+    file.image(&hdu("SLOPES_MEAN"), &rows(&|shot| &shot.mean_slopes_mas)?, Pixel::F32, "mas")?;
+    file.image(&hdu("COMMANDS"), &rows(&|shot| &shot.commands_nm)?, Pixel::F32, "nm")?;
+    let column = |value: &dyn Fn(&Shot) -> f64| shots.iter().map(|shot| value(shot)).collect();
+    let columns = [
         Column::f64("TIME_S", "s", column(&|shot| shot.time_s)),
         Column::f64("RESIDUAL_NM", "nm", column(&|shot| shot.residual_rms_nm)),
     ];
-    file.table("SHOTS", &shots)?;
+    file.table(&hdu("SHOTS"), &columns)
+}
+
+/// Writes subapertures, actuators and their interaction matrix.
+fn system(file: &mut FitsWriter, simulator: &Simulator) -> Result<()> {
     let lenslets = simulator.lenslets();
     let subapertures = [
         Column::i64("PLACE", lenslets.subapertures.iter().map(|&place| place as i64).collect()),

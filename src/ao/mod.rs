@@ -6,21 +6,27 @@
 mod aligned;
 mod atmosphere;
 mod camera;
+mod channel;
 mod control;
+mod detector;
 mod divergence;
 mod drift;
 mod exposure;
 mod file;
 mod footprint;
+mod loop_run;
 mod parts;
 mod phase;
 mod profile;
+mod recorder;
 mod run;
 mod schedule;
 mod sensor;
 mod simulator;
 mod stepper;
 mod surface;
+#[cfg(test)]
+mod testing;
 mod undisturbed;
 mod valid_map;
 mod work;
@@ -35,7 +41,7 @@ pub use file::write;
 pub use footprint::{Footprint, LANES};
 pub use parts::{actuators_in_use, sensor_pupil};
 pub use profile::{Profile, Stage};
-pub use run::{Progress, Recorder, Shot, Summary};
+pub use recorder::{Progress, Recorder, Shot, Summary};
 #[cfg(test)]
 pub(crate) use schedule::Schedule;
 pub use sensor::{GuideStar, Lenslets, Sensor};

@@ -7,19 +7,16 @@
 //!
 //! Each thread draws from its own random number streams, so the result does not depend on their timing.
 
-use super::aligned::AlignedBuffer;
 use super::atmosphere::Atmosphere;
-use super::camera::View;
-use super::divergence::{Divergence, DivergenceMonitor};
-use super::exposure::{DetectorThread, ExposedWavefront, FinishedImage};
-use super::profile::{Profile, Stage};
+use super::detector::Detector;
+use super::divergence::DivergenceMonitor;
+use super::exposure::DetectorThread;
+use super::loop_run::{Batch, LoopRun};
+use super::profile::Stage;
+use super::recorder::{Progress, Recorder, Summary};
 use super::schedule::Schedule;
-use super::simulator::{CorrectionLoop, Frame, Simulator, sections};
-use crate::source::{DetectorPixels, flux_e};
+use super::simulator::{Simulator, sections};
 use crate::{Error, Result};
-use ndarray::Array2;
-use std::collections::VecDeque;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -29,93 +26,6 @@ const BATCH: usize = 8;
 const BATCHES: usize = 3;
 /// Wavefronts that may queue for the detector thread.
 const WAITING: usize = 32;
-
-/// One image with the telemetry of its exposure.
-#[derive(Debug, Clone)]
-pub struct Shot {
-    /// Its number, from 0.
-    pub image: usize,
-    /// Middle of the exposure, s since the loop was closed.
-    pub time_s: f64,
-    /// Electrons, `[y, x]`.
-    pub image_e: Array2<f32>,
-    /// Slopes in the frame at the middle of the exposure, `[all x, all y]`, mas.
-    pub slopes_mas: Vec<f32>,
-    /// Mean slopes over the frames of the exposure, mas.
-    pub mean_slopes_mas: Vec<f32>,
-    /// Commands in that frame, nm.
-    pub commands_nm: Vec<f32>,
-    /// RMS of the residual wavefront in that frame, nm.
-    pub residual_rms_nm: f64,
-}
-
-/// Receiver of the frames and images of a run. An error that it returns stops the run.
-pub trait Recorder {
-    /// Receives every frame, in order.
-    ///
-    /// # Errors
-    /// An error of the implementation; it stops the run.
-    fn frame(&mut self, _frame: &Frame) -> Result<()> {
-        Ok(())
-    }
-
-    /// Receives every image, in order, some time after its last frame.
-    ///
-    /// # Errors
-    /// An error of the implementation; it stops the run.
-    fn shot(&mut self, shot: Shot) -> Result<()>;
-}
-
-impl Recorder for Vec<Shot> {
-    fn shot(&mut self, shot: Shot) -> Result<()> {
-        self.push(shot);
-        Ok(())
-    }
-}
-
-/// Statistics of a run.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Summary {
-    /// Frames.
-    pub frames: u64,
-    /// Images.
-    pub images: usize,
-    /// Wall-clock time, s.
-    pub seconds: f64,
-    /// RMS of the residual wavefront over the frames after settling, nm.
-    pub residual_rms_nm: f64,
-    /// Strehl ratio of a long exposure of the loop's residual at the scene's wavelength, without NCPA and diversity.
-    pub strehl: f64,
-    /// The same Strehl ratio by Maréchal's approximation from the RMS of every frame after settling.
-    pub strehl_marechal: f64,
-    /// Electrons of the star in an image.
-    pub flux_e: f64,
-    /// Divergence of the loop, at which the run stopped; `None` for a run that reached its end.
-    pub divergence: Option<Divergence>,
-    /// Time in each stage, over all threads.
-    pub profile: Profile,
-    /// Time of the detector thread, s.
-    pub camera_s: f64,
-}
-
-impl Summary {
-    /// Frames per second of wall-clock time.
-    pub fn frames_per_s(&self) -> f64 {
-        self.frames as f64 / self.seconds
-    }
-}
-
-/// Progress report and cancellation of a run.
-#[derive(Default)]
-pub struct Progress<'a> {
-    /// Called with (frames done, frames in all) every `LOOK_EVERY` frames.
-    pub watch: Option<&'a mut dyn FnMut(u64, u64)>,
-    /// Flag that stops the run when another thread sets it.
-    pub cancel: Option<&'a AtomicBool>,
-}
-
-/// Frames between two checks of the cancel flag and of finished images.
-const LOOK_EVERY: u64 = 128;
 
 impl Simulator {
     /// Closes the loop until the scene's images are taken, or the loop diverges.
@@ -129,22 +39,17 @@ impl Simulator {
         let started = Instant::now();
         let scene = self.scene().clone();
         let (sensing, control) = sections(&scene)?;
-        let schedule = Schedule::new(&scene, control.settle_s, control.frame_rate_hz);
-        let mut camera = self.camera(View::from_scene(&scene.image))?;
-        // peak_snr refers to the PSF of the static aberrations alone, so that the flux does not depend on the loop.
-        let pixels = DetectorPixels::new(&scene);
-        let peak = pixels.apply(camera.psf(self.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));
-        let flux_e = flux_e(&scene.image, peak);
+        let schedule = Schedule::new(&scene, control.settle_s, control.frame_rate_hz)?;
+        let frames = schedule.frames();
+        let detectors = Detector::all(self)?;
+        let flux_e = detectors.iter().map(|detector| detector.flux_e).collect();
         let footprint = self.correction.footprint.clone();
-        let first_frame = self.correction.number;
         let detector = DetectorThread {
-            camera,
-            pixels,
+            detectors,
             drift: self.correction.drift.clone(),
-            scene: scene.clone(),
-            flux_e,
+            wavelength_nm: scene.image.wavelength_nm,
             footprint: footprint.clone(),
-            first_frame,
+            first_frame: self.correction.number,
         };
         let before = self.correction.profile;
         let monitor = DivergenceMonitor::new(self.frame_s(), sensing.wavelength_nm, self.stability());
@@ -157,7 +62,7 @@ impl Simulator {
                 // Cannot fail: the channel holds all of them, and its receiver exists.
                 let _ = empty.send((0..BATCH).map(|_| footprint.zeros()).collect());
             }
-            let turbulence = scope.spawn(move || make_turbulence(atmosphere, schedule.frames(), &full, &back));
+            let turbulence = scope.spawn(move || make_turbulence(atmosphere, frames, &full, &back));
             let (exposed, wavefronts) = sync_channel(WAITING);
             let (images, finished) = channel();
             let camera = scope.spawn(move || detector.run(&wavefronts, &images));
@@ -188,8 +93,6 @@ impl Simulator {
     }
 }
 
-type Batch = Vec<AlignedBuffer>;
-
 /// Makes the turbulence of `frames` frames, or fewer if a channel closes; returns the time it took.
 fn make_turbulence(
     atmosphere: &mut Atmosphere,
@@ -214,147 +117,96 @@ fn make_turbulence(
     Ok(spent)
 }
 
-/// State of the loop during a run.
-struct LoopRun<'a> {
-    correction: &'a mut CorrectionLoop,
-    schedule: Schedule,
-    monitor: DivergenceMonitor,
-    recorder: &'a mut dyn Recorder,
-    /// Frames so far.
-    frame: u64,
-    /// Telemetry of exposures whose images are not finished, and the number of images that are.
-    waiting: VecDeque<Shot>,
-    finished: usize,
-    /// Sum of the slopes over the exposure so far.
-    slopes_mas: Vec<f32>,
-    /// Sums over the frames after settling.
-    settled: f64,
-    square_nm2: f64,
-    strehl_marechal: f64,
-    divergence: Option<Divergence>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ao::Shot;
+    use crate::ao::testing::small;
+    use crate::scene::Scene;
 
-impl<'a> LoopRun<'a> {
-    fn new(
-        correction: &'a mut CorrectionLoop,
-        schedule: Schedule,
-        monitor: DivergenceMonitor,
-        recorder: &'a mut dyn Recorder,
-    ) -> Self {
-        Self {
-            correction,
-            schedule,
-            monitor,
-            recorder,
-            frame: 0,
-            waiting: VecDeque::new(),
-            finished: 0,
-            slopes_mas: Vec::new(),
-            settled: 0.0,
-            square_nm2: 0.0,
-            strehl_marechal: 0.0,
-            divergence: None,
-        }
+    /// Two channels that differ in nothing but their names.
+    const EQUAL: &str = "name = \"a\"\n[[image.channel]]\nname = \"b\"\n";
+    /// Exposures of three frames, with segments and NCPA that drift.
+    const MOVING: [(&str, &str); 4] = [
+        ("image.exposure_s", "0.003"),
+        ("image.count", "2"),
+        ("faults.drift_nm_per_min", "1e5"),
+        ("image.peak_snr", ""),
+    ];
+    /// A star without noise.
+    const QUIET: [(&str, &str); 3] =
+        [("image.photon_noise", "false"), ("image.read_noise_e", "0"), ("image.flux_e", "1e6")];
+
+    fn run(scene: &Scene) -> (Vec<Shot>, Summary) {
+        let mut shots: Vec<Shot> = Vec::new();
+        let summary = Simulator::new(scene).unwrap().run(&mut shots, &mut Progress::default()).unwrap();
+        (shots, summary)
     }
 
-    /// Closes the loop for all frames of the run, or until it diverges.
-    fn close(
-        &mut self,
-        ready: Receiver<Batch>,
-        empty: SyncSender<Batch>,
-        exposed: SyncSender<ExposedWavefront>,
-        finished: &Receiver<FinishedImage>,
-        progress: &mut Progress,
-    ) -> Result<()> {
-        let frames = self.schedule.frames();
-        let mut image = 0;
-        while let Ok(mut batch) = ready.recv() {
-            for opd_nm in batch.iter_mut().take((frames - self.frame).min(BATCH as u64) as usize) {
-                self.correction.step(opd_nm)?;
-                image = self.expose(opd_nm, image, &exposed)?;
-                self.recorder.frame(&self.correction.last(opd_nm))?;
-                self.update_statistics();
-                self.frame += 1;
-                if self.divergence.is_some() || self.frame == frames {
-                    return Ok(());
-                }
-                if self.frame.is_multiple_of(LOOK_EVERY) {
-                    self.report(finished, progress)?;
-                }
+    fn order(shots: &[Shot]) -> Vec<(usize, usize)> {
+        shots.iter().map(|shot| (shot.channel, shot.image)).collect()
+    }
+
+    fn has_same_telemetry(one: &Shot, other: &Shot) -> bool {
+        let of = |shot: &Shot| {
+            let slopes_mas = [&shot.slopes_mas, &shot.mean_slopes_mas].map(Vec::clone);
+            (shot.time_s, slopes_mas, shot.commands_nm.clone(), shot.residual_rms_nm)
+        };
+        of(one) == of(other)
+    }
+
+    #[test]
+    fn simultaneous_channels_image_the_same_wavefronts_with_other_noise() {
+        let both = ("image.simultaneous", "true");
+        for is_quiet in [true, false] {
+            let noise = if is_quiet { QUIET.as_slice() } else { &QUIET[2..] };
+            let settings = [&MOVING, noise].concat();
+            let (alone, of_one) = run(&small("", &settings));
+            let (shots, of_both) = run(&small(EQUAL, &[&settings[..], &[both]].concat()));
+            assert_eq!(order(&shots), [(0, 0), (1, 0), (0, 1), (1, 1)]);
+            assert_eq!((of_both.images, of_both.frames), (4, of_one.frames));
+            assert_eq!((of_both.flux_e, of_both.strehl), (vec![1e6, 1e6], of_one.strehl));
+            for (pair, alone) in shots.chunks(2).zip(&alone) {
+                assert!(pair.iter().all(|shot| has_same_telemetry(shot, alone)));
+                // The first channel has the noise of a scene without channels.
+                assert!(pair[0].image_e == alone.image_e && alone.image_e.iter().any(|&e| e > 1000.0));
+                assert_eq!(pair[1].image_e == alone.image_e, is_quiet);
             }
-            // The send fails if the turbulence thread has made its last batch and ended.
-            let _ = empty.send(batch);
-        }
-        Err(Error::Internal("the turbulence ended before the run".into()))
-    }
-
-    /// Adds the last frame to the statistics.
-    fn update_statistics(&mut self) {
-        let residual_rms_nm = self.correction.residual_rms_nm;
-        self.divergence = self.monitor.update(residual_rms_nm);
-        if self.frame >= self.schedule.start(0) {
-            self.settled += 1.0;
-            self.square_nm2 += residual_rms_nm * residual_rms_nm;
-            let phase = std::f64::consts::TAU * residual_rms_nm / self.schedule.wavelength_nm;
-            self.strehl_marechal += (-phase * phase).exp();
         }
     }
 
-    /// Sends the wavefront to the detector thread if it belongs to the exposure of `image`; returns the number of the
-    /// image that is exposed next.
-    fn expose(&mut self, residual_nm: &[f32], image: usize, exposed: &SyncSender<ExposedWavefront>) -> Result<usize> {
-        let Some(place) = self.schedule.place(self.frame, image) else { return Ok(image) };
-        let share = 1.0 / self.schedule.exposure as f32;
-        let slopes_mas = self.correction.last(residual_nm).slopes_mas;
-        if place == 0 {
-            self.slopes_mas = vec![0.0; slopes_mas.len()];
+    #[test]
+    fn successive_channels_are_one_run_of_the_loop() {
+        let settings = [MOVING.as_slice(), &QUIET].concat();
+        let (shots, summary) = run(&small(EQUAL, &settings));
+        assert_eq!(order(&shots), [(0, 0), (0, 1), (1, 0), (1, 1)]);
+        // Those of one channel with all images: the same wavefronts, with the same drift.
+        let (alone, of_one) = run(&small("", &[&settings[..], &[("image.count", "4")]].concat()));
+        assert_eq!((summary.images, summary.frames), (4, of_one.frames));
+        for (shot, alone) in shots.iter().zip(&alone) {
+            assert!(has_same_telemetry(shot, alone) && shot.image_e == alone.image_e);
         }
-        self.slopes_mas.iter_mut().zip(slopes_mas).for_each(|(sum, slope)| *sum += share * slope);
-        if place == self.schedule.exposure / 2 {
-            let frame = self.correction.last(residual_nm);
-            self.waiting.push_back(Shot {
-                image,
-                time_s: (self.schedule.start(image) as f64 + (self.schedule.exposure - 1) as f64 / 2.0)
-                    / self.schedule.rate_hz,
-                image_e: Array2::zeros((0, 0)),
-                slopes_mas: frame.slopes_mas.to_vec(),
-                mean_slopes_mas: Vec::new(),
-                commands_nm: frame.commands_nm.to_vec(),
-                residual_rms_nm: frame.residual_rms_nm,
-            });
-        }
-        let is_last = place + 1 == self.schedule.exposure;
-        if let Some(shot) = self.waiting.back_mut().filter(|_| is_last) {
-            shot.mean_slopes_mas = std::mem::take(&mut self.slopes_mas);
-        }
-        let wavefront =
-            ExposedWavefront { image, frame: self.frame, residual_nm: residual_nm.to_vec(), share, is_last };
-        // The send fails only if the detector thread panicked; joining it reports the panic.
-        exposed.send(wavefront).map_err(|_| Error::Internal("the detector thread has ended".into()))?;
-        Ok(if is_last { image + 1 } else { image })
+        let [last, next] = [&shots[1], &shots[2]];
+        assert!((next.time_s - last.time_s - 0.01).abs() < 1e-3, "{} {}", last.time_s, next.time_s);
+        assert!(last.image_e != next.image_e && last.mean_slopes_mas != next.mean_slopes_mas);
     }
 
-    /// Checks for cancellation, reports progress, and passes on finished images.
-    fn report(&mut self, finished: &Receiver<FinishedImage>, progress: &mut Progress) -> Result<()> {
-        let frames = self.schedule.frames();
-        if progress.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
-            return Err(Error::Interrupted(format!("{} of {frames} frames were simulated", self.frame)));
+    #[test]
+    fn a_channel_has_its_own_camera_and_star() {
+        let channels = "name = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\nsamples_per_lambda_over_d = 2\nbandwidth_fraction = 0.05\n\
+                        diversity_focus_waves_rms = -0.8\nrows = 36\ncolumns = 40\npeak_snr = 50.0\npixel_fill = 0.9\n";
+        let settings = [("image.simultaneous", "true"), ("image.photon_noise", "false")];
+        let scene = small(channels, &settings).with_override("image.exposure_s", "0.003").unwrap();
+        let (shots, summary) = run(&scene);
+        for (number, (shot, channel)) in shots.iter().zip(scene.channels()).enumerate() {
+            let (alone, of_one) = run(&channel.scene);
+            assert_eq!(summary.flux_e[number], of_one.flux_e[0]);
+            assert_eq!(shot.image_e.dim(), channel.scene.image.frame_shape());
+            // Read noise of 20 electrons in each of two images.
+            let rms_e = ((&shot.image_e - &alone[0].image_e).mapv(|e| e * e).mean().unwrap() / 2.0).sqrt();
+            let expected_e = if number == 0 { 0.0 } else { 20.0 };
+            assert!((rms_e - expected_e).abs() < 2.0, "{rms_e}");
         }
-        if let Some(watch) = &mut progress.watch {
-            watch(self.frame, frames);
-        }
-        self.collect(finished)
-    }
-
-    /// Passes finished images on to the recorder.
-    fn collect(&mut self, finished: &Receiver<FinishedImage>) -> Result<()> {
-        for FinishedImage { image, image_e } in finished.try_iter() {
-            // Images are finished in the order of their exposures.
-            let shot = self.waiting.pop_front().filter(|shot| shot.image == image);
-            let shot = shot.ok_or_else(|| Error::Internal(format!("image {image} is out of order")))?;
-            self.recorder.shot(Shot { image_e, ..shot })?;
-            self.finished = image + 1;
-        }
-        Ok(())
+        assert_eq!(shots.len(), 2);
     }
 }

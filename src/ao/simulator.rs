@@ -8,6 +8,7 @@
 use super::aligned::AlignedBuffer;
 use super::atmosphere::Atmosphere;
 use super::camera::{self, Optics, ScienceCamera, View};
+use super::channel::ChannelOptics;
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::drift::Drift;
 use super::footprint::Footprint;
@@ -20,7 +21,7 @@ use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
 use crate::pupil::Pupil;
 use crate::scene::{ControlBasis, ControlScene, Scene, SensorMask, SensorScene};
 use crate::source::{Truth, stream};
-use crate::telescope::{Diversity, Filter, Telescope};
+use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array2;
 use rand::SeedableRng;
@@ -108,8 +109,8 @@ pub struct Simulator {
     /// Pupil on the simulator's grid.
     pupil: Pupil,
     influence: InfluenceFunctions,
-    diversity: Diversity,
-    filter: Filter,
+    /// At least one.
+    pub(super) channels: Vec<ChannelOptics>,
     truth: Truth,
     mask: Vec<bool>,
     interaction: Array2<f64>,
@@ -134,7 +135,8 @@ impl Simulator {
     /// Builds the system of `scene`, with aberrations drawn from `aberrations.seed`.
     ///
     /// # Errors
-    /// [`Error::Scene`] for a scene without a sensor or control; the errors of building each part.
+    /// [`Error::Scene`] for a scene without a sensor or control, and for simultaneous channels with other numbers or times of
+    /// exposures; the errors of building each part.
     pub fn new(scene: &Scene) -> Result<Self> {
         let telescope = Telescope::new(scene)?;
         let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
@@ -147,8 +149,8 @@ impl Simulator {
     /// # Errors
     /// As [`Simulator::new`].
     pub fn with_truth(scene: &Scene, telescope: Telescope, truth: Truth) -> Result<Self> {
-        scene.refuse_channels("AO simulations")?;
         let (sensing, control_scene) = sections(scene)?;
+        let schedule = Schedule::new(scene, control_scene.settle_s, control_scene.frame_rate_hz)?;
         let pupil = sensor_pupil(scene, sensing, &telescope, scene.turbulence.fractions.len())?;
         // The subapertures in use are selected with perfectly reflecting segments.
         let illuminated = apply_reflectivity(&pupil, &truth);
@@ -189,7 +191,6 @@ impl Simulator {
         let noisy = sensing.photon_noise || sensing.read_noise_e > 0.0;
         let light = noisy.then(|| GuideStar::new(sensing, lenslets.pitch_m, frame_s, noise));
         let segments_nm = segments_nm(&truth, &telescope, &pupil, &footprint);
-        let schedule = Schedule::new(scene, control_scene.settle_s, control_scene.frame_rate_hz);
         let drift = Drift::new(&truth, &pupil, &footprint, &segments_nm, &schedule, frame_s)?;
         let correction = CorrectionLoop {
             segments_nm,
@@ -206,7 +207,7 @@ impl Simulator {
             sensor,
             light,
         };
-        let (diversity, filter) = (Diversity::new(scene, &telescope)?, Filter::new(scene)?);
+        let channels = ChannelOptics::all(scene, &telescope)?;
         let residual_nm = correction.footprint.zeros();
         let scene = scene.clone();
         Ok(Self {
@@ -214,8 +215,7 @@ impl Simulator {
             telescope,
             pupil,
             influence,
-            diversity,
-            filter,
+            channels,
             truth,
             mask,
             interaction,
@@ -256,18 +256,23 @@ impl Simulator {
         Ok(self.correction.last(&self.residual_nm))
     }
 
-    /// Builds a camera of this system's images.
+    /// Builds a camera of this system's images, with the diversity and the filter of the first channel.
     ///
     /// # Errors
     /// As [`ScienceCamera::new`].
     pub fn camera(&self, view: View) -> Result<ScienceCamera> {
+        self.camera_of(&self.channels[0], view)
+    }
+
+    /// Builds a camera with the diversity and the filter of `channel`.
+    pub(super) fn camera_of(&self, channel: &ChannelOptics, view: View) -> Result<ScienceCamera> {
         let optics = Optics {
             telescope: &self.telescope,
             pupil: &self.pupil,
             footprint: &self.correction.footprint,
             truth: &self.truth,
-            diversity: &self.diversity,
-            filter: &self.filter,
+            diversity: &channel.diversity,
+            filter: &channel.filter,
             segments_nm: &self.correction.segments_nm,
         };
         ScienceCamera::new(view, &optics)

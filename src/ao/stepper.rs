@@ -1,11 +1,10 @@
 //! Loop that the caller advances frame by frame, with an image of the present frame: the simulator of the C, MATLAB and
 //! Python interfaces.
 
-use super::camera::{ScienceCamera, View};
+use super::detector::Detector;
 use super::divergence::{Divergence, DivergenceMonitor};
 use super::simulator::{Frame, Simulator, sections};
 use crate::scene::Scene;
-use crate::source::{DetectorPixels, expose, flux_e, stream};
 use crate::{Error, Result};
 use ndarray::Array2;
 
@@ -18,9 +17,7 @@ const FRAME_STREAM: u64 = 3 << 32;
 /// threads.
 pub struct Stepper {
     simulator: Simulator,
-    camera: ScienceCamera,
-    pixels: DetectorPixels,
-    flux_e: f64,
+    detector: Detector,
     monitor: DivergenceMonitor,
     divergence: Option<Divergence>,
 }
@@ -29,17 +26,16 @@ impl Stepper {
     /// Builds the system of `scene`, before its first frame.
     ///
     /// # Errors
-    /// Those of [`Simulator::new`] and of its camera.
+    /// Those of [`Simulator::new`] and of its camera; [`Error::Scene`] for a scene with channels.
     pub fn new(scene: &Scene) -> Result<Self> {
         let (sensing, _) = sections(scene)?;
+        scene.refuse_channels("steps of the AO simulator")?;
         let simulator = Simulator::new(scene)?;
-        let mut camera = simulator.camera(View::from_scene(&scene.image))?;
-        // As in a run, peak_snr refers to the PSF of the static aberrations alone.
-        let pixels = DetectorPixels::new(scene);
-        let peak = pixels.apply(camera.psf(simulator.segments_nm()).mapv(f64::from)).fold(0.0, |a: f64, &b| a.max(b));
-        let flux_e = flux_e(&scene.image, peak);
+        let Some(detector) = Detector::all(&simulator)?.pop() else {
+            return Err(Error::Internal("a simulator without a channel".into()));
+        };
         let monitor = DivergenceMonitor::new(simulator.frame_s(), sensing.wavelength_nm, simulator.stability());
-        Ok(Self { simulator, camera, pixels, flux_e, monitor, divergence: None })
+        Ok(Self { simulator, detector, monitor, divergence: None })
     }
 
     /// Advances the loop by `frames` frames. A loop that diverges is not stopped: see [`Stepper::divergence`].
@@ -90,10 +86,8 @@ impl Stepper {
         if let Some(drift) = &self.simulator.correction.drift {
             drift.add_ncpa(number, &mut residual_nm);
         }
-        let psf = self.pixels.apply(self.camera.psf(&residual_nm).mapv(f64::from));
-        let scene = self.simulator.scene();
-        let mut rng = stream(scene.turbulence.seed, FRAME_STREAM + number);
-        Ok(psf.mapv(|h| expose(&scene.image, h, self.flux_e, &mut rng) as f32))
+        let psf = self.detector.camera.psf(&residual_nm);
+        Ok(self.detector.image_e(psf, FRAME_STREAM + number))
     }
 
     /// The first divergence of the loop; `None` if it has not diverged.
@@ -110,11 +104,11 @@ impl Stepper {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ao::testing::small;
     use crate::ao::{Progress, Shot};
 
     fn scene(settings: &[(&str, &str)]) -> Scene {
-        let small = include_str!("../../tests/c_api/small.toml");
-        Scene::from_text(small, "".as_ref()).unwrap().with(settings).unwrap()
+        small("", settings)
     }
 
     #[test]
@@ -123,6 +117,9 @@ mod tests {
         let quiet = scene(&[
             ("image.photon_noise", "false"),
             ("image.read_noise_e", "0.0"),
+            // peak_snr gives no star where there is no noise.
+            ("image.peak_snr", ""),
+            ("image.flux_e", "1e6"),
             ("image.exposure_s", "0.0"),
             ("image.count", "2"),
         ]);
@@ -137,6 +134,16 @@ mod tests {
             let last = stepper.last().unwrap();
             assert_eq!((last.number, last.residual_rms_nm), (frame, shot.residual_rms_nm));
             assert_eq!((last.slopes_mas, last.commands_nm), (&shot.slopes_mas[..], &shot.commands_nm[..]));
+        }
+    }
+
+    #[test]
+    fn a_scene_with_channels_is_refused() {
+        match Stepper::new(&small("name = \"a\"\n", &[])).map(drop) {
+            Err(Error::Scene(reason)) => {
+                assert!(reason.contains("steps of the AO simulator have one channel"), "{reason}");
+            }
+            other => panic!("{other:?}"),
         }
     }
 

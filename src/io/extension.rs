@@ -1,4 +1,5 @@
-//! Names of files with an HDU in brackets, as cfitsio and ds9 take them: `night.fits[2]`, `night.fits[SCI]`.
+//! Names of files with an HDU in brackets, as cfitsio and ds9 take them: `night.fits[2]`, `night.fits[SCI]`,
+//! `night.fits[SCI,2]`.
 
 use super::layout::Layout;
 use std::path::{Path, PathBuf};
@@ -22,9 +23,9 @@ pub fn file_of(path: impl AsRef<Path>) -> PathBuf {
     split(path.as_ref()).0
 }
 
-/// Index of the HDU that the text in brackets names: its name, else its number, 0 for the primary one.
+/// Index of the HDU that the text in brackets names: its name, with its EXTVER or without, else its number, 0 for the primary one.
 pub(super) fn find(layout: &Layout, hdu: &str) -> Option<usize> {
-    let named = layout.hdus.iter().position(|known| known.name.eq_ignore_ascii_case(hdu));
+    let named = layout.hdus.iter().position(|known| known.is_named(hdu));
     named.or_else(|| hdu.parse().ok().filter(|&number: &usize| number < layout.hdus.len()))
 }
 

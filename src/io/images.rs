@@ -35,6 +35,8 @@ pub struct Images {
     pub non_finite: usize,
     /// Name of the HDU of the images.
     pub hdu_name: String,
+    /// Its `EXTVER`; where it has none, its place from 1 among the HDUs `IMAGES` that are read.
+    pub version: i64,
     /// Repairs of a file that is not standard FITS, or of the mask file, as one sentence.
     pub repaired: Option<String>,
 }
@@ -56,7 +58,7 @@ pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images
 fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<Images> {
     let index = image_hdu(file)?;
     let marks = if file.has(BADPIX) { Some(file.find(BADPIX, HduKind::Image)?) } else { None };
-    read_hdu(file, index, marks, mask)
+    read_hdu(file, (0, index), marks, mask)
 }
 
 /// Reads the images of all channels in `path`: the HDUs `IMAGES` in the order of their `EXTVER`, each with the HDU `BADPIX` of the
@@ -78,11 +80,17 @@ pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<
         );
     }
     let marks_of = |place: usize| marks.get(if marks.len() == 1 { 0 } else { place }).copied();
-    found.iter().enumerate().map(|(place, &index)| read_hdu(&mut file, index, marks_of(place), mask)).collect()
+    found.into_iter().enumerate().map(|at| read_hdu(&mut file, at, marks_of(at.0), mask)).collect()
 }
 
-/// Reads the images in HDU `index` of `file`, with the bad pixels in its HDU `marks` and in the file `mask`.
-fn read_hdu(file: &mut FitsReader, index: usize, marks: Option<usize>, mask: Option<&Path>) -> Result<Images> {
+/// Reads the images in HDU `index` of `file`, which are at `place` among those that are read, with the bad pixels in its HDU `marks`
+/// and in the file `mask`.
+fn read_hdu(
+    file: &mut FitsReader,
+    (place, index): (usize, usize),
+    marks: Option<usize>,
+    mask: Option<&Path>,
+) -> Result<Images> {
     let data = file.cube_at(index)?;
     let mut bad = data.mapv(|value| !value.is_finite());
     let non_finite = bad.iter().filter(|&&is_bad| is_bad).count();
@@ -108,7 +116,8 @@ fn read_hdu(file: &mut FitsReader, index: usize, marks: Option<usize>, mask: Opt
         other => other.map(|card| card.to_string()),
     };
     let hdu_name = file.name_of(index).to_string();
-    Ok(Images { channel, data, bad, read_noise_e, unit, facts, non_finite, hdu_name, repaired })
+    let version = file.version_of(index).unwrap_or(place as i64 + 1);
+    Ok(Images { channel, data, bad, read_noise_e, unit, facts, non_finite, hdu_name, version, repaired })
 }
 
 /// The HDU that holds the images.

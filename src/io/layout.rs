@@ -66,10 +66,28 @@ impl Hdu {
         (1..=fields).map(|n| self.value(&format!("TTYPE{n}")).map(card::text).unwrap_or_default()).collect()
     }
 
+    /// EXTVER, the number among the HDUs of its name.
+    pub fn version(&self) -> Option<i64> {
+        self.value("EXTVER").and_then(card::integer)
+    }
+
+    /// Whether `text` names this HDU: its name, or `NAME,2` for the HDU of that name with EXTVER 2 (1 where it has none).
+    pub fn is_named(&self, text: &str) -> bool {
+        let is_name = |name: &str| self.name.eq_ignore_ascii_case(name.trim());
+        let (name, version) = name_and_version(text);
+        is_name(text) || (version.is_some_and(|version| version == self.version().unwrap_or(1)) && is_name(name))
+    }
+
     /// Description for messages: the name, or the place in the file.
     pub fn described(&self) -> String {
         if self.name.is_empty() { format!("the HDU at byte {}", self.header_at) } else { format!("`{}`", self.name) }
     }
+}
+
+/// Name and EXTVER of an HDU, from `NAME` or `NAME,version`.
+pub(super) fn name_and_version(text: &str) -> (&str, Option<i64>) {
+    let parts = text.rsplit_once(',').and_then(|(name, version)| Some((name, version.trim().parse().ok()?)));
+    parts.map_or((text, None), |(name, version)| (name, Some(version)))
 }
 
 /// The HDUs of a file, and the repairs of their headers.

@@ -27,6 +27,8 @@ const TSTRING: i32 = 16;
 
 /// A FITS file open for reading. The file is never changed.
 ///
+/// An HDU is named by its `EXTNAME`, which is the first of that name, or with its `EXTVER` as in `IMAGES,2`.
+///
 /// Files in standard form are read from disk; packed files, files that need repair and files with a tile-compressed image
 /// (`.fz`), which is read as the plain one, are read from a copy in memory, see [`FitsReader::repaired`].
 pub struct FitsReader {
@@ -233,14 +235,13 @@ impl FitsReader {
         let hdus = &self.layout.hdus;
         let is_one = |hdu: &Hdu| hdu.name == name && hdu.kind == HduKind::Image && !hdu.axes.is_empty();
         let mut found: Vec<usize> = (0..hdus.len()).filter(|&index| is_one(&hdus[index])).collect();
-        found.sort_by_key(|&index| hdus[index].value("EXTVER").and_then(super::card::integer).unwrap_or(1));
+        found.sort_by_key(|&index| hdus[index].version().unwrap_or(1));
         found
     }
 
     /// Index of HDU `name` of kind `kind`.
     pub(super) fn find(&self, name: &str, kind: HduKind) -> Result<usize> {
-        let same = |hdu: &Hdu| hdu.name.eq_ignore_ascii_case(name.trim());
-        if let Some(index) = self.layout.hdus.iter().position(|hdu| same(hdu) && hdu.kind == kind) {
+        if let Some(index) = self.layout.hdus.iter().position(|hdu| hdu.is_named(name) && hdu.kind == kind) {
             return Ok(index);
         }
         let index = self.find_any(name)?;
@@ -253,12 +254,18 @@ impl FitsReader {
         Err(self.refuse(format!("HDU `{name}` contains {content}, where {wanted} is needed")))
     }
 
-    pub(super) fn has(&self, name: &str) -> bool {
+    /// Whether several HDUs `name` are images with data.
+    pub fn has_several(&self, name: &str) -> bool {
+        self.all_images(name).len() > 1
+    }
+
+    /// Whether the file has the HDU `name`.
+    pub fn has(&self, name: &str) -> bool {
         self.find_any(name).is_ok()
     }
 
     fn find_any(&self, name: &str) -> Result<usize> {
-        let found = self.layout.hdus.iter().position(|hdu| hdu.name.eq_ignore_ascii_case(name.trim()));
+        let found = self.layout.hdus.iter().position(|hdu| hdu.is_named(name));
         found.ok_or_else(|| self.refuse(format!("has no HDU `{name}`: {}", self.listed())))
     }
 
@@ -269,6 +276,10 @@ impl FitsReader {
 
     pub(super) fn name_of(&self, index: usize) -> &str {
         &self.layout.hdus[index].name
+    }
+
+    pub(super) fn version_of(&self, index: usize) -> Option<i64> {
+        self.layout.hdus[index].version()
     }
 
     /// The image at `index`, with axes in C order; the number of axes must be one of `ranks`.

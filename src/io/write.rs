@@ -10,6 +10,7 @@ use flate2::write::GzEncoder;
 use ndarray::{Array2, ArrayRef, Dimension};
 
 use super::cfitsio::Handle;
+use super::layout::name_and_version;
 use super::value::{Card, checked_keyword};
 use crate::atomic::Target;
 use crate::{Error, Result};
@@ -177,14 +178,12 @@ impl FitsWriter {
         self.names.push(name.clone());
         let (title, version) = name_and_version(&name);
         self.card(&name, "EXTNAME", title, "name of this extension")?;
-        if let Some(version) = version {
-            self.card(&name, "EXTVER", version, "number among the extensions of this name")?;
-        }
+        self.version_card(&name, version)?;
         let comment = if unit == ELECTRON { ELECTRON_COMMENT } else { "unit of the pixels" };
         if unit.is_empty() { Ok(()) } else { self.card(&name, "BUNIT", unit, comment) }
     }
 
-    /// Adds a binary table; all columns have the same length.
+    /// Adds a binary table; all columns have the same length. Names as for [`FitsWriter::image`].
     ///
     /// # Errors
     /// [`Error::Shape`] for columns of different lengths or none; [`Error::Value`] for a name that is in use or not
@@ -202,7 +201,8 @@ impl FitsWriter {
         let names = columns.iter().map(|column| c_text(&column.name)).collect::<Result<Vec<_>>>()?;
         let units = columns.iter().map(|column| c_text(&column.unit)).collect::<Result<Vec<_>>>()?;
         let forms = columns.iter().map(|column| c_text(&column.form())).collect::<Result<Vec<_>>>()?;
-        let title = c_text(&name)?;
+        let (short, version) = name_and_version(&name);
+        let title = c_text(short)?;
         let (mut ttype, mut tform, mut tunit) = (pointers(&names), pointers(&forms), pointers(&units));
         self.call(|file, status| unsafe {
             // SAFETY: one NUL-terminated text per column in each list; cfitsio only reads them.
@@ -224,6 +224,7 @@ impl FitsWriter {
             self.fill(i as c_int + 1, column)?;
         }
         self.names.push(name.clone());
+        self.version_card(&name, version)?;
         for (i, _) in columns.iter().enumerate().filter(|(_, column)| column.unit == ELECTRON) {
             self.card(&name, &format!("TUNIT{}", i + 1), ELECTRON, ELECTRON_COMMENT)?;
         }
@@ -308,6 +309,11 @@ impl FitsWriter {
     ///
     /// # Errors
     /// [`Error::Value`] where it is in use or not printable ASCII.
+    /// Writes the EXTVER of HDU `name`, where it has one.
+    fn version_card(&mut self, name: &str, version: Option<i64>) -> Result<()> {
+        version.map_or(Ok(()), |version| self.card(name, "EXTVER", version, "number among the extensions of this name"))
+    }
+
     fn new_name(&self, name: &str) -> Result<String> {
         let upper = name.trim().to_ascii_uppercase();
         // 60: EXTNAME fits its card without CONTINUE.
@@ -321,12 +327,6 @@ impl FitsWriter {
         }
         Ok(upper)
     }
-}
-
-/// Name and version of an HDU, `NAME` or `NAME,version`.
-fn name_and_version(name: &str) -> (&str, Option<i64>) {
-    let parts = name.rsplit_once(',').and_then(|(title, version)| Some((title, version.parse().ok()?)));
-    parts.map_or((name, None), |(title, version)| (title, Some(version)))
 }
 
 /// Whether `path` ends with `.extension`, in capitals or not.

@@ -123,7 +123,8 @@ impl Images {
     }
 
     /// As [`Images::read`], for each channel that the file has images of, in the order of `EXTVER`, at least one. The channel has its
-    /// own scene where the file's scene has one of this name.
+    /// own scene where the file's scene has one of this name. In a file of several channels each has the telemetry with its `EXTVER`,
+    /// which is 1 where there is none.
     ///
     /// # Errors
     /// Those of [`io::read_channels`].
@@ -131,16 +132,18 @@ impl Images {
         let path = path.as_ref();
         // A scene of another version, with other keys, cannot be compared.
         let scene = embedded_scene(path).ok().flatten();
-        let (slopes_mas, truth) = (slopes_mas(path)?, TruthMaps::read(path)?);
+        let truth = TruthMaps::read(path)?;
+        let mut file = FitsReader::open(path)?;
         let each = io::read_channels(path, mask)?.into_iter().map(|read| {
+            let slopes_mas = slopes_mas(&mut file, read.version)?;
             let mut images = Self::with_bad(read.data, read.bad);
             images.notes.splice(0..0, read.repaired);
             (images.unit, images.facts, images.channel) = (read.unit, read.facts, read.channel);
             images.scene = scene.as_ref().and_then(|scene| own_scene(scene, images.channel.as_deref()));
-            (images.slopes_mas, images.truth) = (slopes_mas.clone(), truth.clone());
-            images
+            (images.slopes_mas, images.truth) = (slopes_mas, truth.clone());
+            Ok(images)
         });
-        Ok(each.collect())
+        each.collect()
     }
 
     /// Simulated images of an artificial source, with their truth; see [`source::simulate`].
@@ -227,15 +230,11 @@ impl TruthMaps {
     /// [`Error::File`] where the file cannot be read.
     pub fn read(path: &Path) -> Result<Option<Self>> {
         let mut file = FitsReader::open(path)?;
-        if !["TRUTH_PHASING", "TRUTH_NCPA"].iter().all(|name| has(&file, name)) {
+        if !["TRUTH_PHASING", "TRUTH_NCPA"].iter().all(|name| file.has(name)) {
             return Ok(None);
         }
         Ok(Some(Self { phasing_nm: file.map(Some("TRUTH_PHASING"))?, ncpa_nm: file.map(Some("TRUTH_NCPA"))? }))
     }
-}
-
-fn has(file: &FitsReader, name: &str) -> bool {
-    file.names().iter().any(|known| known == name)
 }
 
 /// The scene that a FITS file carries in its table `SCENE`, if it has one; its relative file names refer to the file's folder.
@@ -244,7 +243,7 @@ fn has(file: &FitsReader, name: &str) -> bool {
 /// [`Error::File`] for a file that cannot be read, or a table that is not a valid scene.
 pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
     let mut file = FitsReader::open(path)?;
-    if !has(&file, "SCENE") {
+    if !file.has("SCENE") {
         return Ok(None);
     }
     let text = file.text_column("SCENE", "LINE")?.join("\n") + "\n";
@@ -252,11 +251,13 @@ pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
     Scene::embedded(&text, directory).map(Some).map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
 }
 
-/// Telemetry of a file, if it has any.
-fn slopes_mas(path: &Path) -> Result<Option<Array2<f64>>> {
-    let mut file = FitsReader::open(path)?;
-    let name = ["SLOPES_MEAN", "SLOPES"].into_iter().find(|name| has(&file, name));
-    name.map(|name| file.map(Some(name))).transpose()
+/// Telemetry of the images in a file, if it has any; of the images in the HDU with EXTVER `version` where the file has those of several
+/// channels.
+fn slopes_mas(file: &mut FitsReader, version: i64) -> Result<Option<Array2<f64>>> {
+    let has_channels = file.has_several("IMAGES");
+    let hdu = |name: &str| if has_channels { format!("{name},{version}") } else { name.to_owned() };
+    let hdu = ["SLOPES_MEAN", "SLOPES"].map(hdu).into_iter().find(|hdu| file.has(hdu));
+    hdu.map(|hdu| file.map(Some(&hdu))).transpose()
 }
 
 /// `1 image`, `2 images`.

@@ -21,8 +21,8 @@ impl Scene {
         match self.channels() {
             [] => Ok(()),
             channels => Err(Error::Scene(format!(
-                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): name one channel, or give the scene to \
-                 the full pipeline ('cophase estimate', pipeline::Estimator::estimate_channels)",
+                "{}: {who} have one channel, and the scene has {} ([[image.channel]]): give a scene of one channel, or give this one \
+                 to 'cophase estimate', 'cophase simulate' or pipeline::Estimator::estimate_channels, which take several",
                 self.name(),
                 channels.len()
             ))),

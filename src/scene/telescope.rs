@@ -220,8 +220,9 @@ section! {
         flip_x: bool, ANY, default(false);
         /// Whether the detector's rows run opposite to +y. Estimate only.
         flip_y: bool, ANY, default(false);
-        /// Whether exposures of all channels with one number are of one wavefront (a beam splitter); otherwise channels share its
-        /// static part only. Read by full-phase estimates.
+        /// Whether exposures of all channels with one number are of one wavefront (a beam splitter, with one count, exposure_s and
+        /// interval_s); otherwise channels are exposed one after the other and share its static part only. Read by AO simulations and
+        /// full-phase estimates.
         simultaneous: bool, ANY, default(false);
     }
 }

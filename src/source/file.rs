@@ -5,6 +5,7 @@ use super::truth::Truth;
 use crate::io::{CHANNEL, Column, ELECTRON, FitsWriter, Pixel};
 use crate::scene::Scene;
 use crate::{Error, Result};
+use ndarray::Array3;
 use std::path::Path;
 
 /// Writes images of an artificial source, those of each channel of the scene in order: `IMAGES` (electrons; of the second channel
@@ -21,12 +22,7 @@ pub fn write(path: &Path, scene: &Scene, made: &[SourceImages]) -> Result<()> {
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
     let mut file = FitsWriter::create(path)?;
     for (number, made) in made.iter().enumerate() {
-        let (hdu, own) = (image_hdu(number), channels.get(number).map_or(scene, |channel| &channel.scene));
-        file.image(&hdu, &made.images_e, Pixel::F32, ELECTRON)?;
-        if let Some(channel) = channels.get(number) {
-            file.card(&hdu, CHANNEL, channel.name.as_str(), "name of the channel")?;
-        }
-        image_cards(&mut file, &hdu, own, made.flux_e)?;
+        let hdu = channel_images(&mut file, scene, number, &made.images_e, made.flux_e)?;
         seed_card(&mut file, &hdu, "SEED", seed, "seed of aberrations and noise")?;
     }
     truth(&mut file, scene, &first.truth)?;
@@ -34,9 +30,27 @@ pub fn write(path: &Path, scene: &Scene, made: &[SourceImages]) -> Result<()> {
     file.finish()
 }
 
-/// Name of the HDU of the images of a channel, by its number from 0, for [`FitsWriter::image`].
-fn image_hdu(number: usize) -> String {
-    if number == 0 { "IMAGES".into() } else { format!("IMAGES,{}", number + 1) }
+/// Writes the images `[image, y, x]`, electrons, of the channel `number` of `scene`, from 0, which is also that of the images of a scene
+/// without channels; `flux_e` is the star's in each. Returns the name of the HDU, which has the cards of [`image_cards`].
+pub(crate) fn channel_images<A: Copy + Into<f64>>(
+    file: &mut FitsWriter,
+    scene: &Scene,
+    number: usize,
+    images_e: &Array3<A>,
+    flux_e: f64,
+) -> Result<String> {
+    let (hdu, channel) = (channel_hdu("IMAGES", number), scene.channels().get(number));
+    file.image(&hdu, images_e, Pixel::F32, ELECTRON)?;
+    if let Some(channel) = channel {
+        file.card(&hdu, CHANNEL, channel.name.as_str(), "name of the channel")?;
+    }
+    image_cards(file, &hdu, channel.map_or(scene, |channel| &channel.scene), flux_e)?;
+    Ok(hdu)
+}
+
+/// Name of the HDU `name` of a channel, by its number from 0, for [`FitsWriter`]: the EXTVER counts the channels from 1.
+pub(crate) fn channel_hdu(name: &str, number: usize) -> String {
+    if number == 0 { name.into() } else { format!("{name},{}", number + 1) }
 }
 
 /// Side of the scene's grid, m.
@@ -56,7 +70,7 @@ pub(crate) fn pixel_mas(scene: &Scene) -> Option<f64> {
 }
 
 /// Writes the cards of the images in `hdu`: noise, flux, sampling, exposure.
-pub(crate) fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &Scene, flux_e: f64) -> Result<()> {
+fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &Scene, flux_e: f64) -> Result<()> {
     let image = &scene.image;
     for (key, value, comment) in [
         ("RON_E", image.simulated_read_noise_e(), "read noise of a pixel, electrons RMS"),

@@ -38,7 +38,7 @@ impl SimulatedWavefronts {
         let mut static_nm = Array1::from(truth.ncpa_at(&samples.xs_m, &samples.ys_m)?);
         static_nm += &Array1::from(truth.piston_nm.clone()).dot(&samples.pistons);
         Ok(Self {
-            schedule: Schedule::new(scene, control.settle_s, control.frame_rate_hz),
+            schedule: Schedule::new(scene, control.settle_s, control.frame_rate_hz)?,
             segments_nm: simulator.segments_nm().to_vec(),
             cells: cells(simulator, &samples),
             static_nm,
@@ -78,16 +78,14 @@ fn cells(simulator: &Simulator, samples: &IlluminatedSamples) -> Vec<(u32, u32, 
 
 impl Recorder for SimulatedWavefronts {
     fn frame(&mut self, frame: &Frame) -> Result<()> {
-        let Some(since) = frame.number.checked_sub(self.schedule.start(self.image)) else { return Ok(()) };
-        if self.image >= self.schedule.images || since >= self.schedule.exposure {
-            return Ok(());
-        }
-        let share = 1.0 / self.schedule.exposure as f64;
+        let Some(exposure) = self.schedule.exposure(self.image) else { return Ok(()) };
+        let Some(since) = exposure.place(frame.number) else { return Ok(()) };
+        let share = 1.0 / exposure.frames as f64;
         for &(place, sample, weight) in &self.cells {
             let moving = f64::from(frame.residual_nm[place as usize] - self.segments_nm[place as usize]);
             self.dynamic_nm[sample as usize] += share * weight * moving;
         }
-        if since + 1 == self.schedule.exposure {
+        if since + 1 == exposure.frames {
             self.exposed.append(&mut self.dynamic_nm);
             self.dynamic_nm.resize(self.samples.len(), 0.0);
             self.images += 1;

@@ -1,9 +1,12 @@
 //! Channels: several images of one wavefront, fitted together.
 
 use crate::consistency::{scene, shown};
+use cophase::ao::{self, Progress, Shot, Simulator};
+use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::modal::Model;
 use cophase::pipeline::{Estimate, Estimator, Images};
 use cophase::scene::Scene;
+use ndarray::{Array2, Array3};
 use std::path::Path;
 
 const PAIR: &str =
@@ -177,4 +180,76 @@ fn tilted_segments_behind_a_strut_are_right() {
     );
     let found = estimate(&scene, &Images::simulated_channels(&scene).unwrap());
     assert!(found.is_sound() && is_right(&found));
+}
+
+/// Two channels behind adaptive optics, of one and of two images.
+const BEHIND_AO: &str = "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\nname = \"minus\"\ncount = 2\nrows = 44\n\
+                         diversity_focus_waves_rms = -0.8\n";
+
+#[test]
+fn channels_behind_adaptive_optics_are_read_with_their_own_telemetry() {
+    let text = include_str!("../c_api/small.toml").replacen("[aberrations]", &format!("{BEHIND_AO}\n[aberrations]"), 1);
+    let scene = Scene::from_text(&text, Path::new("")).unwrap();
+    let mut simulator = Simulator::new(&scene).unwrap();
+    let mut shots: Vec<Shot> = Vec::new();
+    let summary = simulator.run(&mut shots, &mut Progress::default()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sky.fits");
+    ao::write(&path, &simulator, &shots, &summary).unwrap();
+    let read = Images::read_channels(&path, None).unwrap();
+    assert_eq!(read.iter().map(|images| images.channel.as_deref()).collect::<Vec<_>>(), [Some("plus"), Some("minus")]);
+    let mut file = FitsReader::open(&path).unwrap();
+    for (number, images) in read.iter().enumerate() {
+        let own: Vec<&Shot> = shots.iter().filter(|shot| shot.channel == number).collect();
+        let (rows, columns) = scene.channels()[number].scene.image.frame_shape();
+        assert_eq!(images.images_e.dim(), (number + 1, rows, columns));
+        assert_eq!(images.scene.as_ref().unwrap().image, scene.channels()[number].scene.image);
+        let telemetry = |values: &dyn Fn(&Shot) -> &[f32]| {
+            let all: Vec<f64> = own.iter().flat_map(|shot| values(shot)).map(|&value| f64::from(value)).collect();
+            Array2::from_shape_vec((own.len(), all.len() / own.len()), all).unwrap()
+        };
+        assert_eq!(images.slopes_mas, Some(telemetry(&|shot| &shot.mean_slopes_mas)));
+        let hdu = |name: &str| format!("{name},{}", number + 1);
+        assert_eq!(file.map(Some(&hdu("SLOPES"))).unwrap(), telemetry(&|shot| &shot.slopes_mas));
+        assert_eq!(file.map(Some(&hdu("COMMANDS"))).unwrap(), telemetry(&|shot| &shot.commands_nm));
+        let times_s: Vec<f64> = own.iter().map(|shot| shot.time_s).collect();
+        assert_eq!(file.f64_column(&hdu("SHOTS"), "TIME_S").unwrap(), times_s);
+        let one = Images::read(folder.path().join(format!("sky.fits[IMAGES,{}]", number + 1)), None).unwrap();
+        assert_eq!((one.images_e, one.slopes_mas), (images.images_e.clone(), images.slopes_mas.clone()));
+    }
+    let truth = &simulator.truth().phasing_nm;
+    for images in &read {
+        let written = &images.truth.as_ref().unwrap().phasing_nm;
+        assert!(written.iter().zip(truth).all(|(a, b)| a == b || (a.is_nan() && b.is_nan())));
+    }
+    for name in ["TRUTH", "SUBAPERTURES", "ACTUATORS", "INTERACTION", "SCENE"] {
+        assert!(file.has(name) && !file.has(&format!("{name},2")), "{name}");
+    }
+}
+
+#[test]
+fn telemetry_without_a_number_is_that_of_the_first_channel() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sky.fits");
+    let slopes_mas = Array2::from_shape_fn((1, 6), |(_, slope)| slope as f64);
+    for (images, telemetry, expected) in [
+        (&["IMAGES"][..], &["SLOPES", "SLOPES_MEAN"][..], &[Some(2.0)][..]),
+        (&["IMAGES"], &["SLOPES,2"], &[Some(1.0)]),
+        (&["IMAGES", "IMAGES,2"], &["SLOPES_MEAN"], &[Some(1.0), None]),
+        (&["IMAGES", "IMAGES,2"], &["SLOPES_MEAN", "SLOPES,2"], &[Some(1.0), Some(2.0)]),
+        (&["IMAGES", "IMAGES,2"], &["SLOPES_MEAN,2"], &[None, Some(1.0)]),
+    ] {
+        let mut file = FitsWriter::create(&path).unwrap();
+        for name in images {
+            file.image(name, &Array3::<f64>::ones((1, 4, 4)), Pixel::F64, "").unwrap();
+        }
+        for (number, name) in telemetry.iter().enumerate() {
+            file.image(name, &(&slopes_mas * (number + 1) as f64), Pixel::F64, "mas").unwrap();
+        }
+        file.finish().unwrap();
+        let read = Images::read_channels(&path, None).unwrap();
+        let found: Vec<_> = read.into_iter().map(|images| images.slopes_mas).collect();
+        let expected: Vec<_> = expected.iter().map(|factor| factor.map(|factor| &slopes_mas * factor)).collect();
+        assert_eq!(found, expected, "{images:?} {telemetry:?}");
+    }
 }

@@ -16,7 +16,8 @@ const EXAMPLES: &str = "Examples:
 
 The file holds the defocused images (IMAGES, electrons), the truth (TRUTH_PHASING and TRUTH_NCPA, nm), telemetry at each \
 image (SLOPES, mas; COMMANDS, nm; SHOTS) with the interaction matrix, and the scene, so that 'cophase estimate' needs \
-nothing else.";
+nothing else. A scene with channels has IMAGES and the telemetry of each channel, with EXTVER 1, 2, ... and the card CHANNEL; they are \
+exposed one after the other in one run of the loop, or together with image.simultaneous = true.";
 
 /// Close an AO loop on the telescope: images, truth, telemetry
 #[derive(clap::Args)]
@@ -43,7 +44,10 @@ pub struct Arguments {
 /// What scripts read.
 #[derive(Serialize)]
 struct Made {
+    channels: Vec<String>,
     images: usize,
+    /// Images of each channel.
+    channel_images: Vec<usize>,
     frames: u64,
     seconds: f64,
     frames_per_s: f64,
@@ -73,14 +77,14 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         ));
     }
     if arguments.json {
-        return terminal.json(&made(&simulator, &summary));
+        return terminal.json(&made(&simulator, &shots, &summary));
     }
-    let (rows, columns) = scene.image.frame_shape();
     let mut text = format!(
-        "{}: {} of {columns}x{rows} pixels from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
+        "{}: {} {} from {} frames in {:.1} s ({:.0} frames/s, {:.1} times the loop's own rate)\n\
          residual {:.1} nm RMS, Strehl {:.3} at {} nm (by Marechal {:.3}); {}\n",
         arguments.output.display(),
         crate::terminal::counted(summary.images, "image"),
+        sizes(&scene, &shots),
         summary.frames,
         summary.seconds,
         summary.frames_per_s(),
@@ -115,9 +119,33 @@ fn simulate(scene: &Scene, terminal: &Terminal, interrupt: &Interrupt) -> Result
     Ok((simulator, shots, summary))
 }
 
-fn made(simulator: &Simulator, summary: &Summary) -> Made {
+/// Size of the images; for a scene with channels also their number in each.
+fn sizes(scene: &Scene, shots: &[Shot]) -> String {
+    let size = |scene: &Scene| {
+        let (rows, columns) = scene.image.frame_shape();
+        format!("of {columns}x{rows} pixels")
+    };
+    if scene.channels().is_empty() {
+        return size(scene);
+    }
+    let each = scene.channels().iter().zip(channel_images(scene, shots));
+    let each: Vec<String> =
+        each.map(|(channel, images)| format!("{}: {images} {}", channel.name, size(&channel.scene))).collect();
+    format!("in {} ({})", crate::terminal::counted(each.len(), "channel"), each.join(", "))
+}
+
+/// Number of images of each channel; empty for a scene without channels.
+fn channel_images(scene: &Scene, shots: &[Shot]) -> Vec<usize> {
+    let count = |channel| shots.iter().filter(|shot| shot.channel == channel).count();
+    (0..scene.channels().len()).map(count).collect()
+}
+
+fn made(simulator: &Simulator, shots: &[Shot], summary: &Summary) -> Made {
+    let scene = simulator.scene();
     Made {
+        channels: scene.channels().iter().map(|channel| channel.name.clone()).collect(),
         images: summary.images,
+        channel_images: channel_images(scene, shots),
         frames: summary.frames,
         seconds: summary.seconds,
         frames_per_s: summary.frames_per_s(),

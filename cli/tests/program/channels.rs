@@ -53,9 +53,34 @@ fn channels_that_do_not_belong_to_the_scene_are_refused() {
     desk.refuses(&estimate(&["pair.fits[IMAGES]"]), &["images of 1 channels", "plus, minus"]);
     let both = ["--channel", "plus=pair.fits[1]", "--channel", "blue=pair.fits[2]"];
     desk.refuses(&estimate(&both), &["no images of the channel 'minus'", "those of plus, blue"]);
-    desk.refuses(&["simulate", "scene.toml", "-o", "sky.fits"], &["one channel"]);
     desk.refuses(&["plan", "scene.toml", "--budget-nm", "5"], &["plans have one channel"]);
     let usage = desk.run(&["estimate", "--channel", "plus", "-o", "est.fits"]);
     assert_eq!(usage.status, 2, "{}", usage.err);
     assert!(usage.err.contains("such as plus=a.fits"), "{}", usage.err);
+}
+
+#[test]
+fn channels_behind_adaptive_optics_are_simulated_and_estimated() {
+    let desk = desk();
+    let text = include_str!("../../../tests/c_api/small.toml").replacen("[aberrations]", PAIR, 1);
+    std::fs::write(desk.path("loop.toml"), text).unwrap();
+    let run = ["simulate", "loop.toml", "-o", "sky.fits"];
+    let set = [
+        "minus.count=2",
+        "minus.rows=44",
+        "plus.diversity_focus_waves_rms=0.7",
+        "minus.diversity_focus_waves_rms=-0.7",
+    ];
+    let set = set.map(|setting| format!("image.channel.{setting}"));
+    let more: Vec<&str> = set.iter().flat_map(|setting| ["--set", setting]).collect();
+    let made = desk.json(&[&run[..], &more, &["--json"]].concat());
+    assert_eq!((&made["channels"], &made["channel_images"]), (&["plus", "minus"].into(), &[1, 2].into()));
+    // 0.02 s settling, two intervals of 0.01 s, one frame at 1054 Hz.
+    assert_eq!((&made["images"], &made["frames"]), (&3.into(), &43.into()));
+    let shown = desk.succeeds(&[&run[..], &more].concat()).out;
+    assert!(shown.contains("3 images in 2 channels (plus: 1 of 48x40 pixels, minus: 2 of 48x44 pixels)"), "{shown}");
+    let found = desk.json(&["estimate", "sky.fits", "-o", "est.fits", "--plot", "est.svg", "--json"]);
+    assert_eq!(found["images"], 3);
+    let both = [&run[..], &more, &["--set", "image.simultaneous=true"]].concat();
+    desk.refuses(&both, &["channel 'minus' has image.count = 2 and channel 'plus' 1"]);
 }
