@@ -132,9 +132,14 @@ impl Colours<'_, '_> {
     }
 }
 
-/// `scene` of a sequence, for modal fits of its images.
+/// `scene` of a sequence, for modal fits of its images. Low-order turbulence is fitted with the NCPA.
 fn modal_scene(scene: &Scene) -> Result<Scene> {
-    scene.without("estimate.ao_knowledge")?.without("estimate.telemetry")?.with_override("estimate.method", "modal")
+    scene.without("estimate.ao_knowledge")?.without("estimate.telemetry")?.with(&[
+        ("estimate.method", "modal"),
+        ("modes.file", ""),
+        ("modes.ncpa", "zernike"),
+        ("modes.ncpa_count", "65"),
+    ])
 }
 
 impl Electrons<'_> {

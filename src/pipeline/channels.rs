@@ -5,19 +5,16 @@ use super::consistency::Electrons;
 use super::control::{Control, Stage};
 use super::estimate::{Estimate, Figure, OpticalParameter};
 use super::explain::explain;
-use super::images::counted;
-use super::map;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::Selected;
 use super::policy::Policy;
-use super::sequence::{Sequence, SequenceChannel};
-use crate::modal::{BasisCache, CombinedModes, JointEstimate, PistonInteger, has_diversity, joint};
+use super::warnings::integers_warning;
+use crate::modal::{BasisCache, CombinedModes, JointEstimate, has_diversity, joint};
 use crate::scene::{Optic, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, Axis, concatenate};
-use std::borrow::Cow;
+use ndarray::{Array1, Axis, concatenate};
 
 /// The images of one channel, with the scene that they are read by.
 pub(super) struct ChannelImages<'a> {
@@ -26,8 +23,6 @@ pub(super) struct ChannelImages<'a> {
     pub(super) images: Electrons<'a>,
 }
 
-/// Probability from which the whole wavelengths of a piston are not flagged.
-const CERTAIN: f64 = 0.99;
 /// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
 /// √(2/n) of n degrees of freedom,
 const DEVIATIONS: f64 = 5.0;
@@ -82,63 +77,9 @@ pub(super) fn estimate(
 }
 
 /// The channels that determine the signs of the wavefront by themselves, and those in focus; the first are all where none does.
-fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
+pub(super) fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
     let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
     if with.is_empty() { [without, Vec::new()] } else { [with, without] }
-}
-
-/// Estimates the static errors behind sequences of exposures of all channels of `scene`.
-///
-/// # Errors
-/// Those of [`map::estimate`].
-pub(super) fn estimate_sequence(
-    scene: &Scene,
-    policy: &Policy,
-    control: &Control,
-    channels: &[ChannelImages],
-) -> Result<Estimate> {
-    let [with, in_focus] = by_diversity(channels);
-    let sequences: Vec<_> =
-        with.iter().map(|channel| SequenceChannel { scene: &channel.scene, images: &channel.images }).collect();
-    let is_simultaneous = scene.image.simultaneous;
-    let (slopes_mas, ignored) = telemetry(&with, is_simultaneous)?;
-    let sequence =
-        Sequence { channels: &sequences, is_simultaneous, slopes_mas: slopes_mas.as_deref(), policy, control };
-    let found = map::estimate(scene, sequence)?;
-    let left_out = in_focus.iter().map(|channel| {
-        format!(
-            "channel {}: it is in focus, where an image does not determine the signs of even aberrations, and was left out: a \
-             full-phase estimate reads defocused images",
-            channel.name
-        )
-    });
-    let warnings = left_out.chain(ignored).chain(found.warnings).collect();
-    let names = with.iter().map(|channel| channel.name.to_owned()).collect();
-    let mut estimate = Estimate { scene: scene.clone(), channels: names, warnings, ..found };
-    estimate.warnings.extend(doubtful_integers(&estimate.integers));
-    Ok(estimate)
-}
-
-/// Slopes of the exposures of all channels, where each channel has its own, and a warning where some have none.
-#[allow(clippy::type_complexity)]
-fn telemetry<'a>(
-    channels: &[&ChannelImages<'a>],
-    is_simultaneous: bool,
-) -> Result<(Option<Cow<'a, Array2<f64>>>, Option<String>)> {
-    let slopes: Vec<&'a Array2<f64>> = channels.iter().filter_map(|channel| channel.images.slopes_mas).collect();
-    match slopes[..] {
-        [] => Ok((None, None)),
-        _ if slopes.len() < channels.len() => {
-            Ok((None, Some("only some channels have slopes of the wavefront sensor, and these are ignored".into())))
-        }
-        [first, ..] if is_simultaneous => Ok((Some(Cow::Borrowed(first)), None)),
-        _ => {
-            let views: Vec<_> = slopes.iter().map(|slopes| slopes.view()).collect();
-            let all = concatenate(Axis(0), &views)
-                .map_err(|_| Error::Shape("the telemetry of the channels has different numbers of slopes".into()))?;
-            Ok((Some(Cow::Owned(all)), None))
-        }
-    }
 }
 
 /// The channels of a scene, and how they are fitted.
@@ -367,7 +308,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
             defocus.optic.word()
         ));
     }
-    sentences.extend(doubtful_integers(&found.integers));
+    sentences.extend(integers_warning(&found.integers));
     if contradict(found) {
         let (chi2, freedom) = found.disagreement;
         sentences.push(format!(
@@ -377,18 +318,6 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
         ));
     }
     sentences
-}
-
-/// Warning on whole wavelengths of pistons that are not certain.
-fn doubtful_integers(integers: &[PistonInteger]) -> Option<String> {
-    let doubtful: Vec<usize> = (0..integers.len()).filter(|&k| integers[k].probability < CERTAIN).collect();
-    let first = doubtful.first()?;
-    let least = integers.iter().map(|integer| integer.probability).fold(1.0, f64::min);
-    Some(format!(
-        "the whole wavelengths of {} are not certain (the least probable has {least:.2}; the first is segment {first}): see \
-         PROBABILITY and RUNNER_UP_NM in the table SEGMENTS; more light, or a smaller modes.piston_range_nm, determines them",
-        counted(doubtful.len(), "segment")
-    ))
 }
 
 /// Remarks of the channels, each once; that on the diversity is of all channels together.

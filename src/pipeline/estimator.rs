@@ -10,7 +10,7 @@ use super::modal_task::ModalTask;
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
 use super::sequence::{Sequence, SequenceChannel};
-use super::{channels, map, modal};
+use super::{channel_sequence, channels, map, modal};
 use crate::modal::BasisCache;
 use crate::planner;
 use crate::scene::{Channel, Method, Scene};
@@ -150,7 +150,7 @@ impl Estimator {
         let (scene, chosen) = resolved_for(&self.given, &ready)?;
         let (policy, control) = (&self.policy, &self.control);
         let found = match scene.estimate.method {
-            Method::FullPhase => channels::estimate_sequence(&scene, policy, control, &ready),
+            Method::FullPhase => channel_sequence::estimate(&scene, policy, control, &ready),
             Method::Modal | Method::Auto => channels::estimate(&scene, policy, control, &self.cache, &ready),
         };
         self.control.enter(Stage::Idle, 0);

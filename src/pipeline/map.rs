@@ -31,15 +31,15 @@ const LEAST_EXPLAINED: f64 = 0.8;
 /// Those of [`sequence::estimate`]; [`Error::Shape`] for slopes of another number of exposures.
 pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     let count = sequence.images();
-    let exposures = if sequence.is_simultaneous { sequence.channels[0].images.len() } else { count };
     // A level below telemetry uses no slopes, and does not check those of a file.
     let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry)
         && scene.estimate.telemetry != Telemetry::Ignore;
     let slopes_mas = sequence.slopes_mas.filter(|_| uses_telemetry);
-    if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != exposures) {
+    if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != sequence.exposures()) {
         return Err(Error::Shape(format!(
-            "the telemetry holds {} sets of slopes for {exposures} images: one each is needed",
-            slopes_mas.nrows()
+            "the telemetry holds {} sets of slopes for {} images: one each is needed",
+            slopes_mas.nrows(),
+            sequence.exposures()
         )));
     }
     let (policy, control) = (sequence.policy, sequence.control);
@@ -62,7 +62,10 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
                 .into(),
         );
     }
-    let mut remarks: Vec<String> = warnings::diversity_remark(&last.diversity, &found.scene).into_iter().collect();
+    // Errors of the diversities of several channels partly cancel.
+    let only = (sequence.channels.len() == 1).then_some(&found.scene);
+    let mut remarks: Vec<String> =
+        only.and_then(|scene| warnings::diversity_remark(&last.diversity, scene)).into_iter().collect();
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
         remarks.extend(warnings::orientation_remark(&found.scene, &Telescope::new(&found.scene)?)?);
     }

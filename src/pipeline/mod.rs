@@ -12,6 +12,7 @@
 
 mod absolute_pistons;
 mod budget;
+mod channel_sequence;
 mod channels;
 mod consistency;
 mod control;

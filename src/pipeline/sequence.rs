@@ -48,6 +48,8 @@ pub(super) struct SequenceResult {
     pub(super) iterations: Vec<Iteration>,
     /// Retrieval of each image in the last iteration.
     pub(super) reports: Vec<RetrievalReport>,
+    /// Number of exposures: of images, or of sets of simultaneous ones.
+    pub(super) exposures: usize,
     /// Outlier pixels that were rejected from each image.
     pub(super) rejected_pixels: Vec<usize>,
     /// Whole wavelengths of each segment's piston; none where the channels have one wavelength.
@@ -154,6 +156,11 @@ impl Sequence<'_> {
     pub(super) fn images(&self) -> usize {
         self.channels.iter().map(|channel| channel.images.len()).sum()
     }
+
+    /// Number of exposures: of images, or of sets of simultaneous ones.
+    pub(super) fn exposures(&self) -> usize {
+        if self.is_simultaneous { self.channels[0].images.len() } else { self.images() }
+    }
 }
 
 /// Estimates the static errors behind a sequence.
@@ -185,7 +192,7 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     let prior = prior(scene, ao_knowledge)?;
     let cleaned = channels.iter().map(SequenceChannel::cleaned).collect::<Result<Vec<_>>>()?;
     let cubes: Vec<Cube> = channels.iter().zip(&cleaned).map(|(channel, cleaned)| channel.cube(cleaned)).collect();
-    let retrieval = retrieval_settings(scene, sequence.images());
+    let retrieval = retrieval_settings(scene, sequence.exposures());
     let cancel = Some(control.flag());
     let optics = match &cubes[..] {
         [only] => estimate_optics(scene, &prior, &retrieval, *only, cancel)?,
@@ -237,6 +244,7 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     Ok(SequenceResult {
         iterations,
         reports: std::mem::take(&mut source.reports),
+        exposures: sequence.exposures(),
         retrieval_seconds: source.seconds,
         rejected_pixels: channels.iter().zip(&cleaned).flat_map(rejected).collect(),
         integers: integers.unwrap_or_default(),
@@ -263,13 +271,13 @@ fn absolute_pistons(
     are_determined(&wavelengths_nm).then(|| colours.absolute_pistons()).transpose()
 }
 
-/// Settings of the retrieval of `images` images of `scene`.
-fn retrieval_settings(scene: &Scene, images: usize) -> RetrievalSettings {
+/// Settings of the retrieval of `exposures` exposures of `scene`.
+fn retrieval_settings(scene: &Scene, exposures: usize) -> RetrievalSettings {
     let (device, precision) = (scene.estimate.device.into(), scene.estimate.precision.into());
     // Pistons as separate coefficients are nearly degenerate with wavefronts that have steep edges: each image is retrieved
     // as a wavefront alone.
     let usual = RetrievalSettings { device, precision, piston_rms_nm: 0.0, ..RetrievalSettings::default() };
-    if images > FEW_IMAGES {
+    if exposures > FEW_IMAGES {
         return usual;
     }
     RetrievalSettings { cycles_across_a_segment: usual.cycles_across_a_segment * FEW_IMAGES_RESOLUTION, ..usual }

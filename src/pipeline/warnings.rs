@@ -5,7 +5,7 @@ use super::image_changes::CHANGING;
 use super::images::counted;
 use super::sequence::SequenceResult;
 use crate::Result;
-use crate::modal::{self, DiversityProjection, ImageReport, Model, Session, Status};
+use crate::modal::{self, DiversityProjection, ImageReport, Model, PistonInteger, Session, Status};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 use crate::telescope::{Diversity, Telescope};
@@ -14,6 +14,21 @@ use crate::telescope::{Diversity, Telescope};
 const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
     (image.gain_e_per_adu), was it smoothed, averaged or normalised, or is the read noise too large? The error bars are those of \
     the stated noise";
+
+/// Probability from which the whole wavelengths of a piston are not flagged.
+const CERTAIN: f64 = 0.99;
+
+/// Warning on whole wavelengths of pistons that are not certain.
+pub(super) fn integers_warning(integers: &[PistonInteger]) -> Option<String> {
+    let doubtful: Vec<usize> = (0..integers.len()).filter(|&k| integers[k].probability < CERTAIN).collect();
+    let first = doubtful.first()?;
+    let least = integers.iter().map(|integer| integer.probability).fold(1.0, f64::min);
+    Some(format!(
+        "the whole wavelengths of {} are not certain (the least probable has {least:.2}; the first is segment {first}): see \
+         PROBABILITY and RUNNER_UP_NM in the table SEGMENTS; more light, or a smaller modes.piston_range_nm, determines them",
+        counted(doubtful.len(), "segment")
+    ))
+}
 
 /// First sentence of the remark on the diversity.
 pub(super) const ON_DIVERSITY: &str = "The NCPA depend on the scene's diversity.";
@@ -249,10 +264,12 @@ pub(super) fn map_warnings(
     is_misfit: bool,
 ) -> Vec<String> {
     let mut sentences = Vec::new();
-    let (all, left_out) = (found.reports.len(), found.reports.len() - last.used_images.len());
+    let (all, exposures) = (found.reports.len(), found.exposures);
+    let left_out = exposures - last.used_images.len();
     if left_out > 0 {
         let were = if left_out == 1 { "was" } else { "were" };
-        sentences.push(format!("{left_out} of {all} images {were} left out"));
+        let images = if exposures == all { "images" } else { "exposures" };
+        sentences.push(format!("{left_out} of {exposures} {images} {were} left out"));
     }
     let affected = found.rejected_pixels.iter().filter(|pixels| **pixels > 0).count();
     if affected > 0 {

@@ -161,9 +161,6 @@ fn images_of_other_channels_than_the_scenes_are_refused() {
     let model =
         Model::new(&scene, &cophase::modal::Recipe::from_scene(&scene), false).map(drop).unwrap_err().to_string();
     assert!(model.contains("a model and its sessions have one channel"), "{model}");
-    let map = with_channels(PAIR, &[("estimate.method", "full-phase")]);
-    let map = Estimator::new(&map).unwrap().estimate_channels(&images).map(drop).unwrap_err().to_string();
-    assert!(map.contains("\"full-phase\" reads one channel"), "{map}");
 }
 
 /// A strut moves the centroids of the segments that it shadows, where their tips and tilts are 0.

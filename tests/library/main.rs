@@ -15,6 +15,7 @@ mod modal;
 mod model_selection;
 mod modes;
 mod night;
+mod night_channels;
 mod observation;
 mod orientation;
 mod planner;
