@@ -305,15 +305,15 @@ impl FitsWriter {
         self.handle.call(function).map_err(|reason| Error::file(&self.path, reason))
     }
 
-    /// `name` in capitals.
-    ///
-    /// # Errors
-    /// [`Error::Value`] where it is in use or not printable ASCII.
     /// Writes the EXTVER of HDU `name`, where it has one.
     fn version_card(&mut self, name: &str, version: Option<i64>) -> Result<()> {
         version.map_or(Ok(()), |version| self.card(name, "EXTVER", version, "number among the extensions of this name"))
     }
 
+    /// `name` in capitals.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where it is in use or not printable ASCII.
     fn new_name(&self, name: &str) -> Result<String> {
         let upper = name.trim().to_ascii_uppercase();
         // 60: EXTNAME fits its card without CONTINUE.
