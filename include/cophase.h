@@ -479,6 +479,10 @@ typedef struct {
   const cophase_input *frames;
   /* Its options; NULL for the defaults. */
   const cophase_estimate_options *options;
+  /* Telemetry of a MAP estimate, as for cophase_estimator_estimate: of its exposures, also where the channels are simultaneous;
+   * NULL without. Slopes are used where every channel has them.
+   */
+  const cophase_input *slopes_mas;
 } cophase_channel_images;
 
 /* Makes an estimator of a scene.

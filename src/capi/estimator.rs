@@ -13,7 +13,7 @@ use crate::modal::Calibration;
 use crate::pipeline::{Control, Estimate, Estimator, Images, Policy};
 use crate::scene::{Channel, Scene};
 use crate::{Error, Result};
-use ndarray::Array3;
+use ndarray::{Array2, Array3};
 use rayon::ThreadPool;
 use std::ffi::c_char;
 
@@ -216,11 +216,7 @@ pub unsafe extern "C" fn cophase_estimator_estimate(
     Handle::change(inside, "estimator", |working| {
         let out = place(estimate, "estimate")?;
         let mut images = unsafe { images(frames, options, working.estimator.scene()) }?;
-        if !slopes_mas.is_null() {
-            let slopes = unsafe { Input::new(slopes_mas, "slopes_mas") }?;
-            let [.., slope_count] = slopes.shape();
-            images.slopes_mas = Some(slopes.must_be([1, images.len(), slope_count])?.map()?);
-        }
+        images.slopes_mas = unsafe { slopes(slopes_mas, images.len()) }?;
         let made = on_threads(working.pool.as_ref(), || working.estimator.estimate(&images))?;
         unsafe { out.write(handle_of(made)) };
         Ok(())
@@ -238,6 +234,9 @@ pub struct cophase_channel_images {
     pub frames: *const cophase_input,
     /// Its options; NULL for the defaults.
     pub options: *const cophase_estimate_options,
+    /// Telemetry of a MAP estimate, as for cophase_estimator_estimate: of its exposures, also where the channels are simultaneous;
+    /// NULL without. Slopes are used where every channel has them.
+    pub slopes_mas: *const cophase_input,
 }
 
 /// Estimates the static wavefront behind the images of several channels: defocuses, wavelengths.
@@ -289,6 +288,10 @@ unsafe fn images_of_channel(given: &cophase_channel_images, index: usize, scene:
         (Some(name), Some(own))
     };
     let images = unsafe { images(given.frames, given.options, own.map_or(scene, |channel| &channel.scene)) };
+    let images = images.and_then(|images| {
+        let slopes_mas = unsafe { slopes(given.slopes_mas, images.len()) }?;
+        Ok(Images { slopes_mas, ..images })
+    });
     let images = images.map_err(|error| error.of_channel(name.unwrap_or(&index.to_string())))?;
     Ok(Images { channel: name.map(str::to_owned), ..images })
 }
@@ -299,6 +302,16 @@ fn no_channel(name: &str, known: &[Channel]) -> Error {
     let accepted =
         if names.is_empty() { "NULL, because it has no [[image.channel]],".into() } else { names.join(", ") };
     Error::Shape(format!("the channel '{name:.60}' is not in the scene: {accepted} is accepted"))
+}
+
+/// A caller's telemetry of `count` exposures, `[image, slope]`, mas; none where it is NULL.
+unsafe fn slopes(slopes_mas: *const cophase_input, count: usize) -> Result<Option<Array2<f64>>> {
+    if slopes_mas.is_null() {
+        return Ok(None);
+    }
+    let slopes = unsafe { Input::new(slopes_mas, "slopes_mas") }?;
+    let [.., slope_count] = slopes.shape();
+    slopes.must_be([1, count, slope_count])?.map().map(Some)
 }
 
 /// A caller's images of `scene`, without telemetry.

@@ -1,9 +1,9 @@
 /* The whole pipeline on a file of raw doubles, printed for a comparison with the program and with Rust:
  *
- *   pipeline SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES | CHANNEL,CHANNEL]
+ *   pipeline SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES] [CHANNEL,CHANNEL]
  *
  * FRAMES.raw holds COUNT x ROWS x COLS native doubles in C order, electrons, NaN for a bad pixel; SLOPES.raw COUNT x SLOPES,
- * mas. For several channels it holds the COUNT images of each, one after the other. Files that the scene names are looked for
+ * mas. For several channels both hold those of the COUNT images of each, one after the other. Files that the scene names are looked for
  * in the working directory. Prints lines of
  *
  *   coefficient NAME VALUE SIGMA         (nm)
@@ -93,10 +93,11 @@ static void print(const cophase_estimate *estimate)
     free(text), free(images), free(sigma_nm), free(coefficients_nm);
 }
 
-/* Estimate from `frames` of the first of the channels that `names` lists, which those of the others follow. */
-static cophase_estimate *of_channels(cophase_estimator *estimator, cophase_input frames, char *names)
+/* Estimate from `frames` and `slopes`, if any, of the first of the channels that `names` lists, which those of the others follow. */
+static cophase_estimate *of_channels(cophase_estimator *estimator, cophase_input frames, const cophase_input *slopes,
+                                     char *names)
 {
-    cophase_input each[4];
+    cophase_input each[4], telemetry[4];
     cophase_channel_images channels[4];
     cophase_estimate *estimate = NULL;
     size_t count = 0;
@@ -108,6 +109,12 @@ static cophase_estimate *of_channels(cophase_estimator *estimator, cophase_input
         channels[count].channel = name;
         channels[count].frames = &each[count];
         channels[count].options = NULL;
+        channels[count].slopes_mas = NULL;
+        if (slopes == NULL)
+            continue;
+        telemetry[count] = *slopes;
+        telemetry[count].data = (const double *)slopes->data + count * slopes->rows * slopes->cols;
+        channels[count].slopes_mas = &telemetry[count];
     }
     must(cophase_estimator_estimate_channels(estimator, channels, count, &estimate));
     return estimate;
@@ -121,7 +128,7 @@ int main(int argc, char **argv)
     size_t size, count, rows, cols;
     char *scene, *frame_bytes, *slope_bytes = NULL;
 
-    if (argc < 6 || argc > 8)
+    if (argc < 6 || argc > 9)
         return 2;
     count = strtoul(argv[3], NULL, 10), rows = strtoul(argv[4], NULL, 10), cols = strtoul(argv[5], NULL, 10);
     scene = read_file(argv[1], &size);
@@ -129,15 +136,15 @@ int main(int argc, char **argv)
     if (size % (count * rows * cols * sizeof(double)) != 0)
         return 2;
     frames = slopes = input(frame_bytes, COPHASE_F64, count, rows, cols);
-    if (argc == 8) {
+    if (argc >= 8) {
         slope_bytes = read_file(argv[6], &size);
         slopes = input(slope_bytes, COPHASE_F64, 1, count, strtoul(argv[7], NULL, 10));
-        if (size != slopes.rows * slopes.cols * sizeof(double))
+        if (size % (slopes.rows * slopes.cols * sizeof(double)) != 0)
             return 2;
     }
     must(cophase_estimator_create(scene, NULL, NULL, &estimator));
-    if (argc == 7)
-        estimate = of_channels(estimator, frames, argv[6]);
+    if (argc == 7 || argc == 9)
+        estimate = of_channels(estimator, frames, argc == 9 ? &slopes : NULL, argv[argc - 1]);
     else
         must(cophase_estimator_estimate(estimator, &frames, argc == 8 ? &slopes : NULL, NULL, &estimate));
     cophase_estimator_destroy(estimator);

@@ -1,6 +1,6 @@
 % The whole pipeline through the MATLAB package, under Octave, on a file of raw doubles, printed as by pipeline.c:
 %
-%   octave-cli pipeline.m SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES | CHANNEL,CHANNEL]
+%   octave-cli pipeline.m SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES] [CHANNEL,CHANNEL]
 %
 % The library is that of the directory COPHASE_LIBRARIES, or else of target/release; the gateway is built in the
 % directory COPHASE_SCRATCH, or else in a new one.
@@ -31,11 +31,17 @@ extents = str2double(arguments(3:5));
 % Rows in the file are columns in memory.
 frames = permute(reshape(doubles_of(arguments{2}), extents(3), extents(2), []), [2 1 3]);
 options = {};
-if numel(arguments) == 6
-    names = strsplit(arguments{6}, ',');
-    frames = cell2struct(mat2cell(frames, extents(2), extents(3), repmat(extents(1), 1, numel(names)))(:), names(:));
-elseif numel(arguments) > 5
-    options = {'slopes_mas', reshape(doubles_of(arguments{6}), str2double(arguments{7}), extents(1))};
+if numel(arguments) > 6
+    slopes_mas = reshape(doubles_of(arguments{6}), str2double(arguments{7}), extents(1), []);
+    options = {'slopes_mas', slopes_mas};
+end
+if any(numel(arguments) == [6 8])
+    names = strsplit(arguments{end}, ',')(:);
+    frames = cell2struct(mat2cell(frames, extents(2), extents(3), repmat(extents(1), 1, numel(names)))(:), names);
+    if numel(arguments) == 8
+        each = mat2cell(slopes_mas, rows(slopes_mas), extents(1), ones(1, numel(names)));
+        options = {'slopes_mas', cell2struct(each(:), names)};
+    end
 end
 e = cophase.Estimator(fileread(arguments{1})).estimate(frames, options{:});
 for k = 1:numel(e.mode_names)

@@ -1,6 +1,6 @@
 """The whole pipeline through the Python package on a file of raw doubles, printed as by pipeline.c, see there:
 
-python3 pipeline.py SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES | CHANNEL,CHANNEL]
+python3 pipeline.py SCENE.toml FRAMES.raw COUNT ROWS COLS [SLOPES.raw SLOPES] [CHANNEL,CHANNEL]
 """
 
 import struct
@@ -14,15 +14,17 @@ def bits(value):
     return struct.pack(">d", value).hex()
 
 
-def main(scene, frames, count, rows, cols, slopes=None, slope_count=None):
+def main(scene, frames, count, rows, cols, *others):
+    names = others[-1].split(",") if len(others) % 2 else None
+    slopes_mas = np.fromfile(others[0]).reshape(-1, int(count), int(others[1])) if len(others) > 1 else None
     with open(scene, encoding="utf-8") as file:
         estimator = cophase.Estimator(file.read())
     frames_e = np.fromfile(frames).reshape(-1, int(count), int(rows), int(cols))
-    if slopes is not None and slope_count is None:
-        estimate = estimator.estimate_channels(dict(zip(slopes.split(","), frames_e)))
+    if names is None:
+        estimate = estimator.estimate(frames_e[0], slopes_mas=None if slopes_mas is None else slopes_mas[0])
     else:
-        slopes_mas = None if slopes is None else np.fromfile(slopes).reshape(int(count), int(slope_count))
-        estimate = estimator.estimate(frames_e[0], slopes_mas=slopes_mas)
+        own = None if slopes_mas is None else dict(zip(names, slopes_mas))
+        estimate = estimator.estimate_channels(dict(zip(names, frames_e)), slopes_mas=own)
     for name, nm, sigma_nm in zip(estimate.mode_names, estimate.coefficients_nm, estimate.sigma_nm):
         print("coefficient", name, bits(nm), bits(sigma_nm))
     for index, image in enumerate(estimate.images):

@@ -2,9 +2,10 @@
 //! device.
 
 use super::here;
+use cophase::ao::{Progress, Shot, Simulator};
 use cophase::pipeline::{Estimate, Estimator, Images};
-use cophase::scene::Scene;
-use ndarray::{Array3, Axis, concatenate};
+use cophase::scene::{AoKnowledge, Scene};
+use ndarray::{Array1, Array2, Array3, Axis, concatenate, stack};
 use std::path::Path;
 use std::process::Command;
 
@@ -44,8 +45,8 @@ fn bits(value: f64) -> String {
 /// The scene in two colours.
 const COLOURS: &str = "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
 
-/// Runs a program on images of `tiny.toml` with outliers, and on images of two colours, and compares what it prints with the estimates
-/// of Rust.
+/// Runs a program on images of `tiny.toml` with outliers, on images of two colours, and on exposures of two channels behind a loop, and
+/// compares what it prints with the estimates of Rust.
 pub(super) fn prints_what_rust_finds(command: impl Fn() -> Option<Command>) {
     if let Some(command) = command() {
         images_of_one_channel(command);
@@ -53,6 +54,34 @@ pub(super) fn prints_what_rust_finds(command: impl Fn() -> Option<Command>) {
     if let Some(command) = command() {
         images_of_two_channels(command);
     }
+    if let Some(command) = command() {
+        exposures_of_two_channels(command);
+    }
+}
+
+fn exposures_of_two_channels(command: Command) {
+    let settings = [("estimate.method", "full-phase"), ("estimate.device", "cpu"), ("image.count", "2")];
+    let scene = Scene::from_file(here().join("sky.toml")).unwrap().with(&settings).unwrap();
+    let defocus = COLOURS.replace("wavelength_nm = 1640.0", "diversity_focus_waves_rms = -1.0");
+    let scene = Scene::from_text(&format!("{}\n{defocus}", scene.text()), Path::new("")).unwrap();
+    let mut shots: Vec<Shot> = Vec::new();
+    Simulator::new(&scene).unwrap().run(&mut shots, &mut Progress::default()).unwrap();
+    let of = |channel: usize| -> Vec<&Shot> { shots.iter().filter(|shot| shot.channel == channel).collect() };
+    let images = ["K", "H"].iter().enumerate().map(|(number, name)| {
+        let views: Vec<_> = of(number).iter().map(|shot| shot.image_e.mapv(f64::from)).collect();
+        let images_e = stack(Axis(0), &views.iter().map(|image| image.view()).collect::<Vec<_>>()).unwrap();
+        let slopes: Vec<Array1<f64>> =
+            of(number).iter().map(|shot| shot.mean_slopes_mas.iter().map(|&mas| f64::from(mas)).collect()).collect();
+        let slopes_mas = stack(Axis(0), &slopes.iter().map(|slopes| slopes.view()).collect::<Vec<_>>()).unwrap();
+        Images { channel: Some((*name).into()), slopes_mas: Some(slopes_mas), ..Images::new(images_e) }
+    });
+    let images: Vec<Images> = images.collect();
+    let found = Estimator::new(&scene).unwrap().estimate_channels(&images).unwrap();
+    assert_eq!(found.map.as_ref().unwrap().ao_knowledge, AoKnowledge::Telemetry);
+    let cube = concatenate(Axis(0), &images.iter().map(|one| one.images_e.view()).collect::<Vec<_>>()).unwrap();
+    let slopes: Vec<_> = images.iter().filter_map(|one| one.slopes_mas.as_ref()).map(|one| one.view()).collect();
+    let slopes_mas = concatenate(Axis(0), &slopes).unwrap();
+    compare(command, &scene, (&cube, 2), (Some(&slopes_mas), Some("K,H")), &found);
 }
 
 fn images_of_two_channels(command: Command) {
@@ -70,7 +99,7 @@ fn images_of_two_channels(command: Command) {
         (found.channels.as_slice(), found.integers.len()),
         (&["K".to_string(), "H".into()][..], found.segment_modes())
     );
-    compare(command, &scene, (&cube, 1), Some("H,K"), &found);
+    compare(command, &scene, (&cube, 1), (None, Some("H,K")), &found);
 }
 
 fn images_of_one_channel(command: Command) {
@@ -81,26 +110,31 @@ fn images_of_one_channel(command: Command) {
         Estimator::new(&Scene::from_text(scene.text(), Path::new("")).unwrap()).unwrap().estimate(&images).unwrap();
     assert_eq!(found.images[1].rejected_pixels, 1, "the hot pixel");
     assert!(found.warnings.iter().any(|warning| warning.starts_with("1 pixel is not finite")), "{:?}", found.warnings);
-    compare(command, &scene, (&images.images_e, 3), None, &found);
+    compare(command, &scene, (&images.images_e, 3), (None, None), &found);
 }
 
-/// Runs a program on a cube with `count` images of each of `channels`, and compares what it prints with an estimate.
+/// Runs a program on a cube with `count` images of each of `channels`, and their slopes, and compares what it prints with an estimate.
 fn compare(
     mut command: Command,
     scene: &Scene,
     (cube, count): (&Array3<f64>, usize),
-    channels: Option<&str>,
+    (slopes_mas, channels): (Option<&Array2<f64>>, Option<&str>),
     found: &Estimate,
 ) {
     let directory = tempfile::tempdir().unwrap();
-    let [toml, raw] = ["scene.toml", "frames.raw"].map(|name| directory.path().join(name));
+    let [toml, raw, slopes] = ["scene.toml", "frames.raw", "slopes.raw"].map(|name| directory.path().join(name));
     std::fs::write(&toml, scene.text()).unwrap();
     std::fs::write(&raw, cube.iter().flat_map(|e| e.to_ne_bytes()).collect::<Vec<u8>>()).unwrap();
+    if let Some(slopes_mas) = slopes_mas {
+        std::fs::write(&slopes, slopes_mas.iter().flat_map(|mas| mas.to_ne_bytes()).collect::<Vec<u8>>()).unwrap();
+    }
+    let telemetry = slopes_mas.map(|slopes_mas| [slopes.display().to_string(), slopes_mas.ncols().to_string()]);
     let (_, rows, cols) = cube.dim();
     let output = command
         .arg(&toml)
         .arg(&raw)
         .args([count, rows, cols].map(|extent| extent.to_string()))
+        .args(telemetry.iter().flatten())
         .args(channels)
         .output()
         .unwrap();

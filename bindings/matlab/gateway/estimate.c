@@ -29,6 +29,7 @@ typedef struct channel {
     cophase_input frames;
     cophase_calibration calibration;
     cophase_estimate_options options;
+    cophase_input slopes_mas;
 } channel;
 
 typedef struct job {
@@ -141,7 +142,7 @@ static void do_create_channels(int outputs, mxArray **out, int inputs, const mxA
             list[k] = mxGetCell(pairs, k);
         options((int)length, list, ESTIMATE_OPTIONS, given);
         if (given[SLOPES_MAS] != NULL)
-            fail(COPHASE_BAD_ARGUMENT, "slopes_mas is telemetry of a MAP estimate, which reads one channel: leave it out");
+            each[i].slopes_mas = slopes_of(given[SLOPES_MAS]), job.channels[i].slopes_mas = &each[i].slopes_mas;
         fill(&each[i], mxGetCell(in[2], i), given);
         job.channels[i].channel = text(mxGetCell(in[1], i), "the name of a channel");
         job.channels[i].frames = &each[i].frames;

@@ -28,6 +28,16 @@ class _Options:
         self.pointer = options("cophase_estimate_options", calibration=camera.pointer, read_noise_e=read_noise_e)
 
 
+def _slopes(slopes_mas: ArrayLike | None) -> Any:
+    """Telemetry as an array of the library; None without."""
+    if slopes_mas is None:
+        return None
+    slopes = images("slopes_mas", slopes_mas)
+    if slopes.ndim != 2:
+        raise BadShapeError(f"slopes_mas has the shape {slopes.shape}: [image, slope] is accepted")
+    return slopes
+
+
 def _images(
     frames: ArrayLike, mask: ArrayLike | None, read_noise_e: float | None, gain_e: float | None, **calibrations: Any
 ) -> tuple[NDArray[Any], _Options]:
@@ -171,11 +181,7 @@ class Estimator(Handle):
             After :meth:`cancel`.
         """
         pixels, chosen = _images(frames, mask, read_noise_e, dark=dark, flat=flat, gain_e=gain_e, saturation=saturation)
-        slopes = None
-        if slopes_mas is not None:
-            slopes = images("slopes_mas", slopes_mas)
-            if slopes.ndim != 2:
-                raise BadShapeError(f"slopes_mas has the shape {slopes.shape}: [image, slope] is accepted")
+        slopes = _slopes(slopes_mas)
         frame_view, slope_view = input_view(pixels), ffi.NULL if slopes is None else input_view(slopes)
         return self._estimate(lib.cophase_estimator_estimate, frame_view, slope_view, chosen.pointer)
 
@@ -184,6 +190,7 @@ class Estimator(Handle):
         frames: Mapping[str, ArrayLike] | Sequence[ArrayLike],
         *,
         mask: Any = None,
+        slopes_mas: Any = None,
         read_noise_e: Any = None,
         dark: Any = None,
         flat: Any = None,
@@ -196,9 +203,9 @@ class Estimator(Handle):
         ----------
         frames : mapping or sequence of arrays
             Images of each channel, by its name; or a list in the order of the scene. Each as for :meth:`estimate`.
-        mask, read_noise_e, dark, flat, gain_e, saturation : optional
+        mask, slopes_mas, read_noise_e, dark, flat, gain_e, saturation : optional
             As for :meth:`estimate`, for all channels; or a mapping by the names of those that have one (by their
-            positions where frames is a list).
+            positions where frames is a list). Slopes are used where every channel has them.
 
         Raises
         ------
@@ -212,6 +219,7 @@ class Estimator(Handle):
         """
         given = {
             "mask": mask,
+            "slopes_mas": slopes_mas,
             "read_noise_e": read_noise_e,
             "dark": dark,
             "flat": flat,
@@ -227,10 +235,11 @@ class Estimator(Handle):
         channels, kept = ffi.new("cophase_channel_images[]", len(keys)), []
         for channel, key in zip(channels, keys):
             own = {name: value.get(key) if isinstance(value, Mapping) else value for name, value in given.items()}
+            slopes = _slopes(own.pop("slopes_mas"))
             pixels, chosen = _images(frames[key], **own)
-            view = input_view(pixels)
-            channel.frames, channel.options = view, chosen.pointer
-            kept += [pixels, chosen, view]
+            view, slope_view = input_view(pixels), ffi.NULL if slopes is None else input_view(slopes)
+            channel.frames, channel.options, channel.slopes_mas = view, chosen.pointer, slope_view
+            kept += [pixels, chosen, view, slopes, slope_view]
             if is_named:
                 kept.append(ffi.new("char[]", text("the name of a channel", key)))
                 channel.channel = kept[-1]
