@@ -6,15 +6,15 @@
 //! depends on whole wavelengths of the image, because its sensor has another wavelength.
 
 use super::consistency::Electrons;
-use super::control::{Control, Stage};
+use super::control::Control;
 use super::modal_task::ModalTask;
 use super::policy::Policy;
-use super::sequence::SequenceChannel;
+use super::sequence_channel::{SequenceChannel, progress_of};
 use crate::modal::{BasisCache, ColourEstimate, PistonInteger, pistons_near, resolve_estimates};
 use crate::retrieval::{IlluminatedSamples, RadialPsd, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{
-    ChannelSequence, Iteration, NcpaBasis, SequenceProgress, SequenceRetrieval, StaticsSettings, estimate_static_errors,
+    ChannelSequence, Iteration, NcpaBasis, SequenceRetrieval, StaticsSettings, estimate_static_errors,
 };
 use crate::statistics::median;
 use crate::telescope::Telescope;
@@ -86,11 +86,7 @@ impl Colours<'_, '_> {
         let segments_nm = self.modal_pistons_nm(channel)?;
         let smooth_nm = vec![0.0; self.samples()?.len()];
         let images = numbers.iter().map(|&number| self.sequences[number].images()).sum();
-        let watch = |progress| match progress {
-            SequenceProgress::Retrieved(0) => self.control.enter(Stage::Retrieving, images),
-            SequenceProgress::Retrieved(done) => self.control.advance_to(done),
-            SequenceProgress::Separating => self.control.enter(Stage::Separating, 0),
-        };
+        let watch = progress_of(self.control, images);
         let cancel = Some(self.control.flag());
         let sequences = numbers.iter().map(|&number| self.sequences[number].reborrow()).collect();
         let mut source = SequenceRetrieval::new(sequences, self.is_simultaneous, self.prior, None, cancel, &watch)?

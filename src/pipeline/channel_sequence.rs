@@ -5,7 +5,7 @@ use super::control::Control;
 use super::estimate::Estimate;
 use super::map;
 use super::policy::Policy;
-use super::sequence::{Sequence, SequenceChannel};
+use super::sequence_channel::{Sequence, SequenceChannel};
 use super::warnings::integers_warning;
 use crate::scene::Scene;
 use crate::{Error, Result};

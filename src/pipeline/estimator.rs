@@ -9,7 +9,7 @@ use super::images::{Images, TruthMaps};
 use super::modal_task::ModalTask;
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
-use super::sequence::{Sequence, SequenceChannel};
+use super::sequence_channel::{Sequence, SequenceChannel};
 use super::{channel_sequence, channels, map, modal};
 use crate::modal::BasisCache;
 use crate::planner;

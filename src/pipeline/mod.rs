@@ -36,6 +36,7 @@ mod report;
 mod residual_shape;
 mod scene_files;
 mod sequence;
+mod sequence_channel;
 mod telemetry;
 mod warnings;
 

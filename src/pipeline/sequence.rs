@@ -2,45 +2,22 @@
 //! exposure's wavefront, and the static errors that all exposures share, in turn until nothing changes.
 
 use super::absolute_pistons::{AbsolutePistons, Colours};
-use super::consistency::Electrons;
-use super::control::{Control, Stage};
-use super::policy::Policy;
+use super::sequence_channel::{Sequence, SequenceChannel, progress_of};
 use super::telemetry::{self, TelemetryCheck};
 use crate::ao::{Lenslets, sensor_pupil};
-use crate::modal::{CleanedImages, Cube, PistonInteger, are_determined, reject_outliers};
+use crate::modal::{CleanedImages, Cube, PistonInteger, are_determined};
 use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
 use crate::scene::{AoKnowledge, Scene, SegmentModes};
 use crate::statics::{
-    ChannelSequence, Iteration, MAX_NCPA_MODES, SequenceProgress, SequenceRetrieval, StaticsSettings, check_diversity,
+    ChannelSequence, Iteration, MAX_NCPA_MODES, SequenceRetrieval, StaticsSettings, check_diversity,
     estimate_static_errors,
 };
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array2;
-
-/// Images of one channel behind adaptive optics.
-pub(super) struct SequenceChannel<'a> {
-    /// By which they are read.
-    pub(super) scene: &'a Scene,
-    pub(super) images: &'a Electrons<'a>,
-}
-
-impl SequenceChannel<'_> {
-    /// The images without outlier pixels, where they have some.
-    fn cleaned(&self) -> Result<Option<CleanedImages>> {
-        let images = self.images;
-        reject_outliers(self.scene, &images.images_e, &images.bad, images.read_noise_e)
-    }
-
-    fn cube<'b>(&'b self, cleaned: &'b Option<CleanedImages>) -> Cube<'b> {
-        let images = self.images;
-        let images_e = cleaned.as_ref().map_or(images.images_e.as_ref(), |cleaned| &cleaned.images_e);
-        Cube { images_e: images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e }
-    }
-}
 
 /// Result of a sequence.
 pub(super) struct SequenceResult {
@@ -140,29 +117,6 @@ const FEW_IMAGES: usize = 40;
 /// Finer resolution over the usual one, in cycles across a segment.
 const FEW_IMAGES_RESOLUTION: f64 = 1.25;
 
-/// A sequence: images of one channel, or of several.
-pub(super) struct Sequence<'a> {
-    pub(super) channels: &'a [SequenceChannel<'a>],
-    /// Whether image i of every channel is of exposure i.
-    pub(super) is_simultaneous: bool,
-    /// Slopes of each exposure, where they are used.
-    pub(super) slopes_mas: Option<&'a Array2<f64>>,
-    pub(super) policy: &'a Policy,
-    pub(super) control: &'a Control,
-}
-
-impl Sequence<'_> {
-    /// Number of images of all channels.
-    pub(super) fn images(&self) -> usize {
-        self.channels.iter().map(|channel| channel.images.len()).sum()
-    }
-
-    /// Number of exposures: of images, or of sets of simultaneous ones.
-    pub(super) fn exposures(&self) -> usize {
-        if self.is_simultaneous { self.channels[0].images.len() } else { self.images() }
-    }
-}
-
 /// Estimates the static errors behind a sequence.
 ///
 /// # Errors
@@ -183,26 +137,16 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
         check_diversity(coarsest, scene, &Telescope::new(scene)?)?;
     }
     let used_slopes_mas = slopes_mas.filter(|_| ao_knowledge >= AoKnowledge::Telemetry);
-    let own_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(scene, &Telescope::new(scene)?, mas));
-    // Slopes of another number of subapertures may belong to the pupil that the search finds.
-    let own_sensor = match own_sensor {
-        Err(Error::Shape(_)) if scene.pupil.extent_m().is_some() => own_sensor,
-        other => Ok(other?),
-    };
     let prior = prior(scene, ao_knowledge)?;
     let cleaned = channels.iter().map(SequenceChannel::cleaned).collect::<Result<Vec<_>>>()?;
     let cubes: Vec<Cube> = channels.iter().zip(&cleaned).map(|(channel, cleaned)| channel.cube(cleaned)).collect();
     let retrieval = retrieval_settings(scene, sequence.exposures());
     let cancel = Some(control.flag());
-    let optics = match &cubes[..] {
-        [only] => estimate_optics(scene, &prior, &retrieval, *only, cancel)?,
+    let (optics, static_scene) = optics_with_sensor(scene, used_slopes_mas, || match &cubes[..] {
+        [only] => estimate_optics(scene, &prior, &retrieval, *only, cancel),
         // Channels could be explained by different optics, of which no wavefront is common to all.
-        _ => RetrievedOptics::of(scene)?,
-    };
-    let found_sensor = used_slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
-    // The optics that were found are used for the static errors only where the slopes belong to their subapertures.
-    let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
-    own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
+        _ => RetrievedOptics::of(scene),
+    })?;
     let scenes: Vec<Scene> = match channels {
         [_] => vec![optics.scene.clone()],
         _ => channels.iter().map(|channel| channel.scene.clone()).collect(),
@@ -214,12 +158,7 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     let (start, integers) = absolute_pistons(sequence, &sequences, &prior, &settings)?
         .map(|found| (found.wavefront, found.integers))
         .unzip();
-    let images = sequence.images();
-    let watch = |progress| match progress {
-        SequenceProgress::Retrieved(0) => control.enter(Stage::Retrieving, images),
-        SequenceProgress::Retrieved(done) => control.advance_to(done),
-        SequenceProgress::Separating => control.enter(Stage::Separating, 0),
-    };
+    let watch = progress_of(control, sequence.images());
     let slopes_of_exposures = used_slopes_mas.cloned();
     let mut source =
         SequenceRetrieval::new(sequences, sequence.is_simultaneous, &prior, slopes_of_exposures, cancel, &watch)?
@@ -256,6 +195,29 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
         device,
         device_failure,
     })
+}
+
+/// The optics that `search` finds, and the scene of the static errors: with these optics, unless the slopes belong to the subapertures
+/// of `scene` only.
+///
+/// # Errors
+/// Those of `search`; [`Error::Shape`] and [`Error::Value`] for slopes that belong to neither.
+fn optics_with_sensor(
+    scene: &Scene,
+    slopes_mas: Option<&Array2<f64>>,
+    search: impl FnOnce() -> Result<RetrievedOptics>,
+) -> Result<(RetrievedOptics, Scene)> {
+    let own_sensor = slopes_mas.map_or(Ok(()), |mas| check_slopes(scene, &Telescope::new(scene)?, mas));
+    // Slopes of another number of subapertures may belong to the pupil that the search finds.
+    let own_sensor = match own_sensor {
+        Err(Error::Shape(_)) if scene.pupil.extent_m().is_some() => own_sensor,
+        other => Ok(other?),
+    };
+    let optics = search()?;
+    let found_sensor = slopes_mas.map_or(Ok(()), |mas| check_slopes(&optics.scene, optics.telescope(), mas));
+    let static_scene = if found_sensor.is_ok() { optics.scene.clone() } else { scene.clone() };
+    own_sensor.or_else(|own| found_sensor.map_err(|_| own))?;
+    Ok((optics, static_scene))
 }
 
 /// Pistons with their whole wavelengths, where the channels have several wavelengths.
