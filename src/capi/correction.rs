@@ -16,26 +16,32 @@ use std::path::Path;
 pub struct cophase_correction_report {
     /// Number of segments.
     pub segments: usize,
-    /// Number of the mirror's actuators; 0 without a loop in the scene.
+    /// Number of the mirror's actuators; 0 where the scene names no mirror.
     pub actuators: usize,
-    /// Number of slopes of the wavefront sensor; 0 without a loop in the scene.
+    /// Number of slopes of the wavefront sensor; 0 without a loop in the scene, and in a modal estimate.
     pub slopes: usize,
     /// NCPA modes that are corrected: those whose estimate is larger than its error bar.
     pub corrected_modes: usize,
-    /// Commands that were cut at the limit.
+    /// Commands that were cut at a limit.
     pub limited: usize,
+    /// Channels of the segments' controller; 0 where the scene describes none ([commands]).
+    pub segment_commands: usize,
+    /// Channels of the mirror's controller; 0 where the scene describes none.
+    pub actuator_commands: usize,
 }
 
-/// Computes what to add to segments, mirror and reference slopes to correct the estimated errors; a MAP estimate only. A
-/// mode whose estimate is smaller than its error bar is not corrected. About a second at the size of Keck where the scene
-/// has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays.
+/// Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
+/// the controllers that the scene describes ([commands]). A mode whose estimate is smaller than its error bar is not corrected, nor
+/// are tips and tilts of segments. About a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
+/// COPHASE_ARRAY_CORRECTION_ arrays.
 ///
-/// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength.
-/// path: FITS file to write, UTF-8; NULL for none.
+/// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
+/// wavelengths are known). The limits of the controllers' channels hold in addition.
+/// path: FITS file to write, or text for a name that ends in .txt, UTF-8; NULL for none.
 /// report: NULL if it is not wanted. report_size: sizeof(cophase_correction_report).
 ///
-/// COPHASE_BAD_VALUE for a modal estimate, which has no corrections, and for a negative limit. COPHASE_BUSY while other
-/// threads read the estimate.
+/// COPHASE_BAD_VALUE for a negative limit, and for segment modes that are not pistons; COPHASE_BAD_FILE for a controller's table or
+/// matrix that cannot be read or does not fit. COPHASE_BUSY while other threads read the estimate.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn cophase_estimate_correct(
     estimate: *mut cophase_estimate,
@@ -65,6 +71,8 @@ pub unsafe extern "C" fn cophase_estimate_correct(
                     slopes: corrections.slopes_mas.len(),
                     corrected_modes: corrections.corrected_modes,
                     limited: corrections.limited,
+                    segment_commands: corrections.segment_commands.as_ref().map_or(0, |one| one.channels.len()),
+                    actuator_commands: corrections.actuator_commands.as_ref().map_or(0, |one| one.channels.len()),
                 },
             );
             found.corrections = Some(corrections);

@@ -8,7 +8,7 @@ use super::policy::policy_number;
 use super::sized::Outputs;
 use super::status::cophase_status;
 use super::text::*;
-use crate::pipeline::Estimate;
+use crate::pipeline::{Command, Commands, Corrections, Estimate};
 use crate::scene::{AoKnowledge, Method};
 use crate::{Error, Result};
 use std::ffi::c_char;
@@ -43,18 +43,26 @@ pub const COPHASE_ARRAY_MAPS_NM: i32 = 5;
 /// Array: contribution of each term of the error budget to the error bars of phasing and NCPA, nm RMS over the pupil;
 /// error_terms x 2. Their squares add up to the squares of phasing_sigma_nm and ncpa_sigma_nm.
 pub const COPHASE_ARRAY_ERROR_BUDGET_NM: i32 = 6;
-/// Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront; segments.
+/// Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront, which a positive piston raises;
+/// segments.
 pub const COPHASE_ARRAY_CORRECTION_PISTONS_NM: i32 = 7;
-/// Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront; actuators.
+/// Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront, from which the mirror is
+/// subtracted; actuators.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_NM: i32 = 8;
 /// Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_M: i32 = 9;
 /// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
-/// then along y; slopes. It keeps the mirror where the corrections put it.
+/// then along y; slopes. It keeps the mirror where the corrections put it. Empty in a modal estimate.
 pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
 /// Array: whole wavelengths of the first channel that were added to the piston of each segment, their probability, and the piston of
 /// the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
 pub const COPHASE_ARRAY_PISTON_INTEGERS: i32 = 11;
+
+/// Array, after cophase_estimate_correct: what to add to each channel of the segments' controller (scene section [commands]), in its
+/// unit; segment_commands.
+pub const COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS: i32 = 12;
+/// Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller, in its unit; actuator_commands.
+pub const COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS: i32 = 13;
 
 /// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed.
 #[allow(non_camel_case_types)] // a name of the header
@@ -264,22 +272,36 @@ pub unsafe extern "C" fn cophase_estimate_array(
     }
 }
 
+/// The corrections, once they are computed.
+fn corrected(corrections: &Option<Corrections>) -> Result<&Corrections> {
+    let none = || Error::Value("there are no corrections yet: call cophase_estimate_correct first".into());
+    corrections.as_ref().ok_or_else(none)
+}
+
+/// Commands to a controller; none where the scene describes none.
+fn channels(commands: &Option<Commands>) -> &[Command] {
+    commands.as_ref().map_or(&[], |commands| &commands.channels)
+}
+
 /// Shape and values of an array.
 fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
     let EstimateState { estimate, corrections } = found;
     let list = |values: Vec<f64>| (vec![values.len()], values);
     let matrix = |matrix: &ndarray::Array2<f64>| (matrix.shape().to_vec(), matrix.iter().copied().collect());
-    if (COPHASE_ARRAY_CORRECTION_PISTONS_NM..=COPHASE_ARRAY_CORRECTION_SLOPES_MAS).contains(&what) {
-        let corrections = corrections
-            .as_ref()
-            .ok_or_else(|| Error::Value("there are no corrections yet: call cophase_estimate_correct first".into()))?;
+    let own = COPHASE_ARRAY_CORRECTION_PISTONS_NM..=COPHASE_ARRAY_CORRECTION_SLOPES_MAS;
+    let controllers = COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS..=COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS;
+    if own.contains(&what) || controllers.contains(&what) {
+        let corrections = corrected(corrections)?;
         let actuators = &corrections.actuators_nm;
+        let to = |commands| channels(commands).iter().map(|channel| channel.value).collect();
         return Ok(match what {
             COPHASE_ARRAY_CORRECTION_PISTONS_NM => list(corrections.pistons_nm.clone()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_NM => list(actuators.iter().map(|(_, nm)| *nm).collect()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_M => {
                 (vec![actuators.len(), 2], actuators.iter().flat_map(|(place_m, _)| *place_m).collect())
             }
+            COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS => list(to(&corrections.segment_commands)),
+            COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS => list(to(&corrections.actuator_commands)),
             _ => list(corrections.slopes_mas.clone()),
         });
     }
@@ -312,7 +334,7 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
 
 /// Writes a text of an estimate.
 ///
-/// what: a COPHASE_TEXT_ number. index: which image, mode, term or channel; ignored for the other texts. text, capacity, length: as
+/// what: a COPHASE_TEXT_ number. index: which image, mode, term, channel or command; ignored for the other texts. text, capacity, length: as
 /// in cophase_device_list.
 ///
 /// COPHASE_BAD_VALUE for an index out of range.
@@ -339,6 +361,12 @@ pub unsafe extern "C" fn cophase_estimate_text(
                 COPHASE_TEXT_IMAGE_MESSAGE => at(&estimate.images, index, "images")?.message.clone(),
                 COPHASE_TEXT_MODE_NAME => at(&estimate.basis.names, index, "modes")?.clone(),
                 COPHASE_TEXT_CHANNEL_NAME => at(&estimate.channels, index, "channels")?.clone(),
+                COPHASE_TEXT_SEGMENT_COMMAND_NAME => {
+                    at(channels(&corrected(&found.corrections)?.segment_commands), index, "commands")?.name.clone()
+                }
+                COPHASE_TEXT_ACTUATOR_COMMAND_NAME => {
+                    at(channels(&corrected(&found.corrections)?.actuator_commands), index, "commands")?.name.clone()
+                }
                 COPHASE_TEXT_ERROR_TERM_NAME => at(&estimate.error_budget, index, "terms")?.name.clone(),
                 other => {
                     let known = "a COPHASE_TEXT_ number of estimates is accepted";

@@ -25,6 +25,11 @@ pub const COPHASE_TEXT_ERROR_TERM_NAME: i32 = 10;
 /// Text of an estimate: name of channel `index`.
 pub const COPHASE_TEXT_CHANNEL_NAME: i32 = 11;
 
+/// Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the segments.
+pub const COPHASE_TEXT_SEGMENT_COMMAND_NAME: i32 = 12;
+/// Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the mirror.
+pub const COPHASE_TEXT_ACTUATOR_COMMAND_NAME: i32 = 13;
+
 /// Element `index`.
 ///
 /// # Errors

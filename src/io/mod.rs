@@ -1,4 +1,4 @@
-//! FITS input and output.
+//! FITS input and output, text tables.
 //!
 //! * [`read_images`] reads the file of a camera: images, bad pixels, read noise. [`FitsReader`] reads other content by name:
 //!   maps, cubes, columns, cards. Reading never changes the file.
@@ -24,6 +24,7 @@ mod layout;
 mod read;
 mod repair;
 mod standard;
+mod text_table;
 mod tiles;
 mod value;
 mod write;
@@ -33,5 +34,6 @@ pub use extension::file_of;
 pub use header::{HeaderFact, PixelUnit, Quantity};
 pub use images::{CHANNEL, Images, read_channels, read_images};
 pub use read::{FitsReader, read_cube, read_map};
+pub use text_table::{TextRow, read_text, text_rows};
 pub use value::Card;
 pub use write::{Column, ELECTRON, FitsWriter, Pixel};

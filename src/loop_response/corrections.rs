@@ -2,37 +2,51 @@
 //!
 //! A mode whose estimate is below its error bar is left unchanged, so that corrections do not add noise. The plane through the
 //! pistons, of which images hold little information, and tip and tilt, which are pointing, are left unchanged too. Segments and
-//! subapertures are in this program's order, wavefronts in nm; a positive command raises the wavefront.
+//! subapertures are in this program's order, wavefronts in nm. A positive piston raises the wavefront; the mirror's surface is taken off
+//! the wavefront, as in the simulator. [`Commands`] are the same in the terms of the controllers that the scene describes.
 
+use super::controller::{Commands, Moved, commands};
 use super::sensor_model::SensorModel;
-use crate::ao::Simulator;
-use crate::io::{Column, FitsWriter};
+use crate::ao::actuators_in_use;
+use crate::io::{Column, FitsWriter, write_atomically};
 use crate::linear_algebra::SpdInverse;
 use crate::modes::{Samples, SmoothBasis};
-use crate::pupil::Segment;
+use crate::pupil::{Pupil, Segment};
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::{SegmentPlace, Telescope};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 use std::path::Path;
 
 /// Estimated static errors, as far as corrections need them.
 pub struct CorrectableErrors<'a> {
-    /// Piston of each segment, nm.
+    /// Piston of each segment, nm; none where the estimate has none.
     pub pistons_nm: &'a [f64],
-    /// Coefficients of the NCPA in `ncpa_basis`, tip and tilt first, nm.
+    /// Their covariance, nm².
+    pub piston_covariance_nm2: ArrayView2<'a, f64>,
+    /// Largest correction of a piston unless a caller names one, nm.
+    pub piston_limit_nm: f64,
+    /// Coefficients of the NCPA, nm.
     pub ncpa_nm: &'a [f64],
-    /// Covariance of both in turn, nm².
-    pub covariance_nm2: &'a Array2<f64>,
-    /// Basis of the NCPA.
-    pub ncpa_basis: &'a SmoothBasis,
+    /// Their error bars, nm.
+    pub ncpa_sigma_nm: &'a [f64],
+    /// What they are coefficients of.
+    pub ncpa: NcpaModes<'a>,
+}
+
+/// Modes of the NCPA.
+pub enum NcpaModes<'a> {
+    /// Functions of the place in the pupil; tip and tilt are the first two.
+    Smooth(&'a SmoothBasis),
+    /// Maps on the scene's grid: the map of such coefficients, `[y, x]`, nm, NaN outside the pupil.
+    Maps(&'a dyn Fn(&[f64]) -> Array2<f64>),
 }
 
 /// Corrections.
 #[derive(Debug, Clone)]
 pub struct Corrections {
-    /// Place of each segment.
+    /// Place of each segment; none where the estimate has no pistons.
     pub places: Vec<SegmentPlace>,
     /// Increment of each segment's piston, nm; 0 where its estimate is below its error bar.
     pub pistons_nm: Vec<f64>,
@@ -40,74 +54,86 @@ pub struct Corrections {
     pub estimate_nm: Vec<[f64; 2]>,
     /// Number of corrected NCPA modes.
     pub corrected_modes: usize,
-    /// Increments of the mirror's commands, nm, with the position of each actuator, m; empty without a loop in the scene.
+    /// Increments of the mirror's commands, nm, with the position of each actuator, m; empty where the scene names no mirror.
     pub actuators_nm: Vec<([f64; 2], f64)>,
-    /// Increments of the sensor's reference slopes, all x then all y, mas.
+    /// Increments of the sensor's reference slopes, all x then all y, mas; empty without a loop in the scene, and for maps of NCPA.
     pub slopes_mas: Vec<f64>,
-    /// Number of commands that were clipped at the limit.
+    /// The pistons in the terms of the segments' controller, where the scene describes one.
+    pub segment_commands: Option<Commands>,
+    /// The mirror's commands in the terms of its controller, where the scene describes one.
+    pub actuator_commands: Option<Commands>,
+    /// Number of commands that were clipped at a limit.
     pub limited: usize,
 }
 
 /// Regularisation of the fit of the mirror's commands, as a fraction of the strongest actuator's: bounds the commands of actuators
 /// at the edge of the pupil.
 const REGULARISATION: f64 = 1e-4;
+/// Extension of a file of corrections that is text.
+const TEXT: &str = "txt";
 
 impl Corrections {
-    /// The corrections of `errors`, no command beyond `limit_nm` (`None`: the mirror's stroke for actuators, and for pistons a
-    /// quarter of the images' wavelength, half of the distance to the next fringe).
+    /// The corrections of `errors`, no increment beyond `limit_nm` (`None`: the mirror's stroke for actuators, and the limit of the
+    /// errors for pistons).
     ///
     /// # Errors
-    /// [`Error::Value`] for a limit that is not positive; those of building the scene's loop.
+    /// [`Error::Value`] for a limit that is not positive; [`Error::File`] for a controller that does not fit; those of building the
+    /// scene's loop.
     pub fn new(scene: &Scene, errors: &CorrectableErrors, limit_nm: Option<f64>) -> Result<Self> {
         if let Some(limit_nm) = limit_nm.filter(|limit_nm| !(limit_nm.is_finite() && *limit_nm > 0.0)) {
             return Err(Error::Value(format!("a limit of {limit_nm} nm was given: a positive one is needed")));
         }
-        let segments = errors.pistons_nm.len();
         let telescope = Telescope::new(scene)?;
-        let sigma = |mode: usize| errors.covariance_nm2[[mode, mode]].max(0.0).sqrt();
+        let segments = &telescope.pupil.segments[..errors.pistons_nm.len()];
         let mut limited = 0;
         let mut clip = |command_nm: f64, limit_nm: f64| {
             limited += usize::from(command_nm.abs() > limit_nm);
             command_nm.clamp(-limit_nm, limit_nm)
         };
-        let flat = without_plane(&telescope.pupil.segments);
+        let flat = without_plane(segments);
         let pistons_nm = flat.dot(&ArrayView1::from(errors.pistons_nm));
-        let covariance_nm2 = flat.dot(&errors.covariance_nm2.slice(s![..segments, ..segments])).dot(&flat);
+        let covariance_nm2 = flat.dot(&errors.piston_covariance_nm2).dot(&flat);
         let estimate_nm: Vec<[f64; 2]> =
             pistons_nm.iter().zip(covariance_nm2.diag()).map(|(&nm, nm2)| [nm, nm2.max(0.0).sqrt()]).collect();
-        let piston_limit_nm = limit_nm.unwrap_or(scene.image.wavelength_nm / 4.0);
+        let piston_limit_nm = limit_nm.unwrap_or(errors.piston_limit_nm);
         let piston = |[nm, sigma_nm]: &[f64; 2]| if nm.abs() > *sigma_nm { clip(-nm, piston_limit_nm) } else { 0.0 };
-        let pistons_nm = estimate_nm.iter().map(piston).collect();
-        let significant = |(mode, &nm): (usize, &f64)| if nm.abs() > sigma(segments + mode) { nm } else { 0.0 };
-        let mut ncpa_nm: Vec<f64> = errors.ncpa_nm.iter().enumerate().map(significant).collect();
-        // Tip and tilt are pointing.
-        ncpa_nm.iter_mut().take(2).for_each(|nm| *nm = 0.0);
-        let corrected_modes = ncpa_nm.iter().filter(|nm| **nm != 0.0).count();
-        let mut corrections = Self {
-            places: SegmentPlace::all(scene, &telescope.pupil.segments),
+        let pistons_nm: Vec<f64> = estimate_nm.iter().map(piston).collect();
+        let ncpa_nm = errors.significant_ncpa_nm();
+        let mut actuators_nm = Vec::new();
+        if scene.has_mirror() {
+            let stroke_nm = limit_nm.or(scene.mirror.stroke_limit_nm).unwrap_or(f64::INFINITY);
+            let wanted_nm = mirror_commands(scene, &telescope, &errors.ncpa, &ncpa_nm)?;
+            actuators_nm = wanted_nm.into_iter().map(|(at, nm)| (at, clip(nm, stroke_nm))).collect();
+        }
+        let additions_nm: Vec<f64> = actuators_nm.iter().map(|(_, nm)| *nm).collect();
+        let in_terms = |moved, nm: &[f64]| if nm.is_empty() { Ok(None) } else { commands(scene, moved, nm) };
+        let segment_commands = in_terms(Moved::Segments, &pistons_nm)?;
+        let actuator_commands = in_terms(Moved::Actuators, &additions_nm)?;
+        let channels = [&segment_commands, &actuator_commands].into_iter().flatten().flat_map(|one| &one.channels);
+        limited += channels.filter(|channel| channel.is_limited).count();
+        Ok(Self {
+            places: SegmentPlace::all(scene, segments),
             pistons_nm,
             estimate_nm,
-            corrected_modes,
-            actuators_nm: Vec::new(),
-            slopes_mas: Vec::new(),
-            limited: 0,
-        };
-        if scene.control.is_some() && scene.wavefront_sensor.is_some() {
-            let offsets = LoopOffsets::new(scene, &telescope, errors.ncpa_basis, &ncpa_nm, segments)?;
-            let stroke_nm = limit_nm.or(scene.mirror.stroke_limit_nm).unwrap_or(f64::INFINITY);
-            corrections.actuators_nm =
-                offsets.commands_nm.into_iter().map(|(at, nm)| (at, clip(nm, stroke_nm))).collect();
-            corrections.slopes_mas = offsets.slopes_mas;
-        }
-        corrections.limited = limited;
-        Ok(corrections)
+            corrected_modes: ncpa_nm.iter().filter(|nm| **nm != 0.0).count(),
+            actuators_nm,
+            slopes_mas: reference_slopes(scene, &telescope, errors, &ncpa_nm)?,
+            segment_commands,
+            actuator_commands,
+            limited,
+        })
     }
 
-    /// Writes the corrections as FITS: table `SEGMENTS`, and where there is a loop `ACTUATORS` and `REFERENCE`.
+    /// Writes the corrections: as text for a path that ends in `.txt`, else as FITS with the table `SEGMENTS`, where there is a mirror
+    /// `ACTUATORS`, where there is a loop `REFERENCE`, and where the scene describes controllers `SEGMENT_COMMANDS` and
+    /// `ACTUATOR_COMMANDS`.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
+        if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(TEXT)) {
+            return write_atomically(path, self.text().as_bytes());
+        }
         let mut file = FitsWriter::create(path)?;
         file.card("PRIMARY", "NCPAMODE", self.corrected_modes as i64, "NCPA modes corrected")?;
         file.card("PRIMARY", "NLIMITED", self.limited as i64, "commands cut at the limit")?;
@@ -116,7 +142,9 @@ impl Corrections {
         segments.push(Column::f64("ADD_NM", "nm", self.pistons_nm.clone()));
         segments.push(Column::f64("ESTIMATE_NM", "nm", column(0)));
         segments.push(Column::f64("SIGMA_NM", "nm", column(1)));
-        file.table("SEGMENTS", &segments)?;
+        if !self.places.is_empty() {
+            file.table("SEGMENTS", &segments)?;
+        }
         if !self.actuators_nm.is_empty() {
             let actuators = [
                 Column::f64("X_M", "m", self.actuators_nm.iter().map(|(at, _)| at[0]).collect()),
@@ -124,11 +152,47 @@ impl Corrections {
                 Column::f64("ADD_NM", "nm", self.actuators_nm.iter().map(|(_, nm)| *nm).collect()),
             ];
             file.table("ACTUATORS", &actuators)?;
+        }
+        if !self.slopes_mas.is_empty() {
             let (x, y) = self.slopes_mas.split_at(self.slopes_mas.len() / 2);
             let reference = [Column::f64("X_MAS", "mas", x.to_vec()), Column::f64("Y_MAS", "mas", y.to_vec())];
             file.table("REFERENCE", &reference)?;
         }
+        let controllers =
+            [("SEGMENT_COMMANDS", &self.segment_commands), ("ACTUATOR_COMMANDS", &self.actuator_commands)];
+        for (name, commands) in controllers {
+            if let Some(commands) = commands {
+                file.table(name, &commands.columns())?;
+            }
+        }
         file.finish()
+    }
+
+    /// The commands as text: a line with the name of each channel and what to add to it.
+    fn text(&self) -> String {
+        let mut text = String::from("# Corrections by cophase: what to add to each channel.\n");
+        let own = |nm: &mut dyn Iterator<Item = f64>| Commands::in_nm(nm);
+        let segments = own(&mut self.pistons_nm.iter().copied());
+        let actuators = own(&mut self.actuators_nm.iter().map(|(_, nm)| *nm));
+        for (what, commands) in [
+            ("segments", self.segment_commands.as_ref().unwrap_or(&segments)),
+            ("actuators", self.actuator_commands.as_ref().unwrap_or(&actuators)),
+        ] {
+            text += &commands.text(what);
+        }
+        text
+    }
+}
+
+impl CorrectableErrors<'_> {
+    /// Coefficients of the NCPA that are corrected: 0 for those below their error bars, and for tip and tilt, which are pointing.
+    fn significant_ncpa_nm(&self) -> Vec<f64> {
+        let pairs = self.ncpa_nm.iter().zip(self.ncpa_sigma_nm);
+        let mut ncpa_nm: Vec<f64> = pairs.map(|(&nm, &sigma_nm)| if nm.abs() > sigma_nm { nm } else { 0.0 }).collect();
+        if let NcpaModes::Smooth(_) = self.ncpa {
+            ncpa_nm.iter_mut().take(2).for_each(|nm| *nm = 0.0);
+        }
+        ncpa_nm
     }
 }
 
@@ -150,41 +214,54 @@ fn without_plane(segments: &[Segment]) -> Array2<f64> {
     projection
 }
 
-/// Offsets of the mirror's commands, and of the sensor's reference that holds them. The mirror is subtracted from the wavefront, so
-/// it takes the shape of the NCPA, and the sensor measures the opposite.
-struct LoopOffsets {
-    /// Position of each actuator, m, and its offset, nm.
-    commands_nm: Vec<([f64; 2], f64)>,
-    slopes_mas: Vec<f64>,
+/// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the NCPA `ncpa_nm`: least squares over the
+/// pupil. The mirror is subtracted from the wavefront.
+fn mirror_commands(
+    scene: &Scene,
+    telescope: &Telescope,
+    modes: &NcpaModes,
+    ncpa_nm: &[f64],
+) -> Result<Vec<([f64; 2], f64)>> {
+    let samples = Samples::from_pupil(&telescope.pupil)?;
+    let influence = actuators_in_use(scene, telescope)?;
+    let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m)?;
+    let weighted = &shapes * &ArrayView1::from(&samples.weights);
+    let wanted_nm = match modes {
+        NcpaModes::Smooth(basis) => ArrayView1::from(ncpa_nm).dot(&basis.evaluate(&samples.xs_m, &samples.ys_m)?),
+        NcpaModes::Maps(map_nm) => without_pointing(&telescope.pupil, &samples, &map_nm(ncpa_nm))?,
+    };
+    let mut gram = weighted.dot(&shapes.t());
+    let strongest = gram.diag().iter().copied().fold(0.0, f64::max);
+    gram.diag_mut().iter_mut().for_each(|value| *value += REGULARISATION * strongest);
+    let commands_nm: Array1<f64> = SpdInverse::new(&gram)?.inverse.dot(&weighted.dot(&wanted_nm));
+    let positions_m = influence.positions_m().into_iter().map(|(x_m, y_m)| [x_m, y_m]);
+    Ok(positions_m.zip(commands_nm).collect())
 }
 
-impl LoopOffsets {
-    /// Fits the commands to NCPA `ncpa_nm` of `basis`, least squares over the pupil.
-    fn new(
-        scene: &Scene,
-        telescope: &Telescope,
-        basis: &SmoothBasis,
-        ncpa_nm: &[f64],
-        segments: usize,
-    ) -> Result<Self> {
-        let samples = Samples::from_pupil(&telescope.pupil)?;
-        let simulator = Simulator::new(scene)?;
-        let influence = simulator.influence();
-        let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m)?;
-        let weighted = &shapes * &ArrayView1::from(&samples.weights);
-        let wanted_nm = ArrayView1::from(ncpa_nm).dot(&basis.evaluate(&samples.xs_m, &samples.ys_m)?);
-        let mut gram = weighted.dot(&shapes.t());
-        let strongest = gram.diag().iter().copied().fold(0.0, f64::max);
-        gram.diag_mut().iter_mut().for_each(|value| *value += REGULARISATION * strongest);
-        let commands_nm: Array1<f64> = SpdInverse::new(&gram)?.inverse.dot(&weighted.dot(&wanted_nm));
-        let positions = influence.positions_m().into_iter().map(|(x_m, y_m)| [x_m, y_m]);
-        let grid = telescope.pupil.grid;
-        let illuminated = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
-        let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
-        let mut sensor = SensorModel::new(scene, telescope, &illuminated, basis)?;
-        let slopes_mas = sensor.slopes_mas(segments, &opposite_nm)?.to_vec();
-        Ok(Self { commands_nm: positions.zip(commands_nm).collect(), slopes_mas })
+/// The map at the samples, without piston, tip and tilt.
+fn without_pointing(pupil: &Pupil, samples: &Samples, map_nm: &Array2<f64>) -> Result<Array1<f64>> {
+    let columns = map_nm.ncols();
+    let flat_nm = pupil.remove_piston_tip_tilt(map_nm.view())?;
+    Ok(samples.indices.iter().map(|&at| flat_nm[[at / columns, at % columns]]).collect())
+}
+
+/// Offsets of the sensor's reference slopes that hold the mirror where [`mirror_commands`] puts it, mas: the sensor measures the opposite
+/// of the NCPA.
+fn reference_slopes(
+    scene: &Scene,
+    telescope: &Telescope,
+    errors: &CorrectableErrors,
+    ncpa_nm: &[f64],
+) -> Result<Vec<f64>> {
+    let NcpaModes::Smooth(basis) = errors.ncpa else { return Ok(Vec::new()) };
+    if scene.control.is_none() || scene.wavefront_sensor.is_none() {
+        return Ok(Vec::new());
     }
+    let grid = telescope.pupil.grid;
+    let illuminated = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
+    let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
+    let mut sensor = SensorModel::new(scene, telescope, &illuminated, basis)?;
+    Ok(sensor.slopes_mas(errors.pistons_nm.len(), &opposite_nm)?.to_vec())
 }
 
 #[cfg(test)]

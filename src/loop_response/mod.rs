@@ -1,6 +1,7 @@
 //! Response of the closed AO loop: to the segments' pistons, of the wavefront sensor to NCPA, and the corrections that it takes.
 
 mod closed_loop;
+mod controller;
 mod corrections;
 mod sensor_model;
 mod slope_information;
@@ -8,7 +9,8 @@ mod slope_order;
 mod slope_regression;
 
 pub use closed_loop::ClosedLoopResponse;
-pub use corrections::{CorrectableErrors, Corrections};
+pub use controller::{Command, Commands};
+pub use corrections::{CorrectableErrors, Corrections, NcpaModes};
 pub use sensor_model::SensorModel;
 pub use slope_information::SlopeInformation;
 pub use slope_order::SlopeOrder;

@@ -158,7 +158,7 @@ impl Model {
     }
 
     /// Number of segment pistons; they are the first modes.
-    pub(super) fn pistons(&self) -> usize {
+    pub(crate) fn pistons(&self) -> usize {
         let names = self.basis.names().iter().take(self.segment_modes);
         names.take_while(|name| name.ends_with("-piston")).count()
     }

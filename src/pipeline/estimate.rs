@@ -5,7 +5,7 @@ use super::images::TruthMaps;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::telemetry::TelemetryCheck;
-use crate::loop_response::Corrections;
+use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
 use crate::modal::ImageStatus;
 use crate::modal::{self, FittedImage, PistonInteger};
 use crate::modes::{Degeneracy, Group};
@@ -13,7 +13,7 @@ use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
 use crate::statics::Iteration;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, ArrayView2, s};
 use std::sync::Arc;
 
 /// Static wavefront behind one image or many: modes, maps, error bars, and the outcome of each image.
@@ -268,17 +268,41 @@ impl Estimate {
         Comparison::new(&self.pupil, &self.phasing_nm, &self.ncpa_nm, truth)
     }
 
-    /// Corrections of segments, mirror and reference slopes. No command is larger than `limit_nm`; `None` takes the
-    /// mirror's stroke and, for segments, a quarter of the wavelength.
+    /// Corrections of segments, mirror and reference slopes, also in the terms of the controllers that the scene describes. No
+    /// increment is larger than `limit_nm`; `None` takes the mirror's stroke and, for segments, a quarter of the wavelength (half of the
+    /// distance to the next fringe), and no limit where the whole wavelengths are known. Tips and tilts of segments are not corrected,
+    /// and a modal estimate has no reference slopes.
     ///
     /// # Errors
-    /// [`Error::Value`] for a limit that is not positive, and for a modal estimate, which has no corrections yet.
+    /// [`Error::Value`] for a limit that is not positive, and for segment modes from a file, which are not pistons; [`Error::File`] for
+    /// a controller's table or matrix that cannot be read or does not fit.
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
-        match self.map.as_ref().and_then(|map| map.iterations.last()) {
-            Some(iteration) => iteration.corrections(&self.scene, limit_nm),
-            None => Err(Error::Value(
-                "corrections come from the full-phase estimate: estimate.method = \"full-phase\" is needed".into(),
-            )),
+        let piston_limit_nm =
+            if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
+        if let Some(iteration) = self.map.as_ref().and_then(|map| map.iterations.last()) {
+            return iteration.corrections(&self.scene, limit_nm, piston_limit_nm);
         }
+        let Some(fitter) = &self.fitter else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
+        let (model, segment_modes) = (fitter.model(), self.segment_modes());
+        let pistons = model.pistons();
+        if segment_modes > 0 && pistons != self.pupil.segments.len() {
+            return Err(Error::Value(format!(
+                "{segment_modes} segment modes with {pistons} pistons for {} segments have no corrections: a piston for each is needed",
+                self.pupil.segments.len()
+            )));
+        }
+        let map_nm = |ncpa_nm: &[f64]| {
+            let all_nm = [vec![0.0; segment_modes], ncpa_nm.to_vec()].concat();
+            model.map_nm(&all_nm, Group::Ncpa)
+        };
+        let errors = CorrectableErrors {
+            pistons_nm: &self.coefficients_nm[..pistons],
+            piston_covariance_nm2: self.covariance_nm2.slice(s![..pistons, ..pistons]),
+            piston_limit_nm,
+            ncpa_nm: &self.coefficients_nm[segment_modes..],
+            ncpa_sigma_nm: &self.sigma_nm()[segment_modes..],
+            ncpa: NcpaModes::Maps(&map_nm),
+        };
+        Corrections::new(&self.scene, &errors, limit_nm)
     }
 }

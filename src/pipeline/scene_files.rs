@@ -24,6 +24,10 @@ pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
         (FILTER_FILE, scene.image.filter_file.as_ref()),
         ("aberrations.ncpa_file", scene.aberrations.as_ref().and_then(|aberrations| aberrations.ncpa_file.as_ref())),
         ("mirror.actuator_file", scene.mirror.actuator_file.as_ref()),
+        ("commands.segment_file", scene.commands.segment_file.as_ref()),
+        ("commands.segment_matrix_file", scene.commands.segment_matrix_file.as_ref()),
+        ("commands.actuator_file", scene.commands.actuator_file.as_ref()),
+        ("commands.actuator_matrix_file", scene.commands.actuator_matrix_file.as_ref()),
         (
             "wavefront_sensor.subaperture_file",
             scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),

@@ -16,6 +16,7 @@
 mod adaptive;
 mod channel;
 mod channel_scenes;
+mod commands;
 mod edit;
 mod faults;
 mod file;
@@ -30,6 +31,7 @@ mod value;
 mod words;
 
 pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
+pub use commands::CommandsScene;
 pub use edit::split_setting;
 pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
@@ -118,6 +120,8 @@ sections! {
     control: Option<ControlScene>;
     /// Settings of the estimate.
     estimate: EstimateScene;
+    /// Terms of the controllers that take corrections.
+    commands: CommandsScene;
 }
 
 /// Section as a field of [`Sections`]: always present (with defaults), or optional.
@@ -266,6 +270,12 @@ impl Scene {
         document.is_ok_and(|document| {
             document.get(section).and_then(Item::as_table_like).is_some_and(|table| table.contains_key(key))
         })
+    }
+
+    /// Whether the scene has a mirror of its own, and not only the default of every scene.
+    pub fn has_mirror(&self) -> bool {
+        let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file"];
+        self.control.is_some() || keys.iter().any(|key| self.names(key))
     }
 
     /// Purpose for which the scene was read.

@@ -158,6 +158,24 @@ impl FromToml for PathBuf {
     }
 }
 
+/// Longest text: that of a card of a FITS file.
+const LONGEST_TEXT: usize = 60;
+
+impl FromToml for String {
+    fn accepted(_: &Range) -> String {
+        format!("1 to {LONGEST_TEXT} printable ASCII characters in quotes")
+    }
+    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
+        let is_accepted = |text: &&str| {
+            (1..=LONGEST_TEXT).contains(&text.len()) && text.bytes().all(|byte| (b' '..=b'~').contains(&byte))
+        };
+        value.as_str().map(str::trim).filter(is_accepted).map(str::to_owned)
+    }
+    fn to_toml(&self) -> String {
+        format!("{self:?}")
+    }
+}
+
 impl FromToml for Vec<f64> {
     fn accepted(range: &Range) -> String {
         format!("a list of numbers{}", if range.low.is_finite() { format!(", each{range}") } else { String::new() })

@@ -5,12 +5,12 @@ use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::segment_tilts::SegmentTilts;
 use super::static_errors::StaticErrors;
 use crate::Result;
-use crate::loop_response::{CorrectableErrors, Corrections};
+use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
 use crate::modal::{DiversityProjection, check_reachable};
 use crate::modes::SegmentModes;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
-use ndarray::Array2;
+use ndarray::{Array2, s};
 
 /// Result of one iteration.
 #[derive(Debug, Clone)]
@@ -81,17 +81,21 @@ impl Iteration {
         Ok(((factor - 1.0) * self.used_images.len() as f64).ceil() as usize)
     }
 
-    /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm`: see [`Corrections::new`].
+    /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm` where it is given, and no piston beyond
+    /// `piston_limit_nm` where it is not: see [`Corrections::new`].
     ///
     /// # Errors
     /// Those of [`Corrections::new`].
-    pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>) -> Result<Corrections> {
+    pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>, piston_limit_nm: f64) -> Result<Corrections> {
         let basis = NcpaBasis::new(self.family, scene, &Telescope::new(scene)?)?;
+        let segments = self.errors.pistons_nm.len();
         let errors = CorrectableErrors {
             pistons_nm: &self.errors.pistons_nm,
+            piston_covariance_nm2: self.errors.covariance_nm2.slice(s![..segments, ..segments]),
+            piston_limit_nm,
             ncpa_nm: &self.errors.ncpa_nm,
-            covariance_nm2: &self.errors.covariance_nm2,
-            ncpa_basis: &basis.modes,
+            ncpa_sigma_nm: &self.sigma_nm()[segments..],
+            ncpa: NcpaModes::Smooth(&basis.modes),
         };
         Corrections::new(scene, &errors, limit_nm)
     }

@@ -1,10 +1,8 @@
 //! Table of a filter's transmission.
 
+use crate::io::{read_text, text_rows};
 use crate::{Error, Result};
 use std::path::Path;
-
-/// Bytes of the largest table that is read: some 50,000 rows, where the tables of instruments have up to some thousand.
-const LARGEST: u64 = 1 << 20;
 
 /// Reads a text table of two columns, separated by white space or a comma: wavelength, nm, ascending, and relative transmission. Comments
 /// begin with `#`.
@@ -12,55 +10,33 @@ const LARGEST: u64 = 1 << 20;
 /// # Errors
 /// [`Error::File`] with the line, for a file that cannot be read or is not such a table.
 pub(super) fn read(path: &Path) -> Result<Vec<(f64, f64)>> {
-    let size = std::fs::metadata(path)
-        .map_err(|error| Error::file(path, format_args!("{error}; image.filter_file of the scene names it")))?
-        .len();
-    if size > LARGEST {
-        let reason = format!("{size} bytes are too many for the table of a filter; at most {LARGEST} are accepted");
-        return Err(Error::file(path, reason));
-    }
-    let text = std::fs::read_to_string(path).map_err(|error| Error::file(path, error))?;
-    parse(&text).map_err(|reason| Error::file(path, reason))
+    parse(&read_text(path, "image.filter_file")?).map_err(|reason| Error::file(path, reason))
 }
 
 /// The rows of a table, or why it is not accepted.
 fn parse(text: &str) -> std::result::Result<Vec<(f64, f64)>, String> {
+    const COLUMNS: &str = "wavelength (nm) and transmission";
     let mut rows: Vec<(f64, f64)> = Vec::new();
-    for (number, line) in text.trim_start_matches('\u{feff}').lines().enumerate() {
-        let line = line.split('#').next().unwrap_or_default();
-        let words: Vec<&str> =
-            line.split(|c: char| c == ',' || c.is_whitespace()).filter(|word| !word.is_empty()).collect();
-        if words.is_empty() {
-            continue;
+    for row in text_rows(text) {
+        if row.words.len() != 2 {
+            let count = row.words.len();
+            return Err(row.at(format_args!("{count} columns; {COLUMNS} are needed, comments begin with '#'")));
         }
-        let at = |reason: String| format!("line {}: {reason}", number + 1);
-        let [nm, transmission] = words[..] else {
-            let count = words.len();
-            return Err(at(format!(
-                "{count} columns; wavelength (nm) and transmission are needed, comments begin with '#'"
-            )));
-        };
-        let number_of = |word: &str| {
-            word.parse::<f64>().ok().filter(|value| value.is_finite()).ok_or_else(|| {
-                let word: String = word.chars().take(30).collect();
-                at(format!("'{word}' is not a finite number; wavelength (nm) and transmission are needed"))
-            })
-        };
-        let (nm, transmission) = (number_of(nm)?, number_of(transmission)?);
+        let (nm, transmission) = (row.number(0, "a wavelength in nm")?, row.number(1, "a transmission")?);
         if nm <= 0.0 {
-            return Err(at(format!("a wavelength of {nm} nm; a positive one is needed")));
+            return Err(row.at(format_args!("a wavelength of {nm} nm; a positive one is needed")));
         }
         if transmission < 0.0 {
-            return Err(at(format!("a transmission of {transmission}; 0 or more is needed")));
+            return Err(row.at(format_args!("a transmission of {transmission}; 0 or more is needed")));
         }
         if let Some((before_nm, _)) = rows.last().filter(|(before_nm, _)| *before_nm >= nm) {
-            return Err(at(format!("{nm} nm follows {before_nm} nm; ascending wavelengths are needed")));
+            return Err(row.at(format_args!("{nm} nm follows {before_nm} nm; ascending wavelengths are needed")));
         }
         rows.push((nm, transmission));
     }
     if rows.len() < 2 {
         let count = rows.len();
-        return Err(format!("rows of wavelength (nm) and transmission: {count}; 2 or more are needed"));
+        return Err(format!("rows of {COLUMNS}: {count}; 2 or more are needed"));
     }
     if rows.iter().all(|(_, transmission)| *transmission == 0.0) {
         return Err("the transmission is 0 everywhere; a filter that passes light is needed".into());

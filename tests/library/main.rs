@@ -5,6 +5,7 @@ mod common;
 
 mod channels;
 mod checksums;
+mod commands;
 mod consistency;
 mod filter;
 mod fits;

@@ -122,21 +122,25 @@ classdef Estimate < cophase.Handle
         end
 
         function result = correct(self, limit_nm, path)
-            %CORRECT  What to add to segments, mirror and reference slopes; of a MAP estimate only.
+            %CORRECT  What to add to segments, mirror and (of a MAP estimate) reference slopes.
             %   c = e.correct() returns a struct with the fields
-            %      pistons_nm       what to add to the piston of each segment, nm of wavefront
-            %      actuators_nm     what to add to the command of each actuator, nm of wavefront; empty without a loop
+            %      pistons_nm       what to add to the piston of each segment, nm of wavefront, which a positive piston
+            %                       raises
+            %      actuators_nm     what to add to the command of each actuator, nm of wavefront, from which the mirror
+            %                       is subtracted; empty where the scene names no mirror
             %      actuators_m      2 x actuators: position of each, x and y, m
             %      slopes_mas       what to add to the sensor's reference slopes, along x for every subaperture, then
-            %                       along y
+            %                       along y; empty for a modal estimate
+            %      segment_commands, actuator_commands  what to add to each channel of the controllers, in its unit, a
+            %                       struct array with the fields name and add; empty where the scene describes no
+            %                       controller ([commands])
             %      corrected_modes  NCPA modes that are corrected
-            %      limited          commands that were cut at the limit
-            %   A positive command raises the wavefront. A mode whose estimate is smaller than its error bar is not
-            %   corrected.
+            %      limited          commands that were cut at a limit
+            %   A mode whose estimate is smaller than its error bar is not corrected, nor are tips and tilts of segments.
             %
             %   c = e.correct(limit_nm) has no larger command; without it, or with [], the limit is the mirror's stroke
-            %   and, for segments, a quarter of the wavelength.
-            %   c = e.correct(limit_nm, path) also writes a FITS file.
+            %   and, for segments, a quarter of the wavelength (none where the whole wavelengths are known).
+            %   c = e.correct(limit_nm, path) also writes a FITS file, or text for a name that ends in .txt.
             %
             %   Example:
             %       c = e.correct(200);
@@ -155,6 +159,8 @@ classdef Estimate < cophase.Handle
                 'actuators_m', reshape(self.array('CORRECTION_ACTUATORS_M', 2 * found.actuators), 2, []), ...
                 'slopes_mas', self.array('CORRECTION_SLOPES_MAS', found.slopes), ...
                 'corrected_modes', found.corrected_modes, 'limited', found.limited);
+            result.segment_commands = self.commands('SEGMENT', found.segment_commands);
+            result.actuator_commands = self.commands('ACTUATOR', found.actuator_commands);
         end
     end
 
@@ -196,6 +202,13 @@ classdef Estimate < cophase.Handle
 
         function values = array(self, what, count)
             values = cophase_mex('estimate.array', self.id, what, count);
+        end
+
+        function result = commands(self, what, count)
+            % Names of the channels of a controller, and what to add to each.
+            names = arrayfun(@(k) self.text([what '_COMMAND_NAME'], k), (1:count)', 'UniformOutput', false);
+            add = num2cell(self.array(['CORRECTION_' what '_COMMANDS'], count));
+            result = struct('name', names, 'add', add(:));
         end
     end
 end

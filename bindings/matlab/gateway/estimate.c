@@ -202,7 +202,8 @@ static void do_images(int outputs, mxArray **out, int inputs, const mxArray **in
 static const constant_name ARRAYS[] = {
     ARRAY(COEFFICIENTS_NM), ARRAY(SIGMA_NM), ARRAY(COVARIANCE_NM2), ARRAY(IMAGE_COEFFICIENTS_NM), ARRAY(MAPS_NM),
     ARRAY(ERROR_BUDGET_NM), ARRAY(CORRECTION_PISTONS_NM), ARRAY(CORRECTION_ACTUATORS_NM), ARRAY(CORRECTION_ACTUATORS_M),
-    ARRAY(CORRECTION_SLOPES_MAS), ARRAY(PISTON_INTEGERS), {NULL, 0},
+    ARRAY(CORRECTION_SLOPES_MAS), ARRAY(CORRECTION_SEGMENT_COMMANDS), ARRAY(CORRECTION_ACTUATOR_COMMANDS),
+    ARRAY(PISTON_INTEGERS), {NULL, 0},
 };
 
 /* (estimate, 'MAPS_NM', count): a column. */
@@ -225,7 +226,8 @@ static cophase_status estimate_text(const void *object, int32_t what, size_t ind
 #define TEXT(name) {#name, COPHASE_TEXT_##name}
 static const constant_name TEXTS[] = {
     TEXT(REPORT), TEXT(WARNINGS), TEXT(REMARKS), TEXT(DEVICE), TEXT(POLICY), TEXT(MODEL), TEXT(SCENE), TEXT(IMAGE_MESSAGE),
-    TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), TEXT(CHANNEL_NAME), {NULL, 0},
+    TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), TEXT(CHANNEL_NAME), TEXT(SEGMENT_COMMAND_NAME),
+    TEXT(ACTUATOR_COMMAND_NAME), {NULL, 0},
 };
 
 /* (estimate, 'MODE_NAME', index): a text; index from 1. */
@@ -247,7 +249,8 @@ static void do_write(int outputs, mxArray **out, int inputs, const mxArray **in)
 #define T cophase_correction_report
 static const field CORRECTION[] = {
     FIELD(T, segments, IS_SIZE), FIELD(T, actuators, IS_SIZE), FIELD(T, slopes, IS_SIZE),
-    FIELD(T, corrected_modes, IS_SIZE), FIELD(T, limited, IS_SIZE), END_OF_FIELDS,
+    FIELD(T, corrected_modes, IS_SIZE), FIELD(T, limited, IS_SIZE), FIELD(T, segment_commands, IS_SIZE),
+    FIELD(T, actuator_commands, IS_SIZE), END_OF_FIELDS,
 };
 #undef T
 

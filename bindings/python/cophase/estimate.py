@@ -21,22 +21,27 @@ _IMAGE = "cophase_image_report"
 class Correction:
     """What to add to segments, mirror and reference slopes to correct the estimated errors.
 
-    A positive command raises the wavefront. A mode whose estimate is smaller than its error bar is not corrected.
+    A mode whose estimate is smaller than its error bar is not corrected.
 
     Attributes
     ----------
     pistons_nm : (segments,) array
-        What to add to the piston of each segment, nm of wavefront.
+        What to add to the piston of each segment, nm of wavefront, which a positive piston raises.
     actuators_nm : (actuators,) array
-        What to add to the command of each actuator, nm of wavefront; empty without a loop in the scene.
+        What to add to the command of each actuator, nm of wavefront, from which the mirror is subtracted; empty where
+        the scene names no mirror.
     actuators_m : (actuators, 2) array
         Position of each actuator, x and y, m.
     slopes_mas : (slopes,) array
-        What to add to the sensor's reference slopes, mas, along x for every subaperture, then along y.
+        What to add to the sensor's reference slopes, mas, along x for every subaperture, then along y; empty without a
+        loop in the scene, and for a modal estimate.
+    segment_commands, actuator_commands : dict of str to float
+        What to add to each channel of the controllers of the segments and of the mirror, by its name, in its unit;
+        empty where the scene describes no controller (``[commands]``).
     corrected_modes : int
         NCPA modes that are corrected.
     limited : int
-        Commands that were cut at the limit.
+        Commands that were cut at a limit.
     """
 
     pistons_nm: NDArray[np.float64]
@@ -45,6 +50,8 @@ class Correction:
     slopes_mas: NDArray[np.float64]
     corrected_modes: int
     limited: int
+    segment_commands: dict[str, float]
+    actuator_commands: dict[str, float]
 
 
 class Estimate(Handle):
@@ -161,21 +168,24 @@ class Estimate(Handle):
         check(lib.cophase_estimate_write(self._handle, text("path", path)))
 
     def correct(self, limit_nm: float | None = None, path: str | os.PathLike[str] | None = None) -> Correction:
-        """Computes what to add to segments, mirror and reference slopes; a MAP estimate only.
+        """Computes what to add to segments, mirror and (of a MAP estimate) reference slopes.
 
-        It takes about a second at the size of Keck if the scene has a loop.
+        Tips and tilts of segments are not corrected. It takes about a second at the size of Keck if the scene has a loop.
 
         Parameters
         ----------
         limit_nm : float, optional
-            Largest command, nm; by default the mirror's stroke and, for segments, a quarter of the wavelength.
+            Largest command, nm; by default the mirror's stroke and, for segments, a quarter of the wavelength (no limit
+            where the whole wavelengths are known). The limits of the controllers' channels hold in addition.
         path : path, optional
-            FITS file to write.
+            FITS file to write; text for a name that ends in ``.txt``.
 
         Raises
         ------
         BadValueError
-            For a modal estimate, which has no corrections, and for a negative limit.
+            For a negative limit, and for segment modes that are not pistons.
+        BadFileError
+            For a controller's table or matrix that cannot be read or does not fit.
         BusyError
             While other threads read the estimate.
         """
@@ -188,4 +198,10 @@ class Estimate(Handle):
             self._array("CORRECTION_SLOPES_MAS", found.slopes),
             found.corrected_modes,
             found.limited,
+            self._commands("SEGMENT", found.segment_commands),
+            self._commands("ACTUATOR", found.actuator_commands),
         )
+
+    def _commands(self, what: str, count: int) -> dict[str, float]:
+        names = (self._text(f"{what}_COMMAND_NAME", index) for index in range(count))
+        return dict(zip(names, self._array(f"CORRECTION_{what}_COMMANDS", count).tolist()))

@@ -150,6 +150,7 @@ impl MapTriple {
             shade,
             extent: Extent::Metres(self.width_m),
             unit: "nm",
+            labels: &[],
         };
         let rms_of = |map: &Array2<f64>, given: Option<f64>| rms_text(given.unwrap_or_else(|| rms(map.view())), "nm");
         let shared: Vec<_> =
@@ -212,6 +213,7 @@ impl ImageTriple {
             shade,
             extent: Extent::Pixels,
             unit,
+            labels: &[],
         };
         let shade = Shade::stretched(&[self.data.view(), self.model.view()], self.model.view());
         let residual = self.residual_in_sigma.view();

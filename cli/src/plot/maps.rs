@@ -35,6 +35,8 @@ pub struct CaptionedMap {
     pub width_m: Option<f64>,
     /// How the values become colours.
     pub scale: MapScale,
+    /// Words on the map: place (x, y), m from its centre, and text.
+    pub labels: Vec<((f64, f64), String)>,
 }
 
 /// A grid of captioned maps, `columns` a row.
@@ -109,6 +111,7 @@ impl CaptionedMap {
             MapScale::Stretched => Shade::stretched(&[values], values),
         };
         let extent = self.width_m.map_or(Extent::Pixels, Extent::Metres);
-        MapPanel { name: self.caption.clone(), figure: String::new(), values, shade, extent, unit: &self.unit }
+        let (name, figure, unit) = (self.caption.clone(), String::new(), self.unit.as_str());
+        MapPanel { name, figure, values, shade, extent, unit, labels: &self.labels }
     }
 }

@@ -30,6 +30,8 @@ pub(super) struct MapPanel<'a> {
     pub shade: Shade,
     pub extent: Extent,
     pub unit: &'a str,
+    /// Words on the map: place (x, y), m from its centre, and text.
+    pub labels: &'a [((f64, f64), String)],
 }
 
 /// Height of a row of map cells `width` wide, such that a square map fills it.
@@ -55,6 +57,9 @@ impl MapPanel<'_> {
             canvas.fill(plot, NOTHING, 1.0);
         } else {
             canvas.raster(plot, (rows, cols), |i, j| self.shade.colour(self.values[[rows - 1 - i, j]]));
+        }
+        for (place, label) in self.labels {
+            canvas.text_centred(frame.at(place.0, place.1), label, Ink::new(TICK_EM, INK).middle());
         }
         frame.outline(canvas);
         let (x_label, y_label) = match self.extent {

@@ -1,12 +1,13 @@
 //! `cophase estimate`: the main job.
 
+use super::moves;
 use super::picture;
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
-use crate::terminal::Terminal;
+use crate::terminal::{Terminal, counted};
 use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy, Trust, embedded_scene};
-use cophase::scene::{DeviceChoice, Method, Scene};
+use cophase::scene::{DeviceChoice, Scene};
 use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ const EXAMPLES: &str = "Examples:
   cophase estimate nirc2.fits --scene scene.toml -o est.fits --plot est.png
   cophase estimate images.fits -o paper.fits --optimizer bfgs
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
+  cophase estimate images.fits -o est.fits --commands-plot what-would-move.png
   cophase estimate --channel K=k.fit --channel H=h.fit --scene s.toml -o e.fits
 
 Images: FITS, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU whose name or \
@@ -96,9 +98,12 @@ pub struct Arguments {
     /// the gain that is found and used (use), or left out (ignore) [default: check]
     #[arg(long, value_parser = ["check", "use", "ignore"])]
     telemetry: Option<String>,
-    /// Also write corrections, with full-phase: what to add to segments, mirror and reference slopes
+    /// Also write corrections: what to add to segments, mirror and (full-phase) reference slopes; FITS, or text for FILE.txt
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
+    /// Also draw the corrections: what would move, in the terms of the controllers ([commands] of the scene)
+    #[arg(long, value_name = "FILE.png|svg")]
+    commands_plot: Option<PathBuf>,
     #[command(flatten)]
     settings: Settings,
     /// Print the result as JSON
@@ -155,14 +160,16 @@ impl Arguments {
     }
 
     fn outputs(&self) -> Vec<Flagged<'_>> {
-        let also = [("--commands", &self.commands), ("--plot", &self.plot)];
+        let also = [("--commands", &self.commands), ("--plot", &self.plot), ("--commands-plot", &self.commands_plot)];
         let also = also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?)));
         [("-o", self.output.as_path())].into_iter().chain(also).collect()
     }
 
     fn check_outputs(&self) -> Result<()> {
-        if let Some(plot) = &self.plot {
-            outputs::check_picture(("--plot", plot))?;
+        for (flag, plot) in [("--plot", &self.plot), ("--commands-plot", &self.commands_plot)] {
+            if let Some(plot) = plot {
+                outputs::check_picture((flag, plot))?;
+            }
         }
         let sources = self.sources();
         let mut inputs: Vec<Flagged> = sources.iter().map(|(_, file)| ("the images", *file)).collect();
@@ -230,14 +237,17 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let images = arguments.images()?;
     let scene = arguments.scene()?;
     files::spare_files_of(&scene, &arguments.outputs())?;
-    if arguments.commands.is_some() && scene.estimate.method == Method::Modal {
-        let reason = "corrections come from the full-phase estimate: --method full-phase is needed";
-        return Err(Error::file(arguments.commands.as_deref().unwrap_or(&arguments.output), reason));
-    }
     let estimate = estimated(arguments.first(), &scene, &images, terminal, &interrupt)?;
     write(arguments.first(), &estimate, &arguments.output, arguments.plot.as_deref())?;
-    if let Some(commands) = &arguments.commands {
-        estimate.corrections(None)?.write(commands)?;
+    if arguments.commands.is_some() || arguments.commands_plot.is_some() {
+        let corrections = estimate.corrections(None)?;
+        arguments.commands.as_ref().map_or(Ok(()), |path| corrections.write(path))?;
+        let plot = arguments.commands_plot.as_ref();
+        plot.map_or(Ok(()), |path| moves::picture(arguments.first(), &estimate, &corrections)?.draw(path))?;
+        if corrections.limited > 0 {
+            let what = counted(corrections.limited, "command");
+            terminal.warn(&format!("{}: cut at a limit: {what} of the corrections", arguments.first().display()));
+        }
     }
     print(arguments.first(), &estimate, arguments.json, terminal)?;
     if let Some(degeneracy) = estimate.degeneracy.as_ref().filter(|_| arguments.verbose && !arguments.json) {

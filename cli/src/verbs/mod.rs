@@ -10,6 +10,7 @@ mod demo;
 mod devices;
 mod estimate;
 mod image;
+mod moves;
 mod numbering;
 mod observe;
 mod picture;

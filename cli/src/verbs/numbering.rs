@@ -20,7 +20,7 @@ pub fn picture(scene: &Scene, terminal: &Terminal) -> Result<NumberingPicture> {
     let width_m = telescope.pupil.grid.width_m();
     let pupil = telescope.pupil_on(Grid::new(samples, width_m)?)?;
     let lenslets = lenslets(scene, &telescope, terminal)?;
-    let actuators = if has_mirror(scene) { Some(actuators(scene, &telescope, lenslets.as_ref())?) } else { None };
+    let actuators = if scene.has_mirror() { Some(actuators(scene, &telescope, lenslets.as_ref())?) } else { None };
     let count = pupil.segments.len();
     let segments = counted(count, "segment");
     let title = match scene.name() {
@@ -50,12 +50,6 @@ pub fn picture(scene: &Scene, terminal: &Terminal) -> Result<NumberingPicture> {
 
 fn is_from_file(scene: &Scene) -> bool {
     matches!(scene.pupil.aperture, Aperture::File(_))
-}
-
-/// Whether the scene has a mirror of its own, and not only the default of every scene.
-fn has_mirror(scene: &Scene) -> bool {
-    let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file"];
-    scene.control.is_some() || keys.iter().any(|key| scene.names(key))
 }
 
 /// The lenslets of the scene's wavefront sensor, if it has one, as the AO loop has them.

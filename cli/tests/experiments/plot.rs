@@ -211,7 +211,8 @@ fn curves_have_a_legend_and_named_lines() {
 }
 
 fn lone_map(values: Array2<f64>, scale: MapScale) -> MapsPicture {
-    let map = CaptionedMap { caption: "a map".into(), values, unit: "nm".into(), width_m: Some(4.0), scale };
+    let (caption, unit, labels) = ("a map".into(), "nm".into(), Vec::new());
+    let map = CaptionedMap { caption, values, unit, width_m: Some(4.0), scale, labels };
     MapsPicture { title: "Colours".into(), columns: 1, maps: vec![map] }
 }
 
@@ -274,6 +275,7 @@ fn maps_of_every_scale_stand_in_a_grid() {
         unit: unit.into(),
         width_m,
         scale,
+        labels: if caption == "Segment pistons" { vec![((0.5, -1.0), "A17".into())] } else { Vec::new() },
     };
     let coefficients: Vec<f64> = (0..36).map(|i| 50.0 * noise(i)).collect();
     let maps = vec![
@@ -285,7 +287,7 @@ fn maps_of_every_scale_stand_in_a_grid() {
     let picture = MapsPicture { title: "What goes in".into(), columns: 3, maps };
     let (png, text) = both("maps", |path| picture.draw(path));
     assert_eq!(png.width(), 1800);
-    assert!(["Pupil", "Segment pistons", "Image", "A long map"].iter().all(|caption| text.contains(caption)));
+    assert!(["Pupil", "Segment pistons", "Image", "A long map", "A17"].iter().all(|caption| text.contains(caption)));
 }
 
 #[test]

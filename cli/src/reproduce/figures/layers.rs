@@ -180,6 +180,7 @@ fn mask(simulator: &Simulator) -> CaptionedMap {
         unit: String::new(),
         width_m: Some(pupil.grid.width_m()),
         scale: MapScale::Diverging,
+        labels: Vec::new(),
     }
 }
 

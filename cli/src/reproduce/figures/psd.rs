@@ -144,6 +144,7 @@ impl Psds {
             unit: "log₁₀".into(),
             width_m: None,
             scale: MapScale::SharedDiverging,
+            labels: Vec::new(),
         };
         let maps = maps.into_iter().map(captioned).collect();
         let title = "Power of the residual, before over after; box: what the mirror controls".into();

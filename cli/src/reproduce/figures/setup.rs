@@ -30,7 +30,8 @@ pub(super) fn on_pupil(simulator: &Simulator, map: &[f32]) -> Array2<f64> {
 
 /// A wavefront to be drawn, `[y, x]`, nm.
 pub(super) fn wavefront(pupil: &Pupil, caption: String, map_nm: &Array2<f64>, scale: MapScale) -> CaptionedMap {
-    CaptionedMap { caption, values: map_nm.clone(), unit: "nm".into(), width_m: Some(pupil.grid.width_m()), scale }
+    let (values, unit, width_m) = (map_nm.clone(), "nm".into(), Some(pupil.grid.width_m()));
+    CaptionedMap { caption, values, unit, width_m, scale, labels: Vec::new() }
 }
 
 /// The NCPA behind `simulator` on its pupil's grid, `[y, x]`, nm, NaN where there is no glass.

@@ -193,7 +193,14 @@ fn drawn(caption: String, image: &Array2<f64>, perfect: &Array2<f64>) -> Result<
     let centred = centre(image.view())?.image;
     let middle = PIXELS / 2 - DRAWN / 2..PIXELS / 2 + DRAWN / 2;
     let values = centred.slice(s![middle.clone(), middle]).mapv(|value| (value / peak).log10().max(DARKEST));
-    Ok(CaptionedMap { caption, values, unit: "log₁₀".into(), width_m: None, scale: MapScale::Sequential })
+    Ok(CaptionedMap {
+        caption,
+        values,
+        unit: "log₁₀".into(),
+        width_m: None,
+        scale: MapScale::Sequential,
+        labels: Vec::new(),
+    })
 }
 
 impl Strehls {

@@ -1,0 +1,40 @@
+//! Section `[commands]`: terms of the controllers that take corrections.
+
+use super::table::{Check, Reader, default, section, unset};
+use super::value::ANY;
+use crate::Result;
+use std::path::PathBuf;
+
+section! {
+    /// Terms of the controllers that take corrections of segments and mirror. Estimate only.
+    CommandsScene = "commands" {
+        /// Channels that move the segments, as a text table: number of the segment (from 0, as this program counts), the
+        /// channel's name, units per nm of wavefront (with its sign), and optionally the largest absolute command. Comments
+        /// begin with #.
+        segment_file: Option<PathBuf>, ANY, unset("no commands but nm of wavefront for each segment");
+        /// FITS image [channel, segment] of the units per nm of a segment's piston. A table of segment_file then names its rows:
+        /// its first column is a row of the matrix, from 0.
+        segment_matrix_file: Option<PathBuf>, ANY, unset("each channel moves one segment");
+        /// Unit of the channels of the segments.
+        segment_unit: String, ANY, default("nm");
+        /// Channels that move the mirror, as segment_file: the first column is the number of the actuator.
+        actuator_file: Option<PathBuf>, ANY, unset("no commands but nm of wavefront for each actuator");
+        /// FITS image [channel, actuator] of the units per nm of an actuator's command, as segment_matrix_file.
+        actuator_matrix_file: Option<PathBuf>, ANY, unset("each channel moves one actuator");
+        /// Unit of the channels of the mirror.
+        actuator_unit: String, ANY, default("nm");
+    }
+}
+
+impl Check for CommandsScene {
+    fn check(&mut self, reader: &Reader) -> Result<()> {
+        let without = "without a table or a matrix of channels";
+        if self.segment_file.is_none() && self.segment_matrix_file.is_none() {
+            reader.refuse(&["segment_unit"], without)?;
+        }
+        if self.actuator_file.is_none() && self.actuator_matrix_file.is_none() {
+            reader.refuse(&["actuator_unit"], without)?;
+        }
+        Ok(())
+    }
+}
