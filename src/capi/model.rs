@@ -33,7 +33,8 @@ pub struct cophase_model_arrays {
     pub struct_size: usize,
     /// 1 x n x n: amplitude of the pupil, 0 to 1. Required.
     pub pupil: cophase_input,
-    /// 1 x n x n: index of each sample's segment, from 0; negative outside all segments. Data NULL: not segmented.
+    /// 1 x n x n: label of each sample's segment, whole numbers from 0 or 1, with gaps or without; negative, or 0 where they begin
+    /// at 1, outside all segments. Segments are counted by ascending label. Data NULL: not segmented.
     pub segments: cophase_input,
     /// modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: the scene's modes.
     pub modes: cophase_input,

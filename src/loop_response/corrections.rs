@@ -1,7 +1,8 @@
 //! Corrections from an estimate: increments of the segments' pistons, of the mirror's commands and of the sensor's reference slopes.
 //!
-//! A mode whose estimate is below its error bar is left unchanged, so that corrections do not add noise. The plane through the
-//! pistons, of which images hold little information, and tip and tilt, which are pointing, are left unchanged too. Segments and
+//! A mode whose estimate is below its error bar is left unchanged, so that corrections do not add noise. Tip and tilt, which are
+//! pointing, are left unchanged too, and behind adaptive optics the plane through the pistons, of which images there hold little
+//! information. Segments and
 //! subapertures are in this program's order, wavefronts in nm. A positive piston raises the wavefront; the mirror's surface is taken off
 //! the wavefront, as in the simulator. [`Commands`] are the same in the terms of the controllers that the scene describes.
 
@@ -25,6 +26,8 @@ pub struct CorrectableErrors<'a> {
     pub pistons_nm: &'a [f64],
     /// Their covariance, nm².
     pub piston_covariance_nm2: ArrayView2<'a, f64>,
+    /// Whether the plane through all pistons is left as it is, and not only their mean.
+    pub leaves_plane: bool,
     /// Largest correction of a piston unless a caller names one, nm.
     pub piston_limit_nm: f64,
     /// Coefficients of the NCPA, nm.
@@ -50,7 +53,8 @@ pub struct Corrections {
     pub places: Vec<SegmentPlace>,
     /// Increment of each segment's piston, nm; 0 where its estimate is below its error bar.
     pub pistons_nm: Vec<f64>,
-    /// Estimate of each piston and its error bar, nm, both without the plane through all pistons.
+    /// Estimate of each piston and its error bar, nm, both without what is left as it is: the mean of all pistons, or the plane through
+    /// them.
     pub estimate_nm: Vec<[f64; 2]>,
     /// Number of corrected NCPA modes.
     pub corrected_modes: usize,
@@ -90,7 +94,7 @@ impl Corrections {
             limited += usize::from(command_nm.abs() > limit_nm);
             command_nm.clamp(-limit_nm, limit_nm)
         };
-        let flat = without_plane(segments);
+        let flat = without_plane(segments, errors.leaves_plane);
         let pistons_nm = flat.dot(&ArrayView1::from(errors.pistons_nm));
         let covariance_nm2 = flat.dot(&errors.piston_covariance_nm2).dot(&flat);
         let estimate_nm: Vec<[f64; 2]> =
@@ -122,6 +126,19 @@ impl Corrections {
             actuator_commands,
             limited,
         })
+    }
+
+    /// Reads the controllers that `scene` describes, so that a mistake in them is found before an estimate.
+    ///
+    /// # Errors
+    /// [`Error::File`] as [`Corrections::new`]; those of building the telescope.
+    pub fn check_controllers(scene: &Scene) -> Result<()> {
+        let telescope = Telescope::new(scene)?;
+        commands(scene, Moved::Segments, &vec![0.0; telescope.pupil.segments.len()])?;
+        if scene.has_mirror() {
+            commands(scene, Moved::Actuators, &vec![0.0; actuators_in_use(scene, &telescope)?.len()])?;
+        }
+        Ok(())
     }
 
     /// Writes the corrections: as text for a path that ends in `.txt`, else as FITS with the table `SEGMENTS`, where there is a mirror
@@ -196,14 +213,14 @@ impl CorrectableErrors<'_> {
     }
 }
 
-/// Projection that removes the plane through all pistons, `[segment, segment]`; only their mean where three segments or fewer
-/// define any plane.
-fn without_plane(segments: &[Segment]) -> Array2<f64> {
+/// Projection that removes the plane through all pistons, `[segment, segment]`; only their mean unless it `is_plane`, and where three
+/// segments or fewer define any plane.
+fn without_plane(segments: &[Segment], is_plane: bool) -> Array2<f64> {
     let count = segments.len();
     let values = |value: &dyn Fn(&Segment) -> f64| segments.iter().map(value).collect::<Array1<f64>>();
     let plane = [values(&|_| 1.0), values(&|segment| segment.x_m), values(&|segment| segment.y_m)];
     let mut projection = Array2::eye(count);
-    for direction in plane.into_iter().take(if count > 3 { 3 } else { 1 }) {
+    for direction in plane.into_iter().take(if is_plane && count > 3 { 3 } else { 1 }) {
         let new: Array1<f64> = projection.dot(&direction);
         let (left, all) = (new.dot(&new), direction.dot(&direction));
         // Segments in a row along an axis have no such direction.
@@ -270,17 +287,19 @@ mod tests {
 
     #[test]
     fn the_projection_removes_the_plane_alone() {
-        let at = |x_m: f64, y_m: f64| Segment { x_m, y_m };
+        let at = |x_m: f64, y_m: f64| Segment { x_m, y_m, label: 0 };
         let segments = [at(0.0, 0.0), at(1.0, 0.0), at(0.5, 0.9), at(-0.5, 0.9), at(-1.0, 0.1), at(0.4, -0.9)];
-        let flat = without_plane(&segments);
+        let flat = without_plane(&segments, true);
         let plane: Array1<f64> = segments.iter().map(|segment| 3.0 - 7.0 * segment.x_m + 2.0 * segment.y_m).collect();
         assert!(flat.dot(&plane).iter().all(|nm| nm.abs() < 1e-13));
         // A projection whose rank lacks three.
         assert!((&flat.dot(&flat) - &flat).iter().all(|off| off.abs() < 1e-14));
         assert!((flat.diag().sum() - 3.0).abs() < 1e-13);
-        let mean = without_plane(&segments[..3]);
+        let mean = without_plane(&segments[..3], true);
         assert!((mean.diag().sum() - 2.0).abs() < 1e-14);
-        let row = without_plane(&[at(-1.5, 0.0), at(-0.5, 0.0), at(0.5, 0.0), at(1.5, 0.0)]);
+        let mean = without_plane(&segments, false);
+        assert!((mean.diag().sum() - 5.0).abs() < 1e-14);
+        let row = without_plane(&[at(-1.5, 0.0), at(-0.5, 0.0), at(0.5, 0.0), at(1.5, 0.0)], true);
         assert!((row.diag().sum() - 2.0).abs() < 1e-14);
     }
 }

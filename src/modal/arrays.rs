@@ -20,7 +20,7 @@ const UNSTATED_WIDTH_M: f64 = 1.0;
 pub struct Arrays {
     /// Share of the light that each sample passes, 0 to 1, `[y, x]`.
     pub amplitude: Array2<f64>,
-    /// Segment of each sample, `[y, x]`: 0, 1, … and negative where there is none; `None` for a telescope of one piece.
+    /// Label of the segment of each sample, `[y, x]`, as [`Pupil::from_maps`] takes them: negative where there is none; `None` for a telescope of one piece.
     pub segments: Option<Array2<i32>>,
     /// NCPA modes, `[mode, y, x]`, nm for each nm of their coefficients, which keep this order and this scale; named
     /// `mode-1`, `mode-2`, … Values where the amplitude is 0 are ignored, NaN included.
@@ -46,7 +46,7 @@ impl ModalFitter {
     ///
     /// # Errors
     /// [`Error::Shape`] for maps that are not square, of an even side and of one size; [`Error::Value`] for an amplitude
-    /// outside \[0, 1\], a pupil without illuminated samples, labels that leave out a number or an illuminated sample, modes
+    /// outside \[0, 1\], a pupil without illuminated samples, labels that leave out an illuminated sample, modes
     /// or a diversity that are not finite at an illuminated sample, and where no mode is left; [`Error::Scene`] where the scene's basis cannot be built on this
     /// pupil; those of [`Model::new`].
     pub fn from_arrays(scene: &Scene, arrays: &Arrays) -> Result<Self> {

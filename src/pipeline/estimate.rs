@@ -298,6 +298,7 @@ impl Estimate {
         let errors = CorrectableErrors {
             pistons_nm: &self.coefficients_nm[..pistons],
             piston_covariance_nm2: self.covariance_nm2.slice(s![..pistons, ..pistons]),
+            leaves_plane: false,
             piston_limit_nm,
             ncpa_nm: &self.coefficients_nm[segment_modes..],
             ncpa_sigma_nm: &self.sigma_nm()[segment_modes..],

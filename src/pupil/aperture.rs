@@ -162,7 +162,8 @@ impl Aperture {
             .flat_map(ring)
             .map(|(q, r)| [pitch * 3f64.sqrt() / 2.0 * f64::from(q), pitch * (f64::from(q) / 2.0 + f64::from(r))])
             .map(|centre| rotated(centre, parameters.rotation_deg))
-            .map(|[x_m, y_m]| Segment { x_m, y_m })
+            .zip(0..)
+            .map(|([x_m, y_m], label)| Segment { x_m, y_m, label })
             .collect();
         let disc = disc(parameters.obscuration_diameter_m);
         let spiders = spiders(parameters);

@@ -1,13 +1,10 @@
 //! Pupils given as maps, for instance from FITS files.
 
+use super::labels::owners;
 use super::sampled::{Pupil, Segment};
 use crate::grid::Grid;
 use crate::{Error, Result};
 use ndarray::Array2;
-
-/// Largest distance of an unlabelled illuminated sample from a labelled one, in samples: at an anti-aliased edge or a gap.
-/// A larger distance means that a label is missing.
-const RIM: usize = 2;
 
 /// A pupil on a grid finer than the model's, with the segment of each sample: the input of a band-limited pupil. Its
 /// maps are checked and cannot be changed.
@@ -40,8 +37,10 @@ impl FinePupil {
 }
 
 impl Pupil {
-    /// A pupil from its maps: `amplitude` `[y, x]` in [0, 1], `labels` `[y, x]` = 0, 1, … for the segments and negative
-    /// elsewhere; without labels, one segment (a monolithic telescope).
+    /// A pupil from its maps: `amplitude` `[y, x]` in [0, 1], `labels` `[y, x]` of 0 or more for the segments and negative
+    /// elsewhere; without labels, one segment (a monolithic telescope). Segments are counted from 0 by ascending label, whatever the
+    /// labels are ([`Segment::label`]). Where no label is negative, 0 is no segment if only samples at the rim of others have it, as where
+    /// segments are labelled from 1.
     ///
     /// An illuminated sample without a label takes the label of the nearest labelled illuminated sample within two samples (at
     /// an anti-aliased edge or a gap); a label outside the illuminated area is ignored. The centre of a segment is the
@@ -49,8 +48,8 @@ impl Pupil {
     ///
     /// # Errors
     /// [`Error::Shape`] for maps that do not have the grid's shape; [`Error::Value`] for an amplitude outside [0, 1] or
-    /// not finite, a pupil without illuminated samples, a number between 0 and the largest label that no illuminated sample has, or
-    /// an illuminated sample farther than two samples from any labelled one.
+    /// not finite, a pupil without illuminated samples, more than 10,000 segments, or an illuminated sample farther than two samples
+    /// from any labelled one.
     pub fn from_maps(grid: Grid, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let samples = grid.samples();
         check_shape("pupil amplitude", amplitude.dim(), samples)?;
@@ -64,14 +63,14 @@ impl Pupil {
                 "the pupil amplitude is 0 everywhere: at least one illuminated sample is needed".into(),
             ));
         }
-        let owner = match labels {
-            None => amplitude.mapv(|a| if a > 0.0 { 0 } else { -1 }),
+        let (owner, labels) = match labels {
+            None => (amplitude.mapv(|a| if a > 0.0 { 0 } else { -1 }), vec![0]),
             Some(labels) => {
                 check_shape("segment labels", labels.dim(), samples)?;
-                owners(&amplitude, &labels)?
+                owners(&amplitude, labels)?
             }
         };
-        let segments = centroids(&grid, &amplitude, &owner)?;
+        let segments = centroids(&grid, &amplitude, &owner, &labels);
         Ok(Self { grid, amplitude, owner, segments })
     }
 }
@@ -83,43 +82,9 @@ fn check_shape(name: &str, (rows, columns): (usize, usize), samples: usize) -> R
     Err(Error::Shape(format!("the map of {name} is {rows} × {columns}: the grid needs {samples} × {samples}")))
 }
 
-/// The segment of each illuminated sample, −1 elsewhere.
-fn owners(amplitude: &Array2<f64>, labels: &Array2<i32>) -> Result<Array2<i32>> {
-    let mut owner = Array2::from_elem(labels.dim(), -1);
-    for ((y, x), &a) in amplitude.indexed_iter() {
-        if a > 0.0 {
-            owner[[y, x]] = nearest_label(amplitude, labels, y, x).ok_or_else(|| {
-                Error::Value(format!(
-                    "the pupil is illuminated at row {y}, column {x}, but there is no segment label within {RIM} samples: label \
-                     the segments 0, 1, …, and all other samples −1"
-                ))
-            })?;
-        }
-    }
-    Ok(owner)
-}
-
-/// The label of the nearest labelled illuminated sample; among equally near ones, the first in grid order.
-fn nearest_label(amplitude: &Array2<f64>, labels: &Array2<i32>, y: usize, x: usize) -> Option<i32> {
-    if labels[[y, x]] >= 0 {
-        return Some(labels[[y, x]]);
-    }
-    let around = |c: usize, end: usize| c.saturating_sub(RIM)..(c + RIM + 1).min(end);
-    let near = around(y, labels.nrows()).flat_map(|v| around(x, labels.ncols()).map(move |u| (v, u)));
-    near.filter(|&at| labels[at] >= 0 && amplitude[at] > 0.0)
-        .min_by_key(|&(v, u)| v.abs_diff(y).pow(2) + u.abs_diff(x).pow(2))
-        .map(|at| labels[at])
-}
-
-fn centroids(grid: &Grid, amplitude: &Array2<f64>, owner: &Array2<i32>) -> Result<Vec<Segment>> {
-    let largest = owner.iter().copied().max().unwrap_or(-1);
-    // A wrong label could request gigabytes of memory: no map has more segments than samples.
-    if largest as usize >= owner.len() {
-        return Err(Error::Value(format!(
-            "the largest segment label is {largest}, more than the map has samples: label the segments 0, 1, …"
-        )));
-    }
-    let mut moments = vec![[0.0f64; 3]; (largest + 1) as usize];
+/// The segments, whose labels these are: the centroid of the amplitude of each.
+fn centroids(grid: &Grid, amplitude: &Array2<f64>, owner: &Array2<i32>, labels: &[i32]) -> Vec<Segment> {
+    let mut moments = vec![[0.0f64; 3]; labels.len()];
     for ((y, x), &segment) in owner.indexed_iter().filter(|(_, segment)| **segment >= 0) {
         let a = amplitude[[y, x]];
         let moment = &mut moments[segment as usize];
@@ -127,10 +92,6 @@ fn centroids(grid: &Grid, amplitude: &Array2<f64>, owner: &Array2<i32>) -> Resul
         moment[1] += a * grid.coordinate_m(x);
         moment[2] += a * grid.coordinate_m(y);
     }
-    if let Some(missing) = moments.iter().position(|m| m[0] == 0.0) {
-        return Err(Error::Value(format!(
-            "no illuminated sample has the segment label {missing}: labels 0 to {largest} without a hole are needed"
-        )));
-    }
-    Ok(moments.iter().map(|[a, x, y]| Segment { x_m: x / a, y_m: y / a }).collect())
+    let segment = |([a, x, y], &label): (&[f64; 3], &i32)| Segment { x_m: x / a, y_m: y / a, label };
+    moments.iter().zip(labels).map(segment).collect()
 }

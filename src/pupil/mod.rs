@@ -4,6 +4,7 @@ mod aperture;
 mod band_limit;
 mod coverage;
 mod fit;
+mod labels;
 mod maps;
 mod polygon;
 mod sampled;

@@ -13,7 +13,8 @@ section! {
     PupilScene = "pupil" {
         /// Hexagonal segments in rings. "keck" and "hexagonal" differ in the default of central_segment only.
         aperture: Aperture, ANY, default(Aperture::Keck);
-        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels). Needs grid_m.
+        /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels: whole numbers, −1, or 0 where they begin at 1, outside of the
+        /// segments). Needs grid_m.
         file: Option<PathBuf>, ANY, unset("hexagons, given by aperture");
         /// Number of rings of hexagons around the centre.
         rings: usize, between(0.0, 30.0), default(3usize);

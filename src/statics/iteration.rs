@@ -92,6 +92,7 @@ impl Iteration {
         let errors = CorrectableErrors {
             pistons_nm: &self.errors.pistons_nm,
             piston_covariance_nm2: self.errors.covariance_nm2.slice(s![..segments, ..segments]),
+            leaves_plane: true,
             piston_limit_nm,
             ncpa_nm: &self.errors.ncpa_nm,
             ncpa_sigma_nm: &self.sigma_nm()[segments..],

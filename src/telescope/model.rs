@@ -72,7 +72,7 @@ impl Telescope {
         let amplitude_name = named(&file, "PUPIL");
         let amplitude = file.map(amplitude_name.as_deref())?;
         let labels = match named(&file, "SEGMENT") {
-            Some(name) => Some(file.map(Some(&name))?.mapv(|label| label as i32)),
+            Some(name) => Some(labels(&file.map(Some(&name))?).map_err(|error| Error::file(path, error))?),
             None => None,
         };
         let in_file = |error: Error| Error::file(path, error);
@@ -228,6 +228,20 @@ impl Telescope {
     /// Those of [`VonKarman::new`].
     pub fn turbulence(scene: &Scene) -> Result<VonKarman> {
         VonKarman::new(scene.turbulence.r0_m, scene.turbulence.outer_scale_m)
+    }
+}
+
+/// The labels of a map of segments.
+///
+/// # Errors
+/// [`Error::Value`] for one that is not a whole number.
+fn labels(map: &Array2<f64>) -> Result<Array2<i32>> {
+    let is_whole = |label: f64| label.fract() == 0.0 && label.abs() <= 1e9;
+    match map.indexed_iter().find(|(_, label)| !is_whole(**label)) {
+        Some(((y, x), label)) => Err(Error::Value(format!(
+            "the segment label at row {y}, column {x} is {label}: whole numbers are accepted, and −1 where there is no segment"
+        ))),
+        None => Ok(map.mapv(|label| label as i32)),
     }
 }
 

@@ -7,10 +7,13 @@ use crate::scene::{Aperture, Scene};
 /// Place of a segment: what identifies it on another numbering than ours.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SegmentPlace {
-    /// Number, from 0: ring by ring from the innermost, within a ring counter-clockwise from +x.
+    /// Number, from 0: ring by ring from the innermost, within a ring counter-clockwise from +x; by ascending label for a pupil from a
+    /// file.
     pub number: usize,
     /// Ring, 0 for a central segment; `None` for a pupil from a file.
     pub ring: Option<usize>,
+    /// Label in the map of a pupil from a file; else the number.
+    pub label: i32,
     /// Centre along columns, m.
     pub x_m: f64,
     /// Centre along rows, m.
@@ -26,16 +29,18 @@ impl SegmentPlace {
             let central = usize::from(scene.pupil.central_segment);
             let ring =
                 if number < central { 0 } else { (1..).find(|k| number - central < 3 * k * (k + 1)).unwrap_or(0) };
-            Self { number, ring: is_hexagonal.then_some(ring), x_m: segment.x_m, y_m: segment.y_m }
+            let Segment { x_m, y_m, label } = *segment;
+            Self { number, ring: is_hexagonal.then_some(ring), label, x_m, y_m }
         };
         segments.iter().enumerate().map(place).collect()
     }
 
-    /// Columns `SEGMENT`, `RING` (−1 where it has none), `X_M` and `Y_M` of a table.
+    /// Columns `SEGMENT`, `RING` (−1 where it has none), `LABEL`, `X_M` and `Y_M` of a table.
     pub fn columns(places: &[Self]) -> Vec<Column> {
         vec![
             Column::i64("SEGMENT", places.iter().map(|place| place.number as i64).collect()),
             Column::i64("RING", places.iter().map(|place| place.ring.map_or(-1, |ring| ring as i64)).collect()),
+            Column::i64("LABEL", places.iter().map(|place| place.label.into()).collect()),
             Column::f64("X_M", "m", places.iter().map(|place| place.x_m).collect()),
             Column::f64("Y_M", "m", places.iter().map(|place| place.y_m).collect()),
         ]

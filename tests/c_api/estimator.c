@@ -374,12 +374,51 @@ static void as_a_camera_delivers_them(const struct sky *s, const char *scene)
     free(one_nm), free(other_nm), free(halves), free(marked), free(bad);
 }
 
+static void write_table(const char *path)
+{
+    FILE *file = fopen(path, "w");
+    int i;
+
+    CHECK(file != NULL);
+    for (i = 0; i < 7 && file != NULL; i++)
+        fprintf(file, "%d 10%d 0.5\n", i, i);
+    if (file != NULL)
+        fclose(file);
+}
+
+/* What to add to each channel of the segments' controller, which numbers them from 100 and takes half a unit for each nm. */
+static void commands(cophase_estimate *estimate)
+{
+    cophase_correction_report report;
+    double pistons_nm[7], values[7], *actuators_nm;
+    char name[4];
+    size_t i;
+
+    CHECK(cophase_estimate_correct(estimate, 0.0, NULL, &report, sizeof report) == COPHASE_OK);
+    CHECK(report.segments == 7 && report.segment_commands == 7 && report.actuator_commands == 0);
+    CHECK(report.actuators > 40 && report.slopes == 0);
+    CHECK(cophase_estimate_array(estimate, COPHASE_ARRAY_CORRECTION_PISTONS_NM, pistons_nm, 7) == COPHASE_OK);
+    CHECK(cophase_estimate_array(estimate, COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS, values, 7) == COPHASE_OK);
+    for (i = 0; i < 7; i++) {
+        const char expected[] = {'1', '0', (char)('0' + i), '\0'};
+
+        CHECK(cophase_estimate_text(estimate, COPHASE_TEXT_SEGMENT_COMMAND_NAME, i, name, sizeof name, NULL) == COPHASE_OK);
+        CHECK(strcmp(name, expected) == 0 && values[i] == 0.5 * pistons_nm[i]);
+    }
+    REFUSED(COPHASE_BAD_VALUE, "index is 7",
+            cophase_estimate_text(estimate, COPHASE_TEXT_SEGMENT_COMMAND_NAME, 7, name, sizeof name, NULL));
+    actuators_nm = doubles(report.actuators);
+    CHECK(cophase_estimate_array(estimate, COPHASE_ARRAY_CORRECTION_ACTUATORS_NM, actuators_nm, report.actuators) == COPHASE_OK);
+    free(actuators_nm);
+}
+
 /* A modal estimate of the first frame by the realtime policy, which has what a MAP estimate lacks. */
-static void modal(const struct sky *s, const char *scene)
+static void modal(const struct sky *s, const char *scene, const char *table)
 {
     /* More Karhunen-Loeve modes than this mirror makes are the default. */
     char *text = joined(scene, strstr(scene, "[modes]") != NULL ? "" : "\n[modes]\nncpa = \"zernike\"\nncpa_count = 8\n");
-    char *method = strstr(text, "method = \"full-phase\"");
+    char *named = joined(text, "\n[commands]\nsegment_file = \""), *quoted = joined(named, table), *whole = joined(quoted, "\"\n");
+    char *method = strstr(whole, "method = \"full-phase\"");
     cophase_estimator_options options = DEFAULTS(cophase_estimator_options);
     const cophase_input frame = input(s->frames, COPHASE_F64, 1, s->rows, s->cols);
     cophase_estimate *estimate = NULL;
@@ -390,8 +429,9 @@ static void modal(const struct sky *s, const char *scene)
     CHECK(method != NULL);
     memcpy(method, "method = \"modal\"     ", strlen("method = \"full-phase\""));
     options.policy = COPHASE_POLICY_REALTIME;
-    estimator = estimator_of(text, &options);
-    free(text);
+    write_table(table);
+    estimator = estimator_of(whole, &options);
+    free(text), free(named), free(quoted), free(whole);
     CHECK(cophase_estimator_estimate(estimator, &frame, NULL, NULL, &estimate) == COPHASE_OK);
     CHECK(cophase_estimate_get_info(estimate, &info, sizeof info) == COPHASE_OK);
     CHECK(info.method == COPHASE_METHOD_MODAL && info.policy == COPHASE_POLICY_REALTIME && info.ao_knowledge == 0);
@@ -401,7 +441,7 @@ static void modal(const struct sky *s, const char *scene)
     CHECK(cophase_estimate_array(estimate, COPHASE_ARRAY_IMAGE_COEFFICIENTS_NM, each_nm, info.modes) == COPHASE_OK);
     CHECK(cophase_estimate_array(estimate, COPHASE_ARRAY_COEFFICIENTS_NM, all_nm, info.modes) == COPHASE_OK);
     CHECK(fabs(each_nm[0] - all_nm[0]) < 1e-9);
-    REFUSED(COPHASE_BAD_VALUE, "full-phase", cophase_estimate_correct(estimate, 0.0, NULL, NULL, 0));
+    commands(estimate);
     cophase_estimate_destroy(estimate);
     cophase_estimator_destroy(estimator);
     free(each_nm), free(all_nm);
@@ -415,7 +455,7 @@ int main(int argc, char **argv)
     cophase_estimate_info info;
     cophase_input frames, slopes;
     struct sky s;
-    char *text, *scene;
+    char *text, *scene, *table;
     size_t size;
     FILE *file;
 
@@ -443,7 +483,9 @@ int main(int argc, char **argv)
     corrections(&s, estimate, argv[2], file);
     cophase_estimate_destroy(estimate);
     as_a_camera_delivers_them(&s, scene);
-    modal(&s, scene);
+    table = joined(argv[2], ".txt");
+    modal(&s, scene, table);
+    remove(table), free(table);
 
     free(s.frames), free(s.slopes), free(s.truth), free(scene);
     return fclose(file) == 0 && failures == 0 ? 0 : 1;

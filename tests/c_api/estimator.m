@@ -128,9 +128,19 @@ must_fail('BAD_ARGUMENT', 'deleted', @() e.report());
 
 % ---- a modal estimate of the realtime policy, of an image of 2e6 electrons
 
+table = [dump '.txt'];
+out = fopen(table, 'w');
+fprintf(out, '%d %d 0.5\n', [0:6; 100:106]);
+fclose(out);
 tiny = fileread(fullfile(fileparts(mfilename('fullpath')), 'tiny.toml'));
+tiny = [tiny sprintf('\n[mirror]\nactuators_across = 7\npitch_m = 0.8\n[commands]\nsegment_file = "%s"\n', table)];
 m = cophase.Model(tiny);
 e = cophase.Estimator(tiny, 'policy', 'realtime').estimate(round(2e6 * m.psf(30 * cos(1:m.modes)) + 30));
 assert({e.method, e.policy, e.info.ao_knowledge}, {'modal', 'realtime', ''});
 assert(e.image_coefficients_nm, e.coefficients_nm, 1e-9);
-must_fail('BAD_VALUE', 'full-phase', @() e.correct());
+c = e.correct();
+unlink(table);
+assert({c.segment_commands.name}, {'100', '101', '102', '103', '104', '105', '106'});
+assert([c.segment_commands.add]', 0.5 * c.pistons_nm);
+assert(isempty(c.actuator_commands) && numel(c.actuators_nm) > 20 && isempty(c.slopes_mas));
+must_fail('BAD_FILE', 'segment_file', @() e.correct());

@@ -86,14 +86,23 @@ def ctrl_c(estimator, frames, slopes_mas):
     assert estimator.progress.stage == "idle"
 
 
-def modal():
-    """A modal estimate of the realtime policy has what a MAP estimate lacks."""
+def modal(dump):
+    """A modal estimate of the realtime policy has what a MAP estimate lacks; commands to a controller that numbers the
+    segments from 100 and takes half a unit for each nm."""
+    table = Path(f"{dump}.txt")
+    table.write_text("".join(f"{k} {100 + k} 0.5\n" for k in range(7)))
     scene = Path(__file__).with_name("tiny.toml").read_text("utf-8")
+    scene += f'\n[mirror]\nactuators_across = 7\npitch_m = 0.8\n[commands]\nsegment_file = "{table}"\n'
     frame = stars(cophase.Model(scene))[0][0]
     estimate = cophase.Estimator(scene, policy="realtime", threads=1).estimate(frame)
     assert (estimate.method, estimate.policy, estimate.info.ao_knowledge) == ("modal", "realtime", None), estimate.info
     assert np.allclose(estimate.image_coefficients_nm[0], estimate.coefficients_nm, rtol=0, atol=1e-9)
-    failure(estimate.correct, cophase.BadValueError)
+    correction = estimate.correct()
+    table.unlink()
+    assert correction.segment_commands == {str(100 + k): 0.5 * nm for k, nm in enumerate(correction.pistons_nm)}
+    assert correction.actuator_commands == {} and correction.actuators_nm.size > 20 and correction.slopes_mas.size == 0
+    assert np.abs(correction.pistons_nm).max() > 0
+    failure(estimate.correct, cophase.BadFileError)
     assert estimate.images.policy[0] == "realtime" and np.isnan(estimate.info.images_to_halve)
 
 
@@ -170,7 +179,7 @@ def main(scene, dump):
     results(found, truth)
     moves = files(found, dump)
     the_same(cophase.Estimator(scene + MAP, threads=1), cophase.Estimator(scene + MODAL), frames, slopes_mas, found)
-    modal()
+    modal(dump)
     estimator.close()
     failure(lambda: estimator.progress, cophase.BadArgumentError)
 

@@ -25,6 +25,8 @@ fn with_commands(folder: &Path, commands: &str) -> Scene {
     let plain = scene(&[
         ("aberrations.segment_piston_rms_nm", "0"),
         ("aberrations.ncpa_zernikes", ""),
+        ("aberrations.ncpa_rms_nm", ""),
+        ("aberrations.ncpa_power_law", ""),
         ("aberrations.truth_samples", &FINE.to_string()),
         ("aberrations.ncpa_file", "truth.fits"),
         ("image.peak_snr", "300"),

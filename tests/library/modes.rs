@@ -17,7 +17,7 @@ fn keck_like(samples: usize) -> Pupil {
                 let (q, r) = (f64::from(q), f64::from(r));
                 let (x_m, y_m) = (pitch_m * 3f64.sqrt() / 2.0 * q, pitch_m * (r + q / 2.0));
                 let angle = y_m.atan2(x_m).rem_euclid(std::f64::consts::TAU);
-                segments.push((ring, angle, Segment { x_m, y_m }));
+                segments.push((ring, angle, Segment { x_m, y_m, label: 0 }));
             }
         }
     }
@@ -226,8 +226,12 @@ fn nolls_residuals_come_out_of_the_structure_function() {
     let grid = Grid::new(48, 2.0).unwrap();
     let inside = |(y, x): (usize, usize)| f64::from(grid.coordinate_m(x).hypot(grid.coordinate_m(y)) <= 1.0);
     let amplitude = Array2::from_shape_fn((48, 48), inside);
-    let pupil =
-        Pupil { grid, amplitude, owner: Array2::zeros((48, 48)), segments: vec![Segment { x_m: 0.0, y_m: 0.0 }] };
+    let pupil = Pupil {
+        grid,
+        amplitude,
+        owner: Array2::zeros((48, 48)),
+        segments: vec![Segment { x_m: 0.0, y_m: 0.0, label: 0 }],
+    };
     let samples = Samples::from_pupil(&pupil).unwrap();
     let kolmogorov = VonKarman::new(1.0, f64::INFINITY).unwrap();
     let tip_tilt = zernike_basis(2, 3, &pupil).unwrap().evaluate(&samples.xs_m, &samples.ys_m).unwrap();

@@ -47,7 +47,7 @@ fn an_edge_without_labels_belongs_to_its_neighbour() {
 
 #[test]
 fn invalid_maps_are_refused_with_the_place_and_the_value() {
-    let (grid, amplitude, labels) = two_segments();
+    let (grid, amplitude, _) = two_segments();
     for value in [f64::NAN, f64::INFINITY, -0.1, 1.5] {
         let mut broken = amplitude.clone();
         broken[[1, 2]] = value;
@@ -60,16 +60,47 @@ fn invalid_maps_are_refused_with_the_place_and_the_value() {
     assert!(matches!(refused(&Array2::zeros((3, 3)), None), Error::Value(_)));
     assert!(matches!(refused(&Array2::ones((3, 4)), None), Error::Shape(_)));
     assert!(matches!(refused(&amplitude, Some(Array2::zeros((2, 3)))), Error::Shape(_)));
-    // Labels with a gap, from 1 instead of 0, too large, and illuminated samples far from any label.
-    for (from, to) in [(1, 2), (0, 2), (1, i32::MAX)] {
-        let renamed = labels.mapv(|label| if label == from { to } else { label });
-        assert!(matches!(refused(&amplitude, Some(renamed)), Error::Value(_)), "{from} → {to}");
-    }
+    // Illuminated samples far from any label.
     let far = Grid::new(9, 9.0).unwrap();
     let mut corner = Array2::from_elem((9, 9), -1);
     corner[[0, 0]] = 0;
     let message = Pupil::from_maps(far, Array2::ones((9, 9)), Some(corner)).unwrap_err().to_string();
     assert!(message.contains("row 0, column 3"), "{message}");
+}
+
+#[test]
+fn labels_may_be_any_numbers() {
+    let (grid, amplitude, labels) = two_segments();
+    let owner = Pupil::from_maps(grid, amplitude.clone(), Some(labels.clone())).unwrap().owner;
+    // From 1, with a gap, in the other order, large.
+    for names in [[0, 1], [1, 2], [3, 17], [0, i32::MAX]] {
+        let named = labels.mapv(|label| usize::try_from(label).map_or(-1, |segment| names[segment]));
+        let pupil = Pupil::from_maps(grid, amplitude.clone(), Some(named)).unwrap();
+        assert_eq!(pupil.owner, owner);
+        assert_eq!(pupil.segments.iter().map(|segment| segment.label).collect::<Vec<_>>(), names);
+    }
+    let turned = labels.mapv(|label| if label < 0 { label } else { 9 - label });
+    let pupil = Pupil::from_maps(grid, amplitude, Some(turned)).unwrap();
+    assert_eq!((pupil.owner[[0, 0]], pupil.segments[1].label, pupil.segments[1].x_m), (1, 9, -1.0));
+}
+
+#[test]
+fn where_segments_begin_at_1_zero_is_none() {
+    let whole = Aperture::keck().pupil(&Grid::new(120, 10.95).unwrap()).unwrap();
+    // As POPPY labels them: from 1, 0 elsewhere, and at edges that are illuminated in part, too.
+    let is_rim = |at: (usize, usize)| whole.amplitude[at] < 0.5;
+    let from_1 = Array2::from_shape_fn((120, 120), |at| if is_rim(at) { 0 } else { whole.owner[at] + 1 });
+    assert!(from_1.indexed_iter().any(|(at, label)| *label == 0 && whole.amplitude[at] > 0.0));
+    let read = Pupil::from_maps(whole.grid, whole.amplitude.clone(), Some(from_1)).unwrap();
+    assert_eq!(read.segments.len(), 36);
+    assert_eq!(read.segments.iter().map(|segment| segment.label).collect::<Vec<_>>(), (1..=36).collect::<Vec<_>>());
+    for (read, exact) in read.segments.iter().zip(&whole.segments) {
+        assert!((read.x_m - exact.x_m).hypot(read.y_m - exact.y_m) < 0.05, "{read:?} against {exact:?}");
+    }
+    // A segment with label 0 and nothing negative is one: it has samples inside.
+    let from_0 = whole.owner.mapv(|owner| owner.max(0));
+    let read = Pupil::from_maps(whole.grid, whole.amplitude.clone(), Some(from_0)).unwrap();
+    assert_eq!((read.segments.len(), read.segments[0].label), (36, 0));
 }
 
 #[test]

@@ -8,7 +8,8 @@ classdef Model < cophase.Handle
     %
     %   m = cophase.Model(scene_text, directory, Name, Value, ...) takes arrays instead of the scene's telescope:
     %      'pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. Required with the others.
-    %      'segments'      n x n indices 0, 1, ... of each sample's segment; negative outside all segments
+    %      'segments'      n x n labels of each sample's segment, from 0 or 1; negative, or 0 where they begin at 1,
+    %                      outside all segments
     %      'modes'         n x n x K wavefronts, nm per nm of their coefficient: with unit RMS over the pupil,
     %                      coefficients are nm RMS
     %      'diversity_nm'  n x n wavefront, nm

@@ -72,7 +72,8 @@ class Model(Handle):
         pupil : (n, n) array
             Amplitude, 0 to 1, over the scene's ``pupil.grid_m``; n even.
         segments : (n, n) array of whole numbers, optional
-            Index of each sample's segment, from 0; negative outside all segments. Not segmented by default.
+            Label of each sample's segment, from 0 or 1, with gaps or without; negative, or 0 where they begin at 1, outside
+            all segments. Segments are counted by ascending label. Not segmented by default.
         modes : (modes, n, n) array, optional
             Wavefront of each mode, nm per nm of its coefficient; the scene's modes by default.
         diversity_nm : (n, n) array, optional

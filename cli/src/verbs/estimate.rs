@@ -6,7 +6,7 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
 use crate::terminal::{Terminal, counted};
-use cophase::pipeline::{Control, Estimate, Estimator, Images, Policy, Trust, embedded_scene};
+use cophase::pipeline::{Control, Corrections, Estimate, Estimator, Images, Policy, Trust, embedded_scene};
 use cophase::scene::{DeviceChoice, Scene};
 use cophase::{Error, Result};
 use serde::Serialize;
@@ -204,6 +204,25 @@ impl Arguments {
         Ok(channels)
     }
 
+    fn are_corrections_wanted(&self) -> bool {
+        self.commands.is_some() || self.commands_plot.is_some()
+    }
+
+    /// Writes and draws the corrections, as far as they are asked for.
+    fn write_corrections(&self, estimate: &Estimate, corrections: &Corrections, terminal: &Terminal) -> Result<()> {
+        if let Some(path) = &self.commands {
+            corrections.write(path)?;
+        }
+        if let Some(path) = &self.commands_plot {
+            moves::picture(self.first(), estimate, corrections)?.draw(path)?;
+        }
+        if corrections.limited > 0 {
+            let what = counted(corrections.limited, "command");
+            terminal.warn(&format!("{}: cut at a limit: {what} of the corrections", self.first().display()));
+        }
+        Ok(())
+    }
+
     fn scene(&self) -> Result<Scene> {
         let [budget, gain] = [self.budget_nm, self.gain].map(|number| number.map(|number| number.to_string()));
         let mut options = self.options();
@@ -237,17 +256,14 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let images = arguments.images()?;
     let scene = arguments.scene()?;
     files::spare_files_of(&scene, &arguments.outputs())?;
+    if arguments.are_corrections_wanted() {
+        Corrections::check_controllers(&scene)?;
+    }
     let estimate = estimated(arguments.first(), &scene, &images, terminal, &interrupt)?;
+    let corrections = arguments.are_corrections_wanted().then(|| estimate.corrections(None)).transpose()?;
     write(arguments.first(), &estimate, &arguments.output, arguments.plot.as_deref())?;
-    if arguments.commands.is_some() || arguments.commands_plot.is_some() {
-        let corrections = estimate.corrections(None)?;
-        arguments.commands.as_ref().map_or(Ok(()), |path| corrections.write(path))?;
-        let plot = arguments.commands_plot.as_ref();
-        plot.map_or(Ok(()), |path| moves::picture(arguments.first(), &estimate, &corrections)?.draw(path))?;
-        if corrections.limited > 0 {
-            let what = counted(corrections.limited, "command");
-            terminal.warn(&format!("{}: cut at a limit: {what} of the corrections", arguments.first().display()));
-        }
+    if let Some(corrections) = &corrections {
+        arguments.write_corrections(&estimate, corrections, terminal)?;
     }
     print(arguments.first(), &estimate, arguments.json, terminal)?;
     if let Some(degeneracy) = estimate.degeneracy.as_ref().filter(|_| arguments.verbose && !arguments.json) {

@@ -123,7 +123,9 @@ fn innermost_place(pupil: &Pupil, number: usize) -> (f64, f64) {
 /// What a reader should know before a number is sent to a mirror.
 fn notes(scene: &Scene, has_lattice: bool) -> Vec<String> {
     let counted = match is_from_file(scene) {
-        true => "Segments are counted from 0, as the file of the pupil labels them.",
+        true => {
+            "Segments are counted from 0, by the ascending labels of the pupil's file (column LABEL of the table SEGMENTS)."
+        }
         false => "Segments are counted from 0, ring by ring from the innermost, counter-clockwise from +x.",
     };
     let table = "Numbers and coordinates are those of the table SEGMENTS of an estimate, and of its maps: x to the right \

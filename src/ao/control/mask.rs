@@ -81,7 +81,7 @@ mod tests {
     fn one_lenslet(owners: [i32; 16]) -> Pupil {
         let owner = Array2::from_shape_vec((4, 4), owners.to_vec()).unwrap();
         let amplitude = owner.mapv(|owner| if owner < 0 { 0.0 } else { 1.0 });
-        let segments = vec![Segment { x_m: 0.0, y_m: 0.0 }; 3];
+        let segments = vec![Segment { x_m: 0.0, y_m: 0.0, label: 0 }; 3];
         Pupil { grid: Grid::new(4, 1.0).unwrap(), amplitude, owner, segments }
     }
 
