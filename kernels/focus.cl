@@ -87,8 +87,8 @@ __kernel void focus(__global real *psi, __global const int *place, __global cons
         __global const real *v = weight + (size_t)s * pairs * 4 * span;
         __global real *sum = sums + (size_t)image * strips * 3, *image_photometry = photometry + 2 * image;
 
-        phase_to_wave(t, 0, REAL(1.0), place, entry_start, entry_segment, entry_weight, entry_x, entry_y, image_pose, p, l, e,
-                      y_to_v, extent, w, blocks, poses, rows, pairs, width);
+        phase_to_wave(t, 0, REAL(1.0), place, entry_start, entry_segment, entry_weight, entry_x, entry_y, image_pose, p, l,
+                      e, y_to_v, extent, w, blocks, poses, rows, pairs, width);
         for (int strip = 0; strip < strips; strip++) {
             const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
             forward_strip(w, x_to_u, f, pair, end, rows, width, span);
@@ -104,6 +104,26 @@ __kernel void focus(__global real *psi, __global const int *place, __global cons
                          entry_x, entry_y, image_pose, segment_sum + (size_t)image * segments * poses, REAL(1.0), 1, blocks,
                          segments, poses, rows, pairs, width);
     }
+}
+
+/* From the intensity of an image to photometry, objective and the source of the adjoint in its place; `terms` as in focus_stored. */
+inline void intensity_to_source(__global real *intensity, __global real *convolved, __global const real *term,
+                                const int terms, __global const real *data, __global const real *weight,
+                                const int kind, __global const real *known, __global real *sums,
+                                __global real *photometry, __global real *objective, const int pairs,
+                                const int pairs_per_strip, const int strips, const int span) {
+    if (terms > 0) convolve_image(intensity, convolved, term, terms - 1, pairs, span);
+    for (int strip = 0; kind != 0 && strip < strips; strip++) {
+        const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
+        intensity_strip_sums(intensity, data, weight, 2 * pair, 2 * end, 0, 1, span, sums + 3 * strip);
+    }
+    solve(sums, strips, kind, known, photometry);
+    for (int strip = 0; strip < strips; strip++) {
+        const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
+        objective[strip] =
+            intensity_strip_residuals(intensity, data, weight, 2 * pair, 2 * end, 0, 1, span, photometry);
+    }
+    if (terms > 0) convolve_image(intensity, convolved, term, terms - 1, pairs, span);
 }
 
 /* The arrays of wavelength k begin k times `..._apart` numbers after those of the first; scales [wavelength]. `terms` is the number
@@ -150,18 +170,8 @@ __kernel void focus_stored(__global real *psi, __global const real *excess, __gl
                 add_strip_intensity(f, h, 2 * pair, 2 * end, 0, 1, span, k == 0);
             }
         }
-        if (terms > 0) convolve_image(h, c, term, terms - 1, pairs, span);
-        for (int strip = 0; kind[s] != 0 && strip < strips; strip++) {
-            const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
-            intensity_strip_sums(h, d, v, 2 * pair, 2 * end, 0, 1, span, sum + 3 * strip);
-        }
-        solve(sum, strips, kind[s], known + 4 * s, image_photometry);
-        for (int strip = 0; strip < strips; strip++) {
-            const int pair = strip * pairs_per_strip, end = min(pairs, pair + pairs_per_strip);
-            objective[image * strips + strip] =
-                intensity_strip_residuals(h, d, v, 2 * pair, 2 * end, 0, 1, span, image_photometry);
-        }
-        if (terms > 0) convolve_image(h, c, term, terms - 1, pairs, span);
+        intensity_to_source(h, c, term, terms, d, v, kind[s], known + 4 * s, sum, image_photometry,
+                            objective + (size_t)image * strips, pairs, pairs_per_strip, strips, span);
         for (int k = 0; k < colours; k++) {
             const size_t own = (size_t)k * phasor_apart + worker * blocks * 8 * VEC;
             __global real *f = focal + (size_t)k * focal_apart + worker * pairs * 8 * span;

@@ -105,17 +105,22 @@ inline void convolve_strip_columns(__global const real *in, __global real *out, 
                                    const int reach, int row, const int end, const int lane, const int lanes,
                                    const int pairs, const int span) {
     __global const real *along_v = terms + reach + 1;
-    const int start = lane * VEC, step = lanes * VEC;
     for (; row < end; row++) {
-        __global const real *here = in + (size_t)row * 2 * span;
         __global real *to = out + (size_t)row * 2 * span;
-        for (int u = start; u < 2 * span; u += step) AT(to, u) = SPLAT(along_v[0]) * GET(here, u);
-        for (int k = 1; k <= reach; k++) {
-            const int below = neighbour(row % 2, row / 2 - k, pairs), above = neighbour(row % 2, row / 2 + k, pairs);
-            __global const real *first = in + (size_t)(below < 0 ? -2 * below - 1 : 2 * below) * 2 * span;
-            __global const real *second = in + (size_t)(above < 0 ? -2 * above - 1 : 2 * above) * 2 * span;
-            const vec term = SPLAT(along_v[k]);
-            for (int u = start; u < 2 * span; u += step) AT(to, u) = MAD(term, GET(first, u) + GET(second, u), GET(to, u));
+        for (int u = lane * VEC; u < span; u += lanes * VEC) {
+            __global const real *here = in + (size_t)row * 2 * span + u;
+            vec sum[2] = {SPLAT(along_v[0]) * GET(here, 0), SPLAT(along_v[0]) * GET(here, span)};
+            for (int k = 1; k <= reach; k++) {
+                const int below = neighbour(row % 2, row / 2 - k, pairs), above = neighbour(row % 2, row / 2 + k, pairs);
+                __global const real *first = in + (size_t)(below < 0 ? -2 * below - 1 : 2 * below) * 2 * span + u;
+                __global const real *second = in + (size_t)(above < 0 ? -2 * above - 1 : 2 * above) * 2 * span + u;
+                const vec term = SPLAT(along_v[k]);
+#pragma unroll
+                for (int side = 0; side < 2; side++)
+                    sum[side] = MAD(term, GET(first, side * span) + GET(second, side * span), sum[side]);
+            }
+            AT(to, u) = sum[0];
+            AT(to, span + u) = sum[1];
         }
     }
 }

@@ -57,8 +57,8 @@ impl<T: Element> Buffer<T> {
         Ok(Buffer { context: context.clone(), mem, len, own_bytes: bytes, marker: PhantomData })
     }
 
-    /// `count` elements (at least one) from `from` on as a buffer, which shares their memory and keeps it. Precondition: `from` is a
-    /// multiple of [`Device::part_alignment_bytes`](super::session::Device::part_alignment_bytes).
+    /// `count` elements (at least one) from `from` on as a buffer, which shares their memory and keeps it. Precondition: they
+    /// begin at a multiple of [`Device::part_alignment_bytes`](super::session::Device::part_alignment_bytes).
     ///
     /// # Errors
     /// As for [`Buffer::write`].

@@ -334,8 +334,8 @@ impl GpuChain {
         Ok(Inputs { turns, poses })
     }
 
-    /// The poses of the segments at a wavelength: re and im of the phasor of the piston times the root of the intensity scale (so that
-    /// |U|² is the PSF), then tip and tilt, turns.
+    /// The poses of the segments at a wavelength: re and im of the phasor of the piston times the root of the intensity scale
+    /// (so that |U|² is the PSF), then tip and tilt, turns.
     fn poses(&self, colour: &GpuColour, images: usize, coefficients: &[f64]) -> Vec<f64> {
         let (modes, segments) = (self.modes(), self.layout.segments);
         let amplitude = colour.intensity_scale.sqrt();

@@ -159,8 +159,8 @@ impl Counts {
     }
 }
 
-/// Buffers of the model that all wavelengths share, constant after construction: the pupil, the diversity of the first wavelength, the
-/// basis, the response of the pixels.
+/// Buffers of the model that all wavelengths share, constant after construction: the pupil, the diversity of the first wavelength,
+/// the basis, the response of the pixels.
 pub(super) struct ModelBuffers {
     /// At the first wavelength.
     pub diversity: Reals,
@@ -249,8 +249,8 @@ impl BatchBuffers {
     }
 }
 
-/// Buffers between the stages that all wavelengths share: `psi` and `sums` to `mode_partial` for one tile, the others for the images
-/// processed at a time.
+/// Buffers between the stages that all wavelengths share: `psi` and `sums` to `mode_partial` for one tile, the others for the
+/// images processed at a time.
 pub(super) struct ScratchBuffers {
     /// Phase at the first wavelength, then the gradient by it.
     pub psi: Reals,
