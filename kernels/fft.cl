@@ -326,8 +326,8 @@ __kernel void focus_fft(__global real *psi, __global const int *place, __global 
         __global real *sum = sums + (size_t)image * strips * 3;
 
         for (int block = 0; block < blocks; block++)
-            field_block(t, place, entry_start, entry_segment, entry_weight, entry_x, entry_y, image_pose, p, l, e, block,
-                        blocks, width, poses, NONZERO_ROWS);
+            field_block(t, 0, REAL(1.0), place, entry_start, entry_segment, entry_weight, entry_x, entry_y, image_pose, p, l,
+                        e, block, blocks, width, poses, NONZERO_ROWS);
         for (int x = 0; x < width; x += VEC)
             for (int sign = 0; sign < 2; sign++)
                 fft_column(e + 2 * sign * width + x, twiddle, z, w + 2 * sign * width + x, width);
@@ -343,11 +343,12 @@ __kernel void focus_fft(__global real *psi, __global const int *place, __global 
             for (int sign = 0; sign < 2; sign++)
                 fft_column_adjoint(w + 2 * sign * width + x, twiddle, z, e + 2 * sign * width + x, width,
                                    extent[x / VEC]);
-        for (int block = 0; block < blocks; block++) gradient_block(e, l, p, place, t, block, blocks, width, NONZERO_ROWS);
+        for (int block = 0; block < blocks; block++)
+            gradient_block(e, l, p, place, t, REAL(1.0), 1, block, blocks, width, NONZERO_ROWS);
         for (int segment = 0; segment < segments; segment++)
             segment_product(p, segment_entry, entry_place, entry_weight, entry_x, entry_y, image_pose + 4 * segment,
-                            segment_sum + ((size_t)image * segments + segment) * poses, segment_start[segment],
-                            segment_start[segment + 1], COMPLEX_APART(blocks), poses);
+                            segment_sum + ((size_t)image * segments + segment) * poses, REAL(1.0), 1,
+                            segment_start[segment], segment_start[segment + 1], COMPLEX_APART(blocks), poses);
     }
 }
 #endif

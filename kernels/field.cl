@@ -1,10 +1,14 @@
 /*
  * field.cl: from mode coefficients to the field in the pupil, folded for the transform.
  *
- *   psi_p = diversity_p + sum_j B_jp y_j                     in turns (y_j = coefficient / wavelength)
+ *   psi_p = diversity_p + sum_j B_jp y_j                     in turns of the first wavelength (y_j = coefficient / wavelength)
+ *   t_p   = scale psi_p + excess_p                           in turns of each wavelength; psi_p at the first
  *   a_p   = sum_s w_ps q_s exp(2 pi i (t_s x_ps + u_s y_ps)) q_s = the phasor of segment s, scaled so that |focal field|^2
  *                                                            is the PSF; t_s, u_s its tip and tilt in turns
- *   E_p   = a_p exp(2 pi i psi_p)
+ *   E_p   = a_p exp(2 pi i t_p)
+ *
+ * The wavelengths share one psi, so that the products with the modes do not grow with their number: `scale` is the first
+ * wavelength over this one, `excess` the diversity of this one without scale times that of the first.
  *
  * smooth_phase is a matrix product over all images of a tile: one work-item per pupil block and, on a GPU, per GROUP
  * images. The four quadrants of a block times GROUP images are 16 accumulators; each step of the loop over
@@ -14,7 +18,7 @@
  * add_free_phase adds the free phase, one number per illuminated sample, where the model has one; free_phase_gradient of
  * project.cl is its adjoint.
  *
- * field_block processes one block of one image: for pupil_field, or as a part of focus.cl. The phasors exp(2 pi i psi) and the
+ * field_block processes one block of one image: for pupil_field, or as a part of focus.cl. The phasors exp(2 pi i t) and the
  * field are also stored for the adjoint, as [quadrant, block][re, im] (COMPLEX in common.cl).
  *
  * `poses` is the number of degrees of freedom of a segment: 1 for piston (the phasor q), 3 for piston, tip and tilt.
@@ -79,7 +83,7 @@ __kernel void smooth_phase(__global const real *basis, __global const real *dive
         vec sum[GROUP][4];
 #pragma unroll
         for (int q = 0; q < 4; q++) {
-            vec d = GET(diversity, (q * blocks + block) * VEC);
+            vec d = GET(diversity, PLANE(q, block, blocks) * VEC);
 #pragma unroll
             for (int i = 0; i < GROUP; i++) sum[i][q] = d;
         }
@@ -105,7 +109,7 @@ __kernel void smooth_phase(__global const real *basis, __global const real *dive
 }
 
 /* psi += scale free [image][illuminated sample], turns, at index `sample_place` of the image's psi: global (any, images, 1). The
-   scale is the wavelength of the free phase over this one. */
+   scale is the wavelength of the free phase over that of psi. */
 __kernel void add_free_phase(__global real *psi, __global const real *free, __global const int *sample_place, const int first,
                              const int samples, const int blocks, const real scale) {
     const size_t image = get_global_id(1);
@@ -114,9 +118,11 @@ __kernel void add_free_phase(__global real *psi, __global const real *free, __gl
     for (int p = get_global_id(0); p < samples; p += get_global_size(0)) t[sample_place[p]] = MAD(scale, f[p], t[sample_place[p]]);
 }
 
-/* Phasor, field and folded field of one block of one image; `pose` is the image's [segment][re q, im q, t, u]. With
-   `side_rows` > 0 the field is not folded but stored in the layout of fft.cl. */
-inline void field_block(__global const real *psi, __global const int *place, __global const int *entry_start,
+/* Phasor, field and folded field of one block of one image at one wavelength; `pose` is its [segment][re q, im q, t, u].
+   `excess` is 0 for the only wavelength of a model. With `side_rows` > 0 the field is not folded but stored in the layout of
+   fft.cl. */
+inline void field_block(__global const real *psi, __global const real *excess, const real scale,
+                        __global const int *place, __global const int *entry_start,
                         __global const int *entry_segment, __global const real *entry_weight,
                         __global const real *entry_x, __global const real *entry_y, __global const real *pose,
                         __global real *phasor, __global real *sample_field, __global real *field, const int block,
@@ -124,8 +130,9 @@ inline void field_block(__global const real *psi, __global const int *place, __g
     vec er[4], ei[4];
 #pragma unroll
     for (int q = 0; q < 4; q++) {
-        vec sine, cosine;
-        sincos_turns(GET(psi, PLANE(q, block, blocks) * VEC), &sine, &cosine);
+        vec sine, cosine, turns = GET(psi, PLANE(q, block, blocks) * VEC);
+        if (excess) turns = MAD(SPLAT(scale), turns, GET(excess, PLANE(q, block, blocks) * VEC));
+        sincos_turns(turns, &sine, &cosine);
         vec ar = SPLAT(REAL(0.0)), ai = SPLAT(REAL(0.0));
         for (int e = entry_start[4 * block + q]; e < entry_start[4 * block + q + 1]; e++) {
             vec w = GET(entry_weight, e * VEC);
@@ -170,15 +177,17 @@ inline void field_block(__global const real *psi, __global const int *place, __g
 }
 
 /* psi -> phasor, sample_field, field: global (blocks, images, 1). */
-__kernel void pupil_field(__global const real *psi, __global const int *place, __global const int *entry_start,
+__kernel void pupil_field(__global const real *psi, __global const real *excess, __global const int *place,
+                          __global const int *entry_start,
                           __global const int *entry_segment, __global const real *entry_weight,
                           __global const real *entry_x, __global const real *entry_y, __global const real *pose,
                           __global real *phasor, __global real *sample_field, __global real *field, const int first,
-                          const int blocks, const int segments, const int rows, const int width, const int poses) {
+                          const int blocks, const int segments, const int rows, const int width, const int poses,
+                          const real scale) {
     const int block = get_global_id(0);
     const size_t image = get_global_id(1), quads = (size_t)blocks * 4 * VEC;
     if (block >= blocks) return;
-    field_block(psi + image * quads, place, entry_start, entry_segment, entry_weight, entry_x, entry_y,
+    field_block(psi + image * quads, excess, scale, place, entry_start, entry_segment, entry_weight, entry_x, entry_y,
                 pose + (first + image) * segments * 4, phasor + 2 * image * quads, sample_field + 2 * image * quads,
                 field + image * rows * 8 * width, block, blocks, width, poses, 0);
 }

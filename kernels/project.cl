@@ -1,9 +1,11 @@
 /*
  * project.cl: from the adjoint field in the pupil to the gradient over modes.
  *
- *   g_p = Ebar_p conj(P_p),  P_p = exp(2 pi i psi_p)
- *   dJ/dy_j = sum_p B_jp D_p,  D_p = 2 k Im(conj(E_p) Ebar_p)                  k = 2 pi / wavelength
- *   dJ/dc_s = 2 k Im(sum_p w_ps conj(q_ps) g_p),  times x_ps or y_ps for tip and tilt (q_ps with them: see field.cl)
+ *   g_p = Ebar_p conj(P_p),  P_p = exp(2 pi i t_p)
+ *   dJ/dy_j = 2 k sum_p B_jp D_p,  D_p = sum scale Im(conj(E_p) Ebar_p)        k = 2 pi / first wavelength
+ *   dJ/dc_s = 2 k sum scale Im(sum_p w_ps conj(q_ps) g_p),  times x_ps or y_ps for tip and tilt (q_ps with them: see field.cl)
+ *
+ * The sums are over the wavelengths, `scale` is the first over this one; the first sets a sum, the others add to it.
  *
  * pupil_gradient unfolds Ebar, one block and image at a time, into D and g (without 2 k). project_modes multiplies D with
  * the basis over a chunk of blocks, project_segments multiplies g with the weights of a segment; collect adds the chunks and
@@ -25,10 +27,11 @@ inline void unfold(__global const real *in, const int width, vec re[4], vec im[4
     im[3] = (a - b) - (c - d);
 }
 
-/* One block of one image: `psi` becomes D, `phasor` becomes g. `side_rows` as in field_block. */
+/* One block of one image: `psi` becomes D, or D of this wavelength is added to it; `phasor` becomes g. `side_rows` as in
+   field_block. */
 inline void gradient_block(__global const real *field, __global const real *sample_field, __global real *phasor,
-                           __global const int *place, __global real *psi, const int block, const int blocks,
-                           const int width, const int side_rows) {
+                           __global const int *place, __global real *psi, const real scale, const int is_first,
+                           const int block, const int blocks, const int width, const int side_rows) {
     vec re[4], im[4];
     if (side_rows) {
 #pragma unroll
@@ -44,10 +47,17 @@ inline void gradient_block(__global const real *field, __global const real *samp
     for (int q = 0; q < 4; q++) {
         const int at_re = COMPLEX(q, block, blocks) * VEC, at_im = at_re + COMPLEX_APART(blocks) * VEC;
         vec cosine = GET(phasor, at_re), sine = GET(phasor, at_im);
-        AT(psi, PLANE(q, block, blocks) * VEC) = GET(sample_field, at_re) * im[q] - GET(sample_field, at_im) * re[q];
+        const vec slope = GET(sample_field, at_re) * im[q] - GET(sample_field, at_im) * re[q];
+        __global real *total = psi + PLANE(q, block, blocks) * VEC;
+        AT(total, 0) = is_first ? slope : MAD(SPLAT(scale), slope, GET(total, 0));
         AT(phasor, at_re) = MAD(re[q], cosine, im[q] * sine);
         AT(phasor, at_im) = im[q] * cosine - re[q] * sine;
     }
+}
+
+/* The sum over the wavelengths. */
+inline void add_wavelength(__global real *total, const real value, const real scale, const int is_first) {
+    *total = is_first ? value : MAD(scale, value, *total);
 }
 
 /* One segment of one image: the first `poses` of Im(conj(q) sum_p w g (1, x, y)). The entries of a segment are its weights in
@@ -55,7 +65,8 @@ inline void gradient_block(__global const real *field, __global const real *samp
 inline void segment_product(__global const real *phasor, __global const int *segment_entry,
                             __global const int *entry_place, __global const real *entry_weight,
                             __global const real *entry_x, __global const real *entry_y, __global const real *pose,
-                            __global real *sum, const int start, const int end, const int apart, const int poses) {
+                            __global real *sum, const real scale, const int is_first, const int start, const int end,
+                            const int apart, const int poses) {
     if (poses == 1) {
         vec re = SPLAT(REAL(0.0)), im = SPLAT(REAL(0.0));
         for (int k = start; k < end; k++) {
@@ -65,7 +76,7 @@ inline void segment_product(__global const real *phasor, __global const int *seg
             re = MAD(w, GET(g, 0), re);
             im = MAD(w, GET(g, apart * VEC), im);
         }
-        sum[0] = pose[0] * sum_lanes(im) - pose[1] * sum_lanes(re);
+        add_wavelength(sum, pose[0] * sum_lanes(im) - pose[1] * sum_lanes(re), scale, is_first);
         return;
     }
     vec piston = SPLAT(REAL(0.0)), tip = SPLAT(REAL(0.0)), tilt = SPLAT(REAL(0.0));
@@ -82,19 +93,19 @@ inline void segment_product(__global const real *phasor, __global const int *seg
         tip = MAD(part, x, tip);
         tilt = MAD(part, y, tilt);
     }
-    sum[0] = sum_lanes(piston);
-    sum[1] = sum_lanes(tip);
-    sum[2] = sum_lanes(tilt);
+    add_wavelength(sum, sum_lanes(piston), scale, is_first);
+    add_wavelength(sum + 1, sum_lanes(tip), scale, is_first);
+    add_wavelength(sum + 2, sum_lanes(tilt), scale, is_first);
 }
 
 /* field -> D in place of psi, and g in place of phasor: global (any, images, 1). */
 __kernel void pupil_gradient(__global const real *field, __global const real *sample_field, __global real *phasor,
                              __global const int *place, __global real *psi, const int blocks, const int rows,
-                             const int width) {
+                             const int width, const real scale, const int is_first) {
     const size_t image = get_global_id(1), quads = (size_t)blocks * 4 * VEC;
     for (int block = get_global_id(0); block < blocks; block += get_global_size(0))
         gradient_block(field + image * rows * 8 * width, sample_field + 2 * image * quads, phasor + 2 * image * quads, place,
-                       psi + image * quads, block, blocks, width, 0);
+                       psi + image * quads, scale, is_first, block, blocks, width, 0);
 }
 
 /* g (in phasor) -> segment_sum [image][segment][poses]: global (segments, images, 1). */
@@ -102,13 +113,14 @@ __kernel void project_segments(__global const real *phasor, __global const int *
                                __global const int *segment_entry, __global const int *entry_place,
                                __global const real *entry_weight, __global const real *entry_x,
                                __global const real *entry_y, __global const real *pose, __global real *segment_sum,
-                               const int segments, const int blocks, const int first, const int poses) {
+                               const int segments, const int blocks, const int first, const int poses,
+                               const real scale, const int is_first) {
     const int segment = get_global_id(0);
     const size_t image = get_global_id(1);
     if (segment >= segments) return;
     segment_product(phasor + image * blocks * 8 * VEC, segment_entry, entry_place, entry_weight, entry_x, entry_y,
                     pose + ((first + image) * segments + segment) * 4, segment_sum + (image * segments + segment) * poses,
-                    segment_start[segment], segment_start[segment + 1], COMPLEX_APART(blocks), poses);
+                    scale, is_first, segment_start[segment], segment_start[segment + 1], COMPLEX_APART(blocks), poses);
 }
 
 /* D (in psi) -> mode_partial [image][chunk][padded modes]: global (mode groups, chunks, any). A work-item holds 4 modes x
@@ -150,25 +162,20 @@ __kernel void project_modes(__global const real *basis, __global const real *psi
     }
 }
 
-/* D (in psi) -> free [image][illuminated sample], per turn: global (any, images, 1). Wavelengths after the first add to it. */
+/* D (in psi) -> free [image][illuminated sample], per turn: global (any, images, 1). */
 __kernel void free_phase_gradient(__global const real *psi, __global real *free, __global const int *sample_place,
-                                  const int first, const int samples, const int blocks, const real twice_turn,
-                                  const int is_first) {
+                                  const int first, const int samples, const int blocks, const real twice_turn) {
     const size_t image = get_global_id(1);
     __global const real *d = psi + image * blocks * 4 * VEC;
     __global real *f = free + (first + image) * samples;
-    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) {
-        const real value = twice_turn * d[sample_place[p]];
-        f[p] = is_first ? value : f[p] + value;
-    }
+    for (int p = get_global_id(0); p < samples; p += get_global_size(0)) f[p] = twice_turn * d[sample_place[p]];
 }
 
-/* -> result [image][objective, flux, background, poses of each segment..., smooth modes...]: global (any, images, 1). The
-   derivatives of wavelengths after the first are added. */
+/* -> result [image][objective, flux, background, poses of each segment..., smooth modes...]: global (any, images, 1). */
 __kernel void collect(__global const real *mode_partial, __global const real *segment_sum,
                       __global const real *objective, __global const real *photometry, __global real *result,
                       const int first, const int pose_outputs, const int smooth, const int padded_modes, const int chunks,
-                      const int partials, const real twice_wavenumber, const int is_first) {
+                      const int partials, const real twice_wavenumber) {
     const int image = get_global_id(1), outputs = 3 + pose_outputs + smooth;
     for (int output = get_global_id(0); output < outputs; output += get_global_size(0)) {
         wide value = 0;
@@ -183,7 +190,6 @@ __kernel void collect(__global const real *mode_partial, __global const real *se
             for (int c = 0; c < chunks; c++) value += mode_partial[((size_t)image * chunks + c) * padded_modes + mode];
             value *= twice_wavenumber;
         }
-        const size_t at = (size_t)(first + image) * outputs + output;
-        result[at] = is_first || output < 3 ? value : value + result[at];
+        result[(size_t)(first + image) * outputs + output] = value;
     }
 }

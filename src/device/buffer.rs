@@ -4,7 +4,7 @@ use super::context::Context;
 use super::discover::failed;
 use super::object::OpenClObject;
 use crate::{Error, Result};
-use ocl::core::{self, Event, MemFlags};
+use ocl::core::{self, BufferRegion, Event, MemFlags};
 use std::marker::PhantomData;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -20,6 +20,8 @@ pub(crate) struct Buffer<T: Element> {
     context: Arc<Context>,
     mem: OpenClObject<core::Mem>,
     len: usize,
+    /// Bytes that this buffer was allocated for; 0 for a part of another.
+    own_bytes: u64,
     marker: PhantomData<T>,
 }
 
@@ -52,7 +54,20 @@ impl<T: Element> Buffer<T> {
         )
         .map_err(failed)?;
         context.allocated.fetch_add(bytes, Ordering::Relaxed);
-        Ok(Buffer { context: context.clone(), mem, len, marker: PhantomData })
+        Ok(Buffer { context: context.clone(), mem, len, own_bytes: bytes, marker: PhantomData })
+    }
+
+    /// `count` elements (at least one) from `from` on as a buffer, which shares their memory and keeps it. Precondition: they
+    /// begin at a multiple of [`Device::part_alignment_bytes`](super::session::Device::part_alignment_bytes).
+    ///
+    /// # Errors
+    /// As for [`Buffer::write`].
+    pub fn part(&self, from: usize, count: usize) -> Result<Self> {
+        self.check(from, count)?;
+        self.context.fault.count_command()?;
+        let mem = core::create_sub_buffer(&self.mem, MemFlags::READ_WRITE, &BufferRegion::<T>::new(from, count))
+            .map_err(failed)?;
+        Ok(Buffer { context: self.context.clone(), mem: mem.into(), len: count, own_bytes: 0, marker: PhantomData })
     }
 
     /// The OpenCL object, for a kernel's argument.
@@ -111,6 +126,6 @@ impl<T: Element> Buffer<T> {
 
 impl<T: Element> Drop for Buffer<T> {
     fn drop(&mut self) {
-        self.context.allocated.fetch_sub((self.len * size_of::<T>()) as u64, Ordering::Relaxed);
+        self.context.allocated.fetch_sub(self.own_bytes, Ordering::Relaxed);
     }
 }

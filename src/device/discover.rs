@@ -99,8 +99,8 @@ fn text(id: core::DeviceId, what: u32) -> Result<String> {
     Ok(String::from_utf8_lossy(&bytes).trim_matches(['\0', ' ']).to_string())
 }
 
-/// A number of 4 or 8 bytes, in native byte order.
-fn number(id: core::DeviceId, what: u32) -> Result<u64> {
+/// A property of a device, 4 or 8 bytes in native byte order.
+pub(super) fn number(id: core::DeviceId, what: u32) -> Result<u64> {
     let bytes = raw(id, what)?;
     match bytes.len() {
         4 => Ok(u64::from(u32::from_ne_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))),

@@ -28,6 +28,14 @@ impl Reals {
         Ok(reals)
     }
 
+    /// `count` numbers from `from` on: see [`Buffer::part`].
+    pub fn part(&self, from: usize, count: usize) -> Result<Self> {
+        Ok(match self {
+            Reals::F32(buffer) => Reals::F32(buffer.part(from, count)?),
+            Reals::F64(buffer) => Reals::F64(buffer.part(from, count)?),
+        })
+    }
+
     /// Rounds `values` to the precision and copies them to the elements from `offset` on.
     pub fn write(&mut self, offset: usize, values: &[f64]) -> Result<()> {
         match self {

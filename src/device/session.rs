@@ -2,7 +2,7 @@
 
 use super::buffer::{Buffer, Element};
 use super::context::Context;
-use super::discover::{failed, resolve};
+use super::discover::{failed, number, resolve};
 use super::fault::Fault;
 use super::info::DeviceInfo;
 use super::kernel::Kernel;
@@ -87,6 +87,15 @@ impl Device {
     /// [`Error::Device`] where the device failed.
     pub fn finish(&self) -> Result<()> {
         self.context.finish()
+    }
+
+    /// Bytes to a multiple of which a part of a buffer begins.
+    ///
+    /// # Errors
+    /// [`Error::Device`] where the device does not say.
+    pub(crate) fn part_alignment_bytes(&self) -> Result<usize> {
+        let bits = number(self.context.id, ocl::ffi::CL_DEVICE_MEM_BASE_ADDR_ALIGN)?;
+        Ok((bits / 8).max(1) as usize)
     }
 
     /// A buffer of `len` numbers (at least one), all zero.

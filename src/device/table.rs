@@ -84,7 +84,10 @@ pub(crate) const TABLE: &[Family] = &[
     Family {
         file: "focus.cl",
         source: include_str!("../../kernels/focus.cl"),
-        entries: &[Entry { name: "focus", gpu_local: [32, 1, 1] }],
+        entries: &[
+            Entry { name: "focus", gpu_local: [32, 1, 1] },
+            Entry { name: "focus_stored", gpu_local: [32, 1, 1] },
+        ],
     },
     Family {
         file: "peak.cl",

@@ -229,3 +229,57 @@ fn every_fast_variant_agrees_with_the_cpu_in_double_precision() {
     }
     println!("largest differences: f32 {:.1e}, f64 {:.1e}", worst[0], worst[1]);
 }
+
+/// On a CPU device `focus_stored` takes a batch, image by image, and the stages take one image alone. A build of single numbers has
+/// the stages for both.
+#[test]
+fn several_wavelengths_and_pixels_with_an_area_agree_with_the_cpu_together_and_alone() {
+    let mut apart = [0.0f64; 2];
+    for (info, seed) in test_devices().iter().flat_map(|info| [1, 2, 5].map(|seed| (info, seed))) {
+        let Case { optics, exposures, coefficients_nm, active, .. } = &case(seed);
+        assert!(optics.colours().len() > 1 || optics.parts().pixel != [PixelResponse::POINT; 2]);
+        let device = Device::open(info, false).unwrap();
+        let layout = GpuLayout { free_phase: true, ..layout(optics) };
+        // More images than work-items; the last group is not full.
+        let count = 4 * info.compute_units as usize + 3;
+        let batch: Vec<usize> = (0..count).map(|i| i % active.len()).collect();
+        let images: Vec<usize> = batch.iter().map(|&i| active[i]).collect();
+        let coefficients = coefficients_nm.select(ndarray::Axis(0), &batch);
+        let illuminated = layout.illuminated.len();
+        let free = uniform(count * illuminated, 0.3, &mut ChaCha8Rng::seed_from_u64(seed));
+        let mut reference = CpuChain::<f64>::new(optics.clone());
+        reference.load(exposures).unwrap();
+        let mut wanted_slopes = vec![f64::NAN; free.len()];
+        let wanted = reference.evaluate_free_all(&images, coefficients.view(), &free, &mut wanted_slopes).unwrap();
+        let precisions = [Precision::F32, Precision::F64].into_iter().filter(|&precision| info.supports(precision));
+        for build in precisions.flat_map(|precision| [1, 4, 8, 16].map(|vector| Build { precision, vector, fft: None }))
+        {
+            let chain = GpuChain::with_build(&device, build, &layout, count).unwrap();
+            let (precision, name) = (build.precision, info.address());
+            let mut chain = Chain::Device { chain: Box::new(chain), optics: optics.clone(), precision, name };
+            chain.load(exposures).unwrap();
+            let mut slopes = vec![f64::NAN; free.len()];
+            let together = chain.evaluate_free(&images, coefficients.view(), &free, &mut slopes).unwrap();
+            let distance =
+                largest_difference(&together, &wanted).max(largest_gradient_difference(&slopes, &wanted_slopes, count));
+            assert!(distance < allowed(precision), "case {seed}, {build:?}: {distance:e} from the CPU");
+            // The same sums in the same order; only fused multiply-adds may differ: a few roundings.
+            let close = if precision == Precision::F32 { 1e-6 } else { 1e-14 };
+            for i in 0..count {
+                let own = i * illuminated..(i + 1) * illuminated;
+                let mut slopes_alone = vec![f64::NAN; illuminated];
+                let row = coefficients.slice(ndarray::s![i..=i, ..]);
+                let alone = chain.evaluate_free(&images[i..=i], row, &free[own.clone()], &mut slopes_alone).unwrap();
+                let distance = largest_difference(&together[i..=i], &alone).max(largest_gradient_difference(
+                    &slopes[own],
+                    &slopes_alone,
+                    1,
+                ));
+                assert!(distance < close, "case {seed}, {build:?}, image {i}: {distance:e} from the stages");
+                let largest = &mut apart[usize::from(precision == Precision::F64)];
+                *largest = largest.max(distance);
+            }
+        }
+    }
+    println!("largest differences from the stages: f32 {:.1e}, f64 {:.1e}", apart[0], apart[1]);
+}

@@ -1,15 +1,25 @@
 //! The kernels of the chain, with the arguments bound that do not change between launches.
 
+mod focus;
+
+use super::colours::{ColourBuffers, PerColour};
 use super::fold::{Blocks, FoldedShape, MODES_AT_ONCE, TALL};
-use super::memory::{BatchBuffers, ColourBuffers, Counts, ModelBuffers, Partition, ScratchBuffers};
+use super::layout::GpuLayout;
+use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffers};
 use crate::Result;
 use crate::device::{Build, Device, Kernel, Reals};
 
-/// The kernels of one wavelength, with the arguments bound that do not change between launches.
-pub(super) struct ColourKernels {
+/// The kernels between the coefficients and the phase, which all wavelengths share, and those of its adjoint.
+pub(super) struct PhaseKernels {
     pub(super) smooth_phase: Kernel,
     pub(super) add_free_phase: Kernel,
+    pub(super) project_modes: Kernel,
     pub(super) free_phase_gradient: Kernel,
+    pub(super) collect: Kernel,
+}
+
+/// The kernels of one wavelength.
+pub(super) struct ColourKernels {
     pub(super) pupil_field: Kernel,
     pub(super) forward_columns: Kernel,
     pub(super) forward_rows: Kernel,
@@ -18,9 +28,7 @@ pub(super) struct ColourKernels {
     pub(super) adjoint_rows: Kernel,
     pub(super) adjoint_columns: Kernel,
     pub(super) pupil_gradient: Kernel,
-    pub(super) project_modes: Kernel,
     pub(super) project_segments: Kernel,
-    pub(super) collect: Kernel,
 }
 
 /// The kernels from the field, or from the stored intensity, to its residuals.
@@ -30,6 +38,7 @@ pub(super) struct PixelKernels {
     pub(super) residuals: Kernel,
     /// The convolution with the response of the pixels, along rows and then along columns.
     pub(super) convolve: [Kernel; 2],
+    /// The kernel of `focus.cl` or of `fft.cl`.
     pub(super) focus: Kernel,
 }
 
@@ -38,12 +47,15 @@ pub(super) struct PixelKernels {
 pub(super) struct Bindings<'a> {
     pub(super) device: &'a Device,
     pub(super) build: Build,
+    pub(super) layout: &'a GpuLayout,
     pub(super) shape: &'a FoldedShape,
     pub(super) partition: &'a Partition,
     pub(super) counts: &'a Counts,
     pub(super) blocks: &'a Blocks,
     pub(super) model: &'a ModelBuffers,
-    pub(super) colour: &'a ColourBuffers,
+    pub(super) colours: &'a ColourBuffers,
+    /// Index of the wavelength that kernels of one wavelength are bound to.
+    pub(super) colour: usize,
     pub(super) batch: &'a BatchBuffers,
     pub(super) scratch: &'a ScratchBuffers,
 }
@@ -53,12 +65,18 @@ impl Bindings<'_> {
         self.device.kernel(name, self.build)
     }
 
+    /// The array of this wavelength.
+    fn own<'a>(&self, array: &'a PerColour) -> &'a Reals {
+        &array.parts[self.colour]
+    }
+
     /// A kernel over blocks of the pupil, with the arguments that those have in common.
     fn pupil(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
-        self.colour.phasor.bind(&mut k, "phasor")?;
-        self.colour.sample_field.bind(&mut k, "sample_field")?;
-        self.colour.psi.bind(&mut k, "psi")?;
+        self.own(&self.colours.phasor).bind(&mut k, "phasor")?;
+        self.own(&self.colours.sample_field).bind(&mut k, "sample_field")?;
+        k.real("scale", self.layout.phase_scale(self.colour))?;
+        self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.field.bind(&mut k, "field")?;
         k.buffer("place", &self.model.place)?.int("blocks", self.counts.blocks)?;
         k.int("rows", self.shape.rows)?.int("width", self.shape.width)?;
@@ -67,18 +85,18 @@ impl Bindings<'_> {
 
     fn smooth_phase(&self) -> Result<Kernel> {
         let mut k = self.kernel("smooth_phase")?;
-        self.colour.diversity.bind(&mut k, "diversity")?;
-        self.colour.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
-        self.colour.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
+        self.model.diversity.bind(&mut k, "diversity")?;
+        self.batch.coefficients.bind(&mut k, "coefficients")?.int("modes", self.counts.smooth)?;
+        self.scratch.psi.bind(&mut k, "psi")?.int("blocks", self.counts.blocks)?;
         self.basis(&mut k)?;
         Ok(k)
     }
 
-    /// The kernels of the free phase: its addition to the phase, and the gradient by it. `scale` is the wavelength of the free phase over
-    /// this one.
-    fn free(&self, name: &'static str, scale: f64) -> Result<Kernel> {
+    /// The kernels of the free phase: its addition to the phase, and the gradient by it.
+    fn free(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
-        self.colour.psi.bind(&mut k, "psi")?;
+        let scale = self.layout.free_wavelength_nm / self.layout.colours[0].wavelength_nm;
+        self.scratch.psi.bind(&mut k, "psi")?;
         self.batch.free.bind(&mut k, "free")?;
         k.buffer("sample_place", &self.model.sample_place)?;
         k.int("samples", self.counts.free)?.int("blocks", self.counts.blocks)?;
@@ -92,17 +110,18 @@ impl Bindings<'_> {
 
     fn pupil_field(&self) -> Result<Kernel> {
         let (model, mut k) = (self.model, self.pupil("pupil_field")?);
-        self.poses(&mut k)?;
+        self.poses(&mut k, self.own(&self.colours.pose))?;
+        self.own(&self.colours.excess).bind(&mut k, "excess")?;
         k.buffer("entry_start", &model.entry_start)?.buffer("entry_segment", &model.entry_segment)?;
         Ok(k)
     }
 
     /// Piston, tip and tilt of the segments, and the weights and coordinates of their entries.
-    fn poses(&self, k: &mut Kernel) -> Result<()> {
+    fn poses(&self, k: &mut Kernel, pose: &Reals) -> Result<()> {
         self.model.entry_weight.bind(k, "entry_weight")?;
         self.model.entry_x.bind(k, "entry_x")?;
         self.model.entry_y.bind(k, "entry_y")?;
-        self.colour.pose.bind(k, "pose")?.int("segments", self.counts.segments)?.int("poses", self.counts.poses)?;
+        pose.bind(k, "pose")?.int("segments", self.counts.segments)?.int("poses", self.counts.poses)?;
         Ok(())
     }
 
@@ -115,8 +134,8 @@ impl Bindings<'_> {
     fn columns(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.kernel(name)?;
         let (table, outputs) = match name {
-            "forward_columns" => (&self.colour.y_to_v, self.shape.pairs),
-            _ => (&self.colour.v_to_y, self.shape.rows),
+            "forward_columns" => (self.own(&self.colours.y_to_v), self.shape.pairs),
+            _ => (self.own(&self.colours.v_to_y), self.shape.rows),
         };
         self.scratch.field.bind(&mut k, "field")?;
         self.scratch.wave.bind(&mut k, "wave")?;
@@ -129,14 +148,14 @@ impl Bindings<'_> {
     fn rows(&self, name: &'static str) -> Result<Kernel> {
         let (shape, mut k) = (self.shape, self.kernel(name)?);
         if name == "forward_rows" {
-            self.colour.x_to_u.bind(&mut k, "table")?.int("inputs", shape.rows)?;
+            self.own(&self.colours.x_to_u).bind(&mut k, "table")?.int("inputs", shape.rows)?;
             k.int("in_width", shape.width)?.int("span", shape.span)?;
         } else {
-            self.colour.u_to_x.bind(&mut k, "table")?.int("inputs", shape.pairs)?;
+            self.own(&self.colours.u_to_x).bind(&mut k, "table")?.int("inputs", shape.pairs)?;
             k.int("in_width", shape.span)?.int("width", shape.width)?;
         }
         self.scratch.wave.bind(&mut k, "wave")?;
-        self.colour.focal.bind(&mut k, "focal")?;
+        self.own(&self.colours.focal).bind(&mut k, "focal")?;
         k.int("pairs", shape.pairs)?.int("pairs_per_item", self.partition.pairs_per_item)?;
         Ok(k)
     }
@@ -145,7 +164,7 @@ impl Bindings<'_> {
     fn pixels(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.strips(name)?;
         if self.counts.stored_pixels == 0 {
-            self.colour.focal.bind(&mut k, "focal")?;
+            self.own(&self.colours.focal).bind(&mut k, "focal")?;
         } else {
             self.scratch.intensity.bind(&mut k, "intensity")?;
         }
@@ -165,7 +184,7 @@ impl Bindings<'_> {
     /// The kernels between the field of a wavelength and the stored intensity.
     fn intensity(&self, name: &'static str) -> Result<Kernel> {
         let mut k = self.strips(name)?;
-        self.colour.focal.bind(&mut k, "focal")?;
+        self.own(&self.colours.focal).bind(&mut k, "focal")?;
         self.scratch.intensity.bind(&mut k, "intensity")?;
         Ok(k)
     }
@@ -202,69 +221,27 @@ impl Bindings<'_> {
         Ok(k)
     }
 
-    /// The kernel that joins those from the field to the projection on segments.
-    fn focus(&self) -> Result<Kernel> {
-        let (model, colour, scratch, batch, shape) = (self.model, self.colour, self.scratch, self.batch, self.shape);
-        let mut k = self.kernel(if shape.fft.is_some() { "focus_fft" } else { "focus" })?;
-        let transform: &[(&str, &Reals)] = if shape.fft.is_some() {
-            &[("twiddle", &colour.twiddle), ("line", &scratch.line), ("side", &scratch.side)]
-        } else {
-            &[
-                ("y_to_v", &colour.y_to_v),
-                ("x_to_u", &colour.x_to_u),
-                ("u_to_x", &colour.u_to_x),
-                ("v_to_y", &colour.v_to_y),
-            ]
-        };
-        for &(argument, reals) in transform {
-            reals.bind(&mut k, argument)?;
-        }
-        for (argument, reals) in [
-            ("psi", &colour.psi),
-            ("phasor", &colour.phasor),
-            ("sample_field", &colour.sample_field),
-            ("segment_sum", &scratch.segment_sum),
-            ("field", &scratch.field),
-            ("wave", &scratch.wave),
-            ("focal", &colour.focal),
-            ("sums", &scratch.sums),
-            ("objective", &scratch.objective),
-            ("photometry", &scratch.photometry),
-            ("data", &batch.data),
-            ("weight", &batch.weight),
-            ("known", &batch.known),
-        ] {
-            reals.bind(&mut k, argument)?;
-        }
-        self.poses(&mut k)?;
-        k.buffer("place", &model.place)?.int("blocks", self.counts.blocks)?;
-        k.buffer("entry_start", &model.entry_start)?.buffer("entry_segment", &model.entry_segment)?;
-        k.buffer("segment_start", &model.segment_start)?.buffer("segment_entry", &model.segment_entry)?;
-        k.buffer("entry_place", &model.entry_place)?;
-        k.buffer("extent", &model.extent)?.buffer("slot", &batch.slot)?.buffer("kind", &batch.kind)?;
-        k.buffer("next", &batch.next)?;
-        k.int("width", shape.width)?;
-        if shape.fft.is_some() {
-            k.int("side_rows", shape.side_rows())?;
-        } else {
-            k.int("rows", shape.rows)?.int("pairs", shape.pairs)?.int("span", shape.span)?;
-            k.int("pairs_per_strip", self.partition.pairs_per_strip)?.int("strips", self.counts.strips)?;
-        }
-        Ok(k)
-    }
-
     fn partials(&self) -> usize {
         self.counts.strips * self.partition.lanes
     }
 
+    fn add_intensity(&self) -> Result<Kernel> {
+        let mut k = self.intensity("add_intensity")?;
+        k.int("is_first", usize::from(self.colour == 0))?;
+        Ok(k)
+    }
+
     fn pupil_gradient(&self) -> Result<Kernel> {
-        self.pupil("pupil_gradient")
+        let mut k = self.pupil("pupil_gradient")?;
+        k.int("is_first", usize::from(self.colour == 0))?;
+        Ok(k)
     }
 
     fn project_segments(&self) -> Result<Kernel> {
         let (model, mut k) = (self.model, self.kernel("project_segments")?);
-        self.colour.phasor.bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
-        self.poses(&mut k)?;
+        self.own(&self.colours.phasor).bind(&mut k, "phasor")?.int("blocks", self.counts.blocks)?;
+        self.poses(&mut k, self.own(&self.colours.pose))?;
+        k.real("scale", self.layout.phase_scale(self.colour))?.int("is_first", usize::from(self.colour == 0))?;
         k.buffer("segment_start", &model.segment_start)?.buffer("segment_entry", &model.segment_entry)?;
         k.buffer("entry_place", &model.entry_place)?;
         self.scratch.segment_sum.bind(&mut k, "segment_sum")?;
@@ -274,15 +251,16 @@ impl Bindings<'_> {
     fn project_modes(&self) -> Result<Kernel> {
         let mut k = self.kernel("project_modes")?;
         self.basis(&mut k)?;
-        self.colour.psi.bind(&mut k, "psi")?;
+        self.scratch.psi.bind(&mut k, "psi")?;
         self.scratch.mode_partial.bind(&mut k, "mode_partial")?;
         k.int("blocks", self.counts.blocks)?.int("groups", self.counts.mode_groups)?;
         k.int("blocks_per_chunk", self.partition.blocks_per_chunk)?;
         Ok(k)
     }
 
-    fn collect(&self, twice_wavenumber: f64) -> Result<Kernel> {
+    fn collect(&self) -> Result<Kernel> {
         let (counts, scratch, mut k) = (self.counts, self.scratch, self.kernel("collect")?);
+        let twice_wavenumber = 2.0 * std::f64::consts::TAU / self.layout.colours[0].wavelength_nm;
         scratch.mode_partial.bind(&mut k, "mode_partial")?;
         scratch.segment_sum.bind(&mut k, "segment_sum")?;
         scratch.objective.bind(&mut k, "objective")?;
@@ -309,24 +287,29 @@ impl Bindings<'_> {
         })
     }
 
-    /// The kernels of the wavelength λ = `wavelength_nm`, with a free phase at `free_wavelength_nm`.
-    pub(super) fn colour_kernels(&self, wavelength_nm: f64, free_wavelength_nm: f64) -> Result<ColourKernels> {
-        let scale = free_wavelength_nm / wavelength_nm;
-        Ok(ColourKernels {
+    /// The kernels of the phase.
+    pub(super) fn phase_kernels(&self) -> Result<PhaseKernels> {
+        Ok(PhaseKernels {
             smooth_phase: self.smooth_phase()?,
-            add_free_phase: self.free("add_free_phase", scale)?,
-            free_phase_gradient: self.free("free_phase_gradient", scale)?,
+            add_free_phase: self.free("add_free_phase")?,
+            project_modes: self.project_modes()?,
+            free_phase_gradient: self.free("free_phase_gradient")?,
+            collect: self.collect()?,
+        })
+    }
+
+    /// The kernels of this wavelength.
+    pub(super) fn colour_kernels(&self) -> Result<ColourKernels> {
+        Ok(ColourKernels {
             pupil_field: self.pupil_field()?,
             forward_columns: self.columns("forward_columns")?,
             forward_rows: self.rows("forward_rows")?,
-            add_intensity: self.intensity("add_intensity")?,
+            add_intensity: self.add_intensity()?,
             scale_field: self.intensity("scale_field")?,
             adjoint_rows: self.rows("adjoint_rows")?,
             adjoint_columns: self.columns("adjoint_columns")?,
             pupil_gradient: self.pupil_gradient()?,
-            project_modes: self.project_modes()?,
             project_segments: self.project_segments()?,
-            collect: self.collect(2.0 * std::f64::consts::TAU / wavelength_nm)?,
         })
     }
 }

@@ -6,6 +6,7 @@
 //! `model` is pupil, basis and tables; `image` data, weights, coefficients and results of one image; `tile_image` the phase
 //! and partial sums of one image of a tile; `in_work` fields and scratch memory of one image being transformed.
 
+use super::colours::ColourSizes;
 use super::fold::{Blocks, FoldedShape, GROUP, MODES_AT_ONCE};
 use super::memory::{Counts, Partition, padded};
 use crate::device::{Build, DeviceInfo, DeviceKind};
@@ -23,7 +24,12 @@ pub(super) struct MemoryBudget {
 }
 
 impl MemoryBudget {
-    pub fn new(build: Build, shape: &FoldedShape, blocks: &Blocks, counts: &Counts, partition: &Partition) -> Self {
+    pub fn new(
+        build: Build,
+        shape: &FoldedShape,
+        blocks: &Blocks,
+        (counts, sizes, partition): (&Counts, &ColourSizes, &Partition),
+    ) -> Self {
         let (real, int) = (build.precision.bytes(), size_of::<i32>());
         let lists = [&blocks.place, &blocks.extent, &blocks.entry_start, &blocks.entry_segment, &blocks.entry_place]
             .into_iter()
@@ -35,7 +41,8 @@ impl MemoryBudget {
             .iter()
             .sum::<usize>();
         let (colours, quadrants) = (counts.colours, counts.blocks * 4 * shape.vector);
-        let tables = shape.table_sizes().map(|size| size.max(1)).iter().sum::<usize>() + quadrants;
+        let colour = sizes.tables.iter().sum::<usize>() + sizes.excess + 1;
+        let [.., twiddle] = shape.table_sizes();
         let partials = counts.strips * partition.lanes;
         let convolved = if counts.terms > 0 { counts.stored_pixels } else { 0 };
         let fields = shape.side_rows().max(shape.rows) * 8 * shape.width + shape.pairs * 8 * shape.width;
@@ -45,15 +52,14 @@ impl MemoryBudget {
         let shared =
             [shape.fft_scratch()[0], shape.fft_scratch()[1], modes, counts.free, counts.stored_pixels, convolved];
         let empty = shared.iter().filter(|numbers| **numbers == 0).count();
-        let empty = empty + if counts.smooth == 0 { colours } else { 0 };
+        let empty = empty + usize::from(counts.smooth == 0);
         Self {
-            model: (arrays + colours * tables + (2 * counts.terms).max(1) + empty) * real + lists * int,
+            model: (arrays + quadrants + colours * colour + twiddle.max(1) + (2 * counts.terms).max(1) + empty) * real
+                + lists * int,
             image: (2 * shape.pixels() + 4) * real + int,
-            active: (colours * (counts.smooth + 4 * counts.segments) + counts.free + counts.outputs) * real
-                + int
-                + int / GROUP,
-            tile_image: (colours * quadrants + 4 * partials + 2 + counts.segments * counts.poses + modes) * real,
-            in_work: (fields + focus + colours * (4 * quadrants + shape.pixels() * 2)) * real,
+            active: (counts.smooth + colours * sizes.pose + counts.free + counts.outputs) * real + int + int / GROUP,
+            tile_image: (quadrants + 4 * partials + 2 + counts.segments * counts.poses + modes) * real,
+            in_work: (fields + focus + colours * (2 * sizes.phasor + sizes.focal)) * real,
         }
     }
 
@@ -80,11 +86,9 @@ impl MemoryBudget {
         info: &DeviceInfo,
         memory_bytes: u64,
     ) -> Result<Partition> {
-        let with = |tile: usize| match (partition.workers, partition.group_items) {
-            (Some(_), _) => Partition { tile, ..partition },
-            // A CPU on which the intensity is stored.
-            (None, 1) => Partition { tile, focal_tile: tile, ..partition },
-            (None, _) => Partition { tile, focal_tile: tile, group_items: tile / GROUP, ..partition },
+        let with = |tile: usize| match partition.workers {
+            Some(_) => Partition { tile, ..partition },
+            None => Partition { tile, focal_tile: tile, group_items: tile / GROUP, ..partition },
         };
         let (least, wanted) = (self.bytes(capacity, &with(GROUP)), self.bytes(capacity, &partition));
         if least > memory_bytes {

@@ -9,7 +9,7 @@ use super::evaluation::{GpuEvaluation, GpuPhotometry};
 use super::fold::FoldedShape;
 use super::image::FoldedImage;
 use super::layout::{GpuColour, GpuLayout, GpuMode};
-use super::stages::{ColourInputs, Focal, Stages};
+use super::stages::{Focal, Inputs, Stages};
 use crate::device::{Build, Device, Precision};
 use crate::{Error, Result};
 
@@ -304,8 +304,8 @@ impl GpuChain {
         })
     }
 
-    /// The inputs of each wavelength.
-    fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<Vec<ColourInputs>> {
+    /// The inputs of the stages.
+    fn inputs(&self, images: usize, coefficients: &[f64]) -> Result<Inputs> {
         let modes = self.modes();
         if coefficients.len() != images * modes {
             return Err(Error::Shape(format!(
@@ -321,15 +321,24 @@ impl GpuChain {
                 coefficients[k]
             )));
         }
-        Ok(self.layout.colours.iter().map(|colour| self.colour_inputs(colour, images, coefficients)).collect())
+        let (first, smooth) = (&self.layout.colours[0], self.layout.smooth.len());
+        let mut turns = vec![0.0; images * smooth];
+        for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
+            for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
+                if let GpuMode::Smooth(j) = *mode {
+                    turns[image * smooth + j] += coefficient / first.wavelength_nm;
+                }
+            }
+        }
+        let poses = self.layout.colours.iter().map(|colour| self.poses(colour, images, coefficients)).collect();
+        Ok(Inputs { turns, poses })
     }
 
-    /// Smooth coefficients in turns, and the poses of the segments: re and im of the phasor of the piston times the root of the
-    /// intensity scale (so that |U|² is the PSF), then tip and tilt, turns.
-    fn colour_inputs(&self, colour: &GpuColour, images: usize, coefficients: &[f64]) -> ColourInputs {
-        let (modes, smooth, segments) = (self.modes(), self.layout.smooth.len(), self.layout.segments);
+    /// The poses of the segments at a wavelength: re and im of the phasor of the piston times the root of the intensity scale
+    /// (so that |U|² is the PSF), then tip and tilt, turns.
+    fn poses(&self, colour: &GpuColour, images: usize, coefficients: &[f64]) -> Vec<f64> {
+        let (modes, segments) = (self.modes(), self.layout.segments);
         let amplitude = colour.intensity_scale.sqrt();
-        let mut turns = vec![0.0; images * smooth];
         let mut poses = vec![[0.0; 3]; images * segments];
         for (image, coefficients) in coefficients.chunks_exact(modes.max(1)).enumerate() {
             for (mode, coefficient) in self.layout.modes.iter().zip(coefficients) {
@@ -338,7 +347,7 @@ impl GpuChain {
                     GpuMode::Segment(s) => poses[image * segments + s][0] += amount,
                     GpuMode::Tip(s) => poses[image * segments + s][1] += amount,
                     GpuMode::Tilt(s) => poses[image * segments + s][2] += amount,
-                    GpuMode::Smooth(j) => turns[image * smooth + j] += amount,
+                    GpuMode::Smooth(_) => (),
                 }
             }
         }
@@ -346,7 +355,7 @@ impl GpuChain {
             let (sine, cosine) = (TAU * (piston - piston.round())).sin_cos();
             [amplitude * cosine, amplitude * sine, tip, tilt]
         };
-        ColourInputs { turns, poses: poses.into_iter().flat_map(pose).collect() }
+        poses.into_iter().flat_map(pose).collect()
     }
 }
 

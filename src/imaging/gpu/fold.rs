@@ -275,18 +275,30 @@ impl Blocks {
         }
     }
 
-    /// Diversity of a wavelength modulo one turn, `[quadrant][block][VEC]`; `shape` is that of the wavelength.
+    /// Diversity of a wavelength modulo one turn, in planes of numbers; `shape` is that of the wavelength.
     pub fn diversity(&self, layout: &GpuLayout, colour: &GpuColour, shape: &FoldedShape) -> Vec<f64> {
-        let (count, vector, n) = (self.count(), shape.vector, layout.samples);
+        let (vector, n) = (shape.vector, layout.samples);
         // The image axis is at pixel m/2; a tilt of half a pixel moves it to the centre of the array. The FFT needs no shift.
         let half = if shape.fft.is_some() { 0.0 } else { 0.5 };
         let tilt = |flat: usize| half * shape.step * ((flat / n + flat % n) as f64 - (n as f64 - 1.0));
-        let mut diversity = vec![0.0; 4 * count * vector];
+        let mut diversity = vec![0.0; 4 * self.count() * vector];
         for ((sample, turns), &flat) in self.samples.iter().zip(&colour.diversity_turns).zip(&layout.illuminated) {
             let turns = turns + tilt(flat);
-            diversity[(sample.quadrant * count + sample.block) * vector + sample.lane] = turns - turns.round();
+            diversity[self.plane(sample, vector)] = turns - turns.round();
         }
         diversity
+    }
+
+    /// Diversity of a wavelength without that of the first times its scale, modulo one turn: see `field.cl`.
+    pub fn excess(&self, layout: &GpuLayout, colour: usize, build: Build) -> Vec<f64> {
+        let diversity = |colour: &GpuColour| self.diversity(layout, colour, &FoldedShape::new(layout, colour, build));
+        let (own, first) = (diversity(&layout.colours[colour]), diversity(&layout.colours[0]));
+        let scale = layout.phase_scale(colour);
+        let excess = |(own, first): (f64, f64)| {
+            let turns = own - scale * first;
+            turns - turns.round()
+        };
+        own.into_iter().zip(first).map(excess).collect()
     }
 
     fn fill_segments(&mut self, layout: &GpuLayout, vector: usize, folded: &[FoldedSample]) {

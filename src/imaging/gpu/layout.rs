@@ -206,6 +206,12 @@ impl GpuLayout {
         self.colours.len() == 1 && self.pixel_terms.is_none()
     }
 
+    /// The first wavelength over wavelength `colour`.
+    #[cfg(feature = "opencl")]
+    pub(super) fn phase_scale(&self, colour: usize) -> f64 {
+        self.colours[0].wavelength_nm / self.colours[colour].wavelength_nm
+    }
+
     /// Numbers that result from an evaluation: objective, flux, background, and a derivative for each pose of each segment and each
     /// smooth mode.
     #[cfg(feature = "opencl")]

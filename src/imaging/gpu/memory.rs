@@ -1,7 +1,7 @@
 //! Buffers of the chain on the device, their sizes, and the sizes of the launches.
 
 use super::fold::{Blocks, FoldedShape, GROUP, MODES_AT_ONCE};
-use super::layout::{GpuColour, GpuLayout};
+use super::layout::GpuLayout;
 use crate::Result;
 use crate::device::{Buffer, Build, Device, DeviceInfo, Precision, Reals};
 
@@ -12,8 +12,6 @@ const TILE_BYTES_PER_CORE: usize = 4 << 20;
 const TILE_BYTES_GPU: usize = 256 << 20;
 /// Work-items of `focus` per core: so many that every core has at least one, however they are distributed.
 const WORKERS_PER_CORE: usize = 3;
-/// Images of a tile on a CPU where the intensity is stored, as a multiple of the work-items of `focus`.
-const STORED_TILES: usize = 4;
 
 /// `count` rounded up to whole groups; the results of the surplus images are not read.
 pub(super) fn padded(count: usize) -> usize {
@@ -27,7 +25,7 @@ pub(super) struct Partition {
     pub tile: usize,
     /// Images whose fields fit in memory at once; a multiple of `GROUP`.
     pub focal_tile: usize,
-    /// Work-items of `focus`; `None` where it is not used: on a GPU, and where the intensity is stored.
+    /// Work-items of `focus`; `None` on a GPU, where it is not used.
     pub workers: Option<usize>,
     /// Number of images from which `focus` uses every core.
     pub focus_from: usize,
@@ -59,7 +57,7 @@ impl Partition {
         capacity: usize,
     ) -> Self {
         let (number, colours) = (build.precision.bytes(), layout.colours.len());
-        let phase = colours * blocks * 4 * shape.vector * number;
+        let phase = blocks * 4 * shape.vector * number;
         let rest = (shape.rows * 8 * shape.width
             + shape.pairs * 8 * shape.width
             + colours * (blocks * 16 * shape.vector + shape.pairs * 8 * shape.span))
@@ -83,12 +81,10 @@ impl Partition {
             }
         } else {
             let cores = info.compute_units.max(1) as usize;
-            // Each stage is a launch, whose time is that of several images.
-            let in_work = padded(if layout.is_one_field() { 1 } else { STORED_TILES } * WORKERS_PER_CORE * cores);
             Partition {
-                tile: if layout.is_one_field() { fits(TILE_BYTES_PER_CORE * cores, phase) } else { in_work },
-                focal_tile: in_work,
-                workers: layout.is_one_field().then_some(WORKERS_PER_CORE * cores),
+                tile: fits(TILE_BYTES_PER_CORE * cores, phase),
+                focal_tile: padded(WORKERS_PER_CORE * cores),
+                workers: Some(WORKERS_PER_CORE * cores),
                 focus_from: 2 * cores,
                 column_items: 1,
                 pairs_per_item: 16,
@@ -163,8 +159,11 @@ impl Counts {
     }
 }
 
-/// Buffers of the model that all wavelengths share, constant after construction: the pupil, the basis, the response of the pixels.
+/// Buffers of the model that all wavelengths share, constant after construction: the pupil, the diversity of the first wavelength,
+/// the basis, the response of the pixels.
 pub(super) struct ModelBuffers {
+    /// At the first wavelength.
+    pub diversity: Reals,
     pub basis: Reals,
     pub entry_weight: Reals,
     pub entry_x: Reals,
@@ -179,12 +178,22 @@ pub(super) struct ModelBuffers {
     pub sample_place: Buffer<i32>,
     /// `[along u, along v][term]`.
     pub terms: Reals,
+    /// Twiddle factors of the FFT; empty without one.
+    pub twiddle: Reals,
 }
 
 impl ModelBuffers {
-    pub fn new(device: &Device, precision: Precision, layout: &GpuLayout, blocks: &Blocks) -> Result<Self> {
+    /// `shape` is that of the first wavelength.
+    pub fn new(
+        device: &Device,
+        precision: Precision,
+        layout: &GpuLayout,
+        shape: &FoldedShape,
+        blocks: &Blocks,
+    ) -> Result<Self> {
         let upload = |values: &[f64]| Reals::upload(device, precision, values);
         Ok(Self {
+            diversity: upload(&blocks.diversity(layout, &layout.colours[0], shape))?,
             basis: upload(&blocks.basis)?,
             entry_weight: upload(&blocks.entry_weight)?,
             entry_x: upload(&blocks.entry_x)?,
@@ -198,61 +207,12 @@ impl ModelBuffers {
             segment_entry: device.upload(&blocks.segment_entry)?,
             sample_place: device.upload(&blocks.sample_place)?,
             terms: upload(&layout.pixel_terms.iter().flatten().flatten().copied().collect::<Vec<_>>())?,
-        })
-    }
-}
-
-/// Buffers of one wavelength: its diversity and tables, constant after construction; its coefficients; its fields, which are kept from
-/// the forward model to the adjoint.
-pub(super) struct ColourBuffers {
-    pub diversity: Reals,
-    pub y_to_v: Reals,
-    pub x_to_u: Reals,
-    pub u_to_x: Reals,
-    pub v_to_y: Reals,
-    /// Twiddle factors of the FFT; empty without one.
-    pub twiddle: Reals,
-    pub coefficients: Reals,
-    /// `[image][segment][re q, im q, tip, tilt]`.
-    pub pose: Reals,
-    /// Smooth phase, then the gradient by it: for one tile. The next three are for the images processed at a time.
-    pub psi: Reals,
-    pub focal: Reals,
-    pub phasor: Reals,
-    pub sample_field: Reals,
-}
-
-impl ColourBuffers {
-    /// `shape` is that of the wavelength.
-    pub fn new(
-        device: &Device,
-        precision: Precision,
-        (layout, colour): (&GpuLayout, &GpuColour),
-        (shape, blocks): (&FoldedShape, &Blocks),
-        (counts, partition): (&Counts, &Partition),
-    ) -> Result<Self> {
-        let upload = |values: &[f64]| Reals::upload(device, precision, values);
-        let zeros = |len: usize| Reals::zeros(device, precision, len);
-        let [y_to_v, x_to_u, u_to_x, v_to_y] = if shape.fft.is_some() { Default::default() } else { shape.tables() };
-        let active = padded(counts.capacity);
-        Ok(Self {
-            diversity: upload(&blocks.diversity(layout, colour, shape))?,
-            y_to_v: upload(&y_to_v)?,
-            x_to_u: upload(&x_to_u)?,
-            u_to_x: upload(&u_to_x)?,
-            v_to_y: upload(&v_to_y)?,
             twiddle: upload(&shape.twiddles())?,
-            coefficients: zeros(active * counts.smooth)?,
-            pose: zeros(active * counts.segments * 4)?,
-            psi: zeros(partition.tile * counts.blocks * 4 * shape.vector)?,
-            focal: zeros(partition.focal_tile * shape.pixels() * 2)?,
-            phasor: zeros(partition.focal_tile * counts.blocks * 8 * shape.vector)?,
-            sample_field: zeros(partition.focal_tile * counts.blocks * 8 * shape.vector)?,
         })
     }
 }
 
-/// Buffers of the batch: images, uploaded once; the free phase and results, transferred with every call.
+/// Buffers of the batch: images, uploaded once; coefficients, the free phase and results, transferred with every call.
 pub(super) struct BatchBuffers {
     pub data: Reals,
     pub weight: Reals,
@@ -264,6 +224,8 @@ pub(super) struct BatchBuffers {
     pub slot: Buffer<i32>,
     /// Number of images of each tile that `focus` has started.
     pub next: Buffer<i32>,
+    /// `[image][smooth mode]`, turns of the first wavelength.
+    pub coefficients: Reals,
     /// `[image][illuminated sample]`: the free phase, turns, and after an evaluation the gradient by it.
     pub free: Reals,
     pub result: Reals,
@@ -280,15 +242,18 @@ impl BatchBuffers {
             known: zeros(slots * 4)?,
             slot: device.buffer(active)?,
             next: device.buffer(active / GROUP)?,
+            coefficients: zeros(active * counts.smooth)?,
             free: zeros(active * counts.free)?,
             result: zeros(active * counts.outputs)?,
         })
     }
 }
 
-/// Buffers between the stages that all wavelengths use in turn: `sums` to `mode_partial` for one tile, the others for the images
-/// processed at a time.
+/// Buffers between the stages that all wavelengths share: `psi` and `sums` to `mode_partial` for one tile, the others for the
+/// images processed at a time.
 pub(super) struct ScratchBuffers {
+    /// Phase at the first wavelength, then the gradient by it.
+    pub psi: Reals,
     pub field: Reals,
     pub wave: Reals,
     /// One line of vectors in the FFT, and its input samples on both sides of the axis.
@@ -316,6 +281,7 @@ impl ScratchBuffers {
         let in_work = |per_image: usize| Reals::zeros(device, precision, partition.focal_tile * per_image);
         let partials = counts.strips * partition.lanes;
         Ok(Self {
+            psi: zeros(counts.blocks * 4 * shape.vector)?,
             // Zero where the pupil has no block: no kernel writes there.
             field: in_work(shape.side_rows().max(shape.rows) * 8 * shape.width)?,
             wave: in_work(shape.pairs * 8 * shape.width)?,

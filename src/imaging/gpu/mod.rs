@@ -7,8 +7,9 @@
 //! in the cache of one core; `fft.cl` does the same with an FFT where the image is whole (as many pixels as the padded
 //! pupil has samples, a product of two of 8, 12, 15, 16 and 20). A batch is processed in tiles.
 //!
-//! Where a model has several wavelengths or pixels with an area, `intensity.cl` takes the place of `pixels.cl`, stage by stage on
-//! every device: the fields of all wavelengths are kept, and their intensity is summed and convolved with the response of the pixels.
+//! Where a model has several wavelengths or pixels with an area, `intensity.cl` takes the place of `pixels.cl`: the fields of
+//! all wavelengths are kept, and their intensity is summed and convolved with the response of the pixels. All wavelengths share
+//! one phase, in turns of the first, and one gradient by it, so that the products over modes are those of one wavelength.
 //!
 //! Sizes are padded to whole vectors: in f32 with 16 numbers per vector, m/2 and n/2 are padded to multiples of 16, so that
 //! an image of 96 pixels costs as much as one of 66 to 94.
@@ -24,6 +25,8 @@ mod bind;
 mod budget;
 #[cfg(feature = "opencl")]
 mod chain;
+#[cfg(feature = "opencl")]
+mod colours;
 #[cfg(feature = "opencl")]
 mod fold;
 #[cfg(feature = "opencl")]

@@ -1,11 +1,12 @@
 //! The sequence in which the kernels of the chain run, and their launch sizes.
 
-use super::bind::{Bindings, ColourKernels, PixelKernels};
+use super::bind::{Bindings, ColourKernels, PhaseKernels, PixelKernels};
 use super::budget::MemoryBudget;
+use super::colours::{ColourBuffers, ColourSizes};
 use super::fold::{Blocks, FoldedShape, GROUP, TALL, row_chunks};
 use super::image::FoldedImage;
-use super::layout::{GpuColour, GpuLayout};
-use super::memory::{BatchBuffers, ColourBuffers, Counts, ModelBuffers, Partition, ScratchBuffers, padded};
+use super::layout::GpuLayout;
+use super::memory::{BatchBuffers, Counts, ModelBuffers, Partition, ScratchBuffers, padded};
 use crate::Result;
 use crate::device::{Build, Device, Reals};
 
@@ -19,22 +20,19 @@ pub(super) struct Stages {
     scratch: ScratchBuffers,
     /// Owns the buffers that the kernels are bound to.
     _model: ModelBuffers,
-    colours: Vec<Colour>,
+    colours: ColourBuffers,
+    phase_kernels: PhaseKernels,
+    /// Of each wavelength.
+    colour_kernels: Vec<ColourKernels>,
     pixel_kernels: PixelKernels,
 }
 
-/// One wavelength.
-struct Colour {
-    buffers: ColourBuffers,
-    kernels: ColourKernels,
-}
-
-/// Coefficients of a batch at one wavelength.
-pub(super) struct ColourInputs {
-    /// Smooth coefficients, turns, `[image][smooth mode]`.
+/// Coefficients of a batch.
+pub(super) struct Inputs {
+    /// Smooth coefficients, turns of the first wavelength, `[image][smooth mode]`.
     pub turns: Vec<f64>,
-    /// Poses of the segments, `[image][segment][re q, im q, tip, tilt]`.
-    pub poses: Vec<f64>,
+    /// Poses of the segments at each wavelength, `[image][segment][re q, im q, tip, tilt]`.
+    pub poses: Vec<Vec<f64>>,
 }
 
 /// Images in focus, folded.
@@ -59,35 +57,30 @@ impl Stages {
         let shape = FoldedShape::new(layout, &layout.colours[0], build);
         let blocks = &Blocks::new(layout, &shape);
         let (counts, partition) = Counts::new(device.info(), build, layout, &shape, blocks, capacity);
-        let budget = MemoryBudget::new(build, &shape, blocks, &counts, &partition);
+        let sizes = ColourSizes::new(device, build.precision, &shape, &counts)?;
+        let budget = MemoryBudget::new(build, &shape, blocks, (&counts, &sizes, &partition));
         let partition = budget.fit(partition, capacity, device.info(), memory_bytes)?;
-        let model = ModelBuffers::new(device, build.precision, layout, blocks)?;
+        let model = ModelBuffers::new(device, build.precision, layout, &shape, blocks)?;
         let batch = BatchBuffers::new(device, build.precision, &shape, &counts)?;
         let scratch = ScratchBuffers::new(device, build.precision, &shape, &counts, &partition)?;
-        let buffers = |colour| {
-            let shape = FoldedShape::new(layout, colour, build);
-            ColourBuffers::new(device, build.precision, (layout, colour), (&shape, blocks), (&counts, &partition))
-        };
-        let buffers = layout.colours.iter().map(buffers).collect::<Result<Vec<_>>>()?;
+        let colours = ColourBuffers::new(device, build, (layout, blocks), (&counts, &sizes, &partition))?;
         let first = Bindings {
             device,
             build,
+            layout,
             shape: &shape,
             partition: &partition,
             counts: &counts,
             blocks,
             model: &model,
-            colour: &buffers[0],
+            colours: &colours,
+            colour: 0,
             batch: &batch,
             scratch: &scratch,
         };
-        let pixel_kernels = first.pixel_kernels()?;
-        let kernels = |(buffers, colour): (&ColourBuffers, &GpuColour)| {
-            let bindings = Bindings { colour: buffers, ..first };
-            bindings.colour_kernels(colour.wavelength_nm, layout.free_wavelength_nm)
-        };
-        let kernels = buffers.iter().zip(&layout.colours).map(kernels).collect::<Result<Vec<_>>>()?;
-        let colours = buffers.into_iter().zip(kernels).map(|(buffers, kernels)| Colour { buffers, kernels }).collect();
+        let (phase_kernels, pixel_kernels) = (first.phase_kernels()?, first.pixel_kernels()?);
+        let colour_kernels = |colour| Bindings { colour, ..first }.colour_kernels();
+        let colour_kernels = (0..counts.colours).map(colour_kernels).collect::<Result<Vec<_>>>()?;
         Ok(Self {
             bytes: budget.bytes(capacity, &partition),
             shape,
@@ -97,6 +90,8 @@ impl Stages {
             scratch,
             _model: model,
             colours,
+            phase_kernels,
+            colour_kernels,
             pixel_kernels,
         })
     }
@@ -136,7 +131,7 @@ impl Stages {
     pub fn evaluate(
         &mut self,
         active: &[usize],
-        inputs: &[ColourInputs],
+        inputs: &Inputs,
         (free, slopes): (&[f64], &mut [f64]),
         fitted: bool,
     ) -> Result<Vec<f64>> {
@@ -161,9 +156,9 @@ impl Stages {
                 let images = tile.min(count - first);
                 match workers {
                     Some(workers) => {
-                        self.phase(0, first, images)?;
+                        self.phase(first, images)?;
                         self.focus(tile_index, first, images, workers)?;
-                        self.project(0, first, images)?;
+                        self.project(first, images)?;
                     }
                     None => self.tile(first, images, fitted)?,
                 }
@@ -176,25 +171,24 @@ impl Stages {
 
     /// One tile, stage by stage.
     fn tile(&mut self, first: usize, images: usize, fitted: bool) -> Result<()> {
-        for colour in 0..self.colours.len() {
-            self.phase(colour, first, images)?;
+        self.phase(first, images)?;
+        for colour in 0..self.counts.colours {
             self.field(colour, first, images)?;
         }
         self.convolve(images)?;
         self.pixels(first, images, fitted)?;
         self.convolve(images)?;
-        for colour in 0..self.colours.len() {
+        for colour in 0..self.counts.colours {
             self.field_adjoint(colour, first, images)?;
-            self.project(colour, first, images)?;
         }
-        Ok(())
+        self.project(first, images)
     }
 
     /// The PSFs of at most a tile of images at the first of `inputs`: the focal field, folded, or the intensity where it is stored.
-    pub fn focal(&mut self, count: usize, inputs: &[ColourInputs]) -> Result<Focal> {
+    pub fn focal(&mut self, count: usize, inputs: &Inputs) -> Result<Focal> {
         self.write_inputs(0, count, inputs)?;
-        for colour in 0..self.colours.len() {
-            self.smooth_phase(colour, 0, count)?;
+        self.smooth_phase(0, count)?;
+        for colour in 0..self.counts.colours {
             self.field(colour, 0, count)?;
         }
         self.convolve(count)?;
@@ -206,51 +200,51 @@ impl Stages {
         Ok(if self.stores_intensity() {
             Focal::Intensity(read(&self.scratch.intensity, pixels)?)
         } else {
-            Focal::Field(read(&self.colours[0].buffers.focal, 2 * pixels)?)
+            Focal::Field(read(&self.colours.focal.whole, 2 * pixels)?)
         })
     }
 
     /// Uploads the inputs of `count` images from image `from` on.
-    fn write_inputs(&mut self, from: usize, count: usize, inputs: &[ColourInputs]) -> Result<()> {
+    fn write_inputs(&mut self, from: usize, count: usize, inputs: &Inputs) -> Result<()> {
         let Counts { smooth, segments, .. } = self.counts;
-        for (Colour { buffers, .. }, ColourInputs { turns, poses }) in self.colours.iter_mut().zip(inputs) {
-            buffers.coefficients.write(0, &turns[from * smooth..(from + count) * smooth])?;
-            buffers.pose.write(0, &poses[from * segments * 4..(from + count) * segments * 4])?;
+        self.batch.coefficients.write(0, &inputs.turns[from * smooth..(from + count) * smooth])?;
+        for (part, poses) in self.colours.pose.parts.iter_mut().zip(&inputs.poses) {
+            part.write(0, &poses[from * segments * 4..(from + count) * segments * 4])?;
         }
         Ok(())
     }
 
-    /// Phase of a wavelength.
-    fn phase(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
-        self.smooth_phase(colour, first, images)?;
-        self.free_phase(colour, first, images, FreePhaseStep::Add)
+    /// The phase, which all wavelengths share.
+    fn phase(&mut self, first: usize, images: usize) -> Result<()> {
+        self.smooth_phase(first, images)?;
+        self.free_phase(first, images, FreePhaseStep::Add)
     }
 
-    /// From the phase of a wavelength to its focal field, whose intensity is added where it is stored.
+    /// From the phase to the focal field of a wavelength, whose intensity is added where it is stored.
     fn field(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
         self.pupil_field(colour, first, images)?;
         self.transform(colour, images)?;
         if self.stores_intensity() {
             let strips = [self.partition.lanes, self.counts.strips, images];
-            self.colours[colour].kernels.add_intensity.int("is_first", usize::from(colour == 0))?.launch(strips)?;
+            self.colour_kernels[colour].add_intensity.launch(strips)?;
         }
         Ok(())
     }
 
-    /// From the source of the adjoint to the gradient by the phase of a wavelength.
+    /// From the source of the adjoint to the gradient by the phase, of a wavelength.
     fn field_adjoint(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
         if self.stores_intensity() {
             let strips = [self.partition.lanes, self.counts.strips, images];
-            self.colours[colour].kernels.scale_field.launch(strips)?;
+            self.colour_kernels[colour].scale_field.launch(strips)?;
         }
         self.transform_adjoint(colour, images)?;
         self.pupil_gradient(colour, first, images)
     }
 
-    /// From the gradient by the phase of a wavelength to that by the modes and by the free phase.
-    fn project(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
-        self.project_modes(colour, first, images)?;
-        self.free_phase(colour, first, images, FreePhaseStep::Gradient)
+    /// From the gradient by the phase to that by the modes and by the free phase.
+    fn project(&mut self, first: usize, images: usize) -> Result<()> {
+        self.project_modes(first, images)?;
+        self.free_phase(first, images, FreePhaseStep::Gradient)
     }
 
     /// The response of the pixels, on what is stored: the intensity, or the source of the adjoint.
@@ -265,27 +259,26 @@ impl Stages {
     // Kernels that process GROUP images together are launched for whole groups. Beyond `images` they process leftovers of an
     // earlier tile (or zeros), and their results are not read.
 
-    fn smooth_phase(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
-        let (images, k) = (padded(images), &mut self.colours[colour].kernels.smooth_phase);
+    fn smooth_phase(&mut self, first: usize, images: usize) -> Result<()> {
+        let (images, k) = (padded(images), &mut self.phase_kernels.smooth_phase);
         k.int("first", first)?.int("images", images)?;
         k.launch([self.counts.blocks, self.partition.group_items.min(images / GROUP), 1])
     }
 
-    fn free_phase(&mut self, colour: usize, first: usize, images: usize, step: FreePhaseStep) -> Result<()> {
+    fn free_phase(&mut self, first: usize, images: usize, step: FreePhaseStep) -> Result<()> {
         if self.counts.free == 0 {
             return Ok(());
         }
-        let kernels = &mut self.colours[colour].kernels;
         let k = match step {
-            FreePhaseStep::Add => &mut kernels.add_free_phase,
-            FreePhaseStep::Gradient => kernels.free_phase_gradient.int("is_first", usize::from(colour == 0))?,
+            FreePhaseStep::Add => &mut self.phase_kernels.add_free_phase,
+            FreePhaseStep::Gradient => &mut self.phase_kernels.free_phase_gradient,
         };
         // As many work-items as for the blocks: the work per sample is small.
         k.int("first", first)?.launch([self.partition.block_items, images, 1])
     }
 
     fn pupil_field(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
-        self.colours[colour].kernels.pupil_field.int("first", first)?.launch([self.counts.blocks, images, 1])
+        self.colour_kernels[colour].pupil_field.int("first", first)?.launch([self.counts.blocks, images, 1])
     }
 
     fn focus(&mut self, tile: usize, first: usize, images: usize, workers: usize) -> Result<()> {
@@ -294,7 +287,7 @@ impl Stages {
     }
 
     fn transform(&mut self, colour: usize, images: usize) -> Result<()> {
-        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colours[colour].kernels);
+        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colour_kernels[colour]);
         let groups = shape.pairs.div_ceil(TALL);
         k.forward_columns.launch([2 * shape.width / shape.vector, groups.min(partition.column_items), images])?;
         let chunks = row_chunks(shape.span / shape.vector);
@@ -312,7 +305,7 @@ impl Stages {
     }
 
     fn transform_adjoint(&mut self, colour: usize, images: usize) -> Result<()> {
-        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colours[colour].kernels);
+        let (shape, partition, k) = (&self.shape, &self.partition, &mut self.colour_kernels[colour]);
         let chunks = row_chunks(shape.width / shape.vector);
         k.adjoint_rows.launch([chunks, shape.pairs.div_ceil(partition.pairs_per_item), images])?;
         let groups = shape.rows.div_ceil(TALL);
@@ -320,20 +313,16 @@ impl Stages {
     }
 
     fn pupil_gradient(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
-        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.colours[colour].kernels);
+        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.colour_kernels[colour]);
         k.pupil_gradient.launch([partition.block_items, images, 1])?;
         k.project_segments.int("first", first)?.launch([counts.segments, images, 1])
     }
 
-    fn project_modes(&mut self, colour: usize, first: usize, images: usize) -> Result<()> {
-        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.colours[colour].kernels);
+    fn project_modes(&mut self, first: usize, images: usize) -> Result<()> {
+        let (partition, counts, k) = (&self.partition, &self.counts, &mut self.phase_kernels);
         let groups = images.div_ceil(GROUP);
         k.project_modes.int("images", groups * GROUP)?;
         k.project_modes.launch([counts.mode_groups, counts.chunks, groups.min(partition.group_items)])?;
-        k.collect.int("first", first)?.int("is_first", usize::from(colour == 0))?.launch([
-            partition.output_items,
-            images,
-            1,
-        ])
+        k.collect.int("first", first)?.launch([partition.output_items, images, 1])
     }
 }

@@ -28,15 +28,18 @@ fn distance(a: &[f64], b: &[f64]) -> f64 {
 
 #[test]
 fn psfs_agree_with_the_direct_sum() {
-    let layout = scene();
+    [scene(), camera_scene()].iter().for_each(psfs_of);
+}
+
+fn psfs_of(layout: &GpuLayout) {
     let mut random = ChaCha8Rng::seed_from_u64(2);
-    let c = coefficients(&layout, 6, &mut random);
-    let wanted: Vec<f64> = c.chunks_exact(layout.modes.len()).flat_map(|c| field_and_psf(&layout, c).1).collect();
+    let c = coefficients(layout, 6, &mut random);
+    let wanted: Vec<f64> = c.chunks_exact(layout.modes.len()).flat_map(|c| psf(layout, c)).collect();
     let peak = wanted.iter().fold(0.0f64, |a, h| a.max(*h));
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         for build in builds(&device) {
-            let psf = GpuChain::with_build(&device, build, &layout, 3).unwrap().psf(&c).unwrap();
+            let psf = GpuChain::with_build(&device, build, layout, 3).unwrap().psf(&c).unwrap();
             let worst = psf.iter().zip(&wanted).fold(0.0f64, |a, (h, w)| a.max((h - w).abs())) / peak;
             // f32: 250 samples whose phases err by a few 1e-7 rad each (turns of up to 4 in 24 bits, times 2 pi) and
             // whose signs are random: 1e-7 of the field at the peak, twice that of its square; 10 of it allowed.
@@ -51,7 +54,7 @@ fn psfs_agree_with_the_direct_sum() {
 fn objective_gradient_and_photometry_agree_with_the_direct_sum() {
     // Out of order, one image twice, and more than the capacity of the chain, so that there are two rounds.
     let active = [4, 0, 5, 2, 2, 1, 3];
-    for layout in [scene(), tilted_scene(), free_scene()] {
+    for layout in [scene(), tilted_scene(), free_scene(), camera_scene()] {
         agreement_in(&layout, &active, builds);
     }
 }
@@ -161,7 +164,7 @@ fn compare_with_single_images(layout: &GpuLayout) {
     for info in test_devices() {
         let device = Device::open(&info, false).unwrap();
         for build in builds(&device) {
-            // So many that every CPU device uses focus.cl, in several tiles; one image is processed stage by stage.
+            // So many that every CPU device uses focus.cl; one image is processed stage by stage.
             let batch: Vec<usize> = (0..3).cycle().take(2 * info.compute_units as usize + 37).collect();
             let mut chain = GpuChain::with_build(&device, build, layout, batch.len()).unwrap();
             chain.load(&images.data, &images.weights, &images.photometry).unwrap();

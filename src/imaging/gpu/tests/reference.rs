@@ -77,7 +77,7 @@ pub(super) fn free_scene() -> GpuLayout {
     GpuLayout { free_phase: true, ..scene() }
 }
 
-/// The same with three wavelengths and pixels with an area, for tests without a reference.
+/// The same with three wavelengths and pixels with an area.
 pub(super) fn camera_scene() -> GpuLayout {
     let mut layout = free_scene();
     let first = layout.colours[0].clone();
@@ -102,7 +102,10 @@ pub(super) fn free_phases(layout: &GpuLayout, images: usize, random: &mut impl R
 /// The layout with the free phase of one image added to its diversity.
 pub(super) fn with_free(layout: &GpuLayout, free: &[f64]) -> GpuLayout {
     let mut with = layout.clone();
-    with.colours[0].diversity_turns.iter_mut().zip(free).for_each(|(turns, free)| *turns += free);
+    for colour in &mut with.colours {
+        let scale = layout.free_wavelength_nm / colour.wavelength_nm;
+        colour.diversity_turns.iter_mut().zip(free).for_each(|(turns, free)| *turns += scale * free);
+    }
     with
 }
 
@@ -118,8 +121,7 @@ pub(super) fn images(layout: &GpuLayout, count: usize, random: &mut impl Rng) ->
     let (mut data, mut weights, mut photometry) = (Vec::new(), Vec::new(), Vec::new());
     for image in 0..count {
         let truth = coefficients(layout, 1, random);
-        let (_, psf) = field_and_psf(layout, &truth);
-        for (i, h) in psf.iter().enumerate() {
+        for (i, h) in psf(layout, &truth).iter().enumerate() {
             let bad = (i + image) % 53 == 0;
             data.push(if bad { f64::NAN } else { 4e4 * h + 12.0 + random.random::<f64>() * 20.0 });
             weights.push(if bad { 0.0 } else { 0.2 + random.random::<f64>() });
@@ -138,11 +140,57 @@ pub(super) fn coefficients(layout: &GpuLayout, images: usize, random: &mut impl 
     (0..images * layout.modes.len()).map(|_| 150.0 * (random.random::<f64>() - 0.5)).collect()
 }
 
-/// P, a and E = a P at each illuminated sample, and the PSF, by the definition.
-pub(super) fn field_and_psf(layout: &GpuLayout, coefficients: &[f64]) -> (Vec<[Complex64; 3]>, Vec<f64>) {
-    let pupil = pupil(layout, coefficients);
-    let psf = focal(layout, &pupil).iter().map(|u| layout.colours[0].intensity_scale * u.norm_sqr()).collect();
-    (pupil, psf)
+/// The PSF by the definition.
+pub(super) fn psf(layout: &GpuLayout, coefficients: &[f64]) -> Vec<f64> {
+    respond(layout, &intensity(layout, &fields(layout, coefficients)), false)
+}
+
+/// At one wavelength: P, a and E = a P at each illuminated sample, and the focal field at each pixel.
+struct Field {
+    pupil: Vec<[Complex64; 3]>,
+    focal: Vec<Complex64>,
+}
+
+fn fields(layout: &GpuLayout, coefficients: &[f64]) -> Vec<Field> {
+    let field = |colour: &GpuColour| {
+        let pupil = pupil(layout, colour, coefficients);
+        Field { focal: focal(layout, colour, &pupil), pupil }
+    };
+    layout.colours.iter().map(field).collect()
+}
+
+/// Sum over the wavelengths, before the response of the pixels.
+fn intensity(layout: &GpuLayout, fields: &[Field]) -> Vec<f64> {
+    let at = |i: usize| {
+        let parts = layout.colours.iter().zip(fields);
+        parts.map(|(colour, field)| colour.intensity_scale * field.focal[i].norm_sqr()).sum()
+    };
+    (0..layout.pixels * layout.pixels).map(at).collect()
+}
+
+/// The image with the response of the pixels, or its transpose, applied along both axes, each as a matrix.
+fn respond(layout: &GpuLayout, image: &[f64], transposed: bool) -> Vec<f64> {
+    let Some([along_x, along_y]) = &layout.pixel_terms else { return image.to_vec() };
+    let m = layout.pixels;
+    let matrix = |terms: &[f64]| {
+        let mut matrix = vec![0.0; m * m];
+        for (i, offset) in (0..m).flat_map(|i| (1 - terms.len() as isize..terms.len() as isize).map(move |k| (i, k))) {
+            let at = i as isize + offset;
+            let inside = if at < 0 {
+                -1 - at
+            } else if at < m as isize {
+                at
+            } else {
+                2 * m as isize - 1 - at
+            } as usize;
+            let entry = if transposed { inside * m + i } else { i * m + inside };
+            matrix[entry] += terms[offset.unsigned_abs()];
+        }
+        matrix
+    };
+    let (x, y) = (matrix(along_x), matrix(along_y));
+    let rows: Vec<f64> = (0..m * m).map(|i| (0..m).map(|k| x[i % m * m + k] * image[i / m * m + k]).sum()).collect();
+    (0..m * m).map(|i| (0..m).map(|k| y[i / m * m + k] * rows[k * m + i % m]).sum()).collect()
 }
 
 pub(super) fn turn(t: f64) -> Complex64 {
@@ -150,14 +198,9 @@ pub(super) fn turn(t: f64) -> Complex64 {
 }
 
 /// Amount of `mode`, turns.
-pub(super) fn amount(layout: &GpuLayout, coefficients: &[f64], mode: GpuMode) -> f64 {
-    layout
-        .modes
-        .iter()
-        .zip(coefficients)
-        .filter(|(m, _)| **m == mode)
-        .map(|(_, c)| c / layout.colours[0].wavelength_nm)
-        .sum()
+fn amount(layout: &GpuLayout, colour: &GpuColour, coefficients: &[f64], mode: GpuMode) -> f64 {
+    let parts = layout.modes.iter().zip(coefficients).filter(|(m, _)| **m == mode);
+    parts.map(|(_, c)| c / colour.wavelength_nm).sum()
 }
 
 pub(super) fn slope(layout: &GpuLayout, entry: usize) -> (f64, f64) {
@@ -165,9 +208,11 @@ pub(super) fn slope(layout: &GpuLayout, entry: usize) -> (f64, f64) {
 }
 
 /// The phasor of the segment of each entry, at the sample of the entry.
-pub(super) fn entry_phasors(layout: &GpuLayout, coefficients: &[f64]) -> Vec<Complex64> {
+fn entry_phasors(layout: &GpuLayout, colour: &GpuColour, coefficients: &[f64]) -> Vec<Complex64> {
     let poses: Vec<[f64; 3]> = (0..layout.segments)
-        .map(|s| [GpuMode::Segment(s), GpuMode::Tip(s), GpuMode::Tilt(s)].map(|m| amount(layout, coefficients, m)))
+        .map(|s| {
+            [GpuMode::Segment(s), GpuMode::Tip(s), GpuMode::Tilt(s)].map(|m| amount(layout, colour, coefficients, m))
+        })
         .collect();
     let phasor = |(e, &s): (usize, &usize)| {
         let ([c, t, u], (x, y)) = (poses[s], slope(layout, e));
@@ -176,14 +221,13 @@ pub(super) fn entry_phasors(layout: &GpuLayout, coefficients: &[f64]) -> Vec<Com
     layout.segment_index.iter().enumerate().map(phasor).collect()
 }
 
-pub(super) fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64; 3]> {
-    let amount = |mode: GpuMode| amount(layout, coefficients, mode);
-    let phasors = entry_phasors(layout, coefficients);
+fn pupil(layout: &GpuLayout, colour: &GpuColour, coefficients: &[f64]) -> Vec<[Complex64; 3]> {
+    let amount = |mode: GpuMode| amount(layout, colour, coefficients, mode);
+    let phasors = entry_phasors(layout, colour, coefficients);
     let smooth: Vec<f64> = (0..layout.smooth.len()).map(|j| amount(GpuMode::Smooth(j))).collect();
     (0..layout.illuminated.len())
         .map(|p| {
-            let psi = layout.colours[0].diversity_turns[p]
-                + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
+            let psi = colour.diversity_turns[p] + layout.smooth.iter().zip(&smooth).map(|(b, y)| b[p] * y).sum::<f64>();
             let a: Complex64 = (layout.segment_start[p]..layout.segment_start[p + 1])
                 .map(|e| phasors[e] * layout.segment_weight[e])
                 .sum();
@@ -193,18 +237,18 @@ pub(super) fn pupil(layout: &GpuLayout, coefficients: &[f64]) -> Vec<[Complex64;
 }
 
 /// exp(-2 pi i step (x u + y v)) of an illuminated sample and a pixel.
-pub(super) fn kernel(layout: &GpuLayout, sample: usize, pixel: usize) -> Complex64 {
+fn kernel(layout: &GpuLayout, colour: &GpuColour, sample: usize, pixel: usize) -> Complex64 {
     let (n, m) = (layout.samples, layout.pixels);
     let centre = |i: usize| i as f64 - (n as f64 - 1.0) / 2.0;
     let axis = |i: usize| i as f64 - m as f64 / 2.0;
     let turns = centre(sample % n) * axis(pixel % m) + centre(sample / n) * axis(pixel / m);
-    Complex64::from_polar(1.0, -TAU * turns / (n as f64 * layout.colours[0].samples_per_lambda_over_d))
+    Complex64::from_polar(1.0, -TAU * turns / (n as f64 * colour.samples_per_lambda_over_d))
 }
 
-pub(super) fn focal(layout: &GpuLayout, pupil: &[[Complex64; 3]]) -> Vec<Complex64> {
+fn focal(layout: &GpuLayout, colour: &GpuColour, pupil: &[[Complex64; 3]]) -> Vec<Complex64> {
     (0..layout.pixels * layout.pixels)
         .map(|pixel| {
-            layout.illuminated.iter().zip(pupil).map(|(&sample, p)| p[2] * kernel(layout, sample, pixel)).sum()
+            layout.illuminated.iter().zip(pupil).map(|(&sample, p)| p[2] * kernel(layout, colour, sample, pixel)).sum()
         })
         .collect()
 }
@@ -214,7 +258,7 @@ pub(super) struct ReferenceResult {
     pub(super) flux: f64,
     pub(super) background: f64,
     pub(super) gradient: Vec<f64>,
-    /// Derivative by the phase of each illuminated sample, per turn.
+    /// Derivative by the phase of each illuminated sample, per turn of the free phase.
     pub(super) slopes: Vec<f64>,
 }
 
@@ -225,10 +269,8 @@ pub(super) fn reference(
     w: &[f64],
     photometry: GpuPhotometry,
 ) -> ReferenceResult {
-    let pupil = pupil(layout, coefficients);
-    let u = focal(layout, &pupil);
-    let colour = &layout.colours[0];
-    let h: Vec<f64> = u.iter().map(|u| colour.intensity_scale * u.norm_sqr()).collect();
+    let fields = fields(layout, coefficients);
+    let h = respond(layout, &intensity(layout, &fields), false);
     let good = || (0..h.len()).filter(|&i| w[i] > 0.0);
     let (flux, background) = match photometry {
         GpuPhotometry::Known { flux_e, background_e } => (flux_e, background_e),
@@ -247,18 +289,41 @@ pub(super) fn reference(
         }
     };
     let r: Vec<f64> = (0..h.len()).map(|i| if w[i] > 0.0 { flux * h[i] + background - d[i] } else { 0.0 }).collect();
+    let source: Vec<f64> = (0..h.len()).map(|i| 2.0 * flux * w[i] * r[i]).collect();
+    let source = respond(layout, &source, true);
+    let mut result = ReferenceResult {
+        objective: (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum(),
+        flux,
+        background,
+        gradient: vec![0.0; layout.modes.len()],
+        slopes: vec![0.0; layout.illuminated.len()],
+    };
+    for (colour, field) in layout.colours.iter().zip(&fields) {
+        add_gradient(layout, colour, coefficients, field, &source, &mut result);
+    }
+    result
+}
+
+/// Adds the derivatives through one wavelength; `source` is the derivative by the intensity.
+fn add_gradient(
+    layout: &GpuLayout,
+    colour: &GpuColour,
+    coefficients: &[f64],
+    Field { pupil, focal }: &Field,
+    source: &[f64],
+    result: &mut ReferenceResult,
+) {
     let k = TAU / colour.wavelength_nm;
     // dJ/dE* at each illuminated sample, by the adjoint sum.
     let bar: Vec<Complex64> = layout
         .illuminated
         .iter()
         .map(|&sample| {
-            (0..h.len())
-                .map(|i| u[i] * kernel(layout, sample, i).conj() * (2.0 * colour.intensity_scale * flux * w[i] * r[i]))
-                .sum()
+            let pixel = |i: usize| focal[i] * kernel(layout, colour, sample, i).conj() * source[i];
+            colour.intensity_scale * (0..focal.len()).map(pixel).sum::<Complex64>()
         })
         .collect();
-    let phasors = entry_phasors(layout, coefficients);
+    let phasors = entry_phasors(layout, colour, coefficients);
     let segment = |s: usize, along: &dyn Fn(usize) -> f64| {
         let each = |p: usize| {
             (layout.segment_start[p]..layout.segment_start[p + 1])
@@ -268,15 +333,18 @@ pub(super) fn reference(
         };
         2.0 * k * (0..bar.len()).map(each).sum::<f64>()
     };
+    // Per turn of this wavelength.
     let slopes: Vec<f64> = pupil.iter().zip(&bar).map(|(p, bar)| 2.0 * TAU * (p[2].conj() * bar).im).collect();
-    let gradient = layout.modes.iter().map(|mode| match *mode {
-        GpuMode::Smooth(j) => layout.smooth[j].iter().zip(&slopes).map(|(b, d)| b * d / colour.wavelength_nm).sum(),
-        GpuMode::Segment(s) => segment(s, &|_| 1.0),
-        GpuMode::Tip(s) => segment(s, &|e| slope(layout, e).0),
-        GpuMode::Tilt(s) => segment(s, &|e| slope(layout, e).1),
-    });
-    let objective = (0..h.len()).map(|i| w[i] * r[i] * r[i]).sum();
-    ReferenceResult { objective, flux, background, gradient: gradient.collect(), slopes }
+    for (gradient, mode) in result.gradient.iter_mut().zip(&layout.modes) {
+        *gradient += match *mode {
+            GpuMode::Smooth(j) => layout.smooth[j].iter().zip(&slopes).map(|(b, d)| b * d / colour.wavelength_nm).sum(),
+            GpuMode::Segment(s) => segment(s, &|_| 1.0),
+            GpuMode::Tip(s) => segment(s, &|e| slope(layout, e).0),
+            GpuMode::Tilt(s) => segment(s, &|e| slope(layout, e).1),
+        };
+    }
+    let scale = layout.free_wavelength_nm / colour.wavelength_nm;
+    result.slopes.iter_mut().zip(slopes).for_each(|(sum, slope)| *sum += scale * slope);
 }
 
 /// A whole image of the smallest size with an FFT plan.
@@ -288,7 +356,7 @@ pub(super) fn whole_scene() -> GpuLayout {
 
 #[test]
 fn the_reference_agrees_with_its_own_finite_differences() {
-    [scene(), tilted_scene()].iter().for_each(differences_in);
+    [scene(), tilted_scene(), camera_scene()].iter().for_each(differences_in);
 }
 
 fn differences_in(layout: &GpuLayout) {
