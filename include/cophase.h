@@ -211,6 +211,12 @@ cophase_status cophase_device_list(char *text,
 /* Text of an estimate: name of channel `index`. */
 #define COPHASE_TEXT_CHANNEL_NAME 11
 
+/* Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the segments. */
+#define COPHASE_TEXT_SEGMENT_COMMAND_NAME 12
+
+/* Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the mirror. */
+#define COPHASE_TEXT_ACTUATOR_COMMAND_NAME 13
+
 /* Policy: what the program and every other interface do: modes with a prior, outlier rejection, restarts, optics fitted where
  * the scene asks for it, a larger model where the scene does not explain them (estimate.model).
  */
@@ -336,7 +342,9 @@ typedef struct {
   size_t struct_size;
   /* 1 x n x n: amplitude of the pupil, 0 to 1. Required. */
   cophase_input pupil;
-  /* 1 x n x n: index of each sample's segment, from 0; negative outside all segments. Data NULL: not segmented. */
+  /* 1 x n x n: label of each sample's segment, whole numbers from 0 or 1, with gaps or without; negative, or 0 where they begin
+   * at 1, outside all segments. Segments are counted by ascending label. Data NULL: not segmented.
+   */
   cophase_input segments;
   /* modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: the scene's modes. */
   cophase_input modes;
@@ -598,17 +606,21 @@ cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
  */
 #define COPHASE_ARRAY_ERROR_BUDGET_NM 6
 
-/* Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront; segments. */
+/* Array, after cophase_estimate_correct: what to add to the piston of each segment, nm of wavefront, which a positive piston raises;
+ * segments.
+ */
 #define COPHASE_ARRAY_CORRECTION_PISTONS_NM 7
 
-/* Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront; actuators. */
+/* Array, after cophase_estimate_correct: what to add to the command of each actuator, nm of wavefront, from which the mirror is
+ * subtracted; actuators.
+ */
 #define COPHASE_ARRAY_CORRECTION_ACTUATORS_NM 8
 
 /* Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2. */
 #define COPHASE_ARRAY_CORRECTION_ACTUATORS_M 9
 
 /* Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
- * then along y; slopes. It keeps the mirror where the corrections put it.
+ * then along y; slopes. It keeps the mirror where the corrections put it. Empty in a modal estimate.
  */
 #define COPHASE_ARRAY_CORRECTION_SLOPES_MAS 10
 
@@ -616,6 +628,14 @@ cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
  * the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
  */
 #define COPHASE_ARRAY_PISTON_INTEGERS 11
+
+/* Array, after cophase_estimate_correct: what to add to each channel of the segments' controller (scene section [commands]), in its
+ * unit; segment_commands.
+ */
+#define COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS 12
+
+/* Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller, in its unit; actuator_commands. */
+#define COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS 13
 
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
 typedef struct {
@@ -723,7 +743,7 @@ cophase_status cophase_estimate_array(const cophase_estimate *estimate,
 
 /* Writes a text of an estimate.
  *
- * what: a COPHASE_TEXT_ number. index: which image, mode, term or channel; ignored for the other texts. text, capacity, length: as
+ * what: a COPHASE_TEXT_ number. index: which image, mode, term, channel or command; ignored for the other texts. text, capacity, length: as
  * in cophase_device_list.
  *
  * COPHASE_BAD_VALUE for an index out of range.
@@ -742,26 +762,32 @@ cophase_status cophase_estimate_write(const cophase_estimate *estimate, const ch
 typedef struct {
   /* Number of segments. */
   size_t segments;
-  /* Number of the mirror's actuators; 0 without a loop in the scene. */
+  /* Number of the mirror's actuators; 0 where the scene names no mirror. */
   size_t actuators;
-  /* Number of slopes of the wavefront sensor; 0 without a loop in the scene. */
+  /* Number of slopes of the wavefront sensor; 0 without a loop in the scene, and in a modal estimate. */
   size_t slopes;
   /* NCPA modes that are corrected: those whose estimate is larger than its error bar. */
   size_t corrected_modes;
-  /* Commands that were cut at the limit. */
+  /* Commands that were cut at a limit. */
   size_t limited;
+  /* Channels of the segments' controller; 0 where the scene describes none ([commands]). */
+  size_t segment_commands;
+  /* Channels of the mirror's controller; 0 where the scene describes none. */
+  size_t actuator_commands;
 } cophase_correction_report;
 
-/* Computes what to add to segments, mirror and reference slopes to correct the estimated errors; a MAP estimate only. A
- * mode whose estimate is smaller than its error bar is not corrected. About a second at the size of Keck where the scene
- * has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays.
+/* Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
+ * the controllers that the scene describes ([commands]). A mode whose estimate is smaller than its error bar is not corrected, nor
+ * are tips and tilts of segments. About a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
+ * COPHASE_ARRAY_CORRECTION_ arrays.
  *
- * limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength.
- * path: FITS file to write, UTF-8; NULL for none.
+ * limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
+ * wavelengths are known). The limits of the controllers' channels hold in addition.
+ * path: FITS file to write, or text for a name that ends in .txt, UTF-8; NULL for none.
  * report: NULL if it is not wanted. report_size: sizeof(cophase_correction_report).
  *
- * COPHASE_BAD_VALUE for a modal estimate, which has no corrections, and for a negative limit. COPHASE_BUSY while other
- * threads read the estimate.
+ * COPHASE_BAD_VALUE for a negative limit, and for segment modes that are not pistons; COPHASE_BAD_FILE for a controller's table or
+ * matrix that cannot be read or does not fit. COPHASE_BUSY while other threads read the estimate.
  */
 cophase_status cophase_estimate_correct(cophase_estimate *estimate,
                                         double limit_nm,

@@ -392,7 +392,7 @@ static void commands(cophase_estimate *estimate)
     cophase_correction_report report;
     double pistons_nm[7], values[7], *actuators_nm;
     char name[4];
-    size_t i;
+    size_t i, length;
 
     CHECK(cophase_estimate_correct(estimate, 0.0, NULL, &report, sizeof report) == COPHASE_OK);
     CHECK(report.segments == 7 && report.segment_commands == 7 && report.actuator_commands == 0);
@@ -402,11 +402,11 @@ static void commands(cophase_estimate *estimate)
     for (i = 0; i < 7; i++) {
         const char expected[] = {'1', '0', (char)('0' + i), '\0'};
 
-        CHECK(cophase_estimate_text(estimate, COPHASE_TEXT_SEGMENT_COMMAND_NAME, i, name, sizeof name, NULL) == COPHASE_OK);
-        CHECK(strcmp(name, expected) == 0 && values[i] == 0.5 * pistons_nm[i]);
+        CHECK(cophase_estimate_text(estimate, COPHASE_TEXT_SEGMENT_COMMAND_NAME, i, name, sizeof name, &length) == COPHASE_OK);
+        CHECK(length == 3 && strcmp(name, expected) == 0 && values[i] == 0.5 * pistons_nm[i]);
     }
     REFUSED(COPHASE_BAD_VALUE, "index is 7",
-            cophase_estimate_text(estimate, COPHASE_TEXT_SEGMENT_COMMAND_NAME, 7, name, sizeof name, NULL));
+            cophase_estimate_text(estimate, COPHASE_TEXT_SEGMENT_COMMAND_NAME, 7, name, sizeof name, &length));
     actuators_nm = doubles(report.actuators);
     CHECK(cophase_estimate_array(estimate, COPHASE_ARRAY_CORRECTION_ACTUATORS_NM, actuators_nm, report.actuators) == COPHASE_OK);
     free(actuators_nm);
