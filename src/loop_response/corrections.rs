@@ -68,6 +68,8 @@ pub struct Corrections {
     pub actuator_commands: Option<Commands>,
     /// Number of commands that were clipped at a limit.
     pub limited: usize,
+    /// Sentences to read before anything is moved: the estimate adds its warnings and remarks.
+    pub warnings: Vec<String>,
 }
 
 /// Regularisation of the fit of the mirror's commands, as a fraction of the strongest actuator's: bounds the commands of actuators
@@ -125,6 +127,7 @@ impl Corrections {
             segment_commands,
             actuator_commands,
             limited,
+            warnings: Vec::new(),
         })
     }
 
@@ -142,8 +145,8 @@ impl Corrections {
     }
 
     /// Writes the corrections: as text for a path that ends in `.txt`, else as FITS with the table `SEGMENTS`, where there is a mirror
-    /// `ACTUATORS`, where there is a loop `REFERENCE`, and where the scene describes controllers `SEGMENT_COMMANDS` and
-    /// `ACTUATOR_COMMANDS`.
+    /// `ACTUATORS`, where there is a loop `REFERENCE`, where the scene describes controllers `SEGMENT_COMMANDS` and
+    /// `ACTUATOR_COMMANDS`, and `WARNINGS`.
     ///
     /// # Errors
     /// [`Error::File`] where the file cannot be written.
@@ -182,12 +185,16 @@ impl Corrections {
                 file.table(name, &commands.columns())?;
             }
         }
+        if !self.warnings.is_empty() {
+            file.table("WARNINGS", &[Column::text("SENTENCE", &self.warnings)])?;
+        }
         file.finish()
     }
 
-    /// The commands as text: a line with the name of each channel and what to add to it.
+    /// The commands as text: the warnings as comments, and a line with the name of each channel and what to add to it.
     fn text(&self) -> String {
         let mut text = String::from("# Corrections by cophase: what to add to each channel.\n");
+        self.warnings.iter().for_each(|sentence| text += &format!("# {}\n", sentence.replace('\n', " ")));
         let own = |nm: &mut dyn Iterator<Item = f64>| Commands::in_nm(nm);
         let segments = own(&mut self.pistons_nm.iter().copied());
         let actuators = own(&mut self.actuators_nm.iter().map(|(_, nm)| *nm));

@@ -279,9 +279,16 @@ impl Estimate {
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
         let piston_limit_nm =
             if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
-        if let Some(iteration) = self.map.as_ref().and_then(|map| map.iterations.last()) {
-            return iteration.corrections(&self.scene, limit_nm, piston_limit_nm);
-        }
+        let corrections = match self.map.as_ref().and_then(|map| map.iterations.last()) {
+            Some(iteration) => iteration.corrections(&self.scene, limit_nm, piston_limit_nm)?,
+            None => self.modal_corrections(limit_nm, piston_limit_nm)?,
+        };
+        let status = (self.status != ImageStatus::Ok).then(|| format!("the status is {}", self.status.word()));
+        let warnings = status.into_iter().chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
+        Ok(Corrections { warnings: warnings.collect(), ..corrections })
+    }
+
+    fn modal_corrections(&self, limit_nm: Option<f64>, piston_limit_nm: f64) -> Result<Corrections> {
         let Some(fitter) = &self.fitter else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
         let (model, segment_modes) = (fitter.model(), self.segment_modes());
         let pistons = model.pistons();

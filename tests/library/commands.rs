@@ -159,6 +159,7 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
     let text = std::fs::read_to_string(text).unwrap();
     assert!(text.contains("# segments: channel, um\n100 ") && text.contains("# actuators: channel, nm\n0 "), "{text}");
     assert_eq!(text.matches("# at its limit").count(), over);
+    assert!(text.contains("# The orientation cannot be verified from these images"), "{text}");
     let mut file = cophase::io::FitsReader::open(&fits).unwrap();
     let values: Vec<f64> = commands.channels.iter().map(|channel| channel.value).collect();
     assert_eq!(file.f64_column("SEGMENT_COMMANDS", "ADD").unwrap(), values);

@@ -2,8 +2,8 @@
 
 use super::axis::{Axis, Scale, figure, usable};
 use super::canvas::{Canvas, Pen, Rect};
-use super::colour::{AXIS, INK, NOTHING, Rgb, Shade};
-use super::font::Ink;
+use super::colour::{AXIS, INK, NOTHING, Rgb, Shade, WHITE};
+use super::font::{self, HALF_CAPITAL, Ink};
 use super::frame::{ABOVE, BELOW, Frame, LEFT, TICK_EM, panel_title};
 use ndarray::ArrayView2;
 
@@ -59,7 +59,12 @@ impl MapPanel<'_> {
             canvas.raster(plot, (rows, cols), |i, j| self.shade.colour(self.values[[rows - 1 - i, j]]));
         }
         for (place, label) in self.labels {
-            canvas.text_centred(frame.at(place.0, place.1), label, Ink::new(TICK_EM, INK).middle());
+            let (x, y) = frame.at(place.0, place.1);
+            let (half_w, half_h) = (font::width(label, TICK_EM) / 2.0 + 2.0, HALF_CAPITAL * TICK_EM + 2.0);
+            // Legible on dark colours, too.
+            let plate = Rect { x: x - half_w, y: y - half_h, w: 2.0 * half_w, h: 2.0 * half_h };
+            canvas.fill(plate, WHITE, 0.6);
+            canvas.text_centred((x, y), label, Ink::new(TICK_EM, INK).middle());
         }
         frame.outline(canvas);
         let (x_label, y_label) = match self.extent {
