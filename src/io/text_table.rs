@@ -48,13 +48,12 @@ pub fn text_rows(text: &str) -> Vec<TextRow<'_>> {
     rows
 }
 
-/// Reads the text of a table that the key `key` of a scene names.
+/// Reads the text of a table; `origin` says where its name is from, for messages.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read or is larger than 1 MiB.
-pub fn read_text(path: &Path, key: &str) -> Result<String> {
-    let about =
-        |reason: &dyn std::fmt::Display| Error::file(path, format_args!("{reason}; {key} of the scene names it"));
+pub fn read_text(path: &Path, origin: &str) -> Result<String> {
+    let about = |reason: &dyn std::fmt::Display| Error::file(path, format_args!("{reason}; {origin}"));
     let size = std::fs::metadata(path).map_err(|error| about(&error))?.len();
     if size > LARGEST {
         return Err(about(&format!("{size} bytes are too many for a table; at most {LARGEST} are accepted")));

@@ -121,7 +121,7 @@ pub(super) fn commands(scene: &Scene, moved: Moved, additions_nm: &[f64]) -> Res
     };
     let channels = match &table {
         Some(path) => {
-            let text = read_text(path, moved.keys()[0])?;
+            let text = read_text(path, &format!("{} of the scene names it", moved.keys()[0]))?;
             parse(&text, rows, element).map_err(|reason| Error::file(path, reason))?
         }
         None if matrix.is_some() => (0..rows).map(Channel::of_row).collect(),

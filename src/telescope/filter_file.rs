@@ -10,7 +10,7 @@ use std::path::Path;
 /// # Errors
 /// [`Error::File`] with the line, for a file that cannot be read or is not such a table.
 pub(super) fn read(path: &Path) -> Result<Vec<(f64, f64)>> {
-    parse(&read_text(path, "image.filter_file")?).map_err(|reason| Error::file(path, reason))
+    parse(&read_text(path, "image.filter_file of the scene names it")?).map_err(|reason| Error::file(path, reason))
 }
 
 /// The rows of a table, or why it is not accepted.
