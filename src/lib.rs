@@ -43,6 +43,7 @@ mod error;
 mod fault;
 mod fourier;
 mod grid;
+mod hexagons;
 pub mod imaging;
 pub mod io;
 mod linear_algebra;

@@ -50,6 +50,7 @@ fn values(scene: &Scene) -> Vec<(&'static str, Value)> {
     let Some(extent_m) = pupil.extent_m() else { return values };
     values.extend([
         ("pupil.rings", Number(pupil.rings as f64)),
+        ("pupil.removed_rings", Number(pupil.removed_rings as f64)),
         ("pupil.segment_side_m", Number(pupil.segment_side_m)),
         ("pupil.segment_gap_m", Number(pupil.segment_gap_m)),
         ("pupil.central_segment", Flag(pupil.central_segment)),
@@ -58,6 +59,7 @@ fn values(scene: &Scene) -> Vec<(&'static str, Value)> {
         ("pupil.rotation_deg", Number(pupil.rotation_deg)),
         ("pupil.grid_m", Number(pupil.grid_m.unwrap_or(extent_m))),
     ]);
+    values.extend(pupil.outer_radius_m.map(|radius_m| ("pupil.outer_radius_m", Number(radius_m))));
     if pupil.spider_width_m > 0.0 {
         let vanes = pupil.spider_vanes_deg.clone().map(|vanes| ("pupil.spider_vanes_deg", Numbers(vanes)));
         values.push(vanes.unwrap_or_else(|| ("pupil.spider_angles_deg", Numbers(pupil.spider_angles_deg.clone()))));

@@ -2,6 +2,7 @@
 
 use super::polygon::{Point, Polygon};
 use super::sampled::Segment;
+use crate::hexagons::HexagonLayout;
 use crate::{Error, Result};
 use std::f64::consts::PI;
 
@@ -22,6 +23,12 @@ pub struct HexagonalParameters {
     pub segment_side_m: f64,
     /// Gap between the facing edges of neighbours, m.
     pub gap_m: f64,
+    /// Rings next to the centre that have no segments.
+    pub removed_rings: usize,
+    /// Largest distance of a segment's centre from the axis, m; `None` for complete rings.
+    pub outer_radius_m: Option<f64>,
+    /// Labels of the segments; empty for their numbers.
+    pub labels: Vec<i32>,
     /// Whether there is a segment in the centre.
     pub central_segment: bool,
     /// Diameter of the disc that shadows the centre, m; 0 for none.
@@ -43,6 +50,9 @@ impl HexagonalParameters {
             rings: 3,
             segment_side_m: 0.9,
             gap_m: 0.003,
+            removed_rings: 0,
+            outer_radius_m: None,
+            labels: Vec::new(),
             central_segment: false,
             obscuration_diameter_m: 0.0,
             spider_width_m: 0.0,
@@ -52,17 +62,58 @@ impl HexagonalParameters {
         }
     }
 
+    /// The layout of the hexagons.
+    fn layout(&self) -> HexagonLayout {
+        HexagonLayout {
+            rings: self.rings,
+            removed_rings: self.removed_rings,
+            has_centre: self.central_segment,
+            pitch_m: 3f64.sqrt() * self.segment_side_m + self.gap_m,
+            outer_radius_m: self.outer_radius_m,
+            rotation_deg: self.rotation_deg,
+        }
+    }
+
+    /// Labels of `count` segments.
+    fn labels(&self, count: usize) -> Result<Vec<i32>> {
+        let labels = if self.labels.is_empty() { (0..count as i32).collect() } else { self.labels.clone() };
+        let mut sorted = labels.clone();
+        sorted.sort_unstable();
+        if labels.len() != count {
+            let given = labels.len();
+            return Err(Error::Value(format!("{given} labels do not fit {count} segments: one for each is needed")));
+        }
+        match sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+            Some(pair) => {
+                Err(Error::Value(format!("the label {} is given to two segments: each needs its own", pair[0])))
+            }
+            None => Ok(labels),
+        }
+    }
+
     fn check(&self) -> Result<()> {
         let value = |text: String| Err(Error::Value(text));
         if self.rings > MAX_RINGS {
             return value(format!("{} rings of segments are too many: at most {MAX_RINGS} are accepted", self.rings));
         }
-        if self.rings == 0 && !self.central_segment {
-            return value("a mirror of 0 rings without a central segment is empty: at least 1 ring is needed".into());
+        if self.removed_rings >= self.rings && !self.central_segment {
+            let Self { rings, removed_rings, .. } = self;
+            return value(format!(
+                "a mirror of {rings} rings without a central segment and without the first {removed_rings} is empty: more rings are needed"
+            ));
+        }
+        if self.removed_rings > 0 && self.central_segment {
+            let removed = self.removed_rings;
+            return value(format!(
+                "a central segment with {removed} rings removed around it is not a mirror: leave one of them out"
+            ));
         }
         if !(self.segment_side_m.is_finite() && self.segment_side_m > 0.0) {
             let side = self.segment_side_m;
             return value(format!("a segment side of {side} m is impossible: a positive length is needed"));
+        }
+        if let Some(radius_m) = self.outer_radius_m.filter(|radius_m| !(radius_m.is_finite() && *radius_m > 0.0)) {
+            return value(format!("an outer radius of {radius_m} m is impossible: a positive length is needed"));
         }
         let lengths = [
             ("gap between segments", self.gap_m),
@@ -153,18 +204,14 @@ impl Aperture {
     /// rotated by `rotation_deg`.
     ///
     /// # Errors
-    /// [`Error::Value`] for lengths that are negative or not finite, a mirror without segments, more than 64 rings, or
-    /// a segment completely in shadow.
+    /// [`Error::Value`] for lengths that are negative or not finite, a mirror without segments, more than 64 rings, labels
+    /// that do not fit, or a segment completely in shadow.
     pub fn hexagonal(parameters: &HexagonalParameters) -> Result<Self> {
         parameters.check()?;
-        let pitch = 3f64.sqrt() * parameters.segment_side_m + parameters.gap_m;
-        let segments: Vec<Segment> = (usize::from(!parameters.central_segment)..=parameters.rings)
-            .flat_map(ring)
-            .map(|(q, r)| [pitch * 3f64.sqrt() / 2.0 * f64::from(q), pitch * (f64::from(q) / 2.0 + f64::from(r))])
-            .map(|centre| rotated(centre, parameters.rotation_deg))
-            .zip(0..)
-            .map(|([x_m, y_m], label)| Segment { x_m, y_m, label })
-            .collect();
+        let hexagons = parameters.layout().hexagons();
+        let labels = parameters.labels(hexagons.len())?;
+        let segments: Vec<Segment> =
+            hexagons.iter().zip(labels).map(|(h, label)| Segment { x_m: h.x_m, y_m: h.y_m, label }).collect();
         let disc = disc(parameters.obscuration_diameter_m);
         let spiders = spiders(parameters);
         let mut shapes = Vec::with_capacity(segments.len());
@@ -235,26 +282,6 @@ impl Aperture {
     fn vertices(&self) -> impl Iterator<Item = Point> + '_ {
         self.shapes.iter().flat_map(|shape| shape.outline.0.iter().copied())
     }
-}
-
-/// Axial coordinates (q, r) of a ring's segments by polar angle; the centre is `pitch·(√3/2·q, q/2 + r)`.
-fn ring(radius: usize) -> Vec<(i32, i32)> {
-    let n = radius as i32;
-    let on_ring = |&(q, r): &(i32, i32)| q.abs().max(r.abs()).max((q + r).abs()) == n;
-    let mut cells: Vec<_> = (-n..=n).flat_map(|q| (-n..=n).map(move |r| (q, r))).filter(on_ring).collect();
-    // Twice the height is an integer, so that a centre on +x has the angle 0 exactly, and not 2π by rounding.
-    let angle = |&(q, r): &(i32, i32)| {
-        let angle = f64::from(q + 2 * r).atan2(3f64.sqrt() * f64::from(q));
-        if angle < 0.0 { angle + 2.0 * PI } else { angle }
-    };
-    cells.sort_by(|a, b| angle(a).total_cmp(&angle(b)));
-    cells
-}
-
-/// A point rotated about the axis; a rotation by 0 is exact.
-fn rotated([x, y]: Point, angle_deg: f64) -> Point {
-    let (sin, cos) = angle_deg.to_radians().sin_cos();
-    [cos * x - sin * y, sin * x + cos * y]
 }
 
 /// The polygon with the area of the disc of the obscuration.

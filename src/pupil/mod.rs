@@ -11,6 +11,7 @@ mod sampled;
 mod weights;
 
 pub use crate::grid::Grid;
+pub use crate::hexagons::{Hexagon, HexagonLayout};
 pub use aperture::{Aperture, HexagonalParameters};
 pub use band_limit::BandLimit;
 pub use maps::FinePupil;

@@ -22,6 +22,7 @@ mod faults;
 mod file;
 mod fit;
 mod lists;
+mod pupil;
 mod purpose;
 mod reference;
 mod section_keys;
@@ -36,8 +37,9 @@ pub use edit::split_setting;
 pub use faults::FaultScene;
 pub use fit::{EstimateScene, ModesScene};
 pub use lists::NollRange;
+pub use pupil::PupilScene;
 pub(crate) use purpose::Purpose;
-pub use telescope::{AberrationScene, ImageScene, PupilScene};
+pub use telescope::{AberrationScene, ImageScene};
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
     NcpaBasis, Optic, Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask,
@@ -154,11 +156,15 @@ impl<S: Section + Check> Entry for Option<S> {
 }
 
 /// Preset scenes: name and text.
-const PRESETS: [(&str, &str); 5] = [
+const PRESETS: [(&str, &str); 9] = [
     ("keck-artificial", include_str!("presets/keck-artificial.toml")),
+    ("keck-nirc2", include_str!("presets/keck-nirc2.toml")),
     ("keck-pair", include_str!("presets/keck-pair.toml")),
     ("keck-two-colour", include_str!("presets/keck-two-colour.toml")),
     ("jwst-pair", include_str!("presets/jwst-pair.toml")),
+    ("gtc-artificial", include_str!("presets/gtc-artificial.toml")),
+    ("tmt-artificial", include_str!("presets/tmt-artificial.toml")),
+    ("elt-artificial", include_str!("presets/elt-artificial.toml")),
     ("keck-onsky", include_str!("presets/keck-onsky.toml")),
 ];
 

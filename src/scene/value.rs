@@ -188,6 +188,18 @@ impl FromToml for Vec<f64> {
     }
 }
 
+impl FromToml for Vec<usize> {
+    fn accepted(range: &Range) -> String {
+        format!("a list of integers, each{range}")
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        value.as_array()?.iter().map(|item| usize::from_toml(item, range)).collect()
+    }
+    fn to_toml(&self) -> String {
+        format!("{self:?}")
+    }
+}
+
 impl<T: FromToml> FromToml for Option<T> {
     fn accepted(range: &Range) -> String {
         T::accepted(range)

@@ -2,7 +2,7 @@
 
 use crate::io::Column;
 use crate::pupil::Segment;
-use crate::scene::{Aperture, Scene};
+use crate::scene::Scene;
 
 /// Place of a segment: what identifies it on another numbering than ours.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,7 +12,7 @@ pub struct SegmentPlace {
     pub number: usize,
     /// Ring, 0 for a central segment; `None` for a pupil from a file.
     pub ring: Option<usize>,
-    /// Label in the map of a pupil from a file; else the number.
+    /// Label in the map of a pupil from a file, or of `pupil.segment_labels`; else the number.
     pub label: i32,
     /// Centre along columns, m.
     pub x_m: f64,
@@ -23,14 +23,11 @@ pub struct SegmentPlace {
 impl SegmentPlace {
     /// Places of `segments`, which are those of `scene`.
     pub fn all(scene: &Scene, segments: &[Segment]) -> Vec<Self> {
-        let is_hexagonal = !matches!(scene.pupil.aperture, Aperture::File(_));
+        let hexagons = scene.pupil.layout().map(|layout| layout.hexagons());
         let place = |(number, segment): (usize, &Segment)| {
-            // Ring k ≥ 1 has 6·k segments and begins after 3·k·(k − 1), and after the central one.
-            let central = usize::from(scene.pupil.central_segment);
-            let ring =
-                if number < central { 0 } else { (1..).find(|k| number - central < 3 * k * (k + 1)).unwrap_or(0) };
+            let ring = hexagons.as_ref().and_then(|hexagons| hexagons.get(number)).map(|hexagon| hexagon.ring);
             let Segment { x_m, y_m, label } = *segment;
-            Self { number, ring: is_hexagonal.then_some(ring), label, x_m, y_m }
+            Self { number, ring, label, x_m, y_m }
         };
         segments.iter().enumerate().map(place).collect()
     }

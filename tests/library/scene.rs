@@ -51,7 +51,8 @@ fn refused_setting(preset: &str, settings: Settings) -> String {
 
 #[test]
 fn the_presets_have_the_expected_values() {
-    assert_eq!(Scene::preset_names(), ["keck-artificial", "keck-pair", "keck-two-colour", "jwst-pair", "keck-onsky"]);
+    let names = "keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, keck-onsky";
+    assert_eq!(Scene::preset_names().join(", "), names);
     let scene = Scene::preset("keck-artificial").unwrap();
     assert_eq!(scene.pupil.aperture, Aperture::Keck);
     assert_eq!(scene.pupil.grid_m, Some(10.95));
@@ -128,6 +129,31 @@ fn the_extent_of_the_keck_pupil() {
         let width_m = Mirror::hexagonal(&parameters).unwrap().width_m();
         let extent_m = parse(&text).unwrap().pupil.extent_m().unwrap();
         assert!((extent_m - width_m).abs() < 1e-13 * width_m, "{rings} {rotation_deg}: {extent_m} {width_m}");
+    }
+}
+
+#[test]
+fn telescopes_of_the_presets_have_their_segments_and_labels() {
+    for (preset, count, inner_ring) in
+        [("keck-nirc2", 36, 1), ("gtc-artificial", 36, 1), ("tmt-artificial", 492, 2), ("elt-artificial", 798, 5)]
+    {
+        let scene = Scene::preset(preset).unwrap();
+        let labels: Vec<usize> = (1..=count).rev().collect();
+        let scene = scene.with(&[("pupil.segment_labels", &format!("{labels:?}"))]).unwrap();
+        let telescope = cophase::telescope::Telescope::new(&scene).unwrap();
+        let places = cophase::telescope::SegmentPlace::all(&scene, &telescope.pupil.segments);
+        assert_eq!((places.len(), places[0].ring, places[0].label), (count, Some(inner_ring), count as i32));
+        assert_eq!((places[count - 1].number, places[count - 1].label), (count - 1, 1));
+    }
+    for (settings, reason) in [
+        ([("pupil.segment_labels", "[1, 2]")].as_slice(), "has 2 numbers; one for each of the 36 segments is needed"),
+        (&[("pupil.rings", "1"), ("pupil.segment_labels", "[1, 2, 3, 4, 5, 2]")], "has 2 twice"),
+        (&[("pupil.removed_rings", "3")], "pupil.removed_rings = 3 is not accepted; less than rings = 3 is needed"),
+        (&[("pupil.removed_rings", "1"), ("pupil.central_segment", "true")], "with a central segment"),
+        (&[("pupil.outer_radius_m", "1.5")], "pupil.outer_radius_m = 1.5 leaves no segment"),
+    ] {
+        let message = refused_setting("keck-artificial", settings);
+        assert!(message.contains(reason), "{message}");
     }
 }
 
@@ -288,7 +314,7 @@ fn settings_with_unknown_keys_are_refused() {
     let error = Scene::preset("keck-onski").unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no preset 'keck-onski'; keck-artificial, keck-pair, keck-two-colour, jwst-pair, keck-onsky are accepted; did you mean 'keck-onsky'?"
+        "there is no preset 'keck-onski'; keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, keck-onsky are accepted; did you mean 'keck-onsky'?"
     );
 }
 

@@ -38,6 +38,8 @@ pub struct NumberingPicture {
     pub segments: String,
     /// Where the number of each segment stands, (x, y), m.
     pub numbers_m: Vec<(f64, f64)>,
+    /// What is written there: the number of each segment.
+    pub numbers: Vec<String>,
     /// The actuators, where there is a mirror.
     pub actuators: Option<Lattice>,
     /// The subapertures in use, where there is a wavefront sensor.
@@ -88,13 +90,13 @@ impl NumberingPicture {
             outlines(canvas, frame, subapertures);
         }
         for number in 0..self.numbers_m.len() {
-            canvas.fill(layout.plate(number, self.numbers_m[number]), WHITE, 0.75);
+            canvas.fill(layout.plate(&self.numbers[number], self.numbers_m[number]), WHITE, 0.75);
         }
         if let Some(actuators) = &self.actuators {
             dots(canvas, frame, actuators);
         }
-        for (number, &(x, y)) in self.numbers_m.iter().enumerate() {
-            canvas.text_centred(frame.at(x, y), &number.to_string(), Ink::new(layout.number_em, INK).middle());
+        for (&(x, y), number) in self.numbers_m.iter().zip(&self.numbers) {
+            canvas.text_centred(frame.at(x, y), number, Ink::new(layout.number_em, INK).middle());
         }
         frame.outline(canvas);
         frame.x_axis(canvas, "x [m]");
@@ -185,7 +187,7 @@ impl Layout {
         let top = (heading_height(notes.len()) + LEGEND_H + ABOVE).round();
         let axis = Axis::exact(-half_m, half_m, Scale::Linear);
         let plot = Rect { x: MARGIN / 2.0 + LEFT, y: top, w: side, h: side };
-        let digits = picture.numbers_m.len().saturating_sub(1).to_string().len();
+        let digits = picture.numbers.iter().map(String::len).max().unwrap_or(1);
         let pitch = pitch_m / (2.0 * half_m) * side;
         let fitting = (0.6 * pitch / font::width(&"8".repeat(digits), 1.0)).min(0.5 * pitch);
         let number_em = fitting.clamp(SMALLEST_EM, LARGEST_EM);
@@ -199,10 +201,10 @@ impl Layout {
     }
 
     /// The light rectangle behind a number at (x, y), m.
-    fn plate(&self, number: usize, (x, y): (f64, f64)) -> Rect {
+    fn plate(&self, number: &str, (x, y): (f64, f64)) -> Rect {
         let margin = 0.15 * self.number_em;
         let (x, y) = self.frame.at(x, y);
-        let w = font::width(&number.to_string(), self.number_em) + 2.0 * margin;
+        let w = font::width(number, self.number_em) + 2.0 * margin;
         let h = 2.0 * (HALF_CAPITAL * self.number_em + margin);
         Rect { x: x - w / 2.0, y: y - h / 2.0, w, h }
     }
@@ -271,6 +273,7 @@ mod tests {
             title: String::new(),
             notes: vec!["a note ".repeat(100)],
             numbers_m: pupil.segments.iter().map(|segment| (segment.x_m, segment.y_m)).collect(),
+            numbers: (0..pupil.segments.len()).map(|number| number.to_string()).collect(),
             amplitude: pupil.amplitude,
             owner: pupil.owner,
             width_m,
@@ -292,7 +295,7 @@ mod tests {
             assert!(layout.page().0 <= 2400 && layout.notes.len() > 1);
             let plot = layout.frame.plot;
             for (number, &at) in picture.numbers_m.iter().enumerate() {
-                let plate = layout.plate(number, at);
+                let plate = layout.plate(&picture.numbers[number], at);
                 for (x, y) in [
                     (plate.x, plate.y),
                     (plate.right(), plate.y),

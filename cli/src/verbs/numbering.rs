@@ -30,7 +30,15 @@ pub fn picture(scene: &Scene, terminal: &Terminal) -> Result<NumberingPicture> {
     Ok(NumberingPicture {
         title,
         notes: notes(scene, actuators.is_some() || lenslets.is_some()),
-        segments: if count == 1 { format!("{segments}, number 0") } else { format!("{segments}, 0 to {}", count - 1) },
+        segments: match (count, &scene.pupil.segment_labels) {
+            (_, Some(_)) => segments,
+            (1, None) => format!("{segments}, number 0"),
+            _ => format!("{segments}, 0 to {}", count - 1),
+        },
+        numbers: match &scene.pupil.segment_labels {
+            Some(labels) => labels.iter().map(usize::to_string).collect(),
+            None => (0..count).map(|number| number.to_string()).collect(),
+        },
         numbers_m: number_places(scene, &pupil),
         amplitude: pupil.amplitude,
         owner: pupil.owner,
@@ -123,6 +131,9 @@ fn innermost_place(pupil: &Pupil, number: usize) -> (f64, f64) {
 /// What a reader should know before a number is sent to a mirror.
 fn notes(scene: &Scene, has_lattice: bool) -> Vec<String> {
     let counted = match is_from_file(scene) {
+        _ if scene.pupil.segment_labels.is_some() => {
+            "Segments have the numbers of pupil.segment_labels, which are the column LABEL of the table SEGMENTS."
+        }
         true => {
             "Segments are counted from 0, by the ascending labels of the pupil's file (column LABEL of the table SEGMENTS)."
         }
