@@ -30,6 +30,7 @@ fn control(criterion: &mut Criterion) {
         subapertures: &subapertures,
         mask: &mask,
         kl: None,
+        command_matrix: None,
         stroke_limit_nm: None,
     };
     let mut elsewhere = vec![1.0f32; ELSEWHERE];

@@ -1,6 +1,7 @@
 //! FITS file of a run: images, truth, telemetry.
 
 use super::recorder::{Shot, Summary};
+use super::sensor::SlopeFormat;
 use super::simulator::Simulator;
 use crate::io::{Column, FitsWriter, Pixel};
 use crate::source::file;
@@ -12,7 +13,8 @@ use std::path::Path;
 ///
 /// - `IMAGES`: electrons.
 /// - `TRUTH_…`: as in [`crate::source::write`].
-/// - `SLOPES`: slopes at the middle of each exposure, `[image, slope]`, mas, all x then all y.
+/// - `SLOPES`: slopes at the middle of each exposure, `[image, slope]`, mas, all x then all y; in the order and unit of
+///   `wavefront_sensor.slope_order` and `slope_unit_mas` where the scene has these, as the rows of `INTERACTION`.
 /// - `COMMANDS`: commands at the middle of each exposure, `[image, actuator]`, nm.
 /// - `SLOPES_MEAN`: slopes averaged over each exposure.
 /// - `SHOTS`: table of time and residual for each image.
@@ -53,8 +55,12 @@ pub fn write(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &Summa
         file.card("IMAGES", key, value, comment)?;
     }
     file::truth(&mut file, scene, simulator.truth())?;
-    channels.iter().try_for_each(|(number, shots)| telemetry(&mut file, *number, shots))?;
-    system(&mut file, simulator)?;
+    let format = match &scene.wavefront_sensor {
+        Some(sensing) => SlopeFormat::new(sensing, simulator.lenslets())?,
+        None => return Err(Error::Internal("a loop without a sensor".into())),
+    };
+    channels.iter().try_for_each(|(number, shots)| telemetry(&mut file, *number, shots, &format))?;
+    system(&mut file, simulator, &format)?;
     file.text("SCENE", scene.text())?;
     file.finish()
 }
@@ -66,15 +72,16 @@ fn images_e(shots: &[&Shot]) -> Result<Array3<f32>> {
 }
 
 /// Writes the telemetry of the channel `number`.
-fn telemetry(file: &mut FitsWriter, number: usize, shots: &[&Shot]) -> Result<()> {
+fn telemetry(file: &mut FitsWriter, number: usize, shots: &[&Shot], format: &SlopeFormat) -> Result<()> {
     let hdu = |name: &str| file::channel_hdu(name, number);
     let rows = |values: &dyn Fn(&Shot) -> &[f32]| {
         let flat: Vec<f32> = shots.iter().flat_map(|shot| values(shot).iter().copied()).collect();
         Array2::from_shape_vec((shots.len(), flat.len() / shots.len()), flat)
             .map_err(|error| Error::Internal(format!("telemetry of uneven length: {error}")))
     };
-    file.image(&hdu("SLOPES"), &rows(&|shot| &shot.slopes_mas)?, Pixel::F32, "mas")?;
-    file.image(&hdu("SLOPES_MEAN"), &rows(&|shot| &shot.mean_slopes_mas)?, Pixel::F32, "mas")?;
+    let slopes = |values: &dyn Fn(&Shot) -> &[f32]| format.measured(rows(values)?.mapv(f64::from).view());
+    file.image(&hdu("SLOPES"), &slopes(&|shot| &shot.slopes_mas)?, Pixel::F32, format.unit())?;
+    file.image(&hdu("SLOPES_MEAN"), &slopes(&|shot| &shot.mean_slopes_mas)?, Pixel::F32, format.unit())?;
     file.image(&hdu("COMMANDS"), &rows(&|shot| &shot.commands_nm)?, Pixel::F32, "nm")?;
     let column = |value: &dyn Fn(&Shot) -> f64| shots.iter().map(|shot| value(shot)).collect();
     let columns = [
@@ -85,7 +92,7 @@ fn telemetry(file: &mut FitsWriter, number: usize, shots: &[&Shot]) -> Result<()
 }
 
 /// Writes subapertures, actuators and their interaction matrix.
-fn system(file: &mut FitsWriter, simulator: &Simulator) -> Result<()> {
+fn system(file: &mut FitsWriter, simulator: &Simulator, format: &SlopeFormat) -> Result<()> {
     let lenslets = simulator.lenslets();
     let subapertures = [
         Column::i64("PLACE", lenslets.subapertures.iter().map(|&place| place as i64).collect()),
@@ -100,5 +107,7 @@ fn system(file: &mut FitsWriter, simulator: &Simulator) -> Result<()> {
         Column::f64("Y_M", "m", y_m),
     ];
     file.table("ACTUATORS", &actuators)?;
-    file.image("INTERACTION", simulator.interaction(), Pixel::F64, "mas/nm")
+    let interaction = format.measured(simulator.interaction().t())?.reversed_axes();
+    let unit = if format.unit().is_empty() { "" } else { "mas/nm" };
+    file.image("INTERACTION", &interaction.as_standard_layout().to_owned(), Pixel::F64, unit)
 }

@@ -15,6 +15,7 @@ mod exposure;
 mod file;
 mod footprint;
 mod loop_run;
+mod measured_matrices;
 mod parts;
 mod phase;
 mod profile;
@@ -44,7 +45,8 @@ pub use profile::{Profile, Stage};
 pub use recorder::{Progress, Recorder, Shot, Summary};
 #[cfg(test)]
 pub(crate) use schedule::Schedule;
-pub use sensor::{GuideStar, Lenslets, Sensor};
+pub use sensor::{GuideStar, Lenslets, Sensor, SlopeFormat};
+pub(crate) use sensor::{OTHER_SLOPE_ORDERS, slope_sources};
 pub use simulator::{Frame, Simulator};
 pub use stepper::Stepper;
 pub use surface::Surface;

@@ -12,6 +12,7 @@ use super::channel::ChannelOptics;
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::drift::Drift;
 use super::footprint::Footprint;
+use super::measured_matrices;
 use super::parts::{actuators, apply_reflectivity, interaction, segments_nm, sensor_pupil};
 use super::profile::{Profile, Stage};
 use super::schedule::Schedule;
@@ -159,9 +160,12 @@ impl Simulator {
         let influence = actuators(scene, &lenslets)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
         let mut sensor = Sensor::new(sensing, lenslets, &illuminated, &footprint)?;
-        let interaction = interaction(&mut sensor, &mut surface, &footprint)?;
+        let modelled = interaction(&mut sensor, &mut surface, &footprint)?;
         let sensor = sensor.with_shift_and_gain(sensing, &illuminated, &footprint)?;
         let lenslets = sensor.lenslets();
+        let measured = measured_matrices::interaction(scene, lenslets, &modelled)?;
+        let interaction = measured.unwrap_or(modelled);
+        let command_matrix = measured_matrices::command_matrix(scene, control_scene, lenslets, surface.actuators())?;
         let mask = match sensing.mask {
             SensorMask::None => vec![false; lenslets.subapertures.len()],
             SensorMask::Segments => {
@@ -169,6 +173,7 @@ impl Simulator {
             }
         };
         let modes = match control_scene.basis {
+            _ if command_matrix.is_some() => None,
             ControlBasis::Zonal => None,
             ControlBasis::Kl => {
                 let modes = karhunen_loeve_complete(&influence, &pupil, &Telescope::turbulence(scene)?)?;
@@ -181,6 +186,7 @@ impl Simulator {
             subapertures: &lenslets.subapertures,
             mask: &mask,
             kl: modes.as_ref(),
+            command_matrix: command_matrix.as_ref(),
             stroke_limit_nm: scene.mirror.stroke_limit_nm,
         };
         let law = ControlLaw::new(control_scene, &plant)?;

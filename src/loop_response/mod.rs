@@ -5,7 +5,6 @@ mod controller;
 mod corrections;
 mod sensor_model;
 mod slope_information;
-mod slope_order;
 mod slope_regression;
 
 pub use closed_loop::ClosedLoopResponse;
@@ -13,5 +12,4 @@ pub use controller::{Command, Commands};
 pub use corrections::{CorrectableErrors, Corrections, NcpaModes};
 pub use sensor_model::SensorModel;
 pub use slope_information::SlopeInformation;
-pub use slope_order::SlopeOrder;
 pub use slope_regression::{ACCEPTED_GAIN, SlopeRegression, TelemetryFault, USUAL_GAIN};

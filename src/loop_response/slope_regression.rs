@@ -6,7 +6,8 @@
 //! wavefront is shrunk by its prior, so the regression of measured on predicted slopes has the gain 1
 //! at any noise.
 
-use super::slope_order::SlopeOrder;
+use crate::ao::{OTHER_SLOPE_ORDERS, slope_sources};
+use crate::scene::SlopeOrder;
 use ndarray::{Array2, ArrayView2, Axis, s};
 
 /// Gains that are accepted: a sensor's calibration errs by some tens of percent, other units by factors.
@@ -94,10 +95,10 @@ impl SlopeRegression {
             found.fault = Some(if whole == 0.0 { TelemetryFault::Zero } else { TelemetryFault::Constant });
             return found;
         }
-        let orders: Vec<(SlopeOrder, f64)> = SlopeOrder::ALTERNATIVES
+        let orders: Vec<(SlopeOrder, f64)> = OTHER_SLOPE_ORDERS
             .into_iter()
             .filter_map(|order| {
-                let sources = order.sources(across, subapertures)?;
+                let sources = slope_sources(order, across, subapertures)?;
                 // Centred again: pointing is the mean of other slopes in another order.
                 let reordered = Array2::from_shape_fn(measured_mas.dim(), |(image, slope)| {
                     let (source, sign) = sources[slope];
@@ -271,8 +272,8 @@ mod tests {
         assert_eq!(fault(&-&right), Some(TelemetryFault::Order(SlopeOrder::Expected, true)));
         assert!(matches!(fault(&(&right * 30.0)), Some(TelemetryFault::Unit(gain)) if (gain / 30.0 - 1.0).abs() < 0.1));
         assert_eq!(fault(&normal(5, 9)), Some(TelemetryFault::Unrelated));
-        for order in SlopeOrder::ALTERNATIVES {
-            let sources = order.sources(ACROSS, &subapertures()).unwrap();
+        for order in OTHER_SLOPE_ORDERS {
+            let sources = slope_sources(order, ACROSS, &subapertures()).unwrap();
             let mut given = Array2::zeros(right.dim());
             for ((image, slope), mas) in right.indexed_iter() {
                 let (source, sign) = sources[slope];

@@ -8,6 +8,7 @@ use super::outcome::ImageOutcome;
 use super::sequence::{self, SequenceResult};
 use super::sequence_channel::Sequence;
 use super::warnings;
+use crate::ao::{Lenslets, SlopeFormat, sensor_pupil};
 use crate::modal::ImageStatus;
 use crate::modes::Group;
 use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange};
@@ -32,6 +33,17 @@ const LARGEST_RATIO: f64 = 4.0;
 /// are read as electrons give 0.05 to 0.1.
 const LEAST_EXPLAINED: f64 = 0.8;
 
+/// Measured slopes `[image, slope]` in mas and in the order of the scene's sensor; `None` where they are given so.
+fn slopes_in_mas(scene: &Scene, measured: &Array2<f64>) -> Result<Option<Array2<f64>>> {
+    let Some(sensing) = &scene.wavefront_sensor else { return Ok(None) };
+    if sensing.slope_order.is_empty() {
+        return Ok((sensing.slope_unit_mas != 1.0).then(|| measured * sensing.slope_unit_mas));
+    }
+    let pupil = sensor_pupil(scene, sensing, &Telescope::new(scene)?, 0)?;
+    let lenslets = Lenslets::new(sensing, &pupil, scene.directory())?;
+    SlopeFormat::new(sensing, &lenslets)?.expected_mas(measured.view()).map(Some)
+}
+
 /// Estimates the static errors behind the images of `sequence`, whose slopes are used where its scene says so. `scene` is that of the
 /// images, with its channels.
 ///
@@ -43,6 +55,8 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     let uses_telemetry = scene.estimate.ao_knowledge.is_none_or(|level| level >= AoKnowledge::Telemetry)
         && scene.estimate.telemetry != Telemetry::Ignore;
     let slopes_mas = sequence.slopes_mas.filter(|_| uses_telemetry);
+    let converted_mas = slopes_mas.map(|measured| slopes_in_mas(scene, measured)).transpose()?.flatten();
+    let slopes_mas = converted_mas.as_ref().or(slopes_mas);
     if let Some(slopes_mas) = slopes_mas.filter(|slopes_mas| slopes_mas.nrows() != sequence.exposures()) {
         return Err(Error::Shape(format!(
             "the telemetry holds {} sets of slopes for {} images: one each is needed",

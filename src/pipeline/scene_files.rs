@@ -28,6 +28,11 @@ pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
         ("commands.segment_matrix_file", scene.commands.segment_matrix_file.as_ref()),
         ("commands.actuator_file", scene.commands.actuator_file.as_ref()),
         ("commands.actuator_matrix_file", scene.commands.actuator_matrix_file.as_ref()),
+        ("control.interaction_file", scene.control.as_ref().and_then(|control| control.interaction_file.as_ref())),
+        (
+            "control.command_matrix_file",
+            scene.control.as_ref().and_then(|control| control.command_matrix_file.as_ref()),
+        ),
         (
             "wavefront_sensor.subaperture_file",
             scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),

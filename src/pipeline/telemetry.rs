@@ -1,10 +1,10 @@
 //! Check of telemetry: whether the slopes that come with the images are those of the retrieved wavefronts.
 
 use super::images::counted;
-use crate::loop_response::{ACCEPTED_GAIN, SensorModel, SlopeOrder, SlopeRegression, TelemetryFault, USUAL_GAIN};
+use crate::loop_response::{ACCEPTED_GAIN, SensorModel, SlopeRegression, TelemetryFault, USUAL_GAIN};
 use crate::modal::DiversityProjection;
 use crate::retrieval::IlluminatedSamples;
-use crate::scene::{Scene, Telemetry};
+use crate::scene::{Scene, SlopeOrder, Telemetry};
 use crate::statics::{NcpaBasis, NcpaFamily};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -91,9 +91,10 @@ pub(super) fn check(
         }
         Some(fault) => {
             return Err(Error::Value(format!(
-                "{}; give the slopes as the scene has them, or set estimate.telemetry of the scene to \"ignore\", or to \
-                 \"use\", which divides them by the gain",
-                mismatch(scene, fault, &found, used.len())
+                "{}; {}set estimate.telemetry of the scene to \"ignore\", or to \"use\", which divides them by the gain",
+                mismatch(scene, fault, &found, used.len()),
+                remedy(scene, fault, found.gain)
+                    .map_or(String::new(), |keys| format!("{keys} of the scene reads them so, else "))
             )));
         }
         None => {}
@@ -138,6 +139,23 @@ fn mismatch(scene: &Scene, fault: &TelemetryFault, found: &SlopeRegression, imag
             format!("{sentence} ({figures}; {:.2} or more is accepted)", found.significant_correlation)
         }
         _ => format!("{sentence} ({figures}; corrected for this, of {:.2})", found.explained_correlation),
+    }
+}
+
+/// Key of the scene that describes the slopes of a mismatch, and its value.
+fn remedy(scene: &Scene, fault: &TelemetryFault, gain: f64) -> Option<String> {
+    let sensing = scene.wavefront_sensor.as_ref()?;
+    let unit = |unit_mas: f64| format!("wavefront_sensor.slope_unit_mas = {unit_mas:.4}");
+    match fault {
+        TelemetryFault::Order(SlopeOrder::Expected, _) => Some(unit(-sensing.slope_unit_mas)),
+        TelemetryFault::Order(order, opposite) => {
+            let words = sensing.slope_order.iter().chain([order]).map(|order| format!("{:?}", order.word()));
+            let order = format!("wavefront_sensor.slope_order = [{}]", words.collect::<Vec<_>>().join(", "));
+            let sign = opposite.then(|| format!(" with {}", unit(-sensing.slope_unit_mas)));
+            Some(order + &sign.unwrap_or_default())
+        }
+        TelemetryFault::Unit(_) if gain > 0.0 => Some(unit(sensing.slope_unit_mas / gain)),
+        _ => None,
     }
 }
 

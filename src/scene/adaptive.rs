@@ -2,7 +2,7 @@
 
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, at_least, below, between, even, inside};
-use super::words::{ControlBasis, Fill, Influence, Loop, SensorDetector, SensorKind, SensorMask};
+use super::words::{ControlBasis, Fill, Influence, Loop, SensorDetector, SensorKind, SensorMask, SlopeOrder};
 use crate::Result;
 use std::path::PathBuf;
 
@@ -100,6 +100,12 @@ section! {
         /// Ratio of the slopes to those at the measurement of the interaction matrix; below 1 for spots that have grown
         /// since.
         slope_gain: f64, above(0.0, 10.0), default(1.0);
+        /// Order, axes and signs of measured slopes and of the rows of measured matrices, where they are not all x, then all y,
+        /// row by row: undone one after the other.
+        slope_order: Vec<SlopeOrder>, ANY, default([]);
+        /// Unit of measured slopes, and of those in measured matrices, as an angle on the sky; negative where they have the opposite
+        /// sign. Simulations write this unit and slope_order.
+        slope_unit_mas: f64, between(-1e6, 1e6), default(1.0);
         /// Wavelength of the sensor.
         wavelength_nm: f64, above(0.0, 1e6), default(640.0);
         /// Photons per second and m² of a star of magnitude 0 (default: 4.01e12 / 368, the R band). Simulation only.
@@ -131,6 +137,11 @@ impl Check for SensorScene {
             );
             return Err(reader.error("pixels_per_lenslet", sentence));
         }
+        if self.slope_unit_mas == 0.0 {
+            let sentence =
+                "wavefront_sensor.slope_unit_mas = 0 is not accepted; the angle that a slope of 1 means is needed";
+            return Err(reader.error("slope_unit_mas", sentence));
+        }
         if self.shift_subapertures.len() != 2 {
             let count = self.shift_subapertures.len();
             let sentence = format!("wavefront_sensor.shift_subapertures has {count} values; [x, y] is needed");
@@ -151,6 +162,15 @@ section! {
         /// Largest ratio of singular values: modes with smaller ones than the largest over this are removed from the
         /// inversion.
         condition_number: Option<f64>, at_least(1.0), unset("given by filtered_modes");
+        /// Measured interaction matrix, in place of the sensor's model: FITS image of a row for each slope and a column for each
+        /// actuator in use.
+        interaction_file: Option<PathBuf>, ANY, unset("the response of the modelled sensor to the modelled mirror");
+        /// Command matrix of the loop, in place of an inverse of the interaction matrix: FITS image of a row for each actuator in use
+        /// and a column for each slope. The loop's gain multiplies it.
+        command_matrix_file: Option<PathBuf>, ANY, unset("the inverse of the interaction matrix in the basis");
+        /// Wavefront that a command of 1 in these matrices adds at its actuator, as the sensor sees it. The loop subtracts gain × command
+        /// matrix × slopes.
+        matrix_command_nm: f64, between(-1e9, 1e9), default(1.0);
         /// Control law.
         r#loop: Loop, ANY, default(Loop::Closed);
         /// Treatment of masked slopes.
@@ -171,6 +191,17 @@ section! {
 impl Check for ControlScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("filtered_modes", "condition_number")?;
+        if self.command_matrix_file.is_some() {
+            reader.refuse(
+                &["basis", "filtered_modes", "condition_number"],
+                "where control.command_matrix_file is given",
+            )?;
+        }
+        if self.matrix_command_nm == 0.0 {
+            let sentence =
+                "control.matrix_command_nm = 0 is not accepted; the wavefront that a command of 1 makes is needed";
+            return Err(reader.error("matrix_command_nm", sentence));
+        }
         if self.condition_number.is_none() {
             self.filtered_modes.get_or_insert(0);
         }

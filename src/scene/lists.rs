@@ -1,7 +1,7 @@
 //! Values that are lists with a syntax of their own.
 
 use super::value::{FromToml, Range};
-use super::words::Optic;
+use super::words::{Optic, SlopeOrder};
 use toml_edit::Value;
 
 /// Range of Zernike polynomials by Noll index (1 is piston).
@@ -51,6 +51,23 @@ impl FromToml for NollRange {
     }
 }
 
+impl FromToml for Vec<SlopeOrder> {
+    fn accepted(range: &Range) -> String {
+        format!("a list of {}", SlopeOrder::accepted(range))
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        value.as_array()?.iter().map(|item| SlopeOrder::from_toml(item, range)).collect()
+    }
+    fn to_toml(&self) -> String {
+        words_to_toml(self)
+    }
+}
+
+/// A list of words in the syntax of TOML.
+fn words_to_toml<T: FromToml>(words: &[T]) -> String {
+    format!("[{}]", words.iter().map(FromToml::to_toml).collect::<Vec<_>>().join(", "))
+}
+
 impl FromToml for Vec<Optic> {
     fn accepted(range: &Range) -> String {
         format!("a list of {}", Optic::accepted(range))
@@ -61,6 +78,6 @@ impl FromToml for Vec<Optic> {
         (!twice).then_some(optics)
     }
     fn to_toml(&self) -> String {
-        format!("[{}]", self.iter().map(FromToml::to_toml).collect::<Vec<_>>().join(", "))
+        words_to_toml(self)
     }
 }

@@ -43,7 +43,7 @@ pub use telescope::{AberrationScene, ImageScene};
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
     NcpaBasis, Optic, Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask,
-    Telemetry, Weighting,
+    SlopeOrder, Telemetry, Weighting,
 };
 
 use crate::{Error, Result};

@@ -136,6 +136,39 @@ words! {
 }
 
 words! {
+    /// Order, axes or signs of measured slopes, relative to all x and then all y over the subapertures in use, row by row.
+    #[derive(Copy)]
+    SlopeOrder {
+        /// All x, then all y, subapertures row by row.
+        Expected = "x-then-y",
+        /// Along y first, then along x.
+        YBeforeX = "y-then-x",
+        /// x and y of each subaperture in turn.
+        Interleaved = "interleaved",
+        /// Subapertures column by column.
+        ColumnMajor = "column-major",
+        /// The slopes along x have the opposite sign.
+        OppositeX = "opposite-x",
+        /// The slopes along y have the opposite sign.
+        OppositeY = "opposite-y",
+        /// Positions and signs mirrored, left to right.
+        FlippedX = "flipped-x",
+        /// Positions and signs mirrored, up to down.
+        FlippedY = "flipped-y",
+        /// Both: rotated by 180°.
+        Rotated180 = "rotated-180",
+        /// x and y exchanged, positions too.
+        Transposed = "transposed",
+        /// Rotated by 90°, one way or the other.
+        Rotated90 = "rotated-90",
+        /// As [`SlopeOrder::Rotated90`], the other way.
+        Rotated270 = "rotated-270",
+        /// x and y exchanged about the other diagonal.
+        TransposedBack = "transposed-back",
+    }
+}
+
+words! {
     /// Shape of an actuator's influence function.
     #[derive(Copy)]
     Influence {

@@ -12,6 +12,7 @@ mod fits;
 mod full_phase;
 mod fuzz;
 mod golden;
+mod measured_loop;
 mod modal;
 mod model_selection;
 mod modes;

@@ -21,6 +21,7 @@ fn halves() -> NumberingPicture {
         width_m: 4.0,
         segments: "2 segments, 0 to 1".into(),
         numbers_m: vec![(-1.0, 0.0), (1.0, 0.0)],
+        numbers: vec!["0".into(), "1".into()],
         actuators: None,
         subapertures: None,
     }

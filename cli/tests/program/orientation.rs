@@ -44,6 +44,28 @@ fn slopes_of_the_opposite_sign_are_refused_used_or_ignored() {
     assert!(done.err.contains("the slopes that come with the images are ignored"), "{}", done.err);
 }
 
+#[test]
+fn a_simulated_loop_writes_and_reads_slopes_in_the_form_of_the_scene() {
+    let desk = Desk::with_scene();
+    std::fs::write(desk.path("sky.toml"), SKY).unwrap();
+    desk.succeeds(&["simulate", "sky.toml", "-o", "plain.fits"]);
+    let form =
+        ["--set", "wavefront_sensor.slope_order=[\"y-then-x\"]", "--set", "wavefront_sensor.slope_unit_mas=-0.5"];
+    desk.succeeds(&[&["simulate", "sky.toml", "-o", "form.fits"], &form[..]].concat());
+    let slopes = |name: &str| FitsReader::open(desk.path(name)).unwrap().map(Some("SLOPES_MEAN")).unwrap();
+    let (plain, formed) = (slopes("plain.fits"), slopes("form.fits"));
+    let half = plain.ncols() / 2;
+    let expected = Array2::from_shape_fn(plain.dim(), |(image, k)| -2.0 * plain[[image, (k + half) % (2 * half)]]);
+    assert_eq!(formed, expected);
+    let estimate = |name: &str| {
+        desk.json(&["estimate", name, "-o", "est.fits", "--method", "full-phase", "--device", "cpu", "--json"])
+    };
+    let (plain, formed) = (estimate("plain.fits"), estimate("form.fits"));
+    for key in ["phasing_rms_nm", "ncpa_rms_nm", "phasing_sigma_nm", "telemetry_gain", "status"] {
+        assert_eq!(plain[key], formed[key], "{key}");
+    }
+}
+
 /// Writes the image of `truth` as `name`: pixel (row, column) is that of `source(pixels, row, column)` of the telescope's.
 fn write_image(
     desk: &Desk,

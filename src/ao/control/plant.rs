@@ -21,6 +21,8 @@ pub struct Plant<'a> {
     pub mask: &'a [bool],
     /// Commands of the mirror's Karhunen-Loève modes, `[actuators, modes]`, strongest first; for `basis = "kl"`.
     pub kl: Option<&'a Array2<f64>>,
+    /// Command matrix, `[actuators, 2·subapertures]`, nm per slope, in place of an inverse of D.
+    pub command_matrix: Option<&'a Array2<f64>>,
     /// Largest absolute command of an actuator, nm.
     pub stroke_limit_nm: Option<f64>,
 }

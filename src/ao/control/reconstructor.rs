@@ -27,6 +27,9 @@ impl Reconstructor {
     /// # Errors
     /// [`Error::Value`] if no mode is left, or the Karhunen-Loève modes are missing.
     pub(super) fn new(scene: &ControlScene, plant: &Plant) -> Result<Self> {
+        if let Some(matrix) = plant.command_matrix {
+            return Self::from_command_matrix(matrix, plant);
+        }
         let filtered = scene.filtered_modes.unwrap_or(0);
         let interaction = interaction_without_masked(plant, scene.fill);
         let (basis, sensed, available) = match scene.basis {
@@ -70,6 +73,24 @@ impl Reconstructor {
         Ok(Self { modes, inverse, singular_values: svd.values, dropped: available - kept })
     }
 
+    /// The command matrix of a loop that computes its own, with a mode for each actuator.
+    fn from_command_matrix(matrix: &Array2<f64>, plant: &Plant) -> Result<Self> {
+        let needed = (plant.actuators(), plant.interaction.nrows());
+        if matrix.dim() != needed {
+            let given = matrix.dim();
+            return Err(Error::Shape(format!(
+                "a command matrix of the shape {given:?} was given; {needed:?} is needed"
+            )));
+        }
+        let modes = Array2::eye(plant.actuators());
+        Ok(Self { modes, inverse: matrix.clone(), singular_values: Vec::new(), dropped: 0 })
+    }
+
+    /// Whether it inverts the interaction matrix on its modes.
+    pub(super) fn is_inverse(&self) -> bool {
+        !self.singular_values.is_empty()
+    }
+
     /// Commands of each controlled mode, `[actuators, controlled]`, nm.
     pub fn modes(&self) -> &Array2<f64> {
         &self.modes
@@ -87,7 +108,7 @@ impl Reconstructor {
     }
 
     /// Singular values of the inverted matrix, descending, slope per nm; the first [`controlled`](Self::controlled) are
-    /// kept.
+    /// kept. Empty for a command matrix that was given.
     pub fn singular_values(&self) -> &[f64] {
         &self.singular_values
     }

@@ -63,7 +63,8 @@ impl Stability {
                         eigenvalues(&inpainting.fold_into(reconstructor.inverse()).dot(&sensed))?
                     }
                     // R is the inverse of D on the controlled modes by construction.
-                    None => vec![Complex64::from(1.0)],
+                    None if reconstructor.is_inverse() => vec![Complex64::from(1.0)],
+                    None => eigenvalues(&reconstructor.inverse().dot(interaction))?,
                 };
                 let mut poles = Vec::new();
                 let mut largest = f64::INFINITY;

@@ -102,6 +102,7 @@ impl Bench {
             subapertures: &self.subapertures,
             mask: &self.mask,
             kl: Some(&self.kl),
+            command_matrix: None,
             stroke_limit_nm: None,
         }
     }

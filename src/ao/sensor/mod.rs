@@ -9,9 +9,12 @@ mod lenslets;
 mod light;
 mod pixels;
 mod quad_cell;
+mod slope_order;
 
 pub use lenslets::{Lenslets, MAS_PER_NM_M};
 pub use light::GuideStar;
+pub use slope_order::SlopeFormat;
+pub(crate) use slope_order::{OTHER_SLOPE_ORDERS, slope_sources};
 
 use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
