@@ -192,7 +192,8 @@ section! {
         exposure_s: f64, between(0.0, 86_400.0), default(0.01);
         /// Focus of the diversity, RMS over the pupil, positive at its edge; 1.5 unless diversity_file is given.
         diversity_focus_waves_rms: f64, between(-20.0, 20.0), default(1.5);
-        /// FITS map of the diversity, nm on the pupil's grid, in place of a focus.
+        /// FITS map of the diversity in place of a focus: nm, or the unit of its card BUNIT; over pupil.grid_m, or as GRID_M or
+        /// PUPLSCAL say.
         diversity_file: Option<PathBuf>, ANY, unset("a focus");
         /// Signal-to-noise ratio of the brightest pixel. Simulation only.
         peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
@@ -317,7 +318,8 @@ section! {
         ncpa_zernikes: NollRange, between(1.0, 1000.0), default(NollRange::Span { first: 4, last: 18 });
         /// Exponent p of the spectrum: the variance of a Zernike coefficient is proportional to (radial order)^p.
         ncpa_power_law: f64, between(-20.0, 20.0), default(-2.0);
-        /// FITS map of the non-common path aberrations, nm, in place of Zernike polynomials.
+        /// FITS map of the non-common path aberrations in place of Zernike polynomials: nm, or the unit of its card BUNIT; over
+        /// pupil.grid_m, or as GRID_M or PUPLSCAL say; with cards S01PISTN, ... also the segments' pistons and tilts.
         ncpa_file: Option<PathBuf>, ANY, unset("Zernike polynomials");
         /// Number of samples along a side of the grid on which the images are computed.
         truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 times pupil.samples, or the samples of pupil.file");

@@ -1,7 +1,7 @@
 //! Diversity of a scene: focus or a map.
 
 use super::model::Telescope;
-use crate::io;
+use super::opd::OpdMap;
 use crate::pupil::Pupil;
 use crate::scene::Scene;
 use crate::{Error, Result};
@@ -65,8 +65,7 @@ impl Diversity {
         let pupil = &telescope.pupil;
         if let Some(file) = &scene.image.diversity_file {
             let path = scene.resolve(file);
-            let values = io::read_map(&path, None)?;
-            return Ok(Self::Map(MapOnGrid::new(values, pupil.grid.width_m()).map_err(|e| Error::file(&path, e))?));
+            return Ok(Self::Map(OpdMap::read(&path)?.on_width(pupil.grid.width_m())?));
         }
         let pupil = telescope.finest_pupil()?;
         let (mut weight, mut mean, mut square) = (0.0, 0.0, 0.0);
