@@ -179,13 +179,14 @@ section! {
         star_temperature_k: Option<f64>, between(100.0, 1e6), unset("as many photons at each wavelength");
         /// Sampling of the image: detector pixels per λ/grid_m.
         samples_per_lambda_over_d: f64, above(0.0, 64.0), default(2.0);
-        /// Number of pixels along a side of the image; images with one more are read without their last row and column.
-        pixels: usize, even(8.0, 8192.0), required();
+        /// Number of pixels along a side of the image; the axis is on pixel pixels/2, rounded down. Images of an odd size are fitted
+        /// without their last row or column, also where the scene says one less.
+        pixels: usize, between(8.0, 8192.0), required();
         /// Number of columns of a detector frame, centred in the image; at most pixels. The axis is on column
         /// columns/2.
-        columns: Option<usize>, even(8.0, 8192.0), unset("pixels");
+        columns: Option<usize>, between(8.0, 8192.0), unset("pixels");
         /// Number of rows of a detector frame, centred in the image; at most pixels. The axis is on row rows/2.
-        rows: Option<usize>, even(8.0, 8192.0), unset("pixels");
+        rows: Option<usize>, between(8.0, 8192.0), unset("pixels");
         /// Number of pixels along a side of the square that is fitted; "auto" is the square with signal. Estimate only.
         crop_pixels: Crop, even(8.0, 8192.0), default(Crop::Auto);
         /// Exposure of one image; 0 for frozen turbulence. Read by AO simulations and full-phase estimates.
@@ -243,6 +244,12 @@ impl ImageScene {
     /// Rows and columns of a detector frame.
     pub fn frame_shape(&self) -> (usize, usize) {
         (self.rows.unwrap_or(self.pixels), self.columns.unwrap_or(self.pixels))
+    }
+
+    /// Rows and columns of a frame that an estimate takes: even, without the last of an odd number. The axis stays on the same pixel.
+    pub fn fitted_shape(&self) -> (usize, usize) {
+        let (rows, columns) = self.frame_shape();
+        (rows / 2 * 2, columns / 2 * 2)
     }
 }
 

@@ -80,7 +80,7 @@ impl Truth {
                               or segment_tip_tilt_rms_nm: one of both is accepted";
                 return Err(Error::file(&path, reason));
             }
-            Ncpa::Map(map.on_width(telescope.pupil.grid.width_m())?)
+            Ncpa::Map(map.over(&telescope.pupil).map_err(|error| Error::file(&path, error))?)
         } else {
             draw_zernikes(span, power, aberrations.ncpa_rms_nm, telescope, &mut normal)?
         };

@@ -8,6 +8,7 @@ mod band;
 mod diversity;
 mod filter;
 mod filter_file;
+mod map_on_grid;
 mod model;
 mod opd;
 mod pixels;
@@ -16,8 +17,9 @@ mod spectrum;
 
 pub use band::band;
 pub(crate) use band::wavelengths_to;
-pub use diversity::{Diversity, MapOnGrid};
+pub use diversity::Diversity;
 pub use filter::Filter;
+pub use map_on_grid::MapOnGrid;
 pub use model::Telescope;
 pub use opd::{OpdMap, SegmentPlane};
 pub use pixels::pixel_response;

@@ -10,7 +10,7 @@
 //! `stpsf.opds.OTE_Linear_Model_WSS`). With r half of a segment's extent along x, about its centre, they are the coefficients of 1, y/r (a
 //! tilt about x) and x/r (a tilt about y), those of `poppy.zernike.hexike_basis_wss`.
 
-use super::diversity::MapOnGrid;
+use super::map_on_grid::MapOnGrid;
 use crate::io::{Card, FitsReader};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
@@ -82,6 +82,23 @@ impl OpdMap {
     /// Those of [`MapOnGrid::new`].
     pub fn on_width(&self, width_m: f64) -> Result<MapOnGrid> {
         MapOnGrid::new(self.values_nm.clone(), self.width_m.unwrap_or(width_m))
+    }
+
+    /// As [`OpdMap::on_width`] of the grid of `pupil`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a map that is narrower than the pupil: its cards have another unit, or it is one of another telescope.
+    pub fn over(&self, pupil: &Pupil) -> Result<MapOnGrid> {
+        let (grid, width_m) = (&pupil.grid, self.width_m.unwrap_or(pupil.grid.width_m()));
+        let reach_m = |(y, x): (usize, usize)| grid.coordinate_m(x).abs().max(grid.coordinate_m(y).abs());
+        let needed_m = 2.0 * pupil.owned_samples().map(|(at, _)| reach_m(at)).fold(0.0, f64::max);
+        if width_m < needed_m - grid.pitch_m() {
+            return Err(Error::Value(format!(
+                "the map is {width_m} m wide (GRID_M, or PUPLSCAL or PIXELSCL times its samples) where the pupil is {needed_m:.4} m: a map \
+                 of the whole pupil is accepted"
+            )));
+        }
+        self.on_width(grid.width_m())
     }
 
     /// Pistons and slopes of the segments of `pupil` that are not in the map; `None` without cards of segments.

@@ -78,7 +78,8 @@ fn a_truth_on_another_grid_is_resampled_without_its_edges() {
     let all = number(&desk.json(&["compare", "est.fits", "--json"]), "samples") as u64;
     // The same aberrations on a finer grid, a coarser one and a wider one: draws are scaled to the RMS over the samples of a grid, which
     // changes pistons of 60 nm by 0.1 %, and the interpolation of Zernikes to Noll 10 from 32 samples has errors of some 0.1 nm.
-    let grids = [("fine", "pupil.samples=250", 0.05), ("coarse", "pupil.samples=32", 0.6), ("wide", "pupil.grid_m=6.5", 0.25)];
+    let grids =
+        [("fine", "pupil.samples=250", 0.05), ("coarse", "pupil.samples=32", 0.6), ("wide", "pupil.grid_m=6.5", 0.25)];
     for (name, setting, most_out) in grids {
         let file = format!("{name}.fits");
         desk.succeeds(&["image", "scene.toml", "-o", &file, "--set", setting]);
@@ -120,7 +121,9 @@ fn an_estimate_becomes_an_opd_map_and_a_truth_comes_from_one() {
     let mut opd = FitsReader::open(desk.path("opd.fits")).unwrap();
     let wavefront_nm = FitsReader::open(desk.path("est.fits")).unwrap().map(Some("WAVEFRONT")).unwrap();
     let opd_m = opd.map(None).unwrap();
-    assert!(opd_m.iter().zip(&wavefront_nm).all(|(m, nm)| (m * 1e9 - if nm.is_nan() { 0.0 } else { *nm }).abs() < 1e-9));
+    assert!(
+        opd_m.iter().zip(&wavefront_nm).all(|(m, nm)| (m * 1e9 - if nm.is_nan() { 0.0 } else { *nm }).abs() < 1e-9)
+    );
     let pupil = telescope().pupil;
     assert_eq!(opd.image_card("PUPLSCAL").unwrap().unwrap().number(), Some(pupil.grid.pitch_m()));
     assert_eq!(opd.image_card("BUNIT").unwrap().unwrap().text(), Some("m"));
@@ -145,6 +148,10 @@ fn an_estimate_becomes_an_opd_map_and_a_truth_comes_from_one() {
     std::fs::write(desk.path("scene.toml"), &text).unwrap();
     desk.refuses(&["image", "scene.toml", "-o", "no.fits"], &["stpsf.fits", "S01PISTN", "segment_piston_rms_nm"]);
     std::fs::write(desk.path("scene.toml"), text.replace("segment_piston_rms_nm = 60\n", "")).unwrap();
+    let narrow = text.replace("stpsf.fits", "narrow.fits");
+    std::fs::write(desk.path("narrow.toml"), narrow).unwrap();
+    write_map(&desk, "narrow.fits", &focus_m, "m", &[("PIXELSCL", 0.001)]);
+    desk.refuses(&["image", "narrow.toml", "-o", "no.fits"], &["narrow.fits", "0.256 m wide", "the pupil is"]);
     desk.succeeds(&["image", "scene.toml", "-o", "images.fits"]);
     let mut images = FitsReader::open(desk.path("images.fits")).unwrap();
     let (phasing_nm, ncpa_nm) = (images.map(Some("TRUTH_PHASING")).unwrap(), images.map(Some("TRUTH_NCPA")).unwrap());
@@ -153,7 +160,8 @@ fn an_estimate_becomes_an_opd_map_and_a_truth_comes_from_one() {
     let mut offsets_nm = Vec::new();
     for ((y, x), &owner) in pupil.owner.indexed_iter().filter(|(_, owner)| **owner >= 0) {
         let centre = pupil.segments[owner as usize];
-        let [u, v] = [pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m].map(|m| m / side_m);
+        let [u, v] =
+            [pupil.grid.coordinate_m(x) - centre.x_m, pupil.grid.coordinate_m(y) - centre.y_m].map(|m| m / side_m);
         let expected_nm = 10.0 * owner as f64 - owner as f64 * u + 2.0 * v;
         offsets_nm.push(phasing_nm[[y, x]] - expected_nm);
         let r2 = pupil.grid.coordinate_m(x).powi(2) + pupil.grid.coordinate_m(y).powi(2);
@@ -166,7 +174,8 @@ fn an_estimate_becomes_an_opd_map_and_a_truth_comes_from_one() {
     assert!((mean + 30.0).abs() < 0.5 && most < 0.6, "{mean} {most}");
 
     desk.succeeds(&ESTIMATE);
-    let ((by_opd, _), (by_maps, _)) = (residuals(&desk, &["--truth-opd", "stpsf.fits"]), residuals(&desk, &["--truth", "images.fits"]));
+    let ((by_opd, _), (by_maps, _)) =
+        (residuals(&desk, &["--truth-opd", "stpsf.fits"]), residuals(&desk, &["--truth", "images.fits"]));
     // The estimate has no tilts of segments: what is left of both truths is the same, some nm, but for the samples at edges.
     println!("{by_opd:?} {by_maps:?}");
     for (opd, maps) in by_opd.iter().zip(by_maps) {
