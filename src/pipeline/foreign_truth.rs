@@ -5,7 +5,7 @@
 //! (for a map of NCPA: are illuminated). The points are those of a pupil on a finer grid, so that on the estimate's own grid only samples
 //! are left out whose centre is on an edge.
 
-use super::estimate::Estimate;
+use super::estimate::{Estimate, check_on_pupil};
 use super::images::counted;
 use crate::pupil::Pupil;
 use crate::telescope::{OpdMap, Telescope};
@@ -130,6 +130,8 @@ impl ForeignTruth {
         ncpa_nm: &Array2<f64>,
     ) -> Result<ForeignComparison> {
         let pupil = &telescope.pupil;
+        check_on_pupil(pupil, "the estimate's phasing", phasing_nm)?;
+        check_on_pupil(pupil, "the estimate's NCPA", ncpa_nm)?;
         let [phasing, ncpa, wavefront] = self.parts(pupil)?;
         let parts = || [&phasing, &ncpa, &wavefront].into_iter().flatten();
         let mut inner = pupil.clone();
