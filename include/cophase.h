@@ -336,7 +336,9 @@ typedef struct {
 /* Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it. */
 typedef struct cophase_model cophase_model;
 
-/* Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. */
+/* Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A pupil of at least twice
+ * pupil.samples is averaged onto that grid, which modes then have.
+ */
 typedef struct {
   /* sizeof(cophase_model_arrays). */
   size_t struct_size;
@@ -346,7 +348,7 @@ typedef struct {
    * at 1, outside all segments. Segments are counted by ascending label. Data NULL: not segmented.
    */
   cophase_input segments;
-  /* modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: the scene's modes. */
+  /* modes x n x n: wavefront of each NCPA mode, nm per nm of its coefficient. Data NULL: the scene's modes. */
   cophase_input modes;
   /* 1 x n x n: diversity, nm of wavefront. Data NULL: the scene's. */
   cophase_input diversity_nm;
@@ -373,9 +375,10 @@ typedef struct {
  * scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
  *   takes some seconds.
  * directory: directory of the files that the scene names; NULL for the working directory.
- * arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. The scene then
- *   gives the camera ([image]), the fit ([estimate]) and whether segment pistons are estimated (modes.segment); these
- *   come before the modes of the arrays.
+ * arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. They have the effect
+ *   of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment pistons
+ *   (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes says
+ *   otherwise.
  * model: receives the handle.
  *
  * COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and

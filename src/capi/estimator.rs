@@ -322,7 +322,7 @@ unsafe fn images(
 ) -> Result<Images> {
     let options = unsafe { sized::read(options, "options") }?;
     let frames = unsafe { Input::new(frames, "frames") }?;
-    let shape = taken_shape(&frames, scene.image.frame_shape());
+    let shape = taken_shape(&frames, scene.image.fitted_shape());
     let has_gain = unsafe { has_gain(options.calibration) }?;
     // Where the caller gives no gain, the estimate converts with the scene's.
     let calibration = unsafe { calibration(options.calibration, shape, None) }?;

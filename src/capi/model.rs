@@ -24,7 +24,8 @@ struct Named {
     names: Vec<CString>,
 }
 
-/// Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m.
+/// Telescope of the caller's, as maps of n x n samples, n even, over the scene's pupil.grid_m. A pupil of at least twice
+/// pupil.samples is averaged onto that grid, which modes then have.
 #[allow(non_camel_case_types)] // a name of the header
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -36,7 +37,7 @@ pub struct cophase_model_arrays {
     /// 1 x n x n: label of each sample's segment, whole numbers from 0 or 1, with gaps or without; negative, or 0 where they begin
     /// at 1, outside all segments. Segments are counted by ascending label. Data NULL: not segmented.
     pub segments: cophase_input,
-    /// modes x n x n: wavefront of each mode, nm per nm of its coefficient. Data NULL: the scene's modes.
+    /// modes x n x n: wavefront of each NCPA mode, nm per nm of its coefficient. Data NULL: the scene's modes.
     pub modes: cophase_input,
     /// 1 x n x n: diversity, nm of wavefront. Data NULL: the scene's.
     pub diversity_nm: cophase_input,
@@ -123,9 +124,10 @@ pub(super) unsafe fn scene<'a>(scene_text: *const c_char, directory: *const c_ch
 /// scene_text: scene as TOML, UTF-8; see cophase_scene_preset. With estimate.budget_nm, the model is planned first, which
 ///   takes some seconds.
 /// directory: directory of the files that the scene names; NULL for the working directory.
-/// arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. The scene then
-///   gives the camera ([image]), the fit ([estimate]) and whether segment pistons are estimated (modes.segment); these
-///   come before the modes of the arrays.
+/// arrays: telescope of the caller's instead of the scene's; NULL for the scene's. The arrays are copied. They have the effect
+///   of the same maps in the files pupil.file, modes.file and image.diversity_file; the rest is the scene's. Segment pistons
+///   (modes.segment) come before the modes of the arrays, and Zernikes to Noll 21 follow them unless modes.exact_zernikes says
+///   otherwise.
 /// model: receives the handle.
 ///
 /// COPHASE_BAD_SCENE with line, key, value and what is accepted: also for estimate.method = "full-phase" and

@@ -176,6 +176,18 @@ impl FitsReader {
         self.card_at(index, key)
     }
 
+    /// The card `key` of the image that [`map`](Self::map) reads without a name, else of the primary HDU.
+    ///
+    /// # Errors
+    /// As [`FitsReader::card`], and where there is no image.
+    pub fn image_card(&mut self, key: &str) -> Result<Option<Card>> {
+        let index = self.first_image(&[])?;
+        match self.card_at(index, key)? {
+            None => self.card_at(0, key),
+            found => Ok(found),
+        }
+    }
+
     pub(super) fn card_at(&mut self, index: usize, key: &str) -> Result<Option<Card>> {
         let key = checked_keyword(key)?;
         let Some(value) = self.layout.hdus[index].value(&key).map(str::to_owned) else { return Ok(None) };

@@ -1,12 +1,12 @@
 //! Models of a telescope that the caller gives as arrays: pupil amplitude, segment labels, modes, diversity.
 
 use super::fitter::{ModalFitter, refuse_budget, refuse_fit_optics, refuse_full_phase};
+use super::memory;
 use super::mode_set::{ModeSet, SceneBasis, on_grid};
 use super::model::Model;
 use super::recipe::Recipe;
-use crate::modes::Group;
-use crate::pupil::Pupil;
-use crate::scene::{NcpaBasis, NollRange, PupilModel, Scene, SegmentModes};
+use crate::modes::{Basis, Group};
+use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
 use crate::telescope::{Diversity, MapOnGrid, Telescope};
 use crate::{Error, Result};
 use ndarray::{Array2, Array3, ArrayViewMut2};
@@ -34,14 +34,14 @@ impl ModalFitter {
     /// and its files for which there is an array, are ignored: [`Scene::for_arrays`] reads a scene without checking
     /// them.
     ///
-    /// The pupil is used on its own samples, not by `pupil.samples` and `pupil.model`, and `pupil.grid_m` is needed
-    /// only where lengths matter (`modes.ncpa = "kl"`).
+    /// The arrays have the effect of the same maps in the files `pupil.file`, `modes.file` and `image.diversity_file`:
     ///
-    /// * **Segment modes** are those of `modes.segment` for the labelled segments. Without labels there are none, because
-    ///   the piston of a single piece does not change the image.
-    /// * **NCPA modes** are those of `arrays`; without any, those of `modes.ncpa` or `modes.file` where the scene names
-    ///   one of them, else none.
-    /// * **Exact Zernikes** join the modes of a caller only where the scene names `modes.exact_zernikes`.
+    /// * **Pupil**: one of at least twice `pupil.samples` is averaged onto that grid and band-limited ([`Telescope::of_maps`]).
+    ///   `pupil.grid_m` is needed only where lengths matter, as for `modes.ncpa = "kl"`, the default.
+    /// * **Segment modes** are those of `modes.segment` for the labelled segments, pistons by default also with NCPA modes of `arrays`,
+    ///   which hold no segment modes. Without labels there are none, because the piston of a single piece does not change the image.
+    /// * **NCPA modes** are those of `arrays`, on the grid of `pupil.samples`, else the scene's.
+    /// * **Exact Zernikes** join both, unless `modes.exact_zernikes` says otherwise.
     /// * **Diversity** is that of `arrays`, else the scene's.
     ///
     /// # Errors
@@ -54,50 +54,38 @@ impl ModalFitter {
         refuse_fit_optics(scene)?;
         refuse_full_phase(scene)?;
         let width_m = scene.pupil.grid_m.unwrap_or(UNSTATED_WIDTH_M);
-        let telescope = Telescope::from_maps(width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
+        let telescope = Telescope::of_maps(scene, width_m, arrays.amplitude.clone(), arrays.segments.clone())?;
         let diversity = match &arrays.diversity_nm {
-            Some(map) => diversity_from_map(map.clone(), &telescope.pupil)?,
+            Some(map) => diversity_from_map(map.clone(), arrays, width_m)?,
             None => Diversity::new(scene, &telescope)?,
         };
-        let (recipe, set) = build_modes(scene, arrays, &telescope)?;
+        let recipe = Recipe::from_scene(scene);
+        let set = build_modes(scene, arrays, &recipe, &telescope)?;
         let model = Model::assemble(scene, &recipe, false, telescope, &diversity, set)?;
         Self::from_model(scene, recipe, model)
     }
 }
 
-/// Builds the modes, and the recipe that goes with them.
-fn build_modes(scene: &Scene, arrays: &Arrays, telescope: &Telescope) -> Result<(Recipe, ModeSet)> {
-    let pupil = &telescope.pupil;
+fn build_modes(scene: &Scene, arrays: &Arrays, recipe: &Recipe, telescope: &Telescope) -> Result<ModeSet> {
     let segment = segment_modes(scene, arrays)?;
-    let own = arrays.modes.is_none() && (scene.names("modes.ncpa") || scene.names("modes.file"));
-    let mut recipe = Recipe::from_scene(scene);
-    // A map on the model's own grid has no finer one from which to band-limit it.
-    recipe.pupil_model = PupilModel::Hard;
-    if !own && scene.modes.exact_zernikes.is_none() {
-        recipe.exact_zernikes = NollRange::None;
-    }
     if let Some(maps) = &arrays.modes {
-        return Ok((
-            recipe.clone(),
-            ModeSet::from_maps(segment, ncpa_from_maps(maps.clone(), pupil)?, &recipe, pupil)?,
-        ));
+        return ModeSet::from_maps(segment, ncpa_from_maps(maps.clone(), arrays, telescope)?, recipe, &telescope.pupil);
     }
-    let basis = if own && scene.modes.ncpa != NcpaBasis::None { SceneBasis::default() } else { SceneBasis::none() };
-    if own && scene.modes.ncpa == NcpaBasis::Kl && scene.pupil.grid_m.is_none() {
-        let sentence =
-            "'pupil.grid_m' is missing; the width of the pupil's array, in m, is needed by modes.ncpa = \"kl\"";
+    if scene.modes.ncpa == NcpaBasis::Kl && scene.pupil.grid_m.is_none() {
+        let sentence = "'pupil.grid_m' is missing; the width of the pupil's array, in m, is needed by modes.ncpa = \"kl\", the \
+                        default; \"zernike\" and \"none\" need none";
         return Err(Error::Scene(sentence.into()));
     }
-    let nothing = !own || scene.modes.ncpa == NcpaBasis::None;
-    if segment == SegmentModes::None && nothing && recipe.exact_zernikes == NollRange::None {
+    let is_without_ncpa = scene.modes.ncpa == NcpaBasis::None && recipe.exact_zernikes == NollRange::None;
+    if segment == SegmentModes::None && is_without_ncpa {
         return Err(Error::Value(
-            "there is no mode to estimate: give modes, or the labels of segments with a modes.segment other than \
-             \"none\""
+            "there is no mode to estimate: give modes, a modes.ncpa other than \"none\", or the labels of segments with a \
+             modes.segment other than \"none\""
                 .into(),
         ));
     }
-    let set = ModeSet::from_scene(scene, segment, &recipe, telescope, &basis)?;
-    Ok((recipe, set))
+    memory::check_maps(scene, recipe)?;
+    ModeSet::from_scene(scene, segment, recipe, telescope, &SceneBasis::default())
 }
 
 /// Motions of the labelled segments. Pistons are the scene's default, so that pistons without labels are no error; tips and
@@ -114,37 +102,37 @@ fn segment_modes(scene: &Scene, arrays: &Arrays) -> Result<SegmentModes> {
     }
 }
 
-fn ncpa_from_maps(mut maps: Array3<f64>, pupil: &Pupil) -> Result<crate::modes::Basis> {
+fn ncpa_from_maps(mut maps: Array3<f64>, arrays: &Arrays, telescope: &Telescope) -> Result<Basis> {
     let count = maps.dim().0;
     if count == 0 {
         return Err(Error::Shape("an array of 0 modes is given; at least one is needed, or no array at all".into()));
     }
     let names: Vec<String> = (1..=count).map(|mode| format!("mode-{mode}")).collect();
     // Another shape is refused by `on_grid`.
-    if (maps.dim().1, maps.dim().2) == pupil.amplitude.dim() {
+    if (maps.dim().1, maps.dim().2) == arrays.amplitude.dim() {
         for (map, name) in maps.outer_iter_mut().zip(&names) {
-            check_finite_in_pupil(map, name, pupil)?;
+            check_finite_in_pupil(map, name, &arrays.amplitude)?;
         }
     }
-    on_grid(names, vec![Group::Ncpa; count], maps, pupil)
+    on_grid(names, vec![Group::Ncpa; count], maps, &telescope.pupil)
 }
 
-fn diversity_from_map(mut map: Array2<f64>, pupil: &Pupil) -> Result<Diversity> {
-    let (samples, (rows, columns)) = (pupil.grid.samples(), map.dim());
+fn diversity_from_map(mut map: Array2<f64>, arrays: &Arrays, width_m: f64) -> Result<Diversity> {
+    let ((rows, columns), (samples, _)) = (map.dim(), arrays.amplitude.dim());
     if (rows, columns) != (samples, samples) {
         return Err(Error::Shape(format!(
             "the diversity has {columns}x{rows} samples where the pupil has {samples}x{samples}"
         )));
     }
-    check_finite_in_pupil(map.view_mut(), "the diversity", pupil)?;
-    Ok(Diversity::Map(MapOnGrid::new(map, pupil.grid.width_m())?))
+    check_finite_in_pupil(map.view_mut(), "the diversity", &arrays.amplitude)?;
+    Ok(Diversity::Map(MapOnGrid::new(map, width_m)?))
 }
 
 /// Refuses values that are not finite at illuminated samples, and replaces them by 0 elsewhere: maps are commonly NaN outside
 /// the pupil.
-fn check_finite_in_pupil(mut map: ArrayViewMut2<f64>, name: &str, pupil: &Pupil) -> Result<()> {
+fn check_finite_in_pupil(mut map: ArrayViewMut2<f64>, name: &str, amplitude: &Array2<f64>) -> Result<()> {
     for ((y, x), value) in map.indexed_iter_mut().filter(|(_, value)| !value.is_finite()) {
-        if pupil.amplitude[[y, x]] > 0.0 {
+        if amplitude[[y, x]] > 0.0 {
             return Err(Error::Value(format!(
                 "{name} is {value} at row {y}, column {x}, where the pupil is illuminated; finite values are needed"
             )));

@@ -131,6 +131,8 @@ impl ModeSet {
     fn assemble(segment: SegmentModes, ncpa: NcpaModes, recipe: &Recipe, pupil: &Pupil) -> Result<Self> {
         let segment = match segment {
             SegmentModes::None => None,
+            // The piston of a mirror of one piece does not change the image.
+            SegmentModes::Piston if pupil.segments.len() == 1 => None,
             SegmentModes::Piston => Some(modes::SegmentModes::Piston),
             SegmentModes::PistonTipTilt => Some(modes::SegmentModes::PistonTipTilt),
         };
@@ -167,11 +169,6 @@ impl ModeSet {
 pub(super) struct SceneBasis(OnceLock<Option<SmoothBasis>>);
 
 impl SceneBasis {
-    /// An empty basis, also for a scene that names modes.
-    pub(super) fn none() -> Self {
-        Self(OnceLock::from(None))
-    }
-
     /// The basis, built at the first call.
     fn get_or_build(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<SmoothBasis>> {
         if let Some(made) = self.0.get() {
@@ -237,7 +234,12 @@ pub(super) fn on_grid(names: Vec<String>, groups: Vec<Group>, maps: Array3<f64>,
     let (samples, (_, rows, columns)) = (pupil.grid.samples(), maps.dim());
     if rows != samples || columns != samples {
         return Err(Error::Shape(format!(
-            "the modes have {columns}x{rows} samples where the pupil has {samples}x{samples}"
+            "the modes have {columns}x{rows} samples where the pupil has {samples}x{samples}{}",
+            if rows == columns && rows > samples {
+                format!("; with pupil.samples = {rows} the model has their grid")
+            } else {
+                String::new()
+            }
         )));
     }
     Basis::from_cube(names, groups, maps)

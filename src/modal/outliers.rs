@@ -62,7 +62,7 @@ pub(super) struct OutlierFinder {
 impl OutlierFinder {
     /// A finder for frames of `scene` through its `filter`; `None` where they are sampled too coarsely.
     pub(super) fn new(scene: &Scene, filter: &Filter) -> Option<Self> {
-        let (rows, columns) = scene.image.frame_shape();
+        let (rows, columns) = scene.image.fitted_shape();
         let [shortest, _] = filter.range();
         let cutoff = MARGIN / (scene.image.samples_per_lambda_over_d * shortest);
         let cycles = |i: usize, n: usize| i.min(n - i) as f64 / n as f64;

@@ -38,7 +38,7 @@ pub(super) struct PixelPlan {
 impl PixelPlan {
     pub(super) fn new(scene: &Scene, recipe: &Recipe, native: bool, diversity: &Diversity, pupil: &Pupil) -> Self {
         let image = &scene.image;
-        let ((rows, columns), frame_sampling) = (image.frame_shape(), image.samples_per_lambda_over_d);
+        let ((rows, columns), frame_sampling) = (image.fitted_shape(), image.samples_per_lambda_over_d);
         let frame = [columns, rows];
         let nyquist = frame.map(|pixels| pixels as f64 * 2.0 / frame_sampling);
         let whole = |pixels: f64| (pixels - pixels.round()).abs() < 1e-9 && (pixels.round() as usize).is_multiple_of(2);

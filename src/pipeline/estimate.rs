@@ -193,7 +193,7 @@ impl Comparison {
 }
 
 /// Refuses a map of another grid or of another pupil than `pupil`.
-fn check_on_pupil(pupil: &Pupil, name: &str, map: &Array2<f64>) -> Result<()> {
+pub(super) fn check_on_pupil(pupil: &Pupil, name: &str, map: &Array2<f64>) -> Result<()> {
     let (rows, columns) = map.dim();
     let samples = pupil.grid.samples();
     if (rows, columns) != (samples, samples) {

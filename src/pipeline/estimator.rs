@@ -88,7 +88,7 @@ impl Estimator {
         self.given.refuse_channels("the images of one cube")?;
         images.check()?;
         self.control.reset_progress();
-        let (images, cut) = images.without_odd_edge(self.given.image.frame_shape());
+        let (images, cut) = images.without_odd_edge(self.given.image.fitted_shape());
         let images = images.as_ref();
         let consistent = reconcile(images, &self.given)?;
         let (of_file, cache_of_file);
@@ -138,7 +138,7 @@ impl Estimator {
         self.control.reset_progress();
         let pairs = images.iter().zip(channels);
         let cut: Vec<_> =
-            pairs.map(|(images, channel)| images.without_odd_edge(channel.scene.image.frame_shape())).collect();
+            pairs.map(|(images, channel)| images.without_odd_edge(channel.scene.image.fitted_shape())).collect();
         let (mut ready, mut notes, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
         for (channel, (images, cut)) in channels.iter().zip(&cut) {
             let name = &channel.name;

@@ -189,7 +189,7 @@ impl Images {
         let part = s![.., ..rows, ..columns];
         let (images_e, bad) = (self.images_e.slice(part).to_owned(), self.bad.slice(part).to_owned());
         let sentence =
-            format!("The last {edges} left out: the images have {x}x{y} pixels, the scene {columns}x{rows}.");
+            format!("The last {edges} left out: the images have {x}x{y} pixels, an estimate takes {columns}x{rows}.");
         (Cow::Owned(Self { images_e, bad, ..self.clone() }), Some(sentence))
     }
 

@@ -57,7 +57,8 @@ impl Trials {
         let truths = (0..DRAWS).map(|_| Truth::draw(scene, &telescope, &mut rng)).collect::<Result<Vec<_>>>()?;
         let psf = |truth: &Truth| -> Result<(Array2<f64>, f64)> {
             check_cancelled(cancel)?;
-            let psf = camera.psf(truth)?;
+            let (rows, columns) = scene.image.fitted_shape();
+            let psf = camera.psf(truth)?.slice_move(s![..rows, ..columns]);
             let flux_e = source::flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));
             Ok((psf * flux_e + scene.image.background_e, flux_e))
         };

@@ -23,7 +23,7 @@ fn spot(scene: &Scene, telescope: &Telescope) -> Result<f64> {
 /// Those of the diversity.
 pub(super) fn with_retrieval_sampling(scene: &Scene, telescope: &Telescope, cycles: f64) -> Result<Scene> {
     let image = &scene.image;
-    let (rows, columns) = image.frame_shape();
+    let (rows, columns) = image.fitted_shape();
     let larger = rows.max(columns);
     let areas_m2 = telescope.pupil.segment_areas();
     let segment_m = (areas_m2.iter().sum::<f64>() / areas_m2.len() as f64).sqrt();

@@ -25,20 +25,22 @@ section! {
         star_temperature_k: Option<f64>, between(100.0, 1e6), unset("as many photons at each wavelength");
         /// Sampling of the image: detector pixels per λ/grid_m.
         samples_per_lambda_over_d: f64, above(0.0, 64.0), default(2.0);
-        /// Number of pixels along a side of the image; images with one more are read without their last row and column.
-        pixels: usize, even(8.0, 8192.0), required();
+        /// Number of pixels along a side of the image; the axis is on pixel pixels/2, rounded down. Images of an odd size are fitted
+        /// without their last row or column, also where the scene says one less.
+        pixels: usize, between(8.0, 8192.0), required();
         /// Number of columns of a detector frame, centred in the image; at most pixels. The axis is on column
         /// columns/2.
-        columns: Option<usize>, even(8.0, 8192.0), unset("pixels");
+        columns: Option<usize>, between(8.0, 8192.0), unset("pixels");
         /// Number of rows of a detector frame, centred in the image; at most pixels. The axis is on row rows/2.
-        rows: Option<usize>, even(8.0, 8192.0), unset("pixels");
+        rows: Option<usize>, between(8.0, 8192.0), unset("pixels");
         /// Number of pixels along a side of the square that is fitted; "auto" is the square with signal. Estimate only.
         crop_pixels: Crop, even(8.0, 8192.0), default(Crop::Auto);
         /// Exposure of one image; 0 for frozen turbulence. Read by AO simulations and full-phase estimates.
         exposure_s: f64, between(0.0, 86_400.0), default(0.01);
         /// Focus of the diversity, RMS over the pupil, positive at its edge; 1.5 unless diversity_file is given.
         diversity_focus_waves_rms: f64, between(-20.0, 20.0), default(1.5);
-        /// FITS map of the diversity, nm on the pupil's grid, in place of a focus.
+        /// FITS map of the diversity in place of a focus: nm, or the unit of its card BUNIT; over pupil.grid_m, or as GRID_M or
+        /// PUPLSCAL say.
         diversity_file: Option<PathBuf>, ANY, unset("a focus");
         /// Signal-to-noise ratio of the brightest pixel. Simulation only.
         peak_snr: Option<f64>, above(0.0, 1e9), unset("500, or given by flux_e");
@@ -88,6 +90,12 @@ impl ImageScene {
     /// Rows and columns of a detector frame.
     pub fn frame_shape(&self) -> (usize, usize) {
         (self.rows.unwrap_or(self.pixels), self.columns.unwrap_or(self.pixels))
+    }
+
+    /// Rows and columns of a frame that an estimate takes: even, without the last of an odd number. The axis stays on the same pixel.
+    pub fn fitted_shape(&self) -> (usize, usize) {
+        let (rows, columns) = self.frame_shape();
+        (rows / 2 * 2, columns / 2 * 2)
     }
 }
 
@@ -163,7 +171,8 @@ section! {
         ncpa_zernikes: NollRange, between(1.0, 1000.0), default(NollRange::Span { first: 4, last: 18 });
         /// Exponent p of the spectrum: the variance of a Zernike coefficient is proportional to (radial order)^p.
         ncpa_power_law: f64, between(-20.0, 20.0), default(-2.0);
-        /// FITS map of the non-common path aberrations, nm, in place of Zernike polynomials.
+        /// FITS map of the non-common path aberrations in place of Zernike polynomials: nm, or the unit of its card BUNIT; over
+        /// pupil.grid_m, or as GRID_M or PUPLSCAL say; with cards S01PISTN, ... also the segments' pistons and tilts.
         ncpa_file: Option<PathBuf>, ANY, unset("Zernike polynomials");
         /// Number of samples along a side of the grid on which the images are computed.
         truth_samples: Option<usize>, even(16.0, 16_384.0), unset("8 times pupil.samples, or the samples of pupil.file");

@@ -22,6 +22,11 @@ const LEAST_WAVELENGTHS: usize = 7;
 /// to 120 from 1024 to 4096 samples a side, for the whole process.
 const BYTES_PER_SAMPLE: u64 = 120;
 
+/// Pixels along a side of the square that holds the frame: even, as transforms are.
+fn square(image: &ImageScene) -> usize {
+    image.pixels.next_multiple_of(2)
+}
+
 /// Camera of a scene behind its telescope.
 pub struct Camera<'a> {
     scene: &'a Scene,
@@ -61,11 +66,11 @@ impl<'a> Camera<'a> {
         let (image, psf) = (&self.scene.image, self.square_psf(truth)?);
         let (rows, columns) = image.frame_shape();
         // The axis is on pixel M/2 of the square and of the frame.
-        let [y, x] = [rows, columns].map(|size| image.pixels / 2 - size / 2);
+        let [y, x] = [rows, columns].map(|size| square(image) / 2 - size / 2);
         Ok(DetectorPixels::new(self.scene).apply(psf.slice_move(s![y..y + rows, x..x + columns])))
     }
 
-    /// Computes the PSF on `image.pixels` pixels a side.
+    /// Computes the PSF on a square that holds the frame.
     fn square_psf(&self, truth: &Truth) -> Result<Array2<f64>> {
         let image = &self.scene.image;
         let opd_nm = self.smooth_opd_nm(truth)?;
@@ -74,7 +79,7 @@ impl<'a> Camera<'a> {
         }
         let count =
             LEAST_WAVELENGTHS.max(2 * self.filter.wavelengths_needed(self.scene, self.telescope, &self.diversity));
-        let mut sum = Array2::zeros((image.pixels, image.pixels));
+        let mut sum = Array2::zeros((square(image), square(image)));
         for (ratio, share) in self.filter.wavelengths(count)? {
             sum.scaled_add(share, &self.monochromatic(truth, &opd_nm, image.wavelength_nm * ratio)?);
         }
@@ -101,7 +106,7 @@ impl<'a> Camera<'a> {
         let image = &self.scene.image;
         // A pixel is a fixed angle: it spans fewer λ/D where λ is longer.
         let per_lambda_over_d = image.samples_per_lambda_over_d * wavelength_nm / image.wavelength_nm;
-        let sampling = Sampling::new(self.grid.samples(), image.pixels, per_lambda_over_d)?;
+        let sampling = Sampling::new(self.grid.samples(), square(image), per_lambda_over_d)?;
         let (n, m) = (sampling.samples, sampling.pixels);
         let mut field = vec![0.0f64; 2 * n * n];
         let phasor = |nm: f64| (std::f64::consts::TAU * (nm / wavelength_nm)).sin_cos();

@@ -1,10 +1,9 @@
 //! True aberrations of simulated images, drawn at random.
 
-use crate::io;
 use crate::modes::{SmoothBasis, Zernikes, noll_orders};
 use crate::pupil::Pupil;
 use crate::scene::{NollRange as Span, Scene};
-use crate::telescope::{MapOnGrid, Telescope};
+use crate::telescope::{MapOnGrid, OpdMap, Telescope};
 use crate::{Error, Result};
 use ndarray::Array2;
 use rand::Rng;
@@ -40,10 +39,11 @@ impl Truth {
     ///
     /// Pistons are normal, then shifted to zero mean and scaled to exactly the stated RMS over the segments. The NCPA
     /// are Zernike polynomials on the circle around the pupil. Their variances are proportional to the radial order to
-    /// the stated power; their sum is scaled to exactly the stated RMS over the pupil (weight A, piston removed).
+    /// the stated power; their sum is scaled to exactly the stated RMS over the pupil (weight A, piston removed). A map of NCPA whose
+    /// cards have the pistons and tilts of the segments gives those too.
     ///
     /// # Errors
-    /// [`Error::File`] for an NCPA map that cannot be read.
+    /// [`Error::File`] for an NCPA map that cannot be read, and one with cards of the segments where the scene draws these.
     pub fn draw(scene: &Scene, telescope: &Telescope, rng: &mut impl Rng) -> Result<Self> {
         let segments = telescope.pupil.segments.len();
         let Some(aberrations) = &scene.aberrations else {
@@ -67,11 +67,20 @@ impl Truth {
         let square: Vec<f64> = tilts.chunks(2).map(|t| t[0] * t[0] + t[1] * t[1]).collect();
         scale_to(&mut tilts, mean(&square).sqrt(), aberrations.segment_tip_tilt_rms_nm);
         let tip_tilt_nm = tilts.chunks(2).map(|t| [t[0], t[1]]).collect();
+        let mut planes = None;
         let (span, power) = (aberrations.ncpa_zernikes, aberrations.ncpa_power_law);
         let ncpa = if let Some(file) = &aberrations.ncpa_file {
             let path = scene.resolve(file);
-            let map = MapOnGrid::new(io::read_map(&path, None)?, telescope.pupil.grid.width_m());
-            Ncpa::Map(map.map_err(|error| Error::file(&path, error))?)
+            let map = OpdMap::read(&path)?;
+            planes = map.segment_planes(&telescope.pupil).map_err(|error| Error::file(&path, error))?;
+            if planes.is_some()
+                && (aberrations.segment_piston_rms_nm > 0.0 || aberrations.segment_tip_tilt_rms_nm > 0.0)
+            {
+                let reason = "has the pistons and tilts of the segments (cards S01PISTN, ...), and the scene aberrations.segment_piston_rms_nm \
+                              or segment_tip_tilt_rms_nm: one of both is accepted";
+                return Err(Error::file(&path, reason));
+            }
+            Ncpa::Map(map.over(&telescope.pupil).map_err(|error| Error::file(&path, error))?)
         } else {
             draw_zernikes(span, power, aberrations.ncpa_rms_nm, telescope, &mut normal)?
         };
@@ -83,6 +92,16 @@ impl Truth {
             Some((pistons_nm, draw_zernikes(span, power, drift_nm, telescope, &mut normal)?))
         } else {
             None
+        };
+        let (piston_nm, tip_tilt_nm) = match planes {
+            Some(planes) => {
+                let mut piston_nm: Vec<f64> = planes.iter().map(|plane| plane[0]).collect();
+                let centre = mean(&piston_nm);
+                piston_nm.iter_mut().for_each(|piston| *piston -= centre);
+                let unit_m = segment_radius_rms(telescope);
+                (piston_nm, planes.iter().map(|[_, along_x, along_y]| [along_x * unit_m, along_y * unit_m]).collect())
+            }
+            None => (piston_nm, tip_tilt_nm),
         };
         let mut truth = Self::assemble(telescope, piston_nm, tip_tilt_nm, ncpa)?;
         truth.amplitude = reflectivity.into_iter().map(|more| (1.0 + more).max(0.0).sqrt()).collect();

@@ -1,43 +1,11 @@
 //! Diversity of a scene: focus or a map.
 
+use super::map_on_grid::MapOnGrid;
 use super::model::Telescope;
-use crate::io;
+use super::opd::OpdMap;
 use crate::pupil::Pupil;
 use crate::scene::Scene;
 use crate::{Error, Result};
-use ndarray::Array2;
-
-/// Map over the pupil grid's width, interpolated bilinearly.
-pub struct MapOnGrid {
-    values: Array2<f64>,
-    width_m: f64,
-}
-
-impl MapOnGrid {
-    /// Map `[y, x]` whose samples tile `width_m`. Values that are not finite are replaced by 0.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] for a map that is not square.
-    pub fn new(values: Array2<f64>, width_m: f64) -> Result<Self> {
-        if values.nrows() != values.ncols() || values.is_empty() {
-            let (rows, columns) = values.dim();
-            return Err(Error::Shape(format!("the map has {columns}x{rows} samples; a square map is needed")));
-        }
-        Ok(Self { values: values.mapv(|v| if v.is_finite() { v } else { 0.0 }), width_m })
-    }
-
-    /// Bilinear interpolation at (x, y), m; beyond the outermost samples the value of the nearest one.
-    pub fn at(&self, x_m: f64, y_m: f64) -> f64 {
-        let n = self.values.nrows();
-        let index = |c: f64| (c / self.width_m * n as f64 + (n as f64 - 1.0) / 2.0).clamp(0.0, n as f64 - 1.0);
-        let (x, y) = (index(x_m), index(y_m));
-        let (u, v) = ((x as usize).min(n.saturating_sub(2)), (y as usize).min(n.saturating_sub(2)));
-        let (right, up) = ((u + 1).min(n - 1), (v + 1).min(n - 1));
-        let (fx, fy) = (x - u as f64, y - v as f64);
-        let row = |v: usize| self.values[[v, u]] * (1.0 - fx) + self.values[[v, right]] * fx;
-        row(v) * (1.0 - fy) + row(up) * fy
-    }
-}
 
 /// Diversity of a scene at any point of the pupil plane.
 pub enum Diversity {
@@ -65,8 +33,7 @@ impl Diversity {
         let pupil = &telescope.pupil;
         if let Some(file) = &scene.image.diversity_file {
             let path = scene.resolve(file);
-            let values = io::read_map(&path, None)?;
-            return Ok(Self::Map(MapOnGrid::new(values, pupil.grid.width_m()).map_err(|e| Error::file(&path, e))?));
+            return Ok(Self::Map(OpdMap::read(&path)?.over(pupil).map_err(|error| Error::file(&path, error))?));
         }
         let pupil = telescope.finest_pupil()?;
         let (mut weight, mut mean, mut square) = (0.0, 0.0, 0.0);
@@ -118,6 +85,7 @@ mod tests {
     use super::*;
     use crate::grid::Grid;
     use approx::assert_relative_eq;
+    use ndarray::Array2;
 
     #[test]
     fn the_focus_has_the_stated_rms_and_no_mean_over_the_pupil() {
@@ -135,18 +103,5 @@ mod tests {
         assert_relative_eq!(pupil.rms(map.view()).unwrap(), 1.5 * 2168.6, max_relative = 1e-5);
         assert!(mean.abs() < 1e-5 * 1.5 * 2168.6, "{mean}");
         assert!(diversity.at(5.0, 0.0) > 0.0 && diversity.at(0.0, 0.0) < 0.0);
-    }
-
-    #[test]
-    fn a_map_is_interpolated_between_its_samples_and_constant_beyond_them() {
-        let plane = |x: f64, y: f64| 3.0 + 2.0 * x - y;
-        let grid = Grid::new(6, 3.0).unwrap();
-        let values = Array2::from_shape_fn((6, 6), |(y, x)| plane(grid.coordinate_m(x), grid.coordinate_m(y)));
-        let map = MapOnGrid::new(values, 3.0).unwrap();
-        for (x, y) in [(0.0, 0.0), (0.31, -0.9), (1.25, 1.25), (-1.2, 0.7)] {
-            assert_relative_eq!(map.at(x, y), plane(x, y), max_relative = 1e-14);
-        }
-        assert_relative_eq!(map.at(9.0, 0.25), plane(1.25, 0.25), max_relative = 1e-14);
-        assert!(MapOnGrid::new(Array2::zeros((3, 4)), 1.0).is_err());
     }
 }

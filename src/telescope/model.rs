@@ -11,6 +11,8 @@ use ndarray::Array2;
 /// Samples along a side of the grid on which the moments of a geometric pupil are computed: their error falls as the
 /// square of the pitch, from 1e-4 at 120 samples.
 const FINE_SAMPLES: usize = 960;
+/// Most samples along a side of [`Telescope::finer_pupil`].
+const MOST_FINE_SAMPLES: usize = 2048;
 
 /// Source of the pupil amplitude.
 #[derive(Debug, Clone)]
@@ -78,15 +80,23 @@ impl Telescope {
             Some(name) => Some(labels(&file.map(Some(&name))?).map_err(|error| Error::file(path, error))?),
             None => None,
         };
-        let in_file = |error: Error| Error::file(path, error);
-        let size = even_side(&amplitude).map_err(in_file)?;
         let width_m = scene.pupil.grid_m.ok_or_else(|| Error::Scene("'pupil.grid_m' is missing".into()))?;
-        if size >= 2 * scene.pupil.samples && scene.pupil.model != Some(PupilModel::Hard) {
-            let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels).map_err(in_file)?;
-            let pupil = binned(&fine, Grid::new(scene.pupil.samples, width_m)?)?;
-            return Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new() });
+        Self::of_maps(scene, width_m, amplitude, labels).map_err(|error| Error::file(path, error))
+    }
+
+    /// Telescope of `scene` from the maps `[y, x]` over `width_m` of a file or of the caller's. Maps of at least twice `pupil.samples` are
+    /// averaged onto that grid and band-limited for the model; others are used on their own grid, and with `pupil.model = "hard"` all.
+    ///
+    /// # Errors
+    /// Those of [`Telescope::from_maps`].
+    pub fn of_maps(scene: &Scene, width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
+        let (size, samples) = (even_side(&amplitude)?, scene.pupil.samples);
+        if size < 2 * samples || scene.pupil.model == Some(PupilModel::Hard) {
+            return Self::from_maps(width_m, amplitude, labels);
         }
-        Self::from_maps(width_m, amplitude, labels).map_err(in_file)
+        let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels)?;
+        let pupil = binned(&fine, Grid::new(samples, width_m)?)?;
+        Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new() })
     }
 
     /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
@@ -169,6 +179,22 @@ impl Telescope {
             PupilSource::Exact(_) => 8 * self.pupil.grid.samples(),
             PupilSource::Fine(fine) => fine.grid().samples(),
             PupilSource::Coarse => self.pupil.grid.samples(),
+        }
+    }
+
+    /// Segments on a grid up to eight times as fine as the scene's, as far as they are known on one and it stays small.
+    ///
+    /// # Errors
+    /// Those of [`Telescope::pupil_on`].
+    pub fn finer_pupil(&self) -> Result<Pupil> {
+        let samples = self.pupil.grid.samples();
+        match &self.source {
+            PupilSource::Exact(_) => {
+                let times = (1..=8).rev().find(|times| times * samples <= MOST_FINE_SAMPLES).unwrap_or(1);
+                self.pupil_on(Grid::new(times * samples, self.pupil.grid.width_m())?)
+            }
+            PupilSource::Fine(fine) => Ok(fine.pupil().clone()),
+            PupilSource::Coarse => Ok(self.pupil.clone()),
         }
     }
 

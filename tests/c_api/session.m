@@ -341,8 +341,14 @@ function arrays()
     m = cophase.Model.from_arrays(pupil, modes, camera{1:4}, 'segments', segments, 'diversity_nm', focus_nm);
     assert(m.segment_modes, 2);
     assert(m.modes, 6);
-    m = cophase.Model.from_arrays(pupil, [], camera{:}, 'segments', segments, 'segment_modes', 'piston-tip-tilt');
+    m = cophase.Model.from_arrays(pupil, [], camera{:}, 'segments', segments, 'segment_modes', 'piston-tip-tilt', ...
+        'ncpa', 'none');
     assert(m.modes, 6);
+    m = cophase.Model.from_arrays(pupil, [], camera{:}, 'segments', segments, 'ncpa', 'none', 'exact_zernikes', [2 4]);
+    assert(m.modes, 5);
+    must_fail('BAD_SCENE', 'pupil.grid_m', @() cophase.Model.from_arrays(pupil, [], camera{:}, 'segments', segments));
+    m = cophase.Model.from_arrays(pupil, [], camera{:}, 'segments', segments, 'grid_m', 10.95);
+    assert(m.modes > 66);
     m = cophase.Model.from_arrays(pupil, modes, camera{:}, 'frame_shape', [48 40]);
     assert(m.frame_shape, [48 40]);
 end

@@ -60,6 +60,8 @@ def from_arrays():
         samples_per_lambda_over_d = 2
         pixels = 48
         diversity_focus_waves_rms = 0.5
+        [modes]
+        exact_zernikes = []
     """
     model = cophase.Model.from_arrays(scene, pupil=pupil, modes=modes)
     assert (model.modes, model.segment_modes, model.samples, model.frame_shape) == (3, 0, n, (48, 48)), model
@@ -72,6 +74,11 @@ def from_arrays():
     segments = np.where(pupil, x > 0, -1)  # int64
     halves = cophase.Model.from_arrays(scene, pupil=pupil, segments=segments, modes=modes, diversity_nm=500 * modes[1])
     assert (halves.modes, halves.segment_modes) == (5, 2), halves
+    # Without modes and [modes], those of a scene, on its grid.
+    fine = np.kron(segments, np.ones((8, 8), int))
+    plain = scene.replace("exact_zernikes = []", "").replace("grid_m = 11.25", "grid_m = 11.25\n pupil.samples = 64")
+    default = cophase.Model.from_arrays(plain, pupil=fine >= 0, segments=fine)
+    assert default.modes > 66 and default.segment_modes == 2 and default.samples == 64, default
     refused = [
         ({"pupil": 2.0 * pupil}, cophase.BadValueError),
         ({"pupil": pupil[1:]}, cophase.BadShapeError),

@@ -175,7 +175,8 @@ fn an_image_of_an_odd_size_is_read_without_its_last_row_and_column() {
     {
         let found = estimate(&scene, &padded(rows, columns));
         assert_eq!(found.coefficients_nm, clean.coefficients_nm, "{rows} rows, {columns} columns");
-        let words = format!("The last {edges} left out: the images have {columns}x{rows} pixels, the scene 96x96.");
+        let words =
+            format!("The last {edges} left out: the images have {columns}x{rows} pixels, an estimate takes 96x96.");
         assert_eq!(found.remarks[0], words);
         assert!(found.is_sound(), "{:?}", found.warnings);
     }

@@ -7,11 +7,13 @@ classdef Model < cophase.Handle
     %   directory by default.
     %
     %   m = cophase.Model(scene_text, directory, Name, Value, ...) takes arrays instead of the scene's telescope:
-    %      'pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. Required with the others.
+    %      'pupil'         n x n amplitude, 0 to 1, over the scene's pupil.grid_m; n is even. Required with the others. One of
+    %                      at least twice pupil.samples is averaged onto that grid, which the modes then have.
     %      'segments'      n x n labels of each sample's segment, from 0 or 1; negative, or 0 where they begin at 1,
     %                      outside all segments
     %      'modes'         n x n x K wavefronts, nm per nm of their coefficient: with unit RMS over the pupil,
-    %                      coefficients are nm RMS
+    %                      coefficients are nm RMS. Zernike polynomials to Noll 21 follow them, unless
+    %                      modes.exact_zernikes says otherwise.
     %      'diversity_nm'  n x n wavefront, nm
     %
     %   m = cophase.Model.from_arrays(pupil, modes, Name, Value, ...) needs no scene.
@@ -108,6 +110,12 @@ classdef Model < cophase.Handle
             %      'segments'                   n x n indices 0, 1, ... of the segments; negative outside all segments
             %      'segment_modes'              'piston', 'piston-tip-tilt' or 'none'; 'piston' if there are segments
             %
+            %   The modes beside yours:
+            %      'ncpa'                       without modes: 'kl' (the default), 'zernike' or 'none'
+            %      'grid_m'                     width of the pupil array, m, which 'kl' needs
+            %      'exact_zernikes'             [first last] Noll index of Zernike polynomials that are estimated too; none
+            %                                   with modes, [2 21] without
+            %
             %   Example:
             %       zern = zernike(4:15, 8, 'resolution', 64);              % OOMAO
             %       m = cophase.Model.from_arrays(zern.pupil, zern.modes, 'wavelength_nm', 2200, 'frame_shape', 128);
@@ -116,13 +124,16 @@ classdef Model < cophase.Handle
             %
             %   See also cophase.Model, cophase.Session.
             names = {'wavelength_nm', 'frame_shape', 'samples_per_lambda_over_d', 'diversity_focus_waves_rms', ...
-                'read_noise_e', 'segment_modes', 'segments', 'diversity_nm'};
+                'read_noise_e', 'segment_modes', 'ncpa', 'grid_m', 'exact_zernikes', 'segments', 'diversity_nm'};
             places = cophase_mex('options', names, varargin{:});
             given = cell(size(names));
             given(places > 0) = varargin(places(places > 0));
-            scene_text = cophase.Model.scene(size(pupil, 1), given{1:6});
+            if isempty(given{9}) && ~isempty(modes)
+                given{9} = 'none';
+            end
+            scene_text = cophase.Model.scene(size(pupil, 1), given{1:9});
             self = cophase.Model(scene_text, '', 'pupil', pupil, 'modes', cophase.Model.stack(modes, pupil), ...
-                'segments', given{7}, 'diversity_nm', given{8});
+                'segments', given{10}, 'diversity_nm', given{11});
         end
     end
 
@@ -146,9 +157,11 @@ classdef Model < cophase.Handle
             end
         end
 
-        function text = scene(samples, wavelength_nm, frame_shape, sampling, focus_waves, read_noise_e, segment_modes)
+        function text = scene(samples, wavelength_nm, frame_shape, sampling, focus_waves, read_noise_e, ...
+                segment_modes, ncpa, grid_m, exact_zernikes)
             % Scene of the options of from_arrays.
-            text = sprintf('[pupil]\nsamples = %d\n[image]\n', samples);
+            text = [sprintf('[pupil]\nsamples = %d\n', samples), cophase.Model.line('grid_m', grid_m), ...
+                sprintf('[image]\n')];
             % The rows and columns of a frame that is not square are cut from a square.
             text = [text, cophase.Model.line('pixels', max(frame_shape))];
             if numel(frame_shape) == 2 && frame_shape(1) ~= frame_shape(2)
@@ -159,13 +172,16 @@ classdef Model < cophase.Handle
                 cophase.Model.line('samples_per_lambda_over_d', sampling), ...
                 cophase.Model.line('diversity_focus_waves_rms', focus_waves), ...
                 cophase.Model.line('read_noise_e', read_noise_e), ...
-                sprintf('[modes]\n'), cophase.Model.line('segment', segment_modes)];
+                sprintf('[modes]\n'), cophase.Model.line('segment', segment_modes), cophase.Model.line('ncpa', ncpa), ...
+                cophase.Model.line('exact_zernikes', exact_zernikes)];
         end
 
         function text = line(key, value)
             % A line of a scene; empty without a value.
             if isempty(value)
                 text = '';
+            elseif isnumeric(value) && numel(value) == 2
+                text = sprintf('%s = [%d, %d]\n', key, value);
             elseif isnumeric(value)
                 text = sprintf('%s = %s\n', key, num2str(double(value), 17));
             else

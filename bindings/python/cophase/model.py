@@ -64,18 +64,20 @@ class Model(Handle):
     ) -> Model:
         """Model with pupil, modes and diversity of the caller's instead of the scene's. The arrays are copied.
 
-        The scene then gives the camera (``[image]``), the fit (``[estimate]``), and whether the pistons of the segments
-        are estimated (``modes.segment``); these come before the caller's modes.
+        They have the effect of the same maps in files (``pupil.file``, ``modes.file``, ``image.diversity_file``); the rest is
+        the scene's. Pistons of the segments (``modes.segment``) come before the caller's modes, and Zernike polynomials to
+        Noll 21 follow them, as far as they are not among them, unless ``modes.exact_zernikes`` says otherwise.
 
         Parameters
         ----------
         pupil : (n, n) array
-            Amplitude, 0 to 1, over the scene's ``pupil.grid_m``; n even.
+            Amplitude, 0 to 1, over the scene's ``pupil.grid_m``; n even. One of at least twice ``pupil.samples`` is averaged
+            onto that grid.
         segments : (n, n) array of whole numbers, optional
             Label of each sample's segment, from 0 or 1, with gaps or without; negative, or 0 where they begin at 1, outside
             all segments. Segments are counted by ascending label. Not segmented by default.
         modes : (modes, n, n) array, optional
-            Wavefront of each mode, nm per nm of its coefficient; the scene's modes by default.
+            Wavefront of each mode, nm per nm of its coefficient, on the grid of the model; the scene's modes by default.
         diversity_nm : (n, n) array, optional
             Diversity, nm of wavefront; the scene's by default.
 

@@ -5,7 +5,7 @@ use cophase::pupil::Pupil;
 use cophase::scene::Scene;
 use cophase::source::{self, Truth};
 use cophase::{Error, Result};
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, Axis, s};
 use rayon::prelude::*;
 
 /// One image of a scene, with one draw of aberrations and noise.
@@ -40,7 +40,8 @@ pub fn draws_from(scene: &Scene, first: u64, count: usize, progress: &Progress) 
     let draw = |seed: u64| {
         progress.check()?;
         let made = source::simulate(&scene.with_override("aberrations.seed", &seed.to_string())?)?;
-        let image_e = made.images_e.index_axis_move(Axis(0), 0);
+        let (rows, columns) = scene.image.fitted_shape();
+        let image_e = made.images_e.index_axis_move(Axis(0), 0).slice_move(s![..rows, ..columns]);
         Ok(Draw { seed: seed as usize, image_e, flux_e: made.flux_e, truth: made.truth })
     };
     (first..first.saturating_add(count as u64)).into_par_iter().map(draw).collect()

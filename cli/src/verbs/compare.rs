@@ -2,8 +2,9 @@
 
 use crate::terminal::Terminal;
 use cophase::io::FitsReader;
-use cophase::pipeline::{Comparison, TruthMaps};
-use cophase::telescope::Telescope;
+use cophase::pipeline::{Comparison, ForeignComparison, ForeignTruth, TruthMaps, read_pistons};
+use cophase::scene::Scene;
+use cophase::telescope::{OpdMap, SegmentPlace, Telescope};
 use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -11,8 +12,21 @@ use std::path::{Path, PathBuf};
 const EXAMPLES: &str = "Examples:
   cophase compare est.fits --truth images.fits
   cophase compare est.fits --truth images.fits --json
+  cophase compare est.fits --truth-pistons pistons.txt --truth-ncpa ncpa.fits
+  cophase compare est.fits --truth-phasing 'other.fits[SEGMENTS]'
+  cophase compare est.fits --truth-opd opd.fits
 
---json prints: phasing_residual_nm, ncpa_residual_nm, wavefront_residual_nm.";
+Maps: FITS, the first image or that of the HDU in brackets, on any grid: of the unit of the card BUNIT (nm, um, m; nm without it) and \
+of the width of the card GRID_M, or of samples PUPLSCAL apart, m; else as wide as the estimate's. Rows are y and columns x, as \
+in the estimate. A map on another grid is interpolated, and samples at an edge, for which it may have the value of another \
+segment, are left out. --truth-opd is the whole wavefront; where it has cards S01PISTN, S01XTILT, S01YTILT, ..., as STPSF \
+writes them, these are the segment errors and the map is the NCPA.
+
+Pistons: text (.txt, .csv, .dat) with rows of segment and piston in nm, or the columns LABEL (or SEGMENT) and PISTON_NM of a FITS \
+table SEGMENTS. A segment has its number or label in the table SEGMENTS of the estimate.
+
+--json prints: phasing_residual_nm, ncpa_residual_nm, wavefront_residual_nm, null where the truth is not known; samples (of the \
+pupil), samples_left_out.";
 
 /// Compare an estimate with the truth: RMS over the pupil, tip and tilt removed
 #[derive(clap::Args)]
@@ -21,8 +35,20 @@ pub struct Arguments {
     /// FITS file that 'cophase estimate' wrote
     estimate: PathBuf,
     /// FITS file with TRUTH_PHASING and TRUTH_NCPA, as 'cophase image' writes them [default: the estimate's own]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["truth_pistons", "truth_phasing", "truth_ncpa", "truth_opd"])]
     truth: Option<PathBuf>,
+    /// True piston of each segment, nm
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["truth_phasing", "truth_opd"])]
+    truth_pistons: Option<PathBuf>,
+    /// FITS map of the true segment errors
+    #[arg(long, value_name = "MAP", conflicts_with = "truth_opd")]
+    truth_phasing: Option<PathBuf>,
+    /// FITS map of the true NCPA
+    #[arg(long, value_name = "MAP", conflicts_with = "truth_opd")]
+    truth_ncpa: Option<PathBuf>,
+    /// FITS map of the whole true wavefront (OPD), in the convention of POPPY and STPSF
+    #[arg(long, value_name = "MAP")]
+    truth_opd: Option<PathBuf>,
     /// Print the residuals as JSON
     #[arg(long)]
     json: bool,
@@ -31,52 +57,87 @@ pub struct Arguments {
 /// What `compare --json` prints; scripts rely on these keys.
 #[derive(Serialize)]
 struct Summary {
-    phasing_residual_nm: f64,
-    ncpa_residual_nm: f64,
-    wavefront_residual_nm: f64,
+    phasing_residual_nm: Option<f64>,
+    ncpa_residual_nm: Option<f64>,
+    wavefront_residual_nm: Option<f64>,
+    samples: usize,
+    samples_left_out: usize,
 }
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let path = &arguments.estimate;
     let mut file = FitsReader::open(path)?;
-    let (phasing_nm, ncpa_nm) = (file.map(Some("PHASING"))?, file.map(Some("NCPA"))?);
+    let maps = [file.map(Some("PHASING"))?, file.map(Some("NCPA"))?];
     let scene = cophase::pipeline::embedded_scene(path)?
         .ok_or_else(|| Error::file(path, "holds no scene (table SCENE), which says how the pupil is weighted"))?;
-    let truth_path: &Path = arguments.truth.as_deref().unwrap_or(path);
-    let truth = TruthMaps::read(truth_path)?.ok_or_else(|| {
-        let other = if arguments.truth.is_none() { ": name a file that does with --truth" } else { "" };
-        Error::file(truth_path, format_args!("holds no truth (images TRUTH_PHASING and TRUTH_NCPA){other}"))
-    })?;
-    check_widths((path, "PHASING"), (truth_path, "TRUTH_PHASING"))?;
-    let pupil = Telescope::new(&scene)?.pupil;
-    let residual = Comparison::new(&pupil, &phasing_nm, &ncpa_nm, &truth)
-        .map_err(|error| Error::file(path, format_args!("compared with {}: {error}", truth_path.display())))?;
-    let [phasing, ncpa, wavefront] = residual.rms_nm;
-    if arguments.json {
-        let summary =
-            Summary { phasing_residual_nm: phasing, ncpa_residual_nm: ncpa, wavefront_residual_nm: wavefront };
-        return terminal.json(&summary);
-    }
-    let row = |name: &str, nm: f64| format!("{name:<12}{nm:>16.3}\n");
-    let head = format!("{:<12}{:>16}\n", "", "residual [nm]");
-    let rows = row("phasing", phasing) + &row("NCPA", ncpa) + &row("wavefront", wavefront);
-    terminal.show(&(head + &rows + "\nRMS over the pupil, tip and tilt removed.\n"))
+    let telescope = Telescope::new(&scene)?;
+    let [phasing_nm, ncpa_nm] = &maps;
+    let compared = |truth: &ForeignTruth| truth.compare(&telescope, phasing_nm, ncpa_nm);
+    let found = match arguments.foreign(&scene, &telescope)? {
+        Some(truth) => compared(&truth).map_err(|error| Error::file(path, error))?,
+        None => {
+            let truth_path: &Path = arguments.truth.as_deref().unwrap_or(path);
+            let truth = TruthMaps::read(truth_path)?.ok_or_else(|| {
+                let other = if arguments.truth.is_none() { ": name a file that does with --truth" } else { "" };
+                Error::file(truth_path, format_args!("holds no truth (images TRUTH_PHASING and TRUTH_NCPA){other}"))
+            })?;
+            let about = |error| Error::file(path, format_args!("compared with {}: {error}", truth_path.display()));
+            if is_on_grid(truth_path, &truth, &telescope)? {
+                let found = Comparison::new(&telescope.pupil, phasing_nm, ncpa_nm, &truth).map_err(about)?;
+                let samples = telescope.pupil.amplitude.iter().filter(|amplitude| **amplitude > 0.0).count();
+                ForeignComparison { rms_nm: found.rms_nm.map(Some), samples, left_out: 0 }
+            } else {
+                let map = |name: &str| OpdMap::read(Path::new(&format!("{}[{name}]", truth_path.display())));
+                let (phasing, ncpa) = (Some(map("TRUTH_PHASING")?), Some(map("TRUTH_NCPA")?));
+                compared(&ForeignTruth { phasing, ncpa, ..ForeignTruth::default() }).map_err(about)?
+            }
+        }
+    };
+    show(&found, arguments.json, terminal)
 }
 
-/// Refuses maps whose cards GRID_M differ: with the same number of samples they would be compared at other places of the
-/// mirror.
-fn check_widths(estimate: (&Path, &str), truth: (&Path, &str)) -> Result<()> {
-    let width_m = |(path, hdu): (&Path, &str)| -> Result<Option<f64>> {
-        Ok(FitsReader::open(path)?.card(Some(hdu), "GRID_M")?.and_then(|card| card.number()))
-    };
-    match (width_m(estimate)?, width_m(truth)?) {
-        (Some(own), Some(other)) if (own - other).abs() > 1e-6 * own => Err(Error::file(
-            truth.0,
-            format_args!(
-                "its maps are {other} m wide (GRID_M), and those of {} are {own} m: maps of one grid can be compared",
-                estimate.0.display()
-            ),
-        )),
-        _ => Ok(()),
+impl Arguments {
+    /// The truth of another program; `None` where none is named.
+    fn foreign(&self, scene: &Scene, telescope: &Telescope) -> Result<Option<ForeignTruth>> {
+        let map = |path: &Option<PathBuf>| path.as_ref().map(|path| OpdMap::read(path)).transpose();
+        let places = SegmentPlace::all(scene, &telescope.pupil.segments);
+        let truth = ForeignTruth {
+            pistons_nm: self.truth_pistons.as_ref().map(|path| read_pistons(path, &places)).transpose()?,
+            phasing: map(&self.truth_phasing)?,
+            ncpa: map(&self.truth_ncpa)?,
+            wavefront: map(&self.truth_opd)?,
+        };
+        let has_map = [&truth.phasing, &truth.ncpa, &truth.wavefront].iter().any(|map| map.is_some());
+        Ok((has_map || truth.pistons_nm.is_some()).then_some(truth))
     }
+}
+
+/// Whether the maps of `truth`, which are in the file `path`, are on the grid of `telescope`.
+fn is_on_grid(path: &Path, truth: &TruthMaps, telescope: &Telescope) -> Result<bool> {
+    let grid = &telescope.pupil.grid;
+    let width_m = FitsReader::open(path)?.card(Some("TRUTH_PHASING"), "GRID_M")?.and_then(|card| card.number());
+    let is_as_wide = width_m.is_none_or(|width_m| (width_m - grid.width_m()).abs() <= 1e-6 * grid.width_m());
+    Ok(is_as_wide
+        && [&truth.phasing_nm, &truth.ncpa_nm].iter().all(|map| map.dim() == (grid.samples(), grid.samples())))
+}
+
+fn show(found: &ForeignComparison, json: bool, terminal: &Terminal) -> Result<()> {
+    let [phasing, ncpa, wavefront] = found.rms_nm;
+    if json {
+        return terminal.json(&Summary {
+            phasing_residual_nm: phasing,
+            ncpa_residual_nm: ncpa,
+            wavefront_residual_nm: wavefront,
+            samples: found.samples,
+            samples_left_out: found.left_out,
+        });
+    }
+    let row = |name: &str, nm: Option<f64>| match nm {
+        Some(nm) => format!("{name:<12}{nm:>16.3}\n"),
+        None => format!("{name:<12}{:>16}\n", "unknown"),
+    };
+    let head = format!("{:<12}{:>16}\n", "", "residual [nm]");
+    let rows = row("phasing", phasing) + &row("NCPA", ncpa) + &row("wavefront", wavefront);
+    let remark = found.remark().map_or(String::new(), |remark| format!("{remark}.\n"));
+    terminal.show(&(head + &rows + "\nRMS over the pupil, tip and tilt removed.\n" + &remark))
 }

@@ -19,6 +19,7 @@ const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o paper.fits --optimizer bfgs
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
   cophase estimate images.fits -o est.fits --commands-plot what-would-move.png
+  cophase estimate images.fits -o est.fits --opd opd.fits
   cophase estimate --channel K=k.fit --channel H=h.fit --scene s.toml -o e.fits
 
 Images: FITS, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU whose name or \
@@ -104,6 +105,9 @@ pub struct Arguments {
     /// Also draw the corrections: what would move, in the terms of the controllers ([commands] of the scene)
     #[arg(long, value_name = "FILE.png|svg")]
     commands_plot: Option<PathBuf>,
+    /// Also write phasing and NCPA together as an OPD map, m, as POPPY and STPSF read it (BUNIT, PUPLSCAL)
+    #[arg(long, value_name = "FILE")]
+    opd: Option<PathBuf>,
     #[command(flatten)]
     settings: Settings,
     /// Print the result as JSON
@@ -160,7 +164,12 @@ impl Arguments {
     }
 
     fn outputs(&self) -> Vec<Flagged<'_>> {
-        let also = [("--commands", &self.commands), ("--plot", &self.plot), ("--commands-plot", &self.commands_plot)];
+        let also = [
+            ("--commands", &self.commands),
+            ("--plot", &self.plot),
+            ("--commands-plot", &self.commands_plot),
+            ("--opd", &self.opd),
+        ];
         let also = also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?)));
         [("-o", self.output.as_path())].into_iter().chain(also).collect()
     }
@@ -262,6 +271,9 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let estimate = estimated(arguments.first(), &scene, &images, terminal, &interrupt)?;
     let corrections = arguments.are_corrections_wanted().then(|| estimate.corrections(None)).transpose()?;
     write(arguments.first(), &estimate, &arguments.output, arguments.plot.as_deref())?;
+    if let Some(opd) = &arguments.opd {
+        estimate.write_opd(opd)?;
+    }
     if let Some(corrections) = &corrections {
         arguments.write_corrections(&estimate, corrections, terminal)?;
     }

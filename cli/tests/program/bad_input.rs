@@ -121,8 +121,6 @@ fn images_without_a_scene_and_estimates_without_a_truth() {
     desk.refuses(&["compare", "images.fits"], &["images.fits", "PHASING"]);
     // An estimate has a table IMAGES, and is not an image for it.
     desk.refuses(&["estimate", "est.fits", "-o", "again.fits"], &["est.fits", "IMAGES"]);
-    desk.succeeds(&["image", "scene.toml", "-o", "other.fits", "--set", "pupil.samples=32"]);
-    desk.refuses(&["compare", "est.fits", "--truth", "other.fits"], &["other.fits", "32x32", "64x64"]);
 }
 
 #[test]

@@ -20,6 +20,7 @@ mod outputs;
 mod same_answer;
 mod sentences;
 mod simulate;
+mod truth;
 mod units;
 mod verbs;
 mod words;

@@ -173,3 +173,19 @@ fn a_truth_on_another_grid_is_left_out_of_the_table() {
     assert!(done.err.contains("the truth of these images is not shown") && done.err.contains("64x64"), "{}", done.err);
     assert!(done.out.contains("phasing") && !done.out.contains("residual"), "{}", done.out);
 }
+
+/// The axis of 65 rows is on row 32, and an estimate takes the first 64 of them; 57 columns have it on column 28.
+#[test]
+fn images_of_an_odd_size_are_made_and_estimated() {
+    let desk = Desk::with_images(&["image.pixels=65", "image.columns=57"]);
+    let images = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap();
+    assert_eq!(images.dim(), (1, 65, 57));
+    let (json, _) = desk.estimates_well("images.fits", &[]);
+    assert_eq!(json["status"], "ok");
+    // A pixel at 2 per λ/D is a tilt of λ/2 over the grid, some 250 nm RMS; the star is on the axis but for the tilt of the aberrations.
+    let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
+    for name in ["TIP_NM", "TILT_NM"] {
+        let nm = file.f64_column("IMAGES", name).unwrap()[0];
+        assert!(nm.abs() < 60.0, "{name} {nm}");
+    }
+}

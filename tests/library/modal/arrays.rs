@@ -12,6 +12,9 @@ use std::path::Path;
 
 const IMAGE: &str = "[image]\nwavelength_nm = 1000\npixels = 96\ncrop_pixels = 96\nread_noise_e = 10\n";
 
+/// Modes of the caller's and no others.
+const NO_OTHERS: &str = "[modes]\nexact_zernikes = 'none'\n";
+
 fn for_arrays(text: &str) -> Scene {
     Scene::for_arrays(text, Path::new("")).unwrap()
 }
@@ -71,7 +74,7 @@ fn own(samples: usize) -> Arrays {
 
 #[test]
 fn a_caller_s_telescope_and_modes_are_read_back() {
-    let estimator = ModalFitter::from_arrays(&for_arrays(IMAGE), &own(48)).unwrap();
+    let estimator = ModalFitter::from_arrays(&for_arrays(&format!("{IMAGE}{NO_OTHERS}")), &own(48)).unwrap();
     assert_eq!(estimator.model().basis.names(), ["mode-1", "mode-2", "mode-3", "mode-4", "mode-5"]);
     assert_eq!(estimator.model().segment_modes, 0);
     let truth = [30.0, -45.0, 25.0, 60.0, -80.0];
@@ -133,7 +136,7 @@ fn arrays_and_files_are_the_same_model() {
     let error = ModalFitter::from_arrays(&for_arrays(&budget), &arrays).err().unwrap();
     assert!(error.to_string().contains("budget_nm"), "{error}");
     // The width is stated by the one and not by the other: nothing here has a length.
-    let of_arrays = ModalFitter::from_arrays(&for_arrays(image), &arrays).unwrap();
+    let of_arrays = ModalFitter::from_arrays(&for_arrays(&format!("{image}{NO_OTHERS}")), &arrays).unwrap();
     assert_eq!(of_arrays.model().basis.names(), of_files.model().basis.names());
     assert_eq!(of_arrays.model().segment_modes, 7);
     assert_eq!(of_arrays.model().preparation, of_files.model().preparation);
@@ -158,23 +161,55 @@ fn what_the_scene_says_of_modes_holds_where_there_are_no_arrays_of_them() {
         let estimator = ModalFitter::from_arrays(&for_arrays(&format!("{IMAGE}{text}")), arrays).unwrap();
         estimator.model().basis.names().to_vec()
     };
-    // A basis that nobody named is not built for a mirror that nobody described.
-    assert_eq!(names("", &arrays).len(), 7);
-    assert_eq!(names("[modes]\nsegment = 'piston-tip-tilt'", &arrays).len(), 21);
     let zernike = "[modes]\nncpa = 'zernike'\nncpa_count = 4\nexact_zernikes = 'none'";
     assert_eq!(names(zernike, &arrays).len(), 11);
+    assert_eq!(names("[modes]\nncpa = 'none'\nsegment = 'piston-tip-tilt'", &arrays).len(), 21);
     assert_eq!(names(&format!("{zernike}\nsegment = 'none'"), &arrays).len(), 4);
     assert_eq!(names("[modes]\nncpa = 'none'\nexact_zernikes = [2, 4]", &arrays).len(), 10);
     // A mirror has a pitch in metres.
     let kl = "[pupil]\ngrid_m = 4.8\n[modes]\nncpa = 'kl'\nncpa_count = 5\nexact_zernikes = 'none'";
     assert_eq!(names(kl, &arrays).len(), 12);
-    // Modes of a caller's are neither joined by Zernikes nor by segments that are not there, unless the scene says so.
+    // Modes of a caller's are not joined by those of segments that are not there, and by low Zernikes unless the scene says otherwise.
     let own = own(48);
     assert_eq!(names("[modes]\nncpa = 'none'\nsegment = 'none'", &own).len(), 5);
     let joined = names("[modes]\nexact_zernikes = [2, 4]", &own);
     // The caller's own span tip, and focus but for what is left of it beside astigmatism.
     assert_eq!(joined[..5], ["mode-1", "mode-2", "mode-3", "mode-4", "mode-5"]);
     assert!(joined.len() > 5, "{joined:?}");
+    assert!(names("", &own).len() > joined.len());
+}
+
+/// A pupil of more samples than the model's, without a section [modes]: the same modes on the same grid, to the last bit.
+#[test]
+fn fine_arrays_and_files_are_the_same_model_by_default() {
+    let folder = tempfile::tempdir().unwrap();
+    let telescope = Telescope::new(&scene(&[])).unwrap();
+    let fine = telescope.pupil_on(Grid::new(512, telescope.pupil.grid.width_m()).unwrap()).unwrap();
+    let diversity_nm = map(512, |x, y| 2000.0 * (x * x + y * y) + 300.0 * x * y);
+    let mut file = FitsWriter::create(folder.path().join("pupil.fits")).unwrap();
+    file.image("PUPIL", &fine.amplitude, Pixel::F64, "").unwrap();
+    file.image("SEGMENT", &fine.owner.mapv(f64::from), Pixel::I32, "").unwrap();
+    file.finish().unwrap();
+    let mut file = FitsWriter::create(folder.path().join("diversity.fits")).unwrap();
+    file.image("DIVERSITY", &diversity_nm, Pixel::F64, "nm").unwrap();
+    file.finish().unwrap();
+    // As wide as the default mirror, which has the 66 modes.
+    let common = format!("{IMAGE}[pupil]\ngrid_m = 10.95\nsamples = 64\n");
+    let files =
+        format!("{common}file = 'pupil.fits'\n").replace("[image]", "[image]\ndiversity_file = 'diversity.fits'");
+    let of_files = ModalFitter::new(&Scene::from_text(&files, folder.path()).unwrap(), false).unwrap();
+    let arrays =
+        Arrays { amplitude: fine.amplitude, segments: Some(fine.owner), modes: None, diversity_nm: Some(diversity_nm) };
+    let of_arrays = ModalFitter::from_arrays(&for_arrays(&common), &arrays).unwrap();
+    let (a, b) = (of_arrays.model(), of_files.model());
+    assert_eq!((a.basis.names(), a.segment_modes, a.telescope.pupil.grid.samples()), (b.basis.names(), 7, 64));
+    assert!(a.basis.len() > 7 + 66, "{}", a.basis.len());
+    let coefficients_nm: Vec<f64> = (0..a.basis.len()).map(|i| 20.0 * (i as f64).sin()).collect();
+    let psf = |fitter: &ModalFitter| fitter.reference_chain().psf(ArrayView1::from(&coefficients_nm));
+    assert_eq!(psf(&of_arrays), psf(&of_files));
+    // Without the width of the array there is no mirror.
+    let error = ModalFitter::from_arrays(&for_arrays(IMAGE), &arrays).err().unwrap().to_string();
+    assert!(error.contains("'pupil.grid_m' is missing"), "{error}");
 }
 
 #[test]
@@ -184,7 +219,7 @@ fn modes_that_say_nothing_or_the_same_twice_are_told_by_the_degeneracy_report() 
     let zero = Array2::zeros((48, 48));
     let views = [modes.index_axis(Axis(0), 1), zero.view(), modes.index_axis(Axis(0), 4), modes.index_axis(Axis(0), 4)];
     arrays.modes = Some(stack(Axis(0), &views).unwrap());
-    let estimator = ModalFitter::from_arrays(&for_arrays(IMAGE), &arrays).unwrap();
+    let estimator = ModalFitter::from_arrays(&for_arrays(&format!("{IMAGE}{NO_OTHERS}")), &arrays).unwrap();
     let psf =
         Array2::from_shape_vec((96, 96), estimator.reference_chain().psf(ArrayView1::from(&[50.0, 0.0, -30.0, 0.0])));
     let found = fit(&estimator, &(psf.unwrap() * 1e6).insert_axis(Axis(0)));

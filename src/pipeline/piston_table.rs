@@ -1,0 +1,97 @@
+//! Table of a piston for each segment, from another program.
+
+use crate::io::{FitsReader, read_text, text_rows};
+use crate::telescope::SegmentPlace;
+use crate::{Error, Result};
+use std::path::Path;
+
+/// Reads the piston of each of the segments `places`, nm, in their order. A text table (`.txt`, `.csv`, `.dat`) has rows of segment and
+/// piston, separated by white space or a comma, and comments after `#`. A FITS file has them in the column `PISTON_NM` of a table
+/// `SEGMENTS`, beside a column `LABEL` or `SEGMENT`, as an estimate has; without either, in the order of the segments. Segments are
+/// addressed by their labels ([`SegmentPlace::label`]) or, all of them, by their numbers.
+///
+/// # Errors
+/// [`Error::File`] for a file that cannot be read, and for one that does not have each segment once.
+pub fn read_pistons(path: &Path, places: &[SegmentPlace]) -> Result<Vec<f64>> {
+    let is_text =
+        path.extension().is_some_and(|word| ["txt", "csv", "dat"].iter().any(|text| word.eq_ignore_ascii_case(text)));
+    let rows = if is_text {
+        parse(&read_text(path, "it holds the true pistons")?)
+    } else {
+        let mut file = FitsReader::open(path)?;
+        let pistons_nm = file.f64_column("SEGMENTS", "PISTON_NM")?;
+        let named = ["LABEL", "SEGMENT"].iter().find_map(|column| file.i64_column("SEGMENTS", column).ok());
+        let count = pistons_nm.len() as i64;
+        Ok(named.unwrap_or_else(|| (0..count).collect()).into_iter().zip(pistons_nm).collect())
+    };
+    rows.and_then(|rows| ordered(&rows, places)).map_err(|reason| Error::file(path, reason))
+}
+
+/// Segments and pistons of a text table, or why it is not accepted.
+fn parse(text: &str) -> std::result::Result<Vec<(i64, f64)>, String> {
+    let rows = text_rows(text).into_iter().map(|row| {
+        let segment = row.words[0].parse::<i64>().ok().filter(|_| row.words.len() == 2);
+        let segment = segment.ok_or_else(|| row.at("a segment's number or label and its piston in nm are needed"))?;
+        Ok((segment, row.number(1, "a piston in nm")?))
+    });
+    rows.collect()
+}
+
+/// The pistons in the order of `places`, or why they are not accepted.
+fn ordered(rows: &[(i64, f64)], places: &[SegmentPlace]) -> std::result::Result<Vec<f64>, String> {
+    let has = |segment: i64| rows.iter().any(|(named, _)| *named == segment);
+    let by_label = places.iter().all(|place| has(place.label.into()));
+    let name = |place: &SegmentPlace| if by_label { place.label.into() } else { place.number as i64 };
+    let names: Vec<i64> = places.iter().map(name).collect();
+    let span = |names: &[i64]| format!("{} to {}", names.first().unwrap_or(&0), names.last().unwrap_or(&0));
+    let labels: Vec<i64> = places.iter().map(|place| place.label.into()).collect();
+    let accepted = match (span(&names), span(&labels)) {
+        (numbers, labels) if numbers == labels => numbers,
+        (numbers, labels) => format!("{numbers}, or the labels {labels},"),
+    };
+    for (place, (segment, nm)) in rows.iter().enumerate() {
+        if !names.contains(segment) {
+            return Err(format!("there is no segment {segment}: each of {accepted} is needed once"));
+        }
+        if rows[..place].iter().any(|(before, _)| before == segment) {
+            return Err(format!("segment {segment} is there twice: each of {accepted} is needed once"));
+        }
+        if !nm.is_finite() {
+            return Err(format!("the piston of segment {segment} is {nm}: a finite number of nm is needed"));
+        }
+    }
+    let piston = |name: &i64| rows.iter().find(|(segment, _)| segment == name).map(|(_, nm)| *nm);
+    let missing = |name: &i64| format!("segment {name} is missing: each of {accepted} is needed once");
+    names.iter().map(|name| piston(name).ok_or_else(|| missing(name))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn places(labels: &[i32]) -> Vec<SegmentPlace> {
+        let place = |(number, &label)| SegmentPlace { number, ring: None, label, x_m: 0.0, y_m: 0.0 };
+        labels.iter().enumerate().map(place).collect()
+    }
+
+    #[test]
+    fn segments_are_addressed_by_number_or_by_label() {
+        let read = |text: &str, labels: &[i32]| ordered(&parse(text)?, &places(labels));
+        assert_eq!(read("# nm\n1, -3.5\n0 2\n", &[0, 1]).unwrap(), [2.0, -3.5]);
+        // Labels from 1, and with a gap.
+        assert_eq!(read("1 2\n2 -3.5\n", &[1, 2]).unwrap(), [2.0, -3.5]);
+        assert_eq!(read("9 4\n2 5\n", &[2, 9]).unwrap(), [5.0, 4.0]);
+        assert_eq!(read("0 4\n1 5\n", &[2, 9]).unwrap(), [4.0, 5.0]);
+        for (text, labels, expected) in [
+            ("0 1\n", &[0, 1], "segment 1 is missing: each of 0 to 1 is needed once"),
+            ("0 1\n0 2\n1 1\n", &[0, 1], "segment 0 is there twice"),
+            ("1 1\n2 1\n", &[0, 1], "there is no segment 2: each of 0 to 1 is needed once"),
+            ("1 1\n2 1\n", &[2, 9], "there is no segment 2: each of 0 to 1, or the labels 2 to 9, is needed once"),
+            ("0 1 2\n", &[0, 1], "line 1: a segment's number or label"),
+            ("0 x\n", &[0, 1], "line 1: 'x' is not a finite number; a piston in nm is needed"),
+        ] {
+            let reason = read(text, labels).unwrap_err();
+            assert!(reason.contains(expected), "{text:?}: {reason}");
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! Maps of the optical path difference (OPD) from FITS files, in the convention of POPPY and STPSF (WebbPSF).
+//!
+//! | Card | What it says |
+//! |---|---|
+//! | `BUNIT` | unit: nm, um, m and their names; nm without it |
+//! | `GRID_M`, else `PUPLSCAL`, else `PIXELSCL` | width of the map; distance of its samples, m |
+//! | `S01PISTN`, `S01XTILT`, `S01YTILT`, … | piston and tilts of each segment, m, that the map does **not** hold |
+//!
+//! STPSF writes the cards of the segments where it has taken their pistons and tilts out of the map (`remove_piston_tip_tilt` of
+//! `stpsf.opds.OTE_Linear_Model_WSS`). With r half of a segment's extent along x, about its centre, they are the coefficients of 1, y/r (a
+//! tilt about x) and x/r (a tilt about y), those of `poppy.zernike.hexike_basis_wss`.
+
+use super::map_on_grid::MapOnGrid;
+use crate::io::{Card, FitsReader};
+use crate::pupil::Pupil;
+use crate::{Error, Result};
+use ndarray::Array2;
+use std::path::Path;
+
+/// A map of the optical path difference on a grid of its own.
+#[derive(Debug, Clone)]
+pub struct OpdMap {
+    /// The map, `[y, x]`, nm; may be NaN outside the pupil.
+    pub values_nm: Array2<f64>,
+    /// Width of the map, m; `None` where its file does not say it.
+    pub width_m: Option<f64>,
+    /// Piston, XTILT and YTILT of each segment that are not in the map, nm; empty without such cards.
+    pub segments_nm: Vec<[f64; 3]>,
+}
+
+/// Piston of a segment, nm, and its slopes along x and y, nm/m, about its centre.
+pub type SegmentPlane = [f64; 3];
+
+impl OpdMap {
+    /// Reads the first map of the FITS file `path`, or that of the HDU in brackets behind its name.
+    ///
+    /// # Errors
+    /// [`Error::File`] for a file that cannot be read, a map that is not square, a unit that is no length, a width that is not positive,
+    /// and cards of segments with a gap between them.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut file = FitsReader::open(path)?;
+        let unit = match file.image_card("BUNIT")? {
+            Some(Card::Text(text)) => text.trim().to_lowercase(),
+            _ => String::new(),
+        };
+        let nm = match unit.trim_end_matches('s') {
+            "" | "nm" | "nanometer" | "nanometre" => 1.0,
+            "um" | "micron" | "micrometer" | "micrometre" => 1e3,
+            "m" | "meter" | "metre" => 1e9,
+            _ => {
+                return Err(Error::file(
+                    path,
+                    format_args!("BUNIT = '{unit}': nm, um and m are accepted for a wavefront"),
+                ));
+            }
+        };
+        let values_nm = file.map(None)? * nm;
+        let (rows, columns) = values_nm.dim();
+        if rows != columns {
+            return Err(Error::file(
+                path,
+                format_args!("the map has {columns}x{rows} samples: a square map is accepted"),
+            ));
+        }
+        let mut width_m = None;
+        for (key, samples) in [("GRID_M", 1), ("PUPLSCAL", columns), ("PIXELSCL", columns)] {
+            if width_m.is_none()
+                && let Some(card) = file.image_card(key)?
+            {
+                let number = card.number().filter(|number| number.is_finite() && *number > 0.0);
+                let number = number
+                    .ok_or_else(|| Error::file(path, format_args!("{key} = {card}: a length in m is accepted")))?;
+                width_m = Some(number * samples as f64);
+            }
+        }
+        Ok(Self { values_nm, width_m, segments_nm: segment_cards(&mut file)? })
+    }
+
+    /// The map over its own width, or over `width_m` where its file does not say it.
+    ///
+    /// # Errors
+    /// Those of [`MapOnGrid::new`].
+    pub fn on_width(&self, width_m: f64) -> Result<MapOnGrid> {
+        MapOnGrid::new(self.values_nm.clone(), self.width_m.unwrap_or(width_m))
+    }
+
+    /// As [`OpdMap::on_width`] of the grid of `pupil`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a map that is narrower than the pupil: its cards have another unit, or it is one of another telescope.
+    pub fn over(&self, pupil: &Pupil) -> Result<MapOnGrid> {
+        let (grid, width_m) = (&pupil.grid, self.width_m.unwrap_or(pupil.grid.width_m()));
+        let reach_m = |(y, x): (usize, usize)| grid.coordinate_m(x).abs().max(grid.coordinate_m(y).abs());
+        let needed_m = 2.0 * pupil.owned_samples().map(|(at, _)| reach_m(at)).fold(0.0, f64::max);
+        if width_m < needed_m - grid.pitch_m() {
+            return Err(Error::Value(format!(
+                "the map is {width_m} m wide (GRID_M, or PUPLSCAL or PIXELSCL times its samples) where the pupil is {needed_m:.4} m: a map \
+                 of the whole pupil is accepted"
+            )));
+        }
+        self.on_width(grid.width_m())
+    }
+
+    /// Pistons and slopes of the segments of `pupil` that are not in the map; `None` without cards of segments.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for another number of segments.
+    pub fn segment_planes(&self, pupil: &Pupil) -> Result<Option<Vec<SegmentPlane>>> {
+        let (cards, segments) = (self.segments_nm.len(), pupil.segments.len());
+        if cards == 0 {
+            return Ok(None);
+        }
+        if cards != segments {
+            return Err(Error::Value(format!(
+                "the map has cards of {cards} segments (S01PISTN, ...) where the pupil has {segments}: one of each is needed"
+            )));
+        }
+        let planes = self.segments_nm.iter().zip(half_extents_m(pupil));
+        Ok(Some(planes.map(|([piston, about_x, about_y], r)| [*piston, about_y / r, about_x / r]).collect()))
+    }
+}
+
+/// The cards of the segments, nm.
+fn segment_cards(file: &mut FitsReader) -> Result<Vec<[f64; 3]>> {
+    let mut found: Vec<[f64; 3]> = Vec::new();
+    for segment in 1..100 {
+        let mut terms_nm = [None; 3];
+        for (term_nm, name) in terms_nm.iter_mut().zip(["PISTN", "XTILT", "YTILT"]) {
+            *term_nm =
+                file.image_card(&format!("S{segment:02}{name}"))?.and_then(|card| card.number()).map(|m| m * 1e9);
+        }
+        if terms_nm.iter().all(Option::is_none) {
+            continue;
+        }
+        if found.len() + 1 != segment {
+            let (path, missing) = (file.path(), found.len() + 1);
+            return Err(Error::file(
+                path,
+                format_args!("has cards S{segment:02}PISTN, ... and none of segment {missing:02}"),
+            ));
+        }
+        found.push(terms_nm.map(|nm| nm.unwrap_or(0.0)));
+    }
+    Ok(found)
+}
+
+/// Half of the extent along x of each segment, m.
+fn half_extents_m(pupil: &Pupil) -> Vec<f64> {
+    let mut ends = vec![[f64::INFINITY, f64::NEG_INFINITY]; pupil.segments.len()];
+    for ((_, x), segment) in pupil.owned_samples() {
+        let (x_m, [low, high]) = (pupil.grid.coordinate_m(x), &mut ends[segment]);
+        (*low, *high) = (low.min(x_m), high.max(x_m));
+    }
+    // A segment of one column of samples is as wide as a sample.
+    ends.into_iter().map(|[low, high]| ((high - low) / 2.0).max(pupil.grid.pitch_m() / 2.0)).collect()
+}
