@@ -47,6 +47,18 @@ fn one_file_and_a_file_for_each_channel_give_one_answer() {
 }
 
 #[test]
+fn the_picture_shows_the_image_of_each_channel() {
+    let desk = desk();
+    desk.succeeds(&["estimate", "pair.fits", "-o", "est.fits", "--plot", "est.svg"]);
+    let text = std::fs::read_to_string(desk.path("est.svg")).unwrap();
+    for panel in ["Image", "Model", "Image − model"] {
+        for channel in ["plus", "minus"] {
+            assert!(text.contains(&format!(">{panel}, {channel}<")), "{panel} of {channel}");
+        }
+    }
+}
+
+#[test]
 fn channels_that_do_not_belong_to_the_scene_are_refused() {
     let desk = desk();
     let estimate = |more: &[&'static str]| [&["estimate", "-o", "est.fits", "--scene", "scene.toml"], more].concat();
