@@ -93,7 +93,9 @@ impl Working {
         let first = source(frames, "frames")?;
         let wanted = self.calibrations.len();
         if channels != wanted {
-            return Err(Error::Shape(format!("channels is {channels}: {wanted} is accepted, the channels of the scene")));
+            return Err(Error::Shape(format!(
+                "channels is {channels}: {wanted} is accepted, the channels of the scene"
+            )));
         }
         for (channel, calibration) in self.calibrations.iter().enumerate() {
             let (rows, cols) = calibration.shape();
@@ -116,18 +118,12 @@ impl Working {
 }
 
 /// A call that works in the session.
-unsafe fn change(
-    session: *mut cophase_joint_session,
-    body: impl FnOnce(&mut Working) -> Result<()>,
-) -> cophase_status {
+unsafe fn change(session: *mut cophase_joint_session, body: impl FnOnce(&mut Working) -> Result<()>) -> cophase_status {
     Handle::change(unsafe { session.as_ref() }.map(|session| &session.inside), "session", body)
 }
 
 /// A call that reads it.
-unsafe fn read(
-    session: *const cophase_joint_session,
-    body: impl FnOnce(&Working) -> Result<()>,
-) -> cophase_status {
+unsafe fn read(session: *const cophase_joint_session, body: impl FnOnce(&Working) -> Result<()>) -> cophase_status {
     // The kernels of a device belong to one thread at a time, even to be read.
     Handle::change(unsafe { session.as_ref() }.map(|session| &session.inside), "session", |working| body(working))
 }
@@ -342,8 +338,7 @@ pub unsafe extern "C" fn cophase_joint_session_text(
                 COPHASE_TEXT_DEVICE => session.device_name(),
                 COPHASE_TEXT_POLICY => session.policy().name().into(),
                 other => {
-                    let known =
-                        "IMAGE_MESSAGE, CHANNEL_NAME, WARNINGS, DEVICE or POLICY of the COPHASE_TEXT_ numbers is accepted";
+                    let known = "IMAGE_MESSAGE, CHANNEL_NAME, WARNINGS, DEVICE or POLICY of the COPHASE_TEXT_ numbers is accepted";
                     return Err(Error::Value(format!("what is {other}: {known}")));
                 }
             };

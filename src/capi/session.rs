@@ -123,7 +123,11 @@ pub(super) unsafe fn session_options(options: &cophase_session_options) -> Resul
 }
 
 /// A caller's options, checked. The caller's promise: `count` x `modes` numbers at `start_nm`.
-pub(super) unsafe fn fit_options<'a>(options: &cophase_fit_options, count: usize, modes: usize) -> Result<FitOptions<'a>> {
+pub(super) unsafe fn fit_options<'a>(
+    options: &cophase_fit_options,
+    count: usize,
+    modes: usize,
+) -> Result<FitOptions<'a>> {
     let deadline_s = options.deadline_s;
     if deadline_s.is_nan() || deadline_s < 0.0 {
         return Err(Error::Value(format!("options->deadline_s is {deadline_s}: 0 or more is accepted")));

@@ -188,23 +188,55 @@ impl JointEstimate {
     }
 }
 
+/// The modes that several channels have in common, from estimates of each with the covariance of their noise; pistons within half a
+/// wavelength of the first channel's.
+///
+/// # Errors
+/// [`Error::Value`] where no mode changes the images.
+pub(crate) fn combine_estimates(scene: &Scene, channels: &[(&ModalFitter, CombinedModes)]) -> Result<CombinedModes> {
+    let Some((first, reference)) = channels.first() else {
+        return Err(Error::Internal("no channel is combined".into()));
+    };
+    let each = channels.iter().enumerate().map(|(number, (fitter, own))| {
+        normal_likelihood(fitter, own.clone(), number, (first, &reference.coefficients_nm))
+    });
+    let likelihoods = each.collect::<Result<Vec<_>>>()?;
+    let sigma = scene.estimate.diversity_error;
+    let found = Normal::new(&likelihoods, sigma > 0.0, if sigma > 0.0 { sigma.powi(-2) } else { 0.0 })?;
+    let modes = first.model.optics.modes();
+    let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
+    first.motions.remove(&mut coefficients_nm);
+    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..modes, ..modes]).to_owned());
+    Ok(CombinedModes { coefficients_nm, covariance_nm2 })
+}
+
 /// Likelihood of the channel `number`; its pistons within half a wavelength of the first channel's.
 fn likelihood_of((fitter, found): ChannelFit, number: usize, (first, reference): ChannelFit) -> Result<Likelihood> {
-    let model = &fitter.model;
-    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
     if let Some(near) = found.near.clone() {
+        let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
         let (coefficients_nm, gradient) = (near.coefficients_nm, Some(near.gradient));
         let information = fitter.motions.without_information_on(&near.information);
         return Ok(Likelihood { coefficients_nm, information, gradient, diversity_nm });
     }
     let mut likelihood = found.likelihood().clone();
-    if number > 0 {
-        let reference = &reference.likelihood().coefficients_nm;
-        pistons::wrap(&mut likelihood.coefficients_nm, reference, model);
-        first.motions.remove(&mut likelihood.coefficients_nm);
-    }
     for shared in fitter.shared_errors().iter().filter(|shared| shared.name != super::diversity_error::NAME) {
         likelihood.covariance_nm2 += &shared.covariance_nm2;
+    }
+    normal_likelihood(fitter, likelihood, number, (first, &reference.likelihood().coefficients_nm))
+}
+
+/// Likelihood from the estimate of the channel `number`; its pistons within half a wavelength of `reference_nm`, the first channel's.
+fn normal_likelihood(
+    fitter: &ModalFitter,
+    mut likelihood: CombinedModes,
+    number: usize,
+    (first, reference_nm): (&ModalFitter, &[f64]),
+) -> Result<Likelihood> {
+    let model = &fitter.model;
+    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
+    if number > 0 {
+        pistons::wrap(&mut likelihood.coefficients_nm, reference_nm, model);
+        first.motions.remove(&mut likelihood.coefficients_nm);
     }
     let modes = model.optics.modes();
     // An inverse in scaled coordinates has other null directions than the covariance, in each channel others.

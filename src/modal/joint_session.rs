@@ -100,7 +100,8 @@ impl JointSession {
             Session::with_cancel_flag(Arc::new(fitter), options, cancel.clone())
         });
         let sessions = sessions.collect::<Result<Vec<_>>>()?;
-        let combiner = Combiner::new(scene, &sessions.iter().map(|session| &**session.estimator()).collect::<Vec<_>>())?;
+        let combiner =
+            Combiner::new(scene, &sessions.iter().map(|session| &**session.estimator()).collect::<Vec<_>>())?;
         let names = scene.channels().iter().map(|channel| channel.name.clone()).collect();
         let modes = sessions[0].estimator().model.optics.modes();
         let unknown = vec![f64::NAN; modes];
@@ -191,7 +192,9 @@ impl JointSession {
     /// [`Error::Value`] where the last fit failed or that of a channel did not converge.
     pub fn refine(&self) -> Result<RefinedFit> {
         if !self.is_fitted || !self.fit.status.has_converged() {
-            return Err(Error::Value("a joint estimate needs frames of all channels that were fitted: fit them first".into()));
+            return Err(Error::Value(
+                "a joint estimate needs frames of all channels that were fitted: fit them first".into(),
+            ));
         }
         let found = self.sessions.iter().zip(&self.names).map(|(session, name)| {
             let (fits, fitter) = (session.fits(), session.estimator());
@@ -200,7 +203,8 @@ impl JointSession {
             combine(fitter, vec![None], &[0], &prepared, minima).map_err(|error| error.of_channel(name))
         });
         let found = found.collect::<Result<Vec<_>>>()?;
-        let each: Vec<_> = self.sessions.iter().zip(&found).map(|(session, found)| (&**session.estimator(), found)).collect();
+        let each: Vec<_> =
+            self.sessions.iter().zip(&found).map(|(session, found)| (&**session.estimator(), found)).collect();
         let joint = joint(&self.scene, &each)?;
         Ok(RefinedFit {
             disagreement: joint.disagreement,

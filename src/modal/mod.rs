@@ -74,7 +74,7 @@ pub use fitted_optic::FittedOptic;
 pub use fitter::ModalFitter;
 pub use integers::PistonInteger;
 pub(crate) use integers::{ColourEstimate, are_determined, resolve_estimates};
-pub(crate) use joint::{JointEstimate, joint};
+pub(crate) use joint::{JointEstimate, combine_estimates, joint};
 pub use joint_session::{JointFit, JointSession, RefinedFit};
 pub use memory::{Memory, Tiles};
 pub use model::Model;

@@ -42,7 +42,8 @@ pub(super) fn estimate(
     let (mut fits, mut found) = defocused.fit_with_extensions()?;
     let (mut used, mut left_out) = (with.clone(), Vec::new());
     if !in_focus.is_empty() {
-        let others = (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
+        let others =
+            (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
         let selected = fits.iter().find_map(|fitted| fitted.selected.as_ref());
         let own = Channels::new(scene, policy, control, cache, &in_focus)?;
         let own = own.extended(selected.map_or(&[], |selected| &selected.settings))?;

@@ -12,6 +12,7 @@ mod fits;
 mod full_phase;
 mod fuzz;
 mod golden;
+mod joint_session;
 mod modal;
 mod model_selection;
 mod modes;
