@@ -60,6 +60,7 @@ static void refuses(cophase_joint_session *session, const cophase_input *frames,
 {
     cophase_input wrong[2];
     cophase_joint_session *none = NULL;
+    const char *preset;
     size_t length;
 
     REFUSED(COPHASE_BAD_VALUE, "fit them first", cophase_joint_session_refine(session, numbers, NULL, modes, NULL, 0));
@@ -76,8 +77,8 @@ static void refuses(cophase_joint_session *session, const cophase_input *frames,
     must(cophase_joint_session_cancel(session));
     REFUSED(COPHASE_INTERRUPTED, "cancelled",
             cophase_joint_session_fit(session, frames, 2, NULL, numbers, NULL, modes, NULL, 0, NULL, 0));
-    REFUSED(COPHASE_BAD_SCENE, "[[image.channel]]",
-            cophase_joint_session_create("[image]\nwavelength_nm = 2000\npixels = 64\n", NULL, NULL, &none));
+    must(cophase_scene_preset("keck-artificial", &preset));
+    REFUSED(COPHASE_BAD_SCENE, "[[image.channel]]", cophase_joint_session_create(preset, NULL, NULL, &none));
     CHECK(none == NULL);
 }
 
