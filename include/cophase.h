@@ -8,11 +8,13 @@
  *     cophase_estimator_create -> cophase_estimator_estimate -> cophase_estimate_get_info, _array, _text, _write
  *   Images as a camera delivers them, with a deadline:
  *     cophase_model_create -> cophase_session_create -> cophase_session_fit -> cophase_sequence_push -> _estimate
+ *   Frames of several channels (defocuses, filters), with a deadline:
+ *     cophase_joint_session_create -> cophase_joint_session_fit -> cophase_joint_session_refine
  *
  * Objects
- *   cophase_model, cophase_estimator, cophase_estimate, cophase_session and cophase_sequence are opaque. A call that creates
- *   one writes its handle, and the caller destroys it; destroying NULL does nothing. Objects do not depend on the lifetime of
- *   those that they were made from. No call on an object may be running or follow when it is destroyed.
+ *   cophase_model, cophase_estimator, cophase_estimate, cophase_session, cophase_joint_session and cophase_sequence are opaque.
+ *   A call that creates one writes its handle, and the caller destroys it; destroying NULL does nothing. Objects do not depend
+ *   on the lifetime of those that they were made from. No call on an object may be running or follow when it is destroyed.
  *
  * Threads
  *   Calls on different objects never interfere. On one object, calls that take it as const may run in several threads at
@@ -303,7 +305,7 @@ typedef struct {
 typedef struct {
   /* COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number. */
   int32_t status;
-  /* 1 if the image was combined into the estimate, else 0; 0 in a session, which combines nothing. */
+  /* 1 if the image was combined into the estimate or the joint result, else 0; 0 in a cophase_session, which combines nothing. */
   int32_t is_used;
   /* 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session. */
   int32_t is_clipped;
@@ -327,7 +329,7 @@ typedef struct {
   double tilt_nm;
   /* Duration of the fit, s; NaN in an estimate, which fits images together. */
   double seconds;
-  /* Number of its channel in the scene, from 0; 0 for a scene without channels, and in a session. */
+  /* Number of its channel in the scene, from 0; 0 for a scene without channels. */
   int64_t channel;
 } cophase_image_report;
 
@@ -937,6 +939,128 @@ cophase_status cophase_session_text(const cophase_session *session,
                                     char *text,
                                     size_t capacity,
                                     size_t *length);
+
+/* --------------------------------- Session of several channels --------------------------------- */
+
+/* Session of several channels ([[image.channel]]): fits of one frame of each, and the wavefront that they have in common, in memory that
+ * is allocated when it is created. Each channel is fitted as a cophase_session fits a frame, to the same bits.
+ *
+ * One call at a time (COPHASE_BUSY otherwise), except cophase_joint_session_cancel, which any thread may call at any time.
+ */
+typedef struct cophase_joint_session cophase_joint_session;
+
+/* Report on the joint result of one frame of each channel. */
+typedef struct {
+  /* The worst status of the channels, a COPHASE_IMAGE_ number; above COPHASE_IMAGE_WRONG_MINIMUM there is no joint result. */
+  int32_t status;
+  /* 1 if the channels differ by more than their noise: one is flipped, of another wavelength or diversity than the scene says, of
+   * another wavefront, or in another minimum; in several wavelengths also where a piston is more than half a wavelength from the start.
+   */
+  int32_t is_contradictory;
+  /* Chi-square per degree of freedom of the differences of the channels, 1 where they agree; NaN without a joint result. */
+  double reduced_chi2;
+  /* Its degrees of freedom; 0 where the channels have no mode in common that both determine. */
+  double freedom;
+  /* The smallest probability of the whole wavelengths of a piston; NaN where they were not sought: in one wavelength, and in a fit. */
+  double piston_probability;
+  /* Duration of the fit, s; NaN of a refinement. */
+  double seconds;
+} cophase_joint_report;
+
+/* Creates a session of a scene with several channels; builds their models, half a second each at the size of Keck.
+ *
+ * scene_text, directory: as in cophase_model_create. options: NULL for the defaults; a capacity of 0 or 1. session: receives the handle.
+ *
+ * COPHASE_BAD_SCENE for a scene without channels, or with a channel in focus, which an estimator takes; else as cophase_model_create and
+ * cophase_session_create.
+ */
+cophase_status cophase_joint_session_create(const char *scene_text,
+                                            const char *directory,
+                                            const cophase_session_options *options,
+                                            cophase_joint_session **session);
+
+/* Frees a session; NULL is fine. */
+void cophase_joint_session_destroy(cophase_joint_session *session);
+
+/* The model of a channel, in the order of the scene from 0: size of its frames, modes, which all channels share, and maps of them.
+ *
+ * model: receives a handle of its own, which the caller destroys. COPHASE_BAD_VALUE for a channel that the scene does not have.
+ */
+cophase_status cophase_joint_session_model(const cophase_joint_session *session,
+                                           size_t channel,
+                                           cophase_model **model);
+
+/* Sets the calibration of later frames of a channel, as cophase_session_calibrate. */
+cophase_status cophase_joint_session_calibrate(cophase_joint_session *session,
+                                               size_t channel,
+                                               const cophase_calibration *calibration);
+
+/* Makes the fit that is running in another thread, or else the next one, return COPHASE_INTERRUPTED within one evaluation.
+ * A signal handler may call it. [RT]
+ */
+cophase_status cophase_joint_session_cancel(const cophase_joint_session *session);
+
+/* Fits one frame of each channel, one after the other, and combines the fits. [RT]
+ *
+ * frames: one for each channel, in the order of the scene, 1 x rows x cols as the channel says; else as in cophase_session_fit.
+ * channels: their number.
+ * options: NULL for the defaults. The deadline holds for all channels together; start_nm is 1 x modes, for all.
+ * coefficients_nm, sigma_nm: receive the common modes and their error bars (1 sigma), `modes` numbers each; sigma_nm may be NULL. NaN
+ *   unless the fits of all channels converged. The channels are weighed, and error bars are, as at a flat wavefront with the flux and
+ *   the noise of the frames, scaled by chi-square where a model misfits or the channels contradict each other.
+ * modes: number of modes of the models.
+ * report: NULL if it is not wanted. report_size: sizeof(cophase_joint_report).
+ * images: receives a report on each channel's own fit, of image_size bytes each; NULL if they are not wanted. image_size:
+ *   sizeof(cophase_image_report).
+ *
+ * The call succeeds where single frames fail: see the reports. COPHASE_INTERRUPTED after cophase_joint_session_cancel; nothing is written
+ * then.
+ */
+cophase_status cophase_joint_session_fit(cophase_joint_session *session,
+                                         const cophase_input *frames,
+                                         size_t channels,
+                                         const cophase_fit_options *options,
+                                         double *coefficients_nm,
+                                         double *sigma_nm,
+                                         size_t modes,
+                                         cophase_joint_report *report,
+                                         size_t report_size,
+                                         cophase_image_report *images,
+                                         size_t image_size);
+
+/* Combines the last fits by their information at the fitted wavefronts, and finds the whole wavelengths of pistons
+ * (modes.piston_range_nm): what cophase_estimator_estimate_channels finds in these frames by the policy COPHASE_POLICY_REALTIME. It takes
+ * as long as some hundred evaluations of each channel.
+ *
+ * coefficients_nm: receives `modes` numbers. covariance_nm2: receives modes x modes numbers. Each may be NULL. modes: number of modes.
+ * report: NULL if it is not wanted. report_size: sizeof(cophase_joint_report).
+ *
+ * COPHASE_BAD_VALUE unless the last fits of all channels converged.
+ */
+cophase_status cophase_joint_session_refine(const cophase_joint_session *session,
+                                            double *coefficients_nm,
+                                            double *covariance_nm2,
+                                            size_t modes,
+                                            cophase_joint_report *report,
+                                            size_t report_size);
+
+/* Number of channels of a session, in `*channels`. */
+cophase_status cophase_joint_session_channels(const cophase_joint_session *session, size_t *channels);
+
+/* Writes a text of a session.
+ *
+ * what: COPHASE_TEXT_IMAGE_MESSAGE, COPHASE_TEXT_CHANNEL_NAME, COPHASE_TEXT_WARNINGS, with that of channels that contradict each other in
+ *   the last fit, COPHASE_TEXT_DEVICE or COPHASE_TEXT_POLICY. index: channel; ignored for the other texts. text, capacity, length: as in
+ *   cophase_device_list.
+ *
+ * COPHASE_BAD_VALUE for a channel that the scene does not have, and for an image message without a fit.
+ */
+cophase_status cophase_joint_session_text(const cophase_joint_session *session,
+                                          int32_t what,
+                                          size_t index,
+                                          char *text,
+                                          size_t capacity,
+                                          size_t *length);
 
 /* ------------------------------------------ Sequence ------------------------------------------- */
 

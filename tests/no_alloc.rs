@@ -2,11 +2,11 @@
 
 use cophase::capi::*;
 use cophase::imaging::Precision;
-use cophase::modal::{FitOptions, ModalFitter, Refusal, Session, SessionOptions, Status};
+use cophase::modal::{FitOptions, JointSession, ModalFitter, Refusal, Session, SessionOptions, Status};
 use cophase::optimize::StopReason;
 use cophase::scene::Scene;
 use cophase::source;
-use ndarray::Array2;
+use ndarray::{Array2, Axis};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::ffi::CString;
@@ -182,11 +182,94 @@ fn the_objective_without_weights() {
     silent(&scene, Precision::F64);
 }
 
+/// A pair and two colours, on a thread that has never run any of it.
+#[test]
+fn sessions_of_several_channels() {
+    for channel in ["diversity_focus_waves_rms = -0.8", "wavelength_nm = 1640.0"] {
+        let scene = channels(channel);
+        let images_e = source::simulate_channels(&scene).unwrap();
+        let mut session = JointSession::new(&scene, &SessionOptions::default()).unwrap();
+        for (channel, made) in images_e.iter().enumerate() {
+            session.frame_mut(channel).unwrap().0.assign(&made.images_e.index_axis(Axis(0), 0));
+        }
+        let work = move || {
+            let (fitted, calls) = counted(|| session.fit(&FitOptions::default()));
+            fitted.unwrap();
+            assert_eq!(calls, 0, "a fit of a frame of each channel");
+            let fit = session.result().unwrap();
+            assert!(fit.sigma_nm.iter().all(|sigma| *sigma > 0.0 && sigma.is_finite()), "{:?}", fit.sigma_nm);
+            let late = FitOptions { deadline: Some(Duration::ZERO), ..FitOptions::default() };
+            let (fitted, calls) = counted(|| session.fit(&late));
+            fitted.unwrap();
+            assert_eq!(calls, 0, "a fit past its deadline");
+        };
+        std::thread::spawn(work).join().unwrap();
+    }
+}
+
+/// The scene with two channels, whose second differs by `key`.
+fn channels(key: &str) -> Scene {
+    let text = scene(&[("image.samples_per_lambda_over_d", "3"), ("image.pixels", "132"), ("image.count", "1")]);
+    let channels =
+        format!("[[image.channel]]\nname = \"one\"\n[[image.channel]]\nname = \"two\"\n{key}\n\n[aberrations]");
+    Scene::from_text(&text.text().replacen("[aberrations]", &channels, 1), std::path::Path::new("")).unwrap()
+}
+
 /// A caller's array as C hands it in.
 fn input<T>(values: &[T], element: i32, shape: [usize; 3]) -> cophase_input {
     let [count, rows, cols] = shape;
     let (count_stride, row_stride) = ((rows * cols) as isize, cols as isize);
     cophase_input { data: values.as_ptr().cast(), element, count, rows, cols, count_stride, row_stride, col_stride: 1 }
+}
+
+/// The calls of a session of several channels that are marked [RT].
+#[test]
+fn the_calls_of_a_session_of_several_channels_marked_rt() {
+    let scene = channels("diversity_focus_waves_rms = -0.8");
+    let images_e = source::simulate_channels(&scene).unwrap();
+    let cubes: Vec<Vec<f64>> = images_e.iter().map(|made| made.images_e.iter().copied().collect()).collect();
+    let frames: Vec<cophase_input> = cubes.iter().map(|cube| input(cube, COPHASE_F64, [1, 132, 132])).collect();
+    let text = CString::new(scene.text()).unwrap();
+    let (mut session, mut model) = (null_mut(), null_mut());
+    unsafe {
+        // SAFETY: zeros are the defaults.
+        let mut options = std::mem::zeroed::<cophase_session_options>();
+        (options.struct_size, options.device) = (size_of_val(&options), c"cpu".as_ptr());
+        assert_eq!(cophase_joint_session_create(text.as_ptr(), null(), &options, &mut session), COPHASE_OK);
+        assert_eq!(cophase_joint_session_model(session, 1, &mut model), COPHASE_OK);
+        let mut info = MaybeUninit::<cophase_model_info>::uninit();
+        assert_eq!(cophase_model_get_info(model, info.as_mut_ptr(), size_of::<cophase_model_info>()), COPHASE_OK);
+        let modes = info.assume_init().modes;
+        cophase_model_destroy(model);
+        let (mut coefficients_nm, mut sigma_nm) = (vec![0.0; modes], vec![0.0; modes]);
+        let mut report = MaybeUninit::<cophase_joint_report>::uninit();
+        let mut images = [MaybeUninit::<cophase_image_report>::uninit(); 2];
+        let (first, size) = (images.as_mut_ptr().cast(), size_of::<cophase_image_report>());
+        let (status, calls) = counted(|| {
+            cophase_joint_session_fit(
+                session,
+                frames.as_ptr(),
+                2,
+                null(),
+                coefficients_nm.as_mut_ptr(),
+                sigma_nm.as_mut_ptr(),
+                modes,
+                report.as_mut_ptr(),
+                size_of::<cophase_joint_report>(),
+                first,
+                size,
+            )
+        });
+        assert_eq!((status, calls), (COPHASE_OK, 0), "fit");
+        assert_eq!(counted(|| cophase_joint_session_cancel(session)), (COPHASE_OK, 0), "cancel");
+        let report = report.assume_init();
+        assert!(report.status <= COPHASE_IMAGE_MISFIT && report.is_contradictory == 0, "{report:?}");
+        for (channel, image) in images.into_iter().enumerate() {
+            let image = image.assume_init();
+            assert!(image.channel == channel as i64 && image.is_used == 1 && image.evaluations > 5, "{image:?}");
+        }
+        cophase_joint_session_destroy(session);
+    }
 }
 
 /// What a camera would deliver: whole numbers, three electrons each, over a dark level.

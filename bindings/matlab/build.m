@@ -18,8 +18,8 @@ function build(library_directory, output_directory)
     if nargin < 2
         output_directory = here;
     end
-    files = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'estimate', 'session', 'sequence', ...
-        'simulator'};
+    files = {'cophase_mex', 'arguments', 'handles', 'interrupt', 'model', 'estimate', 'session', ...
+        'joint_session', 'sequence', 'simulator'};
     sources = strcat(fullfile(here, 'gateway', files), '.c');
     include = ['-I' fullfile(root, 'include')];
     library = {['-L' library_directory], '-lcophase'};

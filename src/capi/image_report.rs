@@ -5,7 +5,7 @@ use super::status::{
     COPHASE_IMAGE_DEADLINE, COPHASE_IMAGE_MISFIT, COPHASE_IMAGE_NOT_CONVERGED, COPHASE_IMAGE_OK,
     COPHASE_IMAGE_UNUSABLE, COPHASE_IMAGE_WRONG_MINIMUM,
 };
-use crate::modal::{ImageResult, Status};
+use crate::modal::{ImageResult, JointFit, Status};
 use crate::optimize::StopReason;
 use crate::pipeline::{ImageOutcome, ImageStatus};
 
@@ -16,7 +16,7 @@ use crate::pipeline::{ImageOutcome, ImageStatus};
 pub struct cophase_image_report {
     /// COPHASE_IMAGE_OK or another COPHASE_IMAGE_ number.
     pub status: i32,
-    /// 1 if the image was combined into the estimate, else 0; 0 in a session, which combines nothing.
+    /// 1 if the image was combined into the estimate or the joint result, else 0; 0 in a cophase_session, which combines nothing.
     pub is_used: i32,
     /// 1 if it was fitted and then left out as an outlier among the images, else 0; 0 in a session.
     pub is_clipped: i32,
@@ -40,7 +40,7 @@ pub struct cophase_image_report {
     pub tilt_nm: f64,
     /// Duration of the fit, s; NaN in an estimate, which fits images together.
     pub seconds: f64,
-    /// Number of its channel in the scene, from 0; 0 for a scene without channels, and in a session.
+    /// Number of its channel in the scene, from 0; 0 for a scene without channels.
     pub channel: i64,
 }
 
@@ -66,6 +66,11 @@ impl cophase_image_report {
         }
     }
 
+    pub(super) fn from_joint_session(result: &ImageResult, channel: usize, fit: &JointFit) -> Self {
+        let is_used = fit.coefficients_nm.iter().all(|nm| nm.is_finite());
+        Self { channel: channel as i64, is_used: is_used.into(), ..Self::from_session(result) }
+    }
+
     pub(super) fn from_estimate(image: &ImageOutcome, policy: i32) -> Self {
         let [tip_nm, tilt_nm] = image.tip_tilt_nm;
         Self {
@@ -87,7 +92,7 @@ impl cophase_image_report {
     }
 }
 
-fn number(status: &Status) -> i32 {
+pub(super) fn number(status: &Status) -> i32 {
     match status {
         Status::Ok => COPHASE_IMAGE_OK,
         Status::Misfit => COPHASE_IMAGE_MISFIT,

@@ -65,12 +65,12 @@ pub struct cophase_model_info {
 }
 
 impl Named {
-    fn new(estimator: ModalFitter) -> Result<Self> {
+    fn new(estimator: Arc<ModalFitter>) -> Result<Self> {
         let name = |name: &String| {
             CString::new(name.as_str()).map_err(|error| Error::Internal(format!("a mode's name holds a zero: {error}")))
         };
         let names = estimator.model().basis.names().iter().map(name).collect::<Result<_>>()?;
-        Ok(Self { estimator: Arc::new(estimator), names })
+        Ok(Self { estimator, names })
     }
 
     fn info(&self) -> cophase_model_info {
@@ -90,6 +90,13 @@ impl Named {
     unsafe fn coefficients<'a>(&self, pointer: *const f64, modes: usize) -> Result<&'a [f64]> {
         check_modes(modes, self.names.len())?;
         unsafe { numbers(pointer, modes, "coefficients_nm") }
+    }
+}
+
+impl cophase_model {
+    /// A handle of a model.
+    pub(super) fn of(estimator: Arc<ModalFitter>) -> Result<*mut Self> {
+        Ok(Box::into_raw(Box::new(Self(Handle::new(Named::new(estimator)?)))))
     }
 }
 
@@ -152,8 +159,7 @@ pub unsafe extern "C" fn cophase_model_create(
             let arrays = unsafe { sized::read(arrays, "arrays") }?;
             ModalFitter::from_arrays(&scene, &unsafe { copied(&arrays) }?)?
         };
-        let made = Box::new(cophase_model(Handle::new(Named::new(estimator)?)));
-        unsafe { out.write(Box::into_raw(made)) };
+        unsafe { out.write(cophase_model::of(Arc::new(estimator))?) };
         Ok(())
     })
 }

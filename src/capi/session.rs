@@ -10,10 +10,10 @@ use super::sized::{self, Options, Outputs};
 use super::status::{COPHASE_OK, cophase_status};
 use super::text::*;
 use crate::imaging::Precision;
-use crate::modal::{Calibration, CameraMaps, FitOptions, Session, SessionOptions};
+use crate::modal::{Calibration, CameraMaps, FitOptions, ModalFitter, Session, SessionOptions};
 use crate::optimize::CancelFlag;
 use crate::{Error, Result};
-use ndarray::ArrayView2;
+use ndarray::{ArrayView2, ArrayViewMut2};
 use std::ffi::c_char;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -88,7 +88,7 @@ pub(super) fn precision_number(precision: Precision) -> i32 {
 }
 
 /// A caller's options, checked.
-unsafe fn session_options(options: &cophase_session_options) -> Result<SessionOptions> {
+pub(super) unsafe fn session_options(options: &cophase_session_options) -> Result<SessionOptions> {
     let device = if options.device.is_null() {
         None
     } else {
@@ -123,7 +123,11 @@ unsafe fn session_options(options: &cophase_session_options) -> Result<SessionOp
 }
 
 /// A caller's options, checked. The caller's promise: `count` x `modes` numbers at `start_nm`.
-unsafe fn fit_options<'a>(options: &cophase_fit_options, count: usize, modes: usize) -> Result<FitOptions<'a>> {
+pub(super) unsafe fn fit_options<'a>(
+    options: &cophase_fit_options,
+    count: usize,
+    modes: usize,
+) -> Result<FitOptions<'a>> {
     let deadline_s = options.deadline_s;
     if deadline_s.is_nan() || deadline_s < 0.0 {
         return Err(Error::Value(format!("options->deadline_s is {deadline_s}: 0 or more is accepted")));
@@ -154,13 +158,7 @@ impl Working {
             return Err(Error::Shape(format!("frames has {count} frames: 1 to {capacity} are accepted, the capacity")));
         }
         for k in 0..count {
-            let (mut data_e, mut bad) = self.session.frame_mut(k)?;
-            let calibration = &self.calibration;
-            frames.each(k, |y, x, raw| {
-                let electrons = calibration.electrons(y, x, raw);
-                data_e[[y, x]] = electrons.unwrap_or(0.0);
-                bad[[y, x]] = electrons.is_none();
-            });
+            copy_frame(frames, k, &self.calibration, self.session.frame_mut(k)?);
         }
         Ok(count)
     }
@@ -168,6 +166,48 @@ impl Working {
     fn modes(&self) -> usize {
         self.session.estimator().model().optics.modes()
     }
+}
+
+/// Copies frame `k` of a caller's, calibrated, into buffers of a session.
+pub(super) fn copy_frame(
+    frames: &Input,
+    k: usize,
+    calibration: &Calibration,
+    (mut data_e, mut bad): (ArrayViewMut2<f64>, ArrayViewMut2<bool>),
+) {
+    frames.each(k, |y, x, raw| {
+        let electrons = calibration.electrons(y, x, raw);
+        data_e[[y, x]] = electrons.unwrap_or(0.0);
+        bad[[y, x]] = electrons.is_none();
+    });
+}
+
+/// The calibration of frames of a model before any is set: electrons, or counts where the scene has a gain.
+pub(super) fn electrons_of(estimator: &ModalFitter) -> Result<Calibration> {
+    let [x, y] = estimator.model().preparation.frame;
+    let gain = estimator.scene().image.gain_e_per_adu.unwrap_or(1.0);
+    Calibration::new((y, x), CameraMaps::default(), gain, f64::INFINITY)
+}
+
+/// A caller's calibration of frames of a model.
+///
+/// # Errors
+/// [`Error::Value`] for bad pixels that a reduction of the sampling would smear.
+pub(super) unsafe fn calibration_for(
+    estimator: &ModalFitter,
+    calibration: *const cophase_calibration,
+) -> Result<Calibration> {
+    let preparation = &estimator.model().preparation;
+    let [x, y] = preparation.frame;
+    let made = unsafe { self::calibration(calibration, (y, x), estimator.scene().image.gain_e_per_adu) }?;
+    if made.bad_pixels() > 0 && preparation.reduced != preparation.frame {
+        return Err(Error::Value(format!(
+            "the calibration has {} bad pixels, which a reduction of the sampling would smear: a model of a scene with \
+             estimate.sampling = \"native\" is accepted",
+            made.bad_pixels()
+        )));
+    }
+    Ok(made)
 }
 
 /// A call that works in the session.
@@ -203,10 +243,8 @@ pub unsafe extern "C" fn cophase_session_create(
         let out = place(session, "session")?;
         let options = unsafe { session_options(&sized::read(options, "options")?) }?;
         let estimator = unsafe { estimator(model) }?;
-        let [x, y] = estimator.model().preparation.frame;
-        let gain = estimator.scene().image.gain_e_per_adu.unwrap_or(1.0);
+        let calibration = electrons_of(&estimator)?;
         let session = Session::new(estimator, &options)?;
-        let calibration = Calibration::new((y, x), CameraMaps::default(), gain, f64::INFINITY)?;
         let cancel = session.cancel_flag();
         let inside = Handle::new(Working { session, calibration });
         unsafe { out.write(Box::into_raw(Box::new(cophase_session { inside, cancel }))) };
@@ -232,17 +270,7 @@ pub unsafe extern "C" fn cophase_session_calibrate(
 ) -> cophase_status {
     unsafe {
         change(session, |working| {
-            let scene_gain = working.session.estimator().scene().image.gain_e_per_adu;
-            let made = self::calibration(calibration, working.calibration.shape(), scene_gain)?;
-            let preparation = &working.session.estimator().model().preparation;
-            if made.bad_pixels() > 0 && preparation.reduced != preparation.frame {
-                return Err(Error::Value(format!(
-                    "the calibration has {} bad pixels, which a reduction of the sampling would smear: a model of a \
-                     scene with estimate.sampling = \"native\" is accepted",
-                    made.bad_pixels()
-                )));
-            }
-            working.calibration = made;
+            working.calibration = calibration_for(working.session.estimator(), calibration)?;
             Ok(())
         })
     }

@@ -12,7 +12,7 @@ use super::residual::variance;
 use super::restart::is_same_minimum;
 use super::sequence::{SEQUENCE, location, scatter, shrinkage_of_variance};
 use super::spread::Spread;
-use super::status::{ImageReport, Selection, Status, assess_all, unfitted_report};
+use super::status::{ImageReport, Selection, Status, assess_all, unfitted_report, worst};
 use crate::modes::{Degeneracy, Group, WEAK_BELOW};
 use crate::optimize::StopReason;
 use crate::scene::Combine;
@@ -150,15 +150,7 @@ impl ModalEstimate {
 
     /// The worst status among the images.
     pub fn status(&self) -> &Status {
-        let rank = |status: &Status| match status {
-            Status::Ok => 0,
-            Status::Misfit => 1,
-            Status::WrongMinimum => 2,
-            Status::NotConverged(_) => 3,
-            Status::Unusable(_) => 4,
-        };
-        let worst = self.images.iter().map(|image| &image.status).max_by_key(|status| rank(status));
-        worst.unwrap_or(&Status::Ok)
+        worst(self.images.iter().map(|image| &image.status))
     }
 }
 

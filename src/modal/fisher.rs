@@ -78,9 +78,17 @@ impl Sensitivity {
 /// # Errors
 /// [`crate::Error::Value`] where no direction changes the image.
 pub(super) fn pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Result<Array2<f64>> {
-    let (metric, scale) = scaled_metric(fisher, floor)?;
-    let root = metric.whitening().map(|whitening| &whitening * &scale.insert_axis(Axis(1))).unwrap_or_default();
+    let root = root_of_pseudo_inverse(fisher, floor)?;
     Ok(times_transposed(root.view(), root.view()))
+}
+
+/// R, `[mode, direction]`, with R·Rᵀ the [`pseudo_inverse`]. Its columns span the directions that are not null.
+///
+/// # Errors
+/// As [`pseudo_inverse`].
+pub(super) fn root_of_pseudo_inverse(fisher: &Array2<f64>, floor: f64) -> Result<Array2<f64>> {
+    let (metric, scale) = scaled_metric(fisher, floor)?;
+    Ok(metric.whitening().map(|whitening| &whitening * &scale.insert_axis(Axis(1))).unwrap_or_default())
 }
 
 /// `information` of the modes where amounts of `directions` (rows) are unknown.

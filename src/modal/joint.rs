@@ -18,9 +18,8 @@
 //! The scatter of the ĉ_i about the result, in units of its expectation, is small only where the channels are of one wavefront by one
 //! model: an image that is flipped, or of another wavelength than the scene says, disagrees with the others.
 
-use super::combine::{maps, sigma_maps, with_prior};
+use super::combine::{ModalEstimate, maps, sigma_maps, with_prior};
 use super::combined_modes::CombinedModes;
-use super::estimate::ModalFit;
 use super::fisher::{self, null_floor, pseudo_inverse, without};
 use super::fitted_optic::FittedOptic;
 use super::fitter::ModalFitter;
@@ -30,6 +29,16 @@ use super::tilts::spanned_tip_and_tilt;
 use crate::scene::{Optic, Scene};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Axis, concatenate, s};
+
+/// Fitter of a channel, and what it found.
+type ChannelFit<'a> = (&'a ModalFitter, &'a ModalEstimate);
+
+/// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
+/// √(2/n) of n degrees of freedom,
+const DEVIATIONS: f64 = 5.0;
+/// and by what the sampling of the model adds to it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000. A flipped image gives
+/// 1,000 and more at S/N 500.
+const ALLOWANCE: f64 = 0.3;
 
 /// Least share of the information on the amplitude of the diversities that the modes must leave: below, an error of 1 % of the
 /// projections would be taken for it.
@@ -95,7 +104,7 @@ fn resolve(
 /// # Errors
 /// [`Error::Scene`] for an amplitude of the diversity that is to be fitted and that the modes do not span;
 /// [`Error::Value`] where no mode changes the images.
-pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstimate> {
+pub(crate) fn joint(scene: &Scene, channels: &[ChannelFit]) -> Result<JointEstimate> {
     let Some(&(first, _)) = channels.first() else { return Err(Error::Internal("no channel is combined".into())) };
     let (modes, model) = (first.model.optics.modes(), &first.model);
     if let Some((other, _)) = channels.iter().find(|(fitter, _)| fitter.model.basis.names() != model.basis.names()) {
@@ -109,7 +118,7 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
     }
     let likelihoods = channels.iter().enumerate();
     let mut likelihoods =
-        likelihoods.map(|(number, fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
+        likelihoods.map(|(number, &fit)| likelihood_of(fit, number, channels[0])).collect::<Result<Vec<_>>>()?;
     let is_fitted = scene.estimate.fit_optics.contains(&Optic::Defocus);
     let sigma = scene.estimate.diversity_error;
     let is_unknown = is_fitted || sigma > 0.0;
@@ -167,23 +176,67 @@ pub(crate) fn joint(scene: &Scene, channels: &[&ModalFit]) -> Result<JointEstima
     })
 }
 
+/// Whether channels whose differences have the given reduced χ² and degrees of freedom differ by more than their noise.
+pub(super) fn contradict((chi2, freedom): (f64, f64)) -> bool {
+    freedom > 0.0 && chi2 > 1.0 + ALLOWANCE + DEVIATIONS * (2.0 / freedom).sqrt()
+}
+
+impl JointEstimate {
+    /// Whether the channels differ by more than their noise.
+    pub(crate) fn is_contradictory(&self) -> bool {
+        contradict(self.disagreement)
+    }
+}
+
+/// The modes that several channels have in common, from estimates of each with the covariance of their noise; pistons within half a
+/// wavelength of the first channel's.
+///
+/// # Errors
+/// [`Error::Value`] where no mode changes the images.
+pub(crate) fn combine_estimates(scene: &Scene, channels: &[(&ModalFitter, CombinedModes)]) -> Result<CombinedModes> {
+    let Some((first, reference)) = channels.first() else {
+        return Err(Error::Internal("no channel is combined".into()));
+    };
+    let each = channels.iter().enumerate().map(|(number, (fitter, own))| {
+        normal_likelihood(fitter, own.clone(), number, (first, &reference.coefficients_nm))
+    });
+    let likelihoods = each.collect::<Result<Vec<_>>>()?;
+    let sigma = scene.estimate.diversity_error;
+    let found = Normal::new(&likelihoods, sigma > 0.0, if sigma > 0.0 { sigma.powi(-2) } else { 0.0 })?;
+    let modes = first.model.optics.modes();
+    let mut coefficients_nm = found.solution.slice(s![..modes]).to_vec();
+    first.motions.remove(&mut coefficients_nm);
+    let covariance_nm2 = first.motions.removed_from(&found.covariance.slice(s![..modes, ..modes]).to_owned());
+    Ok(CombinedModes { coefficients_nm, covariance_nm2 })
+}
+
 /// Likelihood of the channel `number`; its pistons within half a wavelength of the first channel's.
-fn likelihood_of((fitter, found): &ModalFit, number: usize, (first, reference): &ModalFit) -> Result<Likelihood> {
-    let model = &fitter.model;
-    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
+fn likelihood_of((fitter, found): ChannelFit, number: usize, (first, reference): ChannelFit) -> Result<Likelihood> {
     if let Some(near) = found.near.clone() {
+        let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
         let (coefficients_nm, gradient) = (near.coefficients_nm, Some(near.gradient));
         let information = fitter.motions.without_information_on(&near.information);
         return Ok(Likelihood { coefficients_nm, information, gradient, diversity_nm });
     }
     let mut likelihood = found.likelihood().clone();
-    if number > 0 {
-        let reference = &reference.likelihood().coefficients_nm;
-        pistons::wrap(&mut likelihood.coefficients_nm, reference, model);
-        first.motions.remove(&mut likelihood.coefficients_nm);
-    }
     for shared in fitter.shared_errors().iter().filter(|shared| shared.name != super::diversity_error::NAME) {
         likelihood.covariance_nm2 += &shared.covariance_nm2;
+    }
+    normal_likelihood(fitter, likelihood, number, (first, &reference.likelihood().coefficients_nm))
+}
+
+/// Likelihood from the estimate of the channel `number`; its pistons within half a wavelength of `reference_nm`, the first channel's.
+fn normal_likelihood(
+    fitter: &ModalFitter,
+    mut likelihood: CombinedModes,
+    number: usize,
+    (first, reference_nm): (&ModalFitter, &[f64]),
+) -> Result<Likelihood> {
+    let model = &fitter.model;
+    let diversity_nm = fitter.diversity_projection()?.coefficients_nm;
+    if number > 0 {
+        pistons::wrap(&mut likelihood.coefficients_nm, reference_nm, model);
+        first.motions.remove(&mut likelihood.coefficients_nm);
     }
     let modes = model.optics.modes();
     // An inverse in scaled coordinates has other null directions than the covariance, in each channel others.
@@ -200,22 +253,28 @@ fn likelihood_of((fitter, found): &ModalFit, number: usize, (first, reference): 
 ///
 /// # Errors
 /// [`Error::Scene`] where the modes of a channel do not span its diversity.
-fn check_spanned(channels: &[&ModalFit]) -> Result<()> {
-    for (fitter, _) in channels.iter().copied() {
-        let projection = fitter.diversity_projection()?;
-        if projection.rms_nm > 0.0 && !projection.is_spanned() {
-            return Err(Error::Scene(format!(
-                "{}: the amplitude of the diversities is unknown (estimate.fit_optics with \"defocus\", or estimate.diversity_error), which \
-                 channels determine where the modes span every diversity: raise modes.ncpa_count or leave both out",
-                fitter.scene.name()
-            )));
-        }
+fn check_spanned(channels: &[ChannelFit]) -> Result<()> {
+    channels.iter().try_for_each(|(fitter, _)| spanned_diversity(fitter).map(|_| ()))
+}
+
+/// Coefficients of the diversity of a channel, nm, whose amplitude is unknown.
+///
+/// # Errors
+/// [`Error::Scene`] where the modes do not span it.
+pub(super) fn spanned_diversity(fitter: &ModalFitter) -> Result<Array1<f64>> {
+    let projection = fitter.diversity_projection()?;
+    if projection.rms_nm > 0.0 && !projection.is_spanned() {
+        return Err(Error::Scene(format!(
+            "{}: the amplitude of the diversities is unknown (estimate.fit_optics with \"defocus\", or estimate.diversity_error), which \
+             channels determine where the modes span every diversity: raise modes.ncpa_count or leave both out",
+            fitter.scene.name()
+        )));
     }
-    Ok(())
+    Ok(projection.coefficients_nm)
 }
 
 /// The amplitude of the first diversity, from the relative error that was found.
-fn fitted_defocus(channels: &[&ModalFit], found: &Normal, share: f64) -> Option<FittedOptic> {
+fn fitted_defocus(channels: &[ChannelFit], found: &Normal, share: f64) -> Option<FittedOptic> {
     let of = |fitter: &ModalFitter| fitter.scene.image.diversity_focus_waves_rms;
     let scene = channels.iter().map(|(fitter, _)| of(fitter)).find(|waves| *waves != 0.0)?;
     let (value, sigma) = match found.amplitude() {

@@ -73,6 +73,15 @@ impl Session {
     /// [`Error::Value`] for options out of range and for an estimator whose recipe is the paper's BFGS, which cannot be
     /// stopped and resumed; [`Error::Device`] where the device cannot run the model.
     pub fn new(estimator: Arc<ModalFitter>, options: &SessionOptions) -> Result<Self> {
+        Self::with_cancel_flag(estimator, options, CancelFlag::default())
+    }
+
+    /// [`Session::new`] with a flag that other sessions have, too.
+    pub(super) fn with_cancel_flag(
+        estimator: Arc<ModalFitter>,
+        options: &SessionOptions,
+        cancel: CancelFlag,
+    ) -> Result<Self> {
         if options.capacity == 0 {
             return Err(Error::Value("capacity is 0: 1 image or more is accepted".into()));
         }
@@ -89,7 +98,7 @@ impl Session {
         recipe.step_tolerance_nm = options.step_tolerance_nm.unwrap_or(recipe.step_tolerance_nm);
         estimator.metrics.make_all(&estimator.reference)?;
         let (tilts, motions) = (Tilts::new(&estimator.model)?, GlobalMotions::new(&estimator.model)?);
-        let shared = Shared { estimator, recipe, tilts, motions, cancel: CancelFlag::default() };
+        let shared = Shared { estimator, recipe, tilts, motions, cancel };
         let optics = shared.estimator.model.optics.clone();
         let scene = &shared.estimator.scene.estimate;
         let precision = options.precision.unwrap_or(scene.precision.into());
@@ -179,6 +188,11 @@ impl Session {
     /// The results of the last fit, one per image; none after a fit that failed.
     pub fn results(&self) -> &[ImageResult] {
         &self.results[..self.fitted]
+    }
+
+    /// The fits of the last call, one per image; none after a fit that failed.
+    pub(super) fn fits(&self) -> &[ImageFit] {
+        &self.fits[..self.fitted]
     }
 
     /// Covariance of the coefficients of an image of the last fit, nm², `[mode, mode]`, pistons about their mean; scaled

@@ -82,6 +82,11 @@ impl Status {
     }
 }
 
+/// The worst of some statuses; ok for none.
+pub(super) fn worst<'a>(statuses: impl Iterator<Item = &'a Status>) -> &'a Status {
+    statuses.max_by_key(|status| status.kind()).unwrap_or(&Status::Ok)
+}
+
 /// Standard deviations of χ² from its expectation at which a fit is called a misfit. With 9,000 pixels one is 0.015. A right
 /// model is beyond five in one of three million images.
 const SIGNIFICANT: f64 = 5.0;

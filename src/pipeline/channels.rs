@@ -9,7 +9,7 @@ use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::Selected;
 use super::policy::Policy;
-use super::warnings::integers_warning;
+use super::warnings::{contradiction_warning, integers_warning};
 use crate::modal::{BasisCache, CombinedModes, JointEstimate, has_diversity, joint};
 use crate::scene::{Optic, Scene, Weighting};
 use crate::statistics::median;
@@ -23,12 +23,6 @@ pub(super) struct ChannelImages<'a> {
     pub(super) images: Electrons<'a>,
 }
 
-/// Channels agree where the reduced χ² of their differences is above 1 by no more than this many of its standard deviations,
-/// √(2/n) of n degrees of freedom,
-const DEVIATIONS: f64 = 5.0;
-/// and by what the sampling of the model adds to it: 0.1 to 0.3 of the χ² of an image at a peak S/N of 500 to 1,000. A flipped image gives
-/// 1,000 and more at S/N 500.
-const ALLOWANCE: f64 = 0.3;
 /// How often channels that contradict each other, or do not explain their images, are fitted again.
 const ROUNDS: usize = 6;
 
@@ -48,7 +42,8 @@ pub(super) fn estimate(
     let (mut fits, mut found) = defocused.fit_with_extensions()?;
     let (mut used, mut left_out) = (with.clone(), Vec::new());
     if !in_focus.is_empty() {
-        let others = (!contradict(&found) && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
+        let others =
+            (!found.is_contradictory() && fits.iter().all(Fitted::is_explained)).then(|| found.combined.clone());
         let selected = fits.iter().find_map(|fitted| fitted.selected.as_ref());
         let own = Channels::new(scene, policy, control, cache, &in_focus)?;
         let own = own.extended(selected.map_or(&[], |selected| &selected.settings))?;
@@ -184,7 +179,7 @@ impl<'a> Channels<'a> {
         let mut fits = each.collect::<Result<Vec<_>>>()?;
         let mut joint = self.combine(&fits)?;
         for round in (1..=ROUNDS).filter(|_| self.policy.restart) {
-            let is_wrong = contradict(&joint);
+            let is_wrong = joint.is_contradictory();
             if !is_wrong && fits.iter().all(Fitted::is_explained) {
                 break;
             }
@@ -199,7 +194,7 @@ impl<'a> Channels<'a> {
 
     fn combine(&self, fits: &[Fitted]) -> Result<JointEstimate> {
         self.control.enter(Stage::Combining, 0);
-        joint(self.scene, &fits.iter().map(|fitted| &fitted.fit).collect::<Vec<_>>())
+        joint(self.scene, &fits.iter().map(|Fitted { fit: (fitter, found), .. }| (fitter, found)).collect::<Vec<_>>())
     }
 
     /// Fits each channel from the joint result, from that of each other channel and from a perturbed start; whether a better minimum
@@ -251,6 +246,7 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
     for (channel, one) in each.iter().enumerate() {
         images.extend(one.images.iter().map(|image| super::ImageOutcome { channel, ..image.clone() }));
     }
+    let compared = each.iter().flat_map(|one| one.compared.iter().cloned()).collect();
     let Some(first) = each.into_iter().next() else { return Err(Error::Internal("there is no channel".into())) };
     let found_defocus = found.defocus.is_some();
     let JointEstimate { combined, averaged_covariance_nm2, maps_nm, sigma_maps_nm, integers, .. } = found;
@@ -282,18 +278,13 @@ fn combined(scene: &Scene, found: JointEstimate, names: Vec<String>, each: Vec<E
         optics,
         warnings,
         remarks,
+        compared,
         seconds,
         model_seconds,
         channels: names,
         integers,
         ..first
     })
-}
-
-/// Whether the channels differ by more than their noise.
-fn contradict(found: &JointEstimate) -> bool {
-    let (chi2, freedom) = found.disagreement;
-    freedom > 0.0 && chi2 > 1.0 + ALLOWANCE + DEVIATIONS * (2.0 / freedom).sqrt()
 }
 
 fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<String> {
@@ -309,14 +300,7 @@ fn warnings(found: &JointEstimate, names: &[String], each: &[Estimate]) -> Vec<S
         ));
     }
     sentences.extend(integers_warning(&found.integers));
-    if contradict(found) {
-        let (chi2, freedom) = found.disagreement;
-        sentences.push(format!(
-            "the channels contradict each other: the reduced χ² of their differences is {chi2:.1} ({freedom:.0} degrees of freedom), where \
-             noise gives 1; is one of them flipped, of another wavelength or diversity than the scene says, or of another wavefront? The \
-             error bars are scaled by the root of it"
-        ));
-    }
+    sentences.extend(found.is_contradictory().then(|| contradiction_warning(found.disagreement)));
     sentences
 }
 

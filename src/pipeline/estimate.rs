@@ -78,8 +78,8 @@ pub struct Estimate {
     pub seconds: f64,
     /// Wall-clock time of building the model, s.
     pub model_seconds: f64,
-    /// First image that was used, with its model; `None` in a MAP estimate.
-    pub compared: Option<FittedImage>,
+    /// First image of each channel that was used, with its model, in the order of `channels`; none in a MAP estimate.
+    pub compared: Vec<FittedImage>,
     /// Combinations of modes that change the images little or not at all; `None` in a MAP estimate.
     pub degeneracy: Option<Degeneracy>,
     /// Maps that simulated images were made with, and the residual against them.

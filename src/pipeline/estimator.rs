@@ -129,7 +129,8 @@ impl Estimator {
     /// # Errors
     /// As [`Estimator::estimate`]; [`Error::Shape`] for images of other channels than the scene has.
     pub fn estimate_channels(&self, images: &[Images]) -> Result<Estimate> {
-        let channels = self.given.channels();
+        // With the choices of a plan.
+        let channels = self.scene.channels();
         if let ([], [only]) = (channels, images) {
             return self.estimate(only);
         }
@@ -147,7 +148,7 @@ impl Estimator {
             remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| format!("Channel {name}: {remark}")));
             ready.push(ChannelImages { name, scene: consistent.scene, images: consistent.images });
         }
-        let (scene, chosen) = resolved_for(&self.given, &ready)?;
+        let (scene, chosen) = resolved_for(&self.scene, &ready)?;
         let (policy, control) = (&self.policy, &self.control);
         let found = match scene.estimate.method {
             Method::FullPhase => channel_sequence::estimate(&scene, policy, control, &ready),
@@ -155,7 +156,7 @@ impl Estimator {
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
-        estimate.warnings.splice(0..0, notes);
+        estimate.warnings.splice(0..0, self.shortfall.iter().cloned().chain(notes));
         estimate.remarks.splice(0..0, remarks.into_iter().chain(chosen));
         compare_with_truth(&mut estimate, images.first().and_then(|images| images.truth.as_ref()));
         Ok(estimate)

@@ -130,7 +130,7 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
         precision: scene.estimate.precision,
         seconds,
         model_seconds: 0.0,
-        compared: None,
+        compared: Vec::new(),
         degeneracy: None,
         truth: None,
         fitter: None,

@@ -74,7 +74,7 @@ impl Fitted {
             phasing_sigma_nm: found.phasing_sigma_nm,
             ncpa_sigma_nm: found.ncpa_sigma_nm,
             image_coefficients_nm: found.image_coefficients_nm,
-            compared: Some(found.compared),
+            compared: vec![found.compared],
             degeneracy: Some(found.degeneracy),
             truth: None,
             fitter: Some(Arc::new(fitter)),

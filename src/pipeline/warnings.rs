@@ -5,7 +5,7 @@ use super::image_changes::CHANGING;
 use super::images::counted;
 use super::sequence::SequenceResult;
 use crate::Result;
-use crate::modal::{self, DiversityProjection, ImageReport, Model, PistonInteger, Session, Status};
+use crate::modal::{self, DiversityProjection, ImageReport, JointSession, Model, PistonInteger, Session, Status};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration, SegmentTilts};
 use crate::telescope::{Diversity, Telescope};
@@ -125,6 +125,27 @@ fn model_warning(model: &Model) -> Option<String> {
         let dropped = counted(model.dropped.len(), "mode");
         format!("{dropped} left out, because the others span them: {}", listed(&model.dropped))
     })
+}
+
+/// Warning on channels that contradict each other, from the reduced χ² of their differences and its degrees of freedom.
+pub(super) fn contradiction_warning((chi2, freedom): (f64, f64)) -> String {
+    format!(
+        "the channels contradict each other: the reduced χ² of their differences is {chi2:.1} ({freedom:.0} degrees of freedom), where \
+         noise gives 1; is one of them flipped, of another wavelength or diversity than the scene says, or of another wavefront? The \
+         error bars are scaled by the root of it"
+    )
+}
+
+impl JointSession {
+    /// Warnings on the devices and models of its channels, and on channels that contradict each other in the last fit.
+    pub fn warnings(&self) -> Vec<String> {
+        let each = self.sessions().iter().zip(self.names());
+        let each = each.flat_map(|(session, name)| {
+            session.warnings().into_iter().map(move |sentence| format!("channel {name}: {sentence}"))
+        });
+        let last = self.result().filter(|fit| fit.is_contradictory);
+        each.chain(last.map(|fit| contradiction_warning(fit.disagreement))).collect()
+    }
 }
 
 impl Session {

@@ -9,6 +9,7 @@
 //! estimated by each candidate: the residual is the candidate's own error on this scene. The error from noise is the Cramér-Rao
 //! bound of the candidate's pixels.
 
+mod channels;
 mod omission;
 mod plan;
 mod price;
@@ -25,7 +26,7 @@ use crate::{Error, Result};
 
 /// Finds the cheapest model of `scene` whose error stays within `budget_nm`: RMS over the pupil, of the phasing and of
 /// the NCPA each, model and noise together, tip and tilt removed. Where noise alone is larger than that, the model that
-/// adds no more than a tenth to it.
+/// adds no more than a tenth to it. For a scene with channels it is the error of their joint estimate.
 ///
 /// # Errors
 /// [`Error::Value`] for a budget that is not positive, [`Error::Scene`] for a scene whose images cannot be simulated or
@@ -34,10 +35,13 @@ pub fn plan(scene: &Scene, budget_nm: f64, cancel: Option<&CancelFlag>) -> Resul
     if !(budget_nm.is_finite() && budget_nm > 0.0) {
         return Err(Error::Value(format!("a budget of {budget_nm} nm is not accepted: a positive number is needed")));
     }
-    scene.refuse_channels("plans")?;
     // The plan has no budget: a scene with one would be planned again.
     let given = scene.without("estimate.budget_nm")?;
-    search::Search::new(&given, budget_nm, cancel)?.run()
+    if given.channels().is_empty() {
+        search::Search::new(&given, budget_nm, cancel)?.run()
+    } else {
+        channels::plan(&given, budget_nm, cancel)
+    }
 }
 
 /// `scene`, or its plan where it names a budget (`estimate.budget_nm`).

@@ -11,6 +11,8 @@ use crate::telescope::Filter;
 /// An effect that a model may leave out.
 #[derive(Debug, Clone)]
 pub struct Omission {
+    /// Name of the channel; `None` for a scene without channels.
+    pub channel: Option<String>,
     /// The effect.
     pub what: &'static str,
     /// Whether the plan models it.
@@ -46,12 +48,26 @@ pub(super) fn omissions(
         let times = broad.optics.parts().colours.len();
         let because =
             format!("the filter of {} takes {times} wavelengths, and {times} times the time", percent(asked, &filter));
-        omissions.push(Omission { what: "bandwidth of the filter", modelled, with_nm, without_nm, because });
+        omissions.push(Omission {
+            channel: None,
+            what: "bandwidth of the filter",
+            modelled,
+            with_nm,
+            without_nm,
+            because,
+        });
     }
     let mut alternative = |what, key, value: &str, because: String| -> Result<()> {
         let scene = planned.with_override(key, value)?;
         let price = trials.price(&like.variant(&scene, recipe(&scene))?, cancel)?;
-        omissions.push(Omission { what, modelled: true, with_nm: own, without_nm: price.error_nm(), because });
+        omissions.push(Omission {
+            channel: None,
+            what,
+            modelled: true,
+            with_nm: own,
+            without_nm: price.error_nm(),
+            because,
+        });
         Ok(())
     };
     if like.recipe().fit_background {

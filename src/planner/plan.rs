@@ -27,13 +27,15 @@ pub struct Plan {
 /// One value of one key that was tried.
 #[derive(Debug, Clone)]
 pub struct Choice {
+    /// Name of the channel whose images it was tried on; `None` for a scene without channels.
+    pub channel: Option<String>,
     /// `section.key`.
     pub key: &'static str,
     /// Its value, as TOML.
     pub value: String,
     /// Whether the plan has it.
     pub kept: bool,
-    /// Cost with all choices that were kept before.
+    /// Cost with all choices that were kept before; of a channel, its own, with the noise of all channels together.
     pub price: Price,
 }
 

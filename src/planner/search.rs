@@ -31,10 +31,10 @@ const CROP_WORK: f64 = 0.95;
 const TOLERANCES: [f64; 5] = [1.0, 0.3, 0.1, 0.03, 0.01];
 
 /// A candidate with its fitter, whose basis other candidates share.
-struct Candidate {
+pub(super) struct Candidate {
     scene: Scene,
-    estimator: ModalFitter,
-    price: Price,
+    pub(super) estimator: ModalFitter,
+    pub(super) price: Price,
 }
 
 /// State of the search.
@@ -42,7 +42,7 @@ pub(super) struct Search<'a> {
     given: &'a Scene,
     budget_nm: f64,
     cancel: Option<&'a CancelFlag>,
-    trials: Trials,
+    pub(super) trials: Trials,
     choices: Vec<Choice>,
 }
 
@@ -58,7 +58,7 @@ impl<'a> Search<'a> {
         Ok(Self { given: scene, budget_nm, cancel, trials: Trials::new(scene, cancel)?, choices: Vec::new() })
     }
 
-    pub(super) fn run(mut self) -> Result<Plan> {
+    pub(super) fn run(&mut self) -> Result<Plan> {
         let first = self.reference()?;
         let reference = first.price;
         let limit = Limit::new(self.limit_nm(&first), &reference);
@@ -74,7 +74,7 @@ impl<'a> Search<'a> {
             budget_nm: self.budget_nm,
             reference,
             chosen: best.price,
-            choices: self.choices,
+            choices: std::mem::take(&mut self.choices),
             omissions,
             draws: DRAWS,
         })
@@ -87,7 +87,7 @@ impl<'a> Search<'a> {
     }
 
     /// The scene's own model in double precision.
-    fn reference(&self) -> Result<Candidate> {
+    pub(super) fn reference(&self) -> Result<Candidate> {
         let scene = self.given.with_override("estimate.precision", "f64")?;
         let estimator = ModalFitter::with_recipe(&scene, recipe(&scene), false)?;
         let price = self.trials.price(&estimator, self.cancel)?;
@@ -236,7 +236,7 @@ impl<'a> Search<'a> {
     }
 
     fn note(&mut self, key: &'static str, value: String, price: Price) {
-        self.choices.push(Choice { key, value, kept: false, price });
+        self.choices.push(Choice { channel: None, key, value, kept: false, price });
     }
 
     /// Marks the value of `key` that is kept.

@@ -3,14 +3,14 @@
 use super::price::Price;
 use crate::imaging::Chain;
 use crate::metrics::{MapGram, residual_nm};
-use crate::modal::{Cube, ModalFitter, Recipe};
+use crate::modal::{CombinedModes, Cube, ModalFitter, Recipe, combine_estimates};
 use crate::modes::Group;
 use crate::optimize::CancelFlag;
 use crate::scene::{NcpaBasis, NollRange, Scene, SegmentModes};
 use crate::source::{self, Camera, Truth};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array2, Array3, Axis, s};
+use ndarray::{Array2, Array3, ArrayView1, Axis, s};
 use rand::SeedableRng;
 use rand_chacha::ChaCha12Rng;
 use rayon::prelude::*;
@@ -43,6 +43,18 @@ pub(super) struct Trials {
     truths: Vec<Truth>,
     /// Electrons of the star, mean over the draws.
     flux_e: f64,
+    /// Noise of the phasing and of the NCPA over that of these images alone: below 1 where other channels are combined with them.
+    noise_share: [f64; 2],
+}
+
+/// A model on the draws.
+pub(super) struct Trial {
+    pub(super) price: Price,
+    /// Estimate of each draw without noise, `[draw, mode]`, nm; NaN where there is none.
+    coefficients_nm: Array2<f64>,
+    /// Covariance of the modes from the noise of all images of the scene together, at the first draw, nm²; `None` where that has no
+    /// estimate.
+    covariance_nm2: Option<Array2<f64>>,
 }
 
 impl Trials {
@@ -67,11 +79,21 @@ impl Trials {
         let frames_e =
             ndarray::stack(Axis(0), &views).map_err(|error| Error::Internal(format!("the draws differ: {error}")))?;
         let flux_e = made.iter().map(|(_, flux_e)| flux_e).sum::<f64>() / DRAWS as f64;
-        Ok(Self { bad: frames_e.mapv(|_| false), frames_e, truths, flux_e })
+        Ok(Self { bad: frames_e.mapv(|_| false), frames_e, truths, flux_e, noise_share: [1.0; 2] })
+    }
+
+    /// Sets the noise of the phasing and of the NCPA over that of these images alone.
+    pub(super) fn share_noise(&mut self, noise_share: [f64; 2]) {
+        self.noise_share = noise_share;
     }
 
     /// Cost of `estimator` on these wavefronts.
     pub(super) fn price(&self, estimator: &ModalFitter, cancel: Option<&CancelFlag>) -> Result<Price> {
+        Ok(self.run(estimator, cancel)?.price)
+    }
+
+    /// Estimates these wavefronts by the model of `estimator`.
+    pub(super) fn run(&self, estimator: &ModalFitter, cancel: Option<&CancelFlag>) -> Result<Trial> {
         check_cancelled(cancel)?;
         let (model, scene) = (estimator.model(), estimator.scene());
         let precision = scene.estimate.precision.into();
@@ -82,53 +104,97 @@ impl Trials {
         let began = Instant::now();
         estimator.fit_each(&mut chain, cube, cancel, &mut |_, _| {})?;
         let estimate_us = 1e6 * began.elapsed().as_secs_f64() / DRAWS as f64;
+        let misfit = found.reports.iter().map(|report| report.reduced_chi2 / (report.expected_chi2 - 1.0));
+        let evaluations = found.reports.iter().map(|report| report.evaluations as f64).sum::<f64>() / DRAWS as f64;
+        let covariance_nm2 = self.covariance_nm2(estimator, &found.coefficients_nm)?;
+        let own_nm = noise_nm(estimator, covariance_nm2.as_ref())?;
+        let price = Price {
+            model_nm: self.model_nm(estimator, &found.coefficients_nm)?,
+            noise_nm: [0, 1].map(|part| own_nm[part] * self.noise_share[part]),
+            misfit: misfit.fold(0.0, f64::max),
+            evaluations,
+            megaflops: 1e-6 * evaluations * chain.shapes().work(precision, DRAWS).flops,
+            estimate_us,
+        };
+        Ok(Trial { price, coefficients_nm: found.coefficients_nm, covariance_nm2 })
+    }
+
+    /// Largest errors of the phasing and of the NCPA of the estimates of the draws, nm; infinite where there is none.
+    fn model_nm(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
         let errors = self
             .truths
             .par_iter()
-            .zip(found.coefficients_nm.axis_iter(Axis(0)).into_par_iter())
+            .zip(coefficients_nm.axis_iter(Axis(0)).into_par_iter())
             .map(|(truth, coefficients_nm)| errors_nm(estimator, truth, &coefficients_nm.to_vec()))
             .collect::<Result<Vec<_>>>()?;
-        // A fit that failed has an infinite error.
         let worst = |part: usize| {
             errors
                 .iter()
                 .map(|error| error[part])
                 .fold(0.0, |worst: f64, nm| if nm.is_nan() { nm } else { worst.max(nm) })
         };
-        let model_nm = [worst(0), worst(1)].map(|nm| if nm.is_nan() { f64::INFINITY } else { nm });
-        let misfit = found.reports.iter().map(|report| report.reduced_chi2 / (report.expected_chi2 - 1.0));
-        let evaluations = found.reports.iter().map(|report| report.evaluations as f64).sum::<f64>() / DRAWS as f64;
-        Ok(Price {
-            model_nm,
-            noise_nm: self.noise_nm(estimator, &found.coefficients_nm)?,
-            misfit: misfit.fold(0.0, f64::max),
-            evaluations,
-            megaflops: 1e-6 * evaluations * chain.shapes().work(precision, DRAWS).flops,
-            estimate_us,
-        })
+        Ok([worst(0), worst(1)].map(|nm| if nm.is_nan() { f64::INFINITY } else { nm }))
     }
 
-    /// Error from the noise of all images of the scene together, at the first draw.
-    fn noise_nm(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<[f64; 2]> {
-        let (model, scene) = (estimator.model(), estimator.scene());
-        let at = coefficients_nm.row(0);
+    /// See [`Trial::covariance_nm2`].
+    fn covariance_nm2(&self, estimator: &ModalFitter, coefficients_nm: &Array2<f64>) -> Result<Option<Array2<f64>>> {
+        let (at, image) = (coefficients_nm.row(0), &estimator.scene().image);
         if at.iter().any(|nm| !nm.is_finite()) {
-            return Ok([f64::INFINITY; 2]);
+            return Ok(None);
         }
-        let covariance_nm2 = estimator.bound(at, self.flux_e, scene.image.background_e)?;
-        let (n, pupil) = (model.segment_modes, &model.telescope.pupil);
-        let images = (scene.image.count as f64).sqrt();
-        // By inner products, because the maps of thousands of segment modes would fill the memory.
-        let weight = &pupil.amplitude / pupil.weight_sum();
-        let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
-        let gram = MapGram::from_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
-        let rms_nm = |part: std::ops::Range<usize>| -> Result<f64> {
-            let mut own = Array2::zeros(covariance_nm2.dim());
-            own.slice_mut(s![part.clone(), part.clone()]).assign(&covariance_nm2.slice(s![part.clone(), part]));
-            Ok(gram.expected_rms_nm(own.view())? / images)
-        };
-        Ok([rms_nm(0..n)?, rms_nm(n..covariance_nm2.nrows())?])
+        Ok(Some(estimator.bound(at, self.flux_e, image.background_e)? / image.count as f64))
     }
+}
+
+/// Cost of the models of several channels of `scene`, each on its own images of the same wavefronts, combined: work and time are those of
+/// all.
+pub(super) fn joint_price(
+    scene: &Scene,
+    channels: &[(&ModalFitter, &Trials)],
+    cancel: Option<&CancelFlag>,
+) -> Result<Price> {
+    let each = channels.iter().map(|(fitter, trials)| trials.run(fitter, cancel)).collect::<Result<Vec<_>>>()?;
+    let Some((first, trials)) = channels.first() else { return Err(Error::Internal("there is no channel".into())) };
+    let covariances: Option<Vec<&Array2<f64>>> = each.iter().map(|trial| trial.covariance_nm2.as_ref()).collect();
+    let mut coefficients_nm = Array2::from_elem((DRAWS, first.model().optics.modes()), f64::NAN);
+    let mut covariance_nm2 = None;
+    for (draw, mut row) in coefficients_nm.outer_iter_mut().enumerate() {
+        let is_fitted = |trial: &Trial| trial.coefficients_nm.row(draw).iter().all(|nm| nm.is_finite());
+        let Some(covariances) = covariances.as_ref().filter(|_| each.iter().all(is_fitted)) else { continue };
+        let estimates = channels.iter().zip(&each).zip(covariances).map(|(((fitter, _), trial), covariance_nm2)| {
+            let coefficients_nm = trial.coefficients_nm.row(draw).to_vec();
+            (*fitter, CombinedModes { coefficients_nm, covariance_nm2: (*covariance_nm2).clone() })
+        });
+        let joint = combine_estimates(scene, &estimates.collect::<Vec<_>>())?;
+        row.assign(&ArrayView1::from(&joint.coefficients_nm));
+        covariance_nm2.get_or_insert(joint.covariance_nm2);
+    }
+    let sum = |value: fn(&Price) -> f64| each.iter().map(|trial| value(&trial.price)).sum::<f64>();
+    Ok(Price {
+        model_nm: trials.model_nm(first, &coefficients_nm)?,
+        noise_nm: noise_nm(first, covariance_nm2.as_ref())?,
+        misfit: each.iter().map(|trial| trial.price.misfit).fold(0.0, f64::max),
+        evaluations: sum(|price| price.evaluations),
+        megaflops: sum(|price| price.megaflops),
+        estimate_us: sum(|price| price.estimate_us),
+    })
+}
+
+/// Expected errors of the phasing and of the NCPA from a covariance of the modes, nm; infinite without one.
+fn noise_nm(estimator: &ModalFitter, covariance_nm2: Option<&Array2<f64>>) -> Result<[f64; 2]> {
+    let model = estimator.model();
+    let Some(covariance_nm2) = covariance_nm2 else { return Ok([f64::INFINITY; 2]) };
+    let (n, pupil) = (model.segment_modes, &model.telescope.pupil);
+    // By inner products, because the maps of thousands of segment modes would fill the memory.
+    let weight = &pupil.amplitude / pupil.weight_sum();
+    let [piston, tip, tilt] = MapGram::planes(pupil).map(|plane| model.basis.along(&(plane * &weight)));
+    let gram = MapGram::from_products(model.basis.gram(&weight)?, [piston?, tip?, tilt?]);
+    let rms_nm = |part: std::ops::Range<usize>| -> Result<f64> {
+        let mut own = Array2::zeros(covariance_nm2.dim());
+        own.slice_mut(s![part.clone(), part.clone()]).assign(&covariance_nm2.slice(s![part.clone(), part]));
+        gram.expected_rms_nm(own.view())
+    };
+    Ok([rms_nm(0..n)?, rms_nm(n..covariance_nm2.nrows())?])
 }
 
 /// `scene` with aberrations that its own modes span: nothing is known of others.

@@ -10,6 +10,7 @@ mod golden;
 mod rtc;
 
 use super::fits::same;
+use super::joint_session;
 use super::pipeline::prints_what_rust_finds;
 use super::{here, libraries, root};
 use std::path::{Path, PathBuf};
@@ -103,6 +104,13 @@ fn pipeline() {
     let directory = tempfile::tempdir().unwrap();
     let program = compile("-std=c99", &here().join("pipeline.c"), directory.path());
     prints_what_rust_finds(|| Some(command(&program)));
+}
+
+#[test]
+fn sessions_of_several_channels() {
+    let directory = tempfile::tempdir().unwrap();
+    let program = compile("-std=c99", &here().join("joint_session.c"), directory.path());
+    joint_session::prints_what_rust_finds(|| Some(command(&program)));
 }
 
 #[test]

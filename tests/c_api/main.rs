@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 mod fits;
+mod joint_session;
 #[path = "../common/libraries.rs"]
 mod libraries;
 mod octave;

@@ -38,12 +38,13 @@ fn expected(estimate: &Estimate) -> Vec<String> {
     lines
 }
 
-fn bits(value: f64) -> String {
+pub(super) fn bits(value: f64) -> String {
     format!("{:016x}", value.to_bits())
 }
 
 /// The scene in two colours.
-const COLOURS: &str = "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
+pub(super) const COLOURS: &str =
+    "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
 
 /// Runs a program on images of `tiny.toml` with outliers, on images of two colours, and on exposures of two channels behind a loop, and
 /// compares what it prints with the estimates of Rust.

@@ -9,12 +9,13 @@ use cophase::scene::Scene;
 use ndarray::{Array2, Array3};
 use std::path::Path;
 
-const PAIR: &str =
+pub(crate) const PAIR: &str =
     "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\nname = \"minus\"\ndiversity_focus_waves_rms = -0.8\n";
-const COLOURS: &str = "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
+pub(crate) const COLOURS: &str =
+    "[[image.channel]]\nname = \"K\"\n[[image.channel]]\nname = \"H\"\nwavelength_nm = 1640.0\n";
 
 /// The small scene with `channels` and `settings`.
-fn with_channels(channels: &str, settings: &[(&str, &str)]) -> Scene {
+pub(crate) fn with_channels(channels: &str, settings: &[(&str, &str)]) -> Scene {
     let text = scene(settings).text().replacen("[aberrations]", &format!("{channels}\n[aberrations]"), 1);
     Scene::from_text(&text, Path::new("")).unwrap()
 }

@@ -13,6 +13,7 @@ mod full_phase;
 mod fuzz;
 mod golden;
 mod measured_loop;
+mod joint_session;
 mod modal;
 mod model_selection;
 mod modes;

@@ -4,7 +4,7 @@ use cophase::imaging::{Chain, Precision};
 use cophase::metrics::residual_nm;
 use cophase::modal::{Cube, ImageStatus, ModalFitter, Recipe};
 use cophase::modes::Group;
-use cophase::planner::{self, Plan};
+use cophase::planner::{self, Plan, Price};
 use cophase::scene::{self, Crop, NcpaBasis, NollRange, Scene};
 use cophase::source;
 use cophase::{Error, Estimator, Images, Result};
@@ -211,4 +211,68 @@ fn what_cannot_be_planned_is_refused() {
     let flag = cophase::optimize::CancelFlag::default();
     flag.store(true, std::sync::atomic::Ordering::Relaxed);
     assert!(matches!(planner::plan(&small(&[]), 1.0, Some(&flag)), Err(Error::Interrupted(_))));
+}
+
+/// A pair and two colours, whose channels differ in what they need.
+const CHANNELS: [&str; 2] = [
+    "[[image.channel]]\nname = \"plus\"\n[[image.channel]]\nname = \"minus\"\ndiversity_focus_waves_rms = -0.6\n",
+    "[[image.channel]]\nname = \"long\"\n[[image.channel]]\nname = \"short\"\nwavelength_nm = 1600\nbandwidth_fraction = 0.1\n",
+];
+
+#[test]
+fn a_plan_of_channels_keeps_the_budget_of_their_joint_estimate() {
+    for channels in CHANNELS {
+        let given = Scene::from_text(&format!("{SMALL}\n{channels}"), Path::new("")).unwrap();
+        let plan = plan(&given, 2.0).unwrap();
+        assert!(plan.is_met() && plan.shortfall().is_none(), "{:?}", plan.chosen);
+        assert!(plan.chosen.megaflops < 0.8 * plan.reference.megaflops, "{:?} {:?}", plan.chosen, plan.reference);
+        // The keys are those of all, the crop is each channel's own, and what is kept is in the scene.
+        let names: Vec<&String> = plan.scene.channels().iter().map(|channel| &channel.name).collect();
+        assert!(plan.choices.iter().all(|choice| choice.channel.as_ref().is_some_and(|name| names.contains(&name))));
+        let samples = plan.scene.estimate.samples.unwrap();
+        assert!(plan.choices.iter().any(|choice| choice.kept && choice.value == samples.to_string()));
+        for channel in plan.scene.channels() {
+            assert_eq!(channel.scene.estimate.samples, Some(samples));
+            assert!(matches!(channel.scene.image.crop_pixels, Crop::Pixels(_)));
+        }
+        // Other wavefronts, with noise: their mean square error is within the budget, and near what the plan expects.
+        let mut squares = [0.0; 2];
+        const DRAWS: usize = 8;
+        for seed in 0..DRAWS {
+            let seed = (40 + seed).to_string();
+            let (made, read) = (&given, &plan.scene);
+            let made = made.with_override("aberrations.seed", &seed).unwrap();
+            let images = Images::simulated_channels(&made).unwrap();
+            let found = Estimator::new(read).unwrap().estimate_channels(&images).unwrap();
+            let residual = found.truth.as_ref().unwrap().1.rms_nm;
+            squares.iter_mut().zip(residual).for_each(|(square, nm)| *square += nm * nm / DRAWS as f64);
+        }
+        let rms_nm = squares.map(f64::sqrt);
+        let Price { model_nm, noise_nm, .. } = plan.chosen;
+        println!("{rms_nm:?} nm, {model_nm:?} and {noise_nm:?} planned, {samples} samples");
+        for part in [0, 1] {
+            // The planned error of the model is the largest of eight draws; noise of 6 and 14 modes scatters by a tenth in the mean of eight.
+            assert!(rms_nm[part] < plan.budget_nm && rms_nm[part] > 0.7 * noise_nm[part], "{rms_nm:?}");
+        }
+    }
+}
+
+#[test]
+fn an_estimate_plans_the_channels_of_a_scene_with_a_budget() {
+    let given = Scene::from_text(&format!("{SMALL}\n{}", CHANNELS[0]), Path::new("")).unwrap();
+    let budget = given.with_override("estimate.budget_nm", "4").unwrap();
+    let found =
+        Estimator::new(&budget).unwrap().estimate_channels(&Images::simulated_channels(&given).unwrap()).unwrap();
+    assert!(found.scene.estimate.samples.is_some() && found.scene.estimate.budget_nm.is_none());
+    let residual = &found.truth.as_ref().unwrap().1;
+    assert!(residual.rms_nm.iter().take(2).all(|nm| *nm < 4.0), "{:?}", residual.rms_nm);
+}
+
+#[test]
+fn a_channel_in_focus_is_not_planned() {
+    let focus =
+        "[[image.channel]]\nname = \"a\"\n[[image.channel]]\nname = \"focus\"\ndiversity_focus_waves_rms = 0.0\n";
+    let given = Scene::from_text(&format!("{SMALL}\n{focus}"), Path::new("")).unwrap();
+    let error = plan(&given, 2.0).unwrap_err().to_string();
+    assert!(error.contains("the channel 'focus' is in focus"), "{error}");
 }

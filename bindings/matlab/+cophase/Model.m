@@ -48,7 +48,12 @@ classdef Model < cophase.Handle
             if nargin < 2
                 directory = '';
             end
-            self.create('model.create', scene_text, directory, varargin{:});
+            if isa(scene_text, 'cophase.JointSession')
+                % The model of one of its channels.
+                self.create('joint_session.model', cophase.Handle.number(scene_text), directory);
+            else
+                self.create('model.create', scene_text, directory, varargin{:});
+            end
             info = cophase_mex('model.info', self.id);
             self.modes = info.modes;
             self.segment_modes = info.segment_modes;

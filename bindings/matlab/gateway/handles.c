@@ -5,7 +5,7 @@
 static live *all_live = NULL;
 static double last_id = 0.0;
 
-static const char *const CLASSES[] = {"Model", "Estimator", "Estimate", "Session", "Sequence", "Simulator"};
+static const char *const CLASSES[] = {"Model", "Estimator", "Estimate", "Session", "Sequence", "Simulator", "JointSession"};
 
 static void destroy_object(noun noun, void *object)
 {
@@ -27,6 +27,9 @@ static void destroy_object(noun noun, void *object)
         break;
     case SIMULATOR:
         cophase_simulator_destroy((cophase_simulator *)object);
+        break;
+    case JOINT_SESSION:
+        cophase_joint_session_destroy((cophase_joint_session *)object);
         break;
     }
 }

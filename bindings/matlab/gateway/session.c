@@ -5,20 +5,22 @@ static cophase_session *session_of(const live *session) { return (cophase_sessio
 
 static const char *const SESSION_OPTIONS[] = {"capacity",        "precision",         "device", "threads",
                                               "max_evaluations", "step_tolerance_nm", NULL};
-enum { CAPACITY, PRECISION, DEVICE, THREADS, MAX_EVALUATIONS, STEP_TOLERANCE_NM, SESSION_OPTION_COUNT };
+/* The session of several channels has another first option. */
+static const char *const JOINT_SESSION_OPTIONS[] = {"directory",       "precision",         "device", "threads",
+                                                    "max_evaluations", "step_tolerance_nm", NULL};
+enum { CAPACITY, DIRECTORY = CAPACITY, PRECISION, DEVICE, THREADS, MAX_EVALUATIONS, STEP_TOLERANCE_NM, SESSION_OPTION_COUNT };
 
-/* (model, 'capacity', 8, ...): a new session. */
-static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
+cophase_session_options session_options_of(int inputs, const mxArray **in, const mxArray **directory)
 {
-    const live *model = handle_of(in[0], MODEL);
     const mxArray *given[SESSION_OPTION_COUNT];
     cophase_session_options chosen_options = {0};
-    cophase_session *session;
 
-    options(inputs - 1, in + 1, SESSION_OPTIONS, given);
+    options(inputs, in, directory == NULL ? SESSION_OPTIONS : JOINT_SESSION_OPTIONS, given);
+    if (directory != NULL)
+        *directory = given[DIRECTORY];
     chosen_options.struct_size = sizeof chosen_options;
     chosen_options.device = text(given[DEVICE], "device");
-    if (given[CAPACITY] != NULL)
+    if (directory == NULL && given[CAPACITY] != NULL)
         chosen_options.capacity = whole(given[CAPACITY], 1, "capacity");
     if (given[PRECISION] != NULL)
         chosen_options.precision = choice(given[PRECISION], PRECISIONS, "precision");
@@ -28,6 +30,16 @@ static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in
         chosen_options.max_evaluations = whole(given[MAX_EVALUATIONS], 1, "max_evaluations");
     if (given[STEP_TOLERANCE_NM] != NULL)
         chosen_options.step_tolerance_nm = chosen(given[STEP_TOLERANCE_NM], "step_tolerance_nm");
+    return chosen_options;
+}
+
+/* (model, 'capacity', 8, ...): a new session. */
+static void do_create(int outputs, mxArray **out, int inputs, const mxArray **in)
+{
+    const live *model = handle_of(in[0], MODEL);
+    const cophase_session_options chosen_options = session_options_of(inputs - 1, in + 1, NULL);
+    cophase_session *session;
+
     check(cophase_session_create((const cophase_model *)model->object, &chosen_options, &session));
     out[0] = handle_new(SESSION, session, model->modes);
 }
@@ -51,7 +63,7 @@ cophase_calibration calibration_of(const mxArray *dark, const mxArray *flat, con
     return calibration;
 }
 
-static const char *const CALIBRATION[] = {"dark", "flat", "bad", "gain_e", "saturation", NULL};
+const char *const CALIBRATION[] = {"dark", "flat", "bad", "gain_e", "saturation", NULL};
 
 /* (session, 'dark', dark, ...); without options frames are electrons. */
 static void do_calibrate(int outputs, mxArray **out, int inputs, const mxArray **in)
@@ -68,7 +80,7 @@ static void do_calibrate(int outputs, mxArray **out, int inputs, const mxArray *
 static const char *const FIT_OPTIONS[] = {"deadline_s", "read_noise_e", "start_nm", NULL};
 enum { DEADLINE_S, READ_NOISE_E, START_NM, FIT_OPTION_COUNT };
 
-static cophase_fit_options fit_options(int inputs, const mxArray **in, size_t modes, size_t count)
+cophase_fit_options fit_options_of(int inputs, const mxArray **in, size_t modes, size_t count)
 {
     const mxArray *given[FIT_OPTION_COUNT];
     cophase_fit_options chosen_options = {0};
@@ -125,7 +137,7 @@ static void do_fit(int outputs, mxArray **out, int inputs, const mxArray **in)
     job.session = session_of(session);
     job.frames = input(in[1], "frames");
     job.modes = session->modes;
-    job.options = fit_options(inputs - 2, in + 2, job.modes, job.frames.count);
+    job.options = fit_options_of(inputs - 2, in + 2, job.modes, job.frames.count);
     job.reports = (cophase_image_report *)mxCalloc(job.frames.count, sizeof(cophase_image_report));
     out[0] = mxCreateDoubleMatrix(job.modes, job.frames.count, mxREAL);
     job.coefficients_nm = mxGetPr(out[0]);
@@ -187,7 +199,7 @@ static void do_evaluate(int outputs, mxArray **out, int inputs, const mxArray **
     const int row = mxGetM(in[1]) == 1 && mxGetN(in[1]) == session->modes;
     const size_t count = row ? 1 : mxGetN(in[1]);
     const double *coefficients_nm = doubles(in[1], session->modes, count, "coefficients_nm");
-    const cophase_fit_options chosen_options = fit_options(inputs - 3, in + 3, session->modes, count);
+    const cophase_fit_options chosen_options = fit_options_of(inputs - 3, in + 3, session->modes, count);
     mxArray *gradients = mxCreateDoubleMatrix(session->modes, count, mxREAL);
     cophase_input frames;
 

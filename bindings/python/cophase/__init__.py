@@ -41,6 +41,7 @@ from .errors import (
 )
 from .estimate import Correction, Estimate
 from .estimator import Estimator, Progress
+from .joint_session import JointFit, JointSession
 from .model import Model
 from .sequence import Sequence, SequenceEstimate
 from .session import Fit, Session
@@ -62,6 +63,8 @@ __all__ = [
     "Fit",
     "InternalError",
     "Interrupted",
+    "JointFit",
+    "JointSession",
     "Model",
     "PanicError",
     "Progress",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,7 +97,18 @@ class Model(Handle):
     def _create(self, scene: str, directory: str | os.PathLike[str] | None, arrays: Inputs | None = None) -> None:
         pointer = ffi.NULL if arrays is None else arrays.pointer
         inputs = (text("scene", scene), path_text("directory", directory), pointer)
-        self._own("cophase_model", lib.cophase_model_create, *inputs)
+        self._read(lib.cophase_model_create, *inputs)
+
+    @classmethod
+    def _of(cls, create: Any, *inputs: Any) -> Model:
+        """The model that a function of the library makes of ``inputs``."""
+        self = cls.__new__(cls)
+        self._read(create, *inputs)
+        return self
+
+    def _read(self, create: Any, *inputs: Any) -> None:
+        """Owns the model that ``create`` makes, and reads its sizes."""
+        self._own("cophase_model", create, *inputs)
         info = struct("cophase_model_info", lib.cophase_model_get_info, self._handle)
         self.modes: int = info.modes
         self.segment_modes: int = info.segment_modes

@@ -46,6 +46,8 @@ pub struct MapRms {
 /// An image, the model's, and their difference in units of its noise; pixels that were not used are NaN.
 #[derive(Debug, Clone)]
 pub struct ImageTriple {
+    /// Name of its channel; empty for the only one.
+    pub name: String,
     /// The image, electrons.
     pub data: Array2<f64>,
     /// The model, electrons.
@@ -56,7 +58,7 @@ pub struct ImageTriple {
 
 /// One figure of an estimate: a row of maps for the phasing and one for the NCPA (estimate, truth, residual; or
 /// estimate and 1σ side by side in one row where there is no truth), the coefficients with their error bars, and the
-/// image beside the model and the residual.
+/// images, each beside its model and the residual.
 #[derive(Debug, Clone)]
 pub struct EstimatePicture {
     /// One line.
@@ -69,8 +71,8 @@ pub struct EstimatePicture {
     pub ncpa: MapTriple,
     /// The coefficients; may be empty.
     pub bars: ModalBars,
-    /// The image, if it is to be shown.
-    pub image: Option<ImageTriple>,
+    /// The images that are to be shown, one below the other.
+    pub images: Vec<ImageTriple>,
 }
 
 /// Space between the rows of the page.
@@ -95,7 +97,7 @@ impl EstimatePicture {
         } else {
             vec![phasing, ncpa]
         };
-        let images = self.image.as_ref().map(ImageTriple::panels).unwrap_or_default();
+        let images: Vec<_> = self.images.iter().map(ImageTriple::panels).collect();
 
         let inner = PAGE_W - MARGIN;
         let cell_w = |panels: &[MapPanel]| inner / panels.len().max(3) as f64;
@@ -103,7 +105,7 @@ impl EstimatePicture {
         let heading_h = heading_height(self.subtitle.len());
         let maps_h: f64 = rows.iter().map(|row| row_height(cell_w(row)) + GAP).sum();
         let bars_h = if self.bars.names.is_empty() { 0.0 } else { bars::row_height(strip) + GAP };
-        let images_h = if images.is_empty() { 0.0 } else { row_height(cell_w(&images)) + GAP };
+        let images_h: f64 = images.iter().map(|row| row_height(cell_w(row)) + GAP).sum();
         let height = heading_h + maps_h + bars_h + images_h + GAP;
 
         page::draw(path.as_ref(), (PAGE_W as u32, height.ceil() as u32), |canvas| {
@@ -118,7 +120,10 @@ impl EstimatePicture {
                 bars::draw(canvas, &self.bars, cell);
                 y += bars_h;
             }
-            draw_row(canvas, &images, PAGE_W, cell_w(&images), y);
+            for row in &images {
+                draw_row(canvas, row, PAGE_W, cell_w(row), y);
+                y += row_height(cell_w(row)) + GAP;
+            }
         })
     }
 }
@@ -206,8 +211,9 @@ impl ImageTriple {
     const LEAST_SIGMA: f64 = 3.0;
 
     fn panels(&self) -> Vec<MapPanel<'_>> {
-        let panel = |name: &str, values, shade, unit, figure| MapPanel {
-            name: name.into(),
+        let panel = |what: &str, values, shade, unit, figure| MapPanel {
+            // What is too long is cut at its end.
+            name: if self.name.is_empty() { what.into() } else { format!("{what}, {}", self.name) },
             figure,
             values,
             shade,

@@ -41,12 +41,20 @@ pub fn picture(name: &str, estimate: &Estimate) -> Result<EstimatePicture> {
             })
         },
         bars: bars(estimate)?,
-        image: estimate.compared.as_ref().map(|compared| ImageTriple {
-            data: compared.data_e.clone(),
-            model: compared.model_e.clone(),
-            residual_in_sigma: compared.residual_sigma.clone(),
-        }),
+        images: images(estimate),
     })
+}
+
+/// The first image of each channel.
+fn images(estimate: &Estimate) -> Vec<ImageTriple> {
+    let name = |number: usize| estimate.channels.get(number).cloned().unwrap_or_default();
+    let each = estimate.compared.iter().enumerate().map(|(number, compared)| ImageTriple {
+        name: name(number),
+        data: compared.data_e.clone(),
+        model: compared.model_e.clone(),
+        residual_in_sigma: compared.residual_sigma.clone(),
+    });
+    each.collect()
 }
 
 /// The figures above the maps of phasing and NCPA: those of the report, over the pupil's weight, tip and tilt removed.

@@ -24,9 +24,13 @@ Cramér-Rao bound of the candidate's pixels for the scene's star, over the root 
 estimate would restart its fits and might report a misfit. A choice never changes which modes are estimated: what fewer \
 of them would cost is a row of the table.
 
+Of a scene with channels each is planned by itself, with the noise of all together; the first row and the last are of the joint estimate. \
+Keys of [estimate] are those of all channels, and a key of [image] is the channel's own. Where channels have several wavelengths the \
+pistons that are drawn are at most a twentieth of the shortest (RMS).
+
 With --observe: one defocused image, a pair on both sides of the focus, or one image of each wavelength is simulated and estimated for each of five defocuses, with the electrons an exposure of the scene's star. The exposures are those for which the error bars reach the budget; a candidate that does not find the scene's wavefront is marked. -o writes the scene of the one with the fewest exposures; --json prints budget_nm, met, observations (channels, exposures of each, electrons, peak_e, phasing_nm, ncpa_nm, piston_range_nm, flaw).
 
---json prints: budget_nm, met, shortfall, reference, chosen, choices (key, value, kept, price), omissions; a price is \
+--json prints: budget_nm, met, shortfall, reference, chosen, choices (key, value, kept, price, with channels channel), omissions; a price is \
 phasing_nm and ncpa_nm (the model's error), phasing_noise_nm, ncpa_noise_nm, error_nm (the larger, with noise), misfit, \
 evaluations, megaflops and estimate_us for one image.";
 
@@ -122,17 +126,23 @@ fn table(name: &Path, plan: &Plan) -> String {
     text += &line("the scene's own model in f64", &plan.reference);
     for choice in &plan.choices {
         let mark = if choice.kept { "* " } else { "  " };
-        text += &line(&format!("{mark}{} = {}", choice.key, choice.value), &choice.price);
+        text += &line(&format!("{mark}{}{} = {}", of(&choice.channel), choice.key, choice.value), &choice.price);
     }
     text += &line("the plan", &plan.chosen);
     for omission in &plan.omissions {
-        let Omission { what, modelled, with_nm, without_nm, because } = omission;
+        let Omission { channel, what, modelled, with_nm, without_nm, because } = omission;
         let kept = if *modelled { "modelled" } else { "left out" };
-        text += &format!("\n{what}: {kept}; {without_nm:.3} nm without, {with_nm:.3} with it; {because}.");
+        text +=
+            &format!("\n{}{what}: {kept}; {without_nm:.3} nm without, {with_nm:.3} with it; {because}.", of(channel));
     }
     let work = relation(plan.reference.megaflops, plan.chosen.megaflops, "as many operations");
     let time = relation(plan.reference.estimate_us, plan.chosen.estimate_us, "as much time here");
     text + &format!("\n\n* is in the plan. It takes {work} as the scene's own model in f64, and {time}.\n")
+}
+
+/// The name of a channel before what is its own.
+fn of(channel: &Option<String>) -> String {
+    channel.as_ref().map(|name| format!("{name}: ")).unwrap_or_default()
 }
 
 /// How much of something the plan takes, as a multiple of what the reference takes: a plan may take more of it.
@@ -174,6 +184,8 @@ struct PrintedPrice {
 
 #[derive(Serialize)]
 struct PrintedChoice {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    channel: Option<String>,
     key: &'static str,
     value: String,
     kept: bool,
@@ -182,6 +194,8 @@ struct PrintedChoice {
 
 #[derive(Serialize)]
 struct PrintedOmission {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    channel: Option<String>,
     what: &'static str,
     modelled: bool,
     with_nm: f64,
@@ -191,13 +205,15 @@ struct PrintedOmission {
 
 impl Printed {
     fn of(plan: &Plan) -> Self {
-        let choice = |Choice { key, value, kept, price }: &Choice| PrintedChoice {
+        let choice = |Choice { channel, key, value, kept, price }: &Choice| PrintedChoice {
+            channel: channel.clone(),
             key,
             value: value.clone(),
             kept: *kept,
             price: PrintedPrice::of(price),
         };
         let omission = |omission: &Omission| PrintedOmission {
+            channel: omission.channel.clone(),
             what: omission.what,
             modelled: omission.modelled,
             with_nm: omission.with_nm,

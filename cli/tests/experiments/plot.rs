@@ -102,7 +102,7 @@ fn demonstration(with_truth: bool) -> EstimatePicture {
             sigma_nm: (0..modes).map(|i| if i < 36 { 5.0 } else { 3.0 }).collect(),
             truth_nm: with_truth.then(|| truth.iter().chain(&ncpa_truth).copied().collect()),
         },
-        image: Some(star()),
+        images: vec![star()],
     }
 }
 
@@ -120,7 +120,7 @@ fn star() -> ImageTriple {
         if j == 20 { f64::NAN } else { sum / 2f64.sqrt() }
     });
     let data = &model + &(&residual * &model.mapv(|v| (v + 100.0).sqrt()));
-    ImageTriple { data, model, residual_in_sigma: residual }
+    ImageTriple { name: String::new(), data, model, residual_in_sigma: residual }
 }
 
 fn curves() -> CurvePicture {
@@ -255,7 +255,7 @@ fn estimate_and_truth_share_one_scale() {
     let (estimate, truth) = (constant(100.0), Some(constant(40.0)));
     let map = MapTriple { estimate, truth, residual: None, sigma: None, width_m: 1.0, rms: MapRms::default() };
     let (title, subtitle, bars) = ("Shared".into(), vec![], ModalBars::default());
-    let picture = EstimatePicture { title, subtitle, phasing: map.clone(), ncpa: map, bars, image: None };
+    let picture = EstimatePicture { title, subtitle, phasing: map.clone(), ncpa: map, bars, images: vec![] };
     let path = folder().join("shared.png");
     picture.draw(&path).unwrap();
     let picture = read(&path);
@@ -312,7 +312,8 @@ fn no_data_stops_a_picture() {
             rms: MapRms::default(),
             estimate: values.clone(),
         };
-        let image = ImageTriple { data: values.clone(), model: values.clone(), residual_in_sigma: values.clone() };
+        let (data, model) = (values.clone(), values.clone());
+        let image = ImageTriple { name: "c & <d>".into(), data, model, residual_in_sigma: values.clone() };
         let bars = ModalBars {
             names: vec!["focus <&> \u{1}\"of\" the camera".into()],
             groups: vec![ModeGroup::Ncpa],
@@ -326,7 +327,7 @@ fn no_data_stops_a_picture() {
             phasing: map.clone(),
             ncpa: map,
             bars,
-            image: Some(image),
+            images: vec![image.clone(), image],
         };
         let (_, text) = both(&format!("odd-{n}"), |path| picture.draw(path));
         assert!(!text.contains("NaN") && !text.contains("inf"), "no number that is none: picture {n}");

@@ -47,13 +47,24 @@ fn one_file_and_a_file_for_each_channel_give_one_answer() {
 }
 
 #[test]
+fn the_picture_shows_the_image_of_each_channel() {
+    let desk = desk();
+    desk.succeeds(&["estimate", "pair.fits", "-o", "est.fits", "--plot", "est.svg"]);
+    let text = std::fs::read_to_string(desk.path("est.svg")).unwrap();
+    for panel in ["Image", "Model", "Image − model"] {
+        for channel in ["plus", "minus"] {
+            assert!(text.contains(&format!(">{panel}, {channel}<")), "{panel} of {channel}");
+        }
+    }
+}
+
+#[test]
 fn channels_that_do_not_belong_to_the_scene_are_refused() {
     let desk = desk();
     let estimate = |more: &[&'static str]| [&["estimate", "-o", "est.fits", "--scene", "scene.toml"], more].concat();
     desk.refuses(&estimate(&["pair.fits[IMAGES]"]), &["images of 1 channels", "plus, minus"]);
     let both = ["--channel", "plus=pair.fits[1]", "--channel", "blue=pair.fits[2]"];
     desk.refuses(&estimate(&both), &["no images of the channel 'minus'", "those of plus, blue"]);
-    desk.refuses(&["plan", "scene.toml", "--budget-nm", "5"], &["plans have one channel"]);
     let usage = desk.run(&["estimate", "--channel", "plus", "-o", "est.fits"]);
     assert_eq!(usage.status, 2, "{}", usage.err);
     assert!(usage.err.contains("such as plus=a.fits"), "{}", usage.err);

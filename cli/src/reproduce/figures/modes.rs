@@ -147,7 +147,7 @@ fn picture(
             sigma_nm: draw.sigma_nm.clone(),
             truth_nm: Some(draw.truth_nm.clone()),
         },
-        image: None,
+        images: Vec::new(),
     })
 }
 
