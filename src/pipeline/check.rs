@@ -27,8 +27,8 @@ use super::orientation::Poke;
 use super::policy::Policy;
 use super::residual_shape::ShapeKind;
 use crate::io::Quantity as Card;
-use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus};
-use crate::scene::Scene;
+use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, OpticsMinimum};
+use crate::scene::{Optic, Scene};
 use crate::{Error, Result};
 use ndarray::Axis;
 use std::borrow::Cow;
@@ -274,17 +274,13 @@ impl Work<'_> {
 
     /// Optical parameters, fitted together, and shapes of the residual.
     fn optics_and_shapes(&mut self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Result<Vec<Finding>> {
-        let parameters = optics::parameters(scene);
-        let fitting = scene.with(&[("estimate.fit_optics", &optics::listed(&parameters))])?;
-        let images = &self.images;
-        let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
-        let flag = Some(self.control.flag());
-        let minimum = match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, flag) {
-            Ok(minimum) => Some(minimum),
-            Err(error @ Error::Interrupted(_)) => return Err(error),
-            // Images of something else need not lead to a minimum.
-            Err(_) => None,
-        };
+        let mut parameters = optics::parameters(scene);
+        let mut minimum = self.minimum(scene, cache, &parameters)?;
+        if minimum.is_none() && parameters.contains(&Optic::Rotation) {
+            // A turned pupil may be larger than its grid.
+            parameters.retain(|optic| *optic != Optic::Rotation);
+            minimum = self.minimum(scene, cache, &parameters)?;
+        }
         let own_chi2 = chi2_of(fitted);
         let best_chi2 = minimum.as_ref().map_or(own_chi2, |minimum| own_chi2.min(minimum.reduced_chi2[1]));
         let (excess, shapes) = self.shapes(fitted)?;
@@ -305,8 +301,14 @@ impl Work<'_> {
         } else {
             findings.push(Finding::open(
                 Quantity::PlateScaleOrWavelength,
-                "the fit of plate scale, rotation and illumination does not converge: their values are far from the scene's, or \
+                "the fit of plate scale and illumination does not converge: their values are far from the scene's, or \
                  something else is wrong",
+            ));
+        }
+        if scene.pupil.extent_m().is_some() && !parameters.contains(&Optic::Rotation) {
+            findings.push(Finding::open(
+                Quantity::Rotation,
+                "its fit does not converge, or the turned pupil is larger than pupil.grid_m: give a wider grid",
             ));
         }
         let log_pixels = pixels.max(2.0).ln();
@@ -339,6 +341,19 @@ impl Work<'_> {
             }
         }
         Ok(findings)
+    }
+
+    /// Minimum of `parameters` and the modes; `None` where the fit does not converge or leads to values that the scene does not accept.
+    fn minimum(&self, scene: &Scene, cache: &BasisCache, parameters: &[Optic]) -> Result<Option<OpticsMinimum>> {
+        let fitting = scene.with(&[("estimate.fit_optics", &optics::listed(parameters))])?;
+        let images = &self.images;
+        let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
+        let flag = Some(self.control.flag());
+        match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, flag) {
+            Ok(minimum) => Ok(Some(minimum)),
+            Err(error @ Error::Interrupted(_)) => Err(error),
+            Err(_) => Ok(None),
+        }
     }
 
     /// Excess of χ² of the first image that is used, and the shapes of its residual.

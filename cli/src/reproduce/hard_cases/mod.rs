@@ -10,6 +10,7 @@ mod verdict;
 
 pub(super) use cases::BASE;
 pub use cases::{Draws, HARD_CASES, HardCase};
+pub(super) use spoil::{flipped, made};
 pub use spoil::{Mismatch, Spoil};
 pub use verdict::Verdict;
 
