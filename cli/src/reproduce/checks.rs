@@ -107,8 +107,8 @@ const BASE: [(&str, &str); 5] = [
     ("pupil.samples", "112"),
     ("aberrations.truth_samples", "448"),
 ];
-/// A segment off every axis of the pupil's symmetry, and its poke.
-const POKE: Poke = Poke::Segment(8, 150.0);
+/// A segment of the third ring, 10.9° from +x and off every axis of the pupil's symmetry, and its poke.
+const POKE: Poke = Poke::Segment(18, 150.0);
 
 /// Checks draws 1 to `seeds` of each row.
 ///
