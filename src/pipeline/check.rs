@@ -25,7 +25,7 @@ use super::misfit::{self, TOP};
 use super::modal_task::{Fitted, ModalTask};
 use super::orientation::Poke;
 use super::policy::Policy;
-use super::residual_shape::ShapeKind;
+use super::residual_shape::{Shape, ShapeKind};
 use crate::io::Quantity as Card;
 use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, OpticsMinimum};
 use crate::scene::{Optic, Scene};
@@ -92,20 +92,13 @@ pub fn check(
         contradictions: consistent.contradictions,
         has_wavelength: trusting.facts.iter().any(|fact| fact.quantity == Card::WavelengthNm),
     };
-    let found = work.run(&plain, poke.map(|(before, poke)| (before, &trusting, poke)));
+    let before = poke.and_then(|(before, _)| before).map(|before| Images { trust: Trust::Scene, ..before.clone() });
+    let found = work.run(scene, &plain, poke.map(|(_, poke)| (before.as_ref(), &trusting, poke)));
     control.enter(Stage::Idle, 0);
-    let found = found.inspect_err(|error| {
+    found.inspect_err(|error| {
         if matches!(error, Error::Interrupted(_)) {
             control.acknowledge();
         }
-    })?;
-    let keys: Vec<(&str, &str)> = found.3.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect();
-    let (findings, reduced_chi2, compared, _) = &found;
-    Ok(Check {
-        findings: findings.clone(),
-        reduced_chi2: *reduced_chi2,
-        compared: compared.clone(),
-        corrected: scene.with(&keys)?,
     })
 }
 
@@ -121,8 +114,6 @@ fn selected(images: &Electrons) -> Electrons<'static> {
     }
 }
 
-type Found = (Vec<Finding>, [f64; 2], (FittedImage, Option<FittedImage>), Vec<(String, String)>);
-
 struct Work<'a> {
     images: Electrons<'a>,
     policy: Policy,
@@ -137,7 +128,8 @@ impl Work<'_> {
         ModalTask { scene, policy, control, cache, images: &self.images }.fit()
     }
 
-    fn run(&mut self, given: &Scene, poke: Option<(Option<&Images>, &Images, Poke)>) -> Result<Found> {
+    /// Checks the images against `given`, the scene `own` without what only an estimate does.
+    fn run(&mut self, own: &Scene, given: &Scene, poke: Option<(Option<&Images>, &Images, Poke)>) -> Result<Check> {
         let cache = BasisCache::default();
         let mut fitted = self.fit(given, &cache)?;
         let (first_chi2, first) = (chi2_of(&fitted), fitted.fit.1.compared.clone());
@@ -173,15 +165,7 @@ impl Work<'_> {
             let settings = vec![(one.key.clone(), one.file_value.clone())];
             findings.push(Finding { settings, ..Finding::new(Quantity::Header, Verdict::Fault, one.sentence.as_str()) });
         }
-        let rank = |finding: &Finding| match finding.verdict {
-            Verdict::Fault => 0,
-            Verdict::Agrees => 1,
-            Verdict::NotDetermined => 2,
-        };
-        findings.sort_by(|a, b| {
-            let gains = if rank(a) == 0 { b.gain.total_cmp(&a.gain) } else { std::cmp::Ordering::Equal };
-            rank(a).cmp(&rank(b)).then(gains)
-        });
+        sort(&mut findings);
         let settings = findings.first().map(|finding| finding.settings.clone()).unwrap_or_default();
         let mut corrected = None;
         if !settings.is_empty() {
@@ -191,7 +175,7 @@ impl Work<'_> {
         }
         let last_chi2 = corrected.as_ref().map_or(first_chi2, |(chi2, _)| *chi2);
         let compared = (first, corrected.map(|(_, image)| image));
-        Ok((findings, [first_chi2, last_chi2], compared, settings))
+        Ok(Check { findings, reduced_chi2: [first_chi2, last_chi2], compared, corrected: with(own, &settings)? })
     }
 
     /// Saturated pixels; they are bad from then on.
@@ -315,17 +299,7 @@ impl Work<'_> {
         for shape in shapes {
             let gain = shape.decrease / scale - shape.parameters as f64 * log_pixels;
             let is_fault = gain > 0.0 && (!is_misfit || shape.share > EXPLAINED_BY_SHAPE);
-            let quantity = match shape.kind {
-                ShapeKind::Companion => Quantity::Companion,
-                ShapeKind::NonLinearity => Quantity::NonLinearity,
-                ShapeKind::Blur => Quantity::Blur,
-            };
-            let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
-            let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
-            // Of a linear coefficient whose square over its variance is the decrease.
-            let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
-            let (found, sigma) = (Some(shape.value), sigma.is_finite().then_some(sigma));
-            findings.push(Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) });
+            findings.push(shape_finding(&shape, gain, is_fault));
         }
         if is_misfit && !findings.iter().any(|finding| finding.verdict == Verdict::Fault) {
             let status = fitted.fit.1.status().kind();
@@ -357,7 +331,7 @@ impl Work<'_> {
     }
 
     /// Excess of χ² of the first image that is used, and the shapes of its residual.
-    fn shapes(&self, fitted: &Fitted) -> Result<(f64, Vec<super::residual_shape::Shape>)> {
+    fn shapes(&self, fitted: &Fitted) -> Result<(f64, Vec<Shape>)> {
         let (fitter, found) = &fitted.fit;
         let image = found.used_images.first().copied().unwrap_or_default();
         let diversity = fitter.diversity_projection()?;
@@ -368,6 +342,34 @@ impl Work<'_> {
         let case = misfit::Case { task, image, model, chain, diversity: &diversity };
         Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
     }
+}
+
+/// Faults first, those with the largest gain before the others; then what agrees, then what is not determined.
+fn sort(findings: &mut [Finding]) {
+    let rank = |finding: &Finding| match finding.verdict {
+        Verdict::Fault => 0,
+        Verdict::Agrees => 1,
+        Verdict::NotDetermined => 2,
+    };
+    findings.sort_by(|a, b| {
+        let gains = if rank(a) == 0 { b.gain.total_cmp(&a.gain) } else { std::cmp::Ordering::Equal };
+        rank(a).cmp(&rank(b)).then(gains)
+    });
+}
+
+/// Finding of a shape of the residual.
+fn shape_finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
+    let quantity = match shape.kind {
+        ShapeKind::Companion => Quantity::Companion,
+        ShapeKind::NonLinearity => Quantity::NonLinearity,
+        ShapeKind::Blur => Quantity::Blur,
+    };
+    let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
+    let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
+    // Of a linear coefficient, whose square over its variance is the decrease.
+    let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
+    let (found, sigma) = (Some(shape.value), sigma.is_finite().then_some(sigma));
+    Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
 }
 
 /// Sampling, background and amplitude of the defocus, as the fit has them.

@@ -104,8 +104,8 @@ const BASE: [(&str, &str); 5] = [
     ("image.samples_per_lambda_over_d", "2.5"),
     ("image.pixels", "160"),
     ("pupil.grid_m", "11.5"),
-    ("pupil.samples", "112"),
-    ("aberrations.truth_samples", "448"),
+    ("pupil.samples", "128"),
+    ("aberrations.truth_samples", "640"),
 ];
 /// A segment of the third ring, 10.9° from +x and off every axis of the pupil's symmetry, and its poke.
 const POKE: Poke = Poke::Segment(18, 150.0);

@@ -4,7 +4,7 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::terminal::Terminal;
-use cophase::pipeline::{Check, Control, Finding, Images, Poke, Trust, check};
+use cophase::pipeline::{Check, Control, Finding, Images, Poke, check};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
 use cophase_cli::plot::{CaptionedMap, MapScale, MapsPicture};
@@ -96,9 +96,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     arguments.check_outputs()?;
     let scene = arguments.scene()?;
     let images = Images::read(&arguments.images, arguments.mask.as_deref())?;
-    let mut before = arguments.before.as_ref().map(|path| Images::read(path, None)).transpose()?;
-    // What the file of the images before says of the instrument is not what is checked.
-    before.iter_mut().for_each(|before| before.trust = Trust::Scene);
+    let before = arguments.before.as_ref().map(|path| Images::read(path, None)).transpose()?;
     let poke_nm = arguments.poke_nm.unwrap_or_default();
     let poke = match (arguments.segment, arguments.actuator) {
         (Some(index), _) => Some(Poke::Segment(index, poke_nm)),

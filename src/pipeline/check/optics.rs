@@ -151,6 +151,7 @@ pub(super) fn with_header(
         finding.settings.push((WAVELENGTH.into(), one.file_value));
     } else if let Some(at) = stated(contradictions, SAMPLING, of_scene) {
         let one = contradictions.remove(at);
+        contradictions.retain(|other| other.key != SAMPLING);
         finding.quantity = Quantity::PlateScale;
         finding.explanation = format!("{}; the images agree: {}", one.sentence, finding.explanation);
     } else if has_wavelength && !contradictions.iter().any(|one| one.key == WAVELENGTH) {
