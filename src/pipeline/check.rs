@@ -16,7 +16,7 @@ mod finding;
 mod optics;
 mod turns;
 
-pub use finding::{Finding, Quantity, Verdict};
+pub use finding::{CheckedQuantity, Finding, Verdict};
 
 use super::consistency::{Contradiction, Electrons, reconcile};
 use super::control::{Control, Stage};
@@ -163,7 +163,10 @@ impl Work<'_> {
         findings.extend(photometry(&scene, &fitted)?);
         for one in &self.contradictions {
             let settings = vec![(one.key.clone(), one.file_value.clone())];
-            findings.push(Finding { settings, ..Finding::new(Quantity::Header, Verdict::Fault, one.sentence.as_str()) });
+            findings.push(Finding {
+                settings,
+                ..Finding::new(CheckedQuantity::Header, Verdict::Fault, one.sentence.as_str())
+            });
         }
         sort(&mut findings);
         let settings = findings.first().map(|finding| finding.settings.clone()).unwrap_or_default();
@@ -185,7 +188,11 @@ impl Work<'_> {
         let Some(sentence) =
             misfit::saturation(&fitted.fit.1.compared, frame_e, self.images.bad.index_axis(Axis(0), image))
         else {
-            return Ok(Finding::new(Quantity::Saturation, Verdict::Agrees, "one peak, no plateau of largest values"));
+            return Ok(Finding::new(
+                CheckedQuantity::Saturation,
+                Verdict::Agrees,
+                "one peak, no plateau of largest values",
+            ));
         };
         let mut bad = self.images.bad.to_owned().into_owned();
         for (frame_e, mut marks) in self.images.images_e.outer_iter().zip(bad.outer_iter_mut()) {
@@ -198,13 +205,13 @@ impl Work<'_> {
         *fitted = self.fit(scene, cache)?;
         let pixels = pixels_of(fitted);
         let gain = ((before - chi2_of(fitted)) * pixels).max(0.0) / chi2_of(fitted).max(1.0);
-        Ok(Finding { gain, ..Finding::new(Quantity::Saturation, Verdict::Fault, sentence) })
+        Ok(Finding { gain, ..Finding::new(CheckedQuantity::Saturation, Verdict::Fault, sentence) })
     }
 
     /// Orientation and sign of the defocus, as far as the pupil's shape shows them; `fitted` becomes the fit of the right one.
     fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<Vec<Finding>> {
         let (turns, hidden) = turns::turns(scene)?;
-        let has_sign = turns.iter().any(|turn| turn.quantity == Quantity::DefocusSign);
+        let has_sign = turns.iter().any(|turn| turn.quantity == CheckedQuantity::DefocusSign);
         let mut findings = Vec::new();
         let own_chi2 = chi2_of(fitted);
         if !fitted.is_explained() && own_chi2 > 1.0 {
@@ -220,7 +227,10 @@ impl Work<'_> {
                         ..Finding::new(
                             turn.quantity,
                             Verdict::Fault,
-                            format!("{} explains the images: reduced χ² {chi2:.2} in place of {own_chi2:.1}", turn.name),
+                            format!(
+                                "{} explains the images: reduced χ² {chi2:.2} in place of {own_chi2:.1}",
+                                turn.name
+                            ),
                         )
                     });
                     *fitted = again;
@@ -228,25 +238,25 @@ impl Work<'_> {
                 }
             }
         }
-        let lacks = |quantity: Quantity| !findings.iter().any(|finding: &Finding| finding.quantity == quantity);
+        let lacks = |quantity: CheckedQuantity| !findings.iter().any(|finding: &Finding| finding.quantity == quantity);
         let mut rest = Vec::new();
-        if lacks(Quantity::Orientation) {
+        if lacks(CheckedQuantity::Orientation) {
             rest.push(if hidden.is_empty() {
-                Finding::new(Quantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
+                Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
             } else {
                 let hidden = hidden.join(", ");
                 Finding::open(
-                    Quantity::Orientation,
+                    CheckedQuantity::Orientation,
                     format!("the pupil does not distinguish {hidden}: a known poke of a segment or actuator does"),
                 )
             });
         }
-        if lacks(Quantity::DefocusSign) {
+        if lacks(CheckedQuantity::DefocusSign) {
             rest.push(if has_sign {
-                Finding::new(Quantity::DefocusSign, Verdict::Agrees, "the pupil's shape shows it")
+                Finding::new(CheckedQuantity::DefocusSign, Verdict::Agrees, "the pupil's shape shows it")
             } else {
                 Finding::open(
-                    Quantity::DefocusSign,
+                    CheckedQuantity::DefocusSign,
                     "the opposite sign, with the wavefront −W(−x, −y), gives the same images: a known poke of a segment or actuator \
                      shows it",
                 )
@@ -284,14 +294,14 @@ impl Work<'_> {
             }
         } else {
             findings.push(Finding::open(
-                Quantity::PlateScaleOrWavelength,
+                CheckedQuantity::PlateScaleOrWavelength,
                 "the fit of plate scale and illumination does not converge: their values are far from the scene's, or \
                  something else is wrong",
             ));
         }
         if scene.pupil.extent_m().is_some() && !parameters.contains(&Optic::Rotation) {
             findings.push(Finding::open(
-                Quantity::Rotation,
+                CheckedQuantity::Rotation,
                 "its fit does not converge, or the turned pupil is larger than pupil.grid_m: give a wider grid",
             ));
         }
@@ -305,7 +315,7 @@ impl Work<'_> {
             let status = fitted.fit.1.status().kind();
             if status != ImageStatus::Ok || own_chi2 > 2.0 {
                 findings.push(Finding::new(
-                    Quantity::Unexplained,
+                    CheckedQuantity::Unexplained,
                     Verdict::Fault,
                     format!(
                         "a reduced χ² of {own_chi2:.2} that none of these explains: 'cophase estimate' tries tilts of the segments, more \
@@ -360,9 +370,9 @@ fn sort(findings: &mut [Finding]) {
 /// Finding of a shape of the residual.
 fn shape_finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
     let quantity = match shape.kind {
-        ShapeKind::Companion => Quantity::Companion,
-        ShapeKind::NonLinearity => Quantity::NonLinearity,
-        ShapeKind::Blur => Quantity::Blur,
+        ShapeKind::Companion => CheckedQuantity::Companion,
+        ShapeKind::NonLinearity => CheckedQuantity::NonLinearity,
+        ShapeKind::Blur => CheckedQuantity::Blur,
     };
     let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
     let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
@@ -382,19 +392,22 @@ fn photometry(scene: &Scene, fitted: &Fitted) -> Result<Vec<Finding>> {
     } else {
         (Verdict::Agrees, "2 pixels per λ/D hold all frequencies of an image")
     };
-    findings.push(Finding { scene: Some(sampling), ..Finding::new(Quantity::Sampling, verdict, text) });
+    findings.push(Finding { scene: Some(sampling), ..Finding::new(CheckedQuantity::Sampling, verdict, text) });
     if let Some(report) = found.used_images.first().and_then(|&image| found.images.get(image)) {
         findings.push(Finding {
             scene: Some(scene.image.background_e),
             found: Some(report.background_e),
-            ..Finding::new(Quantity::Background, Verdict::Agrees, "electrons of a pixel; an estimate fits it")
+            ..Finding::new(CheckedQuantity::Background, Verdict::Agrees, "electrons of a pixel; an estimate fits it")
         });
     }
     let diversity = fitter.diversity_projection()?;
     if diversity.is_spanned() && scene.image.diversity_focus_waves_rms != 0.0 {
         findings.push(Finding {
             scene: Some(scene.image.diversity_focus_waves_rms),
-            ..Finding::open(Quantity::Defocus, "the NCPA have a defocus of their own, which an error of its amplitude looks like")
+            ..Finding::open(
+                CheckedQuantity::Defocus,
+                "the NCPA have a defocus of their own, which an error of its amplitude looks like",
+            )
         });
     }
     Ok(findings)

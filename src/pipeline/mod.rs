@@ -45,7 +45,7 @@ pub use crate::loop_response::{Command, Commands, Corrections};
 pub use crate::modal::{ImageStatus, PistonInteger};
 pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use budget::ErrorTerm;
-pub use check::{Check, Finding, Quantity, Verdict, check};
+pub use check::{Check, CheckedQuantity, Finding, Verdict, check};
 pub use control::{Control, Progress, Stage};
 pub use estimate::{Basis, Comparison, Estimate, Figure, MapSummary, OpticalParameter};
 pub use estimator::Estimator;

@@ -68,7 +68,12 @@ impl Telescope {
             rotation_deg: pupil.rotation_deg,
         })?;
         let grid = Grid::new(pupil.samples, pupil.grid_m.unwrap_or(aperture.width_m()))?;
-        Ok(Self { pupil: aperture.pupil(&grid)?, source: PupilSource::Exact(aperture), amplitudes: Vec::new(), illumination: None })
+        Ok(Self {
+            pupil: aperture.pupil(&grid)?,
+            source: PupilSource::Exact(aperture),
+            amplitudes: Vec::new(),
+            illumination: None,
+        })
     }
 
     fn from_file(scene: &Scene, path: &std::path::Path) -> Result<Self> {

@@ -2,7 +2,7 @@
 
 use super::hard_cases::{Spoil, flipped, made};
 use super::{Cell, Progress, Report, Table};
-use cophase::pipeline::{Check, Control, Images, Poke, Quantity, check};
+use cophase::pipeline::{Check, CheckedQuantity, Control, Images, Poke, check};
 use cophase::scene::Scene;
 use cophase::source::{Camera, Truth, expose, flux_e, stream};
 use cophase::telescope::Telescope;
@@ -41,7 +41,7 @@ pub struct CheckRow {
     /// Its name.
     pub name: &'static str,
     planted: Planted,
-    right: &'static [Quantity],
+    right: &'static [CheckedQuantity],
 }
 
 /// All rows.
@@ -50,19 +50,19 @@ pub const CHECK_ROWS: [CheckRow; 9] = [
     CheckRow {
         name: "plate scale 0.5 to 3 %",
         planted: Planted::PlateScale,
-        right: &[Quantity::PlateScaleOrWavelength, Quantity::PlateScale],
+        right: &[CheckedQuantity::PlateScaleOrWavelength, CheckedQuantity::PlateScale],
     },
     CheckRow {
         name: "wavelength 0.5 to 3 %",
         planted: Planted::Wavelength,
-        right: &[Quantity::PlateScaleOrWavelength, Quantity::Wavelength],
+        right: &[CheckedQuantity::PlateScaleOrWavelength, CheckedQuantity::Wavelength],
     },
-    CheckRow { name: "rotation 0.5 to 3 deg", planted: Planted::Rotation, right: &[Quantity::Rotation] },
-    CheckRow { name: "illumination 10 %", planted: Planted::Illumination, right: &[Quantity::Illumination] },
-    CheckRow { name: "saturation", planted: Planted::Saturation, right: &[Quantity::Saturation] },
-    CheckRow { name: "companion 2 to 10 %", planted: Planted::Companion, right: &[Quantity::Companion] },
-    CheckRow { name: "orientation, poke", planted: Planted::Orientation, right: &[Quantity::Orientation] },
-    CheckRow { name: "defocus sign, poke", planted: Planted::DefocusSign, right: &[Quantity::DefocusSign] },
+    CheckRow { name: "rotation 0.5 to 3 deg", planted: Planted::Rotation, right: &[CheckedQuantity::Rotation] },
+    CheckRow { name: "illumination 10 %", planted: Planted::Illumination, right: &[CheckedQuantity::Illumination] },
+    CheckRow { name: "saturation", planted: Planted::Saturation, right: &[CheckedQuantity::Saturation] },
+    CheckRow { name: "companion 2 to 10 %", planted: Planted::Companion, right: &[CheckedQuantity::Companion] },
+    CheckRow { name: "orientation, poke", planted: Planted::Orientation, right: &[CheckedQuantity::Orientation] },
+    CheckRow { name: "defocus sign, poke", planted: Planted::DefocusSign, right: &[CheckedQuantity::DefocusSign] },
 ];
 
 impl CheckRow {
@@ -208,7 +208,7 @@ fn draw(base: &Scene, row: &CheckRow, seed: u64) -> Result<CheckDraw> {
 fn verdict(row: &CheckRow, found: &Check) -> (Option<&'static str>, bool) {
     let cause = found.cause().map(|cause| cause.quantity);
     let is_right = cause.map_or(row.right.is_empty(), |cause| row.right.contains(&cause));
-    (cause.map(Quantity::name), is_right)
+    (cause.map(CheckedQuantity::name), is_right)
 }
 
 /// Images without and with the poke.

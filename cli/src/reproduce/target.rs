@@ -3,8 +3,8 @@
 use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
-    ChannelRow, CheckRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows, channels, checks,
-    diversity, hard_cases, image_numbers, observations, on_sky, pulls, samples,
+    ChannelRow, CheckRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows,
+    channels, checks, diversity, hard_cases, image_numbers, observations, on_sky, pulls, samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};

@@ -66,7 +66,11 @@ fn a_wrong_plate_scale_is_named_and_corrected() {
     let json = desk.json(&check("images.fits", &["--json"]));
     assert_eq!(json["cause"], "plate scale", "{json}");
     let done = desk.succeeds(&check("images.fits", &[]));
-    assert!(done.out.contains("table SCENE has") && done.out.contains("set image.samples_per_lambda_over_d"), "{}", done.out);
+    assert!(
+        done.out.contains("table SCENE has") && done.out.contains("set image.samples_per_lambda_over_d"),
+        "{}",
+        done.out
+    );
 }
 
 #[test]

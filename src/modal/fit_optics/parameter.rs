@@ -86,11 +86,8 @@ fn illumination(scene: &Scene) -> Vec<Start> {
         ("pupil.illumination_y", pupil.illumination_y),
         ("pupil.illumination_edge", pupil.illumination_edge),
     ];
-    let start = |(key, value)| Start {
-        parameter: Parameter::Number(Optic::Illumination, key),
-        value,
-        step: ILLUMINATION_STEP,
-    };
+    let start =
+        |(key, value)| Start { parameter: Parameter::Number(Optic::Illumination, key), value, step: ILLUMINATION_STEP };
     terms.map(start).to_vec()
 }
 

@@ -2,7 +2,7 @@
 
 /// What is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Quantity {
+pub enum CheckedQuantity {
     /// Pixels per λ/D where a card of the file confirms the wavelength.
     PlateScale,
     /// Pixels per λ/D: another angle of a pixel, another wavelength or another size of the pupil have the same effect.
@@ -45,7 +45,7 @@ pub enum Quantity {
     Unexplained,
 }
 
-impl Quantity {
+impl CheckedQuantity {
     /// Its name in tables and JSON.
     pub fn name(self) -> &'static str {
         match self {
@@ -99,7 +99,7 @@ impl Verdict {
 #[derive(Debug, Clone)]
 pub struct Finding {
     /// The quantity.
-    pub quantity: Quantity,
+    pub quantity: CheckedQuantity,
     /// What it says of the scene.
     pub verdict: Verdict,
     /// Value of the scene, in the unit of its key.
@@ -118,13 +118,13 @@ pub struct Finding {
 
 impl Finding {
     /// A finding without numbers.
-    pub(super) fn new(quantity: Quantity, verdict: Verdict, explanation: impl Into<String>) -> Self {
+    pub(super) fn new(quantity: CheckedQuantity, verdict: Verdict, explanation: impl Into<String>) -> Self {
         let explanation = explanation.into();
         Self { quantity, verdict, scene: None, found: None, sigma: None, gain: 0.0, settings: Vec::new(), explanation }
     }
 
     /// As [`Finding::new`] for what is not determined.
-    pub(super) fn open(quantity: Quantity, explanation: impl Into<String>) -> Self {
+    pub(super) fn open(quantity: CheckedQuantity, explanation: impl Into<String>) -> Self {
         Self::new(quantity, Verdict::NotDetermined, explanation)
     }
 }

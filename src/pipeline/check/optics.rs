@@ -1,6 +1,6 @@
 //! Optical parameters of the scene, all fitted together with the modes: which of them the images contradict.
 
-use super::finding::{Finding, Quantity, Verdict};
+use super::finding::{CheckedQuantity, Finding, Verdict};
 use crate::linear_algebra::SpdInverse;
 use crate::modal::{FittedOptic, OpticsMinimum};
 use crate::pipeline::consistency::Contradiction;
@@ -51,16 +51,16 @@ fn least(optic: Optic, scene: f64) -> f64 {
     }
 }
 
-fn quantity(optic: Optic) -> Quantity {
+fn quantity(optic: Optic) -> CheckedQuantity {
     match optic {
-        Optic::PlateScale => Quantity::PlateScaleOrWavelength,
-        Optic::Rotation => Quantity::Rotation,
-        Optic::Illumination | Optic::Reflectivities => Quantity::Illumination,
-        Optic::Obscuration => Quantity::Obscuration,
-        Optic::Spiders => Quantity::Spiders,
-        Optic::Bandwidth => Quantity::Bandwidth,
-        Optic::PixelFill => Quantity::PixelFill,
-        Optic::Defocus => Quantity::Defocus,
+        Optic::PlateScale => CheckedQuantity::PlateScaleOrWavelength,
+        Optic::Rotation => CheckedQuantity::Rotation,
+        Optic::Illumination | Optic::Reflectivities => CheckedQuantity::Illumination,
+        Optic::Obscuration => CheckedQuantity::Obscuration,
+        Optic::Spiders => CheckedQuantity::Spiders,
+        Optic::Bandwidth => CheckedQuantity::Bandwidth,
+        Optic::PixelFill => CheckedQuantity::PixelFill,
+        Optic::Defocus => CheckedQuantity::Defocus,
     }
 }
 
@@ -71,10 +71,13 @@ pub(super) fn findings(parameters: &[Optic], minimum: &OpticsMinimum, scale: f64
     let one = |&optic: &Optic| {
         let at: Vec<usize> = (0..all.len()).filter(|&i| all[i].optic == optic).collect();
         let group: Vec<&FittedOptic> = at.iter().map(|&i| &all[i]).collect();
-        finding(optic, &group, &minimum.covariance.select(ndarray::Axis(0), &at).select(ndarray::Axis(1), &at), minimum, (
-            scale,
-            is_explained,
-        ))
+        finding(
+            optic,
+            &group,
+            &minimum.covariance.select(ndarray::Axis(0), &at).select(ndarray::Axis(1), &at),
+            minimum,
+            (scale, is_explained),
+        )
     };
     parameters.iter().map(one).collect()
 }
@@ -107,8 +110,7 @@ fn finding(
         _ => format!("{} = {:.5} ± {:.5}, where the scene has {}", first.key(), first.value, first.sigma, first.scene),
     };
     let settings = group.iter().filter(|_| is_fault).map(|one| (one.key(), format!("{:.6}", one.value))).collect();
-    let (scene, found) =
-        if group.len() == 1 { (first.scene, first.value) } else { (0.0, length) };
+    let (scene, found) = if group.len() == 1 { (first.scene, first.value) } else { (0.0, length) };
     Finding {
         scene: Some(scene),
         found: Some(found),
@@ -128,7 +130,8 @@ pub(super) fn with_header(
     contradictions: &mut Vec<Contradiction>,
 ) {
     let (Some(of_scene), Some(found), Some(sigma)) = (finding.scene, finding.found, finding.sigma) else { return };
-    let agrees = |ratio: f64| (found / of_scene - ratio).abs() < (5.0 * sigma / of_scene).max(0.2 * (ratio - 1.0).abs());
+    let agrees =
+        |ratio: f64| (found / of_scene - ratio).abs() < (5.0 * sigma / of_scene).max(0.2 * (ratio - 1.0).abs());
     let stated = |contradictions: &[Contradiction], key: &str, value: f64| {
         let at = contradictions.iter().position(|one| one.key == key)?;
         let ratio = contradictions[at].file_value.parse::<f64>().ok()? / value;
@@ -136,14 +139,14 @@ pub(super) fn with_header(
     };
     if finding.verdict != Verdict::Fault {
         if has_wavelength && !contradictions.iter().any(|one| one.key == WAVELENGTH) {
-            finding.quantity = Quantity::PlateScale;
+            finding.quantity = CheckedQuantity::PlateScale;
         }
         return;
     }
     if let Some(at) = stated(contradictions, WAVELENGTH, scene.image.wavelength_nm) {
         let one = contradictions.remove(at);
         contradictions.retain(|other| other.key != SAMPLING);
-        finding.quantity = Quantity::Wavelength;
+        finding.quantity = CheckedQuantity::Wavelength;
         finding.explanation = format!(
             "{}; the images agree: {}. A defocus in waves changes with the wavelength",
             one.sentence, finding.explanation
@@ -152,12 +155,13 @@ pub(super) fn with_header(
     } else if let Some(at) = stated(contradictions, SAMPLING, of_scene) {
         let one = contradictions.remove(at);
         contradictions.retain(|other| other.key != SAMPLING);
-        finding.quantity = Quantity::PlateScale;
+        finding.quantity = CheckedQuantity::PlateScale;
         finding.explanation = format!("{}; the images agree: {}", one.sentence, finding.explanation);
     } else if has_wavelength && !contradictions.iter().any(|one| one.key == WAVELENGTH) {
-        finding.quantity = Quantity::PlateScale;
+        finding.quantity = CheckedQuantity::PlateScale;
         finding.explanation += " (the file confirms the wavelength)";
     } else {
-        finding.explanation += ": another angle of a pixel, wavelength or size of the pupil, which one wavelength does not tell apart";
+        finding.explanation +=
+            ": another angle of a pixel, wavelength or size of the pupil, which one wavelength does not tell apart";
     }
 }

@@ -5,7 +5,7 @@
 //! with the wavefront −W(−u), has the same image: with a pupil of point symmetry and an even diversity the sign of the diversity is as
 //! little determined, and its wrong sign asks for a wavefront of the same size, so that no prior helps.
 
-use super::finding::{Finding, Quantity, Verdict};
+use super::finding::{CheckedQuantity, Finding, Verdict};
 use crate::pipeline::control::Control;
 use crate::pipeline::images::Images;
 use crate::pipeline::orientation::{Poke, check_orientation};
@@ -21,7 +21,7 @@ const DIFFERENT: f64 = 0.01;
 pub(super) struct Turn {
     /// Keys and values.
     pub(super) settings: Vec<(String, String)>,
-    pub(super) quantity: Quantity,
+    pub(super) quantity: CheckedQuantity,
     pub(super) name: String,
 }
 
@@ -66,7 +66,7 @@ pub(super) fn turns(scene: &Scene) -> Result<(Vec<Turn>, Vec<String>)> {
             if quarter {
                 settings.push(("pupil.rotation_deg".into(), (scene.pupil.rotation_deg + 90.0).to_string()));
             }
-            turns.push(Turn { settings, quantity: Quantity::Orientation, name });
+            turns.push(Turn { settings, quantity: CheckedQuantity::Orientation, name });
         }
     }
     let mut opposite = amplitude.clone();
@@ -75,7 +75,11 @@ pub(super) fn turns(scene: &Scene) -> Result<(Vec<Turn>, Vec<String>)> {
     let waves = scene.image.diversity_focus_waves_rms;
     if is_focus && waves != 0.0 && differs(&amplitude, &opposite) {
         let settings = vec![("image.diversity_focus_waves_rms".into(), (-waves).to_string())];
-        turns.push(Turn { settings, quantity: Quantity::DefocusSign, name: "the opposite sign of the defocus".into() });
+        turns.push(Turn {
+            settings,
+            quantity: CheckedQuantity::DefocusSign,
+            name: "the opposite sign of the defocus".into(),
+        });
     }
     Ok((turns, hidden))
 }
@@ -104,7 +108,8 @@ pub(super) fn of_poke(
     let found = match check_orientation(scene, before, after, poke, control) {
         Ok(found) => found,
         Err(Error::Value(sentence)) => {
-            return Ok([Quantity::Orientation, Quantity::DefocusSign].map(|what| Finding::open(what, sentence.as_str())));
+            return Ok([CheckedQuantity::Orientation, CheckedQuantity::DefocusSign]
+                .map(|what| Finding::open(what, sentence.as_str())));
         }
         Err(error) => return Err(error),
     };
@@ -119,12 +124,12 @@ pub(super) fn of_poke(
         explanation += &format!("; {warning}");
     }
     let is_wrong = |is_this: bool| is_this && !found.settings.is_empty();
-    let one = |quantity: Quantity, is_this: bool| {
+    let one = |quantity: CheckedQuantity, is_this: bool| {
         let verdict = if is_wrong(is_this) { Verdict::Fault } else { Verdict::Agrees };
         let settings = if is_wrong(is_this) { found.settings.clone() } else { Vec::new() };
         // Twice the difference of logarithms of likelihoods, as one of χ², without a parameter that was fitted.
         let gain = 2.0 * (found.best.log_likelihood - found.runner_up.log_likelihood);
         Finding { gain, settings, ..Finding::new(quantity, verdict, explanation.as_str()) }
     };
-    Ok([one(Quantity::Orientation, !is_sign), one(Quantity::DefocusSign, is_sign)])
+    Ok([one(CheckedQuantity::Orientation, !is_sign), one(CheckedQuantity::DefocusSign, is_sign)])
 }

@@ -10,8 +10,8 @@ mod verdict;
 
 pub(super) use cases::BASE;
 pub use cases::{Draws, HARD_CASES, HardCase};
-pub(super) use spoil::{flipped, made};
 pub use spoil::{Mismatch, Spoil};
+pub(super) use spoil::{flipped, made};
 pub use verdict::Verdict;
 
 use super::Progress;
