@@ -329,7 +329,8 @@ impl Work<'_> {
 
     /// Minimum of `parameters` and the modes; `None` where the fit does not converge or leads to values that the scene does not accept.
     fn minimum(&self, scene: &Scene, cache: &BasisCache, parameters: &[Optic]) -> Result<Option<OpticsMinimum>> {
-        let fitting = scene.with(&[("estimate.fit_optics", &optics::listed(parameters))])?;
+        // A scene without weights fits no optics.
+        let Ok(fitting) = scene.with(&[("estimate.fit_optics", &optics::listed(parameters))]) else { return Ok(None) };
         let images = &self.images;
         let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
         let flag = Some(self.control.flag());
