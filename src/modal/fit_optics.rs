@@ -1,5 +1,5 @@
 //! Fit of optical parameters of the scene together with the modes: the plate scale, the rotation and the shadows of the pupil, the
-//! reflectivities of its segments, the amplitude of the defocus, the width of the filter, the area of a pixel.
+//! reflectivities of its segments, its illumination, the amplitude of the defocus, the width of the filter, the area of a pixel.
 //!
 //! Each image has its own modes a; all images share the optical parameters θ. With J the derivatives of an image's electrons,
 //! orthogonalised to its flux and background, W its weights and r its residual, Gauss-Newton about the images' own minima
@@ -31,7 +31,7 @@ use crate::optimize::CancelFlag;
 use crate::scene::{Optic, Scene};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::{Array1, ArrayView1, Axis};
+use ndarray::{Array1, Array2, ArrayView1, Axis};
 use normal::{Iteration, NormalEquations};
 use parameter::{Parameter, starts, telescope, with_numbers};
 use std::sync::atomic::Ordering;
@@ -112,6 +112,41 @@ pub(crate) fn explaining_fit(
     })
 }
 
+/// Minimum of all optical parameters that a scene names, fitted together.
+pub(crate) struct OpticsMinimum {
+    /// The fitter of the scene with the fitted values.
+    pub(crate) fitter: ModalFitter,
+    /// Covariance of [`ModalFitter::fitted_optics`], in their order; 0 for those that are not identifiable.
+    pub(crate) covariance: Array2<f64>,
+    /// Median reduced χ² of the images with the scene's values, and with the fitted ones.
+    pub(crate) reduced_chi2: [f64; 2],
+    /// Pixels with a weight, of all images that were fitted.
+    pub(crate) pixels: usize,
+}
+
+/// Fits the numbers that `scene` names (no reflectivities), with the Karhunen-Loève basis of `cache`, without another search for
+/// outlier pixels, to find which of them the images contradict.
+///
+/// # Errors
+/// As [`estimator`].
+pub(crate) fn fit_together(
+    scene: &Scene,
+    recipe: &Recipe,
+    cache: &BasisCache,
+    cube: Cube,
+    cancel: Option<&CancelFlag>,
+) -> Result<OpticsMinimum> {
+    let recipe = Recipe { reject_outliers: false, ..recipe.clone() };
+    with_search(scene, &recipe, cache, cube, false, cancel, |search, own| {
+        let first = search.iterate(&own)?;
+        let own_chi2 = first.reduced_chi2;
+        let (values, last) = search.minimum((own.clone(), first))?;
+        let fitter = search.fitter_at(&own, &values, &last)?;
+        let reduced_chi2 = [own_chi2, last.reduced_chi2];
+        Ok(OpticsMinimum { fitter, covariance: last.covariance, reduced_chi2, pixels: last.pixels })
+    })
+}
+
 /// Runs `search` on the parameters that `scene` names, whose values it is given.
 fn with_search<T>(
     scene: &Scene,
@@ -162,6 +197,12 @@ impl Search<'_> {
     /// Iterates from `start`, values and their iteration, and returns the fitter with the median reduced χ². `own` are the scene's
     /// values.
     fn run(&self, own: &[f64], start: (Vec<f64>, Iteration)) -> Result<(ModalFitter, f64)> {
+        let (values, iteration) = self.minimum(start)?;
+        Ok((self.fitter_at(own, &values, &iteration)?, iteration.reduced_chi2))
+    }
+
+    /// The values of the minimum that iterations from `start` reach, with the last iteration.
+    fn minimum(&self, start: (Vec<f64>, Iteration)) -> Result<(Vec<f64>, Iteration)> {
         let (mut values, mut iteration) = start;
         for number in 1..=MAX_ITERATIONS {
             let mut step = iteration.step.clone();
@@ -202,21 +243,27 @@ impl Search<'_> {
                 (None, None) => break,
             }
         }
-        let scene = with_numbers(&self.scene, &self.parameters, &values)?;
-        let mut estimator = self.fitter(&scene, &values, self.recipe.clone(), self.modes_of(&scene)?)?;
+        Ok((values, iteration))
+    }
+
+    /// The fitter of the scene with `values`, those of `iteration`.
+    fn fitter_at(&self, own: &[f64], values: &[f64], iteration: &Iteration) -> Result<ModalFitter> {
+        let scene = with_numbers(&self.scene, &self.parameters, values)?;
+        let mut estimator = self.fitter(&scene, values, self.recipe.clone(), self.modes_of(&scene)?)?;
         estimator.shared.push(SharedError { name: "fitted optics", covariance_nm2: iteration.shared_nm2.clone() });
-        estimator.fitted_optics = self.fitted(&estimator.model.telescope, own, &values, &iteration);
-        Ok((estimator, iteration.reduced_chi2))
+        estimator.fitted_optics = self.fitted(&estimator.model.telescope, own, values, iteration);
+        Ok(estimator)
     }
 
     /// The numbers of the scene and the reflectivities that were fitted; `own` are the scene's values.
     fn fitted(&self, telescope: &Telescope, own: &[f64], values: &[f64], last: &Iteration) -> Vec<FittedOptic> {
         let mut fitted = Vec::new();
         for (i, parameter) in self.parameters.iter().enumerate() {
-            if let &Parameter::Number(optic, _) = parameter {
+            if let &Parameter::Number(optic, key) = parameter {
                 let (sigma, identifiable_share) = (last.sigma[i], last.identifiable_share[i]);
                 let (scene, value) = (own[i], values[i]);
-                fitted.push(FittedOptic { optic, segment: None, scene, value, sigma, identifiable_share });
+                let number = Some(key);
+                fitted.push(FittedOptic { optic, number, segment: None, scene, value, sigma, identifiable_share });
             }
         }
         let is_amplitude = |parameter: &Parameter| matches!(parameter, Parameter::Amplitude(_));
@@ -229,6 +276,7 @@ impl Search<'_> {
         for (segment, (amplitude, sigma)) in telescope.amplitudes().iter().zip(sigmas).enumerate() {
             fitted.push(FittedOptic {
                 optic: Optic::Reflectivities,
+                number: None,
                 segment: Some(segment),
                 scene: 1.0,
                 value: amplitude * amplitude,

@@ -7,6 +7,8 @@ use crate::scene::Optic;
 pub struct FittedOptic {
     /// The parameter.
     pub optic: Optic,
+    /// The key of the scene that it is, where the optic has several.
+    pub number: Option<&'static str>,
     /// The segment whose reflectivity it is, from 0; `None` for a number of the scene.
     pub segment: Option<usize>,
     /// Value of the scene, in the unit of [`FittedOptic::key`].
@@ -22,7 +24,7 @@ pub struct FittedOptic {
 impl FittedOptic {
     /// The key of the scene, or `reflectivity N` of segment N, from 0.
     pub fn key(&self) -> String {
-        match (self.optic.key(), self.segment) {
+        match (self.number.or(self.optic.key()), self.segment) {
             (_, Some(segment)) => format!("reflectivity {segment}"),
             (Some(key), None) => key.into(),
             (None, None) => self.optic.word().into(),

@@ -92,7 +92,10 @@ pub(super) fn refuse_full_phase(scene: &Scene) -> Result<()> {
 pub(super) fn same_basis(one: &Scene, other: &Scene) -> bool {
     let telescope = |scene: &Scene| {
         let (samples, model) = (0, None);
-        PupilScene { samples, model, band_pass_cycles: None, band_stop_cycles: None, ..scene.pupil.clone() }
+        // The basis does not depend on the illumination.
+        let (illumination_x, illumination_y, illumination_edge) = (0.0, 0.0, 0.0);
+        let even = PupilScene { illumination_x, illumination_y, illumination_edge, ..scene.pupil.clone() };
+        PupilScene { samples, model, band_pass_cycles: None, band_stop_cycles: None, ..even }
     };
     let modes = |scene: &Scene| (scene.modes.ncpa.clone(), scene.modes.ncpa_count);
     telescope(one) == telescope(other)

@@ -281,7 +281,15 @@ fn fitted_defocus(channels: &[ChannelFit], found: &Normal, share: f64) -> Option
         Some((delta, sigma)) => (scene * (1.0 + delta), scene.abs() * sigma),
         None => (scene, f64::INFINITY),
     };
-    Some(FittedOptic { optic: Optic::Defocus, segment: None, scene, value, sigma, identifiable_share: share })
+    Some(FittedOptic {
+        optic: Optic::Defocus,
+        number: None,
+        segment: None,
+        scene,
+        value,
+        sigma,
+        identifiable_share: share,
+    })
 }
 
 /// Normal equations and their solution.

@@ -69,7 +69,7 @@ pub(crate) use diversity_error::{ModeProjector, check_reachable, has_diversity};
 pub use engine::Watch;
 pub use estimate::ImageFits;
 pub(crate) use estimate::ModalFit;
-pub(crate) use fit_optics::explaining_fit;
+pub(crate) use fit_optics::{OpticsMinimum, explaining_fit, fit_together};
 pub use fitted_optic::FittedOptic;
 pub use fitter::ModalFitter;
 pub use integers::PistonInteger;

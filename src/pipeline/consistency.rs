@@ -56,6 +56,16 @@ pub(super) struct Consistent<'a> {
     pub(super) is_changed: bool,
     /// Sentences on what was converted and which of two values holds.
     pub(super) remarks: Vec<String>,
+    /// Keys of which the file has another value, with that value and a sentence.
+    pub(super) contradictions: Vec<Contradiction>,
+}
+
+/// A key of which the file has another value than the scene.
+#[derive(Debug, Clone)]
+pub(super) struct Contradiction {
+    pub(super) key: String,
+    pub(super) file_value: String,
+    pub(super) sentence: String,
 }
 
 /// Compares `images` with `scene`, and converts them to electrons.
@@ -77,7 +87,7 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
         return Err(Error::Image(format!(
             "the file contradicts the scene: {}; remove the contradiction, or say which of the two holds (estimate --trust \
              scene or --trust file)",
-            comparison.contradictions.join("; ")
+            comparison.contradictions.iter().map(|one| one.sentence.as_str()).collect::<Vec<_>>().join("; ")
         )));
     }
     let read_noise_e = images.read_noise_e.or_else(|| comparison.read_noise_e());
@@ -87,8 +97,8 @@ pub(super) fn reconcile<'a>(images: &'a Images, scene: &Scene) -> Result<Consist
     };
     let electrons =
         Electrons { images_e, bad: Cow::Borrowed(&images.bad), read_noise_e, slopes_mas: images.slopes_mas.as_ref() };
-    let Comparison { scene, is_changed, remarks, .. } = comparison;
-    Ok(Consistent { images: electrons, scene, is_changed, remarks })
+    let Comparison { scene, is_changed, remarks, contradictions, .. } = comparison;
+    Ok(Consistent { images: electrons, scene, is_changed, remarks, contradictions })
 }
 
 struct Comparison<'a> {
@@ -97,7 +107,7 @@ struct Comparison<'a> {
     /// them is no further contradiction.
     scene: Scene,
     is_changed: bool,
-    contradictions: Vec<String>,
+    contradictions: Vec<Contradiction>,
     remarks: Vec<String>,
 }
 
@@ -176,7 +186,9 @@ impl Comparison<'_> {
         if self.is_decided(key) {
             return Ok(());
         }
-        self.contradictions.push(format!("{source} where the scene has {key} = {value}"));
+        let sentence = format!("{source} where the scene has {key} = {value}");
+        let (key_text, file_text) = (key.to_string(), file_value.to_string());
+        self.contradictions.push(Contradiction { key: key_text, file_value: file_text, sentence });
         match self.images.trust {
             Trust::Scene => self.remarks.push(format!("The scene's {key} = {value} holds; {source} was not used.")),
             Trust::File => {

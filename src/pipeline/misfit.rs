@@ -10,7 +10,7 @@ use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
 
 /// Part of the largest value from which a pixel counts as being at the top.
-const TOP: f64 = 0.995;
+pub(super) const TOP: f64 = 0.995;
 /// Fewest pixels at the top of a saturated image: noise and a peak between pixels make one or two.
 const SATURATED_PIXELS: usize = 4;
 /// Part of the excess of χ² that a shape of the residual must explain. The right one explains 95 % or more of companions of 1 and 33 %, of a
@@ -63,6 +63,11 @@ impl Case<'_> {
             },
         };
         Ok(cause.map(|cause| format!("likely cause of the residual of image {}: {cause}", self.image + 1)))
+    }
+
+    /// Residual of the image under the model.
+    pub(super) fn residual(&self, found: &ModalEstimate) -> Option<Residual> {
+        Residual::new(&found.compared, self.model.preparation.native_along(0), self.derivatives(found))
     }
 
     /// Derivatives of the image by the fitted modes, `[mode, pixel]`; none of a model that is too large.
@@ -148,7 +153,7 @@ fn shape(fitted: &FittedImage, native: f64, derivatives: Array2<f64>) -> Option<
 }
 
 /// Several pixels at one largest value, where the model has a peak.
-fn saturation(fitted: &FittedImage, frame_e: ArrayView2<f64>, bad: ArrayView2<bool>) -> Option<String> {
+pub(super) fn saturation(fitted: &FittedImage, frame_e: ArrayView2<f64>, bad: ArrayView2<bool>) -> Option<String> {
     let good = || frame_e.iter().zip(&bad).filter(|(electrons, bad)| !**bad && electrons.is_finite());
     let largest = good().map(|(electrons, _)| *electrons).fold(f64::MIN, f64::max);
     let top = good().filter(|(electrons, _)| **electrons >= TOP * largest).count();

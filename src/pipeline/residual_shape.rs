@@ -18,9 +18,27 @@ const CANDIDATES: usize = 24;
 /// Regularisation of the products of derivatives, whose squares are 1: nearly degenerate modes have eigenvalues of 1e-3.
 const RIDGE: f64 = 1e-9;
 
+/// What makes a shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum ShapeKind {
+    /// A copy of the star: its flux over the star's. Two coordinates and a flux.
+    Companion,
+    /// The square of the signal: its part at the brightest pixel.
+    NonLinearity,
+    /// Second derivatives: RMS of the blur, detector pixels.
+    Blur,
+}
+
 /// A shape of the residual: its share of the excess of χ², and the sentence's end that names it.
 pub(super) struct Shape {
+    pub(super) kind: ShapeKind,
     pub(super) share: f64,
+    /// Its decrease of χ².
+    pub(super) decrease: f64,
+    /// Parameters that were fitted.
+    pub(super) parameters: usize,
+    /// What was found, in the unit of its kind.
+    pub(super) value: f64,
     pub(super) sentence: String,
 }
 
@@ -43,13 +61,10 @@ pub(super) struct Residual {
 
 impl Residual {
     /// The residual of `fitted`, whose model has these `derivatives` by its modes, `[mode, pixel]`, in any unit; the flux and the background
-    /// are added to them. `None` where χ² has no excess.
+    /// are added to them. `None` where they are linearly dependent.
     pub(super) fn new(fitted: &FittedImage, native: f64, derivatives: Array2<f64>) -> Option<Self> {
         let excess = fitted.residual_sigma.iter().filter(|sigma| sigma.is_finite()).map(|sigma| sigma * sigma - 1.0);
         let excess = excess.sum::<f64>() + derivatives.nrows() as f64;
-        if excess <= 0.0 {
-            return None;
-        }
         let floor = fitted.model_e.iter().copied().fold(f64::MAX, f64::min);
         let star_e = fitted.model_e.mapv(|electrons| electrons - floor);
         let residual_e = (&fitted.data_e - &fitted.model_e).mapv(|e| if e.is_finite() { e } else { 0.0 });
@@ -84,8 +99,22 @@ impl Residual {
 
     /// The shape that explains most of the excess.
     pub(super) fn shape(&self) -> Option<Shape> {
-        let shapes = [self.copy_of_star(), self.square_of_signal(), self.blur()];
-        shapes.into_iter().flatten().max_by(|a, b| a.share.total_cmp(&b.share))
+        self.shapes().into_iter().max_by(|a, b| a.share.total_cmp(&b.share))
+    }
+
+    /// All shapes, each fitted alone.
+    pub(super) fn shapes(&self) -> Vec<Shape> {
+        [self.copy_of_star(), self.square_of_signal(), self.blur()].into_iter().flatten().collect()
+    }
+
+    /// χ² less the degrees of freedom.
+    pub(super) fn excess(&self) -> f64 {
+        self.excess
+    }
+
+    /// Decrease of χ² of a share that N columns explain.
+    fn decrease(&self, share: f64, columns: usize) -> f64 {
+        share * self.excess + columns as f64
     }
 
     /// Coefficients of `columns` by least squares, and the share that they explain; `None` where they are linearly dependent.
@@ -110,6 +139,10 @@ impl Residual {
         let (coefficients, share) = self.fit([self.star_e.mapv(|electrons| (electrons / peak_e).powi(2))])?;
         let percent = 100.0 * coefficients[0] / peak_e;
         Some(Shape {
+            kind: ShapeKind::NonLinearity,
+            decrease: self.decrease(share, 1),
+            parameters: 1,
+            value: percent / 100.0,
             share,
             sentence: format!(
                 "{:.0} % of it follows the square of the signal, {percent:+.1} % at the brightest pixel: a non-linear detector; \
@@ -133,6 +166,10 @@ impl Residual {
         // A blur of variance s² along an axis adds half of it times the second derivative.
         let variance = coefficients.iter().sum::<f64>();
         (variance > 0.0).then(|| Shape {
+            kind: ShapeKind::Blur,
+            decrease: self.decrease(share, 2),
+            parameters: 2,
+            value: variance.sqrt() * self.native,
             share,
             sentence: format!(
                 "{:.0} % of it is a blur of {:.2} pixels RMS that the model lacks: the area of the pixels (image.pixel_fill), diffusion \
@@ -174,6 +211,10 @@ impl Residual {
         let (share, contrast, dy, dx) = fitted.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (x, y) = (dx as f64 * self.native, dy as f64 * self.native);
         Some(Shape {
+            kind: ShapeKind::Companion,
+            decrease: self.decrease(share, 1),
+            parameters: 3,
+            value: contrast,
             share,
             sentence: format!(
                 "{:.0} % of it is a copy of the star's image with {contrast:.3} of its flux, {:.0} pixels away ({x:.0} along x, \

@@ -94,7 +94,7 @@ section! {
         /// (image.samples_per_lambda_over_d), "rotation" (pupil.rotation_deg), "defocus"
         /// (image.diversity_focus_waves_rms), "bandwidth" (image.bandwidth_fraction), "pixel-fill"
         /// (image.pixel_fill), "obscuration" (pupil.central_obscuration_m), "spiders" (pupil.spider_width_m),
-        /// "reflectivities" (of each segment).
+        /// "reflectivities" (of each segment), "illumination" (pupil.illumination_x, _y and _edge).
         fit_optics: Vec<Optic>, ANY, default([]);
         /// Model: "auto" adds tip and tilt of each segment, Zernikes to Noll 91 or 210, reflectivities, a spider or a central
         /// obscuration where the scene does not explain the images and one of these does; "scene" adds nothing, nor do

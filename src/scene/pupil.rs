@@ -41,6 +41,13 @@ section! {
         /// Rotation of segments and spider about the axis, counter-clockwise; modes, diversity and mirror are not
         /// rotated.
         rotation_deg: f64, between(-360.0, 360.0), default(0.0);
+        /// Illumination of the pupil, relative to its mean, with X = 2x/grid_m and Y = 2y/grid_m:
+        /// 1 + illumination_x·X + illumination_y·Y + illumination_edge·(2X² + 2Y² − 1). This is its slope along x.
+        illumination_x: f64, between(-0.9, 0.9), default(0.0);
+        /// Slope of the illumination along y.
+        illumination_y: f64, between(-0.9, 0.9), default(0.0);
+        /// Rise of the illumination from the centre to the edge, halved.
+        illumination_edge: f64, between(-0.9, 0.9), default(0.0);
         /// Side of the square pupil grid. λ/D in other keys means λ/grid_m.
         grid_m: Option<f64>, above(0.0, 1000.0), unset("the smallest grid that contains the pupil");
         /// Number of samples along a side of the estimator's pupil grid. A file with at least twice as many is a fine
@@ -158,6 +165,12 @@ impl PupilScene {
             None => return Ok(()),
         };
         Err(reader.error("segment_labels", sentence))
+    }
+
+    /// Slopes along x and y and the rise to the edge of the illumination; `None` for an even one.
+    pub(crate) fn illumination(&self) -> Option<[f64; 3]> {
+        let terms = [self.illumination_x, self.illumination_y, self.illumination_edge];
+        terms.iter().any(|term| *term != 0.0).then_some(terms)
     }
 
     fn check_band(&self, reader: &Reader) -> Result<()> {

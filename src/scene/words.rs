@@ -74,11 +74,14 @@ words! {
         Spiders = "spiders",
         /// Light that each segment reflects.
         Reflectivities = "reflectivities",
+        /// Slopes of the light over the pupil, and its rise from the centre to the edge.
+        Illumination = "illumination",
     }
 }
 
 impl Optic {
-    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene.
+    /// Key of the scene that gives its value; `None` for the reflectivities, which are 1 in every scene, and for the
+    /// illumination, which has several keys.
     pub fn key(&self) -> Option<&'static str> {
         match self {
             Self::PlateScale => Some("image.samples_per_lambda_over_d"),
@@ -88,7 +91,7 @@ impl Optic {
             Self::PixelFill => Some("image.pixel_fill"),
             Self::Obscuration => Some("pupil.central_obscuration_m"),
             Self::Spiders => Some("pupil.spider_width_m"),
-            Self::Reflectivities => None,
+            Self::Reflectivities | Self::Illumination => None,
         }
     }
 }

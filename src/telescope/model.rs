@@ -33,6 +33,8 @@ pub struct Telescope {
     source: PupilSource,
     /// Amplitude that each segment reflects, relative to the mean; empty if all are equal.
     amplitudes: Vec<f64>,
+    /// Slopes along x and y and the rise to the edge of the illumination; `None` for an even one.
+    illumination: Option<[f64; 3]>,
 }
 
 impl Telescope {
@@ -42,6 +44,10 @@ impl Telescope {
     /// [`Error::File`] for a pupil file that cannot be read, [`Error::Value`] or [`Error::Shape`] for an impossible
     /// one.
     pub fn new(scene: &Scene) -> Result<Self> {
+        Ok(Self { illumination: scene.pupil.illumination(), ..Self::evenly_illuminated(scene)? })
+    }
+
+    fn evenly_illuminated(scene: &Scene) -> Result<Self> {
         if scene.purpose() == Purpose::Arrays {
             let name = scene.name();
             return Err(Error::Scene(format!(
@@ -67,7 +73,12 @@ impl Telescope {
             rotation_deg: pupil.rotation_deg,
         })?;
         let grid = Grid::new(pupil.samples, pupil.grid_m.unwrap_or(aperture.width_m()))?;
-        Ok(Self { pupil: aperture.pupil(&grid)?, source: PupilSource::Exact(aperture), amplitudes: Vec::new() })
+        Ok(Self {
+            pupil: aperture.pupil(&grid)?,
+            source: PupilSource::Exact(aperture),
+            amplitudes: Vec::new(),
+            illumination: None,
+        })
     }
 
     fn from_file(scene: &Scene, path: &std::path::Path) -> Result<Self> {
@@ -96,7 +107,7 @@ impl Telescope {
         }
         let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels)?;
         let pupil = binned(&fine, Grid::new(samples, width_m)?)?;
-        Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new() })
+        Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new(), illumination: None })
     }
 
     /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
@@ -106,7 +117,7 @@ impl Telescope {
     pub fn from_maps(width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let grid = Grid::new(even_side(&amplitude)?, width_m)?;
         let pupil = Pupil::from_maps(grid, amplitude, labels)?;
-        Ok(Self { pupil, source: PupilSource::Coarse, amplitudes: Vec::new() })
+        Ok(Self { pupil, source: PupilSource::Coarse, amplitudes: Vec::new(), illumination: None })
     }
 
     /// This telescope with segments that reflect the given amplitudes, in any unit. The amplitudes are scaled so that
@@ -139,11 +150,33 @@ impl Telescope {
         &self.amplitudes
     }
 
-    /// Multiplies `weights` by the amplitude that each segment reflects.
-    fn reflected(&self, mut weights: SegmentWeights) -> SegmentWeights {
+    /// Multiplies `weights` on `grid` by the amplitude that each segment reflects, and by the root of the illumination, which is scaled
+    /// so that the light of the whole pupil does not change.
+    fn reflected(&self, mut weights: SegmentWeights, grid: &Grid) -> SegmentWeights {
         if !self.amplitudes.is_empty() {
             for (weight, &segment) in weights.weight.iter_mut().zip(&weights.segment) {
                 *weight *= self.amplitudes[segment as usize];
+            }
+        }
+        if let Some([slope_x, slope_y, edge]) = self.illumination {
+            let half_m = 0.5 * self.pupil.grid.width_m();
+            let light = |cell: usize| {
+                let [x, y] = [cell % grid.samples(), cell / grid.samples()].map(|at| grid.coordinate_m(at) / half_m);
+                // Beyond the edge, and for slopes that exceed it, there is no negative light.
+                (1.0 + slope_x * x + slope_y * y + edge * (2.0 * (x * x + y * y) - 1.0)).max(0.0)
+            };
+            let squares = weights.rows().map(|(cell, _, own)| (light(cell), own.iter().sum::<f64>().powi(2)));
+            let (with, without) = squares.fold((0.0, 0.0), |(a, b), (light, square)| (a + light * square, b + square));
+            let scale = if with > 0.0 { without / with } else { 0.0 };
+            let ends: Vec<(usize, std::ops::Range<usize>)> = weights
+                .illuminated
+                .iter()
+                .zip(weights.offsets.windows(2))
+                .map(|(&cell, ends)| (cell as usize, ends[0] as usize..ends[1] as usize))
+                .collect();
+            for (cell, entries) in ends {
+                let root = (scale * light(cell)).sqrt();
+                weights.weight[entries].iter_mut().for_each(|weight| *weight *= root);
             }
         }
         weights
@@ -217,12 +250,12 @@ impl Telescope {
             PupilSource::Exact(aperture) => SegmentWeights::area(aperture, &grid)?,
             _ => SegmentWeights::hard(&self.pupil_on(grid)?),
         };
-        Ok(self.reflected(weights))
+        Ok(self.reflected(weights, &grid))
     }
 
     /// Weights on the scene's grid by the owner of each sample.
     pub fn hard_weights(&self) -> SegmentWeights {
-        self.reflected(SegmentWeights::hard(&self.pupil))
+        self.reflected(SegmentWeights::hard(&self.pupil), &self.pupil.grid)
     }
 
     /// Low-passed weights on `grid`.
@@ -239,7 +272,7 @@ impl Telescope {
                 ));
             }
         };
-        Ok(self.reflected(weights))
+        Ok(self.reflected(weights, &grid))
     }
 
     /// Influence functions of the scene's mirror that overlap this pupil.

@@ -8,6 +8,7 @@
 mod artificial_source;
 mod beyond;
 mod channels;
+mod checks;
 mod diversity;
 pub mod figures;
 mod hard_cases;
@@ -25,6 +26,7 @@ mod target;
 pub use artificial_source::{ArtificialSource, WayResult, artificial_source};
 pub use beyond::{BEYOND_ROWS, Beyond, BeyondDraw, BeyondRow, HeldMap, beyond, beyond_rows, held_maps};
 pub use channels::{CHANNEL_ROWS, ChannelDraw, ChannelRow, ChannelTable, channels};
+pub use checks::{CHECK_ROWS, CheckDraw, CheckRow, Checks, checks};
 pub use diversity::{Diversity, DiversityPoint, diversity};
 pub use hard_cases::{Draws, HARD_CASES, HardCase, HardCases, Mismatch, Spoil, Verdict, hard_cases};
 pub use observations::{Observations, PlannedScene, observations};

@@ -3,8 +3,8 @@
 use super::figures::{self, LeakCase};
 use super::on_sky_table::all_rows;
 use super::{
-    ChannelRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows, channels,
-    diversity, hard_cases, image_numbers, observations, on_sky, pulls, samples,
+    ChannelRow, CheckRow, HardCase, Options, Progress, PullRow, Report, artificial_source, beyond, beyond_rows,
+    channels, checks, diversity, hard_cases, image_numbers, observations, on_sky, pulls, samples,
 };
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
@@ -40,13 +40,15 @@ pub enum Target {
     Pulls,
     /// Several images of one wavefront: pairs and colours.
     Channels,
+    /// One planted fault each: is the right cause named first?
+    Checks,
     /// Observations that were planned.
     Observations,
 }
 
 impl Target {
     /// All of them.
-    pub const ALL: [Target; 15] = [
+    pub const ALL: [Target; 16] = [
         Target::ArtificialSource,
         Target::Samples,
         Target::Diversity,
@@ -61,6 +63,7 @@ impl Target {
         Target::HardCases,
         Target::Pulls,
         Target::Channels,
+        Target::Checks,
         Target::Observations,
     ];
 
@@ -84,6 +87,7 @@ impl Target {
             Target::HardCases => "hard-cases",
             Target::Pulls => "pulls",
             Target::Channels => "channels",
+            Target::Checks => "checks",
             Target::Observations => "observations",
         }
     }
@@ -111,6 +115,7 @@ impl Target {
                 "residual over error bar against brightness and number of images: are the error bars right?"
             }
             Target::Channels => "pairs of defocused images, two colours: residuals, error bars, whole wavelengths",
+            Target::Checks => "one planted fault each: does 'cophase check' name the right cause first?",
             Target::Observations => "observations as planned: expected and measured errors of 20 random scenes",
         }
     }
@@ -121,7 +126,7 @@ impl Target {
     pub fn default_seeds(self) -> usize {
         match self {
             Target::ArtificialSource | Target::Pulls | Target::Channels => 24,
-            Target::Samples | Target::HardCases | Target::Observations => 8,
+            Target::Samples | Target::HardCases | Target::Observations | Target::Checks => 8,
             Target::Diversity => 6,
             Target::Table | Target::Images => 3,
             // Half a minute each on two cores; --seeds 10 goes on from there.
@@ -184,6 +189,7 @@ impl Target {
             Target::Channels => {
                 channels(&ChannelRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory)
             }
+            Target::Checks => checks(&CheckRow::named(&options.rows)?, seeds, &progress)?.report(&options.directory),
             Target::Observations => observations(seeds, &progress)?.report(&options.directory),
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;

@@ -4,6 +4,7 @@
 //! (stopped by Ctrl-C, as shells count it).
 
 mod bench;
+mod check;
 mod check_orientation;
 mod compare;
 mod demo;
@@ -59,6 +60,7 @@ enum Verb {
     Estimate(estimate::Arguments),
     Plan(plan::Arguments),
     Compare(compare::Arguments),
+    Check(check::Arguments),
     CheckOrientation(check_orientation::Arguments),
     Devices(devices::Arguments),
     Demo(demo::Arguments),
@@ -80,6 +82,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Estimate(arguments) => return estimate::run(arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
+        Verb::Check(arguments) => check::run(&arguments, &terminal),
         Verb::CheckOrientation(arguments) => check_orientation::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),

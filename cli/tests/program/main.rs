@@ -3,6 +3,7 @@
 mod bad_input;
 mod bench;
 mod channels;
+mod check;
 mod commands;
 mod compressed;
 mod drivers;

@@ -170,6 +170,15 @@ fn a_poked_segment_shows_a_flip_and_the_key_to_set() {
     let set = ["--segment", "1", "--set", "image.flip_x=true"];
     let done = desk.succeeds(&[&check[..], &set].concat());
     assert!(done.out.contains("The scene has the orientation of the images."), "{}", done.out);
+    // The check of scene and images finds the same.
+    let whole =
+        ["check", "new.fits", "--before", "old.fits", "--poke-nm", "150", "--scene", "scene.toml", "--segment", "1"];
+    let json = desk.json(&[&whole[..], &["--json"]].concat());
+    assert_eq!(
+        (&json["cause"], &json["settings"]),
+        (&"orientation".into(), &serde_json::json!({"image.flip_x": "true"})),
+        "{json}"
+    );
     desk.refuses(&[&check[..], &["--segment", "0"]].concat(), &["do not show the poke of segment 0"]);
     desk.refuses(&[&check[..], &["--segment", "7"]].concat(), &["segment 7", "0 to 6"]);
     assert_eq!(desk.run(&check).status, 2);

@@ -18,6 +18,8 @@ const MIN_IDENTIFIABLE_SHARE: f64 = 1e-5;
 pub(super) struct Iteration {
     /// Median reduced χ² of the images.
     pub(super) reduced_chi2: f64,
+    /// Pixels with a weight, of all images.
+    pub(super) pixels: usize,
     /// By how much the step would lower it if the images depended linearly on the parameters.
     pub(super) expected_drop: f64,
     /// Step of each parameter.
@@ -152,6 +154,7 @@ impl NormalEquations {
         let expected_drop = drop / self.pixels.max(1) as f64;
         Ok(Iteration {
             reduced_chi2,
+            pixels: self.pixels,
             expected_drop,
             step,
             sigma,

@@ -14,6 +14,8 @@ const FILL_STEP: f64 = 0.03;
 const OBSCURATION_STEP: f64 = 2e-3;
 /// Step of the spider's width, m.
 const SPIDER_STEP_M: f64 = 1e-3;
+/// Step of a term of the illumination: as that of an amplitude.
+const ILLUMINATION_STEP: f64 = 0.02;
 /// Step of a segment's amplitude.
 const AMPLITUDE_STEP: f64 = 0.01;
 
@@ -71,9 +73,22 @@ fn starts_of(scene: &Scene, recipe: &Recipe, optic: Optic) -> Result<Vec<Start>>
         Optic::PixelFill if image.pixel_fill == 0.0 => return missing("a detector whose pixels are points"),
         Optic::PixelFill => (image.pixel_fill, FILL_STEP.min(0.5 * image.pixel_fill)),
         Optic::Reflectivities => return amplitudes(scene, recipe, &missing),
+        Optic::Illumination => return Ok(illumination(scene)),
     };
     let Some(key) = optic.key() else { return Err(Error::Internal(format!("{} has no key", optic.word()))) };
     Ok(vec![Start { parameter: Parameter::Number(optic, key), value, step }])
+}
+
+fn illumination(scene: &Scene) -> Vec<Start> {
+    let pupil = &scene.pupil;
+    let terms = [
+        ("pupil.illumination_x", pupil.illumination_x),
+        ("pupil.illumination_y", pupil.illumination_y),
+        ("pupil.illumination_edge", pupil.illumination_edge),
+    ];
+    let start =
+        |(key, value)| Start { parameter: Parameter::Number(Optic::Illumination, key), value, step: ILLUMINATION_STEP };
+    terms.map(start).to_vec()
 }
 
 fn amplitudes(scene: &Scene, recipe: &Recipe, missing: &dyn Fn(&str) -> Result<Vec<Start>>) -> Result<Vec<Start>> {

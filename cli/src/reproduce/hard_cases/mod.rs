@@ -11,6 +11,7 @@ mod verdict;
 pub(super) use cases::BASE;
 pub use cases::{Draws, HARD_CASES, HardCase};
 pub use spoil::{Mismatch, Spoil};
+pub(super) use spoil::{flipped, made};
 pub use verdict::Verdict;
 
 use super::Progress;

@@ -77,16 +77,16 @@ pub enum Spoil {
 }
 
 /// Images with what is behind them.
-pub(super) struct Made {
+pub(in crate::reproduce) struct Made {
     /// Electrons, `[image, y, x]`.
-    pub(super) images_e: Array3<f64>,
-    pub(super) truth: Truth,
+    pub(in crate::reproduce) images_e: Array3<f64>,
+    pub(in crate::reproduce) truth: Truth,
     /// Axis along which the images are flipped.
-    pub(super) flip: Option<Axis>,
+    pub(in crate::reproduce) flip: Option<Axis>,
 }
 
 /// Makes the images of `scene` and spoils them. One seed is one image, or one sequence.
-pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
+pub(in crate::reproduce) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
     let telescope = Telescope::new(scene)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
     let mut truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
@@ -126,7 +126,7 @@ pub(super) fn made(scene: &Scene, spoil: Spoil) -> Result<Made> {
 }
 
 /// The frames flipped along `axis` about the optical axis, which is on pixel N/2: the first line has no counterpart.
-pub(super) fn flipped<D: RemoveAxis>(frames: &Array<f64, D>, axis: Axis) -> Array<f64, D> {
+pub(in crate::reproduce) fn flipped<D: RemoveAxis>(frames: &Array<f64, D>, axis: Axis) -> Array<f64, D> {
     let n = frames.len_of(axis);
     let sources: Vec<usize> = (0..n).map(|at| (n - at) % n).collect();
     frames.select(axis, &sources)

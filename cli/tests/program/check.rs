@@ -1,0 +1,97 @@
+//! `cophase check`: planted faults are named, with the key to set, and nothing is named where there is none.
+
+use crate::Desk;
+use cophase::io::{FitsReader, FitsWriter, Pixel};
+use serde_json::Value;
+
+/// A grid that holds the pupil at every rotation, with enough samples for the model's own error to be below the noise.
+const SET: [&str; 3] = ["pupil.grid_m=5.2", "pupil.samples=128", "image.peak_snr=150"];
+
+/// A desk with `images.fits`, made with `planted`, and `bare.fits`, the images alone without their scene; `scene.toml` has what the
+/// scene says.
+fn desk(planted: &[&str]) -> Desk {
+    let desk = Desk::with_images(&[&SET, planted].concat());
+    strip(&desk);
+    desk
+}
+
+fn strip(desk: &Desk) {
+    let mut file = FitsReader::open(desk.path("images.fits")).unwrap();
+    let images = file.cube("IMAGES").unwrap();
+    let mut copy = FitsWriter::create(desk.path("bare.fits")).unwrap();
+    copy.image("IMAGES", &images, Pixel::F64, "electron").unwrap();
+    copy.finish().unwrap();
+}
+
+fn check<'a>(images: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    let mut arguments = vec!["check", images, "--scene", "scene.toml"];
+    arguments.extend(SET.iter().flat_map(|setting| ["--set", setting]));
+    arguments.extend(more);
+    arguments
+}
+
+fn finding<'a>(json: &'a Value, quantity: &str) -> &'a Value {
+    let all = json["findings"].as_array().unwrap();
+    all.iter().find(|one| one["quantity"] == quantity).unwrap_or_else(|| panic!("{quantity}: {json}"))
+}
+
+#[test]
+fn nothing_is_named_where_there_is_no_fault() {
+    let desk = desk(&[]);
+    let json = desk.json(&check("bare.fits", &["--json"]));
+    assert_eq!(json["cause"], Value::Null, "{json}");
+    // A pupil that equals its mirror images determines neither.
+    for quantity in ["orientation", "sign of the defocus", "defocus"] {
+        assert_eq!(finding(&json, quantity)["verdict"], "not determined", "{json}");
+    }
+    let scale = finding(&json, "plate scale or wavelength");
+    let [scene, found, sigma] = ["scene", "found", "sigma"].map(|key| scale[key].as_f64().unwrap());
+    // Five standard deviations, and the model's own error of a thousandth.
+    assert!((found - scene).abs() < 5.0 * sigma + 2e-3 * scene && sigma < 0.01 * scene, "{json}");
+}
+
+#[test]
+fn a_wrong_plate_scale_is_named_and_corrected() {
+    let desk = desk(&["image.samples_per_lambda_over_d=2.05"]);
+    let more = ["--json", "--plot", "check.png", "--write", "corrected.toml"];
+    let json = desk.json(&check("bare.fits", &more));
+    assert_eq!(json["cause"], "plate scale or wavelength", "{json}");
+    let value: f64 = json["settings"]["image.samples_per_lambda_over_d"].as_str().unwrap().parse().unwrap();
+    assert!((value - 2.05).abs() < 0.005, "{json}");
+    assert!(json["reduced_chi2_corrected"].as_f64() < json["reduced_chi2"].as_f64(), "{json}");
+    assert!(desk.path("check.png").exists());
+    let again = desk.json(&["check", "bare.fits", "--scene", "corrected.toml", "--json"]);
+    assert_eq!(again["cause"], Value::Null, "{again}");
+    // The scene in the file of the images has the plate scale that they show.
+    let json = desk.json(&check("images.fits", &["--json"]));
+    assert_eq!(json["cause"], "plate scale", "{json}");
+    let done = desk.succeeds(&check("images.fits", &[]));
+    assert!(
+        done.out.contains("table SCENE has") && done.out.contains("set image.samples_per_lambda_over_d"),
+        "{}",
+        done.out
+    );
+}
+
+#[test]
+fn a_gradient_of_the_light_is_named() {
+    let desk = desk(&["pupil.illumination_x=0.15"]);
+    let json = desk.json(&check("bare.fits", &["--json"]));
+    assert_eq!(json["cause"], "illumination", "{json}");
+    let value: f64 = json["settings"]["pupil.illumination_x"].as_str().unwrap().parse().unwrap();
+    // The sign is that of the scene's coordinates; a fifth of the slope covers noise and the modes' part in it.
+    assert!((value - 0.15).abs() < 0.03, "{json}");
+}
+
+#[test]
+fn saturated_pixels_are_named() {
+    let desk = desk(&[]);
+    desk.edit_images("images.fits", "clipped.fits", |images| {
+        let peak = images.iter().copied().fold(0.0, f64::max);
+        images.mapv_inplace(|electrons| electrons.min(0.5 * peak));
+    });
+    let json = desk.json(&check("clipped.fits", &["--json"]));
+    assert_eq!(json["cause"], "saturation", "{json}");
+    desk.refuses(&check("clipped.fits", &["--plot", "check.gif"]), &["check.gif", ".png or .svg"]);
+    assert_eq!(desk.run(&check("clipped.fits", &["--before", "images.fits"])).status, 2);
+}

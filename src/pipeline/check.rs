@@ -1,0 +1,429 @@
+//! Check of scene and images before an estimate is believed: what was looked for, what was found, and the key to set.
+//!
+//! Causes compete by Schwarz's criterion, as models do in `model_selection`: a cause of k parameters that lowers χ² by Δχ² gains
+//! Δχ²/s − k ln N with N pixels, where s, at least 1, is the smallest reduced χ² of all causes: where no model is exact, χ² counts in units
+//! of what the best one leaves. A cause is a fault where its gain is positive, and the first is the one with the largest gain. For one
+//! parameter and 10⁴ pixels it must be 3σ away.
+//!
+//! A defocused image of one wavelength does not determine everything:
+//!
+//! * The pixel's angle, the wavelength and the size of the pupil act through pixels per λ/D alone, and through the defocus in waves, which
+//!   the modes reproduce. One of them cannot be told from the others unless a card of the file states it.
+//! * The amplitude of the defocus is that of a mode.
+//! * Flips, turns and the sign of the defocus: see `turns`.
+
+mod finding;
+mod optics;
+mod turns;
+
+pub use finding::{CheckedQuantity, Finding, Verdict};
+
+use super::consistency::{Contradiction, Electrons, reconcile};
+use super::control::{Control, Stage};
+use super::images::{Images, Trust};
+use super::misfit::{self, TOP};
+use super::modal_task::{Fitted, ModalTask};
+use super::orientation::Poke;
+use super::policy::Policy;
+use super::residual_shape::{Shape, ShapeKind};
+use crate::io::Quantity as Card;
+use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, OpticsMinimum};
+use crate::scene::{Optic, Scene};
+use crate::{Error, Result};
+use ndarray::Axis;
+use std::borrow::Cow;
+
+/// Images that are looked at, evenly from a sequence.
+const MAX_IMAGES: usize = 6;
+/// Part of the excess of χ² that a shape of the residual must explain where there is a misfit: see `misfit`.
+const EXPLAINED_BY_SHAPE: f64 = 0.5;
+/// Excess of χ² from which there is a misfit, in standard deviations of χ².
+const MISFIT_SIGMA: f64 = 5.0;
+/// Largest part of χ² beyond 1 that the right orientation leaves.
+const LEFT_BY_TURN: f64 = 0.1;
+
+/// What a check found.
+#[derive(Debug, Clone)]
+pub struct Check {
+    /// Findings: faults first, the likeliest cause before the others; then what agrees, then what these images do not determine.
+    pub findings: Vec<Finding>,
+    /// Median reduced χ² of the images with the scene, and with the settings of the first fault where it has some.
+    pub reduced_chi2: [f64; 2],
+    /// The first image with the scene's model, and with that of the settings of the first fault.
+    pub compared: (FittedImage, Option<FittedImage>),
+    /// The scene with the settings of the first fault.
+    pub corrected: Scene,
+}
+
+impl Check {
+    /// The likeliest cause; `None` where scene and images agree.
+    pub fn cause(&self) -> Option<&Finding> {
+        self.findings.first().filter(|finding| finding.verdict == Verdict::Fault)
+    }
+}
+
+/// Checks `images` of a static wavefront against `scene`. `poke` is a known change of the wavefront, with the images before it: `images` are
+/// then those behind it.
+///
+/// # Errors
+/// Those of [`Estimator::estimate`](super::Estimator::estimate), except that a file that contradicts the scene is a finding;
+/// [`Error::Scene`] for a scene with channels.
+pub fn check(
+    scene: &Scene,
+    images: &Images,
+    poke: Option<(Option<&Images>, Poke)>,
+    control: &Control,
+) -> Result<Check> {
+    scene.refuse_channels("a check of images")?;
+    images.check()?;
+    control.reset_progress();
+    let (images, _) = images.without_odd_edge(scene.image.frame_shape());
+    let trusting = Images { trust: Trust::Scene, ..images.into_owned() };
+    let mut settings = vec![("estimate.fit_optics", "[]"), ("estimate.method", "modal"), ("estimate.model", "scene")];
+    if scene.estimate.budget_nm.is_some() {
+        settings.push(("estimate.budget_nm", ""));
+    }
+    let plain = scene.with(&settings)?;
+    let consistent = reconcile(&trusting, &plain)?;
+    let mut work = Work {
+        images: selected(&consistent.images),
+        policy: Policy { select_model: false, ..Policy::default() },
+        control,
+        contradictions: consistent.contradictions,
+        has_wavelength: trusting.facts.iter().any(|fact| fact.quantity == Card::WavelengthNm),
+    };
+    let before = poke.and_then(|(before, _)| before).map(|before| Images { trust: Trust::Scene, ..before.clone() });
+    let found = work.run(scene, &plain, poke.map(|(_, poke)| (before.as_ref(), &trusting, poke)));
+    control.enter(Stage::Idle, 0);
+    found.inspect_err(|error| {
+        if matches!(error, Error::Interrupted(_)) {
+            control.acknowledge();
+        }
+    })
+}
+
+/// Up to [`MAX_IMAGES`] images, evenly from all.
+fn selected(images: &Electrons) -> Electrons<'static> {
+    let (count, fewer) = (images.len(), MAX_IMAGES.min(images.len()));
+    let at: Vec<usize> = (0..fewer).map(|i| (2 * i + 1) * count / (2 * fewer)).collect();
+    Electrons {
+        images_e: Cow::Owned(images.images_e.select(Axis(0), &at)),
+        bad: Cow::Owned(images.bad.select(Axis(0), &at)),
+        read_noise_e: images.read_noise_e,
+        slopes_mas: None,
+    }
+}
+
+struct Work<'a> {
+    images: Electrons<'a>,
+    policy: Policy,
+    control: &'a Control,
+    contradictions: Vec<Contradiction>,
+    has_wavelength: bool,
+}
+
+impl Work<'_> {
+    fn fit(&self, scene: &Scene, cache: &BasisCache) -> Result<Fitted> {
+        let (policy, control) = (&self.policy, self.control);
+        ModalTask { scene, policy, control, cache, images: &self.images }.fit()
+    }
+
+    /// Checks the images against `given`, the scene `own` without what only an estimate does.
+    fn run(&mut self, own: &Scene, given: &Scene, poke: Option<(Option<&Images>, &Images, Poke)>) -> Result<Check> {
+        let cache = BasisCache::default();
+        let mut fitted = self.fit(given, &cache)?;
+        let (first_chi2, first) = (chi2_of(&fitted), fitted.fit.1.compared.clone());
+        let mut findings = Vec::new();
+        findings.push(self.saturation(given, &cache, &mut fitted)?);
+        let (mut scene, mut orientation) = (given.clone(), self.turned(given, &mut fitted)?);
+        for fault in orientation.iter().filter(|finding| finding.verdict == Verdict::Fault) {
+            scene = with(&scene, &fault.settings)?;
+        }
+        if let Some((before, after, poke)) = poke {
+            let [turn, sign] = turns::of_poke(&scene, (before, after), poke, self.control)?;
+            for one in [turn, sign] {
+                scene = with(&scene, &one.settings)?;
+                let place = orientation.iter().position(|known| known.quantity == one.quantity);
+                match place.map(|place| &mut orientation[place]) {
+                    // Flips beside a turn that the images show alone.
+                    Some(known) if known.verdict == Verdict::Fault => {
+                        known.settings.extend(one.settings);
+                        known.explanation += &format!("; {}", one.explanation);
+                    }
+                    Some(known) => *known = one,
+                    None => orientation.push(one),
+                }
+            }
+            if orientation.iter().any(|finding| finding.verdict == Verdict::Fault) {
+                fitted = self.fit(&scene, &cache.for_scene(given, &scene))?;
+            }
+        }
+        findings.extend(orientation);
+        findings.extend(self.optics_and_shapes(&scene, &cache.for_scene(given, &scene), &fitted)?);
+        findings.extend(photometry(&scene, &fitted)?);
+        for one in &self.contradictions {
+            let settings = vec![(one.key.clone(), one.file_value.clone())];
+            findings.push(Finding {
+                settings,
+                ..Finding::new(CheckedQuantity::Header, Verdict::Fault, one.sentence.as_str())
+            });
+        }
+        sort(&mut findings);
+        let settings = findings.first().map(|finding| finding.settings.clone()).unwrap_or_default();
+        let mut corrected = None;
+        if !settings.is_empty() {
+            let scene = with(given, &settings)?;
+            let again = self.fit(&scene, &cache.for_scene(given, &scene))?;
+            corrected = Some((chi2_of(&again), again.fit.1.compared));
+        }
+        let last_chi2 = corrected.as_ref().map_or(first_chi2, |(chi2, _)| *chi2);
+        let compared = (first, corrected.map(|(_, image)| image));
+        Ok(Check { findings, reduced_chi2: [first_chi2, last_chi2], compared, corrected: with(own, &settings)? })
+    }
+
+    /// Saturated pixels; they are bad from then on.
+    fn saturation(&mut self, scene: &Scene, cache: &BasisCache, fitted: &mut Fitted) -> Result<Finding> {
+        let image = fitted.fit.1.used_images.first().copied().unwrap_or_default();
+        let frame_e = self.images.images_e.index_axis(Axis(0), image);
+        let Some(sentence) =
+            misfit::saturation(&fitted.fit.1.compared, frame_e, self.images.bad.index_axis(Axis(0), image))
+        else {
+            return Ok(Finding::new(
+                CheckedQuantity::Saturation,
+                Verdict::Agrees,
+                "one peak, no plateau of largest values",
+            ));
+        };
+        let mut bad = self.images.bad.to_owned().into_owned();
+        for (frame_e, mut marks) in self.images.images_e.outer_iter().zip(bad.outer_iter_mut()) {
+            let good = frame_e.iter().zip(&marks).filter(|(_, bad)| !**bad).map(|(e, _)| *e);
+            let largest = good.fold(f64::MIN, f64::max);
+            marks.zip_mut_with(&frame_e, |bad, e| *bad |= *e >= TOP * largest);
+        }
+        self.images.bad = Cow::Owned(bad);
+        let before = chi2_of(fitted);
+        *fitted = self.fit(scene, cache)?;
+        let pixels = pixels_of(fitted);
+        let gain = ((before - chi2_of(fitted)) * pixels).max(0.0) / chi2_of(fitted).max(1.0);
+        Ok(Finding { gain, ..Finding::new(CheckedQuantity::Saturation, Verdict::Fault, sentence) })
+    }
+
+    /// Orientation and sign of the defocus, as far as the pupil's shape shows them; `fitted` becomes the fit of the right one.
+    fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<Vec<Finding>> {
+        let (turns, hidden) = turns::turns(scene)?;
+        let has_sign = turns.iter().any(|turn| turn.quantity == CheckedQuantity::DefocusSign);
+        let mut findings = Vec::new();
+        let own_chi2 = chi2_of(fitted);
+        if !fitted.is_explained() && own_chi2 > 1.0 {
+            for turn in &turns {
+                let other = with(scene, &turn.settings)?;
+                // A new basis: that of the cache belongs to the scene's rotation.
+                let Ok(again) = self.fit(&other, &BasisCache::default()) else { continue };
+                let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
+                if (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0) {
+                    findings.push(Finding {
+                        gain: (own_chi2 - chi2) * pixels / chi2.max(1.0),
+                        settings: turn.settings.clone(),
+                        ..Finding::new(
+                            turn.quantity,
+                            Verdict::Fault,
+                            format!(
+                                "{} explains the images: reduced χ² {chi2:.2} in place of {own_chi2:.1}",
+                                turn.name
+                            ),
+                        )
+                    });
+                    *fitted = again;
+                    break;
+                }
+            }
+        }
+        let lacks = |quantity: CheckedQuantity| !findings.iter().any(|finding: &Finding| finding.quantity == quantity);
+        let mut rest = Vec::new();
+        if lacks(CheckedQuantity::Orientation) {
+            rest.push(if hidden.is_empty() {
+                Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
+            } else {
+                let hidden = hidden.join(", ");
+                Finding::open(
+                    CheckedQuantity::Orientation,
+                    format!("the pupil does not distinguish {hidden}: a known poke of a segment or actuator does"),
+                )
+            });
+        }
+        if lacks(CheckedQuantity::DefocusSign) {
+            rest.push(if has_sign {
+                Finding::new(CheckedQuantity::DefocusSign, Verdict::Agrees, "the pupil's shape shows it")
+            } else {
+                Finding::open(
+                    CheckedQuantity::DefocusSign,
+                    "the opposite sign, with the wavefront −W(−x, −y), gives the same images: a known poke of a segment or actuator \
+                     shows it",
+                )
+            });
+        }
+        findings.extend(rest);
+        Ok(findings)
+    }
+
+    /// Optical parameters, fitted together, and shapes of the residual.
+    fn optics_and_shapes(&mut self, scene: &Scene, cache: &BasisCache, fitted: &Fitted) -> Result<Vec<Finding>> {
+        let mut parameters = optics::parameters(scene);
+        let mut minimum = self.minimum(scene, cache, &parameters)?;
+        if minimum.is_none() && parameters.contains(&Optic::Rotation) {
+            // A turned pupil may be larger than its grid.
+            parameters.retain(|optic| *optic != Optic::Rotation);
+            minimum = self.minimum(scene, cache, &parameters)?;
+        }
+        let own_chi2 = chi2_of(fitted);
+        let best_chi2 = minimum.as_ref().map_or(own_chi2, |minimum| own_chi2.min(minimum.reduced_chi2[1]));
+        let (excess, shapes) = self.shapes(fitted)?;
+        let pixels = pixels_of(fitted);
+        let is_misfit = excess > MISFIT_SIGMA * (2.0 * pixels).sqrt();
+        // What the best shape leaves.
+        let left_by_shape =
+            shapes.iter().map(|shape| 1.0 + (excess - shape.decrease) / pixels).fold(own_chi2, f64::min);
+        let scale = best_chi2.min(left_by_shape).max(1.0);
+        let mut findings = Vec::new();
+        if let Some(minimum) = &minimum {
+            let [own, least] = minimum.reduced_chi2;
+            let is_explained = !is_misfit || (least - 1.0).max(0.0) < optics::MOST_LEFT * (own - 1.0);
+            findings = optics::findings(&parameters, minimum, scale, is_explained);
+            if let Some(first) = findings.first_mut() {
+                optics::with_header(first, scene, self.has_wavelength, &mut self.contradictions);
+            }
+        } else {
+            findings.push(Finding::open(
+                CheckedQuantity::PlateScaleOrWavelength,
+                "the fit of plate scale and illumination does not converge: their values are far from the scene's, or \
+                 something else is wrong",
+            ));
+        }
+        if scene.pupil.extent_m().is_some() && !parameters.contains(&Optic::Rotation) {
+            findings.push(Finding::open(
+                CheckedQuantity::Rotation,
+                "its fit does not converge, or the turned pupil is larger than pupil.grid_m: give a wider grid",
+            ));
+        }
+        let log_pixels = pixels.max(2.0).ln();
+        for shape in shapes {
+            let gain = shape.decrease / scale - shape.parameters as f64 * log_pixels;
+            let is_fault = gain > 0.0 && (!is_misfit || shape.share > EXPLAINED_BY_SHAPE);
+            findings.push(shape_finding(&shape, gain, is_fault));
+        }
+        if is_misfit && !findings.iter().any(|finding| finding.verdict == Verdict::Fault) {
+            let status = fitted.fit.1.status().kind();
+            if status != ImageStatus::Ok || own_chi2 > 2.0 {
+                findings.push(Finding::new(
+                    CheckedQuantity::Unexplained,
+                    Verdict::Fault,
+                    format!(
+                        "a reduced χ² of {own_chi2:.2} that none of these explains: 'cophase estimate' tries tilts of the segments, more \
+                         NCPA and reflectivities"
+                    ),
+                ));
+            }
+        }
+        Ok(findings)
+    }
+
+    /// Minimum of `parameters` and the modes; `None` where the fit does not converge or leads to values that the scene does not accept.
+    fn minimum(&self, scene: &Scene, cache: &BasisCache, parameters: &[Optic]) -> Result<Option<OpticsMinimum>> {
+        // A scene without weights fits no optics.
+        let Ok(fitting) = scene.with(&[("estimate.fit_optics", &optics::listed(parameters))]) else { return Ok(None) };
+        let images = &self.images;
+        let cube = Cube { images_e: images.images_e.view(), bad: images.bad.view(), read_noise_e: images.read_noise_e };
+        let flag = Some(self.control.flag());
+        match modal::fit_together(&fitting, &self.policy.recipe(scene), cache, cube, flag) {
+            Ok(minimum) => Ok(Some(minimum)),
+            Err(error @ Error::Interrupted(_)) => Err(error),
+            Err(_) => Ok(None),
+        }
+    }
+
+    /// Excess of χ² of the first image that is used, and the shapes of its residual.
+    fn shapes(&self, fitted: &Fitted) -> Result<(f64, Vec<Shape>)> {
+        let (fitter, found) = &fitted.fit;
+        let image = found.used_images.first().copied().unwrap_or_default();
+        let diversity = fitter.diversity_projection()?;
+        let cache = BasisCache::default();
+        let (scene, policy, control) = (fitter.scene(), &self.policy, self.control);
+        let task = ModalTask { scene, policy, control, cache: &cache, images: &self.images };
+        let (model, chain) = (fitter.model(), fitter.reference_chain());
+        let case = misfit::Case { task, image, model, chain, diversity: &diversity };
+        Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))
+    }
+}
+
+/// Faults first, those with the largest gain before the others; then what agrees, then what is not determined.
+fn sort(findings: &mut [Finding]) {
+    let rank = |finding: &Finding| match finding.verdict {
+        Verdict::Fault => 0,
+        Verdict::Agrees => 1,
+        Verdict::NotDetermined => 2,
+    };
+    findings.sort_by(|a, b| {
+        let gains = if rank(a) == 0 { b.gain.total_cmp(&a.gain) } else { std::cmp::Ordering::Equal };
+        rank(a).cmp(&rank(b)).then(gains)
+    });
+}
+
+/// Finding of a shape of the residual.
+fn shape_finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
+    let quantity = match shape.kind {
+        ShapeKind::Companion => CheckedQuantity::Companion,
+        ShapeKind::NonLinearity => CheckedQuantity::NonLinearity,
+        ShapeKind::Blur => CheckedQuantity::Blur,
+    };
+    let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
+    let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
+    // Of a linear coefficient, whose square over its variance is the decrease.
+    let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
+    let (found, sigma) = (Some(shape.value), sigma.is_finite().then_some(sigma));
+    Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
+}
+
+/// Sampling, background and amplitude of the defocus, as the fit has them.
+fn photometry(scene: &Scene, fitted: &Fitted) -> Result<Vec<Finding>> {
+    let (fitter, found) = &fitted.fit;
+    let mut findings = Vec::new();
+    let sampling = scene.image.samples_per_lambda_over_d;
+    let (verdict, text) = if sampling < 2.0 {
+        (Verdict::NotDetermined, "fewer than 2 pixels per λ/D: the images do not hold all frequencies")
+    } else {
+        (Verdict::Agrees, "2 pixels per λ/D hold all frequencies of an image")
+    };
+    findings.push(Finding { scene: Some(sampling), ..Finding::new(CheckedQuantity::Sampling, verdict, text) });
+    if let Some(report) = found.used_images.first().and_then(|&image| found.images.get(image)) {
+        findings.push(Finding {
+            scene: Some(scene.image.background_e),
+            found: Some(report.background_e),
+            ..Finding::new(CheckedQuantity::Background, Verdict::Agrees, "electrons of a pixel; an estimate fits it")
+        });
+    }
+    let diversity = fitter.diversity_projection()?;
+    if diversity.is_spanned() && scene.image.diversity_focus_waves_rms != 0.0 {
+        findings.push(Finding {
+            scene: Some(scene.image.diversity_focus_waves_rms),
+            ..Finding::open(
+                CheckedQuantity::Defocus,
+                "the NCPA have a defocus of their own, which an error of its amplitude looks like",
+            )
+        });
+    }
+    Ok(findings)
+}
+
+/// Median reduced χ² of the images that are used.
+fn chi2_of(fitted: &Fitted) -> f64 {
+    fitted.fit.1.reduced_chi2()
+}
+
+/// Pixels that are fitted.
+fn pixels_of(fitted: &Fitted) -> f64 {
+    (fitted.fit.0.model().optics.sampling().pixels as f64).powi(2)
+}
+
+fn with(scene: &Scene, settings: &[(String, String)]) -> Result<Scene> {
+    scene.with(&settings.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect::<Vec<_>>())
+}

@@ -1,0 +1,167 @@
+//! Optical parameters of the scene, all fitted together with the modes: which of them the images contradict.
+
+use super::finding::{CheckedQuantity, Finding, Verdict};
+use crate::linear_algebra::SpdInverse;
+use crate::modal::{FittedOptic, OpticsMinimum};
+use crate::pipeline::consistency::Contradiction;
+use crate::scene::{Optic, Scene};
+use ndarray::{Array1, Array2};
+
+/// Part of χ² beyond 1 that the optical parameters together may leave where one of them is the cause of a misfit: of a companion, a
+/// saturated or a non-linear detector they leave more.
+pub(super) const MOST_LEFT: f64 = 0.5;
+/// Key of the sampling, and of the wavelength.
+const SAMPLING: &str = "image.samples_per_lambda_over_d";
+const WAVELENGTH: &str = "image.wavelength_nm";
+
+/// The optical parameters that `scene` has, as a value of `estimate.fit_optics`. The amplitude of the defocus is among the modes.
+pub(super) fn parameters(scene: &Scene) -> Vec<Optic> {
+    let (pupil, image) = (&scene.pupil, &scene.image);
+    let has_geometry = pupil.extent_m().is_some();
+    let each = [
+        (Optic::PlateScale, true),
+        (Optic::Rotation, has_geometry),
+        (Optic::Illumination, true),
+        (Optic::Obscuration, has_geometry && pupil.central_obscuration_m > 0.0),
+        (Optic::Spiders, has_geometry && pupil.spider_width_m > 0.0),
+        (Optic::Bandwidth, image.filter_file.is_none() && image.bandwidth_fraction > 0.0),
+        (Optic::PixelFill, image.pixel_fill > 0.0),
+    ];
+    each.into_iter().filter(|(_, has)| *has).map(|(optic, _)| optic).collect()
+}
+
+/// `parameters` in the syntax of TOML.
+pub(super) fn listed(parameters: &[Optic]) -> String {
+    let words: Vec<String> = parameters.iter().map(|optic| format!("{:?}", optic.word())).collect();
+    format!("[{}]", words.join(", "))
+}
+
+/// Smallest change of a parameter that is a fault, in units of its scene's value for the plate scale and the filter, else in those of its key.
+/// The model is not exact: it has finitely many samples of the pupil and of modes.
+fn least(optic: Optic, scene: f64) -> f64 {
+    match optic {
+        Optic::PlateScale => 1e-3 * scene.abs(),
+        Optic::Bandwidth => 0.05 * scene.abs(),
+        Optic::Rotation => 0.1,
+        Optic::Illumination => 0.02,
+        Optic::PixelFill => 0.05,
+        Optic::Obscuration => 0.05,
+        Optic::Spiders => 0.005,
+        Optic::Defocus | Optic::Reflectivities => f64::INFINITY,
+    }
+}
+
+fn quantity(optic: Optic) -> CheckedQuantity {
+    match optic {
+        Optic::PlateScale => CheckedQuantity::PlateScaleOrWavelength,
+        Optic::Rotation => CheckedQuantity::Rotation,
+        Optic::Illumination | Optic::Reflectivities => CheckedQuantity::Illumination,
+        Optic::Obscuration => CheckedQuantity::Obscuration,
+        Optic::Spiders => CheckedQuantity::Spiders,
+        Optic::Bandwidth => CheckedQuantity::Bandwidth,
+        Optic::PixelFill => CheckedQuantity::PixelFill,
+        Optic::Defocus => CheckedQuantity::Defocus,
+    }
+}
+
+/// One finding for each of `parameters`. `scale` divides χ² (see [`check`](super::super::check())); `is_explained` says that the parameters
+/// together may be the cause.
+pub(super) fn findings(parameters: &[Optic], minimum: &OpticsMinimum, scale: f64, is_explained: bool) -> Vec<Finding> {
+    let all = minimum.fitter.fitted_optics();
+    let one = |&optic: &Optic| {
+        let at: Vec<usize> = (0..all.len()).filter(|&i| all[i].optic == optic).collect();
+        let group: Vec<&FittedOptic> = at.iter().map(|&i| &all[i]).collect();
+        finding(
+            optic,
+            &group,
+            &minimum.covariance.select(ndarray::Axis(0), &at).select(ndarray::Axis(1), &at),
+            minimum,
+            (scale, is_explained),
+        )
+    };
+    parameters.iter().map(one).collect()
+}
+
+fn finding(
+    optic: Optic,
+    group: &[&FittedOptic],
+    covariance: &Array2<f64>,
+    minimum: &OpticsMinimum,
+    (scale, is_explained): (f64, bool),
+) -> Finding {
+    let quantity = quantity(optic);
+    let (Some(first), true) = (group.first(), group.iter().all(|one| one.is_identifiable())) else {
+        return Finding::open(quantity, "the modes reproduce its effect on the images");
+    };
+    let change = Array1::from_iter(group.iter().map(|one| one.value - one.scene));
+    // Rise of χ² where the group returns to the scene's values and all else is fitted again: Δᵀ C⁻¹ Δ of noise as stated.
+    let rise = SpdInverse::new(covariance).map_or(0.0, |inverse| change.dot(&inverse.inverse.dot(&change)));
+    let rise = rise * minimum.reduced_chi2[1].max(1.0);
+    let gain = rise / scale - group.len() as f64 * (minimum.pixels.max(2) as f64).ln();
+    let length = change.dot(&change).sqrt();
+    let sigma = group.iter().map(|one| one.sigma).fold(0.0, f64::max);
+    let is_fault = is_explained && gain > 0.0 && length > least(optic, first.scene);
+    let explanation = match optic {
+        Optic::Illumination => {
+            let terms: Vec<String> =
+                group.iter().map(|one| format!("{} = {:.4} ± {:.4}", one.key(), one.value, one.sigma)).collect();
+            format!("light over the pupil: {}", terms.join(", "))
+        }
+        _ => format!("{} = {:.5} ± {:.5}, where the scene has {}", first.key(), first.value, first.sigma, first.scene),
+    };
+    let settings = group.iter().filter(|_| is_fault).map(|one| (one.key(), format!("{:.6}", one.value))).collect();
+    let (scene, found) = if group.len() == 1 { (first.scene, first.value) } else { (0.0, length) };
+    Finding {
+        scene: Some(scene),
+        found: Some(found),
+        sigma: Some(sigma),
+        gain,
+        settings,
+        ..Finding::new(quantity, if is_fault { Verdict::Fault } else { Verdict::Agrees }, explanation)
+    }
+}
+
+/// Decides between plate scale and wavelength by the file: a pixel of a fixed angle spans λ/D times a factor that goes with 1/λ, so the
+/// sampling is proportional to the wavelength. Contradictions of the file that the images confirm leave `contradictions`.
+pub(super) fn with_header(
+    finding: &mut Finding,
+    scene: &Scene,
+    has_wavelength: bool,
+    contradictions: &mut Vec<Contradiction>,
+) {
+    let (Some(of_scene), Some(found), Some(sigma)) = (finding.scene, finding.found, finding.sigma) else { return };
+    let agrees =
+        |ratio: f64| (found / of_scene - ratio).abs() < (5.0 * sigma / of_scene).max(0.2 * (ratio - 1.0).abs());
+    let stated = |contradictions: &[Contradiction], key: &str, value: f64| {
+        let at = contradictions.iter().position(|one| one.key == key)?;
+        let ratio = contradictions[at].file_value.parse::<f64>().ok()? / value;
+        agrees(ratio).then_some(at)
+    };
+    if finding.verdict != Verdict::Fault {
+        if has_wavelength && !contradictions.iter().any(|one| one.key == WAVELENGTH) {
+            finding.quantity = CheckedQuantity::PlateScale;
+        }
+        return;
+    }
+    if let Some(at) = stated(contradictions, WAVELENGTH, scene.image.wavelength_nm) {
+        let one = contradictions.remove(at);
+        contradictions.retain(|other| other.key != SAMPLING);
+        finding.quantity = CheckedQuantity::Wavelength;
+        finding.explanation = format!(
+            "{}; the images agree: {}. A defocus in waves changes with the wavelength",
+            one.sentence, finding.explanation
+        );
+        finding.settings.push((WAVELENGTH.into(), one.file_value));
+    } else if let Some(at) = stated(contradictions, SAMPLING, of_scene) {
+        let one = contradictions.remove(at);
+        contradictions.retain(|other| other.key != SAMPLING);
+        finding.quantity = CheckedQuantity::PlateScale;
+        finding.explanation = format!("{}; the images agree: {}", one.sentence, finding.explanation);
+    } else if has_wavelength && !contradictions.iter().any(|one| one.key == WAVELENGTH) {
+        finding.quantity = CheckedQuantity::PlateScale;
+        finding.explanation += " (the file confirms the wavelength)";
+    } else {
+        finding.explanation +=
+            ": another angle of a pixel, wavelength or size of the pupil, which one wavelength does not tell apart";
+    }
+}
