@@ -102,12 +102,13 @@ impl Telescope {
     /// Those of [`Telescope::from_maps`].
     pub fn of_maps(scene: &Scene, width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let (size, samples) = (even_side(&amplitude)?, scene.pupil.samples);
+        let illumination = scene.pupil.illumination();
         if size < 2 * samples || scene.pupil.model == Some(PupilModel::Hard) {
-            return Self::from_maps(width_m, amplitude, labels);
+            return Ok(Self { illumination, ..Self::from_maps(width_m, amplitude, labels)? });
         }
         let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels)?;
         let pupil = binned(&fine, Grid::new(samples, width_m)?)?;
-        Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new(), illumination: None })
+        Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new(), illumination })
     }
 
     /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
