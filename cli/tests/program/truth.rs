@@ -65,7 +65,7 @@ fn a_truth_of_pistons_is_the_truth_of_their_map() {
         assert!((both.unwrap() / maps.unwrap() - 1.0).abs() < 0.03, "{both:?} {of_maps:?}");
     }
     desk.refuses(&["compare", "est.fits", "--truth-pistons", "images.fits"], &["images.fits", "SEGMENTS"]);
-    std::fs::write(desk.path("p.csv"), &rows[..6].concat()).unwrap();
+    std::fs::write(desk.path("p.csv"), rows[..6].concat()).unwrap();
     desk.refuses(&["compare", "est.fits", "--truth-pistons", "p.csv"], &["p.csv", "segment 0 is missing"]);
     let both = desk.run(&["compare", "est.fits", "--truth", "images.fits", "--truth-pistons", "p.csv"]);
     assert_eq!(both.status, 2, "{}", both.err);
