@@ -255,8 +255,8 @@ fn arrays_that_cannot_be_used_are_refused_with_the_reason() {
         ("[modes]\nsegment = 'piston-tip-tilt'", |_| (), "needs the labels of the segments"),
     ];
     let without: [(&str, Change, &str); 2] = [
-        ("", |a| a.modes = None, "there is no mode to estimate: give modes"),
-        ("[modes]\nncpa = 'kl'", |a| a.modes = None, "'pupil.grid_m' is missing"),
+        ("[modes]\nncpa = 'none'", |a| a.modes = None, "there is no mode to estimate: give modes"),
+        ("", |a| a.modes = None, "'pupil.grid_m' is missing"),
     ];
     for (text, change, wanted) in cases.into_iter().chain(without) {
         let mut arrays = own(48);
