@@ -379,7 +379,8 @@ fn shape_finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
     let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
     // Of a linear coefficient, whose square over its variance is the decrease.
     let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
-    let (found, sigma) = (Some(shape.value), sigma.is_finite().then_some(sigma));
+    // Of a residual that has another cause the coefficient says nothing.
+    let (found, sigma) = (is_fault.then_some(shape.value), (is_fault && sigma.is_finite()).then_some(sigma));
     Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
 }
 
