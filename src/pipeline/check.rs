@@ -308,7 +308,8 @@ impl Work<'_> {
         let log_pixels = pixels.max(2.0).ln();
         for shape in shapes {
             let gain = shape.decrease / scale - shape.parameters as f64 * log_pixels;
-            let is_fault = gain > 0.0 && (!is_misfit || shape.share > EXPLAINED_BY_SHAPE);
+            let is_large = shape.value.abs() > least(shape.kind);
+            let is_fault = gain > 0.0 && is_large && (!is_misfit || shape.share > EXPLAINED_BY_SHAPE);
             findings.push(shape_finding(&shape, gain, is_fault));
         }
         if is_misfit && !findings.iter().any(|finding| finding.verdict == Verdict::Fault) {
@@ -366,6 +367,15 @@ fn sort(findings: &mut [Finding]) {
         let gains = if rank(a) == 0 { b.gain.total_cmp(&a.gain) } else { std::cmp::Ordering::Equal };
         rank(a).cmp(&rank(b)).then(gains)
     });
+}
+
+/// Smallest value of a shape that is a fault. The model's own error looks like a small blur; the area of a pixel is one of 0.41 pixels.
+fn least(kind: ShapeKind) -> f64 {
+    match kind {
+        ShapeKind::Companion => 0.0,
+        ShapeKind::NonLinearity => 1e-3,
+        ShapeKind::Blur => 0.2,
+    }
 }
 
 /// Finding of a shape of the residual.
