@@ -112,7 +112,7 @@ class JointSession(Handle):
         )
         inputs = (text("scene", scene), path_text("directory", directory), chosen)
         self._own("cophase_joint_session", lib.cophase_joint_session_create, *inputs)
-        count: int = result("size_t *", lib.cophase_joint_session_channels, self._handle)
+        count: int = result("size_t", lib.cophase_joint_session_channels, self._handle)
         self.channels = [self._text("CHANNEL_NAME", channel) for channel in range(count)]
         self.models = [
             Model._of(lib.cophase_joint_session_model, self._handle, channel) for channel in range(count)
