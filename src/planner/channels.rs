@@ -99,10 +99,10 @@ fn settings(scene: &Scene, plans: &[Plan]) -> Vec<(String, String)> {
     let estimates = || plans.iter().map(|plan| &plan.scene.estimate);
     let mut set = |key: &str, value: Option<String>| settings.extend(value.map(|value| (key.to_owned(), value)));
     set("estimate.samples", estimates().filter_map(|own| own.samples).max().map(|samples| samples.to_string()));
-    // A channel of one wavelength has no choice of them.
-    let has_choice = |plan: &&Plan| plan.choices.iter().any(|choice| choice.key == "estimate.wavelengths");
-    let wavelengths: Option<Vec<_>> =
-        plans.iter().filter(has_choice).map(|plan| plan.scene.estimate.wavelengths).collect();
+    // A scene names them only where every channel has a filter with a width; else each channel keeps those that it needs.
+    let has_choice = |plan: &Plan| plan.choices.iter().any(|choice| choice.key == "estimate.wavelengths");
+    let of = |plan: &Plan| if has_choice(plan) { plan.scene.estimate.wavelengths } else { None };
+    let wavelengths: Option<Vec<_>> = plans.iter().map(of).collect();
     set("estimate.wavelengths", wavelengths.and_then(|all| all.into_iter().max()).map(|count| count.to_string()));
     let precision = if estimates().all(|own| own.precision == Precision::F32) { "f32" } else { "f64" };
     set("estimate.precision", Some(precision.into()));
