@@ -40,7 +40,7 @@ static void settings(void)
     CHECK(cophase_scene_set(preset, "image.peak_snr", "37", text, sizeof text, &other) == COPHASE_OK);
     CHECK(other == length && ends_at(text, length) && strstr(strstr(text, "\npeak_snr"), "= 37") != NULL);
     text[0] = 'x';
-    REFUSED(COPHASE_BAD_SCENE, "image.pixels = 241", cophase_scene_set(preset, "image.pixels", "241", text, 9, &other));
+    REFUSED(COPHASE_BAD_SCENE, "image.pixels = 7", cophase_scene_set(preset, "image.pixels", "7", text, 9, &other));
     REFUSED(COPHASE_BAD_SCENE, "did you mean 'pixels'", cophase_scene_set(preset, "image.pixel", "32", text, 9, &other));
     CHECK(text[0] == 'x' && other == length);
     frames = cophase_input_from_array(pixels, COPHASE_F64, 1, 2, 3);

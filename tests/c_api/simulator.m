@@ -26,7 +26,7 @@ end
 assert(isempty(strfind(cophase.scene_set(changed, 'modes.exact_zernikes', []), 'exact_zernikes')));
 assert(cophase.scene_set(artificial), artificial);
 assert(~isempty(strfind(cophase.scene_set(artificial, 'pupil.grid_m', 11 + 1 / 3), '11.333333333333334')));
-must_fail('BAD_SCENE', 'image.pixels = 241', @() cophase.scene_set(artificial, 'image.pixels', 241));
+must_fail('BAD_SCENE', 'image.pixels = 7', @() cophase.scene_set(artificial, 'image.pixels', 7));
 must_fail('BAD_SCENE', 'did you mean', @() cophase.scene_set(artificial, 'image.pixel', 32));
 must_fail('BAD_ARGUMENT', 'no value', @() cophase.scene_set(artificial, 'image.pixels'));
 must_fail('BAD_ARGUMENT', 'class double and size [2 2]', @() cophase.scene_set(artificial, 'image.pixels', eye(2)));

@@ -7,8 +7,8 @@ fn a_setting_is_blamed_and_not_the_line_of_the_preset() {
     let desk = Desk::with_scene();
     let image = ["image", "keck-artificial", "-o", "new.fits"];
     desk.refuses(
-        &[&image[..], &["--set", "image.pixels=241"]].concat(),
-        &["keck-artificial, setting image.pixels: image.pixels = 241 is not accepted"],
+        &[&image[..], &["--set", "image.pixels=7"]].concat(),
+        &["keck-artificial, setting image.pixels: image.pixels = 7 is not accepted"],
     );
     // Another key contradicts it: the line of that key, after the setting.
     std::fs::write(desk.path("crop.toml"), "[image]\nwavelength_nm = 2000\npixels = 128\ncrop_pixels = 96\n").unwrap();
