@@ -194,7 +194,7 @@ impl Work<'_> {
                 "one peak, no plateau of largest values",
             ));
         };
-        let mut bad = self.images.bad.to_owned().into_owned();
+        let mut bad = self.images.bad.clone().into_owned();
         for (frame_e, mut marks) in self.images.images_e.outer_iter().zip(bad.outer_iter_mut()) {
             let good = frame_e.iter().zip(&marks).filter(|(_, bad)| !**bad).map(|(e, _)| *e);
             let largest = good.fold(f64::MIN, f64::max);
