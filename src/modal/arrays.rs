@@ -20,7 +20,7 @@ const UNSTATED_WIDTH_M: f64 = 1.0;
 pub struct Arrays {
     /// Share of the light that each sample passes, 0 to 1, `[y, x]`.
     pub amplitude: Array2<f64>,
-    /// Label of the segment of each sample, `[y, x]`, as [`Pupil::from_maps`] takes them: negative where there is none; `None` for a telescope of one piece.
+    /// Label of the segment of each sample, `[y, x]`, as [`Pupil::from_maps`](crate::pupil::Pupil::from_maps) takes them: negative where there is none; `None` for a telescope of one piece.
     pub segments: Option<Array2<i32>>,
     /// NCPA modes, `[mode, y, x]`, nm for each nm of their coefficients, which keep this order and this scale; named
     /// `mode-1`, `mode-2`, … Values where the amplitude is 0 are ignored, NaN included.
