@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 const EXAMPLES: &str = "Examples:
   cophase check images.fits --scene scene.toml
-  cophase check images.fits --scene scene.toml --plot check.png --write corrected.toml
+  cophase check images.fits --scene scene.toml --plot a.png --write new.toml
   cophase check poked.fits --before old.fits --segment 8 --poke-nm 90
 
 Images and scene are compared: plate scale, rotation, illumination, saturation, a second star, the orientation, cards of the file. \
