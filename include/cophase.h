@@ -636,6 +636,10 @@ cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
 
 /* Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller, in its unit; actuator_commands. */
 #define COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS 13
+/* Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt of each, nm of wavefront RMS over the
+ * segment; tilts. Without elements where the estimate has no tilts of segments.
+ */
+#define COPHASE_ARRAY_CORRECTION_TILTS_NM 14
 
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
 typedef struct {
@@ -774,6 +778,8 @@ typedef struct {
   size_t segment_commands;
   /* Channels of the mirror's controller; 0 where the scene describes none. */
   size_t actuator_commands;
+  /* Number of tips and tilts of segments, two of each; 0 where the estimate has none. */
+  size_t tilts;
 } cophase_correction_report;
 
 /* Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of

@@ -28,6 +28,8 @@ pub struct cophase_correction_report {
     pub segment_commands: usize,
     /// Channels of the mirror's controller; 0 where the scene describes none.
     pub actuator_commands: usize,
+    /// Number of tips and tilts of segments, two of each; 0 where the estimate has none.
+    pub tilts: usize,
 }
 
 /// Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
@@ -73,6 +75,7 @@ pub unsafe extern "C" fn cophase_estimate_correct(
                     limited: corrections.limited,
                     segment_commands: corrections.segment_commands.as_ref().map_or(0, |one| one.channels.len()),
                     actuator_commands: corrections.actuator_commands.as_ref().map_or(0, |one| one.channels.len()),
+                    tilts: corrections.tilts_nm.len(),
                 },
             );
             found.corrections = Some(corrections);
