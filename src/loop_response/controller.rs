@@ -135,11 +135,7 @@ pub(super) fn commands(
         None => return Ok(None),
     };
     let has_tilts = matrix.as_ref().is_some_and(|matrix| matrix.ncols() > additions_nm.len());
-    let inputs = matrix.map(|matrix| {
-        let mut all_nm = if has_tilts { [additions_nm, tilts_nm].concat() } else { additions_nm.to_vec() };
-        all_nm.resize(matrix.ncols(), 0.0);
-        matrix.dot(&ArrayView1::from(&all_nm)).to_vec()
-    });
+    let inputs = matrix.map(|matrix| rows_moved(&matrix, additions_nm, tilts_nm));
     let inputs = inputs.as_deref().unwrap_or(additions_nm);
     let channels = channels.into_iter().map(|channel| channel.command(inputs)).collect();
     Ok(Some(Commands { unit: unit.clone(), channels, has_tilts }))
@@ -157,6 +153,13 @@ impl Channel {
         let value = wanted.clamp(-limit, limit);
         Command { name: self.name, number: self.number, value, is_limited: wanted.abs() > limit }
     }
+}
+
+/// What the rows of a matrix receive: of the corrections of all elements, and of as many tilts as it has further columns.
+fn rows_moved(matrix: &Array2<f64>, additions_nm: &[f64], tilts_nm: &[f64]) -> Vec<f64> {
+    let mut all_nm = [additions_nm, tilts_nm].concat();
+    all_nm.resize(matrix.ncols(), 0.0);
+    matrix.dot(&ArrayView1::from(&all_nm)).to_vec()
 }
 
 fn read_matrix(path: &Path, moved: Moved, elements: usize) -> Result<Array2<f64>> {
@@ -233,6 +236,22 @@ mod tests {
         let expected = |name: &str, number, value, is_limited| Command { name: name.into(), number, value, is_limited };
         let wanted = [expected("A17", 1, -4.0, false), expected("B3", 0, 6.0, false), expected("C", 2, 0.5, true)];
         assert_eq!(found, wanted);
+    }
+
+    #[test]
+    fn a_matrix_takes_tilts_where_it_has_columns_for_them() {
+        // Two supports below each of two segments: piston ± tip.
+        let supports = ndarray::array![
+            [1.0, 0.0, 2.0, 0.0, 0.0, 0.0],
+            [1.0, 0.0, -2.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 2.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, -2.0, 0.0, 0.0]
+        ];
+        let tilts_nm = [5.0, 7.0, 11.0, 13.0];
+        assert_eq!(rows_moved(&supports, &[3.0, 4.0], &tilts_nm), [13.0, -7.0, 18.0, -10.0]);
+        // An estimate without tilts, and a matrix without their columns.
+        assert_eq!(rows_moved(&supports, &[3.0, 4.0], &[]), [3.0, 3.0, 4.0, 4.0]);
+        assert_eq!(rows_moved(&Array2::eye(2), &[3.0, 4.0], &tilts_nm), [3.0, 4.0]);
     }
 
     #[test]

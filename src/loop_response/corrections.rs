@@ -30,7 +30,7 @@ pub struct CorrectableErrors<'a> {
     pub tilts_nm: &'a [f64],
     /// Covariance of pistons and tilts in turn, nm².
     pub segment_covariance_nm2: ArrayView2<'a, f64>,
-    /// Whether the plane through all pistons is left as it is, and not only their mean.
+    /// Whether the plane through all pistons is left as it is, and not only their mean; without tilts.
     pub leaves_plane: bool,
     /// Largest correction of a piston, or of a tilt, unless a caller names one, nm.
     pub segment_limit_nm: f64,
@@ -108,7 +108,11 @@ impl Corrections {
             command_nm.clamp(-limit_nm, limit_nm)
         };
         let count = segments.len();
-        let flat = without_plane(segments, errors.leaves_plane);
+        // Segments with tilts have no common motion, and a plane through their pistons alone is a shape of the whole mirror.
+        let flat = match errors.tilts_nm {
+            [] => without_plane(segments, errors.leaves_plane),
+            _ => Array2::eye(count),
+        };
         let pistons_nm = flat.dot(&ArrayView1::from(errors.pistons_nm));
         let covariance_nm2 = flat.dot(&errors.segment_covariance_nm2.slice(s![..count, ..count])).dot(&flat);
         let estimate_nm: Vec<[f64; 2]> =
@@ -129,8 +133,9 @@ impl Corrections {
             actuators_nm = wanted_nm.into_iter().map(|(at, nm)| (at, clip(nm, stroke_nm))).collect();
         }
         let additions_nm: Vec<f64> = actuators_nm.iter().map(|(_, nm)| *nm).collect();
-        let in_terms =
-            |moved, nm: &[f64], tilts_nm: &[f64]| if nm.is_empty() { Ok(None) } else { commands(scene, moved, nm, tilts_nm) };
+        let in_terms = |moved, nm: &[f64], tilts_nm: &[f64]| {
+            if nm.is_empty() { Ok(None) } else { commands(scene, moved, nm, tilts_nm) }
+        };
         let segment_commands = in_terms(Moved::Segments, &pistons_nm, &tilts_nm)?;
         let actuator_commands = in_terms(Moved::Actuators, &additions_nm, &[])?;
         let leaves_tilts = segment_commands.as_ref().is_some_and(|commands| !commands.has_tilts);
@@ -228,7 +233,11 @@ impl Corrections {
         let segments = own(&mut self.pistons_nm.iter().copied());
         let [tips, tilts] = [0, 1].map(|axis| {
             let is_own = self.segment_commands.is_none();
-            own(&mut self.tilts_of_axis(axis).filter(|_| is_own).into_iter().flat_map(|(add_nm, _)| add_nm.iter().copied()))
+            own(&mut self
+                .tilts_of_axis(axis)
+                .filter(|_| is_own)
+                .into_iter()
+                .flat_map(|(add_nm, _)| add_nm.iter().copied()))
         });
         let actuators = own(&mut self.actuators_nm.iter().map(|(_, nm)| *nm));
         for (what, commands) in [

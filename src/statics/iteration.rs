@@ -100,8 +100,7 @@ impl Iteration {
             pistons_nm: &self.errors.pistons_nm,
             tilts_nm: &self.errors.tilts_nm,
             segment_covariance_nm2: self.errors.covariance_nm2.slice(s![..segments, ..segments]),
-            // With tilts the segments have no common plane, and one through the pistons alone is a shape of the whole mirror.
-            leaves_plane: !self.has_tilts(),
+            leaves_plane: true,
             segment_limit_nm,
             ncpa_nm: &self.errors.ncpa_nm,
             ncpa_sigma_nm: &self.sigma_nm()[segments..],

@@ -174,7 +174,7 @@ class Estimate(Handle):
     def correct(self, limit_nm: float | None = None, path: str | os.PathLike[str] | None = None) -> Correction:
         """Computes what to add to segments, mirror and (of a MAP estimate) reference slopes.
 
-        Tips and tilts of segments are not corrected. It takes about a second at the size of Keck if the scene has a loop.
+        Of a modal estimate tips and tilts of segments are not corrected. It takes about a second at the size of Keck if the scene has a loop.
 
         Parameters
         ----------
