@@ -92,9 +92,9 @@ impl StaticModes {
         })
     }
 
-    /// Wavefronts `columns` of the segment modes, `[mode, sample]`, without the motions of the whole mirror that are 0 by convention. Left in
-    /// them, a plane, of which the loop leaves some percent in the wavefront, would take up what the model of the loop has wrong, many
-    /// times as large, and the prior RMS would run away (500 nm of pistons and 140 nm of tilts of seven even segments).
+    /// Wavefronts `columns` of the segment modes, `[mode, sample]`, without the motions of the whole mirror that are 0 by convention. The
+    /// loop leaves some percent of a plane in the wavefront, so that one that stays in the columns can take up what the model of the loop
+    /// has wrong, many times as large.
     pub(super) fn columns_without_motions(&self, columns: Array2<f64>) -> Array2<f64> {
         match &self.motions {
             Some(motions) => motions.removed_from_columns(&columns),
