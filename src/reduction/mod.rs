@@ -1,0 +1,33 @@
+//! Reduction of raw detector frames to the cube of images that an estimate takes.
+//!
+//! For a frame of `c` coadds the reduced image is, in electrons,
+//!
+//! ```text
+//! image = g·(raw − c·D)/F − s·S
+//! ```
+//!
+//! with the gain `g`, the dark of one coadd `D`, the flat `F` (median 1) and the sky `S` scaled to the exposure. What remains of
+//! the raw frame's noise beside the photon noise of the star is one number per channel, the card `RON_E`: [`noise`].
+//!
+//! * [`Frame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header: `classify`.
+//! * [`reduce`] makes masters (`masters`), finds the star (`star`), subtracts the sky (`sky`), cuts out, and rejects.
+//! * [`Reduction::write`] writes the cube with bad pixels, log and scene.
+
+mod classify;
+mod cut_out;
+mod files;
+mod frame;
+mod log;
+mod masters;
+mod noise;
+mod reduce;
+mod rejection;
+mod sky;
+mod star;
+mod write;
+
+pub use classify::FrameClass;
+pub use files::{Pattern, list_files};
+pub use frame::{ChannelRule, Frame, FrameHeader, read_frames};
+pub use log::LogRow;
+pub use reduce::{ReducedChannel, Reduction, ReductionOptions, reduce};
