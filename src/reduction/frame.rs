@@ -139,9 +139,10 @@ fn file_name(path: &Path) -> String {
 }
 
 /// Cards of the HDU of the images, else of the primary HDU.
-struct Cards<'a> {
-    file: &'a mut FitsReader,
-    hdu: String,
+pub(super) struct Cards<'a> {
+    pub(super) file: &'a mut FitsReader,
+    /// Name of the HDU of the images.
+    pub(super) hdu: String,
 }
 
 impl Cards<'_> {
@@ -151,13 +152,13 @@ impl Cards<'_> {
     }
 
     /// Text of a card without quotes.
-    fn text(&mut self, key: &str) -> Option<String> {
+    pub(super) fn text(&mut self, key: &str) -> Option<String> {
         let card = self.card(key)?;
         Some(card.text().map_or_else(|| card.to_string(), |text| text.trim().to_owned()))
     }
 
     /// Number of a card, also where it is written as a text.
-    fn number(&mut self, key: &str) -> Option<f64> {
+    pub(super) fn number(&mut self, key: &str) -> Option<f64> {
         let card = self.card(key)?;
         card.number().or_else(|| card.text()?.trim().parse().ok()).filter(|number: &f64| number.is_finite())
     }
@@ -175,7 +176,7 @@ impl Cards<'_> {
         self.text(key).is_some_and(|text| pattern.matches(&text))
     }
 
-    fn header(&mut self, unit: PixelUnit, facts: Vec<HeaderFact>) -> FrameHeader {
+    pub(super) fn header(&mut self, unit: PixelUnit, facts: Vec<HeaderFact>) -> FrameHeader {
         let coadds = self.number("COADDS").filter(|coadds| (1.0..=1e6).contains(coadds)).map_or(1, |coadds| coadds as u32);
         let exposure = |keyword: &str| {
             let fact = facts.iter().find(|fact| fact.quantity == Quantity::ExposureS && fact.keyword == keyword);

@@ -11,11 +11,13 @@
 //!
 //! * [`Frame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header: `classify`.
 //! * [`reduce`] makes masters (`masters`), finds the star (`star`), subtracts the sky (`sky`), cuts out, and rejects.
+//! * [`first_scene`] writes the scene to begin with.
 //! * [`Reduction::write`] writes the cube with bad pixels, log and scene.
 
 mod classify;
 mod cut_out;
 mod files;
+mod first_scene;
 mod frame;
 mod log;
 mod masters;
@@ -28,6 +30,7 @@ mod write;
 
 pub use classify::FrameClass;
 pub use files::{Pattern, list_files};
+pub use first_scene::first_scene;
 pub use frame::{ChannelRule, Frame, FrameHeader, read_frames};
 pub use log::LogRow;
 pub use reduce::{ReducedChannel, Reduction, ReductionOptions, reduce};

@@ -27,6 +27,7 @@ mod reference;
 mod section_keys;
 mod table;
 mod telescope;
+mod units;
 mod value;
 mod words;
 
@@ -294,7 +295,11 @@ impl Scene {
         // A scene with channels has the sections of its first one.
         let sections = match channels.first() {
             Some(first) => Sections::clone(&first.scene),
-            None => Sections::read(source, document.as_table())?,
+            None => {
+                let mut sections = Sections::read(source, document.as_table())?;
+                sections.convert_units(source, document.as_table())?;
+                sections
+            }
         };
         sections.check_together(source, document.as_table())?;
         let (text, name, directory) = (text.to_string(), name.to_string(), directory.to_path_buf());

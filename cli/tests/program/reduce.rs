@@ -240,3 +240,59 @@ fn bad_input_is_refused() {
         desk.succeeds(&["reduce", "raw", "--scene", "scene.toml", "-o", "raw/out.fits"]);
     }
 }
+
+#[test]
+fn a_first_scene_is_made_of_a_header() {
+    let desk = Desk::with_images(&[]);
+    let image = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
+    let cards = [
+        ("TELESCOP", Card::from("KECK II")),
+        ("CURRINST", "NIRC2".into()),
+        ("CAMNAME", "NARROW".into()),
+        ("CENWAVE", Card::Real(2.1686)),
+        ("EFFWAVE", Card::Real(2.1686)),
+        ("RDNOISE", Card::Real(38.0)),
+    ];
+    write(&desk, "n1.fits", &star(&image, (100, 100), &mut Noise(5)), &cards);
+    let text = desk.succeeds(&["scene", "--from", "n1.fits"]).out;
+    std::fs::write(desk.path("first.toml"), &text).unwrap();
+    // It is a scene, and says what is missing.
+    desk.succeeds(&["scene", "first.toml"]);
+    for line in ["wavelength_nm = 2168.6", "exposure_s = 1.0", "read_noise_e = 38.0", "gain_e_per_adu = 4.0"] {
+        assert!(text.contains(line), "{line} is not in {text}");
+    }
+    for key in ["diversity_focus_waves_rms", "saturation_adu", "bandwidth_fraction"] {
+        let line = text.lines().find(|line| line.starts_with(key)).unwrap_or_else(|| panic!("{key} is not in {text}"));
+        assert!(line.contains("TO BE FILLED IN"), "{line}");
+    }
+    // 2.1686 um over 10.95 m is 40.850 mas, which pixels of 9.952 mas sample 4.105 times.
+    assert!(text.contains("pixel_mas = 9.952") && text.contains("4.105 pixels per lambda"), "{text}");
+    // It fits the frame, whose header it agrees with.
+    desk.succeeds(&["reduce", "n1.fits", "--scene", "first.toml", "-o", "reduced.fits", "--pixels", "64", "--no-dither-sky"]);
+    // Nothing is known of a bare file, and a scene all the same.
+    let bare = desk.succeeds(&["scene", "--from", "images.fits"]).out;
+    assert!(bare.contains("TELESCOP = '' is not known"), "{bare}");
+    desk.refuses(&["scene", "--from", "scene.toml"], &["scene.toml"]);
+}
+
+/// The real frame of NIRC2, in focus, where the folder of data is beside the project.
+#[test]
+fn a_real_frame_is_found_and_cut_out() {
+    let frame = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/20130801_n0004.fits");
+    if !frame.exists() {
+        return;
+    }
+    let desk = Desk::with_scene();
+    let frame = frame.display().to_string();
+    let text = desk.succeeds(&["scene", "--from", &frame]).out;
+    assert!(text.contains("wavelength_nm = 1645.5") && text.contains("exposure_s = 25.0"), "{text}");
+    std::fs::write(desk.path("first.toml"), text).unwrap();
+    let json = desk.json(&["reduce", &frame, "--scene", "first.toml", "-o", "reduced.fits", "--pixels", "64", "--json"]);
+    let row = &json["frames"][0];
+    println!("{json}");
+    assert_eq!(row["coadds"], 50, "{json}");
+    // The star is the brightest pixel of the frame, up to the centroid's halo.
+    let data = FitsReader::open(&frame).unwrap().map(None).unwrap();
+    let ((y, x), _) = data.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap();
+    assert!((number(row, "x") - x as f64).hypot(number(row, "y") - y as f64) < 2.0, "({x}, {y}): {json}");
+}
