@@ -123,7 +123,9 @@ pub(super) fn facts(file: &mut FitsReader, index: usize) -> Result<Vec<HeaderFac
         }
     }
     // The integration time is that of one coadd, of which an image is the sum.
-    if let Some(coadds) = card(file, index, "COADDS")?.and_then(|(card, ..)| card.number()).filter(|coadds| *coadds > 1.0) {
+    if let Some(coadds) =
+        card(file, index, "COADDS")?.and_then(|(card, ..)| card.number()).filter(|coadds| *coadds > 1.0)
+    {
         for fact in facts.iter_mut().filter(|fact| fact.keyword == "ITIME") {
             fact.values.extend(fact.values.first().map(|seconds| seconds * coadds));
         }

@@ -82,7 +82,8 @@ fn is_fits(name: &str) -> bool {
 
 /// Files of a folder whose names are accepted.
 fn folder(path: &Path, is_accepted: impl Fn(&str) -> bool) -> Result<Vec<PathBuf>> {
-    let entries = std::fs::read_dir(path).map_err(|error| Error::file(path, format_args!("cannot be listed: {error}")))?;
+    let entries =
+        std::fs::read_dir(path).map_err(|error| Error::file(path, format_args!("cannot be listed: {error}")))?;
     let files = entries.filter_map(|entry| entry.ok().map(|entry| entry.path()));
     let accepted = |path: &PathBuf| path.file_name().is_some_and(|name| is_accepted(&name.to_string_lossy()));
     Ok(files.filter(|path| path.is_file()).filter(accepted).collect())

@@ -12,13 +12,18 @@ const UNKNOWN: &str = "TO BE FILLED IN";
 
 /// Telescopes that a preset describes: what their name begins with, the preset, what the preset leaves out.
 const TELESCOPES: [(&[&str], &str, &str); 2] = [
-    (&["KECK", "W. M. KECK"], "keck-artificial", "on the sky the secondary (2.6 m) and its spider hide some of it: central_obscuration_m, spider_width_m"),
+    (
+        &["KECK", "W. M. KECK"],
+        "keck-artificial",
+        "on the sky the secondary (2.6 m) and its spider hide some of it: central_obscuration_m, spider_width_m",
+    ),
     (&["JWST"], "jwst-pair", ""),
 ];
 
 /// Pixels of cameras whose headers do not have them: name of the instrument, of the camera, mas. NIRC2: Yelda et al. 2010 (ApJ 725, 331)
 /// and Service et al. 2016 (PASP 128, 095004; 9.971 mas since April 2015) for the narrow camera; its manual for the others.
-const CAMERAS: [(&str, &str, f64); 3] = [("NIRC2", "NARROW", 9.952), ("NIRC2", "MEDIUM", 19.829), ("NIRC2", "WIDE", 39.686)];
+const CAMERAS: [(&str, &str, f64); 3] =
+    [("NIRC2", "NARROW", 9.952), ("NIRC2", "MEDIUM", 19.829), ("NIRC2", "WIDE", 39.686)];
 
 /// Text of a scene for the frames of which `path` is one: the telescope of `TELESCOP`, and what the header states of the camera. A line
 /// on what is not known says so in its comment. The scene is valid as it is.
@@ -34,7 +39,8 @@ pub fn first_scene(path: &Path) -> Result<String> {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let telescope = cards.text("TELESCOP").unwrap_or_default();
     let instrument = ["CURRINST", "INSTRUME"].iter().find_map(|key| cards.text(key)).unwrap_or_default();
-    let found = TELESCOPES.iter().find(|(names, ..)| names.iter().any(|name| telescope.to_uppercase().starts_with(name)));
+    let found =
+        TELESCOPES.iter().find(|(names, ..)| names.iter().any(|name| telescope.to_uppercase().starts_with(name)));
     let (preset, remark) = found.map_or(("keck-artificial", ""), |(_, preset, remark)| (*preset, *remark));
 
     let mut text = format!(
@@ -45,7 +51,9 @@ pub fn first_scene(path: &Path) -> Result<String> {
     );
     let pupil = section(Scene::preset_text(preset)?, "pupil");
     let whose = match found {
-        None => format!("# {UNKNOWN}: the pupil of the telescope; this is that of Keck, because TELESCOP = '{telescope}' is not known\n"),
+        None => format!(
+            "# {UNKNOWN}: the pupil of the telescope; this is that of Keck, because TELESCOP = '{telescope}' is not known\n"
+        ),
         Some(_) if remark.is_empty() => String::new(),
         Some(_) => format!("# {UNKNOWN}: {remark}\n"),
     };
@@ -83,16 +91,25 @@ fn image(
     let card = |fact: &HeaderFact| format!("card {} = {}", fact.keyword, fact.written);
     let (wavelength_nm, comment) = match (of(Quantity::WavelengthNm), of(Quantity::BandNm)) {
         (Some(fact), _) => (fact.values[0], card(fact)),
-        (None, Some(fact)) => (fact.values[0], format!("{UNKNOWN}: the exact one; this is the centre of the band in {}", card(fact))),
+        (None, Some(fact)) => {
+            (fact.values[0], format!("{UNKNOWN}: the exact one; this is the centre of the band in {}", card(fact)))
+        }
         (None, None) => (2168.6, format!("{UNKNOWN}: no card has the wavelength")),
     };
     line("wavelength_nm", float(wavelength_nm), comment);
-    let width = cards.number("MINWAVE").zip(cards.number("MAXWAVE")).map(|(least, most)| 2.0 * (most - least) / (most + least));
+    let width =
+        cards.number("MINWAVE").zip(cards.number("MAXWAVE")).map(|(least, most)| 2.0 * (most - least) / (most + least));
     match width.filter(|width| (1e-4..=0.5).contains(width)) {
         Some(width) => line("bandwidth_fraction", format!("{width:.4}"), "cards MINWAVE, MAXWAVE".into()),
-        None => line("bandwidth_fraction", "0.0".into(), format!("{UNKNOWN}: width of the filter over its wavelength; 0 is monochromatic")),
+        None => line(
+            "bandwidth_fraction",
+            "0.0".into(),
+            format!("{UNKNOWN}: width of the filter over its wavelength; 0 is monochromatic"),
+        ),
     }
-    let of_camera = CAMERAS.iter().find(|(of, name, _)| instrument.to_uppercase().starts_with(of) && camera.to_uppercase() == *name);
+    let of_camera = CAMERAS
+        .iter()
+        .find(|(of, name, _)| instrument.to_uppercase().starts_with(of) && camera.to_uppercase() == *name);
     let (pixel_mas, comment) = match (of(Quantity::PixelMas), of_camera) {
         (Some(fact), _) => (fact.values[0], card(fact)),
         (None, Some((_, name, mas))) => (*mas, format!("{instrument}, camera {name}")),
@@ -115,10 +132,16 @@ fn image(
     line("diversity_focus_waves_rms", "1.5".into(), focus);
     match of(Quantity::ReadNoiseE) {
         Some(fact) => line("read_noise_e", float(fact.values[0]), card(fact)),
-        None => line("read_noise_e", "60.0".into(), format!("{UNKNOWN}: read noise of one coadd; without this line that of the darks is used")),
+        None => line(
+            "read_noise_e",
+            "60.0".into(),
+            format!("{UNKNOWN}: read noise of one coadd; without this line that of the darks is used"),
+        ),
     }
     match of(Quantity::GainEPerAdu).filter(|fact| fact.values[0] > 0.0) {
-        Some(fact) => line("gain_e_per_adu", float(fact.values[0]), format!("{}; to be checked: it may be a setting", card(fact))),
+        Some(fact) => {
+            line("gain_e_per_adu", float(fact.values[0]), format!("{}; to be checked: it may be a setting", card(fact)))
+        }
         None => line("gain_e_per_adu", "1.0".into(), format!("{UNKNOWN}: electrons per count")),
     }
     match header.saturation_adu {
@@ -142,6 +165,7 @@ fn printable(text: &str) -> String {
 fn section(text: &str, name: &str) -> String {
     let header = format!("[{name}]");
     let lines = text.lines().skip_while(|line| !line.starts_with(&header)).skip(1);
-    let own: Vec<&str> = lines.take_while(|line| !line.starts_with('[')).filter(|line| !line.trim().is_empty()).collect();
+    let own: Vec<&str> =
+        lines.take_while(|line| !line.starts_with('[')).filter(|line| !line.trim().is_empty()).collect();
     own.iter().map(|line| format!("{line}\n")).collect()
 }

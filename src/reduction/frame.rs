@@ -177,7 +177,8 @@ impl Cards<'_> {
     }
 
     pub(super) fn header(&mut self, unit: PixelUnit, facts: Vec<HeaderFact>) -> FrameHeader {
-        let coadds = self.number("COADDS").filter(|coadds| (1.0..=1e6).contains(coadds)).map_or(1, |coadds| coadds as u32);
+        let coadds =
+            self.number("COADDS").filter(|coadds| (1.0..=1e6).contains(coadds)).map_or(1, |coadds| coadds as u32);
         let exposure = |keyword: &str| {
             let fact = facts.iter().find(|fact| fact.quantity == Quantity::ExposureS && fact.keyword == keyword);
             fact.and_then(|fact| fact.values.first().copied())
@@ -185,7 +186,8 @@ impl Cards<'_> {
         // ITIME is the time of one coadd (NIRC2); the others are that of the whole frame.
         let whole = ["EXPTIME", "EXPOSURE", "TEXP"].iter().find_map(|keyword| exposure(keyword));
         let itime_s = exposure("ITIME").or_else(|| Some(whole? / f64::from(coadds)));
-        let read_mode = [self.text("SAMPMODE"), self.text("MULTISAM")].into_iter().flatten().collect::<Vec<_>>().join("/");
+        let read_mode =
+            [self.text("SAMPMODE"), self.text("MULTISAM")].into_iter().flatten().collect::<Vec<_>>().join("/");
         let filter = ["FILTER", "FILTNAME", "FILTNAM", "FILTER1"].iter().find_map(|key| self.text(key));
         let saturation_adu = ["SATURATE", "SATURATN", "SATLEVEL", "SATUR"].iter().find_map(|key| self.number(key));
         let saturation_adu = saturation_adu.filter(|counts| *counts > 0.0);

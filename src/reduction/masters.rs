@@ -73,7 +73,8 @@ pub(super) fn darks(frames: &[Frame], rows: &mut [LogRow]) -> Vec<Dark> {
     let of_group = |group: &Vec<usize>| {
         let each: Vec<Array2<f64>> = group.iter().map(|&index| of_one_coadd(&frames[index])).collect();
         let coadds = group.iter().map(|&index| frames[index].coadds()).sum::<f64>() / group.len() as f64;
-        let differences: Vec<f64> = each.windows(2).map(|pair| scatter((&pair[1] - &pair[0]).iter().copied())).collect();
+        let differences: Vec<f64> =
+            each.windows(2).map(|pair| scatter((&pair[1] - &pair[0]).iter().copied())).collect();
         let read_noise_adu = (!differences.is_empty()).then(|| median(&differences) / 2f64.sqrt() * coadds.sqrt());
         let counts = median_of(&each);
         let variance = median_variance(group.len()) / coadds;
@@ -103,8 +104,11 @@ pub(super) fn flats(frames: &[Frame], darks: &[Dark], rows: &mut [LogRow], warni
         if !rows[index].reason.is_empty() {
             continue;
         }
-        let is_its_own = |other: &&(usize, &Frame)| filter(other.1) == filter(frame) && other.1.header.has_exposure_of(&frame.header);
-        let off: Vec<usize> = with(FrameClass::LampOff).filter(|other| is_its_own(&other)).map(|other| other.0).collect();
+        let is_its_own = |other: &&(usize, &Frame)| {
+            filter(other.1) == filter(frame) && other.1.header.has_exposure_of(&frame.header)
+        };
+        let off: Vec<usize> =
+            with(FrameClass::LampOff).filter(|other| is_its_own(&other)).map(|other| other.0).collect();
         let mut counts = of_one_coadd(frame);
         if !off.is_empty() {
             let each: Vec<Array2<f64>> = off.iter().map(|&other| of_one_coadd(&frames[other])).collect();
@@ -133,10 +137,7 @@ pub(super) fn flats(frames: &[Frame], darks: &[Dark], rows: &mut [LogRow], warni
              pixel responses"
         ));
     }
-    let of_group = |(filter, group): (String, Vec<Array2<f64>>)| Flat {
-        response: median_of(&group),
-        filter,
-    };
+    let of_group = |(filter, group): (String, Vec<Array2<f64>>)| Flat { response: median_of(&group), filter };
     made.into_iter().map(of_group).collect()
 }
 

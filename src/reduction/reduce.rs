@@ -138,7 +138,9 @@ impl<'a> Reducer<'a> {
                     skies.push(self.calibrate(index, 0)?);
                     self.rows[index].accept("sky");
                 }
-                FrameClass::Other => self.rows[index].reject(format!("neither star nor calibration: {}", frame.classified_by)),
+                FrameClass::Other => {
+                    self.rows[index].reject(format!("neither star nor calibration: {}", frame.classified_by))
+                }
                 _ => {}
             }
         }
@@ -175,7 +177,10 @@ impl<'a> Reducer<'a> {
         match agreeing.as_slice() {
             [only] if has_wavelength => Ok(*only),
             [] => Err(format!("its wavelength is that of none of the channels {}", names())),
-            _ => Err(format!("its header does not say which of the channels {} it is of (--channel NAME=PATTERN)", names())),
+            _ => Err(format!(
+                "its header does not say which of the channels {} it is of (--channel NAME=PATTERN)",
+                names()
+            )),
         }
     }
 
@@ -190,7 +195,9 @@ impl<'a> Reducer<'a> {
             let first = facts.first()?;
             let agrees = facts.iter().any(|fact| fact.agrees(scene.image.wavelength_nm));
             let wavelength_nm = scene.image.wavelength_nm;
-            (!agrees).then(|| format!("card {} = {} where the scene has {key} = {wavelength_nm}", first.keyword, first.written))
+            (!agrees).then(|| {
+                format!("card {} = {} where the scene has {key} = {wavelength_nm}", first.keyword, first.written)
+            })
         };
         contradiction(Quantity::WavelengthNm).or_else(|| contradiction(Quantity::BandNm))
     }
@@ -341,7 +348,8 @@ impl<'a> Reducer<'a> {
         let sky = if skies.is_empty() { of_dithers() } else { sky::of_sky_frames(frame, part, skies) };
         if sky.is_none() && frame.dark.is_none() && !self.darks.is_empty() {
             let there = masters::exposures(&self.darks);
-            self.rows[frame.index].reject(format!("no dark {}, only {there}, and no sky of its exposure", frame.frame.header.exposure()));
+            self.rows[frame.index]
+                .reject(format!("no dark {}, only {there}, and no sky of its exposure", frame.frame.header.exposure()));
             return None;
         }
         let stated_read_noise_e = self.stated_read_noise_e(frame.frame, scene);
@@ -389,7 +397,8 @@ impl<'a> Reducer<'a> {
         let images_e = images_e.mapv(|electrons| if electrons.is_finite() { electrons } else { 0.0 });
         let variances: Vec<f64> = images.iter().map(|image| image.variance).collect();
         let mean = variances.iter().sum::<f64>() / variances.len() as f64;
-        let (least, most) = variances.iter().fold((f64::MAX, 0f64), |(a, b), &variance| (a.min(variance), b.max(variance)));
+        let (least, most) =
+            variances.iter().fold((f64::MAX, 0f64), |(a, b), &variance| (a.min(variance), b.max(variance)));
         if most > 1.5 * least {
             self.warnings.push(format!(
                 "{}the noise of the images is from {:.1} to {:.1} electrons, and one number is written for all: reduce exposures that \
@@ -413,25 +422,34 @@ impl<'a> Reducer<'a> {
 
     /// The error of a channel without images, with the reasons of the first frames.
     fn nothing_left(&self, name: Option<&str>) -> Error {
-        let own = |row: &&LogRow| row.class == FrameClass::Star && name.is_none_or(|name| row.channel.is_empty() || row.channel == name);
+        let own = |row: &&LogRow| {
+            row.class == FrameClass::Star && name.is_none_or(|name| row.channel.is_empty() || row.channel == name)
+        };
         let rejected: Vec<&LogRow> = self.rows.iter().filter(own).collect();
         let of = name.map(|name| format!(" of channel {name}")).unwrap_or_default();
-        let reasons: Vec<String> =
-            rejected.iter().take(3).map(|row| format!("{}: {}", row.file, row.reason)).collect();
+        let reasons: Vec<String> = rejected.iter().take(3).map(|row| format!("{}: {}", row.file, row.reason)).collect();
         let more = if rejected.len() > reasons.len() { "; ..." } else { "" };
         match rejected.len() {
-            0 => Error::Image(format!("there is no frame{of} with a star among the {}: one is needed", self.rows.len())),
+            0 => {
+                Error::Image(format!("there is no frame{of} with a star among the {}: one is needed", self.rows.len()))
+            }
             count => Error::Image(format!("none of {count} frames{of} can be used ({}{more})", reasons.join("; "))),
         }
     }
 
     /// Compares the read noise that was stated with that of the darks.
     fn check_read_noise(&mut self) {
-        let stated = self.frames.iter().enumerate().find(|(index, frame)| self.rows[*index].is_used && frame.class == FrameClass::Star);
+        let stated = self
+            .frames
+            .iter()
+            .enumerate()
+            .find(|(index, frame)| self.rows[*index].is_used && frame.class == FrameClass::Star);
         let Some((_, frame)) = stated else { return };
         let channel = self.channel_of(frame).unwrap_or(0);
         let scene = self.scene_of(channel);
-        let Some(read_noise_e) = self.stated_read_noise_e(frame, scene).filter(|noise_e| *noise_e > 0.0) else { return };
+        let Some(read_noise_e) = self.stated_read_noise_e(frame, scene).filter(|noise_e| *noise_e > 0.0) else {
+            return;
+        };
         let Some(of_dark) = masters::dark_of(&self.darks, frame).and_then(|dark| dark.read_noise_adu) else { return };
         let Ok(gain) = self.gain(frame, scene) else { return };
         let ratio = of_dark * gain / read_noise_e;
@@ -473,7 +491,10 @@ impl<'a> Reducer<'a> {
             steps.push("sky from the dithers where they do not overlap".into());
         }
         if darks == 0 && skies.is_empty() {
-            self.warnings.push("there are neither darks nor frames of the sky: what the dithers do not remove of the bias remains".into());
+            self.warnings.push(
+                "there are neither darks nor frames of the sky: what the dithers do not remove of the bias remains"
+                    .into(),
+            );
         }
         steps
     }
@@ -487,13 +508,15 @@ fn is_wavelength(fact: &HeaderFact) -> bool {
 fn outside(map: &Array2<f64>, part: CutOut) -> Vec<f64> {
     const ENOUGH: usize = 100;
     let good = map.indexed_iter().filter(|(_, value)| value.is_finite());
-    let outside: Vec<f64> = good.clone().filter(|((y, x), _)| !part.contains(*y, *x)).map(|(_, value)| *value).collect();
+    let outside: Vec<f64> =
+        good.clone().filter(|((y, x), _)| !part.contains(*y, *x)).map(|(_, value)| *value).collect();
     if outside.len() >= ENOUGH { outside } else { good.map(|(_, value)| *value).collect() }
 }
 
 /// Rejects the frames of another shape than most frames of the star, and gives that shape.
 fn reject_other_shapes(frames: &[Frame], rows: &mut [LogRow]) -> Result<(usize, usize)> {
-    let shapes: Vec<_> = frames.iter().filter(|frame| frame.class == FrameClass::Star).map(|frame| frame.data.dim()).collect();
+    let shapes: Vec<_> =
+        frames.iter().filter(|frame| frame.class == FrameClass::Star).map(|frame| frame.data.dim()).collect();
     let count = |shape: &(usize, usize)| shapes.iter().filter(|other| *other == shape).count();
     let Some(&shape) = shapes.iter().max_by_key(|shape| count(shape)) else {
         return Err(Error::Image(format!("there is no frame with a star among the {}: one is needed", frames.len())));

@@ -25,9 +25,10 @@ const LEAST_EXCESS: f64 = 0.1;
 pub(super) fn starless(spot: Option<Spot>) -> Option<String> {
     match spot {
         None => Some("no good pixels".into()),
-        Some(spot) if spot.snr < LEAST_SNR => {
-            Some(format!("no star: the brightest spot has a signal-to-noise ratio of {:.1}, where {LEAST_SNR} is needed", spot.snr))
-        }
+        Some(spot) if spot.snr < LEAST_SNR => Some(format!(
+            "no star: the brightest spot has a signal-to-noise ratio of {:.1}, where {LEAST_SNR} is needed",
+            spot.snr
+        )),
         Some(_) => None,
     }
 }
@@ -53,8 +54,9 @@ pub(super) fn saturation(
         }
         None => {
             let equal = values.iter().filter(|value| **value == peak).count();
-            (equal >= PLATEAU)
-                .then(|| format!("saturated: {equal} pixels of the star have the same largest value, {peak} counts in one coadd"))
+            (equal >= PLATEAU).then(|| {
+                format!("saturated: {equal} pixels of the star have the same largest value, {peak} counts in one coadd")
+            })
         }
     };
     (peak, reason)
@@ -71,7 +73,9 @@ pub(super) fn reject_trailed(rows: &mut [LogRow], which: &[usize]) {
     for &index in which {
         let elongation = rows[index].elongation;
         if elongation > limit {
-            let sentence = format!("trailed: its spot is {elongation:.2} times as long as wide, where {limit:.2} is accepted here");
+            let sentence = format!(
+                "trailed: its spot is {elongation:.2} times as long as wide, where {limit:.2} is accepted here"
+            );
             rows[index].reject(sentence);
         }
     }

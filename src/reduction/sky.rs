@@ -36,16 +36,15 @@ fn same_filter(frame: &Calibrated, other: &Calibrated) -> bool {
 
 /// The sky of `frame` in `part`, as the median of `skies`; `None` where none of them fits its filter and exposure.
 pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrated]) -> Option<Sky> {
-    let fitting: Vec<(&Calibrated, f64)> = skies
-        .iter()
-        .filter(|sky| same_filter(frame, sky))
-        .filter_map(|sky| Some((sky, scale(frame, sky)?)))
-        .collect();
+    let fitting: Vec<(&Calibrated, f64)> =
+        skies.iter().filter(|sky| same_filter(frame, sky)).filter_map(|sky| Some((sky, scale(frame, sky)?))).collect();
     let (first, scale) = *fitting.first()?;
     // Frames of one exposure: that of the first.
     let same: Vec<Array2<f64>> = fitting
         .iter()
-        .filter(|(sky, _)| sky.frame.header.has_exposure_of(&first.frame.header) && sky.frame.coadds() == first.frame.coadds())
+        .filter(|(sky, _)| {
+            sky.frame.header.has_exposure_of(&first.frame.header) && sky.frame.coadds() == first.frame.coadds()
+        })
         .map(|(sky, _)| part.of(&sky.electrons))
         .collect();
     sky(frame, first, median_of(&same), scale, median_variance(same.len()))

@@ -35,7 +35,8 @@ struct Sums {
 impl Sums {
     fn new(image: &Array2<f64>) -> Self {
         let (rows, columns) = image.dim();
-        let mut sums = Self { value: Array2::zeros((rows + 1, columns + 1)), count: Array2::zeros((rows + 1, columns + 1)) };
+        let mut sums =
+            Self { value: Array2::zeros((rows + 1, columns + 1)), count: Array2::zeros((rows + 1, columns + 1)) };
         for ((y, x), &value) in image.indexed_iter() {
             let (value, count) = if value.is_finite() { (value, 1.0) } else { (0.0, 0.0) };
             for (sum, new) in [(&mut sums.value, value), (&mut sums.count, count)] {
@@ -113,8 +114,9 @@ fn centroid(sums: &Sums, (y, x): (usize, usize), window: usize, background: f64,
     let width = (window / 16).max(3) | 1;
     let (top, left) = (y.saturating_sub(window / 2), x.saturating_sub(window / 2));
     let (bottom, right) = ((y + window.div_ceil(2)).min(rows), (x + window.div_ceil(2)).min(columns));
-    let smooth =
-        Array2::from_shape_fn((bottom - top, right - left), |(j, i)| sums.mean((top + j, left + i), width) - background);
+    let smooth = Array2::from_shape_fn((bottom - top, right - left), |(j, i)| {
+        sums.mean((top + j, left + i), width) - background
+    });
     let peak = smooth.iter().copied().fold(0.0, f64::max);
     let threshold = (THRESHOLD * peak).max(THRESHOLD_SIGMAS * noise / width as f64);
     let mut moments = [0.0; 6];

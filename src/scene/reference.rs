@@ -68,7 +68,12 @@ pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
 fn readers(section: &str, key: &str) -> &'static str {
     let said = [key, section].into_iter().find_map(|about| {
         let about = about.to_lowercase();
-        let only = [("read by 'cophase reduce'", "reduce"), ("simulation only.", "simulations"), ("estimate only.", "estimates"), ("read by ", "both")];
+        let only = [
+            ("read by 'cophase reduce'", "reduce"),
+            ("simulation only.", "simulations"),
+            ("estimate only.", "estimates"),
+            ("read by ", "both"),
+        ];
         only.into_iter().find(|(words, _)| about.contains(words)).map(|(_, readers)| readers)
     });
     said.unwrap_or("both")

@@ -2,8 +2,8 @@
 
 use super::lists::NollRange;
 use super::purpose::Purpose;
-use super::units;
 use super::table::{Check, Reader, default, required, section, unset};
+use super::units;
 use super::value::{ANY, above, at_least, between, even};
 use super::words::{Aperture, Crop, PupilModel};
 use crate::Result;

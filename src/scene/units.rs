@@ -56,7 +56,9 @@ impl Sections {
             _ => lambda_m * self.focal_ratio(reader, key)? / (value * 1e-6),
         };
         if !SAMPLINGS.contains(&sampling) {
-            let sentence = format!("image.{key} = {value} is a sampling of {sampling:.4} pixels per λ/grid_m; above 0 and up to 64 is needed");
+            let sentence = format!(
+                "image.{key} = {value} is a sampling of {sampling:.4} pixels per λ/grid_m; above 0 and up to 64 is needed"
+            );
             return Err(reader.error(key, sentence));
         }
         self.image.samples_per_lambda_over_d = sampling;
@@ -65,12 +67,13 @@ impl Sections {
 
     fn convert_focus(&mut self, reader: &Reader) -> Result<()> {
         let image = &self.image;
-        let (key, value) = match (image.diversity_focus_waves_pv, image.diversity_focus_nm_rms, image.diversity_stage_mm) {
-            (Some(waves), ..) => ("diversity_focus_waves_pv", waves),
-            (_, Some(nm), _) => ("diversity_focus_nm_rms", nm),
-            (.., Some(mm)) => ("diversity_stage_mm", mm),
-            _ => return Ok(()),
-        };
+        let (key, value) =
+            match (image.diversity_focus_waves_pv, image.diversity_focus_nm_rms, image.diversity_stage_mm) {
+                (Some(waves), ..) => ("diversity_focus_waves_pv", waves),
+                (_, Some(nm), _) => ("diversity_focus_nm_rms", nm),
+                (.., Some(mm)) => ("diversity_stage_mm", mm),
+                _ => return Ok(()),
+            };
         let lambda_m = image.wavelength_nm * 1e-9;
         let shape = || {
             self.pupil.focus_shape().ok_or_else(|| {
@@ -93,7 +96,8 @@ impl Sections {
             }
         };
         if !WAVES.contains(&waves) {
-            let sentence = format!("image.{key} = {value} is a defocus of {waves:.4} waves RMS; from -20 to 20 is needed");
+            let sentence =
+                format!("image.{key} = {value} is a defocus of {waves:.4} waves RMS; from -20 to 20 is needed");
             return Err(reader.error(key, sentence));
         }
         self.image.diversity_focus_waves_rms = waves;
@@ -103,13 +107,19 @@ impl Sections {
     /// Side of the pupil's grid, m.
     fn grid_m(&self, reader: &Reader, key: &str, instead: &str) -> Result<f64> {
         self.pupil.grid_m.or(self.pupil.extent_m()).ok_or_else(|| {
-            reader.error(key, format!("image.{key} needs the width of the pupil; give pupil.grid_m, or {instead} in its place"))
+            reader.error(
+                key,
+                format!("image.{key} needs the width of the pupil; give pupil.grid_m, or {instead} in its place"),
+            )
         })
     }
 
     fn focal_ratio(&self, reader: &Reader, key: &str) -> Result<f64> {
         self.image.focal_ratio.ok_or_else(|| {
-            reader.error(key, format!("image.{key} needs image.focal_ratio, the focal length over pupil.grid_m; it is missing"))
+            reader.error(
+                key,
+                format!("image.{key} needs image.focal_ratio, the focal length over pupil.grid_m; it is missing"),
+            )
         })
     }
 }
@@ -133,7 +143,8 @@ impl PupilScene {
         let area = 1.5 * 3f64.sqrt() * side.powi(2);
         let rings = self.rings as i64;
         let mut sums = [0.0; 3];
-        let mut add = |weight: f64, means: [f64; 3]| sums.iter_mut().zip(means).for_each(|(sum, mean)| *sum += weight * mean);
+        let mut add =
+            |weight: f64, means: [f64; 3]| sums.iter_mut().zip(means).for_each(|(sum, mean)| *sum += weight * mean);
         for q in -rings..=rings {
             for r in (-rings).max(-rings - q)..=rings.min(rings - q) {
                 if (q, r) == (0, 0) && !self.central_segment {
@@ -233,8 +244,8 @@ mod tests {
             let at = |j: usize| (j as f64 - (n as f64 - 1.0) / 2.0) * scene.pupil.grid_m.unwrap() / n as f64;
             let squares = ndarray::Array2::from_shape_fn((n, n), |(y, x)| at(x).powi(2) + at(y).powi(2));
             let total: f64 = pupil.amplitude.sum();
-            let mean = (&squares * pupil.amplitude).sum() / total;
-            let spread = (squares.mapv(|square| (square - mean).powi(2)) * pupil.amplitude).sum() / total;
+            let mean = (&squares * &pupil.amplitude).sum() / total;
+            let spread = (squares.mapv(|square| (square - mean).powi(2)) * &pupil.amplitude).sum() / total;
             let own = scene.pupil.focus_shape().unwrap().spread_m2;
             // The overlap of the obscuration with the gaps, and 120 samples across.
             assert!((own / spread.sqrt() - 1.0).abs() < 2e-3, "{name} {settings:?}: {own} {}", spread.sqrt());
@@ -262,7 +273,8 @@ mod tests {
         let replaced = scene("pixel_mas = 10.0").unwrap().with(&[("image.samples_per_lambda_over_d", "3")]).unwrap();
         assert_eq!(replaced.image.samples_per_lambda_over_d, 3.0);
         assert!(!replaced.names("image.pixel_mas"));
-        let error = scene("").unwrap().with(&[("image.samples_per_lambda_over_d", "3"), ("image.pixel_mas", "9")]).unwrap_err();
+        let error =
+            scene("").unwrap().with(&[("image.samples_per_lambda_over_d", "3"), ("image.pixel_mas", "9")]).unwrap_err();
         assert!(error.to_string().contains("both given"), "{error}");
     }
 }

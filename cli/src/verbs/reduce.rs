@@ -76,10 +76,12 @@ pub struct Arguments {
 }
 
 fn channel_rule(text: &str) -> std::result::Result<ChannelRule, String> {
-    let wanted = || format!("'{text}' is not accepted; NAME=PATTERN or NAME=CARD=PATTERN is needed, such as plus=n00*.fits");
+    let wanted =
+        || format!("'{text}' is not accepted; NAME=PATTERN or NAME=CARD=PATTERN is needed, such as plus=n00*.fits");
     let (channel, rest) = text.split_once('=').ok_or_else(wanted)?;
     let (card, pattern) = rest.split_once('=').map_or((None, rest), |(card, pattern)| (Some(card.trim()), pattern));
-    let is_complete = !channel.trim().is_empty() && !pattern.trim().is_empty() && card.is_none_or(|card| !card.is_empty());
+    let is_complete =
+        !channel.trim().is_empty() && !pattern.trim().is_empty() && card.is_none_or(|card| !card.is_empty());
     let rule = ChannelRule {
         channel: channel.trim().into(),
         card: card.map(str::to_uppercase),
@@ -157,7 +159,9 @@ fn scene(arguments: &Arguments) -> Result<Scene> {
     let options: Vec<(&str, &str)> = options.iter().filter_map(|(key, value)| Some((*key, (*value)?))).collect();
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
     let channels = scene.channels();
-    if let Some(rule) = arguments.channels.iter().find(|rule| channels.iter().all(|channel| channel.name != rule.channel)) {
+    if let Some(rule) =
+        arguments.channels.iter().find(|rule| channels.iter().all(|channel| channel.name != rule.channel))
+    {
         let names: Vec<&str> = channels.iter().map(|channel| channel.name.as_str()).collect();
         let there = if names.is_empty() { "it has none".into() } else { format!("it has {}", names.join(", ")) };
         return Err(Error::Scene(format!("{}: --channel names the channel {}; {there}", scene.name(), rule.channel)));
@@ -184,7 +188,10 @@ fn inputs(arguments: &Arguments) -> Result<Vec<(PathBuf, Option<FrameClass>)>> {
             match inputs.iter().find(|(known, _)| real(known) == real(&path)) {
                 Some((_, known)) if class.is_some() && *known != class => {
                     let [one, other] = [known, &class].map(|class| class.map_or("", FrameClass::name));
-                    return Err(Error::file(&path, format_args!("is listed as {one} and as {other}: one of them is accepted")));
+                    return Err(Error::file(
+                        &path,
+                        format_args!("is listed as {one} and as {other}: one of them is accepted"),
+                    ));
                 }
                 Some(_) => {}
                 None => inputs.push((path, class)),
@@ -237,7 +244,10 @@ fn report(arguments: &Arguments, reduction: &Reduction, seconds: f64, terminal: 
         after.join(", ")
     );
     for channel in channels {
-        let name = channel.name.map(|name| format!("channel {name}: {}, ", counted(channel.images, "image"))).unwrap_or_default();
+        let name = channel
+            .name
+            .map(|name| format!("channel {name}: {}, ", counted(channel.images, "image")))
+            .unwrap_or_default();
         text += &format!("{name}noise of a pixel {:.1} electrons\n", channel.noise_e);
     }
     terminal.show(&text)
@@ -245,8 +255,23 @@ fn report(arguments: &Arguments, reduction: &Reduction, seconds: f64, terminal: 
 
 fn row(row: &LogRow) -> Row<'_> {
     let LogRow { itime_s, coadds, x, y, flux_e, peak_adu, background_e, elongation, is_used, .. } = *row;
-    let (file, class, channel, reason) = (row.file.as_str(), row.class.name(), row.channel.as_str(), row.reason.as_str());
-    Row { file, class, channel, itime_s, coadds, x, y, flux_e, peak_adu, background_e, elongation, used: is_used, reason }
+    let (file, class, channel, reason) =
+        (row.file.as_str(), row.class.name(), row.channel.as_str(), row.reason.as_str());
+    Row {
+        file,
+        class,
+        channel,
+        itime_s,
+        coadds,
+        x,
+        y,
+        flux_e,
+        peak_adu,
+        background_e,
+        elongation,
+        used: is_used,
+        reason,
+    }
 }
 
 /// The log as a table for people.

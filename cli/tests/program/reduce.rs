@@ -33,8 +33,9 @@ impl Noise {
 /// Response of the detector: 2 % from pixel to pixel, on a slope of 20 %, with a dead pixel.
 fn response() -> Array2<f64> {
     let mut noise = Noise(7);
-    let mut response =
-        Array2::from_shape_fn((SIDE, SIDE), |(_, x)| (1.0 + 0.02 * noise.normal()) * (0.9 + 0.2 * x as f64 / SIDE as f64));
+    let mut response = Array2::from_shape_fn((SIDE, SIDE), |(_, x)| {
+        (1.0 + 0.02 * noise.normal()) * (0.9 + 0.2 * x as f64 / SIDE as f64)
+    });
     response[[60, 55]] = 0.0;
     response
 }
@@ -45,7 +46,9 @@ fn dark() -> Array2<f64> {
     let mut dark = Array2::from_shape_fn((SIDE, SIDE), |(y, x)| {
         500.0 + 10.0 * (2 * (2 * y / SIDE) + 2 * x / SIDE) as f64 + 3.0 * noise.normal()
     });
-    for (y, x, counts) in [(55, 45, 4000.0), (145, 60, 800.0), (102, 110, 20_000.0), (10, 190, 30_000.0), (10, 191, 30_000.0)] {
+    for (y, x, counts) in
+        [(55, 45, 4000.0), (145, 60, 800.0), (102, 110, 20_000.0), (10, 190, 30_000.0), (10, 191, 30_000.0)]
+    {
         dark[[y, x]] += counts;
     }
     dark
@@ -127,7 +130,13 @@ fn raw_frames_become_the_images_again() {
     // The dead and the five hot pixels; of 40,000 normal ones none is bad by chance.
     assert_eq!(made["bad_pixels"], 6, "{made}");
     for (place, (y, x)) in DITHERS.into_iter().enumerate() {
-        let row = &made["frames"].as_array().unwrap().iter().find(|row| row["file"] == format!("n{place:04}.fits")).unwrap().clone();
+        let row = &made["frames"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|row| row["file"] == format!("n{place:04}.fits"))
+            .unwrap()
+            .clone();
         // The centroid of a spot that aberrations deform is a few pixels from the axis.
         assert!((number(row, "x") - x as f64).hypot(number(row, "y") - y as f64) < 4.0, "{row}");
         // Background: the sky's, as far as a median of 36,000 pixels of 20 e each knows it, and the star's halo.
@@ -140,7 +149,8 @@ fn raw_frames_become_the_images_again() {
 
     let set = ["--scene", "scene.toml", RAW[0], RAW[1]];
     for options in [&[][..], &set] {
-        let arguments = [&["estimate", "reduced.fits", "-o", "reduced-est.fits", "--json", "--strict"], options].concat();
+        let arguments =
+            [&["estimate", "reduced.fits", "-o", "reduced-est.fits", "--json", "--strict"], options].concat();
         let done = desk.run(&arguments);
         println!("{}", done.out);
         assert_eq!(done.status, 0, "{options:?}: {}", done.err);
@@ -152,7 +162,11 @@ fn raw_frames_become_the_images_again() {
             println!("{part}: residual {residual} ({}), sigma {sigma} ({bound}), noise {noise_e}", residuals[at]);
             // The noise bound of perfect images, and 20 % for the noise of the sky.
             assert!(sigma < 1.2 * bound, "{part}: {sigma} nm, {bound} nm of perfect images");
-            assert!(residual < 1.2 * residuals[at].max(bound), "{part}: {residual} nm, {} nm of perfect images", residuals[at]);
+            assert!(
+                residual < 1.2 * residuals[at].max(bound),
+                "{part}: {residual} nm, {} nm of perfect images",
+                residuals[at]
+            );
         }
     }
 }
@@ -160,7 +174,8 @@ fn raw_frames_become_the_images_again() {
 #[test]
 fn frames_that_cannot_be_used_are_named_with_the_reason() {
     let desk = desk();
-    let image = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
+    let image =
+        FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
     let mut noise = Noise(2);
     let mut bright = star(&(50.0 * &image), (100, 100), &mut noise);
     bright.mapv_inplace(|electrons| electrons.min(2.0 * 12_000.0 * GAIN));
@@ -205,7 +220,8 @@ fn bad_input_is_refused() {
     let desk = Desk::with_images(&[]);
     std::fs::create_dir(desk.path("raw")).unwrap();
     std::fs::create_dir(desk.path("empty")).unwrap();
-    let image = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
+    let image =
+        FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
     let frame = star(&image, (100, 100), &mut Noise(4));
     write(&desk, "raw/n1.fits", &frame, &[]);
     write(&desk, "raw/d1.fits", &frame, &[("IMAGETYP", "dark".into())]);
@@ -244,7 +260,8 @@ fn bad_input_is_refused() {
 #[test]
 fn a_first_scene_is_made_of_a_header() {
     let desk = Desk::with_images(&[]);
-    let image = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
+    let image =
+        FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
     let cards = [
         ("TELESCOP", Card::from("KECK II")),
         ("CURRINST", "NIRC2".into()),
@@ -268,7 +285,17 @@ fn a_first_scene_is_made_of_a_header() {
     // 2.1686 um over 10.95 m is 40.850 mas, which pixels of 9.952 mas sample 4.105 times.
     assert!(text.contains("pixel_mas = 9.952") && text.contains("4.105 pixels per lambda"), "{text}");
     // It fits the frame, whose header it agrees with.
-    desk.succeeds(&["reduce", "n1.fits", "--scene", "first.toml", "-o", "reduced.fits", "--pixels", "64", "--no-dither-sky"]);
+    desk.succeeds(&[
+        "reduce",
+        "n1.fits",
+        "--scene",
+        "first.toml",
+        "-o",
+        "reduced.fits",
+        "--pixels",
+        "64",
+        "--no-dither-sky",
+    ]);
     // Nothing is known of a bare file, and a scene all the same.
     let bare = desk.succeeds(&["scene", "--from", "images.fits"]).out;
     assert!(bare.contains("TELESCOP = '' is not known"), "{bare}");
@@ -287,7 +314,8 @@ fn a_real_frame_is_found_and_cut_out() {
     let text = desk.succeeds(&["scene", "--from", &frame]).out;
     assert!(text.contains("wavelength_nm = 1645.5") && text.contains("exposure_s = 25.0"), "{text}");
     std::fs::write(desk.path("first.toml"), text).unwrap();
-    let json = desk.json(&["reduce", &frame, "--scene", "first.toml", "-o", "reduced.fits", "--pixels", "64", "--json"]);
+    let json =
+        desk.json(&["reduce", &frame, "--scene", "first.toml", "-o", "reduced.fits", "--pixels", "64", "--json"]);
     let row = &json["frames"][0];
     println!("{json}");
     assert_eq!(row["coadds"], 50, "{json}");
