@@ -12,6 +12,9 @@ use ndarray::{Array2, Zip, s};
 const OUTLIER: f64 = 8.0;
 /// Responses relative to the surroundings that are accepted. Dust and gradients within 50 % are what a flat is for.
 const RESPONSES: [f64; 2] = [0.5, 1.5];
+/// Least scatters of a dark, in counts, and of a flat: the median of whole counts may not scatter at all.
+const LEAST_SPREAD_ADU: f64 = 0.3;
+const LEAST_SPREAD: f64 = 1e-3;
 /// Least response relative to the median of the flat: the vignetted part of a field is no detector.
 const LEAST_RESPONSE: f64 = 0.1;
 
@@ -143,13 +146,13 @@ pub(super) fn flats(frames: &[Frame], darks: &[Dark], rows: &mut [LogRow], warni
 
 /// Pixels of a dark that deviate from their surroundings.
 pub(super) fn bad_in_dark(dark: &Dark) -> Array2<bool> {
-    outliers(&(&dark.counts - &surroundings(&dark.counts)))
+    outliers(&(&dark.counts - &surroundings(&dark.counts)), LEAST_SPREAD_ADU)
 }
 
 /// Pixels of a flat that respond otherwise than their surroundings, or not.
 pub(super) fn bad_in_flat(flat: &Flat) -> Array2<bool> {
     let relative = &flat.response / &surroundings(&flat.response);
-    let mut bad = outliers(&(&relative - 1.0));
+    let mut bad = outliers(&(&relative - 1.0), LEAST_SPREAD);
     Zip::from(&mut bad).and(&relative).and(&flat.response).for_each(|bad, relative, response| {
         let is_accepted = (RESPONSES[0]..=RESPONSES[1]).contains(relative) && *response >= LEAST_RESPONSE;
         *bad |= !is_accepted;
@@ -157,8 +160,9 @@ pub(super) fn bad_in_flat(flat: &Flat) -> Array2<bool> {
     bad
 }
 
-fn outliers(deviation: &Array2<f64>) -> Array2<bool> {
-    let limit = OUTLIER * scatter(deviation.iter().copied());
+/// Pixels whose deviation exceeds [`OUTLIER`] times the scatter of all, which is at least `least`.
+fn outliers(deviation: &Array2<f64>, least: f64) -> Array2<bool> {
+    let limit = OUTLIER * scatter(deviation.iter().copied()).max(least);
     deviation.mapv(|deviation| !(deviation.abs() <= limit))
 }
 

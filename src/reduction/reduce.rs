@@ -284,17 +284,16 @@ impl<'a> Reducer<'a> {
         let scene = self.scene_of(channel);
         let name = self.scene.channels().get(channel).map(|channel| channel.name.clone());
         let shape = scene.image.frame_shape();
-        let mut found: Vec<(&Calibrated, Option<CutOut>)> = Vec::new();
+        let (mut parts, mut stars) = (Vec::new(), Vec::new());
         for frame in group {
             self.rows[frame.index].channel = name.clone().unwrap_or_default();
-            let part = self.find_star(frame, shape);
-            found.push((frame, part));
+            parts.push(self.find_star(frame, shape));
+            let row = &self.rows[frame.index];
+            stars.push((frame, row.x.is_finite().then_some((row.x, row.y))));
         }
         let mut images: Vec<Image> = Vec::new();
-        for (frame, part) in &found {
-            if let Some(part) = part.filter(|_| self.rows[frame.index].reason.is_empty()) {
-                images.extend(self.cut_out(frame, part, &found, skies, scene));
-            }
+        for (frame, part) in group.iter().zip(parts) {
+            images.extend(part.and_then(|part| self.cut_out(frame, part, &stars, skies, scene)));
         }
         let cut: Vec<usize> = images.iter().map(|image| image.index).collect();
         rejection::reject_trailed(&mut self.rows, &cut);
@@ -329,44 +328,27 @@ impl<'a> Reducer<'a> {
         &mut self,
         frame: &Calibrated,
         part: CutOut,
-        group: &[(&Calibrated, Option<CutOut>)],
+        stars: &[(&Calibrated, Option<(f64, f64)>)],
         skies: &[Calibrated],
         scene: &Scene,
     ) -> Option<Image> {
         let saturation_adu = scene.image.saturation_adu.or(frame.frame.header.saturation_adu);
         let bad = frame.electrons.mapv(|electrons| !electrons.is_finite());
         let (peak_adu, saturated) = rejection::saturation(frame.frame, &bad, part, saturation_adu);
-        let outside: Vec<f64> = outside(&frame.electrons, part);
-        let (background_e, noise_e) = (median(&outside), scatter(outside.iter().copied()));
+        let background_e = median(&outside(&frame.electrons, part));
         let row = &mut self.rows[frame.index];
         (row.peak_adu, row.background_e) = (peak_adu, background_e);
         if let Some(reason) = saturated {
             row.reject(reason);
             return None;
         }
-        let of_dithers = || if self.options.is_without_dither_sky { None } else { sky::of_dithers(frame, part, group) };
+        let of_dithers = || if self.options.is_without_dither_sky { None } else { sky::of_dithers(frame, part, stars) };
         let sky = if skies.is_empty() { of_dithers() } else { sky::of_sky_frames(frame, part, skies) };
         if sky.is_none() && frame.dark.is_none() && !self.darks.is_empty() {
             let there = masters::exposures(&self.darks);
             self.rows[frame.index]
                 .reject(format!("no dark {}, only {there}, and no sky of its exposure", frame.frame.header.exposure()));
             return None;
-        }
-        let stated_read_noise_e = self.stated_read_noise_e(frame.frame, scene);
-        let coadds = frame.frame.coadds();
-        let of_dark = frame.dark.and_then(|dark| Some(self.darks[dark].read_noise_adu? * frame.gain));
-        // The scatter of the frame has the photons of its background, too; where that is kept, an estimate adds them again.
-        let kept_e = if sky.is_none() && frame.dark.is_some() { background_e.max(0.0) } else { 0.0 };
-        let of_scatter = || ((noise_e.powi(2) - kept_e).max(0.01 * noise_e.powi(2)) / coadds).sqrt();
-        let known = stated_read_noise_e.or(of_dark).filter(|_| frame.dark.is_some() || stated_read_noise_e.is_some());
-        let mut terms = NoiseTerms {
-            coadds,
-            read_noise_e: known.unwrap_or_else(of_scatter),
-            dark: frame.dark_variance,
-            sky: sky.as_ref().map(|sky| sky.terms),
-        };
-        if known.is_none() {
-            terms.sky.iter_mut().for_each(|sky| sky.level_e = 0.0);
         }
         let mut electrons = part.of(&frame.electrons);
         let level_e = match &sky {
@@ -381,10 +363,26 @@ impl<'a> Reducer<'a> {
             }
             None => 0.0,
         };
-        let row = &mut self.rows[frame.index];
         let rest_e = if background_e.is_finite() { background_e - level_e } else { 0.0 };
-        row.flux_e = electrons.iter().filter(|value| value.is_finite()).map(|value| value - rest_e).sum();
-        Some(Image { index: frame.index, electrons, variance: terms.variance(), stated_read_noise_e })
+        let light = electrons.iter().filter(|value| value.is_finite()).map(|value| value - rest_e);
+        self.rows[frame.index].flux_e = light.sum();
+        let stated_read_noise_e = self.stated_read_noise_e(frame.frame, scene);
+        let of_dark = frame.dark.and_then(|dark| Some(self.darks[dark].read_noise_adu? * frame.gain));
+        // Without a dark nothing tells the sky, which has photon noise, from the bias, which has none.
+        let known = stated_read_noise_e.or(of_dark).filter(|_| frame.dark.is_some());
+        let variance = match known {
+            Some(read_noise_e) => {
+                let (coadds, dark) = (frame.frame.coadds(), frame.dark_variance);
+                NoiseTerms { coadds, read_noise_e, dark, sky: sky.as_ref().map(|sky| sky.terms) }.variance()
+            }
+            // An estimate adds the photons of a background that is kept.
+            None => {
+                let kept_e = if sky.is_none() && frame.dark.is_some() { background_e.max(0.0) } else { 0.0 };
+                let measured = scatter(corners(&electrons)).powi(2);
+                (measured - kept_e).max(0.01 * measured)
+            }
+        };
+        Some(Image { index: frame.index, electrons, variance, stated_read_noise_e })
     }
 
     /// The cube of a channel.
@@ -502,6 +500,14 @@ impl<'a> Reducer<'a> {
 
 fn is_wavelength(fact: &HeaderFact) -> bool {
     matches!(fact.quantity, Quantity::WavelengthNm | Quantity::BandNm)
+}
+
+/// The pixels of an image outside of the ellipse in it, where the least light of the star is.
+fn corners(image: &Array2<f64>) -> impl Iterator<Item = f64> + '_ {
+    let (rows, columns) = image.dim();
+    let offset = |at: usize, size: usize| (2.0 * at as f64 - size as f64) / size as f64;
+    let is_corner = move |y: usize, x: usize| offset(y, rows).hypot(offset(x, columns)) > 1.0;
+    image.indexed_iter().filter(move |((y, x), _)| is_corner(*y, *x)).map(|(_, value)| *value)
 }
 
 /// The good pixels outside of a cut-out; all of them where there are too few for a median.

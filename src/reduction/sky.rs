@@ -51,7 +51,12 @@ pub(super) fn of_sky_frames(frame: &Calibrated, part: CutOut, skies: &[Calibrate
 }
 
 /// The sky of `frame` in `part`, as the median of the other frames of its star where that star is not; `None` where they overlap.
-pub(super) fn of_dithers(frame: &Calibrated, part: CutOut, others: &[(&Calibrated, Option<CutOut>)]) -> Option<Sky> {
+/// `others` are the frames with the column and the row of their star, if they have one.
+pub(super) fn of_dithers(
+    frame: &Calibrated,
+    part: CutOut,
+    others: &[(&Calibrated, Option<(f64, f64)>)],
+) -> Option<Sky> {
     let same = |other: &Calibrated| {
         !std::ptr::eq(other, frame)
             && same_filter(frame, other)
@@ -59,14 +64,20 @@ pub(super) fn of_dithers(frame: &Calibrated, part: CutOut, others: &[(&Calibrate
             && other.frame.coadds() == frame.frame.coadds()
             && other.dark.is_some() == frame.dark.is_some()
     };
-    let others: Vec<&(&Calibrated, Option<CutOut>)> = others.iter().filter(|(other, _)| same(other)).collect();
+    let others: Vec<_> = others.iter().filter(|(other, _)| same(other)).collect();
     let (first, _) = others.first()?;
+    let (half_height, half_width) = (part.rows as f64 / 2.0, part.columns as f64 / 2.0);
     let free: Vec<Array2<f64>> = others
         .iter()
         .map(|(other, star)| {
+            let is_star = |y: usize, x: usize| {
+                star.is_some_and(|(at_x, at_y)| {
+                    (x as f64 - at_x).abs() <= half_width && (y as f64 - at_y).abs() <= half_height
+                })
+            };
             Array2::from_shape_fn((part.rows, part.columns), |(j, i)| {
                 let (y, x) = (part.top + j, part.left + i);
-                if star.is_some_and(|star| star.contains(y, x)) { f64::NAN } else { other.electrons[[y, x]] }
+                if is_star(y, x) { f64::NAN } else { other.electrons[[y, x]] }
             })
         })
         .collect();
@@ -81,8 +92,7 @@ fn sky(frame: &Calibrated, like: &Calibrated, electrons: Array2<f64>, scale: f64
     if known.len() as f64 <= (1.0 - MOST_MISSING) * electrons.len() as f64 {
         return None;
     }
-    // Without a dark the level is mostly bias, which has no photon noise; the scatter of the frame then stands for its noise.
-    let level_e = if like.dark.is_some() { median(&known) } else { 0.0 };
+    let level_e = median(&known);
     let terms = SkyTerms {
         variance,
         scale,
