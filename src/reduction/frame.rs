@@ -2,11 +2,10 @@
 
 use super::classify::{FrameClass, classify};
 use super::files::Pattern;
-use super::log::LogRow;
 use crate::io::{self, Card, FitsReader, HeaderFact, PixelUnit, Quantity};
 use crate::{Error, Result};
 use ndarray::{Array2, Axis};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Rule that puts frames into a channel.
 #[derive(Debug, Clone, PartialEq)]
@@ -121,20 +120,8 @@ impl FrameHeader {
     }
 }
 
-/// The frames in `files`, each with the class that a list gives it, and a row of the log for each file that cannot be read.
-pub fn read_frames(files: &[(PathBuf, Option<FrameClass>)], rules: &[ChannelRule]) -> (Vec<Frame>, Vec<LogRow>) {
-    let (mut frames, mut rejected) = (Vec::new(), Vec::new());
-    for (path, class) in files {
-        match Frame::read(path, *class, rules) {
-            Ok(read) => frames.extend(read),
-            Err(Error::File { reason, .. }) => rejected.push(LogRow::unreadable(file_name(path), reason)),
-            Err(other) => rejected.push(LogRow::unreadable(file_name(path), other.to_string())),
-        }
-    }
-    (frames, rejected)
-}
-
-fn file_name(path: &Path) -> String {
+/// Name of a file without its folder.
+pub(super) fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into())
 }
 

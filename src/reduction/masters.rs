@@ -123,7 +123,7 @@ pub(super) fn flats(frames: &[Frame], darks: &[Dark], rows: &mut [LogRow], warni
             without_dark += 1;
         }
         let level = median(&counts.iter().copied().filter(|value| value.is_finite()).collect::<Vec<_>>());
-        if !(level > 0.0) {
+        if level.is_nan() || level <= 0.0 {
             rows[index].reject(format!("no light: its median is {level:.1} counts above the dark"));
             continue;
         }
@@ -163,7 +163,7 @@ pub(super) fn bad_in_flat(flat: &Flat) -> Array2<bool> {
 /// Pixels whose deviation exceeds [`OUTLIER`] times the scatter of all, which is at least `least`.
 fn outliers(deviation: &Array2<f64>, least: f64) -> Array2<bool> {
     let limit = OUTLIER * scatter(deviation.iter().copied()).max(least);
-    deviation.mapv(|deviation| !(deviation.abs() <= limit))
+    deviation.mapv(|deviation| deviation.is_nan() || deviation.abs() > limit)
 }
 
 /// Median of the 5×5 pixels about each one, without itself.

@@ -14,6 +14,8 @@
 //! * [`first_scene`] writes the scene to begin with.
 //! * [`Reduction::write`] writes the cube with bad pixels, log and scene.
 
+mod calibration;
+mod channel;
 mod classify;
 mod cut_out;
 mod files;
@@ -22,15 +24,20 @@ mod frame;
 mod log;
 mod masters;
 mod noise;
+mod read;
 mod reduce;
+mod reduced;
 mod rejection;
 mod sky;
 mod star;
 mod write;
 
+pub use calibration::ReductionOptions;
 pub use classify::FrameClass;
 pub use files::{Pattern, list_files};
 pub use first_scene::first_scene;
-pub use frame::{ChannelRule, Frame, FrameHeader, read_frames};
+pub use frame::{ChannelRule, Frame, FrameHeader};
 pub use log::LogRow;
-pub use reduce::{ReducedChannel, Reduction, ReductionOptions, reduce};
+pub use read::read_frames;
+pub use reduce::reduce;
+pub use reduced::{ReducedChannel, Reduction};

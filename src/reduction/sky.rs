@@ -1,9 +1,9 @@
 //! Sky of a frame: from frames of the sky, else from the other positions of the dithered star.
 
+use super::calibration::Calibrated;
 use super::cut_out::CutOut;
 use super::masters::median_of;
 use super::noise::{SkyTerms, median_variance};
-use super::reduce::Calibrated;
 use crate::statistics::median;
 use ndarray::Array2;
 

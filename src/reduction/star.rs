@@ -146,7 +146,7 @@ fn without_spikes(image: &Array2<f64>) -> Array2<f64> {
     let (rows, columns) = image.dim();
     let mut clean = image.clone();
     for ((y, x), &value) in image.indexed_iter() {
-        if !(value - background > 10.0 * noise) {
+        if value.is_nan() || value - background <= 10.0 * noise {
             continue;
         }
         let near = image.slice(s![y.saturating_sub(1)..(y + 2).min(rows), x.saturating_sub(1)..(x + 2).min(columns)]);

@@ -1,7 +1,7 @@
 //! The file of a reduction.
 
 use super::log;
-use super::reduce::{ReducedChannel, Reduction};
+use super::reduced::{ReducedChannel, Reduction};
 use crate::Result;
 use crate::io::{CHANNEL, ELECTRON, FitsWriter, Pixel, READ_NOISE_OF_A_COADD};
 use crate::scene::Scene;

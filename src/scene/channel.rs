@@ -3,9 +3,9 @@
 //! A channel has a scene of its own: the keys that it names in place of those of `[image]`, and no channels. Pixels keep their angle on
 //! the sky: where a channel names another wavelength and not its sampling, the sampling follows the wavelength.
 
+use super::forms;
 use super::table::{Key, Section, Source, shown, suggestion};
 use super::telescope::ImageScene;
-use super::units;
 use super::value::{FromToml, between};
 use crate::{Error, Result};
 use std::fmt::Display;
@@ -144,7 +144,7 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
         Some((_, table)) => {
             match value {
                 Some(value) => {
-                    units::other_forms(key).for_each(|other| drop(table.remove(other)));
+                    forms::other_forms(key).for_each(|other| drop(table.remove(other)));
                     drop(table.insert(key, Item::Value(value)));
                 }
                 None => drop(table.remove(key)),
@@ -157,13 +157,13 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
     }
 }
 
-const SAMPLING: &str = units::SAMPLING[0];
+const SAMPLING: &str = forms::SAMPLING[0];
 /// Keys of which a scene may name one: a channel that names one of them replaces all.
 const ALTERNATIVES: [&[&str]; 5] = [
     &["peak_snr", "flux_e"],
-    &[units::FOCUS[0], units::FOCUS[1], units::FOCUS[2], units::FOCUS[3], "diversity_file"],
+    &[forms::FOCUS[0], forms::FOCUS[1], forms::FOCUS[2], forms::FOCUS[3], "diversity_file"],
     &["bandwidth_fraction", "filter_file"],
-    &units::SAMPLING,
+    &forms::SAMPLING,
     &["focal_ratio"],
 ];
 
@@ -173,7 +173,7 @@ fn followed_sampling(image: &dyn TableLike, channel: &Table) -> Option<f64> {
     let number = |item: Option<&Item>| item?.as_value().and_then(|value| f64::from_toml(value, &range));
     let (own, shared) = (number(channel.get("wavelength_nm"))?, number(image.get("wavelength_nm"))?);
     // A pixel in other words keeps its angle, and its sampling follows from it.
-    let has_other_words = |table: &dyn TableLike| units::SAMPLING[1..].iter().any(|key| table.contains_key(key));
+    let has_other_words = |table: &dyn TableLike| forms::SAMPLING[1..].iter().any(|key| table.contains_key(key));
     if channel.contains_key(SAMPLING) || own == shared || has_other_words(channel) || has_other_words(image) {
         return None;
     }

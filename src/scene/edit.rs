@@ -1,7 +1,7 @@
 //! Changed copies of a scene: other values for some keys, with the comments kept.
 
 use super::table::SETTING;
-use super::{Scene, SectionKeys, channel, directory_of_keys, units, unknown_key, unknown_section};
+use super::{Scene, SectionKeys, channel, directory_of_keys, forms, unknown_key, unknown_section};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
@@ -30,7 +30,7 @@ impl Scene {
             if section == "image" && !value.trim().is_empty() {
                 // Another form of the same quantity gives way, unless it is set, too.
                 let is_set = |other: &str| settings.iter().any(|(key, _)| key.strip_prefix("image.") == Some(other));
-                for other in units::other_forms(name).filter(|other| !is_set(other)) {
+                for other in forms::other_forms(name).filter(|other| !is_set(other)) {
                     set(&mut document, section, other, "")?;
                 }
             }

@@ -21,6 +21,7 @@ mod edit;
 mod faults;
 mod file;
 mod fit;
+mod forms;
 mod lists;
 mod purpose;
 mod reference;

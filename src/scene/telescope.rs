@@ -1,9 +1,9 @@
 //! Sections `[pupil]`, `[image]` and `[aberrations]`: telescope, science camera, true aberrations of simulated images.
 
+use super::forms;
 use super::lists::NollRange;
 use super::purpose::Purpose;
 use super::table::{Check, Reader, default, required, section, unset};
-use super::units;
 use super::value::{ANY, above, at_least, between, even};
 use super::words::{Aperture, Crop, PupilModel};
 use crate::Result;
@@ -282,9 +282,9 @@ impl ImageScene {
 impl Check for ImageScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("peak_snr", "flux_e")?;
-        reader.not_several(&units::SAMPLING)?;
-        reader.not_several(&units::FOCUS)?;
-        units::FOCUS.iter().try_for_each(|key| reader.not_both(key, "diversity_file"))?;
+        reader.not_several(&forms::SAMPLING)?;
+        reader.not_several(&forms::FOCUS)?;
+        forms::FOCUS.iter().try_for_each(|key| reader.not_both(key, "diversity_file"))?;
         if self.filter_file.is_some() && self.bandwidth_fraction > 0.0 {
             let sentence = format!(
                 "'image.filter_file' and image.bandwidth_fraction = {} are both given; name only one of them",
@@ -307,7 +307,7 @@ impl Check for ImageScene {
             }
         }
         // A sampling in other words is converted, and checked, when the pupil is known.
-        if !units::SAMPLING[1..].iter().any(|key| reader.named(key)) {
+        if !forms::SAMPLING[1..].iter().any(|key| reader.named(key)) {
             self.check_sampling(reader)?;
         }
         let (rows, columns) = self.frame_shape();

@@ -13,24 +13,12 @@ use super::table::{Reader, Source};
 use super::telescope::PupilScene;
 use crate::Result;
 
-/// The sampling, as everything reads it, and its other forms.
-pub(super) const SAMPLING: [&str; 4] = ["samples_per_lambda_over_d", "pixel_mas", "pixel_arcsec", "pixel_pitch_um"];
-/// The defocus, likewise.
-pub(super) const FOCUS: [&str; 4] =
-    ["diversity_focus_waves_rms", "diversity_focus_waves_pv", "diversity_focus_nm_rms", "diversity_stage_mm"];
-
 /// Ranges of the keys that the other forms are converted to.
 const SAMPLINGS: std::ops::RangeInclusive<f64> = f64::MIN_POSITIVE..=64.0;
 const WAVES: std::ops::RangeInclusive<f64> = -20.0..=20.0;
 
 /// Milliarcseconds in a radian.
 const RADIAN_MAS: f64 = 180.0 / std::f64::consts::PI * 3.6e6;
-
-/// The other forms of `key` of the section `[image]`.
-pub(super) fn other_forms(key: &str) -> impl Iterator<Item = &'static str> + use<'_> {
-    let groups = [SAMPLING, FOCUS].into_iter().filter(move |group| group.contains(&key));
-    groups.flatten().filter(move |other| *other != key)
-}
 
 impl Sections {
     /// Converts the other forms of the sampling and of the defocus to `samples_per_lambda_over_d` and `diversity_focus_waves_rms`.

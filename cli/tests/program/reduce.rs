@@ -81,7 +81,7 @@ fn star(image: &Array2<f64>, (y, x): (usize, usize), noise: &mut Noise) -> Array
     let mut frame = sky(noise);
     let at = s![y - 32..y + 32, x - 32..x + 32];
     let of_sky = Array2::from_shape_fn((64, 64), |_| SKY_E + SKY_E.sqrt() * noise.normal());
-    frame.slice_mut(at).assign(&((image + &of_sky) * &response().slice(at)));
+    frame.slice_mut(at).assign(&((image + &of_sky) * response().slice(at)));
     frame
 }
 
