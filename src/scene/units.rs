@@ -121,8 +121,8 @@ struct FocusShape {
 }
 
 impl PupilScene {
-    /// Moments of the hexagons less the central obscuration, exact up to its overlap with gaps; the spider is left out, for its vanes
-    /// extend over all radii (of 25 mm in 10.95 m they change the spread by less than a part in 10³). `None` for a pupil from a file.
+    /// Moments of the hexagons less the central obscuration and the spider's vanes; exact up to the overlap of these with each other and
+    /// of the obscuration with gaps. `None` for a pupil from a file.
     fn focus_shape(&self) -> Option<FocusShape> {
         self.extent_m()?;
         let (side, pitch) = (self.segment_side_m, 3f64.sqrt() * self.segment_side_m + self.segment_gap_m);
@@ -151,12 +151,54 @@ impl PupilScene {
                 add(area, [1.0, second, fourth]);
             }
         }
+        for [weight, square] in self.vane_points(pitch) {
+            add(-weight, [1.0, square, square.powi(2)]);
+        }
         let [area, second, fourth] = sums;
         let variance = fourth / area - (second / area).powi(2);
         // The farthest vertex is one of a corner hexagon, 30° off the direction to its centre.
         let corner = self.rings as f64 * pitch;
         let radius_m = (corner.powi(2) + side.powi(2) + 3f64.sqrt() * corner * side).sqrt();
         (area > 0.0 && variance > 0.0).then(|| FocusShape { radius_m, spread_m2: variance.sqrt() })
+    }
+
+    /// Points along the middle lines of the vanes that hide a segment: the area for which each stands, and its r². The spider turns with
+    /// the segments.
+    fn vane_points(&self, pitch: f64) -> Vec<[f64; 2]> {
+        const POINTS: usize = 1000;
+        if self.spider_width_m <= 0.0 {
+            return Vec::new();
+        }
+        let lines = self.spider_angles_deg.iter().flat_map(|deg| [*deg, deg + 180.0]);
+        let vanes: Vec<f64> = self.spider_vanes_deg.clone().unwrap_or_else(|| lines.collect());
+        let reach = self.rings as f64 * pitch + self.segment_side_m;
+        let step = reach / POINTS as f64;
+        let mut points = Vec::new();
+        for (sin, cos) in vanes.iter().map(|deg| deg.to_radians().sin_cos()) {
+            for radius in (0..POINTS).map(|point| (point as f64 + 0.5) * step) {
+                if radius > self.central_obscuration_m / 2.0 && self.is_on_segment(radius * cos, radius * sin, pitch) {
+                    points.push([self.spider_width_m * step, radius.powi(2)]);
+                }
+            }
+        }
+        points
+    }
+
+    /// Whether a point of the pupil, before its rotation, is on a segment. The nearest centres are those about the rounded axial
+    /// coordinates q and r, with c = pitch·(q·(cos 30°, sin 30°) + r·(0, 1)).
+    fn is_on_segment(&self, x: f64, y: f64, pitch: f64) -> bool {
+        let root = 3f64.sqrt();
+        let (rings, q) = (self.rings as i64, (2.0 * x / (root * pitch)).round() as i64);
+        let r = (y / pitch - q as f64 / 2.0).round() as i64;
+        let mut near = (q - 1..=q + 1).flat_map(|q| (r - 1..=r + 1).map(move |r| (q, r)));
+        near.any(|(q, r)| {
+            let is_there =
+                q.abs().max(r.abs()).max((q + r).abs()) <= rings && (self.central_segment || (q, r) != (0, 0));
+            // A hexagon with vertices on ±x.
+            let u = (x - pitch * q as f64 * root / 2.0).abs();
+            let v = (y - pitch * (r as f64 + q as f64 / 2.0)).abs();
+            is_there && v <= root / 2.0 * self.segment_side_m && root * u + v <= root * self.segment_side_m
+        })
     }
 }
 
@@ -222,7 +264,9 @@ mod tests {
     fn the_spread_of_focus_is_that_of_the_sampled_pupil() {
         for (name, settings) in [
             ("keck-artificial", &[][..]),
-            ("keck-artificial", &[("pupil.central_obscuration_m", "2.65")]),
+            ("keck-artificial", &[("pupil.central_obscuration_m", "2.65")][..]),
+            ("keck-artificial", &[("pupil.spider_width_m", "0.1"), ("pupil.central_obscuration_m", "2.65")]),
+            ("jwst-pair", &[][..]),
             ("jwst-pair", &[("pupil.spider_width_m", "0")]),
         ] {
             let scene = Scene::preset(name).unwrap().with(settings).unwrap();
