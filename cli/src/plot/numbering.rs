@@ -89,8 +89,8 @@ impl NumberingPicture {
         if let Some(subapertures) = &self.subapertures {
             outlines(canvas, frame, subapertures);
         }
-        for number in 0..self.numbers_m.len() {
-            canvas.fill(layout.plate(&self.numbers[number], self.numbers_m[number]), WHITE, 0.75);
+        for (number, &at) in self.numbers.iter().zip(&self.numbers_m) {
+            canvas.fill(layout.plate(number, at), WHITE, 0.75);
         }
         if let Some(actuators) = &self.actuators {
             dots(canvas, frame, actuators);
