@@ -162,10 +162,11 @@ impl PupilScene {
         (area > 0.0 && variance > 0.0).then(|| FocusShape { radius_m, spread_m2: variance.sqrt() })
     }
 
-    /// Points along the middle lines of the vanes that hide a segment: the area for which each stands, and its r². The spider turns with
-    /// the segments.
+    /// Points of the vanes that hide a segment: the area for which each stands, and its r². Points across the width, too: a vane of JWST
+    /// runs along a gap, so that its middle line is on no segment. The spider turns with the segments.
     fn vane_points(&self, pitch: f64) -> Vec<[f64; 2]> {
         const POINTS: usize = 1000;
+        const ACROSS: usize = 16;
         if self.spider_width_m <= 0.0 {
             return Vec::new();
         }
@@ -175,9 +176,12 @@ impl PupilScene {
         let step = reach / POINTS as f64;
         let mut points = Vec::new();
         for (sin, cos) in vanes.iter().map(|deg| deg.to_radians().sin_cos()) {
-            for radius in (0..POINTS).map(|point| (point as f64 + 0.5) * step) {
-                if radius > self.central_obscuration_m / 2.0 && self.is_on_segment(radius * cos, radius * sin, pitch) {
-                    points.push([self.spider_width_m * step, radius.powi(2)]);
+            for point in 0..POINTS * ACROSS {
+                let along = ((point / ACROSS) as f64 + 0.5) * step;
+                let aside = (((point % ACROSS) as f64 + 0.5) / ACROSS as f64 - 0.5) * self.spider_width_m;
+                let (x, y) = (along * cos - aside * sin, along * sin + aside * cos);
+                if x.hypot(y) > self.central_obscuration_m / 2.0 && self.is_on_segment(x, y, pitch) {
+                    points.push([self.spider_width_m * step / ACROSS as f64, x * x + y * y]);
                 }
             }
         }
@@ -250,7 +254,8 @@ mod tests {
             jwst.with(&settings).unwrap().channels()[0].scene.image.diversity_focus_waves_rms
         };
         let own = channel("image.channel.plus.diversity_focus_waves_pv", "8");
-        assert!((own / 1.9104 - 1.0).abs() < 2e-3, "{own}");
+        // The preset has the waves of a sampled pupil; the exact moments of its hexagons and struts give 1.9140.
+        assert!((own / 1.9104 - 1.0).abs() < 3e-3, "{own}");
         // Stage: W = ΔL/(8F²) at the edge of the grid's circle, whose radius is 5.475 m: the RMS of that r² term over the pupil.
         let stage = scene("focal_ratio = 15\ndiversity_stage_mm = 20").unwrap().image.diversity_focus_waves_rms;
         let edge_waves = 20e-3 / (8.0 * 225.0) / 2168.6e-9;
