@@ -8,7 +8,7 @@
 //! A defocused image of one wavelength does not determine everything:
 //!
 //! * The pixel's angle, the wavelength and the size of the pupil act through pixels per λ/D alone, and through the defocus in waves, which
-//!   the modes reproduce. One of them cannot be told from the others unless a card of the file states it.
+//!   the modes reproduce. They are degenerate unless a card of the file states one of them.
 //! * The amplitude of the defocus is that of a mode.
 //! * Flips, turns and the sign of the defocus: see `turns`.
 
