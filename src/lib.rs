@@ -56,6 +56,7 @@ pub mod optimize;
 pub mod pipeline;
 pub mod planner;
 pub mod pupil;
+pub mod reduction;
 mod retrieval;
 pub mod scene;
 pub mod source;

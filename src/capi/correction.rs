@@ -28,11 +28,13 @@ pub struct cophase_correction_report {
     pub segment_commands: usize,
     /// Channels of the mirror's controller; 0 where the scene describes none.
     pub actuator_commands: usize,
+    /// Tips and tilts of segments that are corrected, two of each; 0 where there are none.
+    pub tilts: usize,
 }
 
 /// Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
-/// the controllers that the scene describes ([commands]). A mode whose estimate is smaller than its error bar is not corrected, nor
-/// are tips and tilts of segments. About a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
+/// the controllers that the scene describes ([commands]). A mode whose estimate is smaller than its error bar is not corrected, nor,
+/// of a modal estimate, are tips and tilts of segments. About a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
 /// COPHASE_ARRAY_CORRECTION_ arrays.
 ///
 /// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
@@ -73,6 +75,7 @@ pub unsafe extern "C" fn cophase_estimate_correct(
                     limited: corrections.limited,
                     segment_commands: corrections.segment_commands.as_ref().map_or(0, |one| one.channels.len()),
                     actuator_commands: corrections.actuator_commands.as_ref().map_or(0, |one| one.channels.len()),
+                    tilts: corrections.tilts_nm.len(),
                 },
             );
             found.corrections = Some(corrections);

@@ -63,6 +63,9 @@ pub const COPHASE_ARRAY_PISTON_INTEGERS: i32 = 11;
 pub const COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS: i32 = 12;
 /// Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller, in its unit; actuator_commands.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS: i32 = 13;
+/// Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt of each, nm of wavefront RMS over the
+/// segment; tilts. Without elements where the estimate has no tilts of segments.
+pub const COPHASE_ARRAY_CORRECTION_TILTS_NM: i32 = 14;
 
 /// Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed.
 #[allow(non_camel_case_types)] // a name of the header
@@ -289,13 +292,14 @@ fn array(found: &EstimateState, what: i32) -> Result<(Vec<usize>, Vec<f64>)> {
     let list = |values: Vec<f64>| (vec![values.len()], values);
     let matrix = |matrix: &ndarray::Array2<f64>| (matrix.shape().to_vec(), matrix.iter().copied().collect());
     let own = COPHASE_ARRAY_CORRECTION_PISTONS_NM..=COPHASE_ARRAY_CORRECTION_SLOPES_MAS;
-    let controllers = COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS..=COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS;
-    if own.contains(&what) || controllers.contains(&what) {
+    let later = COPHASE_ARRAY_CORRECTION_SEGMENT_COMMANDS..=COPHASE_ARRAY_CORRECTION_TILTS_NM;
+    if own.contains(&what) || later.contains(&what) {
         let corrections = corrected(corrections)?;
         let actuators = &corrections.actuators_nm;
         let to = |commands| channels(commands).iter().map(|channel| channel.value).collect();
         return Ok(match what {
             COPHASE_ARRAY_CORRECTION_PISTONS_NM => list(corrections.pistons_nm.clone()),
+            COPHASE_ARRAY_CORRECTION_TILTS_NM => list(corrections.tilts_nm.clone()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_NM => list(actuators.iter().map(|(_, nm)| *nm).collect()),
             COPHASE_ARRAY_CORRECTION_ACTUATORS_M => {
                 (vec![actuators.len(), 2], actuators.iter().flat_map(|(place_m, _)| *place_m).collect())

@@ -43,6 +43,16 @@ pub struct HeaderFact {
     pub tolerance: f64,
 }
 
+impl HeaderFact {
+    /// Whether one of the values that the card may mean is `value`, to the last digit of the card.
+    pub fn agrees(&self, value: f64) -> bool {
+        self.values.iter().any(|stated| (stated - value).abs() <= self.tolerance * stated.abs().max(value.abs()))
+    }
+}
+
+/// Card of reduced images with the read noise of one coadd, electrons RMS, from which `RON_E` was derived with the other noise.
+pub const READ_NOISE_OF_A_COADD: &str = "RON_READ";
+
 /// Unit of the pixels of an image file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub enum PixelUnit {
@@ -79,7 +89,7 @@ const ELECTRONS: Units = &[(&["e", "electron", "electrons"], 1.0, [0.0, 1e12])];
 /// Keywords of each quantity, those that are preferred first, their units, and whether the first unit is that of a bare number.
 const KEYWORDS: [(Quantity, &[&str], Units, bool); 6] = [
     (Quantity::GainEPerAdu, &["EGAIN", "GAIN"], ELECTRONS, true),
-    (Quantity::ReadNoiseE, &["RON_E", "RON", "RDNOISE", "READNOIS", "ENOISE"], ELECTRONS, true),
+    (Quantity::ReadNoiseE, &["RON_E", "RON", "RDNOISE", "READNOIS", "ENOISE", READ_NOISE_OF_A_COADD], ELECTRONS, true),
     (
         Quantity::WavelengthNm,
         &["WAVELEN", "WAVELENG", "WAVELNTH", "WAVELTH", "CENWAVE", "CENTWAVE", "EFFWAVE", "LAMBDA"],
@@ -110,6 +120,14 @@ pub(super) fn facts(file: &mut FitsReader, index: usize) -> Result<Vec<HeaderFac
             if let Some((card, written, comment)) = card(file, index, keyword)? {
                 facts.extend(fact(quantity, keyword, &card, (&written, &comment), (units, is_bare)));
             }
+        }
+    }
+    // The integration time is that of one coadd, of which an image is the sum.
+    if let Some(coadds) =
+        card(file, index, "COADDS")?.and_then(|(card, ..)| card.number()).filter(|coadds| *coadds > 1.0)
+    {
+        for fact in facts.iter_mut().filter(|fact| fact.keyword == "ITIME") {
+            fact.values.extend(fact.values.first().map(|seconds| seconds * coadds));
         }
     }
     for keyword in FILTERS {

@@ -31,7 +31,7 @@ mod write;
 
 pub use crate::atomic::write as write_atomically;
 pub use extension::file_of;
-pub use header::{HeaderFact, PixelUnit, Quantity};
+pub use header::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
 pub use images::{CHANNEL, Images, read_channels, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use text_table::{TextRow, read_text, text_rows};

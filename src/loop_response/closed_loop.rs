@@ -1,14 +1,16 @@
-//! Closed-loop response to segment pistons (AO leakage): the mirror's shape at rest, from a simulation of the loop on the pistons
-//! alone, without turbulence and noise.
+//! Closed-loop response to segment pistons, tips and tilts (AO leakage): the mirror's shape at rest, from a simulation of the loop on
+//! the segments alone, without turbulence and noise.
 //!
-//! The response is nonlinear, as is a quad cell's to a step at a segment's edge. So it is simulated for each set of pistons, and
+//! The response is nonlinear, as is a quad cell's to a step at a segment's edge. So it is simulated for each set of coefficients, and
 //! its linear part serves for first estimates only.
 
+use super::segment_surface::SegmentSurface;
+use crate::Result;
 use crate::ao::{Simulator, UNDISTURBED_LOOP};
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
-use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1};
+use std::ops::Range;
 
 /// Settings that switch off all aberrations of the scene.
 const NO_ABERRATIONS: [(&str, &str); 6] = [
@@ -27,17 +29,17 @@ const STILL_NM: f32 = 1e-3;
 /// singular values drift for long, and little.
 const MAX_FRAMES: usize = 3000;
 
-/// Piston with which the linear part is measured, nm.
+/// Piston, or RMS of a tip or tilt, with which the linear part is measured, nm.
 const POKE_NM: f64 = 20.0;
 
-/// Closed-loop response of a scene to segment pistons.
+/// Closed-loop response of a scene to its segments. Their coefficients are all pistons, or all pistons, all tips and all tilts, nm.
 pub struct ClosedLoopResponse {
     simulator: Simulator,
-    /// For each sample of the simulator's map that a segment owns, the segment and the sample's index.
-    owned: Vec<(u32, u32)>,
+    /// Index in the simulator's map of each sample that a segment owns.
+    owned: Vec<u32>,
+    surface: SegmentSurface,
     /// Shape of 1 nm of each command at each illuminated sample, `[actuator, sample]`.
     influence: Array2<f64>,
-    segments: usize,
 }
 
 impl ClosedLoopResponse {
@@ -49,33 +51,30 @@ impl ClosedLoopResponse {
         let aberrations = scene.aberrations.iter().flat_map(|_| NO_ABERRATIONS);
         let settings: Vec<_> = UNDISTURBED_LOOP.into_iter().chain(aberrations).collect();
         let simulator = Simulator::new(&scene.with(&settings)?)?;
-        let stride = simulator.footprint().stride();
-        let owned = simulator.pupil().owned_samples();
-        let owned = owned.map(|((y, x), owner)| (owner as u32, (y * stride + x) as u32)).collect();
+        let (stride, pupil) = (simulator.footprint().stride(), simulator.pupil());
+        let owned: Vec<_> = pupil.owned_samples().collect();
+        let surface = SegmentSurface::new(&owned, pupil, &simulator.telescope().pupil);
+        let owned = owned.into_iter().map(|((y, x), _)| (y * stride + x) as u32).collect();
         let influence = simulator.influence().evaluate(&samples.xs_m, &samples.ys_m)?;
-        let segments = simulator.pupil().segments.len();
-        Ok(Self { simulator, owned, influence, segments })
+        Ok(Self { simulator, owned, surface, influence })
     }
 
-    /// Simulates the commands of the mirror at rest behind segments with these pistons, nm.
+    /// Simulates the commands of the mirror at rest behind segments with these coefficients, nm.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of segments; those of [`Simulator::step_with_opd`].
-    pub fn commands_nm(&mut self, pistons_nm: &[f64]) -> Result<Vec<f64>> {
-        if pistons_nm.len() != self.segments {
-            let (given, needed) = (pistons_nm.len(), self.segments);
-            return Err(Error::Shape(format!("{given} pistons were given: the telescope has {needed} segments")));
-        }
-        let mut steps_nm = self.simulator.footprint().zeros();
-        for &(segment, index) in &self.owned {
-            steps_nm[index as usize] = pistons_nm[segment as usize] as f32;
+    /// [`Error::Shape`](crate::Error::Shape) for another number of coefficients; those of [`Simulator::step_with_opd`].
+    pub fn commands_nm(&mut self, segments_nm: &[f64]) -> Result<Vec<f64>> {
+        self.surface.check(segments_nm)?;
+        let mut opd_nm = self.simulator.footprint().zeros();
+        for (sample, &index) in self.owned.iter().enumerate() {
+            opd_nm[index as usize] = self.surface.wavefront_nm(sample, segments_nm) as f32;
         }
         let mut before_nm = vec![0.0; self.simulator.influence().len()];
         for frame in 0..MAX_FRAMES {
-            let commands_nm = self.simulator.step_with_opd(&steps_nm)?.commands_nm;
+            let commands_nm = self.simulator.step_with_opd(&opd_nm)?.commands_nm;
             let change = commands_nm.iter().zip(&before_nm).map(|(now, then)| (now - then).abs()).fold(0.0, f32::max);
             before_nm.copy_from_slice(commands_nm);
-            // The first frames still hold the commands for the previous pistons.
+            // The first frames still hold the commands for the previous segments.
             if change < STILL_NM && frame > 1 {
                 break;
             }
@@ -83,34 +82,34 @@ impl ClosedLoopResponse {
         Ok(before_nm.into_iter().map(f64::from).collect())
     }
 
-    /// Simulates the mirror's contribution to the wavefront at each illuminated sample behind segments with these pistons, nm.
+    /// Simulates the mirror's contribution to the wavefront at each illuminated sample behind segments with these coefficients, nm.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
-    pub fn response_nm(&mut self, pistons_nm: &[f64]) -> Result<Array1<f64>> {
-        let commands_nm = self.commands_nm(pistons_nm)?;
+    pub fn response_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
+        let commands_nm = self.commands_nm(segments_nm)?;
         // The mirror's shape is subtracted from the wavefront.
         Ok(-ArrayView1::from(&commands_nm).dot(&self.influence))
     }
 
-    /// Measures the linear part of [`ClosedLoopResponse::response_nm`] about pistons of `about_nm`, for 1 nm of each piston,
-    /// `[segment, sample]`.
+    /// Measures the linear part of [`ClosedLoopResponse::response_nm`] about segments of `about_nm`, for 1 nm of each of the coefficients
+    /// `modes` (pistons, tips, tilts in turn), `[mode, sample]`.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
-    pub fn linear_response(&mut self, about_nm: &[f64]) -> Result<Array2<f64>> {
-        let mut responses = Array2::zeros((self.segments, self.influence.ncols()));
-        let mut pistons_nm = about_nm.to_vec();
+    pub fn linear_response(&mut self, about_nm: &[f64], modes: Range<usize>) -> Result<Array2<f64>> {
+        let mut responses = Array2::zeros((modes.len(), self.influence.ncols()));
+        let mut segments_nm = about_nm.to_vec();
         // Of a mirror at rest behind even segments nothing moves.
         let offset_nm = about_nm.iter().any(|nm| *nm != 0.0).then(|| self.response_nm(about_nm)).transpose()?;
-        for (segment, mut row) in responses.outer_iter_mut().enumerate() {
-            pistons_nm[segment] += POKE_NM;
-            row.assign(&self.response_nm(&pistons_nm)?);
+        for (mode, mut row) in modes.zip(responses.outer_iter_mut()) {
+            segments_nm[mode] += POKE_NM;
+            row.assign(&self.response_nm(&segments_nm)?);
             if let Some(offset_nm) = &offset_nm {
                 row -= offset_nm;
             }
             row /= POKE_NM;
-            pistons_nm[segment] = about_nm[segment];
+            segments_nm[mode] = about_nm[mode];
         }
         Ok(responses)
     }

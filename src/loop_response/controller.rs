@@ -2,7 +2,7 @@
 //!
 //! Channel k receives `c_k = s_k Σ_j M_kj a_j` of the corrections a_j of all elements (segments or actuators), nm of wavefront. M is
 //! the scene's matrix with s = 1; with a table and no matrix a channel receives the correction of one element; with both the table
-//! names, scales and limits the rows of the matrix.
+//! names, scales and limits the rows of the matrix. A matrix of the segments may have columns for tips and tilts after the pistons'.
 
 use crate::io::{Column, TextRow, read_map, read_text, text_rows};
 use crate::scene::Scene;
@@ -40,6 +40,8 @@ pub struct Commands {
     pub unit: String,
     /// One for each channel, in the order of the scene's table, else of the matrix.
     pub channels: Vec<Command>,
+    /// Whether they move tips and tilts of segments, and not pistons alone.
+    pub has_tilts: bool,
 }
 
 impl Commands {
@@ -49,7 +51,7 @@ impl Commands {
             let Channel { name, .. } = Channel::of_row(number);
             Command { name, number, value, is_limited: false }
         };
-        Self { unit: "nm".into(), channels: additions_nm.enumerate().map(command).collect() }
+        Self { unit: "nm".into(), channels: additions_nm.enumerate().map(command).collect(), has_tilts: false }
     }
 
     /// Columns `NAME`, `NUMBER`, `ADD` (in the unit of the channels) and `LIMITED` of a table.
@@ -102,12 +104,17 @@ struct Channel {
     limit: Option<f64>,
 }
 
-/// Commands of the scene's controller of `moved` for `additions_nm`, the correction of each element; `None` where the scene describes no
-/// controller.
+/// Commands of the scene's controller of `moved` for `additions_nm`, the correction of each element, and `tilts_nm` of the tip, then
+/// of the tilt of each segment (none: 0); `None` where the scene describes no controller.
 ///
 /// # Errors
 /// [`Error::File`] for a table or a matrix that cannot be read, that does not fit the elements, or that leaves one out.
-pub(super) fn commands(scene: &Scene, moved: Moved, additions_nm: &[f64]) -> Result<Option<Commands>> {
+pub(super) fn commands(
+    scene: &Scene,
+    moved: Moved,
+    additions_nm: &[f64],
+    tilts_nm: &[f64],
+) -> Result<Option<Commands>> {
     let terms = &scene.commands;
     let (table, matrix, unit) = match moved {
         Moved::Segments => (&terms.segment_file, &terms.segment_matrix_file, &terms.segment_unit),
@@ -127,10 +134,11 @@ pub(super) fn commands(scene: &Scene, moved: Moved, additions_nm: &[f64]) -> Res
         None if matrix.is_some() => (0..rows).map(Channel::of_row).collect(),
         None => return Ok(None),
     };
-    let inputs = matrix.map(|matrix| matrix.dot(&ArrayView1::from(additions_nm)).to_vec());
+    let has_tilts = matrix.as_ref().is_some_and(|matrix| matrix.ncols() > additions_nm.len());
+    let inputs = matrix.map(|matrix| rows_moved(&matrix, additions_nm, tilts_nm));
     let inputs = inputs.as_deref().unwrap_or(additions_nm);
     let channels = channels.into_iter().map(|channel| channel.command(inputs)).collect();
-    Ok(Some(Commands { unit: unit.clone(), channels }))
+    Ok(Some(Commands { unit: unit.clone(), channels, has_tilts }))
 }
 
 impl Channel {
@@ -147,10 +155,18 @@ impl Channel {
     }
 }
 
+/// What the rows of a matrix receive: of the corrections of all elements, and of as many tilts as it has further columns.
+fn rows_moved(matrix: &Array2<f64>, additions_nm: &[f64], tilts_nm: &[f64]) -> Vec<f64> {
+    let mut all_nm = [additions_nm, tilts_nm].concat();
+    all_nm.resize(matrix.ncols(), 0.0);
+    matrix.dot(&ArrayView1::from(&all_nm)).to_vec()
+}
+
 fn read_matrix(path: &Path, moved: Moved, elements: usize) -> Result<Array2<f64>> {
     let matrix = read_map(path, None)?;
     let (rows, columns) = matrix.dim();
-    if columns != elements {
+    let takes_tilts = moved == Moved::Segments && columns == 3 * elements;
+    if columns != elements && !takes_tilts {
         let (element, key) = (moved.element(), moved.keys()[1]);
         return Err(Error::file(
             path,
@@ -220,6 +236,22 @@ mod tests {
         let expected = |name: &str, number, value, is_limited| Command { name: name.into(), number, value, is_limited };
         let wanted = [expected("A17", 1, -4.0, false), expected("B3", 0, 6.0, false), expected("C", 2, 0.5, true)];
         assert_eq!(found, wanted);
+    }
+
+    #[test]
+    fn a_matrix_takes_tilts_where_it_has_columns_for_them() {
+        // Two supports below each of two segments: piston ± tip.
+        let supports = ndarray::array![
+            [1.0, 0.0, 2.0, 0.0, 0.0, 0.0],
+            [1.0, 0.0, -2.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 2.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, -2.0, 0.0, 0.0]
+        ];
+        let tilts_nm = [5.0, 7.0, 11.0, 13.0];
+        assert_eq!(rows_moved(&supports, &[3.0, 4.0], &tilts_nm), [13.0, -7.0, 18.0, -10.0]);
+        // An estimate without tilts, and a matrix without their columns.
+        assert_eq!(rows_moved(&supports, &[3.0, 4.0], &[]), [3.0, 3.0, 4.0, 4.0]);
+        assert_eq!(rows_moved(&Array2::eye(2), &[3.0, 4.0], &tilts_nm), [3.0, 4.0]);
     }
 
     #[test]

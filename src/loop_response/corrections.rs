@@ -1,7 +1,8 @@
-//! Corrections from an estimate: increments of the segments' pistons, of the mirror's commands and of the sensor's reference slopes.
+//! Corrections from an estimate: increments of the segments' pistons, tips and tilts, of the mirror's commands and of the sensor's
+//! reference slopes.
 //!
 //! A mode whose estimate is below its error bar is left unchanged, so that corrections do not add noise. Tip and tilt, which are
-//! pointing, are left unchanged too, and behind adaptive optics the plane through the pistons, of which images there hold little
+//! pointing, are left unchanged too, and behind adaptive optics the plane through the segments, of which images there hold little
 //! information. Segments and
 //! subapertures are in this program's order, wavefronts in nm. A positive piston raises the wavefront; the mirror's surface is taken off
 //! the wavefront, as in the simulator. [`Commands`] are the same in the terms of the controllers that the scene describes.
@@ -17,19 +18,22 @@ use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::{SegmentPlace, Telescope};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use std::path::Path;
 
 /// Estimated static errors, as far as corrections need them.
 pub struct CorrectableErrors<'a> {
     /// Piston of each segment, nm; none where the estimate has none.
     pub pistons_nm: &'a [f64],
-    /// Their covariance, nm².
-    pub piston_covariance_nm2: ArrayView2<'a, f64>,
-    /// Whether the plane through all pistons is left as it is, and not only their mean.
+    /// Tip of each segment, then tilt of each, nm RMS over the segment; empty where they are not corrected. With them the segments have
+    /// no common tip and tilt.
+    pub tilts_nm: &'a [f64],
+    /// Covariance of pistons and tilts in turn, nm².
+    pub segment_covariance_nm2: ArrayView2<'a, f64>,
+    /// Whether the plane through all pistons is left as it is, and not only their mean; without tilts.
     pub leaves_plane: bool,
-    /// Largest correction of a piston unless a caller names one, nm.
-    pub piston_limit_nm: f64,
+    /// Largest correction of a piston, or of a tilt, unless a caller names one, nm.
+    pub segment_limit_nm: f64,
     /// Coefficients of the NCPA, nm.
     pub ncpa_nm: &'a [f64],
     /// Their error bars, nm.
@@ -56,13 +60,17 @@ pub struct Corrections {
     /// Estimate of each piston and its error bar, nm, both without what is left as it is: the mean of all pistons, or the plane through
     /// them.
     pub estimate_nm: Vec<[f64; 2]>,
+    /// Increments of the tip of each segment, then of the tilt of each, nm RMS over the segment; empty where they were not estimated.
+    pub tilts_nm: Vec<f64>,
+    /// Estimate of each tip, then of each tilt, and its error bar, nm RMS over the segment.
+    pub tilt_estimate_nm: Vec<[f64; 2]>,
     /// Number of corrected NCPA modes.
     pub corrected_modes: usize,
     /// Increments of the mirror's commands, nm, with the position of each actuator, m; empty where the scene names no mirror.
     pub actuators_nm: Vec<([f64; 2], f64)>,
     /// Increments of the sensor's reference slopes, all x then all y, mas; empty without a loop in the scene, and for maps of NCPA.
     pub slopes_mas: Vec<f64>,
-    /// The pistons in the terms of the segments' controller, where the scene describes one.
+    /// Pistons, and where its matrix takes them tips and tilts, in the terms of the segments' controller, where the scene describes one.
     pub segment_commands: Option<Commands>,
     /// The mirror's commands in the terms of its controller, where the scene describes one.
     pub actuator_commands: Option<Commands>,
@@ -77,10 +85,13 @@ pub struct Corrections {
 const REGULARISATION: f64 = 1e-4;
 /// Extension of a file of corrections that is text.
 const TEXT: &str = "txt";
+/// Said where tilts of segments are to be corrected and the controller moves pistons alone.
+const TILTS_LEFT: &str = "the commands of the segments hold pistons alone, and not the tips and tilts that were estimated: a \
+     commands.segment_matrix_file with a column for each piston, then each tip, then each tilt takes them, too";
 
 impl Corrections {
     /// The corrections of `errors`, no increment beyond `limit_nm` (`None`: the mirror's stroke for actuators, and the limit of the
-    /// errors for pistons).
+    /// errors for segments).
     ///
     /// # Errors
     /// [`Error::Value`] for a limit that is not positive; [`Error::File`] for a controller that does not fit; those of building the
@@ -96,14 +107,24 @@ impl Corrections {
             limited += usize::from(command_nm.abs() > limit_nm);
             command_nm.clamp(-limit_nm, limit_nm)
         };
-        let flat = without_plane(segments, errors.leaves_plane);
+        let count = segments.len();
+        // Segments with tilts have no common motion, and a plane through their pistons alone is a shape of the whole mirror.
+        let flat = match errors.tilts_nm {
+            [] => without_plane(segments, errors.leaves_plane),
+            _ => Array2::eye(count),
+        };
         let pistons_nm = flat.dot(&ArrayView1::from(errors.pistons_nm));
-        let covariance_nm2 = flat.dot(&errors.piston_covariance_nm2).dot(&flat);
+        let covariance_nm2 = flat.dot(&errors.segment_covariance_nm2.slice(s![..count, ..count])).dot(&flat);
         let estimate_nm: Vec<[f64; 2]> =
             pistons_nm.iter().zip(covariance_nm2.diag()).map(|(&nm, nm2)| [nm, nm2.max(0.0).sqrt()]).collect();
-        let piston_limit_nm = limit_nm.unwrap_or(errors.piston_limit_nm);
-        let piston = |[nm, sigma_nm]: &[f64; 2]| if nm.abs() > *sigma_nm { clip(-nm, piston_limit_nm) } else { 0.0 };
-        let pistons_nm: Vec<f64> = estimate_nm.iter().map(piston).collect();
+        let variances_nm2 = errors.segment_covariance_nm2.diag();
+        let tilts = errors.tilts_nm.iter().zip(variances_nm2.iter().skip(count));
+        let tilt_estimate_nm: Vec<[f64; 2]> = tilts.map(|(&nm, nm2)| [nm, nm2.max(0.0).sqrt()]).collect();
+        let segment_limit_nm = limit_nm.unwrap_or(errors.segment_limit_nm);
+        let mut addition =
+            |[nm, sigma_nm]: &[f64; 2]| if nm.abs() > *sigma_nm { clip(-nm, segment_limit_nm) } else { 0.0 };
+        let pistons_nm: Vec<f64> = estimate_nm.iter().map(&mut addition).collect();
+        let tilts_nm: Vec<f64> = tilt_estimate_nm.iter().map(&mut addition).collect();
         let ncpa_nm = errors.significant_ncpa_nm();
         let mut actuators_nm = Vec::new();
         if scene.has_mirror() {
@@ -112,22 +133,28 @@ impl Corrections {
             actuators_nm = wanted_nm.into_iter().map(|(at, nm)| (at, clip(nm, stroke_nm))).collect();
         }
         let additions_nm: Vec<f64> = actuators_nm.iter().map(|(_, nm)| *nm).collect();
-        let in_terms = |moved, nm: &[f64]| if nm.is_empty() { Ok(None) } else { commands(scene, moved, nm) };
-        let segment_commands = in_terms(Moved::Segments, &pistons_nm)?;
-        let actuator_commands = in_terms(Moved::Actuators, &additions_nm)?;
+        let in_terms = |moved, nm: &[f64], tilts_nm: &[f64]| {
+            if nm.is_empty() { Ok(None) } else { commands(scene, moved, nm, tilts_nm) }
+        };
+        let segment_commands = in_terms(Moved::Segments, &pistons_nm, &tilts_nm)?;
+        let actuator_commands = in_terms(Moved::Actuators, &additions_nm, &[])?;
+        let leaves_tilts = segment_commands.as_ref().is_some_and(|commands| !commands.has_tilts);
+        let warnings = (leaves_tilts && tilts_nm.iter().any(|nm| *nm != 0.0)).then(|| TILTS_LEFT.to_owned());
         let channels = [&segment_commands, &actuator_commands].into_iter().flatten().flat_map(|one| &one.channels);
         limited += channels.filter(|channel| channel.is_limited).count();
         Ok(Self {
             places: SegmentPlace::all(scene, segments),
             pistons_nm,
             estimate_nm,
+            tilts_nm,
+            tilt_estimate_nm,
             corrected_modes: ncpa_nm.iter().filter(|nm| **nm != 0.0).count(),
             actuators_nm,
             slopes_mas: reference_slopes(scene, &telescope, errors, &ncpa_nm)?,
             segment_commands,
             actuator_commands,
             limited,
-            warnings: Vec::new(),
+            warnings: warnings.into_iter().collect(),
         })
     }
 
@@ -137,9 +164,9 @@ impl Corrections {
     /// [`Error::File`] as [`Corrections::new`]; those of building the telescope.
     pub fn check_controllers(scene: &Scene) -> Result<()> {
         let telescope = Telescope::new(scene)?;
-        commands(scene, Moved::Segments, &vec![0.0; telescope.pupil.segments.len()])?;
+        commands(scene, Moved::Segments, &vec![0.0; telescope.pupil.segments.len()], &[])?;
         if scene.has_mirror() {
-            commands(scene, Moved::Actuators, &vec![0.0; actuators_in_use(scene, &telescope)?.len()])?;
+            commands(scene, Moved::Actuators, &vec![0.0; actuators_in_use(scene, &telescope)?.len()], &[])?;
         }
         Ok(())
     }
@@ -157,11 +184,18 @@ impl Corrections {
         let mut file = FitsWriter::create(path)?;
         file.card("PRIMARY", "NCPAMODE", self.corrected_modes as i64, "NCPA modes corrected")?;
         file.card("PRIMARY", "NLIMITED", self.limited as i64, "commands cut at the limit")?;
-        let column = |i: usize| self.estimate_nm.iter().map(|pair| pair[i]).collect::<Vec<f64>>();
+        let column = |of: &[[f64; 2]], i: usize| of.iter().map(|pair| pair[i]).collect::<Vec<f64>>();
         let mut segments = SegmentPlace::columns(&self.places);
         segments.push(Column::f64("ADD_NM", "nm", self.pistons_nm.clone()));
-        segments.push(Column::f64("ESTIMATE_NM", "nm", column(0)));
-        segments.push(Column::f64("SIGMA_NM", "nm", column(1)));
+        segments.push(Column::f64("ESTIMATE_NM", "nm", column(&self.estimate_nm, 0)));
+        segments.push(Column::f64("SIGMA_NM", "nm", column(&self.estimate_nm, 1)));
+        for (of, name) in [(0, "TIP"), (1, "TILT")] {
+            if let Some((add_nm, estimate_nm)) = self.tilts_of_axis(of) {
+                segments.push(Column::f64(&format!("ADD_{name}_NM"), "nm", add_nm.to_vec()));
+                segments.push(Column::f64(&format!("{name}_NM"), "nm", column(estimate_nm, 0)));
+                segments.push(Column::f64(&format!("{name}_SIGMA_NM"), "nm", column(estimate_nm, 1)));
+            }
+        }
         if !self.places.is_empty() {
             file.table("SEGMENTS", &segments)?;
         }
@@ -197,14 +231,31 @@ impl Corrections {
         self.warnings.iter().for_each(|sentence| text += &format!("# {}\n", sentence.replace('\n', " ")));
         let own = |nm: &mut dyn Iterator<Item = f64>| Commands::in_nm(nm);
         let segments = own(&mut self.pistons_nm.iter().copied());
+        let [tips, tilts] = [0, 1].map(|axis| {
+            let is_own = self.segment_commands.is_none();
+            own(&mut self
+                .tilts_of_axis(axis)
+                .filter(|_| is_own)
+                .into_iter()
+                .flat_map(|(add_nm, _)| add_nm.iter().copied()))
+        });
         let actuators = own(&mut self.actuators_nm.iter().map(|(_, nm)| *nm));
         for (what, commands) in [
             ("segments", self.segment_commands.as_ref().unwrap_or(&segments)),
+            ("tips of segments, RMS over each", &tips),
+            ("tilts of segments, RMS over each", &tilts),
             ("actuators", self.actuator_commands.as_ref().unwrap_or(&actuators)),
         ] {
             text += &commands.text(what);
         }
         text
+    }
+
+    /// Increments of the tips (axis 0) or tilts (axis 1) of all segments, and their estimates; `None` where there are none.
+    fn tilts_of_axis(&self, axis: usize) -> Option<(&[f64], &[[f64; 2]])> {
+        let count = self.tilts_nm.len() / 2;
+        let of_axis = axis * count..(axis + 1) * count;
+        (count > 0).then(|| (&self.tilts_nm[of_axis.clone()], &self.tilt_estimate_nm[of_axis]))
     }
 }
 
@@ -285,7 +336,7 @@ fn reference_slopes(
     let illuminated = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
     let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
     let mut sensor = SensorModel::new(scene, telescope, &illuminated, basis)?;
-    Ok(sensor.slopes_mas(errors.pistons_nm.len(), &opposite_nm)?.to_vec())
+    Ok(sensor.slopes_mas(&opposite_nm)?.to_vec())
 }
 
 #[cfg(test)]

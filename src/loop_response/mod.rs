@@ -1,8 +1,9 @@
-//! Response of the closed AO loop: to the segments' pistons, of the wavefront sensor to NCPA, and the corrections that it takes.
+//! Response of the closed AO loop: to the segments, of the wavefront sensor to NCPA, and the corrections that it takes.
 
 mod closed_loop;
 mod controller;
 mod corrections;
+mod segment_surface;
 mod sensor_model;
 mod slope_information;
 mod slope_regression;

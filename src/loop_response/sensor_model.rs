@@ -4,6 +4,7 @@
 //! the turbulence, its aliases, the mirror and the segments cancel image by image, and the scatter is that of the noise of sensor
 //! and retrieval: 2 nm of a mode in an image instead of 20.
 
+use super::segment_surface::SegmentSurface;
 use super::slope_information::{SensorResponse, SlopeInformation};
 use super::slope_regression::SlopeRegression;
 use crate::ao::{Footprint, Lenslets, Sensor, sensor_pupil};
@@ -30,8 +31,10 @@ const MIN_WEIGHT: f64 = 1e-3;
 pub struct SensorModel {
     sensor: Sensor,
     footprint: Footprint,
-    /// Index of each illuminated sample of the sensor's grid in a map over the footprint, and the segment that owns it.
-    indices: Vec<(usize, usize)>,
+    /// Index of each illuminated sample of the sensor's grid in a map over the footprint.
+    indices: Vec<usize>,
+    /// Segments at these samples.
+    surface: SegmentSurface,
     /// Interpolation of its wavefront: retrieved samples and their weights.
     interpolation: Vec<[(u32, f64); 4]>,
     /// Modes at the samples of the sensor, `[mode, sample]`.
@@ -70,9 +73,11 @@ impl SensorModel {
             2 * 8 * (count * places) as u64,
             "set fewer wavefront_sensor.samples_per_lenslet",
         )?;
-        let index = |&at: &usize| (at / n * footprint.stride() + at % n, pupil.owner[[at / n, at % n]].max(0) as usize);
+        let owner = |&at: &usize| ((at / n, at % n), pupil.owner[[at / n, at % n]].max(0) as usize);
+        let owned: Vec<_> = fine.indices.iter().map(owner).collect();
         Ok(Self {
-            indices: fine.indices.iter().map(index).collect(),
+            indices: fine.indices.iter().map(|&at| at / n * footprint.stride() + at % n).collect(),
+            surface: SegmentSurface::new(&owned, &pupil, &telescope.pupil),
             interpolation: interpolation(samples, &fine),
             modes: basis.evaluate(&fine.xs_m, &fine.ys_m)?,
             map_nm: footprint.zeros().to_vec(),
@@ -92,12 +97,12 @@ impl SensorModel {
     ///
     /// # Errors
     /// [`Error::Shape`] for another number of modes.
-    pub fn slopes_mas(&mut self, segments: usize, ncpa_nm: &[f64]) -> Result<Array1<f64>> {
+    pub fn slopes_mas(&mut self, ncpa_nm: &[f64]) -> Result<Array1<f64>> {
         if ncpa_nm.len() != self.modes.nrows() {
             let (given, needed) = (ncpa_nm.len(), self.modes.nrows());
             return Err(Error::Shape(format!("{given} NCPA coefficients were given: {needed} are needed")));
         }
-        self.measure(&vec![0.0; segments], ArrayView1::from(ncpa_nm).dot(&self.modes).view())
+        self.measure(&self.flat_segments_nm(), ArrayView1::from(ncpa_nm).dot(&self.modes).view())
     }
 
     /// Compares the slopes measured during each exposure (`[image, slope]`, mas) with those of the images' wavefronts (`[image,
@@ -110,44 +115,57 @@ impl SensorModel {
         wavefronts_nm: ArrayView2<f64>,
         slopes_mas: ArrayView2<f64>,
     ) -> Result<SlopeRegression> {
-        let (images, segments) = (wavefronts_nm.nrows(), self.indices.iter().map(|(_, segment)| segment + 1).max());
+        let images = wavefronts_nm.nrows();
         if slopes_mas.dim() != (images, self.slopes()) {
             let (given, needed) = (slopes_mas.dim(), (images, self.slopes()));
             return Err(Error::Shape(format!("slopes of the shape {given:?} were given: {needed:?} is needed")));
         }
-        let no_pistons_nm = vec![0.0; segments.unwrap_or(0)];
+        let flat_nm = self.flat_segments_nm();
         let mut predicted_mas = Array2::zeros(slopes_mas.dim());
         for (mut predicted, wavefront_nm) in predicted_mas.outer_iter_mut().zip(wavefronts_nm.outer_iter()) {
             let fine_nm = interpolated(&self.interpolation, wavefront_nm);
-            predicted.assign(&self.measure(&no_pistons_nm, fine_nm.view())?);
+            predicted.assign(&self.measure(&flat_nm, fine_nm.view())?);
         }
         let lenslets = self.sensor.lenslets();
         Ok(SlopeRegression::new(predicted_mas.view(), slopes_mas, lenslets.across, &lenslets.subapertures))
     }
 
-    /// Computes the slopes of a wavefront: pistons with sharp edges, and the rest at the samples of the sensor.
-    fn measure(&mut self, pistons_nm: &[f64], rest_nm: ArrayView1<f64>) -> Result<Array1<f64>> {
+    /// Coefficients of segments that add nothing to a wavefront.
+    fn flat_segments_nm(&self) -> Vec<f64> {
+        vec![0.0; self.surface.segments()]
+    }
+
+    /// Computes the slopes of a wavefront: segments with sharp edges, and the rest at the samples of the sensor.
+    fn measure(&mut self, segments_nm: &[f64], rest_nm: ArrayView1<f64>) -> Result<Array1<f64>> {
         debug_assert_eq!(self.map_nm.len(), self.footprint.len());
-        for (&(index, segment), rest) in self.indices.iter().zip(rest_nm) {
-            self.map_nm[index] = (rest + pistons_nm[segment]) as f32;
+        for (sample, (&index, rest)) in self.indices.iter().zip(rest_nm).enumerate() {
+            self.map_nm[index] = (rest + self.surface.wavefront_nm(sample, segments_nm)) as f32;
         }
         self.sensor.measure(&self.map_nm, None, &mut self.slopes_mas)?;
         Ok(self.slopes_mas.iter().map(|&slope| f64::from(slope)).collect())
     }
 
     /// Information on the NCPA from the wavefronts (`[image, sample]`, nm) of images and the slopes measured during each
-    /// (`[image, slope]`, mas), about previous estimates of the static errors.
+    /// (`[image, slope]`, mas), about previous estimates of the static errors: coefficients `segments_nm` of the segment modes
+    /// `segments` (`[mode, sample]`), and of the NCPA.
     ///
     /// # Errors
-    /// [`Error::Shape`] for another number of slopes or images.
+    /// [`Error::Shape`] for another number of slopes, images or segment modes.
     pub fn ncpa_information(
         &mut self,
-        samples: &IlluminatedSamples,
+        segments: ArrayView2<f64>,
         wavefronts_nm: ArrayView2<f64>,
         slopes_mas: ArrayView2<f64>,
-        pistons_nm: &[f64],
+        segments_nm: &[f64],
         ncpa_nm: &[f64],
     ) -> Result<SlopeInformation> {
+        self.surface.check(segments_nm)?;
+        if segments.nrows() != segments_nm.len() {
+            let (given, needed) = (segments_nm.len(), segments.nrows());
+            return Err(Error::Shape(format!(
+                "{given} coefficients of {needed} segment modes were given: one each is needed"
+            )));
+        }
         let (images, slopes) = slopes_mas.dim();
         if slopes != self.slopes() || images != wavefronts_nm.nrows() {
             return Err(Error::Shape(format!(
@@ -156,10 +174,11 @@ impl SensorModel {
                 self.slopes()
             )));
         }
-        let segments_nm = ArrayView1::from(pistons_nm).dot(&samples.pistons);
+        // Interpolation would smooth the segments' edges, so it is done without them.
+        let sampled_nm = ArrayView1::from(segments_nm).dot(&segments);
         let known_nm = ArrayView1::from(ncpa_nm).dot(&self.modes);
         let rest = |image: usize| {
-            let smooth_nm = &wavefronts_nm.row(image) - &segments_nm;
+            let smooth_nm = &wavefronts_nm.row(image) - &sampled_nm;
             interpolated(&self.interpolation, smooth_nm.view()) - &known_nm
         };
         let rests_nm: Vec<Array1<f64>> = (0..images).into_par_iter().map(rest).collect();
@@ -167,11 +186,11 @@ impl SensorModel {
         // iterations end where the differences vanish, for any response.
         let response = match self.response.take() {
             Some(known) => known,
-            None => SensorResponse::new(self.measure_response(pistons_nm, &rests_nm)?),
+            None => SensorResponse::new(self.measure_response(segments_nm, &rests_nm)?),
         };
         let mut difference_mas = Array2::zeros((images, slopes));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
-            let expected_mas = self.measure(pistons_nm, rest_nm.view())?;
+            let expected_mas = self.measure(segments_nm, rest_nm.view())?;
             difference_mas.row_mut(image).assign(&(expected_mas - slopes_mas.row(image)));
         }
         let information = response.information(difference_mas.view(), ncpa_nm)?;
@@ -180,15 +199,15 @@ impl SensorModel {
     }
 
     /// Measures the slopes for 1 nm of each mode about some of the wavefronts, `[mode, slope]`, mas.
-    fn measure_response(&mut self, pistons_nm: &[f64], rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
+    fn measure_response(&mut self, segments_nm: &[f64], rests_nm: &[Array1<f64>]) -> Result<Array2<f64>> {
         let count = RESPONSE_IMAGES.min(rests_nm.len());
         let mut response = Array2::zeros((self.modes.nrows(), self.slopes()));
         for mode in 0..self.modes.nrows() {
             let poke_nm = &self.modes.row(mode) * POKE_NM;
             for share in 0..count {
                 let rest_nm = &rests_nm[share * rests_nm.len() / count];
-                let push = self.measure(pistons_nm, (rest_nm + &poke_nm).view())?;
-                let pull = self.measure(pistons_nm, (rest_nm - &poke_nm).view())?;
+                let push = self.measure(segments_nm, (rest_nm + &poke_nm).view())?;
+                let pull = self.measure(segments_nm, (rest_nm - &poke_nm).view())?;
                 response.row_mut(mode).scaled_add(0.5 / (POKE_NM * count as f64), &(push - pull));
             }
         }

@@ -5,7 +5,8 @@
 
 use super::diversity_error::{ModeProjector, Projection};
 use super::model::Model;
-use crate::modes::Direction;
+use crate::modes::{Basis, Direction};
+use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayViewMut1, Axis, s};
 
@@ -16,7 +17,7 @@ const MAX_RESIDUAL_SHARE: f64 = 1e-3;
 const MAX_OTHER_SHARE: f64 = 0.01;
 
 /// Motions of the whole mirror.
-pub(super) struct GlobalMotions {
+pub(crate) struct GlobalMotions {
     /// What of each motion is in coefficients, `[motion, mode]`.
     amounts: Array2<f64>,
     /// Coefficients of each motion, `[motion, mode]`.
@@ -35,36 +36,13 @@ impl GlobalMotions {
     pub(super) fn new(model: &Model) -> Result<Self> {
         let (basis, pupil) = (&model.basis, &model.telescope.pupil);
         let pistons = model.pistons();
-        let none = || Array2::zeros((0, basis.len()));
         if pistons == 0 {
+            let none = || Array2::zeros((0, basis.len()));
             return Ok(Self { amounts: none(), motions: none() });
         }
-        let areas = basis.along(&pupil.amplitude)?[..pistons].to_vec();
-        let total: f64 = areas.iter().sum();
-        if total <= 0.0 {
-            return Err(Error::Value("the segments of the pistons have no illuminated area".into()));
-        }
-        let weight = ndarray::Zip::from(&pupil.amplitude)
-            .and(&pupil.owner)
-            .map_collect(|a, owner| if *owner < 0 { 0.0 } else { a / total });
-        let coefficients = Array1::from_shape_fn(basis.len(), |mode| f64::from(u8::from(mode < pistons)));
-        let mut found = vec![Motion { map: Array2::ones(weight.dim()), coefficients }];
-        if model.optics.parts().slopes.is_some() && model.segment_modes < basis.len() {
-            // On a segment, a coordinate is its mean times the piston and its RMS about it times the tip or the tilt.
-            let along_axis = |axis: usize| -> Result<Motion> {
-                let coordinate = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
-                let map = Array2::from_shape_fn(weight.dim(), coordinate);
-                let mut coefficients = Array1::from(basis.along(&(&map * &weight))?);
-                let is_its = |mode: usize| [0, axis + 1].contains(&(mode / pistons)) && areas[mode % pistons] > 0.0;
-                coefficients.indexed_iter_mut().for_each(|(mode, c)| {
-                    *c = if is_its(mode) { *c * total / areas[mode % pistons] } else { 0.0 };
-                });
-                Ok(Motion { map, coefficients })
-            };
-            let tip = along_axis(0)?.orthogonal_to(&found, &weight);
-            found.push(tip);
-            let tilt = along_axis(1)?.orthogonal_to(&found, &weight);
-            found.push(tilt);
+        let has_tilts = model.optics.parts().slopes.is_some() && model.segment_modes < basis.len();
+        let (mut found, weight) = segment_motions((basis, pistons), pupil, has_tilts)?;
+        if has_tilts {
             let projector = ModeProjector::new(pupil, basis, model.segment_modes)?;
             let mut is_spanned = true;
             for motion in &mut found[1..] {
@@ -76,10 +54,32 @@ impl GlobalMotions {
                 found.truncate(1);
             }
         }
+        Self::of(&found, &weight, basis, model.segment_modes)
+    }
+
+    /// Piston, tip and tilt of the pistons, tips and tilts `segments` of all segments, the first of `modes` coefficients. They are
+    /// in no other mode: behind a loop that flattens the whole mirror a plane through the segments changes no image.
+    ///
+    /// # Errors
+    /// As [`GlobalMotions::new`].
+    pub(crate) fn of_segments(segments: &Basis, pupil: &Pupil, modes: usize) -> Result<Self> {
+        let (found, weight) = segment_motions((segments, segments.len() / 3), pupil, true)?;
+        let own = Self::of(&found, &weight, segments, segments.len())?;
+        let padded = |rows: &Array2<f64>| {
+            let mut padded = Array2::zeros((rows.nrows(), modes));
+            padded.slice_mut(s![.., ..segments.len()]).assign(rows);
+            padded
+        };
+        Ok(Self { amounts: padded(&own.amounts), motions: padded(&own.motions) })
+    }
+
+    /// Collects motions, and what of them is in the first `segment_modes` modes of `basis`.
+    fn of(found: &[Motion], weight: &Array2<f64>, basis: &Basis, segment_modes: usize) -> Result<Self> {
+        let none = || Array2::zeros((0, basis.len()));
         let (mut amounts, mut motions) = (none(), none());
-        for motion in &found {
-            let mut amount = Array1::from(basis.along(&(&motion.map * &weight))?);
-            amount.slice_mut(s![model.segment_modes..]).fill(0.0);
+        for motion in found {
+            let mut amount = Array1::from(basis.along(&(&motion.map * weight))?);
+            amount.slice_mut(s![segment_modes..]).fill(0.0);
             let pushed = amounts.push(Axis(0), amount.view()).and(motions.push(Axis(0), motion.coefficients.view()));
             pushed.map_err(|error| Error::Internal(format!("the motions of the mirror: {error}")))?;
         }
@@ -87,7 +87,7 @@ impl GlobalMotions {
     }
 
     /// Removes the motions from coefficients. Allocates nothing.
-    pub(super) fn remove(&self, coefficients_nm: &mut [f64]) {
+    pub(crate) fn remove(&self, coefficients_nm: &mut [f64]) {
         let mut coefficients_nm = ArrayViewMut1::from(coefficients_nm);
         // The motions are orthogonal, so that one after the other removes them all.
         for (amount, motion) in self.amounts.outer_iter().zip(self.motions.outer_iter()) {
@@ -96,8 +96,15 @@ impl GlobalMotions {
         }
     }
 
+    /// Wavefronts `columns` of the first modes, `[mode, sample]`, of coefficients from which the motions are removed: these change none.
+    pub(crate) fn removed_from_columns(&self, columns: &Array2<f64>) -> Array2<f64> {
+        let [amounts, motions] = [&self.amounts, &self.motions].map(|rows| rows.slice(s![.., ..columns.nrows()]));
+        // Pᵀ of the columns, with P = 1 − Mᵀ A.
+        columns - &amounts.t().dot(&motions.dot(columns))
+    }
+
     /// The covariance of coefficients from which the motions were removed.
-    pub(super) fn removed_from(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
+    pub(crate) fn removed_from(&self, covariance_nm2: &Array2<f64>) -> Array2<f64> {
         // P C Pᵀ with P = 1 − Mᵀ A.
         let rows = covariance_nm2 - self.motions.t().dot(&self.amounts.dot(covariance_nm2));
         let both = &rows - rows.dot(&self.amounts.t()).dot(&self.motions);
@@ -126,6 +133,38 @@ impl GlobalMotions {
         }
         rest.dot(&rest) <= MAX_OTHER_SHARE.powi(2) * ArrayView1::from(&direction.coefficients).mapv(|c| c * c).sum()
     }
+}
+
+/// Piston of the whole mirror, and where its segments have tilts tip and tilt: by `pistons` pistons, and as many tips and tilts, the first
+/// modes of `basis`. They are orthonormal under the weight of each sample in a mean over the pupil, which comes with them.
+fn segment_motions(
+    (basis, pistons): (&Basis, usize),
+    pupil: &Pupil,
+    has_tilts: bool,
+) -> Result<(Vec<Motion>, Array2<f64>)> {
+    let areas = basis.along(&pupil.amplitude)?[..pistons].to_vec();
+    let total: f64 = areas.iter().sum();
+    if total <= 0.0 {
+        return Err(Error::Value("the segments of the pistons have no illuminated area".into()));
+    }
+    let weight = ndarray::Zip::from(&pupil.amplitude)
+        .and(&pupil.owner)
+        .map_collect(|a, owner| if *owner < 0 { 0.0 } else { a / total });
+    let coefficients = Array1::from_shape_fn(basis.len(), |mode| f64::from(u8::from(mode < pistons)));
+    let mut found = vec![Motion { map: Array2::ones(weight.dim()), coefficients }];
+    for axis in 0..if has_tilts { 2 } else { 0 } {
+        // On a segment, a coordinate is its mean times the piston and its RMS about it times the tip or the tilt.
+        let coordinate = |(y, x): (usize, usize)| pupil.grid.coordinate_m(if axis == 0 { x } else { y });
+        let map = Array2::from_shape_fn(weight.dim(), coordinate);
+        let mut coefficients = Array1::from(basis.along(&(&map * &weight))?);
+        let is_its = |mode: usize| [0, axis + 1].contains(&(mode / pistons)) && areas[mode % pistons] > 0.0;
+        coefficients.indexed_iter_mut().for_each(|(mode, c)| {
+            *c = if is_its(mode) { *c * total / areas[mode % pistons] } else { 0.0 };
+        });
+        let motion = Motion { map, coefficients }.orthogonal_to(&found, &weight);
+        found.push(motion);
+    }
+    Ok((found, weight))
 }
 
 impl Motion {

@@ -72,6 +72,7 @@ pub(crate) use estimate::ModalFit;
 pub(crate) use fit_optics::{OpticsMinimum, explaining_fit, fit_together};
 pub use fitted_optic::FittedOptic;
 pub use fitter::ModalFitter;
+pub(crate) use global_motions::GlobalMotions;
 pub use integers::PistonInteger;
 pub(crate) use integers::{ColourEstimate, are_determined, resolve_estimates};
 pub(crate) use joint::{JointEstimate, combine_estimates, joint};

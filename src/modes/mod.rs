@@ -35,7 +35,7 @@ pub use orthonormal::{DroppedMode, OrthonormalBasis, circle_zernikes, join_exact
 pub use report::{Degeneracy, Direction, NULL_BELOW, WEAK_BELOW};
 pub use samples::Samples;
 pub use segment::SegmentModes;
-pub(crate) use segment::tilt_frames;
+pub(crate) use segment::{TiltFrame, tilt_frames};
 pub use separable::SeparableBasis;
 pub use smooth::SmoothBasis;
 pub use von_karman::{R0_WAVELENGTH_NM, VonKarman};

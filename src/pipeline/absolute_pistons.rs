@@ -14,7 +14,7 @@ use crate::modal::{BasisCache, ColourEstimate, PistonInteger, pistons_near, reso
 use crate::retrieval::{IlluminatedSamples, RadialPsd, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{
-    ChannelSequence, Iteration, NcpaBasis, SequenceRetrieval, StaticsSettings, estimate_static_errors,
+    ChannelSequence, Iteration, NcpaBasis, SequenceRetrieval, StaticsSettings, TiltSelection, estimate_static_errors,
 };
 use crate::statistics::median;
 use crate::telescope::Telescope;
@@ -92,7 +92,8 @@ impl Colours<'_, '_> {
         let mut source = SequenceRetrieval::new(sequences, self.is_simultaneous, self.prior, None, cancel, &watch)?
             .about(Some(StaticWavefront { segments_nm, smooth_nm }));
         let ao_knowledge = self.settings.ao_knowledge.min(AoKnowledge::Spectrum);
-        let settings = StaticsSettings { ao_knowledge, max_iterations: ITERATIONS, ..self.settings.clone() };
+        let tilts = TiltSelection::Never;
+        let settings = StaticsSettings { ao_knowledge, tilts, max_iterations: ITERATIONS, ..self.settings.clone() };
         let last = estimate_static_errors(channel.scene, &mut source, &settings, cancel)?.pop();
         last.ok_or_else(|| Error::Internal("no iteration was made".into()))
     }

@@ -5,7 +5,7 @@
 
 use super::images::{Images, Trust};
 use super::instrument;
-use crate::io::{HeaderFact, PixelUnit, Quantity};
+use crate::io::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
 use crate::scene::{Method, Scene};
 use crate::{Error, Result, source};
 use ndarray::{Array2, Array3, Axis};
@@ -132,7 +132,7 @@ impl Comparison<'_> {
         // The pixel on the sky is λ/grid_m over the sampling, so the sampling is as much larger as the pixel is smaller.
         // A pixel that agrees with the scene as given contradicts it no more where another card contradicts its wavelength; the
         // file's wavelength, where it is trusted, needs the sampling that goes with it.
-        let agrees = |mas: f64| self.facts(Quantity::PixelMas).iter().any(|fact| agrees(fact, mas));
+        let agrees = |mas: f64| self.facts(Quantity::PixelMas).iter().any(|fact| fact.agrees(mas));
         let is_settled = self.images.trust != Trust::File && source::pixel_mas(given).is_some_and(agrees);
         if let Some(pixel_mas) = source::pixel_mas(&self.scene).filter(|_| !is_settled) {
             let sampling = self.scene.image.samples_per_lambda_over_d;
@@ -162,7 +162,7 @@ impl Comparison<'_> {
     /// quantity. Where there are several cards (such as a central and an effective wavelength), one that agrees is enough.
     fn compare(&mut self, quantity: Quantity, key: &str, value: f64, to_key: impl Fn(f64) -> f64) -> Result<()> {
         let facts = self.facts(quantity);
-        let Some(first) = facts.first().filter(|_| !facts.iter().any(|fact| agrees(fact, value))) else {
+        let Some(first) = facts.first().filter(|_| !facts.iter().any(|fact| fact.agrees(value))) else {
             return Ok(());
         };
         let distance = |stated: f64| (stated / value).ln().abs();
@@ -206,10 +206,17 @@ impl Comparison<'_> {
         Ok(())
     }
 
-    /// Read noise of the file, where the scene has none.
+    /// Read noise of the file, where the scene has none, or where that of the scene is what the noise of reduced images was derived
+    /// from.
     fn read_noise_e(&self) -> Option<f64> {
-        let is_open = self.scene.image.read_noise_e.is_none() && !self.is_decided("image.read_noise_e");
-        self.facts(Quantity::ReadNoiseE).first().filter(|_| is_open).and_then(|fact| fact.values.first().copied())
+        let facts = self.facts(Quantity::ReadNoiseE);
+        let of_a_coadd = facts.iter().find(|fact| fact.keyword == READ_NOISE_OF_A_COADD);
+        let is_open = match self.scene.image.read_noise_e {
+            None => true,
+            Some(read_noise_e) => of_a_coadd.is_some_and(|fact| fact.agrees(read_noise_e)),
+        };
+        let is_open = is_open && !self.is_decided("image.read_noise_e");
+        facts.first().filter(|_| is_open).and_then(|fact| fact.values.first().copied())
     }
 
     /// Electrons per count where the pixels are to be converted; `None` where they are electrons.
@@ -254,9 +261,4 @@ impl Comparison<'_> {
         }
         Ok(found.map(|(gain, _)| gain))
     }
-}
-
-/// Whether one of the values that a card may mean is `value`, to the last digit of the card.
-fn agrees(fact: &HeaderFact, value: f64) -> bool {
-    fact.values.iter().any(|stated| (stated - value).abs() <= fact.tolerance * stated.abs().max(value.abs()))
 }

@@ -270,25 +270,26 @@ impl Estimate {
 
     /// Corrections of segments, mirror and reference slopes, also in the terms of the controllers that the scene describes. No
     /// increment is larger than `limit_nm`; `None` takes the mirror's stroke and, for segments, a quarter of the wavelength (half of the
-    /// distance to the next fringe), and no limit where the whole wavelengths are known. Tips and tilts of segments are not corrected,
-    /// and a modal estimate has no reference slopes.
+    /// distance to the next fringe), and no limit where the whole wavelengths are known. Of a modal estimate tips and tilts of segments are
+    /// not corrected, and it has no reference slopes.
     ///
     /// # Errors
     /// [`Error::Value`] for a limit that is not positive, and for segment modes from a file, which are not pistons; [`Error::File`] for
     /// a controller's table or matrix that cannot be read or does not fit.
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
-        let piston_limit_nm =
+        let segment_limit_nm =
             if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
         let corrections = match self.map.as_ref().and_then(|map| map.iterations.last()) {
-            Some(iteration) => iteration.corrections(&self.scene, limit_nm, piston_limit_nm)?,
-            None => self.modal_corrections(limit_nm, piston_limit_nm)?,
+            Some(iteration) => iteration.corrections(&self.scene, limit_nm, segment_limit_nm)?,
+            None => self.modal_corrections(limit_nm, segment_limit_nm)?,
         };
         let status = (self.status != ImageStatus::Ok).then(|| format!("the status is {}", self.status.word()));
-        let warnings = status.into_iter().chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
+        let own = corrections.warnings.into_iter();
+        let warnings = own.chain(status).chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
         Ok(Corrections { warnings: warnings.collect(), ..corrections })
     }
 
-    fn modal_corrections(&self, limit_nm: Option<f64>, piston_limit_nm: f64) -> Result<Corrections> {
+    fn modal_corrections(&self, limit_nm: Option<f64>, segment_limit_nm: f64) -> Result<Corrections> {
         let Some(fitter) = &self.fitter else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
         let (model, segment_modes) = (fitter.model(), self.segment_modes());
         let pistons = model.pistons();
@@ -304,9 +305,10 @@ impl Estimate {
         };
         let errors = CorrectableErrors {
             pistons_nm: &self.coefficients_nm[..pistons],
-            piston_covariance_nm2: self.covariance_nm2.slice(s![..pistons, ..pistons]),
+            tilts_nm: &[],
+            segment_covariance_nm2: self.covariance_nm2.slice(s![..pistons, ..pistons]),
             leaves_plane: false,
-            piston_limit_nm,
+            segment_limit_nm,
             ncpa_nm: &self.coefficients_nm[segment_modes..],
             ncpa_sigma_nm: &self.sigma_nm()[segment_modes..],
             ncpa: NcpaModes::Maps(&map_nm),

@@ -95,6 +95,7 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     let only = (sequence.channels.len() == 1).then_some(&found.scene);
     let mut remarks: Vec<String> =
         only.and_then(|scene| warnings::diversity_remark(&last.diversity, scene)).into_iter().collect();
+    remarks.extend(warnings::segment_tilts_remarks(last));
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
         remarks.extend(warnings::orientation_remark(&found.scene, &Telescope::new(&found.scene)?)?);
     }
@@ -193,17 +194,18 @@ fn outcome(found: &SequenceResult, image: usize, is_used: bool) -> ImageOutcome 
     }
 }
 
-/// Description of the NCPA basis that was selected.
+/// Description of the modes that were selected.
 fn selected(last: &Iteration) -> String {
     let modes = last.ncpa_names.len();
-    match last.family {
+    let ncpa = match last.family {
         NcpaFamily::Zernike { highest_order } => format!("{modes} Zernike modes to radial order {highest_order}"),
         NcpaFamily::Mirror => format!("{modes} modes of the deformable mirror"),
-    }
+    };
+    if last.segment_tilts.is_some() && last.has_tilts() { ncpa + ", tip and tilt of each segment" } else { ncpa }
 }
 
 fn basis(last: &Iteration) -> Basis {
-    let (segments, ncpa) = (last.errors.pistons_nm.len(), last.ncpa_names.len());
+    let (segments, ncpa) = (last.errors.segment_modes(), last.ncpa_names.len());
     let groups = [vec![Group::Segment; segments], vec![Group::Ncpa; ncpa]].concat();
     Basis { names: last.mode_names(), groups }
 }

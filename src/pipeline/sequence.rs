@@ -2,6 +2,7 @@
 //! exposure's wavefront, and the static errors that all exposures share, in turn until nothing changes.
 
 use super::absolute_pistons::{AbsolutePistons, Colours};
+use super::policy::Policy;
 use super::sequence_channel::{Sequence, SequenceChannel, progress_of};
 use super::telemetry::{self, TelemetryCheck};
 use crate::ao::{Lenslets, sensor_pupil};
@@ -10,9 +11,9 @@ use crate::pupil::Pupil;
 use crate::retrieval::{
     RadialPsd, RetrievalReport, RetrievalSettings, RetrievedOptics, Retriever, StaticAberrationRms, estimate_optics,
 };
-use crate::scene::{AoKnowledge, Scene, SegmentModes};
+use crate::scene::{AoKnowledge, ModelChoice, Scene, SegmentModes};
 use crate::statics::{
-    ChannelSequence, Iteration, MAX_NCPA_MODES, SequenceRetrieval, StaticsSettings, check_diversity,
+    ChannelSequence, Iteration, MAX_NCPA_MODES, SequenceRetrieval, StaticsSettings, TiltSelection, check_diversity,
     estimate_static_errors,
 };
 use crate::telescope::Telescope;
@@ -93,6 +94,30 @@ fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) 
     }
 }
 
+/// Whether tips and tilts of the segments of `scene` are estimated.
+///
+/// # Errors
+/// [`Error::Scene`] for a scene without pistons.
+fn tilt_selection(scene: &Scene, policy: &Policy) -> Result<TiltSelection> {
+    match scene.modes.segment {
+        SegmentModes::PistonTipTilt => Ok(TiltSelection::Always),
+        SegmentModes::Piston if policy.select_model && scene.estimate.model == ModelChoice::Auto => {
+            Ok(TiltSelection::WhereSignificant)
+        }
+        SegmentModes::Piston => Ok(TiltSelection::Never),
+        SegmentModes::None => Err(Error::Scene(
+            "modes.segment = \"none\" is not accepted with estimate.method = \"full-phase\": \"piston\" or \"piston-tip-tilt\" \
+             is needed"
+                .into(),
+        )),
+    }
+}
+
+/// `scene` with these segment modes.
+fn with_segment_modes(scene: &Scene, modes: SegmentModes) -> Result<Scene> {
+    if scene.modes.segment == modes { Ok(scene.clone()) } else { scene.with(&[("modes.segment", modes.word())]) }
+}
+
 /// Prior power spectral density of the dynamic wavefront.
 fn prior(scene: &Scene, ao_knowledge: AoKnowledge) -> Result<RadialPsd> {
     if ao_knowledge > AoKnowledge::Nothing {
@@ -123,16 +148,20 @@ const FEW_IMAGES_RESOLUTION: f64 = 1.25;
 /// Those of building the model; [`Error::Shape`] and [`Error::Value`] for frames or slopes that are not the scene's;
 /// [`Error::Image`] where fewer than two images can be used; [`Error::Interrupted`].
 pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
+    let tilts = tilt_selection(sequence.channels[0].scene, sequence.policy)?;
+    // A retrieved wavefront holds the segments' tilts, so the retrieval's models need pistons alone.
+    let piston_scenes = sequence.channels.iter().map(|channel| with_segment_modes(channel.scene, SegmentModes::Piston));
+    let piston_scenes = piston_scenes.collect::<Result<Vec<_>>>()?;
+    let channels: Vec<_> = piston_scenes
+        .iter()
+        .zip(sequence.channels)
+        .map(|(scene, channel)| SequenceChannel { scene, images: channel.images })
+        .collect();
+    let sequence = &Sequence { channels: &channels, ..*sequence };
     let (channels, slopes_mas, control) = (sequence.channels, sequence.slopes_mas, sequence.control);
     let scene = channels[0].scene;
-    if scene.modes.segment != SegmentModes::Piston {
-        return Err(Error::Scene(format!(
-            "modes.segment = \"{}\" is not accepted with estimate.method = \"full-phase\": \"piston\" is needed",
-            scene.modes.segment.word()
-        )));
-    }
     let ao_knowledge = ao_knowledge(scene, slopes_mas.is_some())?;
-    let settings = StaticsSettings { ao_knowledge, ..StaticsSettings::default() };
+    let settings = StaticsSettings { ao_knowledge, tilts, ..StaticsSettings::default() };
     if let Some(&coarsest) = settings.families.first() {
         check_diversity(coarsest, scene, &Telescope::new(scene)?)?;
     }
@@ -152,7 +181,8 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
         _ => channels.iter().map(|channel| channel.scene.clone()).collect(),
     };
     let retrievers = Retriever::of_channels(&scenes, optics.telescope(), &prior, &retrieval)?;
-    retrievers[0].check_images(sequence.images(), MAX_NCPA_MODES)?;
+    let modes_per_segment = if tilts == TiltSelection::Never { 1 } else { 3 };
+    retrievers[0].check_images(sequence.images(), modes_per_segment, MAX_NCPA_MODES)?;
     let sequences: Vec<_> =
         retrievers.iter().zip(&cubes).map(|(retriever, &cube)| ChannelSequence { retriever, cube }).collect();
     let (start, integers) = absolute_pistons(sequence, &sequences, &prior, &settings)?
@@ -175,6 +205,10 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
         source.divide_slopes(check.divided_by);
     }
     let iterations = estimate_static_errors(&static_scene, &mut source, &settings, cancel)?;
+    let static_scene = match iterations.last() {
+        Some(last) if last.has_tilts() => with_segment_modes(&static_scene, SegmentModes::PistonTipTilt)?,
+        _ => static_scene,
+    };
     let (device, device_failure) = retrievers[0].device();
     let rejected = |(channel, cleaned): (&SequenceChannel, &Option<CleanedImages>)| match cleaned {
         None => vec![0; channel.images.len()],

@@ -7,7 +7,7 @@ use super::sequence::SequenceResult;
 use crate::Result;
 use crate::modal::{self, DiversityProjection, ImageReport, JointSession, Model, PistonInteger, Session, Status};
 use crate::scene::{AoKnowledge, Scene};
-use crate::statics::{ErrorSource, Iteration, SegmentTilts};
+use crate::statics::{ErrorSource, Iteration};
 use crate::telescope::{Diversity, Telescope};
 
 /// What a χ² that is too small means.
@@ -277,6 +277,27 @@ fn listed(names: &[String]) -> String {
     if names.len() > NAMED_MODES { format!("{first} and {} more", names.len() - NAMED_MODES) } else { first }
 }
 
+/// Remarks on tilts of the segments in a MAP estimate, whose last iteration is `last`: that they were added to the model, and what images
+/// behind a loop do not show of them.
+pub(super) fn segment_tilts_remarks(last: &Iteration) -> Vec<String> {
+    let added = last.segment_tilts.filter(|_| last.has_tilts()).map(|tilts| {
+        format!(
+            "The model was extended by tip and tilt of each segment: each lowers the χ² of the mean wavefront by {:.1}, where \
+             turbulence explains 1 (estimate.model = \"scene\" keeps that of the scene).",
+            tilts.chi2
+        )
+    });
+    let compensated_nm = last.error_budget.term_nm(ErrorSource::CompensatedSegments)[0];
+    let unseen = (compensated_nm > last.error_budget.averaged_nm()[0]).then(|| {
+        format!(
+            "The error bars of the phasing include {compensated_nm:.0} nm of smooth shapes of many segments, which the loop compensates: they \
+             are in no image, and no number of images determines them. Behind the loop {:.1} nm remain.",
+            last.error_budget.averaged_nm()[0]
+        )
+    });
+    added.into_iter().chain(unseen).collect()
+}
+
 /// Warnings of a MAP estimate, whose last iteration is `last`.
 pub(super) fn map_warnings(
     found: &SequenceResult,
@@ -312,7 +333,7 @@ pub(super) fn map_warnings(
             last.reduced_chi2
         ));
     }
-    if let Some(tilts) = last.segment_tilts.filter(SegmentTilts::is_significant) {
+    if let Some(tilts) = last.segment_tilts.filter(|tilts| tilts.is_significant() && !last.has_tilts()) {
         sentences.push(format!(
             "single segments seem to be tilted, by {:.0} nm RMS or more: pistons and NCPA have absorbed a part of it, which \
              their error bars do not include",

@@ -145,14 +145,14 @@ impl Retriever {
             && own.weight == others.weight
     }
 
-    /// Refuses a sequence of `images` images whose wavefronts, and the static modes that are estimated from them (pistons and
-    /// `ncpa_modes`), are more than the machine's memory can hold.
+    /// Refuses a sequence of `images` images whose wavefronts, and the static modes that are estimated from them (`per_segment` of
+    /// each segment and `ncpa_modes`), are more than the machine's memory can hold.
     ///
     /// # Errors
     /// [`Error::Value`].
-    pub(crate) fn check_images(&self, images: usize, ncpa_modes: usize) -> Result<()> {
+    pub(crate) fn check_images(&self, images: usize, per_segment: usize, ncpa_modes: usize) -> Result<()> {
         let (samples, segments) = (self.points_m.len(), self.model.optics.parts().weights.segments);
-        let rows = WAVEFRONT_COPIES * images + MODE_COPIES * (segments + ncpa_modes);
+        let rows = WAVEFRONT_COPIES * images + MODE_COPIES * (per_segment * segments + ncpa_modes);
         machine::check_memory(
             format_args!("the static errors of {segments} segments from {images} wavefronts of {samples} samples"),
             (size_of::<f64>() * samples).saturating_mul(rows) as u64,

@@ -203,8 +203,8 @@ fn images_without_a_star_are_unusable_and_the_others_retrieved() {
 #[test]
 fn more_images_than_the_memory_holds_are_refused() {
     let retriever = open(&scene(), &prior(), RetrievalSettings::default()).unwrap();
-    retriever.check_images(2, 400).unwrap();
-    let sentence = retriever.check_images(1 << 40, 400).unwrap_err().to_string();
+    retriever.check_images(2, 3, 400).unwrap();
+    let sentence = retriever.check_images(1 << 40, 3, 400).unwrap_err().to_string();
     assert!(sentence.contains("segments from 1099511627776 wavefronts") && sentence.contains("GiB"), "{sentence}");
 }
 

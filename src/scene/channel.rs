@@ -3,6 +3,7 @@
 //! A channel has a scene of its own: the keys that it names in place of those of `[image]`, and no channels. Pixels keep their angle on
 //! the sky: where a channel names another wavelength and not its sampling, the sampling follows the wavelength.
 
+use super::forms;
 use super::table::{Key, Section, Source, shown, suggestion};
 use super::telescope::ImageScene;
 use super::value::{FromToml, between};
@@ -107,9 +108,9 @@ fn text(whole: &str, table: &Table, name: String) -> Result<ChannelText> {
         settings.push((SAMPLING.to_owned(), sampling.to_string()));
         image.insert(SAMPLING, Item::Value(Value::from(sampling)));
     }
-    // A channel that names both alternatives has both, which is refused.
-    for pair in ALTERNATIVES.iter().filter(|pair| pair.iter().any(|key| table.contains_key(key))) {
-        pair.iter().for_each(|key| drop(image.remove(key)));
+    // A channel that names several alternatives has them, which is refused.
+    for keys in ALTERNATIVES.iter().filter(|keys| keys.iter().any(|key| table.contains_key(key))) {
+        keys.iter().for_each(|key| drop(image.remove(key)));
     }
     for (key, value) in table.iter().filter(|(key, _)| *key != NAME) {
         let mut value = value.clone();
@@ -142,7 +143,10 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
     match tables.and_then(|tables| tables.iter_mut().enumerate().find(of_name)) {
         Some((_, table)) => {
             match value {
-                Some(value) => drop(table.insert(key, Item::Value(value))),
+                Some(value) => {
+                    forms::other_forms(key).for_each(|other| drop(table.remove(other)));
+                    drop(table.insert(key, Item::Value(value)));
+                }
                 None => drop(table.remove(key)),
             }
             Ok(())
@@ -153,17 +157,24 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
     }
 }
 
-const SAMPLING: &str = "samples_per_lambda_over_d";
-/// Keys of which a scene may name one: a channel that names one of them replaces both.
-const ALTERNATIVES: [[&str; 2]; 3] =
-    [["peak_snr", "flux_e"], ["diversity_focus_waves_rms", "diversity_file"], ["bandwidth_fraction", "filter_file"]];
+const SAMPLING: &str = forms::SAMPLING[0];
+/// Keys of which a scene may name one: a channel that names one of them replaces all.
+const ALTERNATIVES: [&[&str]; 5] = [
+    &["peak_snr", "flux_e"],
+    &[forms::FOCUS[0], forms::FOCUS[1], forms::FOCUS[2], forms::FOCUS[3], "diversity_file"],
+    &["bandwidth_fraction", "filter_file"],
+    &forms::SAMPLING,
+    &["focal_ratio"],
+];
 
 /// Sampling of a channel of another wavelength: that of `[image]` for pixels of the same angle.
 fn followed_sampling(image: &dyn TableLike, channel: &Table) -> Option<f64> {
     let range = between(f64::MIN_POSITIVE, f64::MAX);
     let number = |item: Option<&Item>| item?.as_value().and_then(|value| f64::from_toml(value, &range));
     let (own, shared) = (number(channel.get("wavelength_nm"))?, number(image.get("wavelength_nm"))?);
-    if channel.contains_key(SAMPLING) || own == shared {
+    // A pixel in other words keeps its angle, and its sampling follows from it.
+    let has_other_words = |table: &dyn TableLike| forms::SAMPLING[1..].iter().any(|key| table.contains_key(key));
+    if channel.contains_key(SAMPLING) || own == shared || has_other_words(channel) || has_other_words(image) {
         return None;
     }
     let sampling = number(image.get(SAMPLING)).unwrap_or(DEFAULT_SAMPLING);

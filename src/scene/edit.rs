@@ -1,7 +1,7 @@
 //! Changed copies of a scene: other values for some keys, with the comments kept.
 
 use super::table::SETTING;
-use super::{Scene, SectionKeys, channel, directory_of_keys, unknown_key, unknown_section};
+use super::{Scene, SectionKeys, channel, directory_of_keys, forms, unknown_key, unknown_section};
 use crate::{Error, Result};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
 
@@ -27,6 +27,13 @@ impl Scene {
             }
             let (section, name) = known_key(&sections, key)?;
             set(&mut document, section, name, value.trim())?;
+            if section == "image" && !value.trim().is_empty() {
+                // Another form of the same quantity gives way, unless it is set, too.
+                let is_set = |other: &str| settings.iter().any(|(key, _)| key.strip_prefix("image.") == Some(other));
+                for other in forms::other_forms(name).filter(|other| !is_set(other)) {
+                    set(&mut document, section, other, "")?;
+                }
+            }
         }
         Self::parse(self.name(), &document.to_string(), self.directory(), self.purpose(), settings)
             .map_err(|error| after_settings(error, settings))

@@ -21,6 +21,7 @@ mod edit;
 mod faults;
 mod file;
 mod fit;
+mod forms;
 mod lists;
 mod pupil;
 mod purpose;
@@ -28,6 +29,7 @@ mod reference;
 mod section_keys;
 mod table;
 mod telescope;
+mod units;
 mod value;
 mod words;
 
@@ -300,7 +302,11 @@ impl Scene {
         // A scene with channels has the sections of its first one.
         let sections = match channels.first() {
             Some(first) => Sections::clone(&first.scene),
-            None => Sections::read(source, document.as_table())?,
+            None => {
+                let mut sections = Sections::read(source, document.as_table())?;
+                sections.convert_units(source, document.as_table())?;
+                sections
+            }
         };
         sections.check_together(source, document.as_table())?;
         let (text, name, directory) = (text.to_string(), name.to_string(), directory.to_path_buf());

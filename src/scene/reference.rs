@@ -4,9 +4,17 @@ use super::section_keys::SectionKeys;
 use std::fmt::Write;
 
 /// Suffixes of keys and their units, longer ones first.
-const UNITS: [(&str, &str); 12] = [
+const UNITS: [(&str, &str); 20] = [
     ("_over_d", "pixels per λ/grid_m"),
     ("_waves_rms", "waves RMS"),
+    ("_waves_pv", "waves, peak to valley"),
+    ("_nm_rms", "nm RMS"),
+    ("_arcsec", "arcsec"),
+    ("_mas", "mas"),
+    ("_mm", "mm"),
+    ("_um", "µm"),
+    ("_e_per_adu", "electrons per count"),
+    ("_adu", "counts"),
     ("_cycles", "cycles per grid_m"),
     ("_m_s", "m/s"),
     ("_deg", "degrees"),
@@ -60,7 +68,12 @@ pub(super) fn reference_of(sections: Vec<SectionKeys>) -> String {
 fn readers(section: &str, key: &str) -> &'static str {
     let said = [key, section].into_iter().find_map(|about| {
         let about = about.to_lowercase();
-        let only = [("simulation only.", "simulations"), ("estimate only.", "estimates"), ("read by ", "both")];
+        let only = [
+            ("read by 'cophase reduce'", "reduce"),
+            ("simulation only.", "simulations"),
+            ("estimate only.", "estimates"),
+            ("read by ", "both"),
+        ];
         only.into_iter().find(|(words, _)| about.contains(words)).map(|(_, readers)| readers)
     });
     said.unwrap_or("both")
@@ -80,6 +93,7 @@ mod tests {
         assert_eq!(readers(" Camera.", " Width."), "both");
         assert_eq!(readers(" Faults. Simulation only.", " RMS."), "simulations");
         assert_eq!(readers(" Camera.", " Whether it is mirrored. Estimate only."), "estimates");
+        assert_eq!(readers(" Camera.", " Level. Read by 'cophase reduce'."), "reduce");
         assert_eq!(readers(" Control. Simulation only.", " Gain. Read by simulations and estimates."), "both");
     }
 

@@ -185,6 +185,12 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
+    /// Refuses more than one of keys that are alternatives.
+    pub(super) fn not_several(&self, keys: &[&str]) -> Result<()> {
+        let named: Vec<&str> = keys.iter().copied().filter(|key| self.named(key)).collect();
+        if let [one, other, ..] = named.as_slice() { self.not_both(one, other) } else { Ok(()) }
+    }
+
     /// Reads the value of one key.
     pub(super) fn key<T: FromToml>(&self, name: &'static str, range: &Range, preset: Preset<T>) -> Result<T> {
         let section = self.section;

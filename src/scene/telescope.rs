@@ -1,5 +1,6 @@
 //! Sections `[image]` and `[aberrations]`: science camera, true aberrations of simulated images.
 
+use super::forms;
 use super::lists::NollRange;
 use super::table::{Check, Reader, default, required, section, unset};
 use super::value::{ANY, above, at_least, between, even};
@@ -25,6 +26,14 @@ section! {
         star_temperature_k: Option<f64>, between(100.0, 1e6), unset("as many photons at each wavelength");
         /// Sampling of the image: detector pixels per λ/grid_m.
         samples_per_lambda_over_d: f64, above(0.0, 64.0), default(2.0);
+        /// Pixel on the sky, in place of samples_per_lambda_over_d.
+        pixel_mas: Option<f64>, above(0.0, 1e5), unset("given by samples_per_lambda_over_d");
+        /// Pixel on the sky, in place of samples_per_lambda_over_d.
+        pixel_arcsec: Option<f64>, above(0.0, 100.0), unset("given by samples_per_lambda_over_d");
+        /// Pitch of the pixels at the focus of focal_ratio, in place of samples_per_lambda_over_d.
+        pixel_pitch_um: Option<f64>, above(0.0, 1e4), unset("given by samples_per_lambda_over_d");
+        /// Focal length over pupil.grid_m, with which pixel_pitch_um and diversity_stage_mm are converted.
+        focal_ratio: Option<f64>, above(0.0, 1e4), unset("not needed");
         /// Number of pixels along a side of the image; the axis is on pixel pixels/2, rounded down. Images of an odd size are fitted
         /// without their last row or column, also where the scene says one less.
         pixels: usize, between(8.0, 8192.0), required();
@@ -39,6 +48,13 @@ section! {
         exposure_s: f64, between(0.0, 86_400.0), default(0.01);
         /// Focus of the diversity, RMS over the pupil, positive at its edge; 1.5 unless diversity_file is given.
         diversity_focus_waves_rms: f64, between(-20.0, 20.0), default(1.5);
+        /// Focus of the diversity, peak to valley over the circle around the hexagons of the pupil, in place of the waves RMS.
+        diversity_focus_waves_pv: Option<f64>, between(-80.0, 80.0), unset("given by diversity_focus_waves_rms");
+        /// Focus of the diversity, RMS over the pupil, in place of the waves RMS.
+        diversity_focus_nm_rms: Option<f64>, between(-2e6, 2e6), unset("given by diversity_focus_waves_rms");
+        /// Travel of the detector along the axis at focal_ratio, in place of the waves RMS; positive where the focus is positive at the
+        /// pupil's edge.
+        diversity_stage_mm: Option<f64>, between(-1e4, 1e4), unset("given by diversity_focus_waves_rms");
         /// FITS map of the diversity in place of a focus: nm, or the unit of its card BUNIT; over pupil.grid_m, or as GRID_M or
         /// PUPLSCAL say.
         diversity_file: Option<PathBuf>, ANY, unset("a focus");
@@ -56,6 +72,8 @@ section! {
         /// Gain: electrons per count of images in counts (ADU). An image file that is in electrons is not converted.
         /// Estimate only.
         gain_e_per_adu: Option<f64>, above(0.0, 1e9), unset("given by the image file; images without a unit are in electrons");
+        /// Counts of one coadd from which a pixel is saturated. Read by 'cophase reduce'.
+        saturation_adu: Option<f64>, above(0.0, 1e9), unset("given by the raw frame; else several pixels with one largest value");
         /// Background of a pixel. Read by simulations and full-phase estimates; modal estimates fit it.
         background_e: f64, between(0.0, 1e12), default(0.0);
         /// Whether the images have photon noise. Simulation only.
@@ -87,6 +105,22 @@ impl ImageScene {
         self.samples_per_lambda_over_d >= LEAST_SAMPLING_OF_PIXELS
     }
 
+    /// Refuses an area of the pixels that the sampling does not hold.
+    pub(super) fn check_sampling(&self, reader: &Reader) -> Result<()> {
+        let sampling = self.samples_per_lambda_over_d;
+        for (key, value) in [("pixel_fill", self.pixel_fill), ("charge_diffusion_pixels", self.charge_diffusion_pixels)]
+        {
+            if value > 0.0 && !self.has_samples_of_pixels() {
+                let sentence = format!(
+                    "image.{key} = {value} is not accepted with image.samples_per_lambda_over_d = {sampling}; a sampling of \
+                     {LEAST_SAMPLING_OF_PIXELS} or more is needed"
+                );
+                return Err(reader.error(key, sentence));
+            }
+        }
+        Ok(())
+    }
+
     /// Rows and columns of a detector frame.
     pub fn frame_shape(&self) -> (usize, usize) {
         (self.rows.unwrap_or(self.pixels), self.columns.unwrap_or(self.pixels))
@@ -102,7 +136,9 @@ impl ImageScene {
 impl Check for ImageScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         reader.not_both("peak_snr", "flux_e")?;
-        reader.not_both("diversity_focus_waves_rms", "diversity_file")?;
+        reader.not_several(&forms::SAMPLING)?;
+        reader.not_several(&forms::FOCUS)?;
+        forms::FOCUS.iter().try_for_each(|key| reader.not_both(key, "diversity_file"))?;
         if self.filter_file.is_some() && self.bandwidth_fraction > 0.0 {
             let sentence = format!(
                 "'image.filter_file' and image.bandwidth_fraction = {} are both given; name only one of them",
@@ -124,16 +160,9 @@ impl Check for ImageScene {
                 return Err(reader.error(key, sentence));
             }
         }
-        let sampling = self.samples_per_lambda_over_d;
-        for (key, value) in [("pixel_fill", self.pixel_fill), ("charge_diffusion_pixels", self.charge_diffusion_pixels)]
-        {
-            if value > 0.0 && !self.has_samples_of_pixels() {
-                let sentence = format!(
-                    "image.{key} = {value} is not accepted with image.samples_per_lambda_over_d = {sampling}; a sampling of \
-                     {LEAST_SAMPLING_OF_PIXELS} or more is needed"
-                );
-                return Err(reader.error(key, sentence));
-            }
+        // A sampling in other words is converted, and checked, when the pupil is known.
+        if !forms::SAMPLING[1..].iter().any(|key| reader.named(key)) {
+            self.check_sampling(reader)?;
         }
         let (rows, columns) = self.frame_shape();
         let (larger, key) = match (rows.max(columns), rows > columns) {

@@ -27,6 +27,11 @@ pub(super) struct AndersonAcceleration {
 }
 
 impl AndersonAcceleration {
+    /// An acceleration that begins with the input of the current iteration, `None` for zeros.
+    pub(super) fn from_input(input: Option<Array1<f64>>) -> Self {
+        Self { steps: Vec::new(), next: input }
+    }
+
     /// Input of the current iteration; `None` in the first.
     pub(super) fn input(&self) -> Option<&Array1<f64>> {
         self.next.as_ref()

@@ -11,12 +11,20 @@ pub enum ErrorSource {
     UnknownLoopResponse,
     /// NCPA beyond the finest modes, extrapolated from the variance of the coarser ones; 0 where they do not extend beyond.
     NcpaBeyondModes,
+    /// Shapes of segments with tips and tilts that follow a smooth surface, which the loop compensates: an error of the prior, in no
+    /// wavefront behind the loop. 0 where segments have pistons alone, whose edges show, and where the loop is not known.
+    CompensatedSegments,
 }
 
 impl ErrorSource {
     /// All sources, in the order of an [`ErrorBudget`].
-    pub const ALL: [Self; 4] =
-        [Self::NoiseAndTurbulence, Self::DiversityError, Self::UnknownLoopResponse, Self::NcpaBeyondModes];
+    pub const ALL: [Self; 5] = [
+        Self::NoiseAndTurbulence,
+        Self::DiversityError,
+        Self::UnknownLoopResponse,
+        Self::NcpaBeyondModes,
+        Self::CompensatedSegments,
+    ];
 
     /// Name for reports.
     pub fn name(self) -> &'static str {
@@ -25,6 +33,7 @@ impl ErrorSource {
             Self::DiversityError => "diversity error",
             Self::UnknownLoopResponse => "unknown loop response",
             Self::NcpaBeyondModes => "NCPA beyond the modes",
+            Self::CompensatedSegments => "segments that the loop compensates",
         }
     }
 }
@@ -50,19 +59,22 @@ pub struct ErrorBudget {
 }
 
 impl ErrorBudget {
-    /// From the totals without NCPA beyond the modes, the part that averages over the images, and the NCPA's other terms.
+    /// From the totals without NCPA beyond the modes, the part that averages over the images, and the NCPA's other terms. The rest of
+    /// the phasing's total is of segments that the loop compensates.
     pub(super) fn new(
         total_nm: [f64; 2],
         [phasing_nm, ncpa_nm]: [f64; 2],
         diversity_nm: f64,
         loop_response_nm: f64,
     ) -> Self {
+        let compensated_nm = (total_nm[0].powi(2) - phasing_nm.powi(2)).max(0.0).sqrt();
         let ncpa = |source, ncpa_nm| BudgetTerm { source, phasing_nm: 0.0, ncpa_nm };
         let terms = vec![
             BudgetTerm { source: ErrorSource::NoiseAndTurbulence, phasing_nm, ncpa_nm },
             ncpa(ErrorSource::DiversityError, diversity_nm),
             ncpa(ErrorSource::UnknownLoopResponse, loop_response_nm),
             ncpa(ErrorSource::NcpaBeyondModes, 0.0),
+            BudgetTerm { source: ErrorSource::CompensatedSegments, phasing_nm: compensated_nm, ncpa_nm: 0.0 },
         ];
         Self { total_nm, terms }
     }
@@ -76,6 +88,12 @@ impl ErrorBudget {
     /// Part of phasing and NCPA that averages over the images, nm.
     pub fn averaged_nm(&self) -> [f64; 2] {
         self.term_nm(ErrorSource::NoiseAndTurbulence)
+    }
+
+    /// Part of phasing and NCPA that iterations change: what averages over the images, and segments that the loop compensates, nm.
+    pub(super) fn iterated_nm(&self) -> [f64; 2] {
+        let [phasing_nm, ncpa_nm] = self.averaged_nm();
+        [phasing_nm.hypot(self.term_nm(ErrorSource::CompensatedSegments)[0]), ncpa_nm]
     }
 
     /// Adds NCPA of `rms_nm` beyond the modes.
@@ -93,11 +111,13 @@ mod tests {
 
     #[test]
     fn squares_of_the_terms_add_up_to_the_total() {
-        let mut budget = ErrorBudget::new([3.0, 13.0], [3.0, 5.0], 12.0, 0.0);
+        let mut budget = ErrorBudget::new([5.0, 13.0], [3.0, 5.0], 12.0, 0.0);
         budget.add_beyond_modes(84.0);
         assert_eq!(budget.terms.iter().map(|term| term.source).collect::<Vec<_>>(), ErrorSource::ALL);
         let sum = |of: fn(&BudgetTerm) -> f64| budget.terms.iter().map(|term| of(term).powi(2)).sum::<f64>().sqrt();
-        assert_eq!((sum(|term| term.phasing_nm), sum(|term| term.ncpa_nm)), (3.0, 85.0));
-        assert_eq!((budget.total_nm, budget.averaged_nm()), ([3.0, 85.0], [3.0, 5.0]));
+        assert_eq!((sum(|term| term.phasing_nm), sum(|term| term.ncpa_nm)), (5.0, 85.0));
+        assert_eq!((budget.total_nm, budget.averaged_nm()), ([5.0, 85.0], [3.0, 5.0]));
+        assert_eq!(budget.term_nm(ErrorSource::CompensatedSegments), [4.0, 0.0]);
+        assert_eq!(budget.iterated_nm(), [5.0, 5.0]);
     }
 }

@@ -4,19 +4,22 @@
 use super::covariance::ResidualCovariance;
 use super::image_selection::SelectedImages;
 use super::least_squares::StaticModel;
+use super::loop_compensation::uncompensated_rms_nm;
 use super::mean_covariance::MeanCovariance;
 use super::ncpa_basis::NcpaFamily;
+use super::segment_tilts::SegmentTilts;
 use super::settings::StaticsSettings;
 use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
 use super::wavefront_source::WavefrontSource;
-use crate::Result;
 use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
+use crate::modes::{SegmentModes, TiltFrame, tilt_frames};
 use crate::optimize::CancelFlag;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use crate::telescope::Telescope;
-use ndarray::{Array1, Array2, ArrayView1, Axis};
+use crate::{Error, Result};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 
 /// Amplitude below which a sample is left out: images hold little information on its phase.
 const MIN_AMPLITUDE: f64 = 0.5;
@@ -24,7 +27,7 @@ const MIN_AMPLITUDE: f64 = 0.5;
 /// Most simulations of the closed loop in an estimate: its nonlinear part is a tenth of the linear one, and each reduces the
 /// remaining error by that factor.
 const MAX_LOOP_SIMULATIONS: usize = 8;
-/// Change of the pistons below which the loop response is converged, nm.
+/// Change of the segment modes below which the loop response is converged, nm.
 const LOOP_TOLERANCE_NM: f64 = 0.05;
 
 /// Most comparisons of wavefronts with slopes in an estimate: a quad cell is nonlinear, and each removes nine tenths of the
@@ -41,6 +44,12 @@ pub(super) struct StaticsEstimator<'a> {
     /// Indices of the samples that are used.
     pub(super) kept: Vec<usize>,
     pub(super) samples: IlluminatedSamples,
+    /// Where the tip and the tilt of each segment are 0; none where a segment is too small for tilts.
+    frames: Option<Vec<TiltFrame>>,
+    /// Modes of the segments that are estimated.
+    segment_modes: SegmentModes,
+    /// Their wavefronts without the loop's response, at the samples that are used, `[mode, sample]`.
+    segments_at_kept: Array2<f64>,
     loop_response: Option<SampledLoopResponse>,
     sample_error_nm: f64,
     cancel: Option<&'a CancelFlag>,
@@ -61,11 +70,13 @@ impl<'a> StaticsEstimator<'a> {
         let loop_response =
             is_known.then(|| SampledLoopResponse::new(scene, all_samples, &kept, about_nm)).transpose()?;
         let (telescope, samples) = (Telescope::new(scene)?, all_samples.subset(&kept));
-        let all_samples = all_samples.clone();
         Ok(Self {
+            frames: tilt_frames(&telescope.pupil).ok(),
+            segment_modes: SegmentModes::Piston,
+            segments_at_kept: samples.pistons.clone(),
+            all_samples: all_samples.clone(),
             scene,
             telescope,
-            all_samples,
             kept,
             samples,
             loop_response,
@@ -74,10 +85,62 @@ impl<'a> StaticsEstimator<'a> {
         })
     }
 
+    /// Whether tips and tilts of the segments are estimated.
+    pub(super) fn has_tilts(&self) -> bool {
+        self.segment_modes == SegmentModes::PistonTipTilt
+    }
+
+    /// Adds tips and tilts of the segments to the modes that are estimated, with the loop's response to them.
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] for a segment that is too small for tilts; those of the loop.
+    pub(super) fn add_tilts(&mut self) -> Result<()> {
+        let tilts = self.samples.tilts(&tilt_frames(&self.telescope.pupil)?);
+        self.segments_at_kept = joined(self.samples.pistons.view(), tilts.view())?;
+        self.segment_modes = SegmentModes::PistonTipTilt;
+        self.loop_response.as_mut().map_or(Ok(()), |response| response.extend_to(self.segments_at_kept.nrows()))
+    }
+
+    /// Seeks tilts of single segments in the residual of the mean of `images` wavefronts, nm at each sample; `None` where a segment is
+    /// too small for tilts.
+    pub(super) fn tilts_in_residual(
+        &self,
+        residual_nm: ArrayView1<f64>,
+        residual: &ResidualCovariance,
+        images: usize,
+    ) -> Result<Option<SegmentTilts>> {
+        let Some(frames) = &self.frames else { return Ok(None) };
+        let (tilts, covariance) = (self.samples.tilts(frames), self.mean_covariance(residual, images));
+        SegmentTilts::estimate(residual_nm, tilts.view(), &covariance, &self.samples).map(Some)
+    }
+
+    /// Wavefronts of the segment modes with the loop's response to them, at the samples that are used, `[mode, sample]`.
+    fn segment_columns(&self) -> Array2<f64> {
+        match &self.loop_response {
+            Some(response) => &self.segments_at_kept + &response.linear,
+            None => self.segments_at_kept.clone(),
+        }
+    }
+
+    /// Expected error of the segments that the loop leaves in the wavefront, nm RMS; `None` where segments have no tilts, or the loop is not
+    /// known.
+    pub(super) fn uncompensated_nm(&self, errors: &StaticErrors) -> Option<f64> {
+        let modes = errors.segment_modes();
+        let covariance_nm2 = errors.covariance_nm2.slice(s![..modes, ..modes]);
+        let is_known = self.has_tilts() && self.loop_response.is_some();
+        is_known.then(|| uncompensated_rms_nm(self.segment_columns().view(), covariance_nm2, &self.samples))
+    }
+
     /// The static modes with NCPA of `family`.
     pub(super) fn static_modes(&self, family: NcpaFamily) -> Result<StaticModes> {
         let samples = (&self.all_samples, &self.kept[..]);
-        StaticModes::new(family, self.scene, &self.telescope, samples, self.loop_response.is_some())
+        StaticModes::new(
+            (self.segment_modes, family),
+            self.scene,
+            &self.telescope,
+            samples,
+            self.loop_response.is_some(),
+        )
     }
 
     /// Covariance of the mean of `images` wavefronts of the covariance `residual`.
@@ -98,25 +161,26 @@ impl<'a> StaticsEstimator<'a> {
         slopes_mas: Option<Array2<f64>>,
     ) -> Result<StaticErrors> {
         let covariance = self.mean_covariance(residual, images.used.len());
-        let pistons = match &self.loop_response {
-            Some(response) => &self.samples.pistons + &response.linear,
-            None => self.samples.pistons.clone(),
-        };
+        let columns = modes.columns_without_motions(self.segment_columns());
+        let segments = (columns.view(), self.samples.pistons.nrows());
         let groups = (&modes.groups[..], slopes_mas.is_some());
-        let mut model = StaticModel::new(pistons.view(), modes.at_kept.view(), groups, &covariance)?;
+        let mut model = StaticModel::new(segments, modes.at_kept.view(), groups, &covariance)?;
         let mut loop_response = self.loop_response.as_mut();
-        let mut errors = estimate_with_loop(&mut model, &images.mean_nm, loop_response.as_deref_mut(), None, None)?;
+        let mut estimate = |slopes: Option<&SlopeInformation>, initial: Option<&StaticErrors>| {
+            estimate_with_loop(&mut model, modes, &images.mean_nm, loop_response.as_deref_mut(), slopes, initial)
+        };
+        let mut errors = estimate(None, None)?;
         let Some(slopes_mas) = slopes_mas else { return Ok(errors) };
         let wavefronts_nm = &images.residuals_nm + &images.mean_nm;
         let mut sensor = SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?;
         for comparison in 0..MAX_SLOPE_COMPARISONS {
-            let (pistons, before) = (&errors.pistons_nm, &errors.ncpa_nm);
+            let (segments_nm, before) = (errors.segments_nm(), &errors.ncpa_nm);
+            let segments = self.segments_at_kept.view();
             let slopes =
-                sensor.ncpa_information(&self.samples, wavefronts_nm.view(), slopes_mas.view(), pistons, before)?;
+                sensor.ncpa_information(segments, wavefronts_nm.view(), slopes_mas.view(), &segments_nm, before)?;
             // Hyperparameters without slopes are no start for those with slopes.
             let initial = (comparison > 0).then_some(&errors);
-            let next =
-                estimate_with_loop(&mut model, &images.mean_nm, loop_response.as_deref_mut(), Some(&slopes), initial)?;
+            let next = estimate(Some(&slopes), initial)?;
             let change_nm2: f64 = next.ncpa_nm.iter().zip(before).map(|(now, then)| (now - then).powi(2)).sum();
             errors = next;
             if change_nm2.sqrt() < SLOPE_TOLERANCE_NM {
@@ -126,38 +190,47 @@ impl<'a> StaticsEstimator<'a> {
         Ok(errors)
     }
 
-    /// The static wavefront of `coefficients_nm` (pistons and NCPA) and of the common-path part of `errors`.
+    /// The static wavefront of `coefficients_nm` (segment modes and NCPA) and of the common-path part of `errors`.
     pub(super) fn static_wavefront(
         &mut self,
         modes: &StaticModes,
         coefficients_nm: &Array1<f64>,
         errors: &StaticErrors,
     ) -> Result<StaticWavefront> {
-        let (pistons, ncpa) = coefficients_nm.view().split_at(Axis(0), errors.pistons_nm.len());
-        let segments_nm = pistons.to_vec();
+        let (segments_nm, ncpa) = coefficients_nm.view().split_at(Axis(0), errors.segment_modes());
+        let (pistons_nm, tilts_nm) = segments_nm.split_at(Axis(0), errors.pistons_nm.len());
         let mut smooth_nm = (&ncpa + &ArrayView1::from(&errors.common_path_nm)).dot(&modes.at_all);
-        if let Some(response) = &mut self.loop_response {
-            smooth_nm += &response.closed_loop.response_nm(&segments_nm)?;
+        if let Some(frames) = self.frames.as_ref().filter(|_| !tilts_nm.is_empty()) {
+            // The retrieval's model has pistons, so that it may fit reflectivities and costs no more: tilts are a wavefront at its
+            // samples, the one that the linear model has.
+            smooth_nm += &tilts_nm.dot(&self.all_samples.tilts(frames));
         }
-        Ok(StaticWavefront { segments_nm, smooth_nm: smooth_nm.to_vec() })
+        if let Some(response) = &mut self.loop_response {
+            smooth_nm += &response.closed_loop.response_nm(&segments_nm.to_vec())?;
+        }
+        Ok(StaticWavefront { segments_nm: pistons_nm.to_vec(), smooth_nm: smooth_nm.to_vec() })
     }
 }
 
 /// Estimates the static errors of a mean wavefront, with the loop's response to them simulated until it is converged.
 fn estimate_with_loop(
     model: &mut StaticModel,
+    modes: &StaticModes,
     mean_nm: &Array1<f64>,
     loop_response: Option<&mut SampledLoopResponse>,
     slopes: Option<&SlopeInformation>,
     initial: Option<&StaticErrors>,
 ) -> Result<StaticErrors> {
-    let Some(response) = loop_response else { return model.estimate(mean_nm.view(), slopes, initial) };
-    let mut errors = model.estimate((mean_nm - &response.offset_nm).view(), slopes, initial)?;
+    let mut estimate = |mean_nm: ArrayView1<f64>, initial: Option<&StaticErrors>| {
+        model.estimate(mean_nm, slopes, initial).map(|errors| modes.without_motions(errors))
+    };
+    let Some(response) = loop_response else { return estimate(mean_nm.view(), initial) };
+    let mut errors = estimate((mean_nm - &response.offset_nm).view(), initial)?;
     for _ in 0..MAX_LOOP_SIMULATIONS {
-        let pistons_nm = Array1::from(errors.pistons_nm.clone());
-        let nonlinear_nm = response.nonlinear_nm(&errors.pistons_nm)?;
-        errors = model.estimate((mean_nm - &nonlinear_nm).view(), slopes, Some(&errors))?;
-        let change = errors.pistons_nm.iter().zip(&pistons_nm).map(|(now, then)| (now - then).abs());
+        let before_nm = Array1::from(errors.segments_nm());
+        let nonlinear_nm = response.nonlinear_nm(&errors.segments_nm())?;
+        errors = estimate((mean_nm - &nonlinear_nm).view(), Some(&errors))?;
+        let change = errors.segments_nm().into_iter().zip(&before_nm).map(|(now, then)| (now - then).abs());
         if change.fold(0.0, f64::max) < LOOP_TOLERANCE_NM {
             break;
         }
@@ -165,31 +238,48 @@ fn estimate_with_loop(
     Ok(errors)
 }
 
-/// Closed-loop response at the samples that are used: linear · pistons + offset, and the rest by simulation.
+/// Wavefronts of two sets of modes, `[mode, sample]`, one set after the other.
+fn joined(first: ArrayView2<f64>, second: ArrayView2<f64>) -> Result<Array2<f64>> {
+    concatenate(Axis(0), &[first, second]).map_err(|error| Error::Internal(format!("modes of uneven length: {error}")))
+}
+
+/// Closed-loop response at the samples that are used: linear · segments + offset, and the rest by simulation.
 struct SampledLoopResponse {
     closed_loop: ClosedLoopResponse,
     kept: Vec<usize>,
-    /// For 1 nm of each piston, `[segment, sample]`, about some pistons.
+    /// Segments about which it is linear, nm.
+    about_nm: Vec<f64>,
+    /// For 1 nm of each segment mode that is estimated, `[mode, sample]`.
     linear: Array2<f64>,
-    /// What is not linear in those pistons; 0 about even segments.
+    /// What is not linear in those segments; 0 about even segments.
     offset_nm: Array1<f64>,
 }
 
 impl SampledLoopResponse {
+    /// The response to the pistons, about pistons of `about_nm`.
     fn new(scene: &Scene, samples: &IlluminatedSamples, kept: &[usize], about_nm: &[f64]) -> Result<Self> {
         let mut closed_loop = ClosedLoopResponse::new(scene, samples)?;
-        let linear = closed_loop.linear_response(about_nm)?.select(Axis(1), kept);
-        let offset_nm = Array1::zeros(kept.len());
-        let mut response = Self { closed_loop, kept: kept.to_vec(), linear, offset_nm };
-        if about_nm.iter().any(|nm| *nm != 0.0) {
-            response.offset_nm = response.nonlinear_nm(about_nm)?;
+        let linear = closed_loop.linear_response(about_nm, 0..about_nm.len())?.select(Axis(1), kept);
+        let (kept, about_nm, offset_nm) = (kept.to_vec(), about_nm.to_vec(), Array1::zeros(kept.len()));
+        let mut response = Self { closed_loop, kept, about_nm, linear, offset_nm };
+        if response.about_nm.iter().any(|nm| *nm != 0.0) {
+            response.offset_nm = response.nonlinear_nm(&response.about_nm.clone())?;
         }
         Ok(response)
     }
 
-    /// Response to these pistons less its linear part.
-    fn nonlinear_nm(&mut self, pistons_nm: &[f64]) -> Result<Array1<f64>> {
-        let response_nm = self.closed_loop.response_nm(pistons_nm)?.select(Axis(0), &self.kept);
-        Ok(response_nm - ArrayView1::from(pistons_nm).dot(&self.linear))
+    /// Measures the responses to the segment modes that are missing of the first `modes`.
+    fn extend_to(&mut self, modes: usize) -> Result<()> {
+        let known = self.about_nm.len();
+        self.about_nm.resize(modes, 0.0);
+        let more = self.closed_loop.linear_response(&self.about_nm, known..modes)?.select(Axis(1), &self.kept);
+        self.linear = joined(self.linear.view(), more.view())?;
+        Ok(())
+    }
+
+    /// Response to these segments less its linear part.
+    fn nonlinear_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
+        let response_nm = self.closed_loop.response_nm(segments_nm)?.select(Axis(0), &self.kept);
+        Ok(response_nm - ArrayView1::from(segments_nm).dot(&self.linear))
     }
 }

@@ -8,14 +8,14 @@ use super::image_selection::SelectedImages;
 use super::iteration::Iteration;
 use super::ncpa_basis::NcpaFamily;
 use super::segment_tilts::SegmentTilts;
-use super::settings::StaticsSettings;
+use super::settings::{StaticsSettings, TiltSelection};
 use super::static_modes::StaticModes;
 use super::wavefront_source::{RetrievedSequence, WavefrontSource};
 use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::StaticWavefront;
 use crate::scene::{AoKnowledge, Scene};
 use crate::{Error, Result};
-use ndarray::Axis;
+use ndarray::{Array1, Axis};
 
 /// Prior RMS of a mode of either of a basis's two highest groups beyond which the NCPA extend beyond the basis, nm: noise and
 /// turbulence leave 0.1 to 0.3.
@@ -34,23 +34,28 @@ pub fn estimate_static_errors(
 ) -> Result<Vec<Iteration>> {
     let mut estimate = IterativeEstimate::new(scene, source, settings, cancel)?;
     let (mut about, mut sequence) = (None, None);
-    while estimate.iterations.len() < settings.max_iterations {
+    while estimate.iterations.len() < estimate.max_iterations {
         let count = estimate.iterations.len();
         if is_cancelled(cancel) {
             return Err(Error::Interrupted(format!("{count} iterations were made")));
         }
-        match source.retrieve(about.as_ref())? {
-            Some(new) => sequence = Some(new),
-            // The same wavefronts would give the same estimate.
-            None if count > 0 => break,
-            None => {}
-        }
+        let new = source.retrieve(about.as_ref())?;
+        // The same wavefronts would give the same estimate.
+        let is_new = new.is_some() || count == 0;
+        sequence = new.or(sequence);
         let Some(sequence) = &sequence else { return Err(Error::Internal("a source without wavefronts".into())) };
-        about = Some(estimate.iterate(sequence, source)?);
-        let is_settled = estimate.is_settled();
-        if !estimate.take_finer_basis()? && is_settled {
+        if is_new {
+            about = Some(estimate.iterate(sequence, source)?);
+            if estimate.goes_on()? {
+                continue;
+            }
+        }
+        if !estimate.adopt_segment_tilts()? {
             break;
         }
+        // With tilts they give another one.
+        about = Some(estimate.iterate(sequence, source)?);
+        estimate.goes_on()?;
     }
     estimate.finish()
 }
@@ -58,12 +63,17 @@ pub fn estimate_static_errors(
 /// State of the iterations.
 struct IterativeEstimate<'a> {
     settings: &'a StaticsSettings,
+    max_iterations: usize,
     estimator: StaticsEstimator<'a>,
     /// Families of the basis ladder that are finer than the current one.
     finer: std::slice::Iter<'a, NcpaFamily>,
     modes: StaticModes,
     acceleration: AndersonAcceleration,
+    /// Coefficients about which the last wavefronts were retrieved; `None` in the first iteration.
+    input: Option<Array1<f64>>,
     iterations: Vec<Iteration>,
+    /// Tilts in the last residual in which they were sought.
+    segment_tilts: Option<SegmentTilts>,
     /// Covariance of the last wavefronts.
     residual: Option<ResidualCovariance>,
     /// RMS of NCPA beyond the modes, nm.
@@ -77,18 +87,24 @@ impl<'a> IterativeEstimate<'a> {
         settings: &'a StaticsSettings,
         cancel: Option<&'a CancelFlag>,
     ) -> Result<Self> {
-        let estimator = StaticsEstimator::new(scene, source, settings, cancel)?;
+        let mut estimator = StaticsEstimator::new(scene, source, settings, cancel)?;
+        if settings.tilts == TiltSelection::Always {
+            estimator.add_tilts()?;
+        }
         let mut finer = settings.families.iter();
         let Some(&coarsest) = finer.next() else {
             return Err(Error::Value("no family of NCPA modes was given: at least 1 is needed".into()));
         };
         Ok(Self {
             settings,
+            max_iterations: settings.max_iterations,
             modes: estimator.static_modes(coarsest)?,
             estimator,
             finer,
             acceleration: AndersonAcceleration::default(),
+            input: None,
             iterations: Vec::new(),
+            segment_tilts: None,
             residual: None,
             beyond_modes_nm: 0.0,
         })
@@ -105,17 +121,19 @@ impl<'a> IterativeEstimate<'a> {
         let slopes_mas = sequence.slopes_mas.as_ref().filter(|_| self.has_telemetry());
         let slopes_mas = slopes_mas.map(|slopes_mas| slopes_mas.select(Axis(0), &images.used));
         let errors = self.estimator.estimate(&self.modes, &images, &residual, slopes_mas)?;
-        let input = self.acceleration.input().cloned();
+        self.input = self.acceleration.input().cloned();
         self.acceleration.record(errors.coefficients_nm());
-        // Pistons are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
+        // Segments are weighted by the power spectrum S of the whole residual, of which wavefronts recover the fraction a: about
         // their mean they scatter by a·S, and after all iterations by a·S/a² = S/a, where the estimate assumes S. NCPA are weighted
         // by their own scatter, which grows to 1/a² of itself.
-        let segments = self.estimator.samples.pistons.nrows();
-        let pistons = self.acceleration.recovered_fraction(0..segments).sqrt();
-        let ncpa = self.acceleration.recovered_fraction(segments..usize::MAX);
-        let errors = errors.with_recovered_fractions([pistons, ncpa]);
+        let segment_modes = errors.segment_modes();
+        let segments = self.acceleration.recovered_fraction(0..segment_modes).sqrt();
+        let ncpa = self.acceleration.recovered_fraction(segment_modes..usize::MAX);
+        let errors = errors.with_recovered_fractions([segments, ncpa]);
         let pupil = &self.estimator.telescope.pupil;
-        let iteration = self.modes.iteration(errors, pupil, input, &images, residual.rms_nm())?;
+        let uncompensated_nm = self.estimator.uncompensated_nm(&errors);
+        let iteration =
+            self.modes.iteration((errors, uncompensated_nm), pupil, self.input.clone(), &images, residual.rms_nm())?;
         let next = self.acceleration.next_input();
         let about = self.estimator.static_wavefront(&self.modes, &next, &iteration.errors)?;
         self.iterations.push(iteration);
@@ -142,6 +160,49 @@ impl<'a> IterativeEstimate<'a> {
         self.iterations.last().is_some_and(is_small)
     }
 
+    /// Whether further iterations are to be made: the last one has changed much, or another basis is taken.
+    fn goes_on(&mut self) -> Result<bool> {
+        let is_unsettled = !self.is_settled() && self.iterations.len() < self.max_iterations;
+        Ok(self.take_finer_basis()? || is_unsettled)
+    }
+
+    /// Seeks tilts of single segments in the residual of the last iteration, where they are not estimated; returns whether it is to be
+    /// made again with them. They are sought at the end alone: only then is the residual that of turbulence where there are none, and
+    /// a sequence without them loses no time.
+    fn adopt_segment_tilts(&mut self) -> Result<bool> {
+        if self.estimator.has_tilts() {
+            return Ok(false);
+        }
+        self.segment_tilts = self.find_segment_tilts()?;
+        let is_significant = self.segment_tilts.as_ref().is_some_and(SegmentTilts::is_significant);
+        if self.settings.tilts != TiltSelection::WhereSignificant || !is_significant {
+            return Ok(false);
+        }
+        let family = self.modes.family;
+        self.estimator.add_tilts()?;
+        self.modes = self.estimator.static_modes(family)?;
+        self.iterations.pop();
+        self.max_iterations = self.iterations.len() + self.settings.max_iterations;
+        let segments = self.estimator.samples.pistons.nrows();
+        let with_tilts = |input: Array1<f64>| {
+            let (pistons_nm, ncpa_nm) = input.view().split_at(Axis(0), segments);
+            pistons_nm
+                .iter()
+                .copied()
+                .chain(std::iter::repeat_n(0.0, 2 * segments))
+                .chain(ncpa_nm.iter().copied())
+                .collect()
+        };
+        self.acceleration = AndersonAcceleration::from_input(self.input.take().map(with_tilts));
+        Ok(true)
+    }
+
+    /// Tilts of single segments in the residual of the last iteration.
+    fn find_segment_tilts(&self) -> Result<Option<SegmentTilts>> {
+        let (Some(last), Some(residual)) = (self.iterations.last(), &self.residual) else { return Ok(None) };
+        self.estimator.tilts_in_residual(last.errors.residual_nm.view(), residual, last.used_images.len())
+    }
+
     /// Takes the next basis of the ladder where the NCPA extend beyond the current one; returns whether it did.
     fn take_finer_basis(&mut self) -> Result<bool> {
         let Some(last) = self.iterations.last() else { return Ok(false) };
@@ -165,10 +226,11 @@ impl<'a> IterativeEstimate<'a> {
 
     /// Returns the iterations, with the segment tilts and the NCPA beyond the modes in the last.
     fn finish(mut self) -> Result<Vec<Iteration>> {
-        if let (Some(last), Some(residual)) = (self.iterations.last_mut(), &self.residual) {
-            let covariance = self.estimator.mean_covariance(residual, last.used_images.len());
-            let residual_nm = last.errors.residual_nm.view();
-            last.segment_tilts = Some(SegmentTilts::estimate(residual_nm, &covariance, &self.estimator.samples)?);
+        if self.segment_tilts.is_none() && !self.estimator.has_tilts() {
+            self.segment_tilts = self.find_segment_tilts()?;
+        }
+        if let Some(last) = self.iterations.last_mut() {
+            last.segment_tilts = self.segment_tilts;
             last.add_beyond_modes(self.beyond_modes_nm);
         }
         Ok(self.iterations)

@@ -42,16 +42,23 @@ pub struct Iteration {
     pub residual_rms_nm: f64,
     /// Diversity in the NCPA's modes.
     pub diversity: DiversityProjection,
-    /// Tilts of single segments in the mean wavefront's residual; of the last iteration only.
+    /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of the last iteration only, and where
+    /// it was made for tilts that are estimated since, from then on. `None` where the scene has tilts.
     pub segment_tilts: Option<SegmentTilts>,
 }
 
 impl Iteration {
-    /// Names of the static modes: pistons, then NCPA.
+    /// Names of the static modes: pistons, where they are estimated tips and tilts, then NCPA.
     pub fn mode_names(&self) -> Vec<String> {
-        let mut names = SegmentModes::Piston.names(self.errors.pistons_nm.len());
+        let segments = if self.has_tilts() { SegmentModes::PistonTipTilt } else { SegmentModes::Piston };
+        let mut names = segments.names(self.errors.pistons_nm.len());
         names.extend_from_slice(&self.ncpa_names);
         names
+    }
+
+    /// Whether tips and tilts of the segments are estimated.
+    pub fn has_tilts(&self) -> bool {
+        !self.errors.tilts_nm.is_empty()
     }
 
     /// Coefficients of the static modes, nm.
@@ -81,19 +88,20 @@ impl Iteration {
         Ok(((factor - 1.0) * self.used_images.len() as f64).ceil() as usize)
     }
 
-    /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm` where it is given, and no piston beyond
-    /// `piston_limit_nm` where it is not: see [`Corrections::new`].
+    /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm` where it is given, and no piston or tilt
+    /// beyond `segment_limit_nm` where it is not: see [`Corrections::new`].
     ///
     /// # Errors
     /// Those of [`Corrections::new`].
-    pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>, piston_limit_nm: f64) -> Result<Corrections> {
+    pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>, segment_limit_nm: f64) -> Result<Corrections> {
         let basis = NcpaBasis::new(self.family, scene, &Telescope::new(scene)?)?;
-        let segments = self.errors.pistons_nm.len();
+        let segments = self.errors.segment_modes();
         let errors = CorrectableErrors {
             pistons_nm: &self.errors.pistons_nm,
-            piston_covariance_nm2: self.errors.covariance_nm2.slice(s![..segments, ..segments]),
+            tilts_nm: &self.errors.tilts_nm,
+            segment_covariance_nm2: self.errors.covariance_nm2.slice(s![..segments, ..segments]),
             leaves_plane: true,
-            piston_limit_nm,
+            segment_limit_nm,
             ncpa_nm: &self.errors.ncpa_nm,
             ncpa_sigma_nm: &self.sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),
@@ -107,10 +115,10 @@ impl Iteration {
         self.ncpa_sigma_nm.mapv_inplace(|nm| nm.hypot(rms_nm));
     }
 
-    /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the averaged part of their error bars: errors
-    /// common to all iterations do not show how much further ones will change.
+    /// Whether it changed phasing or NCPA by the fraction `tolerance`, or more, of the part of their error bars that iterations change:
+    /// errors common to all iterations do not show how much further ones will change.
     pub(crate) fn has_changed(&self, tolerance: f64) -> bool {
-        let averaged_nm = self.error_budget.averaged_nm();
-        (0..2).any(|i| self.change_nm[i] >= tolerance * averaged_nm[i])
+        let iterated_nm = self.error_budget.iterated_nm();
+        (0..2).any(|i| self.change_nm[i] >= tolerance * iterated_nm[i])
     }
 }

@@ -4,7 +4,7 @@ use super::mean_covariance::MeanCovariance;
 use crate::Result;
 use crate::linear_algebra::SpdInverse;
 use crate::retrieval::IlluminatedSamples;
-use ndarray::{Array2, ArrayView1};
+use ndarray::{ArrayView1, ArrayView2};
 
 /// Tilts of single segments in the residual of a mean wavefront.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,15 +25,16 @@ impl SegmentTilts {
         self.chi2 > SIGNIFICANT_CHI2
     }
 
-    /// Estimates the tilts in the residual of the mean wavefront, nm at each sample.
+    /// Estimates the tilts in the residual of the mean wavefront, nm at each sample, by the wavefronts `columns` of 1 nm of each,
+    /// `[tilt, sample]`.
     pub(super) fn estimate(
         residual_nm: ArrayView1<f64>,
+        columns: ArrayView2<f64>,
         covariance: &MeanCovariance,
         samples: &IlluminatedSamples,
     ) -> Result<Self> {
-        let columns = columns(samples);
-        let weighted = covariance.solve(columns.view())?;
-        let half = weighted.products(columns.view(), &weighted);
+        let weighted = covariance.solve(columns)?;
+        let half = weighted.products(columns, &weighted);
         let mut information = (&half + &half.t()) / 2.0;
         // Regularises segments with next to no illuminated sample.
         let faint = 1e-9 * information.diag().iter().copied().fold(0.0, f64::max);
@@ -49,34 +50,14 @@ impl SegmentTilts {
     }
 }
 
-/// Wavefronts of tilts of each segment about its centre along x and y, of 1 nm RMS over it: `[tilt, sample]`.
-fn columns(samples: &IlluminatedSamples) -> Array2<f64> {
-    let segments = samples.pistons.nrows();
-    let mut columns = Array2::zeros((2 * segments, samples.amplitude.len()));
-    for (segment, shares) in samples.pistons.outer_iter().enumerate() {
-        for (axis, along_m) in [&samples.xs_m, &samples.ys_m].into_iter().enumerate() {
-            let mean = |value: &dyn Fn(usize) -> f64| {
-                let sum: f64 = shares.iter().enumerate().map(|(sample, share)| share * value(sample)).sum();
-                sum / shares.sum()
-            };
-            let centre_m = mean(&|sample| along_m[sample]);
-            let rms_m = mean(&|sample| (along_m[sample] - centre_m).powi(2)).sqrt();
-            let mut column = columns.row_mut(2 * segment + axis);
-            for ((out, share), along_m) in column.iter_mut().zip(shares).zip(along_m) {
-                *out = share * (along_m - centre_m) / rms_m;
-            }
-        }
-    }
-    columns
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::modes::tilt_frames;
     use crate::retrieval::tests::scene;
     use crate::statics::covariance::ResidualCovariance;
     use crate::telescope::Telescope;
-    use ndarray::Array1;
+    use ndarray::{Array1, Array2};
     use rand_distr::{Distribution, StandardNormal};
 
     #[test]
@@ -100,13 +81,15 @@ mod tests {
             ResidualCovariance::from_residuals(&samples, noise((images, samples.amplitude.len())).view()).unwrap();
         let covariance = MeanCovariance::new(&residual, images, 0.1, &samples);
         let chance = noise((1, samples.amplitude.len())).row(0).to_owned() / (images as f64).sqrt();
-        let none = SegmentTilts::estimate(chance.view(), &covariance, &samples).unwrap();
+        let columns = samples.tilts(&tilt_frames(&telescope.pupil).unwrap());
+        let none = SegmentTilts::estimate(chance.view(), columns.view(), &covariance, &samples).unwrap();
         // Fourteen unknowns: χ² of each scatters by √(2/14) = 0.4 about 1, as does the covariance of so few images.
         assert!(!none.is_significant() && none.chi2 > 0.3, "{none:?}");
         // 10 nm RMS over every segment, along x.
-        let along_x = Array1::from_shape_fn(2 * samples.pistons.nrows(), |k| if k % 2 == 0 { 10.0 } else { 0.0 });
-        let tilted =
-            SegmentTilts::estimate((&chance + &along_x.dot(&columns(&samples))).view(), &covariance, &samples).unwrap();
+        let count = samples.pistons.nrows();
+        let along_x = Array1::from_shape_fn(2 * count, |k| if k < count { 10.0 } else { 0.0 });
+        let tilted_nm = &chance + &along_x.dot(&columns);
+        let tilted = SegmentTilts::estimate(tilted_nm.view(), columns.view(), &covariance, &samples).unwrap();
         // Chance adds, in quadrature, 4 nm over the root of the samples to an unknown, about 10.
         assert!(tilted.is_significant() && (tilted.rms_nm - 10.0).abs() < 1.0, "{tilted:?}");
     }

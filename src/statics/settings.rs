@@ -3,12 +3,25 @@
 use super::ncpa_basis::NcpaFamily;
 use crate::scene::AoKnowledge;
 
+/// Whether tip and tilt of each segment are estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TiltSelection {
+    /// No; they are sought in the residual of the mean wavefront.
+    Never,
+    /// Where they are significant in the residual of the mean wavefront.
+    WhereSignificant,
+    /// Yes, from the first iteration on.
+    Always,
+}
+
 /// Settings of the estimate of static errors.
 #[derive(Debug, Clone)]
 pub struct StaticsSettings {
     /// Basis ladder of the NCPA, from coarse to fine: the next family is taken where the prior variance of the last one's highest
     /// modes shows NCPA beyond them.
     pub families: Vec<NcpaFamily>,
+    /// Tips and tilts of the segments.
+    pub tilts: TiltSelection,
     /// Knowledge of the adaptive optics: nothing, its power spectrum, the loop, or its telemetry.
     pub ao_knowledge: AoKnowledge,
     /// Error of each sample of the mean wavefront in addition to the turbulence's, nm.
@@ -28,6 +41,7 @@ impl Default for StaticsSettings {
         let families = vec![NcpaFamily::Zernike { highest_order: 13 }, NcpaFamily::Mirror];
         Self {
             families,
+            tilts: TiltSelection::Never,
             ao_knowledge: AoKnowledge::Telemetry,
             sample_error_nm: 3.0,
             max_iterations: 8,

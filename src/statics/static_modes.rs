@@ -1,4 +1,4 @@
-//! Static modes, pistons and NCPA, at the samples of the wavefronts and as maps with their error bars.
+//! Static modes, of the segments and NCPA, at the samples of the wavefronts and as maps with their error bars.
 
 use super::error_budget::ErrorBudget;
 use super::image_selection::SelectedImages;
@@ -6,8 +6,8 @@ use super::iteration::Iteration;
 use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::static_errors::StaticErrors;
 use crate::metrics::MapGram;
-use crate::modal::{DiversityProjection, ModeProjector};
-use crate::modes::{Basis, SmoothBasis};
+use crate::modal::{DiversityProjection, GlobalMotions, ModeProjector};
+use crate::modes::{Basis, SegmentModes, SmoothBasis};
 use crate::pupil::Pupil;
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
@@ -15,16 +15,20 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, s};
 
-/// Static modes, pistons and NCPA of one basis, on the samples and as maps.
+/// Static modes, of the segments and NCPA of one basis, on the samples and as maps.
 pub(super) struct StaticModes {
-    family: NcpaFamily,
+    pub(super) family: NcpaFamily,
     pub(super) basis: SmoothBasis,
     pub(super) groups: Vec<usize>,
     pub(super) at_all: Array2<f64>,
     pub(super) at_kept: Array2<f64>,
-    /// All static modes on the scene's grid, pistons first, `[mode, y, x]`.
+    /// All static modes on the scene's grid, those of the segments first, `[mode, y, x]`.
     maps: Array3<f64>,
+    /// Number of modes of the segments.
     segments: usize,
+    /// Motions of the whole mirror, 0 by convention, where segments have tilts. Without tilts a plane through the pistons is a
+    /// staircase, which has edges.
+    motions: Option<GlobalMotions>,
     gram: [MapGram; 2],
     diversity: DiversityProjection,
     /// Covariance of the NCPA's modes from an error of the diversity common to all images, nm²; `None` where it is known.
@@ -33,17 +37,17 @@ pub(super) struct StaticModes {
     projection: Option<(Basis, ModeProjector)>,
 }
 
-/// RMS response of an unknown loop to the pistons, over their projection onto the NCPA's modes: 1/√3, of a response uniform from 0
+/// RMS response of an unknown loop to the segments, over their projection onto the NCPA's modes: 1/√3, of a response uniform from 0
 /// to 1. Keck's zonal loop responds with two thirds, and its response has a correlation of 0.93 with the projection.
 const UNKNOWN_RESPONSE: f64 = 0.577;
 
 impl StaticModes {
-    /// The modes of `family` on the pupil of `scene`, at all illuminated samples and at those kept.
+    /// The modes of the segments and of `family` on the pupil of `scene`, at all illuminated samples and at those kept.
     ///
     /// # Errors
-    /// Those of making the basis.
+    /// Those of making the bases.
     pub(super) fn new(
-        family: NcpaFamily,
+        (segment_modes, family): (SegmentModes, NcpaFamily),
         scene: &Scene,
         telescope: &Telescope,
         (samples, kept): (&IlluminatedSamples, &[usize]),
@@ -60,10 +64,17 @@ impl StaticModes {
             true => None,
             false => Some(ModeProjector::new(pupil, &sampled, 0)?).map(|projector| (sampled, projector)),
         };
-        let pistons = crate::modes::SegmentModes::Piston.maps(pupil)?.maps();
-        let gram = [MapGram::new(pupil, pistons.view())?, MapGram::new(pupil, smooth.view())?];
-        let segments = pistons.len_of(Axis(0));
-        let maps = ndarray::concatenate(Axis(0), &[pistons.view(), smooth.view()])
+        let segment_basis = segment_modes.maps(pupil)?;
+        let segments = segment_basis.len();
+        let motions = match segment_modes {
+            SegmentModes::Piston => None,
+            SegmentModes::PistonTipTilt => {
+                Some(GlobalMotions::of_segments(&segment_basis, pupil, segments + smooth.len_of(Axis(0)))?)
+            }
+        };
+        let segment_maps = segment_basis.maps();
+        let gram = [MapGram::new(pupil, segment_maps.view())?, MapGram::new(pupil, smooth.view())?];
+        let maps = ndarray::concatenate(Axis(0), &[segment_maps.view(), smooth.view()])
             .map_err(|error| Error::Internal(format!("maps of two sizes: {error}")))?;
         Ok(Self {
             basis,
@@ -73,6 +84,7 @@ impl StaticModes {
             at_all,
             maps,
             segments,
+            motions,
             gram,
             diversity,
             diversity_nm2,
@@ -80,11 +92,30 @@ impl StaticModes {
         })
     }
 
-    /// The iteration with these static errors: maps, error bars and error budget. `input` are the coefficients about which the
+    /// Wavefronts `columns` of the segment modes, `[mode, sample]`, without the motions of the whole mirror that are 0 by convention. The
+    /// loop leaves some percent of a plane in the wavefront, so that one that stays in the columns can take up what the model of the loop
+    /// has wrong, many times as large.
+    pub(super) fn columns_without_motions(&self, columns: Array2<f64>) -> Array2<f64> {
+        match &self.motions {
+            Some(motions) => motions.removed_from_columns(&columns),
+            None => columns,
+        }
+    }
+
+    /// `errors` without the motions of the whole mirror that are 0 by convention.
+    pub(super) fn without_motions(&self, errors: StaticErrors) -> StaticErrors {
+        match &self.motions {
+            Some(motions) => errors.without_motions(motions),
+            None => errors,
+        }
+    }
+
+    /// The iteration with these static errors: maps, error bars and error budget. `uncompensated_nm` is the expected error of the
+    /// segments that the loop leaves in the wavefront, where that is less than all; `input` are the coefficients about which the
     /// wavefronts were retrieved.
     pub(super) fn iteration(
         &self,
-        mut errors: StaticErrors,
+        (mut errors, uncompensated_nm): (StaticErrors, Option<f64>),
         pupil: &Pupil,
         input: Option<Array1<f64>>,
         images: &SelectedImages,
@@ -93,7 +124,7 @@ impl StaticModes {
         let coefficients = errors.coefficients_nm();
         let ranges = [0..self.segments, self.segments..coefficients.len()];
         let [phasing_nm, ncpa_nm] = [0, 1].map(|i| self.map(&coefficients, ranges[i].clone(), pupil));
-        let error_budget = self.add_common_errors(&mut errors, &coefficients)?;
+        let error_budget = self.add_common_errors(&mut errors, &coefficients, uncompensated_nm)?;
         let sigma_nm = |i: usize| {
             let part_nm2 = errors.covariance_nm2.slice(s![ranges[i].clone(), ranges[i].clone()]);
             self.sigma(part_nm2, ranges[i].clone(), pupil)
@@ -128,8 +159,14 @@ impl StaticModes {
 
     /// Adds to the covariance of the NCPA the errors that all images have in common, of the diversity and of an unknown loop
     /// response; returns the error budget.
-    fn add_common_errors(&self, errors: &mut StaticErrors, coefficients: &Array1<f64>) -> Result<ErrorBudget> {
-        let averaged_nm = self.expected_rms_nm(&errors.covariance_nm2)?;
+    fn add_common_errors(
+        &self,
+        errors: &mut StaticErrors,
+        coefficients: &Array1<f64>,
+        uncompensated_nm: Option<f64>,
+    ) -> Result<ErrorBudget> {
+        let [phasing_nm, ncpa_nm] = self.expected_rms_nm(&errors.covariance_nm2)?;
+        let averaged_nm = [uncompensated_nm.map_or(phasing_nm, |nm| nm.min(phasing_nm)), ncpa_nm];
         let response_nm = self.unknown_response_nm(coefficients)?;
         let column = response_nm.view().insert_axis(Axis(1));
         let response_nm2 = column.dot(&column.t());
@@ -151,11 +188,11 @@ impl StaticModes {
         Ok([expected(0, 0..self.segments)?, expected(1, self.segments..covariance_nm2.nrows())?])
     }
 
-    /// Standard deviation of an unknown loop's response to the pistons, in the NCPA's modes, nm; 0 where the loop is known.
+    /// Standard deviation of an unknown loop's response to the segments, in the NCPA's modes, nm; 0 where the loop is known.
     fn unknown_response_nm(&self, coefficients: &Array1<f64>) -> Result<Array1<f64>> {
         let Some((basis, projector)) = &self.projection else { return Ok(Array1::zeros(self.at_all.nrows())) };
-        let pistons_nm = self.sum(coefficients, 0..self.segments);
-        Ok(projector.project(basis, &pistons_nm)?.coefficients_nm * UNKNOWN_RESPONSE)
+        let segments_nm = self.sum(coefficients, 0..self.segments);
+        Ok(projector.project(basis, &segments_nm)?.coefficients_nm * UNKNOWN_RESPONSE)
     }
 
     /// Map of the modes in `range`, NaN outside the pupil.

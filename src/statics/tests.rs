@@ -10,6 +10,8 @@ use crate::retrieval::{IlluminatedSamples, StaticWavefront};
 use crate::scene::{AoKnowledge, Scene};
 use ndarray::{Array1, Array2};
 
+mod segment_tilts;
+
 /// Recorder of the wavefront of each exposure, averaged over its frames, on the scene's grid, for [`Simulator::run`].
 struct SimulatedWavefronts {
     schedule: Schedule,
@@ -36,7 +38,10 @@ impl SimulatedWavefronts {
         let grid = telescope.pupil.grid;
         let samples = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
         let mut static_nm = Array1::from(truth.ncpa_at(&samples.xs_m, &samples.ys_m)?);
-        static_nm += &Array1::from(truth.piston_nm.clone()).dot(&samples.pistons);
+        for ((segment, sample), share) in samples.pistons.indexed_iter().filter(|(_, share)| **share != 0.0) {
+            let (x_m, y_m) = (samples.xs_m[sample], samples.ys_m[sample]);
+            static_nm[sample] += share * truth.segment_nm(&telescope.pupil, segment, x_m, y_m);
+        }
         Ok(Self {
             schedule: Schedule::new(scene, control.settle_s, control.frame_rate_hz)?,
             segments_nm: simulator.segments_nm().to_vec(),
@@ -123,6 +128,11 @@ impl WavefrontSource for KnownWavefronts {
 
 /// A small Keck, seven segments behind ten lenslets, 40 images in two seconds.
 fn run() -> (Simulator, SimulatedWavefronts) {
+    run_with(&[])
+}
+
+/// The same with further settings.
+fn run_with(more: &[(&str, &str)]) -> (Simulator, SimulatedWavefronts) {
     let settings = [
         ("pupil.aperture", "hexagonal"),
         ("pupil.rings", "1"),
@@ -136,7 +146,7 @@ fn run() -> (Simulator, SimulatedWavefronts) {
         ("mirror.actuators_across", "11"),
         ("control.settle_s", "0.2"),
     ];
-    let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap();
+    let scene = Scene::preset("keck-onsky").unwrap().with(&settings).unwrap().with(more).unwrap();
     let mut simulator = Simulator::new(&scene).unwrap();
     let mut wavefronts = SimulatedWavefronts::new(&simulator).unwrap();
     simulator.run(&mut wavefronts, &mut Progress::default()).unwrap();

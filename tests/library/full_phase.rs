@@ -3,10 +3,10 @@
 
 use cophase::Error;
 use cophase::ao::{Sensor, Stepper};
-use cophase::io::{FitsWriter, Pixel};
-use cophase::modes::Samples;
+use cophase::io::{FitsReader, FitsWriter, Pixel};
+use cophase::modes::{Samples, SegmentModes};
 use cophase::pipeline::{Estimate, Estimator, Images};
-use cophase::scene::{Precision, Scene};
+use cophase::scene::{self, Precision, Scene};
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, Axis};
 use std::path::{Path, PathBuf};
 
@@ -134,6 +134,63 @@ fn a_diversity_error_outside_the_modes_is_refused() {
             other => panic!("{other:?}"),
         }
     }
+}
+
+/// Segments with tilts of 30 nm: pistons alone, the default, which adds tilts to the model, and a scene with tilts.
+#[test]
+fn tilts_of_segments_are_estimated_and_corrected() {
+    let settings = [("estimate.method", "full-phase"), ("aberrations.segment_tip_tilt_rms_nm", "30")];
+    let auto = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
+    let pistons = auto.with_override("estimate.model", "scene").unwrap();
+    let tilts = pistons.with_override("modes.segment", "piston-tip-tilt").unwrap();
+    let mut stepper = Stepper::new(&auto).unwrap();
+    let images = exposures(&mut stepper, 8);
+    let [pistons, auto, tilts] = [pistons, auto, tilts].map(|scene| read(&scene, &images).unwrap());
+    let truth = stepper.simulator().truth();
+    let rms_nm = |map: ArrayView2<f64>, pupil: &cophase::pupil::Pupil| {
+        pupil.rms(pupil.remove_piston_tip_tilt(map).unwrap().view()).unwrap()
+    };
+    let left_nm = |found: &Estimate| rms_nm((&found.phasing_nm - &truth.phasing_nm).view(), &found.pupil);
+    println!("{:.1} {:.1} {:.1}", left_nm(&pistons), left_nm(&auto), left_nm(&tilts));
+    assert!(left_nm(&auto) < 0.6 * left_nm(&pistons) && left_nm(&tilts) < 0.6 * left_nm(&pistons));
+    assert!(left_nm(&auto) < 2.0 * auto.phasing.sigma_nm, "{:?}", auto.phasing);
+
+    let is_seen = |found: &Estimate| found.warnings.join("\n").contains("single segments seem to be tilted");
+    let is_said = |found: &Estimate| found.report().contains("The model was extended by tip and tilt of each segment");
+    assert_eq!(
+        [&pistons, &auto, &tilts].map(|found| (is_seen(found), is_said(found))),
+        [(true, false), (false, true), (false, false)]
+    );
+    let modes = |found: &Estimate| (found.segment_modes(), found.scene.modes.segment);
+    let [few, many] = [(7, scene::SegmentModes::Piston), (21, scene::SegmentModes::PistonTipTilt)];
+    assert_eq!([&pistons, &auto, &tilts].map(modes), [few, many, many]);
+    assert_eq!(auto.basis.names.len(), auto.covariance_nm2.nrows());
+    assert_eq!((&*auto.basis.names[7], &*auto.basis.names[20]), ("segment-00-tip", "segment-06-tilt"));
+
+    // What the corrections leave of the segments is what the estimate leaves, and what is below its error bar.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("corrections.fits");
+    let commands = auto.corrections(None).unwrap();
+    commands.write(&path).unwrap();
+    let mut file = FitsReader::open(&path).unwrap();
+    let column = |file: &mut FitsReader, name: &str| file.f64_column("SEGMENTS", name).unwrap();
+    let added = ["ADD_NM", "ADD_TIP_NM", "ADD_TILT_NM"].map(|name| column(&mut file, name));
+    assert_eq!(added[1..].concat(), commands.tilts_nm);
+    let maps = SegmentModes::PistonTipTilt.maps(&auto.pupil).unwrap().maps();
+    let left = added
+        .concat()
+        .iter()
+        .zip(maps.outer_iter())
+        .fold(truth.phasing_nm.clone(), |left, (nm, map)| left + &(&map * *nm));
+    let (before_nm, after_nm) = (rms_nm(truth.phasing_nm.view(), &auto.pupil), rms_nm(left.view(), &auto.pupil));
+    println!("segment errors of {before_nm:.1} nm, {after_nm:.1} left");
+    assert!(after_nm < 0.5 * before_nm);
+    assert_eq!(pistons.corrections(None).unwrap().tilts_nm.len(), 0);
+    // Segments without any mode are no part of a MAP estimate.
+    let none =
+        Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase"), ("modes.segment", "none")]).unwrap();
+    let sentence = read(&none, &images).map(|_| ()).unwrap_err().to_string();
+    assert!(sentence.contains("\"piston\" or \"piston-tip-tilt\" is needed"), "{sentence}");
 }
 
 #[test]

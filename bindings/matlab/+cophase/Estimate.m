@@ -126,6 +126,8 @@ classdef Estimate < cophase.Handle
             %   c = e.correct() returns a struct with the fields
             %      pistons_nm       what to add to the piston of each segment, nm of wavefront, which a positive piston
             %                       raises
+            %      tilts_nm         segments x 2: what to add to the tip and to the tilt of each segment, nm of wavefront RMS
+            %                       over the segment; 0 x 2 if the estimate has no tilts of segments
             %      actuators_nm     what to add to the command of each actuator, nm of wavefront, from which the mirror
             %                       is subtracted; empty where the scene names no mirror
             %      actuators_m      2 x actuators: position of each, x and y, m
@@ -136,7 +138,8 @@ classdef Estimate < cophase.Handle
             %                       controller ([commands])
             %      corrected_modes  NCPA modes that are corrected
             %      limited          commands that were cut at a limit
-            %   A mode whose estimate is smaller than its error bar is not corrected, nor are tips and tilts of segments.
+            %   A mode whose estimate is smaller than its error bar is not corrected, nor, of a modal
+            %   estimate, are tips and tilts of segments.
             %
             %   c = e.correct(limit_nm) has no larger command; without it, or with [], the limit is the mirror's stroke
             %   and, for segments, a quarter of the wavelength (none where the whole wavelengths are known).
@@ -155,6 +158,7 @@ classdef Estimate < cophase.Handle
             end
             found = cophase_mex('estimate.correct', self.id, limit_nm, path);
             result = struct('pistons_nm', self.array('CORRECTION_PISTONS_NM', found.segments), ...
+                'tilts_nm', reshape(self.array('CORRECTION_TILTS_NM', found.tilts), [], 2), ...
                 'actuators_nm', self.array('CORRECTION_ACTUATORS_NM', found.actuators), ...
                 'actuators_m', reshape(self.array('CORRECTION_ACTUATORS_M', 2 * found.actuators), 2, []), ...
                 'slopes_mas', self.array('CORRECTION_SLOPES_MAS', found.slopes), ...

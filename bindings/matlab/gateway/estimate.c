@@ -203,7 +203,7 @@ static const constant_name ARRAYS[] = {
     ARRAY(COEFFICIENTS_NM), ARRAY(SIGMA_NM), ARRAY(COVARIANCE_NM2), ARRAY(IMAGE_COEFFICIENTS_NM), ARRAY(MAPS_NM),
     ARRAY(ERROR_BUDGET_NM), ARRAY(CORRECTION_PISTONS_NM), ARRAY(CORRECTION_ACTUATORS_NM), ARRAY(CORRECTION_ACTUATORS_M),
     ARRAY(CORRECTION_SLOPES_MAS), ARRAY(CORRECTION_SEGMENT_COMMANDS), ARRAY(CORRECTION_ACTUATOR_COMMANDS),
-    ARRAY(PISTON_INTEGERS), {NULL, 0},
+    ARRAY(PISTON_INTEGERS), ARRAY(CORRECTION_TILTS_NM), {NULL, 0},
 };
 
 /* (estimate, 'MAPS_NM', count): a column. */
@@ -250,7 +250,7 @@ static void do_write(int outputs, mxArray **out, int inputs, const mxArray **in)
 static const field CORRECTION[] = {
     FIELD(T, segments, IS_SIZE), FIELD(T, actuators, IS_SIZE), FIELD(T, slopes, IS_SIZE),
     FIELD(T, corrected_modes, IS_SIZE), FIELD(T, limited, IS_SIZE), FIELD(T, segment_commands, IS_SIZE),
-    FIELD(T, actuator_commands, IS_SIZE), END_OF_FIELDS,
+    FIELD(T, actuator_commands, IS_SIZE), FIELD(T, tilts, IS_SIZE), END_OF_FIELDS,
 };
 #undef T
 

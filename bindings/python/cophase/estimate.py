@@ -27,6 +27,9 @@ class Correction:
     ----------
     pistons_nm : (segments,) array
         What to add to the piston of each segment, nm of wavefront, which a positive piston raises.
+    tilts_nm : (2, segments) array
+        What to add to the tip of each segment, and to the tilt of each, nm of wavefront RMS over the segment; of shape (2, 0)
+        if the estimate has no tilts of segments.
     actuators_nm : (actuators,) array
         What to add to the command of each actuator, nm of wavefront, from which the mirror is subtracted; empty where
         the scene names no mirror.
@@ -45,6 +48,7 @@ class Correction:
     """
 
     pistons_nm: NDArray[np.float64]
+    tilts_nm: NDArray[np.float64]
     actuators_nm: NDArray[np.float64]
     actuators_m: NDArray[np.float64]
     slopes_mas: NDArray[np.float64]
@@ -170,7 +174,7 @@ class Estimate(Handle):
     def correct(self, limit_nm: float | None = None, path: str | os.PathLike[str] | None = None) -> Correction:
         """Computes what to add to segments, mirror and (of a MAP estimate) reference slopes.
 
-        Tips and tilts of segments are not corrected. It takes about a second at the size of Keck if the scene has a loop.
+        Of a modal estimate tips and tilts of segments are not corrected. It takes about a second at the size of Keck if the scene has a loop.
 
         Parameters
         ----------
@@ -193,6 +197,7 @@ class Estimate(Handle):
         found = struct("cophase_correction_report", lib.cophase_estimate_correct, *inputs)
         return Correction(
             self._array("CORRECTION_PISTONS_NM", found.segments),
+            self._array("CORRECTION_TILTS_NM", 2, found.tilts // 2),
             self._array("CORRECTION_ACTUATORS_NM", found.actuators),
             self._array("CORRECTION_ACTUATORS_M", found.actuators, 2),
             self._array("CORRECTION_SLOPES_MAS", found.slopes),

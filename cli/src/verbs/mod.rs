@@ -16,6 +16,7 @@ mod numbering;
 mod observe;
 mod picture;
 mod plan;
+mod reduce;
 mod reproduce;
 mod scene;
 mod simulate;
@@ -57,6 +58,7 @@ enum Verb {
     Scene(scene::Arguments),
     Image(image::Arguments),
     Simulate(simulate::Arguments),
+    Reduce(reduce::Arguments),
     Estimate(estimate::Arguments),
     Plan(plan::Arguments),
     Compare(compare::Arguments),
@@ -79,6 +81,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Scene(arguments) => scene::run(&arguments, &terminal),
         Verb::Image(arguments) => image::run(&arguments, &terminal),
         Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
+        Verb::Reduce(arguments) => reduce::run(&arguments, &terminal),
         Verb::Estimate(arguments) => return estimate::run(arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),

@@ -5,6 +5,7 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::terminal::Terminal;
+use cophase::reduction::first_scene;
 use cophase::scene::{self, Scene};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -14,6 +15,7 @@ const EXAMPLES: &str = "Examples:
   cophase scene keck-artificial > scene.toml    one of them, to edit
   cophase scene --reference                     every key, with its default
   cophase scene scene.toml --plot pupil.png     which segment has which number
+  cophase scene --from n0004.fits > scene.toml  a first scene from the header of a frame
 
 The picture shows the pupil as the maps of an estimate do: x to the right, y up, in metres. The numbers are those of the \
 table SEGMENTS, of modes such as segment-07-piston and of 'check-orientation --segment'; actuators and subapertures are \
@@ -28,6 +30,9 @@ pub struct Arguments {
     /// Print every key that a scene may have
     #[arg(long, conflicts_with = "name")]
     reference: bool,
+    /// Print a first scene for the instrument of a raw frame; what its header does not say is marked in comments
+    #[arg(long, value_name = "FRAME", conflicts_with_all = ["name", "reference"])]
+    from: Option<PathBuf>,
     /// Draw the pupil with the number of each segment, the actuators and the subapertures (.png or .svg)
     #[arg(long, value_name = "FILE", requires = "name")]
     plot: Option<PathBuf>,
@@ -41,6 +46,9 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     }
     if arguments.settings.keys().next().is_some() {
         return Err(Error::Value("--set changes a scene: the name of a preset or a file is needed".into()));
+    }
+    if let Some(frame) = &arguments.from {
+        return terminal.print(&first_scene(frame)?);
     }
     if arguments.reference { terminal.print(&scene::reference()) } else { terminal.print(&listing()?) }
 }

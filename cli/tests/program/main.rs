@@ -18,6 +18,7 @@ mod observe;
 mod odd_images;
 mod orientation;
 mod outputs;
+mod reduce;
 mod same_answer;
 mod sentences;
 mod simulate;

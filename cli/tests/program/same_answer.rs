@@ -275,8 +275,17 @@ fn a_sequence_of_images() {
 
 #[test]
 fn a_map_sequence_with_telemetry() {
+    let found = is_the_same_map_sequence(&[]);
+    assert_eq!(found.segment_modes(), 7);
+    // More modes of segments than segments.
+    let found = is_the_same_map_sequence(&[("modes.segment", "piston-tip-tilt")]);
+    assert_eq!(found.segment_modes(), 21);
+}
+
+/// Compares all interfaces on a sequence behind a loop, by a scene with `settings`; returns what Rust found.
+fn is_the_same_map_sequence(settings: &[(&str, &str)]) -> Estimate {
     let path = root().join("tests/c_api/sky.toml");
-    let scene = Scene::from_file(&path).unwrap();
+    let scene = Scene::from_file(&path).unwrap().with(settings).unwrap();
     let mut stepper = Stepper::new(&scene).unwrap();
     let (mut images, mut slopes) = (Vec::new(), Vec::new());
     for _ in 0..4 {
@@ -294,4 +303,5 @@ fn a_map_sequence_with_telemetry() {
     };
     let found = case.is_the_same_everywhere();
     assert!(found.map.is_some());
+    found
 }

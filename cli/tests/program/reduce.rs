@@ -1,0 +1,331 @@
+//! `cophase reduce`: raw frames made from simulated images, with all that a detector and a sky add, become the images again.
+
+use crate::{Desk, number};
+use cophase::io::{Card, FitsReader, FitsWriter, Pixel};
+use ndarray::{Array2, s};
+
+/// Side of the raw frames, electrons per count, coadds.
+const SIDE: usize = 200;
+const GAIN: f64 = 4.0;
+const COADDS: f64 = 2.0;
+/// Noise of the simulated images, electrons: that of two coadds of 14.142.
+const NOISE_E: f64 = 20.0;
+const SKY_E: f64 = 60.0;
+/// Rows and columns of the star in five dithers, whose images of 64 pixels overlap at corners only.
+const DITHERS: [(usize, usize); 5] = [(50, 50), (50, 150), (150, 50), (150, 150), (100, 100)];
+/// The scene of the raw frames.
+const RAW: [&str; 4] = ["--set", "image.read_noise_e=14.142", "--set", "image.saturation_adu=9000"];
+
+/// Normal numbers: sums of twelve uniform ones of a linear congruential generator, whose quality suffices for noise.
+struct Noise(u64);
+
+impl Noise {
+    fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0
+    }
+}
+
+/// Response of the detector: 2 % from pixel to pixel, on a slope of 20 %, with a dead pixel.
+fn response() -> Array2<f64> {
+    let mut noise = Noise(7);
+    let mut response = Array2::from_shape_fn((SIDE, SIDE), |(_, x)| {
+        (1.0 + 0.02 * noise.normal()) * (0.9 + 0.2 * x as f64 / SIDE as f64)
+    });
+    response[[60, 55]] = 0.0;
+    response
+}
+
+/// Dark of one coadd, counts: bias of four quadrants, a pattern, and hot pixels, three of them under the stars.
+fn dark() -> Array2<f64> {
+    let mut noise = Noise(8);
+    let mut dark = Array2::from_shape_fn((SIDE, SIDE), |(y, x)| {
+        500.0 + 10.0 * (2 * (2 * y / SIDE) + 2 * x / SIDE) as f64 + 3.0 * noise.normal()
+    });
+    for (y, x, counts) in
+        [(55, 45, 4000.0), (145, 60, 800.0), (102, 110, 20_000.0), (10, 190, 30_000.0), (10, 191, 30_000.0)]
+    {
+        dark[[y, x]] += counts;
+    }
+    dark
+}
+
+/// Writes a raw frame of `electrons`, with its dark, in whole counts.
+fn write(desk: &Desk, name: &str, electrons: &Array2<f64>, cards: &[(&str, Card)]) {
+    let counts = (electrons / GAIN + &(COADDS * dark())).mapv(f64::round);
+    let mut file = FitsWriter::create(desk.path(name)).unwrap();
+    file.image("RAW", &counts, Pixel::I32, "").unwrap();
+    for (key, value) in [("ITIME", Card::Real(0.5)), ("COADDS", Card::Integer(2)), ("GAIN", Card::Real(GAIN))] {
+        file.card("RAW", key, value, "").unwrap();
+    }
+    for (key, value) in cards {
+        file.card("RAW", key, value.clone(), "").unwrap();
+    }
+    file.finish().unwrap();
+}
+
+/// Sky with its photon noise and the read noise.
+fn sky(noise: &mut Noise) -> Array2<f64> {
+    let response = response();
+    Array2::from_shape_fn((SIDE, SIDE), |at| {
+        response[at] * (SKY_E + SKY_E.sqrt() * noise.normal()) + NOISE_E * noise.normal()
+    })
+}
+
+/// A frame of the star, whose image `[64, 64]` has its read noise, at a dither.
+fn star(image: &Array2<f64>, (y, x): (usize, usize), noise: &mut Noise) -> Array2<f64> {
+    let mut frame = sky(noise);
+    let at = s![y - 32..y + 32, x - 32..x + 32];
+    let of_sky = Array2::from_shape_fn((64, 64), |_| SKY_E + SKY_E.sqrt() * noise.normal());
+    frame.slice_mut(at).assign(&((image + &of_sky) * response().slice(at)));
+    frame
+}
+
+/// A folder `raw` with five dithers, darks, flats and frames of the lamp off.
+fn desk() -> Desk {
+    let desk = Desk::with_images(&["image.count=5"]);
+    std::fs::create_dir(desk.path("raw")).unwrap();
+    let images = FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap();
+    let mut noise = Noise(1);
+    for (number, (image, at)) in images.outer_iter().zip(DITHERS).enumerate() {
+        let frame = star(&image.to_owned(), at, &mut noise);
+        write(&desk, &format!("raw/n{number:04}.fits"), &frame, &[("OBJECT", "HD 1".into())]);
+    }
+    for number in 0..9 {
+        let frame = Array2::from_shape_fn((SIDE, SIDE), |_| NOISE_E * noise.normal());
+        write(&desk, &format!("raw/d{number}.fits"), &frame, &[("SHRNAME", "CLOSED".into())]);
+    }
+    let response = response();
+    for number in 0..8 {
+        for (class, level_e) in [("flatlamp", 80_000.0f64), ("flatlampoff", 0.0)] {
+            let frame = Array2::from_shape_fn((SIDE, SIDE), |at| {
+                response[at] * (level_e + level_e.sqrt() * noise.normal()) + NOISE_E * noise.normal()
+            });
+            write(&desk, &format!("raw/{class}{number}.fits"), &frame, &[("KOAIMTYP", class.into())]);
+        }
+    }
+    desk
+}
+
+/// The row of a file in the log.
+fn reason(json: &serde_json::Value, file: &str) -> (bool, String) {
+    let rows = json["frames"].as_array().unwrap();
+    let row = rows.iter().find(|row| row["file"] == file).unwrap_or_else(|| panic!("{file} is not in {json}"));
+    (row["used"].as_bool().unwrap(), row["reason"].as_str().unwrap().to_owned())
+}
+
+#[test]
+fn raw_frames_become_the_images_again() {
+    let desk = desk();
+    let (perfect, _) = desk.estimates_well("images.fits", &[]);
+    let residuals = desk.residuals("est.fits", "images.fits");
+    let reduce = [&["reduce", "raw", "--scene", "scene.toml", "-o", "reduced.fits", "--json"], &RAW[..]].concat();
+    let made = desk.json(&reduce);
+    assert_eq!(made["images"], 5, "{made}");
+    assert_eq!(made["warnings"].as_array().unwrap().len(), 0, "{made}");
+    // The dead and the five hot pixels; of 40,000 normal ones none is bad by chance.
+    assert_eq!(made["bad_pixels"], 6, "{made}");
+    for (place, (y, x)) in DITHERS.into_iter().enumerate() {
+        let row = &made["frames"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|row| row["file"] == format!("n{place:04}.fits"))
+            .unwrap()
+            .clone();
+        // The centroid of a spot that aberrations deform is a few pixels from the axis.
+        assert!((number(row, "x") - x as f64).hypot(number(row, "y") - y as f64) < 4.0, "{row}");
+        // Background: the sky's, as far as a median of 36,000 pixels of 20 e each knows it, and the star's halo.
+        assert!((number(row, "background_e") - SKY_E).abs() < 3.0, "{row}");
+    }
+    // Reads of the frame and of four others (v(4) = 0.298, at corners v(3)), with the photons of their sky.
+    let noise_e = number(&made["channels"][0], "noise_e");
+    let expected = ((NOISE_E * NOISE_E + SKY_E) * (1.0 + 0.298)).sqrt();
+    assert!((noise_e / expected - 1.0).abs() < 0.03, "{noise_e} e where {expected} e is expected");
+
+    // The scene in the file, and that of the raw frames, whose read noise of a coadd is no contradiction to the noise of the images.
+    let text = crate::SMALL.replace("read_noise_e = 20", "read_noise_e = 14.142");
+    std::fs::write(desk.path("raw.toml"), text).unwrap();
+    for options in [&[][..], &["--scene", "raw.toml"]] {
+        let arguments =
+            [&["estimate", "reduced.fits", "-o", "reduced-est.fits", "--json", "--strict"], options].concat();
+        let done = desk.run(&arguments);
+        println!("{}", done.out);
+        assert_eq!(done.status, 0, "{options:?}: {}", done.err);
+        let estimate: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+        for (at, part) in ["phasing", "ncpa"].into_iter().enumerate() {
+            let key = format!("{part}_sigma_nm");
+            let (sigma, bound) = (number(&estimate, &key), number(&perfect, &key));
+            let residual = desk.residuals("reduced-est.fits", "images.fits")[at];
+            println!("{part}: residual {residual} ({}), sigma {sigma} ({bound}), noise {noise_e}", residuals[at]);
+            // The noise bound of perfect images, and 20 % for the noise of the sky.
+            assert!(sigma < 1.2 * bound, "{part}: {sigma} nm, {bound} nm of perfect images");
+            assert!(
+                residual < 1.2 * residuals[at].max(bound),
+                "{part}: {residual} nm, {} nm of perfect images",
+                residuals[at]
+            );
+        }
+    }
+}
+
+#[test]
+fn frames_that_cannot_be_used_are_named_with_the_reason() {
+    let desk = desk();
+    let image =
+        FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
+    let mut noise = Noise(2);
+    let mut bright = star(&(50.0 * &image), (100, 100), &mut noise);
+    bright.mapv_inplace(|electrons| electrons.min(2.0 * 12_000.0 * GAIN));
+    write(&desk, "raw/bright.fits", &bright, &[]);
+    write(&desk, "raw/cloud.fits", &sky(&mut noise), &[]);
+    // The star moves by 40 columns in the exposure.
+    let mut trail = sky(&mut noise);
+    for column in 48..88 {
+        trail.slice_mut(s![68..132, column..column + 64]).scaled_add(1.0 / 40.0, &image);
+    }
+    write(&desk, "raw/trail.fits", &trail, &[]);
+    let mut edge = sky(&mut noise);
+    edge.slice_mut(s![..56, ..64]).scaled_add(1.0, &image.slice(s![8.., ..]));
+    write(&desk, "raw/edge.fits", &edge, &[]);
+    write(&desk, "raw/other.fits", &star(&image, (100, 100), &mut noise), &[("CENWAVE", Card::Real(1.6455))]);
+    std::fs::write(desk.path("raw/cut.fits"), &std::fs::read(desk.path("raw/n0000.fits")).unwrap()[..9000]).unwrap();
+    let reduce = [&["reduce", "raw", "--scene", "scene.toml", "-o", "reduced.fits", "--json"], &RAW[..]].concat();
+    let made = desk.json(&reduce);
+    assert_eq!(made["images"], 5, "{made}");
+    for (file, word) in [
+        ("bright.fits", "saturated"),
+        ("cloud.fits", "no star"),
+        ("trail.fits", "trailed"),
+        ("edge.fits", "edge of the frame"),
+        ("other.fits", "CENWAVE = 1.6455"),
+        ("cut.fits", "truncated"),
+    ] {
+        let (used, why) = reason(&made, file);
+        assert!(!used && why.contains(word), "{file}: {why}");
+    }
+    // The log in the file is that on the screen.
+    let mut file = FitsReader::open(desk.path("reduced.fits")).unwrap();
+    let used = file.i64_column("REDUCTION", "USED").unwrap();
+    assert_eq!(used.len(), made["frames"].as_array().unwrap().len());
+    assert_eq!(used.iter().sum::<i64>(), 5 + 9 + 8 + 8);
+    let out = desk.succeeds(&[&reduce[..6], &RAW[..]].concat()).out;
+    assert!(out.contains("5 images, 6 frames not used") && out.contains("trailed"), "{out}");
+}
+
+#[test]
+fn bad_input_is_refused() {
+    let desk = Desk::with_images(&[]);
+    std::fs::create_dir(desk.path("raw")).unwrap();
+    std::fs::create_dir(desk.path("empty")).unwrap();
+    let image =
+        FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
+    let frame = star(&image, (100, 100), &mut Noise(4));
+    write(&desk, "raw/n1.fits", &frame, &[]);
+    write(&desk, "raw/d1.fits", &sky(&mut Noise(6)), &[("IMAGETYP", "dark".into())]);
+    write(&desk, "d2.fits", &frame, &[("IMAGETYP", "dark".into()), ("ITIME", Card::Real(3.0))]);
+    let mut mask = FitsWriter::create(desk.path("mask.fits")).unwrap();
+    mask.image("BADPIX", &Array2::<f64>::zeros((64, 64)), Pixel::I32, "").unwrap();
+    mask.finish().unwrap();
+    let base = ["--scene", "scene.toml", "-o", "out.fits"];
+    for (arguments, words) in [
+        (&["empty"][..], &["empty", "no FITS file"][..]),
+        (&["missing.fits"], &["missing.fits", "no such file"]),
+        (&["raw/x*.fits"], &["raw/x*.fits", "names no FITS file"]),
+        (&["raw/d1.fits"], &["no frame with a star"]),
+        (&["scene.toml"], &["no frame can be read", "scene.toml"]),
+        (&["raw", "--darks", "raw/n1.fits"], &["no frame with a star"]),
+        (&["raw", "--darks", "raw/n1.fits", "--stars", "raw/n1.fits"], &["n1.fits", "as star and as dark"]),
+        (&["raw", "--channel", "plus=n*"], &["--channel", "plus", "it has none"]),
+        (&["raw", "--pixels", "7"], &["image.pixels = 7", "an even integer"]),
+        (&["raw", "--pixels", "300"], &["n1.fits", "edge of the frame"]),
+        (&["raw/n1.fits", "d2.fits", "--saturation", "1"], &["saturated"]),
+        (&["raw/n1.fits", "d2.fits"], &["no dark of 0.5 s", "of 3 s"]),
+        (&["raw", "--mask", "mask.fits"], &["the mask has 64x64 pixels", "200x200"]),
+    ] {
+        desk.refuses(&[&["reduce"], arguments, &base].concat(), words);
+    }
+    // A gain in the file of the scene that is not the card's; one that is set holds.
+    let text = crate::SMALL.replace("read_noise_e = 20", "read_noise_e = 20\ngain_e_per_adu = 2");
+    std::fs::write(desk.path("gain.toml"), text).unwrap();
+    let gain = ["reduce", "raw", "--scene", "gain.toml", "-o", "out.fits"];
+    desk.refuses(&gain, &["GAIN = 4", "image.gain_e_per_adu = 2"]);
+    desk.succeeds(&[&gain[..], &["--set", "image.gain_e_per_adu=2"]].concat());
+    // An output that is an input; one that replaces an earlier reduction in the folder of the raw frames.
+    desk.refuses(&["reduce", "raw", "--scene", "scene.toml", "-o", "raw/n1.fits"], &["cannot be its output"]);
+    for _ in 0..2 {
+        desk.succeeds(&["reduce", "raw", "--scene", "scene.toml", "-o", "raw/out.fits"]);
+    }
+}
+
+#[test]
+fn a_first_scene_is_made_of_a_header() {
+    let desk = Desk::with_images(&[]);
+    let image =
+        FitsReader::open(desk.path("images.fits")).unwrap().cube("IMAGES").unwrap().slice(s![0, .., ..]).to_owned();
+    let cards = [
+        ("TELESCOP", Card::from("KECK II")),
+        ("CURRINST", "NIRC2".into()),
+        ("CAMNAME", "NARROW".into()),
+        ("CENWAVE", Card::Real(2.1686)),
+        ("EFFWAVE", Card::Real(2.1686)),
+        ("RDNOISE", Card::Real(38.0)),
+    ];
+    write(&desk, "n1.fits", &star(&image, (100, 100), &mut Noise(5)), &cards);
+    let text = desk.succeeds(&["scene", "--from", "n1.fits"]).out;
+    std::fs::write(desk.path("first.toml"), &text).unwrap();
+    // It is a scene, and says what is missing.
+    desk.succeeds(&["scene", "first.toml"]);
+    for line in ["wavelength_nm = 2168.6", "exposure_s = 1.0", "read_noise_e = 38.0", "gain_e_per_adu = 4.0"] {
+        assert!(text.contains(line), "{line} is not in {text}");
+    }
+    for key in ["diversity_focus_waves_rms", "saturation_adu", "bandwidth_fraction"] {
+        let line = text.lines().find(|line| line.starts_with(key)).unwrap_or_else(|| panic!("{key} is not in {text}"));
+        assert!(line.contains("TO BE FILLED IN"), "{line}");
+    }
+    // 2.1686 um over 10.95 m is 40.850 mas, which pixels of 9.952 mas sample 4.105 times.
+    assert!(text.contains("pixel_mas = 9.952") && text.contains("4.105 pixels per lambda"), "{text}");
+    // It fits the frame, whose header it agrees with.
+    desk.succeeds(&[
+        "reduce",
+        "n1.fits",
+        "--scene",
+        "first.toml",
+        "-o",
+        "reduced.fits",
+        "--pixels",
+        "64",
+        "--no-dither-sky",
+    ]);
+    // Nothing is known of a bare file, and a scene all the same.
+    let bare = desk.succeeds(&["scene", "--from", "images.fits"]).out;
+    assert!(bare.contains("TELESCOP = '' is not known"), "{bare}");
+    desk.refuses(&["scene", "--from", "scene.toml"], &["scene.toml"]);
+}
+
+/// The real frame of NIRC2, in focus, where the folder of data is beside the project.
+#[test]
+fn a_real_frame_is_found_and_cut_out() {
+    let frame = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/20130801_n0004.fits");
+    if !frame.exists() {
+        return;
+    }
+    let desk = Desk::with_scene();
+    let frame = frame.display().to_string();
+    let text = desk.succeeds(&["scene", "--from", &frame]).out;
+    assert!(text.contains("wavelength_nm = 1645.5") && text.contains("exposure_s = 25.0"), "{text}");
+    std::fs::write(desk.path("first.toml"), text).unwrap();
+    let json =
+        desk.json(&["reduce", &frame, "--scene", "first.toml", "-o", "reduced.fits", "--pixels", "64", "--json"]);
+    let row = &json["frames"][0];
+    println!("{json}");
+    assert_eq!(row["coadds"], 50, "{json}");
+    // The star is the brightest pixel of the frame, up to the centroid's halo.
+    let data = FitsReader::open(&frame).unwrap().map(None).unwrap();
+    let ((y, x), _) = data.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1)).unwrap();
+    assert!((number(row, "x") - x as f64).hypot(number(row, "y") - y as f64) < 2.0, "({x}, {y}): {json}");
+}

@@ -1,0 +1,171 @@
+//! First scene of an instrument, from the header of one of its frames.
+
+use super::frame::{Cards, FrameHeader};
+use crate::io::{self, FitsReader, HeaderFact, Quantity};
+use crate::scene::Scene;
+use crate::{Error, Result};
+use std::fmt::Write;
+use std::path::Path;
+
+/// What precedes a comment on what is not in the header.
+const UNKNOWN: &str = "TO BE FILLED IN";
+
+/// Telescopes that a preset describes: what their name begins with, the preset, what the preset leaves out.
+const TELESCOPES: [(&[&str], &str, &str); 2] = [
+    (
+        &["KECK", "W. M. KECK"],
+        "keck-artificial",
+        "on the sky the secondary (2.6 m) and its spider hide some of it: central_obscuration_m, spider_width_m",
+    ),
+    (&["JWST"], "jwst-pair", ""),
+];
+
+/// Pixels of cameras whose headers do not have them: name of the instrument, of the camera, mas. NIRC2: Yelda et al. 2010 (ApJ 725, 331)
+/// and Service et al. 2016 (PASP 128, 095004; 9.971 mas since April 2015) for the narrow camera; its manual for the others.
+const CAMERAS: [(&str, &str, f64); 3] =
+    [("NIRC2", "NARROW", 9.952), ("NIRC2", "MEDIUM", 19.829), ("NIRC2", "WIDE", 39.686)];
+
+/// Text of a scene for the frames of which `path` is one: the telescope of `TELESCOP`, and what the header states of the camera. A line
+/// on what is not known says so in its comment. The scene is valid as it is.
+///
+/// # Errors
+/// Those of [`io::read_images`]; [`Error::Scene`] for a header whose values a scene does not accept.
+pub fn first_scene(path: &Path) -> Result<String> {
+    let mut file = FitsReader::open(path)?;
+    let images = io::read_images(path, None)?;
+    let (_, rows, columns) = images.data.dim();
+    let mut cards = Cards { file: &mut file, hdu: images.hdu_name };
+    let header = cards.header(images.unit, images.facts);
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let telescope = cards.text("TELESCOP").unwrap_or_default();
+    let instrument = ["CURRINST", "INSTRUME"].iter().find_map(|key| cards.text(key)).unwrap_or_default();
+    let found =
+        TELESCOPES.iter().find(|(names, ..)| names.iter().any(|name| telescope.to_uppercase().starts_with(name)));
+    let (preset, remark) = found.map_or(("keck-artificial", ""), |(_, preset, remark)| (*preset, *remark));
+
+    let mut text = format!(
+        "# First scene of {instrument} at {}, from the header of {} (cophase scene --from). What the header does not say is marked:\n\
+         # {UNKNOWN}. \"cophase scene --reference\" describes every key.\n\n",
+        if telescope.is_empty() { "an unknown telescope" } else { &telescope },
+        printable(&name),
+    );
+    let pupil = section(Scene::preset_text(preset)?, "pupil");
+    let whose = match found {
+        None => format!(
+            "# {UNKNOWN}: the pupil of the telescope; this is that of Keck, because TELESCOP = '{telescope}' is not known\n"
+        ),
+        Some(_) if remark.is_empty() => String::new(),
+        Some(_) => format!("# {UNKNOWN}: {remark}\n"),
+    };
+    text += &format!("[pupil]\n{whose}{pupil}\n");
+    let grid_m = Scene::preset(preset)?.pupil.grid_m.unwrap_or(1.0);
+    let camera = cards.text("CAMNAME").unwrap_or_default();
+    text += &image(&header, grid_m, (rows, columns), (&instrument, &camera), &mut cards)?;
+    for part in ["modes", "mirror", "turbulence"] {
+        let keys = section(Scene::preset_text(preset)?, part);
+        if !keys.is_empty() {
+            text += &format!("\n[{part}]\n{keys}");
+        }
+    }
+    // The text is made of values that were read, which a scene need not accept.
+    Scene::from_text(&text, Path::new("")).map(|_| text).map_err(|error| match error {
+        Error::Scene(reason) => Error::Scene(format!("the header of {} gives no scene: {reason}", path.display())),
+        other => other,
+    })
+}
+
+/// The section `[image]`.
+fn image(
+    header: &FrameHeader,
+    grid_m: f64,
+    (rows, columns): (usize, usize),
+    (instrument, camera): (&str, &str),
+    cards: &mut Cards,
+) -> Result<String> {
+    let mut text = String::from("[image]\n");
+    let mut line = |key: &str, value: String, comment: String| {
+        // Writing into memory does not fail.
+        let _ = writeln!(text, "{:<28}# {}", format!("{key} = {value}"), printable(&comment));
+    };
+    let of = |quantity: Quantity| header.facts.iter().find(|fact| fact.quantity == quantity && fact.values.len() == 1);
+    let card = |fact: &HeaderFact| format!("card {} = {}", fact.keyword, fact.written);
+    let (wavelength_nm, comment) = match (of(Quantity::WavelengthNm), of(Quantity::BandNm)) {
+        (Some(fact), _) => (fact.values[0], card(fact)),
+        (None, Some(fact)) => {
+            (fact.values[0], format!("{UNKNOWN}: the exact one; this is the centre of the band in {}", card(fact)))
+        }
+        (None, None) => (2168.6, format!("{UNKNOWN}: no card has the wavelength")),
+    };
+    line("wavelength_nm", float(wavelength_nm), comment);
+    let width =
+        cards.number("MINWAVE").zip(cards.number("MAXWAVE")).map(|(least, most)| 2.0 * (most - least) / (most + least));
+    match width.filter(|width| (1e-4..=0.5).contains(width)) {
+        Some(width) => line("bandwidth_fraction", format!("{width:.4}"), "cards MINWAVE, MAXWAVE".into()),
+        None => line(
+            "bandwidth_fraction",
+            "0.0".into(),
+            format!("{UNKNOWN}: width of the filter over its wavelength; 0 is monochromatic"),
+        ),
+    }
+    let of_camera = CAMERAS
+        .iter()
+        .find(|(of, name, _)| instrument.to_uppercase().starts_with(of) && camera.to_uppercase() == *name);
+    let (pixel_mas, comment) = match (of(Quantity::PixelMas), of_camera) {
+        (Some(fact), _) => (fact.values[0], card(fact)),
+        (None, Some((_, name, mas))) => (*mas, format!("{instrument}, camera {name}")),
+        (None, None) => (10.0, format!("{UNKNOWN}: no card has the pixel scale; this is that of 10 mas")),
+    };
+    let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
+    let sampling = wavelength_nm * 1e-9 / grid_m * radian_mas / pixel_mas;
+    line("pixel_mas", float(pixel_mas), format!("{comment}; {sampling:.3} pixels per lambda/grid_m"));
+    // An even square that holds some 100 lambda/D, with the spot of 1.5 waves of defocus in it.
+    let side = (rows.min(columns) / 2 * 2).min((100.0 * sampling / 2.0).ceil() as usize * 2).clamp(8, 8192);
+    line("pixels", side.to_string(), format!("cut-out about the star; the frame has {columns}x{rows}"));
+    match header.itime_s {
+        Some(itime_s) => {
+            let comment = format!("{} coadds of {itime_s} s", header.coadds);
+            line("exposure_s", float(itime_s * f64::from(header.coadds)), comment);
+        }
+        None => line("exposure_s", "1.0".into(), format!("{UNKNOWN}: no card has the exposure")),
+    }
+    let focus = format!("{UNKNOWN}: defocus of the images, waves RMS over the pupil, positive at its edge");
+    line("diversity_focus_waves_rms", "1.5".into(), focus);
+    match of(Quantity::ReadNoiseE) {
+        Some(fact) => line("read_noise_e", float(fact.values[0]), card(fact)),
+        None => line(
+            "read_noise_e",
+            "60.0".into(),
+            format!("{UNKNOWN}: read noise of one coadd; without this line that of the darks is used"),
+        ),
+    }
+    match of(Quantity::GainEPerAdu).filter(|fact| fact.values[0] > 0.0) {
+        Some(fact) => {
+            line("gain_e_per_adu", float(fact.values[0]), format!("{}; to be checked: it may be a setting", card(fact)))
+        }
+        None => line("gain_e_per_adu", "1.0".into(), format!("{UNKNOWN}: electrons per count")),
+    }
+    match header.saturation_adu {
+        Some(counts) => line("saturation_adu", float(counts), "counts of one coadd, from the header".into()),
+        None => line("saturation_adu", "1e9".into(), format!("{UNKNOWN}: counts of one coadd that are saturated")),
+    }
+    Ok(text)
+}
+
+/// A number in the syntax of TOML, without the digits of binary fractions.
+fn float(value: f64) -> String {
+    format!("{:?}", (value * 1e6).round() / 1e6)
+}
+
+/// `text` without characters that would end a comment.
+fn printable(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
+}
+
+/// The lines of a section of a preset, without its header.
+fn section(text: &str, name: &str) -> String {
+    let header = format!("[{name}]");
+    let lines = text.lines().skip_while(|line| !line.starts_with(&header)).skip(1);
+    let own: Vec<&str> =
+        lines.take_while(|line| !line.starts_with('[')).filter(|line| !line.trim().is_empty()).collect();
+    own.iter().map(|line| format!("{line}\n")).collect()
+}

@@ -1,0 +1,183 @@
+//! Raw frame: pixels, exposure, and what its header states.
+
+use super::classify::{FrameClass, classify};
+use super::files::Pattern;
+use crate::io::{self, Card, FitsReader, HeaderFact, PixelUnit, Quantity};
+use crate::{Error, Result};
+use ndarray::{Array2, Axis};
+use std::path::Path;
+
+/// Rule that puts frames into a channel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChannelRule {
+    /// Name of the channel.
+    pub channel: String,
+    /// Card whose text or number must fit; `None` for the name of the file.
+    pub card: Option<String>,
+    /// What it must fit.
+    pub pattern: Pattern,
+}
+
+/// What the header of a frame states.
+#[derive(Debug, Clone)]
+pub struct FrameHeader {
+    /// Integration time of one coadd, s.
+    pub itime_s: Option<f64>,
+    /// Coadded exposures, whose counts are summed.
+    pub coadds: u32,
+    /// Read mode, as `SAMPMODE/MULTISAM`; empty where no card says it.
+    pub read_mode: String,
+    /// Name of the filter.
+    pub filter: Option<String>,
+    /// Level of saturation, counts of one coadd.
+    pub saturation_adu: Option<f64>,
+    /// Unit of the pixels.
+    pub unit: PixelUnit,
+    /// What other cards state of the instrument.
+    pub facts: Vec<HeaderFact>,
+}
+
+/// Raw frame of a detector.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Name in the log: that of the file, with the number of the plane in a cube.
+    pub name: String,
+    /// What it shows.
+    pub class: FrameClass,
+    /// What says so.
+    pub classified_by: String,
+    /// Channel that a rule or the card `CHANNEL` puts it into.
+    pub channel: Option<String>,
+    /// Counts, or electrons, `[y, x]`.
+    pub data: Array2<f64>,
+    /// Pixels that are not finite or that the file marks, `[y, x]`.
+    pub bad: Array2<bool>,
+    /// Header.
+    pub header: FrameHeader,
+}
+
+impl Frame {
+    /// Reads `path`: one frame, or those of a cube. `class` is theirs, whatever the header says; `None` for the header's.
+    ///
+    /// # Errors
+    /// Those of [`io::read_images`]; [`Error::File`] for a file that a reduction wrote.
+    pub fn read(path: &Path, class: Option<FrameClass>, rules: &[ChannelRule]) -> Result<Vec<Self>> {
+        let mut file = FitsReader::open(path)?;
+        if file.has("REDUCTION") {
+            return Err(Error::file(path, "was written by a reduction: raw frames are needed"));
+        }
+        let images = io::read_images(path, None)?;
+        let mut cards = Cards { file: &mut file, hdu: images.hdu_name.clone() };
+        let (class, classified_by) = match class {
+            Some(class) => (class, String::from("named on the command line")),
+            None => cards.class(),
+        };
+        let header = cards.header(images.unit, images.facts);
+        let file_name = file_name(path);
+        let is_of = |rule: &&ChannelRule, cards: &mut Cards| match &rule.card {
+            None => rule.pattern.matches(&file_name),
+            Some(key) => cards.fits(key, &rule.pattern),
+        };
+        let ruled = rules.iter().find(|rule| is_of(rule, &mut cards)).map(|rule| rule.channel.clone());
+        // With rules, a frame that fits none is in no channel.
+        let channel = ruled.or_else(|| images.channel.filter(|_| rules.is_empty()));
+        let planes = images.data.len_of(Axis(0));
+        let each = images.data.outer_iter().zip(images.bad.outer_iter()).enumerate().map(|(plane, (data, bad))| Self {
+            name: if planes == 1 { file_name.clone() } else { format!("{file_name}#{}", plane + 1) },
+            class,
+            classified_by: classified_by.clone(),
+            channel: channel.clone(),
+            data: data.to_owned(),
+            bad: bad.to_owned(),
+            header: header.clone(),
+        });
+        Ok(each.collect())
+    }
+
+    /// Number of coadds.
+    pub(super) fn coadds(&self) -> f64 {
+        f64::from(self.header.coadds)
+    }
+}
+
+impl FrameHeader {
+    /// Whether `other` has the same integration time and read mode, so that its dark signal per coadd is the same.
+    pub(super) fn has_exposure_of(&self, other: &Self) -> bool {
+        let same_time = match (self.itime_s, other.itime_s) {
+            // Cameras round to milliseconds.
+            (Some(a), Some(b)) => (a - b).abs() <= 1e-3 * a.max(b).max(1e-3),
+            (None, None) => true,
+            _ => false,
+        };
+        let (a, b) = (&self.read_mode, &other.read_mode);
+        same_time && (a == b || a.is_empty() || b.is_empty())
+    }
+
+    /// The exposure in words.
+    pub(super) fn exposure(&self) -> String {
+        let time = self.itime_s.map_or("of unknown exposure".into(), |itime_s| format!("of {itime_s} s"));
+        if self.read_mode.is_empty() { time } else { format!("{time} in read mode {}", self.read_mode) }
+    }
+}
+
+/// Name of a file without its folder.
+pub(super) fn file_name(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into())
+}
+
+/// Cards of the HDU of the images, else of the primary HDU.
+pub(super) struct Cards<'a> {
+    pub(super) file: &'a mut FitsReader,
+    /// Name of the HDU of the images.
+    pub(super) hdu: String,
+}
+
+impl Cards<'_> {
+    fn card(&mut self, key: &str) -> Option<Card> {
+        let own = self.file.card(Some(&self.hdu), key).ok().flatten();
+        own.or_else(|| self.file.card(None, key).ok().flatten())
+    }
+
+    /// Text of a card without quotes.
+    pub(super) fn text(&mut self, key: &str) -> Option<String> {
+        let card = self.card(key)?;
+        Some(card.text().map_or_else(|| card.to_string(), |text| text.trim().to_owned()))
+    }
+
+    /// Number of a card, also where it is written as a text.
+    pub(super) fn number(&mut self, key: &str) -> Option<f64> {
+        let card = self.card(key)?;
+        card.number().or_else(|| card.text()?.trim().parse().ok()).filter(|number: &f64| number.is_finite())
+    }
+
+    fn class(&mut self) -> (FrameClass, String) {
+        let cards = std::cell::RefCell::new(self);
+        classify(|key| cards.borrow_mut().text(key))
+    }
+
+    /// Whether a card fits a pattern, or has its number to a part in a thousand.
+    fn fits(&mut self, key: &str, pattern: &Pattern) -> bool {
+        if let (Some(wanted), Some(own)) = (pattern.number(), self.number(key)) {
+            return (wanted - own).abs() <= 1e-3 * wanted.abs().max(own.abs());
+        }
+        self.text(key).is_some_and(|text| pattern.matches(&text))
+    }
+
+    pub(super) fn header(&mut self, unit: PixelUnit, facts: Vec<HeaderFact>) -> FrameHeader {
+        let coadds =
+            self.number("COADDS").filter(|coadds| (1.0..=1e6).contains(coadds)).map_or(1, |coadds| coadds as u32);
+        let exposure = |keyword: &str| {
+            let fact = facts.iter().find(|fact| fact.quantity == Quantity::ExposureS && fact.keyword == keyword);
+            fact.and_then(|fact| fact.values.first().copied())
+        };
+        // ITIME is the time of one coadd (NIRC2); the others are that of the whole frame.
+        let whole = ["EXPTIME", "EXPOSURE", "TEXP"].iter().find_map(|keyword| exposure(keyword));
+        let itime_s = exposure("ITIME").or_else(|| Some(whole? / f64::from(coadds)));
+        let read_mode =
+            [self.text("SAMPMODE"), self.text("MULTISAM")].into_iter().flatten().collect::<Vec<_>>().join("/");
+        let filter = ["FILTER", "FILTNAME", "FILTNAM", "FILTER1"].iter().find_map(|key| self.text(key));
+        let saturation_adu = ["SATURATE", "SATURATN", "SATLEVEL", "SATUR"].iter().find_map(|key| self.number(key));
+        let saturation_adu = saturation_adu.filter(|counts| *counts > 0.0);
+        FrameHeader { itime_s, coadds, read_mode, filter, saturation_adu, unit, facts }
+    }
+}

@@ -1,0 +1,82 @@
+//! Frames that are not used, and why.
+
+use super::cut_out::CutOut;
+use super::frame::Frame;
+use super::log::LogRow;
+use super::star::Spot;
+use crate::statistics::{NORMAL_MEDIAN_DEVIATION, median};
+use ndarray::{Array2, Zip};
+
+/// Least signal-to-noise ratio of the box in which the star is found. The best of all boxes of a frame of noise has about 4.5.
+const LEAST_SNR: f64 = 10.0;
+/// Pixels with one largest value that are saturation where no level is known.
+const PLATEAU: usize = 4;
+/// Elongation over the median of its channel from which a frame is trailed, whatever the others scatter: a segmented telescope's spot
+/// is round to 10 or 20 %.
+const TRAILED: f64 = 1.5;
+/// Deviations from the median elongation, in robust standard deviations, from which a frame is trailed, among enough frames.
+const TRAILED_SIGMAS: f64 = 8.0;
+/// Frames from which their scatter is known.
+const ENOUGH: usize = 5;
+/// Least excess of elongation that counts.
+const LEAST_EXCESS: f64 = 0.1;
+
+/// Why a frame with this spot has no star to use.
+pub(super) fn starless(spot: Option<Spot>) -> Option<String> {
+    match spot {
+        None => Some("no good pixels".into()),
+        Some(spot) if spot.snr < LEAST_SNR => Some(format!(
+            "no star: the brightest spot has a signal-to-noise ratio of {:.1}, where {LEAST_SNR} is needed",
+            spot.snr
+        )),
+        Some(_) => None,
+    }
+}
+
+/// Largest value of one coadd in a cut-out, in the unit of the file, and why the frame is saturated.
+pub(super) fn saturation(
+    frame: &Frame,
+    bad: &Array2<bool>,
+    part: CutOut,
+    saturation_adu: Option<f64>,
+) -> (f64, Option<String>) {
+    let mut values = Vec::with_capacity(part.rows * part.columns);
+    Zip::from(&part.of(&frame.data)).and(&part.of(bad)).for_each(|counts, bad| {
+        if !bad {
+            values.push(counts / frame.coadds());
+        }
+    });
+    let peak = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let reason = match saturation_adu {
+        Some(limit) => {
+            let above = values.iter().filter(|value| **value >= limit).count();
+            (above > 0).then(|| format!("saturated: {above} pixels of the star at {limit} counts or more in one coadd"))
+        }
+        None => {
+            let equal = values.iter().filter(|value| **value == peak).count();
+            (equal >= PLATEAU).then(|| {
+                format!("saturated: {equal} pixels of the star have the same largest value, {peak} counts in one coadd")
+            })
+        }
+    };
+    (peak, reason)
+}
+
+/// Rejects the trailed ones of the frames of a channel, whose rows are `rows[which]`.
+pub(super) fn reject_trailed(rows: &mut [LogRow], which: &[usize]) {
+    let elongations: Vec<f64> = which.iter().map(|&index| rows[index].elongation).collect();
+    let typical = if elongations.len() < 3 { 1.0 } else { median(&elongations) };
+    let deviations: Vec<f64> = elongations.iter().map(|elongation| (elongation - typical).abs()).collect();
+    let spread = median(&deviations) / NORMAL_MEDIAN_DEVIATION;
+    let by_spread = typical + (TRAILED_SIGMAS * spread).max(LEAST_EXCESS);
+    let limit = if which.len() < ENOUGH { TRAILED * typical } else { by_spread.min(TRAILED * typical) };
+    for &index in which {
+        let elongation = rows[index].elongation;
+        if elongation > limit {
+            let sentence = format!(
+                "trailed: its spot is {elongation:.2} times as long as wide, where {limit:.2} is accepted here"
+            );
+            rows[index].reject(sentence);
+        }
+    }
+}
