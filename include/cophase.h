@@ -642,6 +642,11 @@ cophase_status cophase_estimator_estimate_channels(cophase_estimator *estimator,
 /* Array, after cophase_estimate_correct: what to add to each channel of the mirror's controller, in its unit; actuator_commands. */
 #define COPHASE_ARRAY_CORRECTION_ACTUATOR_COMMANDS 13
 
+/* Array, after cophase_estimate_correct: what to add to the tip of each segment, then to the tilt of each, nm of wavefront RMS over the
+ * segment; tilts. Without elements where the estimate has no tilts of segments.
+ */
+#define COPHASE_ARRAY_CORRECTION_TILTS_NM 14
+
 /* Sizes, status and figures of an estimate. RMS values are over the pupil, piston, tip and tilt removed. */
 typedef struct {
   /* Number of images. */
@@ -779,11 +784,13 @@ typedef struct {
   size_t segment_commands;
   /* Channels of the mirror's controller; 0 where the scene describes none. */
   size_t actuator_commands;
+  /* Tips and tilts of segments that are corrected, two of each; 0 where there are none. */
+  size_t tilts;
 } cophase_correction_report;
 
 /* Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
- * the controllers that the scene describes ([commands]). A mode whose estimate is smaller than its error bar is not corrected, nor
- * are tips and tilts of segments. About a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
+ * the controllers that the scene describes ([commands]). A mode whose estimate is smaller than its error bar is not corrected, nor,
+ * of a modal estimate, are tips and tilts of segments. About a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
  * COPHASE_ARRAY_CORRECTION_ arrays.
  *
  * limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole

@@ -13,6 +13,7 @@
 //! * Flips, turns and the sign of the defocus: see `turns`.
 
 mod finding;
+mod focus;
 mod optics;
 mod turns;
 
@@ -134,6 +135,7 @@ impl Work<'_> {
         let mut fitted = self.fit(given, &cache)?;
         let (first_chi2, first) = (chi2_of(&fitted), fitted.fit.1.compared.clone());
         let mut findings = Vec::new();
+        findings.extend(self.focus(given, &fitted));
         findings.push(self.saturation(given, &cache, &mut fitted)?);
         let (mut scene, mut orientation) = (given.clone(), self.turned(given, &mut fitted)?);
         for fault in orientation.iter().filter(|finding| finding.verdict == Verdict::Fault) {
@@ -160,7 +162,8 @@ impl Work<'_> {
         }
         findings.extend(orientation);
         findings.extend(self.optics_and_shapes(&scene, &cache.for_scene(given, &scene), &fitted)?);
-        findings.extend(photometry(&scene, &fitted)?);
+        let has_fault_of_focus = findings.iter().any(|finding| finding.quantity == CheckedQuantity::Defocus);
+        findings.extend(photometry(&scene, &fitted, has_fault_of_focus)?);
         for one in &self.contradictions {
             let settings = vec![(one.key.clone(), one.file_value.clone())];
             findings.push(Finding {
@@ -179,6 +182,16 @@ impl Work<'_> {
         let last_chi2 = corrected.as_ref().map_or(first_chi2, |(chi2, _)| *chi2);
         let compared = (first, corrected.map(|(_, image)| image));
         Ok(Check { findings, reduced_chi2: [first_chi2, last_chi2], compared, corrected: with(own, &settings)? })
+    }
+
+    /// An image in focus where the scene has a defocus, or the reverse, where the scene does not explain the images.
+    fn focus(&self, scene: &Scene, fitted: &Fitted) -> Option<Finding> {
+        let image = fitted.fit.1.used_images.first().copied().unwrap_or_default();
+        let frame_e = self.images.images_e.index_axis(Axis(0), image);
+        let excess = (chi2_of(fitted) - 1.0) * pixels_of(fitted);
+        (!fitted.is_explained() && excess > 0.0)
+            .then(|| focus::fault(scene, fitted.fit.0.model(), frame_e, excess))
+            .flatten()
     }
 
     /// Saturated pixels; they are bad from then on.
@@ -320,7 +333,7 @@ impl Work<'_> {
                     Verdict::Fault,
                     format!(
                         "a reduced χ² of {own_chi2:.2} that none of these explains: 'cophase estimate' tries tilts of the segments, more \
-                         NCPA and reflectivities"
+                         NCPA and reflectivities; an exposure that averages turbulence is no image of a static wavefront"
                     ),
                 ));
             }
@@ -396,7 +409,7 @@ fn shape_finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
 }
 
 /// Sampling, background and amplitude of the defocus, as the fit has them.
-fn photometry(scene: &Scene, fitted: &Fitted) -> Result<Vec<Finding>> {
+fn photometry(scene: &Scene, fitted: &Fitted, has_fault_of_focus: bool) -> Result<Vec<Finding>> {
     let (fitter, found) = &fitted.fit;
     let mut findings = Vec::new();
     let sampling = scene.image.samples_per_lambda_over_d;
@@ -414,7 +427,7 @@ fn photometry(scene: &Scene, fitted: &Fitted) -> Result<Vec<Finding>> {
         });
     }
     let diversity = fitter.diversity_projection()?;
-    if diversity.is_spanned() && scene.image.diversity_focus_waves_rms != 0.0 {
+    if !has_fault_of_focus && diversity.is_spanned() && scene.image.diversity_focus_waves_rms != 0.0 {
         findings.push(Finding {
             scene: Some(scene.image.diversity_focus_waves_rms),
             ..Finding::open(

@@ -23,12 +23,19 @@ impl CutOut {
         let (height, width) = (shape.0 as i64, shape.1 as i64);
         let beyond = [-top, -left, bottom - height, right - width].into_iter().max().unwrap_or(0);
         if beyond > 0 {
+            let most = Self::largest_side((x, y), shape);
             return Err(format!(
                 "the star at column {x:.1}, row {y:.1} is too near to the edge of the frame of {width}x{height} pixels: {columns}x{rows} \
-                 pixels about it leave it by {beyond}"
+                 pixels about it leave it by {beyond}; {most}x{most} are the most that fit (--pixels)"
             ));
         }
         Ok(Self { top: top as usize, left: left as usize, rows, columns })
+    }
+
+    /// Side of the largest even square about the star at `(x, y)` in a frame of `shape`, pixels; 0 for a star that is not on it.
+    pub(super) fn largest_side((x, y): (f64, f64), (height, width): (usize, usize)) -> usize {
+        let half = |at: f64, size: usize| (at.round() as i64).min(size as i64 - at.round() as i64);
+        2 * half(x, width).min(half(y, height)).max(0) as usize
     }
 
     /// The part of a map.

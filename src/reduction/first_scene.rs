@@ -1,9 +1,12 @@
 //! First scene of an instrument, from the header of one of its frames.
 
+use super::cut_out::CutOut;
 use super::frame::{Cards, FrameHeader};
+use super::star;
 use crate::io::{self, FitsReader, HeaderFact, Quantity};
 use crate::scene::Scene;
 use crate::{Error, Result};
+use ndarray::{ArrayView2, Axis};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -14,8 +17,8 @@ const UNKNOWN: &str = "TO BE FILLED IN";
 const TELESCOPES: [(&[&str], &str, &str); 2] = [
     (
         &["KECK", "W. M. KECK"],
-        "keck-artificial",
-        "on the sky the secondary (2.6 m) and its spider hide some of it: central_obscuration_m, spider_width_m",
+        "keck-nirc2",
+        "of a source on the bench neither the secondary nor its spider hides a part: 0 for both then",
     ),
     (&["JWST"], "jwst-pair", ""),
 ];
@@ -33,7 +36,6 @@ const CAMERAS: [(&str, &str, f64); 3] =
 pub fn first_scene(path: &Path) -> Result<String> {
     let mut file = FitsReader::open(path)?;
     let images = io::read_images(path, None)?;
-    let (_, rows, columns) = images.data.dim();
     let mut cards = Cards { file: &mut file, hdu: images.hdu_name };
     let header = cards.header(images.unit, images.facts);
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
@@ -60,7 +62,7 @@ pub fn first_scene(path: &Path) -> Result<String> {
     text += &format!("[pupil]\n{whose}{pupil}\n");
     let grid_m = Scene::preset(preset)?.pupil.grid_m.unwrap_or(1.0);
     let camera = cards.text("CAMNAME").unwrap_or_default();
-    text += &image(&header, grid_m, (rows, columns), (&instrument, &camera), &mut cards)?;
+    text += &image(&header, grid_m, images.data.index_axis(Axis(0), 0), (&instrument, &camera), &mut cards)?;
     for part in ["modes", "mirror", "turbulence"] {
         let keys = section(Scene::preset_text(preset)?, part);
         if !keys.is_empty() {
@@ -78,10 +80,11 @@ pub fn first_scene(path: &Path) -> Result<String> {
 fn image(
     header: &FrameHeader,
     grid_m: f64,
-    (rows, columns): (usize, usize),
+    frame: ArrayView2<f64>,
     (instrument, camera): (&str, &str),
     cards: &mut Cards,
 ) -> Result<String> {
+    let (rows, columns) = frame.dim();
     let mut text = String::from("[image]\n");
     let mut line = |key: &str, value: String, comment: String| {
         // Writing into memory does not fail.
@@ -118,8 +121,11 @@ fn image(
     let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
     let sampling = wavelength_nm * 1e-9 / grid_m * radian_mas / pixel_mas;
     line("pixel_mas", float(pixel_mas), format!("{comment}; {sampling:.3} pixels per lambda/grid_m"));
-    // An even square that holds some 100 lambda/D, with the spot of 1.5 waves of defocus in it.
-    let side = (rows.min(columns) / 2 * 2).min((100.0 * sampling / 2.0).ceil() as usize * 2).clamp(8, 8192);
+    // An even square that holds some 100 lambda/D, with the spot of 1.5 waves of defocus in it, and fits about the star.
+    let side = (rows.min(columns) / 2 * 2).min((100.0 * sampling / 2.0).ceil() as usize * 2);
+    let fits = star::find(&frame.to_owned(), side)
+        .map_or(side, |star| CutOut::largest_side((star.x, star.y), (rows, columns)));
+    let side = side.min(fits).clamp(8, 8192);
     line("pixels", side.to_string(), format!("cut-out about the star; the frame has {columns}x{rows}"));
     match header.itime_s {
         Some(itime_s) => {

@@ -148,16 +148,8 @@ impl EstimateScene {
 
     /// Refuses keys that a full-phase estimate does not use.
     fn check_full_phase(&mut self, reader: &Reader) -> Result<()> {
-        let modal = [
-            "weighting",
-            "max_evaluations",
-            "step_tolerance_nm",
-            "restarts",
-            "budget_nm",
-            "fit_optics",
-            "model",
-            "combine",
-        ];
+        let modal =
+            ["weighting", "max_evaluations", "step_tolerance_nm", "restarts", "budget_nm", "fit_optics", "combine"];
         reader.refuse(&modal, "where estimate.method is \"full-phase\"")?;
         if self.optimizer != Optimizer::GaussNewton {
             let sentence = format_args!(

@@ -136,10 +136,10 @@ fn a_diversity_error_outside_the_modes_is_refused() {
     }
 }
 
-/// Segments with tilts of 30 nm: pistons alone, the default, which adds tilts to the model, and a scene with tilts.
+/// Segments with tilts of 60 nm, twice what the turbulence of eight short exposures hides: pistons alone, the default, which adds tilts to the model, and a scene with tilts.
 #[test]
 fn tilts_of_segments_are_estimated_and_corrected() {
-    let settings = [("estimate.method", "full-phase"), ("aberrations.segment_tip_tilt_rms_nm", "30")];
+    let settings = [("estimate.method", "full-phase"), ("aberrations.segment_tip_tilt_rms_nm", "60")];
     let auto = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
     let pistons = auto.with_override("estimate.model", "scene").unwrap();
     let tilts = pistons.with_override("modes.segment", "piston-tip-tilt").unwrap();
@@ -151,7 +151,8 @@ fn tilts_of_segments_are_estimated_and_corrected() {
         pupil.rms(pupil.remove_piston_tip_tilt(map).unwrap().view()).unwrap()
     };
     let left_nm = |found: &Estimate| rms_nm((&found.phasing_nm - &truth.phasing_nm).view(), &found.pupil);
-    println!("{:.1} {:.1} {:.1}", left_nm(&pistons), left_nm(&auto), left_nm(&tilts));
+    // 67 nm left with pistons alone; 29 (added) and 35 nm (from the start) with tilts, of error bars of 27 and 33 nm: the mirror takes out most
+    // of what so few segments have in common.
     assert!(left_nm(&auto) < 0.6 * left_nm(&pistons) && left_nm(&tilts) < 0.6 * left_nm(&pistons));
     assert!(left_nm(&auto) < 2.0 * auto.phasing.sigma_nm, "{:?}", auto.phasing);
 
@@ -183,7 +184,6 @@ fn tilts_of_segments_are_estimated_and_corrected() {
         .zip(maps.outer_iter())
         .fold(truth.phasing_nm.clone(), |left, (nm, map)| left + &(&map * *nm));
     let (before_nm, after_nm) = (rms_nm(truth.phasing_nm.view(), &auto.pupil), rms_nm(left.view(), &auto.pupil));
-    println!("segment errors of {before_nm:.1} nm, {after_nm:.1} left");
     assert!(after_nm < 0.5 * before_nm);
     assert_eq!(pistons.corrections(None).unwrap().tilts_nm.len(), 0);
     // Segments without any mode are no part of a MAP estimate.

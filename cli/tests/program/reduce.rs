@@ -241,7 +241,7 @@ fn bad_input_is_refused() {
         (&["raw", "--darks", "raw/n1.fits"], &["no frame with a star"]),
         (&["raw", "--darks", "raw/n1.fits", "--stars", "raw/n1.fits"], &["n1.fits", "as star and as dark"]),
         (&["raw", "--channel", "plus=n*"], &["--channel", "plus", "it has none"]),
-        (&["raw", "--pixels", "7"], &["image.pixels = 7", "an even integer"]),
+        (&["raw", "--pixels", "7"], &["image.pixels = 7", "an integer from 8"]),
         (&["raw", "--pixels", "300"], &["n1.fits", "edge of the frame"]),
         (&["raw/n1.fits", "d2.fits", "--saturation", "1"], &["saturated"]),
         (&["raw/n1.fits", "d2.fits"], &["no dark of 0.5 s", "of 3 s"]),
