@@ -18,7 +18,7 @@ use crate::statics::{
 };
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView1};
 
 /// Result of a sequence.
 pub(super) struct SequenceResult {
@@ -84,14 +84,26 @@ fn check_slopes(scene: &Scene, telescope: &Telescope, slopes_mas: &Array2<f64>) 
             2 * subapertures
         )));
     }
-    match slopes_mas.indexed_iter().find(|(_, slope)| !slope.is_finite()) {
-        Some(((image, slope), mas)) => Err(Error::Value(format!(
-            "slope {} of image {} is {mas} mas: a finite one is needed",
-            slope + 1,
-            image + 1
-        ))),
-        None => Ok(()),
+    let is_measured = |row: &ArrayView1<f64>| !row.iter().all(|mas| mas.is_nan());
+    let measured: Vec<_> = slopes_mas.outer_iter().enumerate().filter(|(_, row)| is_measured(row)).collect();
+    for (image, row) in &measured {
+        if let Some((slope, mas)) = row.iter().enumerate().find(|(_, mas)| !mas.is_finite()) {
+            return Err(Error::Value(format!(
+                "slope {} of image {} is {mas} mas: a finite one is needed, or NaN for all slopes of an image without telemetry",
+                slope + 1,
+                image + 1
+            )));
+        }
     }
+    let (count, images) = (measured.len(), slopes_mas.nrows());
+    if images > 1 && count < 2 {
+        let sentence = format!(
+            "the telemetry holds slopes of {count} of {images} images: 2 or more are needed; estimate.telemetry = \"ignore\" does \
+             without"
+        );
+        return Err(Error::Value(sentence));
+    }
+    Ok(())
 }
 
 /// Whether tips and tilts of the segments of `scene` are estimated.

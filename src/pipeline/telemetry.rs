@@ -30,7 +30,7 @@ pub struct TelemetryCheck {
     pub(super) warnings: Vec<String>,
 }
 
-/// Compares the slopes (`[image, slope]`, mas) with wavefronts (`[image, sample]`, nm, NaN for unusable images) that were
+/// Compares the slopes (`[image, slope]`, mas, NaN for images without telemetry) with wavefronts (`[image, sample]`, nm, NaN for unusable images) that were
 /// retrieved without them.
 ///
 /// # Errors
@@ -41,7 +41,10 @@ pub(super) fn check(
     wavefronts_nm: &Array2<f64>,
     slopes_mas: &Array2<f64>,
 ) -> Result<Option<TelemetryCheck>> {
-    let is_usable = |image: &usize| wavefronts_nm.row(*image).iter().all(|nm| nm.is_finite());
+    let is_usable = |image: &usize| {
+        let row = [wavefronts_nm.row(*image), slopes_mas.row(*image)];
+        row.iter().flatten().all(|value| value.is_finite())
+    };
     let used: Vec<usize> = (0..wavefronts_nm.nrows()).filter(is_usable).collect();
     if used.len() < 2 {
         // Too few images for an estimate, too.

@@ -9,6 +9,7 @@ use crate::modal::{self, DiversityProjection, ImageReport, JointSession, Model, 
 use crate::scene::{AoKnowledge, Scene};
 use crate::statics::{ErrorSource, Iteration};
 use crate::telescope::{Diversity, Telescope};
+use ndarray::Array2;
 
 /// What a χ² that is too small means.
 const TOO_SMALL: &str = "the noise is smaller than the stated photon and read noise: is the image in electrons \
@@ -275,6 +276,17 @@ fn shown(chi2: f64) -> String {
 fn listed(names: &[String]) -> String {
     let first = names[..names.len().min(NAMED_MODES)].join(", ");
     if names.len() > NAMED_MODES { format!("{first} and {} more", names.len() - NAMED_MODES) } else { first }
+}
+
+/// Remark on images without telemetry, whose slopes (`[image, slope]`) are NaN.
+pub(super) fn missing_telemetry_remark(slopes_mas: &Array2<f64>) -> Option<String> {
+    let missing = slopes_mas.outer_iter().filter(|row| row.iter().all(|mas| mas.is_nan())).count();
+    (missing > 0).then(|| {
+        let images = slopes_mas.nrows();
+        format!(
+            "{missing} of {images} images have no telemetry: they determine the segments, the others the NCPA, too."
+        )
+    })
 }
 
 /// Remarks on tilts of the segments in a MAP estimate, whose last iteration is `last`: that they were added to the model, and what images

@@ -144,7 +144,7 @@ pub(super) fn set(document: &mut DocumentMut, name_and_key: &str, value: Option<
         Some((_, table)) => {
             match value {
                 Some(value) => {
-                    forms::other_forms(key).for_each(|other| drop(table.remove(other)));
+                    forms::other_forms("image", key).into_iter().for_each(|other| drop(table.remove(other)));
                     drop(table.insert(key, Item::Value(value)));
                 }
                 None => drop(table.remove(key)),

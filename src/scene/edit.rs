@@ -27,10 +27,10 @@ impl Scene {
             }
             let (section, name) = known_key(&sections, key)?;
             set(&mut document, section, name, value.trim())?;
-            if section == "image" && !value.trim().is_empty() {
+            if !value.trim().is_empty() {
                 // Another form of the same quantity gives way, unless it is set, too.
-                let is_set = |other: &str| settings.iter().any(|(key, _)| key.strip_prefix("image.") == Some(other));
-                for other in forms::other_forms(name).filter(|other| !is_set(other)) {
+                let is_set = |other: &str| settings.iter().any(|(key, _)| *key == format!("{section}.{other}"));
+                for other in forms::other_forms(section, name).into_iter().filter(|other| !is_set(other)) {
                     set(&mut document, section, other, "")?;
                 }
             }

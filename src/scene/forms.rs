@@ -6,8 +6,17 @@ pub(super) const SAMPLING: [&str; 4] = ["samples_per_lambda_over_d", "pixel_mas"
 pub(super) const FOCUS: [&str; 4] =
     ["diversity_focus_waves_rms", "diversity_focus_waves_pv", "diversity_focus_nm_rms", "diversity_stage_mm"];
 
-/// The other forms of `key` of the section `[image]`.
-pub(super) fn other_forms(key: &str) -> impl Iterator<Item = &'static str> + use<'_> {
-    let groups = [SAMPLING, FOCUS].into_iter().filter(move |group| group.contains(&key));
-    groups.flatten().filter(move |other| *other != key)
+/// What a file of the NCPA stands for.
+pub(super) const ZERNIKES: [&str; 3] = ["ncpa_rms_nm", "ncpa_zernikes", "ncpa_power_law"];
+
+/// The other forms of `key` of a section, which give way where it is set.
+pub(super) fn other_forms(section: &str, key: &str) -> Vec<&'static str> {
+    match (section, key) {
+        ("aberrations", "ncpa_file") => ZERNIKES.to_vec(),
+        ("image", key) => {
+            let groups = [SAMPLING, FOCUS].into_iter().filter(|group| group.contains(&key));
+            groups.flatten().filter(|other| *other != key).collect()
+        }
+        _ => Vec::new(),
+    }
 }

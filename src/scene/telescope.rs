@@ -213,8 +213,7 @@ section! {
 impl Check for AberrationScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
         if self.ncpa_file.is_some() {
-            let zernikes = ["ncpa_rms_nm", "ncpa_zernikes", "ncpa_power_law"];
-            reader.refuse(&zernikes, "where the non-common path aberrations come from a file")?;
+            reader.refuse(&forms::ZERNIKES, "where the non-common path aberrations come from a file")?;
         }
         if self.ncpa_rms_nm > 0.0 && self.ncpa_zernikes == NollRange::None {
             let rms_nm = self.ncpa_rms_nm;

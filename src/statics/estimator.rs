@@ -152,7 +152,7 @@ impl<'a> StaticsEstimator<'a> {
     }
 
     /// Estimates the static errors of the selected images' wavefronts, of covariance `residual`, and of the slopes measured during
-    /// each exposure (`[image, slope]`, mas).
+    /// each exposure (`[image, slope]`, mas, NaN where there is no telemetry; of two images at least).
     pub(super) fn estimate(
         &mut self,
         modes: &StaticModes,
@@ -171,7 +171,10 @@ impl<'a> StaticsEstimator<'a> {
         };
         let mut errors = estimate(None, None)?;
         let Some(slopes_mas) = slopes_mas else { return Ok(errors) };
-        let wavefronts_nm = &images.residuals_nm + &images.mean_nm;
+        let measured = images_with_slopes(slopes_mas.view());
+        let (slopes_mas, residuals_nm) =
+            (slopes_mas.select(Axis(0), &measured), images.residuals_nm.select(Axis(0), &measured));
+        let wavefronts_nm = residuals_nm + &images.mean_nm;
         let mut sensor = SensorModel::new(self.scene, &self.telescope, &self.samples, &modes.basis)?;
         for comparison in 0..MAX_SLOPE_COMPARISONS {
             let (segments_nm, before) = (errors.segments_nm(), &errors.ncpa_nm);
@@ -236,6 +239,12 @@ fn estimate_with_loop(
         }
     }
     Ok(errors)
+}
+
+/// The images whose slopes were measured.
+pub(super) fn images_with_slopes(slopes_mas: ArrayView2<f64>) -> Vec<usize> {
+    let is_measured = |(image, row): (usize, ArrayView1<f64>)| row.iter().all(|mas| mas.is_finite()).then_some(image);
+    slopes_mas.outer_iter().enumerate().filter_map(is_measured).collect()
 }
 
 /// Wavefronts of two sets of modes, `[mode, sample]`, one set after the other.

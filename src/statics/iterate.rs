@@ -3,7 +3,7 @@
 
 use super::anderson::AndersonAcceleration;
 use super::covariance::ResidualCovariance;
-use super::estimator::StaticsEstimator;
+use super::estimator::{StaticsEstimator, images_with_slopes};
 use super::image_selection::SelectedImages;
 use super::iteration::Iteration;
 use super::ncpa_basis::NcpaFamily;
@@ -120,6 +120,8 @@ impl<'a> IterativeEstimate<'a> {
         let residual = self.residual_covariance(&images, source)?;
         let slopes_mas = sequence.slopes_mas.as_ref().filter(|_| self.has_telemetry());
         let slopes_mas = slopes_mas.map(|slopes_mas| slopes_mas.select(Axis(0), &images.used));
+        // One image has no scatter by which slopes are weighed.
+        let slopes_mas = slopes_mas.filter(|slopes_mas| images_with_slopes(slopes_mas.view()).len() > 1);
         let errors = self.estimator.estimate(&self.modes, &images, &residual, slopes_mas)?;
         self.input = self.acceleration.input().cloned();
         self.acceleration.record(errors.coefficients_nm());

@@ -88,6 +88,37 @@ fn images_in_focus_have_a_warning_of_ambiguous_signs() {
     assert!(said("0.001") && !said("1.5"));
 }
 
+/// Images without telemetry have NaN for all of their slopes.
+#[test]
+fn telemetry_of_some_images_is_used_for_those() {
+    let scene = Scene::from_file(sky()).unwrap().with(&[("estimate.method", "full-phase")]).unwrap();
+    let mut stepper = Stepper::new(&scene).unwrap();
+    let all = exposures(&mut stepper, 8);
+    let truth = stepper.simulator().truth();
+    let with_missing = |missing: &[usize]| {
+        let mut images = all.clone();
+        let slopes_mas = images.slopes_mas.as_mut().unwrap();
+        missing.iter().for_each(|&image| slopes_mas.row_mut(image).fill(f64::NAN));
+        images
+    };
+    let [every, most] = [&[][..], &[1, 6]].map(|missing| read(&scene, &with_missing(missing)).unwrap());
+    let said = "2 of 8 images have no telemetry";
+    assert!(most.remarks.join("\n").contains(said) && !every.remarks.join("\n").contains(said));
+    // Both are estimates of the same NCPA, of eight images and of six.
+    for found in [&every, &most] {
+        let left_nm = cophase::metrics::residual_nm(&found.pupil, found.ncpa_nm.view(), truth.ncpa_nm.view()).unwrap();
+        assert!(left_nm < 2.0 * found.ncpa.sigma_nm, "{left_nm} {:?}", found.ncpa);
+    }
+    assert!(most.ncpa.sigma_nm > every.ncpa.sigma_nm && most.ncpa.sigma_nm < 2.0 * every.ncpa.sigma_nm);
+
+    let sentence = read(&scene, &with_missing(&[0, 1, 2, 3, 4, 5, 6])).map(|_| ()).unwrap_err().to_string();
+    assert!(sentence.contains("slopes of 1 of 8 images: 2 or more are needed"), "{sentence}");
+    let mut odd = all.clone();
+    odd.slopes_mas.as_mut().unwrap()[[3, 4]] = f64::NAN;
+    let sentence = read(&scene, &odd).map(|_| ()).unwrap_err().to_string();
+    assert!(sentence.contains("slope 5 of image 4 is NaN"), "{sentence}");
+}
+
 #[test]
 fn keys_of_modal_estimates_are_refused() {
     let scene = Scene::from_file(sky()).unwrap();

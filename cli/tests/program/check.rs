@@ -95,3 +95,33 @@ fn saturated_pixels_are_named() {
     desk.refuses(&check("clipped.fits", &["--plot", "check.gif"]), &["check.gif", ".png or .svg"]);
     assert_eq!(desk.run(&check("clipped.fits", &["--before", "images.fits"])).status, 2);
 }
+
+#[test]
+fn an_image_in_focus_where_the_scene_has_a_defocus_is_named() {
+    let desk = desk(&["image.diversity_focus_waves_rms=0"]);
+    let json = desk.json(&check("bare.fits", &["--set", "image.diversity_focus_waves_rms=1.5", "--json"]));
+    // The modes hold a focus: where they reach the minus 1.5 waves, the scene explains the image, with NCPA of 1.5 waves.
+    let is_explained = json["reduced_chi2"].as_f64().unwrap() < 2.0;
+    assert!(is_explained || json["cause"] == "defocus", "{json}");
+    assert!(is_explained || json["settings"]["image.diversity_focus_waves_rms"] == "0", "{json}");
+}
+
+/// The real frame of NIRC2, in focus (an exposure of 25 s behind the AO), where the folder of data is beside the project.
+#[test]
+fn a_real_frame_in_focus_is_called_one() {
+    let frame = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/20130801_n0004.fits");
+    if !frame.exists() {
+        println!("skipped: the real frame of NIRC2 is not beside the project (../shared/data)");
+        return;
+    }
+    let desk = Desk::with_scene();
+    let frame = frame.display().to_string();
+    let text = desk.succeeds(&["scene", "--from", &frame]).out;
+    std::fs::write(desk.path("first.toml"), text).unwrap();
+    desk.succeeds(&["reduce", &frame, "--scene", "first.toml", "-o", "reduced.fits"]);
+    // The first scene supposes a defocus of 1.5 waves.
+    let json = desk.json(&["check", "reduced.fits", "--scene", "first.toml", "--json"]);
+    assert_eq!(json["cause"], "defocus", "{json}");
+    let explanation = finding(&json, "defocus")["explanation"].as_str().unwrap();
+    assert!(explanation.contains("it is in focus"), "{explanation}");
+}
