@@ -233,7 +233,7 @@ pub(super) fn assess(model: &Model, tilts: &Tilts, prepared: &PreparedFrame, min
     let snr = minimum.chi2.square_snr.sqrt();
     let least_snr = (FAINT * parameters as f64).sqrt();
     let status = match minimum.reason {
-        _ if minimum.flux_e < 0.0 => Status::Unusable(Refusal::NoStar { flux_e: minimum.flux_e }),
+        _ if minimum.flux_e < 0.0 => Status::Unusable(Refusal::NegativeStar { flux_e: minimum.flux_e }),
         // Where χ² is too small the noise is not what is stated, and tells nothing.
         _ if snr < least_snr && reduced_chi2 >= explained_chi2[0] => {
             Status::Unusable(Refusal::FaintStar { snr, least_snr })

@@ -15,6 +15,7 @@
 mod finding;
 mod focus;
 mod optics;
+mod shapes;
 mod turns;
 
 pub use finding::{CheckedQuantity, Finding, Verdict};
@@ -26,7 +27,7 @@ use super::misfit::{self, TOP};
 use super::modal_task::{Fitted, ModalTask};
 use super::orientation::Poke;
 use super::policy::Policy;
-use super::residual_shape::{Shape, ShapeKind};
+use super::residual_shape::Shape;
 use crate::io::Quantity as Card;
 use crate::modal::{self, BasisCache, Cube, FittedImage, ImageStatus, OpticsMinimum};
 use crate::scene::{Optic, Scene};
@@ -132,10 +133,9 @@ impl Work<'_> {
     /// Checks the images against `given`, the scene `own` without what only an estimate does.
     fn run(&mut self, own: &Scene, given: &Scene, poke: Option<(Option<&Images>, &Images, Poke)>) -> Result<Check> {
         let cache = BasisCache::default();
-        let mut fitted = self.fit(given, &cache)?;
+        let (mut fitted, focus) = self.first_fit(given, &cache)?;
         let (first_chi2, first) = (chi2_of(&fitted), fitted.fit.1.compared.clone());
-        let mut findings = Vec::new();
-        findings.extend(self.focus(given, &fitted));
+        let mut findings: Vec<_> = focus.into_iter().collect();
         findings.push(self.saturation(given, &cache, &mut fitted)?);
         let (mut scene, mut orientation) = (given.clone(), self.turned(given, &mut fitted)?);
         for fault in orientation.iter().filter(|finding| finding.verdict == Verdict::Fault) {
@@ -163,7 +163,7 @@ impl Work<'_> {
         findings.extend(orientation);
         findings.extend(self.optics_and_shapes(&scene, &cache.for_scene(given, &scene), &fitted)?);
         let has_fault_of_focus = findings.iter().any(|finding| finding.quantity == CheckedQuantity::Defocus);
-        findings.extend(photometry(&scene, &fitted, has_fault_of_focus)?);
+        findings.extend(shapes::photometry(&scene, &fitted, has_fault_of_focus)?);
         for one in &self.contradictions {
             let settings = vec![(one.key.clone(), one.file_value.clone())];
             findings.push(Finding {
@@ -184,14 +184,29 @@ impl Work<'_> {
         Ok(Check { findings, reduced_chi2: [first_chi2, last_chi2], compared, corrected: with(own, &settings)? })
     }
 
-    /// An image in focus where the scene has a defocus, or the reverse, where the scene does not explain the images.
-    fn focus(&self, scene: &Scene, fitted: &Fitted) -> Option<Finding> {
-        let image = fitted.fit.1.used_images.first().copied().unwrap_or_default();
-        let frame_e = self.images.images_e.index_axis(Axis(0), image);
-        let excess = (chi2_of(fitted) - 1.0) * pixels_of(fitted);
-        (!fitted.is_explained() && excess > 0.0)
-            .then(|| focus::fault(scene, fitted.fit.0.model(), frame_e, excess))
-            .flatten()
+    /// Fits the images, and says where one is in focus and the scene has a defocus, or the reverse, if the scene does not explain them. Where
+    /// they cannot be fitted for that, they are with the defocus that is seen.
+    fn first_fit(&self, scene: &Scene, cache: &BasisCache) -> Result<(Fitted, Option<Finding>)> {
+        let first = self.fit(scene, cache);
+        let image = match &first {
+            Ok(fitted) if fitted.is_explained() => return first.map(|fitted| (fitted, None)),
+            Ok(fitted) => fitted.fit.1.used_images.first().copied().unwrap_or_default(),
+            Err(Error::Image(_)) => 0,
+            Err(_) => return first.map(|fitted| (fitted, None)),
+        };
+        let Some(fault) = focus::fault(scene, self.images.images_e.index_axis(Axis(0), image))? else {
+            return first.map(|fitted| (fitted, None));
+        };
+        let fitted = match first {
+            Ok(fitted) => fitted,
+            Err(error) => {
+                let other = with(scene, &fault.settings)?;
+                self.fit(&other, &cache.for_scene(scene, &other))
+                    .map_err(|_| Error::Image(format!("{error}; {}", fault.explanation)))?
+            }
+        };
+        let gain = (chi2_of(&fitted) - 1.0).max(0.0) * pixels_of(&fitted);
+        Ok((fitted, Some(Finding { gain, ..fault })))
     }
 
     /// Saturated pixels; they are bad from then on.
@@ -321,9 +336,9 @@ impl Work<'_> {
         let log_pixels = pixels.max(2.0).ln();
         for shape in shapes {
             let gain = shape.decrease / scale - shape.parameters as f64 * log_pixels;
-            let is_large = shape.value.abs() > least(shape.kind);
+            let is_large = shape.value.abs() > shapes::least(shape.kind);
             let is_fault = gain > 0.0 && is_large && (!is_misfit || shape.share > EXPLAINED_BY_SHAPE);
-            findings.push(shape_finding(&shape, gain, is_fault));
+            findings.push(shapes::finding(&shape, gain, is_fault));
         }
         if is_misfit && !findings.iter().any(|finding| finding.verdict == Verdict::Fault) {
             let status = fitted.fit.1.status().kind();
@@ -380,63 +395,6 @@ fn sort(findings: &mut [Finding]) {
         let gains = if rank(a) == 0 { b.gain.total_cmp(&a.gain) } else { std::cmp::Ordering::Equal };
         rank(a).cmp(&rank(b)).then(gains)
     });
-}
-
-/// Smallest value of a shape that is a fault. The model's own error looks like a blur of 0.07 pixels and a response
-/// that falls by 0.1 % (Keck, 128 samples, peak S/N of 500); the area of a pixel is a blur of 0.41 pixels.
-fn least(kind: ShapeKind) -> f64 {
-    match kind {
-        ShapeKind::Companion => 0.0,
-        ShapeKind::NonLinearity => 3e-3,
-        ShapeKind::Blur => 0.2,
-    }
-}
-
-/// Finding of a shape of the residual.
-fn shape_finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
-    let quantity = match shape.kind {
-        ShapeKind::Companion => CheckedQuantity::Companion,
-        ShapeKind::NonLinearity => CheckedQuantity::NonLinearity,
-        ShapeKind::Blur => CheckedQuantity::Blur,
-    };
-    let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
-    let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
-    // Of a linear coefficient, whose square over its variance is the decrease.
-    let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
-    // Of a residual that has another cause the coefficient says nothing.
-    let (found, sigma) = (is_fault.then_some(shape.value), (is_fault && sigma.is_finite()).then_some(sigma));
-    Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
-}
-
-/// Sampling, background and amplitude of the defocus, as the fit has them.
-fn photometry(scene: &Scene, fitted: &Fitted, has_fault_of_focus: bool) -> Result<Vec<Finding>> {
-    let (fitter, found) = &fitted.fit;
-    let mut findings = Vec::new();
-    let sampling = scene.image.samples_per_lambda_over_d;
-    let (verdict, text) = if sampling < 2.0 {
-        (Verdict::NotDetermined, "fewer than 2 pixels per λ/D: the images do not hold all frequencies")
-    } else {
-        (Verdict::Agrees, "2 pixels per λ/D hold all frequencies of an image")
-    };
-    findings.push(Finding { scene: Some(sampling), ..Finding::new(CheckedQuantity::Sampling, verdict, text) });
-    if let Some(report) = found.used_images.first().and_then(|&image| found.images.get(image)) {
-        findings.push(Finding {
-            scene: Some(scene.image.background_e),
-            found: Some(report.background_e),
-            ..Finding::new(CheckedQuantity::Background, Verdict::Agrees, "electrons of a pixel; an estimate fits it")
-        });
-    }
-    let diversity = fitter.diversity_projection()?;
-    if !has_fault_of_focus && diversity.is_spanned() && scene.image.diversity_focus_waves_rms != 0.0 {
-        findings.push(Finding {
-            scene: Some(scene.image.diversity_focus_waves_rms),
-            ..Finding::open(
-                CheckedQuantity::Defocus,
-                "the NCPA have a defocus of their own, which an error of its amplitude looks like",
-            )
-        });
-    }
-    Ok(findings)
 }
 
 /// Median reduced χ² of the images that are used.

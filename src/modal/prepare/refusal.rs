@@ -28,6 +28,11 @@ pub enum Refusal {
         /// Electrons above the border's level.
         flux_e: f64,
     },
+    /// The fit ends with a negative star: the scene does not describe the image.
+    NegativeStar {
+        /// Electrons of the star that was fitted.
+        flux_e: f64,
+    },
     /// The star that was fitted is no brighter than what a fit makes of noise.
     FaintStar {
         /// Its signal-to-noise ratio over all pixels.
@@ -55,6 +60,10 @@ impl fmt::Display for Refusal {
             Self::NoStar { flux_e } => {
                 write!(f, "holds no star: its flux above the border's level is {flux_e:.3e}, and must be positive")
             }
+            Self::NegativeStar { flux_e } => write!(
+                f,
+                "does not resemble those of the scene: the star that fits it best has {flux_e:.3e} electrons, which must be positive"
+            ),
             Self::FaintStar { snr, least_snr } => write!(
                 f,
                 "holds no star that differs from noise: its signal-to-noise ratio over all pixels is {snr:.1}, and at least \

@@ -5,8 +5,9 @@
 //! it is not small (Maréchal), and a few hundredths at most, at a caustic, with a defocus of a wave.
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
-use crate::modal::Model;
+use crate::Result;
 use crate::scene::Scene;
+use crate::telescope::Telescope;
 use ndarray::{ArrayView2, s};
 
 /// Strehl ratio from which an image is in focus: at most 0.24 waves RMS of wavefront, defocus included.
@@ -17,16 +18,18 @@ const OUT_OF_FOCUS: f64 = 0.03;
 const DEFOCUSED_WAVES: f64 = 0.75;
 const FOCUSED_WAVES: f64 = 0.25;
 
-/// The fault of `scene`'s defocus that the concentration of `frame_e` shows, for an image whose fit left `excess` of χ².
-pub(super) fn fault(scene: &Scene, model: &Model, frame_e: ArrayView2<f64>, excess: f64) -> Option<Finding> {
+/// The fault of `scene`'s defocus that the concentration of `frame_e` shows, with a gain of 0.
+///
+/// # Errors
+/// Those of making the pupil.
+pub(super) fn fault(scene: &Scene, frame_e: ArrayView2<f64>) -> Result<Option<Finding>> {
     let waves = scene.image.diversity_focus_waves_rms;
-    if scene.image.diversity_file.is_some() {
-        return None;
-    }
-    let amplitude = &model.telescope.pupil.amplitude;
+    let part = if scene.image.diversity_file.is_some() { None } else { peak_part(frame_e) };
+    let Some(part) = part else { return Ok(None) };
+    let amplitude = Telescope::new(scene)?.pupil.amplitude;
     let side = amplitude.nrows() as f64 * scene.image.samples_per_lambda_over_d;
     let ideal = amplitude.sum().powi(2) / (amplitude.mapv(|a| a * a).sum() * side * side);
-    let strehl = peak_part(frame_e)? / ideal;
+    let strehl = part / ideal;
     let largest_waves = (-strehl.min(1.0).ln()).sqrt() / std::f64::consts::TAU;
     let (found, sentence) = if waves.abs() > DEFOCUSED_WAVES && strehl > IN_FOCUS {
         let sentence = format!(
@@ -40,16 +43,15 @@ pub(super) fn fault(scene: &Scene, model: &Model, frame_e: ArrayView2<f64>, exce
         );
         (None, sentence)
     } else {
-        return None;
+        return Ok(None);
     };
     let settings = found.map(|waves| ("image.diversity_focus_waves_rms".into(), waves.to_string()));
-    Some(Finding {
+    Ok(Some(Finding {
         scene: Some(waves),
         found,
-        gain: excess,
         settings: settings.into_iter().collect(),
         ..Finding::new(CheckedQuantity::Defocus, Verdict::Fault, sentence)
-    })
+    }))
 }
 
 /// Part of the star's light in the brightest pixel; `None` where there is no star. The background is the median of the frame's edge, and a

@@ -1,0 +1,65 @@
+//! Findings from what a fit leaves, and from the star that it found.
+
+use super::finding::{CheckedQuantity, Finding, Verdict};
+use crate::Result;
+use crate::pipeline::modal_task::Fitted;
+use crate::pipeline::residual_shape::{Shape, ShapeKind};
+use crate::scene::Scene;
+
+/// Smallest value of a shape that is a fault. The model's own error looks like a blur of 0.07 pixels, a response
+/// that falls by 0.1 % and, in one of six draws, a faint companion (Keck, 128 samples, peak S/N of 500); the area of a pixel is a blur of
+/// 0.41 pixels.
+pub(super) fn least(kind: ShapeKind) -> f64 {
+    match kind {
+        ShapeKind::Companion => 2e-3,
+        ShapeKind::NonLinearity => 3e-3,
+        ShapeKind::Blur => 0.2,
+    }
+}
+
+/// Finding of a shape of the residual.
+pub(super) fn finding(shape: &Shape, gain: f64, is_fault: bool) -> Finding {
+    let quantity = match shape.kind {
+        ShapeKind::Companion => CheckedQuantity::Companion,
+        ShapeKind::NonLinearity => CheckedQuantity::NonLinearity,
+        ShapeKind::Blur => CheckedQuantity::Blur,
+    };
+    let verdict = if is_fault { Verdict::Fault } else { Verdict::Agrees };
+    let sentence = if is_fault { format!("of the residual {}", shape.sentence) } else { "none found".into() };
+    // Of a linear coefficient, whose square over its variance is the decrease.
+    let sigma = shape.value.abs() / shape.decrease.max(f64::MIN_POSITIVE).sqrt();
+    // Of a residual that has another cause the coefficient says nothing.
+    let (found, sigma) = (is_fault.then_some(shape.value), (is_fault && sigma.is_finite()).then_some(sigma));
+    Finding { scene: Some(0.0), found, sigma, gain, ..Finding::new(quantity, verdict, sentence) }
+}
+
+/// Sampling, background and amplitude of the defocus, as the fit has them.
+pub(super) fn photometry(scene: &Scene, fitted: &Fitted, has_fault_of_focus: bool) -> Result<Vec<Finding>> {
+    let (fitter, found) = &fitted.fit;
+    let mut findings = Vec::new();
+    let sampling = scene.image.samples_per_lambda_over_d;
+    let (verdict, text) = if sampling < 2.0 {
+        (Verdict::NotDetermined, "fewer than 2 pixels per λ/D: the images do not hold all frequencies")
+    } else {
+        (Verdict::Agrees, "2 pixels per λ/D hold all frequencies of an image")
+    };
+    findings.push(Finding { scene: Some(sampling), ..Finding::new(CheckedQuantity::Sampling, verdict, text) });
+    if let Some(report) = found.used_images.first().and_then(|&image| found.images.get(image)) {
+        findings.push(Finding {
+            scene: Some(scene.image.background_e),
+            found: Some(report.background_e),
+            ..Finding::new(CheckedQuantity::Background, Verdict::Agrees, "electrons of a pixel; an estimate fits it")
+        });
+    }
+    let diversity = fitter.diversity_projection()?;
+    if !has_fault_of_focus && diversity.is_spanned() && scene.image.diversity_focus_waves_rms != 0.0 {
+        findings.push(Finding {
+            scene: Some(scene.image.diversity_focus_waves_rms),
+            ..Finding::open(
+                CheckedQuantity::Defocus,
+                "the NCPA have a defocus of their own, which an error of its amplitude looks like",
+            )
+        });
+    }
+    Ok(findings)
+}
