@@ -249,7 +249,15 @@ mod tests {
         let chosen = mirror.from_map("0 1 0\n1 1 1 \n0 0 1\n\n").unwrap();
         assert_eq!(chosen.indices(), [1, 3, 4, 5, 8]);
         assert_eq!(mirror.from_map("010\n111 \n001\n").unwrap().indices(), chosen.indices());
-        for bad in ["0 1 0\n1 1 1\n", "01\n111\n001", "010\n1µ1\n001", "0 1\n1 1 1\n0 0 1", "0 1 0\n1 2 1\n0 0 1", "0 0 0\n0 0 0\n0 0 0", ""] {
+        for bad in [
+            "0 1 0\n1 1 1\n",
+            "01\n111\n001",
+            "010\n1µ1\n001",
+            "0 1\n1 1 1\n0 0 1",
+            "0 1 0\n1 2 1\n0 0 1",
+            "0 0 0\n0 0 0\n0 0 0",
+            "",
+        ] {
             assert!(mirror.from_map(bad).is_err(), "{bad:?}");
         }
     }
