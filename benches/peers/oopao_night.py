@@ -41,6 +41,7 @@ SCENE = """\
 [pupil]
 file = "pupil.fits"
 grid_m = {width}
+samples = {samples}
 
 [image]
 wavelength_nm = {wavelength}
@@ -142,7 +143,7 @@ class Night:
     def scene(self):
         wfs, dm = self.wfs, self.dm
         return SCENE.format(
-            width=WIDTH_M, wavelength=self.star.wavelength * 1e9, pixels=PIXELS, exposure=FRAME_S * EXPOSURE_FRAMES,
+            width=WIDTH_M, samples=SAMPLES, wavelength=self.star.wavelength * 1e9, pixels=PIXELS, exposure=FRAME_S * EXPOSURE_FRAMES,
             defocus=DEFOCUS_WAVES_RMS, read_noise=READ_NOISE_E, actuators=dm.nAct, pitch=dm.pitch, coupling=dm.mechCoupling,
             lenslets=LENSLETS, sensing=wfs.src.wavelength * 1e9, spot_pixels=wfs.n_pix_subap,
             slope_unit=wfs.pixel_scale * 1e3, gain=GAIN, rate=1 / FRAME_S)
