@@ -124,7 +124,7 @@ impl Mirror {
 }
 
 /// The cells `row·across + column`, ascending, that are marked 1 in a map: `across` lines of as many 0s
-/// and 1s, separated by white space; the first line is the row of smallest y.
+/// and 1s, with or without white space between them; the first line is the row of smallest y.
 ///
 /// # Errors
 /// [`Error::Shape`] where the map has another shape, [`Error::Value`] for any other entry.
@@ -135,7 +135,11 @@ pub fn marked_cells(map: &str, across: usize) -> Result<Vec<usize>> {
     }
     let mut marked = Vec::new();
     for (row, line) in lines.iter().enumerate() {
-        let entries: Vec<&str> = line.split_whitespace().collect();
+        let mut entries: Vec<&str> = line.split_whitespace().collect();
+        if let [digits] = entries[..] {
+            // One by one, on whole characters: anything but 0 and 1 is named below.
+            entries = digits.split_inclusive(|_| true).collect();
+        }
         if entries.len() != across {
             let text = format!("line {} of the map has {} entries: {across} are needed", row + 1, entries.len());
             return Err(Error::Shape(text));
@@ -244,7 +248,16 @@ mod tests {
         let mirror = Mirror::new(3, 1.0, 0.2).unwrap();
         let chosen = mirror.from_map("0 1 0\n1 1 1 \n0 0 1\n\n").unwrap();
         assert_eq!(chosen.indices(), [1, 3, 4, 5, 8]);
-        for bad in ["0 1 0\n1 1 1\n", "0 1\n1 1 1\n0 0 1", "0 1 0\n1 2 1\n0 0 1", "0 0 0\n0 0 0\n0 0 0", ""] {
+        assert_eq!(mirror.from_map("010\n111 \n001\n").unwrap().indices(), chosen.indices());
+        for bad in [
+            "0 1 0\n1 1 1\n",
+            "01\n111\n001",
+            "010\n1µ1\n001",
+            "0 1\n1 1 1\n0 0 1",
+            "0 1 0\n1 2 1\n0 0 1",
+            "0 0 0\n0 0 0\n0 0 0",
+            "",
+        ] {
             assert!(mirror.from_map(bad).is_err(), "{bad:?}");
         }
     }
