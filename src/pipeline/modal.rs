@@ -39,6 +39,7 @@ impl Fitted {
         let remarks = [
             selected.as_ref().map(|selected| selected.remark.clone()),
             warnings::diversity_remark(&diversity, scene_used),
+            warnings::averaged_pupil_remark(scene_used, &model.telescope),
             warnings::orientation_remark(scene_used, &model.telescope)?,
         ];
         let outcomes = found.images.iter().enumerate().map(|(image, report)| {

@@ -6,7 +6,7 @@ use super::images::counted;
 use super::sequence::SequenceResult;
 use crate::Result;
 use crate::modal::{self, DiversityProjection, ImageReport, JointSession, Model, PistonInteger, Session, Status};
-use crate::scene::{AoKnowledge, Scene};
+use crate::scene::{AoKnowledge, Aperture, Scene};
 use crate::statics::{ErrorSource, Iteration};
 use crate::telescope::{Diversity, Telescope};
 use ndarray::Array2;
@@ -53,6 +53,18 @@ pub(super) fn diversity_remark(diversity: &DiversityProjection, scene: &Scene) -
 /// Largest RMS difference of a pupil's amplitude, and of the diversity in waves, from their mirror images at which a flipped image
 /// looks the same: below it noise hides the difference.
 const MIRROR_TOLERANCE: f64 = 0.02;
+
+/// Remark on the map of a pupil, finer than the default of `pupil.samples`, whose samples are averaged.
+pub(super) fn averaged_pupil_remark(scene: &Scene, telescope: &Telescope) -> Option<String> {
+    let (of_file, of_model) = (telescope.truth_samples(), telescope.pupil.grid.samples());
+    let is_default = matches!(scene.pupil.aperture, Aperture::File(_)) && !scene.names("pupil.samples");
+    (is_default && of_file > of_model).then(|| {
+        format!(
+            "The pupil's map has {of_file} samples a side, which are averaged to {of_model}, the default of pupil.samples: \
+             {of_file} uses them as they are, at the cost of time."
+        )
+    })
+}
 
 /// Remark on the orientation of the images, where pupil and diversity equal their mirror images: a flipped image is then the
 /// image of the flipped wavefront.

@@ -226,6 +226,29 @@ fn a_file_of_a_scene_may_name_its_hdu_in_brackets() {
     }
 }
 
+/// A map of 240 samples is averaged to the default of 120.
+#[test]
+fn a_pupil_that_is_averaged_by_default_is_said_to_be() {
+    let desk = Desk::with_scene();
+    let disc = ndarray::Array2::from_shape_fn((240, 240), |(y, x)| {
+        let [x, y] = [x, y].map(|at| at as f64 - 119.5);
+        f64::from(u8::from(x.hypot(y) < 110.0))
+    });
+    let mut file = cophase::io::FitsWriter::create(desk.path("pupil.fits")).unwrap();
+    file.image("PUPIL", &disc, cophase::io::Pixel::F64, "").unwrap();
+    file.finish().unwrap();
+    let keys = "file = \"pupil.fits\"\ngrid_m = 5.0\n";
+    let text = SMALL.replace("aperture = \"hexagonal\"\nrings = 1\nsamples = 64\n", keys);
+    let text = text.replace("segment_piston_rms_nm = 60\n", "") + "segment = \"none\"\n";
+    std::fs::write(desk.path("pupil.toml"), text).unwrap();
+    desk.succeeds(&["image", "pupil.toml", "-o", "images.fits"]);
+    let said = |more: &[&str]| {
+        let estimate = ["estimate", "images.fits", "--scene", "pupil.toml", "-o", "est.fits"];
+        desk.succeeds(&[&estimate[..], more].concat()).out.contains("240 samples a side, which are averaged to 120")
+    };
+    assert!(said(&[]) && !said(&["--set", "pupil.samples=240"]));
+}
+
 /// The README's first command, on the scene of the paper.
 #[test]
 fn the_demonstration_goes_from_nothing_to_a_picture() {
