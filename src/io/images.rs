@@ -4,6 +4,7 @@ use std::path::Path;
 
 use ndarray::{Array3, ArrayView2, Axis, Zip};
 
+use super::aot;
 use super::header::{self, HeaderFact, PixelUnit};
 use super::layout::HduKind;
 use super::read::FitsReader;
@@ -39,9 +40,13 @@ pub struct Images {
     pub version: i64,
     /// Repairs of a file that is not standard FITS, or of the mask file, as one sentence.
     pub repaired: Option<String>,
+    /// What the file has besides the images that is not used, a sentence each.
+    pub notes: Vec<String>,
 }
 
 /// Reads the images of `path`: the HDU in brackets behind its name if there is one, else HDU `IMAGES` if it exists, else the primary HDU, else the first image extension.
+///
+/// A file of AOT has those of its scoring camera: [`aot`].
 ///
 /// 2-D or a cube (image index slowest), any BITPIX, scaled or not. An image HDU `BADPIX`, 2-D for all images or a cube,
 /// marks pixels as bad where it is not zero; so does the file `mask` (the HDU in
@@ -56,18 +61,31 @@ pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images
 
 /// As [`read_images`], of an open file.
 fn read_only(file: &mut FitsReader, mask: Option<&Path>) -> Result<Images> {
+    if aot::is_aot(file) {
+        let mut cameras = aot::cameras(file, mask)?;
+        return match (cameras.pop(), cameras.len()) {
+            (Some(images), 0) => Ok(images),
+            (_, others) => {
+                Err(file.refuse(format!("holds images of {} scoring cameras, where one is read", others + 1)))
+            }
+        };
+    }
     let index = image_hdu(file)?;
     let marks = if file.has(BADPIX) { Some(file.find(BADPIX, HduKind::Image)?) } else { None };
     read_hdu(file, (0, index), marks, mask)
 }
 
 /// Reads the images of all channels in `path`: the HDUs `IMAGES` in the order of their `EXTVER`, each with the HDU `BADPIX` of the
-/// same place, or all with the only one; of a file with one HDU `IMAGES` or none, as [`read_images`].
+/// same place, or all with the only one; of a file with one HDU `IMAGES` or none, as [`read_images`]. Those of a file of AOT are of its
+/// scoring cameras, in their order.
 ///
 /// # Errors
 /// As [`read_images`].
 pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<Images>> {
     let mut file = FitsReader::open(path)?;
+    if aot::is_aot(&file) {
+        return aot::cameras(&mut file, mask);
+    }
     let found = if file.selected_image()?.is_some() { Vec::new() } else { file.all_images("IMAGES") };
     if found.len() < 2 {
         return read_only(&mut file, mask).map(|images| vec![images]);
@@ -85,7 +103,7 @@ pub fn read_channels(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Vec<
 
 /// Reads the images in HDU `index` of `file`, which are at `place` among those that are read, with the bad pixels in its HDU `marks`
 /// and in the file `mask`.
-fn read_hdu(
+pub(super) fn read_hdu(
     file: &mut FitsReader,
     (place, index): (usize, usize),
     marks: Option<usize>,
@@ -117,7 +135,19 @@ fn read_hdu(
     };
     let hdu_name = file.name_of(index).to_string();
     let version = file.version_of(index).unwrap_or(place as i64 + 1);
-    Ok(Images { channel, data, bad, read_noise_e, unit, facts, non_finite, hdu_name, version, repaired })
+    Ok(Images {
+        channel,
+        data,
+        bad,
+        read_noise_e,
+        unit,
+        facts,
+        non_finite,
+        hdu_name,
+        version,
+        repaired,
+        notes: Vec::new(),
+    })
 }
 
 /// The HDU that holds the images.
