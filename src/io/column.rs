@@ -1,7 +1,5 @@
 //! Columns of the tables that are written.
 
-use super::write::ascii;
-
 /// A column of a table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Column {
@@ -64,4 +62,14 @@ impl Column {
             Values::Lists(_) => "QD".into(),
         }
     }
+}
+
+/// `text` in printable ASCII, as FITS requires.
+pub(super) fn ascii(text: &str) -> String {
+    let plain = |c: char| match c {
+        ' '..='~' => c,
+        '\t' => ' ',
+        _ => '?',
+    };
+    text.chars().map(plain).collect()
 }

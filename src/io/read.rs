@@ -33,10 +33,10 @@ const TSTRING: i32 = 16;
 /// (`.fz`), which is read as the plain one, are read from a copy in memory, see [`FitsReader::repaired`].
 pub struct FitsReader {
     path: PathBuf,
-    handle: Handle,
-    layout: Layout,
+    pub(super) handle: Handle,
+    pub(super) layout: Layout,
     /// Index of the HDU that the path names in brackets.
-    selected: Option<usize>,
+    pub(super) selected: Option<usize>,
 }
 
 impl FitsReader {
@@ -319,30 +319,6 @@ impl FitsReader {
         ndarray::ArrayD::from_shape_vec(shape, data).map_err(|error| Error::Internal(error.to_string()))
     }
 
-    pub(super) fn columns_of(&self, index: usize) -> Vec<String> {
-        self.layout.hdus[index].columns()
-    }
-
-    /// Rows of the table at `index`.
-    pub(super) fn rows_of(&self, index: usize) -> usize {
-        self.layout.hdus[index].axes.get(1).map_or(0, |&rows| rows as usize)
-    }
-
-    /// Bytes of the data of the HDU at `index`.
-    pub(super) fn data_bytes(&self, index: usize) -> u64 {
-        self.layout.hdus[index].data_bytes
-    }
-
-    /// The list in a row, from 0, of column `number` of the current table, of at most `most` numbers.
-    pub(super) fn list(&mut self, number: i32, row: usize, most: u64) -> Result<Vec<f64>> {
-        self.handle.list_f64(number, row, most).map_err(|reason| self.refuse(reason))
-    }
-
-    /// Whether the file is read as a whole, and not by the HDU in brackets behind its name.
-    pub(super) fn is_whole(&self) -> bool {
-        self.selected.is_none()
-    }
-
     pub(super) fn column(&mut self, hdu: &str, column: &str) -> Result<Column> {
         let index = self.find(hdu, HduKind::Table)?;
         let names = self.layout.hdus[index].columns();
@@ -384,7 +360,7 @@ pub fn read_cube(path: impl AsRef<Path>, hdu: &str) -> Result<Array3<f64>> {
 
 /// A column of a table.
 pub(super) struct Column {
-    name: String,
+    pub(super) name: String,
     pub(super) number: i32,
     pub(super) rows: usize,
     pub(super) code: i32,
@@ -401,15 +377,6 @@ impl Column {
     /// TCOMPLEX and TDBLCOMPLEX of fitsio.h.
     fn is_complex(&self) -> bool {
         matches!(self.code, 83 | 163)
-    }
-
-    /// Fails for a column of other than real numbers or integers.
-    pub(super) fn check_numbers(&self, file: &FitsReader) -> Result<()> {
-        // TBYTE, TSHORT, TINT, TLONG, TFLOAT, TLONGLONG and TDOUBLE of fitsio.h.
-        if matches!(self.code.abs(), 11 | 21 | 31 | 41 | 42 | 81 | 82) {
-            return Ok(());
-        }
-        Err(file.refuse(format!("column `{}` is not a column of lists of numbers", self.name)))
     }
 
     /// Fails for vectors, for variable-length columns (negative codes) and where `has_type` is false.

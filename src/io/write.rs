@@ -10,7 +10,7 @@ use flate2::write::GzEncoder;
 use ndarray::{Array2, ArrayRef, Dimension};
 
 use super::cfitsio::Handle;
-use super::column::{Column, Values};
+use super::column::{Column, Values, ascii};
 use super::layout::name_and_version;
 use super::value::{Card, checked_keyword};
 use crate::atomic::Target;
@@ -353,16 +353,6 @@ impl Data {
 fn digits(x: f64) -> c_int {
     let exact = |digits: &usize| format!("{x:.*e}", digits - 1).parse() == Ok(x);
     (15..17).find(exact).unwrap_or(17) as c_int
-}
-
-/// `text` in printable ASCII, as FITS requires.
-pub(super) fn ascii(text: &str) -> String {
-    let plain = |c: char| match c {
-        ' '..='~' => c,
-        '\t' => ' ',
-        _ => '?',
-    };
-    text.chars().map(plain).collect()
 }
 
 fn c_text(text: &str) -> Result<CString> {

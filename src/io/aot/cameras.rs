@@ -4,7 +4,7 @@ use super::read::{image, reals, row, texts};
 use super::{check_version, read};
 use crate::Result;
 use crate::io::header::{HeaderFact, PixelUnit, Quantity};
-use crate::io::images::{Images, read_hdu};
+use crate::io::image_hdu::{Images, read_hdu};
 use crate::io::read::FitsReader;
 use std::f64::consts::PI;
 use std::path::Path;
