@@ -5,7 +5,7 @@ use super::read::{image, lists, reals, row, text_card, texts};
 use super::{TIME_REFERENCE, check_version};
 use crate::Result;
 use crate::io::read::FitsReader;
-use ndarray::{Array1, Array2, Array3, Axis};
+use ndarray::{Array1, Array2, Array3};
 
 const SENSORS: &str = "AOT_WAVEFRONT_SENSORS";
 const LOOPS: &str = "AOT_LOOPS";
@@ -93,8 +93,10 @@ fn measurements(file: &mut FitsReader, sensor: usize, at: usize) -> Result<Array
     }
     let order = order(file, sensor, subapertures)?;
     let factor = mas_per_unit(file, sensor, at)?;
-    let ordered = cube.select(Axis(2), &order).into_shape_with_order((frames, 2 * subapertures));
-    let ordered = ordered.map_err(|error| crate::Error::Internal(error.to_string()))?;
+    // All x, then all y: row k of the result is the plane of frame k, row by row.
+    let ordered = Array2::from_shape_fn((frames, 2 * subapertures), |(frame, slope)| {
+        cube[[frame, slope / subapertures, order[slope % subapertures]]]
+    });
     Ok(match factor {
         // Not even a product with 1: the slopes keep their bits.
         None => ordered,
