@@ -58,8 +58,8 @@ impl Column {
             Values::F64(_) => "1D".into(),
             Values::I64(_) => "1K".into(),
             Values::Text(values) => format!("{}A", values.iter().map(String::len).max().unwrap_or(0).max(1)),
-            // Descriptors of 64 bits. cfitsio adds the length of the longest list in parentheses.
-            Values::Lists(_) => "QD".into(),
+            // Descriptors of 64 bits; the length of the longest list, which cfitsio leaves out where it is 0.
+            Values::Lists(values) => format!("QD({})", values.iter().map(Vec::len).max().unwrap_or(0)),
         }
     }
 }
