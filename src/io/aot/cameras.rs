@@ -1,7 +1,7 @@
 //! Images of the scoring cameras of a file of AOT, with their bad pixels and what the tables state of the instrument.
 
 use super::read::{image, reals, row, texts};
-use super::{check_version, read};
+use super::version::check_version;
 use crate::Result;
 use crate::io::header::{HeaderFact, PixelUnit, Quantity};
 use crate::io::image_hdu::{Images, read_hdu};
@@ -135,5 +135,5 @@ fn calibrations(file: &mut FitsReader, camera: &Camera) -> Result<Option<String>
 
 /// Exposure of a camera, s: its integration time; NaN where the file does not say it.
 pub(super) fn exposure_s(file: &mut FitsReader, camera: &Camera) -> Result<f64> {
-    Ok(read::reals(file, DETECTORS, "INTEGRATION_TIME")?[camera.detector])
+    Ok(reals(file, DETECTORS, "INTEGRATION_TIME")?[camera.detector])
 }

@@ -7,8 +7,8 @@
 //! in columns that are not read here.
 //!
 //! * [`AotTables`] composes the tables of a file.
-//! * [`cameras`] reads the images of the scoring cameras, [`slopes`] the slopes that belong to them, [`commands_nm`] the commands,
-//!   [`configuration`] the free text of the header.
+//! * [`read_images`](super::read_images) and [`read_channels`](super::read_channels) read the images of the scoring cameras, [`slopes()`] the
+//!   slopes that belong to them, [`commands_nm`] the commands, [`configuration()`] the free text of the header.
 //!
 //! Units. The standard fixes that of most quantities: m, s, rad, Hz. It leaves slopes to the author ("user defined units") with the card
 //! `BUNIT` of their image. Slopes in `mas`, or without a unit, are read as they are, so that their bits stay; `rad`, `arcsec` and `pix`
@@ -19,40 +19,11 @@ mod configuration;
 mod layout;
 mod read;
 mod slopes;
+mod version;
 mod write;
 
 pub(crate) use cameras::cameras;
 pub use configuration::{configuration, configuration_card};
 pub use slopes::{MatchedSlopes, commands_nm, slopes};
+pub use version::{TIME_REFERENCE, is_aot};
 pub use write::{AotTables, Cell, image_reference, row_reference};
-
-use super::read::FitsReader;
-use super::value::Card;
-use crate::Result;
-
-/// Card of the primary HDU with the version of the format.
-const VERSION: &str = "AOT-VERS";
-/// Version that is written.
-const WRITTEN_VERSION: &str = "2.0.0";
-/// Versions that are read.
-const READ_VERSIONS: [&str; 2] = [WRITTEN_VERSION, "1.0.0"];
-/// Card of an image with its times, a row of `AOT_TIME`.
-pub const TIME_REFERENCE: &str = "TIME_UID";
-
-/// Whether the open file is one of AOT, and is not read by the HDU in brackets behind its name.
-pub fn is_aot(file: &FitsReader) -> bool {
-    file.is_whole() && !file.written_at(0, VERSION).0.is_empty()
-}
-
-/// Refuses a version that is not known.
-fn check_version(file: &mut FitsReader) -> Result<()> {
-    let version = match file.card_at(0, VERSION)? {
-        Some(Card::Text(text)) => text.trim().to_owned(),
-        other => other.map_or_else(String::new, |card| card.to_string()),
-    };
-    if READ_VERSIONS.contains(&version.as_str()) {
-        return Ok(());
-    }
-    let accepted = READ_VERSIONS.join(" and ");
-    Err(file.refuse(format!("has the version {version} of AOT (card {VERSION}), where {accepted} are accepted")))
-}

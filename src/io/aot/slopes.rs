@@ -2,7 +2,7 @@
 
 use super::cameras::{MAS_PER_RADIAN, exposure_s, with_images};
 use super::read::{image, lists, reals, row, text_card, texts};
-use super::{TIME_REFERENCE, check_version};
+use super::version::{TIME_REFERENCE, check_version};
 use crate::Result;
 use crate::io::read::FitsReader;
 use ndarray::{Array1, Array2, Array3};

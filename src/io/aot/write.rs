@@ -2,7 +2,7 @@
 
 use super::configuration::{CONFIGURATION, configuration_card};
 use super::layout::{Kind, TABLES, Table};
-use super::{VERSION, WRITTEN_VERSION};
+use super::version::{VERSION, WRITTEN_VERSION};
 use crate::io::{Column, FitsWriter};
 use crate::{Error, Result};
 
