@@ -4,6 +4,7 @@
 //! mirror's modes with the estimator: a simulator that made the estimator's approximations could not reveal them.
 
 mod aligned;
+mod aot;
 mod atmosphere;
 mod camera;
 mod channel;
@@ -33,6 +34,7 @@ mod valid_map;
 mod work;
 
 pub use aligned::AlignedBuffer;
+pub use aot::{AOT_SCENE, check_aot, write_aot};
 pub use atmosphere::Atmosphere;
 pub use camera::{ScienceCamera, View, strehl_on_axis};
 pub use control::{ControlLaw, Controller, Inpainting, Plant, Reconstructor, Stability};

@@ -182,6 +182,26 @@ impl Handle {
         Ok(bytes.chunks_exact(stride).map(text).collect())
     }
 
+    /// The numbers of a variable-length array: a row, from 0, of a column, from 1. More than `most` are refused.
+    pub fn list_f64(&mut self, column: c_int, row: usize, most: u64) -> CfitsioResult<Vec<f64>> {
+        let (row, mut count, mut offset) = (row as i64 + 1, 0, 0);
+        // SAFETY: two live locals.
+        self.call(|file, status| unsafe { sys::ffgdesll(file, column, row, &mut count, &mut offset, status) })?;
+        let length = u64::try_from(count).ok().filter(|&count| count <= most);
+        let length =
+            length.ok_or_else(|| format!("a list claims {count} numbers, where the table has {most} at most"))?;
+        let mut data = allocate(length as usize, 0.0)?;
+        let mut any = 0;
+        if !data.is_empty() {
+            // SAFETY: `data` holds `count` values.
+            self.call(|file, status| unsafe {
+                // 0 disables the check for undefined values: NaN and infinities are kept.
+                sys::ffgcvd(file, column, row, 1, count, 0.0, data.as_mut_ptr(), &mut any, status)
+            })?;
+        }
+        Ok(data)
+    }
+
     /// The text of a string card, across its CONTINUE cards.
     pub fn long_text(&mut self, key: &CStr) -> CfitsioResult<String> {
         let mut value: *mut c_char = ptr::null_mut();

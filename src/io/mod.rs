@@ -2,6 +2,7 @@
 //!
 //! * [`read_images`] reads the file of a camera: images, bad pixels, read noise. [`FitsReader`] reads other content by name:
 //!   maps, cubes, columns, cards. Reading never changes the file.
+//! * Files of AOT, the telemetry standard of adaptive optics, are read by the same functions: [`aot`].
 //! * [`FitsWriter`] composes a file in memory, which appears at its path complete or not at all.
 //!
 //! Arrays are `[.., y, x]` in C order; in the file x is NAXIS1. Names of HDUs and columns are compared without case.
@@ -14,13 +15,17 @@
 //! cards to the standard's form in a copy in memory, and one sentence reports the repairs. A file that cannot be repaired
 //! is rejected with the byte and the reason.
 
+pub mod aot;
 mod band;
 mod card;
 mod cfitsio;
+mod column;
 mod extension;
 mod header;
+mod image_hdu;
 mod images;
 mod layout;
+mod lists;
 mod read;
 mod repair;
 mod standard;
@@ -30,10 +35,12 @@ mod value;
 mod write;
 
 pub use crate::atomic::write as write_atomically;
+pub use column::Column;
 pub use extension::file_of;
 pub use header::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
-pub use images::{CHANNEL, Images, read_channels, read_images};
+pub use image_hdu::{CHANNEL, Images};
+pub use images::{read_channels, read_images};
 pub use read::{FitsReader, read_cube, read_map};
 pub use text_table::{TextRow, read_text, text_rows};
 pub use value::Card;
-pub use write::{Column, ELECTRON, FitsWriter, Pixel};
+pub use write::{ELECTRON, FitsWriter, Pixel};

@@ -33,10 +33,10 @@ const TSTRING: i32 = 16;
 /// (`.fz`), which is read as the plain one, are read from a copy in memory, see [`FitsReader::repaired`].
 pub struct FitsReader {
     path: PathBuf,
-    handle: Handle,
-    layout: Layout,
+    pub(super) handle: Handle,
+    pub(super) layout: Layout,
     /// Index of the HDU that the path names in brackets.
-    selected: Option<usize>,
+    pub(super) selected: Option<usize>,
 }
 
 impl FitsReader {
@@ -319,7 +319,7 @@ impl FitsReader {
         ndarray::ArrayD::from_shape_vec(shape, data).map_err(|error| Error::Internal(error.to_string()))
     }
 
-    fn column(&mut self, hdu: &str, column: &str) -> Result<Column> {
+    pub(super) fn column(&mut self, hdu: &str, column: &str) -> Result<Column> {
         let index = self.find(hdu, HduKind::Table)?;
         let names = self.layout.hdus[index].columns();
         let Some(place) = names.iter().position(|name| name.trim().eq_ignore_ascii_case(column.trim())) else {
@@ -359,13 +359,13 @@ pub fn read_cube(path: impl AsRef<Path>, hdu: &str) -> Result<Array3<f64>> {
 }
 
 /// A column of a table.
-struct Column {
-    name: String,
-    number: i32,
-    rows: usize,
-    code: i32,
+pub(super) struct Column {
+    pub(super) name: String,
+    pub(super) number: i32,
+    pub(super) rows: usize,
+    pub(super) code: i32,
     repeat: i64,
-    width: i64,
+    pub(super) width: i64,
 }
 
 impl Column {

@@ -10,6 +10,7 @@ use flate2::write::GzEncoder;
 use ndarray::{Array2, ArrayRef, Dimension};
 
 use super::cfitsio::Handle;
+use super::column::{Column, Values, ascii};
 use super::layout::name_and_version;
 use super::value::{Card, checked_keyword};
 use crate::atomic::Target;
@@ -31,56 +32,6 @@ pub enum Pixel {
     F64,
     /// 32-bit integer (BITPIX 32): the values must be integers in its range.
     I32,
-}
-
-/// A column of a table.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Column {
-    name: String,
-    unit: String,
-    values: Values,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-enum Values {
-    F64(Vec<f64>),
-    I64(Vec<i64>),
-    Text(Vec<String>),
-}
-
-impl Column {
-    /// Real numbers in `unit` (empty for none); NaN is allowed.
-    pub fn f64(name: &str, unit: &str, values: Vec<f64>) -> Self {
-        Self { name: name.into(), unit: unit.into(), values: Values::F64(values) }
-    }
-
-    /// Integers.
-    pub fn i64(name: &str, values: Vec<i64>) -> Self {
-        Self { name: name.into(), unit: String::new(), values: Values::I64(values) }
-    }
-
-    /// Text. FITS allows printable ASCII only: other characters are written as `?`, tabs as blanks; trailing blanks are lost.
-    pub fn text(name: &str, values: impl IntoIterator<Item = impl AsRef<str>>) -> Self {
-        let values = values.into_iter().map(|text| ascii(text.as_ref())).collect();
-        Self { name: name.into(), unit: String::new(), values: Values::Text(values) }
-    }
-
-    fn len(&self) -> usize {
-        match &self.values {
-            Values::F64(values) => values.len(),
-            Values::I64(values) => values.len(),
-            Values::Text(values) => values.len(),
-        }
-    }
-
-    /// TFORM of the column.
-    fn form(&self) -> String {
-        match &self.values {
-            Values::F64(_) => "1D".into(),
-            Values::I64(_) => "1K".into(),
-            Values::Text(values) => format!("{}A", values.iter().map(String::len).max().unwrap_or(0).max(1)),
-        }
-    }
 }
 
 /// A FITS file being composed in memory. [`FitsWriter::finish`] writes a temporary file and renames it to the path; if the
@@ -287,6 +238,9 @@ impl FitsWriter {
 
     fn fill(&mut self, number: c_int, column: &Column) -> Result<()> {
         let rows = column.len() as i64;
+        if let Values::Lists(lists) = &column.values {
+            return lists.iter().enumerate().try_for_each(|(row, list)| self.fill_list(number, row as i64 + 1, list));
+        }
         let texts = match &column.values {
             Values::Text(values) => values.iter().map(|value| c_text(value)).collect::<Result<Vec<_>>>()?,
             _ => Vec::new(),
@@ -296,9 +250,23 @@ impl FitsWriter {
             Values::F64(values) => (sys::TDOUBLE, values.as_ptr().cast_mut().cast()),
             Values::I64(values) => (sys::TLONGLONG, values.as_ptr().cast_mut().cast()),
             Values::Text(_) => (sys::TSTRING, starts.as_mut_ptr().cast()),
+            Values::Lists(_) => return Err(Error::Internal("lists are written row by row".into())),
         };
         // SAFETY: `start` holds `rows` values of type `code`; cfitsio only reads them.
         self.call(|file, status| unsafe { sys::ffpcl(file, code as c_int, number, 1, 1, rows, start, status) })
+    }
+
+    /// Writes the list in a row of a column, both counted from 1.
+    fn fill_list(&mut self, number: c_int, row: i64, list: &[f64]) -> Result<()> {
+        // cfitsio writes a list over the one that the row's descriptor names: a row that was not written holds any bytes.
+        // SAFETY: the call writes a descriptor of no elements into the current table.
+        self.call(|file, status| unsafe { sys::ffpdes(file, number, row, 0, 0, status) })?;
+        if list.is_empty() {
+            return Ok(());
+        }
+        let start = list.as_ptr().cast_mut();
+        // SAFETY: `start` holds as many values as the list; cfitsio only reads them.
+        self.call(|file, status| unsafe { sys::ffpcld(file, number, row, 1, list.len() as i64, start, status) })
     }
 
     fn call(&mut self, function: impl FnOnce(*mut sys::fitsfile, *mut c_int) -> c_int) -> Result<()> {
@@ -385,16 +353,6 @@ impl Data {
 fn digits(x: f64) -> c_int {
     let exact = |digits: &usize| format!("{x:.*e}", digits - 1).parse() == Ok(x);
     (15..17).find(exact).unwrap_or(17) as c_int
-}
-
-/// `text` in printable ASCII, as FITS requires.
-fn ascii(text: &str) -> String {
-    let plain = |c: char| match c {
-        ' '..='~' => c,
-        '\t' => ' ',
-        _ => '?',
-    };
-    text.chars().map(plain).collect()
 }
 
 fn c_text(text: &str) -> Result<CString> {

@@ -1,10 +1,12 @@
 //! Images of an estimate, with bad pixels, read noise, telemetry and truth.
 
+use crate::ao::AOT_SCENE;
+use crate::io::aot::MatchedSlopes;
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit};
 use crate::scene::Scene;
 use crate::source::{self, SourceImages};
 use crate::{Error, Result};
-use ndarray::{Array2, Array3, s};
+use ndarray::{Array2, Array3, Axis, s};
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -100,7 +102,7 @@ impl Images {
         Self { unit: PixelUnit::Electrons, ..self }
     }
 
-    /// Reads a FITS file: images with their unit, `BADPIX` or the file `mask`, what the cards state of the instrument, the
+    /// Reads a FITS file, which may be one of AOT ([`io::aot`]): images with their unit, `BADPIX` or the file `mask`, what the cards state of the instrument, the
     /// scene (`SCENE`), the telemetry (`SLOPES_MEAN`, else `SLOPES`) and the truth (`TRUTH_PHASING`, `TRUTH_NCPA`), each where
     /// the file has it.
     ///
@@ -113,7 +115,7 @@ impl Images {
             (Some(images), 0) => Ok(images),
             (_, others) => {
                 let reason = format!(
-                    "holds images of {} channels (HDUs IMAGES with EXTVER 1, 2, ...), where one is read: name one as FILE[HDU], or \
+                    "holds images of {} channels (HDUs IMAGES with EXTVER 1, 2, ..., or scoring cameras of AOT), where one is read: name one as FILE[HDU], or \
                      use Images::read_channels",
                     others + 1
                 );
@@ -135,12 +137,12 @@ impl Images {
         let truth = TruthMaps::read(path)?;
         let mut file = FitsReader::open(path)?;
         let each = io::read_channels(path, mask)?.into_iter().map(|read| {
-            let slopes_mas = slopes_mas(&mut file, read.version)?;
+            let found = slopes(&mut file, &read)?;
             let mut images = Self::with_bad(read.data, read.bad);
-            images.notes.splice(0..0, read.repaired);
+            images.notes.splice(0..0, read.repaired.into_iter().chain(read.notes).chain(found.left_out));
             (images.unit, images.facts, images.channel) = (read.unit, read.facts, read.channel);
             images.scene = scene.as_ref().and_then(|scene| own_scene(scene, images.channel.as_deref()));
-            (images.slopes_mas, images.truth) = (slopes_mas, truth.clone());
+            (images.slopes_mas, images.truth) = (found.slopes, truth.clone());
             Ok(images)
         });
         each.collect()
@@ -233,31 +235,45 @@ impl TruthMaps {
         if !["TRUTH_PHASING", "TRUTH_NCPA"].iter().all(|name| file.has(name)) {
             return Ok(None);
         }
-        Ok(Some(Self { phasing_nm: file.map(Some("TRUTH_PHASING"))?, ncpa_nm: file.map(Some("TRUTH_NCPA"))? }))
+        // In a file of AOT a map is the only one of a cube of modes.
+        let mut map = |name: &str| {
+            let cube = file.cube(name)?;
+            if cube.dim().0 == 1 { Ok(cube.index_axis_move(Axis(0), 0)) } else { file.map(Some(name)) }
+        };
+        Ok(Some(Self { phasing_nm: map("TRUTH_PHASING")?, ncpa_nm: map("TRUTH_NCPA")? }))
     }
 }
 
-/// The scene that a FITS file carries in its table `SCENE`, if it has one; its relative file names refer to the file's folder.
+/// The scene that a FITS file carries in its table `SCENE`, or a file of AOT as [`AOT_SCENE`] in its card `CONFIG`, if it has one; its relative file names refer to the file's folder.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read, or a table that is not a valid scene.
 pub fn embedded_scene(path: &Path) -> Result<Option<Scene>> {
     let mut file = FitsReader::open(path)?;
-    if !file.has("SCENE") {
-        return Ok(None);
-    }
-    let text = file.text_column("SCENE", "LINE")?.join("\n") + "\n";
+    let (text, place) = if io::aot::is_aot(&file) {
+        let text = io::aot::configuration(&mut file)?;
+        (text.and_then(|text| text.strip_prefix(AOT_SCENE).map(str::to_owned)), "card CONFIG")
+    } else if file.has("SCENE") {
+        (Some(file.text_column("SCENE", "LINE")?.join("\n") + "\n"), "table SCENE")
+    } else {
+        (None, "")
+    };
+    let Some(text) = text else { return Ok(None) };
     let directory = path.parent().unwrap_or(Path::new(""));
-    Scene::embedded(&text, directory).map(Some).map_err(|error| Error::file(path, format_args!("table SCENE: {error}")))
+    Scene::embedded(&text, directory).map(Some).map_err(|error| Error::file(path, format_args!("{place}: {error}")))
 }
 
-/// Telemetry of the images in a file, if it has any; of the images in the HDU with EXTVER `version` where the file has those of several
-/// channels.
-fn slopes_mas(file: &mut FitsReader, version: i64) -> Result<Option<Array2<f64>>> {
+/// Telemetry of the images `read` in a file, if it has any: of a file of AOT that of their times; else, where the file has the images of
+/// several channels, that with their EXTVER.
+fn slopes(file: &mut FitsReader, read: &io::Images) -> Result<MatchedSlopes> {
+    if io::aot::is_aot(file) {
+        return io::aot::slopes(file, usize::try_from(read.version - 1).unwrap_or(0), read.data.dim().0);
+    }
     let has_channels = file.has_several("IMAGES");
-    let hdu = |name: &str| if has_channels { format!("{name},{version}") } else { name.to_owned() };
+    let hdu = |name: &str| if has_channels { format!("{name},{}", read.version) } else { name.to_owned() };
     let hdu = ["SLOPES_MEAN", "SLOPES"].map(hdu).into_iter().find(|hdu| file.has(hdu));
-    hdu.map(|hdu| file.map(Some(&hdu))).transpose()
+    let slopes = hdu.map(|hdu| file.map(Some(&hdu))).transpose()?;
+    Ok(MatchedSlopes { slopes, left_out: None })
 }
 
 /// `1 image`, `2 images`.

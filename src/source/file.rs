@@ -54,7 +54,7 @@ pub(crate) fn channel_hdu(name: &str, number: usize) -> String {
 }
 
 /// Side of the scene's grid, m.
-fn grid_m(scene: &Scene) -> Result<f64> {
+pub(crate) fn grid_m(scene: &Scene) -> Result<f64> {
     scene.pupil.grid_m.or(scene.pupil.extent_m()).ok_or_else(no_grid)
 }
 
@@ -70,7 +70,7 @@ pub(crate) fn pixel_mas(scene: &Scene) -> Option<f64> {
 }
 
 /// Writes the cards of the images in `hdu`: noise, flux, sampling, exposure.
-fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &Scene, flux_e: f64) -> Result<()> {
+pub(crate) fn image_cards(file: &mut FitsWriter, hdu: &str, scene: &Scene, flux_e: f64) -> Result<()> {
     let image = &scene.image;
     for (key, value, comment) in [
         ("RON_E", image.simulated_read_noise_e(), "read noise of a pixel, electrons RMS"),

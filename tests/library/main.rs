@@ -3,6 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod aot;
 mod channels;
 mod checksums;
 mod commands;

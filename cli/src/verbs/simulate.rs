@@ -2,7 +2,7 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
-use crate::outputs;
+use crate::outputs::{self, Flagged};
 use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
@@ -13,6 +13,7 @@ use std::path::PathBuf;
 const EXAMPLES: &str = "Examples:
   cophase simulate keck-onsky -o onsky.fits
   cophase simulate scene.toml -o pol.fits --set control.loop=pseudo-open-loop --seed 7
+  cophase simulate keck-onsky -o onsky.fits --aot onsky-aot.fits
 
 The file holds the defocused images (IMAGES, electrons), the truth (TRUTH_PHASING and TRUTH_NCPA, nm), telemetry at each \
 image (SLOPES, mas; COMMANDS, nm; SHOTS) with the interaction matrix, and the scene, so that 'cophase estimate' needs \
@@ -28,6 +29,9 @@ pub struct Arguments {
     /// FITS file to write; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Also write images, slopes, commands and loop as a file of AOT, the telemetry standard of adaptive optics (docs/aot.md)
+    #[arg(long, value_name = "FILE")]
+    aot: Option<PathBuf>,
     #[command(flatten)]
     settings: Settings,
     /// Seed of the aberrations, the turbulence and the noise [default: those of the scene]
@@ -60,16 +64,23 @@ struct Made {
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
-    let output = ("-o", arguments.output.as_path());
-    outputs::check(&[output], &[("the scene", &arguments.scene)])?;
+    let aot = arguments.aot.as_deref().map(|path| ("--aot", path));
+    let written: Vec<Flagged> = [("-o", arguments.output.as_path())].into_iter().chain(aot).collect();
+    outputs::check(&written, &[("the scene", &arguments.scene)])?;
     let seed = arguments.seed.map(|seed| seed.to_string());
     let options: Vec<(&str, &str)> =
         seed.iter().flat_map(|seed| ["aberrations.seed", "turbulence.seed"].map(|key| (key, seed.as_str()))).collect();
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
-    files::spare_files_of(&scene, &[output])?;
+    files::spare_files_of(&scene, &written)?;
+    if arguments.aot.is_some() {
+        ao::check_aot(&scene)?;
+    }
     super::image::check_memory(&scene)?;
     let (simulator, shots, summary) = simulate(&scene, terminal, &interrupt)?;
     ao::write(&arguments.output, &simulator, &shots, &summary)?;
+    if let Some(path) = &arguments.aot {
+        ao::write_aot(path, &simulator, &shots, &summary)?;
+    }
     if let Some(divergence) = summary.divergence {
         terminal.warn(&format!(
             "the loop diverged after {:.2} s, at {:.0} nm RMS; what was there by then is written",

@@ -1,5 +1,6 @@
 //! The program as a person or a script runs it: each test starts the binary in a folder of its own.
 
+mod aot;
 mod bad_input;
 mod bench;
 mod channels;

@@ -1,0 +1,121 @@
+//! Files of AOT, the telemetry standard of adaptive optics: a night through one has the bits of one through our own FITS; aotpy, the
+//! reference implementation, reads what is written here, and what it writes is read.
+//!
+//! aotpy is that of the Python in `COPHASE_AOTPY`, else in `COPHASE_PYTHON`, else `python3`. Where it is not installed its tests say so
+//! and pass, unless `COPHASE_REQUIRE_AOTPY=1`.
+
+use crate::{Desk, text_column};
+use cophase::io::FitsReader;
+use cophase::pipeline::Images;
+use std::process::Command;
+
+/// Seven segments behind a loop.
+const SKY: &str = include_str!("../../../tests/c_api/sky.toml");
+const SCRIPT: &str = include_str!("aot.py");
+
+/// A desk with `sky.fits` and `aot.fits` of one run.
+fn desk() -> Desk {
+    let desk = Desk::with_scene();
+    std::fs::write(desk.path("sky.toml"), SKY).unwrap();
+    desk.succeeds(&["simulate", "sky.toml", "-o", "sky.fits", "--aot", "aot.fits"]);
+    desk
+}
+
+/// Estimates from `images`, and gives the estimate's numbers as bits: maps and coefficients with their error bars.
+fn estimate(desk: &Desk, images: &str, options: &[&str]) -> Vec<u64> {
+    let own = ["estimate", images, "-o", "est.fits", "--method", "full-phase", "--device", "cpu"];
+    desk.succeeds(&[own.as_slice(), options].concat());
+    let mut file = FitsReader::open(desk.path("est.fits")).unwrap();
+    let maps = ["PHASING", "NCPA"].map(|name| file.map(Some(name)).unwrap());
+    let tables = [("SEGMENTS", "PISTON_NM"), ("SEGMENTS", "SIGMA_NM")]
+        .map(|(table, column)| file.f64_column(table, column).unwrap());
+    let numbers = maps.iter().flatten().chain(tables.iter().flatten());
+    let bits: Vec<u64> = numbers.map(|number| number.to_bits()).collect();
+    assert!(tables.iter().all(|column| column.len() == 7 && column.iter().all(|nm| nm.is_finite())));
+    bits
+}
+
+/// Python with aotpy.
+fn aotpy() -> Option<String> {
+    let variables = ["COPHASE_AOTPY", "COPHASE_PYTHON"];
+    let python = variables.iter().find_map(|name| std::env::var(name).ok()).unwrap_or("python3".into());
+    let is_there =
+        Command::new(&python).args(["-c", "import aotpy"]).output().is_ok_and(|output| output.status.success());
+    if !is_there {
+        let is_required = std::env::var_os("COPHASE_REQUIRE_AOTPY").is_some_and(|value| value == "1");
+        assert!(!is_required, "{python} has no aotpy");
+        println!("skipped: {python} has no aotpy");
+    }
+    is_there.then_some(python)
+}
+
+fn run(desk: &Desk, python: &str, arguments: &[&str]) {
+    let output =
+        Command::new(python).args(["-W", "ignore", "-c", SCRIPT]).args(arguments).current_dir(desk.path("")).output();
+    let output = output.unwrap();
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn a_night_through_aot_has_the_bits_of_one_through_our_fits() {
+    let desk = desk();
+    assert!(estimate(&desk, "aot.fits", &[]) == estimate(&desk, "sky.fits", &[]), "an estimate from AOT differs");
+    // The scene and the truth are in the file, too.
+    let truth = ["sky.fits", "aot.fits"].map(|name| desk.json(&["compare", "est.fits", "--truth", name, "--json"]));
+    assert_eq!(truth[0], truth[1]);
+    assert_eq!(text_column(&desk.path("est.fits"), "SCENE", "LINE").is_empty(), false);
+    let check = |name: &str| desk.run(&["check", name, "--json"]).out.replace(name, "");
+    assert_eq!(check("aot.fits"), check("sky.fits"));
+}
+
+#[test]
+fn what_aot_cannot_hold_is_refused_before_the_run() {
+    let desk = desk();
+    let order = ["--set", "wavefront_sensor.slope_order=[\"interleaved\"]"];
+    let arguments = [["simulate", "sky.toml", "-o", "a.fits", "--aot", "b.fits"].as_slice(), &order].concat();
+    desk.refuses(&arguments, &["wavefront_sensor.slope_order", "interleaved", "all x, then all y"]);
+    desk.refuses(&["simulate", "sky.toml", "-o", "a.fits", "--aot", "a.fits"], &["-o", "--aot"]);
+}
+
+#[test]
+fn aotpy_reads_our_file_and_its_copy_has_the_same_bits() {
+    let Some(python) = aotpy() else { return };
+    let desk = desk();
+    run(&desk, &python, &["read", "aot.fits", "again.fits"]);
+    assert!(estimate(&desk, "again.fits", &[]) == estimate(&desk, "sky.fits", &[]), "aotpy's copy differs");
+}
+
+#[test]
+fn files_that_aotpy_makes_are_read_or_refused_with_what_is_missing() {
+    let Some(python) = aotpy() else { return };
+    let desk = desk();
+    run(&desk, &python, &["make", "sky.fits", "."]);
+    let with_scene = ["--scene", "sky.toml"];
+    let expected = estimate(&desk, "sky.fits", &with_scene);
+    for name in ["odd.fits", "bare.fits"] {
+        assert!(estimate(&desk, name, &with_scene) == expected, "{name}");
+    }
+    // Another unit: slopes of the same size, to the rounding of a quotient and a product.
+    let slopes = |name: &str| Images::read(desk.path(name), None).unwrap().slopes_mas;
+    let (ours, converted) = (slopes("sky.fits").unwrap(), slopes("arcsec.fits").unwrap());
+    assert_eq!(ours.dim(), converted.dim());
+    assert!(ours.iter().zip(&converted).all(|(a, b)| (a - b).abs() <= 2.0 * f64::EPSILON * a.abs()));
+
+    assert_eq!(slopes("no-slopes.fits"), None);
+    assert_eq!(slopes("few.fits"), None);
+    let notes = Images::read(desk.path("few.fits"), None).unwrap().notes;
+    assert!(
+        notes.iter().any(|note| note.contains("3 measurements for 4 images") && note.contains("TIMESTAMPS")),
+        "{notes:?}"
+    );
+    let refused = |name: &str, words: &[&str]| {
+        desk.refuses(&["estimate", name, "-o", "none.fits", "--scene", "sky.toml"], words);
+    };
+    refused("no-camera.fits", &["no scoring camera", "AOT_SCORING_CAMERAS"]);
+    refused("no-detector.fits", &["no images of its scoring cameras (Camera)", "DETECTOR_UID"]);
+    refused("no-images.fits", &["no images of its scoring cameras (Camera)", "PIXEL_INTENSITIES"]);
+    refused("unit.fits", &["furlong", "mas, arcsec, rad, pix"]);
+    refused("mask.fits", &["subaperture mask MASK", "each once"]);
+    // Without a scene, in the file or beside it, there is no model of the instrument.
+    desk.refuses(&["estimate", "bare.fits", "-o", "none.fits"], &["holds no scene", "--scene"]);
+}

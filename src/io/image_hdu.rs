@@ -1,0 +1,135 @@
+//! Images in one HDU, with their bad pixels and what its cards state.
+
+use std::path::Path;
+
+use ndarray::{Array3, ArrayView2, Axis, Zip};
+
+use super::header::{self, HeaderFact, PixelUnit};
+use super::layout::HduKind;
+use super::read::FitsReader;
+use super::value::Card;
+use crate::{Error, Result};
+
+/// Card with the name of the channel that images are of.
+pub const CHANNEL: &str = "CHANNEL";
+
+/// Name of the HDU with bad pixels.
+pub(super) const BADPIX: &str = "BADPIX";
+
+/// Images as they were read, in the unit of the file.
+#[derive(Debug, Clone)]
+pub struct Images {
+    /// Card `CHANNEL`: the channel that they are of.
+    pub channel: Option<String>,
+    /// `[image, y, x]`. Pixels that are not finite are kept as read; `BLANK` pixels are NaN.
+    pub data: Array3<f64>,
+    /// `[image, y, x]`: true for pixels that are not finite or that are marked in `BADPIX` or in the mask file.
+    pub bad: Array3<bool>,
+    /// Card `RON_E` of the image HDU, else of the primary HDU: read noise per pixel, electrons RMS.
+    pub read_noise_e: Option<f64>,
+    /// Card `BUNIT` of the image HDU: unit of the pixels.
+    pub unit: PixelUnit,
+    /// What the cards of the image HDU, else of the primary HDU, state of the instrument.
+    pub facts: Vec<HeaderFact>,
+    /// Number of pixels that are not finite.
+    pub non_finite: usize,
+    /// Name of the HDU of the images.
+    pub hdu_name: String,
+    /// Its `EXTVER`; where it has none, its place from 1 among the HDUs `IMAGES` that are read.
+    pub version: i64,
+    /// Repairs of a file that is not standard FITS, or of the mask file, as one sentence.
+    pub repaired: Option<String>,
+    /// What the file has besides the images that is not used, a sentence each.
+    pub notes: Vec<String>,
+}
+
+/// Reads the images in HDU `index` of `file`, which are at `place` among those that are read, with the bad pixels in its HDU `marks`
+/// and in the file `mask`.
+pub(super) fn read_hdu(
+    file: &mut FitsReader,
+    (place, index): (usize, usize),
+    marks: Option<usize>,
+    mask: Option<&Path>,
+) -> Result<Images> {
+    let data = file.cube_at(index)?;
+    let mut bad = data.mapv(|value| !value.is_finite());
+    let non_finite = bad.iter().filter(|&&is_bad| is_bad).count();
+    let mut repaired = file.repaired();
+    if let Some(marks) = marks {
+        mark_bad_pixels(file, marks, &mut bad)?;
+    }
+    if let Some(mask) = mask {
+        let mut mask = FitsReader::open(mask)?;
+        let marks = match mask.selected_image()? {
+            Some(selected) => selected,
+            None if mask.has(BADPIX) => mask.find(BADPIX, HduKind::Image)?,
+            None => mask.first_image(&[])?,
+        };
+        mark_bad_pixels(&mut mask, marks, &mut bad)?;
+        let mask_repairs = mask.repaired().map(|sentence| format!("in the mask {}, {sentence}", mask.path().display()));
+        repaired = [repaired, mask_repairs].into_iter().flatten().reduce(|both, more| format!("{both}; {more}"));
+    }
+    let read_noise_e = read_noise(file, index)?;
+    let (unit, facts) = (header::unit(file, index)?, header::facts(file, index)?);
+    let channel = match file.card_at(index, CHANNEL)? {
+        Some(Card::Text(name)) => Some(name.trim().to_owned()),
+        other => other.map(|card| card.to_string()),
+    };
+    let hdu_name = file.name_of(index).to_string();
+    let version = file.version_of(index).unwrap_or(place as i64 + 1);
+    Ok(Images {
+        channel,
+        data,
+        bad,
+        read_noise_e,
+        unit,
+        facts,
+        non_finite,
+        hdu_name,
+        version,
+        repaired,
+        notes: Vec::new(),
+    })
+}
+
+/// Adds the bad pixels marked in the image at `index` of `file` to `bad`.
+fn mark_bad_pixels(file: &mut FitsReader, index: usize, bad: &mut Array3<bool>) -> Result<()> {
+    let marks = file.cube_at(index)?;
+    let (images, height, width) = bad.dim();
+    if marks.dim() == bad.dim() {
+        Zip::from(bad).and(&marks).for_each(|bad, &mark| *bad |= mark != 0.0);
+        return Ok(());
+    }
+    if marks.dim() != (1, height, width) {
+        let name = file.name_of(index);
+        return Err(file.refuse(format!(
+            "the mask {name} has the shape {:?}, where ({height}, {width}) or ({images}, {height}, {width}) is accepted",
+            marks.dim()
+        )));
+    }
+    let marks: ArrayView2<f64> = marks.index_axis(Axis(0), 0);
+    for image in bad.axis_iter_mut(Axis(0)) {
+        Zip::from(image).and(marks).for_each(|bad, &mark| *bad |= mark != 0.0);
+    }
+    Ok(())
+}
+
+/// Card `RON_E` of the HDU at `index`, else of the primary HDU.
+fn read_noise(file: &mut FitsReader, index: usize) -> Result<Option<f64>> {
+    let card = match file.card_at(index, "RON_E")? {
+        None => file.card_at(0, "RON_E")?,
+        found => found,
+    };
+    let Some(card) = card else { return Ok(None) };
+    let number = match &card {
+        Card::Integer(n) => Some(*n as f64),
+        Card::Real(x) => Some(*x),
+        Card::Text(text) => text.trim().parse().ok(),
+        Card::Logical(_) => None,
+    };
+    let accepted = number.filter(|x: &f64| x.is_finite() && *x >= 0.0);
+    let refused = || -> Error {
+        file.refuse(format!("the card RON_E is {card}, where a read noise of 0 or more electrons is needed"))
+    };
+    accepted.map(Some).ok_or_else(refused)
+}
