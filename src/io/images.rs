@@ -17,7 +17,7 @@ use crate::Result;
 /// brackets, else its HDU `BADPIX`, else its first image).
 ///
 /// # Errors
-/// [`Error::File`], with the file and the reason: missing, truncated (with the bytes present and needed), not FITS, no
+/// [`Error::File`](crate::Error::File), with the file and the reason: missing, truncated (with the bytes present and needed), not FITS, no
 /// image, neither 2-D nor 3-D, a mask of another shape, a read noise that is not a number.
 pub fn read_images(path: impl AsRef<Path>, mask: Option<&Path>) -> Result<Images> {
     read_only(&mut FitsReader::open(path)?, mask)

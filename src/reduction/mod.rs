@@ -7,7 +7,7 @@
 //! ```
 //!
 //! with the gain `g`, the dark of one coadd `D`, the flat `F` (median 1) and the sky `S` scaled to the exposure. What remains of
-//! the raw frame's noise beside the photon noise of the star is one number per channel, the card `RON_E`: [`noise`].
+//! the raw frame's noise beside the photon noise of the star is one number per channel, the card `RON_E`: `noise.rs`.
 //!
 //! * [`Frame::read`] reads a file; [`FrameClass`] is what it shows, by a list or by its header: `classify`.
 //! * [`reduce`] makes masters (`masters`), finds the star (`star`), subtracts the sky (`sky`), cuts out, and rejects.

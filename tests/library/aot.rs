@@ -37,7 +37,7 @@ fn assert_same(own: &Images, aot: &Images) {
     // The tables have no fact that the cards do not have, and no other.
     let stated = |images: &Images| -> Vec<_> { images.facts.iter().map(|f| (f.keyword, f.written.clone())).collect() };
     assert_eq!(stated(own), stated(aot));
-    assert_eq!(own.slopes_mas.as_ref().map(|slopes| bits(slopes)), aot.slopes_mas.as_ref().map(|slopes| bits(slopes)));
+    assert_eq!(own.slopes_mas.as_ref().map(bits), aot.slopes_mas.as_ref().map(bits));
     assert!(aot.slopes_mas.as_ref().is_some_and(|slopes| slopes.iter().any(|mas| mas.abs() > 0.1)));
     let maps = |images: &Images| images.truth.as_ref().map(|truth| [bits(&truth.phasing_nm), bits(&truth.ncpa_nm)]);
     assert!(maps(own).is_some() && maps(own) == maps(aot));

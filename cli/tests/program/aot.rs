@@ -63,7 +63,7 @@ fn a_night_through_aot_has_the_bits_of_one_through_our_fits() {
     // The scene and the truth are in the file, too.
     let truth = ["sky.fits", "aot.fits"].map(|name| desk.json(&["compare", "est.fits", "--truth", name, "--json"]));
     assert_eq!(truth[0], truth[1]);
-    assert_eq!(text_column(&desk.path("est.fits"), "SCENE", "LINE").is_empty(), false);
+    assert!(!text_column(&desk.path("est.fits"), "SCENE", "LINE").is_empty());
     let check = |name: &str| desk.run(&["check", name, "--json"]).out.replace(name, "");
     assert_eq!(check("aot.fits"), check("sky.fits"));
 }
