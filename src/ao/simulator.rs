@@ -16,7 +16,7 @@ use super::measured_matrices;
 use super::parts::{actuators, apply_reflectivity, interaction, segments_nm, sensor_pupil};
 use super::profile::{Profile, Stage};
 use super::schedule::Schedule;
-use super::sensor::{GuideStar, Lenslets, Sensor};
+use super::sensor::{GuideStar, Lenslets, Sensor, SlopeFormat, reference_mas};
 use super::surface::Surface;
 use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
 use crate::pupil::Pupil;
@@ -44,7 +44,7 @@ pub struct Frame<'a> {
     pub residual_nm: &'a [f32],
     /// RMS of the residual wavefront over the pupil, piston removed, nm.
     pub residual_rms_nm: f64,
-    /// Measured slopes of the residual wavefront: `[all x, all y]`, mas.
+    /// Measured slopes of the residual wavefront less the reference slopes: `[all x, all y]`, mas.
     pub slopes_mas: &'a [f32],
     /// Commands on the mirror during the frame, nm.
     pub commands_nm: &'a [f32],
@@ -61,6 +61,8 @@ pub(super) struct CorrectionLoop {
     light: Option<GuideStar>,
     controller: Controller,
     slopes_mas: Vec<f32>,
+    /// Reference slopes, mas; none where they are 0.
+    reference_mas: Vec<f32>,
     commands_nm: Vec<f32>,
     pub(super) residual_rms_nm: f64,
     pub(super) number: u64,
@@ -82,6 +84,7 @@ impl CorrectionLoop {
         self.residual_rms_nm = (moments[1] / self.footprint.total() - mean * mean).max(0.0).sqrt();
         let corrected = self.profile.lap(Stage::Mirror, started);
         self.sensor.measure(opd_nm, self.light.as_mut(), &mut self.slopes_mas)?;
+        self.slopes_mas.iter_mut().zip(&self.reference_mas).for_each(|(slope, reference)| *slope -= reference);
         let measured = self.profile.lap(Stage::Sensor, corrected);
         self.controller.step(&self.slopes_mas)?;
         self.profile.lap(Stage::Control, measured);
@@ -202,6 +205,7 @@ impl Simulator {
             segments_nm,
             drift: drift.map(Arc::new),
             slopes_mas: vec![0.0; sensor.slopes()],
+            reference_mas: reference_mas(scene, sensing, &SlopeFormat::new(sensing, sensor.lenslets())?)?,
             commands_nm: vec![0.0; surface.actuators()],
             controller: law.start(),
             residual_rms_nm: 0.0,

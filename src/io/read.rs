@@ -110,6 +110,19 @@ impl FitsReader {
         Ok(self.planes(index, &[1])?.into_raw_vec_and_offset().0)
     }
 
+    /// The values of a 1-D image, or of a 2-D one of a single row: HDU `hdu`, or the first image with data.
+    ///
+    /// # Errors
+    /// As [`map`](Self::map), for an image of several rows.
+    pub fn row(&mut self, hdu: Option<&str>) -> Result<Vec<f64>> {
+        let index = hdu.map_or_else(|| self.first_image(&[]), |name| self.find(name, HduKind::Image))?;
+        let data = self.planes(index, &[1, 2])?;
+        match data.shape() {
+            [_] | [1, _] => Ok(data.into_raw_vec_and_offset().0),
+            shape => Err(Error::file(&self.path, format_args!("its image has {} rows: one is needed", shape[0]))),
+        }
+    }
+
     /// A map `[y, x]`: HDU `hdu`, or the first image with data. BLANK pixels are NaN.
     ///
     /// # Errors

@@ -8,7 +8,7 @@ use super::outcome::ImageOutcome;
 use super::sequence::{self, SequenceResult};
 use super::sequence_channel::Sequence;
 use super::warnings;
-use crate::ao::{Lenslets, SlopeFormat, sensor_pupil};
+use crate::ao::{Lenslets, SlopeFormat, reference_slopes, sensor_pupil};
 use crate::modal::ImageStatus;
 use crate::modes::Group;
 use crate::retrieval::{OPTICS_SEARCH_CHI2, OpticsChange};
@@ -36,8 +36,12 @@ const LEAST_EXPLAINED: f64 = 0.8;
 /// Measured slopes `[image, slope]` in mas and in the order of the scene's sensor; `None` where they are given so.
 fn slopes_in_mas(scene: &Scene, measured: &Array2<f64>) -> Result<Option<Array2<f64>>> {
     let Some(sensing) = &scene.wavefront_sensor else { return Ok(None) };
+    let reference = reference_slopes(scene, sensing, measured.ncols())?;
+    let seen = reference.map(|reference| measured + &reference);
+    let measured = seen.as_ref().unwrap_or(measured);
     if sensing.slope_order.is_empty() {
-        return Ok((sensing.slope_unit_mas != 1.0).then(|| measured * sensing.slope_unit_mas));
+        let is_plain = seen.is_none() && sensing.slope_unit_mas == 1.0;
+        return Ok((!is_plain).then(|| measured * sensing.slope_unit_mas));
     }
     let pupil = sensor_pupil(scene, sensing, &Telescope::new(scene)?, 0)?;
     let lenslets = Lenslets::new(sensing, &pupil, scene.directory())?;

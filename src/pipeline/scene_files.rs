@@ -34,6 +34,10 @@ pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
             scene.control.as_ref().and_then(|control| control.command_matrix_file.as_ref()),
         ),
         (
+            "wavefront_sensor.reference_file",
+            scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.reference_file.as_ref()),
+        ),
+        (
             "wavefront_sensor.subaperture_file",
             scene.wavefront_sensor.as_ref().and_then(|sensor| sensor.subaperture_file.as_ref()),
         ),

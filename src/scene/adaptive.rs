@@ -106,6 +106,9 @@ section! {
         /// Unit of measured slopes, and of those in measured matrices, as an angle on the sky; negative where they have the opposite
         /// sign. Simulations write this unit and slope_order.
         slope_unit_mas: f64, between(-1e6, 1e6), default(1.0);
+        /// FITS row of the reference slopes, in the order and unit of slope_order and slope_unit_mas, about which the loop is closed: the
+        /// slopes of the telemetry are those seen less these.
+        reference_file: Option<PathBuf>, ANY, unset("0");
         /// Wavelength of the sensor.
         wavelength_nm: f64, above(0.0, 1e6), default(640.0);
         /// Photons per second and m² of a star of magnitude 0 (default: 4.01e12 / 368, the R band). Simulation only.

@@ -47,7 +47,7 @@ must_fail('BAD_SHAPE', 'frames is 4 x 71 x 80', @() f.estimate(frames(2:end, :, 
 must_fail('BAD_SHAPE', 'bad is 1 x 71 x 80', @() f.estimate(frames, 'mask', false(71, 80)));
 must_fail('BAD_SHAPE', 'mask has', @() f.estimate(frames, 'mask', false(72, 80, 3)));
 must_fail('BAD_VALUE', 'set estimate.telemetry of the scene', @() f.estimate(frames, 'slopes_mas', -slopes_mas));
-must_fail('BAD_VALUE', 'is NaN mas', @() f.estimate(frames, 'slopes_mas', NaN * slopes_mas));
+must_fail('BAD_VALUE', 'slopes of 0 of 4 images', @() f.estimate(frames, 'slopes_mas', NaN * slopes_mas));
 must_fail('BAD_VALUE', 'read_noise_e is -1', @() f.estimate(frames, 'read_noise_e', -1));
 must_fail('BAD_ARGUMENT', 'is no option here', @() f.estimate(frames, 'slope', slopes_mas, 'nose', 1));
 must_fail('BAD_ARGUMENT', 'frames is missing', @() cophase.Estimate(f));

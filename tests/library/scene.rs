@@ -240,7 +240,11 @@ fn contradictions_are_refused() {
         ("keck-artificial", &[("aberrations.truth_samples", "100")], "pupil.samples = 120"),
         ("keck-artificial", &[("aberrations.ncpa_zernikes", "[18, 4]")], "first not after last"),
         ("keck-artificial", &[("aberrations.ncpa_zernikes", "[0, 4]")], "ncpa_zernikes = [0, 4]"),
-        ("keck-artificial", &[("aberrations.ncpa_file", "n.fits")], "'aberrations.ncpa_rms_nm' has no meaning"),
+        (
+            "keck-artificial",
+            &[("aberrations.ncpa_file", "n.fits"), ("aberrations.ncpa_rms_nm", "70")],
+            "'aberrations.ncpa_rms_nm' has no meaning",
+        ),
         ("keck-artificial", &[("modes.ncpa", "none"), ("modes.segment", "none")], "no mode is left to estimate"),
         ("keck-artificial", &[("mirror.coupling", "1")], "above 0 and below 1"),
         (

@@ -81,6 +81,11 @@ impl SlopeFormat {
         if self.unit_mas == 1.0 { "mas" } else { "" }
     }
 
+    /// Number of slopes.
+    pub(super) fn slopes(&self) -> usize {
+        self.sources.len()
+    }
+
     fn check(&self, slopes: usize) -> Result<()> {
         let needed = self.sources.len();
         if slopes == needed {

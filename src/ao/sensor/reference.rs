@@ -1,0 +1,39 @@
+//! Reference slopes, about which a loop is closed.
+
+use super::slope_order::SlopeFormat;
+use crate::io::FitsReader;
+use crate::scene::{Scene, SensorScene};
+use crate::{Error, Result};
+use ndarray::{Array1, Axis};
+
+/// The reference slopes of `scene`'s file in its own order and unit: HDU `REFERENCE` or the first image, a row of `slopes` values; `None`
+/// where the scene names no file.
+///
+/// # Errors
+/// [`Error::File`] for a file that cannot be read, another number of values, or one that is not finite.
+pub(crate) fn reference_slopes(scene: &Scene, sensing: &SensorScene, slopes: usize) -> Result<Option<Array1<f64>>> {
+    let Some(file) = &sensing.reference_file else { return Ok(None) };
+    let path = scene.resolve(file);
+    let mut file = FitsReader::open(&path)?;
+    let row = file.row(file.has("REFERENCE").then_some("REFERENCE"))?;
+    if row.len() != slopes {
+        let sentence = format!("it has {} reference slopes: one for each of the {slopes} slopes is needed", row.len());
+        return Err(Error::file(&path, sentence));
+    }
+    match row.iter().position(|slope| !slope.is_finite()) {
+        Some(at) => {
+            Err(Error::file(&path, format_args!("reference slope {} is {}: a finite one is needed", at + 1, row[at])))
+        }
+        None => Ok(Some(Array1::from(row))),
+    }
+}
+
+/// The reference slopes of `scene`, `[all x, all y]`, mas; none where the scene names no file.
+///
+/// # Errors
+/// As [`reference_slopes`].
+pub(in crate::ao) fn reference_mas(scene: &Scene, sensing: &SensorScene, format: &SlopeFormat) -> Result<Vec<f32>> {
+    let Some(row) = reference_slopes(scene, sensing, format.slopes())? else { return Ok(Vec::new()) };
+    let mas = format.expected_mas(row.view().insert_axis(Axis(0)))?;
+    Ok(mas.iter().map(|mas| *mas as f32).collect())
+}
