@@ -17,7 +17,7 @@ use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
   cophase reduce raw/ --scene scene.toml -o images.fits
-  cophase reduce 'raw/n00*.fits' --scene scene.toml -o images.fits --darks darks/ --flats flats/ --saturation 12000
+  cophase reduce raw/ --scene s.toml -o images.fits --darks d/ --flats f/ --saturation 12000
   cophase reduce raw/ --scene pair.toml -o images.fits --channel 'plus=OBWF=-1.5' --channel 'minus=OBWF=-4.5'
   cophase estimate images.fits -o est.fits
 

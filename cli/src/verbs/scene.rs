@@ -15,7 +15,7 @@ const EXAMPLES: &str = "Examples:
   cophase scene keck-artificial > scene.toml    one of them, to edit
   cophase scene --reference                     every key, with its default
   cophase scene scene.toml --plot pupil.png     which segment has which number
-  cophase scene --from n0004.fits > scene.toml  a first scene from the header of a frame
+  cophase scene --from n0004.fits > scene.toml  one from a frame's header
 
 The picture shows the pupil as the maps of an estimate do: x to the right, y up, in metres. The numbers are those of the \
 table SEGMENTS, of modes such as segment-07-piston and of 'check-orientation --segment'; actuators and subapertures are \
