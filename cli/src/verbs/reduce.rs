@@ -17,8 +17,8 @@ use std::time::Instant;
 
 const EXAMPLES: &str = "Examples:
   cophase reduce raw/ --scene scene.toml -o images.fits
-  cophase reduce raw/ --scene s.toml -o images.fits --darks d/ --flats f/ --saturation 12000
-  cophase reduce raw/ --scene pair.toml -o images.fits --channel 'plus=OBWF=-1.5' --channel 'minus=OBWF=-4.5'
+  cophase reduce raw/ --scene s.toml -o images.fits --darks d/ --flats f/
+  cophase reduce raw/ --scene s.toml -o images.fits --channel plus=OBWF=-1.5
   cophase estimate images.fits -o est.fits
 
 A list (--darks, --flats, --lamp-off, --skies, --stars) decides for its files. For others the header does, in this order: a card \
