@@ -540,7 +540,7 @@ cophase_status cophase_estimator_progress(const cophase_estimator *estimator,
  *   are those of the calibration, values that are not finite, and saturated ones. The optical axis is on row rows/2 and
  *   column cols/2, rounded down.
  * slopes_mas: telemetry of a MAP estimate, 1 x count x slopes: slopes of the wavefront sensor, mean over each exposure,
- *   along x for every subaperture, then along y; NULL without.
+ *   along x for every subaperture, then along y; NaN for all of an image without telemetry; NULL without any.
  * options: NULL for the defaults.
  * estimate: receives the handle.
  *

@@ -11,13 +11,12 @@ A night takes some 5 minutes on one core. Its files are in a folder of --output,
 import argparse
 import contextlib
 import io
-import json
 import math
-import subprocess
 from pathlib import Path
 
 import numpy as np
 from astropy.io import fits
+from program import report
 
 with contextlib.redirect_stdout(io.StringIO()):
     from OOPAO.Atmosphere import Atmosphere
@@ -199,14 +198,6 @@ class Night:
         used[self.dm.validAct] = True
         (folder / "actuators.txt").write_text(mask_text(used.reshape(self.dm.nAct, -1)))
         (folder / "scene.toml").write_text(self.scene())  # last: a night with a scene is complete
-
-
-def report(command):
-    """What the program prints as JSON."""
-    done = subprocess.run(command + ["--json"], capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(done.stderr)
-    return json.loads(done.stdout)
 
 
 def main():

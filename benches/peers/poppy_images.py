@@ -12,15 +12,14 @@ tilts too, and there are images at both defocuses. Noise is drawn by NumPy.
 import argparse
 import contextlib
 import io
-import json
 import math
-import subprocess
 import tempfile
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
 from astropy.io import fits
+from program import report
 
 with contextlib.redirect_stderr(io.StringIO()):
     import poppy
@@ -96,14 +95,6 @@ def image(segments, ncpa, waves, peak_snr, rng):
     # Signal of the brightest pixel: s / sqrt(s + noise^2) is the ratio.
     signal = peak_snr**2 * (0.5 + math.sqrt(0.25 + (READ_NOISE_E / peak_snr) ** 2))
     return rng.poisson(psf / psf.max() * signal) + rng.normal(size=psf.shape) * READ_NOISE_E
-
-
-def report(command):
-    """What the program prints as JSON."""
-    done = subprocess.run(command + ["--json"], capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(done.stderr)
-    return json.loads(done.stdout)
 
 
 def main():

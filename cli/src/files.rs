@@ -1,7 +1,7 @@
 //! Scenes as the command line names them.
 
 use crate::outputs::{self, Flagged};
-use cophase::pipeline::{check_scene_files, scene_files};
+use cophase::pipeline::{check_scene_files, embedded_scene, scene_files};
 use cophase::scene::{Scene, split_setting};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -31,9 +31,22 @@ impl Settings {
         anchored(scene)
     }
 
+    /// The scene `name` with these settings and options, or the one in the file `images`.
+    pub fn scene_of(&self, name: Option<&Path>, images: &Path, options: &[(&str, &str)]) -> Result<Scene> {
+        if let Some(name) = name {
+            return self.apply(&scene(name)?, options);
+        }
+        let scene = embedded_scene(images)?.ok_or_else(|| {
+            let reason =
+                "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
+            Error::file(images, reason)
+        })?;
+        self.apply_to_embedded(&scene, options)
+    }
+
     /// As [`Settings::apply`], for the scene of a FITS file. Its files may be left on another machine: those that are not
     /// needed are not missed, unless these settings name them.
-    pub fn apply_to_embedded(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
+    fn apply_to_embedded(&self, scene: &Scene, options: &[(&str, &str)]) -> Result<Scene> {
         let scene = self.changed(scene, options)?;
         check_scene_files(&scene, |key| self.keys().any(|named| named == key))?;
         anchored(scene)

@@ -194,11 +194,17 @@ impl Work<'_> {
             Err(Error::Image(_)) => 0,
             Err(_) => return first.map(|fitted| (fitted, None)),
         };
-        let Some(fault) = focus::fault(scene, self.images.images_e.index_axis(Axis(0), image))? else {
+        let mut frame_e = self.images.images_e.index_axis(Axis(0), image).to_owned();
+        frame_e
+            .zip_mut_with(&self.images.bad.index_axis(Axis(0), image), |e, bad| *e = if *bad { f64::NAN } else { *e });
+        let Some(fault) = focus::fault(scene, frame_e.view())? else {
             return first.map(|fitted| (fitted, None));
         };
         let fitted = match first {
             Ok(fitted) => fitted,
+            Err(error) if fault.settings.is_empty() => {
+                return Err(Error::Image(format!("{error}; {}", fault.explanation)));
+            }
             Err(error) => {
                 let other = with(scene, &fault.settings)?;
                 self.fit(&other, &cache.for_scene(scene, &other))

@@ -100,10 +100,11 @@ pub(super) fn estimate(scene: &Scene, sequence: Sequence) -> Result<Estimate> {
     let mut remarks: Vec<String> =
         only.and_then(|scene| warnings::diversity_remark(&last.diversity, scene)).into_iter().collect();
     remarks.extend(warnings::segment_tilts_remarks(last));
-    remarks.extend(warnings::averaged_pupil_remark(&found.scene, &Telescope::new(&found.scene)?));
+    let telescope = Telescope::new(&found.scene)?;
+    remarks.extend(warnings::averaged_pupil_remark(&found.scene, &telescope));
     remarks.extend(slopes_mas.and_then(warnings::missing_telemetry_remark));
     if !found.telemetry.as_ref().is_some_and(|check| check.excludes_flips) {
-        remarks.extend(warnings::orientation_remark(&found.scene, &Telescope::new(&found.scene)?)?);
+        remarks.extend(warnings::orientation_remark(&found.scene, &telescope)?);
     }
     let pupil = found.pupil.clone();
     let wavefront_nm = &last.phasing_nm + &last.ncpa_nm;

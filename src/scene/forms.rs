@@ -2,7 +2,7 @@
 
 /// The sampling, as everything reads it, and its other forms.
 pub(super) const SAMPLING: [&str; 4] = ["samples_per_lambda_over_d", "pixel_mas", "pixel_arcsec", "pixel_pitch_um"];
-/// The defocus, likewise.
+/// The defocus, as everything reads it, and its other forms.
 pub(super) const FOCUS: [&str; 4] =
     ["diversity_focus_waves_rms", "diversity_focus_waves_pv", "diversity_focus_nm_rms", "diversity_stage_mm"];
 

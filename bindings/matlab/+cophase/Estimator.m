@@ -42,7 +42,8 @@ classdef Estimator < cophase.Handle
             %      'mask'          rows x columns, or rows x columns x images: bad pixels, which take no part, are not
             %                      0; none
             %      'slopes_mas'    telemetry of a MAP estimate, slopes x images: slopes of the wavefront sensor, mean
-            %                      over each exposure, along x for every subaperture, then along y; none
+            %                      over each exposure, along x for every subaperture, then along y, NaN
+            %                      for all of an image without telemetry; none
             %      'read_noise_e'  read noise of a pixel, electrons RMS, 0 for none; the scene's
             %   and the calibration, electrons = (raw - dark) * gain / flat; without it frames are electrons:
             %      'dark'          rows x columns, raw units; none

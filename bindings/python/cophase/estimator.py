@@ -155,7 +155,7 @@ class Estimator(Handle):
             Bad pixels, which take no part, are not 0: of all images, or of each.
         slopes_mas : (images, slopes) array, optional
             Telemetry of a MAP estimate: slopes of the wavefront sensor, mean over each exposure, mas, along x for every
-            subaperture, then along y.
+            subaperture, then along y; NaN for all of an image without telemetry.
         read_noise_e : float, optional
             Read noise of a pixel, electrons RMS, 0 for none; the scene's by default.
         dark : (rows, cols) array, optional

@@ -4,9 +4,9 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::terminal::Terminal;
+use cophase::Result;
 use cophase::pipeline::{Check, Control, Finding, Images, Poke, check};
 use cophase::scene::Scene;
-use cophase::{Error, Result};
 use cophase_cli::plot::{CaptionedMap, MapScale, MapsPicture};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -68,12 +68,7 @@ pub struct Arguments {
 
 impl Arguments {
     fn scene(&self) -> Result<Scene> {
-        let scene = match &self.scene {
-            Some(name) => files::scene(name)?,
-            None => cophase::pipeline::embedded_scene(&self.images)?
-                .ok_or_else(|| Error::file(&self.images, "holds no scene (table SCENE): name one with --scene"))?,
-        };
-        self.settings.apply(&scene, &[])
+        self.settings.scene_of(self.scene.as_deref(), &self.images, &[])
     }
 
     fn check_outputs(&self) -> Result<()> {

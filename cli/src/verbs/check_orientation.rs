@@ -3,9 +3,9 @@
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::terminal::Terminal;
+use cophase::Result;
 use cophase::pipeline::{Control, Images, Orientation, OrientationCandidate, Poke, check_orientation};
 use cophase::scene::Scene;
-use cophase::{Error, Result};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -55,12 +55,7 @@ pub struct Arguments {
 
 impl Arguments {
     fn scene(&self) -> Result<Scene> {
-        let scene = match &self.scene {
-            Some(name) => files::scene(name)?,
-            None => cophase::pipeline::embedded_scene(&self.after)?
-                .ok_or_else(|| Error::file(&self.after, "holds no scene (table SCENE): name one with --scene"))?,
-        };
-        self.settings.apply(&scene, &[])
+        self.settings.scene_of(self.scene.as_deref(), &self.after, &[])
     }
 }
 

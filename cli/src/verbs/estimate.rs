@@ -6,9 +6,9 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
 use crate::terminal::{Terminal, counted};
-use cophase::pipeline::{Control, Corrections, Estimate, Estimator, Images, Policy, Trust, embedded_scene};
+use cophase::Result;
+use cophase::pipeline::{Control, Corrections, Estimate, Estimator, Images, Policy, Trust};
 use cophase::scene::{DeviceChoice, Scene};
-use cophase::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -237,15 +237,7 @@ impl Arguments {
         let mut options = self.options();
         options.extend(budget.as_deref().map(|nm| ("estimate.budget_nm", nm)));
         options.extend(gain.as_deref().map(|gain| (GAIN, gain)));
-        if let Some(name) = &self.scene {
-            return self.settings.apply(&files::scene(name)?, &options);
-        }
-        let scene = embedded_scene(self.first())?.ok_or_else(|| {
-            let reason =
-                "holds no scene (table SCENE): name one with --scene, a file or a preset such as keck-artificial";
-            Error::file(self.first(), reason)
-        })?;
-        self.settings.apply_to_embedded(&scene, &options)
+        self.settings.scene_of(self.scene.as_deref(), self.first(), &options)
     }
 }
 

@@ -105,6 +105,20 @@ fn an_image_in_focus_where_the_scene_has_a_defocus_is_named() {
     assert!(json["reduced_chi2_corrected"].as_f64() < json["reduced_chi2"].as_f64(), "{json}");
 }
 
+/// A map of actuators that stayed on another machine is needed by no check of the images.
+#[test]
+fn the_scene_of_a_file_may_name_a_file_that_is_elsewhere() {
+    let desk = Desk::with_scene();
+    let text = std::fs::read_to_string(desk.path("scene.toml")).unwrap();
+    let keys = "actuators_across = 3\npitch_m = 2.5\nactuator_file = \"actuators.txt\"";
+    std::fs::write(desk.path("scene.toml"), format!("{text}\n[mirror]\n{keys}\n")).unwrap();
+    std::fs::write(desk.path("actuators.txt"), "1 1 1\n1 1 1\n1 1 1\n").unwrap();
+    desk.succeeds(&["image", "scene.toml", "-o", "images.fits"]);
+    std::fs::remove_file(desk.path("actuators.txt")).unwrap();
+    desk.succeeds(&["check", "images.fits"]);
+    desk.refuses(&["check", "images.fits", "--scene", "scene.toml"], &["actuators.txt", "mirror.actuator_file"]);
+}
+
 /// The real frame of NIRC2, in focus (an exposure of 25 s behind the AO), where the folder of data is beside the project.
 #[test]
 fn a_real_frame_in_focus_is_called_one() {
