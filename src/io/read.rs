@@ -284,6 +284,11 @@ impl FitsReader {
         self.all_images(name).len() > 1
     }
 
+    /// Whether the file was opened as `FILE[HDU]`.
+    pub fn is_hdu_selected(&self) -> bool {
+        self.selected.is_some()
+    }
+
     /// Whether the file has the HDU `name`.
     pub fn has(&self, name: &str) -> bool {
         self.find_any(name).is_ok()

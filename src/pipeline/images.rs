@@ -148,6 +148,36 @@ impl Images {
         each.collect()
     }
 
+    /// These images with the slopes of the wavefront sensor in the FITS file `path` in place of their own: a row for each image, in the order
+    /// and unit of the scene's `[wavefront_sensor]`; NaN for images without telemetry. They are in the HDU that `FILE[HDU]` names, else in
+    /// `SLOPES_MEAN`, else in `SLOPES`, else in the first image; of a file of AOT ([`io::aot`]) those of its exposures are taken.
+    ///
+    /// # Errors
+    /// [`Error::File`] for a file that cannot be read, or whose number of rows is another than that of the images.
+    pub fn with_slopes(self, path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let mut file = FitsReader::open(path)?;
+        let found = if io::aot::is_aot(&file) {
+            io::aot::slopes(&mut file, 0, self.len())?
+        } else {
+            let named = ["SLOPES_MEAN", "SLOPES"].into_iter().find(|hdu| !file.is_hdu_selected() && file.has(hdu));
+            MatchedSlopes { slopes: Some(file.map(named)?), left_out: None }
+        };
+        let Some(slopes) = found.slopes else {
+            let reason = found.left_out.unwrap_or_else(|| "has no slopes of a wavefront sensor".into());
+            return Err(Error::file(path, reason));
+        };
+        if slopes.nrows() != self.len() {
+            let (rows, images) = (slopes.nrows(), self.len());
+            return Err(Error::file(
+                path,
+                format_args!("has slopes of {rows} exposures: a row for each of {images} images is accepted"),
+            ));
+        }
+        let notes = self.notes.into_iter().chain(found.left_out).collect();
+        Ok(Self { slopes_mas: Some(slopes), notes, ..self })
+    }
+
     /// Simulated images of an artificial source, with their truth; see [`source::simulate`].
     ///
     /// # Errors

@@ -6,12 +6,14 @@ use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
 use crate::terminal::{Terminal, counted};
-use cophase::Result;
 use cophase::pipeline::{Control, Corrections, Estimate, Estimator, Images, Policy, Trust};
 use cophase::scene::{DeviceChoice, Scene};
-use serde::Serialize;
+use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use summary::Summary;
+
+mod summary;
 
 const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o est.fits      from what 'cophase image' made
@@ -20,12 +22,16 @@ const EXAMPLES: &str = "Examples:
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
   cophase estimate images.fits -o est.fits --commands-plot what-would-move.png
   cophase estimate images.fits -o est.fits --opd opd.fits
+  cophase estimate night.fits --slopes wfs.fits --scene s.toml -o est.fits
   cophase estimate --channel K=k.fit --channel H=h.fit --scene s.toml -o e.fits
 
 Images: FITS, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU whose name or \
 number follows the file's in brackets: 'night.fits[SCI]'. Those of several channels are HDUs IMAGES with EXTVER 1, 2, ... and \
 their names in the card CHANNEL, or a file each (--channel). Pixels that are not finite are masked, and those that an image HDU \
 BADPIX (not zero = bad) or --mask names.
+
+Slopes of the wavefront sensor: in the HDU SLOPES_MEAN or SLOPES of the images' file, or in a file of their own (--slopes): a row for each \
+image, in the order and unit of [wavefront_sensor]; NaN for images without.
 
 Units: electrons, or counts (card BUNIT 'adu', 'DN', 'count'), which are converted with the electrons per count of \
 --gain, image.gain_e_per_adu of the scene, or the card EGAIN or GAIN. Counts without a gain are refused.
@@ -99,6 +105,10 @@ pub struct Arguments {
     /// the gain that is found and used (use), or left out (ignore) [default: check]
     #[arg(long, value_parser = ["check", "use", "ignore"])]
     telemetry: Option<String>,
+    /// FITS file with the slopes of the wavefront sensor, [image, slope], in place of those in the file of the images: FILE or FILE[HDU],
+    /// of one channel NAME=FILE
+    #[arg(long, value_name = "FILE", value_parser = file_of_channel)]
+    slopes: Vec<(Option<String>, PathBuf)>,
     /// Also write corrections: what to add to segments, mirror and (full-phase) reference slopes; FITS, or text for FILE.txt
     #[arg(long, value_name = "FILE")]
     commands: Option<PathBuf>,
@@ -136,6 +146,14 @@ fn channel(argument: &str) -> std::result::Result<(String, PathBuf), String> {
         Some((name, file)) if !name.is_empty() && !file.is_empty() => Ok((name.into(), file.into())),
         _ => Err("a channel and its file are needed, such as plus=a.fits".into()),
     }
+}
+
+/// A file, and the channel that is named before it; the name of a file that is there may have an equals sign.
+fn file_of_channel(argument: &str) -> std::result::Result<(Option<String>, PathBuf), String> {
+    if !argument.contains('=') || Path::new(argument).exists() {
+        return Ok((None, argument.into()));
+    }
+    channel(argument).map(|(name, file)| (Some(name), file))
 }
 
 impl Arguments {
@@ -184,6 +202,7 @@ impl Arguments {
         let mut inputs: Vec<Flagged> = sources.iter().map(|(_, file)| ("the images", *file)).collect();
         let also = [("--scene", &self.scene), ("--mask", &self.mask)];
         inputs.extend(also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?))));
+        inputs.extend(self.slopes.iter().map(|(_, file)| ("--slopes", file.as_path())));
         outputs::check(&self.outputs(), &inputs)
     }
 
@@ -209,6 +228,29 @@ impl Arguments {
         let overrides: Vec<String> = keys.map(str::to_owned).collect();
         for images in &mut channels {
             (images.trust, images.overrides) = (trust, overrides.clone());
+        }
+        Ok(channels)
+    }
+
+    /// The images of each channel with the slopes of `--slopes`; of one exposure that all channels share, they are those of each.
+    fn with_slopes(&self, mut channels: Vec<Images>, is_simultaneous: bool) -> Result<Vec<Images>> {
+        for (name, file) in &self.slopes {
+            let is_meant = |images: &Images| name.is_none() || images.channel == *name;
+            let meant = channels.iter().filter(|images| is_meant(images)).count();
+            if meant == 0 || (meant > 1 && !is_simultaneous) {
+                let names: Vec<&str> = channels.iter().filter_map(|images| images.channel.as_deref()).collect();
+                let accepted = match &names[..] {
+                    [] => "a file without a channel's name is accepted".to_string(),
+                    _ => format!("NAME={} with one of {} is accepted", file.display(), names.join(", ")),
+                };
+                let reason = match name {
+                    Some(name) => format!("--slopes names the channel {name}, which has no images: {accepted}"),
+                    None => format!("--slopes does not say whose slopes it holds: {accepted}"),
+                };
+                return Err(Error::file(file, reason));
+            }
+            let with = |images: Images| if is_meant(&images) { images.with_slopes(file) } else { Ok(images) };
+            channels = channels.into_iter().map(with).collect::<Result<_>>()?;
         }
         Ok(channels)
     }
@@ -256,6 +298,7 @@ pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     };
     let images = arguments.images()?;
     let scene = arguments.scene()?;
+    let images = arguments.with_slopes(images, scene.image.simultaneous)?;
     files::spare_files_of(&scene, &arguments.outputs())?;
     if arguments.are_corrections_wanted() {
         Corrections::check_controllers(&scene)?;
@@ -310,69 +353,4 @@ pub fn print(name: &Path, estimate: &Estimate, json: bool, terminal: &Terminal) 
         return terminal.json(&Summary::new(estimate));
     }
     terminal.show(&format!("{name}: {}", estimate.summary()))
-}
-
-/// What `estimate --json` prints; scripts rely on these keys.
-#[derive(Serialize)]
-struct Summary<'a> {
-    channels: &'a [String],
-    images: usize,
-    used: usize,
-    clipped: usize,
-    combine: Option<&'static str>,
-    seconds: f64,
-    phasing_rms_nm: f64,
-    ncpa_rms_nm: f64,
-    phasing_sigma_nm: f64,
-    ncpa_sigma_nm: f64,
-    phasing_residual_nm: Option<f64>,
-    ncpa_residual_nm: Option<f64>,
-    reduced_chi2: f64,
-    evaluations: usize,
-    device: &'a str,
-    precision: &'static str,
-    status: &'static str,
-    warnings: &'a [String],
-    policy: &'static str,
-    model: &'a str,
-    method: &'static str,
-    ao_knowledge: Option<&'static str>,
-    iterations: Option<usize>,
-    telemetry_gain: Option<f64>,
-    telemetry_correlation: Option<f64>,
-}
-
-impl<'a> Summary<'a> {
-    fn new(estimate: &'a Estimate) -> Self {
-        let residual_nm = estimate.truth.as_ref().map(|(_, residual)| residual.rms_nm);
-        let map = estimate.map.as_ref();
-        let telemetry = map.and_then(|map| map.telemetry.as_ref());
-        Self {
-            channels: &estimate.channels,
-            images: estimate.images.len(),
-            used: estimate.used(),
-            clipped: estimate.clipped(),
-            combine: estimate.combine.map(|combine| combine.word()),
-            seconds: estimate.seconds,
-            phasing_rms_nm: estimate.phasing.rms_nm,
-            ncpa_rms_nm: estimate.ncpa.rms_nm,
-            phasing_sigma_nm: estimate.phasing.sigma_nm,
-            ncpa_sigma_nm: estimate.ncpa.sigma_nm,
-            phasing_residual_nm: residual_nm.map(|nm| nm[0]),
-            ncpa_residual_nm: residual_nm.map(|nm| nm[1]),
-            reduced_chi2: estimate.reduced_chi2,
-            evaluations: estimate.evaluations(),
-            device: &estimate.device,
-            precision: estimate.precision.word(),
-            status: estimate.status.word(),
-            warnings: &estimate.warnings,
-            policy: estimate.policy.name(),
-            model: &estimate.model,
-            method: estimate.method().word(),
-            ao_knowledge: map.map(|map| map.ao_knowledge.word()),
-            iterations: map.map(|map| map.iterations.len()),
-            telemetry_gain: telemetry.map(|check| check.gain),
-            telemetry_correlation: telemetry.map(|check| check.correlation),
-        }
-    }
 }

@@ -23,6 +23,7 @@ mod reduce;
 mod same_answer;
 mod sentences;
 mod simulate;
+mod slopes;
 mod truth;
 mod units;
 mod verbs;

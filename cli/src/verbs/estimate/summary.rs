@@ -1,0 +1,69 @@
+//! The figures of `cophase estimate --json`.
+
+use cophase::pipeline::Estimate;
+use serde::Serialize;
+
+/// What `estimate --json` prints; scripts rely on these keys.
+#[derive(Serialize)]
+pub(super) struct Summary<'a> {
+    channels: &'a [String],
+    images: usize,
+    used: usize,
+    clipped: usize,
+    combine: Option<&'static str>,
+    seconds: f64,
+    phasing_rms_nm: f64,
+    ncpa_rms_nm: f64,
+    phasing_sigma_nm: f64,
+    ncpa_sigma_nm: f64,
+    phasing_residual_nm: Option<f64>,
+    ncpa_residual_nm: Option<f64>,
+    reduced_chi2: f64,
+    evaluations: usize,
+    device: &'a str,
+    precision: &'static str,
+    status: &'static str,
+    warnings: &'a [String],
+    policy: &'static str,
+    model: &'a str,
+    method: &'static str,
+    ao_knowledge: Option<&'static str>,
+    iterations: Option<usize>,
+    telemetry_gain: Option<f64>,
+    telemetry_correlation: Option<f64>,
+}
+
+impl<'a> Summary<'a> {
+    pub(super) fn new(estimate: &'a Estimate) -> Self {
+        let residual_nm = estimate.truth.as_ref().map(|(_, residual)| residual.rms_nm);
+        let map = estimate.map.as_ref();
+        let telemetry = map.and_then(|map| map.telemetry.as_ref());
+        Self {
+            channels: &estimate.channels,
+            images: estimate.images.len(),
+            used: estimate.used(),
+            clipped: estimate.clipped(),
+            combine: estimate.combine.map(|combine| combine.word()),
+            seconds: estimate.seconds,
+            phasing_rms_nm: estimate.phasing.rms_nm,
+            ncpa_rms_nm: estimate.ncpa.rms_nm,
+            phasing_sigma_nm: estimate.phasing.sigma_nm,
+            ncpa_sigma_nm: estimate.ncpa.sigma_nm,
+            phasing_residual_nm: residual_nm.map(|nm| nm[0]),
+            ncpa_residual_nm: residual_nm.map(|nm| nm[1]),
+            reduced_chi2: estimate.reduced_chi2,
+            evaluations: estimate.evaluations(),
+            device: &estimate.device,
+            precision: estimate.precision.word(),
+            status: estimate.status.word(),
+            warnings: &estimate.warnings,
+            policy: estimate.policy.name(),
+            model: &estimate.model,
+            method: estimate.method().word(),
+            ao_knowledge: map.map(|map| map.ao_knowledge.word()),
+            iterations: map.map(|map| map.iterations.len()),
+            telemetry_gain: telemetry.map(|check| check.gain),
+            telemetry_correlation: telemetry.map(|check| check.correlation),
+        }
+    }
+}
