@@ -22,9 +22,6 @@ const MAX_UNPACKED: u64 = 4 << 30;
 /// memory.
 const MAX_NAME: usize = 1000;
 
-/// cfitsio's code of a text column.
-const TSTRING: i32 = 16;
-
 /// A FITS file open for reading. The file is never changed.
 ///
 /// An HDU is named by its `EXTNAME`, which is the first of that name, or with its `EXTVER` as in `IMAGES,2`.
@@ -147,39 +144,6 @@ impl FitsReader {
         data.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))
     }
 
-    /// A column of real numbers of table `hdu`; undefined values are NaN.
-    ///
-    /// # Errors
-    /// [`Error::File`] where the table or the column is missing, or the column has not one number per row.
-    pub fn f64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<f64>> {
-        let found = self.column(hdu, column)?;
-        found.check_scalar(self, found.code.abs() != TSTRING && !found.is_complex(), "a column of numbers")?;
-        self.handle.column_f64(found.number, found.rows, !found.is_real()).map_err(|reason| self.refuse(reason))
-    }
-
-    /// A column of integers of table `hdu`.
-    ///
-    /// # Errors
-    /// As [`FitsReader::f64_column`]; a column of real numbers is an error, not rounded.
-    pub fn i64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<i64>> {
-        let found = self.column(hdu, column)?;
-        let integral = found.code.abs() != TSTRING && !found.is_complex() && !found.is_real();
-        found.check_scalar(self, integral, "a column of integers")?;
-        self.handle.column_i64(found.number, found.rows).map_err(|reason| self.refuse(reason))
-    }
-
-    /// A column of text of table `hdu`, without trailing blanks.
-    ///
-    /// # Errors
-    /// As [`FitsReader::f64_column`].
-    pub fn text_column(&mut self, hdu: &str, column: &str) -> Result<Vec<String>> {
-        let found = self.column(hdu, column)?;
-        if found.code != TSTRING || found.width != found.repeat {
-            return Err(self.refuse(format!("column `{column}` of `{hdu}` is not a column of text")));
-        }
-        self.handle.column_text(found.number, found.rows, found.width as usize).map_err(|reason| self.refuse(reason))
-    }
-
     /// The card `key` of HDU `hdu` (`None`: the primary HDU); `None` where it is absent or has no value.
     ///
     /// # Errors
@@ -284,9 +248,9 @@ impl FitsReader {
         self.all_images(name).len() > 1
     }
 
-    /// Whether the file was opened as `FILE[HDU]`.
-    pub fn is_hdu_selected(&self) -> bool {
-        self.selected.is_some()
+    /// Whether the file is read as a whole, and not by the HDU in brackets behind its name.
+    pub fn is_whole(&self) -> bool {
+        self.selected.is_none()
     }
 
     /// Whether the file has the HDU `name`.
@@ -337,27 +301,7 @@ impl FitsReader {
         ndarray::ArrayD::from_shape_vec(shape, data).map_err(|error| Error::Internal(error.to_string()))
     }
 
-    pub(super) fn column(&mut self, hdu: &str, column: &str) -> Result<Column> {
-        let index = self.find(hdu, HduKind::Table)?;
-        let names = self.layout.hdus[index].columns();
-        let Some(place) = names.iter().position(|name| name.trim().eq_ignore_ascii_case(column.trim())) else {
-            let listed = names.join(", ");
-            return Err(self.refuse(format!("table `{hdu}` has no column `{column}`: there are {listed}")));
-        };
-        let rows = self.layout.hdus[index].axes[1] as usize;
-        self.move_to(index)?;
-        let number = place as i32 + 1;
-        let (code, repeat, width) = self.handle.column_type(number).map_err(|reason| self.refuse(reason))?;
-        // A column cannot be wider than its row, whose size was checked against the file. TFORM may claim otherwise.
-        if width < 1 || width as u64 > self.layout.hdus[index].axes[0] {
-            return Err(self.refuse(format!(
-                "column `{column}` of `{hdu}` has elements of {width} bytes, which do not fit its rows"
-            )));
-        }
-        Ok(Column { name: column.to_string(), number, rows, code, repeat, width })
-    }
-
-    fn move_to(&mut self, index: usize) -> Result<()> {
+    pub(super) fn move_to(&mut self, index: usize) -> Result<()> {
         self.handle.move_to(index).map_err(|reason| self.refuse(reason))
     }
 
@@ -374,36 +318,6 @@ pub fn read_map(path: impl AsRef<Path>, hdu: Option<&str>) -> Result<Array2<f64>
 /// Reads a cube of `path`: [`FitsReader::cube`].
 pub fn read_cube(path: impl AsRef<Path>, hdu: &str) -> Result<Array3<f64>> {
     FitsReader::open(path)?.cube(hdu)
-}
-
-/// A column of a table.
-pub(super) struct Column {
-    pub(super) name: String,
-    pub(super) number: i32,
-    pub(super) rows: usize,
-    pub(super) code: i32,
-    repeat: i64,
-    pub(super) width: i64,
-}
-
-impl Column {
-    /// TFLOAT and TDOUBLE of fitsio.h.
-    fn is_real(&self) -> bool {
-        matches!(self.code, 42 | 82)
-    }
-
-    /// TCOMPLEX and TDBLCOMPLEX of fitsio.h.
-    fn is_complex(&self) -> bool {
-        matches!(self.code, 83 | 163)
-    }
-
-    /// Fails for vectors, for variable-length columns (negative codes) and where `has_type` is false.
-    fn check_scalar(&self, file: &FitsReader, has_type: bool, wanted: &str) -> Result<()> {
-        if has_type && self.code > 0 && self.repeat == 1 {
-            return Ok(());
-        }
-        Err(file.refuse(format!("column `{}` is not {wanted}, one in each row", self.name)))
-    }
 }
 
 /// Opens a regular file.

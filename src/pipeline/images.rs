@@ -160,7 +160,7 @@ impl Images {
         let found = if io::aot::is_aot(&file) {
             io::aot::slopes(&mut file, 0, self.len())?
         } else {
-            let named = ["SLOPES_MEAN", "SLOPES"].into_iter().find(|hdu| !file.is_hdu_selected() && file.has(hdu));
+            let named = ["SLOPES_MEAN", "SLOPES"].into_iter().find(|hdu| file.is_whole() && file.has(hdu));
             MatchedSlopes { slopes: Some(file.map(named)?), left_out: None }
         };
         let Some(slopes) = found.slopes else {
