@@ -4,7 +4,7 @@
     python3 benches/peers/poppy_images.py --program target/release/cophase --draws 5
     python3 benches/peers/poppy_images.py --program target/release/cophase --draws 5 --tilts
 
-needs poppy 1.1.2. POPPY makes segments, NCPA, defocus, optics and pixels, and writes the maps that the estimate is compared with; the
+needs poppy 1.1.2 and 6 GB of memory. POPPY makes segments, NCPA, defocus, optics and pixels, and writes the maps that the estimate is compared with; the
 scene has POPPY's own quantities. One image at a defocus of 6 waves peak to valley tells pistons; with --tilts the segments have tips and
 tilts too, and there are images at both defocuses. Noise is drawn by NumPy.
 """
@@ -25,8 +25,8 @@ with contextlib.redirect_stderr(io.StringIO()):
     import poppy
 
 # POPPY's segments have hard edges on a grid of samples: multiples of one have their upper and lower edges between two samples.
-SAMPLES, SAMPLE_M = 2048, 0.0054
-RINGS, FLAT_M, GAP_M, GRID_M = 3, 288 * SAMPLE_M, 2 * SAMPLE_M, SAMPLES * SAMPLE_M
+SAMPLES, SAMPLE_M = 4096, 0.0027
+RINGS, FLAT_M, GAP_M, GRID_M = 3, 576 * SAMPLE_M, 4 * SAMPLE_M, SAMPLES * SAMPLE_M
 SIDE_M = FLAT_M / math.sqrt(3)
 # The circle around the hexagons, over which POPPY's Zernikes and its lens are defined here.
 RADIUS_M = math.hypot(SIDE_M / 2, RINGS * (FLAT_M + GAP_M) + FLAT_M / 2)
