@@ -26,7 +26,7 @@ impl FitsReader {
     /// A column of real numbers of table `hdu`; undefined values are NaN.
     ///
     /// # Errors
-    /// [`Error::File`] where the table or the column is missing, or the column has not one number per row.
+    /// [`Error::File`](crate::Error::File) where the table or the column is missing, or the column has not one number per row.
     pub fn f64_column(&mut self, hdu: &str, column: &str) -> Result<Vec<f64>> {
         let found = self.column(hdu, column)?;
         found.check_scalar(self, found.code.abs() != TSTRING && !found.is_complex(), "a column of numbers")?;

@@ -41,6 +41,9 @@ const MAX_IMAGES: usize = 6;
 const EXPLAINED_BY_SHAPE: f64 = 0.5;
 /// Excess of χ² from which there is a misfit, in standard deviations of χ².
 const MISFIT_SIGMA: f64 = 5.0;
+/// Largest part of χ² beyond 1 that the right orientation leaves.
+const LEFT_BY_TURN: f64 = 0.1;
+
 /// What a check found.
 #[derive(Debug, Clone)]
 pub struct Check {
@@ -237,6 +240,64 @@ impl Work<'_> {
         let pixels = pixels_of(fitted);
         let gain = ((before - chi2_of(fitted)) * pixels).max(0.0) / chi2_of(fitted).max(1.0);
         Ok(Finding { gain, ..Finding::new(CheckedQuantity::Saturation, Verdict::Fault, sentence) })
+    }
+
+    /// Orientation and sign of the defocus, as far as the pupil's shape shows them; `fitted` becomes the fit of the right one.
+    fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<Vec<Finding>> {
+        let (turns, hidden) = turns::turns(scene)?;
+        let has_sign = turns.iter().any(|turn| turn.quantity == CheckedQuantity::DefocusSign);
+        let mut findings = Vec::new();
+        let own_chi2 = chi2_of(fitted);
+        if !fitted.is_explained() && own_chi2 > 1.0 {
+            for turn in &turns {
+                let other = with(scene, &turn.settings)?;
+                // A new basis: that of the cache belongs to the scene's rotation.
+                let Ok(again) = self.fit(&other, &BasisCache::default()) else { continue };
+                let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
+                if (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0) {
+                    findings.push(Finding {
+                        gain: (own_chi2 - chi2) * pixels / chi2.max(1.0),
+                        settings: turn.settings.clone(),
+                        ..Finding::new(
+                            turn.quantity,
+                            Verdict::Fault,
+                            format!(
+                                "{} explains the images: reduced χ² {chi2:.2} in place of {own_chi2:.1}",
+                                turn.name
+                            ),
+                        )
+                    });
+                    *fitted = again;
+                    break;
+                }
+            }
+        }
+        let lacks = |quantity: CheckedQuantity| !findings.iter().any(|finding: &Finding| finding.quantity == quantity);
+        let mut rest = Vec::new();
+        if lacks(CheckedQuantity::Orientation) {
+            rest.push(if hidden.is_empty() {
+                Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
+            } else {
+                let hidden = hidden.join(", ");
+                Finding::open(
+                    CheckedQuantity::Orientation,
+                    format!("the pupil does not distinguish {hidden}: a known poke of a segment or actuator does"),
+                )
+            });
+        }
+        if lacks(CheckedQuantity::DefocusSign) {
+            rest.push(if has_sign {
+                Finding::new(CheckedQuantity::DefocusSign, Verdict::Agrees, "the pupil's shape shows it")
+            } else {
+                Finding::open(
+                    CheckedQuantity::DefocusSign,
+                    "the opposite sign, with the wavefront −W(−x, −y), gives the same images: a known poke of a segment or actuator \
+                     shows it",
+                )
+            });
+        }
+        findings.extend(rest);
+        Ok(findings)
     }
 
     /// Optical parameters, fitted together, and shapes of the residual.

@@ -6,11 +6,8 @@
 //! little determined, and its wrong sign asks for a wavefront of the same size, so that no prior helps.
 
 use super::finding::{CheckedQuantity, Finding, Verdict};
-use super::{Work, chi2_of, pixels_of, with};
-use crate::modal::BasisCache;
 use crate::pipeline::control::Control;
 use crate::pipeline::images::Images;
-use crate::pipeline::modal_task::Fitted;
 use crate::pipeline::orientation::{Poke, check_orientation};
 use crate::scene::{Aperture, Scene};
 use crate::telescope::Telescope;
@@ -19,69 +16,6 @@ use ndarray::{Array2, Axis};
 
 /// Part of the pupil's light in which two pupils differ that images tell apart.
 const DIFFERENT: f64 = 0.01;
-
-/// Largest part of χ² beyond 1 that the right orientation leaves.
-const LEFT_BY_TURN: f64 = 0.1;
-
-impl Work<'_> {
-    /// Orientation and sign of the defocus, as far as the pupil's shape shows them; `fitted` becomes the fit of the right one.
-    pub(super) fn turned(&self, scene: &Scene, fitted: &mut Fitted) -> Result<Vec<Finding>> {
-        let (turns, hidden) = turns(scene)?;
-        let has_sign = turns.iter().any(|turn| turn.quantity == CheckedQuantity::DefocusSign);
-        let mut findings = Vec::new();
-        let own_chi2 = chi2_of(fitted);
-        if !fitted.is_explained() && own_chi2 > 1.0 {
-            for turn in &turns {
-                let other = with(scene, &turn.settings)?;
-                // A new basis: that of the cache belongs to the scene's rotation.
-                let Ok(again) = self.fit(&other, &BasisCache::default()) else { continue };
-                let (chi2, pixels) = (chi2_of(&again), pixels_of(&again));
-                if (chi2 - 1.0).max(0.0) < LEFT_BY_TURN * (own_chi2 - 1.0) {
-                    findings.push(Finding {
-                        gain: (own_chi2 - chi2) * pixels / chi2.max(1.0),
-                        settings: turn.settings.clone(),
-                        ..Finding::new(
-                            turn.quantity,
-                            Verdict::Fault,
-                            format!(
-                                "{} explains the images: reduced χ² {chi2:.2} in place of {own_chi2:.1}",
-                                turn.name
-                            ),
-                        )
-                    });
-                    *fitted = again;
-                    break;
-                }
-            }
-        }
-        let lacks = |quantity: CheckedQuantity| !findings.iter().any(|finding: &Finding| finding.quantity == quantity);
-        let mut rest = Vec::new();
-        if lacks(CheckedQuantity::Orientation) {
-            rest.push(if hidden.is_empty() {
-                Finding::new(CheckedQuantity::Orientation, Verdict::Agrees, "the pupil's shape shows every orientation")
-            } else {
-                let hidden = hidden.join(", ");
-                Finding::open(
-                    CheckedQuantity::Orientation,
-                    format!("the pupil does not distinguish {hidden}: a known poke of a segment or actuator does"),
-                )
-            });
-        }
-        if lacks(CheckedQuantity::DefocusSign) {
-            rest.push(if has_sign {
-                Finding::new(CheckedQuantity::DefocusSign, Verdict::Agrees, "the pupil's shape shows it")
-            } else {
-                Finding::open(
-                    CheckedQuantity::DefocusSign,
-                    "the opposite sign, with the wavefront −W(−x, −y), gives the same images: a known poke of a segment or actuator \
-                     shows it",
-                )
-            });
-        }
-        findings.extend(rest);
-        Ok(findings)
-    }
-}
 
 /// A scene whose images are turned or flipped, and how.
 pub(super) struct Turn {
