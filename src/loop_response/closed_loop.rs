@@ -97,8 +97,7 @@ impl ClosedLoopResponse {
         -self.mirror.wavefront_nm(commands_nm)
     }
 
-    /// Measures the linear part of [`ClosedLoopResponse::response_nm`] about segments of `about_nm`, for 1 nm of each of the coefficients
-    /// `modes` (pistons, tips, tilts in turn), `[mode, sample]`.
+    /// The wavefronts of [`ClosedLoopResponse::linear_commands`], `[mode, sample]`.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
@@ -112,7 +111,8 @@ impl ClosedLoopResponse {
         Ok(responses)
     }
 
-    /// Measures the commands of [`ClosedLoopResponse::linear_response`], `[mode, actuator]`.
+    /// Measures the linear part of [`ClosedLoopResponse::commands_nm`] about segments of `about_nm`, for 1 nm of each of the coefficients
+    /// `modes` (pistons, tips, tilts in turn), `[mode, actuator]`.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
