@@ -4,6 +4,7 @@
 //! The response is nonlinear, as is a quad cell's to a step at a segment's edge. So it is simulated for each set of coefficients, and
 //! its linear part serves for first estimates only.
 
+use super::mirror_shape::MirrorShape;
 use super::segment_surface::SegmentSurface;
 use crate::Result;
 use crate::ao::{Simulator, UNDISTURBED_LOOP};
@@ -38,8 +39,7 @@ pub struct ClosedLoopResponse {
     /// Index in the simulator's map of each sample that a segment owns.
     owned: Vec<u32>,
     surface: SegmentSurface,
-    /// Shape of 1 nm of each command at each illuminated sample, `[actuator, sample]`.
-    influence: Array2<f64>,
+    mirror: MirrorShape,
 }
 
 impl ClosedLoopResponse {
@@ -55,8 +55,8 @@ impl ClosedLoopResponse {
         let owned: Vec<_> = pupil.owned_samples().collect();
         let surface = SegmentSurface::new(&owned, pupil, &simulator.telescope().pupil);
         let owned = owned.into_iter().map(|((y, x), _)| (y * stride + x) as u32).collect();
-        let influence = simulator.influence().evaluate(&samples.xs_m, &samples.ys_m)?;
-        Ok(Self { simulator, owned, surface, influence })
+        let mirror = MirrorShape::new(simulator.influence(), samples);
+        Ok(Self { simulator, owned, surface, mirror })
     }
 
     /// Simulates the commands of the mirror at rest behind segments with these coefficients, nm.
@@ -88,25 +88,44 @@ impl ClosedLoopResponse {
     /// As [`ClosedLoopResponse::commands_nm`].
     pub fn response_nm(&mut self, segments_nm: &[f64]) -> Result<Array1<f64>> {
         let commands_nm = self.commands_nm(segments_nm)?;
-        // The mirror's shape is subtracted from the wavefront.
-        Ok(-ArrayView1::from(&commands_nm).dot(&self.influence))
+        Ok(self.wavefront_nm(ArrayView1::from(&commands_nm)))
     }
 
-    /// Measures the linear part of [`ClosedLoopResponse::response_nm`] about segments of `about_nm`, for 1 nm of each of the coefficients
-    /// `modes` (pistons, tips, tilts in turn), `[mode, sample]`.
+    /// Contribution of the mirror with these commands to the wavefront at each illuminated sample, nm.
+    pub(crate) fn wavefront_nm(&self, commands_nm: ArrayView1<f64>) -> Array1<f64> {
+        // The mirror's shape is subtracted from the wavefront.
+        -self.mirror.wavefront_nm(commands_nm)
+    }
+
+    /// The wavefronts of [`ClosedLoopResponse::linear_commands`], `[mode, sample]`.
     ///
     /// # Errors
     /// As [`ClosedLoopResponse::commands_nm`].
-    pub fn linear_response(&mut self, about_nm: &[f64], modes: Range<usize>) -> Result<Array2<f64>> {
-        let mut responses = Array2::zeros((modes.len(), self.influence.ncols()));
+    #[cfg(test)]
+    pub(crate) fn linear_response(&mut self, about_nm: &[f64], modes: Range<usize>) -> Result<Array2<f64>> {
+        let commands = self.linear_commands(about_nm, modes)?;
+        let mut responses = Array2::zeros((commands.nrows(), self.mirror.len()));
+        for (commands, mut response) in commands.outer_iter().zip(responses.outer_iter_mut()) {
+            response.assign(&self.wavefront_nm(commands));
+        }
+        Ok(responses)
+    }
+
+    /// Measures the linear part of [`ClosedLoopResponse::commands_nm`] about segments of `about_nm`, for 1 nm of each of the coefficients
+    /// `modes` (pistons, tips, tilts in turn), `[mode, actuator]`.
+    ///
+    /// # Errors
+    /// As [`ClosedLoopResponse::commands_nm`].
+    pub(crate) fn linear_commands(&mut self, about_nm: &[f64], modes: Range<usize>) -> Result<Array2<f64>> {
+        let mut responses = Array2::zeros((modes.len(), self.simulator.influence().len()));
         let mut segments_nm = about_nm.to_vec();
         // Of a mirror at rest behind even segments nothing moves.
-        let offset_nm = about_nm.iter().any(|nm| *nm != 0.0).then(|| self.response_nm(about_nm)).transpose()?;
+        let offset_nm = about_nm.iter().any(|nm| *nm != 0.0).then(|| self.commands_nm(about_nm)).transpose()?;
         for (mode, mut row) in modes.zip(responses.outer_iter_mut()) {
             segments_nm[mode] += POKE_NM;
-            row.assign(&self.response_nm(&segments_nm)?);
+            row.assign(&ArrayView1::from(&self.commands_nm(&segments_nm)?));
             if let Some(offset_nm) = &offset_nm {
-                row -= offset_nm;
+                row -= &ArrayView1::from(offset_nm);
             }
             row /= POKE_NM;
             segments_nm[mode] = about_nm[mode];

@@ -3,6 +3,7 @@
 mod closed_loop;
 mod controller;
 mod corrections;
+mod mirror_shape;
 mod segment_surface;
 mod sensor_model;
 mod slope_information;

@@ -203,7 +203,7 @@ impl InfluenceFunctions {
 
     /// The factors of the influence functions along one coordinate, `[column or row of actuators, point]`, and the index
     /// `row·across + column` of each actuator among their products.
-    pub(super) fn along(&self, coordinates_m: &[f64]) -> (Array2<f64>, &[usize]) {
+    pub(crate) fn along(&self, coordinates_m: &[f64]) -> (Array2<f64>, &[usize]) {
         let rate = self.mirror.coupling.ln() / self.mirror.pitch_m.powi(2);
         let line = Array2::from_shape_fn((self.mirror.actuators_across, coordinates_m.len()), |(i, point)| {
             (rate * (coordinates_m[point] - self.mirror.coordinate_m(i)).powi(2)).exp()

@@ -72,11 +72,19 @@ struct OpticsMerit {
     reduced_objective: f64,
     /// Logarithm of the amplitude of each segment over that of the optics, where amplitudes were unknowns.
     ln_amplitudes: Vec<f64>,
+    /// Most evaluations of an image.
+    evaluations: usize,
 }
 
 impl OpticsMerit {
     fn explains_images(&self) -> bool {
         self.reduced_chi2 <= OPTICS_SEARCH_CHI2
+    }
+
+    /// Most evaluations of an image with other optics: better ones need no more than the current optics did, and worse ones need not
+    /// be followed to their minimum.
+    fn most_of_a_trial(&self) -> usize {
+        self.evaluations + self.evaluations / 2
     }
 }
 
@@ -91,11 +99,24 @@ struct OpticsSearch<'a> {
 }
 
 impl OpticsSearch<'_> {
-    /// Retrieves the images with trial optics.
-    fn evaluate(&self, optics: &TrialOptics, segment_amplitude_rms: f64) -> Result<OpticsMerit> {
+    /// Retrieves the images with trial optics, in `most` evaluations each.
+    fn evaluate(&self, optics: &TrialOptics, segment_amplitude_rms: f64, most: usize) -> Result<OpticsMerit> {
+        self.evaluate_with(optics, optics.telescope()?, segment_amplitude_rms, most)
+    }
+
+    /// As [`OpticsSearch::evaluate`], with the telescope of the trial optics.
+    fn evaluate_with(
+        &self,
+        optics: &TrialOptics,
+        telescope: Telescope,
+        segment_amplitude_rms: f64,
+        most: usize,
+    ) -> Result<OpticsMerit> {
         // Compiling kernels for six images of optics that are used once does not pay.
-        let settings = RetrievalSettings { segment_amplitude_rms, device: Choice::Cpu, ..self.settings.clone() };
-        let retriever = Retriever::new(&optics.scene, optics.telescope()?, self.prior, settings)?;
+        let max_evaluations = most.min(self.settings.max_evaluations);
+        let device = Choice::Cpu;
+        let settings = RetrievalSettings { segment_amplitude_rms, device, max_evaluations, ..self.settings.clone() };
+        let retriever = Retriever::new(&optics.scene, telescope, self.prior, settings)?;
         let cube = Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e };
         let wavefronts = retriever.retrieve(cube, None, self.cancel, &|_| {})?;
         let unusable = || Error::Image("no image can be used".into());
@@ -105,6 +126,7 @@ impl OpticsSearch<'_> {
             reduced_objective: finite_median(reports.iter().map(|report| report.reduced_objective))
                 .ok_or_else(unusable)?,
             ln_amplitudes: column_medians(&wavefronts.ln_amplitudes).ok_or_else(unusable)?,
+            evaluations: reports.iter().map(|report| report.evaluations).max().unwrap_or(0),
         })
     }
 
@@ -119,7 +141,7 @@ impl OpticsSearch<'_> {
         let mut best: Option<(TrialOptics, OpticsMerit)> = None;
         if !is_explained {
             let amplitudes = self.with_amplitudes(optics)?;
-            let trial = self.evaluate(&amplitudes, 0.0)?;
+            let trial = self.evaluate(&amplitudes, 0.0, merit.most_of_a_trial())?;
             best = Some((amplitudes, trial));
         }
         let parameters = OpticsParameter::all(&optics.scene, self.settings.device).into_iter();
@@ -127,8 +149,7 @@ impl OpticsSearch<'_> {
             if !is_explained && best.as_ref().is_some_and(|(_, trial)| trial.explains_images()) {
                 break;
             }
-            let tried = self.with_best_value(optics, &parameter, merit.reduced_objective)?;
-            let trial = self.evaluate(&tried, 0.0)?;
+            let Some((tried, trial)) = self.with_best_value(optics, &parameter, merit)? else { continue };
             if best.as_ref().is_none_or(|(_, least)| trial.reduced_objective < least.reduced_objective) {
                 best = Some((tried, trial));
             }
@@ -137,23 +158,35 @@ impl OpticsSearch<'_> {
         Ok(best.filter(|(_, trial)| trial.reduced_objective < ratio * merit.reduced_objective))
     }
 
-    /// `optics`, whose objective is `merit`, with the best value of `parameter`.
-    fn with_best_value(&self, optics: &TrialOptics, parameter: &OpticsParameter, merit: f64) -> Result<TrialOptics> {
-        let amplitude = optics.telescope()?.pupil.amplitude;
-        let (value, _) = parameter.find_minimum((parameter.own, merit), |value| {
+    /// `optics` with the best value of `parameter`, and their merit; `None` where its own value, of `merit`, is the best.
+    fn with_best_value(
+        &self,
+        optics: &TrialOptics,
+        parameter: &OpticsParameter,
+        merit: &OpticsMerit,
+    ) -> Result<Option<(TrialOptics, OpticsMerit)>> {
+        // Its pupil serves all trials with another camera or scale.
+        let own = optics.telescope()?;
+        let mut trials: Vec<(f64, OpticsMerit)> = Vec::new();
+        let (value, _) = parameter.find_minimum((parameter.own, merit.reduced_objective), |value| {
             let tried = optics.with(parameter.key, value)?;
             // An obscuration within the missing segment changes nothing.
-            if parameter.key.starts_with("pupil.") && tried.telescope()?.pupil.amplitude == amplitude {
-                return Ok(merit);
+            let telescope = if parameter.key.starts_with("pupil.") { tried.telescope()? } else { own.clone() };
+            if parameter.key.starts_with("pupil.") && telescope.pupil.amplitude == own.pupil.amplitude {
+                return Ok(merit.reduced_objective);
             }
-            Ok(self.evaluate(&tried, 0.0)?.reduced_objective)
+            let trial = self.evaluate_with(&tried, telescope, 0.0, merit.most_of_a_trial())?;
+            let objective = trial.reduced_objective;
+            trials.push((value, trial));
+            Ok(objective)
         })?;
-        optics.with(parameter.key, value)
+        let best = trials.into_iter().find(|(tried, _)| *tried == value);
+        best.map(|(value, trial)| Ok((optics.with(parameter.key, value)?, trial))).transpose()
     }
 
     /// `optics` with the amplitudes of the segments estimated from the images.
     fn with_amplitudes(&self, optics: &TrialOptics) -> Result<TrialOptics> {
-        let ln = self.evaluate(optics, AMPLITUDE_RMS)?.ln_amplitudes;
+        let ln = self.evaluate(optics, AMPLITUDE_RMS, usize::MAX)?.ln_amplitudes;
         let known = optics.amplitudes.iter().copied().chain(std::iter::repeat(1.0));
         let amplitudes = ln.iter().zip(known).map(|(ln, known)| known * ln.exp()).collect();
         Ok(TrialOptics { amplitudes, scene: optics.scene.clone() })
@@ -176,7 +209,7 @@ pub(crate) fn estimate_optics(
     let (images_e, bad) = (cube.images_e.select(Axis(0), &chosen), cube.bad.select(Axis(0), &chosen));
     let search = OpticsSearch { images_e, bad, read_noise_e: cube.read_noise_e, prior, settings, cancel };
     let mut optics = TrialOptics { scene: scene.clone(), amplitudes: Vec::new() };
-    let mut merit = match search.evaluate(&optics, 0.0) {
+    let mut merit = match search.evaluate(&optics, 0.0, usize::MAX) {
         // The retrieval of all images reports why they are unusable.
         Err(Error::Image(_)) => return RetrievedOptics::new(scene, optics.scene, optics.amplitudes),
         merit => merit?,

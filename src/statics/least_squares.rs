@@ -23,8 +23,8 @@ const INITIAL_RMS_NM: f64 = 30.0;
 const SAME_MEAN_NM: f64 = 0.3;
 
 /// Linear model of the mean wavefront: response to segment modes, NCPA and an offset, weighted by the inverse covariance.
-pub struct StaticModel<'a> {
-    covariance: &'a MeanCovariance<'a>,
+pub struct StaticModel {
+    covariance: MeanCovariance,
     /// Number of segments, which is that of the pistons, and of segment modes: pistons, and where they are estimated tilts.
     segments: usize,
     segment_modes: usize,
@@ -41,7 +41,7 @@ pub struct StaticModel<'a> {
     groups: Vec<CoefficientGroup>,
 }
 
-impl<'a> StaticModel<'a> {
+impl StaticModel {
     /// The model of responses to the modes of `segments` segments (pistons, and where they are estimated tips and tilts) and to `ncpa`,
     /// both `[mode, sample]`, on samples whose mean wavefront has `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and
     /// whether telemetry separates NCPA from the common path.
@@ -52,7 +52,7 @@ impl<'a> StaticModel<'a> {
         (segment_columns, segments): (ArrayView2<f64>, usize),
         ncpa: ArrayView2<f64>,
         (groups, has_telemetry): (&[usize], bool),
-        covariance: &'a MeanCovariance,
+        covariance: &MeanCovariance,
     ) -> Result<Self> {
         let (segment_modes, samples) = segment_columns.dim();
         let modes = ncpa.nrows();
@@ -76,7 +76,7 @@ impl<'a> StaticModel<'a> {
         let information = information.select(Axis(0), &column_of).select(Axis(1), &column_of);
         let groups = coefficient_groups([segments, segment_modes], groups, has_telemetry);
         Ok(Self {
-            covariance,
+            covariance: covariance.clone(),
             segments,
             segment_modes,
             ncpa: modes,
@@ -87,6 +87,16 @@ impl<'a> StaticModel<'a> {
             column_of,
             groups,
         })
+    }
+
+    /// Whether telemetry separates NCPA from the common path.
+    pub fn has_telemetry(&self) -> bool {
+        self.column_of.len() > self.columns.nrows()
+    }
+
+    /// Covariance of the mean wavefront.
+    pub fn covariance(&self) -> &MeanCovariance {
+        &self.covariance
     }
 
     /// Estimates the static errors of a mean wavefront, nm at each sample.

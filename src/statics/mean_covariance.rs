@@ -5,7 +5,7 @@
 //! (the exact inverse but for the pupil's edge) take two dozen iterations to four digits, for any number of samples.
 //! Scalar products of the solutions have twice as many digits: see [`Weighted`].
 
-use super::convolution::ConvolutionBuffers;
+use super::convolution::{ConvolutionBuffers, Convolver};
 use super::covariance::ResidualCovariance;
 use crate::optimize::{CancelFlag, is_cancelled};
 use crate::retrieval::IlluminatedSamples;
@@ -15,8 +15,9 @@ use num_complex::Complex32;
 use rayon::prelude::*;
 
 /// Error at which a column is solved, over the solution, in the norm √(v·C·v) in which the error bars of an estimate are 1: scalar products
-/// by [`Weighted`] are known to its square, those with another mean to it. The preconditioner measures it, but for a factor.
-const TOLERANCE: f64 = 3e-4;
+/// by [`Weighted`] are known to its square, which is what single precision leaves of them, those with another mean to it. The
+/// preconditioner measures it, but for a factor.
+const TOLERANCE: f64 = 1e-3;
 
 /// Prior RMS of a sample of the mean wavefront at frequencies that images do not resolve, nm: more than turbulence and static
 /// errors have there together.
@@ -26,15 +27,18 @@ const UNRESOLVED_NM: f64 = 50.0;
 const MAX_ITERATIONS: usize = 250;
 
 /// Covariance of the mean of images.
-pub struct MeanCovariance<'a> {
-    residual: &'a ResidualCovariance,
+#[derive(Clone)]
+pub struct MeanCovariance {
+    convolver: Convolver<f32>,
+    /// Eigenvalues, with the mean variance of a sample's error, nm²; none of frequencies that images do not resolve.
+    resolved_nm2: Vec<f32>,
     /// Eigenvalues of the mean over the number of points of the grid, nm².
     gain_nm2: Vec<f32>,
     /// Variance of the error of each sample, nm².
     floor_nm2: Vec<f32>,
     /// Approximate inverse of the eigenvalues, but for its scale.
     inverse: Vec<f32>,
-    cancel: Option<&'a CancelFlag>,
+    cancel: Option<CancelFlag>,
 }
 
 /// Columns B weighted by the inverse of a covariance C, `[column, sample]`: X ≈ C⁻¹·B, and its residual R = B − C·X.
@@ -59,11 +63,11 @@ impl Weighted {
     }
 }
 
-impl<'a> MeanCovariance<'a> {
+impl MeanCovariance {
     /// Covariance of the mean of `images` wavefronts of covariance `residual`, whose samples each have an independent error of
     /// `sample_error_nm` over their amplitude.
     pub fn new(
-        residual: &'a ResidualCovariance,
+        residual: &ResidualCovariance,
         images: usize,
         sample_error_nm: f64,
         samples: &IlluminatedSamples,
@@ -81,17 +85,38 @@ impl<'a> MeanCovariance<'a> {
         let variance = |nm2: &f64| (nm2 + middle_nm2).max(f64::MIN_POSITIVE);
         let least = mean_nm2.iter().map(variance).fold(f64::MAX, f64::min);
         let inverse = mean_nm2.iter().map(|nm2| (least / variance(nm2) / n2) as f32).collect();
-        Self { residual, gain_nm2, floor_nm2: floor_nm2.map(|nm2| nm2 as f32).collect(), inverse, cancel: None }
+        let resolved = mean_nm2.iter().zip(&residual.is_unresolved).filter(|(_, is_unresolved)| !**is_unresolved);
+        Self {
+            convolver: residual.single.clone(),
+            resolved_nm2: resolved.map(|(nm2, _)| variance(nm2) as f32).collect(),
+            gain_nm2,
+            floor_nm2: floor_nm2.map(|nm2| nm2 as f32).collect(),
+            inverse,
+            cancel: None,
+        }
     }
 
     /// As it is, but a solution ends where `cancel` is raised.
-    pub fn stopped_by(self, cancel: Option<&'a CancelFlag>) -> Self {
-        Self { cancel, ..self }
+    pub fn stopped_by(self, cancel: Option<&CancelFlag>) -> Self {
+        Self { cancel: cancel.cloned(), ..self }
+    }
+
+    /// RMS, over the resolved frequencies, of the logarithm of this covariance over `other`; infinite for one on another grid.
+    ///
+    /// An estimate whose weights are off by factors between 1 − d and 1 + d has a variance of at most 1/(1 − d²) times the least
+    /// (Kantorovich), and error bars from them are off by d/2 at most.
+    pub fn distance(&self, other: &Self) -> f64 {
+        if self.resolved_nm2.len() != other.resolved_nm2.len() || self.floor_nm2.len() != other.floor_nm2.len() {
+            return f64::INFINITY;
+        }
+        let square = |(own, other): (&f32, &f32)| f64::from(own / other).ln().powi(2);
+        let sum: f64 = self.resolved_nm2.iter().zip(&other.resolved_nm2).map(square).sum();
+        (sum / self.resolved_nm2.len().max(1) as f64).sqrt()
     }
 
     /// Computes C·v for two vectors at once, the real and the imaginary part of one.
     fn times(&self, vectors: &[Complex32], product: &mut [Complex32], buffers: &mut ConvolutionBuffers<f32>) {
-        let filtered = self.residual.single.filtered(vectors.iter().copied(), &self.gain_nm2, buffers);
+        let filtered = self.convolver.filtered(vectors.iter().copied(), &self.gain_nm2, buffers);
         for (((out, value), v), floor) in product.iter_mut().zip(filtered).zip(vectors).zip(&self.floor_nm2) {
             *out = value + v * floor;
         }
@@ -99,7 +124,7 @@ impl<'a> MeanCovariance<'a> {
 
     /// Preconditioner: approximates C⁻¹·v, but for a factor.
     fn precondition(&self, vectors: &[Complex32], out: &mut [Complex32], buffers: &mut ConvolutionBuffers<f32>) {
-        let filtered = self.residual.single.filtered(vectors.iter().copied(), &self.inverse, buffers);
+        let filtered = self.convolver.filtered(vectors.iter().copied(), &self.inverse, buffers);
         out.iter_mut().zip(filtered).for_each(|(out, value)| *out = value);
     }
 
@@ -113,9 +138,9 @@ impl<'a> MeanCovariance<'a> {
         let solutions = weighted.solution.axis_chunks_iter_mut(Axis(0), 2).into_par_iter();
         let residuals = weighted.residual.axis_chunks_iter_mut(Axis(0), 2).into_par_iter();
         solutions.zip(residuals).zip(pairs).try_for_each_init(
-            || self.residual.single.buffers(),
+            || self.convolver.buffers(),
             |buffers, ((mut solution, mut residual), pair)| {
-                if is_cancelled(self.cancel) {
+                if is_cancelled(self.cancel.as_ref()) {
                     return Err(Error::Interrupted("static errors were being separated".into()));
                 }
                 // Columns are normalised, because the range of single precision is limited.
@@ -199,7 +224,7 @@ mod tests {
     fn times(mean: &MeanCovariance, vector: ArrayView1<f64>) -> Array1<f64> {
         let vector: Vec<Complex32> = vector.iter().map(|&v| Complex32::new(v as f32, 0.0)).collect();
         let mut product = vec![Complex32::default(); vector.len()];
-        mean.times(&vector, &mut product, &mut mean.residual.single.buffers());
+        mean.times(&vector, &mut product, &mut mean.convolver.buffers());
         product.iter().map(|value| f64::from(value.re)).collect()
     }
 
@@ -207,7 +232,7 @@ mod tests {
     fn norm_of(mean: &MeanCovariance, vector: ArrayView1<f64>) -> f64 {
         let vector: Vec<Complex32> = vector.iter().map(|&v| Complex32::new(v as f32, 0.0)).collect();
         let mut product = vector.clone();
-        mean.precondition(&vector, &mut product, &mut mean.residual.single.buffers());
+        mean.precondition(&vector, &mut product, &mut mean.convolver.buffers());
         dots(&vector, &product)[0].sqrt()
     }
 
@@ -333,6 +358,25 @@ mod tests {
         // of 24 samples its ripples make up some of any other.
         assert!(weight(3.0, 4.2) < 1e-3 * weight(f64::INFINITY, 4.2));
         assert!(weight(3.0, 1.0) > 0.6 * weight(f64::INFINITY, 1.0));
+    }
+
+    #[test]
+    fn the_distance_of_two_covariances_is_that_of_their_logarithms() {
+        let samples = disc();
+        let white = Array2::from_shape_vec((30, samples.len()), noise(30 * samples.len())).unwrap();
+        let of = |times: f64, f_per_m: f64| {
+            let residuals = &white * times;
+            let covariance = ResidualCovariance::from_residuals(&samples, residuals.view()).unwrap();
+            MeanCovariance::new(&covariance.with_unresolved_beyond(f_per_m, 0.1), 30, 0.01, &samples)
+        };
+        let one = of(1.0, f64::INFINITY);
+        assert_eq!(one.distance(&one), 0.0);
+        // Eigenvalues that are 0 are equal in both: the others, of which white noise has four fifths or more after the taper, differ by
+        // ln 1.21.
+        let distance = one.distance(&of(1.1, f64::INFINITY));
+        assert!(distance < 1.21f64.ln() * 1.0001 && distance > 0.8 * 1.21f64.ln(), "{distance}");
+        // Other frequencies are resolved.
+        assert_eq!(one.distance(&of(1.0, 3.0)), f64::INFINITY);
     }
 
     #[test]

@@ -35,13 +35,7 @@ impl Diversity {
             let path = scene.resolve(file);
             return Ok(Self::Map(OpdMap::read(&path)?.over(pupil).map_err(|error| Error::file(&path, error))?));
         }
-        let pupil = telescope.finest_pupil()?;
-        let (mut weight, mut mean, mut square) = (0.0, 0.0, 0.0);
-        for ((y, x), &a) in pupil.amplitude.indexed_iter() {
-            let r2 = pupil.grid.coordinate_m(x).powi(2) + pupil.grid.coordinate_m(y).powi(2);
-            (weight, mean, square) = (weight + a, mean + a * r2, square + a * r2 * r2);
-        }
-        let (mean, square) = (mean / weight, square / weight);
+        let [mean, square] = telescope.moments()?;
         let rms_nm = scene.image.diversity_focus_waves_rms * scene.image.wavelength_nm;
         let factor_nm_m2 = rms_nm / (square - mean * mean).sqrt();
         Ok(Self::Focus { factor_nm_m2, offset_nm: -factor_nm_m2 * mean })

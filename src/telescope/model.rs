@@ -7,6 +7,7 @@ use crate::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, Pupil, S
 use crate::scene::{Aperture as SceneAperture, PupilModel, Purpose, Scene};
 use crate::{Error, Result};
 use ndarray::Array2;
+use std::sync::{Arc, OnceLock};
 
 /// Samples along a side of the grid on which the moments of a geometric pupil are computed: their error falls as the
 /// square of the pitch, from 1e-4 at 120 samples.
@@ -35,6 +36,8 @@ pub struct Telescope {
     amplitudes: Vec<f64>,
     /// Slopes along x and y and the rise to the edge of the illumination; `None` for an even one.
     illumination: Option<[f64; 3]>,
+    /// Means of r² and of r⁴ over the finest pupil, once they are needed, m² and m⁴.
+    moments: Arc<OnceLock<[f64; 2]>>,
 }
 
 impl Telescope {
@@ -78,6 +81,7 @@ impl Telescope {
             source: PupilSource::Exact(aperture),
             amplitudes: Vec::new(),
             illumination: None,
+            moments: Arc::default(),
         })
     }
 
@@ -108,7 +112,8 @@ impl Telescope {
         }
         let fine = FinePupil::new(Grid::new(size, width_m)?, amplitude, labels)?;
         let pupil = binned(&fine, Grid::new(samples, width_m)?)?;
-        Ok(Self { pupil, source: PupilSource::Fine(fine), amplitudes: Vec::new(), illumination })
+        let (source, moments) = (PupilSource::Fine(fine), Arc::default());
+        Ok(Self { pupil, source, amplitudes: Vec::new(), illumination, moments })
     }
 
     /// Builds a telescope from maps `[y, x]` over `width_m`, on their own grid: see [`Pupil::from_maps`].
@@ -118,7 +123,8 @@ impl Telescope {
     pub fn from_maps(width_m: f64, amplitude: Array2<f64>, labels: Option<Array2<i32>>) -> Result<Self> {
         let grid = Grid::new(even_side(&amplitude)?, width_m)?;
         let pupil = Pupil::from_maps(grid, amplitude, labels)?;
-        Ok(Self { pupil, source: PupilSource::Coarse, amplitudes: Vec::new(), illumination: None })
+        let (source, moments) = (PupilSource::Coarse, Arc::default());
+        Ok(Self { pupil, source, amplitudes: Vec::new(), illumination: None, moments })
     }
 
     /// This telescope with segments that reflect the given amplitudes, in any unit. The amplitudes are scaled so that
@@ -232,8 +238,23 @@ impl Telescope {
         }
     }
 
+    /// Means of r² and of r⁴ over the finest pupil, weighted by its amplitude, m² and m⁴. That pupil is drawn once: a search for the optics
+    /// needs them several times for each trial.
+    pub(super) fn moments(&self) -> Result<[f64; 2]> {
+        if let Some(moments) = self.moments.get() {
+            return Ok(*moments);
+        }
+        let pupil = self.finest_pupil()?;
+        let (mut weight, mut mean, mut square) = (0.0, 0.0, 0.0);
+        for ((y, x), &a) in pupil.amplitude.indexed_iter() {
+            let r2 = pupil.grid.coordinate_m(x).powi(2) + pupil.grid.coordinate_m(y).powi(2);
+            (weight, mean, square) = (weight + a, mean + a * r2, square + a * r2 * r2);
+        }
+        Ok(*self.moments.get_or_init(|| [mean / weight, square / weight]))
+    }
+
     /// Pupil on the finest known grid; exact geometry on a grid on which its moments have errors of about 1e-6.
-    pub(super) fn finest_pupil(&self) -> Result<Pupil> {
+    fn finest_pupil(&self) -> Result<Pupil> {
         match &self.source {
             PupilSource::Exact(_) => self.pupil_on(Grid::new(FINE_SAMPLES, self.pupil.grid.width_m())?),
             PupilSource::Fine(fine) => Ok(fine.pupil().clone()),
