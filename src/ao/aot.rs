@@ -370,7 +370,7 @@ fn telemetry(file: &mut FitsWriter, simulator: &Simulator, sensing: &SensorScene
 /// Writes the matrices of the loop, and the filter of an integrator.
 fn matrices(file: &mut FitsWriter, simulator: &Simulator, control: &ControlScene) -> Result<()> {
     let (slopes, actuators) = simulator.interaction().dim();
-    let command = simulator.law().reconstructor().command_matrix();
+    let command = simulator.law().command_matrix();
     let command = command.as_standard_layout().into_owned();
     let command = command.into_shape_with_order((actuators, 2, slopes / 2)).map_err(uneven)?;
     file.image("CONTROL_MATRIX", &command, Pixel::F64, "nm/mas")?;

@@ -91,6 +91,17 @@ words! {
 }
 
 words! {
+    /// Calculation of commands from slopes.
+    #[derive(Copy)]
+    ReconstructorKind {
+        /// A truncated inverse of the interaction matrix, by its singular values: one dense matrix.
+        Dense = "dense",
+        /// Regularised least squares, solved in every frame with a banded factorisation of the normal equations.
+        Sparse = "sparse",
+    }
+}
+
+words! {
     /// Control law.
     #[derive(Copy)]
     Loop {

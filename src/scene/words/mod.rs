@@ -33,7 +33,9 @@ mod device;
 mod estimate;
 mod telescope;
 
-pub use adaptive::{ControlBasis, Fill, Influence, Loop, SensorDetector, SensorKind, SensorMask, SlopeOrder};
+pub use adaptive::{
+    ControlBasis, Fill, Influence, Loop, ReconstructorKind, SensorDetector, SensorKind, SensorMask, SlopeOrder,
+};
 pub use device::{Crop, DeviceChoice};
 pub use estimate::{AoKnowledge, Combine, Method, ModelChoice, Optimizer, Precision, Sampling, Telemetry, Weighting};
 pub use telescope::{Aperture, NcpaBasis, Optic, PupilModel, SegmentModes};
