@@ -101,3 +101,51 @@ fn groups(surface: &Surface, period: usize) -> Vec<Vec<usize>> {
     groups.retain(|group| !group.is_empty());
     groups
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ao::parts::{actuators, sensor_pupil};
+    use crate::ao::sensor::Lenslets;
+    use crate::ao::testing::small;
+    use crate::telescope::Telescope;
+
+    #[test]
+    fn groups_of_actuators_have_the_bits_of_one_after_the_other() {
+        for (detector, coupling) in [("quad-cell", "0.1458"), ("pixels", "0.3"), ("geometric", "0.05")] {
+            let settings = [("wavefront_sensor.detector", detector), ("mirror.coupling", coupling)];
+            let scene = small("", &settings);
+            let sensing = scene.wavefront_sensor.as_ref().unwrap();
+            let telescope = Telescope::new(&scene).unwrap();
+            let pupil = sensor_pupil(&scene, sensing, &telescope, 0).unwrap();
+            let footprint = Footprint::new(&pupil);
+            let lenslets = Lenslets::new(sensing, &pupil, scene.directory()).unwrap();
+            let mut surface = Surface::new(&actuators(&scene, &lenslets).unwrap(), &pupil.grid, &footprint);
+            let mut sensor = Sensor::new(sensing, lenslets, &pupil, &footprint).unwrap();
+            let matrix = interaction(&mut sensor, &mut surface, &footprint, ReconstructorKind::Dense).unwrap();
+            for (actuator, column) in matrix.columns().into_iter().enumerate() {
+                let [push, pull] = [POKE_NM, -POKE_NM].map(|stroke_nm| {
+                    let mut command = vec![0.0; surface.actuators()];
+                    command[actuator] = stroke_nm;
+                    let (mut map, mut slopes) = (footprint.zeros(), vec![0.0; sensor.slopes()]);
+                    surface.add(&command, 1.0, &mut map).unwrap();
+                    sensor.measure(&map, None, &mut slopes).unwrap();
+                    slopes
+                });
+                for ((push, pull), value) in push.iter().zip(&pull).zip(column) {
+                    let alone = f64::from(push - pull) / f64::from(2.0 * POKE_NM);
+                    assert_eq!(value.to_bits(), alone.to_bits(), "{detector}, actuator {actuator}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn lines_a_period_apart_move_no_lenslet_in_common() {
+        let moved = [0..2, 0..3, 1..4, 3..6, 5..6, 7..7];
+        let period = period(&moved);
+        // 0..2 and 1..4, two lines apart, have lenslet 1 in common.
+        assert_eq!(period, 3);
+        assert_eq!(super::period(&[0..9, 0..9, 0..9]), 3);
+    }
+}

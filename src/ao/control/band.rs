@@ -1,18 +1,11 @@
 //! Symmetric band matrix, its factorisation `A = L·D·Lᵀ` in double precision, and the solution with the factors in single precision.
 //!
-//! A column of L is contiguous, `width` numbers below the diagonal:
-//!
-//! ```text
-//! forward    x[j+1 ..] −= x[j]·L[j+1 .., j]       one multiply-add of a column
-//! backward   x[j] = x[j]/d[j] − L[j+1 .., j]·x[j+1 ..]   one dot product
-//! ```
-//!
-//! Both have an order of additions that does not depend on the length of the processor's vectors. For n unknowns a solution reads
-//! 8·n·width bytes, where an inverse has 4·n².
+//! With b numbers below the diagonal and n unknowns, a solution reads 8·n·b bytes, where an inverse has 4·n². It has an order of additions
+//! that does not depend on the length of the processor's vectors.
 
 use crate::ao::aligned::AlignedBuffer;
 use crate::ao::footprint::LANES;
-use pulp::{Arch, NullaryFnOnce};
+use pulp::{Arch, Simd, WithSimd};
 
 /// Lower half of a symmetric band matrix.
 #[derive(Debug, Clone)]
@@ -126,36 +119,69 @@ impl SymmetricBand {
     }
 }
 
-/// Factors of a symmetric band matrix in single precision.
+/// Factors of a symmetric band matrix in single precision, in panels of [`LANES`] columns.
+///
+/// A panel has a square on the diagonal, of which the inverse is stored, and `depth` rows below it, stored twice: column by column of
+/// each [`LANES`] rows for the forward pass, row by row for the backward pass. Every number is then part of a vector that is multiplied
+/// by one number of the other operand, and no vector of the solution straddles two that were just written, which a processor would wait
+/// for (a column at a time takes six times as long).
 #[derive(Debug)]
 pub(super) struct BandSolver {
-    /// Numbers below the diagonal, a multiple of [`LANES`].
-    width: usize,
-    lower: AlignedBuffer,
-    inverse_diagonal: Vec<f32>,
+    /// Rows below the square of a panel, a multiple of [`LANES`].
+    depth: usize,
+    /// Inverse of each square, `[column][row]`, and its transpose.
+    inverse: [AlignedBuffer; 2],
+    /// Rows below each square, `[LANES rows][column][row]`.
+    forward: AlignedBuffer,
+    /// The same, `[row][column]`.
+    backward: AlignedBuffer,
+    inverse_diagonal: AlignedBuffer,
 }
+
+/// Numbers of a square of a panel.
+const SQUARE: usize = LANES * LANES;
 
 impl BandSolver {
     /// Solver with the factors of [`SymmetricBand::factorise`].
     pub(super) fn new(factors: &SymmetricBand) -> Self {
-        let width = factors.width.next_multiple_of(LANES);
-        let mut lower = AlignedBuffer::zeros(factors.size * width);
-        for (column, out) in lower.chunks_exact_mut(width.max(1)).enumerate() {
-            for (out, value) in out.iter_mut().zip(&factors.column(column)[1..]) {
-                *out = *value as f32;
+        let (panels, depth) = (factors.size.div_ceil(LANES), factors.width.next_multiple_of(LANES));
+        let at = |row: usize, column: usize| {
+            let is_inside = column < factors.size && row > column && row - column < factors.column(column).len();
+            if is_inside { factors.column(column)[row - column] } else { 0.0 }
+        };
+        let [mut inverse, mut transposed] = [0, 1].map(|_| AlignedBuffer::zeros(panels * SQUARE));
+        let [mut forward, mut backward] = [0, 1].map(|_| AlignedBuffer::zeros(panels * depth * LANES));
+        for panel in 0..panels {
+            let first = panel * LANES;
+            let square = inverse_of_square(|row, column| at(first + row, first + column));
+            for (row, values) in square.iter().enumerate() {
+                for (column, &value) in values.iter().enumerate() {
+                    inverse[panel * SQUARE + column * LANES + row] = value as f32;
+                    transposed[panel * SQUARE + row * LANES + column] = value as f32;
+                }
+            }
+            for row in 0..depth {
+                for column in 0..LANES {
+                    let value = at(first + LANES + row, first + column) as f32;
+                    let group = panel * depth + row / LANES * LANES;
+                    forward[(group + column) * LANES + row % LANES] = value;
+                    backward[(panel * depth + row) * LANES + column] = value;
+                }
             }
         }
-        Self { width, lower, inverse_diagonal: factors.diagonal().map(|pivot| (1.0 / pivot) as f32).collect() }
+        let mut inverse_diagonal = AlignedBuffer::zeros(panels * LANES);
+        inverse_diagonal.iter_mut().zip(factors.diagonal()).for_each(|(out, pivot)| *out = (1.0 / pivot) as f32);
+        Self { depth, inverse: [inverse, transposed], forward, backward, inverse_diagonal }
     }
 
-    /// Length of the vector of [`BandSolver::solve`]: the unknowns, and a window of zeros behind them.
+    /// Length of the vector of [`BandSolver::solve`]: the unknowns, and zeros behind them.
     pub(super) fn length(&self) -> usize {
-        self.inverse_diagonal.len() + self.width
+        self.inverse_diagonal.len() + self.depth
     }
 
-    /// Bytes of the factors.
+    /// Bytes that a solution reads.
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&self.lower[..])
+        size_of_val(&self.forward[..]) + size_of_val(&self.backward[..]) + 2 * size_of_val(&self.inverse[0][..])
     }
 
     /// Solves `A·x = vector` in place. What lies behind the unknowns is 0 before and after.
@@ -164,49 +190,96 @@ impl BandSolver {
     }
 }
 
+/// Inverse of a lower triangular matrix with ones on its diagonal, `[row][column]`, by forward substitution.
+fn inverse_of_square(at: impl Fn(usize, usize) -> f64) -> [[f64; LANES]; LANES] {
+    let mut inverse = [[0.0; LANES]; LANES];
+    for column in 0..LANES {
+        inverse[column][column] = 1.0;
+        for row in column + 1..LANES {
+            inverse[row][column] = -(column..row).map(|k| at(row, k) * inverse[k][column]).sum::<f64>();
+        }
+    }
+    inverse
+}
+
 /// Kernel of [`BandSolver::solve`].
 struct Solve<'a> {
     solver: &'a BandSolver,
     vector: &'a mut [f32],
 }
 
-impl NullaryFnOnce for Solve<'_> {
+impl WithSimd for Solve<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let Self { solver: BandSolver { width, lower, inverse_diagonal }, vector } = self;
-        let width = *width;
-        let size = inverse_diagonal.len();
-        for column in 0..size {
-            let own = vector[column];
-            let lower = lower[column * width..][..width].as_chunks::<LANES>().0;
-            let below = vector[column + 1..][..width].as_chunks_mut::<LANES>().0;
-            for (below, lower) in below.iter_mut().zip(lower) {
-                for lane in 0..LANES {
-                    below[lane] = lower[lane].mul_add(-own, below[lane]);
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { solver, vector } = self;
+        // Vectors of a number of LANES rows, of a square, and of the rows below it.
+        let pieces = LANES / S::F32_LANES;
+        let (square, below) = (LANES * pieces, solver.depth * pieces);
+        let [inverse, transposed] = solver.inverse.each_ref().map(|inverse| S::as_simd_f32s(inverse).0);
+        let (forward, backward) = (S::as_simd_f32s(&solver.forward).0, S::as_simd_f32s(&solver.backward).0);
+        let inverse_diagonal = S::as_simd_f32s(&solver.inverse_diagonal).0;
+        let panels = solver.inverse_diagonal.len() / LANES;
+        for panel in 0..panels {
+            let (own, rest) = vector[panel * LANES..].split_at_mut(LANES);
+            let Some(own) = own.first_chunk_mut::<LANES>() else { return };
+            *own = product(simd, &inverse[panel * square..][..square], own);
+            let rest = S::as_mut_simd_f32s(rest).0.chunks_exact_mut(pieces);
+            for (rest, lower) in rest.zip(forward[panel * below..][..below].chunks_exact(square)) {
+                for (piece, rest) in rest.iter_mut().enumerate() {
+                    let mut sum = *rest;
+                    for column in 0..LANES {
+                        let own = simd.splat_f32s(-own[column]);
+                        sum = simd.mul_add_f32s(lower[column * pieces + piece], own, sum);
+                    }
+                    *rest = sum;
                 }
             }
         }
-        for column in (0..size).rev() {
-            let lower = lower[column * width..][..width].as_chunks::<LANES>().0;
-            let below = vector[column + 1..][..width].as_chunks::<LANES>().0;
-            let mut sums = [0.0f32; LANES];
-            for (below, lower) in below.iter().zip(lower) {
-                for lane in 0..LANES {
-                    sums[lane] = lower[lane].mul_add(below[lane], sums[lane]);
+        for panel in (0..panels).rev() {
+            let (own, rest) = vector[panel * LANES..].split_at_mut(LANES);
+            let Some(own) = own.first_chunk_mut::<LANES>() else { return };
+            let rest = rest.as_chunks::<LANES>().0;
+            let lower = &backward[panel * below..][..below];
+            let mut scaled = [0.0f32; LANES];
+            let vectors = S::as_mut_simd_f32s(&mut scaled[..]).0.iter_mut().zip(S::as_simd_f32s(&own[..]).0);
+            for (piece, (scaled, own)) in vectors.enumerate() {
+                // Four sums hide the latency of the additions.
+                let mut sums = [simd.splat_f32s(0.0); 4];
+                for (rest, lower) in rest.iter().zip(lower.chunks_exact(square)) {
+                    for row in 0..LANES {
+                        let rest = simd.splat_f32s(rest[row]);
+                        sums[row % 4] = simd.mul_add_f32s(lower[row * pieces + piece], rest, sums[row % 4]);
+                    }
                 }
+                let own = simd.mul_f32s(*own, inverse_diagonal[panel * pieces + piece]);
+                *scaled = simd.sub_f32s(own, sum_of_four(simd, sums));
             }
-            let mut length = LANES / 2;
-            while length > 0 {
-                for lane in 0..length {
-                    sums[lane] += sums[lane + length];
-                }
-                length /= 2;
-            }
-            vector[column] = vector[column].mul_add(inverse_diagonal[column], -sums[0]);
+            *own = product(simd, &transposed[panel * square..][..square], &scaled);
         }
     }
+}
+
+/// Product of a square, `[column][row]`, and a vector.
+#[inline(always)]
+fn product<S: Simd>(simd: S, square: &[S::f32s], vector: &[f32; LANES]) -> [f32; LANES] {
+    let pieces = LANES / S::F32_LANES;
+    let mut out = [0.0; LANES];
+    for (piece, out) in S::as_mut_simd_f32s(&mut out[..]).0.iter_mut().enumerate() {
+        let mut sums = [simd.splat_f32s(0.0); 4];
+        for column in 0..LANES {
+            let factor = simd.splat_f32s(vector[column]);
+            sums[column % 4] = simd.mul_add_f32s(square[column * pieces + piece], factor, sums[column % 4]);
+        }
+        *out = sum_of_four(simd, sums);
+    }
+    out
+}
+
+#[inline(always)]
+fn sum_of_four<S: Simd>(simd: S, [a, b, c, d]: [S::f32s; 4]) -> S::f32s {
+    simd.add_f32s(simd.add_f32s(a, b), simd.add_f32s(c, d))
 }
 
 #[cfg(test)]

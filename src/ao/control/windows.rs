@@ -102,14 +102,6 @@ impl Windows {
     pub(super) fn add_response(&self, commands: &[f32], map: &mut [f32]) {
         Arch::new().dispatch(AddResponse { windows: self, commands, map });
     }
-
-    /// Rows of an actuator's window on each axis: place in the map, place in the values.
-    #[inline(always)]
-    fn rows(&self, actuator: usize) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (height, width, stride, plane) = (self.height, self.width, self.stride, self.plane);
-        let (origin, first) = (self.origins[actuator] as usize, 2 * actuator * height * width);
-        (0..2 * height).map(move |row| (row / height * plane + origin + row % height * stride, first + row * width))
-    }
 }
 
 /// Kernel of [`Windows::project`].
@@ -122,18 +114,25 @@ struct Project<'a> {
 impl NullaryFnOnce for Project<'_> {
     type Output = ();
 
+    // As in `step`, sums are loaded and stored explicitly, so that the compiler keeps them in registers.
     #[inline(always)]
     fn call(self) {
         let Self { windows, map, out } = self;
-        let width = windows.width;
-        for (actuator, out) in out.iter_mut().enumerate().take(windows.origins.len()) {
+        let Windows { height, width, stride, plane, .. } = *windows;
+        let (along_x, along_y) = map.split_at(plane);
+        let windows = windows.values.chunks_exact(2 * height * width).zip(&windows.origins);
+        for ((values, &origin), out) in windows.zip(out) {
             let mut sums = [0.0f32; WIDE];
-            for (place, first) in windows.rows(actuator) {
-                let slopes = map[place..][..width].as_chunks::<WIDE>().0;
-                let values = windows.values[first..][..width].as_chunks::<WIDE>().0;
-                for (slopes, values) in slopes.iter().zip(values) {
-                    for lane in 0..WIDE {
-                        sums[lane] = values[lane].mul_add(slopes[lane], sums[lane]);
+            for (map, values) in [along_x, along_y].into_iter().zip(values.chunks_exact(height * width)) {
+                let map = &map[origin as usize..];
+                for (row, values) in values.chunks_exact(width).enumerate() {
+                    let slopes = map[row * stride..][..width].as_chunks::<WIDE>().0;
+                    for (slopes, values) in slopes.iter().zip(values.as_chunks::<WIDE>().0) {
+                        let mut sum = sums;
+                        for lane in 0..WIDE {
+                            sum[lane] = values[lane].mul_add(slopes[lane], sum[lane]);
+                        }
+                        sums = sum;
                     }
                 }
             }
@@ -156,17 +155,61 @@ impl NullaryFnOnce for AddResponse<'_> {
     #[inline(always)]
     fn call(self) {
         let Self { windows, commands, map } = self;
-        let width = windows.width;
-        for (actuator, &command) in commands.iter().enumerate() {
-            for (place, first) in windows.rows(actuator) {
-                let slopes = map[place..][..width].as_chunks_mut::<WIDE>().0;
-                let values = windows.values[first..][..width].as_chunks::<WIDE>().0;
-                for (slopes, values) in slopes.iter_mut().zip(values) {
-                    for lane in 0..WIDE {
-                        slopes[lane] = values[lane].mul_add(command, slopes[lane]);
+        let Windows { height, width, stride, plane, .. } = *windows;
+        let (along_x, along_y) = map.split_at_mut(plane);
+        let windows = windows.values.chunks_exact(2 * height * width).zip(&windows.origins);
+        for ((values, &origin), &command) in windows.zip(commands) {
+            let (values_x, values_y) = values.split_at(height * width);
+            for (map, values) in [(&mut *along_x, values_x), (&mut *along_y, values_y)] {
+                let map = &mut map[origin as usize..];
+                for (row, values) in values.chunks_exact(width).enumerate() {
+                    let slopes = map[row * stride..][..width].as_chunks_mut::<WIDE>().0;
+                    for (slopes, values) in slopes.iter_mut().zip(values.as_chunks::<WIDE>().0) {
+                        for lane in 0..WIDE {
+                            slopes[lane] = values[lane].mul_add(command, slopes[lane]);
+                        }
                     }
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_hold_the_matrix() {
+        // 5×5 lenslets without a corner and the middle, seven actuators with two to five lenslets each; one moves none.
+        let subapertures: Vec<usize> = (0..25).filter(|place| ![4, 12].contains(place)).collect();
+        let (count, actuators) = (subapertures.len(), 7);
+        let value = |slope: usize, actuator: usize| ((slope * 13 + actuator * 5) as f64).sin();
+        let is_moved = |slope: usize, actuator: usize| actuator != 3 && (slope % count).abs_diff(3 * actuator) <= 2;
+        let row = |slope: usize| {
+            (0..actuators).filter(|&a| is_moved(slope, a)).map(|a| (a as u32, value(slope, a))).collect::<SlopeRow>()
+        };
+        let rows: Vec<SlopeRow> = (0..2 * count).map(row).collect();
+        let windows = Windows::new(5, &subapertures, &rows, actuators);
+        let slopes: Vec<f32> = (0..2 * count).map(|slope| (slope as f32 * 0.3).cos()).collect();
+        let commands: Vec<f32> = (0..actuators).map(|actuator| (actuator as f32 + 0.5).sin()).collect();
+        let mut map = windows.map();
+        windows.spread(&slopes, &mut map);
+        let mut projected = vec![f32::NAN; actuators];
+        windows.project(&map, &mut projected);
+        // At most ten terms below 1, each rounded to ε/2 = 6e-8.
+        const ROUNDING: f64 = 1.2e-6;
+        for (actuator, projected) in projected.iter().enumerate() {
+            let moved = (0..2 * count).filter(|&slope| is_moved(slope, actuator));
+            let sum: f64 = moved.map(|slope| value(slope, actuator) * f64::from(slopes[slope])).sum();
+            assert!((f64::from(*projected) - sum).abs() < ROUNDING, "{actuator}: {projected} {sum}");
+        }
+        windows.add_response(&commands, &mut map);
+        for (slope, row) in rows.iter().enumerate() {
+            let response: f64 = row.iter().map(|&(a, value)| value * f64::from(commands[a as usize])).sum();
+            let place = windows.places[slope % count] as usize + slope / count * windows.plane;
+            let found = f64::from(map[place]);
+            assert!((found - f64::from(slopes[slope]) - response).abs() < ROUNDING, "{slope}: {found}");
         }
     }
 }

@@ -12,6 +12,8 @@ words! {
         Keck = "keck",
         /// Hexagons in rings, by default with the central one.
         Hexagonal = "hexagonal",
+        /// Round segments in rings, of the radius `segment_side_m`, by default with the central one.
+        Round = "round",
         ;
         /// A FITS file: amplitude in HDU `PUPIL`, segment labels in HDU `SEGMENT` (optional). Set by `pupil.file`.
         File(PathBuf)
