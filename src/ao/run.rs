@@ -220,9 +220,10 @@ mod tests {
             let sparse = dense.with(&[("control.filtered_modes", ""), ("control.reconstructor", "sparse")]).unwrap();
             let [dense, sparse] = [dense, sparse].map(|scene| run(&scene).1);
             println!("{}: {:.4} {:.4}", r#loop, dense.strehl_marechal, sparse.strehl_marechal);
-            // The same loop but for a handful of weak modes: half of the 1 % by which users may see a difference.
+            // The same loop but for a handful of weak modes, in which the regularisation may save a little noise. It must not cost half of
+            // the 1 % by which a user would see it.
             let ratio = sparse.strehl_marechal / dense.strehl_marechal;
-            assert!(sparse.divergence.is_none() && (ratio - 1.0).abs() < 0.005, "{}: {ratio}", r#loop);
+            assert!(sparse.divergence.is_none() && (0.995..1.02).contains(&ratio), "{}: {ratio}", r#loop);
         }
     }
 }
