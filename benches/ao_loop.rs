@@ -2,13 +2,16 @@
 //!
 //! The `keck-onsky` scene: 240 samples, seven layers, 248 subapertures, 296 actuators, noise on. `step` is one frame on one
 //! core, for each detector; `run` a whole run on all cores, settling and one image included (divide by its 4,000 frames).
+//! `stage` is each stage of a frame of `keck-onsky`, `tmt-onsky` and `elt-onsky` on one core, with its least work
+//! (`cargo bench --bench ao_loop -- "stage/tmt-onsky"` builds that one only).
 //! `machine` is what the stages are held against: multiply-adds in single precision from registers, and reading a
 //! megabyte, on one core.
 
-use cophase::ao::{LANES, Progress, Shot, Simulator};
+use cophase::ao::{LANES, Progress, Shot, Simulator, Stage};
 use cophase::scene::Scene;
-use criterion::{Criterion, criterion_group, criterion_main};
+use criterion::{Bencher, Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
+use std::time::{Duration, Instant};
 
 fn simulator(settings: &[(&str, &str)]) -> Simulator {
     let scene = Scene::preset("keck-onsky").expect("the preset is built in").with(settings).expect("the keys exist");
@@ -45,6 +48,49 @@ fn runs(criterion: &mut Criterion) {
         });
     }
     group.finish();
+}
+
+/// Time of each stage in a frame of a whole telescope, on one core, and the rate of its least operations. The systems are built when the
+/// first of their stages is timed, so that a filter does not wait for the others.
+fn stages(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("stage");
+    group.sample_size(10);
+    for preset in ["keck-onsky", "tmt-onsky", "elt-onsky"] {
+        let mut simulator: Option<Simulator> = None;
+        for stage in Stage::ALL {
+            let mut time = |bencher: &mut Bencher| {
+                let simulator = simulator.get_or_insert_with(|| settled(preset));
+                bencher.iter_custom(|frames| {
+                    let before = simulator.profile().seconds(stage);
+                    (0..frames).for_each(|_| drop(simulator.step()));
+                    Duration::from_secs_f64(simulator.profile().seconds(stage) - before)
+                });
+            };
+            group.bench_function(format!("{preset} {}", stage.name()), &mut time);
+        }
+        if let Some(simulator) = &simulator {
+            for stage in Stage::ALL {
+                let work = simulator.work(stage);
+                println!(
+                    "{preset} {}: at least {:.2} Mflop, {:.0} kB",
+                    stage.name(),
+                    work.flops / 1e6,
+                    work.bytes / 1e3
+                );
+            }
+        }
+    }
+    group.finish();
+}
+
+/// The loop of a preset after its first hundred frames.
+fn settled(preset: &str) -> Simulator {
+    let started = Instant::now();
+    let scene = Scene::preset(preset).expect("the preset is built in");
+    let mut simulator = Simulator::new(&scene).expect("the preset is buildable");
+    println!("{preset}: set-up {:.1} s", started.elapsed().as_secs_f64());
+    (0..100).for_each(|_| drop(simulator.step()));
+    simulator
 }
 
 /// 8,000 vectors of multiply-adds: eight sums side by side hide the latency.
@@ -97,5 +143,5 @@ fn machine(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, machine, steps, runs);
+criterion_group!(benches, machine, steps, runs, stages);
 criterion_main!(benches);

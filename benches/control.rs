@@ -31,6 +31,7 @@ fn control(criterion: &mut Criterion) {
         mask: &mask,
         kl: None,
         command_matrix: None,
+        actuator_grid: None,
         stroke_limit_nm: None,
     };
     let mut elsewhere = vec![1.0f32; ELSEWHERE];

@@ -220,15 +220,18 @@ fn telescope(simulator: &Simulator) -> Vec<(&'static str, Cell)> {
     let segments = &simulator.telescope().pupil.segments;
     // A hexagon's side is the radius of the circle around it.
     let side_m = pupil.segment_side_m;
+    let kind = if pupil.is_round() { "Circle" } else { "Hexagon" };
     let vertex = |k: u32| (layout.rotation_deg + 60.0 * f64::from(k)).to_radians().sin_cos();
     let corners = segments.iter().flat_map(|segment| (0..6).map(move |k| (segment, vertex(k))));
-    let reach_m = corners.map(|(segment, (sin, cos))| (segment.x_m + side_m * cos).hypot(segment.y_m + side_m * sin));
+    let corners_m = corners.map(|(segment, (sin, cos))| (segment.x_m + side_m * cos).hypot(segment.y_m + side_m * sin));
+    let edges_m = segments.iter().map(|segment| segment.x_m.hypot(segment.y_m) + side_m);
+    let radius_m = if pupil.is_round() { edges_m.fold(0.0, f64::max) } else { corners_m.fold(0.0, f64::max) };
     cells.extend([
-        ("SEGMENT_TYPE", "Hexagon".into()),
+        ("SEGMENT_TYPE", kind.into()),
         ("SEGMENT_SIZE", (2.0 * side_m).into()),
         ("SEGMENTS_X", segments.iter().map(|segment| segment.x_m).collect::<Vec<f64>>().into()),
         ("SEGMENTS_Y", segments.iter().map(|segment| segment.y_m).collect::<Vec<f64>>().into()),
-        ("ENCLOSING_D", (2.0 * reach_m.fold(0.0, f64::max)).into()),
+        ("ENCLOSING_D", (2.0 * radius_m).into()),
         ("OBSTRUCTION_D", pupil.central_obscuration_m.into()),
     ]);
     cells
@@ -370,7 +373,7 @@ fn telemetry(file: &mut FitsWriter, simulator: &Simulator, sensing: &SensorScene
 /// Writes the matrices of the loop, and the filter of an integrator.
 fn matrices(file: &mut FitsWriter, simulator: &Simulator, control: &ControlScene) -> Result<()> {
     let (slopes, actuators) = simulator.interaction().dim();
-    let command = simulator.law().reconstructor().command_matrix();
+    let command = simulator.law().command_matrix();
     let command = command.as_standard_layout().into_owned();
     let command = command.into_shape_with_order((actuators, 2, slopes / 2)).map_err(uneven)?;
     file.image("CONTROL_MATRIX", &command, Pixel::F64, "nm/mas")?;

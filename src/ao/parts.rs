@@ -1,9 +1,8 @@
-//! Actuators, interaction matrix and segment map that a simulator is built from.
+//! Actuators and segment map that a simulator is built from.
 
 use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
-use super::sensor::{Lenslets, Sensor};
-use super::surface::Surface;
+use super::sensor::Lenslets;
 use super::valid_map;
 use crate::machine;
 use crate::modes::{InfluenceFunctions, Mirror};
@@ -12,12 +11,7 @@ use crate::scene::{Scene, SensorScene};
 use crate::source::Truth;
 use crate::telescope::Telescope;
 use crate::{Error, Result};
-use ndarray::Array2;
 use std::path::Path;
-
-/// Stroke with which the interaction matrix is measured, nm: a thirtieth of the sensor's wavelength, so that the
-/// response is linear to 1 %. Its second order cancels between push and pull.
-const POKE_NM: f32 = 20.0;
 
 /// Memory of a simulation for each sample of its grid, bytes, without the layers of turbulence: the pupil and its copy (24), the
 /// maps of loop and camera, and the weights of the segments (the field's share in the peak). Measured with Keck's loop at 1,280
@@ -26,9 +20,6 @@ const BYTES_PER_SAMPLE: u64 = 150;
 /// Memory of a layer for each sample: its ring is stored twice where the wind blows along x, and twice as wide across a wind of 45
 /// degrees.
 const BYTES_PER_LAYER_SAMPLE: u64 = 16;
-/// Arrays of slopes × actuators while the interaction matrix is inverted: the matrix, its copies for the mask and for the
-/// decomposition, the singular vectors twice, and the work of the decomposition. Measured with 50 lenslets across: 0.3 GB of 0.46.
-const INTERACTION_COPIES: u64 = 6;
 
 /// Pupil of `scene` on the grid of its sensor, `wavefront_sensor.samples_per_lenslet` samples across each lenslet, for a
 /// simulation of `layers` layers of turbulence.
@@ -88,37 +79,6 @@ fn mapped_actuators(scene: &Scene, file: &Path) -> Result<InfluenceFunctions> {
     let (part, path) = (&scene.mirror, scene.resolve(file));
     let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
     mirror.from_map(&valid_map::read_text(&path)?).map_err(|error| Error::file(&path, error))
-}
-
-/// Measures the interaction matrix, `[slopes, actuators]`, mas per nm: pushes and pulls each actuator in front of a
-/// flat wavefront, without noise.
-///
-/// # Errors
-/// [`Error::Value`] for a matrix whose inversion is larger than the machine's memory.
-pub(super) fn interaction(sensor: &mut Sensor, surface: &mut Surface, footprint: &Footprint) -> Result<Array2<f64>> {
-    let (slopes, actuators) = (sensor.slopes(), surface.actuators());
-    machine::check_memory(
-        format_args!("the control of {actuators} actuators by {slopes} slopes"),
-        8 * INTERACTION_COPIES * actuators as u64 * (slopes + actuators) as u64,
-        "set fewer mirror.actuators_across or wavefront_sensor.lenslets_across",
-    )?;
-    let mut matrix = Array2::zeros((slopes, actuators));
-    let mut command = vec![0.0; actuators];
-    let mut measured = [vec![0.0; slopes], vec![0.0; slopes]];
-    let mut map = footprint.zeros();
-    for (actuator, mut column) in matrix.columns_mut().into_iter().enumerate() {
-        for (sign, measured) in [1.0, -1.0].into_iter().zip(&mut measured) {
-            map.fill(0.0);
-            command[actuator] = sign * POKE_NM;
-            surface.add(&command, 1.0, &mut map)?;
-            sensor.measure(&map, None, measured)?;
-        }
-        command[actuator] = 0.0;
-        for ((out, push), pull) in column.iter_mut().zip(&measured[0]).zip(&measured[1]) {
-            *out = f64::from(push - pull) / f64::from(2.0 * POKE_NM);
-        }
-    }
-    Ok(matrix)
 }
 
 /// Multiplies the pupil amplitude by the amplitude that each segment reflects.

@@ -12,8 +12,9 @@ use super::channel::ChannelOptics;
 use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
 use super::drift::Drift;
 use super::footprint::Footprint;
+use super::interaction::interaction;
 use super::measured_matrices;
-use super::parts::{actuators, apply_reflectivity, interaction, segments_nm, sensor_pupil};
+use super::parts::{actuators, apply_reflectivity, segments_nm, sensor_pupil};
 use super::profile::{Profile, Stage};
 use super::schedule::Schedule;
 use super::sensor::{GuideStar, Lenslets, Sensor, SlopeFormat, reference_mas};
@@ -163,7 +164,7 @@ impl Simulator {
         let influence = actuators(scene, &lenslets)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
         let mut sensor = Sensor::new(sensing, lenslets, &illuminated, &footprint)?;
-        let modelled = interaction(&mut sensor, &mut surface, &footprint)?;
+        let modelled = interaction(&mut sensor, &mut surface, &footprint, control_scene.reconstructor)?;
         let sensor = sensor.with_shift_and_gain(sensing, &illuminated, &footprint)?;
         let lenslets = sensor.lenslets();
         let measured = measured_matrices::interaction(scene, lenslets, &modelled)?;
@@ -190,6 +191,7 @@ impl Simulator {
             mask: &mask,
             kl: modes.as_ref(),
             command_matrix: command_matrix.as_ref(),
+            actuator_grid: Some((scene.mirror.actuators_across, influence.indices())),
             stroke_limit_nm: scene.mirror.stroke_limit_nm,
         };
         let law = ControlLaw::new(control_scene, &plant)?;

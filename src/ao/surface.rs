@@ -78,6 +78,23 @@ impl Surface {
         self.indices.len()
     }
 
+    /// Flat indices of the actuators in use, on a square of [`Surface::across`] a side.
+    pub(super) fn indices(&self) -> &[usize] {
+        &self.indices
+    }
+
+    /// Actuators along a side of the square.
+    pub(super) fn across(&self) -> usize {
+        self.across
+    }
+
+    /// Samples along an axis that a line of actuators moves; empty for one that is far from the pupil.
+    pub(super) fn moved_samples(&self, line: usize) -> Range<usize> {
+        let along = &self.along[line * self.footprint.stride()..][..self.footprint.stride()];
+        let first = along.iter().position(|&value| value > 0.0).unwrap_or(0);
+        first..along.iter().rposition(|&value| value > 0.0).map_or(first, |last| last + 1)
+    }
+
     /// Number of multiply-adds of the two products.
     pub(super) fn taps(&self) -> (f64, f64) {
         let columns = self.across as f64 * self.reach.iter().map(|reach| reach.len() as f64).sum::<f64>();

@@ -40,6 +40,9 @@ impl Simulator {
                 Work { flops: per_sample * samples, bytes: 2.0 * map }
             }
             Stage::Control => {
+                if let Some([flops, bytes]) = self.law().sparse_work() {
+                    return Work { flops, bytes };
+                }
                 let actuators = self.influence().len() as f64;
                 let slopes = 2.0 * self.lenslets().subapertures.len() as f64;
                 let control = self.scene().control.as_ref();

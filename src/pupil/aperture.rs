@@ -1,25 +1,22 @@
-//! Geometry of the telescope's mirror: hexagonal segments, central obscuration, spiders.
+//! Geometry of the telescope's mirror: hexagonal or round segments, central obscuration, spiders.
 
 use super::polygon::{Point, Polygon};
 use super::sampled::Segment;
-use crate::hexagons::HexagonLayout;
+use crate::hexagons::{DISC_SIDES, HexagonLayout, disc_vertices_m};
 use crate::{Error, Result};
-use std::f64::consts::PI;
-
-/// Sides of the polygon of equal area that approximates the disc of the obscuration. Its edge deviates from the circle by
-/// 2.5e-5 of the radius: less than 0.1 mm for any existing telescope.
-const DISC_SIDES: usize = 256;
 
 /// Largest number of rings: more than any planned telescope has (ELT: 21), and small enough that a typing error is reported
 /// rather than computed.
 const MAX_RINGS: usize = 64;
 
-/// Geometry of a mirror of hexagonal segments.
+/// Geometry of a mirror of segments in the places of hexagons.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HexagonalParameters {
     /// Rings of segments around the centre.
     pub rings: usize,
-    /// Side of a segment, m.
+    /// Whether the segments are discs.
+    pub is_round: bool,
+    /// Side of a segment, or the radius of a disc, m.
     pub segment_side_m: f64,
     /// Gap between the facing edges of neighbours, m.
     pub gap_m: f64,
@@ -48,6 +45,7 @@ impl HexagonalParameters {
     pub fn keck() -> Self {
         Self {
             rings: 3,
+            is_round: false,
             segment_side_m: 0.9,
             gap_m: 0.003,
             removed_rings: 0,
@@ -68,7 +66,7 @@ impl HexagonalParameters {
             rings: self.rings,
             removed_rings: self.removed_rings,
             has_centre: self.central_segment,
-            pitch_m: 3f64.sqrt() * self.segment_side_m + self.gap_m,
+            pitch_m: if self.is_round { 2.0 } else { 3f64.sqrt() } * self.segment_side_m + self.gap_m,
             outer_radius_m: self.outer_radius_m,
             rotation_deg: self.rotation_deg,
         }
@@ -201,7 +199,7 @@ pub struct Aperture {
 impl Aperture {
     /// Hexagonal segments in rings, vertices on ±x, centres √3·side + gap apart; numbered ring by ring from the
     /// innermost, within a ring by the polar angle of the centre in [0, 2π), counter-clockwise from +x. All is then
-    /// rotated by `rotation_deg`.
+    /// rotated by `rotation_deg`. Round segments have centres 2·side + gap apart, in the same order.
     ///
     /// # Errors
     /// [`Error::Value`] for lengths that are negative or not finite, a mirror without segments, more than 64 rings, labels
@@ -217,7 +215,10 @@ impl Aperture {
         let mut shapes = Vec::with_capacity(segments.len());
         for (index, segment) in segments.iter().enumerate() {
             let centre = [segment.x_m, segment.y_m];
-            let outline = Polygon::regular(6, centre, parameters.segment_side_m, parameters.rotation_deg.to_radians());
+            let outline = match parameters.is_round {
+                true => Polygon::regular(DISC_SIDES, centre, disc_vertices_m(parameters.segment_side_m), 0.0),
+                false => Polygon::regular(6, centre, parameters.segment_side_m, parameters.rotation_deg.to_radians()),
+            };
             let whole = outline.area();
             let shape = SegmentShape::new(outline, disc.as_ref(), &spiders);
             // Smaller areas are rounding errors of the clipping.
@@ -286,8 +287,7 @@ impl Aperture {
 
 /// The polygon with the area of the disc of the obscuration.
 fn disc(diameter: f64) -> Option<Polygon> {
-    let step = 2.0 * PI / DISC_SIDES as f64;
-    (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, [0.0; 2], diameter / 2.0 * (step / step.sin()).sqrt(), 0.0))
+    (diameter > 0.0).then(|| Polygon::regular(DISC_SIDES, [0.0; 2], disc_vertices_m(diameter / 2.0), 0.0))
 }
 
 fn spiders(parameters: &HexagonalParameters) -> Vec<Arm> {

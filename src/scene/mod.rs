@@ -44,8 +44,8 @@ pub(crate) use purpose::Purpose;
 pub use telescope::{AberrationScene, ImageScene};
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
-    NcpaBasis, Optic, Optimizer, Precision, PupilModel, Sampling, SegmentModes, SensorDetector, SensorKind, SensorMask,
-    SlopeOrder, Telemetry, Weighting,
+    NcpaBasis, Optic, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling, SegmentModes, SensorDetector,
+    SensorKind, SensorMask, SlopeOrder, Telemetry, Weighting,
 };
 
 use crate::{Error, Result};
@@ -158,7 +158,7 @@ impl<S: Section + Check> Entry for Option<S> {
 }
 
 /// Preset scenes: name and text.
-const PRESETS: [(&str, &str); 9] = [
+const PRESETS: [(&str, &str); 12] = [
     ("keck-artificial", include_str!("presets/keck-artificial.toml")),
     ("keck-nirc2", include_str!("presets/keck-nirc2.toml")),
     ("keck-pair", include_str!("presets/keck-pair.toml")),
@@ -167,7 +167,10 @@ const PRESETS: [(&str, &str); 9] = [
     ("gtc-artificial", include_str!("presets/gtc-artificial.toml")),
     ("tmt-artificial", include_str!("presets/tmt-artificial.toml")),
     ("elt-artificial", include_str!("presets/elt-artificial.toml")),
+    ("gmt", include_str!("presets/gmt.toml")),
     ("keck-onsky", include_str!("presets/keck-onsky.toml")),
+    ("tmt-onsky", include_str!("presets/tmt-onsky.toml")),
+    ("elt-onsky", include_str!("presets/elt-onsky.toml")),
 ];
 
 /// Keys with a new name: section, old name, new name.

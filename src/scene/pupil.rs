@@ -11,16 +11,16 @@ use std::path::PathBuf;
 section! {
     /// Pupil of the telescope.
     PupilScene = "pupil" {
-        /// Hexagonal segments in rings. "keck" and "hexagonal" differ in the default of central_segment only.
+        /// Hexagonal segments in rings ("keck" and "hexagonal" differ in the default of central_segment only), or round ones in their places.
         aperture: Aperture, ANY, default(Aperture::Keck);
         /// FITS pupil in place of hexagons: HDU PUPIL (amplitude) and optionally SEGMENT (labels: whole numbers, −1, or 0 where they begin at 1, outside of the
         /// segments). Needs grid_m.
         file: Option<PathBuf>, ANY, unset("hexagons, given by aperture");
         /// Number of rings of hexagons around the centre.
         rings: usize, between(0.0, 30.0), default(3usize);
-        /// Side of a segment.
+        /// Side of a segment; the radius of a round one.
         segment_side_m: f64, above(0.0, 100.0), default(0.9);
-        /// Gap between the edges of neighbouring segments. The distance between centres is √3·side + gap.
+        /// Gap between the edges of neighbouring segments. The distance between centres is √3·side + gap, or 2·side + gap of round segments.
         segment_gap_m: f64, between(0.0, 10.0), default(0.003);
         /// Number of rings next to the centre that have no segments.
         removed_rings: usize, between(0.0, 29.0), default(0usize);
@@ -28,7 +28,7 @@ section! {
         outer_radius_m: Option<f64>, above(0.0, 100.0), unset("complete rings");
         /// Numbers of the observatory, in the order of ours: column LABEL of tables, and the picture of the pupil.
         segment_labels: Option<Vec<usize>>, between(0.0, 1e9), unset("our numbers, from 0");
-        /// Whether there is a central segment; the default is true for aperture = "hexagonal".
+        /// Whether there is a central segment; the default is true for aperture = "hexagonal" and "round".
         central_segment: bool, ANY, default(false);
         /// Diameter of the circular central obscuration; 0 for none.
         central_obscuration_m: f64, between(0.0, 1000.0), default(0.0);
@@ -72,15 +72,21 @@ impl PupilScene {
             rings: self.rings,
             removed_rings: self.removed_rings,
             has_centre: self.central_segment,
-            pitch_m: 3f64.sqrt() * self.segment_side_m + self.segment_gap_m,
+            pitch_m: if self.is_round() { 2.0 } else { 3f64.sqrt() } * self.segment_side_m + self.segment_gap_m,
             outer_radius_m: self.outer_radius_m,
             rotation_deg: self.rotation_deg,
         })
     }
 
-    /// Side of the smallest square, centred on the axis, that contains the hexagons, m; `None` for a pupil from a file.
+    /// Whether the segments are discs.
+    pub fn is_round(&self) -> bool {
+        self.aperture == Aperture::Round
+    }
+
+    /// Side of the smallest square, centred on the axis, that contains the segments, m; `None` for a pupil from a file.
     pub fn extent_m(&self) -> Option<f64> {
-        self.layout().map(|layout| layout.width_m(self.segment_side_m))
+        let width_m = if self.is_round() { HexagonLayout::width_of_discs_m } else { HexagonLayout::width_m };
+        self.layout().map(|layout| width_m(&layout, self.segment_side_m))
     }
 
     fn check_file(&self, file: &std::path::Path, reader: &Reader) -> Result<()> {
@@ -117,8 +123,9 @@ impl PupilScene {
         // Allows for an extent that was rounded to fewer digits: a part in 10⁹ is far below a sample.
         match self.grid_m {
             Some(grid_m) if grid_m * (1.0 + 1e-9) < extent_m => {
+                let segments = if self.is_round() { "discs of radius" } else { "hexagons of side" };
                 let sentence = format!(
-                    "pupil.grid_m = {grid_m} is not accepted; {rings} rings of hexagons of side {side} m are {extent_m:.4} m across and need a grid at least as wide"
+                    "pupil.grid_m = {grid_m} is not accepted; {rings} rings of {segments} {side} m are {extent_m:.4} m across and need a grid at least as wide"
                 );
                 Err(reader.error("grid_m", sentence))
             }
@@ -209,7 +216,7 @@ impl Check for PupilScene {
         } else {
             self.model.get_or_insert(PupilModel::BandLimited);
             if !reader.named("central_segment") {
-                self.central_segment = self.aperture == Aperture::Hexagonal;
+                self.central_segment = self.aperture != Aperture::Keck;
             }
         }
         if let Some(extent_m) = self.extent_m().filter(|_| reader.source.purpose != Purpose::Arrays) {

@@ -63,6 +63,7 @@ impl Telescope {
         let pupil = &scene.pupil;
         let aperture = Aperture::hexagonal(&HexagonalParameters {
             rings: pupil.rings,
+            is_round: pupil.is_round(),
             segment_side_m: pupil.segment_side_m,
             gap_m: pupil.segment_gap_m,
             removed_rings: pupil.removed_rings,

@@ -59,7 +59,7 @@ fn measured_matrices_are_those_of_the_loop() {
     // A command of 1 makes 50 nm; rows of the interaction matrix and columns of the command matrix are measured slopes.
     let measured = in_form(&(model.interaction().t().to_owned() * 50.0)).reversed_axes();
     write(&interaction, "INTERACTION", &measured.as_standard_layout().to_owned());
-    let matrix = model.law().reconstructor().command_matrix();
+    let matrix = model.law().command_matrix();
     write(&command, "COMMAND_MATRIX", &(in_form(&matrix) / 16.0 / 50.0));
     let file = |path: &Path| format!("{:?}", path.display().to_string());
     let (own, commands) = (file(&interaction), file(&command));
@@ -72,7 +72,7 @@ fn measured_matrices_are_those_of_the_loop() {
     let given =
         [("control.command_matrix_file", commands.as_str()), ("control.basis", ""), ("control.filtered_modes", "")];
     let mut found = Simulator::new(&scene(&[&FORM[..], &keys, &given].concat())).unwrap();
-    assert!(off(&found.law().reconstructor().command_matrix(), &matrix) < 1e-14);
+    assert!(off(&found.law().command_matrix(), &matrix) < 1e-14);
     assert!(found.stability().stable && found.stability().controlled == matrix.nrows());
     let mut model = model;
     for frame in 0..50 {

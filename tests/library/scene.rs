@@ -51,7 +51,7 @@ fn refused_setting(preset: &str, settings: Settings) -> String {
 
 #[test]
 fn the_presets_have_the_expected_values() {
-    let names = "keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, keck-onsky";
+    let names = "keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, gmt, keck-onsky, tmt-onsky, elt-onsky";
     assert_eq!(Scene::preset_names().join(", "), names);
     let scene = Scene::preset("keck-artificial").unwrap();
     assert_eq!(scene.pupil.aperture, Aperture::Keck);
@@ -74,6 +74,47 @@ fn the_presets_have_the_expected_values() {
     assert_eq!((control.r#loop, control.filtered_modes, control.leak), (Loop::Closed, Some(2), 0.0));
     assert_eq!(scene.wavefront_sensor.as_ref().unwrap().mask, SensorMask::None);
     assert_eq!(scene.mirror.stroke_limit_nm, None);
+    assert_eq!(control.reconstructor, ReconstructorKind::Dense);
+
+    for (name, segments, lenslets) in [("tmt-onsky", 492, 60), ("elt-onsky", 798, 80)] {
+        let scene = Scene::preset(name).unwrap();
+        assert_eq!(scene.pupil.layout().unwrap().hexagons().len(), segments);
+        let (sensing, control) = (scene.wavefront_sensor.as_ref().unwrap(), scene.control.as_ref().unwrap());
+        assert_eq!((sensing.lenslets_across, scene.mirror.actuators_across), (lenslets, lenslets + 1));
+        // Actuators at the corners of the lenslets.
+        let pitch_m = scene.pupil.grid_m.unwrap() / lenslets as f64;
+        assert!((scene.mirror.pitch_m - pitch_m).abs() < 1e-12, "{pitch_m}");
+        assert_eq!(control.reconstructor, ReconstructorKind::Sparse);
+    }
+}
+
+#[test]
+fn a_sparse_reconstructor_has_its_regularisation_and_refuses_what_it_cannot_do() {
+    let sparse = ("control.reconstructor", "sparse");
+    let scene = Scene::preset("keck-onsky").unwrap().with(&[sparse, ("control.filtered_modes", "")]).unwrap();
+    let control = scene.control.as_ref().unwrap();
+    assert_eq!((control.condition_number, control.filtered_modes), (Some(10.0), None));
+    for (settings, reason) in [
+        (
+            [].as_slice(),
+            "'control.filtered_modes' has no meaning where control.reconstructor = \"sparse\"; leave it out",
+        ),
+        (
+            &[("control.filtered_modes", ""), ("control.basis", "kl")],
+            "basis = \"zonal\", or reconstructor = \"dense\" is needed",
+        ),
+        (
+            &[("control.filtered_modes", ""), ("control.fill", "inpaint")],
+            "another fill, or reconstructor = \"dense\" is needed",
+        ),
+        (
+            &[("control.filtered_modes", ""), ("control.interaction_file", "d.fits")],
+            "'control.interaction_file' has no meaning",
+        ),
+    ] {
+        let message = refused_setting("keck-onsky", &[settings, &[sparse]].concat());
+        assert!(message.contains(reason), "{message}");
+    }
 }
 
 #[test]
@@ -134,9 +175,13 @@ fn the_extent_of_the_keck_pupil() {
 
 #[test]
 fn telescopes_of_the_presets_have_their_segments_and_labels() {
-    for (preset, count, inner_ring) in
-        [("keck-nirc2", 36, 1), ("gtc-artificial", 36, 1), ("tmt-artificial", 492, 2), ("elt-artificial", 798, 5)]
-    {
+    for (preset, count, inner_ring) in [
+        ("keck-nirc2", 36, 1),
+        ("gtc-artificial", 36, 1),
+        ("tmt-artificial", 492, 2),
+        ("elt-artificial", 798, 5),
+        ("gmt", 7, 0),
+    ] {
         let scene = Scene::preset(preset).unwrap();
         let labels: Vec<usize> = (1..=count).rev().collect();
         let scene = scene.with(&[("pupil.segment_labels", &format!("{labels:?}"))]).unwrap();
@@ -145,6 +190,16 @@ fn telescopes_of_the_presets_have_their_segments_and_labels() {
         assert_eq!((places.len(), places[0].ring, places[0].label), (count, Some(inner_ring), count as i32));
         assert_eq!((places[count - 1].number, places[count - 1].label), (count - 1, 1));
     }
+    // Seven discs of GMT, of which the central one has a hole; the segments do not overlap.
+    let scene = Scene::preset("gmt").unwrap();
+    let telescope = cophase::telescope::Telescope::new(&scene).unwrap();
+    let area_m2 = telescope.pupil.amplitude.sum() * telescope.pupil.grid.pitch_m().powi(2);
+    let known_m2 = std::f64::consts::PI / 4.0 * (7.0 * 8.365f64.powi(2) - 3.6f64.powi(2));
+    // The polygons have the area of the discs.
+    assert!((area_m2 / known_m2 - 1.0).abs() < 1e-9, "{area_m2} {known_m2}");
+    assert!((telescope.pupil.segments[1].x_m.hypot(telescope.pupil.segments[1].y_m) - 8.71).abs() < 1e-9);
+    let message = refused_setting("gmt", &[("pupil.grid_m", "25.7")]);
+    assert!(message.contains("1 rings of discs of radius 4.1825 m are 25.78"), "{message}");
     for (settings, reason) in [
         ([("pupil.segment_labels", "[1, 2]")].as_slice(), "has 2 numbers; one for each of the 36 segments is needed"),
         (&[("pupil.rings", "1"), ("pupil.segment_labels", "[1, 2, 3, 4, 5, 2]")], "has 2 twice"),
@@ -318,7 +373,7 @@ fn settings_with_unknown_keys_are_refused() {
     let error = Scene::preset("keck-onski").unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no preset 'keck-onski'; keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, keck-onsky are accepted; did you mean 'keck-onsky'?"
+        "there is no preset 'keck-onski'; keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, gmt, keck-onsky, tmt-onsky, elt-onsky are accepted; did you mean 'keck-onsky'?"
     );
 }
 

@@ -1,6 +1,6 @@
 //! Controller: turns the slopes of a frame into the next commands.
 
-use super::step::{StepMatrix, Workspace};
+use super::step_map::{StepMap, Workspace};
 use crate::{Error, Result};
 use std::sync::Arc;
 
@@ -16,8 +16,8 @@ pub(super) struct Step {
     pub lag_frames: usize,
     /// Fraction of the last command that the next one keeps.
     pub retained: f32,
-    /// `[B]`, or `[B A]` if the law uses the command that was on the mirror while the slopes were measured.
-    pub matrix: StepMatrix,
+    /// The map from the slopes, and from the command that was on the mirror while they were measured.
+    pub matrix: StepMap,
     /// Largest absolute command, nm; infinite for no limit.
     pub stroke_limit_nm: f32,
 }
@@ -52,7 +52,7 @@ impl Controller {
             let (given, needed) = (slopes.len(), step.slopes);
             return Err(Error::Shape(format!("{given} slopes were given; the controller needs {needed}")));
         }
-        let change = step.matrix.apply(&[slopes, &self.queue[self.now]], &mut self.workspace);
+        let change = step.matrix.apply(slopes, &self.queue[self.now], &mut self.workspace);
         let last = (self.now + step.lag_frames - 1) % step.lag_frames;
         let limit = step.stroke_limit_nm;
         // The new command replaces that of the frame that ends; with a lag of 1 the latter is also the last command.
@@ -102,8 +102,7 @@ mod tests {
             let (law, mut controller) = start(&bench, &format!("filtered_modes = 2\nlag_frames = {lag}"));
             let impulse = irregular(32, 1);
             let slopes: Array1<f64> = impulse.iter().map(|&slope| f64::from(slope)).collect();
-            let expected: Vec<f32> =
-                law.reconstructor().command_matrix().dot(&slopes).iter().map(|c| (0.3 * c) as f32).collect();
+            let expected: Vec<f32> = law.command_matrix().dot(&slopes).iter().map(|c| (0.3 * c) as f32).collect();
             let zeros = vec![0.0; 32];
             for frame in 1..lag + 5 {
                 controller.step(if frame == 1 { &impulse } else { &zeros }).unwrap();
@@ -183,7 +182,7 @@ mod tests {
                 let halves = slopes.as_slice().unwrap().split_at(248);
                 [halves.0, halves.1].iter().flat_map(|half| matrix.dot(&ndarray::aview1(half))).collect::<Array1<f64>>()
             };
-            let command = law.reconstructor().command_matrix();
+            let command = law.command_matrix();
             // commands[k] is on the mirror in frame k.
             let mut commands = vec![Array1::<f64>::zeros(bench.interaction.ncols()); lag];
             for frame in 0..12 {

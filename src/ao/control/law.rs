@@ -4,9 +4,11 @@ use super::controller::{Controller, Step};
 use super::inpaint::Inpainting;
 use super::plant::Plant;
 use super::reconstructor::Reconstructor;
+use super::regularized::{SparseReconstructor, SparseStep};
 use super::stability::{Stability, retained};
 use super::step::StepMatrix;
-use crate::scene::{ControlScene, Fill, Loop};
+use super::step_map::StepMap;
+use crate::scene::{ControlScene, Fill, Loop, ReconstructorKind};
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
@@ -15,9 +17,16 @@ use std::sync::Arc;
 #[derive(Debug, Clone)]
 pub struct ControlLaw {
     step: Arc<Step>,
-    reconstructor: Reconstructor,
+    inverse: Inverse,
     inpainting: Option<Inpainting>,
     stability: Stability,
+}
+
+/// The reconstructor of a law.
+#[derive(Debug, Clone)]
+enum Inverse {
+    Dense(Reconstructor),
+    Sparse(Arc<SparseReconstructor>),
 }
 
 impl ControlLaw {
@@ -30,6 +39,13 @@ impl ControlLaw {
     pub fn new(scene: &ControlScene, plant: &Plant) -> Result<Self> {
         check(scene)?;
         plant.check()?;
+        match scene.reconstructor {
+            ReconstructorKind::Dense => Self::dense(scene, plant),
+            ReconstructorKind::Sparse => Self::sparse(scene, plant),
+        }
+    }
+
+    fn dense(scene: &ControlScene, plant: &Plant) -> Result<Self> {
         let reconstructor = Reconstructor::new(scene, plant)?;
         let inpainting = match scene.fill {
             Fill::Inpaint if plant.mask.contains(&true) => {
@@ -42,17 +58,20 @@ impl ControlLaw {
         let command = reconstructor.command_matrix() * scene.gain;
         let filled = inpainting.as_ref().map(|inpainting| inpainting.fold_into(&command));
         let on_commands = on_commands(scene.r#loop, &command, filled.as_ref(), plant.interaction);
-        let retained = retained(scene, scene.gain) as f32;
         let parts: Vec<_> = [Some(filled.unwrap_or(command)), on_commands].into_iter().flatten().collect();
-        let step = Step {
-            slopes: plant.interaction.nrows(),
-            actuators: plant.actuators(),
-            lag_frames: scene.lag_frames,
-            retained,
-            matrix: StepMatrix::new(&parts),
-            stroke_limit_nm: plant.stroke_limit_nm.map_or(f32::INFINITY, |limit| limit as f32),
-        };
-        Ok(Self { step: Arc::new(step), reconstructor, inpainting, stability })
+        let step = step(scene, plant, StepMap::Dense(StepMatrix::new(&parts)));
+        Ok(Self { step: Arc::new(step), inverse: Inverse::Dense(reconstructor), inpainting, stability })
+    }
+
+    fn sparse(scene: &ControlScene, plant: &Plant) -> Result<Self> {
+        if plant.command_matrix.is_some() || scene.fill == Fill::Inpaint {
+            let sentence = "control.reconstructor = \"sparse\" with a command matrix or fill = \"inpaint\" is not accepted; \"dense\" is needed";
+            return Err(Error::Value(sentence.into()));
+        }
+        let reconstructor = Arc::new(SparseReconstructor::new(scene, plant)?);
+        let stability = Stability::of_regularised(scene, reconstructor.controlled(), plant.actuators())?;
+        let step = step(scene, plant, StepMap::Sparse(SparseStep::new(scene, Arc::clone(&reconstructor))));
+        Ok(Self { step: Arc::new(step), inverse: Inverse::Sparse(reconstructor), inpainting: None, stability })
     }
 
     /// Stability of the loop for a sensor and a mirror that the interaction matrix describes exactly.
@@ -60,9 +79,28 @@ impl ControlLaw {
         &self.stability
     }
 
-    /// The inverse of the interaction matrix.
-    pub fn reconstructor(&self) -> &Reconstructor {
-        &self.reconstructor
+    /// The inverse of the interaction matrix; `None` for `reconstructor = "sparse"`.
+    pub fn reconstructor(&self) -> Option<&Reconstructor> {
+        match &self.inverse {
+            Inverse::Dense(reconstructor) => Some(reconstructor),
+            Inverse::Sparse(_) => None,
+        }
+    }
+
+    /// Command matrix R, `[actuators, 2·subapertures]`, nm per slope.
+    pub fn command_matrix(&self) -> Array2<f64> {
+        match &self.inverse {
+            Inverse::Dense(reconstructor) => reconstructor.command_matrix(),
+            Inverse::Sparse(reconstructor) => reconstructor.command_matrix(),
+        }
+    }
+
+    /// Least operations and bytes of a frame with a sparse reconstructor.
+    pub(in crate::ao) fn sparse_work(&self) -> Option<[f64; 2]> {
+        match &self.step.matrix {
+            StepMap::Dense(_) => None,
+            StepMap::Sparse(step) => Some(step.work()),
+        }
     }
 
     /// Inpainting of masked slopes; `None` if the law uses none.
@@ -73,6 +111,18 @@ impl ControlLaw {
     /// Creates a controller with a flat mirror.
     pub fn start(&self) -> Controller {
         Controller::new(Arc::clone(&self.step))
+    }
+}
+
+/// The step of a law with the given map.
+fn step(scene: &ControlScene, plant: &Plant, matrix: StepMap) -> Step {
+    Step {
+        slopes: plant.interaction.nrows(),
+        actuators: plant.actuators(),
+        lag_frames: scene.lag_frames,
+        retained: retained(scene, scene.gain) as f32,
+        matrix,
+        stroke_limit_nm: plant.stroke_limit_nm.map_or(f32::INFINITY, |limit| limit as f32),
     }
 }
 

@@ -16,8 +16,10 @@
 //!
 //! where M is the inpainting of masked slopes, the identity unless `fill = "inpaint"`. The second law is B.
 //! Ellerbroek's (2003), the third the cheaper variant that the paper suggests; with M = 1 the third equals the first.
-//! All laws are one linear step, computed by the same code.
+//! All laws are one linear step: a dense matrix, or with `control.reconstructor = "sparse"` a banded solution of the normal equations
+//! of a local interaction matrix.
 
+mod band;
 mod controller;
 mod inpaint;
 mod law;
@@ -25,10 +27,13 @@ mod linalg;
 mod mask;
 mod plant;
 mod reconstructor;
+mod regularized;
 mod stability;
 mod step;
+mod step_map;
 #[cfg(test)]
 mod testing;
+mod windows;
 
 pub use controller::Controller;
 pub use inpaint::Inpainting;
@@ -37,6 +42,7 @@ pub(crate) use linalg::{Svd, svd};
 pub use mask::segment_mask;
 pub use plant::Plant;
 pub use reconstructor::Reconstructor;
+pub use regularized::SparseReconstructor;
 pub use stability::Stability;
 
 use plant::{check_mask, check_subapertures};

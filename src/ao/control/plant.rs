@@ -23,6 +23,9 @@ pub struct Plant<'a> {
     pub kl: Option<&'a Array2<f64>>,
     /// Command matrix, `[actuators, 2·subapertures]`, nm per slope, in place of an inverse of D.
     pub command_matrix: Option<&'a Array2<f64>>,
+    /// Actuators along a side of the mirror's square, and the flat index `row·across + column` of each actuator in use, ascending; for
+    /// `reconstructor = "sparse"`.
+    pub actuator_grid: Option<(usize, &'a [usize])>,
     /// Largest absolute command of an actuator, nm.
     pub stroke_limit_nm: Option<f64>,
 }
@@ -61,12 +64,26 @@ impl Plant<'_> {
                 )));
             }
         }
+        self.check_actuator_grid()?;
         match self.stroke_limit_nm {
             Some(limit) if limit.is_nan() || limit <= 0.0 => {
                 Err(Error::Value(format!("a stroke limit of {limit} nm is impossible; a positive number is needed")))
             }
             _ => Ok(()),
         }
+    }
+
+    fn check_actuator_grid(&self) -> Result<()> {
+        let Some((across, places)) = self.actuator_grid else { return Ok(()) };
+        let is_ascending = places.is_sorted_by(|a, b| a < b);
+        if places.len() == self.actuators() && is_ascending && places.last().is_some_and(|&last| last < across * across)
+        {
+            return Ok(());
+        }
+        let (given, needed) = (places.len(), self.actuators());
+        Err(Error::Shape(format!(
+            "{given} places of actuators on a square of {across} a side were given; one for each of {needed}, ascending, is needed"
+        )))
     }
 }
 

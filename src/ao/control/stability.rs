@@ -76,19 +76,47 @@ impl Stability {
                 (poles, largest)
             }
         };
+        let controlled = reconstructor.controlled();
+        let modes = [controlled, interaction.ncols() - controlled, hidden];
+        Ok(Self::from_poles(scene, poles, largest_stable_gain, modes))
+    }
+
+    /// Stability of a loop whose reconstructor R is the regularised least-squares inverse of D: the eigenvalues of RD are real and from 0
+    /// to 1. The `controlled` ones are those from 1/2 on; both ends of their range are listed, and the poles of the others lie between
+    /// them and those of a command that is kept.
+    ///
+    /// # Errors
+    /// Internal errors of the eigenvalues only.
+    pub(super) fn of_regularised(scene: &ControlScene, controlled: usize, actuators: usize) -> Result<Self> {
+        let kept = retained(scene, scene.gain);
+        let modes = [controlled, actuators - controlled, 0];
+        if scene.r#loop == Loop::PseudoOpenLoop {
+            return Ok(Self::from_poles(scene, vec![Complex64::from(kept)], 2.0 - scene.leak, modes));
+        }
+        let mut poles = Vec::new();
+        for mu in [0.5, 1.0] {
+            poles.extend(mode_poles(Complex64::from(mu), kept, scene.gain, scene.lag_frames)?);
+        }
+        // The largest stable gain of a real mode is inverse to its eigenvalue.
+        let largest = stable_gain(Complex64::from(1.0), kept, scene.lag_frames);
+        Ok(Self::from_poles(scene, poles, largest, modes))
+    }
+
+    /// Stability from the poles; `modes` are the numbers of controlled, uncontrolled and hidden ones.
+    fn from_poles(scene: &ControlScene, poles: Vec<Complex64>, largest_stable_gain: f64, modes: [usize; 3]) -> Self {
+        let [controlled, uncontrolled, hidden] = modes;
         let growth_per_frame = poles.iter().map(|pole| pole.norm()).fold(0.0, f64::max);
         let stable = growth_per_frame <= 1.0 + NEUTRAL;
-        let controlled = reconstructor.controlled();
-        Ok(Self {
+        Self {
             growth_per_frame,
             e_folding_s: (!stable).then(|| 1.0 / (growth_per_frame.ln() * scene.frame_rate_hz)),
             stable,
             largest_stable_gain,
             controlled,
-            uncontrolled: interaction.ncols() - controlled,
+            uncontrolled,
             hidden,
             poles,
-        })
+        }
     }
 }
 
@@ -230,7 +258,7 @@ mod tests {
         for keys in ["fill = \"inpaint\"", "leak = 0.01\nfill = \"mask-interaction-matrix\"", "basis = \"kl\""] {
             let scene = scene(&format!("filtered_modes = 10\n{keys}"));
             let law = ControlLaw::new(&scene, &bench.plant()).unwrap();
-            let command = law.reconstructor().command_matrix();
+            let command = law.command_matrix();
             let command = law.inpainting().map_or(command.clone(), |inpainting| inpainting.fold_into(&command));
             let size = bench.interaction.ncols();
             let whole = Array2::<f64>::eye(size) * (1.0 - scene.leak) - command.dot(&bench.interaction) * scene.gain;
@@ -279,12 +307,15 @@ mod tests {
             let law = ControlLaw::new(&scene, &bench.plant()).unwrap();
             let growth = law.stability().growth_per_frame;
             assert!(growth > 1.0, "{keys}: {growth}");
-            let command = law.reconstructor().command_matrix();
+            let command = law.command_matrix();
             let command = law.inpainting().map_or(command.clone(), |inpainting| inpainting.fold_into(&command));
             let feedback = command.dot(&bench.interaction) * scene.gain;
-            let controlled = law.reconstructor().controlled();
-            let start =
-                law.reconstructor().modes().dot(&ndarray::Array1::from_shape_fn(controlled, |i| (i as f64).sin()));
+            let controlled = law.reconstructor().unwrap().controlled();
+            let start = law
+                .reconstructor()
+                .unwrap()
+                .modes()
+                .dot(&ndarray::Array1::from_shape_fn(controlled, |i| (i as f64).sin()));
             let mut queue = std::collections::VecDeque::from(vec![start; scene.lag_frames]);
             // The norm oscillates if the largest poles are a complex pair; the rate is measured over many e-foldings.
             let frames = ((12.0 / growth.ln()).ceil() as usize).max(1000);

@@ -54,6 +54,8 @@ pub struct Bench {
     pub mask: Vec<bool>,
     pub interaction: Array2<f64>,
     pub kl: Array2<f64>,
+    /// Actuators along a side of the mirror, and the places of those in use.
+    pub mirror: (usize, Vec<usize>),
 }
 
 impl Bench {
@@ -83,7 +85,8 @@ impl Bench {
         let influence = on_corners(&telescope.influence(&scene).unwrap(), &subapertures);
         let interaction = corner_differences(&influence, ACROSS, &subapertures);
         let kl = Array2::zeros((influence.len(), 0));
-        Self { across: ACROSS, subapertures, mask, interaction, kl }
+        let mirror = (ACROSS + 1, influence.indices().to_vec());
+        Self { across: ACROSS, subapertures, mask, interaction, kl, mirror }
     }
 
     /// A square of 4×4 lenslets and 5×5 actuators, the middle masked.
@@ -92,7 +95,8 @@ impl Bench {
         let subapertures: Vec<usize> = (0..16).collect();
         let mask = subapertures.iter().map(|i| [5, 6].contains(i)).collect();
         let interaction = corner_differences(&influence, 4, &subapertures);
-        Self { across: 4, subapertures, mask, interaction, kl: Array2::eye(25) }
+        let mirror = (5, influence.indices().to_vec());
+        Self { across: 4, subapertures, mask, interaction, kl: Array2::eye(25), mirror }
     }
 
     pub fn plant(&self) -> Plant<'_> {
@@ -103,6 +107,7 @@ impl Bench {
             mask: &self.mask,
             kl: Some(&self.kl),
             command_matrix: None,
+            actuator_grid: Some((self.mirror.0, &self.mirror.1)),
             stroke_limit_nm: None,
         }
     }

@@ -1,0 +1,97 @@
+//! Values with a syntax of their own: the device of an estimate, the crop of an image.
+
+use crate::scene::value::{FromToml, Range};
+use toml_edit::Value;
+
+/// Device that computes an estimate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DeviceChoice {
+    /// The fastest available device.
+    Auto,
+    /// The processor, without OpenCL.
+    Cpu,
+    /// The first OpenCL device.
+    OpenCl,
+    /// One OpenCL device, by the numbers that `cophase devices` prints.
+    OpenClDevice {
+        /// Index of the platform.
+        platform: usize,
+        /// Index of the device on that platform.
+        device: usize,
+    },
+}
+
+impl std::str::FromStr for DeviceChoice {
+    type Err = crate::Error;
+
+    /// Reads `auto`, `cpu`, `opencl` or `opencl:P:D`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Value`] for any other word.
+    fn from_str(word: &str) -> crate::Result<Self> {
+        let numbered = || {
+            let (platform, device) = word.strip_prefix("opencl:")?.split_once(':')?;
+            Some(Self::OpenClDevice { platform: index(platform)?, device: index(device)? })
+        };
+        match word {
+            "auto" => Ok(Self::Auto),
+            "cpu" => Ok(Self::Cpu),
+            "opencl" => Ok(Self::OpenCl),
+            _ => numbered().ok_or_else(|| {
+                crate::Error::Value(format!(
+                    "device {word:?} is not accepted; {} is needed",
+                    Self::accepted(&crate::scene::value::ANY)
+                ))
+            }),
+        }
+    }
+}
+
+/// Parses digits only: `usize::from_str` also accepts a sign.
+fn index(digits: &str) -> Option<usize> {
+    digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse().ok())?
+}
+
+impl FromToml for DeviceChoice {
+    fn accepted(_: &Range) -> String {
+        "\"auto\", \"cpu\", \"opencl\" or \"opencl:P:D\" (platform and device numbers)".into()
+    }
+    fn from_toml(value: &Value, _: &Range) -> Option<Self> {
+        value.as_str()?.parse().ok()
+    }
+    fn to_toml(&self) -> String {
+        match self {
+            Self::Auto => "\"auto\"".into(),
+            Self::Cpu => "\"cpu\"".into(),
+            Self::OpenCl => "\"opencl\"".into(),
+            Self::OpenClDevice { platform, device } => format!("\"opencl:{platform}:{device}\""),
+        }
+    }
+}
+
+/// Part of an image that is fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Crop {
+    /// The square with signal.
+    Auto,
+    /// A centred square of this many detector pixels a side.
+    Pixels(usize),
+}
+
+impl FromToml for Crop {
+    fn accepted(range: &Range) -> String {
+        format!("\"auto\" or {}", usize::accepted(range))
+    }
+    fn from_toml(value: &Value, range: &Range) -> Option<Self> {
+        match value.as_str() {
+            Some(word) => (word == "auto").then_some(Self::Auto),
+            None => usize::from_toml(value, range).map(Self::Pixels),
+        }
+    }
+    fn to_toml(&self) -> String {
+        match self {
+            Self::Auto => "\"auto\"".into(),
+            Self::Pixels(pixels) => pixels.to_string(),
+        }
+    }
+}
