@@ -1,6 +1,7 @@
 //! Estimator of the static errors of one iteration: the linear model, iterated over the nonlinear responses of the closed loop and
 //! of the wavefront sensor.
 
+use super::common_figure::common_figures;
 use super::covariance::ResidualCovariance;
 use super::image_selection::SelectedImages;
 use super::least_squares::StaticModel;
@@ -201,9 +202,14 @@ impl<'a> StaticsEstimator<'a> {
 
     /// The linear model of a mean wavefront of `covariance`.
     fn static_model(&self, modes: &StaticModes, has_slopes: bool, covariance: &MeanCovariance) -> Result<StaticModel> {
-        let columns = modes.columns_without_motions(self.segment_columns());
+        let columns = self.segment_columns();
+        let figures = match self.has_tilts() {
+            true => common_figures(self.segments_at_kept.view(), columns.view(), &self.samples)?,
+            false => Array2::zeros((0, self.samples.len())),
+        };
+        let columns = modes.columns_without_motions(columns);
         let segments = (columns.view(), self.samples.pistons.nrows());
-        StaticModel::new(segments, modes.at_kept.view(), (&modes.groups[..], has_slopes), covariance)
+        StaticModel::new(segments, (modes.at_kept.view(), figures.view()), (&modes.groups[..], has_slopes), covariance)
     }
 
     /// Compares the wavefronts with the slopes until the NCPA change no more, from `last`, the errors of the iteration before.

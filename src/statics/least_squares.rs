@@ -1,6 +1,7 @@
 //! Generalised least squares: segment modes and NCPA from a mean wavefront, under the covariance of the mean's turbulence, with
 //! hyperparameters by empirical Bayes.
 
+use super::common_figure::COMMON_FIGURE_RMS_NM;
 use super::empirical_bayes::{CoefficientGroup, Posterior, maximise_marginal_likelihood};
 use super::mean_covariance::{MeanCovariance, Weighted};
 use super::static_errors::StaticErrors;
@@ -29,7 +30,7 @@ pub struct StaticModel {
     segments: usize,
     segment_modes: usize,
     ncpa: usize,
-    /// Responses to segment modes, NCPA and the offset, `[column, sample]`.
+    /// Responses to segment modes, NCPA, common figures of the segments and the offset, `[column, sample]`.
     columns: Array2<f64>,
     /// The columns weighted by C⁻¹.
     weighted: Weighted,
@@ -43,14 +44,14 @@ pub struct StaticModel {
 
 impl StaticModel {
     /// The model of responses to the modes of `segments` segments (pistons, and where they are estimated tips and tilts) and to `ncpa`,
-    /// both `[mode, sample]`, on samples whose mean wavefront has `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and
+    /// and the nuisances `figures` ([`common_figures`](super::common_figure::common_figures)), each `[mode, sample]`, on samples whose mean wavefront has `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and
     /// whether telemetry separates NCPA from the common path.
     ///
     /// # Errors
     /// [`Error::Shape`] for responses or groups of different sizes; those of [`MeanCovariance::solve`].
     pub fn new(
         (segment_columns, segments): (ArrayView2<f64>, usize),
-        ncpa: ArrayView2<f64>,
+        (ncpa, figures): (ArrayView2<f64>, ArrayView2<f64>),
         (groups, has_telemetry): (&[usize], bool),
         covariance: &MeanCovariance,
     ) -> Result<Self> {
@@ -65,16 +66,16 @@ impl StaticModel {
         }
         // The offset absorbs the mean wavefront, to which images are blind.
         let offset = Array2::ones((1, samples));
-        let columns = concatenate(Axis(0), &[segment_columns, ncpa, offset.view()])
+        let columns = concatenate(Axis(0), &[segment_columns, ncpa, figures, offset.view()])
             .map_err(|error| Error::Internal(format!("columns of uneven length: {error}")))?;
         let weighted = covariance.solve(columns.view())?;
         let half = weighted.products(columns.view(), &weighted);
         let information = (&half + &half.t()) / 2.0;
-        let (static_columns, offset) = (0..segment_modes + modes, segment_modes + modes);
+        let nuisances = segment_modes + modes..columns.nrows();
         let common_path = if has_telemetry { segment_modes..segment_modes + modes } else { 0..0 };
-        let column_of: Vec<usize> = static_columns.chain(common_path).chain([offset]).collect();
+        let column_of: Vec<usize> = (0..segment_modes + modes).chain(common_path).chain(nuisances).collect();
         let information = information.select(Axis(0), &column_of).select(Axis(1), &column_of);
-        let groups = coefficient_groups([segments, segment_modes], groups, has_telemetry);
+        let groups = coefficient_groups([segments, segment_modes], groups, has_telemetry, figures.nrows());
         Ok(Self {
             covariance: covariance.clone(),
             segments,
@@ -126,8 +127,9 @@ impl StaticModel {
         let pistons_nm = posterior.prior_rms_nm[0];
         let Posterior { coefficients_nm, covariance_nm2, log_marginal_likelihood, prior_rms_nm } =
             posterior.with_previous_correction(self.segments, pistons_nm, UNCORRECTED_NM)?;
-        let (ncpa, last) = (self.segment_modes + self.ncpa, coefficients_nm.len() - 1);
-        let mut common_path_nm = coefficients_nm.slice(s![ncpa..last]).to_vec();
+        let ncpa = self.segment_modes + self.ncpa;
+        let common_path = if self.has_telemetry() { ncpa..ncpa + self.ncpa } else { ncpa..ncpa };
+        let mut common_path_nm = coefficients_nm.slice(s![common_path]).to_vec();
         common_path_nm.resize(self.ncpa, 0.0);
         let mut residual_nm = mean_nm.to_owned();
         for (&column, &nm) in self.column_of.iter().zip(&coefficients_nm) {
@@ -187,14 +189,16 @@ impl StaticModel {
 }
 
 /// Groups of the coefficients: pistons; tilts, where there are more segment modes than segments; the groups of the NCPA, and with
-/// telemetry those of the common path; the offset.
+/// telemetry those of the common path; the common figures; the offset.
 fn coefficient_groups(
     [segments, segment_modes]: [usize; 2],
     ncpa: &[usize],
     has_telemetry: bool,
+    figures: usize,
 ) -> Vec<CoefficientGroup> {
     let free = |columns, rms_nm: f64| CoefficientGroup { columns, variance_nm2: rms_nm * rms_nm, is_fixed: false };
-    let flat = |columns| CoefficientGroup { columns, variance_nm2: FLAT_PRIOR_NM * FLAT_PRIOR_NM, is_fixed: true };
+    let fixed = |columns, rms_nm: f64| CoefficientGroup { columns, variance_nm2: rms_nm * rms_nm, is_fixed: true };
+    let flat = |columns| fixed(columns, FLAT_PRIOR_NM);
     let mut groups = vec![free(0..segments, INITIAL_RMS_NM)];
     if segment_modes > segments {
         groups.push(free(segments..segment_modes, INITIAL_RMS_NM));
@@ -207,6 +211,9 @@ fn coefficient_groups(
             first += size;
         }
     }
-    groups.push(flat(first..first + 1));
+    if figures > 0 {
+        groups.push(fixed(first..first + figures, COMMON_FIGURE_RMS_NM));
+    }
+    groups.push(flat(first + figures..first + figures + 1));
     groups
 }

@@ -11,6 +11,7 @@
 //! scene has them, or where the residual of the mean wavefront shows them.
 
 mod anderson;
+mod common_figure;
 mod convolution;
 mod covariance;
 mod empirical_bayes;

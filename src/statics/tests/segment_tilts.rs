@@ -2,18 +2,20 @@
 
 use super::{KnownWavefronts, SimulatedWavefronts, run, run_with};
 use crate::ao::Simulator;
+use crate::linear_algebra::SpdInverse;
 use crate::loop_response::ClosedLoopResponse;
 use crate::metrics::residual_nm;
 use crate::modes::{SegmentModes, tilt_frames};
 use crate::pupil::Pupil;
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::AoKnowledge;
+use crate::statics::common_figure::common_figures;
 use crate::statics::covariance::ResidualCovariance;
 use crate::statics::least_squares::StaticModel;
 use crate::statics::mean_covariance::MeanCovariance;
 use crate::statics::wavefront_source::RetrievedSequence;
 use crate::statics::{Iteration, StaticsSettings, TiltSelection, estimate_static_errors};
-use ndarray::{Array1, Array2, ArrayView1, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 
 fn estimated(
     (simulator, run): &(Simulator, SimulatedWavefronts),
@@ -129,6 +131,43 @@ fn tilts_are_estimated_where_they_are_significant() {
     assert!(corrected.tilts_nm.iter().filter(|add| **add != 0.0).count() > 7);
 }
 
+/// A curvature of all segments alike is, behind a loop that takes out smooth shapes, a paraboloid of pistons and tilts.
+#[test]
+fn a_figure_of_all_segments_does_not_become_pistons_and_tilts() {
+    let (simulator, run) = run();
+    let kept = run.samples.select_bright(0.5);
+    let samples = run.samples.subset(&kept);
+    let tilts = samples.tilts(&tilt_frames(&simulator.telescope().pupil).unwrap());
+    let segments = ndarray::concatenate(Axis(0), &[samples.pistons.view(), tilts.view()]).unwrap();
+    let polynomials = Array2::from_shape_fn((6, samples.len()), |(mode, s)| {
+        let (x, y) = (samples.xs_m[s], samples.ys_m[s]);
+        [1.0, x, y, x * x, x * y, y * y][mode]
+    });
+    let normal = SpdInverse::new(&polynomials.dot(&polynomials.t())).unwrap().inverse;
+    let columns = &segments - &segments.dot(&polynomials.t()).dot(&normal).dot(&polynomials);
+    let figures = common_figures(segments.view(), columns.view(), &samples).unwrap();
+    let mut residuals_nm = run.wavefronts_nm().select(Axis(1), &kept);
+    residuals_nm -= &residuals_nm.mean_axis(Axis(0)).unwrap();
+    let residual = ResidualCovariance::from_residuals(&samples, residuals_nm.view()).unwrap();
+    let covariance = MeanCovariance::new(&residual, 100_000, 0.1, &samples);
+    let smooth = polynomials.slice(s![1..3, ..]);
+    let drawn_nm = Array1::from_shape_fn(21, |mode| [50.0, 20.0][usize::from(mode >= 7)] * (2.3 * mode as f64).sin());
+    let mean_nm = drawn_nm.dot(&columns);
+    // What 3 nm of focus of each segment change of the pistons and tilts, nm RMS.
+    let change_nm = |figures: ArrayView2<f64>, figure_nm: ArrayView1<f64>| {
+        let modes = (smooth, figures);
+        let mut model = StaticModel::new((columns.view(), 7), modes, (&[2], false), &covariance).unwrap();
+        let [without, with] = [0.0, 3.0]
+            .map(|nm| model.estimate((&mean_nm + &(nm * &figure_nm)).view(), None, None).unwrap().segments_nm());
+        let change_nm: Array1<f64> = with.into_iter().zip(without).map(|(with, without)| with - without).collect();
+        rms_without_plane(&change_nm.dot(&segments), &samples)
+    };
+    let known_nm = change_nm(figures.view(), figures.row(0));
+    let unknown_nm = change_nm(figures.slice(s![..0, ..]), figures.row(0));
+    println!("{known_nm:.2} {unknown_nm:.2}");
+    assert!(known_nm < 0.1 * unknown_nm && unknown_nm > 10.0, "{known_nm} {unknown_nm}");
+}
+
 #[test]
 fn segments_without_tilts_have_the_estimate_of_pistons() {
     let plain = run();
@@ -179,7 +218,13 @@ fn drawn_segment_modes_are_recovered_from_a_mean_wavefront() {
     let residual = ResidualCovariance::from_residuals(&samples, residuals_nm.view()).unwrap();
     let covariance = MeanCovariance::new(&residual, 100_000, 0.1, &samples);
     let smooth = Array2::from_shape_fn((2, samples.len()), |(mode, s)| [samples.xs_m[s], samples.ys_m[s]][mode]);
-    let mut model = StaticModel::new((columns.view(), 7), smooth.view(), (&[2], false), &covariance).unwrap();
+    let mut model = StaticModel::new(
+        (columns.view(), 7),
+        (smooth.view(), Array2::zeros((0, samples.len())).view()),
+        (&[2], false),
+        &covariance,
+    )
+    .unwrap();
     let mut drawn_nm: Vec<f64> =
         (0..21).map(|mode| [50.0, 20.0][usize::from(mode >= 7)] * (2.3 * mode as f64).sin()).collect();
     // Images are blind to the mean of the pistons.
