@@ -72,8 +72,8 @@ pub fn scene(name: &Path) -> Result<Scene> {
     match name.to_str().filter(|name| presets.contains(name) && !Path::new(name).exists()) {
         Some(preset) => Scene::preset(preset),
         None if !name.exists() => {
-            let presets = presets.join(" and ");
-            Err(Error::file(name, format_args!("there is no such scene: a file, or one of {presets} is needed")))
+            let presets = presets.join(", ");
+            Err(Error::file(name, format_args!("there is no such scene: a file or one of {presets} is needed")))
         }
         None => Scene::from_file(name),
     }
