@@ -5,6 +5,7 @@
 
 mod aligned;
 mod aot;
+mod at_rest;
 mod atmosphere;
 mod camera;
 mod channel;

@@ -23,13 +23,6 @@ const NO_ABERRATIONS: [(&str, &str); 6] = [
     ("faults.drift_nm_per_min", "0.0"),
 ];
 
-/// Largest change of a command from frame to frame of a mirror at rest: at a gain of 0.3 the remaining change is three times that.
-const STILL_NM: f32 = 1e-3;
-
-/// Frames after which a mirror that still moves is taken as at rest: 30 s at most loops' rates. Directions of weak
-/// singular values drift for long, and little.
-const MAX_FRAMES: usize = 3000;
-
 /// Piston, or RMS of a tip or tilt, with which the linear part is measured, nm.
 const POKE_NM: f64 = 20.0;
 
@@ -62,24 +55,14 @@ impl ClosedLoopResponse {
     /// Simulates the commands of the mirror at rest behind segments with these coefficients, nm.
     ///
     /// # Errors
-    /// [`Error::Shape`](crate::Error::Shape) for another number of coefficients; those of [`Simulator::step_with_opd`].
+    /// [`Error::Shape`](crate::Error::Shape) for another number of coefficients; those of [`Simulator::commands_at_rest_nm`].
     pub fn commands_nm(&mut self, segments_nm: &[f64]) -> Result<Vec<f64>> {
         self.surface.check(segments_nm)?;
         let mut opd_nm = self.simulator.footprint().zeros();
         for (sample, &index) in self.owned.iter().enumerate() {
             opd_nm[index as usize] = self.surface.wavefront_nm(sample, segments_nm) as f32;
         }
-        let mut before_nm = vec![0.0; self.simulator.influence().len()];
-        for frame in 0..MAX_FRAMES {
-            let commands_nm = self.simulator.step_with_opd(&opd_nm)?.commands_nm;
-            let change = commands_nm.iter().zip(&before_nm).map(|(now, then)| (now - then).abs()).fold(0.0, f32::max);
-            before_nm.copy_from_slice(commands_nm);
-            // The first frames still hold the commands for the previous segments.
-            if change < STILL_NM && frame > 1 {
-                break;
-            }
-        }
-        Ok(before_nm.into_iter().map(f64::from).collect())
+        self.simulator.commands_at_rest_nm(&opd_nm)
     }
 
     /// Simulates the mirror's contribution to the wavefront at each illuminated sample behind segments with these coefficients, nm.

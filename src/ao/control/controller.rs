@@ -2,6 +2,7 @@
 
 use super::step_map::{StepMap, Workspace};
 use crate::{Error, Result};
+use ndarray::Array1;
 use std::sync::Arc;
 
 /// Linear recursion of the control law, L = `lag_frames`: the slopes of frame k determine the command of frame k + L,
@@ -63,6 +64,18 @@ impl Controller {
         Ok(())
     }
 
+    /// Holds the mirror at these commands, nm, as if they had been on it in every frame before.
+    pub(in crate::ao) fn hold(&mut self, commands_nm: &Array1<f64>) {
+        for commands in &mut self.queue {
+            commands.iter_mut().zip(commands_nm).for_each(|(out, &nm)| *out = nm as f32);
+        }
+    }
+
+    /// The last commands that were calculated, nm: on the mirror after the lag.
+    pub(in crate::ao) fn newest_nm(&self) -> &[f32] {
+        &self.queue[(self.now + self.step.lag_frames - 1) % self.step.lag_frames]
+    }
+
     /// Commands on the mirror in the coming frame, nm of wavefront.
     pub fn commands_nm(&self) -> &[f32] {
         &self.queue[self.now]
@@ -76,7 +89,7 @@ mod tests {
     use super::*;
     use crate::Error;
     use crate::scene::ControlScene;
-    use ndarray::{Array1, Array2};
+    use ndarray::Array2;
 
     fn start(bench: &Bench, keys: &str) -> (ControlLaw, Controller) {
         let law = ControlLaw::new(&scene(keys), &bench.plant()).unwrap();

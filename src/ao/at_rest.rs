@@ -1,0 +1,129 @@
+//! The loop at rest behind a wavefront that does not change: the commands that a frame leaves as they are.
+//!
+//! Frame after frame a mode whose response is λ approaches them as (1 − gλ)ⁿ, hundreds of frames where a reconstructor is regularised. The
+//! commands are the fixed point of the map of a frame, whatever the lag, and Anderson acceleration (Walker and Ni 2011, SIAM J. Numer.
+//! Anal. 49, 1715) finds it in some tens of frames.
+
+use super::Simulator;
+use crate::linear_algebra::SpdInverse;
+use crate::{Error, Result};
+use ndarray::{Array1, Array2};
+use std::collections::VecDeque;
+
+/// Largest change of a command in a frame of a mirror at rest, nm: at a gain of 0.3 the remaining change is three times that.
+const STILL_NM: f64 = 1e-3;
+
+/// Frames after which a mirror that still moves is taken as at rest: directions of weak singular values drift for long, and little.
+const MAX_FRAMES: usize = 300;
+
+/// Earlier frames that an extrapolation uses.
+const DEPTH: usize = 12;
+
+/// Regularisation of an extrapolation, relative to the largest square of a difference: single precision leaves of the smallest.
+const ROUNDING: f64 = 1e-10;
+
+impl Simulator {
+    /// Commands of the mirror at rest behind `opd_nm`, a map over the footprint that is added to the turbulence's frames, from those that are
+    /// on it.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a map of another size; those of [`Simulator::step_with_opd`].
+    pub fn commands_at_rest_nm(&mut self, opd_nm: &[f32]) -> Result<Vec<f64>> {
+        let mut commands_nm = self.held_commands_nm();
+        let mut extrapolation = Extrapolation::default();
+        for _ in 0..MAX_FRAMES {
+            let next_nm = self.next_commands_nm(opd_nm, &commands_nm)?;
+            let change_nm = &next_nm - &commands_nm;
+            let still = change_nm.iter().all(|nm| nm.abs() < STILL_NM);
+            if still {
+                return Ok(next_nm.to_vec());
+            }
+            if change_nm.iter().any(|nm| !nm.is_finite()) {
+                return Err(Error::Internal("commands of the mirror at rest are not finite".into()));
+            }
+            commands_nm = extrapolation.next(next_nm, change_nm)?;
+        }
+        Ok(commands_nm.to_vec())
+    }
+}
+
+/// Anderson acceleration of a fixed-point iteration.
+#[derive(Default)]
+struct Extrapolation {
+    /// Result of the last frame and its change of the commands.
+    last: Option<(Array1<f64>, Array1<f64>)>,
+    /// Differences of results and of changes from frame to frame.
+    differences: VecDeque<(Array1<f64>, Array1<f64>)>,
+}
+
+impl Extrapolation {
+    /// Next commands, from those that a frame led to and its change of them.
+    fn next(&mut self, result: Array1<f64>, change: Array1<f64>) -> Result<Array1<f64>> {
+        if let Some((result_before, change_before)) = self.last.take() {
+            self.differences.push_back((&result - &result_before, &change - &change_before));
+            if self.differences.len() > DEPTH {
+                self.differences.pop_front();
+            }
+        }
+        let count = self.differences.len();
+        let mut next = result.clone();
+        if count > 0 {
+            // Least squares: the combination of differences that cancels the change.
+            let dot = |i: usize, j: usize| self.differences[i].1.dot(&self.differences[j].1);
+            let mut normal = Array2::from_shape_fn((count, count), |(i, j)| dot(i, j));
+            let rounding = ROUNDING * normal.diag().iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+            normal.diag_mut().iter_mut().for_each(|square| *square += rounding);
+            let right_side: Array1<f64> =
+                self.differences.iter().map(|(_, of_change)| of_change.dot(&change)).collect();
+            for (share, (of_result, _)) in
+                SpdInverse::new(&normal)?.inverse.dot(&right_side).iter().zip(&self.differences)
+            {
+                next.scaled_add(-share, of_result);
+            }
+        }
+        self.last = Some((result, change));
+        Ok(next)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::ao::testing::small;
+    use crate::ao::{Simulator, UNDISTURBED_LOOP};
+
+    #[test]
+    fn the_mirror_is_that_of_a_long_simulation() {
+        let laws: [&[(&str, &str)]; 5] = [
+            &[],
+            &[("control.lag_frames", "3"), ("control.gain", "0.2")],
+            &[("control.filtered_modes", ""), ("control.reconstructor", "sparse")],
+            &[("control.loop", "pseudo-open-loop"), ("control.leak", "0.01")],
+            &[("wavefront_sensor.mask", "segments"), ("control.fill", "inpaint")],
+        ];
+        for law in laws {
+            let settings: Vec<_> = UNDISTURBED_LOOP.iter().chain(law).copied().collect();
+            let scene = small("", &settings);
+            let mut simulator = Simulator::new(&scene).unwrap();
+            let pupil = simulator.pupil();
+            let stride = simulator.footprint().stride();
+            let mut opd_nm = simulator.footprint().zeros();
+            // 40 nm of piston on one side of the pupil.
+            for (y, x) in (0..pupil.grid.samples()).flat_map(|y| (0..pupil.grid.samples() / 2).map(move |x| (y, x))) {
+                opd_nm[y * stride + x] = 40.0;
+            }
+            let found_nm = simulator.commands_at_rest_nm(&opd_nm).unwrap();
+            let frames = simulator.correction.number;
+            let mut long = Simulator::new(&scene).unwrap();
+            let mut expected_nm = Vec::new();
+            for _ in 0..2000 {
+                expected_nm = long.step_with_opd(&opd_nm).unwrap().commands_nm.to_vec();
+            }
+            let square = |values: &mut dyn Iterator<Item = f64>| values.map(|nm| nm * nm).sum::<f64>();
+            let off = square(&mut found_nm.iter().zip(&expected_nm).map(|(found, nm)| found - f64::from(*nm)));
+            let ratio = (off / square(&mut found_nm.iter().copied())).sqrt();
+            println!("{law:?}: {frames} frames, {ratio:.1e}");
+            // At rest a command moves by 1e-3 nm a frame, 0.01 nm of some 20 from its end with a gain of 0.1 or more.
+            assert!(ratio < 1e-3 && frames < 150, "{law:?}: {ratio}, {frames}");
+        }
+    }
+}
