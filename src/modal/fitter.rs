@@ -5,6 +5,7 @@ use super::engine::{self, FitTask, ImageFit, Watch};
 use super::fisher;
 use super::fitted_optic::FittedOptic;
 use super::global_motions::GlobalMotions;
+use super::kept_fits::KeptFits;
 use super::metrics::Metrics;
 use super::mode_set::SceneBasis;
 use super::model::Model;
@@ -35,6 +36,8 @@ pub struct ModalFitter {
     pub(super) shared: Vec<SharedError>,
     pub(super) scene_basis: Arc<SceneBasis>,
     pub(super) fitted_optics: Vec<FittedOptic>,
+    /// Fits that are taken where they are there, and to which others are added.
+    pub(super) kept: Option<Arc<KeptFits>>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -154,8 +157,13 @@ impl ModalFitter {
         let (motions, tilts) = (GlobalMotions::new(&model)?, Tilts::new(&model)?);
         let shared = diversity_error::shared_error(&model, scene)?.into_iter().collect();
         let (scene, scene_basis) = (scene.clone(), Arc::default());
-        let fitted_optics = Vec::new();
-        Ok(Self { scene, recipe, model, reference, metrics, motions, tilts, shared, scene_basis, fitted_optics })
+        let (fitted_optics, kept) = (Vec::new(), None);
+        Ok(Self { scene, recipe, model, reference, metrics, motions, tilts, shared, scene_basis, fitted_optics, kept })
+    }
+
+    /// This fitter, which takes fits from `kept` where they are there, and adds others to them.
+    pub(crate) fn keeping(self, kept: Option<&Arc<KeptFits>>) -> Self {
+        Self { kept: kept.cloned(), ..self }
     }
 
     /// The model of the images.
@@ -192,6 +200,9 @@ impl ModalFitter {
         fits: &mut [ImageFit],
         watch: &mut Watch,
     ) -> Result<()> {
+        if let Some(kept) = &self.kept {
+            return self.fit_unless_kept(kept, chain, task, frames, fits, watch);
+        }
         let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
             preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
         };

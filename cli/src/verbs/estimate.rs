@@ -5,15 +5,20 @@ use super::picture;
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
-use crate::terminal::{Terminal, counted};
-use cophase::pipeline::{Control, Corrections, Estimate, Estimator, Images, Policy, Trust};
+use crate::ranks::Share;
+use crate::terminal::{Terminal, Wait, counted};
+use cophase::pipeline::{Control, Corrections, Estimate, Estimator, FittedPart, Images, Policy, Trust};
 use cophase::scene::{DeviceChoice, Scene};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use summary::Summary;
 
+mod part;
+mod ranks;
 mod summary;
+
+pub use part::merge;
 
 const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o est.fits      from what 'cophase image' made
@@ -24,6 +29,8 @@ const EXAMPLES: &str = "Examples:
   cophase estimate images.fits -o est.fits --opd opd.fits
   cophase estimate night.fits --slopes wfs.fits --scene s.toml -o est.fits
   cophase estimate --channel K=k.fit --channel H=h.fit --scene s.toml -o e.fits
+  cophase estimate night.fits -o part3.fits --part 3/8     see 'cophase merge'
+  mpirun -n 8 cophase estimate night.fits -o est.fits --part rank
 
 Images: FITS, 2-D or a cube, in the HDU IMAGES, the primary one or the first image extension, or in the HDU whose name or \
 number follows the file's in brackets: 'night.fits[SCI]'. Those of several channels are HDUs IMAGES with EXTVER 1, 2, ... and \
@@ -120,6 +127,10 @@ pub struct Arguments {
     opd: Option<PathBuf>,
     #[command(flatten)]
     settings: Settings,
+    /// Fit the images of part I of N only, and write the part to -o: 'cophase merge' makes the estimate of all parts, with the other
+    /// outputs of this command. rank: the part of this process under mpirun or srun, whose first process merges
+    #[arg(long, value_name = "I/N|rank")]
+    part: Option<Share>,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
@@ -198,12 +209,7 @@ impl Arguments {
                 outputs::check_picture((flag, plot))?;
             }
         }
-        let sources = self.sources();
-        let mut inputs: Vec<Flagged> = sources.iter().map(|(_, file)| ("the images", *file)).collect();
-        let also = [("--scene", &self.scene), ("--mask", &self.mask)];
-        inputs.extend(also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?))));
-        inputs.extend(self.slopes.iter().map(|(_, file)| ("--slopes", file.as_path())));
-        outputs::check(&self.outputs(), &inputs)
+        outputs::check(&self.outputs(), &self.read_files())
     }
 
     /// The images of each channel.
@@ -255,6 +261,22 @@ impl Arguments {
         Ok(channels)
     }
 
+    /// The scene, and the images of each channel with their slopes.
+    fn inputs(&self) -> Result<(Scene, Vec<Images>)> {
+        let images = self.images()?;
+        let scene = self.scene()?;
+        let images = self.with_slopes(images, scene.image.simultaneous)?;
+        Ok((scene, images))
+    }
+
+    /// The files that it reads.
+    fn read_files(&self) -> Vec<Flagged<'_>> {
+        let sources = self.sources().into_iter().map(|(_, file)| ("the images", file));
+        let also = [("--scene", &self.scene), ("--mask", &self.mask)];
+        let also = also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?)));
+        sources.chain(also).chain(self.slopes.iter().map(|(_, file)| ("--slopes", file.as_path()))).collect()
+    }
+
     fn are_corrections_wanted(&self) -> bool {
         self.commands.is_some() || self.commands_plot.is_some()
     }
@@ -289,21 +311,42 @@ const GAIN: &str = "image.gain_e_per_adu";
 /// Exit status under --strict of an estimate with a warning.
 const DOUBTFUL_STATUS: u8 = 3;
 
-pub fn run(mut arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
+pub fn run(arguments: Arguments, terminal: &Terminal) -> Result<ExitCode> {
     let interrupt = Interrupt::catch()?;
+    match arguments.part {
+        None => whole(arguments, Vec::new(), terminal, &interrupt),
+        Some(Share::Part(part)) => part::write(&arguments, part, terminal, &interrupt),
+        Some(Share::Rank) => ranks::run(arguments, terminal, &interrupt),
+    }
+}
+
+/// The estimate from all images; fits of `parts`, where there are some, are not made again.
+fn whole(
+    mut arguments: Arguments,
+    parts: Vec<FittedPart>,
+    terminal: &Terminal,
+    interrupt: &Interrupt,
+) -> Result<ExitCode> {
     arguments.check_outputs()?;
     let _copy = match &mut arguments.images {
-        Some(images) => outputs::copy_standard_input(images, &interrupt)?,
+        Some(images) => outputs::copy_standard_input(images, interrupt)?,
         None => None,
     };
-    let images = arguments.images()?;
-    let scene = arguments.scene()?;
-    let images = arguments.with_slopes(images, scene.image.simultaneous)?;
+    let (scene, images) = arguments.inputs()?;
     files::spare_files_of(&scene, &arguments.outputs())?;
     if arguments.are_corrections_wanted() {
         Corrections::check_controllers(&scene)?;
     }
-    let estimate = estimated(arguments.first(), &scene, &images, terminal, &interrupt)?;
+    let (made, estimate) = {
+        let bar = terminal.follow();
+        let estimator = estimator(&scene, &bar, interrupt)?;
+        let estimator = if parts.is_empty() { estimator } else { estimator.with_parts(&parts)? };
+        let found = estimator.estimate_channels(&images).map_err(files::about(arguments.first()))?;
+        (estimator.fits_made(), found)
+    };
+    if !parts.is_empty() && arguments.verbose {
+        terminal.show(&format!("{} that no part has, because they depend on all images\n", counted(made, "fit")))?;
+    }
     let corrections = arguments.are_corrections_wanted().then(|| estimate.corrections(None)).transpose()?;
     write(arguments.first(), &estimate, &arguments.output, arguments.plot.as_deref())?;
     if let Some(opd) = &arguments.opd {
@@ -329,10 +372,13 @@ pub fn estimated(
     interrupt: &Interrupt,
 ) -> Result<Estimate> {
     let bar = terminal.follow();
-    let observer = bar.observer();
-    let control = Control::with_flag(interrupt.flag().clone(), observer);
-    let estimator = Estimator::with_policy(scene, Policy::default(), control)?;
-    estimator.estimate_channels(images).map_err(files::about(name))
+    estimator(scene, &bar, interrupt)?.estimate_channels(images).map_err(files::about(name))
+}
+
+/// The estimator of a scene, which shows its progress on `bar` and stops at Ctrl-C.
+fn estimator(scene: &Scene, bar: &Wait, interrupt: &Interrupt) -> Result<Estimator> {
+    let control = Control::with_flag(interrupt.flag().clone(), bar.observer());
+    Estimator::with_policy(scene, Policy::default(), control)
 }
 
 /// Writes the estimate, and its picture where one is asked for.

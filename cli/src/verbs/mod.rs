@@ -11,6 +11,7 @@ mod demo;
 mod devices;
 mod estimate;
 mod image;
+mod merge;
 mod moves;
 mod numbering;
 mod observe;
@@ -60,6 +61,7 @@ enum Verb {
     Simulate(simulate::Arguments),
     Reduce(reduce::Arguments),
     Estimate(estimate::Arguments),
+    Merge(merge::Arguments),
     Plan(plan::Arguments),
     Compare(compare::Arguments),
     Check(check::Arguments),
@@ -83,6 +85,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
         Verb::Reduce(arguments) => reduce::run(&arguments, &terminal),
         Verb::Estimate(arguments) => return estimate::run(arguments, &terminal),
+        Verb::Merge(arguments) => return merge::run(arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Check(arguments) => check::run(&arguments, &terminal),
