@@ -8,12 +8,15 @@
 #   job=$(sbatch --parsable estimate.sh night.fits scene.toml est)
 #   sbatch --dependency=afterok:$job merge.sh est
 #
-# A task that is started again keeps a part that is there. Where images or scene have changed since, merge.sh says so: remove the
-# parts then.
+# A part that is there is not made again. A task that failed is started again alone, with the number of all parts:
+#
+#   sbatch --array=3 --export=ALL,PARTS=8 estimate.sh night.fits scene.toml est
+#
+# Where images or scene have changed since, merge.sh says so: remove the parts then.
 set -euo pipefail
 images=$1 scene=$2 name=$3
 
 export RAYON_NUM_THREADS=${SLURM_CPUS_PER_TASK:-1}
 part=$name.part$SLURM_ARRAY_TASK_ID.fits
 [[ -e "$part" ]] ||
-    cophase estimate "$images" --scene "$scene" -o "$part" --part "$SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT"
+    cophase estimate "$images" --scene "$scene" -o "$part" --part "$SLURM_ARRAY_TASK_ID/${PARTS:-$SLURM_ARRAY_TASK_COUNT}"

@@ -1,7 +1,7 @@
 //! The command line: one file per verb, and what they share.
 //!
 //! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2 (bad usage), 130
-//! (stopped by Ctrl-C, as shells count it).
+//! (stopped by Ctrl-C or SIGTERM, as shells count it).
 
 mod bench;
 mod check;
@@ -41,7 +41,7 @@ const FIRST_STEPS: &str = "First steps:
   cophase simulate keck-onsky -o onsky.fits     a minute of sky behind an AO loop
 
 Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 3 an estimate with warnings under \
---strict, 130 stopped by Ctrl-C.";
+--strict, 130 stopped by Ctrl-C or SIGTERM.";
 
 /// What the command line says.
 #[derive(Parser)]

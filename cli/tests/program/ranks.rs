@@ -55,12 +55,8 @@ fn fails(desk: &Desk, command: Command, words: &[&str]) {
     assert_ne!(done.status, 0);
     assert!(words.iter().all(|word| done.err.contains(word)), "{words:?}: {}", done.err);
     assert!(!done.err.contains("panicked") && !desk.path("est.fits").exists(), "{}", done.err);
-    let left = std::fs::read_dir(desk.path("est.fits.parts"))
-        .into_iter()
-        .flatten()
-        .chain(std::fs::read_dir(desk.path("")).unwrap());
-    let left: Vec<String> = left.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-    assert!(!left.iter().any(|name| name.starts_with(".cophase")), "{left:?}");
+    let files = desk.files();
+    assert!(!files.iter().any(|name| name.starts_with(".cophase")), "{files:?}");
 }
 
 #[test]

@@ -117,10 +117,18 @@ fn parts_in(folder: &Path) -> Vec<PathBuf> {
     entries.filter(is_part).collect()
 }
 
-/// Removes the parts and their folder; files of others in it stay, and with them the folder.
+/// Removes the files of all ranks and their folder; other files in it stay, and with them the folder.
 fn remove(folder: &Path) {
-    for part in parts_in(folder) {
-        let _ = std::fs::remove_file(part);
+    let is_own = |name: &str| {
+        (name.starts_with("part-") && name.ends_with(".fits"))
+            || (name.starts_with("rank-") && (name.ends_with(".alive") || name.ends_with(".tmp")))
+            // Of a rank that was killed while it wrote.
+            || (name.starts_with(".cophase-") && name.ends_with(".tmp"))
+    };
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        if is_own(&entry.file_name().to_string_lossy()) {
+            let _ = std::fs::remove_file(entry.path());
+        }
     }
     let _ = std::fs::remove_dir(folder);
 }
