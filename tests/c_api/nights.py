@@ -35,7 +35,7 @@ def main(example, scene_file, folder):
         expected, row = estimator.estimate(nights[name]).info, rows[f"{name}.npy"]
         assert float(row["phasing_rms_nm"]) == expected.phasing_rms_nm and int(row["images"]) == len(nights[name]), row
         assert (row["status"], row["why"]) == (expected.status, "") and (folder / f"{name}.estimate.fits").exists()
-    for name, word in (("c", "image"), ("d", "pixels")):
+    for name, word in (("c", "constant"), ("d", "3 x 48 x 48 is accepted")):
         assert rows[f"{name}.npy"]["status"] == "failed" and word in rows[f"{name}.npy"]["why"], rows
     # A scene that is wrong ends the script with its sentence, before any worker has one.
     wrong = folder / "wrong.toml"

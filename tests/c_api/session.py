@@ -59,9 +59,11 @@ def pickles(scene, model, frames):
     estimator = cophase.Estimator(scene, policy="realtime", threads=1)
     same = pickle.loads(pickle.dumps(estimator))
     one, other = (each.estimate(frames) for each in (estimator, same))
-    assert np.array_equal(one.coefficients_nm, other.coefficients_nm) and one.info.policy == other.info.policy == "realtime"
+    assert np.array_equal(one.coefficients_nm, other.coefficients_nm)
+    assert one.info.policy == other.info.policy == "realtime"
     factory = pickle.loads(pickle.dumps(cophase.SessionFactory(scene, capacity=COUNT, precision="f32")))
-    assert factory.directory == os.getcwd() and factory == cophase.SessionFactory(scene, os.getcwd(), None, COUNT, "f32")
+    assert factory.directory == os.getcwd()
+    assert factory == cophase.SessionFactory(scene, os.getcwd(), None, COUNT, "f32")
     session = factory()
     assert session is factory() and session.capacity == COUNT and session.model is factory.model()
     own = cophase.Session(model, capacity=COUNT, precision="f32").fit(frames).coefficients_nm

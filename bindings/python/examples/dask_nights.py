@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A folder of nights on a Dask cluster
 #
-# One estimate for each file of images in a folder, on the workers of a Dask cluster: here two processes of this machine;
-# `Client("tcp://scheduler:8786")` takes those of a cluster. Runs as a script:
+# One estimate for each file of images in a folder, on the workers of a Dask cluster: here two processes of this
+# machine; `Client("tcp://scheduler:8786")` takes those of a cluster. Runs as a script:
 #
 #     python dask_nights.py SCENE.toml FOLDER TABLE.csv [WORKERS]
 #
@@ -17,7 +17,8 @@ import cophase
 import numpy as np
 from distributed import Client, LocalCluster
 
-COLUMNS = ["night", "images", "used", "phasing_rms_nm", "phasing_sigma_nm", "ncpa_rms_nm", "ncpa_sigma_nm", "status", "why"]
+NUMBERS = ["images", "used", "phasing_rms_nm", "phasing_sigma_nm", "ncpa_rms_nm", "ncpa_sigma_nm"]
+COLUMNS = ["night", *NUMBERS, "status", "why"]
 
 # %% [markdown]
 # ## What a worker does
@@ -39,7 +40,7 @@ def night(path, estimator):
     try:
         estimate = estimator.estimate(frames_of(path))
         estimate.write(path.with_suffix(".estimate.fits"))
-        numbers = {name: getattr(estimate.info, name) for name in COLUMNS[1:7]}
+        numbers = {name: getattr(estimate.info, name) for name in NUMBERS}
         return {**row, **numbers, "status": estimate.info.status, "why": ""}
     except (cophase.Error, OSError, ValueError) as error:
         return {**row, "status": "failed", "why": str(error)}
@@ -48,13 +49,14 @@ def night(path, estimator):
 # %% [markdown]
 # ## The map
 #
-# An estimator pickles as its scene. It is sent once to each worker, which makes its own of it and keeps it. Results come in the
-# order of the nights. A worker that dies is replaced, and its night is tried again.
+# An estimator pickles as its scene. It is sent once to each worker, which makes its own of it and keeps it. Results
+# come in the order of the nights. A worker that dies is replaced, and its night is tried again.
 
 # %%
 def main(scene_file, folder, table, workers=2):
     scene_file, folder = Path(scene_file).resolve(), Path(folder).resolve()
-    nights = sorted(path for path in folder.iterdir() if path.suffix in (".npy", ".fits") and ".estimate" not in path.name)
+    files = (path for path in folder.iterdir() if path.suffix in (".npy", ".fits"))
+    nights = sorted(path for path in files if not path.name.endswith(".estimate.fits"))
     # A scene that is wrong ends here, and not on a worker.
     estimator = cophase.Estimator(scene_file.read_text(), threads=1, directory=scene_file.parent)
     # One thread to a worker: an estimator runs one call at a time.

@@ -49,6 +49,32 @@ fn any_number_of_ranks_makes_the_file_of_one_run() {
     }
 }
 
+/// Draws that are there are not made again, so that only the sharing is left to see.
+#[test]
+fn ranks_share_the_draws_of_a_table() {
+    let desk = Desk::with_scene();
+    std::fs::create_dir(desk.path("results")).unwrap();
+    let line = |seed: usize| format!("75 images,{seed},{}\n", vec![format!("{seed}.2500"); 14].join(","));
+    std::fs::write(desk.path("results/beyond-draws.csv"), format!("head\n{}", line(2))).unwrap();
+    std::fs::write(desk.path("results/beyond-draws.part-2-of-9.csv"), format!("head\n{}{}", line(1), line(3))).unwrap();
+    let reproduce = "reproduce beyond --row '75 images' --seeds 3 -o";
+    let whole = desk.succeeds(&["reproduce", "beyond", "--row", "75 images", "--seeds", "3", "-o", "results"]);
+    let table = std::fs::read(desk.path("results/beyond.csv")).unwrap();
+    std::fs::remove_file(desk.path("results/beyond.csv")).unwrap();
+    let part =
+        desk.succeeds(&["reproduce", "beyond", "--row", "75 images", "--seeds", "3", "-o", "results", "--part", "1/2"]);
+    assert!(part.out.starts_with("part 1/2 of beyond: 2 draws are there"), "{}", part.out);
+    assert!(!desk.path("results/beyond.csv").exists());
+    desk.refuses(&["reproduce", "table", "-o", "other", "--part", "1/2"], &["part 1/2 of table", "beyond"]);
+    let Some(command) = mpirun(&desk, 2, &format!("exec $COPHASE {reproduce} results --part rank")) else { return };
+    let done = run(command);
+    assert_eq!((done.status, &done.out), (0, &whole.out), "{}", done.err);
+    assert_eq!(std::fs::read(desk.path("results/beyond.csv")).unwrap(), table);
+    let left = std::fs::read_dir(desk.path("results")).unwrap();
+    let signs = left.filter(|entry| entry.as_ref().unwrap().file_name().to_string_lossy().starts_with("rank-"));
+    assert_eq!(signs.count(), 0);
+}
+
 /// A job that ends with a nonzero status and the words, without an estimate and without temporary files.
 fn fails(desk: &Desk, command: Command, words: &[&str]) {
     let done = run(command);
