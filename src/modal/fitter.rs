@@ -1,7 +1,7 @@
 //! Modal fitter: the model of a scene, and the data that all fits with it share.
 
 use super::diversity_error::{self, DiversityProjection, SharedError};
-use super::engine::{self, FitTask, ImageFit, Watch};
+use super::engine::FitTask;
 use super::fisher;
 use super::fitted_optic::FittedOptic;
 use super::global_motions::GlobalMotions;
@@ -9,10 +9,9 @@ use super::kept_fits::KeptFits;
 use super::metrics::Metrics;
 use super::mode_set::SceneBasis;
 use super::model::Model;
-use super::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use super::recipe::Recipe;
 use super::tilts::Tilts;
-use crate::imaging::{Chain, CpuChain};
+use crate::imaging::CpuChain;
 use crate::modes::Direction;
 use crate::optimize::CancelFlag;
 use crate::scene::{Method, PupilScene, Scene};
@@ -189,24 +188,6 @@ impl ModalFitter {
     /// The f64 CPU chain of this model.
     pub fn reference_chain(&self) -> &CpuChain<f64> {
         &self.reference
-    }
-
-    /// Prepares `frames` and fits them, each from the start of its fit.
-    pub(super) fn fit_frames(
-        &self,
-        chain: &mut Chain,
-        task: &FitTask,
-        frames: &[Frame],
-        fits: &mut [ImageFit],
-        watch: &mut Watch,
-    ) -> Result<()> {
-        if let Some(kept) = &self.kept {
-            return self.fit_unless_kept(kept, chain, task, frames, fits, watch);
-        }
-        let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
-            preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
-        };
-        engine::fit(chain, task, &prepare, fits, watch)
     }
 
     /// Whether `direction` is a motion of the whole mirror, which is 0 by convention: its piston, and where segments have tips

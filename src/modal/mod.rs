@@ -24,6 +24,7 @@ mod diversity_error;
 mod engine;
 mod estimate;
 mod fisher;
+mod fit_frames;
 mod fit_optics;
 mod fitted_optic;
 mod fitter;

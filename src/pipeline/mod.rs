@@ -21,6 +21,7 @@ mod estimate;
 mod estimator;
 mod explain;
 mod file;
+mod fit_part;
 mod foreign_truth;
 mod image_changes;
 mod images;

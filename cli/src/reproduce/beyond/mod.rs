@@ -15,7 +15,7 @@ pub use rows::{BEYOND_ROWS, BeyondRow};
 pub use table::Beyond;
 
 use super::table_rows::Conditions;
-use super::{Options, Progress};
+use super::{Options, Progress, Report};
 use cophase::ao::Simulator;
 use cophase::pipeline::Part;
 use cophase::scene::Scene;
@@ -120,6 +120,17 @@ fn one(
         None => images.insert(Behind::of(Simulator::new(longest)?, progress)?.held_against(row.held_nm(longest)?)),
     };
     row.draw(behind, made, seed, progress)
+}
+
+impl Beyond {
+    /// What a part says: its draws are kept, and those of all parts make the table.
+    pub(in crate::reproduce) fn report_of_part(&self, part: Part, directory: &Path) -> Report {
+        let (draws, failed) = (self.draws.len(), &self.failed);
+        let mut text =
+            format!("part {part} of beyond: {draws} draws are there; without --part the table is made of all\n");
+        failed.iter().for_each(|sentence| text += &format!("not made: {sentence}\n"));
+        Report { text, files: vec![directory.join(file_name(Some(part)))] }
+    }
 }
 
 /// File of the draws of a part, or of all.

@@ -7,7 +7,6 @@ use crate::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use crate::reproduce::statistics::{mean, rms};
 use crate::reproduce::{Cell, Report, Table};
 use cophase::Result;
-use cophase::pipeline::Part;
 use std::path::Path;
 
 /// χ² over that of the nominal row beyond which a draw is flagged. Between nominal draws it scatters by a few per cent.
@@ -25,15 +24,6 @@ pub struct Beyond {
 }
 
 impl Beyond {
-    /// What a part says: its draws are kept, and those of all parts make the table.
-    pub(in crate::reproduce) fn report_of_part(&self, part: Part, directory: &Path) -> Report {
-        let (draws, failed) = (self.draws.len(), &self.failed);
-        let mut text =
-            format!("part {part} of beyond: {draws} draws are there; without --part the table is made of all\n");
-        failed.iter().for_each(|sentence| text += &format!("not made: {sentence}\n"));
-        Report { text, files: vec![directory.join(super::file_name(Some(part)))] }
-    }
-
     /// The rows that have draws, and their draws.
     fn filled(&self) -> Vec<(&BeyondRow, Vec<&BeyondDraw>)> {
         let of = |row| (row, self.of_row(row));

@@ -1,6 +1,6 @@
 //! What an estimate reads: images of one file or of several, slopes, the scene.
 
-use super::{Arguments, GAIN};
+use super::arguments::{Arguments, GAIN};
 use crate::outputs::Flagged;
 use cophase::pipeline::{Images, Trust};
 use cophase::scene::Scene;

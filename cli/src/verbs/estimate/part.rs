@@ -1,6 +1,7 @@
 //! Parts of an estimate: `cophase estimate --part I/N`, and the estimate of all parts.
 
-use super::{Arguments, estimator, whole};
+use super::arguments::Arguments;
+use super::whole::{estimator, whole};
 use crate::files;
 use crate::interrupt::Interrupt;
 use crate::outputs;

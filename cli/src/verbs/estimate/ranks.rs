@@ -3,7 +3,9 @@
 //! The parts are files in the folder `OUTPUT.parts`, which all processes see. Where a job was stopped the folder stays, and the same
 //! command, with any number of processes, takes the fits that are there.
 
-use super::{Arguments, part, whole};
+use super::arguments::Arguments;
+use super::part;
+use super::whole::whole;
 use crate::interrupt::Interrupt;
 use crate::outputs;
 use crate::ranks::{Heart, LOOK, Pulse, Rank};
