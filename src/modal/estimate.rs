@@ -214,6 +214,17 @@ impl ModalFitter {
         if total < SEQUENCE || 2 * misfits < fits.len() {
             self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
         }
+        // Those at which the estimate looks at the residuals.
+        let flat_nm = vec![0.0; self.model.optics.modes()];
+        let fitted = fits.iter_mut().filter(|fit| fit.is_fitted()).map(|fit| &mut fit.minimum.coefficients_nm);
+        let ends: Vec<&[f64]> = fitted
+            .map(|coefficients_nm| {
+                pistons::wrap_if_monochromatic(coefficients_nm, &flat_nm, &self.model);
+                self.motions.remove(coefficients_nm);
+                coefficients_nm.as_slice()
+            })
+            .collect();
+        self.keep_psfs(&ends);
         Ok(())
     }
 

@@ -6,7 +6,7 @@ use super::kept_fits::{Hash, KeptFit, KeptFits};
 use super::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use crate::Result;
 use crate::imaging::{Chain, Precision};
-use ndarray::Array1;
+use ndarray::{Array1, ArrayView1};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -45,7 +45,7 @@ impl ModalFitter {
         fits: &mut [ImageFit],
         watch: &mut Watch,
     ) -> Result<()> {
-        let model = self.model_hash(chain);
+        let model = with_chain(self.model_hash(), chain);
         let keys: Vec<u128> = frames.par_iter().zip(&*fits).map(|(frame, fit)| key(model, frame, fit)).collect();
         let (modes, pixels) = (self.model.optics.modes(), self.model.preparation.pixels.pow(2));
         let known: Vec<Option<Arc<KeptFit>>> = keys.iter().map(|key| kept.get(*key, modes, pixels)).collect();
@@ -81,24 +81,45 @@ impl ModalFitter {
         Ok(())
     }
 
-    /// Hash of what all fits on `chain` share. The image of a wavefront with a different coefficient of every mode stands for the
-    /// pupil, the modes, the diversity and the filter, also where they are from files.
-    fn model_hash(&self, chain: &Chain) -> Hash {
+    /// PSF of the reference chain at `coefficients_nm`, which may be kept.
+    pub(super) fn psf_at(&self, coefficients_nm: &[f64]) -> Arc<Vec<f64>> {
+        let known = self.kept.as_ref().and_then(|kept| kept.psf(self.psf_key(coefficients_nm)));
+        known.unwrap_or_else(|| Arc::new(self.reference.psf(ArrayView1::from(coefficients_nm))))
+    }
+
+    /// Keeps the PSFs at these coefficients of fits, nm, in place of those that were kept.
+    pub(super) fn keep_psfs(&self, coefficients_nm: &[&[f64]]) {
+        let Some(kept) = &self.kept else { return };
+        let psf = |nm: &&[f64]| (self.psf_key(nm), self.psf_at(nm));
+        kept.set_psfs(coefficients_nm.par_iter().map(psf).collect::<Vec<_>>());
+    }
+
+    fn psf_key(&self, coefficients_nm: &[f64]) -> u128 {
+        self.model_hash().numbers(coefficients_nm).value()
+    }
+
+    /// Hash of what all fits share, whatever chain they are made on. The image of a wavefront with a different coefficient of every
+    /// mode stands for the pupil, the modes, the diversity and the filter, also where they are from files.
+    fn model_hash(&self) -> Hash {
         /// Fractions of its multiples are spread evenly.
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
-        let modes = self.model.optics.modes();
-        let nm =
-            |mode: usize| self.model.optics.parts().wavelength_nm * 0.02 * (((mode + 1) as f64 * GOLDEN).fract() - 0.5);
-        let psf = self.reference.psf(Array1::from_shape_fn(modes, nm).view());
-        let precision = match chain.precision() {
-            Precision::F32 => "f32",
-            Precision::F64 => "f64",
-        };
-        let kind = if chain.device_name() == "cpu" { "cpu" } else { "device" };
-        let words = [env!("CARGO_PKG_VERSION"), precision, kind];
-        let hash = words.into_iter().fold(Hash::new(), Hash::text);
-        hash.text(&format!("{:?} {:?}", self.recipe, self.model.preparation)).numbers(&psf)
+        *self.hash.get_or_init(|| {
+            let wavelength_nm = self.model.optics.parts().wavelength_nm;
+            let nm = |mode: usize| wavelength_nm * 0.02 * (((mode + 1) as f64 * GOLDEN).fract() - 0.5);
+            let psf = self.reference.psf(Array1::from_shape_fn(self.model.optics.modes(), nm).view());
+            let hash = Hash::new().text(env!("CARGO_PKG_VERSION"));
+            hash.text(&format!("{:?} {:?}", self.recipe, self.model.preparation)).numbers(&psf)
+        })
     }
+}
+
+/// Hash of what distinguishes chains: precision, and whether it is the CPU's.
+fn with_chain(model: Hash, chain: &Chain) -> Hash {
+    let precision = match chain.precision() {
+        Precision::F32 => "f32",
+        Precision::F64 => "f64",
+    };
+    model.text(precision).text(if chain.device_name() == "cpu" { "cpu" } else { "device" })
 }
 
 /// Key of the fit of `frame` from the start of `fit`.

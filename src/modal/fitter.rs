@@ -5,7 +5,7 @@ use super::engine::FitTask;
 use super::fisher;
 use super::fitted_optic::FittedOptic;
 use super::global_motions::GlobalMotions;
-use super::kept_fits::KeptFits;
+use super::kept_fits::{Hash, KeptFits};
 use super::metrics::Metrics;
 use super::mode_set::SceneBasis;
 use super::model::Model;
@@ -18,7 +18,7 @@ use crate::scene::{Method, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Fits static modes to images of one scene, and combines the images.
 pub struct ModalFitter {
@@ -37,6 +37,8 @@ pub struct ModalFitter {
     pub(super) fitted_optics: Vec<FittedOptic>,
     /// Fits that are taken where they are there, and to which others are added.
     pub(super) kept: Option<Arc<KeptFits>>,
+    /// Hash of the model and the recipe, computed once because it takes an image.
+    pub(super) hash: OnceLock<Hash>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -156,8 +158,21 @@ impl ModalFitter {
         let (motions, tilts) = (GlobalMotions::new(&model)?, Tilts::new(&model)?);
         let shared = diversity_error::shared_error(&model, scene)?.into_iter().collect();
         let (scene, scene_basis) = (scene.clone(), Arc::default());
-        let (fitted_optics, kept) = (Vec::new(), None);
-        Ok(Self { scene, recipe, model, reference, metrics, motions, tilts, shared, scene_basis, fitted_optics, kept })
+        let (fitted_optics, kept, hash) = (Vec::new(), None, OnceLock::new());
+        Ok(Self {
+            scene,
+            recipe,
+            model,
+            reference,
+            metrics,
+            motions,
+            tilts,
+            shared,
+            scene_basis,
+            fitted_optics,
+            kept,
+            hash,
+        })
     }
 
     /// This fitter, which takes fits from `kept` where they are there, and adds others to them.

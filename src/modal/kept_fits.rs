@@ -98,18 +98,41 @@ impl KeptFit {
     }
 }
 
+/// PSF of the reference chain at the end of a fit, by the hash of model and coefficients.
+pub(crate) type KeptPsf = (u128, Arc<Vec<f64>>);
+
 /// Fits by their keys. Those that a call uses or makes are [`KeptFits::used`] afterwards.
 #[derive(Default)]
 pub(crate) struct KeptFits {
     fits: Mutex<BTreeMap<u128, (Arc<KeptFit>, bool)>>,
+    psfs: Mutex<BTreeMap<u128, Arc<Vec<f64>>>>,
     made: AtomicUsize,
 }
 
 impl KeptFits {
-    /// A collection that begins with `fits`.
-    pub(crate) fn new(fits: impl IntoIterator<Item = (u128, Arc<KeptFit>)>) -> Self {
+    /// A collection that begins with `fits` and `psfs`.
+    pub(crate) fn new(
+        fits: impl IntoIterator<Item = (u128, Arc<KeptFit>)>,
+        psfs: impl IntoIterator<Item = KeptPsf>,
+    ) -> Self {
         let fits = fits.into_iter().map(|(key, fit)| (key, (fit, false))).collect();
-        Self { fits: Mutex::new(fits), made: AtomicUsize::new(0) }
+        Self { fits: Mutex::new(fits), psfs: Mutex::new(psfs.into_iter().collect()), made: AtomicUsize::new(0) }
+    }
+
+    /// The PSF with this key.
+    pub(super) fn psf(&self, key: u128) -> Option<Arc<Vec<f64>>> {
+        self.psfs.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned()
+    }
+
+    /// Replaces all PSFs.
+    pub(super) fn set_psfs(&self, psfs: impl IntoIterator<Item = KeptPsf>) {
+        *self.psfs.lock().unwrap_or_else(PoisonError::into_inner) = psfs.into_iter().collect();
+    }
+
+    /// The PSFs, by ascending key.
+    pub(crate) fn psfs(&self) -> Vec<KeptPsf> {
+        let psfs = self.psfs.lock().unwrap_or_else(PoisonError::into_inner);
+        psfs.iter().map(|(key, psf)| (*key, psf.clone())).collect()
     }
 
     /// The fits that were used or made, by ascending key.

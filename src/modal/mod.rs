@@ -79,7 +79,7 @@ pub use integers::PistonInteger;
 pub(crate) use integers::{ColourEstimate, are_determined, resolve_estimates};
 pub(crate) use joint::{JointEstimate, combine_estimates, joint};
 pub use joint_session::{JointFit, JointSession, RefinedFit};
-pub(crate) use kept_fits::{Hash, KeptFit, KeptFits};
+pub(crate) use kept_fits::{Hash, KeptFit, KeptFits, KeptPsf};
 pub use memory::{Memory, Tiles};
 pub use model::Model;
 pub(crate) use pistons::pistons_near;

@@ -46,14 +46,12 @@ impl Estimator {
             let missing = missing.join(", ");
             return Err(Error::Value(format!("{noun} {missing} of {of} is missing: all are needed")));
         }
-        let kept = KeptFits::new(parts.iter().flat_map(|part| part.fits.iter().cloned()));
-        Ok(Self { parts: Some(PartFits { identity: Some(first.identity), kept: Arc::new(kept) }), ..self })
+        Ok(Self { parts: Some(PartFits::of(parts, Some(first.identity))), ..self })
     }
 
     /// This estimator with the fits of some parts, of this estimate or another: those that are its own are not made again.
     pub fn with_fits_of(self, parts: &[FittedPart]) -> Self {
-        let kept = KeptFits::new(parts.iter().flat_map(|part| part.fits.iter().cloned()));
-        Self { parts: Some(PartFits { identity: None, kept: Arc::new(kept) }), ..self }
+        Self { parts: Some(PartFits::of(parts, None)), ..self }
     }
 
     /// Number of fits of images that calls have made with [`Estimator::with_parts`] because no part had them.
@@ -77,7 +75,7 @@ impl Estimator {
         let found = self.fit_part_into(images, part, &kept);
         self.control.enter(super::Stage::Idle, 0);
         let (identity, images) = acknowledged(&self.control, found)?;
-        Ok(FittedPart { part, images, command: Vec::new(), identity, fits: kept.used() })
+        Ok(FittedPart { part, images, command: Vec::new(), identity, fits: kept.used(), psfs: kept.psfs() })
     }
 
     /// Fits the images of `part` into `kept`; returns the identity of the estimate, and the number of its images.

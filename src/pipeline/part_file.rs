@@ -14,10 +14,11 @@ const NUMBERS: [&str; 7] = ["FLUX_E", "BACKGROUND_E", "CHI2", "CHI2_LEAST", "CHI
 
 impl FittedPart {
     /// Writes the part, whole or not at all: the cards `PART`, `PARTS` and `NIMAGES`, the tables `FITS`, a row for each fit, and
-    /// `COMMAND`, and of each fit the coefficients (`COEFFICIENTS`, nm) and the weights of its pixels (`WEIGHTS`).
+    /// `COMMAND`; for each fit the coefficients (`COEFFICIENTS`, nm) and the weights of its pixels (`WEIGHTS`), and for each image the PSF
+    /// where its fit ended (`PSFS`). Each of these is one row after the other, because channels differ in size.
     ///
     /// # Errors
-    /// [`Error::File`] where the file cannot be written; [`Error::Value`] where the fits are of models of different sizes.
+    /// [`Error::File`] where the file cannot be written.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut file = FitsWriter::create(path)?;
         file.card("PRIMARY", "PART", self.part.number() as i64, "number of this part, from 1")?;
@@ -26,22 +27,28 @@ impl FittedPart {
         file.card("PRIMARY", "IDENTITY", hex(self.identity).as_str(), "hash of images, scene and policy")?;
         let fits = || self.fits.iter().map(|(_, fit)| &**fit);
         let reals = |at: usize| fits().map(|fit| fit.numbers[at]).collect();
+        let sizes = |rows: &[&[f64]]| Column::i64("SIZE", rows.iter().map(|row| row.len() as i64).collect());
+        let coefficients: Vec<&[f64]> = fits().map(|fit| fit.coefficients_nm.as_slice()).collect();
+        let weights: Vec<&[f64]> = fits().map(|fit| fit.weights.as_slice()).collect();
+        let psfs: Vec<&[f64]> = self.psfs.iter().map(|(_, psf)| psf.as_slice()).collect();
         let mut columns = vec![
             Column::text("KEY", self.fits.iter().map(|(key, _)| hex(*key))),
             Column::i64("EVALUATIONS", fits().map(|fit| fit.evaluations as i64).collect()),
             Column::text("REASON", fits().map(|fit| fit.reason.to_string())),
         ];
         columns.extend(NUMBERS.iter().enumerate().map(|(at, name)| Column::f64(name, "", reals(at))));
-        // Channels may have models of different sizes.
-        columns.push(Column::lists("COEFFICIENTS_NM", "nm", fits().map(|fit| fit.coefficients_nm.clone()).collect()));
         file.table("FITS", &columns)?;
         file.table("COMMAND", &[Column::text("WORD", &self.command)])?;
-        let sizes: Vec<i64> = fits().map(|fit| fit.weights.len() as i64).collect();
-        let weights: Vec<f64> = fits().flat_map(|fit| fit.weights.iter().copied()).collect();
-        file.table("WEIGHTS_SIZES", &[Column::i64("PIXELS", sizes)])?;
-        if !weights.is_empty() {
-            let row = Array2::from_shape_vec((1, weights.len()), weights);
-            file.image("WEIGHTS", &row.map_err(|error| Error::Internal(error.to_string()))?, Pixel::F64, "")?;
+        file.table("COEFFICIENTS_SIZES", &[sizes(&coefficients)])?;
+        file.table("WEIGHTS_SIZES", &[sizes(&weights)])?;
+        let keys = Column::text("KEY", self.psfs.iter().map(|(key, _)| hex(*key)));
+        file.table("PSFS_SIZES", &[keys, sizes(&psfs)])?;
+        for (name, rows, unit) in [("COEFFICIENTS", coefficients, "nm"), ("WEIGHTS", weights, ""), ("PSFS", psfs, "")] {
+            let values = rows.concat();
+            if !values.is_empty() {
+                let row = Array2::from_shape_vec((1, values.len()), values);
+                file.image(name, &row.map_err(|error| Error::Internal(error.to_string()))?, Pixel::F64, unit)?;
+            }
         }
         file.finish()
     }
@@ -66,34 +73,51 @@ impl FittedPart {
         let part = Part::new(number(&mut file, "PART")?, of).map_err(|_| damaged("PART"))?;
         let identity = file.card(Some("PRIMARY"), "IDENTITY")?;
         let identity = identity.as_ref().and_then(Card::text).and_then(unhex).ok_or_else(|| damaged("IDENTITY"))?;
-        let keys = file.text_column("FITS", "KEY")?;
+        let mut keys = |table: &str| -> Result<Vec<u128>> {
+            let texts = file.text_column(table, "KEY")?;
+            texts.iter().map(|text| unhex(text).ok_or_else(|| damaged("KEY"))).collect()
+        };
+        let (keys, psf_keys) = (keys("FITS")?, keys("PSFS_SIZES")?);
         let evaluations = file.i64_column("FITS", "EVALUATIONS")?;
         let reasons = file.text_column("FITS", "REASON")?;
         let numbers = NUMBERS.map(|name| file.f64_column("FITS", name));
         let numbers = numbers.into_iter().collect::<Result<Vec<_>>>()?;
-        let coefficients = file.list_column("FITS", "COEFFICIENTS_NM")?;
-        let sizes = file.i64_column("WEIGHTS_SIZES", "PIXELS")?;
-        let weights = if file.has("WEIGHTS") { file.row(Some("WEIGHTS"))? } else { Vec::new() };
-        if sizes.len() != keys.len() || sizes.iter().map(|size| *size as usize).sum::<usize>() != weights.len() {
-            return Err(damaged("WEIGHTS"));
-        }
-        let (mut fits, mut rest) = (Vec::with_capacity(keys.len()), weights.as_slice());
-        for (row, coefficients_nm) in coefficients.into_iter().enumerate() {
-            let (own, others) = rest.split_at(sizes[row] as usize);
-            rest = others;
+        let mut rows_of = |name: &str, count: usize| rows(&mut file, name, count)?.ok_or_else(|| damaged(name));
+        let coefficients = rows_of("COEFFICIENTS", keys.len())?;
+        let weights = rows_of("WEIGHTS", keys.len())?;
+        let psfs = rows_of("PSFS", psf_keys.len())?;
+        let fit = |(row, (coefficients_nm, weights)): (usize, (Vec<f64>, Vec<f64>))| {
             let reason = StopReason::ALL.into_iter().find(|reason| reason.to_string() == reasons[row]);
             let fit = KeptFit {
                 coefficients_nm,
-                weights: own.to_vec(),
+                weights,
                 evaluations: evaluations[row] as usize,
                 reason: reason.ok_or_else(|| damaged("REASON"))?,
                 numbers: std::array::from_fn(|at| numbers[at][row]),
             };
-            fits.push((unhex(&keys[row]).ok_or_else(|| damaged("KEY"))?, Arc::new(fit)));
-        }
-        let command = file.text_column("COMMAND", "WORD")?;
-        Ok(Self { part, images, command, identity, fits })
+            Ok((keys[row], Arc::new(fit)))
+        };
+        let fits = coefficients.into_iter().zip(weights).enumerate().map(fit).collect::<Result<_>>()?;
+        let psfs = psf_keys.into_iter().zip(psfs.into_iter().map(Arc::new)).collect();
+        Ok(Self { part, images, command: file.text_column("COMMAND", "WORD")?, identity, fits, psfs })
     }
+}
+
+/// The `count` rows of the image `name`, whose sizes are in the table `NAME_SIZES`; `None` where these do not fit.
+fn rows(file: &mut FitsReader, name: &str, count: usize) -> Result<Option<Vec<Vec<f64>>>> {
+    let sizes = file.i64_column(&format!("{name}_SIZES"), "SIZE")?;
+    let values = if file.has(name) { file.row(Some(name))? } else { Vec::new() };
+    let sizes: Vec<usize> = sizes.into_iter().filter_map(|size| usize::try_from(size).ok()).collect();
+    if sizes.len() != count || sizes.iter().sum::<usize>() != values.len() {
+        return Ok(None);
+    }
+    let mut rest = values.as_slice();
+    let row = |size: usize| {
+        let (own, others) = rest.split_at(size);
+        rest = others;
+        own.to_vec()
+    };
+    Ok(Some(sizes.into_iter().map(row).collect()))
 }
 
 fn hex(number: u128) -> String {

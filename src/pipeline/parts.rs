@@ -5,7 +5,7 @@
 //! because it depends on all images (restarts of fits that are outliers of a sequence, a larger model), it makes itself, so that
 //! the estimate has the bits of one run.
 
-use crate::modal::{KeptFit, KeptFits};
+use crate::modal::{KeptFit, KeptFits, KeptPsf};
 use crate::{Error, Result};
 use std::fmt;
 use std::str::FromStr;
@@ -76,6 +76,8 @@ pub struct FittedPart {
     pub(super) identity: u128,
     /// By ascending key.
     pub(super) fits: Vec<(u128, Arc<KeptFit>)>,
+    /// PSFs at the ends of fits, by ascending key.
+    pub(super) psfs: Vec<KeptPsf>,
 }
 
 impl FittedPart {
@@ -95,6 +97,15 @@ pub(super) struct PartFits {
     /// Identity of the estimate that they are of; `None` where they may be of others.
     pub(super) identity: Option<u128>,
     pub(super) kept: Arc<KeptFits>,
+}
+
+impl PartFits {
+    /// The fits of `parts`.
+    pub(super) fn of(parts: &[FittedPart], identity: Option<u128>) -> Self {
+        let fits = parts.iter().flat_map(|part| part.fits.iter().cloned());
+        let psfs = parts.iter().flat_map(|part| part.psfs.iter().cloned());
+        Self { identity, kept: Arc::new(KeptFits::new(fits, psfs)) }
+    }
 }
 
 #[cfg(test)]

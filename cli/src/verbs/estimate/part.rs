@@ -1,11 +1,11 @@
 //! Parts of an estimate: `cophase estimate --part I/N`, and the estimate of all parts.
 
 use super::arguments::Arguments;
-use super::whole::{estimator, whole};
+use super::whole::{Work, whole};
 use crate::files;
 use crate::interrupt::Interrupt;
 use crate::outputs;
-use crate::terminal::{Terminal, counted};
+use crate::terminal::{Terminal, Wait, counted};
 use clap::Parser;
 use cophase::pipeline::{FittedPart, Part};
 use cophase::{Error, Result};
@@ -15,30 +15,29 @@ use std::process::ExitCode;
 /// Fits the images of `part`, and writes the part to the output.
 pub(super) fn write(arguments: &Arguments, part: Part, terminal: &Terminal, interrupt: &Interrupt) -> Result<ExitCode> {
     outputs::check(&[("-o", &arguments.output)], &arguments.read_files())?;
-    let fitted = fit(arguments, part, &[], terminal, interrupt)?;
+    let fitted = {
+        let bar = terminal.follow();
+        fit(arguments, &work(arguments, &bar, interrupt)?, part)?
+    };
     fitted.write(&arguments.output)?;
     let (output, fits, images) = (arguments.output.display(), counted(fitted.fits(), "fit"), fitted.images);
     terminal.show(&format!("{output}: part {part} of an estimate from {}: {fits}\n", counted(images, "image")))?;
     Ok(ExitCode::SUCCESS)
 }
 
-/// The fits of `part`; those of `earlier` are not made again.
-pub(super) fn fit(
-    arguments: &Arguments,
-    part: Part,
-    earlier: &[FittedPart],
-    terminal: &Terminal,
-    interrupt: &Interrupt,
-) -> Result<FittedPart> {
+/// What the parts of an estimate work on.
+pub(super) fn work(arguments: &Arguments, bar: &Wait, interrupt: &Interrupt) -> Result<Work> {
     if arguments.images.as_deref() == Some(Path::new("-")) {
         return Err(Error::Value(
             "images from standard input have no parts: a file is needed, which is read again".into(),
         ));
     }
-    let (scene, images) = arguments.inputs()?;
-    let bar = terminal.follow();
-    let estimator = estimator(&scene, &bar, interrupt)?.with_fits_of(earlier);
-    let mut fitted = estimator.fit_part(&images, part).map_err(files::about(arguments.first()))?;
+    Work::new(arguments, bar, interrupt)
+}
+
+/// The fits of `part`.
+pub(super) fn fit(arguments: &Arguments, work: &Work, part: Part) -> Result<FittedPart> {
+    let mut fitted = work.estimator.fit_part(&work.images, part).map_err(files::about(arguments.first()))?;
     fitted.command = command()?;
     Ok(fitted)
 }
@@ -57,7 +56,7 @@ pub fn merge(parts: &[PathBuf], output: PathBuf, flags: [bool; 3], terminal: &Te
     arguments.json |= json;
     arguments.strict |= strict;
     arguments.verbose |= verbose;
-    whole(arguments, parts, terminal, &interrupt)
+    whole(arguments, &parts, terminal, &interrupt)
 }
 
 /// The folder and the words of this command, as a part keeps them.

@@ -5,11 +5,10 @@
 
 use super::arguments::Arguments;
 use super::part;
-use super::whole::whole;
+use super::whole::{Work, conclude, whole};
 use crate::interrupt::Interrupt;
-use crate::outputs;
 use crate::ranks::{Heart, LOOK, Pulse, Rank};
-use crate::terminal::Terminal;
+use crate::terminal::{Terminal, Wait};
 use cophase::pipeline::{FittedPart, Part};
 use cophase::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -19,55 +18,60 @@ use std::process::ExitCode;
 pub(super) fn run(arguments: Arguments, terminal: &Terminal, interrupt: &Interrupt) -> Result<ExitCode> {
     let rank = Rank::of_this_process()?;
     if rank.of == 1 {
-        return whole(arguments, Vec::new(), terminal, interrupt);
+        return whole(arguments, &[], terminal, interrupt);
     }
-    share(arguments, rank, terminal, interrupt).map_err(|error| rank.name(error))
+    share(&arguments, rank, terminal, interrupt).map_err(|error| rank.name(error))
 }
 
-fn share(arguments: Arguments, rank: Rank, terminal: &Terminal, interrupt: &Interrupt) -> Result<ExitCode> {
-    outputs::check(&[("-o", &arguments.output)], &arguments.read_files())?;
+fn share(arguments: &Arguments, rank: Rank, terminal: &Terminal, interrupt: &Interrupt) -> Result<ExitCode> {
+    arguments.check_outputs()?;
     let folder = folder_of(&arguments.output);
     std::fs::create_dir_all(&folder).map_err(|error| Error::file(&folder, format!("cannot be made: {error}")))?;
-    // Only the first rank waits, and for the others.
-    let heart = (rank.number > 0).then(|| Heart::start(&folder, rank));
-    match fit_and_gather(&arguments, rank, &folder, terminal, interrupt) {
-        Ok(None) => Ok(ExitCode::SUCCESS),
-        Ok(Some(parts)) => {
-            let status = whole(arguments, parts, terminal, interrupt)?;
-            remove(&folder);
-            Ok(status)
-        }
+    if rank.number == 0 {
+        let status = first(arguments, rank, &folder, terminal, interrupt)?;
+        remove(&folder);
+        return Ok(status);
+    }
+    let heart = Heart::start(&folder, rank);
+    // One bar is enough.
+    let bar = Terminal::new(true).follow();
+    match fitted(arguments, rank, &folder, &bar, interrupt) {
+        Ok(_) => Ok(ExitCode::SUCCESS),
         Err(error) => {
-            if let Some(heart) = heart {
-                heart.fail(&error);
-            }
+            heart.fail(&error);
             Err(error)
         }
     }
 }
 
-/// Fits and writes the part of this rank; of the first rank, the parts of all.
-fn fit_and_gather(
+/// Fits and writes the part of a rank.
+fn fitted(
+    arguments: &Arguments,
+    rank: Rank,
+    folder: &Path,
+    bar: &Wait,
+    interrupt: &Interrupt,
+) -> Result<(Work, FittedPart)> {
+    // A file of another version, or one that is damaged, is no loss.
+    let earlier: Vec<FittedPart> = parts_in(folder).iter().filter_map(|path| FittedPart::read(path).ok()).collect();
+    let work = part::work(arguments, bar, interrupt)?;
+    let work = Work { estimator: work.estimator.with_fits_of(&earlier), ..work };
+    let fitted = part::fit(arguments, &work, rank.part()?)?;
+    fitted.write(folder.join(name_of(fitted.part)))?;
+    Ok((work, fitted))
+}
+
+/// The first rank: fits its part, waits for the others, and makes the estimate.
+fn first(
     arguments: &Arguments,
     rank: Rank,
     folder: &Path,
     terminal: &Terminal,
     interrupt: &Interrupt,
-) -> Result<Option<Vec<FittedPart>>> {
-    let part = rank.part()?;
+) -> Result<ExitCode> {
     let mut pulses = Pulse::of_others(folder, rank);
-    // One bar is enough.
-    let quiet = Terminal::new(true);
-    let terminal = if rank.number == 0 { terminal } else { &quiet };
-    // A file of another version, or one that is damaged, is no loss.
-    let earlier: Vec<FittedPart> = parts_in(folder).iter().filter_map(|path| FittedPart::read(path).ok()).collect();
-    let own = part::fit(arguments, part, &earlier, terminal, interrupt)?;
-    drop(earlier);
-    own.write(folder.join(name_of(part)))?;
-    if rank.number > 0 {
-        return Ok(None);
-    }
-    let _wait = terminal.wait("Waiting for the other ranks", 1);
+    let bar = terminal.follow();
+    let (work, own) = fitted(arguments, rank, folder, &bar, interrupt)?;
     let mut parts = vec![own];
     loop {
         let mut missing = Vec::new();
@@ -81,7 +85,7 @@ fn fit_and_gather(
             }
         }
         if missing.is_empty() {
-            return Ok(Some(parts));
+            return conclude(arguments, work, &parts, bar, terminal);
         }
         pulses = missing;
         interrupt.check("the other ranks were not done")?;

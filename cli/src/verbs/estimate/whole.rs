@@ -16,10 +16,29 @@ use std::process::ExitCode;
 /// Exit status under --strict of an estimate with a warning.
 const DOUBTFUL_STATUS: u8 = 3;
 
+/// What an estimate works on.
+pub(super) struct Work {
+    pub(super) images: Vec<Images>,
+    pub(super) estimator: Estimator,
+}
+
+impl Work {
+    /// Reads the inputs; refuses corrections that the scene does not describe, and outputs that are files of the scene.
+    pub(super) fn new(arguments: &Arguments, bar: &Wait, interrupt: &Interrupt) -> Result<Self> {
+        let (scene, images) = arguments.inputs()?;
+        files::spare_files_of(&scene, &arguments.outputs())?;
+        if arguments.are_corrections_wanted() {
+            Corrections::check_controllers(&scene)?;
+        }
+        let estimator = estimator(&scene, bar, interrupt)?;
+        Ok(Self { images, estimator })
+    }
+}
+
 /// The estimate from all images; fits of `parts`, where there are some, are not made again.
 pub(super) fn whole(
     mut arguments: Arguments,
-    parts: Vec<FittedPart>,
+    parts: &[FittedPart],
     terminal: &Terminal,
     interrupt: &Interrupt,
 ) -> Result<ExitCode> {
@@ -28,20 +47,26 @@ pub(super) fn whole(
         Some(images) => outputs::copy_standard_input(images, interrupt)?,
         None => None,
     };
-    let (scene, images) = arguments.inputs()?;
-    files::spare_files_of(&scene, &arguments.outputs())?;
-    if arguments.are_corrections_wanted() {
-        Corrections::check_controllers(&scene)?;
-    }
-    let (made, estimate) = {
-        let bar = terminal.follow();
-        let estimator = estimator(&scene, &bar, interrupt)?;
-        let estimator = if parts.is_empty() { estimator } else { estimator.with_parts(&parts)? };
-        let found = estimator.estimate_channels(&images).map_err(files::about(arguments.first()))?;
-        (estimator.fits_made(), found)
-    };
-    if !parts.is_empty() && arguments.verbose {
-        terminal.show(&format!("{} that no part has, because they depend on all images\n", counted(made, "fit")))?;
+    let bar = terminal.follow();
+    let work = Work::new(&arguments, &bar, interrupt)?;
+    conclude(&arguments, work, parts, bar, terminal)
+}
+
+/// As [`whole`], from `work`, whose progress `bar` shows.
+pub(super) fn conclude(
+    arguments: &Arguments,
+    work: Work,
+    parts: &[FittedPart],
+    bar: Wait,
+    terminal: &Terminal,
+) -> Result<ExitCode> {
+    let Work { images, estimator, .. } = work;
+    let estimator = if parts.is_empty() { estimator } else { estimator.with_parts(parts)? };
+    let estimate = estimator.estimate_channels(&images).map_err(files::about(arguments.first()))?;
+    drop(bar);
+    if !parts.is_empty() && arguments.verbose && !arguments.json {
+        let made = counted(estimator.fits_made(), "fit");
+        terminal.show(&format!("{made} that no part has, because they depend on all images\n"))?;
     }
     let corrections = arguments.are_corrections_wanted().then(|| estimate.corrections(None)).transpose()?;
     write(arguments.first(), &estimate, &arguments.output, arguments.plot.as_deref())?;
@@ -72,7 +97,7 @@ pub fn estimated(
 }
 
 /// The estimator of a scene, which shows its progress on `bar` and stops at Ctrl-C.
-pub(super) fn estimator(scene: &Scene, bar: &Wait, interrupt: &Interrupt) -> Result<Estimator> {
+fn estimator(scene: &Scene, bar: &Wait, interrupt: &Interrupt) -> Result<Estimator> {
     let control = Control::with_flag(interrupt.flag().clone(), bar.observer());
     Estimator::with_policy(scene, Policy::default(), control)
 }
