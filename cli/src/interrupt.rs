@@ -1,4 +1,4 @@
-//! Signals: Ctrl-C stops at the next safe place, and a limit on file sizes is an error like a full disk.
+//! Signals: Ctrl-C and SIGTERM stop at the next safe place, and a limit on file sizes is an error like a full disk.
 
 use cophase::optimize::CancelFlag;
 use cophase::{Error, Result};
@@ -47,13 +47,21 @@ fn share_arenas() {
     }
 }
 
+/// Handler of SIGTERM. The feature `termination` of ctrlc would catch SIGHUP, too, which nohup ignores.
+extern "C" fn raise_interrupt(_: libc::c_int) {
+    // SAFETY: a plain call.
+    unsafe {
+        libc::raise(libc::SIGINT);
+    }
+}
+
 /// Knows whether the user wants to stop.
 pub struct Interrupt {
     flag: CancelFlag,
 }
 
 impl Interrupt {
-    /// Catches Ctrl-C from now on. A second one ends the program at once.
+    /// Catches Ctrl-C from now on, and SIGTERM, with which job schedulers and mpirun end a job. A second one ends the program at once.
     pub fn catch() -> Result<Self> {
         let flag: CancelFlag = Arc::new(AtomicBool::new(false));
         let raised = flag.clone();
@@ -63,6 +71,10 @@ impl Interrupt {
             }
         };
         ctrlc::set_handler(handler).map_err(|error| Error::Internal(format!("Ctrl-C cannot be caught: {error}")))?;
+        // SAFETY: the handler calls nothing but `raise`, which is async-signal-safe.
+        unsafe {
+            libc::signal(libc::SIGTERM, raise_interrupt as *const () as libc::sighandler_t);
+        }
         Ok(Self { flag })
     }
 

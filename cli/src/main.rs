@@ -5,6 +5,7 @@ mod files;
 mod interrupt;
 mod outputs;
 mod panics;
+mod ranks;
 mod terminal;
 mod verbs;
 

@@ -9,6 +9,7 @@ use super::in_focus::NearLikelihood;
 use super::minimum::Minimum;
 use super::pistons;
 use super::prepare::{Frame, PreparedFrame, Refusal};
+use super::sequence::SEQUENCE;
 use super::status::{self, ImageReport, Status};
 use crate::imaging::{Chain, Precision};
 use crate::optimize::CancelFlag;
@@ -165,13 +166,9 @@ impl ModalFitter {
         cancel: Option<&CancelFlag>,
         watch: &mut Watch,
     ) -> Result<FittedCube> {
-        let read_noise_e = cube.read_noise_e.or(self.scene.image.read_noise_e);
-        let preparation = self.model.preparation;
-        let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
-        let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
-        frames.iter().try_for_each(|frame| preparation.check(*frame))?;
+        let frames = self.frames(&cube)?;
         let task = self.task(cancel);
-        let mut fit = ImageFit::new(&preparation, self.model.optics.modes());
+        let mut fit = ImageFit::new(&self.model.preparation, self.model.optics.modes());
         if let Some(start_nm) = start_nm {
             fit.start_nm.copy_from_slice(start_nm);
         }
@@ -193,6 +190,54 @@ impl ModalFitter {
             pistons::wrap_if_monochromatic(&mut fit.minimum.coefficients_nm, &start_of_all_nm, &self.model);
         }
         Ok(FittedCube::from_fits(fits))
+    }
+
+    /// Fits `share`, some of the `total` images of an estimate, into the fits that this fitter keeps: the fits that the estimate needs
+    /// of them, as far as they do not depend on the other images. Of a sequence that is for a fit that may be restarted: it is where
+    /// less than half of the share misfit.
+    ///
+    /// # Errors
+    /// As [`ModalFitter::estimate`], except that all images may be unusable.
+    pub(crate) fn fit_share(
+        &self,
+        chain: &mut Chain,
+        share: Cube,
+        total: usize,
+        cancel: Option<&CancelFlag>,
+        watch: &mut Watch,
+    ) -> Result<()> {
+        let (frames, task) = (self.frames(&share)?, self.task(cancel));
+        let mut fits = vec![ImageFit::new(&self.model.preparation, self.model.optics.modes()); frames.len()];
+        self.fit_frames(chain, &task, &frames, &mut fits, watch)?;
+        let cleaned = self.reject_outliers(chain, &task, &frames, &mut fits)?;
+        let misfits = self.reports(&fits).iter().filter(|report| report.status != Status::Ok).count();
+        if total < SEQUENCE || 2 * misfits < fits.len() {
+            self.restart(chain, &task, (&frames, &cleaned), &mut fits)?;
+        }
+        // Those at which the estimate looks at the residuals.
+        let flat_nm = vec![0.0; self.model.optics.modes()];
+        let fitted = fits.iter_mut().filter(|fit| fit.is_fitted()).map(|fit| &mut fit.minimum.coefficients_nm);
+        let ends: Vec<&[f64]> = fitted
+            .map(|coefficients_nm| {
+                pistons::wrap_if_monochromatic(coefficients_nm, &flat_nm, &self.model);
+                self.motions.remove(coefficients_nm);
+                coefficients_nm.as_slice()
+            })
+            .collect();
+        self.keep_psfs(&ends);
+        Ok(())
+    }
+
+    /// The frames of `cube`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] where they have another size than the scene says.
+    fn frames<'a>(&self, cube: &'a Cube) -> Result<Vec<Frame<'a>>> {
+        let read_noise_e = cube.read_noise_e.or(self.scene.image.read_noise_e);
+        let pairs = cube.images_e.outer_iter().zip(cube.bad.outer_iter());
+        let frames: Vec<Frame> = pairs.map(|(data_e, bad)| Frame { data_e, bad, read_noise_e }).collect();
+        frames.iter().try_for_each(|frame| self.model.preparation.check(*frame))?;
+        Ok(frames)
     }
 
     /// Combines some images of `estimate`, which this fitter made, without fitting them again: for a study of the number of

@@ -1,24 +1,24 @@
 //! Modal fitter: the model of a scene, and the data that all fits with it share.
 
 use super::diversity_error::{self, DiversityProjection, SharedError};
-use super::engine::{self, FitTask, ImageFit, Watch};
+use super::engine::FitTask;
 use super::fisher;
 use super::fitted_optic::FittedOptic;
 use super::global_motions::GlobalMotions;
+use super::kept_fits::{Hash, KeptFits};
 use super::metrics::Metrics;
 use super::mode_set::SceneBasis;
 use super::model::Model;
-use super::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use super::recipe::Recipe;
 use super::tilts::Tilts;
-use crate::imaging::{Chain, CpuChain};
+use crate::imaging::CpuChain;
 use crate::modes::Direction;
 use crate::optimize::CancelFlag;
 use crate::scene::{Method, PupilScene, Scene};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView1};
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// Fits static modes to images of one scene, and combines the images.
 pub struct ModalFitter {
@@ -35,6 +35,10 @@ pub struct ModalFitter {
     pub(super) shared: Vec<SharedError>,
     pub(super) scene_basis: Arc<SceneBasis>,
     pub(super) fitted_optics: Vec<FittedOptic>,
+    /// Fits that are taken where they are there, and to which others are added.
+    pub(super) kept: Option<Arc<KeptFits>>,
+    /// Hash of the model and the recipe, computed once because it takes an image.
+    pub(super) hash: OnceLock<Hash>,
 }
 
 impl fmt::Debug for ModalFitter {
@@ -154,8 +158,26 @@ impl ModalFitter {
         let (motions, tilts) = (GlobalMotions::new(&model)?, Tilts::new(&model)?);
         let shared = diversity_error::shared_error(&model, scene)?.into_iter().collect();
         let (scene, scene_basis) = (scene.clone(), Arc::default());
-        let fitted_optics = Vec::new();
-        Ok(Self { scene, recipe, model, reference, metrics, motions, tilts, shared, scene_basis, fitted_optics })
+        let (fitted_optics, kept, hash) = (Vec::new(), None, OnceLock::new());
+        Ok(Self {
+            scene,
+            recipe,
+            model,
+            reference,
+            metrics,
+            motions,
+            tilts,
+            shared,
+            scene_basis,
+            fitted_optics,
+            kept,
+            hash,
+        })
+    }
+
+    /// This fitter, which takes fits from `kept` where they are there, and adds others to them.
+    pub(crate) fn keeping(self, kept: Option<&Arc<KeptFits>>) -> Self {
+        Self { kept: kept.cloned(), ..self }
     }
 
     /// The model of the images.
@@ -181,21 +203,6 @@ impl ModalFitter {
     /// The f64 CPU chain of this model.
     pub fn reference_chain(&self) -> &CpuChain<f64> {
         &self.reference
-    }
-
-    /// Prepares `frames` and fits them, each from the start of its fit.
-    pub(super) fn fit_frames(
-        &self,
-        chain: &mut Chain,
-        task: &FitTask,
-        frames: &[Frame],
-        fits: &mut [ImageFit],
-        watch: &mut Watch,
-    ) -> Result<()> {
-        let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
-            preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
-        };
-        engine::fit(chain, task, &prepare, fits, watch)
     }
 
     /// Whether `direction` is a motion of the whole mirror, which is 0 by convention: its piston, and where segments have tips

@@ -42,6 +42,24 @@ pub(crate) fn fitter_for(scene: &Scene, recipe: Recipe, cache: &BasisCache, cube
     ModalFitter::with_scene_basis(scene, recipe, is_native(scene, cube), cache.0.clone())
 }
 
+/// The fitter for `cube` of `scene`, whose optical parameters are fitted first where it names some.
+///
+/// # Errors
+/// Those of [`ModalFitter::new`], and of the fit of the parameters.
+pub(crate) fn fitter_of(
+    scene: &Scene,
+    recipe: Recipe,
+    cache: &BasisCache,
+    cube: Cube,
+    cancel: Option<&CancelFlag>,
+) -> Result<ModalFitter> {
+    if scene.estimate.fit_optics.is_empty() {
+        fitter_for(scene, recipe, cache, cube)
+    } else {
+        fit_optics::estimator(scene, &recipe, cube, is_native(scene, cube), cancel)
+    }
+}
+
 /// Estimates the static wavefront behind `cube` by `recipe`, on the chain that `open` opens for the model. Frames with bad
 /// pixels are fitted at their native sampling, because a reduction would smear them. Optical parameters that
 /// `estimate.fit_optics` names are fitted first.
@@ -57,11 +75,7 @@ pub fn estimate_with(
     cancel: Option<&CancelFlag>,
     watch: &mut Watch,
 ) -> Result<(ModalFitter, ModalEstimate)> {
-    let fitter = if scene.estimate.fit_optics.is_empty() {
-        fitter_for(scene, recipe, cache, cube)?
-    } else {
-        fit_optics::estimator(scene, &recipe, cube, is_native(scene, cube), cancel)?
-    };
+    let fitter = fitter_of(scene, recipe, cache, cube, cancel)?;
     let mut chain = open(&fitter)?;
     let estimate = fitter.estimate(&mut chain, cube.images_e, cube.bad, cube.read_noise_e, cancel, watch)?;
     Ok((fitter, estimate))

@@ -76,6 +76,21 @@ pub enum StopReason {
 }
 
 impl StopReason {
+    /// All of them.
+    pub const ALL: [Self; 11] = [
+        Self::Unfinished,
+        Self::StepBelowTolerance,
+        Self::DecrementBelowTolerance,
+        Self::GradientBelowTolerance,
+        Self::ChangeBelowTolerance,
+        Self::ResolutionReached,
+        Self::EvaluationLimit,
+        Self::NotFinite,
+        Self::NoDescent,
+        Self::Cancelled,
+        Self::DeadlineReached,
+    ];
+
     /// Whether the point is a minimum within the tolerances or within rounding.
     pub fn has_converged(self) -> bool {
         matches!(

@@ -109,6 +109,7 @@ impl Colours<'_, '_> {
             control: self.control,
             cache: &BasisCache::default(),
             images: &images,
+            kept: None,
         };
         let (fitter, found) = task.fit_by(&scene)?;
         let is_fitted = |image: &usize| found.images[*image].reduced_chi2.is_finite();

@@ -8,13 +8,15 @@ use super::explain::explain;
 use super::modal::ExpectedErrors;
 use super::modal_task::{Fitted, ModalTask};
 use super::model_selection::Selected;
+use super::parts::Part;
 use super::policy::Policy;
 use super::warnings::{contradiction_warning, integers_warning};
-use crate::modal::{BasisCache, CombinedModes, JointEstimate, has_diversity, joint};
+use crate::modal::{BasisCache, CombinedModes, JointEstimate, KeptFits, has_diversity, joint};
 use crate::scene::{Optic, Scene, Weighting};
 use crate::statistics::median;
 use crate::{Error, Result};
 use ndarray::{Array1, Axis, concatenate};
+use std::sync::Arc;
 
 /// The images of one channel, with the scene that they are read by.
 pub(super) struct ChannelImages<'a> {
@@ -26,7 +28,8 @@ pub(super) struct ChannelImages<'a> {
 /// How often channels that contradict each other, or do not explain their images, are fitted again.
 const ROUNDS: usize = 6;
 
-/// Estimates the wavefront behind the images of all channels of `scene`.
+/// Estimates the wavefront behind the images of all channels of `scene`; the first fits of defocused channels are taken from `kept`
+/// where they are there.
 ///
 /// # Errors
 /// Those of each channel's estimate; [`Error::Scene`] for an estimate that channels do not have.
@@ -36,9 +39,10 @@ pub(super) fn estimate(
     control: &Control,
     cache: &BasisCache,
     channels: &[ChannelImages],
+    kept: Option<&Arc<KeptFits>>,
 ) -> Result<Estimate> {
     let [with, in_focus] = by_diversity(channels);
-    let defocused = Channels::new(scene, policy, control, cache, &with)?;
+    let defocused = Channels { kept, ..Channels::new(scene, policy, control, cache, &with)? };
     let (mut fits, mut found) = defocused.fit_with_extensions()?;
     let (mut used, mut left_out) = (with.clone(), Vec::new());
     if !in_focus.is_empty() {
@@ -71,6 +75,26 @@ pub(super) fn estimate(
     Ok(estimate)
 }
 
+/// Fits the images of a part of each defocused channel into `kept`.
+///
+/// # Errors
+/// Those of the fits.
+pub(super) fn fit_share(
+    scene: &Scene,
+    policy: &Policy,
+    control: &Control,
+    cache: &BasisCache,
+    channels: &[ChannelImages],
+    (kept, part): (&Arc<KeptFits>, Part),
+) -> Result<()> {
+    let [with, _] = by_diversity(channels);
+    let channels = Channels { kept: Some(kept), ..Channels::new(scene, policy, control, cache, &with)? };
+    (0..with.len()).try_for_each(|channel| {
+        let task = channels.task(channel);
+        channels.named(channel, task.fit_share(&part.items(task.images.len())))
+    })
+}
+
 /// The channels that determine the signs of the wavefront by themselves, and those in focus; the first are all where none does.
 pub(super) fn by_diversity<'a, 'b>(channels: &'b [ChannelImages<'a>]) -> [Vec<&'b ChannelImages<'a>>; 2] {
     let (with, without): (Vec<_>, Vec<_>) = channels.iter().partition(|channel| has_diversity(&channel.scene.image));
@@ -85,6 +109,7 @@ struct Channels<'a> {
     scenes: Vec<(Scene, BasisCache)>,
     policy: Policy,
     control: &'a Control,
+    kept: Option<&'a Arc<KeptFits>>,
 }
 
 impl<'a> Channels<'a> {
@@ -100,7 +125,8 @@ impl<'a> Channels<'a> {
             let cache = cache.for_scene(&channels[0].scene, &own);
             Ok((own, cache))
         });
-        Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control })
+        let kept = None;
+        Ok(Self { scene, channels, scenes: scenes.collect::<Result<_>>()?, policy: *policy, control, kept })
     }
 
     /// These channels by scenes with `settings`, which no channel extends.
@@ -118,7 +144,7 @@ impl<'a> Channels<'a> {
     fn task(&self, channel: usize) -> ModalTask<'_> {
         let (scene, cache) = &self.scenes[channel];
         let images = &self.channels[channel].images;
-        ModalTask { scene, policy: &self.policy, control: self.control, cache, images }
+        ModalTask { scene, policy: &self.policy, control: self.control, cache, images, kept: self.kept }
     }
 
     /// Result of the channel `channel`, whose error names it.

@@ -127,7 +127,7 @@ struct Work<'a> {
 impl Work<'_> {
     fn fit(&self, scene: &Scene, cache: &BasisCache) -> Result<Fitted> {
         let (policy, control) = (&self.policy, self.control);
-        ModalTask { scene, policy, control, cache, images: &self.images }.fit()
+        ModalTask { scene, policy, control, cache, images: &self.images, kept: None }.fit()
     }
 
     /// Checks the images against `given`, the scene `own` without what only an estimate does.
@@ -383,7 +383,7 @@ impl Work<'_> {
         let diversity = fitter.diversity_projection()?;
         let cache = BasisCache::default();
         let (scene, policy, control) = (fitter.scene(), &self.policy, self.control);
-        let task = ModalTask { scene, policy, control, cache: &cache, images: &self.images };
+        let task = ModalTask { scene, policy, control, cache: &cache, images: &self.images, kept: None };
         let (model, chain) = (fitter.model(), fitter.reference_chain());
         let case = misfit::Case { task, image, model, chain, diversity: &diversity };
         Ok(case.residual(found).map_or((0.0, Vec::new()), |residual| (residual.excess(), residual.shapes())))

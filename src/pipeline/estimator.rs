@@ -7,6 +7,7 @@ use super::estimate::Estimate;
 use super::image_changes::{CHANGING, image_changes};
 use super::images::{Images, TruthMaps};
 use super::modal_task::ModalTask;
+use super::parts::PartFits;
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
 use super::sequence_channel::{Sequence, SequenceChannel};
@@ -15,18 +16,21 @@ use crate::modal::BasisCache;
 use crate::planner;
 use crate::scene::{Channel, Method, Scene};
 use crate::{Error, Result};
+use std::borrow::Cow;
 
 /// Estimates the static wavefront behind images of one scene.
 pub struct Estimator {
     /// The scene as given.
-    given: Scene,
+    pub(super) given: Scene,
     /// The scene with the choices of its plan.
-    scene: Scene,
-    policy: Policy,
-    control: Control,
-    cache: BasisCache,
+    pub(super) scene: Scene,
+    pub(super) policy: Policy,
+    pub(super) control: Control,
+    pub(super) cache: BasisCache,
     /// Why a plan does not meet its budget.
-    shortfall: Option<String>,
+    pub(super) shortfall: Option<String>,
+    /// Fits that were made in parts.
+    pub(super) parts: Option<PartFits>,
 }
 
 impl Estimator {
@@ -47,7 +51,7 @@ impl Estimator {
         policy.check(scene)?;
         check_for_estimate(scene)?;
         let (given, (scene, shortfall)) = (scene.clone(), planned(scene, &control)?);
-        Ok(Self { given, scene, policy, control, cache: BasisCache::default(), shortfall })
+        Ok(Self { given, scene, policy, control, cache: BasisCache::default(), shortfall, parts: None })
     }
 
     /// An estimator of another scene with this one's policy and control. It shares the Karhunen-Loève basis, which takes most
@@ -85,42 +89,53 @@ impl Estimator {
     /// [`Error::Device`] where the device that the scene names does not exist or fails; [`Error::Interrupted`] after
     /// [`Control::cancel`].
     pub fn estimate(&self, images: &Images) -> Result<Estimate> {
-        self.given.refuse_channels("the images of one cube")?;
-        images.check()?;
-        self.control.reset_progress();
-        let (images, cut) = images.without_odd_edge(self.given.image.fitted_shape());
-        let images = images.as_ref();
-        let consistent = reconcile(images, &self.given)?;
-        let (of_file, cache_of_file);
-        let (scene, shortfall, cache) = if consistent.is_changed {
-            (of_file, cache_of_file) = (planned(&consistent.scene, &self.control)?, BasisCache::default());
-            (&of_file.0, &of_file.1, &cache_of_file)
-        } else {
-            (&self.scene, &self.shortfall, &self.cache)
-        };
-        let (scene, chosen) = resolved(scene, &consistent.images)?;
+        self.begin(images)?;
+        let (cut_images, cut) = images.without_odd_edge(self.given.image.fitted_shape());
+        let Ready { scene, images: electrons, cache, notes, remarks } = self.ready(&cut_images)?;
+        let (policy, control) = (&self.policy, &self.control);
         let found = match scene.estimate.method {
             Method::FullPhase => {
-                let channels = [SequenceChannel { scene: &scene, images: &consistent.images }];
-                let (policy, control) = (&self.policy, &self.control);
-                let slopes_mas = consistent.images.slopes_mas;
+                let channels = [SequenceChannel { scene: &scene, images: &electrons }];
+                let slopes_mas = electrons.slopes_mas;
                 map::estimate(
                     &scene,
                     Sequence { channels: &channels, is_simultaneous: false, slopes_mas, policy, control },
                 )
             }
             Method::Modal | Method::Auto => {
-                let (policy, control) = (&self.policy, &self.control);
-                modal::estimate(&ModalTask { scene: &scene, policy, control, cache, images: &consistent.images })
+                let kept = self.kept_for(&scene, &[(&scene, &electrons)])?;
+                modal::estimate(&ModalTask { scene: &scene, policy, control, cache: &cache, images: &electrons, kept })
             }
         };
         self.control.enter(Stage::Idle, 0);
         let mut estimate = acknowledged(&self.control, found)?;
-        let general = shortfall.iter().chain(&images.notes).cloned();
-        estimate.warnings.splice(0..0, general);
-        estimate.remarks.splice(0..0, cut.into_iter().chain(consistent.remarks).chain(chosen));
+        estimate.warnings.splice(0..0, notes);
+        estimate.remarks.splice(0..0, cut.into_iter().chain(remarks));
         compare_with_truth(&mut estimate, images.truth.as_ref());
         Ok(estimate)
+    }
+
+    /// Checks the images of a call that begins.
+    pub(super) fn begin(&self, images: &Images) -> Result<()> {
+        self.given.refuse_channels("the images of one cube")?;
+        images.check()?;
+        self.control.reset_progress();
+        Ok(())
+    }
+
+    /// What an estimate from `images`, which are of the fitted size, works on.
+    pub(super) fn ready<'a>(&self, images: &'a Images) -> Result<Ready<'a>> {
+        let consistent = reconcile(images, &self.given)?;
+        let (scene, shortfall, cache) = if consistent.is_changed {
+            let (scene, shortfall) = planned(&consistent.scene, &self.control)?;
+            (scene, shortfall, BasisCache::default())
+        } else {
+            (self.scene.clone(), self.shortfall.clone(), self.cache.clone())
+        };
+        let (scene, chosen) = resolved(&scene, &consistent.images)?;
+        let notes = shortfall.into_iter().chain(images.notes.iter().cloned()).collect();
+        let remarks = consistent.remarks.into_iter().chain(chosen).collect();
+        Ok(Ready { scene, images: consistent.images, cache, notes, remarks })
     }
 
     /// As [`Estimator::estimate`], for the images of each channel of the scene: in the order of [`Scene::channels`], or in any order where
@@ -129,38 +144,80 @@ impl Estimator {
     /// # Errors
     /// As [`Estimator::estimate`]; [`Error::Shape`] for images of other channels than the scene has.
     pub fn estimate_channels(&self, images: &[Images]) -> Result<Estimate> {
-        // With the choices of a plan.
-        let channels = self.scene.channels();
-        if let ([], [only]) = (channels, images) {
+        if let ([], [only]) = (self.scene.channels(), images) {
             return self.estimate(only);
         }
-        let images = in_order_of(channels, images)?;
+        let images = self.begin_channels(images)?;
+        let cut = self.cut_channels(&images);
+        let ReadyChannels { scene, channels: ready, notes, remarks } = self.ready_channels(&images, &cut)?;
+        let (policy, control) = (&self.policy, &self.control);
+        let found = match scene.estimate.method {
+            Method::FullPhase => channel_sequence::estimate(&scene, policy, control, &ready),
+            Method::Modal | Method::Auto => {
+                let each: Vec<_> = ready.iter().map(|channel| (&channel.scene, &channel.images)).collect();
+                let kept = self.kept_for(&scene, &each)?;
+                channels::estimate(&scene, policy, control, &self.cache, &ready, kept)
+            }
+        };
+        self.control.enter(Stage::Idle, 0);
+        let mut estimate = acknowledged(&self.control, found)?;
+        estimate.warnings.splice(0..0, notes);
+        estimate.remarks.splice(0..0, remarks);
+        compare_with_truth(&mut estimate, images.first().and_then(|images| images.truth.as_ref()));
+        Ok(estimate)
+    }
+
+    /// The images of each channel, in order and checked, of a call that begins.
+    pub(super) fn begin_channels<'a>(&self, images: &'a [Images]) -> Result<Vec<&'a Images>> {
+        let images = in_order_of(self.scene.channels(), images)?;
         images.iter().try_for_each(|images| images.check())?;
         self.control.reset_progress();
-        let pairs = images.iter().zip(channels);
-        let cut: Vec<_> =
-            pairs.map(|(images, channel)| images.without_odd_edge(channel.scene.image.fitted_shape())).collect();
+        Ok(images)
+    }
+
+    /// The images of each channel in the size that is fitted.
+    pub(super) fn cut_channels<'a>(&self, images: &[&'a Images]) -> Vec<CutImages<'a>> {
+        let pairs = images.iter().zip(self.scene.channels());
+        pairs.map(|(images, channel)| images.without_odd_edge(channel.scene.image.fitted_shape())).collect()
+    }
+
+    /// What an estimate from the images of all channels works on.
+    pub(super) fn ready_channels<'a>(&'a self, images: &[&Images], cut: &'a [CutImages]) -> Result<ReadyChannels<'a>> {
         let (mut ready, mut notes, mut remarks) = (Vec::new(), Vec::new(), Vec::new());
-        for (channel, (images, cut)) in channels.iter().zip(&cut) {
+        notes.extend(self.shortfall.clone());
+        for ((channel, whole), (images, cut)) in self.scene.channels().iter().zip(images).zip(cut) {
             let name = &channel.name;
             let consistent = reconcile(images, &channel.scene).map_err(|error| error.of_channel(name))?;
-            notes.extend(images.notes.iter().map(|note| format!("channel {name}: {note}")));
+            notes.extend(whole.notes.iter().map(|note| format!("channel {name}: {note}")));
             remarks.extend(cut.iter().chain(&consistent.remarks).map(|remark| format!("Channel {name}: {remark}")));
             ready.push(ChannelImages { name, scene: consistent.scene, images: consistent.images });
         }
         let (scene, chosen) = resolved_for(&self.scene, &ready)?;
-        let (policy, control) = (&self.policy, &self.control);
-        let found = match scene.estimate.method {
-            Method::FullPhase => channel_sequence::estimate(&scene, policy, control, &ready),
-            Method::Modal | Method::Auto => channels::estimate(&scene, policy, control, &self.cache, &ready),
-        };
-        self.control.enter(Stage::Idle, 0);
-        let mut estimate = acknowledged(&self.control, found)?;
-        estimate.warnings.splice(0..0, self.shortfall.iter().cloned().chain(notes));
-        estimate.remarks.splice(0..0, remarks.into_iter().chain(chosen));
-        compare_with_truth(&mut estimate, images.first().and_then(|images| images.truth.as_ref()));
-        Ok(estimate)
+        remarks.extend(chosen);
+        Ok(ReadyChannels { scene, channels: ready, notes, remarks })
     }
+}
+
+/// Images in the size that is fitted, and a sentence where that is smaller.
+pub(super) type CutImages<'a> = (Cow<'a, Images>, Option<String>);
+
+/// What an estimate from one cube of images works on.
+pub(super) struct Ready<'a> {
+    /// The scene, with the choices of its plan, the file's values that are trusted, and the method.
+    pub(super) scene: Scene,
+    pub(super) images: Electrons<'a>,
+    pub(super) cache: BasisCache,
+    notes: Vec<String>,
+    remarks: Vec<String>,
+}
+
+/// What an estimate from the images of several channels works on.
+pub(super) struct ReadyChannels<'a> {
+    /// The scene, with the method.
+    pub(super) scene: Scene,
+    pub(super) channels: Vec<ChannelImages<'a>>,
+    notes: Vec<String>,
+    remarks: Vec<String>,
 }
 
 /// Adds the truth and the residual against it, or a warning.
@@ -262,7 +319,7 @@ fn resolved_for(scene: &Scene, channels: &[ChannelImages]) -> Result<(Scene, Opt
 }
 
 /// Lowers the cancel flag after a call that it has ended.
-fn acknowledged<T>(control: &Control, outcome: Result<T>) -> Result<T> {
+pub(super) fn acknowledged<T>(control: &Control, outcome: Result<T>) -> Result<T> {
     if let Err(Error::Interrupted(_)) = outcome {
         control.acknowledge();
     }

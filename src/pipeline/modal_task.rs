@@ -6,8 +6,10 @@ use super::model_selection::Selected;
 use super::policy::Policy;
 use crate::Result;
 use crate::imaging::Chain;
-use crate::modal::{self, BasisCache, CombinedModes, Cube, ImageStatus, ModalFit, ModalFitter, Recipe};
+use crate::modal::{self, BasisCache, CombinedModes, Cube, ImageStatus, KeptFits, ModalFit, ModalFitter, Recipe};
 use crate::scene::Scene;
+use ndarray::Axis;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// What is fitted, and how.
@@ -18,6 +20,8 @@ pub(super) struct ModalTask<'a> {
     pub(super) control: &'a Control,
     pub(super) cache: &'a BasisCache,
     pub(super) images: &'a Electrons<'a>,
+    /// Fits of the images that were made before, and are not made again.
+    pub(super) kept: Option<&'a Arc<KeptFits>>,
 }
 
 /// Fit of the images of one channel.
@@ -105,23 +109,50 @@ impl ModalTask<'_> {
 
     /// Fit of all images by `scene`, which is that of the task or an extension of it.
     pub(super) fn fit_by(&self, scene: &Scene) -> Result<ModalFit> {
-        let count = self.images.len();
-        let mut open = |fitter: &ModalFitter| {
-            self.control.check("the model was built, no image was fitted")?;
-            fitter.model().check_images(count)?;
-            self.control.enter(Stage::Fitting, count);
-            self.open(fitter)
-        };
-        let mut watch = |done: usize, all: usize| {
-            self.control.advance_to(done);
-            if done == all {
-                self.control.enter(Stage::Combining, 0);
-            }
-        };
-        let (recipe, flag) = (self.policy.recipe(scene), Some(self.control.flag()));
-        let fit = modal::estimate_with(scene, recipe, self.cache, self.cube(), &mut open, flag, &mut watch)?;
+        let fitter = self.fitter(scene)?;
+        let mut chain = self.begin(&fitter, self.images.len())?;
+        let Cube { images_e, bad, read_noise_e } = self.cube();
+        let flag = Some(self.control.flag());
+        let found = fitter.estimate(&mut chain, images_e, bad, read_noise_e, flag, &mut |d, a| self.watch(d, a))?;
         self.check()?;
-        Ok(fit)
+        Ok((fitter, found))
+    }
+
+    /// Fits the images of a part, which the task keeps.
+    ///
+    /// # Errors
+    /// Those of [`ModalFitter::fit_share`].
+    pub(super) fn fit_share(&self, images: &[usize]) -> Result<()> {
+        self.control.enter(Stage::Preparing, 0);
+        let fitter = self.fitter(self.scene)?;
+        let mut chain = self.begin(&fitter, images.len())?;
+        let cube = self.cube();
+        let (images_e, bad) = (cube.images_e.select(Axis(0), images), cube.bad.select(Axis(0), images));
+        let share = Cube { images_e: images_e.view(), bad: bad.view(), ..cube };
+        let flag = Some(self.control.flag());
+        fitter.fit_share(&mut chain, share, self.images.len(), flag, &mut |d, a| self.watch(d, a))?;
+        self.check()
+    }
+
+    /// The fitter of all images by `scene`.
+    fn fitter(&self, scene: &Scene) -> Result<ModalFitter> {
+        let (recipe, flag) = (self.policy.recipe(scene), Some(self.control.flag()));
+        Ok(modal::fitter_of(scene, recipe, self.cache, self.cube(), flag)?.keeping(self.kept))
+    }
+
+    /// The chain for fits of `count` images, which begin now.
+    fn begin(&self, fitter: &ModalFitter, count: usize) -> Result<Chain> {
+        self.control.check("the model was built, no image was fitted")?;
+        fitter.model().check_images(count)?;
+        self.control.enter(Stage::Fitting, count);
+        self.open(fitter)
+    }
+
+    fn watch(&self, done: usize, all: usize) {
+        self.control.advance_to(done);
+        if done == all {
+            self.control.enter(Stage::Combining, 0);
+        }
     }
 
     /// Fit of image `image` alone by `scene`; `None` where the optical parameters that the scene fits would not lower χ² enough in a

@@ -6,8 +6,11 @@ use std::process::Command;
 
 /// `script` with the package on Python's path, if Python runs `needs`; a failure if it does not and `variable` is set.
 fn python(script: &str, needs: &str, variable: &str) -> Option<Command> {
-    let python = std::env::var("COPHASE_PYTHON").unwrap_or("python3".into());
-    is_here(&python, &["-c", needs], variable).then(|| {
+    python_as(&std::env::var("COPHASE_PYTHON").unwrap_or("python3".into()), script, needs, variable)
+}
+
+fn python_as(python: &str, script: &str, needs: &str, variable: &str) -> Option<Command> {
+    is_here(python, &["-c", needs], variable).then(|| {
         let mut command = Command::new(python);
         command.env("PYTHONPATH", root().join("bindings/python")).env("PYTHONDONTWRITEBYTECODE", "1");
         command.env("COPHASE_LIBRARY", library()).env("COPHASE_HEADER", root().join("include/cophase.h"));
@@ -15,6 +18,19 @@ fn python(script: &str, needs: &str, variable: &str) -> Option<Command> {
         command.env("LD_LIBRARY_PATH", libraries()).arg(here().join(script));
         command
     })
+}
+
+/// A Python with Dask is that of `COPHASE_DASK`, which scripts/test installs.
+#[test]
+fn a_folder_of_nights_is_mapped_over_two_workers() {
+    let python_of_dask = std::env::var("COPHASE_DASK").or(std::env::var("COPHASE_PYTHON"));
+    let python_of_dask = python_of_dask.unwrap_or("python3".into());
+    if let Some(mut command) =
+        python_as(&python_of_dask, "nights.py", "import numpy, cffi, distributed", "COPHASE_REQUIRE_DASK")
+    {
+        let (folder, example) = (tempfile::tempdir().unwrap(), root().join("bindings/python/examples/dask_nights.py"));
+        passes(command.args([&example, &here().join("tiny.toml"), folder.path()]));
+    }
 }
 
 fn with_package(script: &str) -> Option<Command> {

@@ -7,7 +7,10 @@ true coefficients; objectives and gradients there.
 """
 
 import math
+import os
+import pickle
 import sys
+import threading
 
 import cophase
 import numpy as np
@@ -45,6 +48,35 @@ def models(scene, model):
     assert "complex" in str(failure(lambda: model.psf(1j * c), TypeError))
     failure(lambda: cophase.Model(b"text"), TypeError)
     assert "index 3" in str(failure(lambda: cophase.Model("# a\0"), ValueError))
+
+
+def pickles(scene, model, frames):
+    """Models, estimators and factories of sessions are the same where they are unpickled; sessions do not pickle."""
+    again = pickle.loads(pickle.dumps(model))
+    assert again is not model and again.mode_names == model.mode_names
+    c = np.linspace(-20, 20, model.modes)
+    assert np.array_equal(again.psf(c), model.psf(c))
+    estimator = cophase.Estimator(scene, policy="realtime", threads=1)
+    same = pickle.loads(pickle.dumps(estimator))
+    one, other = (each.estimate(frames) for each in (estimator, same))
+    assert np.array_equal(one.coefficients_nm, other.coefficients_nm)
+    assert one.info.policy == other.info.policy == "realtime"
+    factory = pickle.loads(pickle.dumps(cophase.SessionFactory(scene, capacity=COUNT, precision="f32")))
+    assert factory.directory == os.getcwd()
+    assert factory == cophase.SessionFactory(scene, os.getcwd(), None, COUNT, "f32")
+    session = factory()
+    assert session is factory() and session.capacity == COUNT and session.model is factory.model()
+    own = cophase.Session(model, capacity=COUNT, precision="f32").fit(frames).coefficients_nm
+    assert np.array_equal(session.fit(frames).coefficients_nm, own)
+    others = []
+    thread = threading.Thread(target=lambda: others.append(factory()))
+    thread.start()
+    thread.join()
+    assert others[0] is not session and others[0].model is session.model
+    assert "SessionFactory" in str(failure(lambda: pickle.dumps(session), TypeError))
+    assert "cophase.Estimate does not pickle" in str(failure(lambda: pickle.dumps(one), TypeError))
+    again.close()
+    assert "closed" in str(failure(lambda: pickle.dumps(again), TypeError))
 
 
 def from_arrays():
@@ -312,6 +344,7 @@ def main(scene, dump):
     frames, truth_nm = stars(model)
     c, covariance_nm2 = fits(model, session, frames, truth_nm)
     models(scene, model)
+    pickles(scene, model, frames)
     budgets(scene, model, frames)
     from_arrays()
     choices(model)

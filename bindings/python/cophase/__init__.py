@@ -45,6 +45,7 @@ from .joint_session import JointFit, JointSession
 from .model import Model
 from .sequence import Sequence, SequenceEstimate
 from .session import Fit, Session
+from .session_factory import SessionFactory
 from .simulator import Simulator
 
 __all__ = [
@@ -71,6 +72,7 @@ __all__ = [
     "Sequence",
     "SequenceEstimate",
     "Session",
+    "SessionFactory",
     "Simulator",
     "devices",
     "preset",

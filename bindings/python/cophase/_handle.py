@@ -16,6 +16,10 @@ class Handle:
 
     # An attribute of the class, so that close() works if __init__ failed.
     _handle: Any = ffi.NULL
+    # What makes an equal object in another process, if anything does: a class and its arguments.
+    _recipe: tuple[Any, tuple[Any, ...]] | None = None
+    # What to send to another process instead.
+    _instead = "send what it is made from"
 
     def _own(self, kind: str, create: Any, *inputs: Any) -> None:
         """Owns the ``kind`` that ``create`` makes of ``inputs``."""
@@ -27,6 +31,12 @@ class Handle:
         A call that is still running in another thread keeps the object until it returns.
         """
         self._handle = ffi.NULL
+
+    def __reduce__(self) -> tuple[Any, tuple[Any, ...]]:
+        if self._recipe is None or self._handle == ffi.NULL:
+            state = "" if self._recipe is None else "closed "
+            raise TypeError(f"a {state}cophase.{type(self).__name__} does not pickle: {self._instead}")
+        return self._recipe
 
     def __enter__(self: _Self) -> _Self:
         return self

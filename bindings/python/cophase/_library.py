@@ -149,6 +149,11 @@ def path_text(name: str, path: str | os.PathLike[str] | None) -> Any:
     return ffi.NULL if path is None else text(name, path)
 
 
+def absolute(directory: str | os.PathLike[str] | None) -> str:
+    """The directory of the files of a scene for another process, which has another working directory."""
+    return os.path.abspath("" if directory is None else os.fspath(directory))
+
+
 def constants(prefix: str) -> dict[int, str]:
     """Names of the header's constants that begin with ``prefix``, in lower case, by their numbers."""
     names = (name for name in dir(lib) if name.startswith(prefix))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._arrays import Inputs, calibration, images, input_view
 from ._handle import Handle
 from ._interrupt import interruptible
-from ._library import check, constants, ffi, lib, options, path_text, text
+from ._library import absolute, check, constants, ffi, lib, options, path_text, text
 from .errors import BadShapeError
 from .estimate import Estimate
 
@@ -76,7 +76,7 @@ class Estimator(Handle):
     The scene's ``estimate.method`` says whether the estimate is modal or maximum a posteriori (MAP, ``"full-phase"``:
     the wavefront behind each exposure, static errors separated from the turbulence). An estimator can be used again and
     again. One call at a time (:class:`cophase.BusyError` otherwise), except :meth:`cancel` and :attr:`progress`; other
-    Python threads run during a call.
+    Python threads run during a call. It pickles as these parameters, and is built again where it is unpickled.
 
     Parameters
     ----------
@@ -125,6 +125,7 @@ class Estimator(Handle):
         inputs = (text("scene", scene), path_text("directory", directory), chosen)
         self._own("cophase_estimator", lib.cophase_estimator_create, *inputs)
         self._policy = policy
+        self._recipe = (type(self), (scene, policy, threads, absolute(directory)))
 
     def _summary(self) -> str:
         return f"policy {self._policy}, {self.progress.stage}"

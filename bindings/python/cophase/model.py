@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ._arrays import Inputs, doubles, numbers, output
 from ._handle import Handle
-from ._library import ffi, lib, path_text, result, struct, text, words
+from ._library import absolute, ffi, lib, path_text, result, struct, text, words
 
 
 class Model(Handle):
     """Model of an image: telescope, modes, diversity, camera. Immutable: any number of threads may use it.
 
-    Building it takes about half a second at the size of Keck. Its sessions and sequences stay usable when it is closed.
+    Building it takes about half a second at the size of Keck. Its sessions and sequences stay usable when it is closed. It
+    pickles as its scene, and is built again where it is unpickled; a model from arrays does not.
 
     Parameters
     ----------
@@ -49,8 +50,11 @@ class Model(Handle):
         For a file of the scene.
     """
 
+    _instead = "send the arrays, or the scene of the session, and build it there"
+
     def __init__(self, scene: str, directory: str | os.PathLike[str] | None = None) -> None:
         self._create(scene, directory)
+        self._recipe = (type(self), (scene, absolute(directory)))
 
     @classmethod
     def from_arrays(

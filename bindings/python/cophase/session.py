@@ -92,6 +92,8 @@ class Session(Handle):
         For an option out of range, and for a scene with ``estimate.optimizer = "bfgs"``.
     """
 
+    _instead = "its memory is that of one process; a cophase.SessionFactory makes sessions in any"
+
     def __init__(
         self,
         model: Model,

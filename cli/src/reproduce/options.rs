@@ -1,6 +1,7 @@
 //! How a target is run.
 
 use super::table_rows::{Conditions, Segments};
+use cophase::pipeline::Part;
 use std::path::PathBuf;
 
 /// How a target is run.
@@ -18,6 +19,8 @@ pub struct Options {
     pub rows: Vec<String>,
     /// Folder of measured maps of NCPA, each of which is a row of `Target::Beyond`.
     pub maps: Option<PathBuf>,
+    /// The part of the draws of `Target::Beyond` that is made, without a table; none for all.
+    pub part: Option<Part>,
 }
 
 impl Options {

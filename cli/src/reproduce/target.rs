@@ -166,6 +166,12 @@ impl Target {
         if seeds == 0 {
             return Err(Error::Value("0 seeds leave nothing to reproduce: at least 1 is needed".into()));
         }
+        if let Some(part) = options.part.filter(|_| self != Target::Beyond) {
+            let name = self.name();
+            return Err(Error::Value(format!(
+                "part {part} of {name}: only the draws of beyond are made in parts; leave --part out"
+            )));
+        }
         let progress = Progress::new(watch, cancel);
         std::fs::create_dir_all(&options.directory).map_err(|error| Error::file(&options.directory, error))?;
         match self {
@@ -193,8 +199,12 @@ impl Target {
             Target::Observations => observations(seeds, &progress)?.report(&options.directory),
             Target::Beyond => {
                 let (rows, maps) = beyond_rows(options)?;
-                let table = beyond(&rows, &options.conditions(), seeds, &options.directory, &progress)?;
-                table.report(&maps, &options.directory)
+                let (conditions, directory) = (options.conditions(), &options.directory);
+                let table = beyond(&rows, &conditions, seeds, (directory, options.part), &progress)?;
+                match options.part {
+                    None => table.report(&maps, directory),
+                    Some(part) => Ok(table.report_of_part(part, directory)),
+                }
             }
         }
     }

@@ -1,7 +1,7 @@
 //! The command line: one file per verb, and what they share.
 //!
 //! Results go to stdout; messages, warnings and progress to stderr. Exit status: 0, 1 (failed), 2 (bad usage), 130
-//! (stopped by Ctrl-C, as shells count it).
+//! (stopped by Ctrl-C or SIGTERM, as shells count it).
 
 mod bench;
 mod check;
@@ -11,6 +11,7 @@ mod demo;
 mod devices;
 mod estimate;
 mod image;
+mod merge;
 mod moves;
 mod numbering;
 mod observe;
@@ -40,7 +41,7 @@ const FIRST_STEPS: &str = "First steps:
   cophase simulate keck-onsky -o onsky.fits     a minute of sky behind an AO loop
 
 Exit status: 0 done, 1 failed (one line on stderr says why), 2 bad usage, 3 an estimate with warnings under \
---strict, 130 stopped by Ctrl-C.";
+--strict, 130 stopped by Ctrl-C or SIGTERM.";
 
 /// What the command line says.
 #[derive(Parser)]
@@ -59,7 +60,8 @@ enum Verb {
     Image(image::Arguments),
     Simulate(simulate::Arguments),
     Reduce(reduce::Arguments),
-    Estimate(estimate::Arguments),
+    Estimate(Box<estimate::Arguments>),
+    Merge(merge::Arguments),
     Plan(plan::Arguments),
     Compare(compare::Arguments),
     Check(check::Arguments),
@@ -82,7 +84,8 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::Image(arguments) => image::run(&arguments, &terminal),
         Verb::Simulate(arguments) => simulate::run(&arguments, &terminal),
         Verb::Reduce(arguments) => reduce::run(&arguments, &terminal),
-        Verb::Estimate(arguments) => return estimate::run(arguments, &terminal),
+        Verb::Estimate(arguments) => return estimate::run(*arguments, &terminal),
+        Verb::Merge(arguments) => return merge::run(arguments, &terminal),
         Verb::Plan(arguments) => plan::run(&arguments, &terminal),
         Verb::Compare(arguments) => compare::run(&arguments, &terminal),
         Verb::Check(arguments) => check::run(&arguments, &terminal),

@@ -2,7 +2,9 @@
 
 use crate::interrupt::Interrupt;
 use crate::outputs;
+use crate::ranks::{Heart, Pulse, Rank, Share, wait_for_all};
 use crate::terminal::Terminal;
+use cophase::pipeline::Part;
 use cophase::{Error, Result};
 use cophase_cli::reproduce::{Options, Segments, Target};
 use serde::Serialize;
@@ -13,6 +15,8 @@ const EXAMPLES: &str = "Examples:
   cophase reproduce artificial-source -o results            24 draws: a few minutes
   cophase reproduce diversity -o results --seeds 3
   cophase reproduce beyond -o results --row '10 images' --row '128 nm' --seeds 10
+  cophase reproduce beyond -o results --part 3/8            then without --part
+  mpirun -n 8 cophase reproduce beyond -o results --part rank
   cophase reproduce all -o results --quick                  a look at the shapes";
 
 /// Examples, and every target with what it shows.
@@ -25,7 +29,7 @@ fn after_help() -> String {
 }
 
 /// Repeat the paper's experiments: tables and pictures, its way beside ours
-#[derive(clap::Args)]
+#[derive(Clone, clap::Args)]
 #[command(after_help = after_help())]
 pub struct Arguments {
     /// What to reproduce: one of the targets below, figures or all
@@ -50,6 +54,10 @@ pub struct Arguments {
     /// Folder of measured NCPA maps (NCPA*.fits, nm, over the pupil's grid): one more row of beyond for each
     #[arg(long, value_name = "FOLDER")]
     maps: Option<PathBuf>,
+    /// Make part I of N of the draws of beyond, and no table: without --part the table is made of all draws that are there. rank: the
+    /// part of this process under mpirun or srun, whose first process makes the table
+    #[arg(long, value_name = "I/N|rank")]
+    part: Option<Share>,
     /// Print what was written as JSON, not the tables
     #[arg(long)]
     json: bool,
@@ -85,6 +93,42 @@ struct Written {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
     outputs::refuse_dash(("-o", &arguments.output))?;
+    match arguments.part {
+        None => make(arguments, None, terminal, &interrupt),
+        Some(Share::Part(part)) => make(arguments, Some(part), terminal, &interrupt),
+        Some(Share::Rank) => {
+            let rank = Rank::of_this_process()?;
+            share(arguments, rank, terminal, &interrupt).map_err(|error| rank.name(error))
+        }
+    }
+}
+
+/// The share of one rank; the first waits for the others, and makes the table.
+fn share(arguments: &Arguments, rank: Rank, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
+    let (folder, quiet) = (&arguments.output, Terminal::new(true));
+    std::fs::create_dir_all(folder).map_err(|error| Error::file(folder, error))?;
+    let silent = Arguments { json: false, ..arguments.clone() };
+    if rank.number > 0 {
+        let heart = Heart::start(folder, rank);
+        return match make(&silent, Some(rank.part()?), &quiet, interrupt) {
+            Ok(()) => {
+                heart.finish();
+                Ok(())
+            }
+            Err(error) => {
+                heart.fail(&error);
+                Err(error)
+            }
+        };
+    }
+    let pulses = Pulse::of_others(folder, rank);
+    make(&silent, Some(rank.part()?), &quiet, interrupt)?;
+    wait_for_all(pulses, || interrupt.check("the other ranks were not done"))?;
+    make(arguments, None, terminal, interrupt)
+}
+
+/// Runs the targets, or a part of them.
+fn make(arguments: &Arguments, part: Option<Part>, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
     let options = Options {
         seeds: arguments.seeds.map(|seeds| seeds as usize),
         directory: arguments.output.clone(),
@@ -92,6 +136,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         segments: arguments.segments,
         rows: arguments.row.clone(),
         maps: arguments.maps.clone(),
+        part,
     };
     let mut written = Vec::new();
     for target in &arguments.targets.0 {

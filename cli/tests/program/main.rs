@@ -19,6 +19,8 @@ mod observe;
 mod odd_images;
 mod orientation;
 mod outputs;
+mod parts;
+mod ranks;
 mod reduce;
 mod same_answer;
 mod sentences;
