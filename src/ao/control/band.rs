@@ -208,14 +208,15 @@ impl BandSolver {
 
 /// Inverse of a lower triangular matrix with ones on its diagonal, `[row][column]`, by forward substitution.
 fn inverse_of_square(at: impl Fn(usize, usize) -> f64) -> [[f64; LANES]; LANES] {
-    let mut inverse = [[0.0; LANES]; LANES];
-    for column in 0..LANES {
-        inverse[column][column] = 1.0;
+    let columns: [[f64; LANES]; LANES] = std::array::from_fn(|column| {
+        let mut solution = [0.0; LANES];
+        solution[column] = 1.0;
         for row in column + 1..LANES {
-            inverse[row][column] = -(column..row).map(|k| at(row, k) * inverse[k][column]).sum::<f64>();
+            solution[row] = -(column..row).map(|k| at(row, k) * solution[k]).sum::<f64>();
         }
-    }
-    inverse
+        solution
+    });
+    std::array::from_fn(|row| std::array::from_fn(|column| columns[column][row]))
 }
 
 /// Kernel of [`BandSolver::solve`].
