@@ -19,6 +19,11 @@ section! {
         coupling: f64, inside(0.0, 1.0), default(0.1458);
         /// Shape of the influence functions.
         influence: Influence, ANY, default(Influence::Gaussian);
+        /// Measured influence functions, in place of coupling and influence: FITS cube [actuator, y, x] of the actuators in use, row by row
+        /// from the smallest y, over pupil.grid_m, or as GRID_M or PUPLSCAL say; or one image for all, about its middle pixel [rows/2,
+        /// columns/2], with the card PUPLSCAL. With a card BUNIT (nm, um, m) the wavefront that a command of 1 makes, where
+        /// control.matrix_command_nm is that at the actuator; without it relative to the command, near 1 at the actuator.
+        influence_file: Option<PathBuf>, ANY, unset("influence functions given by influence and coupling");
         /// Map of the actuators in use, as text: a line of 0s and 1s for each row, smallest y first.
         actuator_file: Option<PathBuf>, ANY, unset("actuators at the corners of subapertures in use");
         /// Largest absolute command of an actuator, in wavefront.

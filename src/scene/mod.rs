@@ -285,7 +285,7 @@ impl Scene {
 
     /// Whether the scene has a mirror of its own, and not only the default of every scene.
     pub fn has_mirror(&self) -> bool {
-        let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file"];
+        let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file", "mirror.influence_file"];
         self.control.is_some() || keys.iter().any(|key| self.names(key))
     }
 
