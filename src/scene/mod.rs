@@ -33,7 +33,7 @@ mod units;
 mod value;
 mod words;
 
-pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
+pub use adaptive::{ControlScene, LoopLag, MirrorScene, SensorScene, TurbulenceScene};
 pub use commands::CommandsScene;
 pub use edit::split_setting;
 pub use faults::FaultScene;
