@@ -192,7 +192,8 @@ impl AoResidual {
 fn responses(&(gain, lag, frame_s): &(f64, LoopLag, f64), frequency_hz: f64) -> [f64; 2] {
     let turn = |frames: f64| num_complex::Complex64::from_polar(1.0, -TAU * frequency_hz * frame_s * frames);
     let whole = turn(lag.frames as f64);
-    let delayed = if lag.newer == 0.0 { whole } else { whole * (1.0 - lag.newer) + turn(lag.frames as f64 - 1.0) * lag.newer };
+    let delayed =
+        if lag.newer == 0.0 { whole } else { whole * (1.0 - lag.newer) + turn(lag.frames as f64 - 1.0) * lag.newer };
     // E = (1 − z⁻¹)/(1 − z⁻¹ + g·z^(−lag)), which is 0 and not 0/0 at frequency 0.
     let integrator = 1.0 - turn(1.0);
     let rejection = integrator / (integrator + gain * delayed);

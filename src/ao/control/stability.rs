@@ -238,7 +238,8 @@ mod tests {
     fn gain_limits_with_a_fraction_of_a_frame() {
         // Jury's conditions of λ² + (g f − 1)λ + g(1 − f): g(1 − f) < 1 and g(2f − 1) < 2.
         for newer in [0.1, 0.4, 0.5, 0.6, 0.75, 0.9, 0.99] {
-            let known = f64::min(1.0 / (1.0 - newer), if newer > 0.5 { 2.0 / (2.0 * newer - 1.0) } else { f64::INFINITY });
+            let known =
+                f64::min(1.0 / (1.0 - newer), if newer > 0.5 { 2.0 / (2.0 * newer - 1.0) } else { f64::INFINITY });
             let found = stable_gain(Complex64::from(1.0), 1.0, LoopLag { frames: 2, newer });
             assert!((found / known - 1.0).abs() < 1e-9, "{newer}: {found} against {known}");
         }
@@ -264,9 +265,17 @@ mod tests {
 
     #[test]
     fn the_roots_reach_the_unit_circle_at_the_largest_stable_gain() {
-        for (lag, kept) in
-            [(1.0, 1.0), (1.0, 0.97), (2.0, 1.0), (3.0, 0.9), (7.0, 0.99), (1.6, 1.0), (1.3, 0.95), (2.5, 1.0), (4.9, 0.98)]
-        {
+        for (lag, kept) in [
+            (1.0, 1.0),
+            (1.0, 0.97),
+            (2.0, 1.0),
+            (3.0, 0.9),
+            (7.0, 0.99),
+            (1.6, 1.0),
+            (1.3, 0.95),
+            (2.5, 1.0),
+            (4.9, 0.98),
+        ] {
             let lag = LoopLag::new(lag);
             for mu in [(1.0, 0.0), (0.3, 0.8), (0.3, -0.8), (2.0, 0.1), (0.01, 1.0), (0.5, 0.5)] {
                 let mu = Complex64::new(mu.0, mu.1);
