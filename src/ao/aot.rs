@@ -332,7 +332,7 @@ fn control_loop(tables: &mut AotTables, control: &ControlScene) -> Result<()> {
         ("STATUS", "Closed".into()),
         ("COMMANDS", image("COMMANDS").into()),
         ("FRAMERATE", control.frame_rate_hz.into()),
-        ("DELAY", (control.lag_frames as f64).into()),
+        ("DELAY", control.lag_frames.into()),
     ];
     if is_integrator(control) {
         cells.push(("TIME_FILTER_NUM", image("TIME_FILTER_NUM").into()));

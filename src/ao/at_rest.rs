@@ -95,7 +95,7 @@ mod tests {
     fn the_mirror_is_that_of_a_long_simulation() {
         let laws: [&[(&str, &str)]; 5] = [
             &[],
-            &[("control.lag_frames", "3"), ("control.gain", "0.2")],
+            &[("control.lag_frames", "2.6"), ("control.gain", "0.2")],
             &[("control.filtered_modes", ""), ("control.reconstructor", "sparse")],
             &[("control.loop", "pseudo-open-loop"), ("control.leak", "0.01")],
             &[("wavefront_sensor.mask", "segments"), ("control.fill", "inpaint")],

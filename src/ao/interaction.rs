@@ -1,8 +1,8 @@
 //! Interaction matrix of the modelled sensor and mirror, by pushing and pulling actuators.
 //!
-//! An influence function is exactly 0 beyond a few pitches (`surface`), and a lenslet measures its own samples only. Actuators that share
-//! no lenslet are therefore pushed together: with a `period` of lines between them along each axis, period² pairs of measurements take the
-//! place of one pair for each actuator, and give the same bits.
+//! An influence function is exactly 0 beyond some distance (`surface`), and a lenslet measures its own samples only. Actuators that share
+//! no lenslet are therefore pushed together: for Gaussian functions some fifty pairs of measurements take the place of one pair for each
+//! actuator, and give the same bits.
 
 use super::footprint::Footprint;
 use super::sensor::Sensor;
@@ -44,18 +44,18 @@ pub(super) fn interaction(
         "set fewer mirror.actuators_across or wavefront_sensor.lenslets_across",
     )?;
     let lenslets = sensor.lenslets().clone();
-    let moved: Vec<Range<usize>> = (0..surface.across())
-        .map(|line| {
-            let samples = surface.moved_samples(line);
-            samples.start / lenslets.samples..samples.end.div_ceil(lenslets.samples)
+    let moved: Vec<[Range<usize>; 2]> = (0..actuators)
+        .map(|actuator| {
+            surface
+                .moved(actuator)
+                .map(|samples| samples.start / lenslets.samples..samples.end.div_ceil(lenslets.samples))
         })
         .collect();
-    let period = period(&moved);
     let mut matrix = Array2::zeros((slopes, actuators));
     let mut command = vec![0.0; actuators];
     let mut measured = [vec![0.0; slopes], vec![0.0; slopes]];
     let mut map = footprint.zeros();
-    for group in groups(surface, period) {
+    for group in groups(&moved, lenslets.across) {
         for (sign, measured) in [1.0, -1.0].into_iter().zip(&mut measured) {
             map.fill(0.0);
             command.fill(0.0);
@@ -66,11 +66,8 @@ pub(super) fn interaction(
         // The actuator of the group that moves each lenslet.
         let mut mover = vec![None; lenslets.across * lenslets.across];
         for &actuator in &group {
-            let place = surface.indices()[actuator];
-            for row in moved[place / surface.across()].clone() {
-                for column in moved[place % surface.across()].clone() {
-                    mover[row * lenslets.across + column] = Some(actuator);
-                }
+            for cell in cells(&moved[actuator], lenslets.across) {
+                mover[cell] = Some(actuator);
             }
         }
         let count = lenslets.subapertures.len();
@@ -83,23 +80,26 @@ pub(super) fn interaction(
     Ok(matrix)
 }
 
-/// Least distance between lines of actuators that move no lenslet in common, whichever the lines; `moved` are the lenslets of each.
-fn period(moved: &[Range<usize>]) -> usize {
-    let is_apart = |distance: &usize| {
-        moved.iter().zip(&moved[*distance..]).all(|(one, other)| one.end <= other.start || other.is_empty())
-    };
-    (1..moved.len()).find(is_apart).unwrap_or(moved.len()).max(1)
+/// Groups of actuators of which no two move a lenslet in common; `moved` are the rows and columns of lenslets of each, of `across` a side.
+/// Each actuator joins the first group that it can join: for functions of one size row by row, that is the fewest groups.
+fn groups(moved: &[[Range<usize>; 2]], across: usize) -> Vec<Vec<usize>> {
+    let mut groups: Vec<(Vec<usize>, Vec<bool>)> = Vec::new();
+    for (actuator, own) in moved.iter().enumerate() {
+        let is_free = |(_, taken): &(Vec<usize>, Vec<bool>)| cells(own, across).all(|cell| !taken[cell]);
+        let at = groups.iter().position(is_free).unwrap_or_else(|| {
+            groups.push((Vec::new(), vec![false; across * across]));
+            groups.len() - 1
+        });
+        let (members, taken) = &mut groups[at];
+        members.push(actuator);
+        cells(own, across).for_each(|cell| taken[cell] = true);
+    }
+    groups.into_iter().map(|(members, _)| members).collect()
 }
 
-/// Actuators of which any two are at least `period` lines apart along one axis.
-fn groups(surface: &Surface, period: usize) -> Vec<Vec<usize>> {
-    let mut groups = vec![Vec::new(); period * period];
-    for (actuator, place) in surface.indices().iter().enumerate() {
-        let (row, column) = (place / surface.across(), place % surface.across());
-        groups[row % period * period + column % period].push(actuator);
-    }
-    groups.retain(|group| !group.is_empty());
-    groups
+/// Lenslets in these rows and columns, of `across` a side.
+fn cells([rows, columns]: &[Range<usize>; 2], across: usize) -> impl Iterator<Item = usize> {
+    rows.clone().flat_map(move |row| columns.clone().map(move |column| row * across + column))
 }
 
 #[cfg(test)]
@@ -108,11 +108,17 @@ mod tests {
     use crate::ao::parts::{actuators, sensor_pupil};
     use crate::ao::sensor::Lenslets;
     use crate::ao::testing::small;
+    use crate::modes::MeasuredInfluence;
     use crate::telescope::Telescope;
 
     #[test]
     fn groups_of_actuators_have_the_bits_of_one_after_the_other() {
-        for (detector, coupling) in [("quad-cell", "0.1458"), ("pixels", "0.3"), ("geometric", "0.05")] {
+        for (detector, coupling, is_measured) in [
+            ("quad-cell", "0.1458", false),
+            ("pixels", "0.3", false),
+            ("geometric", "0.05", false),
+            ("quad-cell", "0.1458", true),
+        ] {
             let settings = [("wavefront_sensor.detector", detector), ("mirror.coupling", coupling)];
             let scene = small("", &settings);
             let sensing = scene.wavefront_sensor.as_ref().unwrap();
@@ -120,7 +126,13 @@ mod tests {
             let pupil = sensor_pupil(&scene, sensing, &telescope, 0).unwrap();
             let footprint = Footprint::new(&pupil);
             let lenslets = Lenslets::new(sensing, &pupil, scene.directory()).unwrap();
-            let mut surface = Surface::new(&actuators(&scene, &lenslets).unwrap(), &pupil.grid, &footprint);
+            let mut influence = actuators(&scene, &lenslets, &telescope).unwrap();
+            if is_measured {
+                let cone = Array2::from_shape_fn((23, 17), |(y, x)| 9.0 - (x as f64 - 8.0).hypot(y as f64 - 11.0));
+                let cone = MeasuredInfluence::common(cone.view(), 0.21).unwrap();
+                influence = influence.measured(std::sync::Arc::new(cone)).unwrap();
+            }
+            let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
             let mut sensor = Sensor::new(sensing, lenslets, &pupil, &footprint).unwrap();
             let matrix = interaction(&mut sensor, &mut surface, &footprint, ReconstructorKind::Dense).unwrap();
             for (actuator, column) in matrix.columns().into_iter().enumerate() {
@@ -141,11 +153,21 @@ mod tests {
     }
 
     #[test]
-    fn lines_a_period_apart_move_no_lenslet_in_common() {
-        let moved = [0..2, 0..3, 1..4, 3..6, 5..6, 7..7];
-        let period = period(&moved);
-        // 0..2 and 1..4, two lines apart, have lenslet 1 in common.
-        assert_eq!(period, 3);
-        assert_eq!(super::period(&[0..9, 0..9, 0..9]), 3);
+    fn actuators_of_a_group_move_no_lenslet_in_common() {
+        // Functions of three lenslets, a lenslet apart, on nine: three groups along each axis.
+        let moved: Vec<[Range<usize>; 2]> =
+            (0..49).map(|actuator| [actuator / 7, actuator % 7].map(|line| line..line + 3)).collect();
+        let found = groups(&moved, 9);
+        assert_eq!(found.len(), 9);
+        assert_eq!(found.iter().map(Vec::len).sum::<usize>(), 49);
+        for group in &found {
+            let mut taken: Vec<usize> = group.iter().flat_map(|&actuator| cells(&moved[actuator], 9)).collect();
+            let all = taken.len();
+            taken.sort_unstable();
+            taken.dedup();
+            assert_eq!(taken.len(), all);
+        }
+        // Functions over the whole pupil are measured one after the other.
+        assert_eq!(groups(&vec![[0..9, 0..9]; 5], 9), (0..5).map(|actuator| vec![actuator]).collect::<Vec<_>>());
     }
 }

@@ -32,7 +32,6 @@ mod surface;
 #[cfg(test)]
 mod testing;
 mod undisturbed;
-mod valid_map;
 mod work;
 
 pub use aligned::AlignedBuffer;

@@ -3,15 +3,13 @@
 use super::aligned::AlignedBuffer;
 use super::footprint::Footprint;
 use super::sensor::Lenslets;
-use super::valid_map;
+use crate::Result;
 use crate::machine;
-use crate::modes::{InfluenceFunctions, Mirror};
+use crate::modes::InfluenceFunctions;
 use crate::pupil::{Grid, Pupil};
 use crate::scene::{Scene, SensorScene};
 use crate::source::Truth;
 use crate::telescope::Telescope;
-use crate::{Error, Result};
-use std::path::Path;
 
 /// Memory of a simulation for each sample of its grid, bytes, without the layers of turbulence: the pupil and its copy (24), the
 /// maps of loop and camera, and the weights of the segments (the field's share in the peak). Measured with Keck's loop at 1,280
@@ -25,7 +23,7 @@ const BYTES_PER_LAYER_SAMPLE: u64 = 16;
 /// simulation of `layers` layers of turbulence.
 ///
 /// # Errors
-/// [`Error::Value`] for a grid that is larger than the machine's memory; those of [`Telescope::pupil_on`].
+/// [`crate::Error::Value`] for a grid that is larger than the machine's memory; those of [`Telescope::pupil_on`].
 pub fn sensor_pupil(scene: &Scene, sensing: &SensorScene, telescope: &Telescope, layers: usize) -> Result<Pupil> {
     let samples = sensing.lenslets_across * sensing.samples_per_lenslet;
     machine::check_memory(
@@ -43,28 +41,37 @@ pub fn sensor_pupil(scene: &Scene, sensing: &SensorScene, telescope: &Telescope,
 /// a subaperture in use; without a wavefront sensor those near the pupil.
 ///
 /// # Errors
-/// [`Error::File`] for a map of actuators that cannot be read; those of building the pupil and the lenslets.
+/// [`crate::Error::File`] for a map of actuators or influence functions that cannot be read; those of building the pupil and the lenslets.
 pub fn actuators_in_use(scene: &Scene, telescope: &Telescope) -> Result<InfluenceFunctions> {
-    if let Some(file) = &scene.mirror.actuator_file {
-        return mapped_actuators(scene, file);
+    if let Some(mapped) = Telescope::mapped_actuators(scene)? {
+        return telescope.measured_influence(scene, mapped);
     }
     let Some(sensing) = &scene.wavefront_sensor else { return telescope.influence(scene) };
-    actuators(scene, &Lenslets::new(sensing, &sensor_pupil(scene, sensing, telescope, 0)?, scene.directory())?)
+    actuators(
+        scene,
+        &Lenslets::new(sensing, &sensor_pupil(scene, sensing, telescope, 0)?, scene.directory())?,
+        telescope,
+    )
 }
 
 /// Actuators of the scene's mirror that are in use: those of its map, or those at a corner of a subaperture in use. The
 /// sensor measures an actuator farther out only at the edge of a subaperture, and the noise of its command would be a
 /// hundred times that of the others.
-pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
-    let part = &scene.mirror;
-    if let Some(file) = &part.actuator_file {
-        return mapped_actuators(scene, file);
-    }
-    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
+pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets, telescope: &Telescope) -> Result<InfluenceFunctions> {
+    let chosen = match Telescope::mapped_actuators(scene)? {
+        Some(mapped) => mapped,
+        None => at_subapertures(scene, lenslets)?,
+    };
+    telescope.measured_influence(scene, chosen)
+}
+
+/// Actuators at a corner of a subaperture in use.
+fn at_subapertures(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFunctions> {
+    let mirror = Telescope::mirror(scene)?;
     let middle = (lenslets.across as f64 - 1.0) / 2.0;
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
     // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
-    let reach_m = 0.501 * lenslets.pitch_m.max(part.pitch_m);
+    let reach_m = 0.501 * lenslets.pitch_m.max(mirror.pitch_m());
     mirror.select(|x_m, y_m| {
         let is_near = |&place: &usize| {
             (centre(place % lenslets.across) - x_m).abs() <= reach_m
@@ -72,13 +79,6 @@ pub(super) fn actuators(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceF
         };
         lenslets.subapertures.iter().any(is_near)
     })
-}
-
-/// Actuators of the map in `file`.
-fn mapped_actuators(scene: &Scene, file: &Path) -> Result<InfluenceFunctions> {
-    let (part, path) = (&scene.mirror, scene.resolve(file));
-    let mirror = Mirror::new(part.actuators_across, part.pitch_m, part.coupling)?;
-    mirror.from_map(&valid_map::read_text(&path)?).map_err(|error| Error::file(&path, error))
 }
 
 /// Multiplies the pupil amplitude by the amplitude that each segment reflects.

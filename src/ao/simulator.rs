@@ -161,7 +161,7 @@ impl Simulator {
         let illuminated = apply_reflectivity(&pupil, &truth);
         let footprint = Footprint::with_margin(&illuminated, camera::MARGIN_SAMPLES);
         let lenslets = Lenslets::new(sensing, &pupil, scene.directory())?.with_light_of(&illuminated);
-        let influence = actuators(scene, &lenslets)?;
+        let influence = actuators(scene, &lenslets, &telescope)?;
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
         let mut sensor = Sensor::new(sensing, lenslets, &illuminated, &footprint)?;
         let modelled = interaction(&mut sensor, &mut surface, &footprint, control_scene.reconstructor)?;
@@ -379,6 +379,10 @@ impl Simulator {
 
     pub(super) fn surface_taps(&self) -> (f64, f64) {
         self.correction.surface.taps()
+    }
+
+    pub(super) fn surface_bytes(&self) -> f64 {
+        self.correction.surface.bytes()
     }
 
     /// Surface of the mirror for `commands_nm`, nm of wavefront, a map over the footprint.

@@ -32,7 +32,7 @@ impl Simulator {
             Stage::Mirror => {
                 let (columns, rows) = self.surface_taps();
                 // Turbulence read, residual written, amplitude and segments read; six operations for the moments.
-                Work { flops: 2.0 * (columns + rows) + 6.0 * samples, bytes: 4.0 * map }
+                Work { flops: 2.0 * (columns + rows) + 6.0 * samples, bytes: 4.0 * map + self.surface_bytes() }
             }
             Stage::Sensor => {
                 let sensing = self.scene().wavefront_sensor.as_ref();

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{Cursor, Read, Seek};
 use std::path::{Path, PathBuf};
 
-use ndarray::{Array2, Array3};
+use ndarray::{Array2, Array3, ArrayD};
 
 use super::cfitsio::{CfitsioResult, Handle};
 use super::extension;
@@ -127,6 +127,15 @@ impl FitsReader {
     pub fn map(&mut self, hdu: Option<&str>) -> Result<Array2<f64>> {
         let index = hdu.map_or_else(|| self.first_image(&[]), |name| self.find(name, HduKind::Image))?;
         self.planes(index, &[2])?.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))
+    }
+
+    /// The first image with data, a map `[y, x]` or a cube `[image, y, x]`. BLANK pixels are NaN.
+    ///
+    /// # Errors
+    /// [`Error::File`] where there is none, or it is neither 2-D nor 3-D.
+    pub fn map_or_cube(&mut self) -> Result<ArrayD<f64>> {
+        let index = self.first_image(&[])?;
+        self.planes(index, &[2, 3])
     }
 
     /// A cube `[image, y, x]`: image HDU `hdu`; a 2-D image is a cube of one image. BLANK pixels are NaN.
@@ -277,7 +286,7 @@ impl FitsReader {
     }
 
     /// The image at `index`, with axes in C order; the number of axes must be one of `ranks`.
-    fn planes(&mut self, index: usize, ranks: &[usize]) -> Result<ndarray::ArrayD<f64>> {
+    fn planes(&mut self, index: usize, ranks: &[usize]) -> Result<ArrayD<f64>> {
         let hdu = &self.layout.hdus[index];
         let shape: Vec<usize> = hdu.axes.iter().rev().map(|&size| size as usize).collect();
         let what = hdu.described();

@@ -2,7 +2,7 @@
 //!
 //! A Gaussian influence function is the product of one in x and one in y, so the shape is `G_yᵀ·C·G_x` with the commands C on their square
 //! grid: n·a·(n + a) operations and n·a numbers for n samples and a actuators a side, where the influence of each actuator at each sample
-//! would be n²·a² of both.
+//! would be n²·a² of both. Of measured functions the values that are not 0 are kept.
 
 use crate::modes::InfluenceFunctions;
 use crate::retrieval::IlluminatedSamples;
@@ -14,10 +14,18 @@ pub(super) struct MirrorShape {
     samples: usize,
     /// Flat index of each illuminated sample.
     indices: Vec<usize>,
-    /// Influence of a column or row of actuators at a column or row of samples, `[actuators, samples]`.
-    along: Array2<f64>,
-    /// Index of each actuator on the square grid.
-    actuators: Vec<usize>,
+    functions: Functions,
+}
+
+enum Functions {
+    Separable {
+        /// Influence of a column or row of actuators at a column or row of samples, `[actuators, samples]`.
+        along: Array2<f64>,
+        /// Index of each actuator on the square grid.
+        actuators: Vec<usize>,
+    },
+    /// Illuminated samples that each actuator moves, with its influence on them.
+    Measured(Vec<Vec<(u32, f64)>>),
 }
 
 impl MirrorShape {
@@ -25,8 +33,13 @@ impl MirrorShape {
     pub(super) fn new(influence: &InfluenceFunctions, samples: &IlluminatedSamples) -> Self {
         let n = samples.samples;
         let coordinates_m: Vec<f64> = (0..n).map(|i| (i as f64 - (n as f64 - 1.0) / 2.0) * samples.pitch_m).collect();
-        let (along, actuators) = influence.along(&coordinates_m);
-        Self { samples: n, indices: samples.indices.clone(), actuators: actuators.to_vec(), along }
+        let functions = if influence.is_separable() {
+            let (along, actuators) = influence.along(&coordinates_m);
+            Functions::Separable { along, actuators: actuators.to_vec() }
+        } else {
+            Functions::Measured(moved_samples(influence, samples, &coordinates_m))
+        };
+        Self { samples: n, indices: samples.indices.clone(), functions }
     }
 
     /// Number of illuminated samples.
@@ -37,26 +50,66 @@ impl MirrorShape {
 
     /// Shape of these commands at each illuminated sample, nm.
     pub(super) fn wavefront_nm(&self, commands_nm: ArrayView1<f64>) -> Array1<f64> {
-        let across = self.along.nrows();
-        let mut commands = Array2::zeros((across, across));
-        for (&actuator, &nm) in self.actuators.iter().zip(commands_nm) {
-            commands[[actuator / across, actuator % across]] = nm;
+        match &self.functions {
+            Functions::Separable { along, actuators } => {
+                let across = along.nrows();
+                let mut commands = Array2::zeros((across, across));
+                for (&actuator, &nm) in actuators.iter().zip(commands_nm) {
+                    commands[[actuator / across, actuator % across]] = nm;
+                }
+                let shape = along.t().dot(&commands.dot(along));
+                self.indices.iter().map(|&index| shape[[index / self.samples, index % self.samples]]).collect()
+            }
+            Functions::Measured(moved) => {
+                let mut shape = Array1::zeros(self.indices.len());
+                for (moved, nm) in moved.iter().zip(commands_nm) {
+                    moved.iter().for_each(|&(sample, value)| shape[sample as usize] += nm * value);
+                }
+                shape
+            }
         }
-        let shape = self.along.t().dot(&commands.dot(&self.along));
-        self.indices.iter().map(|&index| shape[[index / self.samples, index % self.samples]]).collect()
     }
+}
+
+/// Number of each illuminated sample that an actuator moves, and the influence on it.
+fn moved_samples(
+    influence: &InfluenceFunctions,
+    samples: &IlluminatedSamples,
+    coordinates_m: &[f64],
+) -> Vec<Vec<(u32, f64)>> {
+    let n = samples.samples;
+    let mut numbers = vec![None; n * n];
+    samples.indices.iter().zip(0u32..).for_each(|(&index, number)| numbers[index] = Some(number));
+    let windows = (0..influence.len()).filter_map(|actuator| influence.window(actuator, coordinates_m));
+    let moved = windows.map(|window| {
+        let values = window.values.indexed_iter().filter(|(_, value)| **value != 0.0);
+        let at = |(y, x): (usize, usize)| (window.rows.start + y) * n + window.columns.start + x;
+        values.filter_map(|(place, &value)| Some((numbers[at(place)]?, value))).collect()
+    });
+    moved.collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::ao::Simulator;
+    use crate::modes::MeasuredInfluence;
     use crate::retrieval::tests::scene;
+    use crate::telescope::Telescope;
 
     #[test]
     fn the_shape_is_the_sum_of_the_influence_functions() {
         let simulator = Simulator::new(&scene()).unwrap();
-        let (influence, telescope) = (simulator.influence(), simulator.telescope());
+        let cone = Array2::from_shape_fn((9, 9), |(y, x)| 5.0 - (x as f64 - 4.0).hypot(y as f64 - 4.0));
+        let cone = MeasuredInfluence::common(cone.view(), 0.27 * simulator.influence().mirror().pitch_m()).unwrap();
+        for influence in
+            [simulator.influence().clone(), simulator.influence().clone().measured(std::sync::Arc::new(cone)).unwrap()]
+        {
+            check(&influence, simulator.telescope());
+        }
+    }
+
+    fn check(influence: &InfluenceFunctions, telescope: &Telescope) {
         let grid = telescope.pupil.grid;
         let weights = telescope.area_weights(grid).unwrap();
         let samples = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &weights).unwrap();

@@ -27,11 +27,11 @@ pub(super) enum Smooth {
 }
 
 impl Smooth {
-    /// The modes as products of functions of x and y on `grid`, where they are functions.
+    /// The modes as products of functions of x and y on `grid`, where they are such functions.
     pub(super) fn products(&self, grid: Grid) -> Result<Option<SeparableBasis>> {
         match self {
-            Self::Functions(Some(basis)) => SeparableBasis::new(basis, grid).map(Some),
-            Self::Functions(None) | Self::Maps(_) => Ok(None),
+            Self::Functions(Some(basis)) if basis.is_separable() => SeparableBasis::new(basis, grid).map(Some),
+            Self::Functions(_) | Self::Maps(_) => Ok(None),
         }
     }
 

@@ -1,9 +1,11 @@
-//! The deformable mirror: Gaussian influence functions on a square grid of actuators.
+//! The deformable mirror: influence functions, Gaussian or measured, on a square grid of actuators.
 
+use super::measured_influence::{InfluenceWindow, MeasuredInfluence};
 use super::samples::{Samples, check_lengths};
 use crate::pupil::Pupil;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayViewMut2};
+use std::sync::Arc;
 
 /// A square grid of actuators centred on the optical axis (Fried geometry: `actuators_across − 1` lenslets across, an
 /// actuator on each lenslet corner).
@@ -62,9 +64,13 @@ impl Mirror {
         (i as f64 - (self.actuators_across as f64 - 1.0) / 2.0) * self.pitch_m
     }
 
+    fn functions(&self, indices: Vec<usize>) -> InfluenceFunctions {
+        InfluenceFunctions { mirror: *self, indices, measured: None }
+    }
+
     /// All actuators of the square.
     pub fn all(&self) -> InfluenceFunctions {
-        InfluenceFunctions { mirror: *self, indices: (0..self.actuators_across.pow(2)).collect() }
+        self.functions((0..self.actuators_across.pow(2)).collect())
     }
 
     /// The actuators within `margin_pitches` pitches of the nearest illuminated sample; see
@@ -92,7 +98,7 @@ impl Mirror {
             );
             return Err(Error::Value(text));
         }
-        Ok(InfluenceFunctions { mirror: *self, indices })
+        Ok(self.functions(indices))
     }
 
     /// The actuators for whose position (x, y), m, `keep` is true.
@@ -106,7 +112,24 @@ impl Mirror {
         if indices.is_empty() {
             return Err(Error::Value("no actuator of the mirror is selected: at least one is needed".into()));
         }
-        Ok(InfluenceFunctions { mirror: *self, indices })
+        Ok(self.functions(indices))
+    }
+
+    /// The actuators nearest to `places_m`, x and y.
+    ///
+    /// # Errors
+    /// [`Error::Value`] where they are not in the order of the actuators, or two are the same.
+    pub fn nearest(&self, places_m: &[[f64; 2]]) -> Result<InfluenceFunctions> {
+        let last = self.actuators_across as f64 - 1.0;
+        let line = |c_m: f64| (c_m / self.pitch_m + last / 2.0).round().clamp(0.0, last) as usize;
+        let indices: Vec<usize> = places_m.iter().map(|[x, y]| line(*y) * self.actuators_across + line(*x)).collect();
+        match indices.windows(2).position(|pair| pair[0] >= pair[1]) {
+            Some(at) => Err(Error::Value(format!(
+                "the actuators nearest to places {at} and {} are not in order, row by row from the smallest y",
+                at + 1
+            ))),
+            None => Ok(self.functions(indices)),
+        }
     }
 
     /// The actuators marked 1 in a map: `actuators_across` lines of as many 0s and 1s, separated by white space; the
@@ -119,7 +142,7 @@ impl Mirror {
         if indices.is_empty() {
             return Err(Error::Value("the actuator map marks no actuator: at least one 1 is needed".into()));
         }
-        Ok(InfluenceFunctions { mirror: *self, indices })
+        Ok(self.functions(indices))
     }
 }
 
@@ -158,15 +181,65 @@ pub fn marked_cells(map: &str, across: usize) -> Result<Vec<usize>> {
     Ok(marked)
 }
 
-/// The Gaussian influence functions of a mirror's actuators: `coupling^((r/pitch)²)`, 1 at the actuator.
+/// The influence functions of a mirror's actuators: the Gaussian `coupling^((r/pitch)²)`, 1 at the actuator, or measured ones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InfluenceFunctions {
     mirror: Mirror,
     /// `row·actuators_across + column` of each actuator, ascending.
     indices: Vec<usize>,
+    /// In place of the Gaussian.
+    measured: Option<Arc<MeasuredInfluence>>,
 }
 
 impl InfluenceFunctions {
+    /// These actuators with measured functions in place of the Gaussian ones.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for another number of functions than actuators, and for functions in another order: of which most have their peak
+    /// farther than a pitch from their actuator.
+    pub fn measured(self, measured: Arc<MeasuredInfluence>) -> Result<Self> {
+        if let Some(count) = measured.count().filter(|&count| count != self.len()) {
+            return Err(Error::Value(format!(
+                "{count} influence functions were given: one for each of the {} actuators in use, or a single image for all of them, is needed",
+                self.len()
+            )));
+        }
+        let places_m = self.positions_m();
+        let peaks_m = measured.peaks_m();
+        let is_far = |(peak, place): (&[f64; 2], &(f64, f64))| {
+            (peak[0] - place.0).hypot(peak[1] - place.1) > self.mirror.pitch_m
+        };
+        let far: Vec<usize> =
+            peaks_m.iter().zip(&places_m).enumerate().filter(|(_, pair)| is_far(*pair)).map(|(at, _)| at).collect();
+        // Those at the edge may have been measured within the pupil only, so that their peaks are elsewhere.
+        if 2 * far.len() > peaks_m.len() {
+            let (at, [x, y], place) = (far[0], peaks_m[far[0]], places_m[far[0]]);
+            return Err(Error::Value(format!(
+                "the influence function of actuator {at} has its peak at ({x:.3}, {y:.3}) m, and the actuator is at ({:.3}, {:.3}) m: the \
+                 order of the actuators, row by row from the smallest y, and the axes of the pupil are needed",
+                place.0, place.1
+            )));
+        }
+        Ok(Self { measured: Some(measured), ..self })
+    }
+
+    /// The function of one actuator alone.
+    pub fn single(&self, actuator: usize) -> Self {
+        let measured = self.measured.as_ref().map(|measured| Arc::new(measured.single(actuator)));
+        Self { mirror: self.mirror, indices: vec![self.indices[actuator]], measured }
+    }
+
+    /// Whether the functions are products of one in x and one in y.
+    pub fn is_separable(&self) -> bool {
+        self.measured.is_none()
+    }
+
+    /// The measured function of `actuator` on the square grid with these coordinates along both axes, ascending; `None` for a Gaussian.
+    pub(crate) fn window(&self, actuator: usize, coordinates_m: &[f64]) -> Option<InfluenceWindow> {
+        let measured = self.measured.as_ref()?;
+        Some(measured.window(actuator, self.position_m(self.indices[actuator]), coordinates_m))
+    }
+
     /// The mirror.
     pub fn mirror(&self) -> &Mirror {
         &self.mirror
@@ -185,9 +258,12 @@ impl InfluenceFunctions {
 
     /// Position (x, y) of each actuator, m.
     pub fn positions_m(&self) -> Vec<(f64, f64)> {
+        self.indices.iter().map(|&index| self.position_m(index)).collect()
+    }
+
+    fn position_m(&self, index: usize) -> (f64, f64) {
         let across = self.mirror.actuators_across;
-        let position = |&i: &usize| (self.mirror.coordinate_m(i % across), self.mirror.coordinate_m(i / across));
-        self.indices.iter().map(position).collect()
+        (self.mirror.coordinate_m(index % across), self.mirror.coordinate_m(index / across))
     }
 
     /// Values at the points (x, y), `[actuators, points]`.
@@ -202,7 +278,7 @@ impl InfluenceFunctions {
     }
 
     /// The factors of the influence functions along one coordinate, `[column or row of actuators, point]`, and the index
-    /// `row·across + column` of each actuator among their products.
+    /// `row·across + column` of each actuator among their products; for Gaussian functions only.
     pub(crate) fn along(&self, coordinates_m: &[f64]) -> (Array2<f64>, &[usize]) {
         let rate = self.mirror.coupling.ln() / self.mirror.pitch_m.powi(2);
         let line = Array2::from_shape_fn((self.mirror.actuators_across, coordinates_m.len()), |(i, point)| {
@@ -214,6 +290,16 @@ impl InfluenceFunctions {
     /// Writes the values into `values`, `[actuators, points]`. A Gaussian is the product of one in x and one in y:
     /// two exponentials per point and grid line instead of one per point and actuator.
     pub(super) fn fill(&self, xs_m: &[f64], ys_m: &[f64], mut values: ArrayViewMut2<f64>) {
+        if let Some(measured) = &self.measured {
+            for (actuator, mut row) in values.rows_mut().into_iter().enumerate() {
+                let place_m = self.position_m(self.indices[actuator]);
+                let points = xs_m.iter().zip(ys_m);
+                row.iter_mut()
+                    .zip(points)
+                    .for_each(|(value, (x, y))| *value = measured.value(actuator, place_m, *x, *y));
+            }
+            return;
+        }
         let across = self.mirror.actuators_across;
         let (along_x, along_y) = (self.along(xs_m).0, self.along(ys_m).0);
         for (mut row, &index) in values.rows_mut().into_iter().zip(&self.indices) {

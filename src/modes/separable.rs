@@ -24,8 +24,14 @@ impl SeparableBasis {
     /// The modes of `basis` on `grid`.
     ///
     /// # Errors
-    /// None for a valid basis.
+    /// [`crate::Error::Value`] for modes of measured influence functions, which are no such products
+    /// ([`SmoothBasis::is_separable`]).
     pub fn new(basis: &SmoothBasis, grid: Grid) -> Result<Self> {
+        if !basis.is_separable() {
+            let sentence =
+                "measured influence functions are no products of functions of x and of y: maps of them are needed";
+            return Err(crate::Error::Value(sentence.into()));
+        }
         let coordinates: Vec<f64> = (0..grid.samples()).map(|j| grid.coordinate_m(j)).collect();
         let (mut lines, mut groups, mut matrices) = (Vec::new(), Vec::new(), Vec::new());
         let mut constant = None;

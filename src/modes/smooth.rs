@@ -76,6 +76,14 @@ impl SmoothBasis {
         &self.names
     }
 
+    /// Whether all functions are sums of a few products of a function of x and one of y.
+    pub fn is_separable(&self) -> bool {
+        self.functions.iter().all(|functions| match functions {
+            Functions::Zernike(_) => true,
+            Functions::Influence(influence) => influence.is_separable(),
+        })
+    }
+
     /// The combination that makes the modes from the raw functions, `[modes, functions]`.
     pub fn matrix(&self) -> ArrayView2<'_, f64> {
         self.matrix.view()

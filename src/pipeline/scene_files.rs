@@ -23,6 +23,7 @@ pub fn scene_files(scene: &Scene) -> Vec<(&'static str, PathBuf)> {
         (DIVERSITY_FILE, scene.image.diversity_file.as_ref()),
         (FILTER_FILE, scene.image.filter_file.as_ref()),
         ("aberrations.ncpa_file", scene.aberrations.as_ref().and_then(|aberrations| aberrations.ncpa_file.as_ref())),
+        ("mirror.influence_file", scene.mirror.influence_file.as_ref()),
         ("mirror.actuator_file", scene.mirror.actuator_file.as_ref()),
         ("commands.segment_file", scene.commands.segment_file.as_ref()),
         ("commands.segment_matrix_file", scene.commands.segment_matrix_file.as_ref()),

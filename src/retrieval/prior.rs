@@ -3,7 +3,7 @@
 //! Densities are in nm²·m² against cycles/m, so that `∫ S(f) 2πf df` is the variance in nm² on any grid.
 
 use crate::modes::VonKarman;
-use crate::scene::Scene;
+use crate::scene::{LoopLag, Scene};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use std::f64::consts::{PI, TAU};
@@ -69,7 +69,7 @@ impl RadialPsd {
     /// Predicts the PSD of the residual of the AO system of `scene`, plus that of static aberrations `unknown`.
     ///
     /// Beyond the mirror's cut-off, |fx| or |fy| > 1/(2·pitch), it is the turbulence (fitting error). Within, where the scene has
-    /// a loop and layers, it is each layer times the loop's rejection `1/(1 + g·z^(−lag)/(1 − z^(−1)))` at the temporal
+    /// a loop and layers, it is each layer times the loop's rejection `1/(1 + g·z^(−lag)/(1 − z^(−1)))` (a fraction of a frame mixes both commands) at the temporal
     /// frequency f·v (servo-lag), plus the aliases of the sensor times the loop's response (Rigaut, Véran & Lai 1998, SPIE 3353,
     /// 1038: the ratio of the transfer functions of slopes that are means over a subaperture). Where it has no loop the band is
     /// as flat as the PSD at the cut-off. All terms are averaged over the motion of the layers in an exposure.
@@ -128,8 +128,8 @@ struct AoResidual {
     lenslet_m: f64,
     /// Share and velocity of each layer, m/s.
     layers: Vec<(f64, [f64; 2])>,
-    /// Gain, frames of lag, seconds a frame.
-    control: Option<(f64, f64, f64)>,
+    /// Gain, lag, seconds a frame.
+    control: Option<(f64, LoopLag, f64)>,
     exposure_s: f64,
 }
 
@@ -147,7 +147,7 @@ impl AoResidual {
             lenslet_m: width_m.zip(lenslets).map_or(scene.mirror.pitch_m, |(width, lenslets)| width / lenslets),
             layers: air.fractions.iter().zip(&air.wind_m_s).zip(&air.wind_dir_rad).map(layer).collect(),
             exposure_s: scene.image.exposure_s,
-            control: scene.control.as_ref().map(|c| (c.gain, c.lag_frames as f64, 1.0 / c.frame_rate_hz)),
+            control: scene.control.as_ref().map(|c| (c.gain, c.lag(), 1.0 / c.frame_rate_hz)),
         })
     }
 
@@ -173,7 +173,7 @@ impl AoResidual {
     }
 
     /// Aliases that the sensor measures at (fx, fy) and the loop applies to the mirror, nm²·m².
-    fn aliased(&self, fx: f64, fy: f64, velocity: [f64; 2], control: &(f64, f64, f64)) -> f64 {
+    fn aliased(&self, fx: f64, fy: f64, velocity: [f64; 2], control: &(f64, LoopLag, f64)) -> f64 {
         let d = self.lenslet_m;
         let slopes = |fx: f64, fy: f64| sinc(d * fx) * sinc(d * fy);
         let (own, square) = (slopes(fx, fy), fx * fx + fy * fy);
@@ -189,11 +189,14 @@ impl AoResidual {
 }
 
 /// |rejection|² and |response|² of the integrator at a temporal frequency.
-fn responses(&(gain, lag, frame_s): &(f64, f64, f64), frequency_hz: f64) -> [f64; 2] {
+fn responses(&(gain, lag, frame_s): &(f64, LoopLag, f64), frequency_hz: f64) -> [f64; 2] {
     let turn = |frames: f64| num_complex::Complex64::from_polar(1.0, -TAU * frequency_hz * frame_s * frames);
+    let whole = turn(lag.frames as f64);
+    let delayed =
+        if lag.newer == 0.0 { whole } else { whole * (1.0 - lag.newer) + turn(lag.frames as f64 - 1.0) * lag.newer };
     // E = (1 − z⁻¹)/(1 − z⁻¹ + g·z^(−lag)), which is 0 and not 0/0 at frequency 0.
     let integrator = 1.0 - turn(1.0);
-    let rejection = integrator / (integrator + gain * turn(lag));
+    let rejection = integrator / (integrator + gain * delayed);
     [rejection.norm_sqr(), (1.0 - rejection).norm_sqr()]
 }
 
@@ -252,6 +255,21 @@ mod tests {
         assert!((found / tail - 1.0).abs() < 5e-3, "{found} {tail}");
         let whole = psd.variance_nm2(cut_off, 200.0 * cut_off) / nm2;
         assert!((0.2..0.3).contains(&whole), "{whole}");
+    }
+
+    #[test]
+    fn the_rejection_of_a_fraction_of_a_frame_is_between_those_of_whole_frames() {
+        let frame_s = 1e-3;
+        for frequency_hz in [2.0, 10.0, 30.0, 60.0] {
+            let of = |lag: f64| responses(&(0.3, LoopLag::new(lag), frame_s), frequency_hz)[0];
+            let lags = [1.0, 1.2, 1.6, 1.9, 2.0, 2.5, 3.0];
+            // Below the loop's bandwidth the rejected share grows with the lag: |E|² ∝ ω²/(g² + ω²(1 + g − 2gL)).
+            assert!(lags.windows(2).all(|pair| of(pair[0]) < of(pair[1])), "{frequency_hz} Hz: {:?}", lags.map(of));
+            // By hand, for a mixture of one frame and two.
+            let z = num_complex::Complex64::from_polar(1.0, -TAU * frequency_hz * frame_s);
+            let known = ((1.0 - z) / (1.0 - z + 0.3 * (0.4 * z + 0.6 * z * z))).norm_sqr();
+            assert!((of(1.6) / known - 1.0).abs() < 1e-12, "{frequency_hz} Hz: {} {known}", of(1.6));
+        }
     }
 
     #[test]

@@ -19,6 +19,11 @@ section! {
         coupling: f64, inside(0.0, 1.0), default(0.1458);
         /// Shape of the influence functions.
         influence: Influence, ANY, default(Influence::Gaussian);
+        /// Measured influence functions, in place of coupling and influence: FITS cube [actuator, y, x] of the actuators in use, row by row
+        /// from the smallest y, over pupil.grid_m, or as GRID_M or PUPLSCAL say; or one image for all, about its middle pixel [rows/2,
+        /// columns/2], with the card PUPLSCAL. With a card BUNIT (nm, um, m) the wavefront that a command of 1 makes, where
+        /// control.matrix_command_nm is that at the actuator; without it relative to the command, near 1 at the actuator.
+        influence_file: Option<PathBuf>, ANY, unset("influence functions given by influence and coupling");
         /// Map of the actuators in use, as text: a line of 0s and 1s for each row, smallest y first.
         actuator_file: Option<PathBuf>, ANY, unset("actuators at the corners of subapertures in use");
         /// Largest absolute command of an actuator, in wavefront.
@@ -190,8 +195,9 @@ section! {
         leak: f64, below(0.0, 1.0), default(0.0);
         /// Frame rate of the loop.
         frame_rate_hz: f64, above(0.0, 1e6), default(1054.0);
-        /// Frames from a measurement to its correction.
-        lag_frames: usize, between(1.0, 100.0), default(1usize);
+        /// Frames from a measurement to its correction, with a fraction where a command takes effect within a frame: the mean correction
+        /// of that frame is then a mixture of both commands.
+        lag_frames: f64, between(1.0, 100.0), default(1.0);
         /// Time from closing the loop to the first image.
         settle_s: f64, between(0.0, 1e6), default(1.0);
     }
@@ -221,11 +227,34 @@ impl Check for ControlScene {
     }
 }
 
+/// Lag of a loop on the grid of its frames: the mean correction of a frame is `1 − newer` of the command `frames` frames behind, and `newer`
+/// of the next command, which takes effect within the frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoopLag {
+    /// Frames from a measurement to the first that its command corrects as a whole.
+    pub frames: usize,
+    /// Share of the next command, from 0 for a whole number of frames to below 1.
+    pub newer: f64,
+}
+
+impl LoopLag {
+    /// Of `lag_frames` frames, 1 or more.
+    pub fn new(lag_frames: f64) -> Self {
+        let whole = lag_frames.ceil();
+        Self { frames: whole as usize, newer: whole - lag_frames }
+    }
+}
+
 /// Default of `control.condition_number` for `reconstructor = "sparse"`: the waffle of a quad cell, which is measured with a sixtieth to a
 /// hundredth of the largest singular value, is then as good as filtered (600 frames of keck-onsky: Strehl 0.786 with 10, 0.777 with 20; 0.784 by the singular values).
 const SPARSE_CONDITION_NUMBER: f64 = 10.0;
 
 impl ControlScene {
+    /// Lag of the loop.
+    pub fn lag(&self) -> LoopLag {
+        LoopLag::new(self.lag_frames)
+    }
+
     /// Checks the keys that a sparse reconstructor cannot have, and sets its regularisation.
     fn check_sparse(&mut self, reader: &Reader) -> Result<()> {
         reader.refuse(

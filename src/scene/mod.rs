@@ -33,7 +33,7 @@ mod units;
 mod value;
 mod words;
 
-pub use adaptive::{ControlScene, MirrorScene, SensorScene, TurbulenceScene};
+pub use adaptive::{ControlScene, LoopLag, MirrorScene, SensorScene, TurbulenceScene};
 pub use commands::CommandsScene;
 pub use edit::split_setting;
 pub use faults::FaultScene;
@@ -285,7 +285,7 @@ impl Scene {
 
     /// Whether the scene has a mirror of its own, and not only the default of every scene.
     pub fn has_mirror(&self) -> bool {
-        let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file"];
+        let keys = ["mirror.actuators_across", "mirror.pitch_m", "mirror.actuator_file", "mirror.influence_file"];
         self.control.is_some() || keys.iter().any(|key| self.names(key))
     }
 

@@ -9,11 +9,13 @@ mod diversity;
 mod filter;
 mod filter_file;
 mod map_on_grid;
+mod mirror;
 mod model;
 mod opd;
 mod pixels;
 mod places;
 mod spectrum;
+pub(crate) mod valid_map;
 
 pub use band::band;
 pub(crate) use band::wavelengths_to;

@@ -2,7 +2,7 @@
 
 use crate::grid::Grid;
 use crate::io;
-use crate::modes::{InfluenceFunctions, Mirror, VonKarman};
+use crate::modes::VonKarman;
 use crate::pupil::{Aperture, BandLimit, FinePupil, HexagonalParameters, Pupil, SegmentWeights};
 use crate::scene::{Aperture as SceneAperture, PupilModel, Purpose, Scene};
 use crate::{Error, Result};
@@ -296,15 +296,6 @@ impl Telescope {
             }
         };
         Ok(self.reflected(weights, &grid))
-    }
-
-    /// Influence functions of the scene's mirror that overlap this pupil.
-    ///
-    /// # Errors
-    /// Those of [`Mirror::new`] and [`Mirror::near`].
-    pub fn influence(&self, scene: &Scene) -> Result<InfluenceFunctions> {
-        Mirror::new(scene.mirror.actuators_across, scene.mirror.pitch_m, scene.mirror.coupling)?
-            .near(&self.pupil, Mirror::DEFAULT_MARGIN_PITCHES)
     }
 
     /// Statistics of the scene's turbulence.

@@ -39,21 +39,7 @@ impl OpdMap {
     /// and cards of segments with a gap between them.
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = FitsReader::open(path)?;
-        let unit = match file.image_card("BUNIT")? {
-            Some(Card::Text(text)) => text.trim().to_lowercase(),
-            _ => String::new(),
-        };
-        let nm = match unit.trim_end_matches('s') {
-            "" | "nm" | "nanometer" | "nanometre" => 1.0,
-            "um" | "micron" | "micrometer" | "micrometre" => 1e3,
-            "m" | "meter" | "metre" => 1e9,
-            _ => {
-                return Err(Error::file(
-                    path,
-                    format_args!("BUNIT = '{unit}': nm, um and m are accepted for a wavefront"),
-                ));
-            }
-        };
+        let nm = unit_nm(&mut file)?.unwrap_or(1.0);
         let values_nm = file.map(None)? * nm;
         let (rows, columns) = values_nm.dim();
         if rows != columns {
@@ -62,17 +48,7 @@ impl OpdMap {
                 format_args!("the map has {columns}x{rows} samples: a square map is accepted"),
             ));
         }
-        let mut width_m = None;
-        for (key, samples) in [("GRID_M", 1), ("PUPLSCAL", columns), ("PIXELSCL", columns)] {
-            if width_m.is_none()
-                && let Some(card) = file.image_card(key)?
-            {
-                let number = card.number().filter(|number| number.is_finite() && *number > 0.0);
-                let number = number
-                    .ok_or_else(|| Error::file(path, format_args!("{key} = {card}: a length in m is accepted")))?;
-                width_m = Some(number * samples as f64);
-            }
-        }
+        let width_m = width_m(&mut file, columns)?;
         Ok(Self { values_nm, width_m, segments_nm: segment_cards(&mut file)? })
     }
 
@@ -89,16 +65,8 @@ impl OpdMap {
     /// # Errors
     /// [`Error::Value`] for a map that is narrower than the pupil: its cards have another unit, or it is one of another telescope.
     pub fn over(&self, pupil: &Pupil) -> Result<MapOnGrid> {
-        let (grid, width_m) = (&pupil.grid, self.width_m.unwrap_or(pupil.grid.width_m()));
-        let reach_m = |(y, x): (usize, usize)| grid.coordinate_m(x).abs().max(grid.coordinate_m(y).abs());
-        let needed_m = 2.0 * pupil.owned_samples().map(|(at, _)| reach_m(at)).fold(0.0, f64::max);
-        if width_m < needed_m - grid.pitch_m() {
-            return Err(Error::Value(format!(
-                "the map is {width_m} m wide (GRID_M, or PUPLSCAL or PIXELSCL times its samples) where the pupil is {needed_m:.4} m: a map \
-                 of the whole pupil is accepted"
-            )));
-        }
-        self.on_width(grid.width_m())
+        check_width(self.width_m.unwrap_or(pupil.grid.width_m()), pupil)?;
+        self.on_width(pupil.grid.width_m())
     }
 
     /// Pistons and slopes of the segments of `pupil` that are not in the map; `None` without cards of segments.
@@ -118,6 +86,57 @@ impl OpdMap {
         let planes = self.segments_nm.iter().zip(half_extents_m(pupil));
         Ok(Some(planes.map(|([piston, about_x, about_y], r)| [*piston, about_y / r, about_x / r]).collect()))
     }
+}
+
+/// Unit of the first image of `file`, nm; `None` without the card `BUNIT`.
+///
+/// # Errors
+/// [`Error::File`] for a unit that is no length.
+pub(super) fn unit_nm(file: &mut FitsReader) -> Result<Option<f64>> {
+    let unit = match file.image_card("BUNIT")? {
+        Some(Card::Text(text)) => text.trim().to_lowercase(),
+        _ => String::new(),
+    };
+    match unit.trim_end_matches('s') {
+        "" => Ok(None),
+        "nm" | "nanometer" | "nanometre" => Ok(Some(1.0)),
+        "um" | "micron" | "micrometer" | "micrometre" => Ok(Some(1e3)),
+        "m" | "meter" | "metre" => Ok(Some(1e9)),
+        _ => Err(Error::file(file.path(), format_args!("BUNIT = '{unit}': nm, um and m are accepted for a wavefront"))),
+    }
+}
+
+/// Width of the first image of `file`, of `columns` samples, by its cards, m; `None` without them.
+///
+/// # Errors
+/// [`Error::File`] for a width that is not positive.
+pub(super) fn width_m(file: &mut FitsReader, columns: usize) -> Result<Option<f64>> {
+    for (key, samples) in [("GRID_M", 1), ("PUPLSCAL", columns), ("PIXELSCL", columns)] {
+        if let Some(card) = file.image_card(key)? {
+            let number = card.number().filter(|number| number.is_finite() && *number > 0.0);
+            let number = number
+                .ok_or_else(|| Error::file(file.path(), format_args!("{key} = {card}: a length in m is accepted")))?;
+            return Ok(Some(number * samples as f64));
+        }
+    }
+    Ok(None)
+}
+
+/// Refuses a map of `width_m` that is narrower than the pupil.
+///
+/// # Errors
+/// [`Error::Value`] with both widths.
+pub(super) fn check_width(width_m: f64, pupil: &Pupil) -> Result<()> {
+    let grid = &pupil.grid;
+    let reach_m = |(y, x): (usize, usize)| grid.coordinate_m(x).abs().max(grid.coordinate_m(y).abs());
+    let needed_m = 2.0 * pupil.owned_samples().map(|(at, _)| reach_m(at)).fold(0.0, f64::max);
+    if width_m < needed_m - grid.pitch_m() {
+        return Err(Error::Value(format!(
+            "the map is {width_m} m wide (GRID_M, or PUPLSCAL or PIXELSCL times its samples) where the pupil is {needed_m:.4} m: a map \
+             of the whole pupil is accepted"
+        )));
+    }
+    Ok(())
 }
 
 /// The cards of the segments, nm.

@@ -15,6 +15,7 @@ mod fuzz;
 mod golden;
 mod joint_session;
 mod measured_loop;
+mod measured_mirror;
 mod modal;
 mod model_selection;
 mod modes;

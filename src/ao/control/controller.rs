@@ -1,20 +1,22 @@
 //! Controller: turns the slopes of a frame into the next commands.
 
 use super::step_map::{StepMap, Workspace};
+use crate::scene::LoopLag;
 use crate::{Error, Result};
 use ndarray::Array1;
 use std::sync::Arc;
 
-/// Linear recursion of the control law, L = `lag_frames`: the slopes of frame k determine the command of frame k + L,
-/// `c[k+L] = retained · c[k+L−1] + matrix · (slopes[k], c[k])`, clipped to the stroke.
+/// Linear recursion of the control law, L = `lag.frames`: the slopes of frame k determine the command of frame k + L,
+/// `c[k+L] = retained · c[k+L−1] + matrix · (slopes[k], m[k])`, clipped to the stroke. On the mirror in frame k is the mean
+/// `m[k] = (1 − newer)·c[k] + newer·c[k+1]`, since the next command takes effect within the frame; c[k] itself for a whole lag.
 #[derive(Debug)]
 pub(super) struct Step {
     /// Number of slopes in a frame.
     pub slopes: usize,
     /// Number of commands.
     pub actuators: usize,
-    /// Frames from a measurement to its correction, L.
-    pub lag_frames: usize,
+    /// Frames from a measurement to its correction.
+    pub lag: LoopLag,
     /// Fraction of the last command that the next one keeps.
     pub retained: f32,
     /// The map from the slopes, and from the command that was on the mirror while they were measured.
@@ -27,16 +29,19 @@ pub(super) struct Step {
 #[derive(Debug, Clone)]
 pub struct Controller {
     step: Arc<Step>,
-    /// Ring of the `lag_frames` next commands; that of the present frame is at `now`.
+    /// Ring of the `lag.frames` next commands; that of the present frame is at `now`.
     queue: Vec<Vec<f32>>,
     now: usize,
+    /// Mean of the commands on the mirror in the present frame; empty for a whole number of frames.
+    mixed: Vec<f32>,
     workspace: Workspace,
 }
 
 impl Controller {
     pub(super) fn new(step: Arc<Step>) -> Self {
-        let queue = vec![vec![0.0; step.actuators]; step.lag_frames];
-        Self { queue, now: 0, workspace: step.matrix.workspace(), step }
+        let queue = vec![vec![0.0; step.actuators]; step.lag.frames];
+        let mixed = vec![0.0; if step.lag.newer == 0.0 { 0 } else { step.actuators }];
+        Self { queue, now: 0, mixed, workspace: step.matrix.workspace(), step }
     }
 
     /// Advances by one frame. `slopes` (x of every subaperture, then y) were measured with the present
@@ -53,32 +58,41 @@ impl Controller {
             let (given, needed) = (slopes.len(), step.slopes);
             return Err(Error::Shape(format!("{given} slopes were given; the controller needs {needed}")));
         }
-        let change = step.matrix.apply(slopes, &self.queue[self.now], &mut self.workspace);
-        let last = (self.now + step.lag_frames - 1) % step.lag_frames;
+        let present = if step.lag.newer == 0.0 { &self.queue[self.now] } else { &self.mixed };
+        let change = step.matrix.apply(slopes, present, &mut self.workspace);
+        let last = (self.now + step.lag.frames - 1) % step.lag.frames;
         let limit = step.stroke_limit_nm;
         // The new command replaces that of the frame that ends; with a lag of 1 the latter is also the last command.
         for (i, change) in change.iter().enumerate() {
             self.queue[self.now][i] = step.retained.mul_add(self.queue[last][i], *change).clamp(-limit, limit);
         }
-        self.now = (self.now + 1) % step.lag_frames;
+        self.now = (self.now + 1) % step.lag.frames;
+        if step.lag.newer != 0.0 {
+            // A fraction of a frame has a lag of two frames at least.
+            let (now, next) = (&self.queue[self.now], &self.queue[(self.now + 1) % step.lag.frames]);
+            let newer = step.lag.newer as f32;
+            for ((mixed, now), next) in self.mixed.iter_mut().zip(now).zip(next) {
+                *mixed = newer.mul_add(next - now, *now);
+            }
+        }
         Ok(())
     }
 
     /// Holds the mirror at these commands, nm, as if they had been on it in every frame before.
     pub(in crate::ao) fn hold(&mut self, commands_nm: &Array1<f64>) {
-        for commands in &mut self.queue {
+        for commands in self.queue.iter_mut().chain([&mut self.mixed]) {
             commands.iter_mut().zip(commands_nm).for_each(|(out, &nm)| *out = nm as f32);
         }
     }
 
     /// The last commands that were calculated, nm: on the mirror after the lag.
     pub(in crate::ao) fn newest_nm(&self) -> &[f32] {
-        &self.queue[(self.now + self.step.lag_frames - 1) % self.step.lag_frames]
+        &self.queue[(self.now + self.step.lag.frames - 1) % self.step.lag.frames]
     }
 
-    /// Commands on the mirror in the coming frame, nm of wavefront.
+    /// Commands on the mirror in the coming frame, nm of wavefront; their mean where one takes effect within the frame.
     pub fn commands_nm(&self) -> &[f32] {
-        &self.queue[self.now]
+        if self.step.lag.newer == 0.0 { &self.queue[self.now] } else { &self.mixed }
     }
 }
 
@@ -128,6 +142,49 @@ mod tests {
                     assert!(error < 1e-5, "lag {lag}, frame {frame}: {error}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn a_command_within_a_frame_corrects_for_the_rest_of_it() {
+        let bench = Bench::small();
+        for (lag, arrival, newer) in [(1.6, 1, 0.4), (2.25, 2, 0.75)] {
+            let (law, mut controller) = start(&bench, &format!("filtered_modes = 2\nlag_frames = {lag}"));
+            let impulse = irregular(32, 1);
+            let slopes: Array1<f64> = impulse.iter().map(|&slope| f64::from(slope)).collect();
+            let whole = law.command_matrix().dot(&slopes);
+            for frame in 1..arrival + 4 {
+                controller.step(if frame == 1 { &impulse } else { &[0.0; 32] }).unwrap();
+                if frame < arrival {
+                    assert!(controller.commands_nm().iter().all(|&command| command == 0.0), "lag {lag}, frame {frame}");
+                    continue;
+                }
+                let share = if frame == arrival { newer } else { 1.0 };
+                let expected: Vec<f32> = whole.iter().map(|c| (0.3 * share * c) as f32).collect();
+                // As for a whole number of frames; the rounding of the share is another ε.
+                let error = relative_difference(&expected, controller.commands_nm());
+                assert!(error < 1e-5, "lag {lag}, frame {frame}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_loop_with_a_fraction_of_a_frame_diverges_beyond_its_largest_stable_gain() {
+        // λ² − λ + g(0.6 + 0.4λ): |λ|² = 0.6 g once complex, so the limit is 1/0.6. The norm of 400 frames of λ changes by
+        // √0.96^400 = 3e-4 and √1.05^400 = 2e4.
+        let bench = Bench::small();
+        let turbulence: Array1<f64> = irregular(32, 3).iter().map(|&slope| f64::from(slope)).collect();
+        for (gain, is_stable) in [(1.6, true), (1.75, false)] {
+            let keys = format!("filtered_modes = 2\nlag_frames = 1.6\ngain = {gain}");
+            let (law, _) = start(&bench, &keys);
+            assert_eq!(law.stability().stable, is_stable);
+            assert!((law.stability().largest_stable_gain - 1.0 / 0.6).abs() < 1e-9, "{:?}", law.stability());
+            let history = run(&bench, &keys, &turbulence, 400);
+            let change = |k: usize| relative_difference(&history[k], &history[k - 1]);
+            assert_eq!(change(399) < 0.1 * change(10), is_stable, "{gain}: {} {}", change(10), change(399));
+            assert!(is_stable || change(399) > 0.01);
+            let size = |k: usize| history[k].iter().fold(0f32, |most, command| most.max(command.abs()));
+            assert_eq!(size(399) > 100.0 * size(10), !is_stable, "{gain}: {} {}", size(10), size(399));
         }
     }
 
@@ -184,9 +241,17 @@ mod tests {
         // All terms of each law in double precision, against the folded step; with a lag, a leak and a fill.
         let bench = Bench::keck();
         let (gain, leak, lag) = (0.3, 0.05, 3);
-        for r#loop in ["closed", "pseudo-open-loop", "full-turbulence-slopes"] {
+        for (r#loop, newer) in [
+            ("closed", 0.0),
+            ("pseudo-open-loop", 0.0),
+            ("full-turbulence-slopes", 0.0),
+            ("closed", 0.25),
+            ("pseudo-open-loop", 0.25),
+            ("full-turbulence-slopes", 0.25),
+        ] {
+            let lag_frames = lag as f64 - newer;
             let keys = format!(
-                "filtered_modes = 20\nleak = {leak}\nlag_frames = {lag}\nfill = \"inpaint\"\nloop = {:?}",
+                "filtered_modes = 20\nleak = {leak}\nlag_frames = {lag_frames}\nfill = \"inpaint\"\nloop = {:?}",
                 r#loop
             );
             let (law, mut controller) = start(bench, &keys);
@@ -201,8 +266,9 @@ mod tests {
             for frame in 0..12 {
                 let measured = irregular(496, frame);
                 let slopes: Array1<f64> = measured.iter().map(|&slope| f64::from(slope)).collect();
-                let (now, last) = (&commands[frame], &commands[frame + lag - 1]);
-                let own = bench.interaction.dot(now);
+                let present = |frame: usize| &commands[frame] * (1.0 - newer) + &commands[frame + 1] * newer;
+                let last = &commands[frame + lag - 1];
+                let own = bench.interaction.dot(&present(frame));
                 let next = match r#loop {
                     "closed" => last * (1.0 - leak) + command.dot(&fill(&slopes)) * gain,
                     "pseudo-open-loop" => last * (1.0 - leak - gain) + command.dot(&fill(&(&slopes + &own))) * gain,
@@ -210,7 +276,8 @@ mod tests {
                 };
                 commands.push(next);
                 controller.step(&measured).unwrap();
-                let expected: Vec<f32> = commands[frame + 1].iter().map(|&command| command as f32).collect();
+                let present = &commands[frame + 1] * (1.0 - newer) + &commands[frame + 2] * newer;
+                let expected: Vec<f32> = present.iter().map(|&command| command as f32).collect();
                 if frame + 1 >= lag {
                     // A dozen frames of sums of 800 terms in single precision.
                     let error = relative_difference(&expected, controller.commands_nm());
@@ -283,7 +350,7 @@ mod tests {
         let changes: [fn(&mut ControlScene); 4] = [
             |scene| scene.gain = 0.0,
             |scene| scene.leak = 1.0,
-            |scene| scene.lag_frames = 0,
+            |scene| scene.lag_frames = 0.5,
             |scene| scene.condition_number = Some(0.5),
         ];
         for change in changes {

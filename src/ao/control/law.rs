@@ -119,7 +119,7 @@ fn step(scene: &ControlScene, plant: &Plant, matrix: StepMap) -> Step {
     Step {
         slopes: plant.interaction.nrows(),
         actuators: plant.actuators(),
-        lag_frames: scene.lag_frames,
+        lag: scene.lag(),
         retained: retained(scene, scene.gain) as f32,
         matrix,
         stroke_limit_nm: plant.stroke_limit_nm.map_or(f32::INFINITY, |limit| limit as f32),
@@ -151,7 +151,7 @@ fn check(scene: &ControlScene) -> Result<()> {
     if !(0.0..1.0).contains(&scene.leak) {
         return value(format!("a leak of {} is impossible; 0 to below 1 is accepted", scene.leak));
     }
-    if !(1..=100).contains(&scene.lag_frames) {
+    if !(1.0..=100.0).contains(&scene.lag_frames) {
         return value(format!("a lag of {} frames is impossible; 1 to 100 are accepted", scene.lag_frames));
     }
     if let Some(number) = scene.condition_number.filter(|number| number.is_nan() || *number < 1.0) {

@@ -4,7 +4,7 @@ use super::inpaint::Inpainting;
 use super::linalg::{eigenvalues, roots};
 use super::reconstructor::Reconstructor;
 use crate::Result;
-use crate::scene::{ControlScene, Loop};
+use crate::scene::{ControlScene, Loop, LoopLag};
 use ndarray::Array2;
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
@@ -20,7 +20,8 @@ const NEUTRAL: f64 = 1e-9;
 /// The commands then follow `c[k+L] = a c[k+L−1] − g K c[k]`, with K = RMD for `loop = "closed"`, RD for
 /// `"full-turbulence-slopes"` (the mirror's own slopes are subtracted unfilled), and 0 for `"pseudo-open-loop"`, whose
 /// slopes do not depend on the mirror; a is the fraction of a command that is kept. Each eigenvalue μ of K contributes
-/// the roots of λᴸ − a λᴸ⁻¹ + g μ = 0.
+/// the roots of λᴸ − a λᴸ⁻¹ + g μ = 0; with a fraction of a frame, for which the mirror has the mixture (1 − f)·c[k] + f·c[k+1], those of
+/// λᴸ − a λᴸ⁻¹ + g μ (1 − f + f λ) = 0.
 ///
 /// K is evaluated within the controlled modes, the range of R. Uncontrolled modes have μ = 0 by construction: their
 /// commands stay constant (or leak to 0). They are counted, and are neither stable nor unstable.
@@ -70,8 +71,8 @@ impl Stability {
                 let mut largest = f64::INFINITY;
                 for mu in loop_eigenvalues {
                     hidden += usize::from(mu.norm() <= NEUTRAL);
-                    poles.extend(mode_poles(mu, kept, scene.gain, scene.lag_frames)?);
-                    largest = largest.min(stable_gain(mu, kept, scene.lag_frames));
+                    poles.extend(mode_poles(mu, kept, scene.gain, scene.lag())?);
+                    largest = largest.min(stable_gain(mu, kept, scene.lag()));
                 }
                 (poles, largest)
             }
@@ -95,10 +96,10 @@ impl Stability {
         }
         let mut poles = Vec::new();
         for mu in [0.5, 1.0] {
-            poles.extend(mode_poles(Complex64::from(mu), kept, scene.gain, scene.lag_frames)?);
+            poles.extend(mode_poles(Complex64::from(mu), kept, scene.gain, scene.lag())?);
         }
         // The largest stable gain of a real mode is inverse to its eigenvalue.
-        let largest = stable_gain(Complex64::from(1.0), kept, scene.lag_frames);
+        let largest = stable_gain(Complex64::from(1.0), kept, scene.lag());
         Ok(Self::from_poles(scene, poles, largest, modes))
     }
 
@@ -128,11 +129,15 @@ pub(super) fn retained(scene: &ControlScene, gain: f64) -> f64 {
     }
 }
 
-/// Computes the roots of λᴸ − kept·λᴸ⁻¹ + gain·μ.
-fn mode_poles(mu: Complex64, kept: f64, gain: f64, lag: usize) -> Result<Vec<Complex64>> {
-    let mut coefficients = vec![Complex64::default(); lag];
+/// Computes the roots of λᴸ − kept·λᴸ⁻¹ + gain·μ·(1 − newer + newer·λ).
+fn mode_poles(mu: Complex64, kept: f64, gain: f64, lag: LoopLag) -> Result<Vec<Complex64>> {
+    let LoopLag { frames, newer } = lag;
+    let mut coefficients = vec![Complex64::default(); frames];
     coefficients[0] -= kept;
-    coefficients[lag - 1] += mu * gain;
+    coefficients[frames - 1] += mu * gain * (1.0 - newer);
+    if newer != 0.0 {
+        coefficients[frames - 2] += mu * gain * newer;
+    }
     roots(&coefficients)
 }
 
@@ -141,14 +146,18 @@ fn mode_poles(mu: Complex64, kept: f64, gain: f64, lag: usize) -> Result<Vec<Com
 /// A root crosses the circle at λ = e^{iθ} if g μ = −e^{i(L−1)θ}(e^{iθ} − kept). The phase of the right side increases
 /// monotonically with θ in (0, 2π), so each of the at most L+1 crossings is found by bisection, and the moduli give its
 /// gain. With kept = 1 a root starts on the circle, at λ = 1, and leaves it as 1 − gμ: outwards unless μ's real part is
-/// positive.
-fn stable_gain(mu: Complex64, kept: f64, lag: usize) -> f64 {
+/// positive. A fraction of a frame makes the phase of the right side, over 1 − f + f·e^{iθ}, turn back: [`mixed_crossing`].
+fn stable_gain(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
     if mu.norm() <= NEUTRAL {
         return f64::INFINITY;
     }
     if kept == 1.0 && mu.re <= 0.0 {
         return 0.0;
     }
+    if lag.newer != 0.0 {
+        return mixed_crossing(mu, kept, lag);
+    }
+    let lag = lag.frames;
     let phase = |theta: f64| {
         let turn = theta.sin().atan2(theta.cos() - kept).rem_euclid(TAU);
         PI + (lag - 1) as f64 * theta + turn
@@ -171,6 +180,46 @@ fn stable_gain(mu: Complex64, kept: f64, lag: usize) -> f64 {
     smallest
 }
 
+/// Points on the unit circle, for each frame of the lag, between which sign changes are looked for. The function has at most 2L of them;
+/// two between neighbouring points, about half a degree apart, enclose a range of gains in which a mode hardly grows.
+const POINTS_PER_FRAME: usize = 720;
+
+/// Least gain g > 0 for which a root of λᴸ − kept·λᴸ⁻¹ + g μ (1 − f + f·λ) is on the unit circle: a sign change along it of the imaginary part of
+/// P·Q*, P = −λᴸ⁻¹(λ − kept) and Q = μ(1 − f + f·λ), where g = P/Q is real.
+fn mixed_crossing(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
+    let (points, newer) = (POINTS_PER_FRAME * lag.frames, lag.newer);
+    let parts = |theta: f64| {
+        let root = Complex64::from_polar(1.0, theta);
+        let p = -Complex64::from_polar(1.0, (lag.frames - 1) as f64 * theta) * (root - kept);
+        (p, mu * (1.0 - newer + newer * root))
+    };
+    let imaginary = |theta: f64| {
+        let (p, q) = parts(theta);
+        (p * q.conj()).im
+    };
+    // Between the points θ = 0, where real μ have a crossing; with kept = 1 it is that of no gain, and is left out.
+    let ends = if kept < 1.0 { [-0.5 * TAU / points as f64; 2] } else { [1e-9, -1e-9] };
+    let angle = |i: usize| ends[0] + (TAU + ends[1] - ends[0]) * i as f64 / points as f64;
+    let mut smallest = f64::INFINITY;
+    for i in 0..points {
+        let (mut low, mut high) = (angle(i), angle(i + 1));
+        let sign = imaginary(low) > 0.0;
+        if sign == (imaginary(high) > 0.0) {
+            continue;
+        }
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if (imaginary(middle) > 0.0) == sign { low = middle } else { high = middle }
+        }
+        let (p, q) = parts(0.5 * (low + high));
+        let gain = (p * q.conj()).re / q.norm_sqr();
+        if gain > 0.0 {
+            smallest = smallest.min(gain);
+        }
+    }
+    smallest
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::ControlLaw;
@@ -181,33 +230,62 @@ mod tests {
         poles.iter().map(|pole| pole.norm()).fold(0.0, f64::max)
     }
 
+    fn whole(frames: usize) -> LoopLag {
+        LoopLag { frames, newer: 0.0 }
+    }
+
+    #[test]
+    fn gain_limits_with_a_fraction_of_a_frame() {
+        // Jury's conditions of λ² + (g f − 1)λ + g(1 − f): g(1 − f) < 1 and g(2f − 1) < 2.
+        for newer in [0.1, 0.4, 0.5, 0.6, 0.75, 0.9, 0.99] {
+            let known =
+                f64::min(1.0 / (1.0 - newer), if newer > 0.5 { 2.0 / (2.0 * newer - 1.0) } else { f64::INFINITY });
+            let found = stable_gain(Complex64::from(1.0), 1.0, LoopLag { frames: 2, newer });
+            assert!((found / known - 1.0).abs() < 1e-9, "{newer}: {found} against {known}");
+        }
+        assert_eq!(LoopLag::new(2.0), whole(2));
+        let lag = LoopLag::new(1.6);
+        assert!(lag.frames == 2 && (lag.newer - 0.4).abs() < 1e-15);
+    }
+
     #[test]
     fn gain_limits_of_the_integrator() {
         // λ = 1 − g: 2. λ² − λ + g: |λ|² = g once complex: 1. Any lag: 2 sin(π/(2(2L − 1))), from the phase by hand.
         for lag in 1..8 {
             let known = 2.0 * (PI / (2.0 * (2.0 * lag as f64 - 1.0))).sin();
-            let found = stable_gain(Complex64::from(1.0), 1.0, lag);
+            let found = stable_gain(Complex64::from(1.0), 1.0, whole(lag));
             assert!((found - known).abs() < 1e-12, "lag {lag}: {found} against {known}");
         }
         // λ = 0.9 − gμ: real μ of either sign.
-        assert!((stable_gain(Complex64::from(0.5), 0.9, 1) - 3.8).abs() < 1e-10);
-        assert!((stable_gain(Complex64::from(-0.5), 0.9, 1) - 0.2).abs() < 1e-10);
-        assert_eq!(stable_gain(Complex64::from(-0.5), 1.0, 1), 0.0);
-        assert_eq!(stable_gain(Complex64::default(), 1.0, 3), f64::INFINITY);
+        assert!((stable_gain(Complex64::from(0.5), 0.9, whole(1)) - 3.8).abs() < 1e-10);
+        assert!((stable_gain(Complex64::from(-0.5), 0.9, whole(1)) - 0.2).abs() < 1e-10);
+        assert_eq!(stable_gain(Complex64::from(-0.5), 1.0, whole(1)), 0.0);
+        assert_eq!(stable_gain(Complex64::default(), 1.0, whole(3)), f64::INFINITY);
     }
 
     #[test]
     fn the_roots_reach_the_unit_circle_at_the_largest_stable_gain() {
-        for (lag, kept) in [(1, 1.0), (1, 0.97), (2, 1.0), (3, 0.9), (7, 0.99)] {
+        for (lag, kept) in [
+            (1.0, 1.0),
+            (1.0, 0.97),
+            (2.0, 1.0),
+            (3.0, 0.9),
+            (7.0, 0.99),
+            (1.6, 1.0),
+            (1.3, 0.95),
+            (2.5, 1.0),
+            (4.9, 0.98),
+        ] {
+            let lag = LoopLag::new(lag);
             for mu in [(1.0, 0.0), (0.3, 0.8), (0.3, -0.8), (2.0, 0.1), (0.01, 1.0), (0.5, 0.5)] {
                 let mu = Complex64::new(mu.0, mu.1);
                 let limit = stable_gain(mu, kept, lag);
                 let at = |factor: f64| largest(&mode_poles(mu, kept, limit * factor, lag).unwrap());
                 // Simple roots: their errors are a few ε of the angle's.
-                assert!((at(1.0) - 1.0).abs() < 1e-9, "lag {lag}, kept {kept}, {mu}: {}", at(1.0));
+                assert!((at(1.0) - 1.0).abs() < 1e-9, "{lag:?}, kept {kept}, {mu}: {}", at(1.0));
                 assert!(at(1.001) > 1.0);
                 for step in 1..50 {
-                    assert!(at(f64::from(step) / 50.0) < 1.0, "lag {lag}, kept {kept}, {mu}, step {step}");
+                    assert!(at(f64::from(step) / 50.0) < 1.0, "{lag:?}, kept {kept}, {mu}, step {step}");
                 }
             }
         }
@@ -300,9 +378,12 @@ mod tests {
     fn the_loop_grows_as_predicted() {
         // The full loop in commands, from a random start within the controlled modes, against the largest pole.
         let bench = Bench::keck();
-        for keys in
-            ["fill = \"inpaint\"\nlag_frames = 2", "gain = 1.2\nlag_frames = 2", "fill = \"inpaint\"\ngain = 1.99"]
-        {
+        for keys in [
+            "fill = \"inpaint\"\nlag_frames = 2",
+            "gain = 1.2\nlag_frames = 2",
+            "gain = 1.8\nlag_frames = 1.6",
+            "fill = \"inpaint\"\ngain = 1.99",
+        ] {
             let scene = scene(&format!("filtered_modes = 20\n{keys}"));
             let law = ControlLaw::new(&scene, &bench.plant()).unwrap();
             let growth = law.stability().growth_per_frame;
@@ -316,13 +397,15 @@ mod tests {
                 .unwrap()
                 .modes()
                 .dot(&ndarray::Array1::from_shape_fn(controlled, |i| (i as f64).sin()));
-            let mut queue = std::collections::VecDeque::from(vec![start; scene.lag_frames]);
+            let mut queue = std::collections::VecDeque::from(vec![start; scene.lag().frames]);
             // The norm oscillates if the largest poles are a complex pair; the rate is measured over many e-foldings.
             let frames = ((12.0 / growth.ln()).ceil() as usize).max(1000);
             let mut logs = [0.0; 2];
             let mut scale = 0.0;
             for frame in 0..2 * frames {
-                let next = &queue[scene.lag_frames - 1] - &feedback.dot(&queue[0]);
+                let LoopLag { frames: lag, newer } = scene.lag();
+                let present = &queue[0] * (1.0 - newer) + &queue[1 % lag] * newer;
+                let next = &queue[lag - 1] - &feedback.dot(&present);
                 queue.pop_front();
                 queue.push_back(next);
                 let norm = queue.iter().map(|c| c.dot(c)).sum::<f64>().sqrt();

@@ -1,8 +1,8 @@
 //! Lenslet array of the wavefront sensor, and the subapertures in use.
 
-use crate::ao::valid_map;
 use crate::pupil::Pupil;
 use crate::scene::SensorScene;
+use crate::telescope::valid_map;
 use crate::{Error, Result};
 use std::path::Path;
 

@@ -90,9 +90,8 @@ impl ExpectedMap {
                 }
             }
             (Poke::Actuator(actuator, nm), Some(influence)) => {
-                let position = influence.positions_m()[actuator];
-                let own = influence.mirror().select(|x, y| (x, y) == position)?;
-                map.iter_mut().zip(own.evaluate(&xs_m, &ys_m)?).for_each(|(value, shape)| *value = nm * shape);
+                let shapes = influence.single(actuator).evaluate(&xs_m, &ys_m)?;
+                map.iter_mut().zip(shapes).for_each(|(value, shape)| *value = nm * shape);
             }
             (Poke::Actuator(..), None) => {}
         }

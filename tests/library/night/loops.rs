@@ -191,6 +191,23 @@ fn an_injected_sine_is_rejected_as_the_transfer_function_says() {
 }
 
 #[test]
+fn a_fraction_of_a_frame_leaves_an_error_between_those_of_whole_frames() {
+    // The same turbulence each time, without noise: at 20 m/s the error of a frame of lag is larger than what else remains.
+    let fast = one_layer("20.0");
+    let left_nm = |lag: &str| {
+        let mut settings = borrowed(&fast);
+        settings.extend(NO_ERRORS_NO_NOISE);
+        settings.push(("control.lag_frames", lag));
+        residual_nm(&mut simulator(&settings), 100, 300)
+    };
+    let [one, part, two] = ["1", "1.6", "2"].map(left_nm);
+    println!("{one} nm, {part} nm, {two} nm");
+    assert!(one < part && part < two, "{one} {part} {two}");
+    // A whole number in another form is the same number.
+    assert_eq!(left_nm("2.0").to_bits(), two.to_bits());
+}
+
+#[test]
 fn the_loop_is_stable_at_its_gain_and_diverges_beyond_its_margin() {
     let run = |gain: &str, lag: &str| {
         let mut simulator = simulator(&[("control.gain", gain), ("control.lag_frames", lag), ("image.count", "3")]);
@@ -203,6 +220,10 @@ fn the_loop_is_stable_at_its_gain_and_diverges_beyond_its_margin() {
     assert!(!poles.stable && (poles.largest_stable_gain - 1.0).abs() < 1e-6);
     let divergence = outcome.unwrap().divergence.expect("a loop beyond its margin diverges");
     assert!(divergence.time_s < 1.0);
+    // λ² − λ + g(0.6 + 0.4λ), for 1.6 frames, at g = 1/0.6.
+    let (poles, outcome) = run("1.9", "1.6");
+    assert!(!poles.stable && (poles.largest_stable_gain - 1.0 / 0.6).abs() < 1e-6);
+    assert!(outcome.unwrap().divergence.is_some());
     let mut steady = simulator(&[("control.gain", "0.3")]);
     assert!(steady.stability().stable);
     assert!(residual_nm(&mut steady, 200, 300) < 250.0);

@@ -1,23 +1,22 @@
-//! Surface of the deformable mirror on the simulator's grid.
+//! Surface of a mirror with Gaussian influence functions.
 //!
-//! A Gaussian influence function is separable, `g(x−x_i)·g(y−y_j)`, so the surface for the commands C is `G_yᵀ·C·G_x`:
+//! Such a function is separable, `g(x−x_i)·g(y−y_j)`, so the surface for the commands C is `G_yᵀ·C·G_x`:
 //! first the columns, then the rows. Beyond a few pitches the Gaussian is below single precision, so both products are
 //! banded: about six rows of actuators contribute to a row of samples.
 
-use super::aligned::AlignedBuffer;
-use super::footprint::{Footprint, LANES};
+use super::super::aligned::AlignedBuffer;
+use super::super::footprint::{Footprint, LANES};
 use crate::grid::Grid;
 use crate::modes::InfluenceFunctions;
-use crate::{Error, Result};
 use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
 
 /// Influence below this is taken as 0: for a stroke of 10 µm it is 1e-3 nm.
 const NEGLIGIBLE: f64 = 1e-7;
 
-/// Deformable mirror over the simulator's grid.
+/// Gaussian influence functions over the simulator's grid.
 #[derive(Clone)]
-pub struct Surface {
+pub(super) struct SeparableSurface {
     footprint: Footprint,
     across: usize,
     indices: Vec<usize>,
@@ -34,9 +33,9 @@ pub struct Surface {
     columns: AlignedBuffer,
 }
 
-impl Surface {
+impl SeparableSurface {
     /// Mirror of `influence` over `footprint`, which lies on `grid`.
-    pub fn new(influence: &InfluenceFunctions, grid: &Grid, footprint: &Footprint) -> Self {
+    pub(super) fn new(influence: &InfluenceFunctions, grid: &Grid, footprint: &Footprint) -> Self {
         let mirror = influence.mirror();
         let (across, stride) = (mirror.actuators_across(), footprint.stride());
         let rate = mirror.coupling().ln() / mirror.pitch_m().powi(2);
@@ -73,23 +72,14 @@ impl Surface {
         }
     }
 
-    /// Number of actuators.
-    pub fn actuators(&self) -> usize {
-        self.indices.len()
-    }
-
-    /// Flat indices of the actuators in use, on a square of [`Surface::across`] a side.
-    pub(super) fn indices(&self) -> &[usize] {
-        &self.indices
-    }
-
-    /// Actuators along a side of the square.
-    pub(super) fn across(&self) -> usize {
-        self.across
+    /// Rows and columns of samples that an actuator moves.
+    pub(super) fn moved(&self, actuator: usize) -> [Range<usize>; 2] {
+        let index = self.indices[actuator];
+        [index / self.across, index % self.across].map(|line| self.moved_samples(line))
     }
 
     /// Samples along an axis that a line of actuators moves; empty for one that is far from the pupil.
-    pub(super) fn moved_samples(&self, line: usize) -> Range<usize> {
+    fn moved_samples(&self, line: usize) -> Range<usize> {
         let along = &self.along[line * self.footprint.stride()..][..self.footprint.stride()];
         let first = along.iter().position(|&value| value > 0.0).unwrap_or(0);
         first..along.iter().rposition(|&value| value > 0.0).map_or(first, |last| last + 1)
@@ -102,39 +92,16 @@ impl Surface {
         (columns, rows.sum())
     }
 
-    /// Adds `scale` times the surface of `commands_nm` (one for each actuator) to `opd_nm`, a map over the footprint.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] if either has a wrong length.
-    pub fn add(&mut self, commands_nm: &[f32], scale: f32, opd_nm: &mut [f32]) -> Result<()> {
-        self.check(commands_nm, opd_nm)?;
+    /// Adds `scale` times the surface of `commands_nm` to `opd_nm`, and `static_nm`; returns Σ A·W and Σ A·W² of the sum W.
+    pub(super) fn apply(
+        &mut self,
+        commands_nm: &[f32],
+        scale: f32,
+        static_nm: Option<&[f32]>,
+        opd_nm: &mut [f32],
+    ) -> [f64; 2] {
         self.load(commands_nm, scale);
-        Arch::new().dispatch(ApplySurface { surface: self, static_nm: None, opd_nm });
-        Ok(())
-    }
-
-    /// Subtracts the surface of `commands_nm` from `opd_nm` and adds `static_nm`, both maps over the footprint; returns
-    /// Σ A·W and Σ A·W² of the residual W.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] if one of them has a wrong length.
-    pub fn correct(&mut self, commands_nm: &[f32], static_nm: &[f32], opd_nm: &mut [f32]) -> Result<[f64; 2]> {
-        self.check(commands_nm, opd_nm)?;
-        self.check(commands_nm, static_nm)?;
-        self.load(commands_nm, -1.0);
-        Ok(Arch::new().dispatch(ApplySurface { surface: self, static_nm: Some(static_nm), opd_nm }))
-    }
-
-    fn check(&self, commands_nm: &[f32], map_nm: &[f32]) -> Result<()> {
-        if commands_nm.len() == self.indices.len() && map_nm.len() == self.footprint.len() {
-            return Ok(());
-        }
-        let (commands, map) = (commands_nm.len(), map_nm.len());
-        Err(Error::Shape(format!(
-            "{commands} commands on a map of {map} samples were given; {} on {} are needed",
-            self.indices.len(),
-            self.footprint.len()
-        )))
+        Arch::new().dispatch(ApplySurface { surface: self, static_nm, opd_nm })
     }
 
     fn load(&mut self, commands_nm: &[f32], scale: f32) {
@@ -147,7 +114,7 @@ impl Surface {
 /// Kernel of both products and of the residual's moments, which are summed in single precision within a row and in
 /// double precision between rows.
 struct ApplySurface<'a> {
-    surface: &'a mut Surface,
+    surface: &'a mut SeparableSurface,
     static_nm: Option<&'a [f32]>,
     opd_nm: &'a mut [f32],
 }
@@ -193,7 +160,7 @@ impl NullaryFnOnce for ApplySurface<'_> {
     }
 }
 
-impl Surface {
+impl SeparableSurface {
     /// Computes `C·G_x`.
     #[inline(always)]
     fn fill_columns(&mut self) {
@@ -214,51 +181,8 @@ impl Surface {
 
 /// `sum += a·b`.
 #[inline(always)]
-fn multiply_add(sum: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
+pub(super) fn multiply_add(sum: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
     for l in 0..LANES {
         sum[l] = a[l].mul_add(b[l], sum[l]);
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::modes::Samples;
-    use crate::scene::Scene;
-    use crate::telescope::Telescope;
-
-    #[test]
-    fn the_surface_is_the_sum_of_the_influence_functions() {
-        for coupling in ["0.1458", "0.35"] {
-            let scene = Scene::preset("keck-onsky").unwrap().with_override("mirror.coupling", coupling).unwrap();
-            let telescope = Telescope::new(&scene).unwrap();
-            let influence = telescope.influence(&scene).unwrap();
-            let (pupil, footprint) = (&telescope.pupil, Footprint::new(&telescope.pupil));
-            let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
-            let commands: Vec<f32> = (0..surface.actuators()).map(|i| ((i * 37 % 101) as f32 - 50.0) * 20.0).collect();
-            let mut map = footprint.zeros();
-            surface.add(&commands, 1.0, &mut map).unwrap();
-            let samples = Samples::from_pupil(pupil).unwrap();
-            let values = influence.evaluate(&samples.xs_m, &samples.ys_m).unwrap();
-            let wide: Vec<f64> = commands.iter().map(|&c| f64::from(c)).collect();
-            let expected = ndarray::aview1(&wide).dot(&values);
-            for (&index, expected) in samples.indices.iter().zip(expected) {
-                let (y, x) = (index / footprint.samples(), index % footprint.samples());
-                let got = f64::from(map[y * footprint.stride() + x]);
-                // Strokes of 1,000 nm: the cut-off leaves up to 1e-7 of each of 21 lines, rounding 1e-7 of the sum.
-                assert!((got - expected).abs() < 1e-2, "{got} {expected}");
-            }
-            surface.add(&commands, -1.0, &mut map).unwrap();
-            assert!(map.iter().all(|v| v.abs() < 1e-3), "a surface added and subtracted leaves rounding");
-        }
-    }
-
-    #[test]
-    fn a_wrong_number_of_commands_is_refused() {
-        let scene = Scene::preset("keck-onsky").unwrap();
-        let telescope = Telescope::new(&scene).unwrap();
-        let footprint = Footprint::new(&telescope.pupil);
-        let mut surface = Surface::new(&telescope.influence(&scene).unwrap(), &telescope.pupil.grid, &footprint);
-        assert!(surface.add(&[0.0; 3], 1.0, &mut footprint.zeros()).is_err());
     }
 }
