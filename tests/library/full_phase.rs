@@ -184,6 +184,14 @@ fn tilts_of_segments_are_estimated_and_corrected() {
     let left_nm = |found: &Estimate| rms_nm((&found.phasing_nm - &truth.phasing_nm).view(), &found.pupil);
     // 67 nm left with pistons alone; 29 (added) and 35 nm (from the start) with tilts, of error bars of 27 and 33 nm: the mirror takes out most
     // of what so few segments have in common.
+    println!(
+        "{:.1} {:.1} {:.1}, {:.1?} {:.1?}",
+        left_nm(&pistons),
+        left_nm(&auto),
+        left_nm(&tilts),
+        auto.phasing,
+        tilts.phasing
+    );
     assert!(left_nm(&auto) < 0.6 * left_nm(&pistons) && left_nm(&tilts) < 0.6 * left_nm(&pistons));
     assert!(left_nm(&auto) < 2.0 * auto.phasing.sigma_nm, "{:?}", auto.phasing);
 
