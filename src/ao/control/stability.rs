@@ -20,7 +20,7 @@ const NEUTRAL: f64 = 1e-9;
 /// The commands then follow `c[k+L] = a c[k+L−1] − g K c[k]`, with K = RMD for `loop = "closed"`, RD for
 /// `"full-turbulence-slopes"` (the mirror's own slopes are subtracted unfilled), and 0 for `"pseudo-open-loop"`, whose
 /// slopes do not depend on the mirror; a is the fraction of a command that is kept. Each eigenvalue μ of K contributes
-/// the roots of λᴸ − a λᴸ⁻¹ + g μ = 0; with a fraction of a frame, for which the mirror has the mixture (1 − f)·c[k] + f·c[k+1], those of
+/// the roots of λᴸ − a λᴸ⁻¹ + g μ = 0; with a fraction of a frame, for which the mirror has the mixture `(1 − f) c[k] + f c[k+1]`, those of
 /// λᴸ − a λᴸ⁻¹ + g μ (1 − f + f λ) = 0.
 ///
 /// K is evaluated within the controlled modes, the range of R. Uncontrolled modes have μ = 0 by construction: their
