@@ -11,6 +11,17 @@ pub(crate) struct SpdInverse {
 }
 
 impl SpdInverse {
+    /// Of normal equations, some of whose unknowns (segments with next to no illuminated sample) may have no data: 1e-9 of the largest element
+    /// of the diagonal is added to it, which changes well-determined unknowns by 1e-9 of themselves.
+    ///
+    /// # Errors
+    /// As [`SpdInverse::new`].
+    pub(crate) fn of_normal_equations(mut matrix: Array2<f64>) -> Result<Self> {
+        let faint = 1e-9 * matrix.diag().iter().copied().fold(0.0, f64::max);
+        matrix.diag_mut().iter_mut().for_each(|value| *value += faint);
+        Self::new(&matrix)
+    }
+
     /// From the lower triangle of `matrix`.
     ///
     /// # Errors

@@ -108,13 +108,13 @@ fn sign_of(folder: &Path, rank: usize) -> PathBuf {
 }
 
 /// Signs of life of this rank: a file whose content changes, until it is dropped.
-pub struct Heart {
+pub struct Heartbeat {
     file: PathBuf,
     stop: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Heart {
+impl Heartbeat {
     /// Begins to beat in `folder`.
     pub fn start(folder: &Path, rank: Rank) -> Self {
         let file = sign_of(folder, rank.number);
@@ -160,7 +160,7 @@ const DONE: &str = "done";
 /// Before the sentence of a rank that failed.
 const FAILED: &str = "failed: ";
 
-impl Drop for Heart {
+impl Drop for Heartbeat {
     fn drop(&mut self) {
         self.stop();
         let _ = std::fs::remove_file(&self.file);
@@ -168,7 +168,7 @@ impl Drop for Heart {
 }
 
 /// Watch on the signs of life of another rank.
-pub struct Pulse {
+pub struct RankMonitor {
     file: PathBuf,
     rank: Rank,
     /// Content at the last change, and when that was.
@@ -177,7 +177,7 @@ pub struct Pulse {
     is_known: bool,
 }
 
-impl Pulse {
+impl RankMonitor {
     /// Watches rank `number` of as many as `own` is one of.
     fn watch(folder: &Path, own: Rank, number: usize) -> Self {
         let file = sign_of(folder, number);
@@ -188,7 +188,7 @@ impl Pulse {
         Self { file, rank: Rank { number, ..own }, last: (content, Instant::now()), is_known }
     }
 
-    /// Pulses of all ranks but the first, which is `own`.
+    /// Monitors of all ranks but the first, which is `own`.
     pub fn of_others(folder: &Path, own: Rank) -> Vec<Self> {
         (1..own.of).map(|number| Self::watch(folder, own, number)).collect()
     }
@@ -233,16 +233,16 @@ impl Pulse {
 /// Waits until all other ranks are done, and removes their signs.
 ///
 /// # Errors
-/// Those of [`Pulse::check`], and of `check`, which is called again and again.
-pub fn wait_for_all(mut pulses: Vec<Pulse>, check: impl Fn() -> Result<()>) -> Result<()> {
+/// Those of [`RankMonitor::check`], and of `check`, which is called again and again.
+pub fn wait_for_all(mut monitors: Vec<RankMonitor>, check: impl Fn() -> Result<()>) -> Result<()> {
     loop {
         let mut waiting = false;
-        for pulse in &mut pulses {
-            pulse.check()?;
-            waiting |= !pulse.is_done();
+        for monitor in &mut monitors {
+            monitor.check()?;
+            waiting |= !monitor.is_done();
         }
         if !waiting {
-            pulses.iter().for_each(|pulse| drop(std::fs::remove_file(&pulse.file)));
+            monitors.iter().for_each(|monitor| drop(std::fs::remove_file(&monitor.file)));
             return Ok(());
         }
         check()?;

@@ -1,8 +1,8 @@
-//! The loop at rest behind a wavefront that does not change: the commands that a frame leaves as they are.
+//! The loop at rest behind a constant wavefront: the commands that a control step does not change.
 //!
-//! Frame after frame a mode whose response is λ approaches them as (1 − gλ)ⁿ, hundreds of frames where a reconstructor is regularised. The
-//! commands are the fixed point of the map of a frame, whatever the lag, and Anderson acceleration (Walker and Ni 2011, SIAM J. Numer.
-//! Anal. 49, 1715) finds it in some tens of frames.
+//! In plain steps a mode of response λ approaches them as (1 − gλ)ⁿ, which takes hundreds of frames where the reconstructor is regularised. The
+//! commands at rest are the fixed point of the control step and do not depend on the lag. Anderson acceleration (Walker and Ni 2011, SIAM J.
+//! Numer. Anal. 49, 1715) finds it in some tens of frames.
 
 use super::Simulator;
 use crate::linear_algebra::SpdInverse;
@@ -31,19 +31,24 @@ impl Simulator {
     pub fn commands_at_rest_nm(&mut self, opd_nm: &[f32]) -> Result<Vec<f64>> {
         let mut commands_nm = self.held_commands_nm();
         let mut extrapolation = Extrapolation::default();
+        // The commands that changed least, for a mirror that still moves at the end.
+        let mut best = (f64::INFINITY, commands_nm.clone());
         for _ in 0..MAX_FRAMES {
             let next_nm = self.next_commands_nm(opd_nm, &commands_nm)?;
             let change_nm = &next_nm - &commands_nm;
-            let still = change_nm.iter().all(|nm| nm.abs() < STILL_NM);
-            if still {
-                return Ok(next_nm.to_vec());
-            }
-            if change_nm.iter().any(|nm| !nm.is_finite()) {
+            let largest_nm = change_nm.iter().fold(0.0, |largest: f64, nm| largest.max(nm.abs()));
+            if !change_nm.iter().all(|nm| nm.is_finite()) {
                 return Err(Error::Internal("commands of the mirror at rest are not finite".into()));
+            }
+            if largest_nm < best.0 {
+                best = (largest_nm, next_nm.clone());
+            }
+            if largest_nm < STILL_NM {
+                break;
             }
             commands_nm = extrapolation.next(next_nm, change_nm)?;
         }
-        Ok(commands_nm.to_vec())
+        Ok(best.1.to_vec())
     }
 }
 
@@ -123,7 +128,8 @@ mod tests {
             let ratio = (off / square(&mut found_nm.iter().copied())).sqrt();
             println!("{law:?}: {frames} frames, {ratio:.1e}");
             // At rest a command moves by 1e-3 nm a frame, 0.01 nm of some 20 from its end with a gain of 0.1 or more.
-            assert!(ratio < 1e-3 && frames < 150, "{law:?}: {ratio}, {frames}");
+            // Plain steps of a gain of 0.2 take 60 frames and more to 1e-3 nm.
+            assert!(ratio < 1e-3 && frames < 50, "{law:?}: {ratio}, {frames}");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::engine::{self, FitState, FitTask, ImageFit, Watch};
 use super::fitter::ModalFitter;
-use super::kept_fits::{Hash, KeptFit, KeptFits};
+use super::kept_fits::{Hash, KeptFit};
 use super::prepare::{Frame, PreparedFrame, Preparer, Ringing};
 use crate::Result;
 use crate::imaging::{Chain, Precision};
@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::sync::Arc;
 
 impl ModalFitter {
-    /// Prepares `frames` and fits them, each from the start of its fit; fits that the fitter keeps are not made again.
+    /// Prepares `frames` and fits them, each from the start of its fit; fits that the fitter keeps are taken, others made and kept.
     ///
     /// # Errors
     /// As [`engine::fit`].
@@ -23,29 +23,13 @@ impl ModalFitter {
         fits: &mut [ImageFit],
         watch: &mut Watch,
     ) -> Result<()> {
-        if let Some(kept) = &self.kept {
-            return self.fit_unless_kept(kept, chain, task, frames, fits, watch);
-        }
-        let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
-            preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
+        let Some(kept) = &self.kept else {
+            let prepare = |index: usize, preparer: &mut Preparer, prepared: &mut PreparedFrame| {
+                preparer.prepare(frames[index], task.recipe, Ringing::Accepted, prepared)
+            };
+            return engine::fit(chain, task, &prepare, fits, watch);
         };
-        engine::fit(chain, task, &prepare, fits, watch)
-    }
-
-    /// As [`engine::fit`], for `frames`: fits that are kept are taken, others made and kept.
-    ///
-    /// # Errors
-    /// As there.
-    fn fit_unless_kept(
-        &self,
-        kept: &KeptFits,
-        chain: &mut Chain,
-        task: &FitTask,
-        frames: &[Frame],
-        fits: &mut [ImageFit],
-        watch: &mut Watch,
-    ) -> Result<()> {
-        let model = with_chain(self.model_hash(), chain);
+        let model = &with_chain(self.model_hash(), chain);
         let keys: Vec<u128> = frames.par_iter().zip(&*fits).map(|(frame, fit)| key(model, frame, fit)).collect();
         let (modes, pixels) = (self.model.optics.modes(), self.model.preparation.pixels.pow(2));
         let known: Vec<Option<Arc<KeptFit>>> = keys.iter().map(|key| kept.get(*key, modes, pixels)).collect();
@@ -98,18 +82,20 @@ impl ModalFitter {
         self.model_hash().numbers(coefficients_nm).value()
     }
 
-    /// Hash of what all fits share, whatever chain they are made on. The image of a wavefront with a different coefficient of every
-    /// mode stands for the pupil, the modes, the diversity and the filter, also where they are from files.
+    /// Hash of what all fits have in common, independent of the chain. The image of a wavefront with a different coefficient of every
+    /// mode represents the pupil, the modes, the diversity and the filter, also where they are from files.
     fn model_hash(&self) -> Hash {
         /// Fractions of its multiples are spread evenly.
         const GOLDEN: f64 = 0.618_033_988_749_894_9;
-        *self.hash.get_or_init(|| {
-            let wavelength_nm = self.model.optics.parts().wavelength_nm;
-            let nm = |mode: usize| wavelength_nm * 0.02 * (((mode + 1) as f64 * GOLDEN).fract() - 0.5);
-            let psf = self.reference.psf(Array1::from_shape_fn(self.model.optics.modes(), nm).view());
-            let hash = Hash::new().text(env!("CARGO_PKG_VERSION"));
-            hash.text(&format!("{:?} {:?}", self.recipe, self.model.preparation)).numbers(&psf)
-        })
+        self.hash
+            .get_or_init(|| {
+                let wavelength_nm = self.model.optics.parts().wavelength_nm;
+                let nm = |mode: usize| wavelength_nm * 0.02 * (((mode + 1) as f64 * GOLDEN).fract() - 0.5);
+                let psf = self.reference.psf(Array1::from_shape_fn(self.model.optics.modes(), nm).view());
+                let hash = Hash::new().text(env!("CARGO_PKG_VERSION"));
+                hash.text(&format!("{:?} {:?}", self.recipe, self.model.preparation)).numbers(&psf)
+            })
+            .clone()
     }
 }
 
@@ -123,7 +109,7 @@ fn with_chain(model: Hash, chain: &Chain) -> Hash {
 }
 
 /// Key of the fit of `frame` from the start of `fit`.
-fn key(model: Hash, frame: &Frame, fit: &ImageFit) -> u128 {
+fn key(model: &Hash, frame: &Frame, fit: &ImageFit) -> u128 {
     let noise = frame.read_noise_e.unwrap_or(-1.0);
-    model.frame(frame.data_e, frame.bad).numbers([&noise]).numbers(&fit.start_nm).value()
+    model.clone().frame(frame.data_e, frame.bad).numbers([&noise]).numbers(&fit.start_nm).value()
 }

@@ -1,21 +1,23 @@
-//! Figure that all segments have in common, a nuisance of the estimate where segments have tips and tilts.
+//! Figure that all segments have in common (scalloping), an unknown of the estimate where segments have tips and tilts.
 //!
-//! Pistons, tips and tilts that follow a paraboloid differ from it by a curvature within each segment, the same in all. The loop takes the
-//! paraboloid out, and what is left in the wavefront is that curvature alone, 0.02 nm for 1 nm of a paraboloid over Keck's segments: images
-//! cannot tell it from segments that are polished or warped alike. Without a figure in the model half a nanometre of it, or of any error
-//! of the mean wavefront that looks like it, would be 25 nm of pistons and tilts.
+//! Pistons, tips and tilts that follow a paraboloid (the focus mode of a segmented mirror, and its astigmatisms) differ from it by a
+//! curvature within each segment, the same in all. The loop removes the paraboloid. What remains in the wavefront is this curvature alone,
+//! 0.02 nm for 1 nm of a paraboloid over Keck's segments, and images cannot distinguish it from a figure error that all segments have. If the
+//! model has no figure, half a nanometre of it, or an error of the mean wavefront of the same shape, becomes 25 nm of pistons and tilts.
 
 use crate::Result;
 use crate::linear_algebra::SpdInverse;
 use crate::retrieval::IlluminatedSamples;
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 
-/// Prior RMS of each of the three figures over the pupil, nm. Segments of large telescopes are figured to 10 to 20 nm RMS each, and of what
-/// they have in common no more than some nm is known.
-pub(super) const COMMON_FIGURE_RMS_NM: f64 = 5.0;
+/// Prior RMS of each of the three figures over the pupil, nm: twice the error of the mean wavefront that four simulated nights with ideal
+/// segments showed in these shapes. On Keck it corresponds to 50 nm of a paraboloid, several times what pistons of 64 nm and tilts of 20 nm
+/// contain of one, so that a larger prior changes no estimate.
+pub(super) const COMMON_FIGURE_RMS_NM: f64 = 1.0;
 
 /// Wavefronts, `[figure, sample]`, of 1 nm RMS of each figure behind the loop: focus and two astigmatisms of every segment.
-/// `segments` are the wavefronts of pistons, tips and tilts without the loop's response, `columns` those with it, `[mode, sample]`.
+/// `segments` are the wavefronts of pistons, tips and tilts without the loop's response, `columns` those with it, `[mode, sample]`; both are
+/// the same where the loop is not known.
 ///
 /// The loop's response to a figure is minus that to the pistons and tilts of its paraboloid, but for what it leaves of the paraboloid itself.
 ///
@@ -33,11 +35,8 @@ pub(super) fn common_figures(
     let amplitude = ArrayView1::from(&samples.amplitude);
     let weight = &amplitude / amplitude.sum();
     let weighted = &segments * &weight;
-    let mut normal = segments.dot(&weighted.t());
-    // Regularises segments with next to no illuminated sample.
-    let faint = 1e-9 * normal.diag().iter().copied().fold(0.0, f64::max);
-    normal.diag_mut().iter_mut().for_each(|value| *value += faint);
-    let coefficients = paraboloids.dot(&weighted.t()).dot(&SpdInverse::new(&normal)?.inverse);
+    let normal = SpdInverse::of_normal_equations(segments.dot(&weighted.t()))?;
+    let coefficients = paraboloids.dot(&weighted.t()).dot(&normal.inverse);
     let curvatures = paraboloids - coefficients.dot(&segments);
     let rms = (&curvatures * &curvatures).dot(&weight).mapv(f64::sqrt).insert_axis(Axis(1));
     let response = coefficients.dot(&(&columns - &segments));

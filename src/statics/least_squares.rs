@@ -43,8 +43,9 @@ pub struct StaticModel {
 }
 
 impl StaticModel {
-    /// The model of responses to the modes of `segments` segments (pistons, and where they are estimated tips and tilts) and to `ncpa`,
-    /// and the nuisances `figures` ([`common_figures`](super::common_figure::common_figures)), each `[mode, sample]`, on samples whose mean wavefront has `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and
+    /// The model of responses to the modes of `segments` segments (pistons, and where they are estimated tips and tilts), to `ncpa` and to
+    /// `figures` ([`common_figures`](super::common_figure::common_figures)), each `[mode, sample]`, on samples whose mean wavefront has
+    /// `covariance`; `groups` as in [`NcpaBasis`](super::NcpaBasis), and
     /// whether telemetry separates NCPA from the common path.
     ///
     /// # Errors

@@ -35,12 +35,9 @@ impl SegmentTilts {
     ) -> Result<Self> {
         let weighted = covariance.solve(columns)?;
         let half = weighted.products(columns, &weighted);
-        let mut information = (&half + &half.t()) / 2.0;
-        // Regularises segments with next to no illuminated sample.
-        let faint = 1e-9 * information.diag().iter().copied().fold(0.0, f64::max);
-        information.diag_mut().iter_mut().for_each(|value| *value += faint);
+        let information = SpdInverse::of_normal_equations((&half + &half.t()) / 2.0)?;
         let b = weighted.solution.dot(&residual_nm);
-        let tilts_nm = SpdInverse::new(&information)?.inverse.dot(&b);
+        let tilts_nm = information.inverse.dot(&b);
         let wavefront_nm = tilts_nm.dot(&columns);
         let weight: f64 = samples.amplitude.iter().sum();
         let square =

@@ -182,9 +182,9 @@ fn tilts_of_segments_are_estimated_and_corrected() {
         pupil.rms(pupil.remove_piston_tip_tilt(map).unwrap().view()).unwrap()
     };
     let left_nm = |found: &Estimate| rms_nm((&found.phasing_nm - &truth.phasing_nm).view(), &found.pupil);
-    // 67 nm left with pistons alone; 38 (added) and 41 nm (from the start) with tilts, of error bars of 29 and 35 nm: the mirror takes out most
-    // of what so few segments have in common, and a figure that all have in common hides the rest of it (29 and 35 nm without one).
-    assert!(left_nm(&auto) < 0.7 * left_nm(&pistons) && left_nm(&tilts) < 0.7 * left_nm(&pistons));
+    // 67 nm left with pistons alone; 35 (added) and 38 nm (from the start) with tilts, of error bars of 29 and 34 nm: the mirror removes most
+    // of what so few segments have in common, and the common figure in the model hides a part of the rest (29 and 35 nm without one).
+    assert!(left_nm(&auto) < 0.6 * left_nm(&pistons) && left_nm(&tilts) < 0.6 * left_nm(&pistons));
     assert!(left_nm(&auto) < 2.0 * auto.phasing.sigma_nm, "{:?}", auto.phasing);
 
     let is_seen = |found: &Estimate| found.warnings.join("\n").contains("single segments seem to be tilted");

@@ -2,7 +2,7 @@
 
 use crate::interrupt::Interrupt;
 use crate::outputs;
-use crate::ranks::{Heart, Pulse, Rank, Share, wait_for_all};
+use crate::ranks::{Heartbeat, Rank, RankMonitor, Share, wait_for_all};
 use crate::terminal::Terminal;
 use cophase::pipeline::Part;
 use cophase::{Error, Result};
@@ -109,21 +109,21 @@ fn share(arguments: &Arguments, rank: Rank, terminal: &Terminal, interrupt: &Int
     std::fs::create_dir_all(folder).map_err(|error| Error::file(folder, error))?;
     let silent = Arguments { json: false, ..arguments.clone() };
     if rank.number > 0 {
-        let heart = Heart::start(folder, rank);
+        let heartbeat = Heartbeat::start(folder, rank);
         return match make(&silent, Some(rank.part()?), &quiet, interrupt) {
             Ok(()) => {
-                heart.finish();
+                heartbeat.finish();
                 Ok(())
             }
             Err(error) => {
-                heart.fail(&error);
+                heartbeat.fail(&error);
                 Err(error)
             }
         };
     }
-    let pulses = Pulse::of_others(folder, rank);
+    let monitors = RankMonitor::of_others(folder, rank);
     make(&silent, Some(rank.part()?), &quiet, interrupt)?;
-    wait_for_all(pulses, || interrupt.check("the other ranks were not done"))?;
+    wait_for_all(monitors, || interrupt.check("the other ranks were not done"))?;
     make(arguments, None, terminal, interrupt)
 }
 

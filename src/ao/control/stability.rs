@@ -181,7 +181,7 @@ fn stable_gain(mu: Complex64, kept: f64, lag: LoopLag) -> f64 {
 }
 
 /// Points on the unit circle, for each frame of the lag, between which sign changes are looked for. The function has at most 2L of them;
-/// two between neighbouring points, about half a degree apart, enclose a range of gains in which a mode hardly grows.
+/// a pair of crossings between neighbouring points, about half a degree apart, is missed: between its gains a mode grows very slowly.
 const POINTS_PER_FRAME: usize = 720;
 
 /// Least gain g > 0 for which a root of λᴸ − kept·λᴸ⁻¹ + g μ (1 − f + f·λ) is on the unit circle: a sign change along it of the imaginary part of

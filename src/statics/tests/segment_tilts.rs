@@ -165,6 +165,8 @@ fn a_figure_of_all_segments_does_not_become_pistons_and_tilts() {
     let known_nm = change_nm(figures.view(), figures.row(0));
     let unknown_nm = change_nm(figures.slice(s![..0, ..]), figures.row(0));
     println!("{known_nm:.2} {unknown_nm:.2}");
+    // Without a figure in the model its 3 nm are a paraboloid of some 30 nm over seven segments; with it the prior of 1 nm weighs next to
+    // nothing beside 100,000 images.
     assert!(known_nm < 0.1 * unknown_nm && unknown_nm > 10.0, "{known_nm} {unknown_nm}");
 }
 

@@ -7,7 +7,7 @@ use super::arguments::Arguments;
 use super::part;
 use super::whole::{Work, conclude, whole};
 use crate::interrupt::Interrupt;
-use crate::ranks::{Heart, LOOK, Pulse, Rank};
+use crate::ranks::{Heartbeat, LOOK, Rank, RankMonitor};
 use crate::terminal::{Terminal, Wait};
 use cophase::pipeline::{FittedPart, Part};
 use cophase::{Error, Result};
@@ -32,13 +32,13 @@ fn share(arguments: &Arguments, rank: Rank, terminal: &Terminal, interrupt: &Int
         remove(&folder);
         return Ok(status);
     }
-    let heart = Heart::start(&folder, rank);
+    let heartbeat = Heartbeat::start(&folder, rank);
     // One bar is enough.
     let bar = Terminal::new(true).follow();
     match fitted(arguments, rank, &folder, &bar, interrupt) {
         Ok(_) => Ok(ExitCode::SUCCESS),
         Err(error) => {
-            heart.fail(&error);
+            heartbeat.fail(&error);
             Err(error)
         }
     }
@@ -69,25 +69,25 @@ fn first(
     terminal: &Terminal,
     interrupt: &Interrupt,
 ) -> Result<ExitCode> {
-    let mut pulses = Pulse::of_others(folder, rank);
+    let mut monitors = RankMonitor::of_others(folder, rank);
     let bar = terminal.follow();
     let (work, own) = fitted(arguments, rank, folder, &bar, interrupt)?;
     let mut parts = vec![own];
     loop {
         let mut missing = Vec::new();
-        for mut pulse in pulses {
-            match part_of(folder, pulse.rank().part()?, &parts[0]) {
+        for mut monitor in monitors {
+            match part_of(folder, monitor.rank().part()?, &parts[0]) {
                 Some(found) => parts.push(found),
                 None => {
-                    pulse.check()?;
-                    missing.push(pulse);
+                    monitor.check()?;
+                    missing.push(monitor);
                 }
             }
         }
         if missing.is_empty() {
             return conclude(arguments, work, &parts, bar, terminal);
         }
-        pulses = missing;
+        monitors = missing;
         interrupt.check("the other ranks were not done")?;
         std::thread::sleep(LOOK);
     }
