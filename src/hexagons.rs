@@ -42,6 +42,52 @@ impl HexagonLayout {
             .collect()
     }
 
+    /// The layout of hexagons whose centres (x, y), m, are given in any order, and the place among them of each of its hexagons; `None` for
+    /// places that are not those of complete rings, or of all within a radius, to a fiftieth of the distance of neighbours. The rotation is
+    /// between −30° and 30°.
+    pub fn of_centres(centres_m: &[(f64, f64)]) -> Option<(Self, Vec<usize>)> {
+        let pairs = || {
+            let of = |i: usize| (0..i).map(move |j| (centres_m[i].0 - centres_m[j].0, centres_m[i].1 - centres_m[j].1));
+            (1..centres_m.len()).flat_map(of)
+        };
+        let least_m = pairs().map(|(x, y)| x.hypot(y)).fold(f64::INFINITY, f64::min);
+        // Neighbours, of which the next ones are √3 times as far.
+        let near: Vec<(f64, f64)> = pairs().filter(|(x, y)| x.hypot(*y) < 1.2 * least_m).collect();
+        let &(x, y) = near.first().filter(|_| least_m > 0.0)?;
+        let pitch_m = near.iter().map(|(x, y)| x.hypot(*y)).sum::<f64>() / near.len() as f64;
+        // Neighbours are at 30° + k·60° where vertices are on ±x.
+        let off_deg = (y.atan2(x).to_degrees() - 30.0).rem_euclid(60.0);
+        let turned_deg = if off_deg > 30.0 { off_deg - 60.0 } else { off_deg };
+        let rotation_deg = if turned_deg.abs() < LEAST_ROTATION_DEG { 0.0 } else { turned_deg };
+        let (sin, cos) = rotation_deg.to_radians().sin_cos();
+        let ring_of = |&(x, y): &(f64, f64)| {
+            let (q, up) = ((cos * x + sin * y) / (pitch_m * 3f64.sqrt() / 2.0), (cos * y - sin * x) / pitch_m);
+            let (q, r) = (q.round(), (up - q / 2.0).round());
+            q.abs().max(r.abs()).max((q + r).abs()) as usize
+        };
+        let rings: Vec<usize> = centres_m.iter().map(ring_of).collect();
+        let removed_rings = rings.iter().filter(|ring| **ring > 0).min()? - 1;
+        let complete = Self {
+            rings: *rings.iter().max()?,
+            removed_rings,
+            has_centre: rings.contains(&0),
+            pitch_m,
+            outer_radius_m: None,
+            rotation_deg,
+        };
+        let farthest_m = centres_m.iter().map(|(x, y)| x.hypot(*y)).fold(0.0, f64::max);
+        let within = Self { outer_radius_m: Some(farthest_m + 0.02 * pitch_m), ..complete.clone() };
+        [complete, within].into_iter().find_map(|layout| {
+            let hexagons = layout.hexagons();
+            let place = |hexagon: &Hexagon| {
+                let is_near = |(x, y): &(f64, f64)| (hexagon.x_m - x).hypot(hexagon.y_m - y) < 0.02 * pitch_m;
+                centres_m.iter().position(is_near)
+            };
+            let places: Vec<usize> = hexagons.iter().map_while(place).collect();
+            (hexagons.len() == centres_m.len() && places.len() == hexagons.len()).then_some((layout, places))
+        })
+    }
+
     /// The hexagon at axial coordinates (q, r): its centre is `pitch·(√3/2·q, q/2 + r)`. `None` outside the outer radius.
     fn hexagon(&self, ring: usize, (q, r): (i32, i32)) -> Option<Hexagon> {
         let (q, r) = (f64::from(q), f64::from(r));
@@ -75,6 +121,9 @@ impl HexagonLayout {
         2.0 * halves.fold(0.0, f64::max)
     }
 }
+
+/// Rotations below this are those of rounded places.
+const LEAST_ROTATION_DEG: f64 = 0.01;
 
 /// Sides of the polygon of equal area that stands for a disc. Its edge deviates from the circle by 2.5e-5 of the radius: less than 0.2 mm
 /// for any existing telescope.
@@ -127,6 +176,35 @@ mod tests {
                 let near = |other: &&Hexagon| (other.x_m - turned[0]).hypot(other.y_m - turned[1]) < 1e-9;
                 assert_eq!(hexagons.iter().find(near).map(|other| other.ring), Some(*ring));
             }
+        }
+    }
+
+    #[test]
+    fn a_layout_is_found_from_its_centres() {
+        let known = [
+            layout(3, 0, None),
+            HexagonLayout { rotation_deg: -17.0, has_centre: true, ..layout(1, 0, None) },
+            layout(13, 1, Some(11.7)),
+            HexagonLayout { rotation_deg: 30.0, ..layout(17, 4, Some(15.45)) },
+        ];
+        for layout in known {
+            let mut centres_m: Vec<(f64, f64)> = layout.hexagons().iter().map(|h| (h.x_m, h.y_m)).collect();
+            centres_m.reverse();
+            let (found, places) = HexagonLayout::of_centres(&centres_m).unwrap();
+            assert_eq!(
+                (found.rings, found.removed_rings, found.has_centre),
+                (layout.rings, layout.removed_rings, layout.has_centre)
+            );
+            // Rounding of coordinates of up to 17.
+            assert!((found.pitch_m - 1.0).abs() < 1e-12 && (found.rotation_deg - layout.rotation_deg).abs() < 1e-9);
+            assert!(places.into_iter().rev().eq(0..centres_m.len()));
+            centres_m.remove(2);
+            assert_eq!(HexagonLayout::of_centres(&centres_m), None);
+        }
+        for centres_m in
+            [&[][..], &[(0.0, 0.0)], &[(1.0, 1.0), (1.0, 1.0)], &[(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]]
+        {
+            assert_eq!(HexagonLayout::of_centres(centres_m), None);
         }
     }
 

@@ -4,7 +4,7 @@ use super::sensor::{Lenslets, OTHER_SLOPE_ORDERS, SlopeFormat, slope_sources};
 use crate::io::FitsReader;
 use crate::scene::{ControlScene, Scene, SensorScene, SlopeOrder};
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, Array3, ArrayView2};
 use std::path::Path;
 
 /// Least correlation of a measured interaction matrix with that of the model. Other detectors, and influence functions of twice the
@@ -20,7 +20,10 @@ pub(super) fn interaction(scene: &Scene, lenslets: &Lenslets, modelled: &Array2<
     let Some((sensing, control)) = scene.wavefront_sensor.as_ref().zip(scene.control.as_ref()) else { return Ok(None) };
     let Some(file) = &control.interaction_file else { return Ok(None) };
     let path = scene.resolve(file);
-    let matrix = read(&path, "INTERACTION", modelled.dim(), ["slope", "actuator"])?;
+    let matrix = read(&path, "INTERACTION", modelled.dim(), ["slope", "actuator"], |cube| {
+        // AOT: [subaperture, dimension, actuator].
+        cube.permuted_axes([1, 0, 2])
+    })?;
     let format = SlopeFormat::new(sensing, lenslets)?;
     let measured = (format.expected_mas(matrix.t())? / control.matrix_command_nm).reversed_axes();
     match mismatch(sensing, lenslets, modelled.view(), measured.view()) {
@@ -43,17 +46,36 @@ pub(super) fn command_matrix(
         return Ok(None);
     };
     let path = scene.resolve(file);
-    let matrix = read(&path, "COMMAND_MATRIX", (actuators, 2 * lenslets.subapertures.len()), ["actuator", "slope"])?;
+    let shape = (actuators, 2 * lenslets.subapertures.len());
+    // AOT: [actuator, dimension, subaperture].
+    let matrix = read(&path, "COMMAND_MATRIX", shape, ["actuator", "slope"], |cube| cube)?;
     // A command is a sum over measured slopes, so that a column is in commands per unit of a slope.
     let format = SlopeFormat::new(sensing, lenslets)?;
     let unit = control.matrix_command_nm / (sensing.slope_unit_mas * sensing.slope_unit_mas);
     Ok(Some(format.expected_mas(matrix.view())? * unit))
 }
 
-/// A matrix of `shape`: HDU `name` of the file, or its first image.
-fn read(path: &Path, name: &str, shape: (usize, usize), of: [&str; 2]) -> Result<Array2<f64>> {
+/// A matrix of `shape`: the HDU in brackets, HDU `name` of the file, or its first image. An image with three axes, as AOT has them, is a
+/// matrix in the order of its values after `ordered`.
+fn read(
+    path: &Path,
+    name: &str,
+    shape: (usize, usize),
+    of: [&str; 2],
+    ordered: impl FnOnce(Array3<f64>) -> Array3<f64>,
+) -> Result<Array2<f64>> {
     let mut file = FitsReader::open(path)?;
-    let matrix = file.map(file.has(name).then_some(name))?;
+    let image = if file.is_whole() && file.has(name) { file.map(Some(name))?.into_dyn() } else { file.map_or_cube()? };
+    let matrix = if image.ndim() == 3 {
+        let cube = ordered(image.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))?);
+        let (first, second, third) = cube.dim();
+        let rows = if first == shape.0 { first } else { first * second };
+        let values = cube.as_standard_layout().into_owned();
+        values.into_shape_with_order((rows, first * second * third / rows))
+    } else {
+        image.into_dimensionality()
+    };
+    let matrix: Array2<f64> = matrix.map_err(|error| Error::Internal(error.to_string()))?;
     let (rows, columns) = matrix.dim();
     if matrix.dim() != shape {
         let transposed = if (columns, rows) == shape { "; this one is the transpose" } else { "" };

@@ -2,6 +2,7 @@
 //! `night.fits[SCI,2]`.
 
 use super::layout::Layout;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// File and HDU of a name. A file whose own name ends so has priority.
@@ -21,6 +22,18 @@ pub(super) fn split(path: &Path) -> (PathBuf, Option<String>) {
 /// The file of a name, without an HDU in brackets.
 pub fn file_of(path: impl AsRef<Path>) -> PathBuf {
     split(path.as_ref()).0
+}
+
+/// Whether the file of a name begins as FITS does, or is compressed by gzip.
+///
+/// # Errors
+/// [`Error::File`](crate::Error::File) for a file that cannot be read.
+pub fn is_fits(path: impl AsRef<Path>) -> crate::Result<bool> {
+    let path = file_of(path);
+    let mut start = Vec::new();
+    let read = std::fs::File::open(&path).and_then(|file| file.take(6).read_to_end(&mut start));
+    read.map_err(|error| crate::Error::file(&path, error))?;
+    Ok(start == b"SIMPLE" || start.starts_with(&[0x1f, 0x8b]))
 }
 
 /// Index of the HDU that the text in brackets names: its name, with its EXTVER or without, else its number, 0 for the primary one.

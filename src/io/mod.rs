@@ -36,7 +36,7 @@ mod write;
 
 pub use crate::atomic::write as write_atomically;
 pub use column::Column;
-pub use extension::file_of;
+pub use extension::{file_of, is_fits};
 pub use header::{HeaderFact, PixelUnit, Quantity, READ_NOISE_OF_A_COADD};
 pub use image_hdu::{CHANNEL, Images};
 pub use images::{read_channels, read_images};

@@ -132,17 +132,21 @@ impl Mirror {
         }
     }
 
-    /// The actuators marked 1 in a map: `actuators_across` lines of as many 0s and 1s, separated by white space; the
-    /// first line is the row of smallest y.
+    /// The actuators at the cells `row·actuators_across + column`, ascending.
     ///
     /// # Errors
-    /// [`Error::Shape`] where the map has another shape, [`Error::Value`] for any other entry or an empty selection.
-    pub fn from_map(&self, map: &str) -> Result<InfluenceFunctions> {
-        let indices = marked_cells(map, self.actuators_across)?;
-        if indices.is_empty() {
-            return Err(Error::Value("the actuator map marks no actuator: at least one 1 is needed".into()));
+    /// [`Error::Value`] for no cell, cells that do not ascend, or that the mirror does not have.
+    pub fn at(&self, cells: Vec<usize>) -> Result<InfluenceFunctions> {
+        let count = self.actuators_across * self.actuators_across;
+        if cells.is_empty() {
+            return Err(Error::Value("the actuator map marks no actuator: at least one is needed".into()));
         }
-        Ok(self.functions(indices))
+        if cells.windows(2).any(|pair| pair[0] >= pair[1]) || cells.last().is_some_and(|last| *last >= count) {
+            return Err(Error::Value(format!(
+                "the actuators {cells:?} were given: ascending ones below {count} are accepted"
+            )));
+        }
+        Ok(self.functions(cells))
     }
 }
 
@@ -332,9 +336,11 @@ mod tests {
     #[test]
     fn a_map_selects_its_actuators_and_invalid_maps_are_rejected() {
         let mirror = Mirror::new(3, 1.0, 0.2).unwrap();
-        let chosen = mirror.from_map("0 1 0\n1 1 1 \n0 0 1\n\n").unwrap();
-        assert_eq!(chosen.indices(), [1, 3, 4, 5, 8]);
-        assert_eq!(mirror.from_map("010\n111 \n001\n").unwrap().indices(), chosen.indices());
+        let chosen = |map: &str| mirror.at(marked_cells(map, 3)?);
+        let cells = [1, 3, 4, 5, 8];
+        for map in ["0 1 0\n1 1 1 \n0 0 1\n\n", "010\n111 \n001\n"] {
+            assert_eq!(chosen(map).unwrap().indices(), cells);
+        }
         for bad in [
             "0 1 0\n1 1 1\n",
             "01\n111\n001",
@@ -344,7 +350,10 @@ mod tests {
             "0 0 0\n0 0 0\n0 0 0",
             "",
         ] {
-            assert!(mirror.from_map(bad).is_err(), "{bad:?}");
+            assert!(chosen(bad).is_err(), "{bad:?}");
+        }
+        for bad in [vec![3, 3], vec![4, 1], vec![8, 9]] {
+            assert!(mirror.at(bad).is_err());
         }
     }
 

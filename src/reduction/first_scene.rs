@@ -1,17 +1,17 @@
 //! First scene of an instrument, from the header of one of its frames.
 
+use super::aot_scene;
 use super::cut_out::CutOut;
 use super::frame::{Cards, FrameHeader};
 use super::star;
-use crate::io::{self, FitsReader, HeaderFact, Quantity};
+use crate::io::{self, FitsReader, HeaderFact, PixelUnit, Quantity};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{ArrayView2, Axis};
-use std::fmt::Write;
 use std::path::Path;
 
 /// What precedes a comment on what is not in the header.
-const UNKNOWN: &str = "TO BE FILLED IN";
+pub(super) const UNKNOWN: &str = "TO BE FILLED IN";
 
 /// Telescopes that a preset describes: what their name begins with, the preset, what the preset leaves out.
 const TELESCOPES: [(&[&str], &str, &str); 2] = [
@@ -28,30 +28,48 @@ const TELESCOPES: [(&[&str], &str, &str); 2] = [
 const CAMERAS: [(&str, &str, f64); 3] =
     [("NIRC2", "NARROW", 9.952), ("NIRC2", "MEDIUM", 19.829), ("NIRC2", "WIDE", 39.686)];
 
-/// Text of a scene for the frames of which `path` is one: the telescope of `TELESCOP`, and what the header states of the camera. A line
-/// on what is not known says so in its comment. The scene is valid as it is.
+/// Text of a scene for the frames of which `path` is one: the telescope of `TELESCOP`, and what the header states of the camera; for a file
+/// of AOT telescope, camera, turbulence and loop as its tables state them. A line on what is not known says so in its comment. The scene
+/// is valid as it is.
 ///
 /// # Errors
 /// Those of [`io::read_images`]; [`Error::Scene`] for a header whose values a scene does not accept.
 pub fn first_scene(path: &Path) -> Result<String> {
     let mut file = FitsReader::open(path)?;
-    let images = io::read_images(path, None)?;
+    let is_aot = io::aot::is_aot(&file);
+    // Of several cameras of AOT the first.
+    let images = if is_aot { io::read_channels(path, None)?.swap_remove(0) } else { io::read_images(path, None)? };
+    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let system = is_aot.then(|| aot_scene::sections(&mut file, &name)).transpose()?;
     let mut cards = Cards { file: &mut file, hdu: images.hdu_name };
     let header = cards.header(images.unit, images.facts);
-    let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    let telescope = cards.text("TELESCOP").unwrap_or_default();
     let instrument = ["CURRINST", "INSTRUME"].iter().find_map(|key| cards.text(key)).unwrap_or_default();
-    let found =
-        TELESCOPES.iter().find(|(names, ..)| names.iter().any(|name| telescope.to_uppercase().starts_with(name)));
-    let (preset, remark) = found.map_or(("keck-artificial", ""), |(_, preset, remark)| (*preset, *remark));
-
+    let camera = cards.text("CAMNAME").unwrap_or_default();
+    let (telescope, pupil, others, grid_m) = match system {
+        Some(system) => (system.telescope, system.pupil, system.others, system.grid_m),
+        None => of_preset(&cards.text("TELESCOP").unwrap_or_default())?,
+    };
     let mut text = format!(
-        "# First scene of {instrument} at {}, from the header of {} (cophase scene --from). What the header does not say is marked:\n\
-         # {UNKNOWN}. \"cophase scene --reference\" describes every key.\n\n",
+        "# First scene of {} at {}, from {} (cophase scene --from). What the file does not say is marked:\n\
+         # {UNKNOWN}. \"cophase scene --reference\" describes every key.\n{pupil}",
+        if instrument.is_empty() { "an unknown instrument" } else { &instrument },
         if telescope.is_empty() { "an unknown telescope" } else { &telescope },
         printable(&name),
     );
-    let pupil = section(Scene::preset_text(preset)?, "pupil");
+    text += &image(&header, grid_m, images.data.index_axis(Axis(0), 0), (&instrument, &camera), &mut cards)?;
+    text += &others;
+    // The text is made of values that were read, which a scene need not accept.
+    Scene::from_text(&text, Path::new("")).map(|_| text).map_err(|error| match error {
+        Error::Scene(reason) => Error::Scene(format!("{} gives no scene: {reason}", path.display())),
+        other => other,
+    })
+}
+
+/// Telescope, section `[pupil]`, other sections and grid of the preset for a telescope.
+fn of_preset(telescope: &str) -> Result<(String, String, String, f64)> {
+    let found =
+        TELESCOPES.iter().find(|(names, ..)| names.iter().any(|name| telescope.to_uppercase().starts_with(name)));
+    let (preset, remark) = found.map_or(("keck-artificial", ""), |(_, preset, remark)| (*preset, *remark));
     let whose = match found {
         None => format!(
             "# {UNKNOWN}: the pupil of the telescope; this is that of Keck, because TELESCOP = '{telescope}' is not known\n"
@@ -59,21 +77,40 @@ pub fn first_scene(path: &Path) -> Result<String> {
         Some(_) if remark.is_empty() => String::new(),
         Some(_) => format!("# {UNKNOWN}: {remark}\n"),
     };
-    text += &format!("[pupil]\n{whose}{pupil}\n");
-    let grid_m = Scene::preset(preset)?.pupil.grid_m.unwrap_or(1.0);
-    let camera = cards.text("CAMNAME").unwrap_or_default();
-    text += &image(&header, grid_m, images.data.index_axis(Axis(0), 0), (&instrument, &camera), &mut cards)?;
+    let pupil = format!("\n[pupil]\n{whose}{}", section(Scene::preset_text(preset)?, "pupil"));
+    let mut others = String::new();
     for part in ["modes", "mirror", "turbulence"] {
         let keys = section(Scene::preset_text(preset)?, part);
         if !keys.is_empty() {
-            text += &format!("\n[{part}]\n{keys}");
+            others += &format!("\n[{part}]\n{keys}");
         }
     }
-    // The text is made of values that were read, which a scene need not accept.
-    Scene::from_text(&text, Path::new("")).map(|_| text).map_err(|error| match error {
-        Error::Scene(reason) => Error::Scene(format!("the header of {} gives no scene: {reason}", path.display())),
-        other => other,
-    })
+    Ok((telescope.to_owned(), pupil, others, Scene::preset(preset)?.pupil.grid_m.unwrap_or(1.0)))
+}
+
+/// Lines of a scene: keys with their values and comments.
+pub(super) struct Lines {
+    pub(super) text: String,
+}
+
+impl Lines {
+    /// The section `name`, after an empty line.
+    pub(super) fn of_section(name: &str) -> Self {
+        Self { text: format!("\n[{name}]\n") }
+    }
+
+    /// A key with its value, and a comment where there is one.
+    pub(super) fn add(&mut self, key: &str, value: impl std::fmt::Display, comment: &str) {
+        let line = format!("{key} = {value}");
+        let line = if comment.is_empty() { line } else { format!("{line:<28} # {}", printable(comment)) };
+        self.text += line.trim_end();
+        self.text.push('\n');
+    }
+
+    /// A comment of its own.
+    pub(super) fn note(&mut self, comment: &str) {
+        self.text += &format!("# {}\n", printable(comment));
+    }
 }
 
 /// The section `[image]`.
@@ -85,11 +122,8 @@ fn image(
     cards: &mut Cards,
 ) -> Result<String> {
     let (rows, columns) = frame.dim();
-    let mut text = String::from("[image]\n");
-    let mut line = |key: &str, value: String, comment: String| {
-        // Writing into memory does not fail.
-        let _ = writeln!(text, "{:<28}# {}", format!("{key} = {value}"), printable(&comment));
-    };
+    let mut lines = Lines::of_section("image");
+    let mut line = |key: &str, value: String, comment: String| lines.add(key, value, &comment);
     let of = |quantity: Quantity| header.facts.iter().find(|fact| fact.quantity == quantity && fact.values.len() == 1);
     let card = |fact: &HeaderFact| format!("card {} = {}", fact.keyword, fact.written);
     let (wavelength_nm, comment) = match (of(Quantity::WavelengthNm), of(Quantity::BandNm)) {
@@ -127,12 +161,13 @@ fn image(
         .map_or(side, |star| CutOut::largest_side((star.x, star.y), (rows, columns)));
     let side = side.min(fits).clamp(8, 8192);
     line("pixels", side.to_string(), format!("cut-out about the star; the frame has {columns}x{rows}"));
-    match header.itime_s {
-        Some(itime_s) => {
+    match (header.itime_s, of(Quantity::ExposureS).filter(|fact| fact.values[0] > 0.0)) {
+        (Some(itime_s), _) => {
             let comment = format!("{} coadds of {itime_s} s", header.coadds);
             line("exposure_s", float(itime_s * f64::from(header.coadds)), comment);
         }
-        None => line("exposure_s", "1.0".into(), format!("{UNKNOWN}: no card has the exposure")),
+        (None, Some(fact)) => line("exposure_s", float(fact.values[0]), card(fact)),
+        (None, None) => line("exposure_s", "1.0".into(), format!("{UNKNOWN}: no card has the exposure")),
     }
     let focus = format!("{UNKNOWN}: defocus of the images, waves RMS over the pupil, positive at its edge");
     line("diversity_focus_waves_rms", "1.5".into(), focus);
@@ -144,6 +179,10 @@ fn image(
             format!("{UNKNOWN}: read noise of one coadd; without this line that of the darks is used"),
         ),
     }
+    // Images in electrons have neither a gain nor a level in counts.
+    if header.unit == PixelUnit::Electrons {
+        return Ok(lines.text);
+    }
     match of(Quantity::GainEPerAdu).filter(|fact| fact.values[0] > 0.0) {
         Some(fact) => {
             line("gain_e_per_adu", float(fact.values[0]), format!("{}; to be checked: it may be a setting", card(fact)))
@@ -154,11 +193,11 @@ fn image(
         Some(counts) => line("saturation_adu", float(counts), "counts of one coadd, from the header".into()),
         None => line("saturation_adu", "1e9".into(), format!("{UNKNOWN}: counts of one coadd that are saturated")),
     }
-    Ok(text)
+    Ok(lines.text)
 }
 
 /// A number in the syntax of TOML, without the digits of binary fractions.
-fn float(value: f64) -> String {
+pub(super) fn float(value: f64) -> String {
     format!("{:?}", (value * 1e6).round() / 1e6)
 }
 

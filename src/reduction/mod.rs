@@ -14,6 +14,7 @@
 //! * [`first_scene`] writes the scene to begin with.
 //! * [`Reduction::write`] writes the cube with bad pixels, log and scene.
 
+mod aot_scene;
 mod calibration;
 mod channel;
 mod classify;

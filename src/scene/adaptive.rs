@@ -24,7 +24,8 @@ section! {
         /// columns/2], with the card PUPLSCAL. With a card BUNIT (nm, um, m) the wavefront that a command of 1 makes, where
         /// control.matrix_command_nm is that at the actuator; without it relative to the command, near 1 at the actuator.
         influence_file: Option<PathBuf>, ANY, unset("influence functions given by influence and coupling");
-        /// Map of the actuators in use, as text: a line of 0s and 1s for each row, smallest y first.
+        /// Map of the actuators in use: text with a line of 0s and 1s for each row, smallest y first, or a FITS image; or a file of AOT,
+        /// whose mirror has their places.
         actuator_file: Option<PathBuf>, ANY, unset("actuators at the corners of subapertures in use");
         /// Largest absolute command of an actuator, in wavefront.
         stroke_limit_nm: Option<f64>, above(0.0, 1e9), unset("no limit");
@@ -96,10 +97,13 @@ section! {
         detector: SensorDetector, ANY, default(SensorDetector::QuadCell);
         /// Least light of a subaperture in use, as a fraction of that of a fully illuminated one.
         min_light_ratio: f64, between(0.0, 1.0), default(0.5);
-        /// Map of the subapertures in use, as text: a line of 0s and 1s for each row, smallest y first.
+        /// Map of the subapertures in use: text with a line of 0s and 1s for each row, smallest y first, or a FITS image.
         subaperture_file: Option<PathBuf>, ANY, unset("subapertures with at least min_light_ratio");
         /// Number of pixels across a lenslet for detector = "pixels"; a divisor of twice samples_per_lenslet.
         pixels_per_lenslet: Option<usize>, even(2.0, 128.0), unset("the largest even divisor up to 8");
+        /// Pixels across a lenslet that are read, the central ones: a field of view of field_pixels over pixels_per_lenslet of
+        /// samples_per_lenslet times the wavelength over the side of a lenslet.
+        field_pixels: Option<usize>, even(2.0, 128.0), unset("pixels_per_lenslet");
         /// Signal below which a pixel counts as 0, for detector = "pixels". Simulation only.
         threshold_e: f64, between(0.0, 1e9), default(0.0);
         /// Shift of the lenslets along x and y since the measurement of the interaction matrix, in subapertures.
@@ -146,6 +150,18 @@ impl Check for SensorScene {
                 2 * self.samples_per_lenslet
             );
             return Err(reader.error("pixels_per_lenslet", sentence));
+        }
+        if let Some(field) = self.field_pixels {
+            let Some(pixels) = self.pixels_per_lenslet.filter(|_| self.detector == SensorDetector::Pixels) else {
+                let sentence = "wavefront_sensor.field_pixels needs detector = \"pixels\" and pixels_per_lenslet, of which it is a part";
+                return Err(reader.error("field_pixels", sentence));
+            };
+            if field > pixels {
+                let sentence = format!(
+                    "wavefront_sensor.field_pixels = {field} is not accepted; at most pixels_per_lenslet = {pixels} is needed"
+                );
+                return Err(reader.error("field_pixels", sentence));
+            }
         }
         if self.slope_unit_mas == 0.0 {
             let sentence =

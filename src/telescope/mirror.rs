@@ -8,7 +8,7 @@
 use super::model::Telescope;
 use super::opd::{check_width, unit_nm, width_m};
 use super::valid_map;
-use crate::io::FitsReader;
+use crate::io::{self, FitsReader, aot};
 use crate::modes::{InfluenceFunctions, MeasuredInfluence, Mirror};
 use crate::scene::Scene;
 use crate::{Error, Result};
@@ -53,7 +53,7 @@ impl Telescope {
         chosen.and_then(|chosen| chosen.measured(measured)).map_err(|error| Error::file(&path, error))
     }
 
-    /// Actuators of the scene's map `mirror.actuator_file`; `None` where it names none.
+    /// Actuators of the scene's map `mirror.actuator_file`, or those whose places a file of AOT has; `None` where it names none.
     ///
     /// # Errors
     /// [`Error::File`] for a map that cannot be read; those of [`Telescope::mirror`].
@@ -61,7 +61,11 @@ impl Telescope {
         let Some(file) = &scene.mirror.actuator_file else { return Ok(None) };
         let path = scene.resolve(file);
         let mirror = Self::mirror(scene)?;
-        mirror.from_map(&valid_map::read_text(&path)?).map(Some).map_err(|error| Error::file(&path, error))
+        let found = match actuators_of_aot(&path)? {
+            Some(places_m) => mirror.nearest(&places_m),
+            None => mirror.at(valid_map::read(&path, mirror.actuators_across())?),
+        };
+        found.map(Some).map_err(|error| Error::file(&path, error))
     }
 
     /// The `actuators` in use with the functions of the scene's file; as they are where it names none.
@@ -116,4 +120,21 @@ impl Telescope {
         }
         Ok(measured)
     }
+}
+
+/// Places (x, y) of the actuators of the mirror in a file of AOT, m; `None` for another file.
+fn actuators_of_aot(path: &Path) -> Result<Option<Vec<[f64; 2]>>> {
+    if !io::is_fits(path)? {
+        return Ok(None);
+    }
+    let mut file = FitsReader::open(path)?;
+    if !aot::is_aot(&file) {
+        return Ok(None);
+    }
+    let places_m = aot::system(&mut file)?.mirror.map_or_else(Vec::new, |mirror| mirror.actuators_m);
+    if places_m.is_empty() {
+        let sentence = "it is a file of AOT without the places of one mirror's actuators (ACTUATORS_X, ACTUATORS_Y)";
+        return Err(Error::file(path, sentence));
+    }
+    Ok(Some(places_m.into_iter().map(|(x_m, y_m)| [x_m, y_m]).collect()))
 }

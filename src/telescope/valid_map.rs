@@ -1,22 +1,22 @@
-//! Maps of the subapertures or actuators in use: lines of 0s and 1s, smallest y first.
+//! Maps of the subapertures or actuators in use: text with lines of 0s and 1s, smallest y first, or a FITS image.
 
+use crate::io::{FitsReader, is_fits};
 use crate::modes::marked_cells;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Bytes of the largest map that is read: 256 × 256 entries take at most half of it.
+/// Bytes of the largest map that is read as text: 256 × 256 entries take at most half of it.
 const LARGEST: u64 = 1 << 20;
 
-/// Reads the marked cells `row·across + column`, ascending.
+/// Reads the marked cells `row·across + column`, ascending. In a FITS image, which may be named in brackets behind the file, cells above 0
+/// are marked; where it has negative values, which AOT's maps have outside, those from 0 on.
 ///
 /// # Errors
 /// [`Error::File`] for a file that cannot be read or is not such a map.
 pub fn read(path: &Path, across: usize) -> Result<Vec<usize>> {
-    marked_cells(&read_text(path)?, across).map_err(|error| Error::file(path, error))
-}
-
-/// Reads the text of a map.
-pub fn read_text(path: &Path) -> Result<String> {
+    if is_fits(path)? {
+        return read_image(path, across);
+    }
     let size = std::fs::metadata(path).map_err(|error| Error::file(path, error))?.len();
     if size > LARGEST {
         return Err(Error::file(
@@ -24,5 +24,18 @@ pub fn read_text(path: &Path) -> Result<String> {
             format_args!("{size} bytes are too many for a map; at most {LARGEST} are accepted"),
         ));
     }
-    std::fs::read_to_string(path).map_err(|error| Error::file(path, error))
+    let text = std::fs::read_to_string(path).map_err(|error| Error::file(path, error))?;
+    marked_cells(&text, across).map_err(|error| Error::file(path, error))
+}
+
+fn read_image(path: &Path, across: usize) -> Result<Vec<usize>> {
+    let map = FitsReader::open(path)?.map(None)?;
+    if map.dim() != (across, across) {
+        let (rows, columns) = map.dim();
+        let sentence = format_args!("a map of {rows}×{columns} cells was given: {across}×{across} are needed");
+        return Err(Error::file(path, sentence));
+    }
+    let has_numbers = map.iter().any(|value| *value < 0.0);
+    let is_marked = |value: f64| value > 0.0 || has_numbers && value == 0.0;
+    Ok(map.iter().enumerate().filter(|(_, value)| is_marked(**value)).map(|(cell, _)| cell).collect())
 }

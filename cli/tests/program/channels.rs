@@ -3,7 +3,8 @@
 use crate::Desk;
 use cophase::io::{ELECTRON, FitsReader, FitsWriter, Pixel, read_channels};
 
-const PAIR: &str = "
+/// A pair of defocuses, before the section of the aberrations.
+pub const PAIR: &str = "
 [[image.channel]]
 name = \"plus\"
 diversity_focus_waves_rms = 1.0

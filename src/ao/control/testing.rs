@@ -7,6 +7,7 @@ use crate::pupil::Pupil;
 use crate::scene::{ControlScene, Scene};
 use crate::telescope::Telescope;
 use ndarray::{Array2, s};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -115,13 +116,10 @@ impl Bench {
 
 /// Actuators of the mirror on a corner of a subaperture: the others change no slope.
 fn on_corners(influence: &InfluenceFunctions, subapertures: &[usize]) -> InfluenceFunctions {
-    let mut map = [["0"; ACROSS + 1]; ACROSS + 1];
-    for (y, x) in subapertures.iter().map(|index| (index / ACROSS, index % ACROSS)) {
-        for (y, x) in [(y, x), (y, x + 1), (y + 1, x), (y + 1, x + 1)] {
-            map[y][x] = "1";
-        }
-    }
-    influence.mirror().from_map(&map.map(|row| row.join(" ")).join("\n")).unwrap()
+    let first = subapertures.iter().map(|index| index / ACROSS * (ACROSS + 1) + index % ACROSS);
+    let cells: BTreeSet<usize> =
+        first.flat_map(|cell| [0, 1, ACROSS + 1, ACROSS + 2].map(|step| cell + step)).collect();
+    influence.mirror().at(cells.into_iter().collect()).unwrap()
 }
 
 /// Interaction matrix of the mean slopes between the four corners of each lenslet, nm per m.

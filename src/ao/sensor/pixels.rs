@@ -23,6 +23,8 @@ pub(super) struct Pixels {
     footprint: Footprint,
     stride: usize,
     pixels: usize,
+    /// The central ones, which are read.
+    field_pixels: usize,
     threshold_e: f64,
     /// `W`, `[k][x]`.
     cos: Vec<f32>,
@@ -50,6 +52,7 @@ impl Pixels {
             footprint: footprint.clone(),
             stride: footprint.stride(),
             pixels,
+            field_pixels: scene.field_pixels.unwrap_or(pixels),
             threshold_e: scene.threshold_e,
             cos: (0..2 * n * n).map(|i| angle(i).cos() as f32).collect(),
             sin: (0..2 * n * n).map(|i| angle(i).sin() as f32).collect(),
@@ -81,7 +84,10 @@ impl Pixels {
         let whole: f64 = self.spot.iter().map(|pixel| f64::from(pixel[lane])).sum();
         let middle = (self.pixels - 1) as f64 / 2.0;
         let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-        for (place, pixel) in self.spot.iter().enumerate() {
+        let margin = (self.pixels - self.field_pixels) / 2;
+        let field = margin..self.pixels - margin;
+        let is_read = |place: usize| field.contains(&(place % self.pixels)) && field.contains(&(place / self.pixels));
+        for (place, pixel) in self.spot.iter().enumerate().filter(|(place, _)| is_read(*place)) {
             let mean = f64::from(pixel[lane]) / whole * electrons;
             let signal = light.as_deref_mut().map_or(mean, |light| light.pixel(mean));
             if threshold_e == 0.0 || signal >= threshold_e {

@@ -92,6 +92,36 @@ fn the_signs_of_both_axes_follow_the_convention() {
     }
 }
 
+#[test]
+fn a_field_stop_keeps_small_slopes_and_loses_spots_outside() {
+    let camera = [("wavefront_sensor.detector", "pixels"), ("wavefront_sensor.pixels_per_lenslet", "12")];
+    let whole = bench(&camera);
+    let stopped = bench(&[camera.as_slice(), &[("wavefront_sensor.field_pixels", "4")]].concat());
+    // A pixel is λ/d, 640 nm over a lenslet of 0.5625 m: a slope of 1138 nm/m, or 235 mas.
+    let (pixel_nm_m, i) = (640.0 / 0.5625, full(&whole)[7]);
+    let [mut whole, mut stopped] = [whole, stopped].map(|mut bench| {
+        move |pixels: f64| {
+            let (grid, stride) = (bench.pupil.grid, bench.footprint.stride());
+            let mut map = bench.footprint.zeros();
+            for y in 0..grid.samples() {
+                for x in 0..grid.samples() {
+                    map[y * stride + x] = (pixels * pixel_nm_m * grid.coordinate_m(x)) as f32;
+                }
+            }
+            let mut slopes = vec![0.0; bench.sensor.slopes()];
+            bench.sensor.measure(&map, None, &mut slopes).unwrap();
+            f64::from(slopes[i]) / (pixel_nm_m * MAS_PER_NM_M)
+        }
+    });
+    // Slopes are calibrated with the stop, so that a small one is right with both.
+    for slope in [whole(0.05), stopped(0.05)] {
+        assert!((slope / 0.05 - 1.0).abs() < 0.02, "{slope}");
+    }
+    // Four pixels from the centre the spot is outside of the stop, which ends two pixels from it.
+    let (seen, lost) = (whole(4.0), stopped(4.0));
+    assert!((seen / 4.0 - 1.0).abs() < 0.1 && lost < 0.75 * seen, "{seen} {lost}");
+}
+
 /// RMS noise of a full subaperture's slopes of a flat wavefront, mas.
 fn noise_mas(settings: &[(&str, &str)]) -> f64 {
     let mut bench = bench(settings);

@@ -8,7 +8,8 @@
 //!
 //! * [`AotTables`] composes the tables of a file.
 //! * [`read_images`](super::read_images) and [`read_channels`](super::read_channels) read the images of the scoring cameras, [`slopes()`] the
-//!   slopes that belong to them, [`commands_nm`] the commands, [`configuration()`] the free text of the header.
+//!   slopes that belong to them, [`commands_nm`] the commands, [`system()`] telescope, turbulence and loop, [`configuration()`]
+//!   the free text of the header.
 //!
 //! Units. The standard fixes that of most quantities: m, s, rad, Hz. It leaves slopes to the author ("user defined units") with the card
 //! `BUNIT` of their image. Slopes in `mas`, or without a unit, are read as they are, so that their bits stay; `rad`, `arcsec` and `pix`
@@ -19,11 +20,13 @@ mod configuration;
 mod layout;
 mod read;
 mod slopes;
+mod system;
 mod version;
 mod write;
 
 pub(crate) use cameras::cameras;
 pub use configuration::{configuration, configuration_card};
 pub use slopes::{MatchedSlopes, commands_nm, slopes};
+pub use system::{AotControl, AotImage, AotMirror, AotSensor, AotSystem, AotTelescope, AotTurbulence, system};
 pub use version::{TIME_REFERENCE, is_aot};
 pub use write::{AotTables, Cell, image_reference, row_reference};
