@@ -27,8 +27,8 @@ const NCPA_MODES: usize = 66;
 /// Those of [`aot::system`]; [`Error::File`] for a pupil without any extent.
 pub(super) fn sections(file: &mut FitsReader, name: &str) -> Result<AotSections> {
     let system = aot::system(file)?;
-    let grid = system.mirror.as_ref().and_then(|mirror| ActuatorGrid::of(&mirror.actuators_m));
-    let (grid_m, whence) = grid_m(file, &system, grid.as_ref())?;
+    let mut grid = system.mirror.as_ref().and_then(|mirror| ActuatorGrid::of(&mirror.actuators_m));
+    let (grid_m, whence) = grid_m(file, &system, grid.as_mut())?;
     let others = [
         modes(&system),
         system.turbulence.as_ref().map_or_else(String::new, turbulence),
@@ -79,26 +79,47 @@ impl ActuatorGrid {
     }
 }
 
-/// Side of the grid of pupil and lenslets, m, and where it is from.
-fn grid_m(file: &mut FitsReader, system: &AotSystem, grid: Option<&ActuatorGrid>) -> Result<(f64, String)> {
-    let across = system.sensor.as_ref().map_or(0, |sensor| sensor.across);
-    if let Some(grid) = grid.filter(|grid| across > 0 && grid.across == across + 1) {
-        return Ok((across as f64 * grid.pitch_m, format!("{across} lenslets between {} actuators", grid.across)));
-    }
-    let telescope = &system.telescope;
-    if let Some(mask) = &telescope.pupil
-        && telescope.enclosing_m > 0.0
+/// Largest deviation of the side of the pupil's grid from that of the lenslets between actuators, relative: an extent is known to a sample,
+/// and a circle around the pupil is not always that of its corners.
+const SIDE_TOLERANCE: f64 = 0.1;
+
+/// Side of the grid of pupil and lenslets, m, and where it is from. Where actuators lie on the corners of lenslets (Fried's geometry), the
+/// grid of actuators is widened to that of all lenslets.
+fn grid_m(file: &mut FitsReader, system: &AotSystem, grid: Option<&mut ActuatorGrid>) -> Result<(f64, String)> {
+    let of_pupil = of_pupil(file, &system.telescope)?;
+    let lenslets = system.sensor.as_ref().map_or(0, |sensor| sensor.across);
+    if let Some(grid) =
+        grid.filter(|grid| lenslets >= grid.across - 1 && (lenslets + 1 - grid.across).is_multiple_of(2))
     {
-        let map = file.map(Some(&mask.hdu))?;
-        let columns: Vec<usize> = map.indexed_iter().filter(|(_, value)| **value > 0.0).map(|((_, x), _)| x).collect();
-        let (Some(first), Some(last)) = (columns.iter().min(), columns.iter().max()) else {
-            return Err(Error::file(file.path(), format_args!("its pupil {} is 0 everywhere", mask.hdu)));
-        };
-        let side_m = telescope.enclosing_m * map.ncols() as f64 / (last - first + 1) as f64;
-        return Ok((side_m, format!("{} over the extent of {}", telescope.enclosing_m, mask.hdu)));
+        let side_m = lenslets as f64 * grid.pitch_m;
+        if of_pupil.as_ref().is_none_or(|(known_m, _)| (known_m / side_m - 1.0).abs() < SIDE_TOLERANCE) {
+            grid.across = lenslets + 1;
+            return Ok((side_m, format!("{lenslets} lenslets between actuators")));
+        }
     }
-    let comment = format!("{UNKNOWN}: side of the grid of the pupil; lenslets_across times the side of a lenslet");
-    Ok((if telescope.enclosing_m > 0.0 { telescope.enclosing_m } else { 10.0 }, comment))
+    let unknown = || {
+        let comment = format!("{UNKNOWN}: side of the grid of the pupil; lenslets_across times the side of a lenslet");
+        (if system.telescope.enclosing_m > 0.0 { system.telescope.enclosing_m } else { 10.0 }, comment)
+    };
+    Ok(of_pupil.unwrap_or_else(unknown))
+}
+
+/// Side of the grid of the pupil's mask by the circle around the pupil, m.
+fn of_pupil(file: &mut FitsReader, telescope: &AotTelescope) -> Result<Option<(f64, String)>> {
+    let Some(mask) = telescope.pupil.as_ref().filter(|_| telescope.enclosing_m > 0.0) else { return Ok(None) };
+    let map = file.map(Some(&mask.hdu))?;
+    let (rows, columns) = map.dim();
+    // To the outer edge of a sample.
+    let radius = |((y, x), _): ((usize, usize), &f64)| {
+        let from = |at: usize, side: usize| (at as f64 - (side - 1) as f64 / 2.0).abs() + 0.5;
+        from(y, rows).hypot(from(x, columns))
+    };
+    let largest = map.indexed_iter().filter(|(_, value)| **value > 0.0).map(radius).fold(0.0, f64::max);
+    if largest == 0.0 {
+        return Err(Error::file(file.path(), format_args!("its pupil {} is 0 everywhere", mask.hdu)));
+    }
+    let side_m = telescope.enclosing_m * columns as f64 / (2.0 * largest);
+    Ok(Some((side_m, format!("{} m over the extent of {}", telescope.enclosing_m, mask.hdu))))
 }
 
 fn pupil(telescope: &AotTelescope, (grid_m, whence): (f64, &str), name: &str) -> String {
@@ -177,7 +198,8 @@ fn turbulence(turbulence: &AotTurbulence) -> String {
         lines.add("fractions", list(&turbulence.weights.iter().map(|w| w / sum).collect::<Vec<_>>()), "");
         lines.add("heights_m", list(&turbulence.heights_m), "");
         lines.add("wind_m_s", list(&turbulence.wind_m_s), "");
-        let radians: Vec<f64> = turbulence.wind_azimuth_deg.iter().map(|deg| (90.0 - deg).to_radians()).collect();
+        let radians = |deg: &f64| (270.0 - deg).rem_euclid(360.0).to_radians() - std::f64::consts::PI;
+        let radians: Vec<f64> = turbulence.wind_azimuth_deg.iter().map(radians).collect();
         lines.add("wind_dir_rad", list(&radians), "with North along the pupil's +y and East along its +x");
     }
     lines.text

@@ -56,7 +56,7 @@ pub fn first_scene(path: &Path) -> Result<String> {
         if telescope.is_empty() { "an unknown telescope" } else { &telescope },
         printable(&name),
     );
-    text += &image(&header, grid_m, images.data.index_axis(Axis(0), 0), (&instrument, &camera), &mut cards)?;
+    text += &image(is_aot, &header, grid_m, images.data.index_axis(Axis(0), 0), (&instrument, &camera), &mut cards)?;
     text += &others;
     // The text is made of values that were read, which a scene need not accept.
     Scene::from_text(&text, Path::new("")).map(|_| text).map_err(|error| match error {
@@ -113,8 +113,9 @@ impl Lines {
     }
 }
 
-/// The section `[image]`.
+/// The section `[image]`; `is_cut_out`: the images are as an estimate takes them, and not raw frames.
 fn image(
+    is_cut_out: bool,
     header: &FrameHeader,
     grid_m: f64,
     frame: ArrayView2<f64>,
@@ -155,12 +156,19 @@ fn image(
     let radian_mas = 180.0 / std::f64::consts::PI * 3.6e6;
     let sampling = wavelength_nm * 1e-9 / grid_m * radian_mas / pixel_mas;
     line("pixel_mas", float(pixel_mas), format!("{comment}; {sampling:.3} pixels per lambda/grid_m"));
-    // An even square that holds some 100 lambda/D, with the spot of 1.5 waves of defocus in it, and fits about the star.
-    let side = (rows.min(columns) / 2 * 2).min((100.0 * sampling / 2.0).ceil() as usize * 2);
-    let fits = star::find(&frame.to_owned(), side)
-        .map_or(side, |star| CutOut::largest_side((star.x, star.y), (rows, columns)));
-    let side = side.min(fits).clamp(8, 8192);
-    line("pixels", side.to_string(), format!("cut-out about the star; the frame has {columns}x{rows}"));
+    if is_cut_out {
+        line("pixels", columns.to_string(), String::new());
+        if rows != columns {
+            line("rows", rows.to_string(), String::new());
+        }
+    } else {
+        // An even square that holds some 100 lambda/D, with the spot of 1.5 waves of defocus in it, and fits about the star.
+        let side = (rows.min(columns) / 2 * 2).min((100.0 * sampling / 2.0).ceil() as usize * 2);
+        let fits = star::find(&frame.to_owned(), side)
+            .map_or(side, |star| CutOut::largest_side((star.x, star.y), (rows, columns)));
+        let side = side.min(fits).clamp(8, 8192);
+        line("pixels", side.to_string(), format!("cut-out about the star; the frame has {columns}x{rows}"));
+    }
     match (header.itime_s, of(Quantity::ExposureS).filter(|fact| fact.values[0] > 0.0)) {
         (Some(itime_s), _) => {
             let comment = format!("{} coadds of {itime_s} s", header.coadds);
