@@ -165,7 +165,7 @@ impl Simulator {
         let mut surface = Surface::new(&influence, &pupil.grid, &footprint);
         let mut sensor = Sensor::new(sensing, lenslets, &illuminated, &footprint)?;
         let modelled = interaction(&mut sensor, &mut surface, &footprint, control_scene.reconstructor)?;
-        let sensor = sensor.with_shift_and_gain(sensing, &illuminated, &footprint)?;
+        let sensor = sensor.with_changes(sensing, &illuminated, &footprint)?;
         let lenslets = sensor.lenslets();
         let measured = measured_matrices::interaction(scene, lenslets, &modelled)?;
         let interaction = measured.unwrap_or(modelled);

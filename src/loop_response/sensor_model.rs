@@ -63,7 +63,7 @@ impl SensorModel {
         let pupil = sensor_pupil(scene, sensing, telescope, 0)?;
         let footprint = Footprint::new(&pupil);
         let sensor = Sensor::new(sensing, Lenslets::new(sensing, &pupil, scene.directory())?, &pupil, &footprint)?
-            .with_shift_and_gain(sensing, &pupil, &footprint)?;
+            .with_changes(sensing, &pupil, &footprint)?;
         let fine = Samples::from_pupil(&pupil)?;
         let n = pupil.grid.samples();
         let (count, places) = (basis.len(), fine.indices.len());

@@ -108,6 +108,10 @@ section! {
         threshold_e: f64, between(0.0, 1e9), default(0.0);
         /// Shift of the lenslets along x and y since the measurement of the interaction matrix, in subapertures.
         shift_subapertures: Vec<f64>, between(-0.5, 0.5), default([0.0, 0.0]);
+        /// Rotation of the lenslets about the axis since then, counter-clockwise.
+        rotation_deg: f64, between(-10.0, 10.0), default(0.0);
+        /// Size of the pupil that the lenslets cover, relative to that at the measurement of the interaction matrix.
+        magnification: f64, between(0.9, 1.1), default(1.0);
         /// Ratio of the slopes to those at the measurement of the interaction matrix; below 1 for spots that have grown
         /// since.
         slope_gain: f64, above(0.0, 10.0), default(1.0);

@@ -4,7 +4,7 @@ use crate::terminal::{Terminal, counted};
 use cophase::ao::{self, Lenslets};
 use cophase::modes::InfluenceFunctions;
 use cophase::pupil::{Grid, Pupil};
-use cophase::scene::{Aperture, Scene};
+use cophase::scene::{Aperture, Scene, SensorScene};
 use cophase::telescope::Telescope;
 use cophase::{Error, Result, machine};
 use cophase_cli::plot::{Lattice, NumberingPicture};
@@ -159,10 +159,13 @@ fn notes(scene: &Scene, has_lattice: bool) -> Vec<String> {
              subapertures are not."
         ));
     }
-    if scene.wavefront_sensor.as_ref().is_some_and(|sensor| sensor.shift_subapertures.iter().any(|shift| *shift != 0.0))
-    {
+    let is_moved = |sensor: &SensorScene| {
+        let is_shifted = sensor.shift_subapertures.iter().any(|shift| *shift != 0.0);
+        is_shifted || sensor.rotation_deg != 0.0 || sensor.magnification != 1.0
+    };
+    if scene.wavefront_sensor.as_ref().is_some_and(is_moved) {
         notes.push(
-            "wavefront_sensor.shift_subapertures is set: subapertures are drawn where they were calibrated.".into(),
+            "lenslets are shifted, rotated or magnified: subapertures are drawn where they were calibrated.".into(),
         );
     }
     notes

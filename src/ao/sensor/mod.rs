@@ -4,9 +4,9 @@
 //! wavefront grows along +x. Slopes are `[all x, all y]` over the subapertures in use, ascending.
 
 mod geometric;
-mod lenslet_shift;
 mod lenslets;
 mod light;
+mod misregistration;
 mod pixels;
 mod quad_cell;
 mod reference;
@@ -26,7 +26,7 @@ use crate::pupil::Pupil;
 use crate::scene::{SensorDetector, SensorScene};
 use crate::{Error, Result};
 use geometric::Geometric;
-use lenslet_shift::LensletShift;
+use misregistration::Misregistration;
 use pixels::Pixels;
 use quad_cell::QuadCell;
 
@@ -70,8 +70,8 @@ pub struct Sensor {
     reference: Vec<f32>,
     /// Detector's own unit, mas.
     unit_mas: f32,
-    /// Shift of the lenslets since the calibration.
-    shift: Option<LensletShift>,
+    /// Motion of the lenslets since the calibration.
+    moved: Option<Misregistration>,
 }
 
 impl Sensor {
@@ -86,7 +86,7 @@ impl Sensor {
         let detector = Detector::new(scene, &lenslets, &pupil.grid, footprint);
         let slopes = 2 * lenslets.subapertures.len();
         let map = footprint.len();
-        let mut sensor = Self { lenslets, detector, map, reference: vec![0.0; slopes], unit_mas: 1.0, shift: None };
+        let mut sensor = Self { lenslets, detector, map, reference: vec![0.0; slopes], unit_mas: 1.0, moved: None };
         let mut flat = vec![0.0; slopes];
         sensor.detector.raw_slopes(&footprint.zeros(), None, &mut flat);
         let mut tilted = vec![0.0; slopes];
@@ -105,27 +105,25 @@ impl Sensor {
         Ok(sensor)
     }
 
-    /// This sensor with the changes since its calibration: the scene's shift of the lenslets and gain of the slopes.
+    /// This sensor with the changes since its calibration: the scene's misregistration of the lenslets and gain of the slopes.
     /// `pupil` and `footprint` are those of [`Sensor::new`].
     ///
     /// # Errors
-    /// [`Error::Value`] for a shift that leaves a subaperture in use without light.
-    pub fn with_shift_and_gain(mut self, scene: &SensorScene, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
+    /// [`Error::Value`] for a misregistration that leaves a subaperture in use without light.
+    pub fn with_changes(mut self, scene: &SensorScene, pupil: &Pupil, footprint: &Footprint) -> Result<Self> {
         self.unit_mas *= scene.slope_gain as f32;
         self.reference.iter_mut().for_each(|slope| *slope *= scene.slope_gain as f32);
-        let [x, y] = [0, 1].map(|axis| scene.shift_subapertures.get(axis).copied().unwrap_or(0.0));
-        if (x, y) != (0.0, 0.0) {
-            let samples = self.lenslets.samples as f64;
-            let (shift, shifted) = LensletShift::new([x * samples, y * samples], pupil, footprint);
-            self.lenslets = self.lenslets.with_light_of(&shifted);
+        if let Some((moved, seen)) = Misregistration::new(scene, pupil, footprint) {
+            self.lenslets = self.lenslets.with_light_of(&seen);
             if self.lenslets.light.iter().any(|&light| light <= 0.0) {
                 return Err(Error::Value(format!(
-                    "wavefront_sensor.shift_subapertures = [{x}, {y}] leaves a subaperture in use without light; a smaller shift \
-                     is needed"
+                    "wavefront_sensor.shift_subapertures = {:?}, rotation_deg = {} and magnification = {} leave a subaperture in use \
+                     without light; smaller changes are needed",
+                    scene.shift_subapertures, scene.rotation_deg, scene.magnification
                 )));
             }
-            self.detector = Detector::new(scene, &self.lenslets, &pupil.grid, &Footprint::new(&shifted));
-            self.shift = Some(shift);
+            self.detector = Detector::new(scene, &self.lenslets, &pupil.grid, &Footprint::new(&seen));
+            self.moved = Some(moved);
         }
         Ok(self)
     }
@@ -154,7 +152,7 @@ impl Sensor {
                 self.map
             )));
         }
-        let opd_nm = self.shift.as_mut().map_or(opd_nm, |shift| shift.apply(opd_nm));
+        let opd_nm = self.moved.as_mut().map_or(opd_nm, |moved| moved.apply(opd_nm));
         self.detector.raw_slopes(opd_nm, light, slopes_mas);
         for (slope, reference) in slopes_mas.iter_mut().zip(&self.reference) {
             *slope = *slope * self.unit_mas - reference;
