@@ -1,0 +1,21 @@
+//! Night watch: an estimate of every frame that appears, kept in one file, shown on a page.
+//!
+//! ```text
+//! folder ─ frame ─ FrameEstimator ─ Store (one transaction) ─ page, log, export
+//! ```
+//!
+//! One thread takes frames, estimates them and writes the store. Ctrl-C, a kill and a power cut may come at any time: a frame is in the
+//! store as a whole or not at all, and what is not there is taken by the next watch.
+
+mod clock;
+mod folder;
+mod frame_file;
+mod live;
+mod log;
+mod model;
+mod service;
+mod store;
+mod watcher;
+
+pub use frame_file::FrameReader;
+pub use service::{Settings, run};
