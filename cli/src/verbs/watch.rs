@@ -3,9 +3,10 @@
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
 use crate::terminal::Terminal;
-use crate::watch::{self, FrameReader};
-use cophase::Result;
+use crate::watch::{self, FrameReader, PageSettings, TrackingSettings};
 use cophase::pipeline::Policy;
+use cophase::{Error, Result};
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -52,6 +53,53 @@ pub struct Arguments {
     /// Log, to which lines of JSON are appended
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
+    /// False alarms of moved segments that are accepted in a night of 8 hours
+    #[arg(long, value_name = "N", default_value = "0.1", value_parser = positive)]
+    false_alarms_per_night: f64,
+    /// Usual time between frames: with it the false alarms of a night become a threshold
+    #[arg(long, value_name = "SECONDS", default_value = "10", value_parser = positive)]
+    interval_seconds: f64,
+    /// Port of the page on this machine; 0 takes any that is free
+    #[arg(long, default_value = "8642")]
+    port: u16,
+    /// Make no page
+    #[arg(long)]
+    no_page: bool,
+    /// Another address on which the page listens, such as 0.0.0.0; a token is needed
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    listen: IpAddr,
+    /// Name of this machine under which the page is accepted besides its addresses; may be repeated
+    #[arg(long, value_name = "NAME")]
+    host: Vec<String>,
+    /// What every request must know: 16 to 256 letters, digits, - and _. COPHASE_TOKEN in the environment is not seen by others
+    #[arg(long)]
+    token: Option<String>,
+}
+
+impl Arguments {
+    fn page(&self) -> Result<Option<PageSettings>> {
+        if self.no_page || self.once {
+            return Ok(None);
+        }
+        let token =
+            self.token.clone().or_else(|| std::env::var("COPHASE_TOKEN").ok().filter(|token| !token.is_empty()));
+        if token.as_deref().is_some_and(|token| !watch::is_token(token)) {
+            let accepted = "16 to 256 letters, digits, - and _ are accepted";
+            return Err(Error::Value(format!("the token (--token, COPHASE_TOKEN) cannot be used: {accepted}")));
+        }
+        if token.is_none() && !self.listen.is_loopback() {
+            return Err(Error::Value(format!(
+                "--listen {} opens the page to other machines, which needs a token: set COPHASE_TOKEN (or --token)",
+                self.listen
+            )));
+        }
+        Ok(Some(PageSettings { address: SocketAddr::new(self.listen, self.port), hosts: self.host.clone(), token }))
+    }
+}
+
+fn positive(text: &str) -> std::result::Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
+    number.ok_or_else(|| "a positive number is accepted".into())
 }
 
 fn seconds(text: &str) -> std::result::Result<f64, String> {
@@ -76,6 +124,11 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         settle: Duration::from_secs_f64(arguments.settle_seconds),
         once: arguments.once,
         log: arguments.log.clone(),
+        tracking: TrackingSettings {
+            false_alarms_per_night: arguments.false_alarms_per_night,
+            interval_s: arguments.interval_seconds,
+        },
+        page: arguments.page()?,
     };
     watch::run(settings, terminal, &interrupt)
 }

@@ -1,7 +1,7 @@
 //! Night watch: an estimate of every frame that appears, kept in one file, shown on a page.
 //!
 //! ```text
-//! folder ─ frame ─ FrameEstimator ─ Store (one transaction) ─ page, log, export
+//! folder ─ frame ─ FrameEstimator ─ Tracker ─ Store (one transaction) ─ page, log
 //! ```
 //!
 //! One thread takes frames, estimates them and writes the store. Ctrl-C, a kill and a power cut may come at any time: a frame is in the
@@ -13,9 +13,13 @@ mod frame_file;
 mod live;
 mod log;
 mod model;
+mod page;
 mod service;
 mod store;
+mod tracking;
 mod watcher;
 
 pub use frame_file::FrameReader;
+pub use page::{PageSettings, is_token};
 pub use service::{Settings, run};
+pub use tracking::TrackingSettings;

@@ -32,6 +32,11 @@ impl Model {
         Ok(())
     }
 
+    /// Labels of the segments.
+    pub fn labels(&self) -> Vec<i32> {
+        self.estimator.fitter().model().telescope.pupil.segments.iter().map(|segment| segment.label).collect()
+    }
+
     /// What the store keeps of it.
     pub fn about(&self, source: String) -> About {
         let model = self.estimator.fitter().model();

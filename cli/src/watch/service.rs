@@ -7,7 +7,9 @@ use crate::watch::frame_file::FrameReader;
 use crate::watch::live::Live;
 use crate::watch::log::Log;
 use crate::watch::model::Model;
+use crate::watch::page::{Page, PageSettings};
 use crate::watch::store::{Event, Reader, Store};
+use crate::watch::tracking::{Tracking, TrackingSettings};
 use crate::watch::watcher::{Outcome, Watcher};
 use cophase::pipeline::Policy;
 use cophase::scene::Scene;
@@ -32,6 +34,9 @@ pub struct Settings {
     /// Whether to end once everything that is there is taken.
     pub once: bool,
     pub log: Option<PathBuf>,
+    pub tracking: TrackingSettings,
+    /// Where the page is; `None` for no page.
+    pub page: Option<PageSettings>,
 }
 
 /// Watches until Ctrl-C, or with [`Settings::once`] until everything that is there is taken.
@@ -48,16 +53,24 @@ pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Re
         Model::new(settings.scene, settings.policy, interrupt)?
     };
     let store = Store::open(&settings.state, model.about(folder.display().to_string()))?;
+    let tracking = Tracking::new(model.estimator.fitter().model(), &settings.tracking, store.tracker()?.as_deref())?;
     let mut source = Folder::new(&folder, &store.files()?, settings.poll, settings.settle);
     let log = Log::open(settings.log.as_deref())?;
     let (reader, live) = (settings.reader, Live::default());
-    let mut watcher = Watcher { model, store, reader, log, live, terminal, interrupt };
+    let page = settings
+        .page
+        .map(|page| Page::start(page, &settings.state, &live, model.estimator.fitter().clone()))
+        .transpose()?;
+    let mut watcher = Watcher { model, store, tracking, reader, log, live, terminal, interrupt };
     watcher
         .log
         .line("watch", serde_json::json!({ "folder": folder.display().to_string(), "process": std::process::id() }));
+    if let Some(page) = &page {
+        terminal.show(&format!("page: http://{}/\n", page.address()))?;
+    }
     let ended = watch(&mut source, &mut watcher, settings.once, interrupt);
-    let store = watcher.store;
-    store.close()?;
+    drop(page);
+    watcher.store.close()?;
     ended?;
     let counts = Reader::open(&settings.state)?.counts()?;
     terminal.show(&format!(

@@ -9,6 +9,7 @@ use crate::watch::live::Live;
 use crate::watch::log::Log;
 use crate::watch::model::{Model, rms_nm};
 use crate::watch::store::{Content, Event, FileRecord, Frame, Store};
+use crate::watch::tracking::{Step, Tracking};
 use cophase::modes::Group;
 use cophase::pipeline::{FrameEstimate, Images};
 use cophase::{Error, Result};
@@ -29,6 +30,7 @@ pub enum Outcome {
 pub struct Watcher<'a> {
     pub model: Model,
     pub store: Store,
+    pub tracking: Tracking,
     pub reader: FrameReader,
     pub log: Log,
     pub live: Live,
@@ -160,26 +162,31 @@ impl Watcher<'_> {
     fn take_frame(&mut self, pending: &Pending, file: Option<&FileRecord>) -> Result<()> {
         let number = pending.image;
         let estimated = catch_unwind(AssertUnwindSafe(|| self.model.estimator.estimate(pending.images, number)));
-        let (frame, image) = match estimated {
+        let (frame, step, image) = match estimated {
             Ok(Ok(estimate)) => {
-                let frame = self.frame(pending, &estimate)?;
-                (frame, estimate.compared)
+                let (frame, step) = self.frame(pending, &estimate)?;
+                (frame, step, estimate.compared)
             }
             Ok(Err(error @ Error::Interrupted(_))) => return Err(error),
-            Ok(Err(error)) => (refused(pending, error.to_string()), None),
+            Ok(Err(error)) => (refused(pending, error.to_string()), None, None),
             Err(_) => {
                 // What a panic leaves of a session is not known.
                 self.model.renew(self.interrupt)?;
-                (refused(pending, "the estimate failed by an internal error, please report it".into()), None)
+                (refused(pending, "the estimate failed by an internal error, please report it".into()), None, None)
             }
         };
-        let id = self.commit(&frame, None, &[], file)?;
+        let (state, events) = step.as_ref().map_or((None, &[][..]), |step| (Some(&step.state[..]), &step.events[..]));
+        let id = self.commit(&frame, state, events, file)?;
+        // Not before the store has it: a frame that is tried again meets the tracker as it was.
+        if let Some(step) = step.filter(|_| id.is_some()) {
+            self.tracking.adopt(step);
+        }
         self.live.changed(id.zip(image));
         Ok(())
     }
 
-    /// The record of an estimate.
-    fn frame(&self, pending: &Pending, estimate: &FrameEstimate) -> Result<Frame> {
+    /// The record of an estimate, and what it does to the tracker.
+    fn frame(&self, pending: &Pending, estimate: &FrameEstimate) -> Result<(Frame, Option<Step>)> {
         let mut frame = refused(pending, String::new());
         frame.reason.clone_from(&estimate.refusal);
         frame.fit = Some(estimate.status.word().to_owned());
@@ -193,9 +200,21 @@ impl Watcher<'_> {
             frame.coefficients_nm.clone_from(&estimate.coefficients_nm);
             frame.sigma_nm = estimate.covariance_nm2.diag().iter().map(|nm2| nm2.max(0.0).sqrt()).collect();
         }
+        let mut step = None;
+        if frame.reason.is_none() {
+            match self.tracking.step(pending.observed_s, estimate, &self.model.labels()) {
+                Ok(found) => {
+                    frame.warnings.extend(found.outlier.clone());
+                    frame.tracked_nm.clone_from(&found.tracked_nm);
+                    frame.tracked_sigma_nm.clone_from(&found.tracked_sigma_nm);
+                    step = Some(found);
+                }
+                Err(error) => frame.reason = Some(error.to_string()),
+            }
+        }
         frame.taken_s = clock::now_s();
         frame.latency_s = (frame.taken_s - pending.complete_s).max(0.0);
-        Ok(frame)
+        Ok((frame, step))
     }
 
     /// Stores a frame, and says so.

@@ -67,7 +67,10 @@ impl Guard {
             return refuse(StatusCode::PAYLOAD_TOO_LARGE, "a request has no body here");
         }
         let Some(host) = only(headers, &header::HOST).filter(|host| self.is_own(host)) else {
-            return refuse(StatusCode::MISDIRECTED_REQUEST, "this host is not the one of the page: --host names others");
+            return refuse(
+                StatusCode::MISDIRECTED_REQUEST,
+                "this host is not the one of the page: --host names others",
+            );
         };
         if headers.contains_key(header::ORIGIN) && only(headers, &header::ORIGIN) != Some(&format!("http://{host}")) {
             return refuse(StatusCode::FORBIDDEN, "requests of other sites are refused");
@@ -105,10 +108,11 @@ impl Guard {
 
     /// Whether `host` is a name of this page. Addresses are no names that another site could point here.
     fn is_own(&self, host: &str) -> bool {
-        let (name, port) = match host.rsplit_once(':').filter(|(_, port)| port.bytes().all(|byte| byte.is_ascii_digit())) {
-            Some((name, port)) => (name, port.parse().ok()),
-            None => (host, Some(80)),
-        };
+        let (name, port) =
+            match host.rsplit_once(':').filter(|(_, port)| port.bytes().all(|byte| byte.is_ascii_digit())) {
+                Some((name, port)) => (name, port.parse().ok()),
+                None => (host, Some(80)),
+            };
         if port != Some(self.address.port()) {
             return false;
         }
@@ -137,7 +141,8 @@ fn is_same(one: &str, other: &str) -> bool {
 
 /// Whether a token is fit for an address and a header: letters, digits, `-`, `_`, at least 16 of them.
 pub fn is_token(text: &str) -> bool {
-    (16..=256).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_')
+    (16..=256).contains(&text.len())
+        && text.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_')
 }
 
 #[cfg(test)]
@@ -155,7 +160,9 @@ mod tests {
         for host in ["127.0.0.1:8642", "localhost:8642", "LOCALHOST:8642", "[::1]:8642"] {
             assert!(local.is_own(host), "{host}");
         }
-        for host in ["evil.example:8642", "127.0.0.1", "127.0.0.1:80", "10.0.0.1:8642", "", "localhost.evil.example:8642"] {
+        for host in
+            ["evil.example:8642", "127.0.0.1", "127.0.0.1:80", "10.0.0.1:8642", "", "localhost.evil.example:8642"]
+        {
             assert!(!local.is_own(host), "{host}");
         }
         let open = guard("0.0.0.0:80", &["summit"]);

@@ -41,33 +41,39 @@ pub fn router(shared: Shared, rules: Guard) -> Router {
         .route("/api/mirror", get(|State(s): State<Shared>| async move { s.answer(Api::mirror) }))
         .route("/api/ncpa", get(|State(s): State<Shared>| async move { s.answer(Api::ncpa) }))
         .route("/api/image", get(|State(s): State<Shared>| async move { s.answer(|api| Ok(api.image())) }))
-        .route("/api/trend", get(|State(s): State<Shared>, uri: Uri| async move {
-            s.limited(&uri, TREND, Api::trend)
-        }))
-        .route("/api/events", get(|State(s): State<Shared>, uri: Uri| async move {
-            s.limited(&uri, 100, Api::events)
-        }))
-        .route("/api/refused", get(|State(s): State<Shared>, uri: Uri| async move {
-            s.limited(&uri, 50, Api::refused)
-        }))
-        .route("/api/frames", get(|State(s): State<Shared>, uri: Uri| async move {
-            match number(&uri, "after", 0, i64::MAX) {
-                Ok(after) => s.limited(&uri, 100, move |api, limit| api.frames(after, limit)),
-                Err(error) => refused(&error),
-            }
-        }))
-        .route("/api/frames/{id}", get(|State(s): State<Shared>, Path(id): Path<String>| async move {
-            match id.parse::<i64>().ok().filter(|id| *id > 0) {
-                Some(id) => s.answer(move |api| api.frame(id)),
-                None => refused(&Error::Value("the number of a frame is accepted, from 1".into())),
-            }
-        }))
-        .route("/api/segments/{segment}", get(|State(s): State<Shared>, Path(id): Path<String>, uri: Uri| async move {
-            match id.parse::<usize>() {
-                Ok(segment) => s.limited(&uri, TREND, move |api, limit| api.segment(segment, limit)),
-                Err(_) => refused(&Error::Value("the number of a segment is accepted, from 0".into())),
-            }
-        }))
+        .route("/api/trend", get(|State(s): State<Shared>, uri: Uri| async move { s.limited(&uri, TREND, Api::trend) }))
+        .route("/api/events", get(|State(s): State<Shared>, uri: Uri| async move { s.limited(&uri, 100, Api::events) }))
+        .route(
+            "/api/refused",
+            get(|State(s): State<Shared>, uri: Uri| async move { s.limited(&uri, 50, Api::refused) }),
+        )
+        .route(
+            "/api/frames",
+            get(|State(s): State<Shared>, uri: Uri| async move {
+                match number(&uri, "after", 0, i64::MAX) {
+                    Ok(after) => s.limited(&uri, 100, move |api, limit| api.frames(after, limit)),
+                    Err(error) => refused(&error),
+                }
+            }),
+        )
+        .route(
+            "/api/frames/{id}",
+            get(|State(s): State<Shared>, Path(id): Path<String>| async move {
+                match id.parse::<i64>().ok().filter(|id| *id > 0) {
+                    Some(id) => s.answer(move |api| api.frame(id)),
+                    None => refused(&Error::Value("the number of a frame is accepted, from 1".into())),
+                }
+            }),
+        )
+        .route(
+            "/api/segments/{segment}",
+            get(|State(s): State<Shared>, Path(id): Path<String>, uri: Uri| async move {
+                match id.parse::<usize>() {
+                    Ok(segment) => s.limited(&uri, TREND, move |api, limit| api.segment(segment, limit)),
+                    Err(_) => refused(&Error::Value("the number of a segment is accepted, from 0".into())),
+                }
+            }),
+        )
         .route("/api/changes", get(|State(s): State<Shared>| async move { changes(s.version) }))
         .fallback(|| async { (StatusCode::NOT_FOUND, "there is nothing at this address\n") })
         .with_state(shared)
@@ -97,7 +103,8 @@ fn json_of(status: StatusCode, value: &Value) -> Response {
 }
 
 fn refused(error: &Error) -> Response {
-    let status = if matches!(error, Error::Value(_)) { StatusCode::BAD_REQUEST } else { StatusCode::SERVICE_UNAVAILABLE };
+    let status =
+        if matches!(error, Error::Value(_)) { StatusCode::BAD_REQUEST } else { StatusCode::SERVICE_UNAVAILABLE };
     json_of(status, &json!({ "error": error.to_string() }))
 }
 

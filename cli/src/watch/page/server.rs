@@ -52,7 +52,9 @@ impl Page {
     pub fn start(settings: PageSettings, state: &Path, live: &Live, fitter: Arc<ModalFitter>) -> Result<Self> {
         let asked = settings.address;
         let failed = |error: std::io::Error| {
-            Error::Value(format!("the page cannot listen on {asked} ({error}): name another port with --port (0: any that is free)"))
+            Error::Value(format!(
+                "the page cannot listen on {asked} ({error}): name another port with --port (0: any that is free)"
+            ))
         };
         let listener = TcpListener::bind(asked).map_err(failed)?;
         listener.set_nonblocking(true).map_err(failed)?;
@@ -67,7 +69,8 @@ impl Page {
         let api = Api { reader, about, live: live.clone(), fitter, started_s: clock::now_s() };
         let guard = Guard { address, hosts: settings.hosts, token: settings.token };
         let router = router(Shared { api: Arc::new(Mutex::new(api)), version }, guard);
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
+        let runtime =
+            tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build().map_err(failed)?;
         let (stop, stopped) = oneshot::channel();
         let thread = std::thread::Builder::new().name("page".into());
         let thread = thread.spawn(move || {

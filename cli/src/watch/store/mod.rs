@@ -10,8 +10,8 @@ mod records;
 mod schema;
 
 pub use lock::Lock;
-pub use read::{Counts, Reader, SegmentPoint};
-pub use records::{About, Content, Event, FileRecord, Frame, StoredEvent, StoredFrame};
+pub use read::Reader;
+pub use records::{About, Content, Event, FileRecord, Frame, StoredFrame};
 
 use cophase::{Error, Result};
 use failure::failed;

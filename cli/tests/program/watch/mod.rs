@@ -2,6 +2,7 @@
 
 mod faults;
 mod folder;
+mod page;
 
 use crate::Desk;
 use ndarray::Array3;
@@ -99,9 +100,14 @@ pub struct Running {
 
 impl Running {
     pub fn start(desk: &Desk, options: &[&str]) -> Self {
+        Self::start_with_page(desk, &[&["--no-page"], options].concat())
+    }
+
+    pub fn start_with_page(desk: &Desk, options: &[&str]) -> Self {
         let mut command = desk.command(&[&WATCH[..], options].concat());
         let log = std::fs::File::options().create(true).append(true).open(desk.path("stderr.txt")).unwrap();
-        Self { child: command.stdout(Stdio::null()).stderr(log).spawn().unwrap() }
+        let out = std::fs::File::create(desk.path("stdout.txt")).unwrap();
+        Self { child: command.stdout(out).stderr(log).spawn().unwrap() }
     }
 
     /// Stops it as Ctrl-C does; its exit status.
