@@ -2,17 +2,20 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
-use crate::terminal::Terminal;
-use crate::watch::{self, FrameReader, PageSettings, TrackingSettings};
+use crate::outputs;
+use crate::terminal::{Terminal, counted};
+use crate::watch::{self, FrameReader, PageSettings, Place, TrackingSettings};
 use cophase::pipeline::Policy;
 use cophase::{Error, Result};
 use std::net::{IpAddr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 const EXAMPLES: &str = "Examples:
   cophase watch frames/ --scene scene.toml --state night.db
   cophase watch frames/ --scene scene.toml --state night.db --once
+  cophase watch --stream cam0 --scene scene.toml --state night.db
+  cophase watch --export night.csv --state night.db
 
 Every FITS file in the folder is taken once: those that are there, then those that appear, as soon as they are complete. The file \
 --state keeps every result; the same command continues it, after a kill or a power cut too. Ctrl-C ends the watch (exit status 0).";
@@ -22,11 +25,17 @@ Every FITS file in the folder is taken once: those that are there, then those th
 #[command(after_help = EXAMPLES)]
 pub struct Arguments {
     /// Folder in which FITS files appear
-    #[arg(value_name = "FOLDER")]
-    folder: PathBuf,
+    #[arg(value_name = "FOLDER", required_unless_present_any = ["stream", "export"], conflicts_with_all = ["stream", "export"])]
+    folder: Option<PathBuf>,
+    /// Stream of ImageStreamIO (milk, cacao) in place of a folder; its file is in MILK_SHM_DIR, else /milk/shm, else /tmp
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["mask", "export"])]
+    stream: Option<String>,
+    /// Write the night of --state to a .fits, .fits.gz or .csv file, and end; a watch may run meanwhile
+    #[arg(long, value_name = "FILE")]
+    export: Option<PathBuf>,
     /// Scene: a TOML file, or the name of a preset
-    #[arg(long)]
-    scene: PathBuf,
+    #[arg(long, required_unless_present = "export")]
+    scene: Option<PathBuf>,
     /// File that keeps the night; it is made where there is none, else continued
     #[arg(long, value_name = "FILE")]
     state: PathBuf,
@@ -108,10 +117,20 @@ fn seconds(text: &str) -> std::result::Result<f64, String> {
 }
 
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
+    if let Some(output) = &arguments.export {
+        outputs::check(&[("--export", output)], &[("--state", &arguments.state)])?;
+        let frames = watch::export(&arguments.state, output)?;
+        return terminal.show(&format!("{}: {}\n", output.display(), counted(frames, "frame")));
+    }
     let interrupt = Interrupt::catch()?;
-    let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &[])?;
+    let place = match (&arguments.folder, &arguments.stream) {
+        (_, Some(name)) => Place::Stream(name.clone()),
+        (folder, None) => Place::Folder(folder.clone().unwrap_or_default()),
+    };
+    let scene = files::scene(arguments.scene.as_deref().unwrap_or(Path::new("")))?;
+    let scene = arguments.settings.apply(&scene, &[])?;
     let settings = watch::Settings {
-        folder: arguments.folder.clone(),
+        place,
         scene,
         policy: if arguments.policy == "full" { Policy::default() } else { Policy::realtime() },
         state: arguments.state.clone(),

@@ -126,9 +126,15 @@ impl Folder {
         self.is_scanned && self.pending.is_empty()
     }
 
-    /// Hands `path` over again, once it is seen the next time.
+    /// Hands `path` over again, after the next scan.
     pub fn forget(&mut self, path: &Path) {
         self.taken.remove(path);
+    }
+
+    /// Hands `path` over again, as soon as it has not changed between two looks.
+    pub fn look_again(&mut self, path: &Path) {
+        self.taken.remove(path);
+        self.see(path, false, Instant::now());
     }
 
     fn take_notice(&mut self, notice: notify::Result<notify::Event>) {
@@ -146,13 +152,13 @@ impl Folder {
         );
         for path in &event.paths {
             if path.parent() == Some(&self.path) {
-                self.see(path, is_closed);
+                self.see(path, is_closed, Instant::now());
             }
         }
     }
 
     /// Notes a file that is new or has changed.
-    fn see(&mut self, path: &Path, is_closed: bool) {
+    fn see(&mut self, path: &Path, is_closed: bool, now: Instant) {
         if !is_wanted(path) {
             return;
         }
@@ -163,7 +169,7 @@ impl Folder {
         match self.pending.get_mut(path).filter(|pending| pending.stamp == stamp) {
             Some(pending) => pending.is_closed |= is_closed,
             None => {
-                let pending = Pending { stamp, since: Instant::now(), is_closed, incomplete: None };
+                let pending = Pending { stamp, since: now, is_closed, incomplete: None };
                 self.pending.insert(path.to_path_buf(), pending);
             }
         }
@@ -188,8 +194,10 @@ impl Folder {
         if inode != self.inode {
             self.watch(inode);
         }
+        // One time for all, so that they come in the order of their changes.
+        let now = Instant::now();
         for entry in entries.flatten() {
-            self.see(&entry.path(), false);
+            self.see(&entry.path(), false, now);
         }
         self.is_scanned = true;
     }

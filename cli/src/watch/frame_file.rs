@@ -32,14 +32,18 @@ impl FrameReader {
     /// # Errors
     /// Those of [`Images::read`].
     pub fn read(&self, path: &Path, stamp: &Stamp) -> Result<FrameFile> {
-        let mut images = Images::read(path, self.mask.as_deref())?;
-        images.trust = if self.trust_scene { Trust::Scene } else { Trust::Neither };
-        images.overrides.clone_from(&self.overrides);
+        let images = self.with_options(Images::read(path, self.mask.as_deref())?);
         if images.is_empty() {
             return Err(Error::file(path, "holds no image"));
         }
         let observed_s = observed(path).unwrap_or_else(|| stamp.mtime_s());
         Ok(FrameFile { images, observed_s })
+    }
+
+    /// `images` with what the command line says of them.
+    pub fn with_options(&self, images: Images) -> Images {
+        let trust = if self.trust_scene { Trust::Scene } else { Trust::Neither };
+        Images { trust, overrides: self.overrides.clone(), ..images }
     }
 }
 

@@ -9,10 +9,12 @@ use crate::watch::live::Live;
 use crate::watch::log::Log;
 use crate::watch::model::{Model, rms_nm};
 use crate::watch::store::{Content, Event, FileRecord, Frame, Store};
+use crate::watch::stream::RawFrame;
 use crate::watch::tracking::{Step, Tracking};
 use cophase::modes::Group;
 use cophase::pipeline::{FrameEstimate, Images};
 use cophase::{Error, Result};
+use ndarray::Array3;
 use serde_json::json;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -95,6 +97,32 @@ impl Watcher<'_> {
         Ok(Outcome::Stored)
     }
 
+    /// Takes a frame of the stream `name`.
+    ///
+    /// # Errors
+    /// As [`Watcher::take_file`].
+    pub fn take_stream_frame(&mut self, name: &str, frame: &RawFrame) -> Result<()> {
+        let words = [frame.inode as i64, frame.created[0], frame.created[1], frame.count as i64];
+        let identity: Vec<u8> = words.into_iter().flat_map(i64::to_le_bytes).collect();
+        let content = Content::of(&[name.as_bytes(), &identity].concat());
+        if !self.store.images_of(content)?.is_empty() {
+            return Ok(());
+        }
+        let now_s = clock::now_s();
+        let known = |seconds: f64| if seconds > 0.0 { seconds } else { now_s };
+        let pixels = Array3::from_shape_vec((1, frame.rows, frame.columns), frame.pixels.clone());
+        let pixels = pixels.map_err(|error| Error::Internal(format!("a frame of a stream: {error}")))?;
+        let pending = Pending {
+            content,
+            image: 0,
+            name: format!("{name} frame {}", frame.count),
+            observed_s: known(frame.acquired_s),
+            complete_s: known(frame.written_s),
+            images: &self.reader.with_options(Images::new(pixels)),
+        };
+        self.take_frame(&pending, None)
+    }
+
     /// Something that happened, in the store, the log and on the terminal.
     pub fn event(&mut self, event: &Event) {
         self.tell(event);
@@ -111,9 +139,8 @@ impl Watcher<'_> {
 
     /// Another name of a file that was taken; its frames follow it where the former name is gone.
     fn note_name(&mut self, record: &FileRecord) -> Result<Outcome> {
-        let known = self.store.files()?;
-        let mut former = known.values().filter(|file| file.content == record.content && file.path != record.path);
-        let former = former.find(|file| !file.path.exists()).map(|file| file.path.clone());
+        let former = self.store.names_of(record.content)?;
+        let former = former.into_iter().find(|path| *path != record.path && !path.exists());
         self.store.add_file(record, former.as_deref())?;
         let path = record.path.display().to_string();
         match former {

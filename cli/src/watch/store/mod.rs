@@ -82,6 +82,15 @@ impl Store {
         found.map(|found| found.is_some()).map_err(failed(&self.path))
     }
 
+    /// Names of the files with this content.
+    pub fn names_of(&self, content: Content) -> Result<Vec<PathBuf>> {
+        let failed = failed(&self.path);
+        let query = "SELECT path FROM files WHERE content = ?1";
+        let mut query = self.connection.prepare_cached(query).map_err(&failed)?;
+        let rows = query.query_map([&content.0[..]], |row| row.get(0).map(path_of)).map_err(&failed)?;
+        rows.map(|row| row.map_err(&failed)).collect()
+    }
+
     /// The files that were taken, as they were then.
     pub fn files(&self) -> Result<HashMap<PathBuf, FileRecord>> {
         let failed = failed(&self.path);

@@ -3,6 +3,8 @@
 mod faults;
 mod folder;
 mod page;
+mod speed;
+mod stream;
 
 use crate::Desk;
 use ndarray::Array3;
@@ -100,11 +102,11 @@ pub struct Running {
 
 impl Running {
     pub fn start(desk: &Desk, options: &[&str]) -> Self {
-        Self::start_with_page(desk, &[&["--no-page"], options].concat())
+        Self::start_as(desk, &[&WATCH[..], &["--no-page"], options].concat())
     }
 
-    pub fn start_with_page(desk: &Desk, options: &[&str]) -> Self {
-        let mut command = desk.command(&[&WATCH[..], options].concat());
+    pub fn start_as(desk: &Desk, words: &[&str]) -> Self {
+        let mut command = desk.command(words);
         let log = std::fs::File::options().create(true).append(true).open(desk.path("stderr.txt")).unwrap();
         let out = std::fs::File::create(desk.path("stdout.txt")).unwrap();
         Self { child: command.stdout(out).stderr(log).spawn().unwrap() }

@@ -6,8 +6,8 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 
 /// A watch with a page on a port of the system's choice.
-struct Site {
-    running: Running,
+pub struct Site {
+    pub running: Running,
     address: SocketAddr,
 }
 
@@ -20,7 +20,11 @@ struct Answer {
 
 impl Site {
     fn start(desk: &Desk, options: &[&str]) -> Self {
-        let running = Running::start_with_page(desk, &[&["--port", "0"], options].concat());
+        Self::start_as(desk, &WATCH, options)
+    }
+
+    pub fn start_as(desk: &Desk, words: &[&str], options: &[&str]) -> Self {
+        let running = Running::start_as(desk, &[words, &["--port", "0"], options].concat());
         let mut found = None;
         wait_until("the address of the page", || {
             let text = std::fs::read_to_string(desk.path("stdout.txt")).unwrap();
@@ -31,7 +35,7 @@ impl Site {
         Self { running, address: found.unwrap() }
     }
 
-    fn connect(&self) -> TcpStream {
+    pub fn connect(&self) -> TcpStream {
         let stream = TcpStream::connect(("127.0.0.1", self.address.port())).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         stream
@@ -52,7 +56,7 @@ impl Site {
         Answer { status, head: head.to_ascii_lowercase(), body: body.to_owned() }
     }
 
-    fn host(&self) -> String {
+    pub fn host(&self) -> String {
         format!("127.0.0.1:{}", self.address.port())
     }
 
@@ -91,12 +95,17 @@ fn the_page_and_its_json_show_the_frames() {
     wait_for_rows(&desk, 4);
     read_until(&mut stream, 2);
     let status = site.json("/api/status");
-    assert_eq!((status["counts"]["done"].as_i64(), status["counts"]["refused"].as_i64()), (Some(3), Some(1)), "{status}");
+    assert_eq!(
+        (status["counts"]["done"].as_i64(), status["counts"]["refused"].as_i64()),
+        (Some(3), Some(1)),
+        "{status}"
+    );
     assert_eq!(status["policy"], "realtime");
     let mirror = site.json("/api/mirror");
     let segments = mirror["segments"].as_array().unwrap();
     assert_eq!(segments.len(), 7);
-    let known = segments.iter().filter(|segment| segment["tracked_nm"].is_f64() && segment["tracked_sigma_nm"].is_f64());
+    let known =
+        segments.iter().filter(|segment| segment["tracked_nm"].is_f64() && segment["tracked_sigma_nm"].is_f64());
     assert!(known.count() >= 6, "{mirror}");
     let history = site.json("/api/segments/1?limit=2");
     assert_eq!(history["history"].as_array().unwrap().len(), 2);
@@ -148,7 +157,9 @@ fn requests_of_other_sites_are_refused() {
     }
     assert!(!page.head.contains("access-control"), "{}", page.head);
     // DNS rebinding: a name of the attacker's that points here.
-    for host in [format!("evil.example:{port}"), "127.0.0.1".into(), format!("127.0.0.1.evil.example:{port}"), String::new()] {
+    for host in
+        [format!("evil.example:{port}"), "127.0.0.1".into(), format!("127.0.0.1.evil.example:{port}"), String::new()]
+    {
         assert_eq!(site.send(&format!("GET / HTTP/1.1\nHost: {host}")).status, 421, "{host}");
     }
     assert_eq!(site.send(&format!("GET / HTTP/1.1\nHost: {host}\nHost: evil.example")).status, 421);
@@ -193,9 +204,16 @@ fn requests_that_are_odd_large_or_slow_are_refused() {
         assert!([400, 404].contains(&answer.status), "{path}: {}", answer.status);
         assert!(!answer.body.contains("root:") && !answer.body.contains("[pupil]"), "{path}");
     }
-    for path in ["/api/segments/x", "/api/segments/-1", "/api/segments/7", "/api/frames/0", "/api/frames/99", "/api/trend?limit=x",
-        "/api/trend?limit=99999999999", "/api/frames?after=-5"]
-    {
+    for path in [
+        "/api/segments/x",
+        "/api/segments/-1",
+        "/api/segments/7",
+        "/api/frames/0",
+        "/api/frames/99",
+        "/api/trend?limit=x",
+        "/api/trend?limit=99999999999",
+        "/api/frames?after=-5",
+    ] {
         let answer = site.get(path);
         assert_eq!(answer.status, 400, "{path}: {}", answer.body);
         assert!(answer.body.contains("error"), "{path}: {}", answer.body);
@@ -219,7 +237,9 @@ fn requests_that_are_odd_large_or_slow_are_refused() {
     for stream in &mut slow {
         // Ends by a close of the server; the patience of the socket would be an error of another kind.
         let outcome = stream.read_to_end(&mut ended);
-        let is_time = |error: &std::io::Error| matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut);
+        let is_time = |error: &std::io::Error| {
+            matches!(error.kind(), std::io::ErrorKind::WouldBlock | std::io::ErrorKind::TimedOut)
+        };
         assert!(!outcome.as_ref().is_err_and(is_time), "{outcome:?}");
     }
     assert_eq!(site.get("/api/status").status, 200);
