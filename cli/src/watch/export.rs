@@ -31,7 +31,11 @@ pub fn export(state: &Path, output: &Path) -> Result<usize> {
         }
         frames.extend(chunk);
     }
-    if is_csv { write_csv(output, &about, &frames)? } else { write_fits(output, &about, &frames, &reader)? }
+    if is_csv {
+        write_csv(output, &about, &frames)?
+    } else {
+        write_fits(output, &about, &frames, &reader)?
+    }
     Ok(frames.len())
 }
 
@@ -148,7 +152,9 @@ fn write_fits(output: &Path, about: &About, frames: &[StoredFrame], reader: &Rea
 mod tests {
     #[test]
     fn cells_are_quoted() {
-        for (text, cell) in [("plain", "plain"), ("a,b", "\"a,b\""), ("say \"a\"", "\"say \"\"a\"\"\""), ("a\nb", "\"a\nb\"")] {
+        for (text, cell) in
+            [("plain", "plain"), ("a,b", "\"a,b\""), ("say \"a\"", "\"say \"\"a\"\"\""), ("a\nb", "\"a\nb\"")]
+        {
             assert_eq!(super::quoted(text), cell);
         }
     }

@@ -74,9 +74,7 @@ pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Re
         .map(|page| Page::start(page, &settings.state, &live, model.estimator.fitter().clone()))
         .transpose()?;
     let mut watcher = Watcher { model, store, tracking, reader, log, live, terminal, interrupt };
-    watcher
-        .log
-        .line("watch", serde_json::json!({ "source": place.to_string(), "process": std::process::id() }));
+    watcher.log.line("watch", serde_json::json!({ "source": place.to_string(), "process": std::process::id() }));
     if let Some(page) = &page {
         terminal.show(&format!("page: http://{}/\n", page.address()))?;
     }
@@ -104,9 +102,9 @@ impl Place {
             Self::Folder(folder) => {
                 std::path::absolute(&folder).map(Self::Folder).map_err(|error| Error::file(&folder, error))
             }
-            Self::Stream(name) if name.is_empty() || name.contains('/') || name.len() > 79 => Err(Error::Value(format!(
-                "the stream '{name}' cannot be: a name of 1 to 79 characters without / is accepted"
-            ))),
+            Self::Stream(name) if name.is_empty() || name.contains('/') || name.len() > 79 => Err(Error::Value(
+                format!("the stream '{name}' cannot be: a name of 1 to 79 characters without / is accepted"),
+            )),
             stream => Ok(stream),
         }
     }

@@ -176,22 +176,31 @@ impl Header {
         if !bytes.starts_with(VERSION) {
             let version = String::from_utf8_lossy(&bytes[..8]);
             let version = version.trim_end_matches('\0');
-            return Err(refused(format!("has version '{version}' of the structure of ImageStreamIO: 2.00 is accepted")));
+            return Err(refused(format!(
+                "has version '{version}' of the structure of ImageStreamIO: 2.00 is accepted"
+            )));
         }
         let axes = bytes[offset_of!(Metadata, naxis)];
         let size = [0, 1, 2].map(|axis| u64::from(u32_at(bytes, offset_of!(Metadata, size) + 4 * axis)));
         let slices = if axes == 3 { size[2] } else { 1 };
         if !(2..=3).contains(&axes) || size[0] == 0 || size[1] == 0 || slices == 0 || size[0] * size[1] > MOST_PIXELS {
-            return Err(refused(format!("has {axes} axes and {}x{} pixels: an image is accepted, or a cube of them", size[0], size[1])));
+            return Err(refused(format!(
+                "has {axes} axes and {}x{} pixels: an image is accepted, or a cube of them",
+                size[0], size[1]
+            )));
         }
         let kind = u64_at(bytes, offset_of!(Metadata, imagetype));
         let is_circular = kind & CIRCULAR_BITS == CIRCULAR_BUFFER | TEMPORAL;
         if axes == 3 && kind & CIRCULAR_BUFFER == 0 && slices > 1 {
-            return Err(refused(format!("is a cube of {slices} images that are no times: a circular buffer is accepted")));
+            return Err(refused(format!(
+                "is a cube of {slices} images that are no times: a circular buffer is accepted"
+            )));
         }
         let code = bytes[offset_of!(Metadata, datatype)];
         let pixels = Pixels::of(code).ok_or_else(|| {
-            refused(format!("has pixels of type {code} of ImageStreamIO: integers, and real numbers of 32 and 64 bits are accepted"))
+            refused(format!(
+                "has pixels of type {code} of ImageStreamIO: integers, and real numbers of 32 and 64 bits are accepted"
+            ))
         })?;
         if (bytes[offset_of!(Metadata, location)] as i8) >= 0 {
             return Err(refused("has its pixels on a GPU: a stream in the memory of the CPU is accepted".into()));

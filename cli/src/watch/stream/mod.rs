@@ -65,10 +65,25 @@ impl Stream {
     pub fn start(name: &str) -> Result<Self> {
         let (sender, news) = sync_channel(WAITING);
         let shared = Arc::new(Shared::default());
-        let worker = Worker { path: path_of(name), name: name.into(), sender, shared: shared.clone(), said: None, lost: 0, lost_said: None };
+        let worker = Worker {
+            path: path_of(name),
+            name: name.into(),
+            sender,
+            shared: shared.clone(),
+            said: None,
+            lost: 0,
+            lost_said: None,
+        };
         let thread = std::thread::Builder::new().name("stream".into()).spawn(move || worker.run());
         let thread = thread.map_err(|error| Error::Internal(format!("no thread for the stream: {error}")))?;
-        Ok(Self { name: name.into(), news, shared, thread: Some(thread), again: VecDeque::new(), retry_at: Instant::now() })
+        Ok(Self {
+            name: name.into(),
+            news,
+            shared,
+            thread: Some(thread),
+            again: VecDeque::new(),
+            retry_at: Instant::now(),
+        })
     }
 
     /// Its name.
@@ -106,7 +121,9 @@ impl Stream {
 
     /// Whether everything that was there is handed over.
     pub fn is_idle(&self) -> bool {
-        self.shared.is_dry.load(Ordering::SeqCst) && self.shared.waiting.load(Ordering::SeqCst) == 0 && self.again.is_empty()
+        self.shared.is_dry.load(Ordering::SeqCst)
+            && self.shared.waiting.load(Ordering::SeqCst) == 0
+            && self.again.is_empty()
     }
 }
 

@@ -105,7 +105,9 @@ impl StreamReader {
             let is_whole = match before.ring {
                 None => after.count == before.count && !after.is_written,
                 // Unchanged while the writer has not come round to its slot.
-                Some(ring) => after.phase() == before.phase() && after.count.wrapping_sub(count) < (ring.slots - 1).max(1),
+                Some(ring) => {
+                    after.phase() == before.phase() && after.count.wrapping_sub(count) < (ring.slots - 1).max(1)
+                }
             };
             if !is_whole || after.created != before.created {
                 continue;

@@ -8,9 +8,12 @@ use std::sync::atomic::{AtomicI32, Ordering};
 
 /// Takes a semaphore that no living process has, and gives it back when it is dropped.
 pub struct Semaphore {
+    /// Tells the size of the file: what lies behind its end must not be touched.
+    file: File,
     map: NonNull<libc::c_void>,
     bytes: usize,
     index: usize,
+    is_taken: bool,
     semaphores_at: usize,
     readers_at: usize,
 }
@@ -29,7 +32,9 @@ impl Semaphore {
             return None;
         }
         let (semaphores_at, readers_at) = (header.semaphores_at as usize, header.readers_at as usize);
-        let mut taken = Self { map: NonNull::new(map)?, bytes, index: 0, semaphores_at, readers_at };
+        let file = file.try_clone().ok()?;
+        let mut taken =
+            Self { file, map: NonNull::new(map)?, bytes, index: 0, is_taken: false, semaphores_at, readers_at };
         // SAFETY: a plain system call.
         let own = unsafe { libc::getpid() };
         taken.index = (0..header.semaphores).find(|&index| {
@@ -40,17 +45,20 @@ impl Semaphore {
             let is_free = known <= 0 || unsafe { libc::getpgid(known) } < 0;
             is_free && reader.compare_exchange(known, own, Ordering::SeqCst, Ordering::SeqCst).is_ok()
         })?;
+        taken.is_taken = true;
         Some(taken)
     }
 
-    /// Takes all posts; whether there was one.
-    pub fn drain(&self) -> bool {
-        let mut is_posted = false;
-        // SAFETY: a semaphore that the writer has initialised, within the map.
-        while unsafe { libc::sem_trywait(self.semaphore()) } == 0 {
-            is_posted = true;
-        }
-        is_posted
+    /// Takes all posts.
+    pub fn drain(&self) {
+        // SAFETY: a semaphore that the writer has initialised, within the map and the file.
+        while self.is_whole() && unsafe { libc::sem_trywait(self.semaphore()) } == 0 {}
+    }
+
+    /// Whether the file still reaches to the end of the map. Upstream never cuts a file short; one that does it between this look and the
+    /// touch that follows ends the process.
+    fn is_whole(&self) -> bool {
+        self.file.metadata().is_ok_and(|found| found.len() >= self.bytes as u64)
     }
 
     fn reader(&self, index: usize) -> &AtomicI32 {
@@ -67,11 +75,14 @@ impl Semaphore {
 
 impl Drop for Semaphore {
     fn drop(&mut self) {
-        // SAFETY: a plain system call, and the map of this value.
+        // SAFETY: a plain system call.
+        let own = unsafe { libc::getpid() };
+        if self.is_whole() && self.is_taken {
+            // Another process's number stays.
+            let _ = self.reader(self.index).compare_exchange(own, 0, Ordering::SeqCst, Ordering::SeqCst);
+        }
+        // SAFETY: the map of this value, which nothing uses any more.
         unsafe {
-            let own = libc::getpid();
-            let reader = self.reader(self.index);
-            let _ = reader.compare_exchange(own, 0, Ordering::SeqCst, Ordering::SeqCst);
             libc::munmap(self.map.as_ptr(), self.bytes);
         }
     }

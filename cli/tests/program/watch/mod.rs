@@ -2,6 +2,7 @@
 
 mod faults;
 mod folder;
+mod night;
 mod page;
 mod speed;
 mod stream;
@@ -102,7 +103,15 @@ pub struct Running {
 
 impl Running {
     pub fn start(desk: &Desk, options: &[&str]) -> Self {
-        Self::start_as(desk, &[&WATCH[..], &["--no-page"], options].concat())
+        // An option that is given takes the place of the usual one.
+        let mut words = WATCH.to_vec();
+        for pair in options.chunks(2) {
+            match words.iter().position(|word| word == &pair[0]) {
+                Some(place) => words[place + 1] = pair[1],
+                None => words.extend(pair),
+            }
+        }
+        Self::start_as(desk, &[&words[..], &["--no-page"]].concat())
     }
 
     pub fn start_as(desk: &Desk, words: &[&str]) -> Self {

@@ -72,6 +72,10 @@ fn rate_of_a_stream() {
     let after = resident(&watch);
     watch.stop();
     print_quantiles("shared memory to store, 64 x 64", latencies(&desk.path("night.db")));
-    println!("{} of {} frames, {before} MiB before, {after} MiB after", super::stream::counters(&desk).len(), 200 + count);
+    println!(
+        "{} of {} frames, {before} MiB before, {after} MiB after",
+        super::stream::counters(&desk).len(),
+        200 + count
+    );
     assert_eq!(super::stream::counters(&desk).len(), 200 + count);
 }

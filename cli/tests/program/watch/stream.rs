@@ -194,7 +194,9 @@ fn a_stream_that_is_made_anew_is_followed_with_another_size_too() {
     let mut watch = start(&desk, &[]);
     let state = desk.path("night.db");
     wait_until("the sentence", || {
-        state.exists() && has_events(&state) && events(&state).iter().any(|(_, sentence)| sentence.contains("waiting until it can"))
+        state.exists()
+            && has_events(&state)
+            && events(&state).iter().any(|(_, sentence)| sentence.contains("waiting until it can"))
     });
     let Some(mut writer) = Writer::start(&desk, 64, 1, 0) else { return };
     writer.write(1, 0);
@@ -225,7 +227,10 @@ fn a_stream_that_is_made_anew_is_followed_with_another_size_too() {
         let mut query = connection.prepare("SELECT status, coalesce(reason, '') FROM frames ORDER BY id").unwrap();
         query.query_map([], |row| Ok((row.get(0)?, row.get(1)?))).unwrap().map(Result::unwrap).collect()
     };
-    assert_eq!(found.iter().map(|(status, _)| status.as_str()).collect::<Vec<_>>(), ["done", "refused", "done", "done"]);
+    assert_eq!(
+        found.iter().map(|(status, _)| status.as_str()).collect::<Vec<_>>(),
+        ["done", "refused", "done", "done"]
+    );
     assert!(found[1].1.contains("48x48 pixels: 64x64 is accepted"), "{found:?}");
     assert!(events(&state).iter().any(|(_, sentence)| sentence.contains("was made anew, of 48x48 pixels")));
 }
