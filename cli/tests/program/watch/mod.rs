@@ -1,5 +1,6 @@
 //! `cophase watch`: every frame once, whatever happens between two of them.
 
+mod browser;
 mod faults;
 mod folder;
 mod night;

@@ -13,7 +13,7 @@ fn put_at(desk: &Desk, made: &str, number: usize) {
 }
 
 /// Ten frames, and ten more after all segments have moved by half of their errors: the pattern is that of the seed, 60 nm RMS and then 90.
-fn desk_of_a_night() -> Desk {
+pub fn desk_of_a_night() -> Desk {
     let desk = Desk::with_images(&["image.count=10"]);
     std::fs::create_dir(desk.path("frames")).unwrap();
     let set = ["--set", "image.count=10", "--set", "aberrations.segment_piston_rms_nm=90"];

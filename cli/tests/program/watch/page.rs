@@ -19,7 +19,7 @@ struct Answer {
 }
 
 impl Site {
-    fn start(desk: &Desk, options: &[&str]) -> Self {
+    pub fn start(desk: &Desk, options: &[&str]) -> Self {
         Self::start_as(desk, &WATCH, options)
     }
 

@@ -30,9 +30,8 @@ fn latency_of_files_of_240_pixels() {
     let count = number("COPHASE_FRAMES", 100);
     let desk = Desk::with_scene();
     std::fs::create_dir(desk.path("frames")).unwrap();
-    desk.succeeds(&["scene", "keck-artificial", "-o", "keck.toml"]);
-    desk.succeeds(&["image", "keck.toml", "-o", "keck.fits"]);
-    let words = WATCH.map(|word| if word == "scene.toml" { "keck.toml" } else { word });
+    desk.succeeds(&["image", "keck-artificial", "-o", "keck.fits"]);
+    let words = WATCH.map(|word| if word == "scene.toml" { "keck-artificial" } else { word });
     let mut site = Site::start_as(&desk, &words, &[]);
     let mut stream = site.connect();
     write!(stream, "GET /api/changes HTTP/1.1\r\nHost: {}\r\n\r\n", site.host()).unwrap();
