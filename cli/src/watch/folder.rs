@@ -177,8 +177,11 @@ impl Folder {
 
     fn scan(&mut self) {
         self.next_scan = Instant::now() + self.poll;
-        let entries = match std::fs::read_dir(&self.path) {
-            Ok(entries) => entries,
+        // Both, or it was removed between the two.
+        let read =
+            std::fs::read_dir(&self.path).and_then(|entries| Ok((entries, std::fs::metadata(&self.path)?.ino())));
+        let (entries, inode) = match read {
+            Ok(read) => read,
             Err(error) => {
                 if self.inode.take().is_some() || !self.is_scanned {
                     let folder = self.path.display();
@@ -190,8 +193,7 @@ impl Folder {
                 return;
             }
         };
-        let inode = std::fs::metadata(&self.path).map(|found| found.ino()).ok();
-        if inode != self.inode {
+        if self.inode != Some(inode) {
             self.watch(inode);
         }
         // One time for all, so that they come in the order of their changes.
@@ -203,11 +205,11 @@ impl Folder {
     }
 
     /// Asks for notices of a folder that is new, or back.
-    fn watch(&mut self, inode: Option<u64>) {
+    fn watch(&mut self, inode: u64) {
         if self.is_scanned {
             self.news.push(News::Sentence(format!("the folder {} is back", self.path.display())));
         }
-        self.inode = inode;
+        self.inode = Some(inode);
         let watched = notify::recommended_watcher(self.sender.clone()).and_then(|mut watcher| {
             watcher.watch(&self.path, RecursiveMode::NonRecursive)?;
             Ok(watcher)

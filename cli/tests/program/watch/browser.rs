@@ -160,7 +160,7 @@ fn the_page_loads_without_an_error_and_shows_each_frame() {
     let site = Site::start(&desk, &[]);
     wait_for_rows(&desk, 17);
     let address = format!("http://{}/", site.host());
-    browser.look(1200, 1500, false);
+    browser.look(1200, 2080, false);
     browser.call("Page.navigate", json!({ "url": address }));
     browser.wait_for("document.body?.dataset.frames === '16'");
     // A frame that arrives is shown without being asked for.

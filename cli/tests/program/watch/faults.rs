@@ -85,6 +85,39 @@ fn a_full_disk_is_a_sentence_and_the_frames_are_taken_when_there_is_room() {
     assert_eq!(rows(&desk.path("night.db")).len(), 4);
 }
 
+/// The disk of a watch that runs becomes full, and has room again.
+#[test]
+fn a_watch_outlives_a_full_disk() {
+    let desk = desk_with_frames(4);
+    put(&desk, 0);
+    let mut watch = Running::start(&desk, &[]);
+    wait_for_rows(&desk, 1);
+    let limit = |bytes: libc::rlim_t| {
+        let limit = libc::rlimit { rlim_cur: bytes, rlim_max: libc::RLIM_INFINITY };
+        // SAFETY: a plain system call on a child that has not been waited for.
+        let done =
+            unsafe { libc::prlimit(watch.child.id() as libc::pid_t, libc::RLIMIT_FSIZE, &limit, std::ptr::null_mut()) };
+        assert_eq!(done, 0, "{}", std::io::Error::last_os_error());
+    };
+    limit(4096);
+    (1..4).for_each(|number| put(&desk, number));
+    wait_until("the sentence on a full disk", || {
+        std::fs::read_to_string(desk.path("stderr.txt")).unwrap().contains("the frame is tried again")
+    });
+    assert_eq!(rows(&desk.path("night.db")).len(), 1);
+    limit(libc::RLIM_INFINITY);
+    wait_for_rows(&desk, 4);
+    assert_eq!(watch.stop(), Some(0));
+    let found = rows(&desk.path("night.db"));
+    assert_eq!(
+        found.iter().map(|row| row.name.as_str()).collect::<Vec<_>>(),
+        ["000.fits", "001.fits", "002.fits", "003.fits"]
+    );
+    // One sentence for all tries.
+    let said = std::fs::read_to_string(desk.path("stderr.txt")).unwrap();
+    assert_eq!(said.matches("the frame is tried again").count(), 1, "{said}");
+}
+
 #[test]
 fn a_folder_that_is_removed_is_waited_for() {
     let desk = desk_with_frames(2);
