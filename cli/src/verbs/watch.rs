@@ -2,7 +2,7 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
-use crate::outputs;
+use crate::outputs::{self, Flagged};
 use crate::terminal::{Terminal, counted};
 use crate::watch::{self, FrameReader, PageSettings, Place, TrackingSettings};
 use cophase::pipeline::Policy;
@@ -127,6 +127,16 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         (_, Some(name)) => Place::Stream(name.clone()),
         (folder, None) => Place::Folder(folder.clone().unwrap_or_default()),
     };
+    let scene = arguments.scene.as_deref().map(|scene| ("--scene", scene));
+    let inputs: Vec<Flagged> =
+        scene.into_iter().chain(arguments.mask.as_deref().map(|mask| ("--mask", mask))).collect();
+    let state = ("--state", arguments.state.as_path());
+    outputs::refuse_dash(state)?;
+    outputs::spare(state, &inputs)?;
+    if let Some(log) = &arguments.log {
+        outputs::refuse_dash(("--log", log))?;
+        outputs::spare(("--log", log), &[&inputs[..], &[state]].concat())?;
+    }
     let scene = files::scene(arguments.scene.as_deref().unwrap_or(Path::new("")))?;
     let scene = arguments.settings.apply(&scene, &[])?;
     let settings = watch::Settings {

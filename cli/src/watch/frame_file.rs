@@ -52,8 +52,8 @@ impl FrameReader {
 /// # Errors
 /// [`Error::File`] where it cannot be read.
 pub fn content(path: &Path) -> Result<Content> {
-    let bytes = std::fs::read(path).map_err(|error| Error::file(path, format_args!("cannot be read: {error}")))?;
-    Ok(Content::of(&bytes))
+    let failed = |error: std::io::Error| Error::file(path, format_args!("cannot be read: {error}"));
+    Content::read(&mut std::fs::File::open(path).map_err(failed)?).map_err(failed)
 }
 
 /// The time of an observation in the cards of a file, the middle before the beginning (FITS standard 4.0, table 22).

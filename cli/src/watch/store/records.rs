@@ -2,8 +2,10 @@
 
 use serde::Serialize;
 use std::ffi::OsString;
+use std::io::Read;
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::{Path, PathBuf};
+use twox_hash::XxHash3_128;
 
 /// Hash of what a frame was made of: two files with the same bytes are one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -12,7 +14,20 @@ pub struct Content(pub [u8; 16]);
 impl Content {
     /// That of some bytes (XXH3, 128 bits).
     pub fn of(bytes: &[u8]) -> Self {
-        Self(twox_hash::XxHash3_128::oneshot(bytes).to_be_bytes())
+        Self(XxHash3_128::oneshot(bytes).to_be_bytes())
+    }
+
+    /// That of all that `source` has, which need not fit into the memory.
+    pub fn read(source: &mut impl Read) -> std::io::Result<Self> {
+        let (mut hash, mut buffer) = (XxHash3_128::new(), vec![0; 1 << 20]);
+        loop {
+            match source.read(&mut buffer) {
+                Ok(0) => return Ok(Self(hash.finish_128().to_be_bytes())),
+                Ok(count) => hash.write(&buffer[..count]),
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
     }
 }
 

@@ -151,6 +151,18 @@ fn files_of_other_programs_and_of_other_scenes_are_no_store() {
     std::fs::remove_file(desk.path("night.db")).unwrap();
     put(&desk, 0);
     once(&desk);
+    // The state is no file of the command, and no other file is the state.
+    for (option, value) in [("--log", "night.db"), ("--state", "scene.toml")] {
+        let mixed = [
+            &arguments
+                .iter()
+                .map(|word| if option == "--state" && *word == "night.db" { value } else { word })
+                .collect::<Vec<_>>()[..],
+            if option == "--log" { &["--log", "night.db"] } else { &[] },
+        ]
+        .concat();
+        desk.run(&mixed).failed(&mixed, &[value, "cannot be its output", option]);
+    }
     let other = [&arguments[..], &["--set", "image.read_noise_e=3"]].concat();
     desk.run(&other).failed(&other, &["night.db", "another model", "read_noise_e"]);
     rusqlite::Connection::open(desk.path("night.db")).unwrap().execute_batch("PRAGMA user_version = 7").unwrap();
