@@ -1,7 +1,7 @@
 //! Export of a night from its store, also while a watch runs: FITS with all vectors, or CSV with a row for each frame.
 
 use crate::watch::clock;
-use crate::watch::store::{About, Reader, StoredFrame};
+use crate::watch::store::{About, Columns, Reader, StoredFrame};
 use cophase::io::{Column, FitsWriter, Pixel, write_atomically};
 use cophase::{Error, Result};
 use ndarray::Array2;
@@ -25,7 +25,7 @@ pub fn export(state: &Path, output: &Path) -> Result<usize> {
     let (about, mut frames) = (reader.about()?, Vec::new());
     loop {
         let after = frames.last().map_or(0, |frame: &StoredFrame| frame.id);
-        let chunk = reader.frames_after(after, CHUNK)?;
+        let chunk = reader.frames_after(after, CHUNK, Columns::All)?;
         if chunk.is_empty() {
             break;
         }

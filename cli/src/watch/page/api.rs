@@ -2,7 +2,7 @@
 
 use crate::watch::clock;
 use crate::watch::live::Live;
-use crate::watch::store::{About, Reader, StoredFrame};
+use crate::watch::store::{About, Columns, Reader, StoredFrame};
 use cophase::modal::ModalFitter;
 use cophase::modes::Group;
 use cophase::{Error, Result};
@@ -29,7 +29,7 @@ pub struct Api {
 impl Api {
     /// Source, counts, rate and latency, and what hinders the watch.
     pub fn status(&self) -> Result<Value> {
-        let last = self.reader.last_frames(None, 100)?;
+        let last = self.reader.last_frames(None, 100, Columns::Figures)?;
         let now_s = clock::now_s();
         let minute = last.iter().filter(|frame| now_s - frame.taken_s < 60.0).count();
         let mut latencies: Vec<f64> = last.iter().filter_map(|frame| frame.latency_s).collect();
@@ -86,7 +86,7 @@ impl Api {
 
     /// RMS, χ² and flux of the last frames.
     pub fn trend(&self, limit: usize) -> Result<Value> {
-        let frames = self.reader.last_frames(Some("done"), limit)?;
+        let frames = self.reader.last_frames(Some("done"), limit, Columns::Figures)?;
         let column = |value: fn(&StoredFrame) -> Option<f64>| frames.iter().map(value).collect::<Vec<_>>();
         Ok(json!({
             "frame": frames.iter().map(|frame| frame.id).collect::<Vec<_>>(),
@@ -106,19 +106,19 @@ impl Api {
 
     /// The newest frames that were refused, and why.
     pub fn refused(&self, limit: usize) -> Result<Value> {
-        let mut frames = self.reader.last_frames(Some("refused"), limit)?;
+        let mut frames = self.reader.last_frames(Some("refused"), limit, Columns::Figures)?;
         frames.reverse();
         Ok(json!({ "refused": frames }))
     }
 
     /// Frames after the frame `after`, the oldest first.
     pub fn frames(&self, after: i64, limit: usize) -> Result<Value> {
-        Ok(json!({ "frames": self.reader.frames_after(after, limit)? }))
+        Ok(json!({ "frames": self.reader.frames_after(after, limit, Columns::Figures)? }))
     }
 
     /// The coefficients of a frame.
     pub fn frame(&self, id: i64) -> Result<Value> {
-        let frame = self.reader.frames_after(id - 1, 1)?.into_iter().find(|frame| frame.id == id);
+        let frame = self.reader.frames_after(id - 1, 1, Columns::All)?.into_iter().find(|frame| frame.id == id);
         let Some(frame) = frame else { return Err(Error::Value(format!("there is no frame {id}"))) };
         let modes = &self.about.modes;
         Ok(json!({
@@ -152,7 +152,7 @@ impl Api {
     }
 
     fn newest(&self) -> Result<Option<StoredFrame>> {
-        Ok(self.reader.last_frames(Some("done"), 1)?.pop())
+        Ok(self.reader.last_frames(Some("done"), 1, Columns::All)?.pop())
     }
 
     /// The mode that is the piston of a segment.

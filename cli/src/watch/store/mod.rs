@@ -10,7 +10,7 @@ mod records;
 mod schema;
 
 pub use lock::Lock;
-pub use read::Reader;
+pub use read::{Columns, Reader};
 pub use records::{About, Content, Event, FileRecord, Frame, StoredFrame};
 
 use cophase::{Error, Result};

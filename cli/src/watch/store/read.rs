@@ -32,8 +32,25 @@ pub struct SegmentPoint {
     pub tracked_sigma_nm: Option<f64>,
 }
 
-const FRAME: &str = "id, name, image, observed_s, taken_s, latency_s, status, reason, fit, chi2, flux_e, background_e, phasing_rms_nm, \
-                     ncpa_rms_nm, warnings, coefficients_nm, sigma_nm, tracked_nm, tracked_sigma_nm";
+const FIGURES: &str = "id, name, image, observed_s, taken_s, latency_s, status, reason, fit, chi2, flux_e, background_e, \
+                       phasing_rms_nm, ncpa_rms_nm, warnings";
+
+/// What is read of a frame: vectors are most of its bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Columns {
+    /// All but the vectors, which are left empty.
+    Figures,
+    All,
+}
+
+impl Columns {
+    fn list(self) -> String {
+        match self {
+            Self::Figures => format!("{FIGURES}, NULL, NULL, NULL, NULL"),
+            Self::All => format!("{FIGURES}, coefficients_nm, sigma_nm, tracked_nm, tracked_sigma_nm"),
+        }
+    }
+}
 
 impl Reader {
     /// Opens the store in the file `path`.
@@ -69,19 +86,19 @@ impl Reader {
     }
 
     /// Up to `limit` frames after the frame `after`, the oldest first.
-    pub fn frames_after(&self, after: i64, limit: usize) -> Result<Vec<StoredFrame>> {
-        let query = format!("SELECT {FRAME} FROM frames WHERE id > ?1 ORDER BY id LIMIT ?2");
+    pub fn frames_after(&self, after: i64, limit: usize, columns: Columns) -> Result<Vec<StoredFrame>> {
+        let query = format!("SELECT {} FROM frames WHERE id > ?1 ORDER BY id LIMIT ?2", columns.list());
         self.frames(&query, after, limit)
     }
 
     /// The last `limit` frames, the oldest first; only those with a result, or only those that were refused, where `status` says so.
-    pub fn last_frames(&self, status: Option<&str>, limit: usize) -> Result<Vec<StoredFrame>> {
+    pub fn last_frames(&self, status: Option<&str>, limit: usize, columns: Columns) -> Result<Vec<StoredFrame>> {
         let condition = match status {
             Some("done") => "WHERE status = 'done' AND id > ?1",
             Some(_) => "WHERE status = 'refused' AND id > ?1",
             None => "WHERE id > ?1",
         };
-        let query = format!("SELECT {FRAME} FROM frames {condition} ORDER BY id DESC LIMIT ?2");
+        let query = format!("SELECT {} FROM frames {condition} ORDER BY id DESC LIMIT ?2", columns.list());
         let mut frames = self.frames(&query, 0, limit)?;
         frames.reverse();
         Ok(frames)
@@ -96,7 +113,7 @@ impl Reader {
 
     /// The last `limit` values of the mode `mode`, the oldest first.
     pub fn history(&self, mode: usize, limit: usize) -> Result<Vec<SegmentPoint>> {
-        let frames = self.last_frames(Some("done"), limit)?;
+        let frames = self.last_frames(Some("done"), limit, Columns::All)?;
         let point = |frame: StoredFrame| {
             Some(SegmentPoint {
                 frame: frame.id,

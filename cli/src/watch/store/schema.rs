@@ -36,6 +36,7 @@ CREATE TABLE frames (
     warnings TEXT NOT NULL,
     UNIQUE (content, image)
 );
+CREATE INDEX frames_by_status ON frames (status, id);
 CREATE TABLE files (
     path BLOB PRIMARY KEY,
     size INTEGER NOT NULL,
