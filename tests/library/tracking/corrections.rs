@@ -77,7 +77,9 @@ fn deadband_limit_gain_and_reasons() {
     assert_eq!(moved, [(0, 20.0), (5, -100.0), (SEGMENTS + 1, 25.0)]);
     assert_eq!(sent.limited, [5]);
     assert_eq!(sent.held.len(), SEGMENTS + 10 - 4);
-    assert!(sent.held.iter().all(|held| held.reason == HoldReason::Deadband && held.segment.is_some() == (held.mode < 36)));
+    assert!(
+        sent.held.iter().all(|held| held.reason == HoldReason::Deadband && held.segment.is_some() == (held.mode < 36))
+    );
     // Of noise alone the largest is beyond two error bars, and is not worth correcting.
     let mut noise_nm = Array1::zeros(SEGMENTS + 10);
     noise_nm[3] = 7.0;
