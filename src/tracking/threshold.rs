@@ -47,7 +47,7 @@ fn overshoot(x: f64) -> f64 {
 }
 
 /// Φ(x) by the series of the error function for small |x| and its continued fraction beyond: Abramowitz & Stegun 26.2.11 and 26.2.14.
-fn normal_cdf(x: f64) -> f64 {
+pub(super) fn normal_cdf(x: f64) -> f64 {
     let density = (-x * x / 2.0).exp() / (2.0 * PI).sqrt();
     if x.abs() > 6.0 {
         let tail = density / (x.abs() + 1.0 / (x.abs() + 2.0 / (x.abs() + 3.0 / x.abs())));

@@ -51,8 +51,8 @@ fn corrections_do_no_harm() {
     for convention in [SegmentConvention::LeastSquares, SegmentConvention::EdgeMinimising] {
         for deadband_sigma in [0.0, 1.0, 2.0, 3.0] {
             let policy = CorrectionPolicy { deadband_sigma, convention, ..Default::default() };
-            // Errors far below the error bars. Without a deadband the nine NCPA modes are sent where their χ² exceeds 18 by chance, in 3.5 % of
-            // draws, and add 20·9 nm² then: 0.14 nm² a mode, of 9. A deadband makes it less.
+            // Errors far below the error bars: some 2 % of draws are sent, and add twice to three times the 9 nm² of the modes that move, a part of
+            // all: less than 2 % of 9 nm².
             let [before, after] = before_and_after(&policy, 0.3, 1000);
             assert!(after - before < 0.2, "{policy:?}: {before} {after}");
             // Errors of three error bars: 9 nm² are left of 81, and 4·9 of those in a deadband of two.
