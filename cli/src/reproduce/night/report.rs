@@ -86,6 +86,23 @@ impl Night {
         table
     }
 
+    /// One line for each alarm.
+    pub fn changes(&self) -> Table {
+        let mut table = Table::new(&["image", "since_h", "segment", "size_nm", "sigma_nm", "statistic", "threshold"]);
+        for (frame, change) in &self.followed.changes {
+            table.push(vec![
+                (*frame).into(),
+                Cell::Number(change.since_s / 3600.0, 4),
+                Cell::Text(change.segment.map_or_else(|| "none".into(), |segment| segment.to_string())),
+                Cell::Number(change.size_nm, 1),
+                Cell::Number(change.size_error_nm, 1),
+                Cell::Number(change.statistic, 1),
+                Cell::Number(change.threshold, 1),
+            ]);
+        }
+        table
+    }
+
     /// One line for each image.
     pub fn frames(&self) -> Table {
         let mut table = Table::new(&[
@@ -148,6 +165,7 @@ impl Night {
             ("night.csv", self.errors()),
             ("night-jumps.csv", self.jumps()),
             ("night-bad-frames.csv", self.bad_frames()),
+            ("night-changes.csv", self.changes()),
             ("night-alarms.csv", self.alarms()),
         ];
         let mut files = Vec::new();
