@@ -22,13 +22,13 @@ use images::Cameraman;
 use ndarray::Array2;
 
 /// The telescope: Keck, an artificial source, half of the preset's sampling and two thirds of its pupil grid, so that a night takes
-/// minutes. A peak S/N of 40 gives errors of some nm from one image; brighter, tracking would have nothing to gain. All NCPA modes that are estimated drift alike.
+/// minutes. A peak S/N of 25 gives errors of some nm from one image; brighter, tracking would have nothing to gain. All NCPA modes that are estimated drift alike.
 const SETTINGS: [(&str, &str); 11] = [
     ("pupil.samples", "80"),
     ("image.samples_per_lambda_over_d", "2"),
     ("image.pixels", "96"),
     ("image.read_noise_e", "20"),
-    ("image.peak_snr", "40"),
+    ("image.peak_snr", "25"),
     ("image.count", "1"),
     ("modes.ncpa", "none"),
     ("modes.exact_zernikes", "[4, 18]"),
