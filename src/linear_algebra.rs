@@ -1,7 +1,8 @@
 //! Inverse, determinant and factor of symmetric positive definite matrices, by Cholesky decomposition.
 
 use crate::{Error, Result};
-use faer::linalg::solvers::DenseSolveCore;
+use faer::linalg::solvers::{DenseSolveCore, Llt};
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use ndarray::{Array1, Array2, Axis};
 
 /// Inverse of a symmetric positive definite matrix, and the logarithm of its determinant.
@@ -39,7 +40,7 @@ impl SpdInverse {
 
 /// Cholesky factor L of a symmetric positive definite matrix A = L·Lᵀ. A vector with covariance A is white after L⁻¹.
 pub(crate) struct CholeskyFactor {
-    lower: Array2<f64>,
+    factor: Llt<f64>,
 }
 
 impl CholeskyFactor {
@@ -49,30 +50,23 @@ impl CholeskyFactor {
     /// [`Error::Value`] for a matrix that is not positive definite.
     pub(crate) fn new(matrix: &Array2<f64>) -> Result<Self> {
         let size = matrix.nrows();
-        let llt = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
+        let factor = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
             .llt(faer::Side::Lower)
             .map_err(|_| Error::Value(format!("a {size}×{size} covariance is not positive definite")))?;
-        let lower = Array2::from_shape_fn((size, size), |(i, j)| if j <= i { llt.L()[(i, j)] } else { 0.0 });
-        Ok(Self { lower })
+        Ok(Self { factor })
     }
 
     /// L⁻¹·`right`, `[size, columns]`, by forward substitution.
-    pub(crate) fn whiten(&self, mut right: Array2<f64>) -> Array2<f64> {
-        for i in 0..right.nrows() {
-            let (above, mut rest) = right.view_mut().split_at(Axis(0), i);
-            let mut row = rest.row_mut(0);
-            for (above, &factor) in above.outer_iter().zip(self.lower.row(i)) {
-                row.scaled_add(-factor, &above);
-            }
-            row /= self.lower[[i, i]];
-        }
-        right
+    pub(crate) fn whiten(&self, right: &Array2<f64>) -> Array2<f64> {
+        let (rows, columns) = right.dim();
+        let mut solved = faer::Mat::from_fn(rows, columns, |i, j| right[[i, j]]);
+        solve_lower_triangular_in_place(self.factor.L(), solved.as_mut(), faer::Par::Seq);
+        Array2::from_shape_fn((rows, columns), |(i, j)| solved[(i, j)])
     }
 
     /// L⁻¹·`right`.
     pub(crate) fn whiten_vector(&self, right: Array1<f64>) -> Array1<f64> {
-        let column = right.insert_axis(Axis(1));
-        self.whiten(column).remove_axis(Axis(1))
+        self.whiten(&right.insert_axis(Axis(1))).remove_axis(Axis(1))
     }
 }
 
@@ -85,7 +79,7 @@ mod tests {
     fn the_factor_whitens_its_own_covariance() {
         let matrix = array![[4.0, 1.0, 0.5], [1.0, 3.0, -0.2], [0.5, -0.2, 2.0]];
         let factor = CholeskyFactor::new(&matrix).unwrap();
-        let white = factor.whiten(factor.whiten(matrix.clone()).reversed_axes());
+        let white = factor.whiten(&factor.whiten(&matrix).reversed_axes());
         // A dozen operations on numbers of order 1: some 1e-15.
         assert!((&white - &Array2::<f64>::eye(3)).iter().all(|off| off.abs() < 1e-14), "{white}");
         assert!(CholeskyFactor::new(&array![[1.0, 2.0], [2.0, 1.0]]).is_err());

@@ -48,7 +48,7 @@ mod sequence_channel;
 mod telemetry;
 mod warnings;
 
-pub use crate::loop_response::{Command, Commands, Corrections};
+pub use crate::loop_response::{Command, Commands, Corrections, SentCorrections};
 pub use crate::modal::{ImageStatus, PistonInteger};
 pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use budget::ErrorTerm;

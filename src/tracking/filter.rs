@@ -27,7 +27,7 @@ impl Innovation {
 
     /// L⁻¹·`steps`, `[coordinate, step]`: the steps in terms of the white innovation.
     pub(super) fn whiten(&self, steps: &Array2<f64>) -> Array2<f64> {
-        self.factor.whiten(steps.clone())
+        self.factor.whiten(steps)
     }
 }
 
@@ -54,7 +54,7 @@ impl Filter {
 
     /// The observation whose innovation this is: with W = L⁻¹·P, x + Wᵀ·L⁻¹·(z − x) and P − Wᵀ·W.
     pub(super) fn update(&mut self, innovation: &Innovation) {
-        let gain = innovation.factor.whiten(self.covariance_nm2.clone());
+        let gain = innovation.factor.whiten(&self.covariance_nm2);
         self.state_nm += &gain.t().dot(&innovation.white);
         self.covariance_nm2 -= &gain.t().dot(&gain);
         // Rounding leaves the product unsymmetric, which would grow.

@@ -25,7 +25,7 @@ const MAGIC: &[u8; 8] = b"CPTRACK1";
 
 /// Kalman filter with a detector of changes: estimates in, tracked state and alarms out. See the [module](super).
 ///
-/// The cost of an estimate is that of some dense products of its modes: 0.3 ms for 90 modes, 0.7 s for 850 (`docs/tracking.md`).
+/// The cost of an estimate is that of some dense products of its modes: 1 ms for 56 modes, 0.7 s for 850 (`docs/tracking.md`).
 #[derive(Debug, Clone)]
 pub struct Tracker {
     settings: TrackerSettings,
@@ -98,11 +98,13 @@ impl Tracker {
             return Ok(Update { verdict: Verdict::Accepted, changes: Vec::new() });
         };
         let measured = memory.measure(&observation);
-        // The covariance is found to be bad before anything is changed.
-        memory.filter.innovation(&measured.z_nm, &measured.covariance_nm2)?;
-        self.predict(measured.time_s);
+        let hours = (measured.time_s - memory.time_s).max(0.0) / 3600.0;
+        let mut filter = memory.filter.clone();
+        filter.predict(memory.by_block(self.rates[0].added_nm2(hours), self.rates[1].added_nm2(hours)).into_iter());
+        // A covariance that is bad is found here, before anything is changed.
+        let judged = memory.judge(&filter, &measured)?;
         let memory = self.memory.as_mut().ok_or_else(damaged)?;
-        let judged = memory.judge(&measured)?;
+        (memory.filter, memory.time_s) = (filter, measured.time_s);
         if let Some(suspect) = memory.suspect.take() {
             let hours = (measured.time_s - suspect.time_s).max(0.0) / 3600.0;
             let [segments, ncpa] = [&self.rates[0], &self.rates[1]].map(|rate| rate.added_nm2(hours));
@@ -211,15 +213,6 @@ impl Tracker {
         }
     }
 
-    /// The walk up to `time_s`.
-    fn predict(&mut self, time_s: f64) {
-        let Some(memory) = &mut self.memory else { return };
-        let hours = (time_s - memory.time_s).max(0.0) / 3600.0;
-        memory.time_s = time_s;
-        let added_nm2 = memory.by_block(self.rates[0].added_nm2(hours), self.rates[1].added_nm2(hours));
-        memory.filter.predict(added_nm2.iter().copied());
-    }
-
     /// Gives the banks of rates an accepted observation.
     fn learn(&mut self, measured: &Measured) {
         let Some(memory) = &mut self.memory else { return };
@@ -275,8 +268,9 @@ impl Memory {
         (0..self.coordinates.len()).map(|coordinate| if coordinate < at { segments } else { ncpa }).collect()
     }
 
-    fn judge(&self, measured: &Measured) -> Result<Judged> {
-        let innovation = self.filter.innovation(&measured.z_nm, &measured.covariance_nm2)?;
+    /// An observation beside what `filter` predicts.
+    fn judge(&self, filter: &Filter, measured: &Measured) -> Result<Judged> {
+        let innovation = filter.innovation(&measured.z_nm, &measured.covariance_nm2)?;
         let white_steps = innovation.whiten(&self.steps);
         let chi2 = innovation.chi2();
         let limit = chi2_limit(self.coordinates.len(), OUTLIER_Z);
