@@ -63,6 +63,7 @@ pub mod source;
 mod statics;
 mod statistics;
 pub mod telescope;
+pub mod tracking;
 
 pub use error::{Error, Result};
 pub use pipeline::{Control, Estimate, Estimator, Images, Policy};

@@ -1,8 +1,9 @@
-//! Inverse and determinant of symmetric positive definite matrices, by Cholesky decomposition.
+//! Inverse, determinant and factor of symmetric positive definite matrices, by Cholesky decomposition.
 
 use crate::{Error, Result};
-use faer::linalg::solvers::DenseSolveCore;
-use ndarray::Array2;
+use faer::linalg::solvers::{DenseSolveCore, Llt};
+use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
+use ndarray::{Array1, Array2, Axis};
 
 /// Inverse of a symmetric positive definite matrix, and the logarithm of its determinant.
 pub(crate) struct SpdInverse {
@@ -34,5 +35,53 @@ impl SpdInverse {
         let log_determinant = (0..size).map(|i| 2.0 * llt.L()[(i, i)].ln()).sum();
         let inverse = llt.inverse();
         Ok(Self { inverse: Array2::from_shape_fn((size, size), |(i, j)| inverse[(i, j)]), log_determinant })
+    }
+}
+
+/// Cholesky factor L of a symmetric positive definite matrix A = L·Lᵀ. A vector with covariance A is white after L⁻¹.
+pub(crate) struct CholeskyFactor {
+    factor: Llt<f64>,
+}
+
+impl CholeskyFactor {
+    /// From the lower triangle of `matrix`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a matrix that is not positive definite.
+    pub(crate) fn new(matrix: &Array2<f64>) -> Result<Self> {
+        let size = matrix.nrows();
+        let factor = faer::Mat::from_fn(size, size, |i, j| matrix[[i, j]])
+            .llt(faer::Side::Lower)
+            .map_err(|_| Error::Value(format!("a {size}×{size} covariance is not positive definite")))?;
+        Ok(Self { factor })
+    }
+
+    /// L⁻¹·`right`, `[size, columns]`, by forward substitution.
+    pub(crate) fn whiten(&self, right: &Array2<f64>) -> Array2<f64> {
+        let (rows, columns) = right.dim();
+        let mut solved = faer::Mat::from_fn(rows, columns, |i, j| right[[i, j]]);
+        solve_lower_triangular_in_place(self.factor.L(), solved.as_mut(), faer::Par::Seq);
+        Array2::from_shape_fn((rows, columns), |(i, j)| solved[(i, j)])
+    }
+
+    /// L⁻¹·`right`.
+    pub(crate) fn whiten_vector(&self, right: Array1<f64>) -> Array1<f64> {
+        self.whiten(&right.insert_axis(Axis(1))).remove_axis(Axis(1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn the_factor_whitens_its_own_covariance() {
+        let matrix = array![[4.0, 1.0, 0.5], [1.0, 3.0, -0.2], [0.5, -0.2, 2.0]];
+        let factor = CholeskyFactor::new(&matrix).unwrap();
+        let white = factor.whiten(&factor.whiten(&matrix).reversed_axes());
+        // A dozen operations on numbers of order 1: some 1e-15.
+        assert!((&white - &Array2::<f64>::eye(3)).iter().all(|off| off.abs() < 1e-14), "{white}");
+        assert!(CholeskyFactor::new(&array![[1.0, 2.0], [2.0, 1.0]]).is_err());
     }
 }

@@ -83,6 +83,11 @@ impl Interrupt {
         &self.flag
     }
 
+    /// Whether the user wants to stop.
+    pub fn is_raised(&self) -> bool {
+        self.flag.load(Ordering::SeqCst)
+    }
+
     /// Stops between two steps: `state` says what is there by then.
     pub fn check(&self, state: &str) -> Result<()> {
         if self.flag.load(Ordering::SeqCst) { Err(Error::Interrupted(state.into())) } else { Ok(()) }

@@ -8,6 +8,7 @@ mod panics;
 mod ranks;
 mod terminal;
 mod verbs;
+mod watch;
 
 use clap::Parser;
 use cophase::Error;

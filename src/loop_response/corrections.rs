@@ -1,7 +1,7 @@
 //! Corrections from an estimate: increments of the segments' pistons, tips and tilts, of the mirror's commands and of the sensor's
 //! reference slopes.
 //!
-//! A mode whose estimate is below its error bar is left unchanged, so that corrections do not add noise. Tip and tilt, which are
+//! A mode whose estimate is below its error bar is left unchanged, so that corrections do not add noise; a [`CorrectionPolicy`] says more. Tip and tilt, which are
 //! pointing, are left unchanged too, and behind adaptive optics the plane through the segments, of which images there hold little
 //! information. Segments and
 //! subapertures are in this program's order, wavefronts in nm. A positive piston raises the wavefront; the mirror's surface is taken off
@@ -17,6 +17,7 @@ use crate::pupil::{Pupil, Segment};
 use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::{SegmentPlace, Telescope};
+use crate::tracking::{Correctable, CorrectionPolicy, correction};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 use std::path::Path;
@@ -40,6 +41,8 @@ pub struct CorrectableErrors<'a> {
     pub ncpa_sigma_nm: &'a [f64],
     /// What they are coefficients of.
     pub ncpa: NcpaModes<'a>,
+    /// Gain, deadband, convention and no harm; `None` corrects all of each mode above its error bar.
+    pub policy: Option<CorrectionPolicy>,
 }
 
 /// Modes of the NCPA.
@@ -55,7 +58,7 @@ pub enum NcpaModes<'a> {
 pub struct Corrections {
     /// Place of each segment; none where the estimate has no pistons.
     pub places: Vec<SegmentPlace>,
-    /// Increment of each segment's piston, nm; 0 where its estimate is below its error bar.
+    /// Increment of each segment's piston, nm; 0 where it stays.
     pub pistons_nm: Vec<f64>,
     /// Estimate of each piston and its error bar, nm, both without what is left as it is: the mean of all pistons, or the plane through
     /// them.
@@ -121,11 +124,13 @@ impl Corrections {
         let tilts = errors.tilts_nm.iter().zip(variances_nm2.iter().skip(count));
         let tilt_estimate_nm: Vec<[f64; 2]> = tilts.map(|(&nm, nm2)| [nm, nm2.max(0.0).sqrt()]).collect();
         let segment_limit_nm = limit_nm.unwrap_or(errors.segment_limit_nm);
-        let mut addition =
-            |[nm, sigma_nm]: &[f64; 2]| if nm.abs() > *sigma_nm { clip(-nm, segment_limit_nm) } else { 0.0 };
-        let pistons_nm: Vec<f64> = estimate_nm.iter().map(&mut addition).collect();
-        let tilts_nm: Vec<f64> = tilt_estimate_nm.iter().map(&mut addition).collect();
-        let ncpa_nm = errors.significant_ncpa_nm();
+        let mut covariance_of_segments_nm2 = errors.segment_covariance_nm2.to_owned();
+        covariance_of_segments_nm2.slice_mut(s![..count, ..count]).assign(&covariance_nm2);
+        let segments_nm: Vec<f64> = estimate_nm.iter().chain(&tilt_estimate_nm).map(|[nm, _]| *nm).collect();
+        let (segments_nm, ncpa_nm) = errors.chosen(&segments_nm, &covariance_of_segments_nm2, segments)?;
+        let mut additions_nm = segments_nm.iter().map(|nm| clip(-nm, segment_limit_nm)).collect::<Vec<f64>>();
+        let tilts_nm = additions_nm.split_off(count);
+        let pistons_nm = additions_nm;
         let mut actuators_nm = Vec::new();
         if scene.has_mirror() {
             let stroke_nm = limit_nm.or(scene.mirror.stroke_limit_nm).unwrap_or(f64::INFINITY);
@@ -260,6 +265,40 @@ impl Corrections {
 }
 
 impl CorrectableErrors<'_> {
+    /// What is corrected of the segments' pistons and tilts and of the NCPA, nm: 0 for modes that stay.
+    fn chosen(
+        &self,
+        segments_nm: &[f64],
+        covariance_nm2: &Array2<f64>,
+        segments: &[Segment],
+    ) -> Result<(Vec<f64>, Vec<f64>)> {
+        let Some(policy) = &self.policy else {
+            let significant = segments_nm.iter().zip(covariance_nm2.diag());
+            let significant = significant.map(|(&nm, nm2)| if nm.abs() > nm2.max(0.0).sqrt() { nm } else { 0.0 });
+            return Ok((significant.collect(), self.significant_ncpa_nm()));
+        };
+        let (count, modes) = (segments_nm.len(), segments_nm.len() + self.ncpa_nm.len());
+        let coefficients_nm: Array1<f64> = segments_nm.iter().chain(self.ncpa_nm).copied().collect();
+        let mut all_nm2 = Array2::zeros((modes, modes));
+        all_nm2.slice_mut(s![..count, ..count]).assign(covariance_nm2);
+        all_nm2.diag_mut().iter_mut().skip(count).zip(self.ncpa_sigma_nm).for_each(|(nm2, nm)| *nm2 = nm * nm);
+        let pointing = if let NcpaModes::Smooth(_) = self.ncpa { 2.min(modes - count) } else { 0 };
+        let sent = correction(
+            policy,
+            &Correctable {
+                coefficients_nm: coefficients_nm.view(),
+                covariance_nm2: all_nm2.view(),
+                segment_modes: &(0..count),
+                segment_of_mode: &(0..count).map(|mode| mode % segments.len().max(1)).collect::<Vec<usize>>(),
+                edges: &edges(segments),
+                left_modes: &(count..count + pointing).collect::<Vec<usize>>(),
+            },
+        )?;
+        let mut segments_nm = sent.coefficients_nm.to_vec();
+        let ncpa_nm = segments_nm.split_off(count);
+        Ok((segments_nm, ncpa_nm))
+    }
+
     /// Coefficients of the NCPA that are corrected: 0 for those below their error bars, and for tip and tilt, which are pointing.
     fn significant_ncpa_nm(&self) -> Vec<f64> {
         let pairs = self.ncpa_nm.iter().zip(self.ncpa_sigma_nm);
@@ -269,6 +308,15 @@ impl CorrectableErrors<'_> {
         }
         ncpa_nm
     }
+}
+
+/// Pairs of segments that share an edge: their centres are as near as those of any two, within a tenth of that distance.
+fn edges(segments: &[Segment]) -> Vec<(usize, usize)> {
+    let distance_m =
+        |(i, j): (usize, usize)| (segments[i].x_m - segments[j].x_m).hypot(segments[i].y_m - segments[j].y_m);
+    let pairs = || (0..segments.len()).flat_map(|i| (0..i).map(move |j| (j, i)));
+    let nearest_m = pairs().map(distance_m).fold(f64::INFINITY, f64::min);
+    pairs().filter(|pair| distance_m(*pair) < 1.1 * nearest_m).collect()
 }
 
 /// Projection that removes the plane through all pistons, `[segment, segment]`; only their mean unless it `is_plane`, and where three
@@ -342,6 +390,17 @@ fn reference_slopes(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn segments_share_edges_with_their_neighbours() {
+        // Seven hexagons: six edges about the central one, and six between the others.
+        let ring = (0..6).map(|k| (f64::from(k) * std::f64::consts::FRAC_PI_3).sin_cos());
+        let centres = std::iter::once((0.0, 0.0)).chain(ring);
+        let segments: Vec<Segment> = centres.map(|(y_m, x_m)| Segment { x_m, y_m, label: 0 }).collect();
+        let edges = edges(&segments);
+        assert_eq!(edges.len(), 12);
+        assert_eq!(edges.iter().filter(|(i, _)| *i == 0).count(), 6);
+    }
 
     #[test]
     fn the_projection_removes_the_plane_alone() {

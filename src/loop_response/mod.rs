@@ -2,6 +2,7 @@
 
 mod closed_loop;
 mod controller;
+mod correction_file;
 mod corrections;
 mod mirror_shape;
 mod segment_surface;
@@ -11,6 +12,7 @@ mod slope_regression;
 
 pub use closed_loop::ClosedLoopResponse;
 pub use controller::{Command, Commands};
+pub use correction_file::SentCorrections;
 pub use corrections::{CorrectableErrors, Corrections, NcpaModes};
 pub use sensor_model::SensorModel;
 pub use slope_information::SlopeInformation;

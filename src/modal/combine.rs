@@ -376,7 +376,8 @@ pub(super) fn sigma_maps(model: &Model, combined: &CombinedModes) -> [Array2<f64
     [Group::Segment, Group::Ncpa].map(|group| sigma_map(model, &combined.covariance_nm2, group))
 }
 
-fn fitted_image(estimator: &ModalFitter, minimum: &Minimum, prepared: &PreparedFrame) -> FittedImage {
+/// The image of a fit beside its model.
+pub(super) fn fitted_image(estimator: &ModalFitter, minimum: &Minimum, prepared: &PreparedFrame) -> FittedImage {
     let psf = estimator.reference.psf(ArrayView1::from(&minimum.coefficients_nm));
     let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
     let size = estimator.model.preparation.pixels;

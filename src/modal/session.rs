@@ -7,6 +7,7 @@ mod tests;
 
 pub use options::{FitOptions, ImageResult, SessionOptions};
 
+use super::combine::{FittedImage, fitted_image};
 use super::engine::{CpuEngine, DeviceEngine, Engine, FitState, FitTask, ImageFit};
 use super::fitter::ModalFitter;
 use super::global_motions::GlobalMotions;
@@ -213,6 +214,12 @@ impl Session {
         let variance_e2 = variance(&psf, minimum, &prepared.floor_variance_e2);
         let spread = Spread::new(estimator, &[0], from_ref(prepared), from_ref(minimum), from_ref(&variance_e2))?;
         Ok(estimator.with_shared(spread.covariance(0) * result.report.reduced_chi2.max(1.0)))
+    }
+
+    /// Image `image` of the last fit beside its model; `None` for one that was not fitted. It evaluates the model once more.
+    pub fn fitted_image(&self, image: usize) -> Option<FittedImage> {
+        let fit = self.fits().get(image).filter(|fit| fit.is_fitted())?;
+        Some(fitted_image(&self.shared.estimator, &fit.minimum, &fit.prepared))
     }
 
     /// The flag that cancels the running fit, or else the next: another thread raises it, and the fit that returns

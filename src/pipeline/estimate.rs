@@ -12,6 +12,7 @@ use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
 use crate::statics::Iteration;
+use crate::tracking::CorrectionPolicy;
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, s};
 use std::sync::Arc;
@@ -277,11 +278,24 @@ impl Estimate {
     /// [`Error::Value`] for a limit that is not positive, and for segment modes from a file, which are not pistons; [`Error::File`] for
     /// a controller's table or matrix that cannot be read or does not fit.
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
+        self.corrections_by(None, limit_nm)
+    }
+
+    /// As [`Estimate::corrections`] by a policy: its gain, deadband and convention, and no correction that is not expected to lower the
+    /// error. `limit_nm` holds besides its stroke limit, which is that of segments.
+    ///
+    /// # Errors
+    /// As [`Estimate::corrections`], and [`Error::Value`] for a policy out of range, or one of edges where segments are tilted.
+    pub fn corrections_with(&self, policy: &CorrectionPolicy, limit_nm: Option<f64>) -> Result<Corrections> {
+        self.corrections_by(Some(*policy), limit_nm)
+    }
+
+    fn corrections_by(&self, policy: Option<CorrectionPolicy>, limit_nm: Option<f64>) -> Result<Corrections> {
         let segment_limit_nm =
             if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
         let corrections = match self.map.as_ref().and_then(|map| map.iterations.last()) {
-            Some(iteration) => iteration.corrections(&self.scene, limit_nm, segment_limit_nm)?,
-            None => self.modal_corrections(limit_nm, segment_limit_nm)?,
+            Some(iteration) => iteration.corrections(&self.scene, policy, limit_nm, segment_limit_nm)?,
+            None => self.modal_corrections(policy, limit_nm, segment_limit_nm)?,
         };
         let status = (self.status != ImageStatus::Ok).then(|| format!("the status is {}", self.status.word()));
         let own = corrections.warnings.into_iter();
@@ -289,7 +303,12 @@ impl Estimate {
         Ok(Corrections { warnings: warnings.collect(), ..corrections })
     }
 
-    fn modal_corrections(&self, limit_nm: Option<f64>, segment_limit_nm: f64) -> Result<Corrections> {
+    fn modal_corrections(
+        &self,
+        policy: Option<CorrectionPolicy>,
+        limit_nm: Option<f64>,
+        segment_limit_nm: f64,
+    ) -> Result<Corrections> {
         let Some(fitter) = &self.fitter else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
         let (model, segment_modes) = (fitter.model(), self.segment_modes());
         let pistons = model.pistons();
@@ -312,6 +331,7 @@ impl Estimate {
             ncpa_nm: &self.coefficients_nm[segment_modes..],
             ncpa_sigma_nm: &self.sigma_nm()[segment_modes..],
             ncpa: NcpaModes::Maps(&map_nm),
+            policy,
         };
         Corrections::new(&self.scene, &errors, limit_nm)
     }

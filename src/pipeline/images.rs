@@ -206,6 +206,26 @@ impl Images {
         self.len() == 0
     }
 
+    /// Image `number` alone, which is there.
+    pub(super) fn frame(&self, number: usize) -> Self {
+        let part = number..number + 1;
+        let row = |slopes: &Array2<f64>| slopes.slice(s![part.clone(), ..]).to_owned();
+        Self {
+            images_e: self.images_e.slice(s![part.clone(), .., ..]).to_owned(),
+            bad: self.bad.slice(s![part.clone(), .., ..]).to_owned(),
+            slopes_mas: self.slopes_mas.as_ref().filter(|slopes| number < slopes.nrows()).map(row),
+            read_noise_e: self.read_noise_e,
+            truth: self.truth.clone(),
+            unit: self.unit.clone(),
+            facts: self.facts.clone(),
+            scene: self.scene.clone(),
+            trust: self.trust,
+            overrides: self.overrides.clone(),
+            channel: self.channel.clone(),
+            notes: self.notes.clone(),
+        }
+    }
+
     /// These images without their last row or column where a frame of the scene, `(rows, columns)`, has one less, and a sentence
     /// on it.
     ///

@@ -30,8 +30,9 @@ pub struct Truth {
 
 enum Ncpa {
     None,
-    Zernikes { basis: SmoothBasis, coefficients_nm: Vec<f64>, offset_nm: f64 },
+    Modes { basis: SmoothBasis, coefficients_nm: Vec<f64>, offset_nm: f64 },
     Map(MapOnGrid),
+    Sum(Box<Ncpa>, Box<Ncpa>),
 }
 
 impl Truth {
@@ -126,6 +127,48 @@ impl Truth {
         Ok(Self { amplitude: self.amplitude, drift: self.drift, ..corrected })
     }
 
+    /// These aberrations with other tilts of the segments along x and y, nm RMS over the segment, one pair for each segment of
+    /// `telescope`.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a wrong number of tilts, [`Error::Value`] for one that is not finite.
+    pub fn with_tilts(self, telescope: &Telescope, tip_tilt_nm: Vec<[f64; 2]>) -> Result<Self> {
+        let (given, needed) = (tip_tilt_nm.len(), self.piston_nm.len());
+        if given != needed {
+            return Err(Error::Shape(format!(
+                "tilts of {given} segments were given for {needed}; a pair each is needed"
+            )));
+        }
+        if let Some(nm) = tip_tilt_nm.iter().flatten().find(|nm| !nm.is_finite()) {
+            return Err(Error::Value(format!("a tilt of {nm} nm is impossible; a finite number is needed")));
+        }
+        let tilted = Self::assemble(telescope, self.piston_nm, tip_tilt_nm, self.ncpa)?;
+        Ok(Self { amplitude: self.amplitude, drift: self.drift, ..tilted })
+    }
+
+    /// These aberrations with more NCPA: `coefficients_nm` of `basis`, nm. A mirror that is moved adds the opposite of its surface.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for a wrong number of coefficients, [`Error::Value`] for one that is not finite.
+    pub fn with_added_ncpa(self, telescope: &Telescope, basis: SmoothBasis, coefficients_nm: Vec<f64>) -> Result<Self> {
+        let (given, needed) = (coefficients_nm.len(), basis.len());
+        if given != needed {
+            return Err(Error::Shape(format!(
+                "{given} coefficients were given for {needed} modes; one each is needed"
+            )));
+        }
+        if let Some(nm) = coefficients_nm.iter().find(|nm| !nm.is_finite()) {
+            return Err(Error::Value(format!("a coefficient of {nm} nm is impossible; a finite number is needed")));
+        }
+        let added = Ncpa::Modes { basis, coefficients_nm, offset_nm: 0.0 };
+        let ncpa = match self.ncpa {
+            Ncpa::None => added,
+            before => Ncpa::Sum(Box::new(before), Box::new(added)),
+        };
+        let more = Self::assemble(telescope, self.piston_nm, self.tip_tilt_nm, ncpa)?;
+        Ok(Self { amplitude: self.amplitude, drift: self.drift, ..more })
+    }
+
     fn assemble(telescope: &Telescope, piston_nm: Vec<f64>, tip_tilt_nm: Vec<[f64; 2]>, ncpa: Ncpa) -> Result<Self> {
         let pupil = &telescope.pupil;
         let outside = Array2::from_elem(pupil.amplitude.dim(), f64::NAN);
@@ -202,8 +245,11 @@ impl Ncpa {
     fn at(&self, xs_m: &[f64], ys_m: &[f64]) -> Result<Vec<f64>> {
         Ok(match self {
             Ncpa::None => vec![0.0; xs_m.len()],
+            Ncpa::Sum(one, other) => {
+                one.at(xs_m, ys_m)?.into_iter().zip(other.at(xs_m, ys_m)?).map(|(one, other)| one + other).collect()
+            }
             Ncpa::Map(map) => xs_m.iter().zip(ys_m).map(|(&x, &y)| map.at(x, y)).collect(),
-            Ncpa::Zernikes { basis, coefficients_nm, offset_nm } => {
+            Ncpa::Modes { basis, coefficients_nm, offset_nm } => {
                 let coefficients = ndarray::ArrayView1::from(coefficients_nm);
                 (coefficients.dot(&basis.evaluate(xs_m, ys_m)?) + *offset_nm).to_vec()
             }
@@ -259,5 +305,5 @@ fn draw_zernikes(
     let mean: f64 = map.iter().zip(&samples.weights).map(|(m, w)| m * w).sum();
     let rms = map.iter().zip(&samples.weights).map(|(m, w)| w * (m - mean).powi(2)).sum::<f64>().sqrt();
     scale_to(&mut coefficients_nm, rms, rms_nm);
-    Ok(Ncpa::Zernikes { basis, coefficients_nm, offset_nm: -mean * rms_nm / rms })
+    Ok(Ncpa::Modes { basis, coefficients_nm, offset_nm: -mean * rms_nm / rms })
 }

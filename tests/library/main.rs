@@ -30,3 +30,4 @@ mod pupil_maps;
 mod scene;
 mod scene_files;
 mod telemetry;
+mod tracking;

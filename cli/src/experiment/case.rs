@@ -7,6 +7,7 @@ use cophase::modal::{Frame, ModalEstimate, ModalFitter};
 use cophase::modes::Group;
 use cophase::optimize::Metric;
 use cophase::scene::Scene;
+use cophase::source::Truth;
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, Axis, s, stack};
 use rayon::prelude::*;
@@ -181,6 +182,32 @@ impl Case {
         Ok([residual(Group::Segment, &phasing)?, residual(Group::Ncpa, &ncpa)?])
     }
 
+    /// RMS over the pupil of an error of the coefficients, nm: of its segment errors and of its NCPA, piston, tip and tilt removed.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of modes.
+    pub fn error_rms_nm(&self, error_nm: &[f64]) -> Result<[f64; 2]> {
+        let rms = |gram: &MapGram, part: &[f64]| {
+            let column = ArrayView1::from(part).insert_axis(Axis(1));
+            gram.expected_rms_nm(column.dot(&column.t()).view())
+        };
+        let (segments, ncpa) = error_nm.split_at(self.estimator.model().segment_modes.min(error_nm.len()));
+        Ok([rms(&self.phasing, segments)?, rms(&self.ncpa, ncpa)?])
+    }
+
+    /// An error of the coefficients in standard deviations along the principal directions of their covariance, where it is independent;
+    /// global piston is none.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a covariance that has no such directions.
+    pub fn whitened(&self, error_nm: &[f64], covariance_nm2: &Array2<f64>) -> Result<Vec<f64>> {
+        let metric = Metric::from_gauss_newton(covariance_nm2, NULL_FLOOR)?;
+        let mut white = vec![0.0; metric.rank()];
+        // With C = V Λ Vᵀ this is Λ^(−1/2) Vᵀ: what takes a gradient to whitened coordinates takes an error there.
+        metric.gradient_to_z(error_nm, &mut white);
+        Ok(white)
+    }
+
     /// The bound at the estimate of one draw; NaN where there is no estimate.
     ///
     /// # Errors
@@ -222,35 +249,36 @@ impl Case {
     /// # Errors
     /// [`Error::Value`] for modes that are not independent.
     pub fn pulls(&self, trial: &Trial, draw: &Draw, bound: &Bound) -> Result<Pulls> {
-        let truth = self.truth_coefficients_nm(draw)?;
+        let truth = self.truth_coefficients_nm(&draw.truth)?;
         let error: Vec<f64> =
             trial.coefficients_nm.iter().zip(&truth).map(|(estimate, truth)| estimate - truth).collect();
         let each = |(error, variance): (&f64, &f64)| error / variance.sqrt();
         let all: Vec<f64> = error.iter().zip(bound.covariance_nm2.diag()).map(each).collect();
         let (phasing, ncpa) = all.split_at(self.estimator.model().segment_modes);
-        let metric = Metric::from_gauss_newton(&bound.covariance_nm2, NULL_FLOOR)?;
-        let mut white = vec![0.0; metric.rank()];
-        // With C = V Λ Vᵀ this is Λ^(−1/2) Vᵀ: what takes a gradient to whitened coordinates takes an error there.
-        metric.gradient_to_z(&error, &mut white);
+        let white = self.whitened(&error, &bound.covariance_nm2)?;
         Ok(Pulls { phasing: phasing.to_vec(), ncpa: ncpa.to_vec(), white })
     }
 
     /// The truth in the estimated modes: its pistons, and the least-squares coefficients of its NCPA map (weight A,
     /// piston removed).
-    fn truth_coefficients_nm(&self, draw: &Draw) -> Result<Vec<f64>> {
+    ///
+    /// # Errors
+    /// [`Error::Value`] for modes that are not independent.
+    pub fn truth_coefficients_nm(&self, truth: &Truth) -> Result<Vec<f64>> {
         let model = self.estimator.model();
         let (pupil, n) = (&model.telescope.pupil, model.segment_modes);
         let gram = model.basis.visible_gram(&pupil.amplitude)?.slice_move(s![n.., n..]);
-        let [_, ncpa_nm] = draw.truth_on(pupil)?;
+        let [_, ncpa_nm] = truth.maps_on(pupil)?;
         let weight = &pupil.amplitude / pupil.weight_sum();
-        let truth = pupil.remove_piston(ncpa_nm.view())?.mapv(|v| if v.is_nan() { 0.0 } else { v }) * weight;
+        let weighted_nm = pupil.remove_piston(ncpa_nm.view())?.mapv(|v| if v.is_nan() { 0.0 } else { v }) * weight;
         let maps = model.basis.maps();
-        let along: Array1<f64> = maps.slice(s![n.., .., ..]).outer_iter().map(|map| (&map * &truth).sum()).collect();
+        let along: Array1<f64> =
+            maps.slice(s![n.., .., ..]).outer_iter().map(|map| (&map * &weighted_nm).sum()).collect();
         let metric = Metric::from_gauss_newton(&gram, NULL_FLOOR)?;
         let (mut unit, mut ncpa) = (vec![0.0; metric.rank()], vec![0.0; along.len()]);
         metric.gradient_to_z(along.as_slice().unwrap_or_default(), &mut unit);
         metric.to_x(&unit, &mut ncpa);
-        Ok(draw.truth.piston_nm.iter().copied().chain(ncpa).collect())
+        Ok(truth.piston_nm.iter().copied().chain(ncpa).collect())
     }
 
     /// Median wall-clock time of one objective with its gradient, s, one image on one core.

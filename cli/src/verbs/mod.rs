@@ -21,6 +21,7 @@ mod reduce;
 mod reproduce;
 mod scene;
 mod simulate;
+mod watch;
 
 use crate::interrupt;
 use crate::terminal::{self, Terminal};
@@ -68,6 +69,7 @@ enum Verb {
     CheckOrientation(check_orientation::Arguments),
     Devices(devices::Arguments),
     Demo(demo::Arguments),
+    Watch(Box<watch::Arguments>),
     Reproduce(reproduce::Arguments),
     Bench(bench::Arguments),
 }
@@ -92,6 +94,7 @@ pub fn run(cli: Cli) -> Result<ExitCode> {
         Verb::CheckOrientation(arguments) => check_orientation::run(&arguments, &terminal),
         Verb::Devices(arguments) => devices::run(&arguments, &terminal),
         Verb::Demo(arguments) => demo::run(&arguments, &terminal),
+        Verb::Watch(arguments) => watch::run(&arguments, &terminal),
         Verb::Reproduce(arguments) => reproduce::run(&arguments, &terminal),
         Verb::Bench(arguments) => bench::run(&arguments, &terminal),
     }?;

@@ -6,7 +6,10 @@ use crate::outputs::{self, Flagged};
 use crate::terminal::Terminal;
 use cophase::Result;
 use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
+use cophase::pipeline::SentCorrections;
 use cophase::scene::Scene;
+use cophase::source::{Truth, stream};
+use cophase::telescope::Telescope;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -14,6 +17,7 @@ const EXAMPLES: &str = "Examples:
   cophase simulate keck-onsky -o onsky.fits
   cophase simulate scene.toml -o pol.fits --set control.loop=pseudo-open-loop --seed 7
   cophase simulate keck-onsky -o onsky.fits --aot onsky-aot.fits
+  cophase simulate keck-onsky -o again.fits --corrections first.fits --corrections second.fits
 
 The file holds the defocused images (IMAGES, electrons), the truth (TRUTH_PHASING and TRUTH_NCPA, nm), telemetry at each \
 image (SLOPES, mas; COMMANDS, nm; SHOTS) with the interaction matrix, and the scene, so that 'cophase estimate' needs \
@@ -32,6 +36,10 @@ pub struct Arguments {
     /// Also write images, slopes, commands and loop as a file of AOT, the telemetry standard of adaptive optics (docs/aot.md)
     #[arg(long, value_name = "FILE")]
     aot: Option<PathBuf>,
+    /// Corrections that were sent before the images, as 'cophase estimate --commands FILE.fits' writes them: the truth is what they
+    /// leave; may be given more than once, they add up
+    #[arg(long, value_name = "FILE")]
+    corrections: Vec<PathBuf>,
     #[command(flatten)]
     settings: Settings,
     /// Seed of the aberrations, the turbulence and the noise [default: those of the scene]
@@ -66,7 +74,9 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
     let aot = arguments.aot.as_deref().map(|path| ("--aot", path));
     let written: Vec<Flagged> = [("-o", arguments.output.as_path())].into_iter().chain(aot).collect();
-    outputs::check(&written, &[("the scene", &arguments.scene)])?;
+    let corrections = arguments.corrections.iter().map(|path| ("--corrections", path.as_path()));
+    let inputs: Vec<Flagged> = [("the scene", arguments.scene.as_path())].into_iter().chain(corrections).collect();
+    outputs::check(&written, &inputs)?;
     let seed = arguments.seed.map(|seed| seed.to_string());
     let options: Vec<(&str, &str)> =
         seed.iter().flat_map(|seed| ["aberrations.seed", "turbulence.seed"].map(|key| (key, seed.as_str()))).collect();
@@ -76,7 +86,8 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         ao::check_aot(&scene)?;
     }
     super::image::check_memory(&scene)?;
-    let (simulator, shots, summary) = simulate(&scene, terminal, &interrupt)?;
+    let sent = arguments.corrections.iter().map(|path| SentCorrections::read(path)).collect::<Result<Vec<_>>>()?;
+    let (simulator, shots, summary) = simulate(&scene, &sent, terminal, &interrupt)?;
     ao::write(&arguments.output, &simulator, &shots, &summary)?;
     if let Some(path) = &arguments.aot {
         ao::write_aot(path, &simulator, &shots, &summary)?;
@@ -112,11 +123,20 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     terminal.show(&text)
 }
 
-/// The run itself.
-fn simulate(scene: &Scene, terminal: &Terminal, interrupt: &Interrupt) -> Result<(Simulator, Vec<Shot>, Summary)> {
+/// The run itself, after the corrections `sent`.
+fn simulate(
+    scene: &Scene,
+    sent: &[SentCorrections],
+    terminal: &Terminal,
+    interrupt: &Interrupt,
+) -> Result<(Simulator, Vec<Shot>, Summary)> {
     let mut simulator = {
         let _wait = terminal.wait("Building the AO system", 1);
-        Simulator::new(scene)?
+        let telescope = Telescope::new(scene)?;
+        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let drawn = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
+        let truth = sent.iter().try_fold(drawn, |truth, sent| sent.apply(truth, scene, &telescope))?;
+        Simulator::with_truth(scene, telescope, truth)?
     };
     interrupt.check("nothing was written")?;
     if !simulator.stability().stable {

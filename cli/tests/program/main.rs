@@ -29,6 +29,7 @@ mod slopes;
 mod truth;
 mod units;
 mod verbs;
+mod watch;
 mod words;
 
 use cophase::io::{FitsReader, FitsWriter, Pixel};

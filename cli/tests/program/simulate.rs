@@ -118,3 +118,38 @@ fn what_is_missing_or_impossible_is_named() {
     std::fs::write(desk.path("map.txt"), "0 1\n1 x\n").unwrap();
     desk.refuses(&with("mirror.actuator_file=map.txt"), &["map.txt", "2 lines"]);
 }
+
+#[test]
+fn corrections_move_segments_and_mirror_and_add_up() {
+    let desk = desk();
+    let simulate = |out: &str, more: &[&str]| {
+        desk.succeeds(&[["simulate", "loop.toml", "-o", out].as_slice(), &THREE, more].concat());
+        let mut file = FitsReader::open(desk.path(out)).unwrap();
+        (file.f64_column("TRUTH", "PISTON_NM").unwrap(), file.map(Some("TRUTH_NCPA")).unwrap())
+    };
+    let (pistons, ncpa) = simulate("0.fits", &[]);
+    desk.succeeds(&["estimate", "0.fits", "-o", "est.fits", "--optimizer", "paper", "--commands", "c.fits"]);
+    let add = FitsReader::open(desk.path("c.fits")).unwrap().f64_column("SEGMENTS", "ADD_NM").unwrap();
+    assert!(add.iter().any(|nm| *nm != 0.0));
+    let (once_pistons, once_ncpa) = simulate("1.fits", &["--corrections", "c.fits"]);
+    let (twice_pistons, twice_ncpa) = simulate("2.fits", &["--corrections", "c.fits", "--corrections", "c.fits"]);
+    for (segment, add) in add.iter().enumerate() {
+        // Sums of numbers of some 100 nm.
+        assert!((once_pistons[segment] - pistons[segment] - add).abs() < 1e-10);
+        assert!((twice_pistons[segment] - pistons[segment] - 2.0 * add).abs() < 1e-10);
+    }
+    let mut moved = 0.0f64;
+    for ((before, once), twice) in ncpa.iter().zip(&once_ncpa).zip(&twice_ncpa).filter(|((nm, _), _)| nm.is_finite()) {
+        moved = moved.max((before - once).abs());
+        // Maps are in single precision, of some 100 nm.
+        assert!((before - 2.0 * once + twice).abs() < 1e-3, "{before} {once} {twice}");
+    }
+    assert!(moved > 1.0, "{moved}");
+    // An estimate is no correction, nor is one of other segments; an input is not overwritten.
+    let refused = |file: &str, words: &[&str]| {
+        desk.refuses(&["simulate", "loop.toml", "-o", "3.fits", "--corrections", file], words);
+    };
+    refused("0.fits", &["0.fits", "SEGMENTS or ACTUATORS"]);
+    refused("none.fits", &["none.fits"]);
+    desk.refuses(&["simulate", "loop.toml", "-o", "c.fits", "--corrections", "c.fits"], &["c.fits", "--corrections"]);
+}

@@ -1,0 +1,29 @@
+//! Night watch: an estimate of every frame that appears, kept in one file, shown on a page.
+//!
+//! ```text
+//! folder or stream ─ frame ─ FrameEstimator ─ Tracker ─ Store (one transaction) ─ page, log
+//! ```
+//!
+//! One thread takes frames, estimates them and writes the store. Ctrl-C, a kill and a power cut may come at any time: a frame is in the
+//! store as a whole or not at all, and what is not there is taken by the next watch.
+
+mod clock;
+mod export;
+mod folder;
+mod frame_file;
+mod live;
+mod log;
+mod model;
+mod page;
+mod service;
+mod source;
+mod store;
+mod stream;
+mod tracking;
+mod watcher;
+
+pub use export::export;
+pub use frame_file::FrameReader;
+pub use page::{PageSettings, is_token};
+pub use service::{Place, Settings, run};
+pub use tracking::TrackingSettings;

@@ -1,0 +1,226 @@
+//! Frame estimator: an estimate of each frame as it comes, with everything that does not depend on the frame made once.
+//!
+//! By [`Policy::realtime`] a frame is fitted by a [`Session`]; by any other policy an [`Estimator`] makes the estimate of a file. Both
+//! report the same modes, those of the scene, so that estimates of one night can be compared and tracked.
+
+use super::consistency::reconcile;
+use super::control::Control;
+use super::estimate::Estimate;
+use super::estimator::Estimator;
+use super::images::Images;
+use super::misfit::saturation;
+use super::policy::Policy;
+use super::scene_files::check_for_estimate;
+use crate::modal::{FittedImage, ImageStatus, ModalFitter, Session, SessionOptions, Status};
+use crate::planner;
+use crate::scene::Scene;
+use crate::{Error, Result};
+use ndarray::{Array2, Axis};
+use std::sync::Arc;
+
+/// Estimates frames of one scene, one after the other.
+pub struct FrameEstimator {
+    /// The scene, with the choices of its plan where it named a budget.
+    scene: Scene,
+    fitter: Arc<ModalFitter>,
+    method: Method,
+}
+
+enum Method {
+    /// Sessions for frames without and with bad pixels, which are fitted at their native sampling.
+    Sessions([Option<Box<Session>>; 2]),
+    Pipeline(Box<Estimator>),
+}
+
+/// Estimate of one frame, of the modes of [`FrameEstimator::fitter`].
+#[derive(Debug, Clone)]
+pub struct FrameEstimate {
+    /// Coefficient of each mode, nm, pistons about their mean; NaN where there is no fit.
+    pub coefficients_nm: Vec<f64>,
+    /// Covariance of the coefficients, nm²; NaN where there is no fit.
+    pub covariance_nm2: Array2<f64>,
+    /// χ² per degree of freedom; NaN where there is no fit.
+    pub reduced_chi2: f64,
+    /// Electrons of the star; NaN where there is no fit.
+    pub flux_e: f64,
+    /// Electrons per native pixel; NaN where there is no fit.
+    pub background_e: f64,
+    /// Status of the fit.
+    pub status: ImageStatus,
+    /// Why the numbers must not be used: a sentence; `None` where they may.
+    pub refusal: Option<String>,
+    /// Sentences that a user should read before using the numbers.
+    pub warnings: Vec<String>,
+    /// The frame beside its model, at the model's sampling.
+    pub compared: Option<FittedImage>,
+}
+
+impl FrameEstimator {
+    /// Builds the model of `scene`, and by [`Policy::realtime`] a session of it: a second at the size of Keck.
+    ///
+    /// # Errors
+    /// [`Error::Scene`] for a scene with channels, with `estimate.method = "full-phase"` or `"auto"`, or with a key that the policy does
+    /// not honour; those of [`ModalFitter::new`], [`Session::new`] and [`Estimator::with_policy`].
+    pub fn new(scene: &Scene, policy: Policy, control: Control) -> Result<Self> {
+        policy.check(scene)?;
+        check_for_estimate(scene)?;
+        let scene = planner::resolve(scene, Some(control.flag()))?;
+        // The fitter gives the modes alone where a pipeline fits optical parameters as well.
+        let modes_of =
+            if scene.estimate.fit_optics.is_empty() { scene.clone() } else { scene.without("estimate.fit_optics")? };
+        let fitter = Arc::new(ModalFitter::new(&modes_of, false)?);
+        let method = if policy == Policy::realtime() {
+            let session = Session::new(fitter.clone(), &SessionOptions::default())?;
+            Method::Sessions([Some(Box::new(session)), None])
+        } else {
+            Method::Pipeline(Box::new(Estimator::with_policy(&scene, policy, control)?))
+        };
+        Ok(Self { scene, fitter, method })
+    }
+
+    /// The fitter whose modes are estimated.
+    pub fn fitter(&self) -> &Arc<ModalFitter> {
+        &self.fitter
+    }
+
+    /// The scene, with the choices of its plan where it named a budget.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Number of estimates from `images`: one for each in real time, else one from all.
+    pub fn estimates_of(&self, images: &Images) -> usize {
+        match &self.method {
+            Method::Sessions(_) => images.len(),
+            Method::Pipeline(_) => 1,
+        }
+    }
+
+    /// Estimate `number` of [`FrameEstimator::estimates_of`] from `images`, which are checked and converted as [`Estimator::estimate`]
+    /// does.
+    ///
+    /// # Errors
+    /// [`Error::Image`] and [`Error::Shape`] for images that contradict the scene or have another size; those of the fit. A frame that
+    /// cannot be fitted is no error: see [`FrameEstimate::refusal`].
+    pub fn estimate(&mut self, images: &Images, number: usize) -> Result<FrameEstimate> {
+        match &mut self.method {
+            Method::Sessions(sessions) => {
+                if number >= images.len() {
+                    let count = images.len();
+                    return Err(Error::Shape(format!(
+                        "image {number} does not exist: there are {count} images, from 0"
+                    )));
+                }
+                images.check()?;
+                let frame = images.frame(number);
+                let (frame, _) = frame.without_odd_edge(self.scene.image.fitted_shape());
+                fit(&self.scene, &self.fitter, sessions, &frame)
+            }
+            Method::Pipeline(estimator) => FrameEstimate::of_estimate(&estimator.estimate(images)?, &self.fitter),
+        }
+    }
+}
+
+/// The fit of `images`, which is one frame.
+fn fit(
+    scene: &Scene,
+    fitter: &Arc<ModalFitter>,
+    sessions: &mut [Option<Box<Session>>; 2],
+    images: &Images,
+) -> Result<FrameEstimate> {
+    let consistent = reconcile(images, scene)?;
+    if consistent.is_changed {
+        return Err(Error::Image(
+            "the file's values were to replace those of the scene, which a session cannot do: correct the scene".into(),
+        ));
+    }
+    let electrons = &consistent.images;
+    let (data_e, bad) = (electrons.images_e.index_axis(Axis(0), 0), electrons.bad.index_axis(Axis(0), 0));
+    let (rows, columns) = data_e.dim();
+    let [width, height] = fitter.model().preparation.frame;
+    if (rows, columns) != (height, width) {
+        return Err(Error::Shape(format!(
+            "the image has {columns}x{rows} pixels: {width}x{height} is accepted, as the scene says"
+        )));
+    }
+    let is_reduced = fitter.model().preparation.reduced != fitter.model().preparation.frame;
+    let native = usize::from(is_reduced && bad.iter().any(|bad| *bad));
+    let session = match &mut sessions[native] {
+        Some(session) => session,
+        none => {
+            let native = Arc::new(ModalFitter::new(scene, true)?);
+            none.insert(Box::new(Session::new(native, &SessionOptions::default())?))
+        }
+    };
+    let (mut to_e, mut to_bad) = session.frame_mut(0)?;
+    to_e.assign(&data_e);
+    to_bad.assign(&bad);
+    let options = crate::modal::FitOptions { read_noise_e: electrons.read_noise_e, ..Default::default() };
+    session.fit(1, &options)?;
+    let result = session.results()[0].clone();
+    let report = result.report;
+    let compared = session.fitted_image(0);
+    let mut estimate = FrameEstimate {
+        covariance_nm2: Array2::from_elem([result.coefficients_nm.len(); 2], f64::NAN),
+        coefficients_nm: result.coefficients_nm,
+        reduced_chi2: report.reduced_chi2,
+        flux_e: report.flux_e,
+        background_e: report.background_e,
+        status: report.status.kind(),
+        refusal: None,
+        warnings: images.notes.clone(),
+        compared,
+    };
+    let saturated = estimate.compared.as_ref().and_then(|compared| saturation(compared, data_e, bad));
+    match report.status {
+        Status::Ok | Status::Misfit => estimate.covariance_nm2 = session.covariance_nm2(0)?,
+        Status::WrongMinimum | Status::NotConverged(_) | Status::Unusable(_) => {
+            // A cause says more than its effect on χ².
+            estimate.refusal = saturated.clone().or_else(|| Some(report.sentence()));
+        }
+    }
+    if report.status == Status::Misfit {
+        match saturated {
+            Some(sentence) => estimate.refusal = Some(sentence),
+            None => estimate.warnings.push(report.sentence()),
+        }
+    }
+    Ok(estimate)
+}
+
+impl FrameEstimate {
+    /// The modes of `fitter` in `estimate`.
+    fn of_estimate(estimate: &Estimate, fitter: &ModalFitter) -> Result<Self> {
+        let place = |name: &String| {
+            estimate.basis.names.iter().position(|known| known == name).ok_or_else(|| {
+                Error::Image(format!(
+                    "the estimate has no mode {name}, which the scene has: its model is {}",
+                    estimate.model
+                ))
+            })
+        };
+        let places = fitter.model().basis.names().iter().map(place).collect::<Result<Vec<_>>>()?;
+        let refusal = match estimate.status {
+            ImageStatus::Ok | ImageStatus::Misfit => None,
+            status => Some(match estimate.images.first() {
+                Some(image) if estimate.images.len() == 1 => image.message.clone(),
+                _ => format!("the status of the estimate is {}", status.word()),
+            }),
+        };
+        Ok(Self {
+            coefficients_nm: places.iter().map(|&mode| estimate.coefficients_nm[mode]).collect(),
+            covariance_nm2: estimate.covariance_nm2.select(Axis(0), &places).select(Axis(1), &places),
+            reduced_chi2: estimate.reduced_chi2,
+            flux_e: estimate.images.iter().find(|image| image.is_used).map_or(f64::NAN, |image| image.flux_e),
+            background_e: estimate
+                .images
+                .iter()
+                .find(|image| image.is_used)
+                .map_or(f64::NAN, |image| image.background_e),
+            status: estimate.status,
+            refusal,
+            warnings: estimate.warnings.clone(),
+            compared: estimate.compared.first().cloned(),
+        })
+    }
+}

@@ -1,0 +1,145 @@
+//! Rate of the drift, by maximum likelihood of the innovations: a bank of filters, one for each rate of a grid.
+//!
+//! The coordinates of a block (segments, or NCPA) drift alike and independently of each other, and the coordinates are eigenvectors of the first
+//! covariance. So each member of the bank is a set of scalar filters, one a coordinate, with the diagonal of each estimate's covariance:
+//! a composite likelihood, which neglects correlations of the errors that later estimates may have and is consistent all the same
+//! (Varin, Reid & Firth 2011, Stat. Sinica 21, 5). For unchanged covariances it is the likelihood of the block's estimates itself.
+
+use super::bytes::{Reader, Writer, damaged};
+use crate::Result;
+use ndarray::{Array1, Array2, ArrayView1};
+
+/// Rates of the grid: from 0.1 to 10⁴ nm/√h, eight a decade.
+const RATES: usize = 41;
+const LEAST_NM_PER_SQRT_HOUR: f64 = 0.1;
+const PER_DECADE: f64 = 8.0;
+/// Prior of the rate: log-normal about 10 nm/√h with a standard deviation of a decade. It decides alone before there are innovations, and weighs
+/// less than one innovation afterwards.
+const PRIOR_NM_PER_SQRT_HOUR: f64 = 10.0;
+/// Probability that an estimate belongs to no walk: after an intervention, or a change of all modes. Such an estimate costs each rate that does
+/// not explain it the same, and moves the maximum by nothing.
+const INTERVENTION: f64 = 1e-3;
+/// Variance of the innovations of such an estimate, over that of usual ones.
+const INTERVENTION_SPREAD: f64 = 100.0;
+
+/// A rate, learnt or given.
+#[derive(Debug, Clone)]
+pub(super) struct DriftRate {
+    given: Option<f64>,
+    bank: Option<Bank>,
+    current: f64,
+}
+
+/// Scalar filters, `[rate, coordinate]`, and the log-likelihood of each rate.
+#[derive(Debug, Clone)]
+struct Bank {
+    states_nm: Array2<f64>,
+    variances_nm2: Array2<f64>,
+    log_likelihood: Array1<f64>,
+}
+
+impl DriftRate {
+    pub(super) fn new(given: Option<f64>) -> Self {
+        Self { given, bank: None, current: given.unwrap_or(PRIOR_NM_PER_SQRT_HOUR) }
+    }
+
+    /// nm/√h.
+    pub(super) fn nm_per_sqrt_hour(&self) -> f64 {
+        self.current
+    }
+
+    /// Variance that a coordinate gains in `hours`, nm².
+    pub(super) fn added_nm2(&self, hours: f64) -> f64 {
+        self.current.powi(2) * hours
+    }
+
+    /// The next observation of the block, `hours` after the one before.
+    pub(super) fn learn(&mut self, z_nm: ArrayView1<f64>, variances_nm2: ArrayView1<f64>, hours: f64) {
+        if self.given.is_some() || z_nm.is_empty() {
+            return;
+        }
+        let Some(bank) = &mut self.bank else {
+            let repeat = |row: ArrayView1<f64>| Array2::from_shape_fn((RATES, row.len()), |(_, at)| row[at]);
+            let (states_nm, variances_nm2) = (repeat(z_nm), repeat(variances_nm2));
+            self.bank = Some(Bank { states_nm, variances_nm2, log_likelihood: Array1::zeros(RATES) });
+            return;
+        };
+        for rate in 0..RATES {
+            bank.step(rate, z_nm, variances_nm2, hours);
+        }
+        self.current = bank.most_likely();
+    }
+
+    pub(super) fn write(&self, writer: &mut Writer) {
+        writer.real(self.current);
+        writer.number(usize::from(self.bank.is_some()));
+        if let Some(bank) = &self.bank {
+            writer.matrix(&bank.states_nm);
+            writer.matrix(&bank.variances_nm2);
+            writer.vector(bank.log_likelihood.iter());
+        }
+    }
+
+    pub(super) fn read(given: Option<f64>, coordinates: usize, reader: &mut Reader) -> Result<Self> {
+        let current = reader.real()?;
+        let mut bank = None;
+        if reader.number()? == 1 {
+            let (states_nm, variances_nm2) = (reader.matrix()?, reader.matrix()?);
+            let read = Bank { states_nm, variances_nm2, log_likelihood: reader.vector()? };
+            let wanted = (RATES, coordinates);
+            let fits = read.states_nm.dim() == wanted && read.variances_nm2.dim() == wanted;
+            if !fits || read.log_likelihood.len() != RATES {
+                return Err(damaged());
+            }
+            bank = Some(read);
+        }
+        Ok(Self { given, bank, current: given.unwrap_or(current) })
+    }
+}
+
+fn rate_nm_per_sqrt_hour(place: f64) -> f64 {
+    LEAST_NM_PER_SQRT_HOUR * 10f64.powf(place / PER_DECADE)
+}
+
+impl Bank {
+    fn step(&mut self, rate: usize, z_nm: ArrayView1<f64>, variances_nm2: ArrayView1<f64>, hours: f64) {
+        let added_nm2 = rate_nm_per_sqrt_hour(rate as f64).powi(2) * hours;
+        let mut states = self.states_nm.row_mut(rate);
+        let mut variances = self.variances_nm2.row_mut(rate);
+        let [mut usual, mut intervention] = [(1.0 - INTERVENTION).ln(), INTERVENTION.ln()];
+        for (((x, p), &z), &r) in states.iter_mut().zip(&mut variances).zip(z_nm).zip(variances_nm2) {
+            let predicted = *p + added_nm2;
+            let (innovation, variance) = (z - *x, predicted + r);
+            let square = innovation * innovation / variance;
+            usual -= 0.5 * (variance.ln() + square);
+            intervention -= 0.5 * ((INTERVENTION_SPREAD * variance).ln() + square / INTERVENTION_SPREAD);
+            *x += predicted / variance * innovation;
+            *p = predicted * r / variance;
+        }
+        if intervention > usual {
+            states.assign(&z_nm);
+            variances.assign(&variances_nm2);
+        }
+        let (more, less) = if usual > intervention { (usual, intervention) } else { (intervention, usual) };
+        self.log_likelihood[rate] += more + (less - more).exp().ln_1p();
+    }
+
+    /// Rate of the highest posterior density, by the parabola through the best of the grid and its neighbours.
+    fn most_likely(&self) -> f64 {
+        let prior_place = PER_DECADE * (PRIOR_NM_PER_SQRT_HOUR / LEAST_NM_PER_SQRT_HOUR).log10();
+        let posterior = |rate: usize| {
+            let decades = (rate as f64 - prior_place) / PER_DECADE;
+            self.log_likelihood[rate] - 0.5 * decades * decades
+        };
+        let best = (0..RATES).fold(0, |best, rate| if posterior(rate) > posterior(best) { rate } else { best });
+        let mut place = best as f64;
+        if best > 0 && best + 1 < RATES {
+            let [below, at, above] = [best - 1, best, best + 1].map(posterior);
+            let bend = below - 2.0 * at + above;
+            if bend < 0.0 {
+                place += (0.5 * (below - above) / bend).clamp(-0.5, 0.5);
+            }
+        }
+        rate_nm_per_sqrt_hour(place)
+    }
+}
