@@ -150,7 +150,7 @@ impl Night {
         ];
         let jumps = self.scenario.jumps.iter();
         CurvePicture {
-            title: "A night: an image every 10 s, drift, three jumps, another star, clouds, ten bad frames".into(),
+            title: "A night: an image every 10 s, drift, jumps, clouds".into(),
             x_label: "time (h)".into(),
             y_label: "phasing error (nm RMS)".into(),
             y_log: true,
