@@ -31,7 +31,7 @@ pub struct CorrectableErrors<'a> {
     pub tilts_nm: &'a [f64],
     /// Covariance of pistons and tilts in turn, nm².
     pub segment_covariance_nm2: ArrayView2<'a, f64>,
-    /// Whether the plane through all pistons is left as it is, and not only their mean; without tilts.
+    /// Whether the plane through all pistons is left as it is, and not only their mean; without tilts and without a policy.
     pub leaves_plane: bool,
     /// Largest correction of a piston, or of a tilt, unless a caller names one, nm.
     pub segment_limit_nm: f64,
@@ -112,8 +112,10 @@ impl Corrections {
         };
         let count = segments.len();
         // Segments with tilts have no common motion, and a plane through their pistons alone is a shape of the whole mirror.
+        // A policy weighs the plane by its error bars, and needs no rule for it.
+        let leaves_plane = errors.leaves_plane && errors.policy.is_none();
         let flat = match errors.tilts_nm {
-            [] => without_plane(segments, errors.leaves_plane),
+            [] => without_plane(segments, leaves_plane),
             _ => Array2::eye(count),
         };
         let pistons_nm = flat.dot(&ArrayView1::from(errors.pistons_nm));
