@@ -8,6 +8,7 @@
 //! the wavefront, as in the simulator. [`Commands`] are the same in the terms of the controllers that the scene describes.
 
 use super::controller::{Commands, Moved, commands};
+use super::segment_layout::{edges, without_plane};
 use super::sensor_model::SensorModel;
 use crate::ao::actuators_in_use;
 use crate::io::{Column, FitsWriter, write_atomically};
@@ -19,7 +20,7 @@ use crate::scene::Scene;
 use crate::telescope::{SegmentPlace, Telescope};
 use crate::tracking::{Correctable, CorrectionPolicy, correction};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
 use std::path::Path;
 
 /// Estimated static errors, as far as corrections need them.
@@ -31,7 +32,7 @@ pub struct CorrectableErrors<'a> {
     pub tilts_nm: &'a [f64],
     /// Covariance of pistons and tilts in turn, nm².
     pub segment_covariance_nm2: ArrayView2<'a, f64>,
-    /// Whether the plane through all pistons is left as it is, and not only their mean; without tilts.
+    /// Whether the plane through all pistons is left as it is, and not only their mean; without tilts and without a policy.
     pub leaves_plane: bool,
     /// Largest correction of a piston, or of a tilt, unless a caller names one, nm.
     pub segment_limit_nm: f64,
@@ -112,8 +113,10 @@ impl Corrections {
         };
         let count = segments.len();
         // Segments with tilts have no common motion, and a plane through their pistons alone is a shape of the whole mirror.
+        // A policy weighs the plane by its error bars, and needs no rule for it.
+        let leaves_plane = errors.leaves_plane && errors.policy.is_none();
         let flat = match errors.tilts_nm {
-            [] => without_plane(segments, errors.leaves_plane),
+            [] => without_plane(segments, leaves_plane),
             _ => Array2::eye(count),
         };
         let pistons_nm = flat.dot(&ArrayView1::from(errors.pistons_nm));
@@ -310,33 +313,6 @@ impl CorrectableErrors<'_> {
     }
 }
 
-/// Pairs of segments that share an edge: their centres are as near as those of any two, within a tenth of that distance.
-fn edges(segments: &[Segment]) -> Vec<(usize, usize)> {
-    let distance_m =
-        |(i, j): (usize, usize)| (segments[i].x_m - segments[j].x_m).hypot(segments[i].y_m - segments[j].y_m);
-    let pairs = || (0..segments.len()).flat_map(|i| (0..i).map(move |j| (j, i)));
-    let nearest_m = pairs().map(distance_m).fold(f64::INFINITY, f64::min);
-    pairs().filter(|pair| distance_m(*pair) < 1.1 * nearest_m).collect()
-}
-
-/// Projection that removes the plane through all pistons, `[segment, segment]`; only their mean unless it `is_plane`, and where three
-/// segments or fewer define any plane.
-fn without_plane(segments: &[Segment], is_plane: bool) -> Array2<f64> {
-    let count = segments.len();
-    let values = |value: &dyn Fn(&Segment) -> f64| segments.iter().map(value).collect::<Array1<f64>>();
-    let plane = [values(&|_| 1.0), values(&|segment| segment.x_m), values(&|segment| segment.y_m)];
-    let mut projection = Array2::eye(count);
-    for direction in plane.into_iter().take(if is_plane && count > 3 { 3 } else { 1 }) {
-        let new: Array1<f64> = projection.dot(&direction);
-        let (left, all) = (new.dot(&new), direction.dot(&direction));
-        // Segments in a row along an axis have no such direction.
-        if left > 1e-12 * all {
-            projection -= &(&new.view().insert_axis(Axis(1)) * &new.view().insert_axis(Axis(0)) / left);
-        }
-    }
-    projection
-}
-
 /// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the NCPA `ncpa_nm`: least squares over the
 /// pupil. The mirror is subtracted from the wavefront.
 fn mirror_commands(
@@ -385,38 +361,4 @@ fn reference_slopes(
     let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
     let mut sensor = SensorModel::new(scene, telescope, &illuminated, basis)?;
     Ok(sensor.slopes_mas(&opposite_nm)?.to_vec())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn segments_share_edges_with_their_neighbours() {
-        // Seven hexagons: six edges about the central one, and six between the others.
-        let ring = (0..6).map(|k| (f64::from(k) * std::f64::consts::FRAC_PI_3).sin_cos());
-        let centres = std::iter::once((0.0, 0.0)).chain(ring);
-        let segments: Vec<Segment> = centres.map(|(y_m, x_m)| Segment { x_m, y_m, label: 0 }).collect();
-        let edges = edges(&segments);
-        assert_eq!(edges.len(), 12);
-        assert_eq!(edges.iter().filter(|(i, _)| *i == 0).count(), 6);
-    }
-
-    #[test]
-    fn the_projection_removes_the_plane_alone() {
-        let at = |x_m: f64, y_m: f64| Segment { x_m, y_m, label: 0 };
-        let segments = [at(0.0, 0.0), at(1.0, 0.0), at(0.5, 0.9), at(-0.5, 0.9), at(-1.0, 0.1), at(0.4, -0.9)];
-        let flat = without_plane(&segments, true);
-        let plane: Array1<f64> = segments.iter().map(|segment| 3.0 - 7.0 * segment.x_m + 2.0 * segment.y_m).collect();
-        assert!(flat.dot(&plane).iter().all(|nm| nm.abs() < 1e-13));
-        // A projection whose rank lacks three.
-        assert!((&flat.dot(&flat) - &flat).iter().all(|off| off.abs() < 1e-14));
-        assert!((flat.diag().sum() - 3.0).abs() < 1e-13);
-        let mean = without_plane(&segments[..3], true);
-        assert!((mean.diag().sum() - 2.0).abs() < 1e-14);
-        let mean = without_plane(&segments, false);
-        assert!((mean.diag().sum() - 5.0).abs() < 1e-14);
-        let row = without_plane(&[at(-1.5, 0.0), at(-0.5, 0.0), at(0.5, 0.0), at(1.5, 0.0)], true);
-        assert!((row.diag().sum() - 2.0).abs() < 1e-14);
-    }
 }

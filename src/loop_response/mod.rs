@@ -5,6 +5,7 @@ mod controller;
 mod correction_file;
 mod corrections;
 mod mirror_shape;
+mod segment_layout;
 mod segment_surface;
 mod sensor_model;
 mod slope_information;

@@ -282,7 +282,7 @@ impl Estimate {
     }
 
     /// As [`Estimate::corrections`] by a policy: its gain, deadband and convention, and no correction that is not expected to lower the
-    /// error. `limit_nm` holds besides its stroke limit, which is that of segments.
+    /// error; it decides on the plane through the pistons, too. `limit_nm` holds besides its stroke limit, which is that of segments.
     ///
     /// # Errors
     /// As [`Estimate::corrections`], and [`Error::Value`] for a policy out of range, or one of edges where segments are tilted.

@@ -1,5 +1,7 @@
 //! The tracker: filter, rates, detector and the rejection of outliers in turn.
 
+mod memory_bytes;
+
 use super::bytes::{Reader, Writer, damaged};
 use super::change_detector::{Alarm, ChangeDetector};
 use super::coordinates::Coordinates;
@@ -399,47 +401,5 @@ impl Memory {
             statistic: judged.innovation.chi2(),
             threshold: chi2_limit(self.coordinates.len(), OUTLIER_Z),
         })
-    }
-
-    fn write(&self, writer: &mut Writer) {
-        self.coordinates.write(writer);
-        self.filter.write(writer);
-        writer.real(self.time_s);
-        writer.real(self.learnt_s);
-        writer.vector(self.stepped_nm.iter());
-        writer.number(self.outliers);
-        writer.number(usize::from(self.suspect.is_some()));
-        if let Some(suspect) = &self.suspect {
-            writer.real(suspect.time_s);
-            writer.vector(suspect.z_nm.iter());
-            writer.matrix(&suspect.covariance_nm2);
-        }
-        self.detector.write(writer);
-    }
-
-    fn read(settings: &TrackerSettings, reader: &mut Reader) -> Result<Self> {
-        let coordinates = Coordinates::read(reader)?;
-        let (modes, size) = (settings.segment_modes.len(), coordinates.len());
-        let filter = Filter::read(reader)?;
-        let fits = filter.state_nm.len() == size && filter.covariance_nm2.dim() == (size, size);
-        if !fits || coordinates.of_segments > size || settings.segment_modes.end > coordinates.modes() {
-            return Err(damaged());
-        }
-        let times_s = [reader.real()?, reader.real()?];
-        let mut memory = Self::with(settings, coordinates, filter, times_s);
-        memory.stepped_nm = reader.vector()?;
-        memory.outliers = reader.number()?;
-        if reader.number()? == 1 {
-            let (time_s, z_nm, covariance_nm2) = (reader.real()?, reader.vector()?, reader.matrix()?);
-            if z_nm.len() != size || covariance_nm2.dim() != (size, size) {
-                return Err(damaged());
-            }
-            memory.suspect = Some(Measured { time_s, z_nm, covariance_nm2 });
-        }
-        if memory.stepped_nm.len() != size {
-            return Err(damaged());
-        }
-        memory.detector.read(modes, size, reader)?;
-        Ok(memory)
     }
 }

@@ -8,6 +8,7 @@ use cophase::pipeline::{Commands, Estimate, Estimator, ImageStatus, Images};
 use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
+use cophase::tracking::CorrectionPolicy;
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2};
 use std::path::Path;
@@ -166,6 +167,13 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
     assert_eq!(file.text_column("SEGMENT_COMMANDS", "NAME").unwrap()[6], "106");
     // Segments alone where the limit is in nm.
     assert!(found.corrections(Some(1.0)).unwrap().pistons_nm.iter().all(|nm| nm.abs() <= 1.0));
+    // By a policy: a half of each mode above its error bar.
+    let policy = CorrectionPolicy { gain: 0.5, deadband_sigma: 1.0, ..CorrectionPolicy::default() };
+    let half = found.corrections_with(&policy, None).unwrap();
+    for (half, all) in half.pistons_nm.iter().zip(&corrections.pistons_nm) {
+        // A product with 1/2 is exact.
+        assert_eq!(2.0 * half, *all);
+    }
 
     for (name, contents, expected) in [
         ("segments.txt", table("0"), "line 1: a limit of 0"),

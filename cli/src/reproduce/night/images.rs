@@ -1,6 +1,5 @@
 //! Images of the night, and their estimates by a session.
 
-use super::Estimated;
 use super::scenario::{BadFrame, NOLLS, Scenario};
 use crate::experiment::{Case, Progress};
 use cophase::modal::{FitOptions, Session, SessionOptions};
@@ -23,6 +22,14 @@ const SATURATED: f64 = 0.4;
 const COSMIC_PEAKS: f64 = 5.0;
 const COSMIC_PIXELS: usize = 30;
 const SHIFT: usize = 8;
+
+/// An image's estimate.
+pub struct Estimated {
+    pub coefficients_nm: Vec<f64>,
+    pub covariance_nm2: Array2<f64>,
+    /// One word: `ok`, `misfit`, ...
+    pub status: &'static str,
+}
 
 /// Makes the images of a scenario.
 pub struct Cameraman<'a> {

@@ -19,7 +19,6 @@ use super::{Case, Progress};
 use cophase::scene::Scene;
 use cophase::{Error, Result};
 use images::Cameraman;
-use ndarray::Array2;
 
 /// The telescope: Keck, an artificial source, half of the preset's sampling and two thirds of its pupil grid, so that a night takes
 /// minutes. A peak S/N of 25 gives errors of some nm from one image; brighter, tracking would have nothing to gain. All NCPA modes that are estimated drift alike.
@@ -39,14 +38,6 @@ const SETTINGS: [(&str, &str); 11] = [
 /// False alarms a night that are asked for, and, to see enough of them in one night with images, of a second tracker.
 const ASKED: f64 = 1.0;
 const ASKED_LOUD: f64 = 40.0;
-
-/// An image's estimate.
-struct Estimated {
-    coefficients_nm: Vec<f64>,
-    covariance_nm2: Array2<f64>,
-    /// One word: `ok`, `misfit`, ...
-    status: &'static str,
-}
 
 /// What a night shows.
 pub struct Night {

@@ -1,7 +1,7 @@
 //! Tables and picture of a night.
 
 use super::Night;
-use super::scenario::{DRIFT_NM_PER_SQRT_HOUR, INTERVAL_S};
+use super::scenario::INTERVAL_S;
 use crate::experiment::{Cell, Table};
 use crate::plot::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 use crate::reproduce::Report;
@@ -23,7 +23,7 @@ impl Night {
                 Cell::Number(single_nm, 2),
                 Cell::Number(tracked_nm, 2),
                 Cell::Number(tracked_nm / single_nm, 3),
-                Cell::Number(DRIFT_NM_PER_SQRT_HOUR, 1),
+                Cell::Number(self.followed.true_drift_nm_per_sqrt_hour[part], 2),
                 Cell::Number(learnt, 2),
             ]);
         }
@@ -150,7 +150,7 @@ impl Night {
         ];
         let jumps = self.scenario.jumps.iter();
         CurvePicture {
-            title: "A night: an image every 10 s, drift, three jumps, another star, clouds, ten bad frames".into(),
+            title: "A night: an image every 10 s, drift, jumps, clouds".into(),
             x_label: "time (h)".into(),
             y_label: "phasing error (nm RMS)".into(),
             y_log: true,

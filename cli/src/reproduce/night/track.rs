@@ -1,6 +1,6 @@
 //! The tracker on the estimates of the night.
 
-use super::Estimated;
+use super::images::Estimated;
 use super::scenario::{INTERVAL_S, Jump, Scenario};
 use crate::experiment::Case;
 use crate::experiment::statistics::{median, rms};
@@ -33,6 +33,8 @@ pub struct Followed {
     pub changes: Vec<(usize, Change)>,
     /// Rates of the drift at the end, segments and NCPA, nm/√h.
     pub drift_nm_per_sqrt_hour: (f64, f64),
+    /// Those of the truth in the estimated modes.
+    pub true_drift_nm_per_sqrt_hour: [f64; 2],
     jumps: Vec<Jump>,
 }
 
@@ -78,7 +80,9 @@ impl Followed {
             frames.push(seen);
         }
         let drift_nm_per_sqrt_hour = tracker.drift_nm_per_sqrt_hour();
-        Ok(Self { frames, changes, drift_nm_per_sqrt_hour, jumps: scenario.jumps.clone() })
+        let true_drift_nm_per_sqrt_hour = true_drift(scenario, truth_nm);
+        let jumps = scenario.jumps.clone();
+        Ok(Self { frames, changes, drift_nm_per_sqrt_hour, true_drift_nm_per_sqrt_hour, jumps })
     }
 
     /// The change that names a jump, with the images until then.
@@ -107,6 +111,18 @@ impl Followed {
         let off = |frame: &TrackedFrame| (frame.single_nm[0] - middle).abs();
         used().min_by(|(_, a), (_, b)| off(a).total_cmp(&off(b))).map(|(number, _)| number)
     }
+}
+
+/// Root of the mean square step of a mode between images without a jump, over the root of the time: segments and NCPA, nm/√h.
+fn true_drift(scenario: &Scenario, truth_nm: &[Vec<f64>]) -> [f64; 2] {
+    let is_quiet = |frame: usize| scenario.jumps.iter().all(|jump| jump.frame != frame);
+    let steps = |modes: std::ops::Range<usize>| {
+        let pairs = truth_nm.windows(2).enumerate().filter(|(before, _)| is_quiet(before + 1));
+        let steps = pairs.flat_map(|(_, pair)| modes.clone().map(move |mode| pair[1][mode] - pair[0][mode]));
+        rms(&steps.collect::<Vec<f64>>()) / (INTERVAL_S / 3600.0).sqrt()
+    };
+    let modes = truth_nm.first().map_or(0, Vec::len);
+    [steps(0..scenario.segments), steps(scenario.segments..modes)]
 }
 
 fn is_of(jump: &Jump, frame: usize, change: &Change) -> bool {
