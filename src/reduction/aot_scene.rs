@@ -1,7 +1,7 @@
 //! First scene of an adaptive optics system, from a file of AOT: telescope, turbulence, sensor, mirror and loop in the scene's words. Maps
 //! and matrices stay in the file, which the scene names with the HDU in brackets.
 
-use super::first_scene::{Lines, UNKNOWN, float};
+use super::scene_text::{Lines, UNKNOWN, float};
 use crate::hexagons::HexagonLayout;
 use crate::io::FitsReader;
 use crate::io::aot::{self, AotControl, AotImage, AotMirror, AotSensor, AotSystem, AotTelescope, AotTurbulence};

@@ -3,15 +3,13 @@
 use super::aot_scene;
 use super::cut_out::CutOut;
 use super::frame::{Cards, FrameHeader};
+use super::scene_text::{Lines, UNKNOWN, float, printable};
 use super::star;
 use crate::io::{self, FitsReader, HeaderFact, PixelUnit, Quantity};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::{ArrayView2, Axis};
 use std::path::Path;
-
-/// What precedes a comment on what is not in the header.
-pub(super) const UNKNOWN: &str = "TO BE FILLED IN";
 
 /// Telescopes that a preset describes: what their name begins with, the preset, what the preset leaves out.
 const TELESCOPES: [(&[&str], &str, &str); 2] = [
@@ -86,31 +84,6 @@ fn of_preset(telescope: &str) -> Result<(String, String, String, f64)> {
         }
     }
     Ok((telescope.to_owned(), pupil, others, Scene::preset(preset)?.pupil.grid_m.unwrap_or(1.0)))
-}
-
-/// Lines of a scene: keys with their values and comments.
-pub(super) struct Lines {
-    pub(super) text: String,
-}
-
-impl Lines {
-    /// The section `name`, after an empty line.
-    pub(super) fn of_section(name: &str) -> Self {
-        Self { text: format!("\n[{name}]\n") }
-    }
-
-    /// A key with its value, and a comment where there is one.
-    pub(super) fn add(&mut self, key: &str, value: impl std::fmt::Display, comment: &str) {
-        let line = format!("{key} = {value}");
-        let line = if comment.is_empty() { line } else { format!("{line:<28} # {}", printable(comment)) };
-        self.text += line.trim_end();
-        self.text.push('\n');
-    }
-
-    /// A comment of its own.
-    pub(super) fn note(&mut self, comment: &str) {
-        self.text += &format!("# {}\n", printable(comment));
-    }
 }
 
 /// The section `[image]`; `is_cut_out`: the images are as an estimate takes them, and not raw frames.
@@ -202,16 +175,6 @@ fn image(
         None => line("saturation_adu", "1e9".into(), format!("{UNKNOWN}: counts of one coadd that are saturated")),
     }
     Ok(lines.text)
-}
-
-/// A number in the syntax of TOML, without the digits of binary fractions.
-pub(super) fn float(value: f64) -> String {
-    format!("{:?}", (value * 1e6).round() / 1e6)
-}
-
-/// `text` without characters that would end a comment.
-fn printable(text: &str) -> String {
-    text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
 /// The lines of a section of a preset, without its header.

@@ -29,6 +29,7 @@ mod read;
 mod reduce;
 mod reduced;
 mod rejection;
+mod scene_text;
 mod sky;
 mod star;
 mod write;

@@ -64,7 +64,7 @@ pub(super) fn normal_cdf(x: f64) -> f64 {
 
 /// ln Γ(n/2), by Γ(x + 1) = x·Γ(x) from Γ(1/2) = √π or Γ(1) = 1.
 fn ln_gamma_of_half(n: usize) -> f64 {
-    let (first, start) = if n % 2 == 0 { (2, 0.0) } else { (1, 0.5 * PI.ln()) };
+    let (first, start) = if n.is_multiple_of(2) { (2, 0.0) } else { (1, 0.5 * PI.ln()) };
     (first..n).step_by(2).map(|k| (k as f64 / 2.0).ln()).sum::<f64>() + start
 }
 

@@ -188,7 +188,7 @@ impl Night {
         files.push(directory.join("night-frames.csv"));
         self.frames().write_csv(&directory.join("night-frames.csv"))?;
         files.push(directory.join("night.png"));
-        self.picture().draw(&directory.join("night.png"))?;
+        self.picture().draw(directory.join("night.png"))?;
         Ok(Report { text, files })
     }
 }
