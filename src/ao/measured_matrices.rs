@@ -22,7 +22,8 @@ pub(super) fn interaction(scene: &Scene, lenslets: &Lenslets, modelled: &Array2<
     let path = scene.resolve(file);
     let matrix = read(&path, "INTERACTION", modelled.dim(), ["slope", "actuator"], |cube| {
         // AOT: [subaperture, dimension, actuator].
-        cube.permuted_axes([1, 0, 2])
+        let (subapertures, dimensions, actuators) = cube.dim();
+        (cube.permuted_axes([1, 0, 2]), (dimensions * subapertures, actuators))
     })?;
     let format = SlopeFormat::new(sensing, lenslets)?;
     let measured = (format.expected_mas(matrix.t())? / control.matrix_command_nm).reversed_axes();
@@ -47,31 +48,31 @@ pub(super) fn command_matrix(
     };
     let path = scene.resolve(file);
     let shape = (actuators, 2 * lenslets.subapertures.len());
-    // AOT: [actuator, dimension, subaperture].
-    let matrix = read(&path, "COMMAND_MATRIX", shape, ["actuator", "slope"], |cube| cube)?;
+    let matrix = read(&path, "COMMAND_MATRIX", shape, ["actuator", "slope"], |cube| {
+        // AOT: [actuator, dimension, subaperture].
+        let (actuators, dimensions, subapertures) = cube.dim();
+        (cube, (actuators, dimensions * subapertures))
+    })?;
     // A command is a sum over measured slopes, so that a column is in commands per unit of a slope.
     let format = SlopeFormat::new(sensing, lenslets)?;
     let unit = control.matrix_command_nm / (sensing.slope_unit_mas * sensing.slope_unit_mas);
     Ok(Some(format.expected_mas(matrix.view())? * unit))
 }
 
-/// A matrix of `shape`: the HDU in brackets, HDU `name` of the file, or its first image. An image with three axes, as AOT has them, is a
-/// matrix in the order of its values after `ordered`.
+/// A matrix of `shape`: the HDU in brackets, HDU `name` of the file, or its first image. `flat` orders
+/// the values of an image with three axes, as AOT has them, and says the shape of the matrix that they are.
 fn read(
     path: &Path,
     name: &str,
     shape: (usize, usize),
     of: [&str; 2],
-    ordered: impl FnOnce(Array3<f64>) -> Array3<f64>,
+    flat: impl FnOnce(Array3<f64>) -> (Array3<f64>, (usize, usize)),
 ) -> Result<Array2<f64>> {
     let mut file = FitsReader::open(path)?;
     let image = if file.is_whole() && file.has(name) { file.map(Some(name))?.into_dyn() } else { file.map_or_cube()? };
     let matrix = if image.ndim() == 3 {
-        let cube = ordered(image.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))?);
-        let (first, second, third) = cube.dim();
-        let rows = if first == shape.0 { first } else { first * second };
-        let values = cube.as_standard_layout().into_owned();
-        values.into_shape_with_order((rows, first * second * third / rows))
+        let (cube, dim) = flat(image.into_dimensionality().map_err(|error| Error::Internal(error.to_string()))?);
+        cube.as_standard_layout().into_owned().into_shape_with_order(dim)
     } else {
         image.into_dimensionality()
     };

@@ -44,6 +44,11 @@ pub(super) fn sections(file: &mut FitsReader, name: &str) -> Result<AotSections>
     })
 }
 
+/// The name of an image of the file, as a text of TOML.
+fn in_file(name: &str, image: &AotImage) -> String {
+    format!("{:?}", format!("{name}[{}]", image.hdu))
+}
+
 /// Square grid of actuators about the axis.
 struct ActuatorGrid {
     across: usize,
@@ -150,7 +155,7 @@ fn pupil(telescope: &AotTelescope, (grid_m, whence): (f64, &str), name: &str) ->
             lines.add("spider_width_m", "0.0", &format!("{UNKNOWN}: AOT has no spider{shown}"));
         }
         (None, Some(mask)) => {
-            lines.add("file", format!("\"{name}[{}]\"", mask.hdu), "without segments");
+            lines.add("file", in_file(name, mask), "without segments");
         }
         (None, None) => {
             lines.add("aperture", "\"keck\"", &format!("{UNKNOWN}: the file has neither segments nor a pupil"));
@@ -214,7 +219,7 @@ fn sensor(sensor: &AotSensor, name: &str) -> String {
         lines.add("lenslets_across", 20, UNKNOWN);
     }
     if let Some(mask) = &sensor.mask {
-        lines.add("subaperture_file", format!("\"{name}[{}]\"", mask.hdu), "");
+        lines.add("subaperture_file", in_file(name, mask), "");
     }
     let words = [SensorDetector::QuadCell, SensorDetector::Pixels, SensorDetector::Geometric].map(|kind| kind.word());
     match words.into_iter().find(|word| *word == sensor.centroiding) {
@@ -241,7 +246,7 @@ fn mirror(mirror: &AotMirror, grid: Option<&ActuatorGrid>, name: &str) -> String
             lines.add("actuators_across", grid.across, "from ACTUATORS_X, ACTUATORS_Y");
             lines.add("pitch_m", float(grid.pitch_m), "");
             if grid.is_row_by_row {
-                lines.add("actuator_file", format!("\"{name}\""), "");
+                lines.add("actuator_file", format!("{name:?}"), "");
             } else {
                 lines.note(&format!(
                     "{UNKNOWN}: actuators are not listed row by row from the smallest y, as matrices need it"
@@ -258,7 +263,7 @@ fn mirror(mirror: &AotMirror, grid: Option<&ActuatorGrid>, name: &str) -> String
         }
     }
     match &mirror.influence {
-        Some(influence) => lines.add("influence_file", format!("\"{name}[{}]\"", influence.hdu), ""),
+        Some(influence) => lines.add("influence_file", in_file(name, influence), ""),
         None => lines.add("coupling", "0.1458", &format!("{UNKNOWN}: influence of an actuator at its neighbour")),
     }
     if mirror.stroke_m > 0.0 {
@@ -302,7 +307,7 @@ fn matrices(lines: &mut Lines, control: &AotControl, system: &AotSystem, name: &
     }
     let keys = [("interaction_file", &control.interaction), ("command_matrix_file", &control.command)];
     for (key, matrix) in keys.into_iter().filter_map(|(key, matrix)| Some((key, matrix.as_ref()?))) {
-        lines.add(key, format!("\"{name}[{}]\"", matrix.hdu), "");
+        lines.add(key, in_file(name, matrix), "");
     }
     match matrix_command_nm(control, sensor) {
         Some(nm) => lines.add(

@@ -22,7 +22,7 @@ const SURE: f64 = 3.0;
 /// What is minimised by moving segments.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SegmentConvention {
-    /// The sum of the squares of all segment modes. A segment in the deadband stays, whatever its neighbours do.
+    /// The sum of the squares of all segment modes. A segment in the deadband stays, independently of its neighbours.
     #[default]
     LeastSquares,
     /// The sum of the squares of the steps at the edges that neighbouring segments share; of pistons alone. Where all segments move this is

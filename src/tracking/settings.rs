@@ -1,4 +1,4 @@
-//! What a tracker is told, and what it answers.
+//! Input and output of a tracker: observations, settings, changes.
 
 use crate::{Error, Result};
 use ndarray::{ArrayView1, ArrayView2};

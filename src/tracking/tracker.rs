@@ -61,7 +61,7 @@ struct Measured {
 }
 
 /// An innovation with what follows from it.
-struct Judged {
+struct Compared {
     innovation: Innovation,
     /// Steps, white.
     white_steps: Array2<f64>,
@@ -104,31 +104,31 @@ impl Tracker {
         let mut filter = memory.filter.clone();
         filter.predict(memory.by_block(self.rates[0].added_nm2(hours), self.rates[1].added_nm2(hours)).into_iter());
         // A covariance that is bad is found here, before anything is changed.
-        let judged = memory.judge(&filter, &measured)?;
+        let compared = memory.compare(&filter, &measured)?;
         let memory = self.memory.as_mut().ok_or_else(damaged)?;
         (memory.filter, memory.time_s) = (filter, measured.time_s);
         if let Some(suspect) = memory.suspect.take() {
             let hours = (measured.time_s - suspect.time_s).max(0.0) / 3600.0;
             let [segments, ncpa] = [&self.rates[0], &self.rates[1]].map(|rate| rate.added_nm2(hours));
             let walk_nm2 = memory.by_block(segments, ncpa);
-            if let Some(changes) = memory.confirm(&suspect, &measured, &judged, &walk_nm2)? {
+            if let Some(changes) = memory.confirm(&suspect, &measured, &compared, &walk_nm2)? {
                 let changes = changes.into_iter().map(|change| self.name(change)).collect();
                 self.learn(&suspect);
                 self.learn(&measured);
                 return Ok(Update { verdict: Verdict::Accepted, changes });
             }
         }
-        if let Some((chi2, limit)) = judged.outlier {
+        if let Some((chi2, limit)) = compared.outlier {
             memory.outliers += 1;
             if memory.outliers < MOST_OUTLIERS {
                 memory.suspect = Some(measured);
                 return Ok(Update { verdict: Verdict::Outlier { chi2, limit }, changes: Vec::new() });
             }
-            let change = memory.start_again(&measured, &judged)?;
+            let change = memory.start_again(&measured, &compared)?;
             self.learn(&measured);
             return Ok(Update { verdict: Verdict::Accepted, changes: vec![change] });
         }
-        let changes = memory.accept(&measured, judged)?;
+        let changes = memory.accept(&measured, compared)?;
         let changes = changes.into_iter().map(|change| self.name(change)).collect();
         self.learn(&measured);
         Ok(Update { verdict: Verdict::Accepted, changes })
@@ -271,7 +271,7 @@ impl Memory {
     }
 
     /// An observation beside what `filter` predicts.
-    fn judge(&self, filter: &Filter, measured: &Measured) -> Result<Judged> {
+    fn compare(&self, filter: &Filter, measured: &Measured) -> Result<Compared> {
         let innovation = filter.innovation(&measured.z_nm, &measured.covariance_nm2)?;
         let white_steps = innovation.whiten(&self.steps);
         let chi2 = innovation.chi2();
@@ -280,7 +280,7 @@ impl Memory {
         let mode_limit = self.detector.mode_threshold;
         let largest = most_likely_step(&innovation, &white_steps).filter(|step| step.statistic > mode_limit);
         outlier = outlier.or(largest.map(|step| (step.statistic, mode_limit)));
-        Ok(Judged { innovation, white_steps, outlier })
+        Ok(Compared { innovation, white_steps, outlier })
     }
 
     /// The changes that `suspect` and the next observation show together, where they do; both are then used. Modes are numbers of segment
@@ -289,7 +289,7 @@ impl Memory {
         &mut self,
         suspect: &Measured,
         next: &Measured,
-        judged: &Judged,
+        compared: &Compared,
         walk_nm2: &Array1<f64>,
     ) -> Result<Option<Vec<Change>>> {
         // The mean of the two, and how it differs from the state.
@@ -302,8 +302,8 @@ impl Memory {
         let is_named = match attribution.steps.as_slice() {
             [] => false,
             [first, ..] => {
-                let white_step = judged.white_steps.column(first.mode);
-                let alone = white_step.dot(&judged.innovation.white) / white_step.dot(&white_step).sqrt();
+                let white_step = compared.white_steps.column(first.mode);
+                let alone = white_step.dot(&compared.innovation.white) / white_step.dot(&white_step).sqrt();
                 alone * first.size_nm.signum() > CONFIRMING_CHI2.sqrt()
             }
         };
@@ -314,7 +314,7 @@ impl Memory {
             let chi2 = pair.innovation(&next.z_nm, &next.covariance_nm2)?.chi2();
             Ok(chi2 < chi2_limit(self.coordinates.len(), OUTLIER_Z))
         };
-        if !agrees()? || !(is_named || judged.outlier.is_some()) {
+        if !agrees()? || !(is_named || compared.outlier.is_some()) {
             return Ok(None);
         }
         let limit = chi2_limit(self.coordinates.len(), OUTLIER_Z);
@@ -346,9 +346,9 @@ impl Memory {
     }
 
     /// Uses an observation, and looks for changes in the window that ends with it.
-    fn accept(&mut self, measured: &Measured, judged: Judged) -> Result<Vec<Change>> {
+    fn accept(&mut self, measured: &Measured, compared: Compared) -> Result<Vec<Change>> {
         self.outliers = 0;
-        let Judged { mut innovation, white_steps, .. } = judged;
+        let Compared { mut innovation, white_steps, .. } = compared;
         let before = self.filter.clone();
         self.filter.update(&innovation);
         let along = |covariance_nm2: &Array2<f64>| -> Array1<f64> {
@@ -385,7 +385,7 @@ impl Memory {
     }
 
     /// Takes an observation for the state, after more outliers than a disturbance has.
-    fn start_again(&mut self, measured: &Measured, judged: &Judged) -> Result<Change> {
+    fn start_again(&mut self, measured: &Measured, compared: &Compared) -> Result<Change> {
         let moved_nm = &measured.z_nm - &self.filter.state_nm;
         let error_nm = (&self.filter.covariance_nm2 + &measured.covariance_nm2).diag().sum().sqrt();
         self.filter = Filter::new(measured.z_nm.clone(), measured.covariance_nm2.clone());
@@ -398,7 +398,7 @@ impl Memory {
             size_error_nm: error_nm,
             since_s: measured.time_s,
             detected_s: measured.time_s,
-            statistic: judged.innovation.chi2(),
+            statistic: compared.innovation.chi2(),
             threshold: chi2_limit(self.coordinates.len(), OUTLIER_Z),
         })
     }

@@ -16,6 +16,7 @@ const EXAMPLES: &str = "Examples:
   cophase scene --reference                     every key, with its default
   cophase scene scene.toml --plot pupil.png     which segment has which number
   cophase scene --from n0004.fits > scene.toml  one from a frame's header
+  cophase scene --from aot.fits > scene.toml    one from a file of AOT
 
 The picture shows the pupil as the maps of an estimate do: x to the right, y up, in metres. The numbers are those of the \
 table SEGMENTS, of modes such as segment-07-piston and of 'check-orientation --segment'; actuators and subapertures are \
@@ -30,7 +31,8 @@ pub struct Arguments {
     /// Print every key that a scene may have
     #[arg(long, conflicts_with = "name")]
     reference: bool,
-    /// Print a first scene for the instrument of a raw frame; what its header does not say is marked in comments
+    /// Print a first scene for the instrument of a raw frame, or for the system of a file of AOT; what the file does not say is marked in
+    /// comments
     #[arg(long, value_name = "FRAME", conflicts_with_all = ["name", "reference"])]
     from: Option<PathBuf>,
     /// Draw the pupil with the number of each segment, the actuators and the subapertures (.png or .svg)

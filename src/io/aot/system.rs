@@ -4,6 +4,7 @@ use super::read::{image, lists, reals, row, text_card, texts};
 use super::version::check_version;
 use crate::Result;
 use crate::io::read::FitsReader;
+use ndarray::s;
 
 /// An image of the file.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -143,6 +144,13 @@ fn values(file: &mut FitsReader, table: &str, column: &str, row: usize) -> Resul
     Ok(file.cube_at(at)?.into_iter().collect())
 }
 
+/// The first row of the image to which a cell of the first row of `table` refers, a time of several; none where it refers to none.
+fn first_row(file: &mut FitsReader, table: &str, column: &str) -> Result<Vec<f64>> {
+    let cell = texts(file, table, column)?.swap_remove(0);
+    let Some(at) = image(file, &cell, column)? else { return Ok(Vec::new()) };
+    Ok(file.cube_at(at)?.slice(s![0, 0, ..]).to_vec())
+}
+
 /// The number in a cell.
 fn real(file: &mut FitsReader, table: &str, column: &str, row: usize) -> Result<f64> {
     Ok(reals(file, table, column)?[row])
@@ -185,11 +193,9 @@ fn turbulence(file: &mut FitsReader) -> Result<Option<AotTurbulence>> {
     }
     let r0_m = lists(file, TABLE, "R0")?.swap_remove(0);
     let known: Vec<f64> = r0_m.into_iter().filter(|r0_m| r0_m.is_finite()).collect();
-    let weights = values(file, TABLE, "LAYERS_REL_WEIGHT", 0)?;
+    let weights = first_row(file, TABLE, "LAYERS_REL_WEIGHT")?;
     let mut of_layers = |column: &str| -> Result<Vec<f64>> {
-        let mut found = values(file, TABLE, column, 0)?;
-        // Rows are times: the first stands for the night.
-        found.truncate(weights.len());
+        let found = first_row(file, TABLE, column)?;
         Ok(if found.len() == weights.len() { found } else { Vec::new() })
     };
     let (heights_m, outer_scales_m) = (of_layers("LAYERS_HEIGHT")?, of_layers("LAYERS_LO")?);

@@ -49,12 +49,13 @@ fn before_and_after(policy: &CorrectionPolicy, rms_nm: f64, draws: usize) -> [f6
 #[test]
 fn corrections_do_no_harm() {
     for convention in [SegmentConvention::LeastSquares, SegmentConvention::EdgeMinimising] {
-        for deadband_sigma in [0.0, 1.0, 2.0, 3.0] {
+        // Errors far below the error bars. A deadband of k error bars alone adds 2·(k·φ(k) + Φ(−k)) of the 9 nm²: all, 80 %, 26 % and 2.9 %. With the rule
+        // one per cent may remain, the part of draws of noise that are sent (correction.rs) times what they add to a few modes; of the
+        // largest deadband, beyond which the rule has single modes to judge by, two thirds.
+        for (deadband_sigma, part) in [(0.0, 0.01), (1.0, 0.01), (2.0, 0.01), (3.0, 0.02)] {
             let policy = CorrectionPolicy { deadband_sigma, convention, ..Default::default() };
-            // Errors far below the error bars: some 2 % of draws are sent, and add twice to three times the 9 nm² of the modes that move, a part of
-            // all: less than 2 % of 9 nm².
             let [before, after] = before_and_after(&policy, 0.3, 1000);
-            assert!(after - before < 0.2, "{policy:?}: {before} {after}");
+            assert!(after - before < part * 9.0, "{policy:?}: {before} {after}");
             // Errors of three error bars: 9 nm² are left of 81, and 4·9 of those in a deadband of two.
             let [before, after] = before_and_after(&policy, 9.0, 100);
             assert!(after < 0.45 * before, "{policy:?}: {before} {after}");

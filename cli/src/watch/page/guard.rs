@@ -26,9 +26,9 @@ pub struct Guard {
 
 /// Answers a request that is refused, gives others to `next`, and adds the headers of security to both.
 pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
-    let mut response = match guard.judge(&request) {
-        Judgement::Pass => next.run(request).await,
-        Judgement::Answer(response) => *response,
+    let mut response = match guard.decide(&request) {
+        Decision::Pass => next.run(request).await,
+        Decision::Answer(response) => *response,
     };
     let headers = response.headers_mut();
     let fixed = [
@@ -46,21 +46,21 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     response
 }
 
-enum Judgement {
+enum Decision {
     Pass,
     Answer(Box<Response>),
 }
 
-fn refuse(status: StatusCode, sentence: &str) -> Judgement {
-    Judgement::Answer(Box::new((status, format!("{sentence}\n")).into_response()))
+fn refuse(status: StatusCode, sentence: &str) -> Decision {
+    Decision::Answer(Box::new((status, format!("{sentence}\n")).into_response()))
 }
 
 impl Guard {
-    fn judge(&self, request: &Request) -> Judgement {
+    fn decide(&self, request: &Request) -> Decision {
         let headers = request.headers();
         if request.method() != Method::GET && request.method() != Method::HEAD {
             let refused = (StatusCode::METHOD_NOT_ALLOWED, [(header::ALLOW, "GET, HEAD")], "only GET is accepted\n");
-            return Judgement::Answer(Box::new(refused.into_response()));
+            return Decision::Answer(Box::new(refused.into_response()));
         }
         let has_length = headers.get(header::CONTENT_LENGTH).is_some_and(|length| length != "0");
         if has_length || headers.contains_key(header::TRANSFER_ENCODING) {
@@ -82,26 +82,26 @@ impl Guard {
         if site.is_some_and(|site| site != "same-origin" && site != "none") && !is_link {
             return refuse(StatusCode::FORBIDDEN, "requests of other sites are refused");
         }
-        self.judge_token(request)
+        self.check_token(request)
     }
 
     /// A token in the address of the page becomes a cookie, so that it is in no history of addresses for long.
-    fn judge_token(&self, request: &Request) -> Judgement {
-        let Some(token) = &self.token else { return Judgement::Pass };
+    fn check_token(&self, request: &Request) -> Decision {
+        let Some(token) = &self.token else { return Decision::Pass };
         let headers = request.headers();
         let name = format!("cophase-{}=", self.address.port());
         let bearer = only(headers, &header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
         let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
         let mut cookies = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().strip_prefix(&name));
         if bearer.is_some_and(|given| is_same(given, token)) || cookies.any(|given| is_same(given, token)) {
-            return Judgement::Pass;
+            return Decision::Pass;
         }
         let query = request.uri().query().unwrap_or_default();
         let given = query.split('&').find_map(|pair| pair.strip_prefix("token="));
         if request.uri().path() == "/" && given.is_some_and(|given| is_same(given, token)) {
             let cookie = format!("{name}{token}; HttpOnly; SameSite=Strict; Path=/");
             let answer = (StatusCode::SEE_OTHER, [(header::LOCATION, "/".to_string()), (header::SET_COOKIE, cookie)]);
-            return Judgement::Answer(Box::new(answer.into_response()));
+            return Decision::Answer(Box::new(answer.into_response()));
         }
         refuse(StatusCode::UNAUTHORIZED, "a token is needed: open /?token=TOKEN, or send Authorization: Bearer TOKEN")
     }

@@ -63,7 +63,7 @@ impl Page {
         let about = reader.about()?;
         let (changed, version) = watch::channel(0);
         live.listen(move |newest| {
-            // Without a page that is open nobody listens.
+            // Without an open page there is no receiver.
             let _ = changed.send(newest);
         });
         let api = Api { reader, about, live: live.clone(), fitter, started_s: clock::now_s() };
@@ -107,7 +107,7 @@ async fn serve(listener: TcpListener, router: Router) {
     let free = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Too many open files, as a rule: others are closed by and by.
+            // Usually too many open files: wait until some are closed.
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
@@ -120,7 +120,7 @@ async fn serve(listener: TcpListener, router: Router) {
                 .header_read_timeout(HEADER_TIME)
                 .max_buf_size(HEADER_BYTES)
                 .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router));
-            // How a connection ends is the browser's affair.
+            // A connection that the browser ends early is no error here.
             let _ = tokio::time::timeout(CONNECTION_TIME, connection).await;
             drop(permit);
         });

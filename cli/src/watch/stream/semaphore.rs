@@ -40,7 +40,7 @@ impl Semaphore {
         taken.index = (0..header.semaphores).find(|&index| {
             let reader = taken.reader(index);
             let known = reader.load(Ordering::SeqCst);
-            // As upstream does it: 0 and -1 are nobody, and a process that has ended has no group.
+            // As upstream: 0 and -1 mark a free semaphore, and a process that has ended has no process group.
             // SAFETY: a plain system call.
             let is_free = known <= 0 || unsafe { libc::getpgid(known) } < 0;
             is_free && reader.compare_exchange(known, own, Ordering::SeqCst, Ordering::SeqCst).is_ok()

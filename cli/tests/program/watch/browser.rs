@@ -16,13 +16,13 @@ struct Browser {
     from: BufReader<File>,
     session: Option<String>,
     next: u64,
-    /// What the page was told and said besides answers.
+    /// Messages of the page that are no answers to requests.
     notices: Vec<Value>,
 }
 
 fn pipe() -> (OwnedFd, OwnedFd) {
     let mut ends = [0; 2];
-    // SAFETY: the call writes two descriptors into a live local, which nobody else owns.
+    // SAFETY: the call writes two descriptors into a live local, which this function owns.
     unsafe {
         assert_eq!(libc::pipe2(ends.as_mut_ptr(), libc::O_CLOEXEC), 0);
         (OwnedFd::from_raw_fd(ends[0]), OwnedFd::from_raw_fd(ends[1]))

@@ -1,4 +1,4 @@
-//! `cophase watch`: every frame once, whatever happens between two of them.
+//! `cophase watch`: each frame counts exactly once, also across kills, restarts and full disks.
 
 mod browser;
 mod faults;
