@@ -8,6 +8,7 @@ mod mirror_shape;
 mod segment_layout;
 mod segment_surface;
 mod sensor_model;
+mod serial_correlation;
 mod slope_information;
 mod slope_regression;
 

@@ -6,6 +6,7 @@
 //! sensor model is estimated from the data too: the part of the mean over images that no mode explains, beyond its scatter, does
 //! not average over images.
 
+use super::serial_correlation::mean_variance_factors;
 use crate::Result;
 use crate::ao::{Svd, svd};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
@@ -59,14 +60,17 @@ impl SensorResponse {
         let Svd { left, values, right } = svd(&(&self.response_mas / &unit_mas))?;
         let (mean, scatter) = (mean_mas / &unit_mas, scatter_mas / &unit_mas);
         let modal = mean.dot(&right);
-        let modal_squares: Array1<f64> = scatter.dot(&right).axis_iter(Axis(1)).map(square).collect();
+        let modal_scatter = scatter.dot(&right);
+        let modal_squares: Array1<f64> = modal_scatter.axis_iter(Axis(1)).map(square).collect();
+        // Along singular vectors, which are in the order of their singular values, modes of like spatial frequencies are beside each other.
+        let factors = mean_variance_factors(modal_scatter.view());
         let others = (unit_mas.len() - values.len()).max(1) as f64;
         let all_squares: f64 = scatter.iter().map(|value| value * value).sum();
         let other_variance = (all_squares - modal_squares.sum()).max(0.0) / (freedom * others);
         let unexplained = &mean - &right.dot(&modal);
         let model_variance = (square(unexplained.view()) / others - other_variance / images).max(0.0);
-        let weights =
-            shrunk(&modal_squares, freedom, MIN_SCATTER).mapv(|variance| 1.0 / (variance / images + model_variance));
+        let mean_variances = shrunk(&modal_squares, freedom, MIN_SCATTER) * factors / images;
+        let weights = mean_variances.mapv(|variance| 1.0 / (variance + model_variance));
         let values = Array1::from(values);
         let weighted = &left * &(&values * &weights);
         let information = (&weighted * &values).dot(&left.t());

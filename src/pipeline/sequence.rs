@@ -181,7 +181,8 @@ pub(super) fn estimate(sequence: &Sequence) -> Result<SequenceResult> {
     let prior = prior(scene, ao_knowledge)?;
     let cleaned = channels.iter().map(SequenceChannel::cleaned).collect::<Result<Vec<_>>>()?;
     let cubes: Vec<Cube> = channels.iter().zip(&cleaned).map(|(channel, cleaned)| channel.cube(cleaned)).collect();
-    let retrieval = retrieval_settings(scene, sequence.exposures());
+    let has_known_turbulence = ao_knowledge > AoKnowledge::Nothing;
+    let retrieval = RetrievalSettings { has_known_turbulence, ..retrieval_settings(scene, sequence.exposures()) };
     let cancel = Some(control.flag());
     let (optics, static_scene) = optics_with_sensor(scene, used_slopes_mas, || match &cubes[..] {
         [only] => estimate_optics(scene, &prior, &retrieval, *only, cancel),

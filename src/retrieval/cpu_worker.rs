@@ -9,7 +9,7 @@ use crate::modal::PreparedFrame;
 use crate::optimize::Progress;
 
 impl<T: Polynomial> Workspace<T> {
-    /// Retrieves the wavefront of one image on this thread, about the wavefront `about`. `check_cancel` is called before each
+    /// Retrieves the wavefront of one image on this thread, about the wavefront `about`, without `blur_e` (empty where it is unknown). `check_cancel` is called before each
     /// evaluation: an image of a large telescope takes seconds.
     ///
     /// # Errors
@@ -17,12 +17,12 @@ impl<T: Polynomial> Workspace<T> {
     pub(super) fn retrieve(
         &self,
         mut prepared: PreparedFrame,
-        about: Option<&StaticWavefront>,
+        (about, blur_e): (Option<&StaticWavefront>, &[f32]),
         check_cancel: impl Fn() -> Result<()>,
     ) -> Result<RetrievedImage> {
         let model = &self.model;
         let (mut optimisation, mut buffers) = (self.take_optimisation()?, self.take_buffers());
-        optimisation.begin(model, &mut prepared, about)?;
+        optimisation.begin(model, &mut prepared, (about, blur_e))?;
         model.chain.set(&mut buffers.loaded, &prepared.exposure)?;
         loop {
             check_cancel()?;

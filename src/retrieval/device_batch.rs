@@ -32,10 +32,17 @@ pub(super) struct RetrievalTask<'a> {
     /// Prepares one of them.
     pub(super) prepare: &'a (dyn Fn(usize) -> Result<PreparedImage> + Sync),
     pub(super) about: Option<&'a StaticWavefront>,
+    /// What the blur of the exposures changes in each image, electrons; empty where it is not known.
+    pub(super) blur_e: &'a [Vec<f32>],
     pub(super) cancel: Option<&'a CancelFlag>,
 }
 
 impl RetrievalTask<'_> {
+    /// What the blur changes in `image`, electrons; empty where it is not known.
+    pub(super) fn blur_of(&self, image: usize) -> &[f32] {
+        self.blur_e.get(image).map_or(&[], Vec::as_slice)
+    }
+
     /// # Errors
     /// [`Error::Interrupted`] where the task is cancelled, with the number of images that are done.
     pub(super) fn check_cancel(&self, done: impl FnOnce() -> usize) -> Result<()> {
@@ -117,7 +124,7 @@ impl<T: Polynomial> Workspace<T> {
             Err(refusal) => return Ok(Err(refusal)),
         };
         let mut optimisation = self.take_optimisation()?;
-        optimisation.begin(&self.model, &mut prepared, task.about)?;
+        optimisation.begin(&self.model, &mut prepared, (task.about, task.blur_of(image)))?;
         Ok(Ok((prepared, optimisation)))
     }
 }

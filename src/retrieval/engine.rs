@@ -70,7 +70,9 @@ impl<T: Polynomial> Engine<T> {
             let check_cancel = || task.check_cancel(|| done.load(Ordering::Relaxed));
             check_cancel()?;
             let result = match (task.prepare)(image)? {
-                Ok(prepared) => Ok(self.workspace.retrieve(prepared, task.about, check_cancel)?),
+                Ok(prepared) => {
+                    Ok(self.workspace.retrieve(prepared, (task.about, task.blur_of(image)), check_cancel)?)
+                }
                 Err(refusal) => Err(refusal),
             };
             out.store(result);

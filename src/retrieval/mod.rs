@@ -6,9 +6,11 @@
 //! static wavefront about which it is sought ────────┘                         └ device: a batch in lock-step
 //! ```
 
+mod ao_residual;
 mod cpu_worker;
 mod device_batch;
 mod engine;
+mod exposure_blur;
 mod illuminated_samples;
 mod information_probe;
 mod model;

@@ -1,5 +1,6 @@
 //! MAP objective of one scene: the parts that all images and threads of a retrieval share.
 
+use super::exposure_blur::ExposureBlur;
 use super::information_probe::{TypicalExposure, information_rad2, probe_response};
 use super::preconditioner::SpectralPreconditioner;
 use super::prior::RadialPsd;
@@ -35,6 +36,8 @@ pub(super) struct MapModel<T: Polynomial> {
     pub(super) free: Vec<FreeCoefficient>,
     /// Illuminated samples of each segment where its amplitude is an unknown; empty where amplitudes are known.
     pub(super) segment_samples: Vec<f64>,
+    /// Blur of the exposures, where it is known.
+    pub(super) blur: Option<ExposureBlur>,
 }
 
 impl<T: Polynomial> MapModel<T> {
@@ -93,7 +96,13 @@ impl<T: Polynomial> MapModel<T> {
             settings: settings.clone(),
             free,
             segment_samples,
+            blur: None,
         })
+    }
+
+    /// This objective, of exposures with this blur.
+    pub(super) fn blurred_by(self, blur: Option<ExposureBlur>) -> Self {
+        Self { blur, ..self }
     }
 
     /// Number of illuminated samples.

@@ -115,7 +115,13 @@ impl OpticsSearch<'_> {
         // Compiling kernels for six images of optics that are used once does not pay.
         let max_evaluations = most.min(self.settings.max_evaluations);
         let device = Choice::Cpu;
-        let settings = RetrievalSettings { segment_amplitude_rms, device, max_evaluations, ..self.settings.clone() };
+        let settings = RetrievalSettings {
+            segment_amplitude_rms,
+            device,
+            max_evaluations,
+            has_known_turbulence: false,
+            ..self.settings.clone()
+        };
         let retriever = Retriever::new(&optics.scene, telescope, self.prior, settings)?;
         let cube = Cube { images_e: self.images_e.view(), bad: self.bad.view(), read_noise_e: self.read_noise_e };
         let wavefronts = retriever.retrieve(cube, None, self.cancel, &|_| {})?;

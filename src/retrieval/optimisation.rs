@@ -74,12 +74,13 @@ impl<T: Polynomial> MapOptimisation<T> {
         })
     }
 
-    /// Begins an image: sets the weights in `prepared`, the coordinates, and the static wavefront `about` which it is sought.
+    /// Begins an image: sets the weights in `prepared`, takes `blur_e` (empty where it is unknown) off its data, and sets the coordinates and
+    /// the static wavefront `about` which it is sought.
     pub(super) fn begin(
         &mut self,
         model: &MapModel<T>,
         prepared: &mut PreparedFrame,
-        about: Option<&StaticWavefront>,
+        (about, blur_e): (Option<&StaticWavefront>, &[f32]),
     ) -> Result<()> {
         let (mut flux_e, mut weighed_e) = (0.0, 0.0);
         let exposure = &mut prepared.exposure;
@@ -90,6 +91,8 @@ impl<T: Polynomial> MapOptimisation<T> {
             flux_e += if floor.is_finite() { light } else { 0.0 };
             weighed_e += *weight * light.max(0.0);
         }
+        // The noise stays that of all light.
+        exposure.data_e.iter_mut().zip(blur_e).for_each(|(data, &blur)| *data -= f64::from(blur));
         self.information_nm2 = model.information_nm2(flux_e, weighed_e);
         let good = prepared.exposure.weight.iter().filter(|weight| **weight > 0.0).count();
         let illuminated = model.chain.optics().parts().weights.energy;
@@ -224,6 +227,8 @@ impl<T: Polynomial> MapOptimisation<T> {
         let mut wavefront_nm = modal_wavefront_nm(model.chain.optics(), &coefficients_nm);
         wavefront_nm.iter_mut().zip(&self.turns).for_each(|(nm, turns)| *nm += turns.widen() * wavelength_nm);
         let ln_amplitudes = self.amplitudes.ln().to_vec();
-        RetrievedImage { wavefront_nm, coefficients_nm, ln_amplitudes, report }
+        let blur_e =
+            model.blur.iter().flat_map(|blur| blur.change(&psf)).map(|change| (flux_e * change) as f32).collect();
+        RetrievedImage { wavefront_nm, coefficients_nm, ln_amplitudes, blur_e, report }
     }
 }

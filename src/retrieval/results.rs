@@ -43,6 +43,8 @@ pub(super) struct RetrievedImage {
     pub(super) coefficients_nm: Vec<f64>,
     /// Logarithm of each segment's amplitude over the model's, where amplitudes are unknowns.
     pub(super) ln_amplitudes: Vec<f64>,
+    /// What the blur of the exposure changes in the image, electrons; empty where it is not known.
+    pub(super) blur_e: Vec<f32>,
     pub(super) report: RetrievalReport,
 }
 
@@ -56,6 +58,9 @@ pub struct RetrievedWavefronts {
     pub coefficients_nm: Array2<f64>,
     /// Logarithm of each segment's amplitude over the model's, `[image, segment]`; no columns where amplitudes are known.
     pub ln_amplitudes: Array2<f64>,
+    /// What the motion of the turbulence during each exposure changes in its image, electrons in the model's pixels; empty where it is not
+    /// known. The next retrieval of the images takes it off.
+    pub blur_e: Vec<Vec<f32>>,
     /// Report of each image.
     pub reports: Vec<RetrievalReport>,
 }
@@ -68,6 +73,7 @@ impl RetrievedWavefronts {
             wavefront_nm: unknown(samples),
             coefficients_nm: unknown(coefficients),
             ln_amplitudes: unknown(amplitudes),
+            blur_e: vec![Vec::new(); images],
             reports: vec![RetrievalReport::refused(String::new()); images],
         }
     }
@@ -75,11 +81,12 @@ impl RetrievedWavefronts {
     /// Mutable views of the images' results, in turn.
     pub(super) fn images_mut(&mut self) -> impl Iterator<Item = ImageResultMut<'_>> {
         let arrays = self.wavefront_nm.axis_iter_mut(Axis(0)).zip(self.coefficients_nm.axis_iter_mut(Axis(0)));
-        let arrays = arrays.zip(self.ln_amplitudes.axis_iter_mut(Axis(0))).zip(&mut self.reports);
-        arrays.map(|(((wavefront_nm, coefficients_nm), ln_amplitudes), report)| ImageResultMut {
+        let arrays = arrays.zip(self.ln_amplitudes.axis_iter_mut(Axis(0))).zip(&mut self.blur_e).zip(&mut self.reports);
+        arrays.map(|((((wavefront_nm, coefficients_nm), ln_amplitudes), blur_e), report)| ImageResultMut {
             wavefront_nm,
             coefficients_nm,
             ln_amplitudes,
+            blur_e,
             report,
         })
     }
@@ -90,6 +97,7 @@ impl RetrievedWavefronts {
             wavefront_nm: self.wavefront_nm.row_mut(image),
             coefficients_nm: self.coefficients_nm.row_mut(image),
             ln_amplitudes: self.ln_amplitudes.row_mut(image),
+            blur_e: &mut self.blur_e[image],
             report: &mut self.reports[image],
         }
         .store(result);
@@ -101,6 +109,7 @@ pub(super) struct ImageResultMut<'a> {
     wavefront_nm: ArrayViewMut1<'a, f64>,
     coefficients_nm: ArrayViewMut1<'a, f64>,
     ln_amplitudes: ArrayViewMut1<'a, f64>,
+    blur_e: &'a mut Vec<f32>,
     report: &'a mut RetrievalReport,
 }
 
@@ -113,6 +122,7 @@ impl ImageResultMut<'_> {
                 self.wavefront_nm.iter_mut().zip(image.wavefront_nm).for_each(|(out, nm)| *out = nm);
                 self.coefficients_nm.iter_mut().zip(image.coefficients_nm).for_each(|(out, nm)| *out = nm);
                 self.ln_amplitudes.iter_mut().zip(image.ln_amplitudes).for_each(|(out, ln)| *out = ln);
+                *self.blur_e = image.blur_e;
                 *self.report = image.report;
             }
         }

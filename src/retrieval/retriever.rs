@@ -12,6 +12,7 @@
 
 use super::device_batch::RetrievalTask;
 use super::engine::Engine;
+use super::exposure_blur::ExposureBlur;
 use super::illuminated_samples::IlluminatedSamples;
 use super::information_probe::TypicalExposure;
 use super::model::MapModel;
@@ -122,12 +123,22 @@ impl Retriever {
             pixel_variance_e2: (scene.image.read_noise_e.unwrap_or(0.0).powi(2) + scene.image.background_e).max(1.0)
                 * area,
         };
+        let blur = match settings.has_known_turbulence {
+            true => {
+                let sampling = model.optics.sampling();
+                let reach_m = sampling.pixels_per_lambda_over_d * pitch_m * samples as f64;
+                ExposureBlur::new(scene, sampling.pixels, reach_m)?
+            }
+            false => None,
+        };
         let engine = match settings.precision {
             Precision::F32 => {
-                AnyEngine::Single(Engine::new(MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?)?)
+                let map = MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?;
+                AnyEngine::Single(Engine::new(map.blurred_by(blur))?)
             }
             Precision::F64 => {
-                AnyEngine::Double(Engine::new(MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?)?)
+                let map = MapModel::new(&model, prior, pitch_m, margin_m, &settings, typical)?;
+                AnyEngine::Double(Engine::new(map.blurred_by(blur))?)
             }
         };
         let highest_frequency_per_m = highest_frequency_per_m(scene, &model)?;
@@ -196,6 +207,22 @@ impl Retriever {
         cancel: Option<&CancelFlag>,
         watch: &(dyn Fn(usize) + Sync),
     ) -> Result<RetrievedWavefronts> {
+        self.retrieve_without(&[], cube, about, cancel, watch)
+    }
+
+    /// As [`Retriever::retrieve`], without the blur of each exposure that an earlier retrieval found
+    /// ([`RetrievedWavefronts::blur_e`]).
+    ///
+    /// # Errors
+    /// As [`Retriever::retrieve`].
+    pub fn retrieve_without(
+        &self,
+        blur_e: &[Vec<f32>],
+        cube: Cube,
+        about: Option<&StaticWavefront>,
+        cancel: Option<&CancelFlag>,
+        watch: &(dyn Fn(usize) + Sync),
+    ) -> Result<RetrievedWavefronts> {
         if let Some(about) = about {
             self.check_static_wavefront(about)?;
         }
@@ -211,7 +238,7 @@ impl Retriever {
         let amplitudes = if self.settings.segment_amplitude_rms > 0.0 { parts.weights.segments } else { 0 };
         let sizes = [parts.weights.illuminated.len(), parts.modes.len(), amplitudes];
         let mut wavefronts = RetrievedWavefronts::unfinished(frames.len(), sizes);
-        let task = RetrievalTask { images: frames.len(), prepare: &prepare, about, cancel };
+        let task = RetrievalTask { images: frames.len(), prepare: &prepare, about, blur_e, cancel };
         match &self.engine {
             AnyEngine::Single(engine) => engine.retrieve(&task, &mut wavefronts, watch)?,
             AnyEngine::Double(engine) => engine.retrieve(&task, &mut wavefronts, watch)?,

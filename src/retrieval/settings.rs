@@ -42,6 +42,8 @@ pub struct RetrievalSettings {
     pub segment_tilt_rms_nm: f64,
     /// Prior RMS of the segments' amplitudes about those of the model, as a fraction; 0 takes them as known.
     pub segment_amplitude_rms: f64,
+    /// Whether the scene's turbulence is that of the images: exposures are then blurred by its motion.
+    pub has_known_turbulence: bool,
 }
 
 impl Default for RetrievalSettings {
@@ -59,6 +61,7 @@ impl Default for RetrievalSettings {
             piston_rms_nm: 0.0,
             segment_tilt_rms_nm: 0.0,
             segment_amplitude_rms: 0.0,
+            has_known_turbulence: false,
         }
     }
 }

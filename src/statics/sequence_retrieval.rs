@@ -43,6 +43,8 @@ pub struct SequenceRetrieval<'a> {
     start: Option<StaticWavefront>,
     /// Wavefronts of the first iteration, until it takes them.
     first: Option<Exposures>,
+    /// What the blur of each exposure changes in its image, by the last retrievals of each channel, electrons.
+    blur_e: Vec<Vec<Vec<f32>>>,
     /// Report of each image's last retrieval, channel after channel.
     pub reports: Vec<RetrievalReport>,
     /// Seconds in retrievals.
@@ -88,6 +90,7 @@ impl<'a> SequenceRetrieval<'a> {
         }
         Ok(Self {
             samples: first.retriever.illuminated_samples()?,
+            blur_e: vec![Vec::new(); channels.len()],
             channels,
             is_simultaneous,
             prior,
@@ -130,9 +133,12 @@ impl<'a> SequenceRetrieval<'a> {
         (self.watch)(SequenceProgress::Retrieved(0));
         let started = std::time::Instant::now();
         let (mut before, mut retrieved) = (0, Vec::new());
-        for ChannelSequence { retriever, cube } in &self.channels {
+        for (ChannelSequence { retriever, cube }, blur_e) in self.channels.iter().zip(&mut self.blur_e) {
             let watch = |done: usize| (self.watch)(SequenceProgress::Retrieved(before + done));
-            retrieved.push(retriever.retrieve(*cube, about.or(self.start.as_ref()), self.cancel, &watch)?);
+            let about = about.or(self.start.as_ref());
+            let mut found = retriever.retrieve_without(blur_e, *cube, about, self.cancel, &watch)?;
+            *blur_e = std::mem::take(&mut found.blur_e);
+            retrieved.push(found);
             before += cube.images_e.len_of(Axis(0));
         }
         self.seconds += started.elapsed().as_secs_f64();
