@@ -11,6 +11,7 @@
 
 use super::threshold::normal_cdf;
 use crate::linear_algebra::SpdInverse;
+use crate::scene::{Scene, SegmentConvention};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use std::f64::consts::PI;
@@ -18,17 +19,6 @@ use std::ops::Range;
 
 /// Standard deviations by which the expected drop must exceed 0: noise alone is sent in some 2 % of cases.
 const SURE: f64 = 3.0;
-
-/// What is minimised by moving segments.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum SegmentConvention {
-    /// The sum of the squares of all segment modes. A segment in the deadband stays, independently of its neighbours.
-    #[default]
-    LeastSquares,
-    /// The sum of the squares of the steps at the edges that neighbouring segments share; of pistons alone. Where all segments move this is
-    /// the same correction; beside a segment that stays, its neighbours meet it.
-    EdgeMinimising,
-}
 
 /// How estimates become corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,9 +34,9 @@ pub struct CorrectionPolicy {
 }
 
 impl Default for CorrectionPolicy {
-    /// All of each mode of more than two error bars.
+    /// That of a scene without keys of it: all of each mode above its error bar.
     fn default() -> Self {
-        Self { gain: 1.0, deadband_sigma: 2.0, stroke_limit_nm: None, convention: SegmentConvention::LeastSquares }
+        Self { gain: 1.0, deadband_sigma: 1.0, stroke_limit_nm: None, convention: SegmentConvention::LeastSquares }
     }
 }
 
@@ -74,6 +64,19 @@ pub enum HoldReason {
     Deadband,
     /// The correction of its block is not expected to lower the error.
     NoBenefit,
+    /// Nothing corrects it: pointing, or NCPA without a mirror.
+    NeverCorrected,
+}
+
+impl HoldReason {
+    /// The word in files.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Deadband => "deadband",
+            Self::NoBenefit => "no-benefit",
+            Self::NeverCorrected => "never-corrected",
+        }
+    }
 }
 
 /// A mode that is not corrected.
@@ -232,6 +235,17 @@ impl Block<'_, '_> {
 }
 
 impl CorrectionPolicy {
+    /// The policy in the section `[commands]` of a scene, without a stroke limit.
+    pub fn of_scene(scene: &Scene) -> Self {
+        let commands = &scene.commands;
+        Self {
+            gain: commands.gain,
+            deadband_sigma: commands.deadband_sigma,
+            stroke_limit_nm: None,
+            convention: commands.convention,
+        }
+    }
+
     fn check(&self) -> Result<()> {
         if !(self.gain > 0.0 && self.gain <= 1.0) {
             let gain = self.gain;

@@ -22,7 +22,8 @@ mod steps;
 mod threshold;
 mod tracker;
 
-pub use correction::{Correctable, Correction, CorrectionPolicy, Held, HoldReason, SegmentConvention, correction};
+pub use crate::scene::SegmentConvention;
+pub use correction::{Correctable, Correction, CorrectionPolicy, Held, HoldReason, correction};
 pub use settings::{Change, NIGHT_S, Observation, TrackerSettings, Update, Verdict};
 pub use threshold::change_threshold;
 pub use tracker::Tracker;

@@ -8,7 +8,6 @@ use cophase::pipeline::{Commands, Estimate, Estimator, ImageStatus, Images};
 use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
-use cophase::tracking::CorrectionPolicy;
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2};
 use std::path::Path;
@@ -167,9 +166,10 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
     assert_eq!(file.text_column("SEGMENT_COMMANDS", "NAME").unwrap()[6], "106");
     // Segments alone where the limit is in nm.
     assert!(found.corrections(Some(1.0)).unwrap().pistons_nm.iter().all(|nm| nm.abs() <= 1.0));
-    // By a policy: a half of each mode above its error bar.
-    let policy = CorrectionPolicy { gain: 0.5, deadband_sigma: 1.0, ..CorrectionPolicy::default() };
-    let half = found.corrections_with(&policy, None).unwrap();
+    // By a policy of the scene: a half of each mode above its error bar.
+    let half = Estimate { scene: found.scene.with(&[("commands.gain", "0.5")]).unwrap(), ..found.clone() };
+    let half = half.corrections(None).unwrap();
+    assert_eq!((half.policy.gain, corrections.policy.gain), (0.5, 1.0));
     for (half, all) in half.pistons_nm.iter().zip(&corrections.pistons_nm) {
         // A product with 1/2 is exact.
         assert_eq!(2.0 * half, *all);

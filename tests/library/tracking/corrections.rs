@@ -70,7 +70,8 @@ fn deadband_limit_gain_and_reasons() {
         estimate_nm[mode] = nm;
     }
     let covariance_nm2 = Array2::eye(SEGMENTS + 10) * 9.0;
-    let policy = CorrectionPolicy { gain: 0.5, stroke_limit_nm: Some(100.0), ..Default::default() };
+    let policy =
+        CorrectionPolicy { gain: 0.5, deadband_sigma: 2.0, stroke_limit_nm: Some(100.0), ..Default::default() };
     let sent = correct(&policy, &estimate_nm, &covariance_nm2);
     let moved: Vec<(usize, f64)> =
         sent.coefficients_nm.iter().copied().enumerate().filter(|(_, nm)| *nm != 0.0).collect();
@@ -84,7 +85,8 @@ fn deadband_limit_gain_and_reasons() {
     // Of noise alone the largest is beyond two error bars, and is not worth correcting.
     let mut noise_nm = Array1::zeros(SEGMENTS + 10);
     noise_nm[3] = 7.0;
-    let sent = correct(&CorrectionPolicy::default(), &noise_nm, &covariance_nm2);
+    let policy = CorrectionPolicy { deadband_sigma: 2.0, ..Default::default() };
+    let sent = correct(&policy, &noise_nm, &covariance_nm2);
     assert!(sent.coefficients_nm.iter().all(|nm| *nm == 0.0));
     let held = sent.held.iter().find(|held| held.mode == 3).unwrap();
     assert_eq!((held.segment, held.reason), (Some(3), HoldReason::NoBenefit));
@@ -99,7 +101,7 @@ fn moved_segments_meet_those_that_stay_by_the_edge_convention() {
     }
     let covariance_nm2 = Array2::eye(SEGMENTS + 10) * 4.0;
     let of = |convention| {
-        let policy = CorrectionPolicy { convention, ..Default::default() };
+        let policy = CorrectionPolicy { deadband_sigma: 2.0, convention, ..Default::default() };
         let sent = correct(&policy, &estimate_nm, &covariance_nm2);
         &estimate_nm - &sent.coefficients_nm
     };

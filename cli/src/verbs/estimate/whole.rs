@@ -77,6 +77,9 @@ pub(super) fn conclude(
         arguments.write_corrections(&estimate, corrections, terminal)?;
     }
     print(arguments.first(), &estimate, arguments.json, terminal)?;
+    if let Some(corrections) = corrections.as_ref().filter(|_| !arguments.json) {
+        terminal.show(&format!("corrections: {}\n", corrections.summary()))?;
+    }
     if let Some(degeneracy) = estimate.degeneracy.as_ref().filter(|_| arguments.verbose && !arguments.json) {
         terminal.show(&format!("\n{degeneracy}\n"))?;
     }

@@ -1,0 +1,120 @@
+//! Errors that are to be corrected, and which of their modes are: the scene's policy.
+
+use crate::Result;
+use crate::loop_response::segment_layout::{common_directions, edges, projection_without};
+use crate::modes::SmoothBasis;
+use crate::pupil::Segment;
+use crate::tracking::{Correctable, Correction, CorrectionPolicy, correction};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
+
+/// Estimated static errors, as far as corrections need them.
+pub struct CorrectableErrors<'a> {
+    /// Piston of each segment, nm; none where the estimate has none.
+    pub pistons_nm: &'a [f64],
+    /// Tip of each segment, then tilt of each, nm RMS over the segment; empty where they are not corrected. With them the segments have
+    /// no common tip and tilt.
+    pub tilts_nm: &'a [f64],
+    /// Covariance of pistons and tilts in turn, nm².
+    pub segment_covariance_nm2: ArrayView2<'a, f64>,
+    /// Whether images hold little information on the plane through all pistons, as behind adaptive optics: it is then a block of its own,
+    /// which is left where its correction is not expected to lower the error.
+    pub has_uncertain_plane: bool,
+    /// Largest correction of a piston, or of a tilt, unless a caller names one, nm.
+    pub segment_limit_nm: f64,
+    /// Coefficients of the NCPA, nm.
+    pub ncpa_nm: &'a [f64],
+    /// Their error bars, nm.
+    pub ncpa_sigma_nm: &'a [f64],
+    /// What they are coefficients of.
+    pub ncpa: NcpaModes<'a>,
+    /// Whether something takes NCPA: a mirror, or reference slopes. Without, they are left.
+    pub has_ncpa_corrector: bool,
+}
+
+/// Modes of the NCPA.
+pub enum NcpaModes<'a> {
+    /// Functions of the place in the pupil; tip and tilt are the first two.
+    Smooth(&'a SmoothBasis),
+    /// Maps on the scene's grid: the map of such coefficients, `[y, x]`, nm, NaN outside the pupil.
+    Maps(&'a dyn Fn(&[f64]) -> Array2<f64>),
+}
+
+/// A decision on errors: what is corrected, and the estimates that it is made from.
+pub(super) struct Decision {
+    /// Correction of pistons, tips, tilts and NCPA in turn.
+    pub(super) correction: Correction,
+    /// Pistons, tips and tilts, each with its error bar, nm, without what is left as it is.
+    pub(super) segments_nm: Vec<[f64; 2]>,
+}
+
+impl CorrectableErrors<'_> {
+    /// What `policy` corrects of pistons, tips, tilts and NCPA in turn, of a mirror of these segments.
+    ///
+    /// # Errors
+    /// Those of [`correction`].
+    pub fn correction(&self, policy: &CorrectionPolicy, segments: &[Segment]) -> Result<Correction> {
+        Ok(self.decide(policy, segments)?.correction)
+    }
+
+    pub(super) fn decide(&self, policy: &CorrectionPolicy, segments: &[Segment]) -> Result<Decision> {
+        let pistons = segments.len();
+        let flat = self.projection(policy, segments);
+        let pistons_nm = flat.dot(&ArrayView1::from(self.pistons_nm));
+        let mut covariance_nm2 = self.segment_covariance_nm2.to_owned();
+        let of_pistons = flat.dot(&self.segment_covariance_nm2.slice(s![..pistons, ..pistons])).dot(&flat);
+        covariance_nm2.slice_mut(s![..pistons, ..pistons]).assign(&of_pistons);
+        let (count, modes) = (pistons + self.tilts_nm.len(), pistons + self.tilts_nm.len() + self.ncpa_nm.len());
+        let coefficients_nm: Array1<f64> =
+            pistons_nm.iter().chain(self.tilts_nm).chain(self.ncpa_nm).copied().collect();
+        let mut all_nm2 = Array2::zeros((modes, modes));
+        all_nm2.slice_mut(s![..count, ..count]).assign(&covariance_nm2);
+        all_nm2.diag_mut().iter_mut().skip(count).zip(self.ncpa_sigma_nm).for_each(|(nm2, nm)| *nm2 = nm * nm);
+        let correction = correction(
+            policy,
+            &Correctable {
+                coefficients_nm: coefficients_nm.view(),
+                covariance_nm2: all_nm2.view(),
+                segment_modes: &(0..count),
+                segment_of_mode: &(0..count).map(|mode| mode % pistons.max(1)).collect::<Vec<usize>>(),
+                edges: &edges(segments),
+                left_modes: &(count..count + self.left_ncpa()).collect::<Vec<usize>>(),
+            },
+        )?;
+        let sigma_nm = covariance_nm2.diag().mapv(|nm2| nm2.max(0.0).sqrt());
+        let segments_nm = coefficients_nm.iter().zip(&sigma_nm).map(|(&nm, &sigma_nm)| [nm, sigma_nm]).collect();
+        Ok(Decision { correction, segments_nm })
+    }
+
+    /// Number of the first NCPA modes that are not corrected: pointing, or all.
+    pub(super) fn left_ncpa(&self) -> usize {
+        match self.ncpa {
+            _ if !self.has_ncpa_corrector => self.ncpa_nm.len(),
+            NcpaModes::Smooth(_) => self.ncpa_nm.len().min(2),
+            NcpaModes::Maps(_) => 0,
+        }
+    }
+
+    /// Projection of the pistons on what may be corrected: without their mean, and without the plane where it is left. Segments with
+    /// tilts have no common motion, and a plane through their pistons alone is a shape of the whole mirror.
+    fn projection(&self, policy: &CorrectionPolicy, segments: &[Segment]) -> Array2<f64> {
+        let count = segments.len();
+        if !self.tilts_nm.is_empty() {
+            return Array2::eye(count);
+        }
+        let directions = common_directions(segments);
+        let (mean, plane) = directions.split_at(directions.len().min(1));
+        let is_left = self.has_uncertain_plane && !self.is_worth_correcting(policy, plane);
+        projection_without(count, if is_left { &directions } else { mean })
+    }
+
+    /// Whether the components of the pistons along `directions` are beyond the deadband, all together, and their correction is expected to lower the
+    /// error: with gain g and error bars of the variance P in all, g·(2 − g)·|m|² > 2·g·P (Stein 1981, as in [`correction`]).
+    fn is_worth_correcting(&self, policy: &CorrectionPolicy, directions: &[Array1<f64>]) -> bool {
+        let pistons_nm = ArrayView1::from(self.pistons_nm);
+        let count = pistons_nm.len();
+        let covariance_nm2 = self.segment_covariance_nm2.slice(s![..count, ..count]);
+        let squares_nm2: f64 = directions.iter().map(|direction| direction.dot(&pistons_nm).powi(2)).sum();
+        let variance_nm2: f64 = directions.iter().map(|direction| direction.dot(&covariance_nm2.dot(direction))).sum();
+        squares_nm2 > (2.0 / (2.0 - policy.gain)).max(policy.deadband_sigma.powi(2)) * variance_nm2
+    }
+}
