@@ -1,12 +1,14 @@
 //! Modes of a modal estimate as errors that are corrected.
 
+use crate::ao::actuators_in_use;
+use crate::linear_algebra::SpdInverse;
 use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
 use crate::modal;
-use crate::modes::Group;
+use crate::modes::{Group, Samples};
 use crate::scene::Scene;
 use crate::tracking::{Correction, CorrectionPolicy};
 use crate::{Error, Result};
-use ndarray::{Array1, Array2, ArrayView2, s};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, s};
 
 /// Modes of a model, and their covariance: of an estimate, or tracked.
 pub(super) struct ModalErrors<'a> {
@@ -72,4 +74,38 @@ impl ModalErrors<'_> {
             has_ncpa_corrector: self.scene.has_mirror(),
         })
     }
+}
+
+/// What `corrections` change of the coefficients of `model`, nm: pistons about their mean over the pupil, as they are reported, and the part of
+/// the mirror's surface that the NCPA modes represent, by least squares over the pupil with piston, tip and tilt, which are no modes.
+pub(super) fn change_by(scene: &Scene, model: &modal::Model, corrections: &Corrections) -> Result<Vec<f64>> {
+    let pupil = &model.telescope.pupil;
+    let mut change_nm = vec![0.0; model.basis.len()];
+    let areas = pupil.segment_areas();
+    let pistons_nm = &corrections.pistons_nm;
+    let mean_nm = pistons_nm.iter().zip(&areas).map(|(nm, area)| nm * area).sum::<f64>() / areas.iter().sum::<f64>();
+    change_nm.iter_mut().zip(pistons_nm).for_each(|(change, nm)| *change = nm - mean_nm);
+    let actuators_nm: Array1<f64> = corrections.actuators_nm.iter().map(|(_, nm)| *nm).collect();
+    if actuators_nm.iter().all(|nm| *nm == 0.0) {
+        return Ok(change_nm);
+    }
+    let samples = Samples::from_pupil(pupil)?;
+    let influence = actuators_in_use(scene, &model.telescope)?;
+    let surface_nm = actuators_nm.dot(&influence.evaluate(&samples.xs_m, &samples.ys_m)?);
+    let modes = model.modes_of(Group::Ncpa);
+    let mut shapes = Array2::<f64>::ones((modes.len() + 3, samples.indices.len()));
+    for (row, mode) in modes.clone().enumerate() {
+        let unit: Vec<f64> = (0..change_nm.len()).map(|other| f64::from(u8::from(other == mode))).collect();
+        let map_nm = model.map_nm(&unit, Group::Ncpa);
+        shapes.row_mut(row).iter_mut().zip(&samples.indices).for_each(|(value, &at)| {
+            *value = map_nm[[at / map_nm.ncols(), at % map_nm.ncols()]];
+        });
+    }
+    shapes.row_mut(modes.len()).assign(&ArrayView1::from(&samples.xs_m));
+    shapes.row_mut(modes.len() + 1).assign(&ArrayView1::from(&samples.ys_m));
+    let weighted = &shapes * &ArrayView1::from(&samples.weights);
+    let inverse = SpdInverse::of_normal_equations(weighted.dot(&shapes.t()))?.inverse;
+    let represented_nm = inverse.dot(&weighted.dot(&surface_nm));
+    modes.zip(&represented_nm).for_each(|(mode, nm)| change_nm[mode] = -nm);
+    Ok(change_nm)
 }

@@ -1,6 +1,7 @@
 //! The estimate from all images, and what is made of it.
 
 use super::arguments::Arguments;
+use super::report;
 use super::summary::Summary;
 use crate::files;
 use crate::interrupt::Interrupt;
@@ -72,6 +73,9 @@ pub(super) fn conclude(
     write(arguments.first(), &estimate, &arguments.output, arguments.plot.as_deref())?;
     if let Some(opd) = &arguments.opd {
         estimate.write_opd(opd)?;
+    }
+    if let Some(path) = &arguments.report {
+        report::write(path, arguments.first(), &estimate)?;
     }
     if let Some(corrections) = &corrections {
         arguments.write_corrections(&estimate, corrections, terminal)?;
