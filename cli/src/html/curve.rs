@@ -49,15 +49,19 @@ pub fn curve(title: &str, times_s: &[f64], curves: &[Curve], clock: &dyn Fn(f64)
         escape(&clock(end))
     );
     for curve in curves {
-        let mut points: Vec<(f64, f64)> =
-            times_s.iter().zip(curve.values).filter_map(|(t, value)| Some((*t, (*value).filter(|v| v.is_finite())?))).collect();
+        let mut points: Vec<(f64, f64)> = times_s
+            .iter()
+            .zip(curve.values)
+            .filter_map(|(t, value)| Some((*t, (*value).filter(|v| v.is_finite())?)))
+            .collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         if curve.dotted {
             points.iter().for_each(|(t, value)| {
                 svg += &format!("<circle class=\"dot\" cx=\"{:.1}\" cy=\"{:.1}\" r=\"1.5\"/>", x(*t), y(*value));
             });
         } else {
-            let points: Vec<String> = points.iter().map(|(t, value)| format!("{:.1},{:.1}", x(*t), y(*value))).collect();
+            let points: Vec<String> =
+                points.iter().map(|(t, value)| format!("{:.1},{:.1}", x(*t), y(*value))).collect();
             svg += &format!("<polyline class=\"line\" points=\"{}\"/>", points.join(" "));
         }
     }

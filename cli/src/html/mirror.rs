@@ -25,9 +25,8 @@ pub fn mirror(segments: &[SegmentValue]) -> String {
     // The nearest neighbour of a hexagon is across an edge.
     let distance = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
     let nearest = centres[1..].iter().min_by(|a, b| distance(a, first).total_cmp(&distance(b, first)));
-    let (inner_m, direction) = nearest.map_or((1.0, 0.0), |near| {
-        (distance(near, first) / 2.0, (near[1] - first[1]).atan2(near[0] - first[0]))
-    });
+    let (inner_m, direction) = nearest
+        .map_or((1.0, 0.0), |near| (distance(near, first) / 2.0, (near[1] - first[1]).atan2(near[0] - first[0])));
     let outer_m = 2.0 * inner_m / 3.0_f64.sqrt();
     let reach_m = centres.iter().map(|[x, y]| x.hypot(*y)).fold(0.0, f64::max) + 1.02 * outer_m;
     let unit = REACH / reach_m;
@@ -66,7 +65,9 @@ pub fn mirror(segments: &[SegmentValue]) -> String {
             );
         }
     }
-    format!("{svg}</svg><p class=\"none\">Number and piston of each segment, nm of wavefront; blue to red: −{scale_nm:.1} to +{scale_nm:.1} nm.</p>")
+    format!(
+        "{svg}</svg><p class=\"none\">Number and piston of each segment, nm of wavefront; blue to red: −{scale_nm:.1} to +{scale_nm:.1} nm.</p>"
+    )
 }
 
 /// Colour of a value from −1 to 1, and whether text on it is white.

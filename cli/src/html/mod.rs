@@ -33,7 +33,11 @@ fn command() -> String {
     let mut is_secret = false;
     for word in std::env::args_os() {
         let word = word.to_string_lossy();
-        words.push(if is_secret { "...".into() } else { shell_word(word.split_once("--token=").map_or(&word, |_| "--token=...")) });
+        words.push(if is_secret {
+            "...".into()
+        } else {
+            shell_word(word.split_once("--token=").map_or(&word, |_| "--token=..."))
+        });
         is_secret = word == "--token";
     }
     words.join(" ")
@@ -42,7 +46,11 @@ fn command() -> String {
 /// A word of a command as a shell takes it.
 fn shell_word(word: &str) -> String {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_./=:,+@%".contains(&byte);
-    if !word.is_empty() && word.bytes().all(is_plain) { word.to_owned() } else { format!("'{}'", word.replace('\'', "'\\''")) }
+    if !word.is_empty() && word.bytes().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', "'\\''"))
+    }
 }
 
 /// A section with a heading; `contents` is HTML.
@@ -52,9 +60,8 @@ pub fn section(heading: &str, contents: &str) -> String {
 
 /// Names and values side by side.
 pub fn figures(pairs: &[(&str, String)]) -> String {
-    let figure = |(name, value): &(&str, String)| {
-        format!("<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value))
-    };
+    let figure =
+        |(name, value): &(&str, String)| format!("<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value));
     format!("<dl class=\"figures\">{}</dl>", pairs.iter().map(figure).collect::<String>())
 }
 

@@ -1,7 +1,7 @@
 //! Export of a night from its store, also while a watch runs: FITS with all vectors, CSV with a row for each frame, or an HTML report.
 
-use crate::watch::{clock, report};
 use crate::watch::store::{About, Columns, Reader, StoredCorrection, StoredFrame};
+use crate::watch::{clock, report};
 use cophase::io::{Column, FitsWriter, Pixel, write_atomically};
 use cophase::{Error, Result};
 use ndarray::Array2;

@@ -99,7 +99,8 @@ fn segments(about: &About, frame: Option<&StoredFrame>) -> Vec<SegmentValue> {
 
 fn segment_table(segments: &[SegmentValue]) -> String {
     let row = |segment: &SegmentValue| {
-        let [nm, sigma_nm] = segment.value_nm.map_or(["–".into(), "–".into()], |pair| pair.map(|nm| format!("{nm:.3}")));
+        let [nm, sigma_nm] =
+            segment.value_nm.map_or(["–".into(), "–".into()], |pair| pair.map(|nm| format!("{nm:.3}")));
         vec![segment.label.to_string(), nm, sigma_nm]
     };
     let rows: Vec<Vec<String>> = segments.iter().map(row).collect();

@@ -58,8 +58,8 @@ fn a_report_of_an_estimate_is_one_file_with_its_numbers() {
 fn a_report_has_the_warnings_first() {
     let desk = Desk::with_images(&[]);
     let wrong = ["estimate", "images.fits", "-o", "est.fits", "--report", "est.html", "--trust", "scene"];
-    let focus = ["--set", "image.diversity_focus_waves_rms=1.3", "--set", "estimate.model=scene"];
-    let done = desk.succeeds(&[&wrong[..], &focus].concat());
+    let scale = ["--set", "image.samples_per_lambda_over_d=2.06", "--set", "estimate.model=scene"];
+    let done = desk.succeeds(&[&wrong[..], &scale].concat());
     let html = std::fs::read_to_string(desk.path("est.html")).unwrap();
     let status = html.split("<h2>Result</h2>").next().unwrap();
     assert!(!done.err.is_empty() && status.contains("class=\"alarm\"") && status.contains("misfit"), "{}", done.err);

@@ -109,7 +109,9 @@ fn maps(estimate: &Estimate) -> Result<String> {
         html::map("NCPA, error bar", estimate.ncpa_sigma_nm.view(), Colours::Sequential, "nm")?,
     ];
     if let Some((_, residual)) = &estimate.truth {
-        for (title, map) in [("Phasing, estimate less truth", &residual.phasing_nm), ("NCPA, estimate less truth", &residual.ncpa_nm)] {
+        for (title, map) in
+            [("Phasing, estimate less truth", &residual.phasing_nm), ("NCPA, estimate less truth", &residual.ncpa_nm)]
+        {
             figures.push(html::map(title, map.view(), Colours::Diverging(0.0), "nm")?);
         }
     }
