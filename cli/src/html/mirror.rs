@@ -15,6 +15,8 @@ pub struct SegmentValue {
 
 /// Segments beyond which their text would be too small to read.
 const MOST_LABELS: usize = 150;
+/// Segment radius, in units of the picture, from which on its text grows no more.
+const LARGEST_TEXT: f64 = 34.0;
 /// Half of the side of the picture, in its units.
 const REACH: f64 = 200.0;
 
@@ -52,7 +54,7 @@ pub fn mirror(segments: &[SegmentValue]) -> String {
             escape(&format!("segment {}: {text}", segment.label))
         );
         if segments.len() <= MOST_LABELS {
-            let (ink, size) = (if is_dark { "#fff" } else { "#222" }, inner_m * unit);
+            let (ink, size) = (if is_dark { "#fff" } else { "#222" }, (inner_m * unit).min(LARGEST_TEXT));
             let value = segment.value_nm.map_or(String::new(), |[nm, _]| format!("{nm:.1}"));
             svg += &format!(
                 "<text x=\"{x:.1}\" y=\"{:.1}\" font-size=\"{:.1}\" font-weight=\"600\" fill=\"{ink}\">{}</text>\

@@ -74,14 +74,18 @@ pub fn list(class: &str, sentences: &[String], none: &str) -> String {
     format!("<ul class=\"{class}\">{items}</ul>")
 }
 
-/// A table of text; `none` where it has no rows. Columns after the first `text` are numbers.
+/// A table of text; `none` where it has no rows. Columns after the first `text` are numbers; of those before, the last may be long.
 pub fn table(headers: &[&str], text: usize, rows: &[Vec<String>], none: &str) -> String {
     if rows.is_empty() {
         return format!("<p class=\"none\">{}</p>", escape(none));
     }
     let cells = |tag: &str, cells: &[String]| -> String {
         let cell = |(place, cell): (usize, &String)| {
-            let class = if place < text { "" } else { " class=\"number\"" };
+            let class = match (place + 1).cmp(&text) {
+                std::cmp::Ordering::Less => " class=\"short\"",
+                std::cmp::Ordering::Equal => "",
+                std::cmp::Ordering::Greater => " class=\"number\"",
+            };
             format!("<{tag}{class}>{}</{tag}>", escape(cell))
         };
         cells.iter().enumerate().map(cell).collect()

@@ -24,7 +24,7 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
     let refused: Vec<&StoredFrame> = frames.iter().filter(|frame| frame.status != "done").collect();
     let alarms = events.iter().filter(|event| ALARMS.contains(&event.kind.as_str()));
     let alarms: Vec<String> =
-        alarms.map(|event| format!("{} {}", clock::to_iso(event.time_s), event.sentence)).collect();
+        alarms.map(|event| format!("{} {}", time(event.time_s), event.sentence)).collect();
     let mut sections = vec![
         html::section("Alarms", &html::list("alarm", &alarms, "None.")),
         html::section("Night", &figures(about, &done, refused.len(), corrections.len())),
@@ -38,7 +38,7 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
     sections.push(html::section("Trends", &trends(&done)));
     let rows: Vec<Vec<String>> = events
         .iter()
-        .map(|event| vec![clock::to_iso(event.time_s), event.kind.clone(), event.sentence.clone()])
+        .map(|event| vec![time(event.time_s), event.kind.clone(), event.sentence.clone()])
         .collect();
     sections.push(html::section("Events", &html::table(&["time", "kind", "event"], 3, &rows, "None.")));
     sections.push(html::section("Corrections", &correction_table(&corrections)));
@@ -46,7 +46,7 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
         .iter()
         .map(|frame| {
             let reason = frame.reason.clone().unwrap_or_default();
-            vec![clock::to_iso(frame.observed_s), name(frame), reason]
+            vec![time(frame.observed_s), name(frame), reason]
         })
         .collect();
     sections.push(html::section("Refused frames", &html::table(&["time", "frame", "reason"], 3, &rows, "None.")));
@@ -55,20 +55,26 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
     write_atomically(output, html::page(&format!("Night watch {title}"), &sections).as_bytes())
 }
 
+/// Date and time to the second, UTC.
+fn time(seconds: f64) -> String {
+    let iso = clock::to_iso(seconds);
+    iso.get(..19).map_or(iso.clone(), |time| time.replace('T', " "))
+}
+
 fn name(frame: &StoredFrame) -> String {
     if frame.image > 0 { format!("{} image {}", frame.name, frame.image) } else { frame.name.clone() }
 }
 
 fn figures(about: &About, done: &[&StoredFrame], refused: usize, corrections: usize) -> String {
-    let time = |frame: Option<&&StoredFrame>| frame.map_or("–".into(), |frame| clock::to_iso(frame.observed_s));
+    let observed = |frame: Option<&&StoredFrame>| frame.map_or("–".into(), |frame| time(frame.observed_s));
     let last = |value: fn(&StoredFrame) -> Option<f64>| done.last().and_then(|frame| value(frame));
     let nm = |value: Option<f64>| value.map_or("–".into(), |nm| format!("{nm:.2} nm RMS"));
     html::figures(&[
         ("frames with an estimate", done.len().to_string()),
         ("frames refused", refused.to_string()),
         ("corrections written", corrections.to_string()),
-        ("first frame", time(done.first())),
-        ("last frame", time(done.last())),
+        ("first frame", observed(done.first())),
+        ("last frame", observed(done.last())),
         ("phasing of the last frame", nm(last(|frame| frame.phasing_rms_nm))),
         ("NCPA of the last frame", nm(last(|frame| frame.ncpa_rms_nm))),
         ("policy", about.policy.clone()),
@@ -135,14 +141,14 @@ fn correction_table(corrections: &[StoredCorrection]) -> String {
                 let percent = |fraction: Option<f64>| fraction.map_or(f64::NAN, |fraction| 100.0 * fraction);
                 let [part, error] = [one.applied_fraction, one.applied_fraction_error].map(percent);
                 let what = one.applied_part.as_deref().unwrap_or_default();
-                format!("{} ({what}, {part:.0} ± {error:.0} %)", clock::to_iso(applied_s))
+                format!("{} ({what}, {part:.1} ± {error:.1} %)", time(applied_s))
             }
             (None, Some(number)) => format!("replaced by {number}"),
             (None, None) => "not yet".into(),
         };
         vec![
             one.number.to_string(),
-            clock::to_iso(one.written_s),
+            time(one.written_s),
             applied,
             one.frame.to_string(),
             format!("{:.2}", one.phasing_rms_nm),

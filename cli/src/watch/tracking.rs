@@ -145,7 +145,7 @@ fn application(applied: &Applied, time_s: f64) -> Event {
     };
     let [percent, error] = [applied.fraction, applied.fraction_error].map(|fraction| 100.0 * fraction);
     let sentence = format!(
-        "correction {} {what}: {percent:.0} ± {error:.0} % of its size is seen (log-likelihood ratio {:.1}, threshold {:.1})",
+        "correction {} {what}: {percent:.1} ± {error:.1} % of its size is seen (log-likelihood ratio {:.1}, threshold {:.1})",
         applied.number, applied.log_ratio, applied.threshold
     );
     Event { time_s, since_s: Some(time_s), ..Event::now("correction", sentence) }

@@ -136,7 +136,12 @@ impl Watcher<'_> {
     }
 
     fn tell(&mut self, event: &Event) {
-        self.terminal.warn(&event.sentence);
+        if event.kind == "correction" {
+            // Standard output that is closed is found with the next frame.
+            let _ = self.terminal.show(&format!("{}\n", event.sentence));
+        } else {
+            self.terminal.warn(&event.sentence);
+        }
         self.log.line(event.kind, json!(event));
     }
 

@@ -118,3 +118,49 @@ impl CorrectableErrors<'_> {
         squares_nm2 > (2.0 / (2.0 - policy.gain)).max(policy.deadband_sigma.powi(2)) * variance_nm2
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_plane_through_the_segments_is_corrected_where_it_is_known() {
+        let ring = (0..6).map(|k| (f64::from(k) * std::f64::consts::FRAC_PI_3).sin_cos());
+        let centres = std::iter::once((0.0, 0.0)).chain(ring);
+        let segments: Vec<Segment> = centres.map(|(y_m, x_m)| Segment { x_m, y_m, label: 0 }).collect();
+        let directions = common_directions(&segments);
+        let plane_nm = |k: usize| 40.0 * segments[k].x_m + 20.0 * segments[k].y_m;
+        // Signs that alternate around the ring have no plane.
+        let rest_nm = |k: usize| if k == 0 { 20.0 } else { 30.0 * (-1.0_f64).powi(k as i32) };
+        let pistons_nm: Vec<f64> = (0..7).map(|k| plane_nm(k) + rest_nm(k)).collect();
+        let map_nm = |_: &[f64]| Array2::zeros((1, 1));
+        let along = |nm: &Array1<f64>| (directions[1].dot(nm).powi(2) + directions[2].dot(nm).powi(2)).sqrt();
+        let found = |plane_sigma_nm: f64, has_uncertain_plane: bool| {
+            let mut covariance_nm2 = Array2::eye(7);
+            for direction in &directions[1..] {
+                let (column, row) = (direction.view().insert_axis(ndarray::Axis(1)), direction.view().insert_axis(ndarray::Axis(0)));
+                covariance_nm2 += &(&column * &row * plane_sigma_nm.powi(2));
+            }
+            let errors = CorrectableErrors {
+                pistons_nm: &pistons_nm,
+                tilts_nm: &[],
+                segment_covariance_nm2: covariance_nm2.view(),
+                has_uncertain_plane,
+                segment_limit_nm: f64::INFINITY,
+                ncpa_nm: &[],
+                ncpa_sigma_nm: &[],
+                ncpa: NcpaModes::Maps(&map_nm),
+                has_ncpa_corrector: true,
+            };
+            errors.correction(&CorrectionPolicy::default(), &segments).unwrap()
+        };
+        let whole = along(&Array1::from(pistons_nm.clone()));
+        // 77 nm in all. Beside error bars of 5 nm along both directions it is corrected, but for pistons within the deadband.
+        for is_uncertain in [true, false] {
+            assert!((along(&found(5.0, is_uncertain).coefficients_nm) / whole - 1.0).abs() < 0.2);
+        }
+        // Beside 60 nm, of which twice the variance is 120² in all, it is left as it is, and the rest is corrected.
+        let left = found(60.0, true);
+        assert!(along(&left.coefficients_nm) < 1e-9 && left.held.is_empty(), "{left:?}");
+    }
+}

@@ -93,7 +93,7 @@ function list(place, items, none, line) {
 function seen(one) {
   if (one.applied_s === null) return one.replaced_by === null ? "not yet" : `replaced by ${one.replaced_by}`;
   const part = one.applied_part === "whole" ? "" : `, ${one.applied_part} alone`;
-  return `${clock(one.applied_s)}, ${(100 * one.applied_fraction).toFixed(0)} ± ${(100 * one.applied_fraction_error).toFixed(0)} %${part}`;
+  return `${clock(one.applied_s)}, ${(100 * one.applied_fraction).toFixed(1)} ± ${(100 * one.applied_fraction_error).toFixed(1)} %${part}`;
 }
 
 function showCorrections(corrections) {

@@ -66,7 +66,7 @@ fn said(desk: &Desk, words: &str) -> usize {
 fn a_correction_is_written_and_recognised_when_it_is_applied() {
     let desk = desk();
     let done = correct(&desk);
-    assert!(done.err.contains("correction 1 was written to c.fits: "), "{}", done.err);
+    assert!(done.out.contains("correction 1 was written to c.fits: "), "{}", done.out);
     let written = corrections(&desk);
     assert!(!written.is_empty() && written.iter().all(|(_, frame, _)| frame.is_none()));
     let mut file = FitsReader::open(desk.path("c.fits")).unwrap();

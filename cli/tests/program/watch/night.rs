@@ -138,6 +138,10 @@ fn a_night_is_exported_as_a_table_and_as_fits() {
     assert!(file.has("EVENTS") && file.has("SCENE"));
     let bad = ["watch", "--export", "night.txt", "--state", "night.db"];
     desk.run(&bad).failed(&bad, &["night.txt", ".csv", ".html"]);
+    // A report that was there stays where there is nothing to write.
+    let none = ["watch", "--export", "night.html", "--state", "other.db"];
+    desk.run(&none).failed(&none, &["other.db", "does not exist"]);
+    assert_eq!(std::fs::read_to_string(desk.path("night.html")).unwrap(), report);
     let missing = ["watch", "--export", "new.csv", "--state", "other.db"];
     desk.run(&missing).failed(&missing, &["other.db", "does not exist"]);
 }
