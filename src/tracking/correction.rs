@@ -7,7 +7,8 @@
 //! ```
 //!
 //! Stein's unbiased estimate of risk (Stein 1981, Ann. Stat. 9, 1135): what it gains less the error bars that it writes into the mirror. A
-//! block (segments, NCPA) whose gain is not positive, beyond the scatter that noise alone gives it, is left as it is.
+//! block (segments, or NCPA, of error bars that are alike) whose gain is not positive, beyond the scatter that noise alone gives it, is left as
+//! it is.
 
 use super::threshold::normal_cdf;
 use crate::linear_algebra::SpdInverse;
@@ -19,6 +20,9 @@ use std::ops::Range;
 
 /// Standard deviations by which the expected drop must exceed 0: noise alone is sent in some 2 % of cases.
 const SURE: f64 = 3.0;
+
+/// Ratio of error bars within a block.
+const ALIKE: f64 = 3.0;
 
 /// How estimates become corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -115,19 +119,23 @@ pub fn correction(policy: &CorrectionPolicy, errors: &Correctable<'_>) -> Result
     let is_left = |mode: &usize| errors.left_modes.contains(mode);
     let segments: Vec<usize> = errors.segment_modes.clone().collect();
     let others: Vec<usize> = (0..modes).filter(|mode| !errors.segment_modes.contains(mode)).collect();
-    let metric = match policy.convention {
-        SegmentConvention::LeastSquares => Array2::eye(segments.len()),
-        SegmentConvention::EdgeMinimising => errors.edge_laplacian()?,
-    };
     let mut correction = Correction {
         coefficients_nm: Array1::zeros(modes),
         held: Vec::new(),
         limited: Vec::new(),
         expected_drop_nm2: [0.0; 2],
     };
-    let unit = Array2::eye(others.len());
-    let blocks = [(segments, metric, policy.stroke_limit_nm), (others, unit, None)];
-    for (number, (block, metric, limit_nm)) in blocks.into_iter().enumerate() {
+    let others = errors.alike(&others).into_iter().map(|block| (1, block, None, None));
+    let blocks = match policy.convention {
+        SegmentConvention::LeastSquares => {
+            errors.alike(&segments).into_iter().map(|block| (0, block, None, policy.stroke_limit_nm)).collect()
+        }
+        SegmentConvention::EdgeMinimising => {
+            vec![(0, segments, Some(errors.edge_laplacian()?), policy.stroke_limit_nm)]
+        }
+    };
+    for (number, block, metric, limit_nm) in blocks.into_iter().chain(others) {
+        let metric = metric.unwrap_or_else(|| Array2::eye(block.len()));
         let is_moved: Vec<bool> = block.iter().map(|mode| !is_left(mode) && errors.exceeds(*mode, policy)).collect();
         let can_move: Vec<bool> = block.iter().map(|mode| !is_left(mode)).collect();
         let moving = Block { errors, policy, modes: &block, metric: &metric, is_moved: &is_moved, can_move: &can_move };
@@ -137,15 +145,17 @@ pub fn correction(policy: &CorrectionPolicy, errors: &Correctable<'_>) -> Result
                 correction.coefficients_nm[mode] = moves_nm[place];
                 continue;
             }
-            let segment = (number == 0).then(|| errors.segment_of_mode[place]);
+            let segment = (number == 0).then(|| errors.segment_of_mode[mode - errors.segment_modes.start]);
             let reason = if is_moved[place] { HoldReason::NoBenefit } else { HoldReason::Deadband };
             correction.held.push(Held { mode, segment, reason });
         }
         if is_sent {
-            correction.expected_drop_nm2[number] = drop_nm2;
+            correction.expected_drop_nm2[number] += drop_nm2;
             correction.limited.extend(limited.into_iter().map(|place| block[place]));
         }
     }
+    correction.held.sort_by_key(|held| held.mode);
+    correction.limited.sort_unstable();
     Ok(correction)
 }
 
@@ -278,6 +288,22 @@ impl Correctable<'_> {
             )));
         }
         Ok(())
+    }
+
+    /// Blocks of `modes` with error bars that are alike: a mode of three times the error bar of others scatters the squares as much as 81 of them,
+    /// so that one that is badly known would hold them all. Modes that are never corrected are in none.
+    fn alike(&self, modes: &[usize]) -> Vec<Vec<usize>> {
+        let sigma_nm = |mode: usize| self.covariance_nm2[[mode, mode]].max(0.0).sqrt();
+        let mut sorted: Vec<usize> = modes.iter().copied().filter(|mode| !self.left_modes.contains(mode)).collect();
+        sorted.sort_by(|a, b| sigma_nm(*a).total_cmp(&sigma_nm(*b)));
+        let mut blocks: Vec<Vec<usize>> = Vec::new();
+        for mode in sorted {
+            match blocks.last_mut() {
+                Some(block) if sigma_nm(mode) <= ALIKE * sigma_nm(block[0]) => block.push(mode),
+                _ => blocks.push(vec![mode]),
+            }
+        }
+        blocks
     }
 
     fn exceeds(&self, mode: usize, policy: &CorrectionPolicy) -> bool {

@@ -178,7 +178,10 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
         assert!(moved.iter().zip(&held).all(|(nm, held)| (*nm == 0.0) == (held == "deadband")), "{moved:?} {held:?}");
     }
     let held = corrections.ncpa.iter().filter(|mode| mode.held.is_some()).count();
-    assert!(held > 0 && text.contains("# Held (deadband): ") && text.contains("# Corrected: 7 of 7 segment modes"), "{text}");
+    assert!(
+        held > 0 && text.contains("# Held (deadband): ") && text.contains("# Corrected: 7 of 7 segment modes"),
+        "{text}"
+    );
     assert!(corrections.summary().contains(&format!("({held} within the deadband)")), "{}", corrections.summary());
     // Segments alone where the limit is in nm.
     assert!(found.corrections(Some(1.0)).unwrap().pistons_nm.iter().all(|nm| nm.abs() <= 1.0));

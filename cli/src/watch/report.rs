@@ -23,8 +23,7 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
     let done: Vec<&StoredFrame> = frames.iter().filter(|frame| frame.status == "done").collect();
     let refused: Vec<&StoredFrame> = frames.iter().filter(|frame| frame.status != "done").collect();
     let alarms = events.iter().filter(|event| ALARMS.contains(&event.kind.as_str()));
-    let alarms: Vec<String> =
-        alarms.map(|event| format!("{} {}", time(event.time_s), event.sentence)).collect();
+    let alarms: Vec<String> = alarms.map(|event| format!("{} {}", time(event.time_s), event.sentence)).collect();
     let mut sections = vec![
         html::section("Alarms", &html::list("alarm", &alarms, "None.")),
         html::section("Night", &figures(about, &done, refused.len(), corrections.len())),
@@ -36,10 +35,8 @@ pub(super) fn write(output: &Path, state: &Path, about: &About, frames: &[Stored
         sections.push(html::section("Segments", &segment_table(&segments)));
     }
     sections.push(html::section("Trends", &trends(&done)));
-    let rows: Vec<Vec<String>> = events
-        .iter()
-        .map(|event| vec![time(event.time_s), event.kind.clone(), event.sentence.clone()])
-        .collect();
+    let rows: Vec<Vec<String>> =
+        events.iter().map(|event| vec![time(event.time_s), event.kind.clone(), event.sentence.clone()]).collect();
     sections.push(html::section("Events", &html::table(&["time", "kind", "event"], 3, &rows, "None.")));
     sections.push(html::section("Corrections", &correction_table(&corrections)));
     let rows: Vec<Vec<String>> = refused

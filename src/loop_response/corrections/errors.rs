@@ -138,7 +138,8 @@ mod tests {
         let found = |plane_sigma_nm: f64, has_uncertain_plane: bool| {
             let mut covariance_nm2 = Array2::eye(7);
             for direction in &directions[1..] {
-                let (column, row) = (direction.view().insert_axis(ndarray::Axis(1)), direction.view().insert_axis(ndarray::Axis(0)));
+                let (column, row) =
+                    (direction.view().insert_axis(ndarray::Axis(1)), direction.view().insert_axis(ndarray::Axis(0)));
                 covariance_nm2 += &(&column * &row * plane_sigma_nm.powi(2));
             }
             let errors = CorrectableErrors {

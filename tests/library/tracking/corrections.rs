@@ -93,6 +93,19 @@ fn deadband_limit_gain_and_reasons() {
 }
 
 #[test]
+fn a_mode_that_is_badly_known_holds_no_other() {
+    let mut estimate_nm = Array1::from_elem(SEGMENTS + 10, 12.0);
+    let mut covariance_nm2 = Array2::eye(SEGMENTS + 10) * 9.0;
+    // As a focus beside an error of the diversity; in one block its variance would exceed all that the others gain.
+    covariance_nm2[[SEGMENTS + 3, SEGMENTS + 3]] = 90_000.0;
+    estimate_nm[SEGMENTS + 3] = 100.0;
+    let sent = correct(&CorrectionPolicy::default(), &estimate_nm, &covariance_nm2);
+    let stays: Vec<usize> = (0..SEGMENTS + 10).filter(|mode| sent.coefficients_nm[*mode] == 0.0).collect();
+    assert_eq!(stays, [SEGMENTS, SEGMENTS + 3]);
+    assert_eq!((sent.held.len(), sent.held[0].reason), (1, HoldReason::Deadband));
+}
+
+#[test]
 fn moved_segments_meet_those_that_stay_by_the_edge_convention() {
     let mut estimate_nm = Array1::zeros(SEGMENTS + 10);
     // Segments 4 and 5 move; their neighbours 3 and 6 stay, at 3 and −3 nm.
