@@ -35,7 +35,9 @@ pub fn mirror(segments: &[SegmentValue]) -> String {
     let values = segments.iter().filter_map(|segment| segment.value_nm);
     let scale_nm = values.map(|[nm, _]| nm.abs()).filter(|nm| nm.is_finite()).fold(1e-3, f64::max);
     let turn = direction + std::f64::consts::FRAC_PI_6;
-    let mut svg = String::from("<svg class=\"mirror\" viewBox=\"-202 -202 404 404\" role=\"img\" aria-label=\"Mirror, pistons of its segments\">");
+    let mut svg = String::from(
+        "<svg class=\"mirror\" viewBox=\"-202 -202 404 404\" role=\"img\" aria-label=\"Mirror, pistons of its segments\">",
+    );
     for segment in segments {
         let [x, y] = segment.centre_m.map(|m| m * unit);
         let corner = |k: u8| {
