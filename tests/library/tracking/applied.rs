@@ -56,7 +56,7 @@ impl Night {
 /// A correction of `nm` RMS of segments and of NCPA, pistons about their mean.
 fn correction(walk: &Walk, [segments_nm, ncpa_nm]: [f64; 2]) -> Array1<f64> {
     let size = |mode: usize| if mode < SEGMENTS { segments_nm } else { ncpa_nm };
-    let sign = |mode: usize| if mode % 2 == 0 { 1.0 } else { -1.0 };
+    let sign = |mode: usize| if mode.is_multiple_of(2) { 1.0 } else { -1.0 };
     walk.centre(&(0..SEGMENTS + NCPA).map(|mode| sign(mode) * size(mode)).collect())
 }
 
