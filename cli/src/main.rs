@@ -2,6 +2,7 @@
 
 mod allocator;
 mod files;
+mod html;
 mod interrupt;
 mod outputs;
 mod panics;

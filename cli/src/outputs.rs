@@ -46,6 +46,15 @@ pub fn check_picture((_, picture): Flagged) -> Result<()> {
     Ok(())
 }
 
+/// [`check`] for a report among the outputs.
+///
+/// # Errors
+/// [`Error::File`] for another extension than that of HTML.
+pub fn check_report((_, report): Flagged) -> Result<()> {
+    let extension = report.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    if extension.eq_ignore_ascii_case("html") { Ok(()) } else { Err(Error::file(report, "a report is named .html")) }
+}
+
 /// Refuses an output that is one of `inputs`.
 ///
 /// # Errors

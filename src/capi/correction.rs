@@ -20,7 +20,7 @@ pub struct cophase_correction_report {
     pub actuators: usize,
     /// Number of slopes of the wavefront sensor; 0 without a loop in the scene, and in a modal estimate.
     pub slopes: usize,
-    /// NCPA modes that are corrected: those whose estimate is larger than its error bar.
+    /// NCPA modes that are corrected.
     pub corrected_modes: usize,
     /// Commands that were cut at a limit.
     pub limited: usize,
@@ -33,9 +33,9 @@ pub struct cophase_correction_report {
 }
 
 /// Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
-/// the controllers that the scene describes ([commands]). A mode whose estimate is smaller than its error bar is not corrected, nor,
-/// of a modal estimate, are tips and tilts of segments. About a second at the size of Keck where the scene has a loop. Then cophase_estimate_array has the
-/// COPHASE_ARRAY_CORRECTION_ arrays.
+/// the controllers that the scene describes. The scene's section [commands] has gain, deadband and convention; errors whose correction is not
+/// expected to lower them are held, and tips and tilts of segments of a modal estimate are not corrected. About a second at the size of Keck
+/// where the scene has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays.
 ///
 /// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
 /// wavelengths are known). The limits of the controllers' channels hold in addition.

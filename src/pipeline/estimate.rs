@@ -2,19 +2,19 @@
 
 use super::budget::ErrorTerm;
 use super::images::TruthMaps;
+use super::modal_errors::ModalErrors;
 use super::outcome::ImageOutcome;
 use super::policy::Policy;
 use super::telemetry::TelemetryCheck;
-use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
+use crate::loop_response::Corrections;
 use crate::modal::ImageStatus;
 use crate::modal::{self, FittedImage, PistonInteger};
 use crate::modes::{Degeneracy, Group};
 use crate::pupil::Pupil;
 use crate::scene::{AoKnowledge, Combine, Method, Precision, Scene};
 use crate::statics::Iteration;
-use crate::tracking::CorrectionPolicy;
 use crate::{Error, Result};
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2};
 use std::sync::Arc;
 
 /// Static wavefront behind one image or many: modes, maps, error bars, and the outcome of each image.
@@ -269,70 +269,36 @@ impl Estimate {
         Comparison::new(&self.pupil, &self.phasing_nm, &self.ncpa_nm, truth)
     }
 
-    /// Corrections of segments, mirror and reference slopes, also in the terms of the controllers that the scene describes. No
-    /// increment is larger than `limit_nm`; `None` takes the mirror's stroke and, for segments, a quarter of the wavelength (half of the
-    /// distance to the next fringe), and no limit where the whole wavelengths are known. Of a modal estimate tips and tilts of segments are
-    /// not corrected, and it has no reference slopes.
+    /// Corrections of segments, mirror and reference slopes by the policy of the scene's section `[commands]`, also in the terms of the controllers
+    /// that it describes. No increment is larger than `limit_nm`; `None` takes the mirror's stroke and, for segments, a quarter of the wavelength
+    /// (half of the distance to the next fringe), and no limit where the whole wavelengths are known. Of a modal estimate tips and tilts of
+    /// segments are not corrected, and it has no reference slopes.
     ///
     /// # Errors
-    /// [`Error::Value`] for a limit that is not positive, and for segment modes from a file, which are not pistons; [`Error::File`] for
-    /// a controller's table or matrix that cannot be read or does not fit.
+    /// [`Error::Value`] for a limit that is not positive, for segment modes from a file, which are not pistons, and for steps at edges where
+    /// segments are tilted; [`Error::File`] for a controller's table or matrix that cannot be read or does not fit.
     pub fn corrections(&self, limit_nm: Option<f64>) -> Result<Corrections> {
-        self.corrections_by(None, limit_nm)
-    }
-
-    /// As [`Estimate::corrections`] by a policy: its gain, deadband and convention, and no correction that is not expected to lower the
-    /// error; it decides on the plane through the pistons, too. `limit_nm` holds besides its stroke limit, which is that of segments.
-    ///
-    /// # Errors
-    /// As [`Estimate::corrections`], and [`Error::Value`] for a policy out of range, or one of edges where segments are tilted.
-    pub fn corrections_with(&self, policy: &CorrectionPolicy, limit_nm: Option<f64>) -> Result<Corrections> {
-        self.corrections_by(Some(*policy), limit_nm)
-    }
-
-    fn corrections_by(&self, policy: Option<CorrectionPolicy>, limit_nm: Option<f64>) -> Result<Corrections> {
         let segment_limit_nm =
             if self.integers.is_empty() { self.scene.image.wavelength_nm / 4.0 } else { f64::INFINITY };
         let corrections = match self.map.as_ref().and_then(|map| map.iterations.last()) {
-            Some(iteration) => iteration.corrections(&self.scene, policy, limit_nm, segment_limit_nm)?,
-            None => self.modal_corrections(policy, limit_nm, segment_limit_nm)?,
+            Some(iteration) => iteration.corrections(&self.scene, limit_nm, segment_limit_nm)?,
+            None => {
+                let Some(fitter) = &self.fitter else {
+                    return Err(Error::Internal("a modal estimate has no fitter".into()));
+                };
+                let modes = ModalErrors {
+                    scene: &self.scene,
+                    model: fitter.model(),
+                    coefficients_nm: &self.coefficients_nm,
+                    covariance_nm2: self.covariance_nm2.view(),
+                    segment_limit_nm,
+                };
+                modes.corrections(limit_nm)?
+            }
         };
         let status = (self.status != ImageStatus::Ok).then(|| format!("the status is {}", self.status.word()));
         let own = corrections.warnings.into_iter();
         let warnings = own.chain(status).chain(self.warnings.iter().cloned()).chain(self.remarks.iter().cloned());
         Ok(Corrections { warnings: warnings.collect(), ..corrections })
-    }
-
-    fn modal_corrections(
-        &self,
-        policy: Option<CorrectionPolicy>,
-        limit_nm: Option<f64>,
-        segment_limit_nm: f64,
-    ) -> Result<Corrections> {
-        let Some(fitter) = &self.fitter else { return Err(Error::Internal("a modal estimate has no fitter".into())) };
-        let (model, segment_modes) = (fitter.model(), self.segment_modes());
-        let pistons = model.pistons();
-        if segment_modes > 0 && pistons != self.pupil.segments.len() {
-            return Err(Error::Value(format!(
-                "{segment_modes} segment modes with {pistons} pistons for {} segments have no corrections: a piston for each is needed",
-                self.pupil.segments.len()
-            )));
-        }
-        let map_nm = |ncpa_nm: &[f64]| {
-            let all_nm = [vec![0.0; segment_modes], ncpa_nm.to_vec()].concat();
-            model.map_nm(&all_nm, Group::Ncpa)
-        };
-        let errors = CorrectableErrors {
-            pistons_nm: &self.coefficients_nm[..pistons],
-            tilts_nm: &[],
-            segment_covariance_nm2: self.covariance_nm2.slice(s![..pistons, ..pistons]),
-            leaves_plane: false,
-            segment_limit_nm,
-            ncpa_nm: &self.coefficients_nm[segment_modes..],
-            ncpa_sigma_nm: &self.sigma_nm()[segment_modes..],
-            ncpa: NcpaModes::Maps(&map_nm),
-            policy,
-        };
-        Corrections::new(&self.scene, &errors, limit_nm)
     }
 }

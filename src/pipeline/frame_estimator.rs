@@ -9,13 +9,16 @@ use super::estimate::Estimate;
 use super::estimator::Estimator;
 use super::images::Images;
 use super::misfit::saturation;
+use super::modal_errors::{ModalErrors, change_by};
 use super::policy::Policy;
 use super::scene_files::check_for_estimate;
+use crate::loop_response::Corrections;
 use crate::modal::{FittedImage, ImageStatus, ModalFitter, Session, SessionOptions, Status};
 use crate::planner;
 use crate::scene::Scene;
+use crate::tracking::Correction;
 use crate::{Error, Result};
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use std::sync::Arc;
 
 /// Estimates frames of one scene, one after the other.
@@ -118,6 +121,59 @@ impl FrameEstimator {
             }
             Method::Pipeline(estimator) => FrameEstimate::of_estimate(&estimator.estimate(images)?, &self.fitter),
         }
+    }
+}
+
+impl FrameEstimator {
+    /// Which of these modes the scene's policy corrects, and by how much: the decision alone, in microseconds. NCPA stay where the scene names no
+    /// mirror.
+    ///
+    /// # Errors
+    /// [`Error::Shape`] for another number of modes; [`Error::Value`] for segment modes that are not pistons.
+    pub fn correction(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<Correction> {
+        self.errors(&self.checked(coefficients_nm, covariance_nm2)?, covariance_nm2).correction()
+    }
+
+    /// Corrections of these modes, such as those of a tracked state, as [`Estimate::corrections`] makes them of an estimate.
+    ///
+    /// # Errors
+    /// As [`FrameEstimator::correction`], and those of [`Estimate::corrections`].
+    pub fn corrections(
+        &self,
+        coefficients_nm: ArrayView1<f64>,
+        covariance_nm2: ArrayView2<f64>,
+    ) -> Result<Corrections> {
+        self.errors(&self.checked(coefficients_nm, covariance_nm2)?, covariance_nm2).corrections(None)
+    }
+
+    /// What `corrections` change of the coefficients, nm, when they are applied.
+    ///
+    /// # Errors
+    /// Those of building the mirror.
+    pub fn change_by(&self, corrections: &Corrections) -> Result<Vec<f64>> {
+        change_by(&self.scene, self.fitter.model(), corrections)
+    }
+
+    fn errors<'a>(&'a self, coefficients_nm: &'a [f64], covariance_nm2: ArrayView2<'a, f64>) -> ModalErrors<'a> {
+        let segment_limit_nm = self.scene.image.wavelength_nm / 4.0;
+        ModalErrors {
+            scene: &self.scene,
+            model: self.fitter.model(),
+            coefficients_nm,
+            covariance_nm2,
+            segment_limit_nm,
+        }
+    }
+
+    fn checked(&self, coefficients_nm: ArrayView1<f64>, covariance_nm2: ArrayView2<f64>) -> Result<Vec<f64>> {
+        let modes = self.fitter.model().basis.len();
+        let (given, (rows, columns)) = (coefficients_nm.len(), covariance_nm2.dim());
+        if [given, rows, columns] != [modes; 3] {
+            return Err(Error::Shape(format!(
+                "{given} modes with a covariance of {rows}x{columns} were given, where {modes} modes are needed"
+            )));
+        }
+        Ok(coefficients_nm.to_vec())
     }
 }
 

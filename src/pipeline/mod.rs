@@ -30,6 +30,7 @@ mod instrument;
 mod map;
 mod misfit;
 mod modal;
+mod modal_errors;
 mod modal_task;
 mod model_selection;
 mod observation;
@@ -48,7 +49,7 @@ mod sequence_channel;
 mod telemetry;
 mod warnings;
 
-pub use crate::loop_response::{Command, Commands, Corrections, SentCorrections};
+pub use crate::loop_response::{Command, Commands, Corrections, ModeCorrection, SentCorrections};
 pub use crate::modal::{ImageStatus, PistonInteger};
 pub use crate::statics::{BudgetTerm, ErrorBudget, ErrorSource, Iteration, NcpaFamily, SegmentTilts, StaticErrors};
 pub use budget::ErrorTerm;

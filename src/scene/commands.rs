@@ -1,13 +1,22 @@
-//! Section `[commands]`: terms of the controllers that take corrections.
+//! Section `[commands]`: which errors are corrected, and the terms of the controllers that take corrections.
 
 use super::table::{Check, Reader, default, section, unset};
-use super::value::ANY;
+use super::value::{ANY, above, between};
+use super::words::SegmentConvention;
 use crate::Result;
 use std::path::PathBuf;
 
 section! {
-    /// Terms of the controllers that take corrections of segments and mirror. Estimate only.
+    /// Corrections: which errors are corrected, and the terms of the controllers of segments and mirror. Segments or NCPA whose correction is not
+    /// expected to lower the error are held in any case. Estimate only.
     CommandsScene = "commands" {
+        /// Part of an error that is corrected at once.
+        gain: f64, above(0.0, 1.0), default(1.0);
+        /// A mode that is smaller than so many of its error bars is left as it is.
+        deadband_sigma: f64, between(0.0, 1e3), default(1.0);
+        /// What moving segments minimises: "least-squares" the sum of the squares of all segment modes, "edge-minimising" the steps at the edges
+        /// that neighbours share, of pistons alone. Both are the same where all segments move.
+        convention: SegmentConvention, ANY, default(SegmentConvention::LeastSquares);
         /// Channels that move the segments, as a text table: number of the segment (from 0, as this program counts), the
         /// channel's name, units per nm of wavefront (with its sign), and optionally the largest absolute command. Comments
         /// begin with #.

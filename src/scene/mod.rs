@@ -44,8 +44,8 @@ pub(crate) use purpose::Purpose;
 pub use telescope::{AberrationScene, ImageScene};
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
-    NcpaBasis, Optic, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling, SegmentModes, SensorDetector,
-    SensorKind, SensorMask, SlopeOrder, Telemetry, Weighting,
+    NcpaBasis, Optic, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling, SegmentConvention, SegmentModes,
+    SensorDetector, SensorKind, SensorMask, SlopeOrder, Telemetry, Weighting,
 };
 
 use crate::{Error, Result};

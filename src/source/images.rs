@@ -29,7 +29,7 @@ pub struct SourceImages {
 /// that drift, which needs the time axis of an AO simulation, and for channels: [`simulate_channels`].
 pub fn simulate(scene: &Scene) -> Result<SourceImages> {
     scene.refuse_channels("the images of one camera")?;
-    simulate_channel(scene, 0)
+    simulate_channel(scene, 0, &|truth, _, _| Ok(truth))
 }
 
 /// As [`simulate`], for each channel of `scene`, in order, or for the only one: the same aberrations, other noise.
@@ -37,17 +37,28 @@ pub fn simulate(scene: &Scene) -> Result<SourceImages> {
 /// # Errors
 /// As [`simulate`].
 pub fn simulate_channels(scene: &Scene) -> Result<Vec<SourceImages>> {
+    simulate_channels_with(scene, &|truth, _, _| Ok(truth))
+}
+
+/// A change of the aberrations that a scene and its telescope have.
+pub type ChangeOfTruth<'a> = dyn Fn(Truth, &Scene, &Telescope) -> Result<Truth> + 'a;
+
+/// As [`simulate_channels`], with aberrations that `change` makes of those that were drawn, such as what corrections leave of them.
+///
+/// # Errors
+/// As [`simulate`], and those of `change`.
+pub fn simulate_channels_with(scene: &Scene, change: &ChangeOfTruth) -> Result<Vec<SourceImages>> {
     match scene.channels() {
-        [] => Ok(vec![simulate(scene)?]),
+        [] => Ok(vec![simulate_channel(scene, 0, change)?]),
         channels => {
             let each = channels.iter().enumerate();
-            each.map(|(number, channel)| simulate_channel(&channel.scene, number as u64)).collect()
+            each.map(|(number, channel)| simulate_channel(&channel.scene, number as u64, change)).collect()
         }
     }
 }
 
 /// Images of the channel `number`, whose scene this is.
-fn simulate_channel(scene: &Scene, number: u64) -> Result<SourceImages> {
+fn simulate_channel(scene: &Scene, number: u64, change: &ChangeOfTruth) -> Result<SourceImages> {
     if scene.faults.drift_nm_per_min > 0.0 {
         return Err(Error::Scene(format!(
             "{}: faults.drift_nm_per_min = {} has no meaning for images of an artificial source; 0 is accepted",
@@ -57,7 +68,7 @@ fn simulate_channel(scene: &Scene, number: u64) -> Result<SourceImages> {
     }
     let telescope = Telescope::new(scene)?;
     let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-    let truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
+    let truth = change(Truth::draw(scene, &telescope, &mut stream(seed, 0))?, scene, &telescope)?;
     let camera = Camera::new(scene, &telescope)?;
     let psf = camera.psf(&truth)?;
     let flux_e = flux_e(&scene.image, psf.iter().copied().fold(0.0, f64::max));

@@ -14,7 +14,7 @@ mod truth;
 pub use camera::{Camera, expose, flux_e};
 pub(crate) use file::pixel_mas;
 pub use file::write;
-pub use images::{SourceImages, simulate, simulate_channels};
+pub use images::{ChangeOfTruth, SourceImages, simulate, simulate_channels, simulate_channels_with};
 pub(crate) use pixels::DetectorPixels;
 pub use random::stream;
 pub use truth::Truth;

@@ -10,7 +10,6 @@ use crate::modal::{DiversityProjection, check_reachable};
 use crate::modes::SegmentModes;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
-use crate::tracking::CorrectionPolicy;
 use ndarray::{Array2, s};
 
 /// Result of one iteration.
@@ -90,29 +89,23 @@ impl Iteration {
     }
 
     /// Computes the corrections of the static errors for `scene`, no command beyond `limit_nm` where it is given, and no piston or tilt
-    /// beyond `segment_limit_nm` where it is not, by `policy` where it is given: see [`Corrections::new`].
+    /// beyond `segment_limit_nm` where it is not: see [`Corrections::new`].
     ///
     /// # Errors
     /// Those of [`Corrections::new`].
-    pub fn corrections(
-        &self,
-        scene: &Scene,
-        policy: Option<CorrectionPolicy>,
-        limit_nm: Option<f64>,
-        segment_limit_nm: f64,
-    ) -> Result<Corrections> {
+    pub fn corrections(&self, scene: &Scene, limit_nm: Option<f64>, segment_limit_nm: f64) -> Result<Corrections> {
         let basis = NcpaBasis::new(self.family, scene, &Telescope::new(scene)?)?;
         let segments = self.errors.segment_modes();
         let errors = CorrectableErrors {
             pistons_nm: &self.errors.pistons_nm,
             tilts_nm: &self.errors.tilts_nm,
             segment_covariance_nm2: self.errors.covariance_nm2.slice(s![..segments, ..segments]),
-            leaves_plane: true,
+            has_uncertain_plane: true,
             segment_limit_nm,
             ncpa_nm: &self.errors.ncpa_nm,
             ncpa_sigma_nm: &self.sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),
-            policy,
+            has_ncpa_corrector: scene.has_mirror() || (scene.control.is_some() && scene.wavefront_sensor.is_some()),
         };
         Corrections::new(scene, &errors, limit_nm)
     }

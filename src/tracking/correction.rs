@@ -7,10 +7,12 @@
 //! ```
 //!
 //! Stein's unbiased estimate of risk (Stein 1981, Ann. Stat. 9, 1135): what it gains less the error bars that it writes into the mirror. A
-//! block (segments, NCPA) whose gain is not positive, beyond the scatter that noise alone gives it, is left as it is.
+//! block (segments, or NCPA, of error bars that are alike) whose gain is not positive, beyond the scatter that noise alone gives it, is left as
+//! it is.
 
 use super::threshold::normal_cdf;
 use crate::linear_algebra::SpdInverse;
+use crate::scene::{Scene, SegmentConvention};
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use std::f64::consts::PI;
@@ -19,16 +21,8 @@ use std::ops::Range;
 /// Standard deviations by which the expected drop must exceed 0: noise alone is sent in some 2 % of cases.
 const SURE: f64 = 3.0;
 
-/// What is minimised by moving segments.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum SegmentConvention {
-    /// The sum of the squares of all segment modes. A segment in the deadband stays, independently of its neighbours.
-    #[default]
-    LeastSquares,
-    /// The sum of the squares of the steps at the edges that neighbouring segments share; of pistons alone. Where all segments move this is
-    /// the same correction; beside a segment that stays, its neighbours meet it.
-    EdgeMinimising,
-}
+/// Ratio of error bars within a block.
+const ALIKE: f64 = 3.0;
 
 /// How estimates become corrections.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,9 +38,9 @@ pub struct CorrectionPolicy {
 }
 
 impl Default for CorrectionPolicy {
-    /// All of each mode of more than two error bars.
+    /// That of a scene without keys of it: all of each mode above its error bar.
     fn default() -> Self {
-        Self { gain: 1.0, deadband_sigma: 2.0, stroke_limit_nm: None, convention: SegmentConvention::LeastSquares }
+        Self { gain: 1.0, deadband_sigma: 1.0, stroke_limit_nm: None, convention: SegmentConvention::LeastSquares }
     }
 }
 
@@ -74,6 +68,19 @@ pub enum HoldReason {
     Deadband,
     /// The correction of its block is not expected to lower the error.
     NoBenefit,
+    /// Nothing corrects it: pointing, or NCPA without a mirror.
+    NeverCorrected,
+}
+
+impl HoldReason {
+    /// The word in files.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Deadband => "deadband",
+            Self::NoBenefit => "no-benefit",
+            Self::NeverCorrected => "never-corrected",
+        }
+    }
 }
 
 /// A mode that is not corrected.
@@ -112,19 +119,23 @@ pub fn correction(policy: &CorrectionPolicy, errors: &Correctable<'_>) -> Result
     let is_left = |mode: &usize| errors.left_modes.contains(mode);
     let segments: Vec<usize> = errors.segment_modes.clone().collect();
     let others: Vec<usize> = (0..modes).filter(|mode| !errors.segment_modes.contains(mode)).collect();
-    let metric = match policy.convention {
-        SegmentConvention::LeastSquares => Array2::eye(segments.len()),
-        SegmentConvention::EdgeMinimising => errors.edge_laplacian()?,
-    };
     let mut correction = Correction {
         coefficients_nm: Array1::zeros(modes),
         held: Vec::new(),
         limited: Vec::new(),
         expected_drop_nm2: [0.0; 2],
     };
-    let unit = Array2::eye(others.len());
-    let blocks = [(segments, metric, policy.stroke_limit_nm), (others, unit, None)];
-    for (number, (block, metric, limit_nm)) in blocks.into_iter().enumerate() {
+    let others = errors.alike(&others).into_iter().map(|block| (1, block, None, None));
+    let blocks = match policy.convention {
+        SegmentConvention::LeastSquares => {
+            errors.alike(&segments).into_iter().map(|block| (0, block, None, policy.stroke_limit_nm)).collect()
+        }
+        SegmentConvention::EdgeMinimising => {
+            vec![(0, segments, Some(errors.edge_laplacian()?), policy.stroke_limit_nm)]
+        }
+    };
+    for (number, block, metric, limit_nm) in blocks.into_iter().chain(others) {
+        let metric = metric.unwrap_or_else(|| Array2::eye(block.len()));
         let is_moved: Vec<bool> = block.iter().map(|mode| !is_left(mode) && errors.exceeds(*mode, policy)).collect();
         let can_move: Vec<bool> = block.iter().map(|mode| !is_left(mode)).collect();
         let moving = Block { errors, policy, modes: &block, metric: &metric, is_moved: &is_moved, can_move: &can_move };
@@ -134,15 +145,17 @@ pub fn correction(policy: &CorrectionPolicy, errors: &Correctable<'_>) -> Result
                 correction.coefficients_nm[mode] = moves_nm[place];
                 continue;
             }
-            let segment = (number == 0).then(|| errors.segment_of_mode[place]);
+            let segment = (number == 0).then(|| errors.segment_of_mode[mode - errors.segment_modes.start]);
             let reason = if is_moved[place] { HoldReason::NoBenefit } else { HoldReason::Deadband };
             correction.held.push(Held { mode, segment, reason });
         }
         if is_sent {
-            correction.expected_drop_nm2[number] = drop_nm2;
+            correction.expected_drop_nm2[number] += drop_nm2;
             correction.limited.extend(limited.into_iter().map(|place| block[place]));
         }
     }
+    correction.held.sort_by_key(|held| held.mode);
+    correction.limited.sort_unstable();
     Ok(correction)
 }
 
@@ -232,6 +245,17 @@ impl Block<'_, '_> {
 }
 
 impl CorrectionPolicy {
+    /// The policy in the section `[commands]` of a scene, without a stroke limit.
+    pub fn of_scene(scene: &Scene) -> Self {
+        let commands = &scene.commands;
+        Self {
+            gain: commands.gain,
+            deadband_sigma: commands.deadband_sigma,
+            stroke_limit_nm: None,
+            convention: commands.convention,
+        }
+    }
+
     fn check(&self) -> Result<()> {
         if !(self.gain > 0.0 && self.gain <= 1.0) {
             let gain = self.gain;
@@ -264,6 +288,22 @@ impl Correctable<'_> {
             )));
         }
         Ok(())
+    }
+
+    /// Blocks of `modes` with error bars that are alike: a mode of three times the error bar of others scatters the squares as much as 81 of them,
+    /// so that one that is badly known would hold them all. Modes that are never corrected are in none.
+    fn alike(&self, modes: &[usize]) -> Vec<Vec<usize>> {
+        let sigma_nm = |mode: usize| self.covariance_nm2[[mode, mode]].max(0.0).sqrt();
+        let mut sorted: Vec<usize> = modes.iter().copied().filter(|mode| !self.left_modes.contains(mode)).collect();
+        sorted.sort_by(|a, b| sigma_nm(*a).total_cmp(&sigma_nm(*b)));
+        let mut blocks: Vec<Vec<usize>> = Vec::new();
+        for mode in sorted {
+            match blocks.last_mut() {
+                Some(block) if sigma_nm(mode) <= ALIKE * sigma_nm(block[0]) => block.push(mode),
+                _ => blocks.push(vec![mode]),
+            }
+        }
+        blocks
     }
 
     fn exceeds(&self, mode: usize, policy: &CorrectionPolicy) -> bool {

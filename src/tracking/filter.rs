@@ -25,6 +25,11 @@ impl Innovation {
         self.white.dot(&self.white)
     }
 
+    /// L⁻¹·`vector`.
+    pub(super) fn whiten_vector(&self, vector: &Array1<f64>) -> Array1<f64> {
+        self.factor.whiten_vector(vector.clone())
+    }
+
     /// L⁻¹·`steps`, `[coordinate, step]`: the steps in terms of the white innovation.
     pub(super) fn whiten(&self, steps: &Array2<f64>) -> Array2<f64> {
         self.factor.whiten(steps)
@@ -53,13 +58,15 @@ impl Filter {
     }
 
     /// The observation whose innovation this is: with W = L⁻¹·P, x + Wᵀ·L⁻¹·(z − x) and P − Wᵀ·W.
-    pub(super) fn update(&mut self, innovation: &Innovation) {
+    /// Returns W.
+    pub(super) fn update(&mut self, innovation: &Innovation) -> Array2<f64> {
         let gain = innovation.factor.whiten(&self.covariance_nm2);
         self.state_nm += &gain.t().dot(&innovation.white);
         self.covariance_nm2 -= &gain.t().dot(&gain);
         // Rounding leaves the product unsymmetric, which would grow.
         let symmetric = (&self.covariance_nm2 + &self.covariance_nm2.t()) * 0.5;
         self.covariance_nm2 = symmetric;
+        gain
     }
 
     /// Adds the variance `variance_nm2` along `step`, so that the next observation decides there.

@@ -9,7 +9,8 @@
 //!
 //! whose minimum variance estimate is the Kalman filter ([`Tracker`]; Kalman 1960, J. Basic Eng. 82, 35). Its rates are learnt by
 //! maximum likelihood of the innovations, steps are found by a generalised likelihood ratio at a stated rate of false alarms, and
-//! single bad estimates are rejected. [`correction`] says which modes are worth correcting, and by how much.
+//! single bad estimates are rejected. [`correction`] says which modes are worth correcting, and by how much; a tracker recognises from
+//! estimates that a correction was applied ([`Tracker::expect`]).
 
 mod bytes;
 mod change_detector;
@@ -22,7 +23,8 @@ mod steps;
 mod threshold;
 mod tracker;
 
-pub use correction::{Correctable, Correction, CorrectionPolicy, Held, HoldReason, SegmentConvention, correction};
-pub use settings::{Change, NIGHT_S, Observation, TrackerSettings, Update, Verdict};
+pub use crate::scene::SegmentConvention;
+pub use correction::{Correctable, Correction, CorrectionPolicy, Held, HoldReason, correction};
+pub use settings::{Applied, AppliedPart, Change, NIGHT_S, Observation, TrackerSettings, Update, Verdict};
 pub use threshold::change_threshold;
 pub use tracker::Tracker;

@@ -99,6 +99,45 @@ pub enum Verdict {
     },
 }
 
+/// What of a correction was applied.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AppliedPart {
+    /// All of it.
+    Whole,
+    /// The segments alone.
+    Segments,
+    /// The NCPA alone.
+    Ncpa,
+}
+
+impl AppliedPart {
+    /// The word in files.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Whole => "whole",
+            Self::Segments => "segments",
+            Self::Ncpa => "ncpa",
+        }
+    }
+}
+
+/// A correction that an estimate shows to be applied.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Applied {
+    /// Its number, as in [`Tracker::expect`](super::Tracker::expect).
+    pub number: i64,
+    /// Which part of it.
+    pub part: AppliedPart,
+    /// By how much of its size, 1 for all.
+    pub fraction: f64,
+    /// Error bar of the fraction.
+    pub fraction_error: f64,
+    /// Logarithm of the likelihood ratio of "applied" to "not applied".
+    pub log_ratio: f64,
+    /// The threshold. An alarm that the correction explains better needs less.
+    pub threshold: f64,
+}
+
 /// Outcome of one estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Update {
@@ -106,4 +145,6 @@ pub struct Update {
     pub verdict: Verdict,
     /// Steps that this estimate proved.
     pub changes: Vec<Change>,
+    /// The correction that it shows to be applied, by which the state was moved.
+    pub applied: Option<Applied>,
 }

@@ -8,7 +8,6 @@ use cophase::pipeline::{Commands, Estimate, Estimator, ImageStatus, Images};
 use cophase::pupil::Grid;
 use cophase::scene::Scene;
 use cophase::telescope::Telescope;
-use cophase::tracking::CorrectionPolicy;
 use cophase::{Error, Result};
 use ndarray::{Array1, Array2};
 use std::path::Path;
@@ -165,11 +164,35 @@ fn limits_hold_and_tables_that_do_not_fit_are_refused() {
     let values: Vec<f64> = commands.channels.iter().map(|channel| channel.value).collect();
     assert_eq!(file.f64_column("SEGMENT_COMMANDS", "ADD").unwrap(), values);
     assert_eq!(file.text_column("SEGMENT_COMMANDS", "NAME").unwrap()[6], "106");
+    // Both say by which policy, which modes are held and why, and what is expected.
+    assert_eq!(file.card(None, "CONVENT").unwrap(), Some("least-squares".into()));
+    let [segments_nm2, ncpa_nm2] = corrections.expected_drop_nm2;
+    for (key, wanted) in [("GAIN", 1.0), ("DEADBAND", 1.0), ("DROPSEG", segments_nm2), ("DROPNCPA", ncpa_nm2)] {
+        let Some(cophase::io::Card::Real(value)) = file.card(None, key).unwrap() else { panic!("{key}") };
+        // Cards have 15 digits.
+        assert!((value - wanted).abs() <= 1e-14 * wanted && wanted > 0.0, "{key}: {value} {wanted}");
+    }
+    for (table, moved) in [("SEGMENTS", "ADD_NM"), ("NCPA", "CORRECTED_NM")] {
+        let moved = file.f64_column(table, moved).unwrap();
+        let held = file.text_column(table, "HELD").unwrap();
+        assert!(moved.iter().zip(&held).all(|(nm, held)| (*nm == 0.0) == (held == "deadband")), "{moved:?} {held:?}");
+    }
+    let held = corrections.ncpa.iter().filter(|mode| mode.held.is_some()).count();
+    assert!(
+        held > 0 && text.contains("# Held (deadband): ") && text.contains("# Corrected: 7 of 7 segment modes"),
+        "{text}"
+    );
+    assert!(corrections.summary().contains(&format!("({held} within the deadband)")), "{}", corrections.summary());
     // Segments alone where the limit is in nm.
     assert!(found.corrections(Some(1.0)).unwrap().pistons_nm.iter().all(|nm| nm.abs() <= 1.0));
-    // By a policy: a half of each mode above its error bar.
-    let policy = CorrectionPolicy { gain: 0.5, deadband_sigma: 1.0, ..CorrectionPolicy::default() };
-    let half = found.corrections_with(&policy, None).unwrap();
+    // Where nothing but noise is left, all is held: an estimate of a thousandth of these errors.
+    let calm = found.coefficients_nm.iter().map(|nm| 0.001 * nm).collect();
+    let calm = Estimate { coefficients_nm: calm, ..found.clone() }.corrections(None).unwrap();
+    assert!(calm.pistons_nm.iter().all(|nm| *nm == 0.0) && calm.segments_held.iter().all(Option::is_some));
+    // By a policy of the scene: a half of each mode above its error bar.
+    let half = Estimate { scene: found.scene.with(&[("commands.gain", "0.5")]).unwrap(), ..found.clone() };
+    let half = half.corrections(None).unwrap();
+    assert_eq!((half.policy.gain, corrections.policy.gain), (0.5, 1.0));
     for (half, all) in half.pistons_nm.iter().zip(&corrections.pistons_nm) {
         // A product with 1/2 is exact.
         assert_eq!(2.0 * half, *all);

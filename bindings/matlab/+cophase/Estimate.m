@@ -138,8 +138,8 @@ classdef Estimate < cophase.Handle
             %                       controller ([commands])
             %      corrected_modes  NCPA modes that are corrected
             %      limited          commands that were cut at a limit
-            %   A mode whose estimate is smaller than its error bar is not corrected, nor, of a modal
-            %   estimate, are tips and tilts of segments.
+            %   Gain, deadband and convention are those of the scene's section [commands]. Errors whose correction is not expected to
+            %   lower them are held, and so are tips and tilts of segments of a modal estimate.
             %
             %   c = e.correct(limit_nm) has no larger command; without it, or with [], the limit is the mirror's stroke
             %   and, for segments, a quarter of the wavelength (none where the whole wavelengths are known).

@@ -21,7 +21,8 @@ _IMAGE = "cophase_image_report"
 class Correction:
     """What to add to segments, mirror and reference slopes to correct the estimated errors.
 
-    A mode whose estimate is smaller than its error bar is not corrected.
+    Gain, deadband and convention are those of the scene's section ``[commands]``; errors whose correction is not expected to
+    lower them are held.
 
     Attributes
     ----------

@@ -86,7 +86,7 @@ print(f"{info.images_to_halve:.0f} more images halve both error bars")
 # ## Corrections
 #
 # What to add to the segments, to the mirror's commands, and to the sensor's reference slopes, which keep the mirror there. A
-# mode whose estimate is smaller than its error bar is not corrected.
+# mode within the deadband of the scene's section [commands] is not corrected.
 
 # %%
 correction = estimate.correct()

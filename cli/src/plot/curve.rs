@@ -110,14 +110,20 @@ impl CurvePicture {
             heading(canvas, frame.plot.x, f64::from(PAGE.0), &self.title, &[]);
             frame.x_grid(canvas);
             frame.y_grid(canvas);
-            let mut taken = self.marks(canvas, &frame);
+            self.marks(canvas, &frame);
+            let names = self.names(&frame);
+            let mut taken: Vec<(f64, f64)> = names.iter().flat_map(Name::places).collect();
             for line in &lines {
                 taken.extend(line.draw(canvas, &frame));
             }
             frame.outline(canvas);
             frame.x_axis(canvas, &self.x_label);
             frame.y_axis(canvas, &self.y_label);
-            legend(canvas, &lines, frame.plot, &taken);
+            let legend = Legend::new(&lines, frame.plot, &taken);
+            names.iter().for_each(|name| name.draw(canvas, legend.as_ref()));
+            if let Some(legend) = &legend {
+                legend.draw(canvas);
+            }
         })
     }
 
@@ -150,38 +156,75 @@ impl CurvePicture {
         Frame { plot: Rect { x: left, y: top, w, h }, x, y }
     }
 
-    /// The marked lines with their names; returns the points that the names cover.
-    fn marks(&self, canvas: &mut Canvas, frame: &Frame) -> Vec<(f64, f64)> {
+    /// The marked lines.
+    fn marks(&self, canvas: &mut Canvas, frame: &Frame) {
         let pen = Pen { colour: MUTED, width: 1.5, dash: Some((9.0, 6.0)) };
-        let ink = Ink::new(NOTE_EM, MUTED);
         let plot = frame.plot;
-        let mut taken = Vec::new();
-        for (value, name) in self.vertical_lines.iter().filter(|(x, _)| self.drawable(*x, 1.0)) {
+        for (value, _) in self.vertical_lines.iter().filter(|(x, _)| self.drawable(*x, 1.0)) {
             let x = frame.x_at(*value);
             canvas.line((x, plot.y), (x, plot.bottom()), pen);
-            let name = font::fitted(name, NOTE_EM, plot.h - 20.0);
-            let length = font::width(&name, NOTE_EM);
+        }
+        for (value, _) in self.horizontal_lines.iter().filter(|(y, _)| self.drawable(1.0, *y)) {
+            let y = frame.y_at(*value);
+            canvas.line((plot.x, y), (plot.right(), y), pen);
+        }
+    }
+
+    /// The names of the marked lines.
+    fn names(&self, frame: &Frame) -> Vec<Name> {
+        let plot = frame.plot;
+        let mut names: Vec<Name> = Vec::new();
+        for (value, name) in self.vertical_lines.iter().filter(|(x, _)| self.drawable(*x, 1.0)) {
+            let x = frame.x_at(*value);
+            let text = font::fitted(name, NOTE_EM, plot.h - 20.0);
             // On the left of its line, unless that is outside or covered by another name.
-            let near = |x: f64| taken.iter().any(|&(u, _): &(f64, f64)| (u - x).abs() < NOTE_EM * 1.2);
+            let near = |x: f64| names.iter().any(|name| (name.at.0 - x).abs() < NOTE_EM * 1.2);
             let side = if x - NOTE_EM * 1.3 < plot.x || near(x - 10.0) { NOTE_EM * 1.1 } else { -7.0 };
-            canvas.text_upwards((x + side, plot.y + 10.0), &name, ink.end());
-            taken.extend((0..=10).map(|i| (x + side, plot.y + 10.0 + length * f64::from(i) / 10.0)));
+            names.push(Name { at: (x + side, plot.y + 10.0), is_upwards: true, text });
         }
         let mut named: Vec<f64> = Vec::new();
         for (value, name) in self.horizontal_lines.iter().filter(|(y, _)| self.drawable(1.0, *y)) {
             let y = frame.y_at(*value);
-            canvas.line((plot.x, y), (plot.right(), y), pen);
-            let name = font::fitted(name, NOTE_EM, plot.w / 2.0);
-            let length = font::width(&name, NOTE_EM);
+            let text = font::fitted(name, NOTE_EM, plot.w / 2.0);
             let baseline = if y - NOTE_EM * 1.4 < plot.y { y + NOTE_EM * 1.1 } else { y - 7.0 };
             // At the right, or at the left where the right is taken by a close line's name.
             let right = named.iter().all(|other| (other - baseline).abs() > NOTE_EM * 1.2);
-            let start = if right { plot.right() - 10.0 - length } else { plot.x + 10.0 };
-            canvas.text((start, baseline), &name, ink);
+            let start = if right { plot.right() - 10.0 - font::width(&text, NOTE_EM) } else { plot.x + 10.0 };
             named.push(baseline);
-            taken.extend((0..=10).map(|i| (start + length * f64::from(i) / 10.0, baseline - 6.0)));
+            names.push(Name { at: (start, baseline), is_upwards: false, text });
         }
-        taken
+        names
+    }
+}
+
+/// The name of a marked line.
+struct Name {
+    /// Its upper end where it is written upwards, else its start.
+    at: (f64, f64),
+    is_upwards: bool,
+    text: String,
+}
+
+impl Name {
+    /// The points that it covers.
+    fn places(&self) -> Vec<(f64, f64)> {
+        let length = font::width(&self.text, NOTE_EM);
+        let (x, y) = self.at;
+        let place = |part: f64| {
+            if self.is_upwards { (x, y + length * part) } else { (x + length * part, y - 6.0) }
+        };
+        (0..=10).map(|i| place(f64::from(i) / 10.0)).collect()
+    }
+
+    /// Draws it, below a legend that would cover it where it is written upwards.
+    fn draw(&self, canvas: &mut Canvas, legend: Option<&Legend>) {
+        let ink = Ink::new(NOTE_EM, MUTED);
+        if !self.is_upwards {
+            return canvas.text(self.at, &self.text, ink);
+        }
+        let covering = legend.filter(|legend| self.places().iter().any(|&at| legend.room.contains(at)));
+        let top = covering.map_or(self.at.1, |legend| legend.room.bottom() + 10.0);
+        canvas.text_upwards((self.at.0, top), &self.text, ink.end());
     }
 }
 
@@ -268,38 +311,54 @@ fn marker(canvas: &mut Canvas, marker: Marker, (x, y): (f64, f64), colour: Rgb) 
     }
 }
 
-/// The legend, in the corner that covers the fewest of the places `taken`.
-fn legend(canvas: &mut Canvas, lines: &[Line], plot: Rect, taken: &[(f64, f64)]) {
-    let named: Vec<&Line> = lines.iter().filter(|line| !line.label.is_empty()).collect();
-    if named.is_empty() {
-        return;
-    }
-    let shown = if named.len() > MOST_ENTRIES { MOST_ENTRIES - 1 } else { named.len() };
-    let mut labels: Vec<String> =
-        named[..shown].iter().map(|line| font::fitted(line.label, LABEL_EM, plot.w * 0.6)).collect();
-    if shown < named.len() {
-        labels.push(format!("and {} more", named.len() - shown));
-    }
-    let widest = labels.iter().map(|label| font::width(label, LABEL_EM)).fold(0.0, f64::max);
-    let (w, h) = (widest + SAMPLE_W + 44.0, labels.len() as f64 * ENTRY_H + 16.0);
-    let (left, right, top, bottom) = (plot.x + 16.0, plot.right() - 16.0 - w, plot.y + 16.0, plot.bottom() - 16.0 - h);
-    let corners = [(right, top), (left, top), (right, bottom), (left, bottom)];
-    let covers = |(x, y): (f64, f64)| {
-        let room = Rect { x: x - 8.0, y: y - 8.0, w: w + 16.0, h: h + 16.0 };
-        taken.iter().filter(|&&at| room.contains(at)).count()
-    };
-    let Some((x, y)) = corners.into_iter().min_by_key(|&corner| covers(corner)) else { return };
-    canvas.fill(Rect { x, y, w, h }, WHITE, 0.9);
-    canvas.frame(Rect { x, y, w, h }, Pen::solid(GRID, 1.5));
-    for (i, label) in labels.iter().enumerate() {
-        let middle = y + 8.0 + (i as f64 + 0.5) * ENTRY_H;
-        if let Some(line) = named[..shown].get(i) {
-            let (from, to) = ((x + 14.0, middle), (x + 14.0 + SAMPLE_W, middle));
-            if let Some(pen) = line.pen() {
-                canvas.line(from, to, pen);
-            }
-            marker(canvas, line.style.marker, ((from.0 + to.0) / 2.0, middle), line.colour);
+/// The legend, in the corner that covers the fewest of the places that are taken.
+struct Legend<'a> {
+    room: Rect,
+    labels: Vec<String>,
+    lines: Vec<&'a Line<'a>>,
+}
+
+impl<'a> Legend<'a> {
+    /// `None` without a line that has a label.
+    fn new(lines: &'a [Line<'a>], plot: Rect, taken: &[(f64, f64)]) -> Option<Self> {
+        let mut named: Vec<&Line> = lines.iter().filter(|line| !line.label.is_empty()).collect();
+        if named.is_empty() {
+            return None;
         }
-        canvas.text_centred((x + 14.0 + SAMPLE_W + 14.0, middle), label, Ink::new(LABEL_EM, INK));
+        let all = named.len();
+        named.truncate(if all > MOST_ENTRIES { MOST_ENTRIES - 1 } else { all });
+        let mut labels: Vec<String> =
+            named.iter().map(|line| font::fitted(line.label, LABEL_EM, plot.w * 0.6)).collect();
+        if named.len() < all {
+            labels.push(format!("and {} more", all - named.len()));
+        }
+        let widest = labels.iter().map(|label| font::width(label, LABEL_EM)).fold(0.0, f64::max);
+        let (w, h) = (widest + SAMPLE_W + 44.0, labels.len() as f64 * ENTRY_H + 16.0);
+        let (left, right) = (plot.x + 16.0, plot.right() - 16.0 - w);
+        let (top, bottom) = (plot.y + 16.0, plot.bottom() - 16.0 - h);
+        let corners = [(right, top), (left, top), (right, bottom), (left, bottom)];
+        let covers = |(x, y): (f64, f64)| {
+            let room = Rect { x: x - 8.0, y: y - 8.0, w: w + 16.0, h: h + 16.0 };
+            taken.iter().filter(|&&at| room.contains(at)).count()
+        };
+        let (x, y) = corners.into_iter().min_by_key(|&corner| covers(corner))?;
+        Some(Self { room: Rect { x, y, w, h }, labels, lines: named })
+    }
+
+    fn draw(&self, canvas: &mut Canvas) {
+        let Rect { x, y, .. } = self.room;
+        canvas.fill(self.room, WHITE, 0.9);
+        canvas.frame(self.room, Pen::solid(GRID, 1.5));
+        for (i, label) in self.labels.iter().enumerate() {
+            let middle = y + 8.0 + (i as f64 + 0.5) * ENTRY_H;
+            if let Some(line) = self.lines.get(i) {
+                let (from, to) = ((x + 14.0, middle), (x + 14.0 + SAMPLE_W, middle));
+                if let Some(pen) = line.pen() {
+                    canvas.line(from, to, pen);
+                }
+                marker(canvas, line.style.marker, ((from.0 + to.0) / 2.0, middle), line.colour);
+            }
+            canvas.text_centred((x + 14.0 + SAMPLE_W + 14.0, middle), label, Ink::new(LABEL_EM, INK));
+        }
     }
 }

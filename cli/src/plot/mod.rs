@@ -17,6 +17,7 @@ mod encode;
 mod estimate;
 mod font;
 mod frame;
+mod map_image;
 mod maps;
 mod numbering;
 mod page;
@@ -25,6 +26,7 @@ mod panel;
 pub use bars::{ModalBars, ModeGroup};
 pub use curve::{CurvePicture, Marker, Series, SeriesStyle, Stroke};
 pub use estimate::{EstimatePicture, ImageTriple, MapRms, MapTriple};
+pub use map_image::{MapColours, MapImage, map_image};
 pub use maps::{CaptionedMap, MapScale, MapsPicture};
 pub use numbering::{Lattice, NumberingPicture};
 

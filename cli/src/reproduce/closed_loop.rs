@@ -13,23 +13,20 @@ use cophase::pipeline::{Corrections, Estimator, Images, SentCorrections};
 use cophase::scene::Scene;
 use cophase::source::{Truth, stream};
 use cophase::telescope::Telescope;
-use cophase::tracking::{CorrectionPolicy, SegmentConvention};
 use cophase::{Error, Result};
 use ndarray::Array2;
 use std::path::Path;
 
 /// Rounds of images and corrections.
 const ROUNDS: usize = 3;
-/// The sequence of a round, and the errors before the first.
-const SETTINGS: [(&str, &str); 3] =
-    [("image.count", "25"), ("aberrations.segment_piston_rms_nm", "128.3"), ("estimate.method", "full-phase")];
-/// All of each mode, where that is expected to lower the error: what a mode below its error bar leaves is as large as what it would add.
-const POLICY: CorrectionPolicy = CorrectionPolicy {
-    gain: 1.0,
-    deadband_sigma: 0.0,
-    stroke_limit_nm: None,
-    convention: SegmentConvention::LeastSquares,
-};
+/// The sequence of a round, and the errors before the first. All of each mode is corrected where that is expected to lower the error: what a mode
+/// below its error bar leaves is as large as what it would add.
+const SETTINGS: [(&str, &str); 4] = [
+    ("image.count", "25"),
+    ("aberrations.segment_piston_rms_nm", "128.3"),
+    ("estimate.method", "full-phase"),
+    ("commands.deadband_sigma", "0"),
+];
 /// The turbulence of each round is another one: its seed is this much further.
 const NEXT_TURBULENCE: usize = 1_000_000;
 /// How long the Strehl ratio is measured after the loop has settled, s, and every how many frames: 8 ms apart, where the residual needs 50 ms
@@ -128,7 +125,7 @@ fn measure(scene: &Scene, sent: &[SentCorrections], progress: &Progress) -> Resu
     ao::write(&path, &simulator, &shots, &summary)?;
     let estimate = Estimator::new(scene)?.estimate(&Images::read(&path, None)?)?;
     let sigma_nm = [estimate.phasing.sigma_nm, estimate.ncpa.sigma_nm];
-    Ok((estimate.corrections_with(&POLICY, None)?, sigma_nm, estimate.seconds))
+    Ok((estimate.corrections(None)?, sigma_nm, estimate.seconds))
 }
 
 fn residuals_nm(scene: &Scene, truth: &Truth) -> Result<[f64; 2]> {

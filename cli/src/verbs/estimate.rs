@@ -4,6 +4,7 @@ mod arguments;
 mod inputs;
 mod part;
 mod ranks;
+mod report;
 mod summary;
 mod whole;
 

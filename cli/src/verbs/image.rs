@@ -2,9 +2,10 @@
 
 use crate::files::{self, Settings};
 use crate::interrupt::Interrupt;
-use crate::outputs;
+use crate::outputs::{self, Flagged};
 use crate::terminal::Terminal;
 use cophase::machine;
+use cophase::pipeline::SentCorrections;
 use cophase::scene::Scene;
 use cophase::source;
 use cophase::telescope::Telescope;
@@ -16,6 +17,7 @@ use std::time::Instant;
 const EXAMPLES: &str = "Examples:
   cophase image keck-artificial -o images.fits
   cophase image scene.toml -o faint.fits --set image.peak_snr=50 --seed 7
+  cophase image scene.toml -o corrected.fits --corrections c.fits
 
 The file holds the images (IMAGES, electrons; those of several channels with EXTVER 1, 2, ... and the card CHANNEL), what they were made with (TRUTH_PHASING and TRUTH_NCPA, nm; \
 table TRUTH, segment by segment) and the scene (SCENE), so that 'cophase estimate' needs nothing else.";
@@ -29,6 +31,9 @@ pub struct Arguments {
     /// FITS file to write; one that is there is replaced; .fits.gz is compressed
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Corrections that are applied before the images, as 'cophase estimate --commands FILE.fits' writes them; repeated, all add up
+    #[arg(long, value_name = "FILE.fits")]
+    corrections: Vec<PathBuf>,
     #[command(flatten)]
     settings: Settings,
     /// Seed of the aberrations and of the noise [default: aberrations.seed of the scene]
@@ -56,7 +61,10 @@ struct Made {
 pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     let interrupt = Interrupt::catch()?;
     let output = ("-o", arguments.output.as_path());
-    outputs::check(&[output], &[("the scene", &arguments.scene)])?;
+    let corrections = arguments.corrections.iter().map(|path| ("--corrections", path.as_path()));
+    let inputs: Vec<Flagged> = [("the scene", arguments.scene.as_path())].into_iter().chain(corrections).collect();
+    outputs::check(&[output], &inputs)?;
+    let sent = arguments.corrections.iter().map(|path| SentCorrections::read(path)).collect::<Result<Vec<_>>>()?;
     let seed = arguments.seed.map(|seed| seed.to_string());
     let options: Vec<(&str, &str)> = seed.iter().map(|seed| ("aberrations.seed", seed.as_str())).collect();
     let scene = arguments.settings.apply(&files::scene(&arguments.scene)?, &options)?;
@@ -65,7 +73,7 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         let name = scene.name();
         terminal.warn(&format!("{name}: its turbulence and AO loop are left out, 'image' makes an artificial source"));
     }
-    let made = make(&scene, &arguments.output, terminal, &interrupt)?;
+    let made = make(&scene, &sent, &arguments.output, terminal, &interrupt)?;
     if arguments.json {
         return terminal.json(&made);
     }
@@ -82,13 +90,21 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
     ))
 }
 
-/// Makes the images of `scene` and writes them.
-fn make(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<Made> {
+/// Makes the images of `scene` after the corrections `sent`, and writes them.
+fn make(
+    scene: &Scene,
+    sent: &[SentCorrections],
+    output: &Path,
+    terminal: &Terminal,
+    interrupt: &Interrupt,
+) -> Result<Made> {
     let started = Instant::now();
     check_memory(scene)?;
     let made = {
         let _wait = terminal.wait(&format!("Making {}", crate::terminal::counted(scene.image.count, "image")), 1);
-        source::simulate_channels(scene)?
+        source::simulate_channels_with(scene, &|truth, scene, telescope| {
+            sent.iter().try_fold(truth, |truth, sent| sent.apply(truth, scene, telescope))
+        })?
     };
     interrupt.check("the images were made, nothing was written")?;
     source::write(output, scene, &made)?;
@@ -130,5 +146,5 @@ pub fn check_memory(scene: &Scene) -> Result<()> {
 
 /// [`make`] for the demonstration.
 pub fn make_file(scene: &Scene, output: &Path, terminal: &Terminal, interrupt: &Interrupt) -> Result<()> {
-    make(scene, output, terminal, interrupt).map(drop)
+    make(scene, &[], output, terminal, interrupt).map(drop)
 }

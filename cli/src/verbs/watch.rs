@@ -5,7 +5,7 @@ use crate::interrupt::Interrupt;
 use crate::outputs::{self, Flagged};
 use crate::terminal::{Terminal, counted};
 use crate::watch::{self, FrameReader, PageSettings, Place, TrackingSettings};
-use cophase::pipeline::Policy;
+use cophase::pipeline::{Corrections, Policy};
 use cophase::{Error, Result};
 use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
@@ -15,6 +15,7 @@ const EXAMPLES: &str = "Examples:
   cophase watch frames/ --scene scene.toml --state night.db
   cophase watch frames/ --scene scene.toml --state night.db --once
   cophase watch --stream cam0 --scene scene.toml --state night.db
+  cophase watch frames/ --scene scene.toml --state night.db --corrections c.fits
   cophase watch --export night.csv --state night.db
 
 Every FITS file in the folder is taken once: those that are there, then those that appear, as soon as they are complete. The file \
@@ -30,7 +31,7 @@ pub struct Arguments {
     /// Stream of ImageStreamIO (milk, cacao) in place of a folder; its file is in MILK_SHM_DIR, else /milk/shm, else /tmp
     #[arg(long, value_name = "NAME", conflicts_with_all = ["mask", "export"])]
     stream: Option<String>,
-    /// Write the night of --state to a .fits, .fits.gz or .csv file, and end; a watch may run meanwhile
+    /// Write the night of --state to a .fits, .fits.gz or .csv file, or a report to an .html file, and end; a watch may run meanwhile
     #[arg(long, value_name = "FILE")]
     export: Option<PathBuf>,
     /// Scene: a TOML file, or the name of a preset
@@ -59,6 +60,10 @@ pub struct Arguments {
     /// Take what is there, then end
     #[arg(long)]
     once: bool,
+    /// File to which corrections of the tracked state are written, by the policy of the scene ([commands]), as 'cophase estimate --commands' does:
+    /// FITS, or text for FILE.txt. From later frames the watch recognises that one was applied
+    #[arg(long, value_name = "FILE", conflicts_with = "export")]
+    corrections: Option<PathBuf>,
     /// Log, to which lines of JSON are appended
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
@@ -137,8 +142,19 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
         outputs::refuse_dash(("--log", log))?;
         outputs::spare(("--log", log), &[&inputs[..], &[state]].concat())?;
     }
+    if let Some(corrections) = &arguments.corrections {
+        let log = arguments.log.as_deref().map(|log| ("--log", log));
+        let others: Vec<Flagged> = inputs.iter().copied().chain([state]).chain(log).collect();
+        outputs::check(&[("--corrections", corrections)], &others)?;
+        if let Some(folder) = &arguments.folder {
+            refuse_within(corrections, folder)?;
+        }
+    }
     let scene = files::scene(arguments.scene.as_deref().unwrap_or(Path::new("")))?;
     let scene = arguments.settings.apply(&scene, &[])?;
+    if arguments.corrections.is_some() {
+        Corrections::check_controllers(&scene)?;
+    }
     let settings = watch::Settings {
         place,
         scene,
@@ -157,7 +173,18 @@ pub fn run(arguments: &Arguments, terminal: &Terminal) -> Result<()> {
             false_alarms_per_night: arguments.false_alarms_per_night,
             interval_s: arguments.interval_seconds,
         },
+        corrections: arguments.corrections.clone(),
         page: arguments.page()?,
     };
     watch::run(settings, terminal, &interrupt)
+}
+
+/// Refuses a file of corrections among the frames, of which it would be one.
+fn refuse_within(corrections: &Path, folder: &Path) -> Result<()> {
+    let parent = corrections.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if parent.canonicalize().is_ok_and(|parent| folder.canonicalize().is_ok_and(|folder| parent == folder)) {
+        let reason = "is in the folder of the frames, which --corrections does not write to: give another folder";
+        return Err(Error::file(corrections, reason));
+    }
+    Ok(())
 }

@@ -1,7 +1,7 @@
-//! Export of a night from its store, also while a watch runs: FITS with all vectors, or CSV with a row for each frame.
+//! Export of a night from its store, also while a watch runs: FITS with all vectors, CSV with a row for each frame, or an HTML report.
 
-use crate::watch::clock;
-use crate::watch::store::{About, Columns, Reader, StoredFrame};
+use crate::watch::store::{About, Columns, Reader, StoredCorrection, StoredFrame};
+use crate::watch::{clock, report};
 use cophase::io::{Column, FitsWriter, Pixel, write_atomically};
 use cophase::{Error, Result};
 use ndarray::Array2;
@@ -13,13 +13,13 @@ const CHUNK: usize = 1000;
 /// Writes the night in the file `state` to `output`, by its extension.
 ///
 /// # Errors
-/// [`Error::File`] for another extension than `.fits`, `.fits.gz` and `.csv`, for a file that is no store, and where the output cannot be
+/// [`Error::File`] for another extension than `.fits`, `.fits.gz`, `.csv` and `.html`, for a file that is no store, and where the output cannot be
 /// written. What was there stays then.
 pub fn export(state: &Path, output: &Path) -> Result<usize> {
     let name = output.file_name().map(|name| name.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    let is_csv = name.ends_with(".csv");
-    if !is_csv && !name.ends_with(".fits") && !name.ends_with(".fits.gz") {
-        return Err(Error::file(output, "a night is exported to a .fits, .fits.gz or .csv file"));
+    let (is_csv, is_report) = (name.ends_with(".csv"), name.ends_with(".html"));
+    if !is_csv && !is_report && !name.ends_with(".fits") && !name.ends_with(".fits.gz") {
+        return Err(Error::file(output, "a night is exported to a .fits, .fits.gz, .csv or .html file"));
     }
     let reader = Reader::open(state)?;
     let (about, mut frames) = (reader.about()?, Vec::new());
@@ -31,7 +31,9 @@ pub fn export(state: &Path, output: &Path) -> Result<usize> {
         }
         frames.extend(chunk);
     }
-    if is_csv {
+    if is_report {
+        report::write(output, state, &about, &frames, &reader)?
+    } else if is_csv {
         write_csv(output, &about, &frames)?
     } else {
         write_fits(output, &about, &frames, &reader)?
@@ -144,8 +146,41 @@ fn write_fits(output: &Path, about: &About, frames: &[StoredFrame], reader: &Rea
             Column::f64("SINCE", "s", events.iter().map(|event| event.since_s.unwrap_or(f64::NAN)).collect()),
         ],
     )?;
+    write_corrections(&mut file, about, reader)?;
     file.text("SCENE", &about.scene)?;
     file.finish()
+}
+
+/// The table `CORRECTIONS`, and the image `CORRECTION_CHANGES` of what each changes of the coefficients.
+fn write_corrections(file: &mut FitsWriter, about: &About, reader: &Reader) -> Result<()> {
+    let mut corrections = reader.corrections(usize::MAX >> 1)?;
+    corrections.reverse();
+    let real = |value: fn(&StoredCorrection) -> f64| corrections.iter().map(value).collect();
+    let integer = |value: fn(&StoredCorrection) -> i64| corrections.iter().map(value).collect();
+    file.table(
+        "CORRECTIONS",
+        &[
+            Column::i64("NUMBER", integer(|one| one.number)),
+            Column::i64("FRAME", integer(|one| one.frame)),
+            Column::f64("WRITTEN", "s", real(|one| one.written_s)),
+            Column::f64("PHASING", "nm", real(|one| one.phasing_rms_nm)),
+            Column::f64("NCPA", "nm", real(|one| one.ncpa_rms_nm)),
+            Column::i64("SEGMODES", integer(|one| one.segment_modes)),
+            Column::i64("NCPAMODE", integer(|one| one.ncpa_modes)),
+            Column::i64("REPLACED", integer(|one| one.replaced_by.unwrap_or(0))),
+            Column::i64("APPLIED", integer(|one| one.applied_frame.unwrap_or(0))),
+            Column::f64("APPLIED_AT", "s", real(|one| one.applied_s.unwrap_or(f64::NAN))),
+            Column::text("PART", corrections.iter().map(|one| one.applied_part.as_deref().unwrap_or_default())),
+            Column::f64("FRACTION", "", real(|one| one.applied_fraction.unwrap_or(f64::NAN))),
+            Column::f64("FRACTION_SIGMA", "", real(|one| one.applied_fraction_error.unwrap_or(f64::NAN))),
+        ],
+    )?;
+    if !corrections.is_empty() {
+        let value = |(row, mode): (usize, usize)| corrections[row].change_nm.get(mode).copied().unwrap_or(f64::NAN);
+        let changes_nm = Array2::from_shape_fn((corrections.len(), about.modes.len()), value);
+        file.image("CORRECTION_CHANGES", &changes_nm, Pixel::F64, "nm")?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 //! store as a whole or not at all, and what is not there is taken by the next watch.
 
 mod clock;
+mod corrections;
 mod export;
 mod folder;
 mod frame_file;
@@ -15,6 +16,7 @@ mod live;
 mod log;
 mod model;
 mod page;
+mod report;
 mod service;
 mod source;
 mod store;

@@ -45,6 +45,8 @@ pub struct Settings {
     pub once: bool,
     pub log: Option<PathBuf>,
     pub tracking: TrackingSettings,
+    /// Where corrections are written; `None` for none.
+    pub corrections: Option<PathBuf>,
     /// Where the page is; `None` for no page.
     pub page: Option<PageSettings>,
 }
@@ -73,7 +75,8 @@ pub fn run(settings: Settings, terminal: &Terminal, interrupt: &Interrupt) -> Re
         .page
         .map(|page| Page::start(page, &settings.state, &live, model.estimator.fitter().clone()))
         .transpose()?;
-    let mut watcher = Watcher { model, store, tracking, reader, log, live, terminal, interrupt };
+    let corrections = settings.corrections;
+    let mut watcher = Watcher { model, store, tracking, reader, corrections, log, live, terminal, interrupt };
     watcher.log.line("watch", serde_json::json!({ "source": place.to_string(), "process": std::process::id() }));
     if let Some(page) = &page {
         terminal.show(&format!("page: http://{}/\n", page.address()))?;

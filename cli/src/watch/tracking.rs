@@ -4,9 +4,9 @@ use crate::watch::clock;
 use crate::watch::store::Event;
 use cophase::modal::Model;
 use cophase::pipeline::FrameEstimate;
-use cophase::tracking::{Change, Observation, Tracker, TrackerSettings, Verdict};
+use cophase::tracking::{Applied, AppliedPart, Change, Observation, Tracker, TrackerSettings, Verdict};
 use cophase::{Error, Result};
-use ndarray::ArrayView1;
+use ndarray::{Array1, Array2, ArrayView1};
 
 /// How a night is tracked.
 #[derive(Debug, Clone)]
@@ -35,6 +35,30 @@ pub struct Step {
     pub events: Vec<Event>,
     /// Why the frame was not used; `None` where it was.
     pub outlier: Option<String>,
+    /// The correction that it shows to be applied.
+    pub applied: Option<Applied>,
+}
+
+impl Step {
+    /// Tracked coefficients and their covariance.
+    pub fn tracked(&self) -> Option<(Array1<f64>, Array2<f64>)> {
+        self.tracker.coefficients_nm().zip(self.tracker.covariance_nm2())
+    }
+
+    /// Number of the newest correction that may still be applied.
+    pub fn expected(&self) -> Option<i64> {
+        self.tracker.expected_corrections().last().copied()
+    }
+
+    /// Expects the correction `number`, which changes the coefficients by `change_nm`.
+    ///
+    /// # Errors
+    /// Those of [`Tracker::expect`].
+    pub fn expect(&mut self, number: i64, change_nm: &[f64]) -> Result<()> {
+        self.tracker.expect(number, ArrayView1::from(change_nm))?;
+        self.state = self.tracker.to_bytes();
+        Ok(())
+    }
 }
 
 impl Tracking {
@@ -83,7 +107,13 @@ impl Tracking {
             state: tracker.to_bytes(),
             tracked_nm: tracker.coefficients_nm().map(|nm| nm.to_vec()).unwrap_or_default(),
             tracked_sigma_nm: sigma_nm.map(|nm| nm.to_vec()).unwrap_or_default(),
-            events: update.changes.iter().map(|change| event(change, labels)).collect(),
+            events: update
+                .applied
+                .iter()
+                .map(|applied| application(applied, time_s))
+                .chain(update.changes.iter().map(|change| event(change, labels)))
+                .collect(),
+            applied: update.applied,
             outlier,
             tracker,
         })
@@ -104,6 +134,21 @@ fn segment_of(name: &str) -> Result<usize> {
             "the segment mode {name} is not of one segment, as a watch needs: modes.segment = \"piston\" is accepted"
         ))
     })
+}
+
+/// A correction that was applied before the frame of `time_s`.
+fn application(applied: &Applied, time_s: f64) -> Event {
+    let what = match applied.part {
+        AppliedPart::Whole => "was applied",
+        AppliedPart::Segments => "was applied to the segments alone",
+        AppliedPart::Ncpa => "was applied to the NCPA alone",
+    };
+    let [percent, error] = [applied.fraction, applied.fraction_error].map(|fraction| 100.0 * fraction);
+    let sentence = format!(
+        "correction {} {what}: {percent:.1} ± {error:.1} % of its size is seen (log-likelihood ratio {:.1}, threshold {:.1})",
+        applied.number, applied.log_ratio, applied.threshold
+    );
+    Event { time_s, since_s: Some(time_s), ..Event::now("correction", sentence) }
 }
 
 fn event(change: &Change, labels: &[i32]) -> Event {

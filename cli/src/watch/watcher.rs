@@ -3,12 +3,13 @@
 use crate::interrupt::Interrupt;
 use crate::terminal::Terminal;
 use crate::watch::clock;
+use crate::watch::corrections;
 use crate::watch::folder::Stamp;
 use crate::watch::frame_file::{self, FrameFile, FrameReader};
 use crate::watch::live::Live;
 use crate::watch::log::Log;
 use crate::watch::model::{Model, rms_nm};
-use crate::watch::store::{Content, Event, FileRecord, Frame, Store};
+use crate::watch::store::{Content, Entry, Event, FileRecord, Frame, Store};
 use crate::watch::stream::RawFrame;
 use crate::watch::tracking::{Step, Tracking};
 use cophase::modes::Group;
@@ -17,7 +18,7 @@ use cophase::{Error, Result};
 use ndarray::Array3;
 use serde_json::json;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What became of a file.
 #[derive(Debug, PartialEq, Eq)]
@@ -34,6 +35,8 @@ pub struct Watcher<'a> {
     pub store: Store,
     pub tracking: Tracking,
     pub reader: FrameReader,
+    /// Where corrections are written.
+    pub corrections: Option<PathBuf>,
     pub log: Log,
     pub live: Live,
     pub terminal: &'a Terminal,
@@ -133,7 +136,12 @@ impl Watcher<'_> {
     }
 
     fn tell(&mut self, event: &Event) {
-        self.terminal.warn(&event.sentence);
+        if event.kind == "correction" {
+            // Standard output that is closed is found with the next frame.
+            let _ = self.terminal.show(&format!("{}\n", event.sentence));
+        } else {
+            self.terminal.warn(&event.sentence);
+        }
         self.log.line(event.kind, json!(event));
     }
 
@@ -155,7 +163,8 @@ impl Watcher<'_> {
         let observed_s = file.mtime_ns as f64 * 1e-9;
         let mut frame = Frame::refused(file.content, 0, name, observed_s, reason.to_owned());
         frame.taken_s = clock::now_s();
-        self.commit(&frame, None, &[], Some(file))?;
+        let (tracker, events, applied, correction) = (None, &[][..], None, None);
+        self.commit(&Entry { frame: &frame, tracker, events, applied, correction, file: Some(file) })?;
         Ok(())
     }
 
@@ -189,7 +198,7 @@ impl Watcher<'_> {
     fn take_frame(&mut self, pending: &Pending, file: Option<&FileRecord>) -> Result<()> {
         let number = pending.image;
         let estimated = catch_unwind(AssertUnwindSafe(|| self.model.estimator.estimate(pending.images, number)));
-        let (frame, step, image) = match estimated {
+        let (frame, mut step, image) = match estimated {
             Ok(Ok(estimate)) => {
                 let (frame, step) = self.frame(pending, &estimate)?;
                 (frame, step, estimate.compared)
@@ -202,8 +211,18 @@ impl Watcher<'_> {
                 (refused(pending, "the estimate failed by an internal error, please report it".into()), None, None)
             }
         };
-        let (state, events) = step.as_ref().map_or((None, &[][..]), |step| (Some(&step.state[..]), &step.events[..]));
-        let id = self.commit(&frame, state, events, file)?;
+        let correction = match (&self.corrections, &mut step) {
+            (Some(path), Some(step)) => corrections::write(path, &self.model, &self.store, &frame, step)?,
+            _ => None,
+        };
+        let id = self.commit(&Entry {
+            frame: &frame,
+            tracker: step.as_ref().map(|step| &step.state[..]),
+            events: step.as_ref().map_or(&[][..], |step| &step.events[..]),
+            applied: step.as_ref().and_then(|step| step.applied.as_ref()),
+            correction: correction.as_ref(),
+            file,
+        })?;
         // Not before the store has it: a frame that is tried again meets the tracker as it was.
         if let Some(step) = step.filter(|_| id.is_some()) {
             self.tracking.adopt(step);
@@ -245,15 +264,9 @@ impl Watcher<'_> {
     }
 
     /// Stores a frame, and says so.
-    fn commit(
-        &mut self,
-        frame: &Frame,
-        tracker: Option<&[u8]>,
-        events: &[Event],
-        file: Option<&FileRecord>,
-    ) -> Result<Option<i64>> {
-        let id = self.store.commit(frame, tracker, events, file)?;
-        let Some(id) = id else { return Ok(None) };
+    fn commit(&mut self, entry: &Entry) -> Result<Option<i64>> {
+        let Some(id) = self.store.commit(entry)? else { return Ok(None) };
+        let Entry { frame, events, .. } = *entry;
         let name = if frame.image > 0 { format!("{} image {}", frame.name, frame.image) } else { frame.name.clone() };
         match &frame.reason {
             Some(reason) => {

@@ -210,6 +210,28 @@ fn curves_have_a_legend_and_named_lines() {
     assert!(text.contains("photon noise") && text.contains("phasing, twice the flux"));
 }
 
+#[test]
+fn the_name_of_a_line_makes_way_for_the_legend() {
+    // Points along the bottom and the right edge: the legend is at the top left, above the first of two lines.
+    let bottom = (0..=100).map(|x| (f64::from(x), -1.0));
+    let right = (0..=100).map(|y| (95.0, f64::from(y) / 50.0 - 1.0));
+    let (x, y): (Vec<f64>, Vec<f64>) = bottom.chain(right).unzip();
+    let style = SeriesStyle { stroke: Stroke::None, ..Default::default() };
+    let drawn = |label: &str| {
+        let series = Series { label: label.into(), x: x.clone(), y: y.clone(), style, ..Default::default() };
+        let vertical_lines = vec![(8.0, "covered".into()), (60.0, "free".into())];
+        let picture = CurvePicture { series: vec![series], vertical_lines, ..Default::default() };
+        both(&format!("names-{label}"), |path| picture.draw(path)).1
+    };
+    let element = |svg: &str, name: &str| {
+        let end = svg.find(name).unwrap();
+        svg[svg[..end].rfind("<text").unwrap()..end].to_owned()
+    };
+    let (with, without) = (drawn("a series with a name"), drawn(""));
+    assert_ne!(element(&with, "covered"), element(&without, "covered"));
+    assert_eq!(element(&with, "free"), element(&without, "free"));
+}
+
 fn lone_map(values: Array2<f64>, scale: MapScale) -> MapsPicture {
     let (caption, unit, labels) = ("a map".into(), "nm".into(), Vec::new());
     let map = CaptionedMap { caption, values, unit, width_m: Some(4.0), scale, labels };

@@ -22,6 +22,7 @@ mod outputs;
 mod parts;
 mod ranks;
 mod reduce;
+mod report;
 mod same_answer;
 mod sentences;
 mod simulate;

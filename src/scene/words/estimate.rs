@@ -118,3 +118,15 @@ words! {
         Ignore = "ignore",
     }
 }
+
+words! {
+    /// What is minimised by moving segments.
+    #[derive(Copy)]
+    SegmentConvention {
+        /// The sum of the squares of all segment modes. A segment in the deadband stays, independently of its neighbours.
+        LeastSquares = "least-squares",
+        /// The sum of the squares of the steps at the edges that neighbouring segments share; of pistons alone. Where all segments move this is
+        /// the same correction; beside a segment that stays, its neighbours meet it.
+        EdgeMinimising = "edge-minimising",
+    }
+}

@@ -37,7 +37,9 @@ pub use adaptive::{
     ControlBasis, Fill, Influence, Loop, ReconstructorKind, SensorDetector, SensorKind, SensorMask, SlopeOrder,
 };
 pub use device::{Crop, DeviceChoice};
-pub use estimate::{AoKnowledge, Combine, Method, ModelChoice, Optimizer, Precision, Sampling, Telemetry, Weighting};
+pub use estimate::{
+    AoKnowledge, Combine, Method, ModelChoice, Optimizer, Precision, Sampling, SegmentConvention, Telemetry, Weighting,
+};
 pub use telescope::{Aperture, NcpaBasis, Optic, PupilModel, SegmentModes};
 
 /// Lists words: `"a", "b" or "c"`.

@@ -1,6 +1,6 @@
 //! Bytes of what observations have left in a tracker.
 
-use super::{Measured, Memory};
+use super::memory::{Measured, Memory};
 use crate::Result;
 use crate::tracking::TrackerSettings;
 use crate::tracking::bytes::{Reader, Writer, damaged};

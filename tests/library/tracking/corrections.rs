@@ -70,7 +70,8 @@ fn deadband_limit_gain_and_reasons() {
         estimate_nm[mode] = nm;
     }
     let covariance_nm2 = Array2::eye(SEGMENTS + 10) * 9.0;
-    let policy = CorrectionPolicy { gain: 0.5, stroke_limit_nm: Some(100.0), ..Default::default() };
+    let policy =
+        CorrectionPolicy { gain: 0.5, deadband_sigma: 2.0, stroke_limit_nm: Some(100.0), ..Default::default() };
     let sent = correct(&policy, &estimate_nm, &covariance_nm2);
     let moved: Vec<(usize, f64)> =
         sent.coefficients_nm.iter().copied().enumerate().filter(|(_, nm)| *nm != 0.0).collect();
@@ -84,10 +85,24 @@ fn deadband_limit_gain_and_reasons() {
     // Of noise alone the largest is beyond two error bars, and is not worth correcting.
     let mut noise_nm = Array1::zeros(SEGMENTS + 10);
     noise_nm[3] = 7.0;
-    let sent = correct(&CorrectionPolicy::default(), &noise_nm, &covariance_nm2);
+    let policy = CorrectionPolicy { deadband_sigma: 2.0, ..Default::default() };
+    let sent = correct(&policy, &noise_nm, &covariance_nm2);
     assert!(sent.coefficients_nm.iter().all(|nm| *nm == 0.0));
     let held = sent.held.iter().find(|held| held.mode == 3).unwrap();
     assert_eq!((held.segment, held.reason), (Some(3), HoldReason::NoBenefit));
+}
+
+#[test]
+fn a_mode_that_is_badly_known_holds_no_other() {
+    let mut estimate_nm = Array1::from_elem(SEGMENTS + 10, 12.0);
+    let mut covariance_nm2 = Array2::eye(SEGMENTS + 10) * 9.0;
+    // As a focus beside an error of the diversity; in one block its variance would exceed all that the others gain.
+    covariance_nm2[[SEGMENTS + 3, SEGMENTS + 3]] = 90_000.0;
+    estimate_nm[SEGMENTS + 3] = 100.0;
+    let sent = correct(&CorrectionPolicy::default(), &estimate_nm, &covariance_nm2);
+    let stays: Vec<usize> = (0..SEGMENTS + 10).filter(|mode| sent.coefficients_nm[*mode] == 0.0).collect();
+    assert_eq!(stays, [SEGMENTS, SEGMENTS + 3]);
+    assert_eq!((sent.held.len(), sent.held[0].reason), (1, HoldReason::Deadband));
 }
 
 #[test]
@@ -99,7 +114,7 @@ fn moved_segments_meet_those_that_stay_by_the_edge_convention() {
     }
     let covariance_nm2 = Array2::eye(SEGMENTS + 10) * 4.0;
     let of = |convention| {
-        let policy = CorrectionPolicy { convention, ..Default::default() };
+        let policy = CorrectionPolicy { deadband_sigma: 2.0, convention, ..Default::default() };
         let sent = correct(&policy, &estimate_nm, &covariance_nm2);
         &estimate_nm - &sent.coefficients_nm
     };

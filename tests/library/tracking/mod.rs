@@ -1,5 +1,6 @@
 //! Tracking: the filter against closed formulas, rates and alarms against simulated nights.
 
+mod applied;
 mod corrections;
 mod walk;
 

@@ -14,6 +14,7 @@ const EXAMPLES: &str = "Examples:
   cophase estimate onsky.fits -o est.fits --method full-phase --commands c.fits
   cophase estimate images.fits -o est.fits --commands-plot what-would-move.png
   cophase estimate images.fits -o est.fits --opd opd.fits
+  cophase estimate images.fits -o est.fits --report est.html
   cophase estimate night.fits --slopes wfs.fits --scene s.toml -o est.fits
   cophase estimate --channel K=k.fit --channel H=h.fit --scene s.toml -o e.fits
   cophase estimate night.fits -o part3.fits --part 3/8     see 'cophase merge'
@@ -112,6 +113,9 @@ pub struct Arguments {
     /// Also write phasing and NCPA together as an OPD map, m, as POPPY and STPSF read it (BUNIT, PUPLSCAL)
     #[arg(long, value_name = "FILE")]
     pub(super) opd: Option<PathBuf>,
+    /// Also write a report for people: one HTML file with maps, images, segments, modes, warnings and settings
+    #[arg(long, value_name = "FILE.html")]
+    pub(super) report: Option<PathBuf>,
     #[command(flatten)]
     pub(super) settings: Settings,
     /// Fit the images of part I of N only, and write the part to -o: 'cophase merge' makes the estimate of all parts, with the other
@@ -185,6 +189,7 @@ impl Arguments {
             ("--plot", &self.plot),
             ("--commands-plot", &self.commands_plot),
             ("--opd", &self.opd),
+            ("--report", &self.report),
         ];
         let also = also.into_iter().filter_map(|(flag, path)| Some((flag, path.as_deref()?)));
         [("-o", self.output.as_path())].into_iter().chain(also).collect()
@@ -195,6 +200,9 @@ impl Arguments {
             if let Some(plot) = plot {
                 outputs::check_picture((flag, plot))?;
             }
+        }
+        if let Some(report) = &self.report {
+            outputs::check_report(("--report", report))?;
         }
         outputs::check(&self.outputs(), &self.read_files())
     }

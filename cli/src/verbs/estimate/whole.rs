@@ -1,6 +1,7 @@
 //! The estimate from all images, and what is made of it.
 
 use super::arguments::Arguments;
+use super::report;
 use super::summary::Summary;
 use crate::files;
 use crate::interrupt::Interrupt;
@@ -73,10 +74,16 @@ pub(super) fn conclude(
     if let Some(opd) = &arguments.opd {
         estimate.write_opd(opd)?;
     }
+    if let Some(path) = &arguments.report {
+        report::write(path, arguments.first(), &estimate)?;
+    }
     if let Some(corrections) = &corrections {
         arguments.write_corrections(&estimate, corrections, terminal)?;
     }
     print(arguments.first(), &estimate, arguments.json, terminal)?;
+    if let Some(corrections) = corrections.as_ref().filter(|_| !arguments.json) {
+        terminal.show(&format!("corrections: {}\n", corrections.summary()))?;
+    }
     if let Some(degeneracy) = estimate.degeneracy.as_ref().filter(|_| arguments.verbose && !arguments.json) {
         terminal.show(&format!("\n{degeneracy}\n"))?;
     }

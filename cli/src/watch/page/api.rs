@@ -104,6 +104,11 @@ impl Api {
         Ok(json!({ "events": self.reader.events(limit)? }))
     }
 
+    /// The newest corrections first.
+    pub fn corrections(&self, limit: usize) -> Result<Value> {
+        Ok(json!({ "corrections": self.reader.corrections(limit)? }))
+    }
+
     /// The newest frames that were refused, and why.
     pub fn refused(&self, limit: usize) -> Result<Value> {
         let mut frames = self.reader.last_frames(Some("refused"), limit, Columns::Figures)?;

@@ -89,6 +89,33 @@ function list(place, items, none, line) {
   place.replaceChildren(...made);
 }
 
+// What was seen of a correction.
+function seen(one) {
+  if (one.applied_s === null) return one.replaced_by === null ? "not yet" : `replaced by ${one.replaced_by}`;
+  const part = one.applied_part === "whole" ? "" : `, ${one.applied_part} alone`;
+  return `${clock(one.applied_s)}, ${(100 * one.applied_fraction).toFixed(1)} ± ${(100 * one.applied_fraction_error).toFixed(1)} %${part}`;
+}
+
+function showCorrections(corrections) {
+  const rows = corrections.map((one) => {
+    const row = document.createElement("tr");
+    for (const text of [one.number, clock(one.written_s), one.frame, one.phasing_rms_nm.toFixed(2), one.ncpa_rms_nm.toFixed(2), seen(one)]) {
+      const cell = document.createElement("td");
+      cell.textContent = text;
+      row.append(cell);
+    }
+    return row;
+  });
+  if (rows.length === 0) {
+    const row = document.createElement("tr"), cell = document.createElement("td");
+    cell.colSpan = 6;
+    cell.textContent = "none";
+    row.append(cell);
+    rows.push(row);
+  }
+  find("corrections").replaceChildren(...rows);
+}
+
 function showMaps(ncpa, image) {
   const values = ncpa.nm.flat().filter((value) => value !== null);
   const scale = values.reduce((most, value) => Math.max(most, Math.abs(value)), 1e-9);
@@ -102,8 +129,8 @@ function showMaps(ncpa, image) {
 }
 
 async function update() {
-  const addresses = ["status", "mirror", "ncpa", "image", "trend", "events", "refused"];
-  const [status, newMirror, ncpa, image, trend, events, refused] = await Promise.all(addresses.map((name) => read(`/api/${name}`)));
+  const addresses = ["status", "mirror", "ncpa", "image", "trend", "events", "refused", "corrections"];
+  const [status, newMirror, ncpa, image, trend, events, refused, corrections] = await Promise.all(addresses.map((name) => read(`/api/${name}`)));
   mirror = newMirror;
   showStatus(status);
   showMirror();
@@ -114,6 +141,7 @@ async function update() {
   }
   const alarms = ["segment", "wavefront", "disk"];
   list(find("events"), events.events, "none", (event) => [event.time_s, event.sentence, alarms.includes(event.kind) ? "alarm" : ""]);
+  showCorrections(corrections.corrections);
   list(find("refused"), refused.refused, "none", (frame) => [frame.taken_s, `${frame.name}: ${frame.reason}`, ""]);
   document.body.dataset.frames = status.counts.done;
 }

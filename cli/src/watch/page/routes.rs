@@ -44,6 +44,10 @@ pub fn router(shared: Shared, rules: Guard) -> Router {
         .route("/api/trend", get(|State(s): State<Shared>, uri: Uri| async move { s.limited(&uri, TREND, Api::trend) }))
         .route("/api/events", get(|State(s): State<Shared>, uri: Uri| async move { s.limited(&uri, 100, Api::events) }))
         .route(
+            "/api/corrections",
+            get(|State(s): State<Shared>, uri: Uri| async move { s.limited(&uri, 50, Api::corrections) }),
+        )
+        .route(
             "/api/refused",
             get(|State(s): State<Shared>, uri: Uri| async move { s.limited(&uri, 50, Api::refused) }),
         )

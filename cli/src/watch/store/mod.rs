@@ -3,16 +3,19 @@
 //! A frame's result and the tracker's state that it led to are one transaction, in a write-ahead log that is synchronised with the disk:
 //! after a kill or a power cut either both are there or neither.
 
+mod corrections;
 mod failure;
 mod lock;
 mod read;
 mod records;
 mod schema;
 
+pub use corrections::{Correction, StoredCorrection};
 pub use lock::Lock;
 pub use read::{Columns, Reader};
 pub use records::{About, Content, Event, FileRecord, Frame, StoredFrame};
 
+use cophase::tracking::Applied;
 use cophase::{Error, Result};
 use failure::failed;
 use records::{blob, path_bytes, path_of};
@@ -26,6 +29,20 @@ pub struct Store {
     connection: Connection,
     about: About,
     _lock: Lock,
+}
+
+/// A frame with all that it led to.
+pub struct Entry<'a> {
+    pub frame: &'a Frame,
+    /// State of the tracker after it.
+    pub tracker: Option<&'a [u8]>,
+    pub events: &'a [Event],
+    /// The correction that it shows to be applied.
+    pub applied: Option<&'a Applied>,
+    /// The correction that was written.
+    pub correction: Option<&'a Correction>,
+    /// The file, with its last frame.
+    pub file: Option<&'a FileRecord>,
 }
 
 impl Store {
@@ -115,33 +132,43 @@ impl Store {
         state.map_err(failed(&self.path))
     }
 
-    /// Adds, in one transaction, a frame, the state of the tracker after it, the events that it led to and, with the last frame of a
-    /// file, the file. Gives the frame's number; a frame that is there already is not added again, and nothing changes.
+    /// Number of the next correction.
+    pub fn next_correction(&self) -> Result<i64> {
+        corrections::next(&self.connection).map_err(failed(&self.path))
+    }
+
+    /// The tracked state from which the correction `number` was made, and its error bars, nm.
+    pub fn correction_state(&self, number: i64) -> Result<Option<[Vec<f64>; 2]>> {
+        corrections::state(&self.connection, number).map_err(failed(&self.path))
+    }
+
+    /// Adds, in one transaction, a frame with all that it led to. Gives the frame's number; a frame that is there already is not added again, and
+    /// nothing changes.
     ///
     /// # Errors
     /// [`Error::File`] where the disk does not take it: then nothing is there.
-    pub fn commit(
-        &mut self,
-        frame: &Frame,
-        tracker: Option<&[u8]>,
-        events: &[Event],
-        file: Option<&FileRecord>,
-    ) -> Result<Option<i64>> {
+    pub fn commit(&mut self, entry: &Entry) -> Result<Option<i64>> {
         let failed = failed(&self.path);
         let transaction = self.connection.transaction().map_err(&failed)?;
-        let changed = insert_frame(&transaction, frame).map_err(&failed)?;
+        let changed = insert_frame(&transaction, entry.frame).map_err(&failed)?;
         if changed == 0 {
             return Ok(None);
         }
         let id = transaction.last_insert_rowid();
-        if let Some(state) = tracker {
+        if let Some(state) = entry.tracker {
             let query = "INSERT INTO tracker VALUES (1, ?1) ON CONFLICT (id) DO UPDATE SET state = excluded.state";
             transaction.prepare_cached(query).and_then(|mut query| query.execute([state])).map_err(&failed)?;
         }
-        for event in events {
+        for event in entry.events {
             insert_event(&transaction, event, Some(id)).map_err(&failed)?;
         }
-        if let Some(file) = file {
+        if let Some(applied) = entry.applied {
+            corrections::apply(&transaction, applied, id, entry.frame.observed_s).map_err(&failed)?;
+        }
+        if let Some(correction) = entry.correction {
+            corrections::insert(&transaction, correction, id).map_err(&failed)?;
+        }
+        if let Some(file) = entry.file {
             insert_file(&transaction, file).map_err(&failed)?;
         }
         transaction.commit().map_err(&failed)?;

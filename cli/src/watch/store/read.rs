@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 
 /// A connection that reads.
 pub struct Reader {
-    path: PathBuf,
-    connection: Connection,
+    pub(super) path: PathBuf,
+    pub(super) connection: Connection,
 }
 
 /// Numbers of frames.
@@ -63,7 +63,7 @@ impl Reader {
         }
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(path, flags).map_err(failed(path))?;
-        if schema::check(path, &connection)? {
+        if schema::check(path, &connection)? == 0 {
             return Err(Error::file(path, "is empty: the --state file of a cophase watch is needed"));
         }
         Ok(Self { path: path.to_path_buf(), connection })

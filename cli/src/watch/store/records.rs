@@ -159,7 +159,7 @@ impl Frame {
 pub struct Event {
     /// s since 1970.
     pub time_s: f64,
-    /// `segment`, `wavefront`, `outlier`, `refused`, `source`, `disk` or `watch`.
+    /// `segment`, `wavefront`, `correction`, `source` or `disk`.
     pub kind: &'static str,
     /// What a person reads.
     pub sentence: String,

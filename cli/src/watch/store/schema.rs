@@ -7,8 +7,8 @@ use std::path::Path;
 
 /// `application_id` of the file: "CoWa".
 const APPLICATION: i64 = 0x436f_5761;
-/// Version of the tables below.
-const VERSION: i64 = 1;
+/// Version of the tables below. Version 1 had no table `corrections`.
+const VERSION: i64 = 2;
 
 /// Times are seconds since 1970 (UTC), vectors are doubles in little-endian order; a number that is not known is NULL.
 const TABLES: &str = "
@@ -59,16 +59,41 @@ CREATE TABLE events (
 );
 ";
 
-/// Makes the tables in a new file; checks those of another.
+/// Corrections: what one changes of the coefficients, the tracked state and its error bars when it was written, and what was seen of it.
+const CORRECTIONS: &str = "
+CREATE TABLE corrections (
+    id INTEGER PRIMARY KEY,
+    frame INTEGER NOT NULL REFERENCES frames (id),
+    written_s REAL NOT NULL,
+    change_nm BLOB NOT NULL,
+    state_nm BLOB NOT NULL,
+    state_sigma_nm BLOB NOT NULL,
+    phasing_rms_nm REAL NOT NULL,
+    ncpa_rms_nm REAL NOT NULL,
+    segment_modes INTEGER NOT NULL,
+    ncpa_modes INTEGER NOT NULL,
+    replaced_by INTEGER,
+    applied_frame INTEGER REFERENCES frames (id),
+    applied_s REAL,
+    applied_part TEXT,
+    applied_fraction REAL,
+    applied_fraction_error REAL
+);
+";
+
+/// Makes the tables in a new file; checks those of another, and adds what an earlier version lacks.
 pub(super) fn prepare(path: &Path, connection: &mut Connection) -> Result<()> {
     let failed = failed(path);
-    let is_new = check(path, connection)?;
+    let found = check(path, connection)?;
     // The log takes a frame with one write and one synchronisation; FULL makes that survive a power cut.
     connection.pragma_update(None, "journal_mode", "WAL").map_err(&failed)?;
     connection.pragma_update(None, "synchronous", "FULL").map_err(&failed)?;
-    if is_new {
+    if found < VERSION {
         let transaction = connection.transaction().map_err(&failed)?;
-        transaction.execute_batch(TABLES).map_err(&failed)?;
+        if found == 0 {
+            transaction.execute_batch(TABLES).map_err(&failed)?;
+        }
+        transaction.execute_batch(CORRECTIONS).map_err(&failed)?;
         transaction.pragma_update(None, "application_id", APPLICATION).map_err(&failed)?;
         transaction.pragma_update(None, "user_version", VERSION).map_err(&failed)?;
         transaction.commit().map_err(&failed)?;
@@ -76,25 +101,25 @@ pub(super) fn prepare(path: &Path, connection: &mut Connection) -> Result<()> {
     Ok(())
 }
 
-/// Whether the file is empty, as a new one is.
+/// Version of the tables; 0 where the file is empty, as a new one is.
 ///
 /// # Errors
 /// [`Error::File`] for a file that is no store, or one of a newer version.
-pub(super) fn check(path: &Path, connection: &Connection) -> Result<bool> {
+pub(super) fn check(path: &Path, connection: &Connection) -> Result<i64> {
     let failed = failed(path);
     let number = |query: &str| connection.query_row(query, [], |row| row.get::<_, i64>(0)).map_err(&failed);
     let (application, version) = (number("PRAGMA application_id")?, number("PRAGMA user_version")?);
     if application == 0 && version == 0 && number("SELECT count(*) FROM sqlite_master")? == 0 {
-        return Ok(true);
+        return Ok(0);
     }
     if application != APPLICATION {
         return Err(Error::file(path, "is a database of another program: name another file with --state"));
     }
-    if version != VERSION {
+    if !(1..=VERSION).contains(&version) {
         return Err(Error::file(
             path,
-            format_args!("has version {version} of the tables, where this version of cophase accepts {VERSION}"),
+            format_args!("has version {version} of the tables, where this version of cophase accepts 1 to {VERSION}"),
         ));
     }
-    Ok(false)
+    Ok(version)
 }

@@ -1,6 +1,7 @@
 //! `cophase watch`: each frame counts exactly once, also across kills, restarts and full disks.
 
 mod browser;
+mod corrections;
 mod faults;
 mod folder;
 mod night;

@@ -107,7 +107,13 @@ fn a_night_is_exported_as_a_table_and_as_fits() {
     let export = |output: &str| desk.succeeds(&["watch", "--export", output, "--state", "night.db"]);
     assert!(export("night.csv").out.contains("night.csv: 3 frames"));
     export("night.fits");
+    export("night.html");
     watch.stop();
+    let report = std::fs::read_to_string(desk.path("night.html")).unwrap();
+    // The odd name, escaped, with the reason; nothing that a browser would ask for.
+    assert!(report.contains("zz, &quot;odd&quot;.fits") && report.contains("<h2>Alarms</h2>"), "{report}");
+    assert!(!report.contains("<script") && !report.contains("http") && !report.contains("<img"), "{report}");
+    assert_eq!((report.matches("<polygon").count(), report.matches("class=\"dot\"").count()), (7, 8));
     let table = std::fs::read_to_string(desk.path("night.csv")).unwrap();
     let lines: Vec<&str> = table.split_terminator("\r\n").collect();
     assert_eq!(lines.len(), 4);
@@ -131,7 +137,11 @@ fn a_night_is_exported_as_a_table_and_as_fits() {
     }
     assert!(file.has("EVENTS") && file.has("SCENE"));
     let bad = ["watch", "--export", "night.txt", "--state", "night.db"];
-    desk.run(&bad).failed(&bad, &["night.txt", ".csv"]);
+    desk.run(&bad).failed(&bad, &["night.txt", ".csv", ".html"]);
+    // A report that was there stays where there is nothing to write.
+    let none = ["watch", "--export", "night.html", "--state", "other.db"];
+    desk.run(&none).failed(&none, &["other.db", "does not exist"]);
+    assert_eq!(std::fs::read_to_string(desk.path("night.html")).unwrap(), report);
     let missing = ["watch", "--export", "new.csv", "--state", "other.db"];
     desk.run(&missing).failed(&missing, &["other.db", "does not exist"]);
 }

@@ -114,6 +114,7 @@ fn the_page_and_its_json_show_the_frames() {
     assert!(!site.json("/api/ncpa")["nm"].as_array().unwrap().is_empty());
     assert!(!site.json("/api/image")["residual_sigma"].as_array().unwrap().is_empty());
     assert!(site.json("/api/events")["events"].as_array().unwrap().is_empty());
+    assert!(site.json("/api/corrections")["corrections"].as_array().unwrap().is_empty());
     let frames = site.json("/api/frames?after=2&limit=1");
     assert_eq!(frames["frames"][0]["id"], 3);
     assert!(site.json("/api/frames/1")["coefficients_nm"].as_array().unwrap().len() > 14);

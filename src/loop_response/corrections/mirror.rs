@@ -1,0 +1,67 @@
+//! What the mirror and the sensor's reference slopes have to take up of the NCPA.
+
+use super::errors::{CorrectableErrors, NcpaModes};
+use crate::Result;
+use crate::ao::actuators_in_use;
+use crate::linear_algebra::SpdInverse;
+use crate::loop_response::sensor_model::SensorModel;
+use crate::modes::Samples;
+use crate::pupil::Pupil;
+use crate::retrieval::IlluminatedSamples;
+use crate::scene::Scene;
+use crate::telescope::Telescope;
+use ndarray::{Array1, Array2, ArrayView1};
+
+/// Regularisation of the fit of the mirror's commands, as a fraction of the strongest actuator's: bounds the commands of actuators
+/// at the edge of the pupil.
+const REGULARISATION: f64 = 1e-4;
+
+/// Position of each actuator, m, and the command, nm, with which the mirror takes the shape of the NCPA `ncpa_nm`: least squares over the
+/// pupil. The mirror is subtracted from the wavefront.
+pub(super) fn mirror_commands(
+    scene: &Scene,
+    telescope: &Telescope,
+    modes: &NcpaModes,
+    ncpa_nm: &[f64],
+) -> Result<Vec<([f64; 2], f64)>> {
+    let samples = Samples::from_pupil(&telescope.pupil)?;
+    let influence = actuators_in_use(scene, telescope)?;
+    let shapes = influence.evaluate(&samples.xs_m, &samples.ys_m)?;
+    let weighted = &shapes * &ArrayView1::from(&samples.weights);
+    let wanted_nm = match modes {
+        NcpaModes::Smooth(basis) => ArrayView1::from(ncpa_nm).dot(&basis.evaluate(&samples.xs_m, &samples.ys_m)?),
+        NcpaModes::Maps(map_nm) => without_pointing(&telescope.pupil, &samples, &map_nm(ncpa_nm))?,
+    };
+    let mut gram = weighted.dot(&shapes.t());
+    let strongest = gram.diag().iter().copied().fold(0.0, f64::max);
+    gram.diag_mut().iter_mut().for_each(|value| *value += REGULARISATION * strongest);
+    let commands_nm: Array1<f64> = SpdInverse::new(&gram)?.inverse.dot(&weighted.dot(&wanted_nm));
+    let positions_m = influence.positions_m().into_iter().map(|(x_m, y_m)| [x_m, y_m]);
+    Ok(positions_m.zip(commands_nm).collect())
+}
+
+/// The map at the samples, without piston, tip and tilt.
+fn without_pointing(pupil: &Pupil, samples: &Samples, map_nm: &Array2<f64>) -> Result<Array1<f64>> {
+    let columns = map_nm.ncols();
+    let flat_nm = pupil.remove_piston_tip_tilt(map_nm.view())?;
+    Ok(samples.indices.iter().map(|&at| flat_nm[[at / columns, at % columns]]).collect())
+}
+
+/// Offsets of the sensor's reference slopes that hold the mirror where [`mirror_commands`] puts it, mas: the sensor measures the opposite
+/// of the NCPA.
+pub(super) fn reference_slopes(
+    scene: &Scene,
+    telescope: &Telescope,
+    errors: &CorrectableErrors,
+    ncpa_nm: &[f64],
+) -> Result<Vec<f64>> {
+    let NcpaModes::Smooth(basis) = errors.ncpa else { return Ok(Vec::new()) };
+    if scene.control.is_none() || scene.wavefront_sensor.is_none() {
+        return Ok(Vec::new());
+    }
+    let grid = telescope.pupil.grid;
+    let illuminated = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
+    let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
+    let mut sensor = SensorModel::new(scene, telescope, &illuminated, basis)?;
+    Ok(sensor.slopes_mas(&opposite_nm)?.to_vec())
+}
