@@ -98,7 +98,7 @@ section! {
         pixels_across: Option<usize>, between(1.0, 256.0), unset("20 for kind = \"pyramid\"");
         /// Number of pupil samples across such a pixel.
         samples_per_pixel: Option<usize>, even(2.0, 64.0), unset("6 for kind = \"pyramid\"");
-        /// Radius of the pyramid's circular modulation in units of wavelength_nm over pupil.grid_m; 0 for none.
+        /// Radius of the pyramid's circular modulation; 0 for none.
         modulation_lambda_over_d: Option<f64>, between(0.0, 30.0), unset("3 for kind = \"pyramid\"");
         /// Number of points on the circle of the modulation, a multiple of 4.
         modulation_points: Option<usize>, between(4.0, 1024.0), unset("the least multiple of 4 from 16 on that is 2πr + 3(2πr)^(1/3) or more for a radius r");
