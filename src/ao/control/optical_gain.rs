@@ -164,26 +164,30 @@ mod tests {
         let mut gains = OpticalGains::new(law.reconstructor().unwrap(), plant.interaction, 10.0);
         let mut controller = law.start();
         let mut drive = |gains: &mut OpticalGains, frames: u32| {
-            let mut change = 0.0;
-            for _ in 0..frames {
+            let mut changes = 0.0;
+            for frame in 0..frames {
                 let mut commands = controller.commands_nm().to_vec();
                 gains.add_dither(&mut commands);
                 let on_mirror = ndarray::Array1::from_iter(commands.iter().map(|&nm| f64::from(nm)));
                 let slopes: Vec<f32> = (-0.6 * plant.interaction.dot(&on_mirror)).iter().map(|&s| s as f32).collect();
                 let before = controller.commands_nm().to_vec();
                 controller.step(&slopes).unwrap();
-                change = before.iter().zip(controller.commands_nm()).map(|(a, b)| f64::from((a - b).powi(2))).sum();
+                if frame >= frames / 2 {
+                    let change = before.iter().zip(controller.commands_nm()).map(|(a, b)| f64::from((a - b).powi(2)));
+                    changes += change.sum::<f64>();
+                }
                 if gains.update(&slopes, &commands) {
                     controller.set_optical_gains(gains.gains());
                 }
             }
-            f64::sqrt(change)
+            f64::sqrt(changes)
         };
         let weak = drive(&mut gains, WINDOW);
         // Windows hold whole periods; what is not a sine is the transient of the first ten frames of a thousand.
         assert!(gains.gains().iter().all(|gain| (gain - 0.6).abs() < 0.01), "{:?}", gains.gains());
-        // The same phase of the sines a window later, with commands of a loop of full gain.
+        // An integrator of the gain k follows a sine of the angular frequency w per frame with the changes k·D/|exp(iw) − 1 + k|,
+        // D = |exp(iw) − 1|: with w from 2π/8 to 2π·0.15 those of k = 0.3 are 1.69 to 1.72 times those of 0.6·0.3.
         let restored = drive(&mut gains, WINDOW);
-        assert!((restored / weak - 1.0 / 0.6).abs() < 0.2, "{restored} {weak}");
+        assert!((restored / weak - 1.7).abs() < 0.06, "{restored} {weak}");
     }
 }

@@ -330,7 +330,12 @@ fn slopes_are_angles_with_the_sign_of_the_convention() {
     let count = bench.pixels.subapertures.len();
     let mut slopes = vec![0.0; 2 * count];
     sensor.measure(&map, None, &mut slopes).unwrap();
-    let mean = |slopes: &[f32]| f64::from(slopes.iter().sum::<f32>()) / count as f64;
+    // The unit is that of the mean over the pixels by their light.
+    let light = &bench.pixels.light;
+    let mean = |slopes: &[f32]| {
+        let sum: f64 = slopes.iter().zip(light).map(|(slope, light)| f64::from(*slope) * light).sum();
+        sum / light.iter().sum::<f64>()
+    };
     let unit_mas = bench.scene.wavelength_nm / WIDTH_M * super::super::MAS_PER_NM_M;
     for (found, expected) in [(mean(&slopes[..count]), 0.05), (mean(&slopes[count..]), -0.1)] {
         // Cubic terms are below (0.1/3)²/6; single precision.
