@@ -103,6 +103,11 @@ pub fn write_aot(path: &Path, simulator: &Simulator, shots: &[Shot], summary: &S
 /// As [`write_aot`].
 pub fn check_aot(scene: &Scene) -> Result<()> {
     let (sensing, _) = sections(scene)?;
+    if sensing.is_pyramid() {
+        let sentence =
+            "wavefront_sensor.kind = \"pyramid\" is not written to AOT: a scene with \"shack-hartmann\" is accepted";
+        return Err(Error::Value(sentence.into()));
+    }
     if sensing.reference_file.is_some() {
         let sentence = "wavefront_sensor.reference_file is not written to AOT: a scene without it is accepted";
         return Err(Error::Value(sentence.into()));

@@ -2,7 +2,7 @@
 //!
 //! An influence function is exactly 0 beyond some distance (`surface`), and a lenslet measures its own samples only. Actuators that share
 //! no lenslet are therefore pushed together: for Gaussian functions some fifty pairs of measurements take the place of one pair for each
-//! actuator, and give the same bits.
+//! actuator, and give the same bits. The slopes of a pyramid depend on the whole wavefront: its actuators are pushed one after the other.
 
 use super::footprint::Footprint;
 use super::sensor::Sensor;
@@ -46,9 +46,13 @@ pub(super) fn interaction(
     let lenslets = sensor.lenslets().clone();
     let moved: Vec<[Range<usize>; 2]> = (0..actuators)
         .map(|actuator| {
-            surface
-                .moved(actuator)
-                .map(|samples| samples.start / lenslets.samples..samples.end.div_ceil(lenslets.samples))
+            // A pyramid sees an actuator in all pixels.
+            let moved = if sensor.is_local() {
+                surface.moved(actuator)
+            } else {
+                [0..footprint.samples(), 0..footprint.samples()]
+            };
+            moved.map(|samples| samples.start / lenslets.samples..samples.end.div_ceil(lenslets.samples))
         })
         .collect();
     let mut matrix = Array2::zeros((slopes, actuators));

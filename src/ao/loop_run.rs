@@ -2,11 +2,11 @@
 //! the finished images with their telemetry to the recorder.
 
 use super::aligned::AlignedBuffer;
+use super::correction::CorrectionLoop;
 use super::divergence::{Divergence, DivergenceMonitor};
 use super::exposure::{ExposedWavefront, FinishedImage};
 use super::recorder::{Progress, Recorder, Shot};
 use super::schedule::{Exposure, Schedule};
-use super::simulator::CorrectionLoop;
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::collections::VecDeque;

@@ -1,8 +1,8 @@
 //! What a run gives to its caller: frames, images with their telemetry, statistics, progress.
 
+use super::correction::Frame;
 use super::divergence::Divergence;
 use super::profile::Profile;
-use super::simulator::Frame;
 use crate::Result;
 use ndarray::Array2;
 use std::sync::atomic::AtomicBool;

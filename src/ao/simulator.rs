@@ -9,7 +9,8 @@ use super::aligned::AlignedBuffer;
 use super::atmosphere::Atmosphere;
 use super::camera::{self, Optics, ScienceCamera, View};
 use super::channel::ChannelOptics;
-use super::control::{self, ControlLaw, Controller, Stability, segment_mask};
+use super::control::{self, ControlLaw, OpticalGains, Stability, segment_mask};
+use super::correction::{CorrectionLoop, Frame};
 use super::drift::Drift;
 use super::footprint::Footprint;
 use super::interaction::interaction;
@@ -21,7 +22,7 @@ use super::sensor::{GuideStar, Lenslets, Sensor, SlopeFormat, reference_mas};
 use super::surface::Surface;
 use crate::modes::{InfluenceFunctions, karhunen_loeve_complete};
 use crate::pupil::Pupil;
-use crate::scene::{ControlBasis, ControlScene, Scene, SensorMask, SensorScene};
+use crate::scene::{ControlBasis, ControlScene, OpticalGainMethod, Scene, SensorMask, SensorScene};
 use crate::source::{Truth, stream};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
@@ -33,79 +34,6 @@ use std::time::Instant;
 
 /// Random number stream of the sensor's noise under the seed of the turbulence; the streams below are the layers'.
 const SENSOR_STREAM: u64 = 1 << 32;
-
-/// State of the loop in one frame.
-#[derive(Debug, Clone, Copy)]
-pub struct Frame<'a> {
-    /// Number of the frame, from 0.
-    pub number: u64,
-    /// Time since the loop was closed, s.
-    pub time_s: f64,
-    /// Residual wavefront, nm: turbulence plus segment errors minus the mirror's surface; a map over the footprint.
-    pub residual_nm: &'a [f32],
-    /// RMS of the residual wavefront over the pupil, piston removed, nm.
-    pub residual_rms_nm: f64,
-    /// Measured slopes of the residual wavefront less the reference slopes: `[all x, all y]`, mas.
-    pub slopes_mas: &'a [f32],
-    /// Commands on the mirror during the frame, nm.
-    pub commands_nm: &'a [f32],
-}
-
-/// Segments, mirror, sensor and controller: the part of the loop between the turbulence and the camera.
-pub(super) struct CorrectionLoop {
-    pub(super) footprint: Footprint,
-    segments_nm: AlignedBuffer,
-    /// Drift of the segment errors and of the NCPA.
-    pub(super) drift: Option<Arc<Drift>>,
-    surface: Surface,
-    sensor: Sensor,
-    light: Option<GuideStar>,
-    controller: Controller,
-    slopes_mas: Vec<f32>,
-    /// Reference slopes, mas; none where they are 0.
-    reference_mas: Vec<f32>,
-    commands_nm: Vec<f32>,
-    pub(super) residual_rms_nm: f64,
-    pub(super) number: u64,
-    frame_s: f64,
-    pub(super) profile: Profile,
-}
-
-impl CorrectionLoop {
-    /// Advances the loop by one frame: turns the turbulence `opd_nm` into the residual wavefront, in place, and updates
-    /// the commands from its slopes.
-    pub(super) fn step(&mut self, opd_nm: &mut [f32]) -> Result<()> {
-        let started = Instant::now();
-        self.commands_nm.copy_from_slice(self.controller.commands_nm());
-        if let Some(drift) = &self.drift {
-            drift.segments_at(self.number, &mut self.segments_nm);
-        }
-        let moments = self.surface.correct(&self.commands_nm, &self.segments_nm, opd_nm)?;
-        let mean = moments[0] / self.footprint.total();
-        self.residual_rms_nm = (moments[1] / self.footprint.total() - mean * mean).max(0.0).sqrt();
-        let corrected = self.profile.lap(Stage::Mirror, started);
-        self.sensor.measure(opd_nm, self.light.as_mut(), &mut self.slopes_mas)?;
-        self.slopes_mas.iter_mut().zip(&self.reference_mas).for_each(|(slope, reference)| *slope -= reference);
-        let measured = self.profile.lap(Stage::Sensor, corrected);
-        self.controller.step(&self.slopes_mas)?;
-        self.profile.lap(Stage::Control, measured);
-        self.number += 1;
-        Ok(())
-    }
-
-    /// The last frame; `residual_nm` is the map that [`CorrectionLoop::step`] wrote.
-    pub(super) fn last<'a>(&'a self, residual_nm: &'a [f32]) -> Frame<'a> {
-        let number = self.number.saturating_sub(1);
-        Frame {
-            number,
-            time_s: number as f64 * self.frame_s,
-            residual_nm,
-            residual_rms_nm: self.residual_rms_nm,
-            slopes_mas: &self.slopes_mas,
-            commands_nm: &self.commands_nm,
-        }
-    }
-}
 
 /// AO simulation: telescope, turbulence, loop and science camera of a scene.
 pub struct Simulator {
@@ -195,6 +123,11 @@ impl Simulator {
             stroke_limit_nm: scene.mirror.stroke_limit_nm,
         };
         let law = ControlLaw::new(control_scene, &plant)?;
+        let has_dither = control_scene.optical_gains == OpticalGainMethod::Dither;
+        let gains = law
+            .reconstructor()
+            .filter(|_| has_dither)
+            .map(|reconstructor| OpticalGains::new(reconstructor, &interaction, control_scene.dither_nm));
         let frame_s = 1.0 / control_scene.frame_rate_hz;
         let atmosphere = Atmosphere::new(&scene.turbulence, &pupil.grid, &footprint, frame_s, scene.turbulence.seed)?;
         let mut noise = ChaCha8Rng::seed_from_u64(scene.turbulence.seed);
@@ -210,6 +143,7 @@ impl Simulator {
             reference_mas: reference_mas(scene, sensing, &SlopeFormat::new(sensing, sensor.lenslets())?)?,
             commands_nm: vec![0.0; surface.actuators()],
             controller: law.start(),
+            gains,
             residual_rms_nm: 0.0,
             number: 0,
             frame_s,

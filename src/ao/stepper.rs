@@ -1,9 +1,10 @@
 //! Loop that the caller advances frame by frame, with an image of the present frame: the simulator of the C, MATLAB and
 //! Python interfaces.
 
+use super::correction::Frame;
 use super::detector::Detector;
 use super::divergence::{Divergence, DivergenceMonitor};
-use super::simulator::{Frame, Simulator, sections};
+use super::simulator::{Simulator, sections};
 use crate::scene::Scene;
 use crate::{Error, Result};
 use ndarray::Array2;

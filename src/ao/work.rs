@@ -35,6 +35,9 @@ impl Simulator {
                 Work { flops: 2.0 * (columns + rows) + 6.0 * samples, bytes: 4.0 * map + self.surface_bytes() }
             }
             Stage::Sensor => {
+                if let Some(flops) = self.correction.sensor.pyramid_operations() {
+                    return Work { flops, bytes: 2.0 * map };
+                }
                 let sensing = self.scene().wavefront_sensor.as_ref();
                 let per_sample = sensing.map_or(0.0, operations_per_sample);
                 Work { flops: per_sample * samples, bytes: 2.0 * map }

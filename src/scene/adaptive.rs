@@ -3,7 +3,8 @@
 use super::table::{Check, Reader, default, section, unset};
 use super::value::{ANY, above, at_least, below, between, even, inside};
 use super::words::{
-    ControlBasis, Fill, Influence, Loop, ReconstructorKind, SensorDetector, SensorKind, SensorMask, SlopeOrder,
+    ControlBasis, Fill, Influence, Loop, OpticalGainMethod, ReconstructorKind, SensorDetector, SensorKind, SensorMask,
+    SlopeNormalisation, SlopeOrder,
 };
 use crate::Result;
 use std::path::PathBuf;
@@ -93,6 +94,16 @@ section! {
         lenslets_across: usize, between(1.0, 256.0), default(20usize);
         /// Number of pupil samples across a lenslet.
         samples_per_lenslet: usize, even(2.0, 64.0), default(12usize);
+        /// Number of detector pixels across the grid in each of the four images of the pupil, for kind = "pyramid": its subapertures.
+        pixels_across: Option<usize>, between(1.0, 256.0), unset("20 for kind = \"pyramid\"");
+        /// Number of pupil samples across such a pixel.
+        samples_per_pixel: Option<usize>, even(2.0, 64.0), unset("6 for kind = \"pyramid\"");
+        /// Radius of the pyramid's circular modulation; 0 for none.
+        modulation_lambda_over_d: Option<f64>, between(0.0, 30.0), unset("3 for kind = \"pyramid\"");
+        /// Number of points on the circle of the modulation, a multiple of 4.
+        modulation_points: Option<usize>, between(4.0, 1024.0), unset("the least multiple of 4 from 16 on that is 2πr + 3(2πr)^(1/3) or more for a radius r");
+        /// Normalisation of the slopes of a pyramid.
+        slope_normalisation: Option<SlopeNormalisation>, ANY, unset("\"global\" for kind = \"pyramid\"");
         /// Detector behind the lenslets, and the calculation of slopes from its spots.
         detector: SensorDetector, ANY, default(SensorDetector::QuadCell);
         /// Least light of a subaperture in use, as a fraction of that of a fully illuminated one.
@@ -132,7 +143,7 @@ section! {
         throughput: f64, above(0.0, 1.0), default(1.0);
         /// Read noise of a pixel of the sensor, RMS. Simulation only.
         read_noise_e: f64, between(0.0, 1e6), default(0.0);
-        /// R magnitude of the guide star. Simulation only.
+        /// Magnitude of the guide star in the band of zero_point_photons_s_m2. Simulation only.
         star_magnitude_r: f64, between(-10.0, 30.0), default(4.0);
         /// Whether the sensor has photon noise. Simulation only.
         photon_noise: bool, ANY, default(true);
@@ -144,8 +155,51 @@ section! {
     }
 }
 
+/// Keys that a pyramid alone has, and those that lenslets alone have.
+const PYRAMID_KEYS: [&str; 5] =
+    ["pixels_across", "samples_per_pixel", "modulation_lambda_over_d", "modulation_points", "slope_normalisation"];
+const LENSLET_KEYS: [&str; 6] =
+    ["lenslets_across", "samples_per_lenslet", "detector", "pixels_per_lenslet", "field_pixels", "threshold_e"];
+
+impl SensorScene {
+    /// Whether the sensor is a pyramid.
+    pub fn is_pyramid(&self) -> bool {
+        self.kind == SensorKind::Pyramid
+    }
+
+    /// Refuses the keys of the other kind of sensor, and sets those of a pyramid. The pixels of a pyramid are its subapertures: the keys
+    /// lenslets_across and samples_per_lenslet, which all users of subapertures read, take their numbers.
+    fn check_kind(&mut self, reader: &Reader) -> Result<()> {
+        if !self.is_pyramid() {
+            return reader.refuse(&PYRAMID_KEYS, "where wavefront_sensor.kind = \"shack-hartmann\"");
+        }
+        reader.refuse(&LENSLET_KEYS, "where wavefront_sensor.kind = \"pyramid\"")?;
+        self.lenslets_across = *self.pixels_across.get_or_insert(20);
+        self.samples_per_lenslet = *self.samples_per_pixel.get_or_insert(6);
+        let radius = *self.modulation_lambda_over_d.get_or_insert(3.0);
+        self.slope_normalisation.get_or_insert(SlopeNormalisation::Global);
+        // A spot at the Nyquist frequency of the samples has no side of the edge left to move to.
+        let nyquist = (self.lenslets_across * self.samples_per_lenslet) as f64 / 2.0;
+        if radius >= nyquist {
+            let sentence = format!(
+                "wavefront_sensor.modulation_lambda_over_d = {radius} is not accepted; less than {nyquist}, half the pupil samples across the grid, is needed"
+            );
+            return Err(reader.error("modulation_lambda_over_d", sentence));
+        }
+        match self.modulation_points {
+            Some(points) if !points.is_multiple_of(4) => {
+                let sentence =
+                    format!("wavefront_sensor.modulation_points = {points} is not accepted; a multiple of 4 is needed");
+                Err(reader.error("modulation_points", sentence))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 impl Check for SensorScene {
     fn check(&mut self, reader: &Reader) -> Result<()> {
+        self.check_kind(reader)?;
         if let Some(pixels) = self.pixels_per_lenslet
             && !(2 * self.samples_per_lenslet).is_multiple_of(pixels)
         {
@@ -213,6 +267,11 @@ section! {
         gain: f64, above(0.0, 2.0), default(0.3);
         /// Leak of the integrator: fraction of the command that is lost in a frame.
         leak: f64, below(0.0, 1.0), default(0.0);
+        /// Optical gains of the controlled modes: the response of a pyramid to a mode behind a residual wavefront, relative to that at the
+        /// measurement of the interaction matrix.
+        optical_gains: OpticalGainMethod, ANY, default(OpticalGainMethod::None);
+        /// RMS over the actuators of the command of each of the four sines, at their peak, for optical_gains = "dither".
+        dither_nm: f64, above(0.0, 1e4), default(10.0);
         /// Frame rate of the loop.
         frame_rate_hz: f64, above(0.0, 1e6), default(1054.0);
         /// Frames from a measurement to its correction, with a fraction where a command takes effect within a frame: the mean correction
@@ -234,6 +293,9 @@ impl Check for ControlScene {
         }
         if self.reconstructor == ReconstructorKind::Sparse {
             self.check_sparse(reader)?;
+        }
+        if self.optical_gains == OpticalGainMethod::Dither {
+            self.check_dither(reader)?;
         }
         if self.matrix_command_nm == 0.0 {
             let sentence =
@@ -273,6 +335,23 @@ impl ControlScene {
     /// Lag of the loop.
     pub fn lag(&self) -> LoopLag {
         LoopLag::new(self.lag_frames)
+    }
+
+    /// Checks the keys that a loop with optical gains cannot have: its controlled modes must be an inverse of the interaction matrix.
+    fn check_dither(&self, reader: &Reader) -> Result<()> {
+        reader.refuse(&["command_matrix_file"], "where control.optical_gains = \"dither\"")?;
+        if self.reconstructor == ReconstructorKind::Sparse {
+            let sentence = "control.reconstructor = \"sparse\" is not accepted where control.optical_gains = \"dither\"; \"dense\" is needed";
+            return Err(reader.error("reconstructor", sentence));
+        }
+        if self.r#loop != Loop::Closed {
+            let sentence = format!(
+                "control.loop = \"{}\" is not accepted where control.optical_gains = \"dither\"; \"closed\" is needed",
+                self.r#loop.word()
+            );
+            return Err(reader.error("loop", sentence));
+        }
+        Ok(())
     }
 
     /// Checks the keys that a sparse reconstructor cannot have, and sets its regularisation.

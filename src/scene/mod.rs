@@ -44,8 +44,9 @@ pub(crate) use purpose::Purpose;
 pub use telescope::{AberrationScene, ImageScene};
 pub use words::{
     AoKnowledge, Aperture, Combine, ControlBasis, Crop, DeviceChoice, Fill, Influence, Loop, Method, ModelChoice,
-    NcpaBasis, Optic, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling, SegmentConvention, SegmentModes,
-    SensorDetector, SensorKind, SensorMask, SlopeOrder, Telemetry, Weighting,
+    NcpaBasis, Optic, OpticalGainMethod, Optimizer, Precision, PupilModel, ReconstructorKind, Sampling,
+    SegmentConvention, SegmentModes, SensorDetector, SensorKind, SensorMask, SlopeNormalisation, SlopeOrder, Telemetry,
+    Weighting,
 };
 
 use crate::{Error, Result};
@@ -158,7 +159,7 @@ impl<S: Section + Check> Entry for Option<S> {
 }
 
 /// Preset scenes: name and text.
-const PRESETS: [(&str, &str); 12] = [
+const PRESETS: [(&str, &str); 13] = [
     ("keck-artificial", include_str!("presets/keck-artificial.toml")),
     ("keck-nirc2", include_str!("presets/keck-nirc2.toml")),
     ("keck-pair", include_str!("presets/keck-pair.toml")),
@@ -169,6 +170,7 @@ const PRESETS: [(&str, &str); 12] = [
     ("elt-artificial", include_str!("presets/elt-artificial.toml")),
     ("gmt", include_str!("presets/gmt.toml")),
     ("keck-onsky", include_str!("presets/keck-onsky.toml")),
+    ("keck-pyramid", include_str!("presets/keck-pyramid.toml")),
     ("tmt-onsky", include_str!("presets/tmt-onsky.toml")),
     ("elt-onsky", include_str!("presets/elt-onsky.toml")),
 ];
@@ -353,6 +355,12 @@ impl Sections {
         if self.control.is_some() && self.wavefront_sensor.is_none() {
             let sentence = "[control] is named without a sensor; a section [wavefront_sensor] is needed";
             return Err(reader("control").error("", sentence));
+        }
+        if self.wavefront_sensor.as_ref().is_some_and(SensorScene::is_pyramid)
+            && self.control.as_ref().is_some_and(|control| control.reconstructor == ReconstructorKind::Sparse)
+        {
+            let sentence = "control.reconstructor = \"sparse\" is not accepted where wavefront_sensor.kind = \"pyramid\", whose slopes depend on the whole wavefront; \"dense\" is needed";
+            return Err(reader("control").error("reconstructor", sentence));
         }
         Ok(())
     }

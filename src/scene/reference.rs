@@ -4,7 +4,8 @@ use super::section_keys::SectionKeys;
 use std::fmt::Write;
 
 /// Suffixes of keys and their units, longer ones first.
-const UNITS: [(&str, &str); 20] = [
+const UNITS: [(&str, &str); 21] = [
+    ("modulation_lambda_over_d", "wavelength_nm over grid_m"),
     ("_over_d", "pixels per λ/grid_m"),
     ("_waves_rms", "waves RMS"),
     ("_waves_pv", "waves, peak to valley"),

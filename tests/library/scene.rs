@@ -51,7 +51,7 @@ fn refused_setting(preset: &str, settings: Settings) -> String {
 
 #[test]
 fn the_presets_have_the_expected_values() {
-    let names = "keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, gmt, keck-onsky, tmt-onsky, elt-onsky";
+    let names = "keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, gmt, keck-onsky, keck-pyramid, tmt-onsky, elt-onsky";
     assert_eq!(Scene::preset_names().join(", "), names);
     let scene = Scene::preset("keck-artificial").unwrap();
     assert_eq!(scene.pupil.aperture, Aperture::Keck);
@@ -373,7 +373,7 @@ fn settings_with_unknown_keys_are_refused() {
     let error = Scene::preset("keck-onski").unwrap_err().to_string();
     assert_eq!(
         error,
-        "there is no preset 'keck-onski'; keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, gmt, keck-onsky, tmt-onsky, elt-onsky are accepted; did you mean 'keck-onsky'?"
+        "there is no preset 'keck-onski'; keck-artificial, keck-nirc2, keck-pair, keck-two-colour, jwst-pair, gtc-artificial, tmt-artificial, elt-artificial, gmt, keck-onsky, keck-pyramid, tmt-onsky, elt-onsky are accepted; did you mean 'keck-onsky'?"
     );
 }
 

@@ -78,6 +78,13 @@ impl Controller {
         Ok(())
     }
 
+    /// Divides the controlled modes by these optical gains from now on, where the law has any.
+    pub(in crate::ao) fn set_optical_gains(&mut self, gains: &[f32]) {
+        if let Workspace::Modal(workspace) = &mut self.workspace {
+            workspace.divide_by(gains);
+        }
+    }
+
     /// Holds the mirror at these commands, nm, as if they had been on it in every frame before.
     pub(in crate::ao) fn hold(&mut self, commands_nm: &Array1<f64>) {
         for commands in self.queue.iter_mut().chain([&mut self.mixed]) {

@@ -2,13 +2,14 @@
 
 use super::controller::{Controller, Step};
 use super::inpaint::Inpainting;
+use super::modal_step::ModalStep;
 use super::plant::Plant;
 use super::reconstructor::Reconstructor;
 use super::regularized::{SparseReconstructor, SparseStep};
 use super::stability::{Stability, retained};
 use super::step::StepMatrix;
 use super::step_map::StepMap;
-use crate::scene::{ControlScene, Fill, Loop, ReconstructorKind};
+use crate::scene::{ControlScene, Fill, Loop, OpticalGainMethod, ReconstructorKind};
 use crate::{Error, Result};
 use ndarray::Array2;
 use std::sync::Arc;
@@ -55,6 +56,14 @@ impl ControlLaw {
         };
         let stability = Stability::new(scene, &reconstructor, inpainting.as_ref(), plant.interaction)?;
 
+        if scene.optical_gains == OpticalGainMethod::Dither {
+            let inverse = reconstructor.inverse();
+            let inverse =
+                inpainting.as_ref().map_or_else(|| inverse.clone(), |inpainting| inpainting.fold_into(inverse));
+            let modal = ModalStep::new(inverse, reconstructor.modes() * scene.gain);
+            let step = step(scene, plant, StepMap::Modal(modal));
+            return Ok(Self { step: Arc::new(step), inverse: Inverse::Dense(reconstructor), inpainting, stability });
+        }
         let command = reconstructor.command_matrix() * scene.gain;
         let filled = inpainting.as_ref().map(|inpainting| inpainting.fold_into(&command));
         let on_commands = on_commands(scene.r#loop, &command, filled.as_ref(), plant.interaction);
@@ -98,7 +107,7 @@ impl ControlLaw {
     /// Least operations and bytes of a frame with a sparse reconstructor.
     pub(in crate::ao) fn sparse_work(&self) -> Option<[f64; 2]> {
         match &self.step.matrix {
-            StepMap::Dense(_) => None,
+            StepMap::Dense(_) | StepMap::Modal(_) => None,
             StepMap::Sparse(step) => Some(step.work()),
         }
     }

@@ -16,7 +16,7 @@
 //!
 //! where M is the inpainting of masked slopes, the identity unless `fill = "inpaint"`. The second law is B.
 //! Ellerbroek's (2003), the third the cheaper variant that the paper suggests; with M = 1 the third equals the first.
-//! All laws are one linear step: a dense matrix, or with `control.reconstructor = "sparse"` a banded solution of the normal equations
+//! All laws are one linear step: a dense matrix, with `control.optical_gains` the same by modes, or with `control.reconstructor = "sparse"` a banded solution of the normal equations
 //! of a local interaction matrix.
 
 mod band;
@@ -25,6 +25,8 @@ mod inpaint;
 mod law;
 mod linalg;
 mod mask;
+mod modal_step;
+mod optical_gain;
 mod plant;
 mod reconstructor;
 mod regularized;
@@ -40,6 +42,7 @@ pub use inpaint::Inpainting;
 pub use law::ControlLaw;
 pub(crate) use linalg::{Svd, svd};
 pub use mask::segment_mask;
+pub(in crate::ao) use optical_gain::OpticalGains;
 pub use plant::Plant;
 pub use reconstructor::Reconstructor;
 pub use regularized::SparseReconstructor;

@@ -1,13 +1,15 @@
-//! Shack-Hartmann wavefront sensor: lenslets, spots, detector, slopes.
+//! Wavefront sensor: lenslets, spots, detector and slopes of a Shack-Hartmann sensor, or a pyramid and its images of the pupil.
 //!
 //! A slope is the tilt of the wavefront over a subaperture as an angle on the sky, mas: positive along x where the
-//! wavefront grows along +x. Slopes are `[all x, all y]` over the subapertures in use, ascending.
+//! wavefront grows along +x. Slopes are `[all x, all y]` over the subapertures in use, ascending. Subapertures of a pyramid are the
+//! pixels of an image of the pupil; a slope is the tilt of the whole wavefront that has the pixel's signal on average.
 
 mod geometric;
 mod lenslets;
 mod light;
 mod misregistration;
 mod pixels;
+mod pyramid;
 mod quad_cell;
 mod reference;
 mod slope_order;
@@ -28,21 +30,26 @@ use crate::{Error, Result};
 use geometric::Geometric;
 use misregistration::Misregistration;
 use pixels::Pixels;
+use pyramid::Pyramid;
 use quad_cell::QuadCell;
 
 /// Tilt that calibrates the slopes, mas: a thousandth of a spot's width, so that the response is linear, and 1e4 times
 /// the resolution of single precision.
 const CALIBRATION_MAS: f64 = 1.0;
 
-/// Detector behind the lenslets.
+/// Detector behind the lenslets or the pyramid.
 enum Detector {
     QuadCell(QuadCell),
     Pixels(Pixels),
     Geometric(Geometric),
+    Pyramid(Box<Pyramid>),
 }
 
 impl Detector {
     fn new(scene: &SensorScene, lenslets: &Lenslets, grid: &Grid, footprint: &Footprint) -> Self {
+        if scene.is_pyramid() {
+            return Self::Pyramid(Box::new(Pyramid::new(scene, lenslets, footprint)));
+        }
         match scene.detector {
             SensorDetector::QuadCell => Self::QuadCell(QuadCell::new(lenslets, footprint, scene.wavelength_nm)),
             SensorDetector::Pixels => Self::Pixels(Pixels::new(scene, lenslets, footprint)),
@@ -56,6 +63,20 @@ impl Detector {
             Self::QuadCell(cell) => cell.raw_slopes(opd_nm, light, slopes),
             Self::Pixels(pixels) => pixels.raw_slopes(opd_nm, light, slopes),
             Self::Geometric(geometric) => geometric.raw_slopes(opd_nm, slopes),
+            Self::Pyramid(pyramid) => pyramid.raw_slopes(opd_nm, light, slopes),
+        }
+    }
+
+    /// Response to a tilt from its slopes along x and those of a flat wavefront, subapertures with this `light`: that of the brightest
+    /// lenslet; the mean of a pyramid, whose pixels differ.
+    fn response(&self, tilted: &[f32], flat: &[f32], light: &[f64]) -> f32 {
+        let difference = |i: usize| tilted[i] - flat[i];
+        match self {
+            Self::Pyramid(_) => {
+                let all: f64 = light.iter().enumerate().map(|(i, light)| light * f64::from(difference(i))).sum();
+                (all / light.iter().sum::<f64>()) as f32
+            }
+            _ => difference((0..light.len()).max_by(|&a, &b| light[a].total_cmp(&light[b])).unwrap_or(0)),
         }
     }
 }
@@ -77,8 +98,8 @@ pub struct Sensor {
 impl Sensor {
     /// Builds and calibrates the sensor of `scene` over a pupil on the simulator's grid.
     ///
-    /// The scale of the slopes is the response of the brightest subaperture to a small tilt; their zero is a flat
-    /// wavefront.
+    /// The scale of the slopes is the response of the brightest lenslet, or the mean one of a pyramid's pixels, to a small tilt; their zero
+    /// is a flat wavefront.
     ///
     /// # Errors
     /// [`Error::Value`] for a sensor that does not respond to a tilt.
@@ -91,9 +112,7 @@ impl Sensor {
         sensor.detector.raw_slopes(&footprint.zeros(), None, &mut flat);
         let mut tilted = vec![0.0; slopes];
         sensor.detector.raw_slopes(&tilt(CALIBRATION_MAS, &pupil.grid, footprint), None, &mut tilted);
-        let light = &sensor.lenslets.light;
-        let best = (0..light.len()).max_by(|&a, &b| light[a].total_cmp(&light[b])).unwrap_or(0);
-        let response = tilted[best] - flat[best];
+        let response = sensor.detector.response(&tilted, &flat, &sensor.lenslets.light);
         if !(response.is_finite() && response > 0.0) {
             return Err(Error::Value(format!(
                 "the wavefront sensor's response to a tilt of {CALIBRATION_MAS} mas is {response}; a positive response is \
@@ -131,6 +150,19 @@ impl Sensor {
     /// Lenslets, and the subapertures in use.
     pub fn lenslets(&self) -> &Lenslets {
         &self.lenslets
+    }
+
+    /// Whether a slope depends on the wavefront over its subaperture alone.
+    pub(super) fn is_local(&self) -> bool {
+        !matches!(self.detector, Detector::Pyramid(_))
+    }
+
+    /// Least operations of a frame of a pyramid; `None` for lenslets.
+    pub(super) fn pyramid_operations(&self) -> Option<f64> {
+        match &self.detector {
+            Detector::Pyramid(pyramid) => Some(pyramid.operations()),
+            _ => None,
+        }
     }
 
     /// Number of slopes: two for each subaperture.

@@ -52,6 +52,30 @@ words! {
     SensorKind {
         /// An array of lenslets.
         ShackHartmann = "shack-hartmann",
+        /// A four-sided pyramid in the focus, with a circular modulation, and four images of the pupil behind it.
+        Pyramid = "pyramid",
+    }
+}
+
+words! {
+    /// Measurement of the optical gains of a sensor whose response depends on the residual wavefront.
+    #[derive(Copy)]
+    OpticalGainMethod {
+        /// None: modes have the response of the calibration.
+        None = "none",
+        /// Sines of a few modes on the mirror, found again in the slopes; each mode is divided by its gain.
+        Dither = "dither",
+    }
+}
+
+words! {
+    /// Normalisation of the slopes of a pyramid sensor.
+    #[derive(Copy)]
+    SlopeNormalisation {
+        /// Differences of a pixel's four intensities over their mean sum in all pixels in use (Vérinaud 2004, Opt. Commun. 233, 27).
+        Global = "global",
+        /// Differences of a pixel's four intensities over their own sum (Ragazzoni 1996, J. Mod. Opt. 43, 289).
+        Pixel = "pixel",
     }
 }
 

@@ -34,7 +34,8 @@ mod estimate;
 mod telescope;
 
 pub use adaptive::{
-    ControlBasis, Fill, Influence, Loop, ReconstructorKind, SensorDetector, SensorKind, SensorMask, SlopeOrder,
+    ControlBasis, Fill, Influence, Loop, OpticalGainMethod, ReconstructorKind, SensorDetector, SensorKind, SensorMask,
+    SlopeNormalisation, SlopeOrder,
 };
 pub use device::{Crop, DeviceChoice};
 pub use estimate::{
