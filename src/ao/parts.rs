@@ -7,7 +7,7 @@ use crate::Result;
 use crate::machine;
 use crate::modes::InfluenceFunctions;
 use crate::pupil::{Grid, Pupil};
-use crate::scene::{Scene, SensorScene};
+use crate::scene::{Scene, SensorKind, SensorScene};
 use crate::source::Truth;
 use crate::telescope::Telescope;
 
@@ -70,8 +70,13 @@ fn at_subapertures(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFuncti
     let mirror = Telescope::mirror(scene)?;
     let middle = (lenslets.across as f64 - 1.0) / 2.0;
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
-    // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide.
-    let reach_m = 0.501 * lenslets.pitch_m.max(mirror.pitch_m());
+    let is_pyramid = scene.wavefront_sensor.as_ref().is_some_and(|sensor| sensor.kind == SensorKind::Pyramid);
+    // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide. Pixels of a pyramid may be several to a pitch, and
+    // an actuator is at a corner of those within a pitch: without it the rim of the pupil would be out of control.
+    let reach_m = match is_pyramid {
+        true => (0.501 * lenslets.pitch_m).max(mirror.pitch_m() - 0.499 * lenslets.pitch_m),
+        false => 0.501 * lenslets.pitch_m.max(mirror.pitch_m()),
+    };
     mirror.select(|x_m, y_m| {
         let is_near = |&place: &usize| {
             (centre(place % lenslets.across) - x_m).abs() <= reach_m

@@ -2,7 +2,7 @@
 //! the exposures that they were estimated from, by which their order and their sign are told.
 
 use cophase::Error;
-use cophase::ao::{Sensor, Stepper};
+use cophase::ao::{Progress, Sensor, Shot, Simulator, Stepper};
 use cophase::io::{FitsReader, FitsWriter, Pixel};
 use cophase::modes::{Samples, SegmentModes};
 use cophase::pipeline::{Estimate, Estimator, Images};
@@ -46,6 +46,37 @@ fn estimates_in_single_and_double_precision_agree() {
     // A retrieval stops within a fraction of what its noise leaves, in either precision somewhere else.
     let within = |((one, other), sigma): ((&f64, &f64), f64)| (one - other).abs() < sigma;
     assert!(one_nm.iter().zip(other_nm).zip(double.sigma_nm()).all(within), "{one_nm:?} {other_nm:?}");
+}
+
+/// The motion of the turbulence during exposures of 30 ms, with the telescope's own errors at 0: what it leaves in the NCPA where the estimate
+/// knows the exposure, and where it takes it for an instant.
+#[test]
+fn exposures_that_the_turbulence_blurs_leave_no_ncpa() {
+    let settings = [
+        ("estimate.method", "full-phase"),
+        ("aberrations.segment_piston_rms_nm", "0"),
+        ("aberrations.ncpa_rms_nm", "0"),
+        ("image.exposure_s", "0.030"),
+        ("image.interval_s", "0.06"),
+        ("image.count", "24"),
+    ];
+    let scene = Scene::from_file(sky()).unwrap().with(&settings).unwrap();
+    let mut shots: Vec<Shot> = Vec::new();
+    Simulator::new(&scene).unwrap().run(&mut shots, &mut Progress { watch: None, cancel: None }).unwrap();
+    let views: Vec<_> = shots.iter().map(|shot| shot.image_e.mapv(f64::from)).collect();
+    let images_e = ndarray::stack(Axis(0), &views.iter().map(|image| image.view()).collect::<Vec<_>>()).unwrap();
+    let slopes_mas = Array2::from_shape_fn((shots.len(), shots[0].mean_slopes_mas.len()), |(image, slope)| {
+        f64::from(shots[image].mean_slopes_mas[slope])
+    });
+    let images = Images { slopes_mas: Some(slopes_mas), ..Images::new(images_e) };
+    let [known, instant] = ["0.030", "1e-6"].map(|exposure_s| {
+        let estimate = read(&scene.with_override("image.exposure_s", exposure_s).unwrap(), &images).unwrap();
+        (estimate.ncpa.rms_nm, estimate.ncpa.sigma_nm)
+    });
+    println!("NCPA and error bar, nm RMS: {known:?}, {instant:?} for an instant");
+    // The error bar says how far chance may take it; two of them are 5 %.
+    assert!(known.0 < 2.0 * known.1, "{known:?}");
+    assert!(known.0 < 0.5 * instant.0, "{known:?} {instant:?}");
 }
 
 /// The whole estimate on every OpenCL device: what it says of itself, and the CPU's answer.

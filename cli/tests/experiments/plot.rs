@@ -212,9 +212,9 @@ fn curves_have_a_legend_and_named_lines() {
 
 #[test]
 fn the_name_of_a_line_makes_way_for_the_legend() {
-    // Points along the bottom and the right edge: the legend is at the top left, above the first of two lines.
-    let bottom = (0..=100).map(|x| (f64::from(x), -1.0));
-    let right = (0..=100).map(|y| (95.0, f64::from(y) / 50.0 - 1.0));
+    // Many points along the bottom and the right edge: the legend is at the top left, above the first of two lines, whose name counts least.
+    let bottom = (0..=1000).map(|x| (f64::from(x) / 10.0, -1.0));
+    let right = (0..=1000).map(|y| (95.0, f64::from(y) / 500.0 - 1.0));
     let (x, y): (Vec<f64>, Vec<f64>) = bottom.chain(right).unzip();
     let style = SeriesStyle { stroke: Stroke::None, ..Default::default() };
     let drawn = |label: &str| {

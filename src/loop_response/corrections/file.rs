@@ -18,7 +18,7 @@ impl Corrections {
     /// drop of the squared error.
     ///
     /// # Errors
-    /// [`Error::File`] where the file cannot be written.
+    /// [`crate::Error::File`] where the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(TEXT)) {
             return write_atomically(path, self.text().as_bytes());

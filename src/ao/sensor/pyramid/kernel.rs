@@ -49,8 +49,8 @@ impl Vector {
 /// sum + Re(a·b*).
 #[inline(always)]
 fn plus_product(mut sum: Lane, a: &Vector, b: &Vector) -> Lane {
-    for l in 0..LANES {
-        sum[l] = a.re[l].mul_add(b.re[l], a.im[l].mul_add(b.im[l], sum[l]));
+    for (l, sum) in sum.iter_mut().enumerate() {
+        *sum = a.re[l].mul_add(b.re[l], a.im[l].mul_add(b.im[l], *sum));
     }
     sum
 }

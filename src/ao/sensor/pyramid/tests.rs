@@ -280,7 +280,7 @@ fn photon_noise_of_a_slope_is_one_over_the_root_of_the_electrons_in_four_pixels(
 #[test]
 fn the_optical_gain_of_uncorrelated_phases_is_their_strehl_ratio() {
     // An intensity is a sum of products of the field at two points, and the mean of such a product falls by exp(−D/2), D the structure
-    // function (Fauvarque et al. 2019, JATIS 5, 049001; Chambouleyron et al. 2020, A&A 644, A6). Phases without correlation have D = 2σ²
+    // function (Fauvarque et al. 2019, arXiv:1902.05440; Chambouleyron et al. 2020, A&A 644, A6). Phases without correlation have D = 2σ²
     // between all pairs, so that every mode has the gain exp(−σ²).
     let bench = Bench::new("pixels_across = 10\nsamples_per_pixel = 6\n");
     let mut pyramid = bench.pyramid();
