@@ -4,7 +4,7 @@
     COPHASE_LIBRARY=target/release/libcophase.so PYTHONPATH=bindings/python \\
         python3 benches/peers/oopao_pyramid.py --program target/release/cophase
 
-needs oopao 1.0.0 and astropy. Both have 20 pixels across a round pupil of 120 samples, a modulation of 3 lambda/D on as many points, and no
+needs oopao 1.0.0, astropy and cffi. Both have 20 pixels across a round pupil of 120 samples, a modulation of 3 lambda/D on as many points, and no
 noise; the wavefront is one of our turbulence. A slope of both is an angle: the tilt of the wavefront that has the signal on the mean. OOPAO's
 images of the pupil are as far from each other as --separations says, in pixels, and its focal field is sampled the more finely the farther; ours
 are infinitely far. Frames a second are those of the sensor alone.
