@@ -106,7 +106,7 @@ mod tests {
             ("wavefront_sensor.modulation_lambda_over_d", "3.0"),
             ("wavefront_sensor.photon_noise", "false"),
             ("wavefront_sensor.read_noise_e", "0.0"),
-            ("control.filtered_modes", "60"),
+            ("control.filtered_modes", "10"),
         ];
         let preset = Scene::preset("keck-pyramid").unwrap().with(&small).unwrap();
         for basis in ["kl", "zonal"] {
@@ -153,9 +153,9 @@ mod tests {
                 assert!((dithered / pushed - 1.0).abs() < 0.15, "{basis} {mode}: {dithered} {pushed}");
                 assert!((0.2..0.97).contains(&pushed), "{basis} {mode}: {pushed}");
             }
-            // A loop that closes: the wavefront of the turbulence alone is some 1,500 nm. Measured: 122 nm by Karhunen-Loève modes, 221 nm
-            // zonal, where the 60 weakest singular values are filtered; the bound is a third above the larger.
-            assert!(residual_nm < 300.0, "{basis}: {residual_nm}");
+            // A loop that closes: the wavefront of the turbulence alone is some 1,500 nm, and 120 nm are left with noise. The bound excludes a
+            // zonal loop that filters 60 modes (221 nm): among the weakest singular values of a pyramid are low orders.
+            assert!(residual_nm < 200.0, "{basis}: {residual_nm}");
         }
     }
 }

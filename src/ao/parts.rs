@@ -7,7 +7,7 @@ use crate::Result;
 use crate::machine;
 use crate::modes::InfluenceFunctions;
 use crate::pupil::{Grid, Pupil};
-use crate::scene::{Scene, SensorKind, SensorScene};
+use crate::scene::{Scene, SensorScene};
 use crate::source::Truth;
 use crate::telescope::Telescope;
 
@@ -70,13 +70,9 @@ fn at_subapertures(scene: &Scene, lenslets: &Lenslets) -> Result<InfluenceFuncti
     let mirror = Telescope::mirror(scene)?;
     let middle = (lenslets.across as f64 - 1.0) / 2.0;
     let centre = |i: usize| (i as f64 - middle) * lenslets.pitch_m;
-    let is_pyramid = scene.wavefront_sensor.as_ref().is_some_and(|sensor| sensor.kind == SensorKind::Pyramid);
-    // Half a lenslet, or half a pitch where the actuators are coarser; rounding must not decide. Pixels of a pyramid may be several to a pitch, and
-    // an actuator is at a corner of those within a pitch: without it the rim of the pupil would be out of control.
-    let reach_m = match is_pyramid {
-        true => (0.501 * lenslets.pitch_m).max(mirror.pitch_m() - 0.499 * lenslets.pitch_m),
-        false => 0.501 * lenslets.pitch_m.max(mirror.pitch_m()),
-    };
+    // An actuator is at a corner of the subapertures within half a lenslet, and where lenslets are finer than the actuators, of all within a pitch:
+    // without them the rim of the pupil would be out of control. Rounding must not decide.
+    let reach_m = (0.501 * lenslets.pitch_m).max(mirror.pitch_m() - 0.499 * lenslets.pitch_m);
     mirror.select(|x_m, y_m| {
         let is_near = |&place: &usize| {
             (centre(place % lenslets.across) - x_m).abs() <= reach_m
@@ -105,4 +101,24 @@ pub(super) fn segments_nm(truth: &Truth, telescope: &Telescope, pupil: &Pupil, f
         map[y * footprint.stride() + x] = truth.segment_nm(&telescope.pupil, owner, x_m, y_m) as f32;
     }
     map
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finer_subapertures_leave_the_actuators_at_the_rim_in_use() {
+        let count = |keys: &[(&str, &str)]| {
+            let scene = Scene::preset("keck-onsky").unwrap().with(keys).unwrap();
+            actuators_in_use(&scene, &Telescope::new(&scene).unwrap()).unwrap().len()
+        };
+        let (usual, fine) = (
+            count(&[]),
+            count(&[("wavefront_sensor.lenslets_across", "40"), ("wavefront_sensor.samples_per_lenslet", "6")]),
+        );
+        // The same mirror; a lenslet in use has half of its light, which along the rim of the pupil selects some differently.
+        assert_eq!(usual, 296);
+        assert!(fine.abs_diff(usual) < 20, "{fine} {usual}");
+    }
 }

@@ -19,6 +19,7 @@ mod pixel_response;
 mod product;
 mod real;
 mod sampling;
+mod square;
 mod transform;
 mod workspace;
 
@@ -28,6 +29,7 @@ pub use product::Factors;
 pub(crate) use product::panel_len;
 pub use real::Real;
 pub use sampling::{Sampling, fast_side};
+pub(crate) use square::{transform_square, transpose};
 pub use transform::Transform;
 pub use workspace::Workspace;
 

@@ -31,8 +31,9 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::Array1;
 
-/// Copies of the retrieved wavefronts: those of the last iteration and of this one, the selected images, and their residuals.
-const WAVEFRONT_COPIES: usize = 4;
+/// Copies of the retrieved wavefronts: those of the last iteration and of this one, the selected images, their residuals, and one for the blur of
+/// the exposures, which has twice as many numbers of half the size.
+const WAVEFRONT_COPIES: usize = 5;
 /// Copies of the static modes at the illuminated samples: at all and at the bright ones, in columns, times the inverse
 /// covariance, its residuals, and joined.
 const MODE_COPIES: usize = 6;

@@ -3,9 +3,9 @@
 //! A map fills the first half of the rows, so the other half is transformed neither forward nor back, and the spectrum stays
 //! transposed, `[kx, ky]`, which saves two transpositions of four.
 
-use crate::fourier::fast_side;
+use crate::fourier::{fast_side, transpose};
 use crate::retrieval::IlluminatedSamples;
-use num_complex::{Complex, Complex64};
+use num_complex::Complex;
 use rustfft::{Fft, FftNum, FftPlanner};
 use std::sync::Arc;
 
@@ -78,30 +78,5 @@ impl<T: FftNum> Convolver<T> {
         transpose(&buffers.transposed, self.padded, &mut buffers.field, self.padded, [self.padded, self.rows]);
         self.inverse.process_with_scratch(&mut buffers.field, &mut buffers.scratch);
         self.indices.iter().map(|&index| buffers.field[index])
-    }
-}
-
-/// Transforms a square along both axes, in place, not normalised.
-pub(super) fn transform(field: &mut [Complex64], n: usize, fft: &dyn Fft<f64>) {
-    let mut transposed = field.to_vec();
-    fft.process(&mut transposed);
-    transpose(&transposed, n, field, n, [n, n]);
-    fft.process(field);
-    transposed.copy_from_slice(field);
-    transpose(&transposed, n, field, n, [n, n]);
-}
-
-/// Transposes: writes `from[y][x]` to `to[x][y]` for the first `[y, x]`, with rows of the two strides.
-fn transpose<T: Copy>(from: &[T], from_stride: usize, to: &mut [T], to_stride: usize, [rows, columns]: [usize; 2]) {
-    // Tiles that stay in the cache: 16 × 16 complex numbers are 4 kB.
-    const TILE: usize = 16;
-    for y0 in (0..rows).step_by(TILE) {
-        for x0 in (0..columns).step_by(TILE) {
-            for x in x0..(x0 + TILE).min(columns) {
-                for y in y0..(y0 + TILE).min(rows) {
-                    to[x * to_stride + y] = from[y * from_stride + x];
-                }
-            }
-        }
     }
 }

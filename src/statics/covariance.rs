@@ -1,6 +1,7 @@
 //! Covariance of the residual wavefront: stationary, so a power spectrum on a grid padded for every lag.
 
-use super::convolution::{Convolver, transform};
+use super::convolution::Convolver;
+use crate::fourier::transform_square;
 use crate::retrieval::{IlluminatedSamples, RadialPsd};
 use crate::{Error, Result};
 use ndarray::{Array2, ArrayView2, Axis};
@@ -63,7 +64,7 @@ impl ResidualCovariance {
                 Complex64::new(measured * taper, 0.0)
             })
             .collect();
-        transform(&mut field, n, &*double.forward);
+        transform_square(&mut field, n, &*double.forward);
         let spectrum_nm2 = field.iter().map(|value| value.re.max(0.0)).collect();
         Ok(Self { padded: n, spectrum_nm2, is_unresolved: vec![false; n * n], single: Convolver::new(samples) })
     }
@@ -136,6 +137,6 @@ fn autocorrelation(convolver: &Convolver<f64>, maps: ArrayView2<f64>) -> Vec<f64
         power.iter_mut().zip(part).for_each(|(sum, part)| *sum += part);
     }
     let mut power: Vec<Complex64> = power.into_iter().map(Complex64::from).collect();
-    transform(&mut power, convolver.padded, &*convolver.inverse);
+    transform_square(&mut power, convolver.padded, &*convolver.inverse);
     power.iter().map(|value| value.re / n2 as f64).collect()
 }

@@ -181,7 +181,7 @@ fn raw_frames_become_the_images_again() {
     }
 }
 
-/// Cubes of two channels, told apart by a card, with frames of the sky and darks: from raw frames to the estimate of the pair.
+/// Cubes of two channels, which a card distinguishes, with frames of the sky and darks: from raw frames to the estimate of the pair.
 #[test]
 fn cubes_of_two_channels_with_a_sky_become_the_estimate_of_a_pair() {
     let desk = Desk::with_scene();

@@ -2,7 +2,7 @@
 //!
 //! A pyramid that looks at a residual wavefront responds less to a mode than at its calibration: its slopes are those of g times the mode.
 //! The mirror therefore carries a sine of a few modes, each at a frequency of its own above the loop's bandwidth. In every window of frames
-//! the amplitudes of these sines in the slopes, Q, and in the commands, C, give g = −Re(Q C*)/|C|², whatever the loop does about the sine
+//! the amplitudes of these sines in the slopes, Q, and in the commands, C, give g = −Re(Q C*)/|C|², independently of the response of the loop
 //! (Esposito et al. 2020, A&A 636, A88, section 2). Between these modes, which are in the order of their singular values, the gains are
 //! interpolated; the controller divides each mode by its own (modal compensation: Deo et al. 2019, A&A 629, A107).
 

@@ -1,6 +1,6 @@
 //! Corrections that were sent, and whether estimates show that they were applied.
 //!
-//! Nothing tells a tracker that somebody applied a correction, which changes the coefficients by d. Each estimate weighs "not applied" against
+//! A tracker is not informed when a correction is applied, which changes the coefficients by d. Each estimate weighs "not applied" against
 //! "applied before it", with the part a ~ N(1, f²) of d that actuators of the relative error f make. For the white innovation w and u = L⁻¹d,
 //!
 //! ```text
@@ -51,8 +51,8 @@ impl Expected {
         (self.log_ratio, self.projection, self.information) = (0.0, 0.0, 0.0);
     }
 
-    /// Weighs an estimate. One that an applied correction does not explain (χ² beyond `limit`) speaks against it or, where the state without it does not
-    /// explain it either, for nothing: that is a bad estimate.
+    /// Weighs an estimate. One that an applied correction does not explain (χ² beyond `limit`) lowers the log-likelihood ratio, except where the state
+    /// without the correction does not explain it either: that is a bad estimate, and is ignored.
     pub(super) fn weigh(&mut self, innovation: &Innovation, limit: f64) {
         let white_lead = innovation.whiten_vector(&self.lead_nm);
         let information = white_lead.dot(&white_lead);

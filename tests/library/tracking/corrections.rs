@@ -51,7 +51,7 @@ fn corrections_do_no_harm() {
     for convention in [SegmentConvention::LeastSquares, SegmentConvention::EdgeMinimising] {
         // Errors far below the error bars. A deadband of k error bars alone adds 2·(k·φ(k) + Φ(−k)) of the 9 nm²: all, 80 %, 26 % and 2.9 %. With the rule
         // one per cent may remain, the part of draws of noise that are sent (correction.rs) times what they add to a few modes; of the
-        // largest deadband, beyond which the rule has single modes to judge by, two thirds.
+        // largest deadband, beyond which the rule is applied to single modes, two thirds.
         for (deadband_sigma, part) in [(0.0, 0.01), (1.0, 0.01), (2.0, 0.01), (3.0, 0.02)] {
             let policy = CorrectionPolicy { deadband_sigma, convention, ..Default::default() };
             let [before, after] = before_and_after(&policy, 0.3, 1000);

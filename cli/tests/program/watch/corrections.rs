@@ -78,7 +78,7 @@ fn a_correction_is_written_and_recognised_when_it_is_applied() {
     let sentences = file.text_column("WARNINGS", "SENTENCE").unwrap();
     assert!(sentences[0].contains(&format!("correction {newest} of this watch")), "{sentences:?}");
 
-    // Nobody applies it: frames of the same aberrations show nothing, and no other is written.
+    // The correction is not applied: frames of the same aberrations show nothing, and no other is written.
     let bytes = std::fs::read(desk.path("c.fits")).unwrap();
     put(&desk, "before.fits", HALF..HALF + 2);
     correct(&desk);
