@@ -20,6 +20,7 @@ mod footprint;
 mod interaction;
 mod loop_run;
 mod measured_matrices;
+mod moved_reference;
 mod parts;
 mod phase;
 mod profile;

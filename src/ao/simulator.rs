@@ -37,14 +37,16 @@ const SENSOR_STREAM: u64 = 1 << 32;
 
 /// AO simulation: telescope, turbulence, loop and science camera of a scene.
 pub struct Simulator {
-    scene: Scene,
+    pub(super) scene: Scene,
     telescope: Telescope,
     /// Pupil on the simulator's grid.
     pupil: Pupil,
-    influence: InfluenceFunctions,
+    pub(super) influence: InfluenceFunctions,
     /// At least one.
     pub(super) channels: Vec<ChannelOptics>,
     truth: Truth,
+    /// What a static shape of the mirror leaves of `truth` on the camera's path; `None` without one.
+    pub(super) seen_truth: Option<Truth>,
     mask: Vec<bool>,
     interaction: Array2<f64>,
     law: ControlLaw,
@@ -163,6 +165,7 @@ impl Simulator {
             influence,
             channels,
             truth,
+            seen_truth: None,
             mask,
             interaction,
             law,
@@ -256,9 +259,9 @@ impl Simulator {
         &self.correction.footprint
     }
 
-    /// The static aberrations.
+    /// The static aberrations on the camera's path, a static shape that moved reference slopes put on the mirror included.
     pub fn truth(&self) -> &Truth {
-        &self.truth
+        self.seen_truth.as_ref().unwrap_or(&self.truth)
     }
 
     /// The segment errors, nm, a map over the footprint.

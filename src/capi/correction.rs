@@ -18,7 +18,7 @@ pub struct cophase_correction_report {
     pub segments: usize,
     /// Number of the mirror's actuators; 0 where the scene names no mirror.
     pub actuators: usize,
-    /// Number of slopes of the wavefront sensor; 0 without a loop in the scene, and in a modal estimate.
+    /// Number of slopes of the wavefront sensor; 0 where no slopes were measured, and in a modal estimate.
     pub slopes: usize,
     /// NCPA modes that are corrected.
     pub corrected_modes: usize,
@@ -30,12 +30,23 @@ pub struct cophase_correction_report {
     pub actuator_commands: usize,
     /// Tips and tilts of segments that are corrected, two of each; 0 where there are none.
     pub tilts: usize,
+    /// NCPA modes, corrected or held.
+    pub ncpa_modes: usize,
+    /// Pistons, tips and tilts of segments that are held.
+    pub held_segment_modes: usize,
+    /// NCPA modes that are held.
+    pub held_ncpa_modes: usize,
+    /// Expected drop of the sum of squares of the segment modes (of the steps at edges by the convention edge-minimising), nm2.
+    pub segments_drop_nm2: f64,
+    /// Expected drop of the sum of squares of the NCPA modes, nm2.
+    pub ncpa_drop_nm2: f64,
 }
 
 /// Computes what to add to segments, mirror and (MAP estimates) reference slopes to correct the estimated errors, also in the terms of
 /// the controllers that the scene describes. The scene's section [commands] has gain, deadband and convention; errors whose correction is not
 /// expected to lower them are held, and tips and tilts of segments of a modal estimate are not corrected. About a second at the size of Keck
-/// where the scene has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays.
+/// where the scene has a loop. Then cophase_estimate_array has the COPHASE_ARRAY_CORRECTION_ arrays, and cophase_estimate_text says why a
+/// mode is held.
 ///
 /// limit_nm: largest command, nm; 0 for the mirror's stroke and, for segments, a quarter of the wavelength (none where the whole
 /// wavelengths are known). The limits of the controllers' channels hold in addition.
@@ -76,6 +87,11 @@ pub unsafe extern "C" fn cophase_estimate_correct(
                     segment_commands: corrections.segment_commands.as_ref().map_or(0, |one| one.channels.len()),
                     actuator_commands: corrections.actuator_commands.as_ref().map_or(0, |one| one.channels.len()),
                     tilts: corrections.tilts_nm.len(),
+                    ncpa_modes: corrections.ncpa.len(),
+                    held_segment_modes: corrections.segments_held.iter().flatten().count(),
+                    held_ncpa_modes: corrections.ncpa.iter().filter(|mode| mode.held.is_some()).count(),
+                    segments_drop_nm2: corrections.expected_drop_nm2[0],
+                    ncpa_drop_nm2: corrections.expected_drop_nm2[1],
                 },
             );
             found.corrections = Some(corrections);

@@ -52,7 +52,7 @@ pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_NM: i32 = 8;
 /// Array, after cophase_estimate_correct: position of each actuator, x and y, m; actuators x 2.
 pub const COPHASE_ARRAY_CORRECTION_ACTUATORS_M: i32 = 9;
 /// Array, after cophase_estimate_correct: what to add to the sensor's reference slopes, mas, along x for every subaperture,
-/// then along y; slopes. It keeps the mirror where the corrections put it. Empty in a modal estimate.
+/// then along y; slopes. The loop then puts the correction on the mirror. Without elements in a modal estimate, and without measured slopes.
 pub const COPHASE_ARRAY_CORRECTION_SLOPES_MAS: i32 = 10;
 /// Array: whole wavelengths of the first channel that were added to the piston of each segment, their probability, and the piston of
 /// the second most probable number relative to this one, nm; integers x 3. For channels of several wavelengths.
@@ -371,6 +371,13 @@ pub unsafe extern "C" fn cophase_estimate_text(
                 COPHASE_TEXT_ACTUATOR_COMMAND_NAME => {
                     at(channels(&corrected(&found.corrections)?.actuator_commands), index, "commands")?.name.clone()
                 }
+                COPHASE_TEXT_SEGMENT_HELD => at(&corrected(&found.corrections)?.segments_held, index, "segment modes")?
+                    .map_or("", |why| why.word())
+                    .into(),
+                COPHASE_TEXT_NCPA_HELD => at(&corrected(&found.corrections)?.ncpa, index, "NCPA modes")?
+                    .held
+                    .map_or("", |why| why.word())
+                    .into(),
                 COPHASE_TEXT_ERROR_TERM_NAME => at(&estimate.error_budget, index, "terms")?.name.clone(),
                 other => {
                     let known = "a COPHASE_TEXT_ number of estimates is accepted";

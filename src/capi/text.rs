@@ -30,6 +30,12 @@ pub const COPHASE_TEXT_SEGMENT_COMMAND_NAME: i32 = 12;
 /// Text of an estimate, after cophase_estimate_correct: the controller's name of the channel of command `index` to the mirror.
 pub const COPHASE_TEXT_ACTUATOR_COMMAND_NAME: i32 = 13;
 
+/// Text of an estimate, after cophase_estimate_correct: why piston `index`, then tip, then tilt of the segments is held: deadband, no-benefit
+/// or never-corrected; empty for one that moves.
+pub const COPHASE_TEXT_SEGMENT_HELD: i32 = 14;
+/// Text of an estimate, after cophase_estimate_correct: the same of NCPA mode `index`.
+pub const COPHASE_TEXT_NCPA_HELD: i32 = 15;
+
 /// Element `index`.
 ///
 /// # Errors

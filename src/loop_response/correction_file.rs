@@ -1,11 +1,11 @@
 //! Corrections from a file, applied to simulated aberrations: what is left when segments and mirror have moved.
 
 use super::corrections::Corrections;
-use crate::ao::actuators_in_use;
+use crate::ao::{Simulator, actuators_in_use};
 use crate::io::FitsReader;
 use crate::modes::SmoothBasis;
 use crate::scene::Scene;
-use crate::source::Truth;
+use crate::source::{Truth, stream};
 use crate::telescope::Telescope;
 use crate::{Error, Result};
 use std::path::Path;
@@ -19,6 +19,8 @@ pub struct SentCorrections {
     tilts_nm: Vec<f64>,
     /// Of each actuator; empty where the mirror stays.
     actuators_nm: Vec<f64>,
+    /// Of the reference slopes, `[all x, all y]`, mas; empty without any.
+    reference_mas: Vec<f64>,
 }
 
 impl SentCorrections {
@@ -33,27 +35,62 @@ impl SentCorrections {
         };
         let pistons_nm = column("SEGMENTS", "ADD_NM")?;
         let tilts_nm = [column("SEGMENTS", "ADD_TIP_NM")?, column("SEGMENTS", "ADD_TILT_NM")?].concat();
-        let sent = Self { pistons_nm, tilts_nm, actuators_nm: column("ACTUATORS", "ADD_NM")? };
-        let mut all = sent.pistons_nm.iter().chain(&sent.tilts_nm).chain(&sent.actuators_nm);
+        let actuators_nm = column("ACTUATORS", "ADD_NM")?;
+        let reference_mas = [column("REFERENCE", "X_MAS")?, column("REFERENCE", "Y_MAS")?].concat();
+        let sent = Self { pistons_nm, tilts_nm, actuators_nm, reference_mas };
         if sent.pistons_nm.is_empty() && sent.actuators_nm.is_empty() {
             let reason = "has no corrections: the tables SEGMENTS or ACTUATORS with the column ADD_NM are needed, as 'cophase estimate \
                           --commands FILE.fits' writes them";
             return Err(Error::file(path, reason));
         }
-        match all.find(|nm| !nm.is_finite()) {
-            Some(nm) => Err(Error::file(path, format!("has a correction of {nm} nm: finite numbers are needed"))),
+        let all = [&*sent.pistons_nm, &sent.tilts_nm, &sent.actuators_nm, &sent.reference_mas];
+        match all.concat().into_iter().find(|value| !value.is_finite()) {
+            Some(value) => Err(Error::file(path, format!("has a correction of {value}: finite numbers are needed"))),
             None => Ok(sent),
         }
     }
 
     /// The aberrations that remain of `truth`: increments are added to the segments, and the surface of the mirror is taken off the NCPA.
     ///
-    /// The surface is static and in the path of the camera: the loop holds it where its reference slopes are moved with it (the table
-    /// `REFERENCE`).
-    ///
     /// # Errors
     /// [`Error::Shape`] for corrections of another number of segments or actuators than `scene` has; those of building the mirror.
     pub fn apply(&self, truth: Truth, scene: &Scene, telescope: &Telescope) -> Result<Truth> {
+        let truth = self.move_segments(truth, telescope)?;
+        if self.actuators_nm.iter().all(|nm| *nm == 0.0) {
+            return Ok(truth);
+        }
+        let influence = actuators_in_use(scene, telescope)?;
+        check("actuators", self.actuators_nm.len(), influence.len())?;
+        let opposite_nm = self.actuators_nm.iter().map(|nm| -nm).collect();
+        truth.with_added_ncpa(telescope, SmoothBasis::influence(influence), opposite_nm)
+    }
+
+    /// The AO system of `scene` after the corrections `sent`: segments have moved, and the loop is closed about reference slopes that have; the
+    /// mirror is where the loop puts it. Corrections without reference slopes are taken off the NCPA as [`SentCorrections::apply`] does.
+    ///
+    /// # Errors
+    /// As [`SentCorrections::apply`] and [`Simulator::with_moved_reference`].
+    pub fn system(sent: &[Self], scene: &Scene) -> Result<Simulator> {
+        let telescope = Telescope::new(scene)?;
+        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
+        let mut truth = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
+        let mut moved_mas: Vec<f64> = Vec::new();
+        for one in sent {
+            if one.reference_mas.is_empty() {
+                truth = one.apply(truth, scene, &telescope)?;
+                continue;
+            }
+            truth = one.move_segments(truth, &telescope)?;
+            moved_mas.resize(moved_mas.len().max(one.reference_mas.len()), 0.0);
+            moved_mas.iter_mut().zip(&one.reference_mas).for_each(|(sum, mas)| *sum += mas);
+        }
+        if moved_mas.iter().all(|mas| *mas == 0.0) {
+            return Simulator::with_truth(scene, telescope, truth);
+        }
+        Simulator::with_moved_reference(scene, telescope, truth, &moved_mas)
+    }
+
+    fn move_segments(&self, truth: Truth, telescope: &Telescope) -> Result<Truth> {
         let mut truth = truth;
         let segments = truth.piston_nm.len();
         if !self.pistons_nm.is_empty() {
@@ -68,12 +105,6 @@ impl SentCorrections {
             let moved = added.map(|((tip, tilt), before)| [before[0] + tip, before[1] + tilt]).collect();
             truth = truth.with_tilts(telescope, moved)?;
         }
-        if self.actuators_nm.iter().any(|nm| *nm != 0.0) {
-            let influence = actuators_in_use(scene, telescope)?;
-            check("actuators", self.actuators_nm.len(), influence.len())?;
-            let opposite_nm = self.actuators_nm.iter().map(|nm| -nm).collect();
-            truth = truth.with_added_ncpa(telescope, SmoothBasis::influence(influence), opposite_nm)?;
-        }
         Ok(truth)
     }
 }
@@ -84,6 +115,7 @@ impl From<&Corrections> for SentCorrections {
             pistons_nm: corrections.pistons_nm.clone(),
             tilts_nm: corrections.tilts_nm.clone(),
             actuators_nm: corrections.actuators_nm.iter().map(|(_, nm)| *nm).collect(),
+            reference_mas: corrections.slopes_mas.clone(),
         }
     }
 }

@@ -18,7 +18,7 @@ use crate::scene::Scene;
 use crate::telescope::{SegmentPlace, Telescope};
 use crate::tracking::{CorrectionPolicy, Held, HoldReason};
 use crate::{Error, Result};
-use mirror::{mirror_commands, reference_slopes};
+use mirror::mirror_commands;
 
 /// Corrections.
 #[derive(Debug, Clone)]
@@ -46,7 +46,8 @@ pub struct Corrections {
     pub policy: CorrectionPolicy,
     /// Increments of the mirror's commands, nm, with the position of each actuator, m; empty where the scene names no mirror.
     pub actuators_nm: Vec<([f64; 2], f64)>,
-    /// Increments of the sensor's reference slopes, all x then all y, mas; empty without a loop in the scene, and for maps of NCPA.
+    /// Increments of the sensor's reference slopes, all x then all y, mas, with which the loop puts the correction on the mirror; empty where no
+    /// slopes were measured, and for maps of NCPA.
     pub slopes_mas: Vec<f64>,
     /// Pistons, and where its matrix takes them tips and tilts, in the terms of the segments' controller, where the scene describes one.
     pub segment_commands: Option<Commands>,
@@ -74,6 +75,10 @@ pub struct ModeCorrection {
 /// Said where tilts of segments are to be corrected and the controller moves pistons alone.
 const TILTS_LEFT: &str = "the commands of the segments hold pistons alone, and not the tips and tilts that were estimated: a \
      commands.segment_matrix_file with a column for each piston, then each tip, then each tilt takes them, too";
+
+/// Said where the mirror is to take NCPA and no slopes show how the loop's sensor responds.
+const NO_REFERENCE: &str = "reference slopes are left out: without measured slopes of the exposures it is not known how much the sensor \
+     responds to the NCPA, as turbulence blurs its spots";
 
 impl Corrections {
     /// The corrections of `errors`, no increment beyond `limit_nm` (`None`: the mirror's stroke for actuators, and the limit of the
@@ -121,7 +126,13 @@ impl Corrections {
         let segment_commands = in_terms(Moved::Segments, &pistons_nm, &tilts_nm)?;
         let actuator_commands = in_terms(Moved::Actuators, &additions_nm, &[])?;
         let leaves_tilts = segment_commands.as_ref().is_some_and(|commands| !commands.has_tilts);
-        let warnings = (leaves_tilts && tilts_nm.iter().any(|nm| *nm != 0.0)).then(|| TILTS_LEFT.to_owned());
+        let says = |is_so: bool, sentence: &str| is_so.then(|| sentence.to_owned());
+        let lacks_response = matches!(errors.ncpa, NcpaModes::Smooth(_)) && errors.slope_response.is_none();
+        let has_loop = scene.control.is_some() && scene.wavefront_sensor.is_some();
+        let warnings = [
+            says(leaves_tilts && tilts_nm.iter().any(|nm| *nm != 0.0), TILTS_LEFT),
+            says(has_loop && lacks_response && ncpa_nm.iter().any(|nm| *nm != 0.0), NO_REFERENCE),
+        ];
         let channels = [&segment_commands, &actuator_commands].into_iter().flatten().flat_map(|one| &one.channels);
         limited += channels.filter(|channel| channel.is_limited).count();
         Ok(Self {
@@ -143,11 +154,11 @@ impl Corrections {
             expected_drop_nm2: correction.expected_drop_nm2,
             policy,
             actuators_nm,
-            slopes_mas: reference_slopes(scene, &telescope, errors, &ncpa_nm)?,
+            slopes_mas: errors.slope_response.map_or(Vec::new(), |response| response.reference_mas(&ncpa_nm)),
             segment_commands,
             actuator_commands,
             limited,
-            warnings: warnings.into_iter().collect(),
+            warnings: warnings.into_iter().flatten().collect(),
         })
     }
 

@@ -6,7 +6,8 @@
 
 use super::segment_surface::SegmentSurface;
 use super::slope_information::{SensorResponse, SlopeInformation};
-use super::slope_regression::SlopeRegression;
+use super::slope_regression::{SlopeRegression, slope_gain};
+use super::slope_response::SlopeResponse;
 use crate::ao::{Footprint, Lenslets, Sensor, sensor_pupil};
 use crate::machine;
 use crate::modes::{Samples, SmoothBasis};
@@ -43,6 +44,10 @@ pub struct SensorModel {
     slopes_mas: Vec<f32>,
     /// Response of the slopes to the modes, once it is measured.
     response: Option<SensorResponse>,
+    /// Measured slopes over those of the wavefronts: turbulence that an exposure averages, and a retrieval does not resolve, blurs spots further.
+    gain: f64,
+    /// Coefficients of the last NCPA, nm, and the mean slopes of their opposite over the images, mas.
+    opposite: Option<(Vec<f64>, Array1<f64>)>,
 }
 
 impl SensorModel {
@@ -83,6 +88,8 @@ impl SensorModel {
             map_nm: footprint.zeros().to_vec(),
             slopes_mas: vec![0.0; sensor.slopes()],
             response: None,
+            gain: 1.0,
+            opposite: None,
             sensor,
             footprint,
         })
@@ -93,16 +100,11 @@ impl SensorModel {
         self.slopes_mas.len()
     }
 
-    /// Computes the slopes of the modes alone with these coefficients, mas.
-    ///
-    /// # Errors
-    /// [`Error::Shape`] for another number of modes.
-    pub fn slopes_mas(&mut self, ncpa_nm: &[f64]) -> Result<Array1<f64>> {
-        if ncpa_nm.len() != self.modes.nrows() {
-            let (given, needed) = (ncpa_nm.len(), self.modes.nrows());
-            return Err(Error::Shape(format!("{given} NCPA coefficients were given: {needed} are needed")));
-        }
-        self.measure(&self.flat_segments_nm(), ArrayView1::from(ncpa_nm).dot(&self.modes).view())
+    /// Slopes of NCPA as they would be measured during the exposures; `None` before [`SensorModel::ncpa_information`].
+    pub fn slope_response(&self) -> Option<SlopeResponse> {
+        let ((ncpa_nm, opposite_mas), response) = (self.opposite.as_ref()?, self.response.as_ref()?);
+        let response_mas = &response.response_mas * self.gain;
+        Some(SlopeResponse { response_mas, ncpa_nm: ncpa_nm.clone(), opposite_mas: opposite_mas * self.gain })
     }
 
     /// Compares the slopes measured during each exposure (`[image, slope]`, mas) with those of the images' wavefronts (`[image,
@@ -188,11 +190,16 @@ impl SensorModel {
             Some(known) => known,
             None => SensorResponse::new(self.measure_response(segments_nm, &rests_nm)?),
         };
-        let mut difference_mas = Array2::zeros((images, slopes));
+        let (mut expected_mas, mut opposite_mas) = (Array2::zeros((images, slopes)), Array1::zeros(slopes));
         for (image, rest_nm) in rests_nm.iter().enumerate() {
-            let expected_mas = self.measure(segments_nm, rest_nm.view())?;
-            difference_mas.row_mut(image).assign(&(expected_mas - slopes_mas.row(image)));
+            let seen_mas = self.measure(segments_nm, rest_nm.view())?;
+            opposite_mas += &(self.measure(segments_nm, (rest_nm - &known_nm).view())? - &seen_mas);
+            expected_mas.row_mut(image).assign(&seen_mas);
         }
+        self.opposite = Some((ncpa_nm.to_vec(), opposite_mas / images as f64));
+        self.gain = slope_gain(expected_mas.view(), slopes_mas);
+        // In units of the expected slopes, in which the response was measured.
+        let difference_mas = expected_mas - &slopes_mas / self.gain;
         let information = response.information(difference_mas.view(), ncpa_nm)?;
         self.response = Some(response);
         Ok(information)

@@ -35,7 +35,7 @@ pub struct SlopeInformation {
 /// Linear response of a sensor's slopes to modes.
 pub(super) struct SensorResponse {
     /// Slopes for 1 nm of each mode, `[mode, slope]`, mas.
-    response_mas: Array2<f64>,
+    pub(super) response_mas: Array2<f64>,
 }
 
 impl SensorResponse {

@@ -157,6 +157,13 @@ impl SlopeRegression {
     }
 }
 
+/// Measured over predicted slopes, both `[image, slope]`, least squares as in [`SlopeRegression`], within [`ACCEPTED_GAIN`]; 1 where nothing is
+/// predicted.
+pub(super) fn slope_gain(predicted_mas: ArrayView2<f64>, measured_mas: ArrayView2<f64>) -> f64 {
+    let [gain, _] = regress(&dynamic(predicted_mas), &dynamic(measured_mas));
+    if gain == 0.0 { 1.0 } else { gain.clamp(*ACCEPTED_GAIN.start(), *ACCEPTED_GAIN.end()) }
+}
+
 /// Slopes without the mean x and y slope of each image, and without the mean over images.
 fn dynamic(slopes_mas: ArrayView2<f64>) -> Array2<f64> {
     let mut slopes = slopes_mas.to_owned();

@@ -10,6 +10,7 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 /// Aberrations of a simulated image.
+#[derive(Clone)]
 pub struct Truth {
     /// Piston of each segment, nm, with zero mean over the pupil.
     pub piston_nm: Vec<f64>,
@@ -28,6 +29,7 @@ pub struct Truth {
     tilt_unit_m: f64,
 }
 
+#[derive(Clone)]
 enum Ncpa {
     None,
     Modes { basis: SmoothBasis, coefficients_nm: Vec<f64>, offset_nm: f64 },

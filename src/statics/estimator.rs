@@ -13,7 +13,7 @@ use super::settings::StaticsSettings;
 use super::static_errors::StaticErrors;
 use super::static_modes::StaticModes;
 use super::wavefront_source::WavefrontSource;
-use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation};
+use crate::loop_response::{ClosedLoopResponse, SensorModel, SlopeInformation, SlopeResponse};
 use crate::modes::{SegmentModes, TiltFrame, tilt_frames};
 use crate::optimize::CancelFlag;
 use crate::retrieval::{IlluminatedSamples, StaticWavefront};
@@ -22,6 +22,7 @@ use crate::telescope::Telescope;
 use crate::{Error, Result};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, concatenate, s};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Amplitude below which a sample is left out: images hold little information on its phase.
 const MIN_AMPLITUDE: f64 = 0.5;
@@ -198,6 +199,11 @@ impl<'a> StaticsEstimator<'a> {
         let sensor = Some(sensor);
         self.last = Some(LastEstimate { family: modes.family, model, sensor, errors: errors.clone() });
         Ok(errors)
+    }
+
+    /// Response of the wavefront sensor to the NCPA of the last estimate.
+    pub(super) fn slope_response(&self) -> Option<Arc<SlopeResponse>> {
+        self.last.as_ref()?.sensor.as_ref()?.slope_response().map(Arc::new)
     }
 
     /// The linear model of a mean wavefront of `covariance`.

@@ -5,12 +5,13 @@ use super::ncpa_basis::{NcpaBasis, NcpaFamily};
 use super::segment_tilts::SegmentTilts;
 use super::static_errors::StaticErrors;
 use crate::Result;
-use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes};
+use crate::loop_response::{CorrectableErrors, Corrections, NcpaModes, SlopeResponse};
 use crate::modal::{DiversityProjection, check_reachable};
 use crate::modes::SegmentModes;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use ndarray::{Array2, s};
+use std::sync::Arc;
 
 /// Result of one iteration.
 #[derive(Debug, Clone)]
@@ -45,6 +46,8 @@ pub struct Iteration {
     /// Tilts of single segments in the residual of the mean wavefront that pistons alone leave; of the last iteration only, and where
     /// it was made for tilts that are estimated since, from then on. `None` where the scene has tilts.
     pub segment_tilts: Option<SegmentTilts>,
+    /// Response of the wavefront sensor to the NCPA; `None` without measured slopes.
+    pub slope_response: Option<Arc<SlopeResponse>>,
 }
 
 impl Iteration {
@@ -105,7 +108,8 @@ impl Iteration {
             ncpa_nm: &self.errors.ncpa_nm,
             ncpa_sigma_nm: &self.sigma_nm()[segments..],
             ncpa: NcpaModes::Smooth(&basis.modes),
-            has_ncpa_corrector: scene.has_mirror() || (scene.control.is_some() && scene.wavefront_sensor.is_some()),
+            has_ncpa_corrector: scene.has_mirror(),
+            slope_response: self.slope_response.as_deref(),
         };
         Corrections::new(scene, &errors, limit_nm)
     }

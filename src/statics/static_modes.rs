@@ -151,6 +151,7 @@ impl StaticModes {
             reduced_chi2: images.reduced_chi2,
             residual_rms_nm,
             segment_tilts: None,
+            slope_response: None,
             phasing_nm,
             ncpa_nm,
             errors,

@@ -4,6 +4,7 @@ use crate::{Error, Result};
 use ndarray::Array2;
 
 /// Map over the pupil grid's width, interpolated bilinearly.
+#[derive(Clone)]
 pub struct MapOnGrid {
     values: Array2<f64>,
     width_m: f64,

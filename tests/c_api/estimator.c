@@ -296,6 +296,30 @@ static int was_written(const char *path)
     return is_fits;
 }
 
+/* Modes that are held have a reason, the others none; as many as the report counts. */
+static void check_held(const cophase_estimate *estimate, const cophase_correction_report *report)
+{
+    const int32_t texts[] = {COPHASE_TEXT_SEGMENT_HELD, COPHASE_TEXT_NCPA_HELD};
+    const size_t modes[] = {report->segments + report->tilts, report->ncpa_modes};
+    const size_t held[] = {report->held_segment_modes, report->held_ncpa_modes};
+    size_t i, k;
+
+    for (i = 0; i < 2; i++) {
+        size_t found = 0;
+        char word[32];
+
+        for (k = 0; k < modes[i]; k++) {
+            CHECK(cophase_estimate_text(estimate, texts[i], k, word, sizeof word, NULL) == COPHASE_OK);
+            CHECK(word[0] == '\0' || strcmp(word, "deadband") == 0 || strcmp(word, "no-benefit") == 0 ||
+                  strcmp(word, "never-corrected") == 0);
+            found += word[0] != '\0';
+        }
+        CHECK(found == held[i]);
+    }
+    CHECK(report->held_ncpa_modes + report->corrected_modes == report->ncpa_modes);
+    CHECK(report->segments_drop_nm2 >= 0.0 && report->ncpa_drop_nm2 > 0.0);
+}
+
 /* What to add to segments, mirror and reference slopes; files. */
 static void corrections(const struct sky *s, cophase_estimate *estimate, const char *dump_path, FILE *file)
 {
@@ -314,6 +338,7 @@ static void corrections(const struct sky *s, cophase_estimate *estimate, const c
     CHECK(cophase_estimate_array(estimate, COPHASE_ARRAY_CORRECTION_PISTONS_NM, pistons_nm, 7) == COPHASE_OK);
     for (i = 0; i < 7; i++)
         CHECK(fabs(pistons_nm[i]) <= 5.0);
+    check_held(estimate, &report);
     CHECK(cophase_estimate_correct(estimate, 0.0, NULL, NULL, 0) == COPHASE_OK);
     free(array_of(estimate, COPHASE_ARRAY_CORRECTION_PISTONS_NM, report.segments, file));
     free(array_of(estimate, COPHASE_ARRAY_CORRECTION_ACTUATORS_NM, report.actuators, file));

@@ -132,12 +132,17 @@ classdef Estimate < cophase.Handle
             %                       is subtracted; empty where the scene names no mirror
             %      actuators_m      2 x actuators: position of each, x and y, m
             %      slopes_mas       what to add to the sensor's reference slopes, along x for every subaperture, then
-            %                       along y; empty for a modal estimate
+            %                       along y: the loop then puts the correction on the mirror; empty where no slopes were
+            %                       measured, and for a modal estimate
             %      segment_commands, actuator_commands  what to add to each channel of the controllers, in its unit, a
             %                       struct array with the fields name and add; empty where the scene describes no
             %                       controller ([commands])
             %      corrected_modes  NCPA modes that are corrected
             %      limited          commands that were cut at a limit
+            %      segments_held, ncpa_held  cells: why each piston, then each tip, then each tilt, and each NCPA mode is
+            %                       held: 'deadband', 'no-benefit' or 'never-corrected'; '' for one that is corrected
+            %      segments_drop_nm2, ncpa_drop_nm2  expected drop of the sum of squares of the segment modes (of the steps
+            %                       at edges by the convention edge-minimising), and of the NCPA modes, nm^2
             %   Gain, deadband and convention are those of the scene's section [commands]. Errors whose correction is not expected to
             %   lower them are held, and so are tips and tilts of segments of a modal estimate.
             %
@@ -162,7 +167,11 @@ classdef Estimate < cophase.Handle
                 'actuators_nm', self.array('CORRECTION_ACTUATORS_NM', found.actuators), ...
                 'actuators_m', reshape(self.array('CORRECTION_ACTUATORS_M', 2 * found.actuators), 2, []), ...
                 'slopes_mas', self.array('CORRECTION_SLOPES_MAS', found.slopes), ...
-                'corrected_modes', found.corrected_modes, 'limited', found.limited);
+                'corrected_modes', found.corrected_modes, 'limited', found.limited, ...
+                'segments_drop_nm2', found.segments_drop_nm2, 'ncpa_drop_nm2', found.ncpa_drop_nm2);
+            held = @(name, count) arrayfun(@(index) self.text(name, index), (1:count)', 'UniformOutput', false);
+            result.segments_held = held('SEGMENT_HELD', found.segments + found.tilts);
+            result.ncpa_held = held('NCPA_HELD', found.ncpa_modes);
             result.segment_commands = self.commands('SEGMENT', found.segment_commands);
             result.actuator_commands = self.commands('ACTUATOR', found.actuator_commands);
         end

@@ -227,7 +227,7 @@ static cophase_status estimate_text(const void *object, int32_t what, size_t ind
 static const constant_name TEXTS[] = {
     TEXT(REPORT), TEXT(WARNINGS), TEXT(REMARKS), TEXT(DEVICE), TEXT(POLICY), TEXT(MODEL), TEXT(SCENE), TEXT(IMAGE_MESSAGE),
     TEXT(MODE_NAME), TEXT(ERROR_TERM_NAME), TEXT(CHANNEL_NAME), TEXT(SEGMENT_COMMAND_NAME),
-    TEXT(ACTUATOR_COMMAND_NAME), {NULL, 0},
+    TEXT(ACTUATOR_COMMAND_NAME), TEXT(SEGMENT_HELD), TEXT(NCPA_HELD), {NULL, 0},
 };
 
 /* (estimate, 'MODE_NAME', index): a text; index from 1. */
@@ -250,7 +250,8 @@ static void do_write(int outputs, mxArray **out, int inputs, const mxArray **in)
 static const field CORRECTION[] = {
     FIELD(T, segments, IS_SIZE), FIELD(T, actuators, IS_SIZE), FIELD(T, slopes, IS_SIZE),
     FIELD(T, corrected_modes, IS_SIZE), FIELD(T, limited, IS_SIZE), FIELD(T, segment_commands, IS_SIZE),
-    FIELD(T, actuator_commands, IS_SIZE), FIELD(T, tilts, IS_SIZE), END_OF_FIELDS,
+    FIELD(T, actuator_commands, IS_SIZE), FIELD(T, tilts, IS_SIZE), FIELD(T, ncpa_modes, IS_SIZE),
+    FIELD(T, segments_drop_nm2, IS_DOUBLE), FIELD(T, ncpa_drop_nm2, IS_DOUBLE), END_OF_FIELDS,
 };
 #undef T
 

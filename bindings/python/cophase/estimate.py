@@ -37,8 +37,8 @@ class Correction:
     actuators_m : (actuators, 2) array
         Position of each actuator, x and y, m.
     slopes_mas : (slopes,) array
-        What to add to the sensor's reference slopes, mas, along x for every subaperture, then along y; empty without a
-        loop in the scene, and for a modal estimate.
+        What to add to the sensor's reference slopes, mas, along x for every subaperture, then along y: the loop then puts the
+        correction on the mirror. Empty where no slopes were measured, and for a modal estimate.
     segment_commands, actuator_commands : dict of str to float
         What to add to each channel of the controllers of the segments and of the mirror, by its name, in its unit;
         empty where the scene describes no controller (``[commands]``).
@@ -46,6 +46,12 @@ class Correction:
         NCPA modes that are corrected.
     limited : int
         Commands that were cut at a limit.
+    segments_held, ncpa_held : tuple of str
+        Why each piston, then each tip, then each tilt, and each NCPA mode is held: ``"deadband"``, ``"no-benefit"`` or
+        ``"never-corrected"``; ``""`` for one that is corrected.
+    segments_drop_nm2, ncpa_drop_nm2 : float
+        Expected drop of the sum of squares of the segment modes (of the steps at edges by the convention edge-minimising),
+        and of the NCPA modes, nm².
     """
 
     pistons_nm: NDArray[np.float64]
@@ -57,6 +63,10 @@ class Correction:
     limited: int
     segment_commands: dict[str, float]
     actuator_commands: dict[str, float]
+    segments_held: tuple[str, ...]
+    ncpa_held: tuple[str, ...]
+    segments_drop_nm2: float
+    ncpa_drop_nm2: float
 
 
 class Estimate(Handle):
@@ -206,6 +216,10 @@ class Estimate(Handle):
             found.limited,
             self._commands("SEGMENT", found.segment_commands),
             self._commands("ACTUATOR", found.actuator_commands),
+            tuple(self._text("SEGMENT_HELD", index) for index in range(found.segments + found.tilts)),
+            tuple(self._text("NCPA_HELD", index) for index in range(found.ncpa_modes)),
+            found.segments_drop_nm2,
+            found.ncpa_drop_nm2,
         )
 
     def _commands(self, what: str, count: int) -> dict[str, float]:

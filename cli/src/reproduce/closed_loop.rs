@@ -11,7 +11,7 @@ use crate::plot::{CurvePicture, Series};
 use cophase::ao::{self, Shot, Simulator, View};
 use cophase::pipeline::{Corrections, Estimator, Images, SentCorrections};
 use cophase::scene::Scene;
-use cophase::source::{Truth, stream};
+use cophase::source::Truth;
 use cophase::telescope::Telescope;
 use cophase::{Error, Result};
 use ndarray::Array2;
@@ -89,7 +89,7 @@ fn one(seed: usize, progress: &Progress) -> Result<Vec<Round>> {
     let perfect_strehl = strehl(Simulator::new(&none)?, progress)?;
     let mut sent: Vec<SentCorrections> = Vec::new();
     let state = |sent: &[SentCorrections], round, sigma_nm, seconds| -> Result<Round> {
-        let simulator = corrected(&scene, sent)?;
+        let simulator = SentCorrections::system(sent, &scene)?;
         let [phasing_nm, ncpa_nm] = residuals_nm(&scene, simulator.truth())?;
         let strehl = strehl(simulator, progress)?;
         Ok(Round { seed, round, phasing_nm, ncpa_nm, strehl, perfect_strehl, sigma_nm, seconds })
@@ -105,18 +105,9 @@ fn one(seed: usize, progress: &Progress) -> Result<Vec<Round>> {
     Ok(rounds)
 }
 
-/// The AO system of `scene` after the corrections `sent`.
-fn corrected(scene: &Scene, sent: &[SentCorrections]) -> Result<Simulator> {
-    let telescope = Telescope::new(scene)?;
-    let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-    let drawn = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
-    let truth = sent.iter().try_fold(drawn, |truth, sent| sent.apply(truth, scene, &telescope))?;
-    Simulator::with_truth(scene, telescope, truth)
-}
-
 /// Corrections from the images of a round, with the error bars of phasing and NCPA, nm, and the time of the estimate, s.
 fn measure(scene: &Scene, sent: &[SentCorrections], progress: &Progress) -> Result<(Corrections, [f64; 2], f64)> {
-    let mut simulator = corrected(scene, sent)?;
+    let mut simulator = SentCorrections::system(sent, scene)?;
     let mut shots: Vec<Shot> = Vec::new();
     let watch = &mut ao::Progress { watch: None, cancel: progress.cancel().map(|flag| &**flag) };
     let summary = simulator.run(&mut shots, watch)?;

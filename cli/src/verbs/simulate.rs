@@ -8,8 +8,6 @@ use cophase::Result;
 use cophase::ao::{self, Progress, Shot, Simulator, Stage, Summary};
 use cophase::pipeline::SentCorrections;
 use cophase::scene::Scene;
-use cophase::source::{Truth, stream};
-use cophase::telescope::Telescope;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -132,11 +130,7 @@ fn simulate(
 ) -> Result<(Simulator, Vec<Shot>, Summary)> {
     let mut simulator = {
         let _wait = terminal.wait("Building the AO system", 1);
-        let telescope = Telescope::new(scene)?;
-        let seed = scene.aberrations.as_ref().map_or(1, |aberrations| aberrations.seed);
-        let drawn = Truth::draw(scene, &telescope, &mut stream(seed, 0))?;
-        let truth = sent.iter().try_fold(drawn, |truth, sent| sent.apply(truth, scene, &telescope))?;
-        Simulator::with_truth(scene, telescope, truth)?
+        SentCorrections::system(sent, scene)?
     };
     interrupt.check("nothing was written")?;
     if !simulator.stability().stable {

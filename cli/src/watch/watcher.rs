@@ -270,10 +270,7 @@ impl Watcher<'_> {
         let name = if frame.image > 0 { format!("{} image {}", frame.name, frame.image) } else { frame.name.clone() };
         match &frame.reason {
             Some(reason) => {
-                // Sentences on files begin with the name already.
-                let sentence =
-                    if reason.starts_with(&frame.name) { reason.clone() } else { format!("{name}: {reason}") };
-                self.terminal.warn(&format!("refused: {sentence}"));
+                self.terminal.warn(&format!("refused: {name}: {reason}"));
                 self.log.line(
                     "refused",
                     json!({ "frame": id, "name": frame.name, "image": frame.image, "reason": reason }),

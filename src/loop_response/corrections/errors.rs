@@ -1,6 +1,7 @@
 //! Errors that are to be corrected, and which of their modes are: the scene's policy.
 
 use crate::Result;
+use crate::loop_response::SlopeResponse;
 use crate::loop_response::segment_layout::{common_directions, edges, projection_without};
 use crate::modes::SmoothBasis;
 use crate::pupil::Segment;
@@ -29,6 +30,8 @@ pub struct CorrectableErrors<'a> {
     pub ncpa: NcpaModes<'a>,
     /// Whether something takes NCPA: a mirror, or reference slopes. Without, they are left.
     pub has_ncpa_corrector: bool,
+    /// Response of the wavefront sensor to the NCPA; `None` where no slopes were measured.
+    pub slope_response: Option<&'a SlopeResponse>,
 }
 
 /// Modes of the NCPA.
@@ -152,6 +155,7 @@ mod tests {
                 ncpa_sigma_nm: &[],
                 ncpa: NcpaModes::Maps(&map_nm),
                 has_ncpa_corrector: true,
+                slope_response: None,
             };
             errors.correction(&CorrectionPolicy::default(), &segments).unwrap()
         };

@@ -1,13 +1,11 @@
 //! What the mirror and the sensor's reference slopes have to take up of the NCPA.
 
-use super::errors::{CorrectableErrors, NcpaModes};
+use super::errors::NcpaModes;
 use crate::Result;
 use crate::ao::actuators_in_use;
 use crate::linear_algebra::SpdInverse;
-use crate::loop_response::sensor_model::SensorModel;
 use crate::modes::Samples;
 use crate::pupil::Pupil;
-use crate::retrieval::IlluminatedSamples;
 use crate::scene::Scene;
 use crate::telescope::Telescope;
 use ndarray::{Array1, Array2, ArrayView1};
@@ -45,23 +43,4 @@ fn without_pointing(pupil: &Pupil, samples: &Samples, map_nm: &Array2<f64>) -> R
     let columns = map_nm.ncols();
     let flat_nm = pupil.remove_piston_tip_tilt(map_nm.view())?;
     Ok(samples.indices.iter().map(|&at| flat_nm[[at / columns, at % columns]]).collect())
-}
-
-/// Offsets of the sensor's reference slopes that hold the mirror where [`mirror_commands`] puts it, mas: the sensor measures the opposite
-/// of the NCPA.
-pub(super) fn reference_slopes(
-    scene: &Scene,
-    telescope: &Telescope,
-    errors: &CorrectableErrors,
-    ncpa_nm: &[f64],
-) -> Result<Vec<f64>> {
-    let NcpaModes::Smooth(basis) = errors.ncpa else { return Ok(Vec::new()) };
-    if scene.control.is_none() || scene.wavefront_sensor.is_none() {
-        return Ok(Vec::new());
-    }
-    let grid = telescope.pupil.grid;
-    let illuminated = IlluminatedSamples::new(grid.samples(), grid.pitch_m(), &telescope.area_weights(grid)?)?;
-    let opposite_nm: Vec<f64> = ncpa_nm.iter().map(|nm| -nm).collect();
-    let mut sensor = SensorModel::new(scene, telescope, &illuminated, basis)?;
-    Ok(sensor.slopes_mas(&opposite_nm)?.to_vec())
 }

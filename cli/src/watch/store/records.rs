@@ -129,8 +129,10 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame without a fit that was refused for `reason`.
+    /// A frame without a fit that was refused for `reason`; the name, with which sentences on files begin, is not repeated.
     pub fn refused(content: Content, image: usize, name: String, observed_s: f64, reason: String) -> Self {
+        let without_name = reason.strip_prefix(&name).and_then(|rest| rest.strip_prefix(": "));
+        let reason = without_name.map_or(reason.clone(), str::to_owned);
         Self {
             content,
             image,
