@@ -27,7 +27,7 @@ impl<C: BorrowMut<Chain> + Send> DeviceEngine<C> {
             // The device was lost before, and the CPU has taken its place.
             Chain::Cpu32(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
             Chain::Cpu64(chain) => fit_on_cpu(CpuEngine::new(&*chain, None), task, images, watch),
-            Chain::Device { .. } | Chain::Auto(_) => {
+            Chain::Device { .. } | Chain::Auto(_) | Chain::Several(_) => {
                 let exposures: Vec<Exposure> = images.iter().map(|image| image.prepared.exposure.clone()).collect();
                 self.chain.borrow_mut().load(&exposures)?;
                 self.lock_step(task, images, watch)
