@@ -154,7 +154,7 @@ mod tests {
         assert_eq!(pick(Choice::OpenCl, here[..1].to_vec()).unwrap().platform, 0);
         // `all`: no CPU beside GPUs, and the largest first.
         let larger = DeviceInfo { compute_units: 16, ..here[2].clone() };
-        assert_eq!(all([&here[..2], &[larger.clone()]].concat()), [larger, here[1].clone()]);
+        assert_eq!(all([&here[..2], std::slice::from_ref(&larger)].concat()), [larger, here[1].clone()]);
         assert_eq!(all(here[..1].to_vec()), here[..1]);
     }
 
