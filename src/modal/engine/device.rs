@@ -118,6 +118,7 @@ impl<C: BorrowMut<Chain> + Send> Engine for DeviceEngine<C> {
         prepare_all(task, prepare, images);
         let (all, tile) = (images.len(), task.model.tiles().images);
         task.check(0, all)?;
+        task.metrics.prepare(task.reference);
         let is_late = task.is_late();
         let mut ready: Vec<&mut ImageFit> =
             images.iter_mut().filter(|image| !is_late && image.state == FitState::NotBegun).collect();
